@@ -1,0 +1,29 @@
+# The service with its page, on the CPU. Build: docker build -t drape . Run: docker run -p 8000:8000 drape
+# For a GPU, replace the extra cpu by gpu (never both) and run with --gpus all.
+
+FROM node:22-slim AS page
+WORKDIR /page
+COPY clients/web/package.json clients/web/package-lock.json ./
+RUN npm ci --no-audit --no-fund
+COPY clients/web ./
+RUN npm run build
+
+FROM python:3.12-slim
+ENV PYTHONDONTWRITEBYTECODE=1 PYTHONUNBUFFERED=1 PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1
+WORKDIR /app
+COPY pyproject.toml README.md LICENSE ./
+COPY drape drape
+COPY service service
+COPY clients clients
+COPY assets assets
+# Editable, so that the code finds assets/ and the page beside it, as in a clone.
+RUN pip install -e '.[service,cpu]'
+# The promise that the service runs without torch is kept here, not only in the tests.
+RUN python -c "import importlib.util as u, sys; sys.exit('torch is in the image' if u.find_spec('torch') else 0)"
+COPY --from=page /page/dist clients/web/dist
+RUN useradd --create-home --uid 10001 drape && mkdir -p .cache runs && chown drape .cache runs
+USER drape
+EXPOSE 8000
+HEALTHCHECK --interval=10s --timeout=3s --start-period=60s --retries=3 \
+    CMD ["python", "-c", "import urllib.request as r; r.urlopen('http://127.0.0.1:8000/health', timeout=2)"]
+CMD ["python", "-m", "service", "--host", "0.0.0.0", "--port", "8000"]

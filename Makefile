@@ -1,0 +1,94 @@
+# One command per job. Everything is installed into .venv in this folder and nowhere else.
+#
+#   make serve            the service and its page on http://127.0.0.1:8000 (no torch)
+#   make setup            everything: service, training, clients, checkers
+#   make test             checks and the whole test suite
+#   make test-quick       the same without the slow tests
+#   make check            format, lint, types, import order
+#   make format           write the format and the safe lint fixes
+#   make bench            every benchmark, its quick form
+#   make clean            remove what was installed or built
+#
+# Options: PORT, HOST; PAGE=0 starts without the page (no Node.js needed);
+# TORCH_INDEX=URL takes torch from that index (default: the CPU build unless the machine has an NVIDIA GPU);
+# PYTHON names the interpreter the environment is made with; ARGS is handed to pytest, the benchmarks or the service.
+
+HOST ?= 127.0.0.1
+PORT ?= 8000
+PAGE ?= 1
+PYTHON ?=
+TORCH_INDEX ?=
+ARGS ?=
+
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
+WEB := clients/web
+WEB_SOURCES := $(shell find $(WEB) \( -name node_modules -o -name dist \) -prune -o -type f -print 2>/dev/null)
+
+.PHONY: help serve setup test test-quick check format bench page clean
+
+help:
+	@sed -n '2,/^$$/{s/^# \{0,1\}//;p;}' Makefile
+
+# --- environments. A stamp is newer than what it was made from; a second run installs nothing. ---
+
+$(BIN)/python:
+	@PYTHON="$(PYTHON)" scripts/make_venv $(VENV)
+
+$(VENV)/.serve-stamp: pyproject.toml | $(BIN)/python
+	$(PIP) install --quiet -e '.[service,cpu]'
+	@touch $@
+
+# torch first and alone: later requirements then find it and cannot pull another build of it.
+$(VENV)/.setup-stamp: pyproject.toml | $(BIN)/python
+	@scripts/install_torch $(BIN)/python 2.13.0 $(TORCH_INDEX)
+	$(PIP) install --quiet -e '.[service,cpu,train,recover,clients,dev]'
+	@touch $(VENV)/.serve-stamp $@
+
+setup: $(VENV)/.setup-stamp
+
+# --- the page ---
+
+$(WEB)/dist/.stamp: $(WEB_SOURCES)
+	@scripts/build_page $(WEB)
+
+page: $(WEB)/dist/.stamp
+
+# --- jobs ---
+
+serve: $(VENV)/.serve-stamp $(if $(filter 0,$(PAGE)),,page)
+	exec $(BIN)/python -m service --host $(HOST) --port $(PORT) $(ARGS)
+
+# The page and the browser are wanted here, not required: without them the browser tests skip and say why.
+test: setup
+	@scripts/build_page $(WEB) --optional
+	@scripts/find_chromium
+	@$(MAKE) --no-print-directory check
+	$(BIN)/python -m pytest -q --durations=15 $(ARGS)
+
+test-quick: setup
+	$(BIN)/python -m pytest -q --durations=15 -m "not slow" $(ARGS)
+
+check: setup
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/pyright
+	$(BIN)/lint-imports
+
+format: setup
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: setup
+	@scripts/bench $(BIN)/python $(ARGS)
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info .cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(WEB)/node_modules $(WEB)/dist
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

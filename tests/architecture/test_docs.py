@@ -1,0 +1,68 @@
+"""Documents name only what exists: commands, links and settings."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.architecture.repository import PACKAGES, ROOT, repository_files
+
+DOCUMENTS = [path for path in repository_files() if path.suffix == ".md"]
+COMMAND = re.compile(r"python -m ([A-Za-z_][\w.]*)")
+LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)(?:\s+\"[^\"]*\")?\)")
+CODE = re.compile(r"```[a-z]*\n(.*?)```|`([^`\n]+)`", re.DOTALL)
+MAKE_TARGET = re.compile(r"^(?:[A-Z_]+=\S+ )*make ([a-z][a-z-]*)", re.MULTILINE)
+
+
+def is_command(name: str) -> bool:
+    """Whether ``python -m name`` runs something of ours."""
+    try:
+        spec = importlib.util.find_spec(name)
+    except ModuleNotFoundError:
+        return False
+    if spec is None:
+        return False
+    if spec.submodule_search_locations is not None:
+        return importlib.util.find_spec(name + ".__main__") is not None
+    return spec.origin is not None and '__name__ == "__main__"' in Path(spec.origin).read_text(encoding="utf-8")
+
+
+def our_commands(document: Path) -> set[str]:
+    """The modules of ours that ``document`` runs with ``python -m``."""
+    names = {name.rstrip(".") for name in COMMAND.findall(document.read_text(encoding="utf-8"))}
+    return {name for name in names if name.partition(".")[0] in PACKAGES}
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_commands_in_documents_exist(document: Path):
+    assert {name for name in our_commands(document) if not is_command(name)} == set()
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_relative_links_resolve(document: Path):
+    targets = [target.partition("#")[0] for target in LINK.findall(document.read_text(encoding="utf-8"))]
+    local = [target for target in targets if target and not re.match(r"[a-z]+:", target)]
+    assert [target for target in local if not (document.parent / target).exists()] == []
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_make_targets_in_documents_exist(document: Path):
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    targets = set(re.findall(r"^([a-z][a-z-]*):", makefile, re.MULTILINE))
+    code = "\n".join(block or inline for block, inline in CODE.findall(document.read_text(encoding="utf-8")))
+    assert set(MAKE_TARGET.findall(code)) - targets == set()
+
+
+def test_readme_runs_something():
+    assert our_commands(ROOT / "README.md")
+
+
+def test_every_setting_of_the_service_is_documented():
+    settings = importlib.import_module("service.settings").Settings
+    prefix = settings.model_config.get("env_prefix", "")
+    page = (ROOT / "docs/service.md").read_text(encoding="utf-8")
+    assert [name for name in settings.model_fields if (prefix + name).upper() not in page] == []

@@ -1,0 +1,103 @@
+"""What every test folder shares: seeded randomness, skips that say their cure, and a time budget per folder."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import settings
+
+from drape.data_paths import HOW_TO_SET_DATA, data_folder
+
+ROOT = Path(__file__).resolve().parents[1]
+
+# Seconds on 2 cores. Together they stay under the quarter of an hour that the whole suite may take.
+FOLDER_BUDGET_S = {
+    "architecture": 60,
+    "drape": 200,
+    "training": 150,
+    "model_export": 90,
+    "service": 150,
+    "clients": 90,
+    "recovery": 140,
+}
+CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+
+# Examples are drawn from a fixed seed: a red run on one machine is red on the next.
+settings.register_profile("drape", deadline=None, derandomize=True, print_blob=True)
+settings.load_profile("drape")
+
+
+def find_chromium() -> str | None:
+    """The path of the browser that browser tests drive, or None."""
+    named = os.environ.get("CHROMIUM")
+    if named and os.access(named, os.X_OK):
+        return named
+    return next((path for name in CHROMIUM_NAMES if (path := shutil.which(name))), None)
+
+
+def skip_reason(item: pytest.Item) -> str | None:
+    """Why this machine cannot run ``item``, with the cure; None if it can."""
+    if item.get_closest_marker("data") and data_folder() is None:
+        return HOW_TO_SET_DATA
+    if item.get_closest_marker("gpu") and shutil.which("nvidia-smi") is None:
+        return "No NVIDIA GPU here: run the test on a machine where nvidia-smi answers."
+    if item.get_closest_marker("browser"):
+        if find_chromium() is None:
+            return "No Chromium: `sudo apt-get install chromium`, or name one in CHROMIUM."
+        if not (ROOT / "clients/web/dist/index.html").is_file():
+            return "The page is not built: `make page` (needs Node.js 18 or newer)."
+    return None
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    if reason := skip_reason(item):
+        pytest.skip(reason)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """A generator with a fixed seed; tests that want another draw take their own."""
+    return np.random.default_rng(20260101)
+
+
+@pytest.fixture
+def data() -> Path:
+    """The folder named by DRAPE_DATA; the test skips, saying how to set it, where there is none."""
+    folder = data_folder()
+    if folder is None:
+        pytest.skip(HOW_TO_SET_DATA)
+    return folder
+
+
+@pytest.fixture
+def chromium() -> str:
+    """The path of Chromium; the test skips where there is none."""
+    path = find_chromium()
+    if path is None:
+        pytest.skip("No Chromium: `sudo apt-get install chromium`, or name one in CHROMIUM.")
+    return path
+
+
+_spent_s: dict[str, float] = defaultdict(float)
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    parts = Path(report.nodeid.split("::")[0]).parts
+    if len(parts) > 2 and parts[0] == "tests":
+        _spent_s[parts[1]] += report.duration
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    if not _spent_s:
+        return
+    terminalreporter.section("time per folder, spent / budget [s]")
+    for folder, spent in sorted(_spent_s.items()):
+        budget = FOLDER_BUDGET_S.get(folder)
+        line = f"{folder:<14} {spent:7.1f} / {'none' if budget is None else budget}"
+        over = budget is not None and spent > budget
+        terminalreporter.write_line(line + ("   OVER BUDGET" if over else ""), yellow=over)
