@@ -1,0 +1,66 @@
+"""Array-namespace helpers, so that one formula serves numpy and torch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from array_api_compat import array_namespace as namespace
+from array_api_compat import device
+
+from drape.errors import InputError
+
+Array = Any  # a numpy or torch array
+
+__all__ = ["Array", "check_finite", "check_shape", "device", "like", "namespace", "identity3"]
+
+
+def check_shape(
+    name: str, array: Array, shape: tuple[int | None, ...], *, error: type[InputError] = InputError
+) -> None:
+    """Raise ``error`` unless ``array`` has ``shape``; ``None`` admits any length on that axis."""
+    got = tuple(array.shape)
+    fits = len(got) == len(shape) and all(want is None or want == have for want, have in zip(shape, got, strict=True))
+    if not fits:
+        wanted = "(" + ", ".join("any" if want is None else str(want) for want in shape) + ")"
+        raise error(
+            name, expected=f"shape {wanted}", got=f"shape {got}", cure="Reshape or pad the array before passing it."
+        )
+
+
+def check_finite(name: str, array: np.ndarray, *, error: type[InputError] = InputError) -> None:
+    """Raise ``error`` if ``array`` holds NaN or infinity, naming the first offending index."""
+    bad = ~np.isfinite(array)
+    if bad.any():
+        index = tuple(int(i) for i in np.argwhere(bad)[0])
+        raise error(
+            name,
+            expected="finite numbers",
+            got=f"{array[index]} at index {index} ({int(bad.sum())} in all)",
+            cure="Remove the NaN or infinite entries.",
+        )
+
+
+def like(reference: Array, value: Any) -> Array:
+    """``value`` as an array of the namespace, dtype and device of ``reference``."""
+    xp = namespace(reference)
+    return xp.asarray(value, dtype=reference.dtype, device=device(reference))
+
+
+def identity3(reference: Array) -> Array:
+    """The 3x3 identity (..., 3, 3) in the dtype of ``reference`` (...).
+
+    Stacked from ones and zeros: array-api-compat's torch ``eye`` fills in place,
+    which ONNX export refuses.
+    """
+    xp = namespace(reference)
+    one = xp.ones_like(reference)
+    zero = xp.zeros_like(reference)
+    return xp.stack(
+        [
+            xp.stack([one, zero, zero], axis=-1),
+            xp.stack([zero, one, zero], axis=-1),
+            xp.stack([zero, zero, one], axis=-1),
+        ],
+        axis=-2,
+    )

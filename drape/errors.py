@@ -1,0 +1,64 @@
+"""The exceptions that a user of the product can meet.
+
+    DrapeError
+    |-- InputError            what came in is wrong: a file, a request, an option
+    |   |-- MeshError         a mesh cannot be draped
+    |   |-- BodyError         a body file or shape is wrong
+    |   |-- MotionError       a pose or a clip is wrong
+    |   |-- NotFound          a name that nothing here has
+    |-- ArtifactError         a stored model, cache or asset does not hold together
+    |-- Unavailable           something that this installation or machine lacks
+
+Every message says four things: the name of the offending value, what was
+expected, what came, and what cures it.
+"""
+
+from __future__ import annotations
+
+
+class DrapeError(Exception):
+    """Base of every refusal; ``str()`` is one sentence with name, expected, got and cure."""
+
+    def __init__(self, name: str, *, expected: str, got: str, cure: str) -> None:
+        self.name = name
+        self.expected = expected
+        self.got = got
+        self.cure = cure
+        super().__init__(f"{name}: expected {expected}, got {got}. {cure}")
+
+    def __reduce__(self):
+        # Keyword-only arguments do not survive the default pickling, and intake
+        # sends its errors across a process boundary.
+        return _rebuild, (type(self), self.name, self.expected, self.got, self.cure)
+
+
+def _rebuild(kind: type[DrapeError], name: str, expected: str, got: str, cure: str) -> DrapeError:
+    return kind(name, expected=expected, got=got, cure=cure)
+
+
+class InputError(DrapeError):
+    """What the caller handed over is wrong."""
+
+
+class MeshError(InputError):
+    """A mesh that cannot be draped."""
+
+
+class BodyError(InputError):
+    """A body file, shape or registration that cannot be used."""
+
+
+class MotionError(InputError):
+    """A pose, a clip or a motion file that cannot be used."""
+
+
+class NotFound(InputError):
+    """A name that nothing here answers to."""
+
+
+class ArtifactError(DrapeError):
+    """A stored model, cache or asset that does not hold together."""
+
+
+class Unavailable(DrapeError):
+    """Something that this installation or machine does not have."""

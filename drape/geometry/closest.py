@@ -1,0 +1,75 @@
+"""Exact nearest points on a triangle mesh, and signed distances to a closed one (libigl, float64)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import igl
+import numpy as np
+
+from drape.arrays import check_finite, check_shape
+from drape.errors import MeshError
+from drape.geometry.meshes import check_faces
+
+NEEDLE = 1e-12  # squared sine below which a triangle has no barycentric coordinates; its nearest corner stands in
+
+
+class ClosestPoints(NamedTuple):
+    """Unsigned ``distance`` [m] (N,), ``face`` (N,), ``barycentric`` (N, 3) and ``point`` [m] (N, 3)."""
+
+    distance: np.ndarray
+    face: np.ndarray
+    barycentric: np.ndarray
+    point: np.ndarray
+
+
+def closest_point(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> ClosestPoints:
+    """The nearest point of the mesh to each of ``points`` [m] (N, 3)."""
+    points, vertices, faces = _checked(points, vertices, faces)
+    if len(points) == 0:
+        return ClosestPoints(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
+    squared, face, nearest = igl.point_mesh_squared_distance(points, vertices, faces)
+    nearest, face = np.asarray(nearest), np.asarray(face).reshape(-1)
+    weights = barycentric(nearest, vertices[faces[face]])
+    return ClosestPoints(np.sqrt(np.asarray(squared).reshape(-1)), face, weights, nearest)
+
+
+def signed_distance(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Distances [m] (N,) of ``points`` (N, 3) to a closed mesh, negative inside.
+
+    The sign is that of the angle-weighted pseudo-normal at the nearest point
+    (Baerentzen & Aanaes 2005): exact for a closed mesh without self-intersections,
+    and local where a posed body cuts into itself.
+    """
+    points, vertices, faces = _checked(points, vertices, faces)
+    if len(points) == 0:
+        return np.zeros(0)
+    kind = igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
+    return np.asarray(igl.signed_distance(points, vertices, faces, sign_type=kind)[0]).reshape(-1)
+
+
+def barycentric(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Barycentric coordinates (N, 3) in [0, 1] of ``points`` (N, 3) that lie on the triangles ``corners`` (N, 3, 3)."""
+    e1, e2, p = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], points - corners[:, 0]
+    a, b, c = (e1 * e1).sum(1), (e1 * e2).sum(1), (e2 * e2).sum(1)
+    d, e = (p * e1).sum(1), (p * e2).sum(1)
+    determinant = a * c - b * b
+    flat = determinant <= NEEDLE * a * c
+    safe = np.where(flat, 1.0, determinant)
+    second, third = (c * d - b * e) / safe, (a * e - b * d) / safe
+    weights = np.clip(np.stack([1.0 - second - third, second, third], axis=1), 0.0, 1.0)
+    corner = np.argmin(((points[:, None] - corners) ** 2).sum(2), axis=1)
+    weights = np.where(flat[:, None], np.eye(3)[corner], weights)
+    return weights / weights.sum(axis=1, keepdims=True)
+
+
+def _checked(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    points = np.ascontiguousarray(points, dtype=np.float64)
+    vertices = np.ascontiguousarray(vertices, dtype=np.float64)
+    for name, array in (("points", points), ("vertices", vertices)):
+        check_shape(name, array, (None, 3), error=MeshError)
+        check_finite(name, array, error=MeshError)
+    faces = np.ascontiguousarray(check_faces(faces, len(vertices)))
+    if len(faces) == 0:
+        raise MeshError("faces", expected="at least one triangle", got="none", cure="Pass a mesh with a surface.")
+    return points, vertices, faces

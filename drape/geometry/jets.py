@@ -1,0 +1,108 @@
+"""Polynomial jets over a patch: basis, position, metric tensor, normal and curvature, all analytic.
+
+A jet of order n is ``sum_{i<=n} sum_{j<=i} a_{i-j,j} u^(i-j) v^j`` (OneFit, equation 1),
+coefficients in that order: 1, u, v, u^2, uv, v^2, ... A vector jet carries three
+polynomials: in-plane p and q, and height h; its local surface is
+``x(u, v) = s (p, q, h)``. ``pack`` and ``unpack`` fix how a patch's coefficients lie in memory.
+"""
+
+from __future__ import annotations
+
+from drape.arrays import Array, namespace
+from drape.geometry.rotations import cross
+
+IN_PLANE_ORDER = 2
+HEIGHT_ORDER = 4
+
+
+def coefficient_count(order: int) -> int:
+    """Number of coefficients of a jet of ``order``: (n + 1)(n + 2) / 2."""
+    return (order + 1) * (order + 2) // 2
+
+
+IN_PLANE_COUNT = coefficient_count(IN_PLANE_ORDER)  # 6
+HEIGHT_COUNT = coefficient_count(HEIGHT_ORDER)  # 15
+JET_COUNT = 2 * IN_PLANE_COUNT + HEIGHT_COUNT  # 27
+
+
+def exponents(order: int) -> list[tuple[int, int]]:
+    """Powers of (u, v) in coefficient order."""
+    return [(i - j, j) for i in range(order + 1) for j in range(i + 1)]
+
+
+def _powers(x: Array, order: int) -> list[Array]:
+    xp = namespace(x)
+    powers = [xp.ones_like(x)]
+    for _ in range(order):
+        powers.append(powers[-1] * x)
+    return powers
+
+
+def basis(uv: Array, order: int) -> Array:
+    """Monomials (..., n_coefficients) at parameters ``uv`` (..., 2)."""
+    xp = namespace(uv)
+    u, v = _powers(uv[..., 0], order), _powers(uv[..., 1], order)
+    return xp.stack([u[a] * v[b] for a, b in exponents(order)], axis=-1)
+
+
+def basis_derivative(uv: Array, order: int, *, u_times: int = 0, v_times: int = 0) -> Array:
+    """Monomials differentiated ``u_times`` in u and ``v_times`` in v, (..., n_coefficients)."""
+    xp = namespace(uv)
+    u, v = _powers(uv[..., 0], order), _powers(uv[..., 1], order)
+    terms = []
+    for a, b in exponents(order):
+        factor = 1.0
+        for k in range(u_times):
+            factor *= a - k
+        for k in range(v_times):
+            factor *= b - k
+        terms.append(factor * u[max(a - u_times, 0)] * v[max(b - v_times, 0)])
+    return xp.stack(terms, axis=-1)
+
+
+def pack(p: Array, q: Array, h: Array) -> Array:
+    """Coefficients (..., 27) from p (..., 6), q (..., 6) and h (..., 15)."""
+    return namespace(p).concat([p, q, h], axis=-1)
+
+
+def unpack(jet: Array) -> tuple[Array, Array, Array]:
+    """p (..., 6), q (..., 6) and h (..., 15) of coefficients (..., 27)."""
+    return jet[..., :IN_PLANE_COUNT], jet[..., IN_PLANE_COUNT : 2 * IN_PLANE_COUNT], jet[..., 2 * IN_PLANE_COUNT :]
+
+
+def evaluate(jet: Array, uv: Array, *, u_times: int = 0, v_times: int = 0) -> Array:
+    """The vector jet (..., 27), or a derivative of it, at ``uv`` (..., 2): (..., 3), unscaled."""
+    xp = namespace(jet)
+    p, q, h = unpack(jet)
+    plane = basis_derivative(uv, IN_PLANE_ORDER, u_times=u_times, v_times=v_times)
+    height = basis_derivative(uv, HEIGHT_ORDER, u_times=u_times, v_times=v_times)
+    return xp.stack([xp.sum(p * plane, axis=-1), xp.sum(q * plane, axis=-1), xp.sum(h * height, axis=-1)], axis=-1)
+
+
+def metric(jet: Array, uv: Array, scale: Array) -> Array:
+    """First fundamental form ``g = s^2 J^T J`` (..., 2, 2) [m^2 per unit^2] (OneFit, section 3.2)."""
+    xp = namespace(jet)
+    du, dv = evaluate(jet, uv, u_times=1), evaluate(jet, uv, v_times=1)
+    e, f, g = xp.sum(du * du, axis=-1), xp.sum(du * dv, axis=-1), xp.sum(dv * dv, axis=-1)
+    rows = xp.stack([xp.stack([e, f], axis=-1), xp.stack([f, g], axis=-1)], axis=-2)
+    return (scale * scale)[..., None, None] * rows
+
+
+def normal(jet: Array, uv: Array) -> Array:
+    """Unit normals (..., 3) in the patch frame."""
+    xp = namespace(jet)
+    direction = cross(evaluate(jet, uv, u_times=1), evaluate(jet, uv, v_times=1))
+    return direction / xp.sqrt(xp.sum(direction * direction, axis=-1, keepdims=True) + 1e-30)
+
+
+def curvature(jet: Array, uv: Array, scale: Array) -> tuple[Array, Array]:
+    """Mean [1/m] and Gaussian [1/m^2] curvature (...,), positive mean where the patch bends towards its normal."""
+    xp = namespace(jet)
+    du, dv = evaluate(jet, uv, u_times=1), evaluate(jet, uv, v_times=1)
+    n = normal(jet, uv)
+    second = [xp.sum(n * evaluate(jet, uv, u_times=a, v_times=b), axis=-1) for a, b in ((2, 0), (1, 1), (0, 2))]
+    e, f, g = xp.sum(du * du, axis=-1), xp.sum(du * dv, axis=-1), xp.sum(dv * dv, axis=-1)
+    determinant = e * g - f * f
+    mean = (second[0] * g - 2.0 * second[1] * f + second[2] * e) / (2.0 * determinant * scale)
+    gaussian = (second[0] * second[2] - second[1] * second[1]) / (determinant * scale * scale)
+    return mean, gaussian

@@ -1,0 +1,218 @@
+"""Topology of triangle meshes (NumPy integers) and the geometry of their positions (numpy or torch).
+
+Positions are (..., V, 3) with any leading batch axes; faces are (F, 3) vertex
+indices, counter-clockwise seen from outside.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse
+from scipy.sparse import csgraph
+
+from drape.arrays import Array, device, like, namespace
+from drape.errors import MeshError
+from drape.geometry.rotations import cross
+
+# --- topology --------------------------------------------------------------------------------------------------------
+
+
+def check_faces(faces: np.ndarray, vertex_count: int) -> np.ndarray:
+    """``faces`` as int64 (F, 3); refuses another shape and indices outside [0, vertex_count)."""
+    faces = np.asarray(faces)
+    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
+        raise MeshError(
+            "faces",
+            expected="integers of shape (F, 3)",
+            got=f"{faces.dtype} of shape {faces.shape}",
+            cure="Triangulate the mesh.",
+        )
+    if faces.size and (faces.min() < 0 or faces.max() >= vertex_count):
+        raise MeshError(
+            "faces",
+            expected=f"indices in [0, {vertex_count})",
+            got=f"[{faces.min()}, {faces.max()}]",
+            cure="Repair the mesh.",
+        )
+    return faces.astype(np.int64)
+
+
+def half_edges(faces: np.ndarray) -> np.ndarray:
+    """Start, end and opposite vertex (3F, 3) of every half-edge; row ``3 f + c`` starts at corner c of face f."""
+    return np.stack([faces, np.roll(faces, -1, axis=1), np.roll(faces, -2, axis=1)], axis=2).reshape(-1, 3)
+
+
+def unique_edges(faces: np.ndarray) -> np.ndarray:
+    """Undirected edges (E, 2), the smaller index first, in lexicographic order."""
+    if len(faces) == 0:
+        return np.zeros((0, 2), dtype=np.int64)
+    return np.unique(np.sort(half_edges(faces)[:, :2], axis=1), axis=0)
+
+
+def _edge_pairs(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Half-edges (3F, 3), and two index arrays of those that share an edge; m faces on one edge give m - 1 pairs."""
+    halves = half_edges(faces)
+    ends = np.sort(halves[:, :2], axis=1)
+    order = np.lexsort((ends[:, 1], ends[:, 0]))
+    same = (ends[order[1:]] == ends[order[:-1]]).all(axis=1)
+    return halves, order[:-1][same], order[1:][same]
+
+
+def hinges(faces: np.ndarray) -> np.ndarray:
+    """Hinges (H, 4) = (i, j, k, l): the shared edge i -> j, the vertex k opposite in one face, l in the other."""
+    halves, first, second = _edge_pairs(faces)
+    return np.column_stack([halves[first], halves[second, 2]])
+
+
+def hinge_faces(faces: np.ndarray) -> np.ndarray:
+    """The two faces (H, 2) of every hinge, in the order of ``hinges``."""
+    _, first, second = _edge_pairs(faces)
+    return np.column_stack([first // 3, second // 3])
+
+
+def boundary_loops(faces: np.ndarray) -> list[np.ndarray]:
+    """Vertex indices of every closed boundary, following the orientation of the faces, longest first.
+
+    Where two boundaries touch in a vertex the walk takes either branch; where
+    neighbouring faces disagree in orientation a boundary falls into open chains.
+    """
+    halves = half_edges(faces)[:, :2]
+    ends = np.sort(halves, axis=1)
+    _, inverse, counts = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
+    border = halves[counts[inverse.reshape(-1)] == 1]
+    following: dict[int, list[int]] = {}
+    for start, end in border.tolist():
+        following.setdefault(start, []).append(end)
+    loops = []
+    while following:
+        start = min(following)
+        loop, at = [], start
+        while at in following:
+            loop.append(at)
+            branches = following[at]
+            step = branches.pop()
+            if not branches:
+                del following[at]
+            at = step
+        loops.append(np.array(loop, dtype=np.int64))
+    return sorted(loops, key=len, reverse=True)
+
+
+def connected_components(faces: np.ndarray, vertex_count: int) -> np.ndarray:
+    """Component number (V,) of every vertex, counted from 0; a vertex without a face is its own."""
+    return csgraph.connected_components(adjacency(faces, vertex_count), directed=False)[1].astype(np.int64)
+
+
+def adjacency(faces: np.ndarray, vertex_count: int) -> scipy.sparse.csr_matrix:
+    """Symmetric matrix (V, V) with one at every edge."""
+    edges = unique_edges(faces)
+    rows = np.concatenate([edges[:, 0], edges[:, 1]])
+    columns = np.concatenate([edges[:, 1], edges[:, 0]])
+    return scipy.sparse.csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(vertex_count, vertex_count))
+
+
+def umbrella_laplacian(faces: np.ndarray, vertex_count: int) -> scipy.sparse.csr_matrix:
+    """Matrix (V, V) whose product with positions is (mean of the neighbours) - (own position); zero rows where none."""
+    graph = adjacency(faces, vertex_count)
+    degree = np.asarray(graph.sum(axis=1)).reshape(-1)
+    averaging = scipy.sparse.diags(1.0 / np.maximum(degree, 1.0)) @ graph
+    return (averaging - scipy.sparse.diags((degree > 0).astype(np.float64))).tocsr()
+
+
+def subdivide(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Midpoint subdivision: vertices (N, 3), faces (4F, 3) and the two ``parents`` (N, 2) of every vertex.
+
+    The original vertices come first, in their order, and are their own parents;
+    any attribute follows as the mean of its parents'. Face ``4 f + c`` is the
+    corner c of face f, ``4 f + 3`` its middle.
+    """
+    count = len(vertices)
+    ends = np.sort(half_edges(faces)[:, :2], axis=1)
+    edges, inverse = np.unique(ends, axis=0, return_inverse=True)
+    middle = count + inverse.reshape(-1, 3)  # of the edges 01, 12, 20
+    parents = np.concatenate([np.repeat(np.arange(count)[:, None], 2, axis=1), edges])
+    a, b, c = faces.T
+    ab, bc, ca = middle.T
+    split = [[a, ab, ca], [b, bc, ab], [c, ca, bc], [ab, bc, ca]]
+    fine = np.stack([np.stack(corners, axis=1) for corners in split], axis=1).reshape(-1, 3)
+    return vertices[parents].mean(axis=1), fine, parents
+
+
+# --- geometry of positions -------------------------------------------------------------------------------------------
+
+
+def corner_edges(vertices: Array, faces: np.ndarray) -> tuple[Array, Array]:
+    """The two edge vectors [m] (..., F, 3) that leave the first corner of every face."""
+    origin = _take(vertices, faces[:, 0])
+    return _take(vertices, faces[:, 1]) - origin, _take(vertices, faces[:, 2]) - origin
+
+
+def area_vectors(vertices: Array, faces: np.ndarray) -> Array:
+    """Face normals times face areas [m^2] (..., F, 3)."""
+    return 0.5 * cross(*corner_edges(vertices, faces))
+
+
+def face_areas(vertices: Array, faces: np.ndarray) -> Array:
+    """Face areas [m^2] (..., F)."""
+    return _length(area_vectors(vertices, faces))[..., 0]
+
+
+def face_normals(vertices: Array, faces: np.ndarray) -> Array:
+    """Unit face normals (..., F, 3); zero where a face is degenerate."""
+    return _unit(area_vectors(vertices, faces))
+
+
+def edge_lengths(vertices: Array, edges: np.ndarray) -> Array:
+    """Lengths [m] (..., E) of ``edges`` (E, 2)."""
+    return _length(_take(vertices, edges[:, 1]) - _take(vertices, edges[:, 0]))[..., 0]
+
+
+def face_table(faces: np.ndarray, vertex_count: int) -> np.ndarray:
+    """Faces around every vertex (V, D), D the largest number there; free places hold F."""
+    corners = faces.reshape(-1)
+    order = np.argsort(corners, kind="stable")
+    counts = np.bincount(corners, minlength=vertex_count)
+    place = np.arange(len(corners)) - np.repeat(np.cumsum(counts) - counts, counts)
+    table = np.full((vertex_count, counts.max(initial=0)), len(faces), dtype=np.int64)
+    table[corners[order], place] = order // 3
+    return table
+
+
+def vertex_sums(values: Array, table: np.ndarray) -> Array:
+    """Sums (..., V, C) over the faces around every vertex of face values (..., F, C)."""
+    xp = namespace(values)
+    padded = xp.concat([values, xp.zeros_like(values[..., :1, :])], axis=-2)
+    total = _take(padded, table[:, 0])
+    for column in range(1, table.shape[1]):
+        total = total + _take(padded, table[:, column])
+    return total
+
+
+def vertex_normals(vertices: Array, faces: np.ndarray, *, table: np.ndarray | None = None) -> Array:
+    """Unit vertex normals (..., V, 3), the face normals around a vertex weighted by area.
+
+    Pass ``face_table(faces, V)`` as ``table`` where the same mesh comes again.
+    """
+    table = face_table(faces, vertices.shape[-2]) if table is None else table
+    return _unit(vertex_sums(area_vectors(vertices, faces), table))
+
+
+def vertex_areas(vertices: Array, faces: np.ndarray) -> Array:
+    """Areas [m^2] (..., V): a third of every face around the vertex."""
+    areas = face_areas(vertices, faces)[..., None] / 3.0
+    return vertex_sums(areas, face_table(faces, vertices.shape[-2]))[..., 0]
+
+
+def _take(values: Array, index: np.ndarray) -> Array:
+    xp = namespace(values)
+    return xp.take(values, xp.asarray(index, device=device(values)), axis=-2)
+
+
+def _length(vectors: Array) -> Array:
+    # The guard keeps the gradient of a vanishing length finite.
+    xp = namespace(vectors)
+    return xp.sqrt(xp.sum(vectors * vectors, axis=-1, keepdims=True) + like(vectors, 1e-36))
+
+
+def _unit(vectors: Array) -> Array:
+    return vectors / _length(vectors)

@@ -1,0 +1,101 @@
+"""Forward kinematics against a plain loop over 4x4 matrices, and its invariances."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from drape.geometry.rigid import apply, bone_transforms, forward_kinematics
+from drape.geometry.rotations import rotvec_to_matrix
+from drape.motion.skeleton import CANONICAL_JOINTS, JOINT_COUNT, PARENTS
+
+EXACT = 1e-13
+
+
+@pytest.fixture
+def local(rng):
+    return rotvec_to_matrix(rng.normal(size=(4, JOINT_COUNT, 3)))
+
+
+def chained(local_rotations, joints):
+    """World matrices (J, 4, 4) of one pose, one joint after the other."""
+    world = []
+    for joint, parent in enumerate(PARENTS):
+        matrix = np.eye(4)
+        matrix[:3, :3] = local_rotations[joint]
+        matrix[:3, 3] = joints[joint] - (joints[parent] if parent >= 0 else 0.0)
+        world.append(matrix if parent < 0 else world[parent] @ matrix)
+    return np.stack(world)
+
+
+def test_forward_kinematics_is_the_product_of_4x4_matrices(local, rng):
+    joints = CANONICAL_JOINTS + 0.02 * rng.normal(size=CANONICAL_JOINTS.shape)
+    rotations, positions = forward_kinematics(local, joints, PARENTS)
+    want = np.stack([chained(pose, joints) for pose in local])
+    assert_allclose(rotations, want[..., :3, :3], rtol=0.0, atol=EXACT)
+    assert_allclose(positions, want[..., :3, 3], rtol=0.0, atol=EXACT)
+
+
+def test_forward_kinematics_broadcasts_joints_over_poses_and_poses_over_joints(local, rng):
+    joints = CANONICAL_JOINTS + 0.02 * rng.normal(size=(4, *CANONICAL_JOINTS.shape))
+    for poses, rest in ((local, joints[0]), (local[0], joints), (local, joints)):
+        rotations, positions = forward_kinematics(poses, rest, PARENTS)
+        assert rotations.shape[-3:] == (JOINT_COUNT, 3, 3)
+        assert positions.shape == (4, JOINT_COUNT, 3)
+    assert_allclose(positions[2], forward_kinematics(local[2], joints[2], PARENTS)[1], rtol=0.0, atol=EXACT)
+
+
+def test_no_rotation_leaves_the_rest_pose():
+    still = np.tile(np.eye(3), (JOINT_COUNT, 1, 1))
+    rotations, translations = bone_transforms(still, CANONICAL_JOINTS, PARENTS)
+    assert_allclose(rotations, still, rtol=0.0, atol=EXACT)
+    assert_allclose(translations, np.zeros((JOINT_COUNT, 3)), rtol=0.0, atol=EXACT)
+
+
+def test_bone_transforms_carry_each_rest_joint_to_its_posed_place(local):
+    rotations, translations = bone_transforms(local, CANONICAL_JOINTS, PARENTS)
+    _, positions = forward_kinematics(local, CANONICAL_JOINTS, PARENTS)
+    assert_allclose((rotations @ CANONICAL_JOINTS[..., None])[..., 0] + translations, positions, rtol=0.0, atol=EXACT)
+
+
+def test_bones_meet_at_their_joint(local):
+    rotations, translations = bone_transforms(local, CANONICAL_JOINTS, PARENTS)
+    for joint, parent in enumerate(PARENTS[1:], 1):
+        ends = [rotations[:, bone] @ CANONICAL_JOINTS[joint] + translations[:, bone] for bone in (joint, parent)]
+        assert_allclose(ends[0], ends[1], rtol=0.0, atol=EXACT)
+
+
+def test_turning_the_root_turns_the_whole_body_about_the_pelvis(local, rng):
+    turn = rotvec_to_matrix(rng.normal(size=3))
+    turned = local.copy()
+    turned[:, 0] = turn @ local[:, 0]
+    _, before = forward_kinematics(local, CANONICAL_JOINTS, PARENTS)
+    _, after = forward_kinematics(turned, CANONICAL_JOINTS, PARENTS)
+    root = CANONICAL_JOINTS[0]
+    assert_allclose(after - root, (before - root) @ turn.T, rtol=0.0, atol=EXACT)
+
+
+def test_apply_composes_and_inverts(rng):
+    points = rng.normal(size=(3, 7, 3))
+    first, second = rotvec_to_matrix(rng.normal(size=(2, 3, 3)))
+    a, b = rng.normal(size=(2, 3, 3))
+    both = apply(second, b, apply(first, a, points))
+    assert_allclose(both, apply(second @ first, (second @ a[..., None])[..., 0] + b, points), rtol=0.0, atol=EXACT)
+    inverse = np.swapaxes(first, -1, -2)
+    assert_allclose(
+        apply(inverse, -(inverse @ a[..., None])[..., 0], apply(first, a, points)), points, rtol=0.0, atol=EXACT
+    )
+
+
+def test_numpy_and_torch_agree(local):
+    torch = pytest.importorskip("torch")
+    got = bone_transforms(torch.from_numpy(local), torch.from_numpy(CANONICAL_JOINTS.copy()), PARENTS)
+    for have, want in zip(got, bone_transforms(local, CANONICAL_JOINTS, PARENTS), strict=True):
+        assert_allclose(have.numpy(), want, rtol=0.0, atol=EXACT)
+
+
+def test_gradient_is_right_in_the_rest_pose(rng):
+    torch = pytest.importorskip("torch")
+    parents = (-1, 0, 1, 0)
+    joints = torch.tensor(rng.normal(size=(4, 3)), requires_grad=True)
+    rotvec = torch.zeros((2, 4, 3), dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda v, j: bone_transforms(rotvec_to_matrix(v), j, parents), (rotvec, joints))
