@@ -1,0 +1,122 @@
+"""The body: shape and pose -> joints, bone transforms and skinned vertices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse
+
+from drape.arrays import check_finite, check_shape
+from drape.body.skeleton import BONE_ENDS, JOINT_COUNT, PARENTS
+from drape.errors import BodyError, MotionError
+from drape.geometry import rigid, skinning
+from drape.geometry.rotations import rotvec_to_matrix
+
+
+@dataclass(frozen=True, eq=False)
+class BodyModel:
+    """SMPL-schema body in its rest T-pose; lengths in metres, y up, facing +z.
+
+    ``v_template`` (V, 3); ``shapedirs`` (V, 3, S); ``regressor`` sparse (24, V);
+    ``weights`` (V, 24), rows sum to one; ``faces`` (F, 3); ``posedirs``
+    (V, 3, 207) or None. ``digest`` is the sha256 of the file it came from.
+    """
+
+    name: str
+    digest: str
+    v_template: np.ndarray
+    shapedirs: np.ndarray
+    regressor: scipy.sparse.csr_matrix
+    weights: np.ndarray
+    faces: np.ndarray
+    posedirs: np.ndarray | None = None
+
+    @property
+    def vertex_count(self) -> int:
+        return len(self.v_template)
+
+    @property
+    def shape_count(self) -> int:
+        return self.shapedirs.shape[2]
+
+    @cached_property
+    def joints_template(self) -> np.ndarray:
+        """Rest joints [m] (24, 3) of the template."""
+        return self.regressor @ self.v_template
+
+    @cached_property
+    def joint_shapedirs(self) -> np.ndarray:
+        """Change of the rest joints [m] per unit of shape, (24, 3, S)."""
+        flat = self.shapedirs.reshape(self.vertex_count, -1)
+        return (self.regressor @ flat).reshape(JOINT_COUNT, 3, self.shape_count)
+
+    @cached_property
+    def bone_directions(self) -> np.ndarray:
+        """Unit direction (24, 3) of each joint's bone in the rest pose; leaves take their parent's."""
+        joints = self.joints_template
+        directions = np.zeros((JOINT_COUNT, 3))
+        for joint, end in enumerate(BONE_ENDS):
+            if end >= 0:
+                difference = joints[end] - joints[joint]
+                directions[joint] = difference / np.linalg.norm(difference)
+            else:
+                directions[joint] = directions[PARENTS[joint]]
+        return directions
+
+    def check_betas(self, betas: np.ndarray) -> np.ndarray:
+        """``betas`` as float64 (S,), padded with zeros; refuses NaN and more entries than the body has."""
+        betas = np.asarray(betas, dtype=np.float64)
+        if betas.ndim != 1 or len(betas) > self.shape_count:
+            raise BodyError(
+                "betas",
+                expected=f"at most {self.shape_count} numbers",
+                got=f"shape {betas.shape}",
+                cure="Drop the entries this body does not have.",
+            )
+        check_finite("betas", betas, error=BodyError)
+        return np.concatenate([betas, np.zeros(self.shape_count - len(betas))])
+
+    def rest_vertices(self, betas: np.ndarray | None = None) -> np.ndarray:
+        """Rest vertices [m] (V, 3) of the shape ``betas``."""
+        if betas is None:
+            return self.v_template
+        return self.v_template + self.shapedirs @ self.check_betas(betas)
+
+    def rest_joints(self, betas: np.ndarray | None = None) -> np.ndarray:
+        """Rest joints [m] (24, 3) of the shape ``betas``."""
+        if betas is None:
+            return self.joints_template
+        return self.joints_template + self.joint_shapedirs @ self.check_betas(betas)
+
+    def bones(
+        self, poses: np.ndarray, trans: np.ndarray | None = None, betas: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Rest-to-world transforms of the bones: rotations (F, 24, 3, 3), translations [m] (F, 24, 3).
+
+        ``poses`` (F, 24, 3) are rotation vectors [rad] relative to the parent,
+        ``trans`` (F, 3) moves the root [m].
+        """
+        poses = np.asarray(poses, dtype=np.float64)
+        check_shape("poses", poses, (None, JOINT_COUNT, 3), error=MotionError)
+        check_finite("poses", poses, error=MotionError)
+        joints = np.broadcast_to(self.rest_joints(betas), (len(poses), JOINT_COUNT, 3))
+        rotations, translations = rigid.bone_transforms(rotvec_to_matrix(poses), joints, PARENTS)
+        if trans is not None:
+            trans = np.asarray(trans, dtype=np.float64)
+            check_shape("trans", trans, (len(poses), 3), error=MotionError)
+            check_finite("trans", trans, error=MotionError)
+            translations = translations + trans[:, None, :]
+        return rotations, translations
+
+    def posed_vertices(
+        self, poses: np.ndarray, trans: np.ndarray | None = None, betas: np.ndarray | None = None
+    ) -> np.ndarray:
+        """World vertices [m] (F, V, 3) by linear blend skinning (with pose blend shapes where the body has them)."""
+        rotations, translations = self.bones(poses, trans, betas)
+        rest = np.broadcast_to(self.rest_vertices(betas), (len(rotations), self.vertex_count, 3))
+        if self.posedirs is not None:
+            local = rotvec_to_matrix(np.asarray(poses, dtype=np.float64))[:, 1:] - np.eye(3)
+            rest = rest + np.einsum("vcp,fp->fvc", self.posedirs, local.reshape(len(local), self.posedirs.shape[2]))
+        return skinning.skin_points(rest, self.weights, rotations, translations)
