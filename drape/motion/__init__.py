@@ -1,0 +1,1 @@
+"""Motion clips: SMPL poses over time, read from AMASS, BVH and ASF/AMC files or generated."""

@@ -1,0 +1,164 @@
+"""Motion clips from BVH files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from drape.motion.clip import MotionClip
+from drape.motion.retarget import SourceSkeleton, euler_to_matrix, global_rotations, retarget
+from drape.motion.text import Line, fault, parse_numbers, read_lines
+
+MAX_JOINT_COUNT = 1000
+
+_CHANNELS = {f"{axis}{kind}" for axis in "xyz" for kind in ("position", "rotation")}
+
+
+@dataclass
+class _Joint:
+    name: str
+    parent: int
+    offset: list[float] | None = None
+    channels: list[str] = field(default_factory=list)
+
+
+def read_bvh(path: Path, *, metres_per_unit: float | None = None, up: str = "y") -> MotionClip:
+    """The clip of a BVH file, retargeted to the 24 SMPL joints.
+
+    Channels may come in any order; a joint's rotation is the product in that order.
+    ``metres_per_unit`` None guesses the unit from the length of the legs.
+    """
+    path = Path(path)
+    lines = read_lines(path)
+    if not lines or lines[0][1][0].upper() != "HIERARCHY":
+        raise fault(
+            path, lines[0][0] if lines else 1, "HIERARCHY", " ".join(lines[0][1])[:60] if lines else "an empty file"
+        )
+    joints, motion_at = _parse_hierarchy(path, lines)
+    values, fps = _parse_motion(path, lines[motion_at:], sum(len(joint.channels) for joint in joints))
+    local, places = _local_motion(joints, values)
+    skeleton = SourceSkeleton(
+        names=tuple(joint.name for joint in joints),
+        parents=tuple(joint.parent for joint in joints),
+        offsets=np.array([joint.offset for joint in joints]),
+    )
+    rotations = global_rotations(local, skeleton.parents)
+    return retarget(skeleton, rotations, places, fps=fps, name=path.stem, metres_per_unit=metres_per_unit, up=up)
+
+
+def _parse_hierarchy(path: Path, lines: list[Line]) -> tuple[list[_Joint], int]:
+    """The joints, parents first, and the index of the line MOTION."""
+    joints: list[_Joint] = []
+    open_blocks: list[int | None] = []  # joint of each open brace; None for an end site
+    announced: list[int | None] = []  # named, but its brace not yet open
+    for at, (number, words) in enumerate(lines[1:], 1):
+        # Some writers open the brace on the line of the name.
+        brace_follows = words[-1] == "{" and len(words) > 1
+        head, rest = words[0].upper(), words[1 : len(words) - brace_follows]
+        if head == "MOTION":
+            _check_closed(path, number, joints, open_blocks, announced)
+            return joints, at
+        if head in ("ROOT", "JOINT"):
+            _check_place(path, number, head, joints, open_blocks)
+            parent = open_blocks[-1] if open_blocks else None
+            joints.append(_Joint(" ".join(rest), -1 if parent is None else parent))
+            announced.append(len(joints) - 1)
+        elif head == "END":
+            announced.append(None)
+        elif head == "}":
+            if not open_blocks:
+                raise fault(path, number, "as many '{' as '}'", "a '}' too many")
+            open_blocks.pop()
+        elif head == "OFFSET" and open_blocks:
+            offset = parse_numbers(path, number, rest, count=3, what="OFFSET")
+            if open_blocks[-1] is not None:
+                joints[open_blocks[-1]].offset = offset
+        elif head == "CHANNELS" and open_blocks and open_blocks[-1] is not None:
+            joints[open_blocks[-1]].channels = _parse_channels(path, number, rest)
+        elif head != "{":
+            raise fault(
+                path, number, "ROOT, JOINT, End Site, OFFSET, CHANNELS, a brace or MOTION", repr(" ".join(words)[:60])
+            )
+        if head == "{" or brace_follows:
+            if not announced:
+                raise fault(path, number, "a joint's name before '{'", "none")
+            open_blocks.append(announced.pop())
+    raise fault(path, lines[-1][0], "a line MOTION", "the end of the file", "The file is cut off; fetch it again.")
+
+
+def _check_place(path: Path, number: int, head: str, joints: list[_Joint], open_blocks: list[int | None]) -> None:
+    if head == "ROOT" and joints:
+        raise fault(path, number, "one ROOT", "a second", "Export one skeleton per file.")
+    if head == "JOINT" and (not open_blocks or open_blocks[-1] is None):
+        raise fault(path, number, "JOINT inside a joint's braces", "none open")
+    if len(joints) >= MAX_JOINT_COUNT:
+        raise fault(path, number, f"at most {MAX_JOINT_COUNT} joints", "more")
+
+
+def _check_closed(path: Path, number: int, joints: list[_Joint], open_blocks: list, announced: list) -> None:
+    if open_blocks or announced:
+        raise fault(path, number, "every '{' closed before MOTION", f"{len(open_blocks) + len(announced)} open")
+    if not joints:
+        raise fault(path, number, "a ROOT", "none")
+    for joint in joints:
+        if joint.offset is None:
+            raise fault(path, number, f"an OFFSET of joint {joint.name!r}", "none")
+
+
+def _parse_channels(path: Path, number: int, words: list[str]) -> list[str]:
+    if not words or not words[0].isdigit() or int(words[0]) != len(words) - 1:
+        raise fault(path, number, "CHANNELS, their count and as many names", repr(" ".join(words)[:60]))
+    channels = [word.lower() for word in words[1:]]
+    if not set(channels) <= _CHANNELS or len(set(channels)) != len(channels):
+        raise fault(path, number, "distinct channels such as Xposition or Zrotation", repr(" ".join(words[1:])[:60]))
+    return channels
+
+
+def _parse_motion(path: Path, lines: list[Line], channel_count: int) -> tuple[np.ndarray, float]:
+    """Values (F, channels) and the frame rate [1/s]."""
+    header = {}
+    for (number, words), key in zip(lines[1:3], ("Frames:", "Frame Time:"), strict=False):
+        if " ".join(words[: key.count(" ") + 1]).lower() != key.lower():
+            raise fault(path, number, f"{key!r} and a number", repr(" ".join(words)[:60]))
+        header[key] = parse_numbers(path, number, words[key.count(" ") + 1 :], count=1, what=key)[0], number
+    if len(header) < 2:
+        raise fault(path, lines[-1][0], "'Frames:' and 'Frame Time:' after MOTION", "the end of the file")
+    (frame_count, count_line), (frame_time, time_line) = header.values()
+    if frame_time <= 0.0:
+        raise fault(path, time_line, "a positive frame time [s]", str(frame_time))
+    rows = lines[3:]
+    if frame_count < 1 or frame_count != len(rows):
+        last = rows[-1][0] if rows else count_line
+        raise fault(
+            path,
+            last,
+            f"{frame_count:g} frames, as declared (1 or more)",
+            f"{len(rows)}",
+            "The file is cut off or its count is wrong.",
+        )
+    values = np.array(
+        [parse_numbers(path, number, words, count=channel_count, what="a frame") for number, words in rows]
+    )
+    return values, 1.0 / frame_time
+
+
+def _local_motion(joints: list[_Joint], values: np.ndarray) -> tuple[np.ndarray, dict[int, np.ndarray]]:
+    """Rotations relative to the parent (F, J, 3, 3), and the positions (F, 3) of the joints that move."""
+    local = np.empty((len(values), len(joints), 3, 3))
+    places = {}
+    column = 0
+    for index, joint in enumerate(joints):
+        block = values[:, column : column + len(joint.channels)]
+        column += len(joint.channels)
+        turns = [i for i, channel in enumerate(joint.channels) if channel.endswith("rotation")]
+        local[:, index] = euler_to_matrix(
+            np.radians(block[:, turns]), "".join(joint.channels[i][0].upper() for i in turns)
+        )
+        moves = {"xyz".index(channel[0]): i for i, channel in enumerate(joint.channels) if channel.endswith("position")}
+        if moves or index == 0:
+            # A position channel replaces the offset on its axis.
+            places[index] = np.tile(np.array(joint.offset), (len(values), 1))
+            places[index][:, list(moves)] = block[:, list(moves.values())]
+    return local, places

@@ -1,0 +1,164 @@
+"""A motion clip: SMPL poses and root translations at a constant frame rate."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from drape.arrays import check_finite, check_shape
+from drape.errors import MotionError
+from drape.geometry.rotations import quaternion_multiply, quaternion_slerp, quaternion_to_rotvec, rotvec_to_quaternion
+from drape.motion.skeleton import JOINT_COUNT
+
+FLAGGED_SPEED = 0.5 * 60.0
+"""Joint speed [rad/s] above which a step is taken for a glitch: 0.5 rad in 1/60 s (issue 2, part 3)."""
+
+# A resampled time this close to a source sample [frames] takes the sample itself.
+_KNOT_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class MotionClip:
+    """Poses (F, 24, 3), axis-angle [rad] relative to the parent, and translations (F, 3) [m], y up.
+
+    ``trans`` is SMPL's: it displaces the posed body, whose pelvis rests at the
+    body's own first joint. ``betas`` are the shape of the recorded person, if known.
+    The arrays are kept as read-only float64.
+    """
+
+    poses: np.ndarray
+    trans: np.ndarray
+    fps: float
+    name: str
+    betas: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        poses = _frozen("poses", self.poses)
+        check_shape("poses", poses, (None, JOINT_COUNT, 3), error=MotionError)
+        if len(poses) == 0:
+            raise MotionError("poses", expected="at least one frame", got="none", cure="Pass a clip that holds frames.")
+        trans = _frozen("trans", self.trans)
+        check_shape("trans", trans, (len(poses), 3), error=MotionError)
+        betas = None if self.betas is None else _frozen("betas", self.betas)
+        if betas is not None:
+            check_shape("betas", betas, (None,), error=MotionError)
+        _check_rate("fps", self.fps)
+        object.__setattr__(self, "poses", poses)
+        object.__setattr__(self, "trans", trans)
+        object.__setattr__(self, "betas", betas)
+        object.__setattr__(self, "fps", float(self.fps))
+
+    @property
+    def frame_count(self) -> int:
+        return len(self.poses)
+
+    @property
+    def duration_s(self) -> float:
+        """Time [s] from the first frame to the last."""
+        return (self.frame_count - 1) / self.fps
+
+    def resampled(self, fps: float) -> MotionClip:
+        """The clip at ``fps``: joints by slerp, translation linearly, exact at the source's samples."""
+        _check_rate("fps", fps)
+        count = int(np.floor((self.frame_count - 1) * (fps / self.fps) + _KNOT_TOLERANCE)) + 1
+        place = np.arange(count) * (self.fps / fps)  # in source frames
+        nearest = np.rint(place)
+        place = np.where(np.abs(place - nearest) < _KNOT_TOLERANCE, nearest, place)
+        before = np.minimum(np.floor(place).astype(np.int64), self.frame_count - 1)
+        after = np.minimum(before + 1, self.frame_count - 1)
+        fraction = place - before
+        turn = quaternion_slerp(
+            rotvec_to_quaternion(self.poses[before]),
+            rotvec_to_quaternion(self.poses[after]),
+            np.broadcast_to(fraction[:, None], (count, JOINT_COUNT)),
+        )
+        at_knot = fraction[:, None] == 0.0
+        poses = np.where(at_knot[..., None], self.poses[before], quaternion_to_rotvec(turn))
+        trans = (1.0 - fraction[:, None]) * self.trans[before] + fraction[:, None] * self.trans[after]
+        return replace(self, poses=poses, trans=trans, fps=fps)
+
+    def window(self, start: int, count: int) -> MotionClip:
+        """``count`` consecutive frames from ``start``; refused if they run out of the clip."""
+        if start < 0 or count < 1 or start + count > self.frame_count:
+            raise MotionError(
+                "window",
+                expected=f"1 or more frames inside the {self.frame_count} of {self.name!r}",
+                got=f"start {start}, count {count}",
+                cure="Choose a start and a count that fit the clip.",
+            )
+        return replace(self, poses=self.poses[start : start + count], trans=self.trans[start : start + count])
+
+    def slice(self, start_s: float, end_s: float) -> MotionClip:
+        """The frames whose time [s] lies in ``start_s <= t <= end_s``."""
+        first = int(np.ceil(start_s * self.fps - _KNOT_TOLERANCE))
+        last = int(np.floor(end_s * self.fps + _KNOT_TOLERANCE))
+        return self.window(first, last - first + 1)
+
+    def save(self, path: Path) -> None:
+        """Write the clip as an AMASS-like npz (``drape.motion.amass`` reads it); all or nothing."""
+        arrays = {
+            "poses": self.poses.astype(np.float32),
+            "trans": self.trans.astype(np.float32),
+            "mocap_framerate": np.float32(self.fps),
+            "name": np.str_(self.name),
+            "up": np.str_("y"),
+        }
+        if self.betas is not None:
+            arrays["betas"] = self.betas.astype(np.float32)
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+        try:
+            with os.fdopen(handle, "wb") as stream:
+                np.savez_compressed(stream, **arrays)
+            os.chmod(temporary, 0o644)  # mkstemp makes the file private
+            os.replace(temporary, path)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+
+
+def joint_steps(clip: MotionClip) -> np.ndarray:
+    """Angles [rad] (F-1, 24) of each joint's rotation from one frame to the next."""
+    quaternions = rotvec_to_quaternion(clip.poses)
+    inverse = quaternions[:-1] * np.array([1.0, -1.0, -1.0, -1.0])
+    return np.linalg.norm(quaternion_to_rotvec(quaternion_multiply(inverse, quaternions[1:])), axis=-1)
+
+
+def flagged_steps(clip: MotionClip) -> np.ndarray:
+    """Whether any joint turns faster than ``FLAGGED_SPEED`` from frame i to i+1, boolean (F-1,).
+
+    Two orientations are never more than pi apart, so below 10 frames per second nothing is flagged.
+    """
+    return np.any(joint_steps(clip) > FLAGGED_SPEED / clip.fps, axis=-1)
+
+
+def clean_windows(clip: MotionClip, length: int, *, stride: int = 1) -> list[int]:
+    """Starts of the windows of ``length`` frames that hold no flagged step, ``stride`` frames apart."""
+    for name, value in (("length", length), ("stride", stride)):
+        if value < 1:
+            raise MotionError(name, expected="1 or more frames", got=str(value), cure=f"Choose a positive {name}.")
+    flagged_before = np.concatenate([[0], np.cumsum(flagged_steps(clip))])
+    starts = np.arange(0, clip.frame_count - length + 1, stride)
+    return starts[flagged_before[starts + length - 1] == flagged_before[starts]].tolist()
+
+
+def _frozen(name: str, value: np.ndarray) -> np.ndarray:
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as cause:
+        raise MotionError(name, expected="an array of numbers", got=str(cause), cure="Pass numbers only.") from cause
+    check_finite(name, array, error=MotionError)
+    array.setflags(write=False)
+    return array
+
+
+def _check_rate(name: str, fps: float) -> None:
+    if not (np.isfinite(fps) and fps > 0.0):
+        raise MotionError(
+            name, expected="a positive frame rate [1/s]", got=str(fps), cure="Pass the clip's frames per second."
+        )

@@ -1,0 +1,70 @@
+"""Poses of the canonical skeleton with feet where they are wanted: two-bone inverse kinematics."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drape.geometry.rotations import matrix_to_rotvec
+from drape.motion.skeleton import CANONICAL_JOINTS, JOINT_COUNT, JOINT_INDEX, PARENTS
+
+SIDES = ("left", "right")
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def leg_rotations(hip: np.ndarray, ankle: np.ndarray, forward: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """World rotations (F, 3, 3) of thigh and shin that bring the ankle (F, 3) [m] to its place.
+
+    The knee bends towards ``forward`` (F, 3). Law of cosines; the ankle must be in reach.
+    """
+    thigh, shin = _bone_length("left_knee"), _bone_length("left_ankle")
+    line = ankle - hip
+    distance = np.linalg.norm(line, axis=-1, keepdims=True)
+    if distance.max() >= thigh + shin:
+        raise ValueError(f"ankle {distance.max():.3f} m from the hip, but the leg is {thigh + shin:.3f} m long")
+    line = line / distance
+    side = unit(np.cross(-line, forward))
+    ahead = np.cross(side, -line)
+    cosine = (thigh**2 + distance**2 - shin**2) / (2.0 * thigh * distance)
+    knee_direction = cosine * line + np.sqrt(1.0 - cosine**2) * ahead
+    shin_direction = unit(ankle - (hip + thigh * knee_direction))
+    return _frame(side, knee_direction), _frame(side, shin_direction)
+
+
+def posed_clip(
+    root: np.ndarray,
+    pelvis: np.ndarray,
+    upper: dict[str, np.ndarray],
+    ankles: dict[str, np.ndarray],
+    feet: dict[str, np.ndarray],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Poses (F, 24, 3) and translations (F, 3) of a body that stands on given feet.
+
+    ``root`` (F, 3) is the pelvis [m], ``pelvis`` (F, 3, 3) its rotation, ``upper`` the
+    local rotations of joints above the legs, ``ankles`` the world positions [m] of the
+    ankles by side, ``feet`` the world rotations of the feet.
+    """
+    local = np.tile(np.eye(3), (len(root), JOINT_COUNT, 1, 1))
+    local[:, 0] = pelvis
+    for joint, rotation in upper.items():
+        local[:, JOINT_INDEX[joint]] = rotation
+    for side in SIDES:
+        hip = root + pelvis @ CANONICAL_JOINTS[JOINT_INDEX[f"{side}_hip"]]
+        # The knee points between the foot and the pelvis.
+        forward = unit(feet[side][..., 2] + pelvis[..., 2])
+        thigh, shin = leg_rotations(hip, ankles[side], forward)
+        local[:, JOINT_INDEX[f"{side}_hip"]] = np.swapaxes(pelvis, -1, -2) @ thigh
+        local[:, JOINT_INDEX[f"{side}_knee"]] = np.swapaxes(thigh, -1, -2) @ shin
+        local[:, JOINT_INDEX[f"{side}_ankle"]] = np.swapaxes(shin, -1, -2) @ feet[side]
+    return matrix_to_rotvec(local), root
+
+
+def _bone_length(joint: str) -> float:
+    index = JOINT_INDEX[joint]
+    return float(np.linalg.norm(CANONICAL_JOINTS[index] - CANONICAL_JOINTS[PARENTS[index]]))
+
+
+def _frame(side: np.ndarray, down: np.ndarray) -> np.ndarray:
+    return np.stack([side, -down, np.cross(side, -down)], axis=-1)

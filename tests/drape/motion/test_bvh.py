@@ -1,0 +1,323 @@
+"""BVH files: known rotations come back, whatever the names, channels, units and rest pose; refusals name the line."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from drape.errors import MotionError
+from drape.geometry.rigid import forward_kinematics
+from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix
+from drape.motion import bvh, text
+from drape.motion.amass import Y_FROM_Z
+from drape.motion.bvh import read_bvh
+from drape.motion.readers import read_motion
+from drape.motion.retarget import global_rotations
+from drape.motion.samples import walk
+from drape.motion.skeleton import BONE_CHILD, BONE_DIRECTIONS, PARENTS
+from tests.drape.motion.motion_files import BODY, BODY_PARENTS, SCHEMES, scheme_names, t_pose_offsets, write_bvh
+
+# Files hold nine decimals of degrees and of the unit of length.
+WRITTEN = 3e-8
+
+
+@pytest.fixture
+def local(rng):
+    """Random rotations relative to the parent, away from gimbal lock."""
+    return rotvec_to_matrix(0.5 * rng.normal(size=(5, 22, 3)))
+
+
+@pytest.fixture
+def root(rng):
+    return rng.normal(size=(5, 3))
+
+
+def read_globals(clip):
+    return global_rotations(rotvec_to_matrix(clip.poses), PARENTS)
+
+
+def reposed(local, rest):
+    """Offsets and local rotations of the same motion, told from a rest pose (22, 3, 3) of local rotations."""
+    frames, positions = forward_kinematics(rest, _joints(), BODY_PARENTS)
+    told = global_rotations(local, BODY_PARENTS) @ np.swapaxes(frames, -1, -2)
+    relative = told.copy()
+    for joint, parent in enumerate(BODY_PARENTS):
+        if parent >= 0:
+            relative[:, joint] = np.swapaxes(told[:, parent], -1, -2) @ told[:, joint]
+    offsets = positions - positions[[max(parent, 0) for parent in BODY_PARENTS]]
+    return offsets, relative
+
+
+def _joints():
+    joints = t_pose_offsets()
+    for joint, parent in enumerate(BODY_PARENTS):
+        if parent >= 0:
+            joints[joint] += joints[parent]
+    return joints
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_rotations_come_back_under_every_naming_scheme(scheme, local, root, tmp_path):
+    path = write_bvh(tmp_path / "clip.bvh", scheme_names(scheme), BODY_PARENTS, t_pose_offsets(), local, root)
+    clip = read_motion(path)
+    assert_allclose(rotvec_to_matrix(clip.poses[:, :22]), local, rtol=0.0, atol=WRITTEN)
+    assert_allclose(clip.poses[:, 22:], np.zeros((5, 2, 3)), rtol=0.0, atol=WRITTEN)
+    assert_allclose(clip.trans, root, rtol=0.0, atol=WRITTEN)
+    assert clip.name == "clip"
+    assert_allclose(clip.fps, 60.0, rtol=1e-9, atol=0.0)
+
+
+@pytest.mark.parametrize("order", ["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX"])
+@pytest.mark.parametrize("positions_last", [False, True])
+def test_channels_may_come_in_any_order(order, positions_last, local, root, tmp_path):
+    path = write_bvh(
+        tmp_path / "clip.bvh",
+        scheme_names("lafan"),
+        BODY_PARENTS,
+        t_pose_offsets(),
+        local,
+        root,
+        order=order,
+        positions_last=positions_last,
+    )
+    clip = read_bvh(path)
+    assert_allclose(rotvec_to_matrix(clip.poses[:, :22]), local, rtol=0.0, atol=WRITTEN)
+    assert_allclose(clip.trans, root, rtol=0.0, atol=WRITTEN)
+
+
+@pytest.mark.parametrize("unit", [1.0, 0.01, 0.001, 0.0254, 0.0254 / 0.45])
+def test_unit_is_guessed_from_the_legs(unit, local, root, tmp_path):
+    path = write_bvh(
+        tmp_path / "clip.bvh", scheme_names("mixamo"), BODY_PARENTS, t_pose_offsets() / unit, local, root / unit
+    )
+    assert_allclose(read_bvh(path).trans, root, rtol=0.0, atol=WRITTEN)
+    assert_allclose(read_bvh(path, metres_per_unit=unit * 1.1).trans, 1.1 * root, rtol=0.0, atol=WRITTEN)
+
+
+def test_unit_that_fits_no_person_is_refused(local, root, tmp_path):
+    path = write_bvh(tmp_path / "ant.bvh", scheme_names("mixamo"), BODY_PARENTS, 1e-5 * t_pose_offsets(), local, root)
+    with pytest.raises(MotionError, match="metres_per_unit"):
+        read_bvh(path)
+    with pytest.raises(MotionError, match="legs of"):
+        read_bvh(path, metres_per_unit=1.0)
+
+
+def a_pose():
+    rest = np.tile(np.eye(3), (22, 1, 1))
+    for joint, angle in {
+        "left_shoulder": -0.8, "right_shoulder": 0.8, "left_hip": 0.2, "right_hip": -0.2, "left_collar": 0.2,
+    }.items():  # fmt: skip
+        rest[BODY.index(joint)] = rotvec_to_matrix(np.array([0.0, 0.0, angle]))
+    # The soles stay level, so the feet do not follow the legs.
+    for side, angle in (("left", -0.2), ("right", 0.2)):
+        rest[BODY.index(f"{side}_ankle")] = rotvec_to_matrix(np.array([0.0, 0.0, angle]))
+    return rest
+
+
+@pytest.mark.parametrize("turn", [[0.0, 0.0, 0.0], [0.0, 1.3, 0.0], [np.pi / 2, 0.0, 0.0], [0.4, -2.0, 1.1]])
+def test_rotations_come_back_from_an_a_pose_in_any_direction(turn, local, root, tmp_path):
+    rest = a_pose()
+    rest[0] = rotvec_to_matrix(np.array(turn))
+    offsets, told = reposed(local, rest)
+    clip = read_bvh(write_bvh(tmp_path / "a.bvh", scheme_names("lafan"), BODY_PARENTS, offsets, told, root))
+    assert_allclose(rotvec_to_matrix(clip.poses[:, :22]), local, rtol=0.0, atol=WRITTEN)
+
+
+def test_bone_directions_are_the_files_for_a_bent_rest_pose(local, root, rng, tmp_path):
+    offsets, told = reposed(local, rotvec_to_matrix(0.4 * rng.normal(size=(22, 3))))
+    clip = read_bvh(write_bvh(tmp_path / "bent.bvh", scheme_names("lafan"), BODY_PARENTS, offsets, told, root))
+    assert_bones_agree(read_globals(clip), global_rotations(local, BODY_PARENTS))
+
+
+def assert_bones_agree(got, want):
+    for name, child in BONE_CHILD.items():
+        # The pelvis follows the line of the hips; a foot, the heading.
+        if child in BODY and name != "pelvis" and not name.endswith("ankle"):
+            joint, bone = BODY.index(name), np.array(BONE_DIRECTIONS[name])
+            assert_allclose(got[:, joint] @ bone, want[:, joint] @ bone, rtol=0.0, atol=WRITTEN)
+
+
+def folded(rng):
+    """LAFAN's rest pose: every bone along x, at an arbitrary twist; the hips along z."""
+    rest = np.empty((22, 3, 3))
+    for joint, name in enumerate(BODY):
+        direction = t_pose_offsets()[BODY.index(BONE_CHILD[name])] if BONE_CHILD.get(name) in BODY else None
+        if direction is None:
+            rest[joint] = rest[BODY_PARENTS[joint]]
+            continue
+        y = direction / np.linalg.norm(direction)
+        x = np.cross(y, [0.0, 0.3, 1.0] if abs(y[2]) < 0.9 else [1.0, 0.3, 0.0])
+        if name.startswith(("pelvis", "spine", "neck")):
+            x = np.array([1.0, 0.0, 0.0])
+        x /= np.linalg.norm(x)
+        body = np.stack([y, x, np.cross(y, x)], axis=-1)
+        twist = rng.uniform(-np.pi, np.pi) if name.startswith(("left", "right")) else np.pi / 2.0
+        rest[joint] = rotvec_to_matrix(np.array([twist, 0.0, 0.0])) @ body.T
+    relative = rest.copy()
+    for joint, parent in enumerate(BODY_PARENTS):
+        if parent >= 0:
+            relative[joint] = rest[parent].T @ rest[joint]
+    return relative
+
+
+def test_folded_rest_pose_gives_exact_bones_and_natural_twists(rng, tmp_path):
+    clip = walk()
+    local = rotvec_to_matrix(clip.poses[:132:4, :22])
+    offsets, told = reposed(local, folded(rng))
+    path = write_bvh(tmp_path / "lafan.bvh", scheme_names("lafan"), BODY_PARENTS, offsets, told, clip.trans[:132:4])
+    got, want = read_globals(read_bvh(path)), global_rotations(local, BODY_PARENTS)
+    for name in ("left_hip", "right_knee", "left_shoulder", "right_elbow", "spine2"):
+        joint, bone = BODY.index(name), np.array(BONE_DIRECTIONS[name])
+        assert_allclose(got[:, joint] @ bone, want[:, joint] @ bone, rtol=0.0, atol=WRITTEN)
+    error = np.linalg.norm(matrix_to_rotvec(np.swapaxes(want, -1, -2) @ got[:, :22]), axis=-1)
+    # Twists are unknown, and taken as zero on average; the walk's own are nearly zero.
+    assert error.max() < 0.1
+
+
+def test_z_up_file_is_turned(local, root, tmp_path):
+    path = write_bvh(tmp_path / "z.bvh", scheme_names("lafan"), BODY_PARENTS, t_pose_offsets(), local, root)
+    clip = read_bvh(path, up="z")
+    assert_allclose(rotvec_to_matrix(clip.poses[:, 0]), Y_FROM_Z @ local[:, 0], rtol=0.0, atol=WRITTEN)
+    assert_allclose(rotvec_to_matrix(clip.poses[:, 1:22]), local[:, 1:], rtol=0.0, atol=WRITTEN)
+    assert_allclose(clip.trans, root @ Y_FROM_Z.T, rtol=0.0, atol=WRITTEN)
+    with pytest.raises(MotionError, match="vertical axis"):
+        read_bvh(path, up="x")
+
+
+def test_joint_above_the_pelvis_carries_it(local, root, tmp_path):
+    names = ["reference", *scheme_names("lafan")]
+    parents = (-1, *(parent + 1 for parent in BODY_PARENTS))
+    offsets = np.concatenate([np.zeros((1, 3)), t_pose_offsets()])
+    offsets[1] = 0.1, 0.2, 0.3
+    turns = np.concatenate([local[:, 3:4], local], axis=1)
+    clip = read_bvh(write_bvh(tmp_path / "ref.bvh", names, parents, offsets, turns, root))
+    assert_allclose(rotvec_to_matrix(clip.poses[:, 0]), turns[:, 0] @ local[:, 0], rtol=0.0, atol=WRITTEN)
+    assert_allclose(rotvec_to_matrix(clip.poses[:, 1:22]), local[:, 1:], rtol=0.0, atol=WRITTEN)
+    assert_allclose(clip.trans, root + (turns[:, 0] @ offsets[1][:, None])[..., 0], rtol=0.0, atol=WRITTEN)
+
+
+@pytest.mark.parametrize("trunk", [1, 2, 4, 6])
+def test_trunk_of_any_number_of_joints_carries_the_shoulders(trunk, rng, tmp_path):
+    names, parents, offsets = ["Hips"], [-1], [np.zeros(3)]
+    for k in range(trunk):
+        names.append(f"Spine{k}")
+        parents.append(k)
+        offsets.append(np.array([0.0, 0.5 / trunk, 0.0]))
+    for joint in range(1, 22):
+        name = BODY[joint]
+        if not name.startswith("spine"):
+            parent = BODY[BODY_PARENTS[joint]]
+            names.append(scheme_names("lafan")[joint])
+            parents.append(trunk if parent == "spine3" else names.index(scheme_names("lafan")[BODY.index(parent)]))
+            offsets.append(t_pose_offsets()[joint])
+    turns = rotvec_to_matrix(0.4 * rng.normal(size=(3, len(names), 3)))
+    path = write_bvh(tmp_path / "trunk.bvh", names, tuple(parents), np.array(offsets), turns, np.zeros((3, 3)))
+    got, want = read_globals(read_bvh(path)), global_rotations(turns, tuple(parents))
+    for smpl, name in (("spine3", f"Spine{trunk - 1}"), ("left_shoulder", "LeftArm"), ("head", "Head")):
+        joint = {"spine3": 9, "left_shoulder": 16, "head": 15}[smpl]
+        assert_allclose(got[:, joint], want[:, names.index(name)], rtol=0.0, atol=WRITTEN)
+
+
+@pytest.fixture
+def whole(local, root, tmp_path):
+    path = write_bvh(tmp_path / "whole.bvh", scheme_names("lafan"), BODY_PARENTS, t_pose_offsets(), local, root)
+    return path.read_text()
+
+
+def refusal_of(tmp_path, content):
+    (tmp_path / "bad.bvh").write_text(content)
+    with pytest.raises(MotionError) as refusal:
+        read_bvh(tmp_path / "bad.bvh")
+    return str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "match"),
+    [
+        ("HIERARCHY\n", "", "line 1: expected HIERARCHY"),
+        ("ROOT Hips", "BONE Hips", "line 2"),
+        ("MOTION\n", "", "Frames"),
+        ("Frames: 5", "Frames: 6", "6 frames, as declared"),
+        ("Frames: 5", "Frames: 1000000000000", "frames, as declared"),
+        ("Frames: 5", "Frames: 4", "4 frames, as declared"),
+        ("Frames: 5", "Frames: 0", "1 or more"),
+        ("Frames: 5", "Frames: five", "numbers for Frames:"),
+        ("Frames: 5", "Count: 5", "'Frames:'"),
+        ("Frame Time: 0.0", "Frame Time: -0.0", "positive frame time"),
+        ("CHANNELS 6", "CHANNELS 5", "CHANNELS, their count"),
+        ("CHANNELS 6 Xposition", "CHANNELS 6 Xscale", "distinct channels"),
+        ("CHANNELS 6 Xposition", "CHANNELS 6 Yposition", "distinct channels"),
+        ("OFFSET 0.000000000", "OFFSET nan", "line 4: expected finite"),
+        ("OFFSET 0.000000000", "OFFSET", "3 numbers for OFFSET"),
+        ("\tOFFSET 0.000000000 0.000000000 0.000000000\n", "", "an OFFSET of joint 'Hips'"),
+        ("}\nMOTION", "MOTION", "closed before MOTION"),
+        ("}\nMOTION", "}\n}\nMOTION", "too many"),
+        ("}\nMOTION", "}\nROOT Other\nMOTION", "one ROOT"),
+        ("}\nMOTION", "}\nJOINT Other\nMOTION", "inside a joint's braces"),
+        ("}\nMOTION", "}\n{\nMOTION", "a joint's name before"),
+    ],
+)
+def test_ill_formed_files_are_refused_with_the_line(old, new, match, whole, tmp_path):
+    assert old in whole
+    message = refusal_of(tmp_path, whole.replace(old, new, 1))
+    assert "bad.bvh, line" in message
+    assert match in message
+
+
+def test_nan_in_a_frame_is_refused_with_its_line(whole, tmp_path):
+    lines = whole.splitlines()
+    lines[-2] = lines[-2].replace(lines[-2].split()[7], "nan", 1)
+    assert f"line {len(lines) - 1}: expected finite" in refusal_of(tmp_path, "\n".join(lines))
+
+
+def test_every_truncation_is_refused(whole, tmp_path):
+    lines = whole.splitlines(keepends=True)
+    for count in range(0, len(lines), 7):
+        refusal_of(tmp_path, "".join(lines[:count]))
+    refusal_of(tmp_path, whole[: whole.rindex(" ")])
+
+
+def test_file_without_joints_is_refused(tmp_path):
+    assert "a ROOT" in refusal_of(tmp_path, "HIERARCHY\nMOTION\nFrames: 1\nFrame Time: 0.01\n")
+    assert "after MOTION" in refusal_of(tmp_path, "HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\n}\nMOTION\n")
+
+
+def test_too_few_joints_are_refused(whole, tmp_path):
+    assert "no left_knee" in refusal_of(tmp_path, whole.replace("LeftLeg", "LeftSomething"))
+
+
+def test_trunk_without_joints_is_refused(tmp_path):
+    joints = [joint for joint in range(22) if not BODY[joint].startswith("spine")]
+    names = [scheme_names("lafan")[joint] for joint in joints]
+    parents = tuple(joints.index(BODY_PARENTS[j]) if BODY_PARENTS[j] in joints else min(j, 1) - 1 for j in joints)
+    still = np.tile(np.eye(3), (1, len(joints), 1, 1))
+    path = write_bvh(tmp_path / "f.bvh", names, parents, t_pose_offsets()[joints], still, np.zeros((1, 3)))
+    with pytest.raises(MotionError, match="between the pelvis and the arms"):
+        read_bvh(path)
+
+
+def test_rest_pose_without_extent_is_refused(local, root, tmp_path):
+    offsets = t_pose_offsets()
+    offsets[[1, 2]] = 0.0
+    path = write_bvh(tmp_path / "flat.bvh", scheme_names("lafan"), BODY_PARENTS, offsets, local, root)
+    with pytest.raises(MotionError, match="hips beside a trunk"):
+        read_bvh(path)
+
+
+def test_bounds_hold(whole, tmp_path, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(bvh, "MAX_JOINT_COUNT", 10)
+        assert "at most 10 joints" in refusal_of(tmp_path, whole)
+    monkeypatch.setattr(text, "MAX_FILE_BYTES", 100)
+    assert "at most 100 bytes" in refusal_of(tmp_path, whole)
+
+
+def test_absent_binary_and_unknown_files_are_refused(tmp_path):
+    with pytest.raises(MotionError, match="readable file"):
+        read_bvh(tmp_path / "absent.bvh")
+    (tmp_path / "noise.bvh").write_bytes(bytes(range(256)) * 20)
+    with pytest.raises(MotionError, match="HIERARCHY"):
+        read_bvh(tmp_path / "noise.bvh")
+    with pytest.raises(MotionError, match=r"AMASS \.npz, \.bvh, or \.amc"):
+        read_motion(tmp_path / "clip.fbx")
+    with pytest.raises(MotionError, match=r"Pass the \.amc"):
+        read_motion(tmp_path / "02.asf")
