@@ -1,0 +1,44 @@
+"""The cloth's constants."""
+
+from __future__ import annotations
+
+import pytest
+from numpy.testing import assert_allclose
+
+from drape.cloth.material import Material, material
+from drape.errors import InputError, NotFound
+
+
+def test_default_is_the_jersey_of_the_design():
+    jersey = material()
+    assert jersey == Material()
+    assert (jersey.mu_n_per_m, jersey.lambda_n_per_m, jersey.contact_gap_m) == (11.1, 20.9, 0.004)
+
+
+def test_soft_and_stiff_scale_membrane_and_bending_and_nothing_else():
+    for name, factor in (("soft", 1.0 / 3.0), ("stiff", 3.0)):
+        scaled, jersey = material(name), material()
+        for field in ("mu_n_per_m", "lambda_n_per_m", "bending_j"):
+            assert_allclose(getattr(scaled, field), factor * getattr(jersey, field), rtol=1e-15, atol=0.0)
+        assert scaled.density_kg_m2 == jersey.density_kg_m2
+        assert scaled.contact_j_m4 == jersey.contact_j_m4
+
+
+def test_unknown_name_is_refused():
+    with pytest.raises(NotFound, match="jersey"):
+        material("chain mail")
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("mu_n_per_m", 0.0),
+        ("density_kg_m2", 0.0),
+        ("bending_j", -1.0),
+        ("contact_j_m4", float("nan")),
+        ("lambda_n_per_m", float("inf")),
+    ],
+)
+def test_unphysical_constants_are_refused(field, value):
+    with pytest.raises(InputError, match=field):
+        Material(**{field: value})
