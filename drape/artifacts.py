@@ -1,0 +1,155 @@
+"""The model folder: ONNX files beside ``manifest.json``; one dataclass writes and reads it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from drape.errors import ArtifactError, NotFound
+
+FORMAT_VERSION = 1
+MODELS_DIR = Path(__file__).resolve().parents[1] / "assets" / "models"
+DEFAULT_MODEL = "onefit"
+
+
+@dataclass(frozen=True)
+class TensorSpec:
+    """One input or output of a graph; symbolic axes are names, fixed axes numbers."""
+
+    name: str
+    shape: tuple[str | int, ...]
+    dtype: str
+    unit: str = ""
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> TensorSpec:
+        return cls(data["name"], tuple(data["shape"]), data["dtype"], data.get("unit", ""))
+
+
+@dataclass(frozen=True)
+class GraphSpec:
+    """One ONNX file: its hash and its tensors."""
+
+    file: str
+    sha256: str
+    opset: int
+    inputs: tuple[TensorSpec, ...]
+    outputs: tuple[TensorSpec, ...]
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What a model folder says of itself.
+
+    ``graphs``: "garment_encoder" (patch features -> embedding, run once per garment)
+    and "drape" (pose + garment -> vertices). ``body_digest``: sha256 of the body the
+    network was trained on. ``parity_error_m``: largest vertex distance torch vs
+    onnxruntime at export. ``quality``: rows of benchmarks.quality. ``training``: commit,
+    command, frames seen, losses at the end.
+    """
+
+    name: str
+    graphs: dict[str, GraphSpec]
+    body: str
+    body_digest: str
+    embedding_size: int
+    parity_error_m: float
+    dynamic: bool = False
+    training: dict[str, Any] = field(default_factory=dict)
+    quality: list[dict[str, Any]] = field(default_factory=list)
+    format_version: int = FORMAT_VERSION
+
+    @property
+    def digest(self) -> str:
+        """One hash for the whole model: the key of everything computed with it."""
+        joined = "".join(f"{key}{self.graphs[key].sha256}" for key in sorted(self.graphs))
+        return hashlib.sha256(joined.encode()).hexdigest()
+
+    def to_json(self) -> str:
+        return json.dumps(asdict(self), indent=1) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str, *, where: str) -> Manifest:
+        try:
+            data = json.loads(text)
+            version = data.get("format_version")
+            if version != FORMAT_VERSION:
+                raise ArtifactError(
+                    f"{where} format_version",
+                    expected=str(FORMAT_VERSION),
+                    got=str(version),
+                    cure="Export the model again.",
+                )
+            data["graphs"] = {
+                key: GraphSpec(
+                    file=spec["file"],
+                    sha256=spec["sha256"],
+                    opset=spec["opset"],
+                    inputs=tuple(TensorSpec.from_json(t) for t in spec["inputs"]),
+                    outputs=tuple(TensorSpec.from_json(t) for t in spec["outputs"]),
+                )
+                for key, spec in data["graphs"].items()
+            }
+            return cls(**data)
+        except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
+            raise ArtifactError(
+                where, expected="a model manifest", got=str(error), cure="Export the model again."
+            ) from error
+
+
+def file_digest(path: Path) -> str:
+    """sha256 of a file, hexadecimal."""
+    with open(path, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def load_manifest(folder: Path) -> Manifest:
+    """The manifest of ``folder`` after checking that every graph file is there and unchanged."""
+    path = folder / "manifest.json"
+    if not path.is_file():
+        known = sorted(p.parent.name for p in folder.parent.glob("*/manifest.json"))
+        raise NotFound(
+            "model",
+            expected=f"one of {known} in {folder.parent.name}/",
+            got=folder.name,
+            cure="Check the name, or export a model there.",
+        )
+    manifest = Manifest.from_json(
+        path.read_text(encoding="utf-8", errors="replace"), where=f"{folder.name}/manifest.json"
+    )
+    for key, graph in manifest.graphs.items():
+        file = folder / graph.file
+        if not file.is_file():
+            raise ArtifactError(
+                f"{folder.name} {key}", expected=graph.file, got="no such file", cure="Export the model again."
+            )
+        digest = file_digest(file)
+        if digest != graph.sha256:
+            raise ArtifactError(
+                f"{folder.name}/{graph.file} sha256",
+                expected=graph.sha256,
+                got=digest,
+                cure="Restore the file or export again.",
+            )
+    return manifest
+
+
+def publish_folder(staged: Path, target: Path) -> None:
+    """Replaces ``target`` by the finished folder ``staged``.
+
+    A crash leaves the old folder (perhaps under ``NAME.old``) or the new one, never a mixture.
+    """
+    target.parent.mkdir(parents=True, exist_ok=True)
+    retired = target.with_name(target.name + ".old")
+    if target.exists():
+        if retired.exists():
+            shutil.rmtree(retired)
+        os.replace(target, retired)
+    os.replace(staged, target)
+    if retired.exists():
+        shutil.rmtree(retired)

@@ -1,0 +1,88 @@
+"""The arrays that the drape graph takes, from a posed body and a garment: one place for export, service and benchmarks.
+
+The graph works relative to the root joint, so that float32 stays precise wherever the
+body walks; ``BodyFeed.root`` (float64) is added to what comes out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drape.arrays import check_finite, check_shape
+from drape.body.features import feature_count, static_features
+from drape.body.model import BodyModel
+from drape.errors import MotionError
+from drape.garment.cache import Garment
+from drape.geometry import jets
+from drape.geometry.rotations import matrix_to_quaternion, rotvec_to_matrix
+
+BETA_COUNT = 10
+
+
+@dataclass(frozen=True)
+class BodyFeed:
+    """Graph inputs of F posed bodies, float32, and the root positions [m] (F, 3) in float64."""
+
+    arrays: dict[str, np.ndarray]
+    root: np.ndarray
+
+
+def body_feed(body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.ndarray | None = None) -> BodyFeed:
+    """Features and bones of ``poses`` (F, 24, 3) [rad] with root translations ``trans`` (F, 3) [m], shape ``betas``.
+
+    Inputs named: ``body_features`` (F, 24 * 9 + 10), ``bone_rotation`` (F, 24, 3, 3),
+    ``bone_translation`` (F, 24, 3), ``bone_quaternion`` (F, 24, 4), ``betas`` (F, 10).
+    """
+    poses = np.asarray(poses, dtype=np.float64)
+    rotations, translations = body.bones(poses, None, betas)
+    trans = np.asarray(trans, dtype=np.float64)
+    check_shape("trans", trans, (len(poses), 3), error=MotionError)
+    check_finite("trans", trans, error=MotionError)
+    root_rest = body.rest_joints(betas)[0]
+    # The root joint turns about itself, so without translation it stays at its rest place.
+    root = trans + root_rest
+    relative = translations - root_rest
+    shape = np.zeros(BETA_COUNT)
+    if betas is not None:
+        shape[: body.shape_count] = body.check_betas(betas)[:BETA_COUNT]
+    shapes = np.broadcast_to(shape, (len(poses), BETA_COUNT))
+    static = static_features(rotvec_to_matrix(poses), rotations).reshape(len(poses), feature_count())
+    arrays = {
+        "body_features": np.concatenate([static, shapes], axis=1),
+        "bone_rotation": rotations,
+        "bone_translation": relative,
+        "bone_quaternion": matrix_to_quaternion(rotations),
+        "betas": shapes,
+    }
+    return BodyFeed({key: np.ascontiguousarray(value, dtype=np.float32) for key, value in arrays.items()}, root)
+
+
+def garment_feed(garment: Garment, *, fine: bool = False) -> dict[str, np.ndarray]:
+    """Constant graph inputs of a garment (its embedding excepted).
+
+    Of the delivered vertices, or of all vertices of the subdivided mesh with ``fine``.
+    Inputs named: ``patch_centre`` (K, 3), ``patch_rotation`` (K, 3, 3), ``patch_scale`` (K,),
+    ``patch_weights`` (K, 24), ``patch_heaviest`` (K,) int64, ``patch_shapedirs`` (K, 3, 10),
+    ``chart_patch`` (V, 4) int64, ``chart_weight`` (V, 4), ``chart_basis`` (V, 4, 15), ``chart_local`` (V, 4, 3),
+    ``skin_weights`` (V, 24). A graph names those it takes; the paper's variant alone takes the last.
+    """
+    count = len(garment.vertices) if fine else garment.vertex_count
+    shapedirs = np.zeros((garment.patch_count, 3, BETA_COUNT), dtype=np.float32)
+    shapedirs[..., : garment.patch_shapedirs.shape[2]] = garment.patch_shapedirs
+    arrays = {
+        "patch_centre": garment.patch_centre,
+        "patch_rotation": garment.patch_rotation,
+        "patch_scale": garment.patch_scale,
+        "patch_weights": garment.patch_weights,
+        "patch_shapedirs": shapedirs,
+        "chart_weight": garment.chart_weight[:count],
+        "chart_basis": jets.basis(garment.chart_uv[:count].astype(np.float64), jets.HEIGHT_ORDER),
+        "chart_local": garment.chart_local()[:count],
+        "skin_weights": garment.skin_weights[:count],
+    }
+    feed: dict[str, np.ndarray] = {key: np.ascontiguousarray(value, dtype=np.float32) for key, value in arrays.items()}
+    feed["patch_heaviest"] = garment.heaviest_bone
+    feed["chart_patch"] = np.ascontiguousarray(garment.chart_patch[:count], dtype=np.int64)
+    return feed

@@ -1,0 +1,173 @@
+"""The garment as the product keeps it: patches, charts and skin weights, content-addressed on disk.
+
+A cache file is one npz of plain arrays (the fields of ``Garment``); what is text, the manifest
+included, lies as one JSON object in the bytes of the array ``header``. Its name is
+``NAME-DIGEST16.npz``; the digest covers the source mesh, the body, the intake options and
+``FORMAT_VERSION``, not the file's name or time. To inspect one: ``python -m drape.garment.cache FILE``.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import sys
+import zipfile
+import zlib
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drape.errors import ArtifactError
+from drape.geometry import jets
+
+FORMAT_VERSION = 1
+GARMENTS_DIR = Path(__file__).resolve().parents[2] / "assets" / "garments"
+CHARTS_PER_VERTEX = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Garment:
+    """A garment at rest on the standard body in T-pose; lengths in metres, body frame.
+
+    Vertices come in two sets that share their beginning: the first ``vertex_count`` rows
+    of every per-vertex array are the delivered vertices in their order; the rows after
+    them were added by subdivision and serve fit, training and measurement.
+
+    ``vertices`` (N, 3) rest positions; ``faces`` (F, 3) delivered triangles; ``fine_faces``
+    (G, 3) triangles of the subdivided mesh. ``uv`` (T, 2) with ``uv_faces`` (F, 3), both empty
+    when the file had none; ``material_names`` and ``face_material`` (F,).
+
+    Patches: ``patch_rotation`` (K, 3, 3), columns = u axis, v axis, normal; ``patch_centre``
+    (K, 3); ``patch_scale`` (K,) [m per unit of u, v]; ``patch_jet`` (K, 27) rest vector jet;
+    ``patch_weights`` (K, 24) bone weights; ``patch_shapedirs`` (K, 3, S) movement of the centre
+    per unit of body shape; ``patch_features`` (K, D) what the garment encoder reads;
+    ``patch_neighbours`` (E, 2) pairs of patches that share a boundary.
+
+    Charts: ``chart_patch`` (N, 4), ``chart_uv`` (N, 4, 2), ``chart_weight`` (N, 4), rows summing to
+    one, ``chart_residual`` (N, 4, 3) [m] what the rest jet leaves over, in the patch frame.
+
+    ``skin_weights`` (N, 24) and ``shapedirs`` (N, 3, S) serve plain skinning.
+    """
+
+    name: str
+    digest: str
+    body_digest: str
+    vertex_count: int
+    vertices: np.ndarray
+    faces: np.ndarray
+    fine_faces: np.ndarray
+    uv: np.ndarray
+    uv_faces: np.ndarray
+    material_names: tuple[str, ...]
+    face_material: np.ndarray
+    patch_rotation: np.ndarray
+    patch_centre: np.ndarray
+    patch_scale: np.ndarray
+    patch_jet: np.ndarray
+    patch_weights: np.ndarray
+    patch_shapedirs: np.ndarray
+    patch_features: np.ndarray
+    patch_neighbours: np.ndarray
+    chart_patch: np.ndarray
+    chart_uv: np.ndarray
+    chart_weight: np.ndarray
+    chart_residual: np.ndarray
+    skin_weights: np.ndarray
+    shapedirs: np.ndarray
+    manifest: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def patch_count(self) -> int:
+        return len(self.patch_centre)
+
+    @property
+    def heaviest_bone(self) -> np.ndarray:
+        """The bone with the largest weight of each patch (K,), int64."""
+        return np.argmax(self.patch_weights, axis=1).astype(np.int64)
+
+    def chart_local(self) -> np.ndarray:
+        """Rest positions [m] of every vertex in each of its patch frames (N, 4, 3): jet plus residual."""
+        jet = self.patch_jet[self.chart_patch].astype(np.float64)
+        scale = self.patch_scale[self.chart_patch].astype(np.float64)[..., None]
+        return scale * jets.evaluate(jet, self.chart_uv.astype(np.float64)) + self.chart_residual
+
+    def reconstruct(self) -> np.ndarray:
+        """Rest vertices [m] (N, 3) blended from the charts; equals ``vertices`` to rounding."""
+        rotation = self.patch_rotation[self.chart_patch].astype(np.float64)
+        placed = np.einsum("vkab,vkb->vka", rotation, self.chart_local()) + self.patch_centre[self.chart_patch]
+        return np.einsum("vk,vka->va", self.chart_weight.astype(np.float64), placed)
+
+    def file_name(self) -> str:
+        return f"{self.name}-{self.digest[:16]}.npz"
+
+
+_TEXT_FIELDS = ("name", "digest", "body_digest", "vertex_count", "material_names", "manifest")
+
+
+def save_garment(garment: Garment, folder: Path) -> Path:
+    """Writes the cache file into ``folder`` atomically and returns its path."""
+    folder.mkdir(parents=True, exist_ok=True)
+    arrays = {f.name: getattr(garment, f.name) for f in fields(Garment) if f.name not in _TEXT_FIELDS}
+    header = {key: getattr(garment, key) for key in _TEXT_FIELDS} | {"format_version": FORMAT_VERSION}
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, header=np.frombuffer(json.dumps(header).encode(), dtype=np.uint8), **arrays)
+    path = folder / garment.file_name()
+    temporary = path.with_name(path.name + f".{os.getpid()}.part")
+    temporary.write_bytes(buffer.getvalue())
+    os.replace(temporary, path)
+    return path
+
+
+def load_garment(path: Path) -> Garment:
+    """The garment stored at ``path``; raises ``ArtifactError`` when the file is damaged or of another format."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            header = json.loads(bytes(stored["header"]).decode())
+            arrays = {key: stored[key] for key in stored.files if key != "header"}
+            version = header.pop("format_version", None)
+    except (
+        OSError,
+        ValueError,
+        TypeError,
+        AttributeError,
+        KeyError,
+        EOFError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
+        # TypeError: a bare .npy is an array, which no `with` takes. AttributeError: a header that is not an object.
+        raise ArtifactError(
+            f"garment cache {path.name}", expected="a garment npz", got=str(error), cure="Run the intake again."
+        ) from error
+    if version != FORMAT_VERSION:
+        raise ArtifactError(
+            f"garment cache {path.name} format_version",
+            expected=str(FORMAT_VERSION),
+            got=str(version),
+            cure="Run the intake again.",
+        )
+    try:
+        header["material_names"] = tuple(header["material_names"])
+        return Garment(**header, **arrays)
+    except (KeyError, TypeError) as error:
+        raise ArtifactError(
+            f"garment cache {path.name}", expected="the fields of Garment", got=str(error), cure="Run the intake again."
+        ) from error
+
+
+def main() -> None:
+    """Prints what a cache file holds."""
+    garment = load_garment(Path(sys.argv[1]))
+    print(f"{garment.name}  {garment.digest}")
+    for f in fields(Garment):
+        value = getattr(garment, f.name)
+        if isinstance(value, np.ndarray):
+            print(f"  {f.name:18s} {value.dtype!s:8s} {value.shape}")
+    print(json.dumps(garment.manifest, indent=1))
+
+
+if __name__ == "__main__":
+    main()

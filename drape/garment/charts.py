@@ -1,0 +1,119 @@
+"""Overlapping charts: which patches a vertex belongs to, with continuous weights, and the patch frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+from scipy.sparse.csgraph import dijkstra
+
+from drape.garment.cache import CHARTS_PER_VERTEX
+from drape.geometry.rotations import matrix_to_quaternion, quaternion_to_matrix
+
+Orient = Callable[[np.ndarray], np.ndarray]  # points (n, 3) -> rotation as a quaternion wxyz (4,)
+
+
+@dataclass(frozen=True)
+class Cover:
+    """Patches per vertex: ``patch`` (N, 4) int32, ``weight`` (N, 4) summing to one, unused slots weigh zero."""
+
+    patch: np.ndarray
+    weight: np.ndarray
+
+
+def cluster_centres(label: np.ndarray, vertices: np.ndarray, area: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Area-weighted centroid [m] (K, 3) of each cluster and the member vertex nearest to it (K,)."""
+    count = int(label.max()) + 1
+    mass = np.bincount(label, area, count)
+    moment = np.stack([np.bincount(label, area * vertices[:, axis], count) for axis in range(3)], axis=1)
+    centre = moment / mass[:, None]
+    distance = np.linalg.norm(vertices - centre[label], axis=1)
+    order = np.argsort(-distance, kind="stable")
+    seed = np.zeros(count, dtype=int)
+    seed[label[order]] = order  # the nearest member is written last
+    return centre, seed
+
+
+def cover(graph: scipy.sparse.csr_matrix, seeds: np.ndarray, *, spacing_m: float) -> Cover:
+    """The four geodesically nearest patches of each vertex and their blend weights.
+
+    With d5 the distance to the first patch left out, ``w = max(0, 1 - (d / d5)^2)^2``,
+    normalised: it reaches zero where the fourth and fifth patch trade places, so the blend
+    is continuous over the surface. ``spacing_m`` bounds the search (typical patch spacing).
+    """
+    limit = 6.0 * spacing_m
+    while True:
+        distance = dijkstra(graph, directed=False, indices=seeds, limit=limit)
+        wanted = min(CHARTS_PER_VERTEX + 1, len(seeds))
+        if (np.isfinite(distance).sum(axis=0) >= wanted).all() or limit > 50.0:
+            break  # pieces with fewer patches never reach the count; 50 m is beyond any garment
+        limit *= 4.0
+    count = distance.shape[1]
+    kept = min(CHARTS_PER_VERTEX + 1, len(seeds))
+    nearest = np.argpartition(distance, kept - 1, axis=0)[:kept]
+    order = np.argsort(np.take_along_axis(distance, nearest, axis=0), axis=0, kind="stable")
+    ordered = np.take_along_axis(nearest, order, axis=0)
+    d = np.take_along_axis(distance, ordered, axis=0)
+    finite = np.isfinite(d)
+    # Where no fifth patch exists the blend fades at a little beyond the farthest one.
+    reach = np.where(finite, d, -np.inf).max(axis=0) * 1.25 + 1e-6
+    fifth = np.where(finite[-1], d[-1], reach) if kept == CHARTS_PER_VERTEX + 1 else reach
+    slots = min(CHARTS_PER_VERTEX, kept)
+    ratio = np.where(finite[:slots], d[:slots] / np.maximum(fifth, 1e-9), 1.0)
+    weight = np.maximum(0.0, 1.0 - ratio**2) ** 2
+    weight[0] = np.maximum(weight[0], 1e-12)
+    patch = np.zeros((count, CHARTS_PER_VERTEX), dtype=np.int32)
+    full = np.zeros((count, CHARTS_PER_VERTEX))
+    patch[:, :slots] = np.where(finite[:slots], ordered[:slots], ordered[:1]).T
+    full[:, :slots] = weight.T
+    return Cover(patch, full / full.sum(axis=1, keepdims=True))
+
+
+def patch_frames(
+    label: np.ndarray,
+    vertices: np.ndarray,
+    normals: np.ndarray,
+    area: np.ndarray,
+    bone_direction: np.ndarray,
+    *,
+    orient: Orient | None = None,
+) -> np.ndarray:
+    """Frames (K, 3, 3), columns u axis, v axis, normal.
+
+    The normal is the mean normal of the cluster and the u axis the blended bone
+    direction ``bone_direction`` (K, 3) laid into the tangent plane: both vary smoothly
+    over the body and carry no arbitrary sign, which is what lets one network serve
+    partitions it has never seen. ``orient`` replaces the normal by another choice,
+    for example PolyFit's.
+    """
+    count = len(bone_direction)
+    weighted = area[:, None] * normals
+    mean = np.stack([np.bincount(label, weighted[:, axis], count) for axis in range(3)], axis=1)
+    length = np.linalg.norm(mean, axis=1, keepdims=True)
+    mass = np.bincount(label, area, count)[:, None]
+    normal = np.where(length > 1e-3 * mass, mean / np.maximum(length, 1e-12), [[0.0, 0.0, 1.0]])
+    if orient is not None:
+        for k in range(count):
+            chosen = quaternion_to_matrix(orient(vertices[label == k]))[:, 2]
+            normal[k] = chosen if chosen @ normal[k] >= 0 else -chosen
+    along = bone_direction - np.sum(bone_direction * normal, axis=1, keepdims=True) * normal
+    weak = np.linalg.norm(along, axis=1, keepdims=True) < 1e-2
+    fallback = np.array([0.0, 0.0, 1.0]) - normal[:, 2:3] * normal  # towards the front of the body
+    # Bone and normal both face the front (the tip of a shoe): upwards.
+    upright = np.array([0.0, 1.0, 0.0]) - normal[:, 1:2] * normal
+    fallback = np.where(np.linalg.norm(fallback, axis=1, keepdims=True) < 1e-2, upright, fallback)
+    along = np.where(weak, fallback, along)
+    u = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+    return np.stack([u, np.cross(normal, u), normal], axis=-1)
+
+
+def pca_orient(points: np.ndarray) -> np.ndarray:
+    """The quaternion wxyz whose third axis is the direction of least spread: the paper's initial choice."""
+    # The zero rows give clusters of one or two points three axes, and change no other.
+    spread = np.concatenate([points - points.mean(axis=0), np.zeros((max(0, 3 - len(points)), 3))])
+    _, _, axes = np.linalg.svd(spread, full_matrices=False)
+    if np.linalg.det(axes) < 0:
+        axes = np.stack([axes[0], -axes[1], axes[2]])
+    return matrix_to_quaternion(axes.T)

@@ -1,0 +1,82 @@
+"""What the garment encoder reads of each patch: smooth on the body, no arbitrary axis or sign."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import KDTree
+
+from drape.body.model import BodyModel
+from drape.geometry import jets
+from drape.geometry.rotations import matrix_to_sixd
+
+FREQUENCIES = (1.0, 2.0, 4.0, 8.0)  # of the positional encoding, cycles per 2 m / pi
+BOUNDARY_REACH_M = 0.25  # farther hems are all alike
+
+
+def boundary_vertices(faces: np.ndarray) -> np.ndarray:
+    """Vertices on an open edge, sorted."""
+    sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    edges, uses = np.unique(sides, axis=0, return_counts=True)
+    return np.unique(edges[uses == 1])
+
+
+def positional_encoding(points: np.ndarray) -> np.ndarray:
+    """Points and their sines and cosines at ``FREQUENCIES``, (..., 3 + 6 n) (Mildenhall et al. 2020)."""
+    parts = [points]
+    for frequency in FREQUENCIES:
+        parts += [np.sin(np.pi * frequency * points), np.cos(np.pi * frequency * points)]
+    return np.concatenate(parts, axis=-1)
+
+
+def patch_features(
+    *,
+    centre: np.ndarray,
+    rotation: np.ndarray,
+    scale: np.ndarray,
+    jet: np.ndarray,
+    weights: np.ndarray,
+    seeds: np.ndarray,
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    graph: scipy.sparse.csr_matrix,
+    body: BodyModel,
+) -> np.ndarray:
+    """Features (K, D) float32 of K patches; distances in decimetres so that entries are near one."""
+    joints = body.joints_template
+    local = np.einsum("kba,kjb->kja", rotation, joints[None] - centre[:, None])  # joints in the patch frame
+    # Far joints say little about a patch: saturate, which also keeps the entries in one range.
+    reach = np.linalg.norm(local, axis=-1, keepdims=True)
+    joint_offsets = (local / np.maximum(reach, 1e-9) * np.tanh(reach / 0.3)).reshape(len(centre), -1)
+
+    tree = KDTree(body.v_template)
+    _, near = tree.query(centre, k=8)
+    offset = np.einsum("kba,kb->ka", rotation, body.v_template[near].mean(axis=1) - centre)
+
+    rim = boundary_vertices(faces)
+    if len(rim):
+        distance, _, source = dijkstra(graph, directed=False, indices=rim, min_only=True, return_predecessors=True)
+        distance, source = distance[seeds], source[seeds]
+        lost = ~np.isfinite(distance) | (source < 0)
+        distance = np.where(lost, BOUNDARY_REACH_M, distance)
+        direction = np.einsum("kba,kb->ka", rotation, vertices[np.where(lost, seeds, source)] - centre)
+        direction = direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-3)
+    else:
+        distance, direction = np.full(len(centre), BOUNDARY_REACH_M), np.zeros((len(centre), 3))
+    nearness = np.exp(-((distance / 0.08) ** 2))[:, None]
+    height = jets.unpack(jet)[2]
+    parts = [
+        positional_encoding(centre - joints[0]),
+        matrix_to_sixd(rotation),
+        weights,
+        4.0 * height,
+        10.0 * offset,
+        10.0 * np.linalg.norm(offset, axis=1, keepdims=True),
+        10.0 * np.minimum(distance, BOUNDARY_REACH_M)[:, None],
+        nearness,
+        nearness * direction,
+        10.0 * scale[:, None],
+        joint_offsets,
+    ]
+    return np.concatenate(parts, axis=1).astype(np.float32)

@@ -1,0 +1,205 @@
+"""From a garment at rest on the body to patches, charts and jets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse
+
+from drape.body.model import BodyModel
+from drape.garment import charts, features, skin
+from drape.garment.cache import Garment
+from drape.garment.partition import mesh_edges, partition, patch_count_for, vertex_graph
+from drape.geometry import jets
+
+RIDGE = 1e-4  # of the jet fit, on coefficients of unit-scaled coordinates
+CHART_RADIUS = 1.2  # patch scale over sqrt(area per patch): |u|, |v| <= 1 over most of a chart
+DEFAULT_SEED = 0
+
+
+@dataclass(frozen=True, eq=False)
+class RestGarment:
+    """A garment mesh at rest on the body with what does not depend on its partition.
+
+    ``vertices`` (N, 3) [m], ``faces`` (G, 3) of the subdivided mesh, ``hang`` its skin
+    weights and shape movement.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    hang: skin.Hang
+    body: BodyModel
+
+    @cached_property
+    def normals(self) -> np.ndarray:
+        """Area-weighted unit vertex normals (N, 3)."""
+        total = np.zeros_like(self.vertices)
+        for k in range(3):
+            np.add.at(total, self.faces[:, k], self._face_cross)
+        return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
+
+    @cached_property
+    def _face_cross(self) -> np.ndarray:
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        return np.cross(b - a, c - a)
+
+    @cached_property
+    def areas(self) -> np.ndarray:
+        """A third of the area [m^2] of the triangles round each vertex (N,); never zero."""
+        face_area = 0.5 * np.linalg.norm(self._face_cross, axis=1)
+        total = np.zeros(len(self.vertices))
+        for k in range(3):
+            np.add.at(total, self.faces[:, k], face_area / 3.0)
+        return np.maximum(total, 1e-12)
+
+    @cached_property
+    def graph(self) -> scipy.sparse.csr_matrix:
+        """Edge graph with diagonals [m]."""
+        return vertex_graph(self.vertices, self.faces)
+
+
+def rest_garment(vertices: np.ndarray, faces: np.ndarray, body: BodyModel) -> RestGarment:
+    """The rest garment of ``vertices`` (N, 3) [m] on ``body`` in T-pose."""
+    vertices = np.asarray(vertices, dtype=np.float64)
+    return RestGarment(vertices, faces, skin.hang(vertices, faces, body), body)
+
+
+def patch_fields(
+    rest: RestGarment, *, count: int | None = None, seed: int = DEFAULT_SEED, orient: charts.Orient | None = None
+) -> dict[str, np.ndarray]:
+    """The patch and chart fields of ``Garment`` for one partition of ``rest`` into ``count`` patches."""
+    area = float(rest.areas.sum())
+    count = min(patch_count_for(area) if count is None else count, len(rest.vertices))
+    label = partition(rest.vertices, rest.faces, rest.areas, count, seed=seed, graph=rest.graph)
+    centre, seeds = charts.cluster_centres(label, rest.vertices, rest.areas)
+    count = len(centre)
+    weights = _cluster_mean(label, rest.areas, rest.hang.weights, count)
+    moves = rest.hang.shapedirs.reshape(len(label), -1)
+    shapedirs = _cluster_mean(label, rest.areas, moves, count).reshape(count, 3, -1)
+    rotation = charts.patch_frames(
+        label, rest.vertices, rest.normals, rest.areas, weights @ rest.body.bone_directions, orient=orient
+    )
+    scale = np.full(count, CHART_RADIUS * np.sqrt(area / count))
+    cover = charts.cover(rest.graph, seeds, spacing_m=float(np.sqrt(area / count)))
+    local = np.einsum("vkba,vkb->vka", rotation[cover.patch], rest.vertices[:, None] - centre[cover.patch])
+    uv = local[..., :2] / scale[cover.patch][..., None]
+    jet = fit_jets(uv, local[..., 2] / scale[cover.patch], cover, count)
+    residual = local - scale[cover.patch][..., None] * jets.evaluate(jet[cover.patch], uv)
+    edges = mesh_edges(rest.faces)
+    pairs = np.sort(label[edges], axis=1)
+    return {
+        "patch_rotation": rotation.astype(np.float32),
+        "patch_centre": centre.astype(np.float32),
+        "patch_scale": scale.astype(np.float32),
+        "patch_jet": jet.astype(np.float32),
+        "patch_weights": weights.astype(np.float32),
+        "patch_shapedirs": shapedirs.astype(np.float32),
+        "patch_features": features.patch_features(
+            centre=centre, rotation=rotation, scale=scale, jet=jet, weights=weights, seeds=seeds,
+            vertices=rest.vertices, faces=rest.faces, graph=rest.graph, body=rest.body,
+        ),
+        "patch_neighbours": np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0).astype(np.int32),
+        "chart_patch": cover.patch,
+        "chart_uv": uv.astype(np.float32),
+        "chart_weight": cover.weight.astype(np.float32),
+        "chart_residual": residual.astype(np.float32),
+    }  # fmt: skip
+
+
+def _cluster_mean(label: np.ndarray, area: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
+    collect = scipy.sparse.csr_matrix((area, (label, np.arange(len(label)))), shape=(count, len(label)))
+    return (collect @ values) / np.bincount(label, area, count)[:, None]
+
+
+def fit_jets(uv: np.ndarray, height: np.ndarray, cover: charts.Cover, count: int) -> np.ndarray:
+    """Rest jets (K, 27): in-plane the identity, height a ridge least-squares 4-jet (Cazals and Pouget 2003).
+
+    ``uv`` (N, 4, 2) and ``height`` (N, 4) in units of the patch scale; samples weigh as in the blend.
+    """
+    basis = jets.basis(uv, jets.HEIGHT_ORDER)
+    weight = np.sqrt(cover.weight)
+    rows = (basis * weight[..., None]).reshape(-1, jets.HEIGHT_COUNT)
+    target = (height * weight).reshape(-1)
+    owner = np.where(cover.weight > 0, cover.patch, -1).reshape(-1)
+    order = np.argsort(owner, kind="stable")
+    bounds = np.searchsorted(owner[order], np.arange(count + 1))
+    jet = np.zeros((count, jets.JET_COUNT))
+    jet[:, 1] = 1.0  # p = u
+    jet[:, jets.IN_PLANE_COUNT + 2] = 1.0  # q = v
+    for k in range(count):
+        members = order[bounds[k] : bounds[k + 1]]
+        a = rows[members]
+        normal = a.T @ a + RIDGE * np.eye(jets.HEIGHT_COUNT)
+        jet[k, 2 * jets.IN_PLANE_COUNT :] = np.linalg.solve(normal, a.T @ target[members])
+    return jet
+
+
+def fit_error(rest: RestGarment, fields: dict[str, np.ndarray]) -> dict[str, float]:
+    """Point RMSE [m] and mean normal error [deg] of the blended jets without residual (OneFit, table 7)."""
+    patch = fields["chart_patch"]
+    uv, weight = fields["chart_uv"].astype(np.float64), fields["chart_weight"].astype(np.float64)
+    jet, scale = fields["patch_jet"].astype(np.float64), fields["patch_scale"].astype(np.float64)
+    rotation = fields["patch_rotation"].astype(np.float64)
+    local = scale[patch][..., None] * jets.evaluate(jet[patch], uv)
+    placed = np.einsum("vkab,vkb->vka", rotation[patch], local) + fields["patch_centre"][patch]
+    point_error = np.linalg.norm(np.einsum("vk,vka->va", weight, placed) - rest.vertices, axis=1)
+    tilted = np.einsum("vkab,vkb->vka", rotation[patch], jets.normal(jet[patch], uv))
+    normal = np.einsum("vk,vka->va", weight, tilted)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    cosine = np.clip(np.sum(normal * rest.normals, axis=1), -1.0, 1.0)
+    folded = (jets.normal(jet[patch], uv)[..., 2] <= 0) & (weight > 0)
+    return {
+        "point_rmse_m": float(np.sqrt(np.mean(point_error**2))),
+        "point_max_m": float(point_error.max()),
+        "normal_error_deg": float(np.degrees(np.arccos(cosine)).mean()),
+        "folded_chart_entries": int(folded.sum()),
+    }
+
+
+def fit_garment(
+    *,
+    name: str,
+    vertices: np.ndarray,
+    vertex_count: int,
+    faces: np.ndarray,
+    fine_faces: np.ndarray,
+    uv: np.ndarray,
+    uv_faces: np.ndarray,
+    material_names: tuple[str, ...],
+    face_material: np.ndarray,
+    body: BodyModel,
+    digest: str,
+    manifest: dict[str, Any],
+    orient: charts.Orient | None = None,
+    count: int | None = None,
+    seed: int = DEFAULT_SEED,
+) -> Garment:
+    """The finished garment of a rest mesh on ``body``: patches, charts, skin weights, fit error in the manifest.
+
+    ``vertices`` (N, 3) [m] are the delivered vertices followed by those of the
+    subdivision; ``faces`` index the former, ``fine_faces`` all.
+    """
+    rest = rest_garment(vertices, fine_faces, body)
+    fields = patch_fields(rest, count=count, seed=seed, orient=orient)
+    garment = Garment(
+        name=name,
+        digest=digest,
+        body_digest=body.digest,
+        vertex_count=vertex_count,
+        vertices=rest.vertices.astype(np.float32),
+        faces=np.asarray(faces, dtype=np.int32),
+        fine_faces=np.asarray(fine_faces, dtype=np.int32),
+        uv=np.asarray(uv, dtype=np.float32).reshape(-1, 2),
+        uv_faces=np.asarray(uv_faces, dtype=np.int32).reshape(-1, 3),
+        material_names=tuple(material_names),
+        face_material=np.asarray(face_material, dtype=np.int32),
+        skin_weights=rest.hang.weights.astype(np.float32),
+        shapedirs=rest.hang.shapedirs.astype(np.float32),
+        manifest={},
+        **fields,
+    )
+    figures = fit_error(rest, fields) | {"patch_count": garment.patch_count, "area_m2": float(rest.areas.sum())}
+    return replace(garment, manifest=manifest | {"fit": figures})
