@@ -1,0 +1,296 @@
+"""Takes in a garment: a mesh file modelled on any avatar becomes a garment at rest on the standard body.
+
+    python -m drape.garment.intake FILE [--avatar AVATAR] [--out DIR] [--repair] [--unit m] [--up y]
+
+Steps: read, check, move to the standard body in T-pose, subdivide, push clear of the body, fit
+patches, store. The cache file's name carries a digest of everything that went in, so taking
+the same garment in again returns at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import re
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drape.body.assets import load_body
+from drape.body.model import BodyModel
+from drape.errors import DrapeError, InputError
+from drape.garment import avatars
+from drape.garment.cache import FORMAT_VERSION, GARMENTS_DIR, Garment, load_garment, save_garment
+from drape.garment.clearance import CLEARANCE_M, clear_body
+from drape.garment.mesh_checks import Unit, Up, check_mesh
+from drape.garment.mesh_io import GarmentMesh, read_mesh
+from drape.garment.rest_pose import refine, to_standard
+from drape.geometry import meshes
+
+INTAKE_VERSION = 1  # raised when a change here changes the garments that come out
+FINE_VERTEX_MINIMUM, FINE_VERTEX_LIMIT = 4_000, 40_000
+FINE_EDGE_M = 0.021  # each round halves the edges: the mean ends near 15 mm
+REFUSED_EXIT_CODE = 2
+_VERTEX_ARRAYS = ("vertices", "chart_patch", "chart_uv", "chart_weight", "chart_residual", "skin_weights", "shapedirs")
+
+Report = Callable[[str], None]
+Orient = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class IntakeOptions:
+    """``unit`` and ``up`` of the file ("auto": by its place on the avatar); ``repair`` drops bad faces."""
+
+    unit: Unit = "auto"
+    up: Up = "auto"
+    repair: bool = False
+    clearance_m: float = CLEARANCE_M
+
+
+@dataclass(frozen=True, eq=False)
+class RestMesh:
+    """A garment at rest, clear of the body: delivered vertices first, then those of the subdivision.
+
+    ``mesh`` is the checked mesh without unused vertices, ``kept`` (V,) the row in it of every
+    delivered vertex and ``faces`` the delivered faces; ``figures`` are what intake prints.
+    """
+
+    mesh: GarmentMesh
+    kept: np.ndarray
+    faces: np.ndarray
+    vertices: np.ndarray
+    fine_faces: np.ndarray
+    loose: np.ndarray
+    figures: dict[str, float]
+
+
+def rest_mesh(
+    mesh: GarmentMesh,
+    avatar: avatars.Avatar,
+    body: BodyModel,
+    options: IntakeOptions = IntakeOptions(),
+    *,
+    named: bool = True,
+) -> RestMesh:
+    """The garment ``mesh`` as delivered, checked, moved to ``body`` in T-pose and pushed clear of it.
+
+    ``named`` is False where the avatar is only assumed.
+    """
+    checked = check_mesh(mesh, avatar, unit=options.unit, up=options.up, repair=options.repair, named=named)
+    compact, kept = without_unused(checked)
+    moved = to_standard(compact.vertices, compact.faces, avatar, body)
+    fine, fine_faces, origin = refine(
+        moved.vertices, compact.faces, at_least=FINE_VERTEX_MINIMUM, at_most=FINE_VERTEX_LIMIT, edge_m=FINE_EDGE_M
+    )
+    cleared = clear_body(fine, fine_faces, body.v_template, body.faces, clearance_m=options.clearance_m)
+    delivered, final = compact.vertices, cleared.vertices[: len(compact.vertices)]
+    figures = {
+        "avatar_residual_mm": avatar.residual_mm,
+        "clearance_mm": 1e3 * cleared.clearance_m,
+        "push_max_mm": 1e3 * cleared.push_m,
+        **{f"move_{k}": v for k, v in edge_strain(delivered, moved.vertices, compact.faces).items()},
+        **{f"push_{k}": v for k, v in edge_strain(fine, cleared.vertices, fine_faces).items()},
+        **{f"total_{k}": v for k, v in edge_strain(delivered, final, compact.faces).items()},
+        "loose_share": float((moved.loose > 0.5).mean()),
+        "fine_vertex_count": len(fine),
+    }
+    return RestMesh(compact, kept, checked.faces, cleared.vertices, fine_faces, moved.loose[origin], figures)
+
+
+def edge_strain(before: np.ndarray, after: np.ndarray, faces: np.ndarray) -> dict[str, float]:
+    """Mean and 95th percentile of |length after / length before - 1| over the edges [%]."""
+    edges = meshes.unique_edges(faces)
+    strain = 100.0 * np.abs(
+        meshes.edge_lengths(after, edges) / np.maximum(meshes.edge_lengths(before, edges), 1e-9) - 1.0
+    )
+    return {"strain_mean_pct": float(strain.mean()), "strain_p95_pct": float(np.quantile(strain, 0.95))}
+
+
+def without_unused(mesh: GarmentMesh) -> tuple[GarmentMesh, np.ndarray]:
+    """``mesh`` without vertices that no face uses, and for every vertex its row there: its own or the nearest one's."""
+    used = np.unique(mesh.faces)
+    if len(used) == len(mesh.vertices):
+        return mesh, np.arange(len(used))
+    from scipy.spatial import KDTree
+
+    kept = np.asarray(KDTree(mesh.vertices[used]).query(mesh.vertices)[1])
+    kept[used] = np.arange(len(used))
+    return replace(mesh, vertices=mesh.vertices[used], faces=kept[mesh.faces]), kept
+
+
+def with_unused(garment: Garment, faces: np.ndarray, kept: np.ndarray) -> Garment:
+    """``garment`` of a mesh without unused vertices, with them back in place; ``faces`` are the delivered ones."""
+    compact = garment.vertex_count
+    if len(kept) == compact and (kept == np.arange(compact)).all():
+        return garment
+    row = np.concatenate([kept, np.arange(compact, len(garment.vertices))])
+    place = np.empty(len(garment.vertices), dtype=np.int64)
+    place[row[::-1]] = np.arange(len(row))[::-1]
+    place[garment.faces.reshape(-1)] = faces.reshape(-1)  # a face's vertex is the delivered one, not a copy of it
+    arrays = {name: getattr(garment, name)[row] for name in _VERTEX_ARRAYS}
+    fine_faces = place[garment.fine_faces].astype(np.int32)
+    return replace(garment, vertex_count=len(kept), faces=faces.astype(np.int32), fine_faces=fine_faces, **arrays)
+
+
+def garment_digest(payload: bytes, avatar: Any, body: BodyModel, options: IntakeOptions, name: str) -> str:
+    """Hex digest of everything a garment depends on."""
+    if isinstance(avatar, Path):
+        avatar = hashlib.sha256(avatar.read_bytes()).hexdigest()
+    header = {
+        "name": name,
+        "avatar": avatar,
+        "body": body.digest,
+        "options": asdict(options),
+        "versions": [FORMAT_VERSION, INTAKE_VERSION],
+    }
+    return hashlib.sha256(json.dumps(header, sort_keys=True).encode() + b"\0" + payload).hexdigest()
+
+
+def garment_name(text: str) -> str:
+    """``text`` as a garment's name: lower-case letters, digits and underscores."""
+    name = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")[:64]
+    if not name:
+        raise InputError(
+            "garment name", expected="letters or digits", got=repr(text), cure="Give the garment a name: --name."
+        )
+    return name
+
+
+def intake(
+    source: Path | bytes,
+    *,
+    name: str | None = None,
+    kind: str | None = None,
+    avatar: str | Path | dict[str, Any] | None = None,
+    body: BodyModel | None = None,
+    options: IntakeOptions = IntakeOptions(),
+    folder: Path | None = None,
+    orient: Orient | None = None,
+    report: Report | None = None,
+) -> Garment:
+    """The garment in a mesh file (or its bytes, of ``kind``), at rest on ``body``.
+
+    ``avatar`` says what it was modelled on (``drape.garment.avatars``); None asks the table
+    beside the file and then takes the standard body, if the garment lies on it. With ``folder``
+    the result is stored there, and found there the next time. ``orient`` turns patch frames
+    (default: PCA). Raises ``InputError``; nothing is written then.
+    """
+    say = report or (lambda line: None)
+    body = load_body() if body is None else body
+    path = None if isinstance(source, (bytes, bytearray)) else Path(source)
+    mesh = read_mesh(source, name=name or (path.stem if path else None), kind=kind)
+    payload = bytes(source) if path is None else path.read_bytes()
+    name = garment_name(mesh.name)
+    meaning = avatars.parse_avatar(avatar, beside=path, allow_paths=path is not None)
+    digest = garment_digest(payload, meaning, body, options, name)
+    if folder is not None and (stored := folder / f"{name}-{digest[:16]}.npz").is_file():
+        say(f"cached    {stored.name}")
+        return load_garment(stored)
+
+    texture = "with uv" if len(mesh.uv) else "no uv"
+    say(f"read      {len(mesh.vertices):,} vertices, {len(mesh.faces):,} triangles, {texture}")
+    model = avatars.read_avatar(meaning, body)
+    say(
+        f"avatar    {model.source}; residual {model.residual_mm:.1f} mm"
+        + ("" if meaning is not None else " (none was named)")
+    )
+    started = time.perf_counter()
+    rest = rest_mesh(mesh, model, body, options, named=meaning is not None)
+    for line in describe_rest(rest):
+        say(line)
+    manifest = {
+        "source": {
+            "sha256": hashlib.sha256(payload).hexdigest(),
+            "vertex_count": len(mesh.vertices),
+            "face_count": len(mesh.faces),
+        },
+        "avatar": {"source": model.source, "residual_mm": model.residual_mm},
+        "options": asdict(options),
+        "notes": list(rest.mesh.notes),
+        "intake": {key: round(float(value), 4) for key, value in rest.figures.items()},
+    }
+    garment = _fit(rest, name, body, digest, manifest, orient)
+    error = garment.manifest["fit"]
+    say(f"fitted    {garment.patch_count} patches on {len(garment.vertices):,} vertices")
+    say(f"fit error {error['point_rmse_m']:.2e} m point RMSE, {error['normal_error_deg']:.2f} deg normal error")
+    say(f"took      {time.perf_counter() - started:.1f} s")
+    if folder is not None:
+        say(f"stored    {save_garment(garment, folder)}")
+    return garment
+
+
+def describe_rest(rest: RestMesh) -> list[str]:
+    """The lines that say what was done to a garment and how far it moved."""
+    figures = rest.figures
+    lines = [f"note      {note}" for note in rest.mesh.notes]
+    for step, what in (("move", "moved"), ("push", "cleared"), ("total", "in all")):
+        mean, most = figures[f"{step}_strain_mean_pct"], figures[f"{step}_strain_p95_pct"]
+        lines.append(f"{what:9s} edge strain {mean:.1f} % (95th percentile {most:.1f} %)")
+    lines.append(
+        f"clearance {figures['clearance_mm']:.2f} mm at least; pushed by {figures['push_max_mm']:.1f} mm at most"
+    )
+    return lines
+
+
+def _fit(
+    rest: RestMesh, name: str, body: BodyModel, digest: str, manifest: dict[str, Any], orient: Orient | None
+) -> Garment:
+    from drape.garment.fitting import fit_garment
+
+    mesh = rest.mesh
+    garment = fit_garment(
+        name=name,
+        vertices=rest.vertices,
+        vertex_count=len(mesh.vertices),
+        faces=mesh.faces,
+        fine_faces=rest.fine_faces,
+        uv=mesh.uv,
+        uv_faces=mesh.uv_faces,
+        material_names=mesh.material_names,
+        face_material=mesh.face_material,
+        body=body,
+        digest=digest,
+        manifest=manifest,
+        orient=orient,
+    )
+    return with_unused(garment, rest.faces, rest.kept)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line entry; 0 when the garment was taken in, 2 when it was refused."""
+    parser = argparse.ArgumentParser(prog="python -m drape.garment.intake", description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("file", type=Path, help="OBJ, GLB, PLY or STL")
+    parser.add_argument("--name", help="default: the file's name")
+    parser.add_argument(
+        "--avatar", help="JSON, a mesh file, a name in avatars.json, or 'standard'; default: avatars.json beside FILE"
+    )
+    parser.add_argument("--body", default=None, help="standard body: a shipped name or an SMPL file")
+    parser.add_argument("--out", type=Path, default=GARMENTS_DIR, help="where the cache file goes")
+    parser.add_argument("--unit", default="auto", help="auto, m, cm, dm, mm or inch")
+    parser.add_argument("--up", default="auto", help="auto, y or z")
+    parser.add_argument("--repair", action="store_true", help="drop degenerate and duplicated faces")
+    given = parser.parse_args(arguments)
+    try:
+        intake(
+            given.file,
+            name=given.name,
+            avatar=given.avatar,
+            body=load_body(given.body) if given.body else None,
+            options=IntakeOptions(unit=given.unit, up=given.up, repair=given.repair),
+            folder=given.out,
+            report=print,
+        )
+    except DrapeError as error:
+        print(error, file=sys.stderr)
+        return REFUSED_EXIT_CODE
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,305 @@
+"""Decides whether a mesh can be draped, and brings it to metres, y up, normals outward.
+
+Unit, up axis and height of the floor are told by where the garment lies on its avatar: at the
+right scale it surrounds the body a few centimetres away, at any other it does not. What was
+changed is recorded in the mesh's notes; what cannot be changed safely is refused.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from scipy.sparse import coo_matrix, csgraph
+from scipy.spatial import KDTree
+
+from drape.arrays import check_finite
+from drape.errors import MeshError
+from drape.garment.avatars import Avatar
+from drape.garment.mesh_io import VERTEX_LIMIT, GarmentMesh, check_count
+from drape.geometry import meshes
+from drape.geometry.closest import closest_point
+
+UNITS_M = {"m": 1.0, "cm": 0.01, "dm": 0.1, "mm": 0.001, "inch": 0.0254}
+UP_AXES = ("y", "z")
+Unit = Literal["auto", "m", "cm", "dm", "mm", "inch"]
+Up = Literal["auto", "y", "z"]
+VERTEX_MINIMUM = 24
+AREA_MINIMUM = 0.02  # m^2: less cloth than a glove
+EXTENT_M = (0.1, 2.6)
+FLAT_ALTITUDE = 1e-5  # a triangle lower than this share of its longest edge has no normal
+# Misfit of the seven real garments on their own avatars: 0.01 to 0.06; in another unit or far away: from 0.07.
+MISFIT_LIMIT, MISFIT_LIMIT_UNNAMED = 0.25, 0.06
+PLAIN_PREFERENCE = 1.5  # metres, y up wins over a reading that fits better by less than this
+RIVAL_MARGIN = 1.25  # two units that fit as equally as this cannot be told apart
+SKIN_DEPTH_M = 0.008  # garments as delivered cut this deep into their avatar
+SAMPLE_COUNT = 600
+
+
+@dataclass(frozen=True, order=True)
+class Placement:
+    """How the file's coordinates become ours: ``unit``, ``up`` axis, and whether its floor is the avatar's."""
+
+    unit: str
+    up: str
+    floor: bool
+
+    @property
+    def plain(self) -> bool:
+        return (self.unit, self.up, self.floor) == ("m", "y", False)
+
+    def apply(self, points: np.ndarray, avatar: Avatar) -> np.ndarray:
+        points = points * UNITS_M[self.unit]
+        if self.up == "z":
+            points = np.stack([points[:, 0], points[:, 2], -points[:, 1]], axis=1)
+        return points + np.array([0.0, avatar.vertices[:, 1].min(), 0.0]) if self.floor else points
+
+
+def check_mesh(
+    mesh: GarmentMesh, avatar: Avatar, *, unit: Unit = "auto", up: Up = "auto", repair: bool = False, named: bool = True
+) -> GarmentMesh:
+    """``mesh`` in metres, y up, consistently wound with normals outward, on ``avatar``; raises ``MeshError``.
+
+    Vertices keep their order and number. With ``repair`` degenerate and duplicated faces are
+    dropped instead of refused.
+    """
+    check_arrays(mesh)
+    mesh = check_faces(mesh, repair=repair)
+    check_edges(mesh)
+    mesh = place(mesh, avatar, unit=unit, up=up, named=named)
+    mesh = orient_outward(mesh, avatar)
+    area = float(meshes.face_areas(mesh.vertices, mesh.faces).sum())
+    if area < AREA_MINIMUM:
+        raise MeshError(
+            "garment area",
+            expected=f"at least {AREA_MINIMUM} m^2",
+            got=f"{area:.4f} m^2",
+            cure="Check the unit of the file.",
+        )
+    return mesh.noted(*describe(mesh))
+
+
+def check_arrays(mesh: GarmentMesh) -> None:
+    """Refuses empty, tiny, huge and non-finite meshes, and indices out of range."""
+    if len(mesh.vertices) == 0 or len(mesh.faces) == 0:
+        raise MeshError(
+            "garment",
+            expected="vertices and faces",
+            got=f"{len(mesh.vertices)} and {len(mesh.faces)}",
+            cure="Export the garment's surface.",
+        )
+    check_count(mesh.name, len(mesh.vertices), VERTEX_LIMIT)
+    if len(mesh.vertices) < VERTEX_MINIMUM:
+        raise MeshError(
+            "garment",
+            expected=f"at least {VERTEX_MINIMUM} vertices",
+            got=str(len(mesh.vertices)),
+            cure="Subdivide the mesh.",
+        )
+    check_finite("garment vertices", mesh.vertices, error=MeshError)
+    check_finite("garment uv", mesh.uv, error=MeshError)
+    for what, table, count in (("faces", mesh.faces, len(mesh.vertices)), ("uv faces", mesh.uv_faces, len(mesh.uv))):
+        if len(table) and (table.min() < 0 or table.max() >= count):
+            raise MeshError(
+                f"garment {what}",
+                expected=f"indices in [0, {count})",
+                got=f"[{table.min()}, {table.max()}]",
+                cure="Repair the mesh.",
+            )
+
+
+def check_faces(mesh: GarmentMesh, *, repair: bool) -> GarmentMesh:
+    """Refuses degenerate and duplicated faces, or drops them."""
+    corners = mesh.vertices[mesh.faces]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    altitude = 2.0 * meshes.face_areas(mesh.vertices, mesh.faces) / np.maximum(longest, 1e-300)
+    flat = (altitude <= FLAT_ALTITUDE * longest) | (longest == 0.0)
+    _, first = np.unique(np.sort(mesh.faces, axis=1), axis=0, return_index=True)
+    twice = np.ones(len(mesh.faces), dtype=bool)
+    twice[first] = False
+    for what, bad in (("degenerate", flat), ("duplicated", twice & ~flat)):
+        if bad.any() and not repair:
+            face = int(np.flatnonzero(bad)[0])
+            raise MeshError(
+                "garment faces",
+                expected=f"no {what} faces",
+                got=f"{int(bad.sum())}, the first is face {face} with vertices {mesh.faces[face].tolist()}",
+                cure="Clean the mesh, or let intake drop them: --repair.",
+            )
+    if not (flat | twice).any():
+        return mesh
+    kept = mesh.take_faces(~(flat | twice))
+    if len(kept.faces) == 0:
+        raise MeshError(
+            "garment faces", expected="faces with an area", got="none", cure="Export the garment's surface."
+        )
+    return kept.noted(f"dropped {int(flat.sum())} degenerate and {int((twice & ~flat).sum())} duplicated faces")
+
+
+def check_edges(mesh: GarmentMesh) -> None:
+    """Refuses edges with more than two faces."""
+    ends, counts = np.unique(np.sort(meshes.half_edges(mesh.faces)[:, :2], axis=1), axis=0, return_counts=True)
+    heavy = np.flatnonzero(counts > 2)
+    if len(heavy):
+        edge = heavy[0]
+        raise MeshError(
+            "garment edges",
+            expected="at most 2 faces at every edge",
+            got=f"{len(heavy)} edges with more; edge {ends[edge].tolist()} (0-based vertices) has {counts[edge]}",
+            cure="Split the surface along these edges, or delete the inner faces.",
+        )
+
+
+def place(
+    mesh: GarmentMesh, avatar: Avatar, *, unit: Unit = "auto", up: Up = "auto", named: bool = True
+) -> GarmentMesh:
+    """``mesh`` in metres, y up, in the avatar's coordinates: the reading of unit, axis and floor that fits best.
+
+    The plain reading (metres, y up, the avatar's origin) wins unless another fits clearly
+    better. Where nobody ``named`` the avatar the garment must fit closely.
+    """
+    _check_option("unit", unit, ("auto", *UNITS_M))
+    _check_option("up", up, ("auto", *UP_AXES))
+    used = np.unique(mesh.faces)
+    sample = mesh.vertices[used[:: max(1, len(used) // SAMPLE_COUNT)]]
+    floors = (False, True) if abs(avatar.vertices[:, 1].min()) > 0.02 else (False,)
+    readings = itertools.product(
+        tuple(UNITS_M) if unit == "auto" else (unit,), UP_AXES if up == "auto" else (up,), floors
+    )
+    measure = Misfit(avatar)
+    ranked = sorted(
+        (measure(reading.apply(sample, avatar)), reading) for reading in itertools.starmap(Placement, readings)
+    )
+    best, chosen = ranked[0]
+    plain = next((misfit for misfit, reading in ranked if reading.plain), np.inf)
+    if plain <= PLAIN_PREFERENCE * best:
+        best, chosen = plain, Placement("m", "y", False)
+    if not best <= (MISFIT_LIMIT if named else MISFIT_LIMIT_UNNAMED):
+        extent = " x ".join(f"{length:.4g}" for length in np.ptp(sample, axis=0))
+        whose = "its avatar" if named else "the standard body"
+        raise MeshError(
+            "garment",
+            expected=f"a garment on {whose} ({np.ptp(avatar.vertices[:, 1]):.2f} m tall)",
+            got=f"an extent of {extent} around {np.round(sample.mean(axis=0), 3).tolist()}",
+            cure="Say which avatar it was modelled on (avatar), its unit (unit) and its up axis (up).",
+        )
+    rival = next((r for misfit, r in ranked if r.unit != chosen.unit and misfit < RIVAL_MARGIN * best), None)
+    if rival is not None and not chosen.plain:
+        raise MeshError(
+            "garment unit",
+            expected="one unit that fits the avatar",
+            got=f"{chosen.unit} or {rival.unit}",
+            cure="Say which one (unit).",
+        )
+    notes = [] if chosen.unit == "m" else [f"converted from {chosen.unit} to m"]
+    notes += ["turned from z up to y up"] if chosen.up == "z" else []
+    notes += ["moved from its floor to the avatar's origin"] if chosen.floor else []
+    return replace(mesh, vertices=chosen.apply(mesh.vertices, avatar)).noted(*notes)
+
+
+def _check_option(name: str, value: str, allowed: tuple[str, ...]) -> None:
+    if value not in allowed:
+        raise MeshError(name, expected=f"one of {', '.join(allowed)}", got=repr(value), cure="Correct the option.")
+
+
+class Misfit:
+    """How badly points lie round an avatar: mean distance from its skin, four times as much inside, over their extent.
+
+    The extent makes a garment read too small look as bad as it is: it is near the skin only
+    because it is small.
+    """
+
+    def __init__(self, avatar: Avatar) -> None:
+        self.tree = KDTree(avatar.vertices)
+        self.normals = meshes.vertex_normals(avatar.vertices, avatar.faces)
+        self.vertices = avatar.vertices
+
+    def __call__(self, points: np.ndarray) -> float:
+        extent = float(np.ptp(points, axis=0).max())
+        if not EXTENT_M[0] <= extent <= EXTENT_M[1]:
+            return float("inf")
+        distance, near = self.tree.query(points)
+        outside = np.einsum("nc,nc->n", points - self.vertices[near], self.normals[near])
+        depth = np.maximum(-outside - SKIN_DEPTH_M, 0.0)
+        return float((distance + 4.0 * depth).mean() / extent)
+
+
+def orient_outward(mesh: GarmentMesh, avatar: Avatar) -> GarmentMesh:
+    """``mesh`` wound consistently, each piece with its normals away from the body; refuses a one-sided surface."""
+    turn = _consistent_turn(mesh.faces)
+    faces = np.where(turn[:, None], mesh.faces[:, ::-1], mesh.faces)
+    normals = meshes.area_vectors(mesh.vertices, faces)
+    centres = mesh.vertices[faces].mean(axis=1)
+    nearest = closest_point(centres, avatar.vertices, avatar.faces)
+    outward = meshes.face_normals(avatar.vertices, avatar.faces)[nearest.face]
+    piece = meshes.connected_components(faces, len(mesh.vertices))[faces[:, 0]]
+    agreement = np.bincount(piece, np.einsum("fc,fc->f", normals, outward))
+    inward = agreement[piece] < 0.0
+    turn = turn ^ inward
+    if not turn.any():
+        return mesh
+    uv_faces = mesh.uv_faces
+    if len(uv_faces):
+        uv_faces = np.where(turn[:, None], uv_faces[:, ::-1], uv_faces)
+    turned = replace(mesh, faces=np.where(turn[:, None], mesh.faces[:, ::-1], mesh.faces), uv_faces=uv_faces)
+    return turned.noted(f"turned {int(turn.sum())} of {len(turn)} faces so that normals point outward")
+
+
+def _consistent_turn(faces: np.ndarray) -> np.ndarray:
+    """Which faces (F,) to reverse so that neighbours agree, the fewest per piece; refuses where none does it."""
+    halves = meshes.half_edges(faces)[:, :2]
+    pairs = meshes.hinge_faces(faces)
+    ends = np.sort(halves, axis=1)
+    order = np.lexsort((ends[:, 1], ends[:, 0]))
+    same = (ends[order[1:]] == ends[order[:-1]]).all(axis=1)
+    clash = (halves[order[:-1][same]] == halves[order[1:][same]]).all(axis=1)
+    if not clash.any():
+        return np.zeros(len(faces), dtype=bool)
+    # Two copies of every face, one reversed; a clash joins a face to its neighbour's reverse.
+    count = len(faces)
+    a, b = pairs.T
+    shift = np.where(clash, count, 0)
+    rows, columns = np.concatenate([a, a + count]), np.concatenate([b + shift, b + count - shift])
+    graph = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(2 * count, 2 * count))
+    label = csgraph.connected_components(graph, directed=False)[1]
+    onesided = label[:count] == label[count:]
+    if onesided.any():
+        raise MeshError(
+            "garment",
+            expected="a surface with two sides",
+            got=f"a one-sided (Moebius) piece at face {int(np.flatnonzero(onesided)[0])}",
+            cure="Cut it open along a seam.",
+        )
+    turn = np.zeros(count, dtype=bool)
+    for cover in np.unique(np.minimum(label[:count], label[count:])):
+        kept, reversed_ = label[:count] == cover, label[count:] == cover
+        turn |= reversed_ if reversed_.sum() <= kept.sum() else kept
+    return turn
+
+
+def describe(mesh: GarmentMesh) -> list[str]:
+    """What is worth knowing of a mesh that is accepted: pieces, openings, loose vertices."""
+    label = meshes.connected_components(mesh.faces, len(mesh.vertices))
+    used = np.unique(mesh.faces)
+    pieces = np.unique(label[used])
+    notes = []
+    if len(pieces) > 1:
+        sizes = sorted((int((label[used] == piece).sum()) for piece in pieces), reverse=True)
+        notes.append(
+            f"{len(pieces)} pieces with {', '.join(map(str, sizes[:8]))}{', ...' if len(sizes) > 8 else ''} vertices"
+        )
+    if len(used) < len(mesh.vertices):
+        notes.append(
+            f"{len(mesh.vertices) - len(used)} vertices belong to no face: they follow the nearest one that does"
+        )
+    loops = meshes.boundary_loops(mesh.faces)
+    opened = np.unique(label[np.concatenate(loops)]) if loops else np.zeros(0, dtype=int)
+    closed = len(pieces) - len(opened)
+    if closed:
+        notes.append(
+            f"warning: {closed} closed piece{'s' if closed > 1 else ''}: cloth is a surface with openings, not a solid"
+        )
+    notes.append(f"{len(loops)} openings")
+    return notes

@@ -1,0 +1,188 @@
+"""Fits shape and pose of the standard body to the surface of another one (a mannequin, an avatar, a scan).
+
+Gauss-Newton on closest points over SMPL shape, joint rotations, translation and size, from a
+T-pose and from two A-poses; the best start wins. What the ten shape components cannot say is
+added as a smooth displacement to the surface. The residual decides whether the result is used.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse
+import scipy.sparse.linalg
+from scipy.spatial import KDTree
+
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
+from drape.errors import BodyError
+from drape.geometry import meshes, skinning
+from drape.geometry.closest import closest_point
+
+RESIDUAL_LIMIT_MM = 15.0
+HEIGHTS_M = (1.2, 2.3)
+UNIT_SCALES = (1.0, 0.01, 0.1, 0.001, 0.0254)
+POINT_COUNT = 750
+FREE_JOINTS = [JOINT_NAMES.index(name) for name in JOINT_NAMES if not name.endswith(("hand", "foot"))]
+ARM_LIFTS_RAD = (0.6, 0.0, 1.1)  # how far the arms hang below the horizontal at the start
+GOOD_RESIDUAL_MM = 6.0  # a start that reaches this is not followed by another
+STEPS = 24
+NORMAL_AGREEMENT = 0.3
+SHAPE_PRIOR, POSE_PRIOR = (
+    5e-4,
+    2e-3,
+)  # [m] per unit of beta and per radian: keep near zero what the surface does not tell
+REACH_M = 0.08
+
+
+def body_units(vertices: np.ndarray, *, name: str = "avatar") -> tuple[float, np.ndarray]:
+    """The scale that makes ``vertices`` (V, 3) a standing person, y up, and the scaled vertices [m]."""
+    height = float(np.ptp(vertices[:, 1])) if len(vertices) else 0.0
+    fitting = [scale for scale in UNIT_SCALES if HEIGHTS_M[0] <= height * scale <= HEIGHTS_M[1]]
+    if not fitting:
+        raise BodyError(
+            name,
+            expected=f"a person {HEIGHTS_M[0]} to {HEIGHTS_M[1]} m tall in m, dm, cm, mm or inch, y up",
+            got=f"a height of {height:.4g}",
+            cure="Turn the avatar upright and scale it to metres.",
+        )
+    return fitting[0], vertices * fitting[0]
+
+
+def register(
+    vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, name: str = "avatar"
+) -> tuple[np.ndarray, float]:
+    """The standard body's vertices [m] (V, 3) laid on a surface, and the residual [mm]: mean distance after the fit.
+
+    Raises ``BodyError`` above ``RESIDUAL_LIMIT_MM``.
+    """
+    used = np.unique(faces)
+    if len(used) < 500:
+        raise BodyError(
+            name,
+            expected="a body surface of at least 500 vertices",
+            got=str(len(used)),
+            cure="Subdivide the avatar's mesh.",
+        )
+    target = _Target(vertices, faces)
+    fitted, residual = vertices, np.inf
+    for lift in ARM_LIFTS_RAD:
+        found, distance = _fit(body, target, lift)
+        if distance < residual:
+            fitted, residual = found, distance
+        if residual < GOOD_RESIDUAL_MM:
+            break
+    if not residual <= RESIDUAL_LIMIT_MM:
+        raise BodyError(
+            name,
+            expected=f"a body that the standard body fits to {RESIDUAL_LIMIT_MM:g} mm",
+            got=f"{residual:.1f} mm",
+            cure="Give the avatar as a whole body, upright, facing +z, in a T- or A-pose, or as a phenotype.",
+        )
+    return _snap(fitted, body, target), residual
+
+
+class _Target:
+    """The surface to fit: vertices, faces, normals, and a thinned set of its points."""
+
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
+        self.vertices, self.faces = vertices, faces
+        self.normals = meshes.face_normals(vertices, faces)
+        volume = np.einsum(
+            "fc,fc->", meshes.area_vectors(vertices, faces), vertices[faces].mean(axis=1) - vertices.mean(axis=0)
+        )
+        self.normals = self.normals * (1.0 if volume >= 0 else -1.0)
+        areas = meshes.face_areas(vertices, faces)
+        drawn = np.random.default_rng(0).choice(len(faces), size=2 * POINT_COUNT, p=areas / areas.sum())
+        self.points, self.point_normals = vertices[faces[drawn]].mean(axis=1), self.normals[drawn]
+
+
+def _fit(body: BodyModel, target: _Target, lift_rad: float) -> tuple[np.ndarray, float]:
+    """Posed body vertices [m] (V, 3) from one start, and the mean distance [mm] of the target's points to them."""
+    parameters = _start(body, target, lift_rad)
+    prior = np.concatenate(
+        [np.full(body.shape_count, SHAPE_PRIOR), np.full(3 * len(FREE_JOINTS), POSE_PRIOR), np.zeros(3)]
+    )
+    prior[body.shape_count : body.shape_count + 3] = 0.0  # the root may turn freely
+    centre = parameters.copy()
+    for step in range(STEPS):
+        posed = _posed(body, parameters)
+        normals = meshes.vertex_normals(posed, body.faces)
+        # Every point of the target looks for the body: parts that the target lacks do not pull.
+        distance, near = map(np.asarray, KDTree(posed).query(target.points, k=4))
+        agree = np.einsum("nc,nkc->nk", target.point_normals, normals[near]) > NORMAL_AGREEMENT
+        first = np.argmax(agree, axis=1)
+        rows = np.arange(len(near))
+        reach = REACH_M if step > 8 else 4.0 * REACH_M
+        keep = agree[rows, first] & (distance[rows, first] < reach)
+        index, goal, normal = near[rows, first][keep], target.points[keep], target.point_normals[keep]
+        if len(index) < 100:
+            return posed, np.inf
+        gap = posed[index] - goal
+        robust = 1.0 / (1.0 + np.einsum("nc,nc->n", gap, gap) / (0.5 * reach) ** 2)
+        jacobian = _jacobian(body, parameters, index)
+        # Along the normal in full, along the surface a little: points may slide.
+        project = 0.9 * normal[:, :, None] * normal[:, None, :] + 0.1 * np.eye(3)
+        a = project @ jacobian * robust[:, None, None]
+        b = np.einsum("nab,nb->na", project, gap) * robust[:, None]
+        a, b = a.reshape(-1, len(parameters)), b.reshape(-1)
+        damping = len(index) * (prior**2)
+        system = a.T @ a + np.diag(damping + 1e-6 * len(index) * 1e-2)
+        change = np.linalg.solve(system, -(a.T @ b) - damping * (parameters - centre))
+        parameters = parameters + np.clip(change, -0.5, 0.5)
+        if np.abs(change).max() < 1e-4:
+            break
+    posed = _posed(body, parameters)
+    return posed, 1e3 * float(closest_point(target.points, posed, body.faces).distance.mean())
+
+
+def _start(body: BodyModel, target: _Target, lift_rad: float) -> np.ndarray:
+    """Mean shape, arms ``lift_rad`` below the horizontal, feet and middle where the target's are."""
+    pose = np.zeros((JOINT_COUNT, 3))
+    for side, sign in (("left", -1.0), ("right", 1.0)):
+        pose[JOINT_NAMES.index(f"{side}_collar"), 2] = 0.2 * sign * lift_rad
+        pose[JOINT_NAMES.index(f"{side}_shoulder"), 2] = 0.8 * sign * lift_rad
+    middle = 0.5 * (target.vertices.min(axis=0) + target.vertices.max(axis=0))
+    ours = 0.5 * (body.v_template.min(axis=0) + body.v_template.max(axis=0))
+    return np.concatenate([np.zeros(body.shape_count), pose[FREE_JOINTS].reshape(-1), middle - ours])
+
+
+def _unpack(body: BodyModel, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    pose = np.zeros((JOINT_COUNT, 3))
+    pose[FREE_JOINTS] = parameters[body.shape_count : -3].reshape(-1, 3)
+    return parameters[: body.shape_count], pose, parameters[-3:]
+
+
+def _posed(body: BodyModel, parameters: np.ndarray) -> np.ndarray:
+    betas, pose, trans = _unpack(body, parameters)
+    return body.posed_vertices(pose[None], trans[None], betas)[0]
+
+
+def _jacobian(body: BodyModel, parameters: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Derivative (N, 3, P) of the posed vertices ``index`` by forward differences; shape and translation exact."""
+    betas, pose, trans = _unpack(body, parameters)
+    rest, weights = body.rest_vertices(betas)[index], body.weights[index]
+    step = 1e-5
+    poses = np.repeat(pose[None], 3 * len(FREE_JOINTS) + 1, axis=0)
+    for column in range(3 * len(FREE_JOINTS)):
+        poses[column + 1, FREE_JOINTS[column // 3], column % 3] += step
+    rotations, translations = body.bones(poses, np.repeat(trans[None], len(poses), axis=0), betas)
+    moved = skinning.skin_points(np.broadcast_to(rest, (len(poses), *rest.shape)), weights, rotations, translations)
+    by_pose = (moved[1:] - moved[0]).transpose(1, 2, 0) / step
+    blended = (weights @ rotations[0].reshape(-1, 9)).reshape(-1, 3, 3)
+    joint_part = np.einsum("jab,jbs->jas", np.eye(3) - rotations[0], body.joint_shapedirs)
+    by_shape = blended @ body.shapedirs[index] + (weights @ joint_part.reshape(len(joint_part), -1)).reshape(
+        len(index), 3, -1
+    )
+    return np.concatenate([by_shape, by_pose, np.broadcast_to(np.eye(3), (len(index), 3, 3))], axis=2)
+
+
+def _snap(fitted: np.ndarray, body: BodyModel, target: _Target) -> np.ndarray:
+    """``fitted`` drawn on to the target by a smooth displacement, where the surfaces face the same way."""
+    nearest = closest_point(fitted, target.vertices, target.faces)
+    normals = meshes.vertex_normals(fitted, body.faces)
+    agree = np.einsum("vc,vc->v", normals, target.normals[nearest.face]) > 0.6
+    trust = (agree & (nearest.distance < 0.04)).astype(np.float64)
+    umbrella = meshes.umbrella_laplacian(body.faces, len(fitted))
+    system = scipy.sparse.diags(trust + 1e-4) + 4.0 * (umbrella.T @ umbrella)
+    pull = trust[:, None] * (nearest.point - fitted)
+    return fitted + scipy.sparse.linalg.splu(system.tocsc()).solve(pull)

@@ -1,0 +1,214 @@
+"""Moves a garment from the avatar it was modelled on to the standard body in T-pose (paper, appendix A.2).
+
+The paper moves every vertex by the displacement of its closest body vertex. Between an
+A-pose and a T-pose that displacement changes along an arm by half a metre and shears a
+sleeve, so it is split: each bone's rigid motion (Procrustes over the bone's skin) acts on
+the garment like skinning, and only what is left, the change of shape, is a displacement.
+
+    x' = sum_j w_j(x) (R_j x + t_j) + d(x)
+
+Weights and displacement come from the avatar's surface near x and are smoothed over the
+garment, so detail stays and neighbours move alike. Skirts, which enclose both legs, do not
+follow the legs' rotation: below the hips they take the shape difference only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+import scipy.sparse.linalg
+from scipy.spatial import KDTree
+
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_NAMES
+from drape.garment.avatars import Avatar
+from drape.geometry import meshes
+from drape.geometry.closest import closest_point
+
+WEIGHT_SMOOTHING_M = 0.05  # along the garment; longer spreads an armpit's strain further
+SHAPE_SMOOTHING_M = 0.03  # longer keeps the avatar's bust on a body that has none, which then creases
+NEAR_COUNT = 48  # body vertices that may carry a garment vertex
+SPREAD_MIN_M = 0.015
+SPREAD_PER_DISTANCE = 0.7  # cloth far from the skin follows a wider part of it
+LEGS = {
+    side: [JOINT_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "ankle", "foot")]
+    for side in ("left", "right")
+}
+TROUSERS_CROTCH_M = 0.08  # trousers hang at most this far below the body's crotch before their legs part
+SKIRT_SHARE = 0.2  # of a piece of cloth below the crotch that each leg must carry for it to be a skirt
+HIP_BAND_M = 0.10
+PN_LIMIT = 0.15  # a subdivision vertex leaves its edge by at most this share of the edge's length
+
+
+@dataclass(frozen=True, eq=False)
+class Moved:
+    """Garment vertices [m] (V, 3) on the standard body in T-pose, and how ``loose`` each is, (V,) in [0, 1]."""
+
+    vertices: np.ndarray
+    loose: np.ndarray
+
+
+def bone_motions(source: np.ndarray, target: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rotations (J, 3, 3) and translations (J, 3) that bring each bone's skin from ``source`` to ``target`` (V, 3).
+
+    Weighted least squares; a bone without skin takes the motion of the whole body.
+    """
+    share = weights**2  # the blended rim of a bone says less about it than its middle
+    share = np.where(share.sum(axis=0) > 1e-9, share, 1.0)
+    share = share / share.sum(axis=0)
+    source_mean, target_mean = share.T @ source, share.T @ target
+    moments = np.einsum("vj,va,vb->jab", share, target, source, optimize=True)
+    u, _, vt = np.linalg.svd(moments - target_mean[:, :, None] * source_mean[:, None, :])
+    u[..., -1] *= np.sign(np.linalg.det(u @ vt))[:, None]
+    rotations = u @ vt
+    return rotations, target_mean - np.einsum("jab,jb->ja", rotations, source_mean)
+
+
+def to_standard(vertices: np.ndarray, faces: np.ndarray, avatar: Avatar, body: BodyModel) -> Moved:
+    """The garment (V, 3), (F, 3) modelled on ``avatar``, moved to the standard body in T-pose.
+
+    A garment modelled on the standard body itself comes back unchanged.
+    """
+    skirt = skirt_blend(vertices, faces, avatar, body)
+    if not avatar.moved:
+        return Moved(vertices.copy(), skirt)
+    weights = body.weights
+    rotations, translations = bone_motions(avatar.vertices, body.v_template, weights)
+    skinned = np.einsum("vj,jab,vb->va", weights, rotations, avatar.vertices, optimize=True) + weights @ translations
+    carry = surface_weights(vertices, avatar)
+    garment_weights = smoother(vertices, faces, WEIGHT_SMOOTHING_M)(carry @ weights)
+    displacement = smoother(vertices, faces, SHAPE_SMOOTHING_M)(carry @ (body.v_template - skinned))
+    garment_weights = garment_weights / garment_weights.sum(axis=1, keepdims=True)
+    moved = np.einsum("vj,jab,vb->va", garment_weights, rotations, vertices, optimize=True)
+    moved += garment_weights @ translations + displacement
+    if skirt.any():
+        moved += skirt[:, None] * (_shape_only(vertices, avatar, body) - moved)
+    return Moved(moved, skirt)
+
+
+def surface_weights(points: np.ndarray, avatar: Avatar) -> scipy.sparse.csr_matrix:
+    """Rows (V, body V) that average the body near each point: a Gaussian round it, over skin that faces its way."""
+    normals = meshes.vertex_normals(avatar.vertices, avatar.faces)
+    distance, near = KDTree(avatar.vertices).query(points, k=NEAR_COUNT)
+    closest = closest_point(points, avatar.vertices, avatar.faces)
+    facing = np.einsum("vk,vkc->vc", closest.barycentric, normals[avatar.faces[closest.face]])
+    agreement = np.maximum(np.einsum("vc,vkc->vk", facing, normals[near]), 0.0)
+    spread = np.maximum(SPREAD_MIN_M, SPREAD_PER_DISTANCE * closest.distance)[:, None]
+    value = agreement * np.exp(-0.5 * (distance**2 - closest.distance[:, None] ** 2) / spread**2)
+    rows = np.repeat(np.arange(len(points)), NEAR_COUNT)
+    gathered = scipy.sparse.csr_matrix(
+        (value.reshape(-1), (rows, near.reshape(-1))), shape=(len(points), len(avatar.vertices))
+    )
+    # The closest point itself always counts, so no row is empty.
+    corner = avatar.faces[closest.face]
+    own = scipy.sparse.csr_matrix(
+        (closest.barycentric.reshape(-1), (np.repeat(np.arange(len(points)), 3), corner.reshape(-1))),
+        shape=gathered.shape,
+    )
+    total = gathered + own
+    return scipy.sparse.diags(1.0 / np.asarray(total.sum(axis=1)).reshape(-1)) @ total
+
+
+def smoother(vertices: np.ndarray, faces: np.ndarray, length_m: float):
+    """A function that smooths fields (V, C) along the mesh over ``length_m``: (I + length^2 L)^-1, constants kept."""
+    edges = meshes.unique_edges(faces)
+    inverse_square = (length_m / np.maximum(meshes.edge_lengths(vertices, edges), 1e-4)) ** 2
+    graph = scipy.sparse.coo_matrix((inverse_square, (edges[:, 0], edges[:, 1])), shape=(len(vertices),) * 2)
+    graph = graph + graph.T
+    # About six neighbours lie in the plane: a third of the sum is the Laplacian's scale.
+    laplacian = scipy.sparse.diags(np.asarray(graph.sum(axis=1)).reshape(-1)) - graph
+    solve = scipy.sparse.linalg.factorized((scipy.sparse.identity(len(vertices)) + laplacian / 3.0).tocsc())
+    return lambda fields: np.column_stack([solve(np.ascontiguousarray(column)) for column in fields.T])
+
+
+def skirt_blend(vertices: np.ndarray, faces: np.ndarray, avatar: Avatar, body: BodyModel) -> np.ndarray:
+    """How much each vertex belongs to a skirt: 0 from the hip joints upwards, 1 from the crotch downwards.
+
+    A skirt is a connected piece of cloth between the legs that both carry; trousers fall in
+    two pieces there.
+    """
+    joints = body.regressor @ avatar.vertices
+    sides = {side: body.weights[:, bones].sum(axis=1) for side, bones in LEGS.items()}
+    thighs = (sides["left"] + sides["right"]) > 0.5
+    middle = 0.5 * (joints[LEGS["left"][0], 0] + joints[LEGS["right"][0], 0])
+    width = abs(joints[LEGS["left"][0], 0] - joints[LEGS["right"][0], 0])
+    inner = avatar.vertices[thighs & (np.abs(avatar.vertices[:, 0] - middle) < 0.15 * width)]
+    hips = 0.5 * (joints[LEGS["left"][0], 1] + joints[LEGS["right"][0], 1])
+    crotch = min(float(inner[:, 1].max()), hips - 0.02) if len(inner) else hips - 0.08
+    blend = np.zeros(len(vertices))
+    below = (vertices[faces][:, :, 1] < crotch - TROUSERS_CROTCH_M).all(axis=1)
+    if not below.any():
+        return blend
+    closest = closest_point(vertices, avatar.vertices, avatar.faces)
+    side = np.stack(
+        [np.einsum("vk,vk->v", closest.barycentric, sides[s][avatar.faces[closest.face]]) for s in ("left", "right")]
+    )
+    piece = meshes.connected_components(faces[below], len(vertices))
+    used = np.unique(faces[below])
+    component = meshes.connected_components(faces, len(vertices))
+    ramp = np.clip((hips - vertices[:, 1]) / (hips - crotch), 0.0, 1.0)
+    for number in np.unique(piece[used]):
+        members = used[piece[used] == number]
+        share = (side[:, members] > 0.5).mean(axis=1)
+        if share.min() > SKIRT_SHARE:
+            whole = np.isin(component, np.unique(component[members]))
+            blend = np.maximum(blend, np.where(whole, ramp, 0.0))
+    return blend * blend * (3.0 - 2.0 * blend)
+
+
+def _shape_only(vertices: np.ndarray, avatar: Avatar, body: BodyModel) -> np.ndarray:
+    """Vertices moved with the pelvis and scaled by the bodies' hips and legs, whatever the legs' pose."""
+    source, target = avatar.vertices, body.v_template
+    hips = [LEGS["left"][0], LEGS["right"][0]]
+    joints = [body.regressor @ shape for shape in (source, target)]
+    rotation, _ = bone_motions(source, target, body.weights)
+    turned = source @ rotation[0].T
+    centre = joints[0][hips].mean(axis=0) @ rotation[0].T, joints[1][hips].mean(axis=0)
+    # Above the hip joints the legs' pose does not show in the body's width.
+    pelvis = body.weights[:, [0, *hips]].sum(axis=1) > 0.5
+    pelvis &= (turned[:, 1] > centre[0][1]) & (turned[:, 1] < centre[0][1] + HIP_BAND_M)
+    scale = np.ptp(target[pelvis], axis=0) / np.ptp(turned[pelvis], axis=0)
+    leg = [np.linalg.norm(j[LEGS["left"][2]] - j[LEGS["left"][0]]) for j in joints]
+    scale[1] = leg[1] / leg[0]
+    return (vertices @ rotation[0].T - centre[0]) * scale + centre[1]
+
+
+def subdivide_smooth(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """One round of subdivision, old vertices in place, new ones lifted from their edge by the normals at its ends.
+
+    Returns vertices (N, 3), faces (4F, 3) and parents (N, 2). The new vertex is the middle of
+    the cubic edge of a PN triangle (Vlachos et al. 2001), which turns facets into a round surface.
+    """
+    flat, fine, parents = meshes.subdivide(vertices, faces)
+    normals = meshes.vertex_normals(vertices, faces)
+    a, b = parents[len(vertices) :].T
+    edge = vertices[b] - vertices[a]
+    along_a = np.einsum("ec,ec->e", edge, normals[a])
+    along_b = np.einsum("ec,ec->e", edge, normals[b])
+    lift = (along_b[:, None] * normals[b] - along_a[:, None] * normals[a]) / 8.0
+    # At a fold the two normals disagree and the cubic says nothing.
+    lift *= np.clip(np.einsum("ec,ec->e", normals[a], normals[b]) * 2.0, 0.0, 1.0)[:, None]
+    size = np.linalg.norm(lift, axis=1)
+    limit = PN_LIMIT * np.linalg.norm(edge, axis=1)
+    flat[len(vertices) :] += lift * np.minimum(1.0, limit / np.maximum(size, 1e-12))[:, None]
+    return flat, fine, parents
+
+
+def refine(
+    vertices: np.ndarray, faces: np.ndarray, *, at_least: int, at_most: int, edge_m: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Subdivides until the mesh has ``at_least`` vertices and a mean edge of ``edge_m``, but not past ``at_most``.
+
+    Returns vertices (N, 3), faces (G, 3) and the delivered vertex that each one is nearest to by descent, (N,).
+    """
+    origin = np.arange(len(vertices))
+    while True:
+        edges = meshes.unique_edges(faces)
+        long = meshes.edge_lengths(vertices, edges).mean() > edge_m
+        grown = len(vertices) + len(edges)
+        if not ((len(vertices) < at_least or long) and grown <= at_most):
+            return vertices, faces, origin
+        vertices, faces, parents = subdivide_smooth(vertices, faces)
+        origin = origin[parents[:, 0]]

@@ -1,0 +1,111 @@
+"""Small garments and the files that hold them, for the tests of intake."""
+
+from __future__ import annotations
+
+import json
+import struct
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_NAMES
+from drape.geometry import meshes
+
+TORSO = [JOINT_NAMES.index(name) for name in ("pelvis", "spine1", "spine2", "spine3", "left_collar", "right_collar")]
+SLEEVES = [JOINT_NAMES.index(name) for name in ("left_shoulder", "right_shoulder")]
+
+
+def shirt(body: BodyModel, skin: np.ndarray, *, ease_m: float = 0.02) -> tuple[np.ndarray, np.ndarray]:
+    """A shirt cut from the body's own faces, ``ease_m`` off the ``skin`` (V, 3): vertices (N, 3), faces (F, 3)."""
+    covered = body.weights[:, TORSO + SLEEVES].sum(axis=1) > 0.6
+    joints = body.joints_template
+    low = joints[JOINT_NAMES.index("pelvis"), 1] - 0.02
+    covered &= (body.v_template[:, 1] > low) & (body.v_template[:, 1] < joints[JOINT_NAMES.index("neck"), 1] - 0.02)
+    faces = body.faces[covered[body.faces].all(axis=1)]
+    label = meshes.connected_components(faces, body.vertex_count)
+    faces = faces[label[faces[:, 0]] == np.bincount(label[faces.reshape(-1)]).argmax()]
+    used, inverse = np.unique(faces, return_inverse=True)
+    lifted = skin + ease_m * meshes.vertex_normals(skin, body.faces)
+    return lifted[used], inverse.reshape(-1, 3)
+
+
+def skirt(body: BodyModel) -> tuple[np.ndarray, np.ndarray]:
+    """A cone round both thighs of the standard body."""
+    hips = body.joints_template[JOINT_NAMES.index("left_hip")]
+    rings, around = 14, 40
+    angle = np.linspace(0.0, 2 * np.pi, around, endpoint=False)
+    rows = []
+    for k in range(rings):
+        radius = 0.2 + 0.1 * k / rings
+        rows.append(
+            np.stack(
+                [radius * np.sin(angle), np.full(around, hips[1] + 0.08 - 0.04 * k), 0.02 + radius * np.cos(angle)], 1
+            )
+        )
+    return np.concatenate(rows), tube_faces(rings, around)
+
+
+def tube_faces(rings: int, around: int) -> np.ndarray:
+    """Triangles of a tube of rings from the top down, seen from outside."""
+    faces = []
+    for k in range(rings - 1):
+        for j in range(around):
+            a, b = k * around + j, k * around + (j + 1) % around
+            faces += [[a, a + around, b], [b, a + around, b + around]]
+    return np.array(faces)
+
+
+def obj_text(vertices: np.ndarray, faces: np.ndarray) -> bytes:
+    """An OBJ of triangles."""
+    lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices]
+    lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    return "\n".join(lines).encode()
+
+
+def stl_bytes(vertices: np.ndarray, faces: np.ndarray) -> bytes:
+    """A binary STL."""
+    record = np.zeros(len(faces), dtype=[("n", "<f4", 3), ("c", "<f4", (3, 3)), ("a", "<u2")])
+    record["c"] = vertices[faces]
+    return b"\0" * 80 + struct.pack("<I", len(faces)) + record.tobytes()
+
+
+def ply_bytes(vertices: np.ndarray, faces: np.ndarray, *, declared: int | None = None) -> bytes:
+    """A binary PLY that declares ``declared`` vertices."""
+    count = len(vertices) if declared is None else declared
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {count}\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    table = np.zeros(len(faces), dtype=[("n", "u1"), ("v", "<i4", 3)])
+    table["n"], table["v"] = 3, faces
+    return header.encode() + vertices.astype("<f4").tobytes() + table.tobytes()
+
+
+def glb_bytes(vertices: np.ndarray, faces: np.ndarray, uv: np.ndarray | None = None, *, change=None) -> bytes:
+    """A GLB with one node; ``change`` edits the document before it is written."""
+    arrays = [vertices.astype("<f4"), faces.astype("<u4").reshape(-1)] + ([] if uv is None else [uv.astype("<f4")])
+    kinds = [("VEC3", 5126), ("SCALAR", 5125), ("VEC2", 5126)]
+    views, accessors, binary = [], [], b""
+    for array, (kind, component) in zip(arrays, kinds, strict=False):
+        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": array.nbytes})
+        accessors.append({"bufferView": len(accessors), "componentType": component, "count": len(array), "type": kind})
+        binary += array.tobytes()
+    attributes = {"POSITION": 0} | ({} if uv is None else {"TEXCOORD_0": 2})
+    document = {
+        "asset": {"version": "2.0"},
+        "buffers": [{"byteLength": len(binary)}],
+        "bufferViews": views,
+        "accessors": accessors,
+        "meshes": [{"primitives": [{"attributes": attributes, "indices": 1, "material": 0}]}],
+        "materials": [{"name": "denim"}],
+        "nodes": [{"mesh": 0}],
+        "scenes": [{"nodes": [0]}],
+    }
+    if change is not None:
+        change(document)
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    binary += b"\0" * (-len(binary) % 4)
+    chunks = struct.pack("<I", len(text)) + b"JSON" + text + struct.pack("<I", len(binary)) + b"BIN\0" + binary
+    return b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks

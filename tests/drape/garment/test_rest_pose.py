@@ -1,0 +1,171 @@
+"""Laws of the way to the rest pose: what stays, what moves with the body, and that nothing cuts into it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from drape.body.assets import load_body
+from drape.body.skeleton import JOINT_NAMES
+from drape.errors import MeshError
+from drape.garment.avatars import Avatar, phenotype_avatar, smpl_avatar, standard_avatar
+from drape.garment.clearance import CLEARANCE_M, clear_body
+from drape.garment.rest_pose import bone_motions, refine, smoother, subdivide_smooth, surface_weights, to_standard
+from drape.geometry import meshes
+from drape.geometry.closest import signed_distance
+from drape.geometry.rotations import rotvec_to_matrix
+from tests.drape.garment.garment_files import shirt, skirt
+
+BODY = load_body()
+STANDARD = standard_avatar(BODY)
+
+
+def strain(before: np.ndarray, after: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    edges = meshes.unique_edges(faces)
+    return np.abs(meshes.edge_lengths(after, edges) / meshes.edge_lengths(before, edges) - 1.0)
+
+
+def hanging_arms() -> Avatar:
+    pose = np.zeros((24, 3))
+    for side, sign in (("left", -1.0), ("right", 1.0)):
+        pose[JOINT_NAMES.index(f"{side}_shoulder"), 2] = 0.7 * sign
+    return smpl_avatar({"pose": pose.tolist()}, BODY)
+
+
+def test_bone_motions_are_recovered(rng: np.random.Generator):
+    pose = rng.normal(scale=0.4, size=(1, 24, 3))
+    hard = np.eye(24)[BODY.weights.argmax(axis=1)]
+    rotations, translations = BODY.bones(pose)
+    posed = np.einsum("vj,jab,vb->va", hard, rotations[0], BODY.v_template, optimize=True) + hard @ translations[0]
+    found, moved = bone_motions(BODY.v_template, posed, hard)
+    skinned = hard.sum(axis=0) > 0
+    assert_allclose(found[skinned], rotations[0][skinned], rtol=0, atol=1e-9)
+    assert_allclose(moved[skinned], translations[0][skinned], rtol=0, atol=1e-9)
+    assert np.isfinite(found).all()
+
+
+def test_garment_on_the_standard_body_stays(rng: np.random.Generator):
+    vertices, faces = shirt(BODY, BODY.v_template)
+    moved = to_standard(vertices, faces, STANDARD, BODY)
+    assert_array_equal(moved.vertices, vertices)
+    assert not moved.loose.any()
+    clear = clear_body(vertices, faces, BODY.v_template, BODY.faces)
+    assert clear.push_m == pytest.approx(0.0, abs=1e-12)
+
+
+def test_rigidly_moved_avatar_changes_nothing():
+    vertices, faces = shirt(BODY, BODY.v_template)
+    turn, shift = rotvec_to_matrix(np.array([0.1, 0.4, -0.2])), np.array([0.3, -0.8, 0.1])
+    avatar = Avatar(BODY.v_template @ turn.T + shift, BODY.faces, 0.0, "turned")
+    moved = to_standard(vertices @ turn.T + shift, faces, avatar, BODY)
+    assert_allclose(moved.vertices, vertices, rtol=0, atol=1e-9)
+
+
+def test_arms_are_lifted_and_a_wide_sleeve_keeps_its_shape():
+    avatar = hanging_arms()
+    vertices, faces = shirt(BODY, avatar.vertices, ease_m=0.04)
+    target, _ = shirt(BODY, BODY.v_template, ease_m=0.04)
+    sleeve = target[:, 0] > np.quantile(target[:, 0], 0.93)
+    assert np.linalg.norm(vertices - target, axis=1)[sleeve].mean() > 0.1
+
+    def error(points: np.ndarray) -> float:
+        return float(np.linalg.norm(points - target, axis=1)[sleeve].mean())
+
+    displaced = vertices + surface_weights(vertices, avatar) @ (BODY.v_template - avatar.vertices)
+    ours = error(to_standard(vertices, faces, avatar, BODY).vertices)
+    # The paper's displacement does not turn the distance between cloth and skin.
+    assert ours < 0.3 * error(displaced)
+    assert ours < 0.01
+
+
+def test_skirt_takes_shape_but_not_the_legs_pose():
+    vertices, faces = skirt(BODY)
+    spread = np.zeros((24, 3))
+    spread[JOINT_NAMES.index("left_hip"), 2], spread[JOINT_NAMES.index("right_hip"), 2] = 0.2, -0.2
+    avatar = smpl_avatar({"pose": spread.tolist()}, BODY)
+    moved = to_standard(vertices, faces, avatar, BODY)
+    low = vertices[:, 1] < vertices[:, 1].min() + 0.2
+    assert moved.loose[low].min() > 0.99
+    assert_allclose(moved.vertices[low], vertices[low], rtol=0, atol=0.02)
+    assert strain(vertices, moved.vertices, faces).mean() < 0.05
+
+
+def test_smoother_keeps_constants_and_damps_noise(rng: np.random.Generator):
+    vertices, faces = shirt(BODY, BODY.v_template)
+    smooth = smoother(vertices, faces, 0.05)
+    assert_allclose(smooth(np.full((len(vertices), 2), 3.0)), 3.0, rtol=0, atol=1e-9)
+    noise = rng.normal(size=(len(vertices), 1))
+    assert smooth(noise).std() < 0.2
+
+
+def test_subdivision_keeps_delivered_vertices_and_rounds_facets():
+    angle = np.linspace(0.0, 2 * np.pi, 12, endpoint=False)
+    ring = np.stack([np.cos(angle), np.zeros(12), np.sin(angle)], axis=1)[:, [2, 1, 0]]
+    rings = np.concatenate([ring - np.array([0.0, 0.3 * k, 0.0]) for k in range(6)])
+    from tests.drape.garment.garment_files import tube_faces
+
+    faces = tube_faces(6, 12)
+    fine, fine_faces, parents = subdivide_smooth(rings, faces)
+    assert_array_equal(fine[: len(rings)], rings)
+    assert_array_equal(parents[: len(rings)], np.arange(len(rings))[:, None].repeat(2, axis=1))
+    assert len(fine_faces) == 4 * len(faces)
+    inner = np.abs(fine[:, 1] + 0.75) < 0.5
+    flat = meshes.subdivide(rings, faces)[0]
+    sag = [np.abs(np.linalg.norm(points[inner][:, [0, 2]], axis=1) - 1.0).max() for points in (fine, flat)]
+    assert sag[0] < 0.25 * sag[1]
+
+
+def test_refine_reaches_its_count_and_respects_the_limit():
+    vertices, faces = shirt(BODY, BODY.v_template)
+    fine, _, origin = refine(vertices, faces, at_least=len(vertices) + 1, at_most=40_000, edge_m=0.1)
+    assert len(vertices) < len(fine) <= 40_000
+    assert origin.max() < len(vertices) and len(origin) == len(fine)
+    same, _, _ = refine(vertices, faces, at_least=10**6, at_most=len(vertices) + 5, edge_m=0.0)
+    assert len(same) == len(vertices)
+
+
+@pytest.mark.parametrize("depth_m", [0.0, 0.01, 0.02])
+def test_cloth_inside_the_body_comes_out(depth_m: float):
+    vertices, faces = shirt(BODY, BODY.v_template, ease_m=-depth_m)
+    clear = clear_body(vertices, faces, BODY.v_template, BODY.faces)
+    signed = signed_distance(clear.vertices, BODY.v_template, BODY.faces)
+    assert signed.min() >= CLEARANCE_M
+    assert clear.clearance_m == pytest.approx(signed.min())
+    assert clear.push_m < 4.0 * (depth_m + CLEARANCE_M)
+    # It comes out as the same cloth a little larger, not as spikes.
+    spread = strain(shirt(BODY, BODY.v_template, ease_m=0.008)[0], clear.vertices, faces)
+    assert np.median(spread) < 0.08
+    assert np.quantile(spread, 0.95) < 0.6
+
+
+def test_layers_keep_their_order():
+    inner, faces = shirt(BODY, BODY.v_template, ease_m=-0.004)
+    outer, _ = shirt(BODY, BODY.v_template, ease_m=0.002)
+    both = np.concatenate([inner, outer])
+    clear = clear_body(both, np.concatenate([faces, faces + len(inner)]), BODY.v_template, BODY.faces)
+    signed = signed_distance(clear.vertices, BODY.v_template, BODY.faces)
+    assert signed.min() >= CLEARANCE_M
+    above = signed[len(inner) :] > signed[: len(inner)]
+    assert above.mean() > 0.97
+
+
+def test_garment_deep_in_the_body_is_refused():
+    vertices, faces = shirt(BODY, BODY.v_template, ease_m=-0.09)
+    with pytest.raises(MeshError, match="inside the body"):
+        clear_body(vertices, faces, BODY.v_template, BODY.faces)
+
+
+def test_garment_that_cannot_be_cleared_is_refused(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("drape.garment.clearance.ROUNDS", 1)
+    vertices, faces = shirt(BODY, BODY.v_template, ease_m=-0.03)
+    with pytest.raises(MeshError, match="a clearance of 6"):
+        clear_body(vertices, faces, BODY.v_template, BODY.faces)
+
+
+def test_other_shape_is_followed():
+    avatar = phenotype_avatar({"gender": 0.0, "weight": 0.8}, BODY)
+    vertices, faces = shirt(BODY, avatar.vertices)
+    target, _ = shirt(BODY, BODY.v_template)
+    moved = to_standard(vertices, faces, avatar, BODY)
+    assert np.quantile(np.linalg.norm(moved.vertices - target, axis=1), 0.9) < 0.03
