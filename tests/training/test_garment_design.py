@@ -1,0 +1,67 @@
+"""Designs: clean cuts, clear of the body, and the openings they should have."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.testing import assert_allclose
+
+from drape.geometry.closest import signed_distance
+from tests.training.training_setup import body
+from training.garment_design import SHIPPED, build, cut, varied
+
+OPENINGS = {"tshirt": 4, "longsleeve": 4, "tank": 4, "dress": 4, "trousers": 3, "shorts": 3}
+
+
+def sheet(count: int = 12) -> tuple[np.ndarray, np.ndarray]:
+    axis = np.linspace(0.0, 1.0, count)
+    x, y = np.meshgrid(axis, axis)
+    vertices = np.stack([x.ravel(), y.ravel(), np.zeros(count * count)], axis=1)
+    index = np.arange(count * count).reshape(count, count)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    return vertices, np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([b, d, c], -1).reshape(-1, 3)])
+
+
+def test_a_straight_cut_leaves_the_exact_area_and_a_straight_edge():
+    vertices, faces = sheet()
+    kept, kept_faces, carried = cut(vertices, faces, vertices[:, 0] + 0.3 * vertices[:, 1] - 0.537, vertices[:, :1])
+    mesh = trimesh.Trimesh(kept, kept_faces, process=False)
+    # The line x = 0.537 - 0.3 y cuts off a trapezium of mean width 0.387.
+    assert_allclose(mesh.area, 1.0 - (0.537 + 0.237) / 2.0, rtol=2e-2, atol=0)
+    assert_allclose(carried[:, 0], kept[:, 0], rtol=0, atol=1e-12)
+    assert (kept[:, 0] + 0.3 * kept[:, 1] - 0.537).min() > -1e-9
+    assert mesh.is_winding_consistent
+
+
+@pytest.mark.parametrize("design", SHIPPED, ids=lambda d: d.name)
+def test_shipped_designs_are_clear_and_have_their_openings(design):
+    vertices, faces = build(design, body())
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    assert signed_distance(vertices, body().v_template, body().faces).min() >= 0.006
+    assert mesh.euler_number == 2 - OPENINGS[design.name]
+    assert mesh.is_winding_consistent
+    assert len(trimesh.graph.connected_components(mesh.face_adjacency, nodes=np.arange(len(faces)))) == 1
+    # Outward: normals agree with the direction away from the body.
+    ahead = vertices + 0.002 * np.asarray(mesh.vertex_normals)
+    gain = signed_distance(ahead, body().v_template, body().faces) - signed_distance(
+        vertices, body().v_template, body().faces
+    )
+    assert (gain > 0).mean() > 0.97
+
+
+def test_building_twice_gives_the_same_mesh():
+    first, second = (build(SHIPPED[2], body()) for _ in range(2))
+    assert np.array_equal(first[0], second[0])
+    assert np.array_equal(first[1], second[1])
+
+
+def test_variants_differ_but_keep_their_openings():
+    rng = np.random.default_rng(1)
+    base = trimesh.Trimesh(*build(SHIPPED[2], body()), process=False)
+    seen = set()
+    for _ in range(2):
+        design, vertices, faces = varied(SHIPPED[2], body(), rng)
+        assert trimesh.Trimesh(vertices, faces, process=False).euler_number == base.euler_number
+        seen.add(design)
+    assert len(seen) == 2

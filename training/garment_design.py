@@ -1,0 +1,378 @@
+"""Garments cut from MakeHuman's helper surfaces: one parametrised design space, of which the shipped six are points.
+
+    python -m training.garment_design [--out assets/garments]
+
+A design names where the surface is cut (hem, sleeve, neckline, armhole) and how far it
+stands off the body (ease, flare). The cut follows the zero line of a smooth field: vertices near
+the line are moved onto it, the other crossed triangles are split, so edges are clean.
+Lengths in metres on the standard body at rest, y up; heights of a design count from the floor.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse
+import trimesh
+from scipy.spatial import KDTree
+
+from drape.body.assets import BODIES_DIR, load_body
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_NAMES
+from drape.garment.cache import FORMAT_VERSION, GARMENTS_DIR, save_garment
+from drape.garment.features import boundary_vertices
+from drape.garment.fitting import fit_garment
+from drape.garment.skin import smoothing_matrix
+from drape.geometry.closest import closest_point, signed_distance
+
+CLEARANCE_M = 0.0065  # intake promises 6 mm; half a millimetre covers rounding to float32
+CLEFT_HALF_WIDTH_M, CLEFT_TOP_M, CLEFT_PASSES = 0.07, 1.04, 120
+TAUBIN_SHARES = (0.5, -0.51)
+SNAP_SHARE = 0.45  # a vertex moves onto the cut when the cut passes this near along an edge
+
+
+@dataclass(frozen=True)
+class Design:
+    """Where a garment is cut and how it stands off; ``None`` leaves that cut out.
+
+    ``hem_y`` lowest height of the torso or the skirt; ``waist_y`` upper edge of trousers and skirts;
+    ``sleeve_x`` where the sleeve ends, seen from the middle; ``armhole`` share of arm weight
+    at which a sleeveless garment is cut; ``leg_y`` lower edge of trouser legs; ``neck`` half
+    axes (x, y, z) and ``neck_centre`` (y, z) of the ellipsoid that cuts the neckline;
+    ``ease`` distance from the body [m], ``flare`` more of it per metre towards the open ends;
+    ``skirt_flare`` metres outward per metre down; ``smoothing`` passes that bridge hollows.
+    """
+
+    name: str
+    hem_y: float | None = None
+    waist_y: float | None = None
+    sleeve_x: float | None = None
+    armhole: float | None = None
+    leg_y: float | None = None
+    neck: tuple[float, float, float] | None = None
+    neck_centre: tuple[float, float] = (1.60, 0.016)
+    ease: float = 0.012
+    flare: float = 0.04
+    skirt_flare: float = 0.0
+    skirt_hem_y: float | None = None
+    smoothing: int = 30
+
+
+CREW = (0.085, 0.115, 0.115)
+SCOOP = (0.105, 0.19, 0.135)
+SHIPPED: tuple[Design, ...] = (
+    Design("tshirt", hem_y=0.935, sleeve_x=0.40, neck=CREW, ease=0.018, flare=0.04, smoothing=50),
+    Design("longsleeve", hem_y=0.925, sleeve_x=0.69, neck=CREW, ease=0.014, flare=0.04, smoothing=40),
+    Design("tank", hem_y=0.95, armhole=0.5, neck=SCOOP, ease=0.012, flare=0.06, smoothing=40),
+    Design("trousers", waist_y=1.06, leg_y=0.12, ease=0.014, flare=0.03),
+    Design("shorts", waist_y=1.06, leg_y=0.56, ease=0.018, flare=0.08),
+    Design("dress", waist_y=1.10, armhole=0.5, neck=SCOOP, ease=0.010, skirt_flare=0.28, skirt_hem_y=0.48),
+)
+
+
+def helper_surface(name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices [m] (N, 3), faces (F, 3) and skin weights (N, 24) of a helper surface, once Loop-subdivided."""
+    with np.load(BODIES_DIR / "helpers.npz", allow_pickle=False) as stored:
+        vertices, faces, weights = (stored[f"{name}_{part}"] for part in ("vertices", "faces", "weights"))
+    # Subdividing weights beside positions keeps both on one rule.
+    both = np.concatenate([vertices, weights], axis=1).astype(np.float64)
+    midpoint, fine = _loop(both, faces)
+    return midpoint[:, :3], fine, np.clip(midpoint[:, 3:], 0.0, 1.0)
+
+
+def _loop(values: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    columns = []
+    fine = faces
+    for start in range(0, values.shape[1], 3):
+        block = values[:, start : start + 3]
+        padded = np.pad(block, ((0, 0), (0, 3 - block.shape[1])))
+        moved, fine = trimesh.remesh.subdivide_loop(padded, faces, iterations=1)
+        columns.append(moved[:, : block.shape[1]])
+    return np.concatenate(columns, axis=1), np.asarray(fine)
+
+
+def cut(
+    vertices: np.ndarray, faces: np.ndarray, field: np.ndarray, extra: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The part of a mesh where ``field`` (N,) > 0, cut along its zero line; ``extra`` (N, C) is carried along."""
+    vertices, field, extra = vertices.copy(), field.copy(), extra.copy()
+    edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1), axis=0)
+    a, b = edges[:, 0], edges[:, 1]
+    crossing = field[a] * field[b] < 0
+    a, b = a[crossing], b[crossing]
+    t = field[a] / (field[a] - field[b])
+    candidate = np.concatenate([np.stack([a, b], 1)[t < SNAP_SHARE], np.stack([b, a], 1)[t > 1 - SNAP_SHARE]])
+    share = np.concatenate([t[t < SNAP_SHARE], 1 - t[t > 1 - SNAP_SHARE]])
+    order = np.argsort(-share)  # the nearest crossing of a vertex is written last
+    start, end, share = candidate[order, 0], candidate[order, 1], share[order, None]
+    old_vertices, old_extra = vertices.copy(), extra.copy()
+    vertices[start] = old_vertices[start] + share * (old_vertices[end] - old_vertices[start])
+    extra[start] = old_extra[start] + share * (old_extra[end] - old_extra[start])
+    field[start] = 0.0
+    new_vertices, new_extra, made = list(vertices), list(extra), {}
+
+    def crossing_vertex(i: int, j: int) -> int:
+        key = (min(i, j), max(i, j))
+        if key not in made:
+            s = field[key[0]] / (field[key[0]] - field[key[1]])
+            made[key] = len(new_vertices)
+            new_vertices.append(vertices[key[0]] + s * (vertices[key[1]] - vertices[key[0]]))
+            new_extra.append(extra[key[0]] + s * (extra[key[1]] - extra[key[0]]))
+        return made[key]
+
+    sign = np.sign(field)[faces]
+    kept = list(faces[(sign >= 0).all(axis=1) & (sign > 0).any(axis=1)])
+    for face in faces[(sign > 0).any(axis=1) & (sign < 0).any(axis=1)]:
+        polygon = []
+        for i, j in ((face[0], face[1]), (face[1], face[2]), (face[2], face[0])):
+            if field[i] >= 0:
+                polygon.append(i)
+            if field[i] * field[j] < 0:
+                polygon.append(crossing_vertex(i, j))
+        kept += [[polygon[0], polygon[k], polygon[k + 1]] for k in range(1, len(polygon) - 1)]
+    return compact(np.asarray(new_vertices), np.asarray(kept), np.asarray(new_extra))
+
+
+def compact(vertices: np.ndarray, faces: np.ndarray, extra: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The largest connected piece, with unused vertices dropped."""
+    pieces = trimesh.graph.connected_component_labels(trimesh.graph.face_adjacency(faces), node_count=len(faces))
+    faces = faces[pieces == np.bincount(pieces).argmax()]
+    used, renumbered = np.unique(faces, return_inverse=True)
+    return vertices[used], renumbered.reshape(-1, 3), extra[used]
+
+
+def build(design: Design, body: BodyModel) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices [m] (N, 3) and faces (F, 3) of ``design`` on ``body``, at least 6 mm clear of it."""
+    floor = np.array([0.0, body.v_template[:, 1].min(), 0.0])
+    vertices, faces, weights = helper_surface("tights")
+    vertices = vertices - floor
+    index = {name: i for i, name in enumerate(JOINT_NAMES)}
+    arm = sum(weights[:, index[f"{s}_{p}"]] for s in ("left", "right") for p in ("shoulder", "elbow", "wrist", "hand"))
+    x, y, z = vertices.T
+    fields = []
+    if design.hem_y is not None:
+        fields.append(y - design.hem_y + 10.0 * (arm > 0.5))
+    if design.waist_y is not None:
+        lower = design.skirt_hem_y is None
+        fields.append((design.waist_y - y) if lower else (y - design.waist_y))
+    if design.sleeve_x is not None:
+        fields.append(design.sleeve_x - np.abs(x))
+    if design.armhole is not None:
+        fields.append(0.3 * (design.armhole - arm))
+    if design.leg_y is not None:
+        fields.append(y - design.leg_y)
+    if design.neck is not None:
+        cy, cz = design.neck_centre
+        rx, ry, rz = design.neck
+        fields.append(
+            0.1 * (np.sqrt((x / rx) ** 2 + ((y - cy) / ry) ** 2 + ((z - cz) / rz) ** 2) - 1.0) - 10.0 * (y > cy + 0.06)
+        )
+    vertices, faces, weights = cut(vertices, faces, np.minimum.reduce(fields), weights)
+    if design.skirt_hem_y is not None:
+        vertices, faces = _attach_skirt(vertices, faces, design, floor)
+    vertices = _stand_off(vertices, faces, design)
+    return clear(vertices + floor, faces, body), faces
+
+
+def _attach_skirt(
+    vertices: np.ndarray, faces: np.ndarray, design: Design, floor: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Joins the helper skirt below the bodice: rows of a regular grid from the bodice's lower edge to the hem."""
+    skirt_vertices, skirt_faces, _ = helper_surface("skirt")
+    rim = boundary_vertices(faces)
+    assert design.waist_y is not None and design.skirt_hem_y is not None  # what makes a design a dress
+    top, bottom = design.waist_y, design.skirt_hem_y
+    waist = rim[np.abs(vertices[rim, 1] - top) < 0.02]
+    centre = vertices[waist][:, [0, 2]].mean(axis=0)
+    angle = np.arctan2(vertices[waist, 0] - centre[0], vertices[waist, 2] - centre[1])
+    loop = waist[np.argsort(angle)]
+    angle = np.sort(angle)
+    spacing = 2 * np.pi * 0.16 / len(loop)
+    rows = round((top - bottom) / (spacing * 0.9))
+    profile = trimesh.Trimesh(skirt_vertices - floor, skirt_faces, process=False)
+    points = [vertices[loop]]
+    for row in range(1, rows + 1):
+        height = top - row * (top - bottom) / rows
+        ring = _ring(profile, height, centre, angle)
+        down = top - height
+        outward = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle)], axis=1)
+        points.append(ring + design.skirt_flare * max(0.0, down - 0.12) * outward)
+    grid = len(vertices) + np.arange(rows * len(loop)).reshape(rows, len(loop))
+    grid = np.concatenate([loop[None], grid])
+    upper, lower = grid[:-1], grid[1:]
+    right_upper, right_lower = np.roll(upper, -1, axis=1), np.roll(lower, -1, axis=1)
+    strip = np.concatenate(
+        [
+            np.stack([upper, lower, right_upper], -1).reshape(-1, 3),
+            np.stack([right_upper, lower, right_lower], -1).reshape(-1, 3),
+        ]
+    )
+    merged = np.concatenate([vertices, *points[1:]])
+    normal = np.cross(merged[strip[0, 1]] - merged[strip[0, 0]], merged[strip[0, 2]] - merged[strip[0, 0]])
+    outward = merged[strip[0, 0]] - np.array([centre[0], merged[strip[0, 0], 1], centre[1]])
+    if normal @ outward < 0:
+        strip = strip[:, ::-1]
+    return merged, np.concatenate([faces, strip])
+
+
+def _ring(profile: trimesh.Trimesh, height: float, centre: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Points [m] of the helper skirt at ``height`` in the directions ``angle`` from ``centre``."""
+    low, high = profile.bounds[0, 1] + 0.01, profile.bounds[1, 1] - 0.02
+    section = trimesh.intersections.mesh_plane(
+        profile, plane_normal=[0, 1, 0], plane_origin=[0, np.clip(height, low, high), 0]
+    )
+    points = np.asarray(section).reshape(-1, 3)[:, [0, 2]] - centre
+    at = np.arctan2(points[:, 0], points[:, 1])
+    order = np.argsort(at)
+    radius = np.interp(angle, at[order], np.linalg.norm(points[order], axis=1), period=2 * np.pi)
+    return np.stack(
+        [centre[0] + radius * np.sin(angle), np.full(len(angle), height), centre[1] + radius * np.cos(angle)], axis=1
+    )
+
+
+def _stand_off(vertices: np.ndarray, faces: np.ndarray, design: Design) -> np.ndarray:
+    """Vertices moved out by ease and flare, hollows bridged by smoothing; rims smoothed along themselves."""
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    normals = np.asarray(mesh.vertex_normals)
+    smooth = smoothing_matrix(faces, len(vertices))
+    for _ in range(8):
+        normals = smooth @ normals
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    rim = boundary_vertices(faces)
+    # Only hems hang loose: a neckline, an armhole or a waistband keeps to the body.
+    hems = rim[(vertices[rim, 1] < np.median(vertices[:, 1]) - 0.1) | (np.abs(vertices[rim, 0]) > 0.25)]
+    reach, _ = KDTree(vertices[hems]).query(vertices)
+    extra = design.flare * np.maximum(0.0, 0.30 - reach)
+    moved = vertices + (design.ease + extra)[:, None] * normals
+    return _bridge_cleft(_taubin(moved, faces, passes=design.smoothing), faces)
+
+
+def _bridge_cleft(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Vertices with the cleft between the legs and the buttocks bridged, as cloth spans it.
+
+    The helper surface follows the skin into the cleft; there plain smoothing, which shrinks hollows,
+    is what is wanted.
+    """
+    rim = boundary_vertices(faces)
+    x, y, _ = vertices.T
+    share = np.exp(-((x / CLEFT_HALF_WIDTH_M) ** 2)) * np.clip((CLEFT_TOP_M - y) / 0.08, 0.0, 1.0)
+    share[rim] = 0.0
+    smooth = smoothing_matrix(faces, len(vertices))
+    for _ in range(CLEFT_PASSES):
+        vertices = vertices + share[:, None] * (smooth @ vertices - vertices)
+    return vertices
+
+
+def _taubin(vertices: np.ndarray, faces: np.ndarray, *, passes: int) -> np.ndarray:
+    """Smoothed vertices without shrinkage (Taubin 1995); rims are smoothed along themselves only."""
+    rim = boundary_vertices(faces)
+    sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    edges, uses = np.unique(sides, axis=0, return_counts=True)
+    on_rim = np.zeros(len(vertices), dtype=bool)
+    on_rim[rim] = True
+    # A rim vertex listens to the rim, an inner one to all its neighbours.
+    listens = np.concatenate(
+        [edges[~on_rim[edges[:, 0]]], edges[uses == 1], edges[~on_rim[edges[:, 1]]][:, ::-1], edges[uses == 1][:, ::-1]]
+    )
+    graph = scipy.sparse.csr_matrix((np.ones(len(listens)), (listens[:, 0], listens[:, 1])), shape=(len(vertices),) * 2)
+    mean = scipy.sparse.diags(1.0 / np.asarray(graph.sum(axis=1)).ravel()) @ graph
+    for _ in range(passes):
+        for share in TAUBIN_SHARES:
+            vertices = vertices + share * (mean @ vertices - vertices)
+    return vertices
+
+
+def clear(vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, clearance_m: float = CLEARANCE_M) -> np.ndarray:
+    """Vertices pushed to at least ``clearance_m`` from the body; the push is smoothed so that no spikes stay."""
+    smooth = smoothing_matrix(faces, len(vertices))
+    for _ in range(40):
+        distance, outward = _outward(vertices, body)
+        lack = np.maximum(0.0, clearance_m + 2e-4 - distance)
+        if lack.max() < 2e-4:
+            break
+        push = lack[:, None] * outward
+        spread = push
+        for _ in range(3):
+            spread = smooth @ spread
+        vertices = vertices + np.where(lack[:, None] > 0, push, spread)
+    return vertices
+
+
+def _outward(points: np.ndarray, body: BodyModel) -> tuple[np.ndarray, np.ndarray]:
+    distance = signed_distance(points, body.v_template, body.faces)
+    away = (points - closest_point(points, body.v_template, body.faces).point) * np.sign(distance)[:, None]
+    return distance, away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
+
+
+def varied(design: Design, body: BodyModel, rng: np.random.Generator) -> tuple[Design, np.ndarray, np.ndarray]:
+    """A random neighbour of ``design`` with as many openings as it, and its mesh.
+
+    A draw that cuts a strap or a bridge away is thrown back: without it the garment would
+    have nothing to hang from.
+    """
+    wanted = trimesh.Trimesh(*build(design, body), process=False).euler_number
+    while True:
+        candidate = vary(design, rng)
+        vertices, faces = build(candidate, body)
+        if trimesh.Trimesh(vertices, faces, process=False).euler_number == wanted:
+            return candidate, vertices, faces
+
+
+def vary(design: Design, rng: np.random.Generator) -> Design:
+    """A random neighbour of ``design``: hems, sleeves, neckline, ease and flare within wearable ranges."""
+
+    def jitter(value: float | None, spread: float) -> float | None:
+        return None if value is None else value + float(rng.uniform(-spread, spread))
+
+    neck = None if design.neck is None else tuple(float(a * rng.uniform(0.9, 1.2)) for a in design.neck)
+    sleeve = None if design.sleeve_x is None else float(rng.uniform(0.28, 0.70))
+    leg = None if design.leg_y is None else float(rng.uniform(0.10, 0.75))
+    hem = None if design.hem_y is None else float(rng.uniform(0.92, 1.14))
+    skirt_hem = None if design.skirt_hem_y is None else float(rng.uniform(0.40, 0.72))
+    return replace(
+        design,
+        hem_y=hem,
+        sleeve_x=sleeve,
+        leg_y=leg,
+        neck=neck,
+        skirt_hem_y=skirt_hem,
+        waist_y=jitter(design.waist_y, 0.03),
+        ease=float(rng.uniform(0.008, 0.022)),
+        flare=float(rng.uniform(0.0, 0.10)),
+        skirt_flare=design.skirt_flare * float(rng.uniform(0.4, 1.6)),
+        armhole=jitter(design.armhole, 0.08),
+    )
+
+
+def main() -> None:
+    """Builds the shipped designs and writes their caches."""
+    parser = argparse.ArgumentParser(description="Builds the shipped garments and writes their caches.")
+    parser.add_argument("--out", type=Path, default=GARMENTS_DIR)
+    arguments = parser.parse_args()
+    body = load_body()
+    for design in SHIPPED:
+        vertices, faces = build(design, body)
+        key = vertices.tobytes() + faces.tobytes() + body.digest.encode() + str(FORMAT_VERSION).encode()
+        garment = fit_garment(
+            name=design.name, vertices=vertices, vertex_count=len(vertices), faces=faces, fine_faces=faces,
+            uv=np.zeros((0, 2)), uv_faces=np.zeros((0, 3)),
+            material_names=("cloth",), face_material=np.zeros(len(faces)),
+            body=body, digest=hashlib.sha256(key).hexdigest(),
+            manifest={"source": "cut from MakeHuman's helper surfaces (CC0)", "design": asdict(design)},
+        )  # fmt: skip
+        for old in arguments.out.glob(f"{design.name}-*.npz"):
+            old.unlink()
+        path = save_garment(garment, arguments.out)
+        fit = garment.manifest["fit"]
+        print(
+            f"{design.name:11s} {len(vertices):6d} vertices {garment.patch_count:4d} patches  "
+            f"{1e3 * fit['point_rmse_m']:.2f} mm  {fit['normal_error_deg']:.2f} deg  {path.stat().st_size / 1e6:.2f} MB"
+        )
+
+
+if __name__ == "__main__":
+    main()
