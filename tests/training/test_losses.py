@@ -1,0 +1,113 @@
+"""Loss terms against independent computations, and gradients against finite differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.testing import assert_allclose
+
+from drape.cloth import energies
+from drape.cloth.material import material
+from drape.geometry import jets
+from tests.training.training_setup import bank, body, garment, source
+from training import losses
+from training.data import nearest_collider, vertex_normals
+from training.model import Posed, pose_frames, posed_coefficients
+
+
+def bodies(count: int = 2):
+    return source().pose(bank().draw(count, np.random.default_rng(1)), np.zeros((count, body().shape_count)))
+
+
+def test_contact_of_all_vertices_is_the_cloth_energy():
+    batch = bodies()
+    rest = garment().rest.vertices - body().joints_template[0]
+    vertices = torch.from_numpy(np.broadcast_to(0.8 * rest, (2, *rest.shape)).astype(np.float32).copy())
+    generator = torch.Generator().manual_seed(0)
+    got = losses.energy_loss(vertices, garment(), batch, material(), share=1.0, generator=generator)["contact"]
+    expected = []
+    for frame in range(2):
+        difference = vertices[frame].numpy()[:, None].astype(np.float64) - batch.collider[frame][None]
+        nearest = np.argmin((difference**2).sum(-1), axis=1)
+        rows = np.arange(len(nearest))
+        distance = np.sum(difference[rows, nearest] * batch.collider_normals[frame][nearest], axis=-1)
+        expected.append(float(energies.contact(torch.from_numpy(distance), garment().cloth, material())))
+    assert min(expected) > 0.01
+    assert_allclose(got, expected, rtol=1e-3, atol=1e-6)
+
+
+def test_contact_on_a_share_of_the_vertices_is_unbiased():
+    batch = bodies(1)
+    rest = garment().rest.vertices - body().joints_template[0]
+    vertices = torch.from_numpy((0.8 * rest[None]).astype(np.float32))
+    generator = torch.Generator().manual_seed(0)
+    full = losses.energy_loss(vertices, garment(), batch, material(), share=1.0, generator=generator)["contact"]
+    draws = [
+        float(losses.energy_loss(vertices, garment(), batch, material(), share=0.5, generator=generator)["contact"])
+        for _ in range(40)
+    ]
+    assert_allclose(np.mean(draws), float(full), rtol=0.1, atol=0)
+
+
+def test_energy_gradient_reaches_the_jets_as_finite_differences_say():
+    batch, partition = bodies(1), garment().partitions[0]
+    rotation, centre = pose_frames(batch.tensors, partition.patches)
+    jet = 0.02 * torch.randn(1, centre.shape[1], jets.JET_COUNT, generator=torch.Generator().manual_seed(4))
+    direction = torch.randn(jet.shape, generator=torch.Generator().manual_seed(5))
+
+    def energy(step: float) -> torch.Tensor:
+        state = Posed(rotation, centre, jet + step * direction)
+        vertices = losses.vertices_from(posed_coefficients(state, partition.patches.scale), partition)
+        return sum(energies.total(vertices.double(), cloth, material()).values()).sum()
+
+    cloth = energies.ClothMesh.from_rest(garment().rest.vertices, garment().rest.faces).like(
+        torch.zeros(1, dtype=torch.float64)
+    )
+    jet.requires_grad_()
+    energy(0.0).backward()
+    assert jet.grad is not None
+    analytic = float((jet.grad * direction).sum())
+    with torch.no_grad():
+        numeric = float(energy(1e-3) - energy(-1e-3)) / 2e-3
+    assert_allclose(analytic, numeric, rtol=2e-3, atol=0)
+
+
+def test_charts_that_agree_have_no_disagreement_and_a_moved_patch_has():
+    partition = garment().partitions[0]
+    still = source().pose(np.zeros((1, 24, 3)), np.zeros((1, body().shape_count)))
+    rotation, centre = pose_frames(still.tensors, partition.patches)
+    jet = torch.zeros(1, centre.shape[1], jets.JET_COUNT)
+    sample = torch.arange(len(garment().rest.vertices))
+    assert float(losses.disagreement(Posed(rotation, centre, jet), partition, sample)) < 1e-10
+    shifted = jet.clone()
+    shifted[0, 0, 2 * jets.IN_PLANE_COUNT] = 0.1  # lifts one patch by a tenth of its scale
+    got = float(losses.disagreement(Posed(rotation, centre, shifted), partition, sample))
+    lift = 0.1 * float(partition.patches.scale[0])
+    weight = torch.where(partition.chart_patch == 0, partition.chart_weight, torch.zeros(())).sum(dim=1)
+    assert_allclose(got, float((weight * (1 - weight)).mean()) * lift**2, rtol=1e-3, atol=0)
+
+
+def test_collider_normals_point_out_of_the_body():
+    batch = bodies()
+    assert_allclose(np.linalg.norm(batch.collider_normals, axis=-1), 1.0, rtol=1e-4, atol=0)
+    moved = batch.collider + 1e-3 * batch.collider_normals
+    from drape.geometry.closest import signed_distance
+
+    rest = source().pose(np.zeros((1, 24, 3)), np.zeros((1, body().shape_count)))
+    out = rest.collider[0] + 1e-3 * rest.collider_normals[0] + body().joints_template[0]
+    inside = signed_distance(out[::7], body().v_template, body().faces) < 0
+    assert inside.mean() < 0.02  # folds of the skin are the exception
+    assert np.isfinite(moved).all()
+
+
+def test_nearest_collider_is_the_nearest():
+    rng = np.random.default_rng(0)
+    points, collider = rng.normal(size=(2, 30, 3)), rng.normal(size=(2, 50, 3))
+    distance = np.linalg.norm(points[:, :, None] - collider[:, None], axis=-1)
+    assert (nearest_collider(points, collider) == distance.argmin(axis=-1)).all()
+
+
+def test_vertex_normals_of_a_flat_square_are_its_axis():
+    vertices = np.array([[[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]])
+    normals = vertex_normals(vertices, np.array([[0, 1, 2], [0, 2, 3]]))
+    assert_allclose(normals, np.broadcast_to([0.0, 0.0, 1.0], (1, 4, 3)), rtol=0, atol=1e-6)

@@ -1,0 +1,93 @@
+"""The loop: it learns, it resumes bit for bit, it survives a step that is not finite."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from drape.errors import ArtifactError, InputError
+from tests.training.training_setup import CPU, TINY_RUN, bank, body
+from training import checkpoint
+from training.run import Trainer, load_garments, train
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def trainer() -> Trainer:
+    torch.set_num_threads(1)
+    return Trainer(TINY_RUN, bank(), device=CPU)
+
+
+def test_training_lowers_the_energy(trainer: Trainer):
+    first = [trainer.step()["loss"] for _ in range(6)]
+    for _ in range(60):
+        trainer.step()
+    last = [trainer.step()["loss"] for _ in range(6)]
+    assert np.mean(last) < 0.8 * np.mean(first)
+
+
+def test_a_resumed_run_continues_bit_for_bit(trainer: Trainer, tmp_path):
+    checkpoint.save(tmp_path / "checkpoint.pt", trainer.state(), TINY_RUN)
+    straight = [trainer.step()["loss"] for _ in range(3)]
+    state, config = checkpoint.load(tmp_path / "checkpoint.pt")
+    assert config == TINY_RUN
+    trainer.restore(state)
+    assert [trainer.step()["loss"] for _ in range(3)] == straight
+
+
+def test_a_step_that_is_not_finite_is_not_taken(trainer: Trainer):
+    before = {name: value.clone() for name, value in trainer.model.state_dict().items()}
+    rate = trainer.rate_factor
+    hidden = trainer.material
+    try:
+        trainer.material = replace(hidden, mu_n_per_m=1e38)
+        assert trainer.step() == {"skipped": 1.0}
+    finally:
+        trainer.material = hidden
+    for name, value in trainer.model.state_dict().items():
+        assert torch.equal(value, before[name])
+    assert trainer.rate_factor == rate
+
+
+def test_a_run_that_never_is_finite_stops_with_a_sentence(trainer: Trainer, tmp_path):
+    state, hidden, used = trainer.state(), trainer.material, trainer.elapsed_s
+    try:
+        trainer.material = replace(hidden, mu_n_per_m=1e38)
+        with pytest.raises(InputError, match="Lower learning_rate"):
+            train(trainer, tmp_path)
+        assert trainer.rate_factor < 0.02
+    finally:
+        trainer.material, trainer.halvings = hidden, 0
+        trainer.restore(state)
+        trainer.elapsed_s = used
+
+
+def test_rate_warms_up_then_falls(trainer: Trainer):
+    step, used = trainer.step_count, trainer.elapsed_s
+    try:
+        trainer.step_count, trainer.elapsed_s = 0, 0.0
+        start = trainer.rate()
+        trainer.step_count = 100
+        top = trainer.rate()
+        trainer.elapsed_s = 60.0 * TINY_RUN.minutes
+        end = trainer.rate()
+    finally:
+        trainer.step_count, trainer.elapsed_s = step, used
+    assert start < top
+    assert end == pytest.approx(TINY_RUN.final_rate, rel=1e-6)
+
+
+def test_unknown_garment_is_refused():
+    config = replace(TINY_RUN, data=replace(TINY_RUN.data, garments=("toga",)))
+    with pytest.raises(InputError, match="toga"):
+        load_garments(config, body(), device=CPU)
+
+
+def test_a_damaged_checkpoint_is_refused(tmp_path):
+    (tmp_path / "checkpoint.pt").write_bytes(b"not a checkpoint")
+    with pytest.raises(ArtifactError, match="checkpoint"):
+        checkpoint.load(tmp_path / "checkpoint.pt")

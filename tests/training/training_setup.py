@@ -1,0 +1,70 @@
+"""Small real things for the tests of training: a tube of cloth round the trunk, its partition, a tiny network."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import torch
+
+from drape.body.assets import load_body
+from drape.body.model import BodyModel
+from drape.cloth.energies import ClothMesh
+from drape.garment.fitting import RestGarment, rest_garment
+from training.config import DataConfig, ModelConfig, TrainConfig
+from training.data import BodySource, TrainingGarment, collider_surface, draw_partition
+from training.poses import PoseBank
+from training.run import sample_motions
+
+CPU = torch.device("cpu")
+TINY = ModelConfig(
+    garment_hidden=16, embedding_size=8, body_hidden=16, body_code_size=16, decoder_sizes=(16, 16), head_sizes=(8,)
+)
+TINY_RUN = TrainConfig(
+    model=TINY, data=DataConfig(garments=("shorts",), partitions=1, variants=0), batch_size=2, warmup_steps=2, threads=1
+)
+
+
+@cache
+def body() -> BodyModel:
+    return load_body()
+
+
+@cache
+def tube() -> RestGarment:
+    """A sleeveless tube round the chest, 480 vertices."""
+    rows, columns = 12, 40
+    angle = np.linspace(0.0, 2.0 * np.pi, columns, endpoint=False)
+    height = np.linspace(0.10, 0.40, rows)
+    a, h = np.meshgrid(angle, height)
+    vertices = np.stack([0.20 * np.sin(a), h, 0.16 * np.cos(a)], axis=-1).reshape(-1, 3)
+    index = np.arange(rows * columns).reshape(rows, columns)
+    low, high = index[:-1], index[1:]
+    low_right, high_right = np.roll(low, -1, axis=1), np.roll(high, -1, axis=1)
+    faces = np.concatenate(
+        [
+            np.stack([low, low_right, high], -1).reshape(-1, 3),
+            np.stack([low_right, high_right, high], -1).reshape(-1, 3),
+        ]
+    )
+    return rest_garment(vertices, faces, body())
+
+
+@cache
+def garment() -> TrainingGarment:
+    rest = tube()
+    cloth = ClothMesh.from_rest(rest.vertices, rest.faces).like(torch.zeros(1))
+    weights = torch.from_numpy(rest.hang.weights.astype(np.float32))
+    return TrainingGarment("tube", rest, cloth, [draw_partition(rest, seed=3, jitter=0.0, device=CPU)], weights)
+
+
+@cache
+def source() -> BodySource:
+    return BodySource(body(), *collider_surface(body()), device=CPU)
+
+
+@cache
+def bank() -> PoseBank:
+    from training.poses import read_clips
+
+    return PoseBank(read_clips([sample_motions()], held_out=()), TINY_RUN.data)

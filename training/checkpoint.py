@@ -1,0 +1,48 @@
+"""Checkpoints: weights, optimiser, random states and configuration in one file, replaced atomically."""
+
+from __future__ import annotations
+
+import os
+import pickle
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from drape.errors import ArtifactError
+from training.config import DataConfig, ModelConfig, TrainConfig
+
+
+def save(path: Path, payload: dict[str, Any], config: TrainConfig) -> None:
+    """Writes ``payload`` with ``config``; a crash leaves the file before."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(path.name + ".part")
+    torch.save(payload | {"config": asdict(config)}, temporary)
+    os.replace(temporary, path)
+
+
+def load(path: Path, *, device: str = "cpu") -> tuple[dict[str, Any], TrainConfig]:
+    """The payload at ``path`` and its configuration; only tensors and plain values are read."""
+    try:
+        payload = torch.load(path, map_location=device, weights_only=True)
+        config = config_from(payload.pop("config"))
+    except (OSError, RuntimeError, KeyError, TypeError, EOFError, pickle.UnpicklingError) as error:
+        raise ArtifactError(
+            f"checkpoint {path.name}",
+            expected="a checkpoint of this program",
+            got=str(error),
+            cure="Train again or restore the file.",
+        ) from error
+    return payload, config
+
+
+def config_from(data: dict[str, Any]) -> TrainConfig:
+    """The configuration from its dictionary form; lists become tuples again."""
+
+    def tuples(values: dict[str, Any]) -> dict[str, Any]:
+        return {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
+
+    data = dict(data)
+    model, inputs = ModelConfig(**tuples(data.pop("model"))), DataConfig(**tuples(data.pop("data")))
+    return TrainConfig(model=model, data=inputs, **tuples(data))

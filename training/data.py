@@ -1,0 +1,194 @@
+"""Garments and bodies as the training loop takes them: random partitions, and batches of posed bodies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+import torch
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from drape.body.features import static_features
+from drape.body.model import BodyModel
+from drape.cloth.contact import DETAIL_JOINTS
+from drape.cloth.energies import ClothMesh
+from drape.feeds import BETA_COUNT
+from drape.garment.fitting import RestGarment, patch_fields
+from drape.garment.partition import patch_count_for
+from drape.geometry import jets
+from drape.geometry.rotations import matrix_to_quaternion, rotvec_to_matrix
+from training.model import BodyTensors, PatchTensors
+from training.poses import pose_bodies
+from training.sparse import SparsePair
+
+COEFFICIENTS = 1 + 3 + jets.HEIGHT_COUNT  # rows of model.posed_coefficients
+
+
+@dataclass(frozen=True, eq=False)
+class Partition:
+    """One partition of a garment on the device: patches, features, and the blend (V, 19 K) as a sparse matrix."""
+
+    patches: PatchTensors
+    features: Tensor
+    blend: SparsePair
+    chart_patch: Tensor
+    chart_weight: Tensor
+    chart_row: Tensor  # (V, 4, 19): [1, rest position in the patch frame, basis]
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingGarment:
+    """A garment with its cloth constants and the partitions drawn so far."""
+
+    name: str
+    rest: RestGarment
+    cloth: ClothMesh
+    partitions: list[Partition]
+    skin_weights: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class BodyBatch:
+    """Posed bodies for the network, and their collider for contact."""
+
+    tensors: BodyTensors
+    collider: np.ndarray  # (F, C, 3) root-relative [m]
+    collider_normals: np.ndarray  # (F, C, 3)
+
+
+def draw_partition(rest: RestGarment, *, seed: int, jitter: float, device: torch.device) -> Partition:
+    """A random partition; its patch count differs from the rule's by up to ``jitter``."""
+    rng = np.random.default_rng(seed)
+    count = round(patch_count_for(float(rest.areas.sum())) * float(rng.uniform(1.0 - jitter, 1.0 + jitter)))
+    return partition_tensors(patch_fields(rest, count=count, seed=seed), device=device)
+
+
+def partition_tensors(fields: dict[str, np.ndarray], *, device: torch.device) -> Partition:
+    """The patch and chart fields of a garment as tensors."""
+    uv = fields["chart_uv"].astype(np.float64)
+    patch, weight = fields["chart_patch"], fields["chart_weight"].astype(np.float64)
+    scale = fields["patch_scale"].astype(np.float64)
+    local = (
+        scale[patch][..., None] * jets.evaluate(fields["patch_jet"].astype(np.float64)[patch], uv)
+        + fields["chart_residual"]
+    )
+    row = np.concatenate([np.ones((*uv.shape[:-1], 1)), local, jets.basis(uv, jets.HEIGHT_ORDER)], axis=-1)
+    vertex_count, patch_count = len(patch), len(scale)
+    columns = patch[..., None].astype(np.int64) * COEFFICIENTS + np.arange(COEFFICIENTS)
+    rows = np.broadcast_to(np.arange(vertex_count)[:, None, None], columns.shape)
+    blend = scipy.sparse.csr_matrix(
+        ((weight[..., None] * row).ravel(), (rows.ravel(), columns.ravel())),
+        shape=(vertex_count, patch_count * COEFFICIENTS),
+    )
+    blend.sum_duplicates()
+    blend.eliminate_zeros()
+    shapedirs = np.zeros((patch_count, 3, BETA_COUNT), dtype=np.float32)
+    shapedirs[..., : fields["patch_shapedirs"].shape[2]] = fields["patch_shapedirs"]
+
+    def tensor(array: np.ndarray) -> Tensor:
+        kind = np.int64 if array.dtype.kind in "iu" else np.float32
+        return torch.from_numpy(np.ascontiguousarray(array, dtype=kind)).to(device)
+
+    return Partition(
+        patches=PatchTensors(
+            centre=tensor(fields["patch_centre"]),
+            rotation=tensor(fields["patch_rotation"]),
+            scale=tensor(fields["patch_scale"]),
+            weights=tensor(fields["patch_weights"]),
+            heaviest=tensor(np.argmax(fields["patch_weights"], axis=1)),
+            shapedirs=tensor(shapedirs),
+        ),
+        features=tensor(fields["patch_features"]),
+        blend=SparsePair.from_scipy(blend, device=device),
+        chart_patch=tensor(patch),
+        chart_weight=tensor(weight),
+        chart_row=tensor(row),
+    )
+
+
+class BodySource:
+    """Turns poses and shapes into what network and contact need."""
+
+    def __init__(
+        self, body: BodyModel, collider_index: np.ndarray, collider_faces: np.ndarray, *, device: torch.device
+    ) -> None:
+        self.body = body
+        self.device = device
+        self.template = body.v_template[collider_index].astype(np.float32)
+        self.shapedirs = body.shapedirs[collider_index].astype(np.float32)
+        self.weights = np.ascontiguousarray(body.weights[collider_index].astype(np.float32))
+        self.faces = collider_faces
+
+    def pose(self, poses: np.ndarray, betas: np.ndarray) -> BodyBatch:
+        """A batch from poses (F, 24, 3) [rad] and shapes (F, S)."""
+        count = len(poses)
+        rotations, translations = pose_bodies(self.body, poses, betas)
+        static = static_features(rotvec_to_matrix(poses), rotations).reshape(count, -1)
+        shapes = np.zeros((count, BETA_COUNT))
+        shapes[:, : betas.shape[1]] = betas[:, :BETA_COUNT]
+
+        def tensor(array: np.ndarray) -> Tensor:
+            return torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32)).to(self.device)
+
+        tensors = BodyTensors(
+            features=tensor(np.concatenate([static, shapes], axis=1)),
+            rotation=tensor(rotations),
+            translation=tensor(translations),
+            quaternion=tensor(matrix_to_quaternion(rotations)),
+            betas=tensor(shapes),
+        )
+        collider = self._collider(
+            rotations.astype(np.float32), translations.astype(np.float32), betas.astype(np.float32)
+        )
+        return BodyBatch(tensors, collider, vertex_normals(collider, self.faces))
+
+    def _collider(self, rotations: np.ndarray, translations: np.ndarray, betas: np.ndarray) -> np.ndarray:
+        rest = self.template[None] + np.moveaxis(self.shapedirs @ betas.T, -1, 0)
+        out = np.empty_like(rest)
+        for n in range(len(rest)):
+            matrices = (self.weights @ rotations[n].reshape(-1, 9)).reshape(-1, 3, 3)
+            out[n] = (matrices @ rest[n, :, :, None])[..., 0] + self.weights @ translations[n]
+        return out
+
+
+def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Area-weighted unit normals (F, C, 3) of posed colliders; the incidence is a sparse product."""
+    frames, count = vertices.shape[:2]
+    a, b, c = (vertices[:, faces[:, k]] for k in range(3))
+    cross = np.cross(b - a, c - a)
+    incidence = _incidence(faces, count)
+    total = np.stack([incidence @ cross[n] for n in range(frames)])
+    return total / np.maximum(np.linalg.norm(total, axis=-1, keepdims=True), 1e-12)
+
+
+_INCIDENCE: dict[tuple[int, int], scipy.sparse.csr_matrix] = {}
+
+
+def _incidence(faces: np.ndarray, count: int) -> scipy.sparse.csr_matrix:
+    key = (id(faces), count)
+    if key not in _INCIDENCE:
+        rows = faces.T.ravel()
+        columns = np.tile(np.arange(len(faces)), 3)
+        _INCIDENCE[key] = scipy.sparse.csr_matrix(
+            (np.ones(len(rows), dtype=np.float32), (rows, columns)), shape=(count, len(faces))
+        )
+    return _INCIDENCE[key]
+
+
+def nearest_collider(points: np.ndarray, collider: np.ndarray) -> np.ndarray:
+    """Index (F, n) of the collider vertex nearest to each point (F, n, 3)."""
+    index = np.empty(points.shape[:2], dtype=np.int64)
+    for n in range(len(points)):
+        # An unbalanced tree builds three times faster and queries as fast here.
+        tree = KDTree(collider[n], balanced_tree=False, compact_nodes=False)
+        index[n] = tree.query(points[n], workers=2)[1]
+    return index
+
+
+def collider_surface(body: BodyModel) -> tuple[np.ndarray, np.ndarray]:
+    """Body vertices (C,) that training collides with and their faces (T, 3): all but head, hands and toes."""
+    kept = body.weights[:, DETAIL_JOINTS].sum(axis=1) <= 0.5
+    used, faces = np.unique(body.faces[kept[body.faces].all(axis=1)], return_inverse=True)
+    return used, faces.reshape(-1, 3)

@@ -1,0 +1,130 @@
+"""Blocks of the network: garment encoder, body encoders, decoder (OneFit, section 3 and appendix A.3)."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+
+from training.config import ModelConfig
+
+SLOPE = 0.01  # LeakyReLU, as in appendix A.3
+
+
+def mlp(sizes: list[int], *, last_activation: bool = False, bias: bool = True) -> nn.Sequential:
+    """Linear layers of ``sizes`` with LeakyReLU between them."""
+    layers: list[nn.Module] = []
+    for index, (inputs, outputs) in enumerate(pairwise(sizes)):
+        layers.append(nn.Linear(inputs, outputs, bias=bias))
+        if index < len(sizes) - 2 or last_activation:
+            layers.append(nn.LeakyReLU(SLOPE))
+    return nn.Sequential(*layers)
+
+
+class Standardise(nn.Module):
+    """Shifts and scales features by statistics that are set once and travel with the weights."""
+
+    mean: Tensor
+    inverse_deviation: Tensor
+
+    def __init__(self, count: int) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(count))
+        self.register_buffer("inverse_deviation", torch.ones(count))
+
+    def set_from(self, samples: Tensor) -> None:
+        """Statistics of ``samples`` (n, count); constant features pass unscaled."""
+        deviation = samples.std(dim=0)
+        self.mean.copy_(samples.mean(dim=0))
+        self.inverse_deviation.copy_(1.0 / torch.where(deviation < 1e-3, torch.ones_like(deviation), deviation))
+
+    def forward(self, x: Tensor) -> Tensor:
+        # A garment unlike any seen must not drive the network to places it never was.
+        return torch.clamp((x - self.mean) * self.inverse_deviation, -5.0, 5.0)
+
+
+class GarmentEncoder(nn.Module):
+    """Patch features (K, D) -> patch embedding (K, E): an MLP with a skip connection."""
+
+    def __init__(self, config: ModelConfig) -> None:
+        super().__init__()
+        self.standardise = Standardise(config.patch_feature_count)
+        self.first = mlp(
+            [config.patch_feature_count, config.garment_hidden, config.garment_hidden], last_activation=True
+        )
+        self.second = mlp(
+            [
+                config.garment_hidden + config.patch_feature_count,
+                config.garment_hidden,
+                config.garment_hidden,
+                config.embedding_size,
+            ]
+        )
+
+    def forward(self, features: Tensor) -> Tensor:
+        x = self.standardise(features)
+        return self.second(torch.cat([self.first(x), x], dim=-1))
+
+
+class StaticEncoder(nn.Module):
+    """Body features (F, 226) -> static body code (F, 256): a five-layer MLP."""
+
+    def __init__(self, config: ModelConfig) -> None:
+        super().__init__()
+        self.standardise = Standardise(config.body_feature_count)
+        self.layers = mlp([config.body_feature_count, *[config.body_hidden] * 4, config.body_code_size])
+
+    def forward(self, features: Tensor) -> Tensor:
+        return self.layers(self.standardise(features))
+
+
+class DynamicEncoder(nn.Module):
+    """Motion features (F, 24, 12) and state (F, H) -> dynamic body code (F, 256) and the next state.
+
+    Nothing here has a bias and the state decays as exp(-dt / tau), so that a body at rest
+    ends with a zero code and the garment comes to its static drape.
+    """
+
+    def __init__(self, config: ModelConfig, joint_count: int = 24) -> None:
+        super().__init__()
+        self.decay_s = config.state_decay_s
+        self.joint = mlp([config.dynamic_feature_count, 32, 32], last_activation=True, bias=False)
+        self.body = mlp([32 * joint_count, 512, config.state_size], last_activation=True, bias=False)
+        self.cell = nn.GRUCell(config.state_size, config.state_size, bias=False)
+        self.out = nn.Linear(config.state_size, config.body_code_size, bias=False)
+
+    def forward(self, features: Tensor, state: Tensor, dt_s: Tensor) -> tuple[Tensor, Tensor]:
+        x = self.body(self.joint(features).flatten(1))
+        state = self.cell(x, state * torch.exp(-dt_s / self.decay_s))
+        return self.out(state), state
+
+
+class Decoder(nn.Module):
+    """Body code (F, 256) and patch embedding (K, E) -> outputs (F, K, n), one head per kind of output.
+
+    The first layer acts on the concatenation of both; written as a sum of two products, its
+    garment half is computed once per garment and its body half once per frame.
+    """
+
+    def __init__(self, config: ModelConfig, heads: dict[str, int]) -> None:
+        super().__init__()
+        width = config.decoder_sizes[0]
+        self.from_patch = nn.Linear(config.embedding_size, width)
+        self.from_body = nn.Linear(config.body_code_size, width, bias=False)
+        self.trunk = mlp(list(config.decoder_sizes), last_activation=True)
+        self.heads = nn.ModuleDict(
+            {name: mlp([config.decoder_sizes[-1], *config.head_sizes, size]) for name, size in heads.items()}
+        )
+        self.activation = nn.LeakyReLU(SLOPE)
+        for head in self.heads.values():
+            last = list(head.children())[-1]
+            assert isinstance(last, nn.Linear)
+            # Small first outputs: training starts from plain skinning, not from crumpled cloth.
+            nn.init.normal_(last.weight, std=1e-3)
+            nn.init.zeros_(last.bias)
+
+    def forward(self, body_code: Tensor, embedding: Tensor) -> dict[str, Tensor]:
+        x = self.activation(self.from_body(body_code)[:, None] + self.from_patch(embedding)[None])
+        x = self.trunk(x)
+        return {name: head(x) for name, head in self.heads.items()}

@@ -1,0 +1,89 @@
+"""What training minimises: the cloth's total energy on the posed body, and the disagreement of overlapping charts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from drape.cloth import energies
+from drape.cloth.contact import plane_distance
+from drape.cloth.material import Material
+from training.data import BodyBatch, Partition, TrainingGarment, nearest_collider
+from training.model import BodyTensors, Posed, paper_vertices, posed_coefficients
+from training.sparse import product
+
+
+@dataclass(frozen=True)
+class LossParts:
+    """Energies [J] per frame, mean over the batch, and the disagreement [m^2] of charts."""
+
+    membrane: Tensor
+    bending: Tensor
+    gravity: Tensor
+    contact: Tensor
+    disagreement: Tensor
+
+    def energy(self) -> Tensor:
+        """Total energy [J] per frame."""
+        return self.membrane + self.bending + self.gravity + self.contact
+
+    def as_floats(self) -> dict[str, float]:
+        return {name: float(value.detach()) for name, value in vars(self).items()}
+
+
+def vertices_from(coefficients: Tensor, partition: Partition) -> Tensor:
+    """Vertices [m] (F, V, 3) by one sparse product; equals ``model.vertex_positions``."""
+    frames, patches = coefficients.shape[:2]
+    dense = coefficients.permute(1, 2, 3, 0).reshape(patches * coefficients.shape[2], 3 * frames)
+    flat = product(partition.blend, dense)  # (V, 3 F)
+    return flat.reshape(-1, 3, frames).permute(2, 0, 1)
+
+
+def garment_vertices(
+    posed: Posed, partition: Partition, garment: TrainingGarment, body: BodyTensors, *, variant: str
+) -> Tensor:
+    """Vertices [m] (F, V, 3) of either variant."""
+    vertices = vertices_from(posed_coefficients(posed, partition.patches.scale), partition)
+    return paper_vertices(vertices, garment.skin_weights, body) if variant == "paper" else vertices
+
+
+def disagreement(posed: Posed, partition: Partition, sample: Tensor) -> Tensor:
+    """Mean squared distance [m^2] between what a vertex's charts say of it, over ``sample`` vertices."""
+    coefficients = posed_coefficients(posed, partition.patches.scale)
+    patch = partition.chart_patch[sample]
+    row = partition.chart_row[sample]
+    weight = partition.chart_weight[sample]
+    gathered = torch.index_select(coefficients.flatten(2), 1, patch.reshape(-1)).reshape(
+        coefficients.shape[0], *patch.shape, -1, 3
+    )
+    said = (row[None, ..., None, :] @ gathered)[..., 0, :]  # (F, n, 4, 3)
+    mean = (weight[None, ..., None] * said).sum(dim=2, keepdim=True)
+    return (weight[None, ..., None] * (said - mean).square()).sum(dim=(2, 3)).mean()
+
+
+def energy_loss(
+    vertices: Tensor,
+    garment: TrainingGarment,
+    body: BodyBatch,
+    material: Material,
+    *,
+    share: float,
+    generator: torch.Generator,
+) -> dict[str, Tensor]:
+    """Energy parts [J] (F,). Contact is taken on a random ``share`` of the vertices and scaled up: unbiased, and the
+    nearest-neighbour search is what costs."""
+    parts = energies.total(vertices, garment.cloth, material)
+    count = vertices.shape[1]
+    sample = torch.randperm(count, generator=generator)[: max(1, round(share * count))].to(vertices.device)
+    touched = vertices.index_select(1, sample)
+    index = nearest_collider(touched.detach().cpu().numpy(), body.collider)
+    frame = np.arange(len(index))[:, None]
+    point = torch.from_numpy(body.collider[frame, index]).to(vertices.device)
+    normal = torch.from_numpy(body.collider_normals[frame, index].astype(np.float32)).to(vertices.device)
+    depth = torch.clamp(material.contact_gap_m - plane_distance(touched, point, normal), min=0.0)
+    area = garment.cloth.vertex_area[sample]
+    parts["contact"] = (material.contact_j_m4 * count / len(sample)) * (area * depth.square()).sum(dim=-1)
+    return parts

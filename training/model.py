@@ -1,0 +1,154 @@
+"""The draping network: patches and a pose in, posed patches and vertices out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from drape.geometry import jets
+from drape.geometry.skinning import blend_frames, skin_points
+from training.config import ModelConfig
+from training.layers import Decoder, DynamicEncoder, GarmentEncoder, StaticEncoder
+
+
+@dataclass(frozen=True)
+class PatchTensors:
+    """Constants of one partition of a garment (names as in ``drape.feeds.garment_feed``)."""
+
+    centre: Tensor  # (K, 3)
+    rotation: Tensor  # (K, 3, 3)
+    scale: Tensor  # (K,)
+    weights: Tensor  # (K, 24)
+    heaviest: Tensor  # (K,) int64
+    shapedirs: Tensor  # (K, 3, 10)
+
+
+@dataclass(frozen=True)
+class BodyTensors:
+    """F posed bodies (names as in ``drape.feeds.body_feed``), relative to the root joint's rest place."""
+
+    features: Tensor  # (F, 226)
+    rotation: Tensor  # (F, 24, 3, 3)
+    translation: Tensor  # (F, 24, 3)
+    quaternion: Tensor  # (F, 24, 4)
+    betas: Tensor  # (F, 10)
+
+
+@dataclass(frozen=True)
+class Posed:
+    """Posed patches: frames (F, K, 3, 3) and (F, K, 3), and what the network added to the rest jets (F, K, 27)."""
+
+    rotation: Tensor
+    centre: Tensor
+    jet: Tensor
+
+
+class OneFit(nn.Module):
+    """The network of OneFit (section 3, appendix A.3) with vector jets in rigidly skinned frames.
+
+    Variant "paper" predicts a height jet, a translation and a scale of each patch in
+    the rest pose; its vertices are skinned afterwards.
+    """
+
+    def __init__(self, config: ModelConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.garment = GarmentEncoder(config)
+        self.body = StaticEncoder(config)
+        self.dynamic = DynamicEncoder(config) if config.dynamic else None
+        if config.variant == "vector":
+            heads = {"plane": 2 * jets.IN_PLANE_COUNT, "height": jets.HEIGHT_COUNT}
+        elif config.variant == "paper":
+            heads = {"height": jets.HEIGHT_COUNT, "translation": 3, "scale": 1}
+        else:
+            raise ValueError(f"variant: expected 'vector' or 'paper', got {config.variant!r}. Choose one of them.")
+        self.decoder = Decoder(config, heads)
+
+    def predict(
+        self, body: BodyTensors, embedding: Tensor, dynamic_code: Tensor | None = None, motion: float = 1.0
+    ) -> Tensor:
+        """Change of the rest jets (F, K, 27) in units of the patch scale; ``motion`` scales the dynamic code."""
+        code = self.body(body.features)
+        if dynamic_code is not None:
+            code = code + motion * dynamic_code
+        out = self.decoder(code, embedding)
+        gain = self.config.output_gain
+        if self.config.variant == "vector":
+            return gain * torch.cat([out["plane"], out["height"]], dim=-1)
+        return gain * torch.cat(_paper_as_vector(out), dim=-1)
+
+    def forward(self, body: BodyTensors, patches: PatchTensors, embedding: Tensor) -> Posed:
+        """Posed patches of F bodies."""
+        jet = self.predict(body, embedding)
+        rotation, centre = rest_frames(body, patches) if self.config.variant == "paper" else pose_frames(body, patches)
+        return Posed(rotation, centre, jet)
+
+
+def _paper_as_vector(out: dict[str, Tensor]) -> list[Tensor]:
+    """The paper's heads written as a vector jet: translation a constant term, scale a linear one.
+
+    The scale of the rest height is left to the height jet, which the network sets as well.
+    """
+    shift, scale, height = out["translation"], out["scale"], out["height"]
+    zero = torch.zeros_like(scale)
+    p = [shift[..., 0:1], scale, zero, zero, zero, zero]
+    q = [shift[..., 1:2], zero, scale, zero, zero, zero]
+    h = torch.cat([height[..., :1] + shift[..., 2:3], height[..., 1:]], dim=-1)
+    return [*p, *q, h]
+
+
+def pose_frames(body: BodyTensors, patches: PatchTensors) -> tuple[Tensor, Tensor]:
+    """Rotations (F, K, 3, 3) and centres (F, K, 3) of the skinned patch frames.
+
+    Body shape moves the rest centre first, then the frame follows the blended bones rigidly.
+    """
+    _, centre = rest_frames(body, patches)
+    rotation, centre = blend_frames(
+        centre, patches.weights, patches.heaviest, body.rotation, body.translation, body.quaternion
+    )
+    return rotation @ patches.rotation, centre
+
+
+def rest_frames(body: BodyTensors, patches: PatchTensors) -> tuple[Tensor, Tensor]:
+    """Rotations (F, K, 3, 3) and centres (F, K, 3) of the frames at rest on the body's shape."""
+    shape = (patches.shapedirs[None] @ body.betas[:, None, :, None])[..., 0]
+    centre = patches.centre[None] + shape
+    return patches.rotation[None].expand(centre.shape[0], -1, -1, -1), centre
+
+
+def posed_coefficients(posed: Posed, scale: Tensor) -> Tensor:
+    """World coefficients (F, K, 19, 3): a vertex is ``sum_i w_i [1, y, basis] @ C`` over its charts.
+
+    Row 0 is the frame's centre, rows 1-3 turn the rest position y of the vertex in the
+    patch frame, rows 4-18 are the network's jets turned into the world and scaled to metres.
+    """
+    p, q, h = jets.unpack(posed.jet)
+    extra = jets.HEIGHT_COUNT - jets.IN_PLANE_COUNT
+    padding = torch.zeros_like(h[..., :extra])
+    local = torch.stack([torch.cat([p, padding], -1), torch.cat([q, padding], -1), h], dim=-1)  # (F, K, 15, 3)
+    turned = scale[None, :, None, None] * (local @ posed.rotation.mT)
+    return torch.cat([posed.centre[..., None, :], posed.rotation.mT, turned], dim=-2)
+
+
+def vertex_positions(
+    posed: Posed,
+    patches: PatchTensors,
+    chart_patch: Tensor,
+    chart_weight: Tensor,
+    chart_basis: Tensor,
+    chart_local: Tensor,
+) -> Tensor:
+    """Vertices [m] (F, V, 3): the readable form, which export writes to ONNX and the fast path is tested against."""
+    coefficients = posed_coefficients(posed, patches.scale)
+    frames, count = coefficients.shape[0], chart_patch.shape[0]
+    gathered = torch.index_select(coefficients.flatten(2), 1, chart_patch.reshape(-1)).reshape(frames, count, -1, 19, 3)
+    ones = torch.ones_like(chart_local[..., :1])
+    row = chart_weight[..., None] * torch.cat([ones, chart_local, chart_basis], dim=-1)  # (V, 4, 19)
+    return (row.reshape(1, count, 1, -1) @ gathered.reshape(frames, count, -1, 3))[..., 0, :]
+
+
+def paper_vertices(posed_rest: Tensor, skin_weights: Tensor, body: BodyTensors) -> Tensor:
+    """Vertices of the paper's variant: patches deformed in the rest pose (F, V, 3), then skinned."""
+    return skin_points(posed_rest, skin_weights, body.rotation, body.translation)

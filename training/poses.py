@@ -1,0 +1,95 @@
+"""The poses trained on: frames of motion clips, widened by mirroring and by mixing halves of two bodies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_NAMES, PARENTS
+from drape.errors import MotionError
+from drape.geometry import rigid
+from drape.geometry.rotations import rotvec_to_matrix
+from drape.motion.clip import MotionClip, flagged_steps
+from drape.motion.readers import read_motion
+from training.config import DataConfig
+
+LEGS = tuple(i for i, n in enumerate(JOINT_NAMES) if n.split("_")[-1] in ("hip", "knee", "ankle", "foot"))
+MIRROR = tuple(
+    JOINT_NAMES.index(n.replace("left", "#").replace("right", "left").replace("#", "right")) for n in JOINT_NAMES
+)
+STRIDE_S = 1.0 / 15.0
+
+
+def mirrored(poses: np.ndarray) -> np.ndarray:
+    """Poses (..., 24, 3) seen in the plane x = 0: left and right change places."""
+    return poses[..., MIRROR, :] * np.array([1.0, -1.0, -1.0])
+
+
+def read_clips(folders: list[Path], *, held_out: tuple[str, ...]) -> list[MotionClip]:
+    """Motion files of ``folders`` in name order, without those named in ``held_out``."""
+    clips = []
+    for folder in folders:
+        for path in sorted(folder.iterdir()):
+            if path.suffix.lower() in (".npz", ".bvh", ".amc") and path.stem not in held_out:
+                clips.append(read_motion(path))
+    return clips
+
+
+class PoseBank:
+    """Clean frames of clips; a clip's chance grows with the root of its length, so that long ones do not rule."""
+
+    def __init__(self, clips: list[MotionClip], config: DataConfig) -> None:
+        if not clips:
+            raise MotionError(
+                "training clips",
+                expected="at least one motion clip",
+                got="none",
+                cure="Set DRAPE_DATA, or name a folder with --motions.",
+            )
+        self.config = config
+        frames = []
+        for clip in clips:
+            flagged = flagged_steps(clip)
+            clean = np.ones(clip.frame_count, dtype=bool)
+            clean[1:] &= ~flagged
+            clean[:-1] &= ~flagged
+            stride = max(1, round(clip.fps * STRIDE_S))
+            frames.append(clip.poses[np.flatnonzero(clean)[::stride]].astype(np.float64))
+        self.frames = [f for f in frames if len(f)]
+        chance = np.array([np.sqrt(len(f)) for f in self.frames])
+        self.chance = chance / chance.sum()
+
+    @property
+    def frame_count(self) -> int:
+        return sum(len(f) for f in self.frames)
+
+    def draw(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """Poses (count, 24, 3) [rad]."""
+        poses = self._pick(count, rng)
+        mixed = rng.random(count) < self.config.mix_share
+        other = self._pick(count, rng)
+        # The legs of one frame under the trunk of another: both halves were really moved like that.
+        rows, legs = np.flatnonzero(mixed)[:, None], np.asarray(LEGS)[None]
+        poses[rows, legs] = other[rows, legs]
+        flip = rng.random(count) < self.config.mirror_share
+        poses[flip] = mirrored(poses[flip])
+        return poses
+
+    def _pick(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        clips = rng.choice(len(self.frames), size=count, p=self.chance)
+        return np.stack([self.frames[c][rng.integers(len(self.frames[c]))] for c in clips])
+
+
+def draw_betas(count: int, shape_count: int, config: DataConfig, rng: np.random.Generator) -> np.ndarray:
+    """Body shapes (count, shape_count): most of them the standard body, the others normal."""
+    betas = rng.normal(0.0, config.shape_deviation, size=(count, shape_count))
+    return betas * (rng.random((count, 1)) < config.shape_share)
+
+
+def pose_bodies(body: BodyModel, poses: np.ndarray, betas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Bones of n bodies of their own shapes: rotations (n, 24, 3, 3), translations (n, 24, 3) relative to the root."""
+    joints = body.joints_template + np.einsum("jcs,ns->njc", body.joint_shapedirs, betas)
+    rotations, translations = rigid.bone_transforms(rotvec_to_matrix(poses), joints, PARENTS)
+    return rotations, translations - joints[:, :1]
