@@ -1,0 +1,44 @@
+"""python -m model_export CHECKPOINT assets/models/NAME: a checkpoint as a model folder that the service loads."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from drape.errors import DrapeError
+from drape.garment.cache import GARMENTS_DIR, load_garment
+from model_export.export import command_line, commit, export, load_model
+
+
+def main() -> int:
+    """Command line entry."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("checkpoint", type=Path)
+    parser.add_argument("target", type=Path)
+    parser.add_argument("--quality", type=Path, help="JSON of benchmarks.quality whose rows go into the manifest")
+    parser.add_argument("--garment", type=Path, help="garment cache for the parity check; default the shipped T-shirt")
+    arguments = parser.parse_args()
+    try:
+        path = arguments.garment or next(iter(sorted(GARMENTS_DIR.glob("tshirt-*.npz"))), None)
+        if path is None:
+            parser.error("no shipped garment found: run python -m training.garment_design first, or give --garment")
+        model, training = load_model(arguments.checkpoint)
+        rows = json.loads(arguments.quality.read_text())["rows"] if arguments.quality else None
+        manifest = export(
+            model,
+            arguments.target,
+            garment=load_garment(path),
+            training=training | {"commit": commit(), "command": command_line()},
+            quality=rows,
+        )
+    except DrapeError as error:
+        print(error, file=sys.stderr)
+        return 2
+    print(f"{arguments.target}: parity {manifest.parity_error_m:.2e} m, digest {manifest.digest[:16]}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,147 @@
+"""Writes a checkpoint as a model folder: two ONNX graphs and a manifest, published only when parity holds."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import tempfile
+import warnings
+from pathlib import Path
+from typing import Any
+
+import onnx
+import torch
+from torch import nn
+
+from drape.artifacts import GraphSpec, Manifest, TensorSpec, file_digest, publish_folder
+from drape.body.assets import DEFAULT_BODY, load_body
+from drape.errors import ArtifactError
+from drape.garment.cache import Garment
+from model_export.graph import OUTPUTS, DrapeGraph, EncoderGraph, drape_inputs, encoder_inputs, encoder_outputs
+from model_export.parity import TOLERANCE_M, parity_error
+from training import checkpoint
+from training.model import OneFit
+
+OPSET = 20
+# Odd, and unlike each other: an axis of length 1 or two equal axes would be baked in without a word.
+SAMPLE = {"frames": 3, "patches": 7, "vertices": 11}
+LIMIT = {"frames": 65536, "patches": 65536, "vertices": 1 << 22}
+
+
+def load_model(path: Path) -> tuple[OneFit, dict[str, Any]]:
+    """The network of a checkpoint in evaluation mode, and what the manifest says of its training."""
+    state, config = checkpoint.load(path)
+    model = OneFit(config.model)
+    model.load_state_dict(state["model"])
+    minutes = round(float(state["elapsed_s"]) / 60.0, 1)
+    frames = int(state["step"]) * config.batch_size
+    return model.eval(), {
+        "steps": int(state["step"]),
+        "frames": frames,
+        "minutes": minutes,
+        "garments": list(config.data.garments),
+        "held_out": list(config.data.held_out),
+    }
+
+
+def export(
+    model: OneFit,
+    target: Path,
+    *,
+    garment: Garment,
+    training: dict[str, Any],
+    quality: list[dict[str, Any]] | None = None,
+) -> Manifest:
+    """Writes ``target`` and returns its manifest; refuses above ``TOLERANCE_M`` and leaves the old folder then."""
+    model.eval()
+    target.parent.mkdir(parents=True, exist_ok=True)
+    staged = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
+    try:
+        encoder = _write(
+            EncoderGraph(model), staged / "garment_encoder.onnx", encoder_inputs(model), encoder_outputs(model)
+        )
+        drape = _write(DrapeGraph(model), staged / "drape.onnx", drape_inputs(model), OUTPUTS)
+        error = parity_error(model, staged / encoder.file, staged / drape.file, garment)
+        if not error <= TOLERANCE_M:
+            raise ArtifactError(
+                "parity",
+                expected=f"at most {TOLERANCE_M} m between torch and onnxruntime",
+                got=f"{error:.3g} m",
+                cure="Do not ship this export; find the operator that differs.",
+            )
+        body = load_body()
+        manifest = Manifest(
+            name=target.name,
+            graphs={"garment_encoder": encoder, "drape": drape},
+            body=DEFAULT_BODY,
+            body_digest=body.digest,
+            embedding_size=model.config.embedding_size,
+            parity_error_m=error,
+            dynamic=model.config.dynamic,
+            training=training,
+            quality=quality or [],
+        )
+        (staged / "manifest.json").write_text(manifest.to_json())
+        staged.chmod(0o755)  # mkdtemp makes folders that only the owner can read
+        publish_folder(staged, target)
+    except BaseException:
+        shutil.rmtree(staged, ignore_errors=True)
+        raise
+    return manifest
+
+
+def _write(module: nn.Module, path: Path, inputs: tuple[TensorSpec, ...], outputs: tuple[TensorSpec, ...]) -> GraphSpec:
+    samples, dynamic = {}, {}
+    axes = {name: torch.export.Dim(name, min=1, max=LIMIT[name]) for name in SAMPLE}
+    for spec in inputs:
+        shape = tuple(SAMPLE[axis] if isinstance(axis, str) else axis for axis in spec.shape)
+        # Index inputs must be valid indices of the sample; zeros always are.
+        samples[spec.name] = torch.zeros(shape, dtype=torch.int64) if spec.dtype == "int64" else torch.rand(shape)
+        dynamic[spec.name] = {i: axes[axis] for i, axis in enumerate(spec.shape) if isinstance(axis, str)}
+    with warnings.catch_warnings(), torch.no_grad():
+        warnings.simplefilter("ignore")  # the exporter's own deprecation notices
+        program = torch.onnx.export(
+            module, kwargs=samples, dynamo=True, opset_version=OPSET, input_names=[s.name for s in inputs],
+            output_names=[s.name for s in outputs], dynamic_shapes=dynamic, optimize=True, verbose=False,
+        )  # fmt: skip
+    assert program is not None
+    proto = program.model_proto
+    _check_symbolic(proto, inputs, outputs, path.name)
+    onnx.checker.check_model(proto)
+    onnx.save(proto, str(path))
+    return GraphSpec(path.name, file_digest(path), OPSET, inputs, outputs)
+
+
+def _check_symbolic(
+    proto: onnx.ModelProto, inputs: tuple[TensorSpec, ...], outputs: tuple[TensorSpec, ...], where: str
+) -> None:
+    """Raises unless every axis that the specification names is symbolic in the graph, and no other."""
+    for specs, values in ((inputs, proto.graph.input), (outputs, proto.graph.output)):
+        for spec, value in zip(specs, values, strict=True):
+            axes = value.type.tensor_type.shape.dim
+            got = tuple(axis.dim_param if axis.HasField("dim_param") else axis.dim_value for axis in axes)
+            fits = value.name == spec.name and len(got) == len(spec.shape)
+            fits = fits and all(
+                isinstance(have, str) if isinstance(want, str) else have == want
+                for want, have in zip(spec.shape, got, strict=True)
+            )
+            if not fits:
+                raise ArtifactError(
+                    f"{where} {spec.name}",
+                    expected=f"shape {spec.shape}",
+                    got=f"{value.name} {got}",
+                    cure="An axis was baked in at export: use an odd sample size.",
+                )
+
+
+def commit() -> str:
+    """The commit of the working tree, or "unknown" outside a checkout."""
+    import subprocess
+
+    done = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
+    return done.stdout.strip() or "unknown"
+
+
+def command_line() -> str:
+    """How this program was called, without folders of this machine."""
+    return " ".join(["python -m model_export", *(Path(a).name if "/" in a else a for a in sys.argv[1:])])

@@ -1,0 +1,104 @@
+"""The two graphs that are exported, with their input and output names fixed here."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from drape.artifacts import TensorSpec
+from training.model import BodyTensors, OneFit, PatchTensors, paper_vertices, vertex_positions
+
+BODY_INPUTS: tuple[TensorSpec, ...] = (
+    TensorSpec("body_features", ("frames", 226), "float32", "1"),
+    TensorSpec("bone_rotation", ("frames", 24, 3, 3), "float32", "1"),
+    TensorSpec("bone_translation", ("frames", 24, 3), "float32", "m"),
+    TensorSpec("bone_quaternion", ("frames", 24, 4), "float32", "1"),
+    TensorSpec("betas", ("frames", 10), "float32", "standard deviations"),
+)
+PATCH_INPUTS: tuple[TensorSpec, ...] = (
+    TensorSpec("patch_centre", ("patches", 3), "float32", "m"),
+    TensorSpec("patch_rotation", ("patches", 3, 3), "float32", "1"),
+    TensorSpec("patch_scale", ("patches",), "float32", "m"),
+    TensorSpec("patch_weights", ("patches", 24), "float32", "1"),
+    TensorSpec("patch_heaviest", ("patches",), "int64", "bone index"),
+    TensorSpec("patch_shapedirs", ("patches", 3, 10), "float32", "m"),
+)
+CHART_INPUTS: tuple[TensorSpec, ...] = (
+    TensorSpec("chart_patch", ("vertices", 4), "int64", "patch index"),
+    TensorSpec("chart_weight", ("vertices", 4), "float32", "1"),
+    TensorSpec("chart_basis", ("vertices", 4, 15), "float32", "1"),
+    TensorSpec("chart_local", ("vertices", 4, 3), "float32", "m"),
+)
+SKIN_INPUT = TensorSpec("skin_weights", ("vertices", 24), "float32", "1")
+OUTPUTS: tuple[TensorSpec, ...] = (
+    TensorSpec("vertices", ("frames", "vertices", 3), "float32", "m, relative to the root joint"),
+    TensorSpec("jet", ("frames", "patches", 27), "float32", "patch scales"),
+    TensorSpec("frame_rotation", ("frames", "patches", 3, 3), "float32", "1"),
+    TensorSpec("frame_centre", ("frames", "patches", 3), "float32", "m, relative to the root joint"),
+)
+
+
+def drape_inputs(model: OneFit) -> tuple[TensorSpec, ...]:
+    """Inputs of the drape graph of ``model``, in order."""
+    embedding = TensorSpec("patch_embedding", ("patches", model.config.embedding_size), "float32", "1")
+    skin = (SKIN_INPUT,) if model.config.variant == "paper" else ()
+    return (*BODY_INPUTS, embedding, *PATCH_INPUTS, *CHART_INPUTS, *skin)
+
+
+def encoder_inputs(model: OneFit) -> tuple[TensorSpec, ...]:
+    """Inputs of the garment encoder graph."""
+    return (TensorSpec("patch_features", ("patches", model.config.patch_feature_count), "float32", "1"),)
+
+
+def encoder_outputs(model: OneFit) -> tuple[TensorSpec, ...]:
+    """Outputs of the garment encoder graph."""
+    return (TensorSpec("patch_embedding", ("patches", model.config.embedding_size), "float32", "1"),)
+
+
+class EncoderGraph(nn.Module):
+    """Patch features -> patch embedding; run once per garment."""
+
+    def __init__(self, model: OneFit) -> None:
+        super().__init__()
+        self.garment = model.garment
+
+    def forward(self, patch_features: Tensor) -> Tensor:
+        return self.garment(patch_features)
+
+
+class DrapeGraph(nn.Module):
+    """A pose and a garment -> vertices, added jets and posed frames."""
+
+    def __init__(self, model: OneFit) -> None:
+        super().__init__()
+        self.model = model
+
+    def forward(
+        self,
+        body_features: Tensor,
+        bone_rotation: Tensor,
+        bone_translation: Tensor,
+        bone_quaternion: Tensor,
+        betas: Tensor,
+        patch_embedding: Tensor,
+        patch_centre: Tensor,
+        patch_rotation: Tensor,
+        patch_scale: Tensor,
+        patch_weights: Tensor,
+        patch_heaviest: Tensor,
+        patch_shapedirs: Tensor,
+        chart_patch: Tensor,
+        chart_weight: Tensor,
+        chart_basis: Tensor,
+        chart_local: Tensor,
+        skin_weights: Tensor | None = None,
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        body = BodyTensors(body_features, bone_rotation, bone_translation, bone_quaternion, betas)
+        patches = PatchTensors(
+            patch_centre, patch_rotation, patch_scale, patch_weights, patch_heaviest, patch_shapedirs
+        )
+        posed = self.model(body, patches, patch_embedding)
+        vertices = vertex_positions(posed, patches, chart_patch, chart_weight, chart_basis, chart_local)
+        if skin_weights is not None:
+            vertices = paper_vertices(vertices, skin_weights, body)
+        return vertices, posed.jet, posed.rotation + torch.zeros_like(posed.centre[..., None]), posed.centre

@@ -1,0 +1,135 @@
+"""Export: symbolic axes, parity, atomic folders, and refusal of a graph that differs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import onnx
+import pytest
+import torch
+from numpy.testing import assert_allclose
+
+from drape.artifacts import load_manifest
+from drape.body.assets import load_body
+from drape.errors import ArtifactError
+from drape.feeds import body_feed, garment_feed
+from drape.garment.cache import GARMENTS_DIR, load_garment
+from model_export import export as exporting
+from model_export.graph import DrapeGraph, drape_inputs
+from model_export.parity import hard_poses, session
+from training import checkpoint
+from training.config import ModelConfig, TrainConfig
+from training.model import OneFit
+
+pytestmark = pytest.mark.slow
+SMALL = ModelConfig(
+    garment_hidden=16, embedding_size=8, body_hidden=16, body_code_size=16, decoder_sizes=(16, 16), head_sizes=(8,)
+)
+
+
+@pytest.fixture(scope="module")
+def garment():
+    return load_garment(next(iter(sorted(GARMENTS_DIR.glob("tank-*.npz")))))
+
+
+def lively(variant: str) -> OneFit:
+    torch.manual_seed(0)
+    model = OneFit(replace(SMALL, variant=variant)).eval()
+    for head in model.decoder.heads.values():
+        torch.nn.init.normal_(list(head.children())[-1].weight, std=0.3)
+    return model
+
+
+@pytest.fixture(scope="module", params=["vector", "paper"])
+def exported(request, garment, tmp_path_factory):
+    model = lively(request.param)
+    folder = tmp_path_factory.mktemp("models") / "small"
+    manifest = exporting.export(model, folder, garment=garment, training={"steps": 0})
+    return model, folder, manifest
+
+
+def test_every_named_axis_is_symbolic(exported):
+    _, folder, manifest = exported
+    for graph in manifest.graphs.values():
+        proto = onnx.load(str(folder / graph.file))
+        for specs, values in ((graph.inputs, proto.graph.input), (graph.outputs, proto.graph.output)):
+            for spec, value in zip(specs, values, strict=True):
+                for want, axis in zip(spec.shape, value.type.tensor_type.shape.dim, strict=True):
+                    assert axis.HasField("dim_param") == isinstance(want, str), f"{spec.name} {spec.shape}"
+
+
+def test_manifest_reads_back_and_holds_the_parity(exported):
+    _, folder, manifest = exported
+    assert load_manifest(folder) == manifest
+    assert 0.0 < manifest.parity_error_m < 1e-5
+
+
+@pytest.mark.parametrize(("frames", "vertices", "patches"), [(1, 1, 1), (4, 60, 100), (2, 3337, 100)])
+def test_any_number_of_frames_vertices_and_patches_runs(exported, garment, frames, vertices, patches):
+    model, folder, _ = exported
+    feed = body_feed(load_body(), hard_poses(frames), np.zeros((frames, 3)))
+    arrays = feed.arrays | garment_feed(garment)
+    arrays["patch_embedding"] = np.random.default_rng(0).normal(size=(patches, SMALL.embedding_size)).astype(np.float32)
+    for name, value in arrays.items():
+        if name.startswith("chart") or name == "skin_weights":
+            arrays[name] = value[:vertices]
+        elif name.startswith("patch"):
+            arrays[name] = value[:patches]
+    arrays["chart_patch"] = np.minimum(arrays["chart_patch"], patches - 1)
+    names = [spec.name for spec in drape_inputs(model)]
+    got = session(folder / "drape.onnx").run(None, {name: arrays[name] for name in names})
+    with torch.no_grad():
+        expected = DrapeGraph(model)(**{name: torch.from_numpy(arrays[name]) for name in names})
+    for have, want in zip(got, expected, strict=True):
+        assert have.shape == tuple(want.shape)
+        assert_allclose(have, want.numpy(), rtol=1e-4, atol=1e-5)
+
+
+def test_a_frame_is_the_same_alone_and_in_a_batch(exported, garment):
+    model, folder, _ = exported
+    feed = body_feed(load_body(), hard_poses(5), np.zeros((5, 3))).arrays
+    constants = garment_feed(garment) | {
+        "patch_embedding": np.ones((garment.patch_count, SMALL.embedding_size), dtype=np.float32)
+    }
+    names = [spec.name for spec in drape_inputs(model)]
+    run = session(folder / "drape.onnx")
+    together = run.run(["vertices"], {n: (feed | constants)[n] for n in names})[0]
+    for frame in range(5):
+        alone = {key: value[frame : frame + 1] for key, value in feed.items()} | constants
+        assert_allclose(run.run(["vertices"], {n: alone[n] for n in names})[0][0], together[frame], rtol=0, atol=1e-6)
+
+
+def test_a_graph_that_differs_is_refused_and_the_old_model_stays(garment, tmp_path, monkeypatch):
+    model = lively("vector")
+    exporting.export(model, tmp_path / "m", garment=garment, training={})
+    before = (tmp_path / "m" / "manifest.json").read_text()
+    monkeypatch.setattr(exporting, "TOLERANCE_M", 1e-12)
+    with pytest.raises(ArtifactError, match="parity"):
+        exporting.export(model, tmp_path / "m", garment=garment, training={})
+    assert (tmp_path / "m" / "manifest.json").read_text() == before
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["m"]
+
+
+def test_a_baked_in_axis_is_refused(exported):
+    _, folder, manifest = exported
+    proto = onnx.load(str(folder / "drape.onnx"))
+    proto.graph.input[0].type.tensor_type.shape.dim[0].dim_value = 3
+    graph = manifest.graphs["drape"]
+    with pytest.raises(ArtifactError, match="body_features"):
+        exporting._check_symbolic(proto, graph.inputs, graph.outputs, "drape.onnx")
+
+
+def test_a_checkpoint_exports_through_the_command(garment, tmp_path, monkeypatch):
+    from model_export.__main__ import main
+
+    model = lively("vector")
+    config = TrainConfig(model=SMALL)
+    checkpoint.save(tmp_path / "c.pt", {"model": model.state_dict(), "step": 5, "elapsed_s": 60.0}, config)
+    monkeypatch.setattr("sys.argv", ["model_export", str(tmp_path / "c.pt"), str(tmp_path / "out")])
+    assert main() == 0
+    manifest = load_manifest(tmp_path / "out")
+    assert manifest.training["frames"] == 5 * config.batch_size
+    monkeypatch.setattr("sys.argv", ["model_export", str(tmp_path / "none.pt"), str(tmp_path / "out2")])
+    assert main() == 2
+    assert not (tmp_path / "out2").exists()
