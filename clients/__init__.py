@@ -1,0 +1,1 @@
+"""Programs that talk to the service: Python client, command line, web page."""

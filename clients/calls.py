@@ -1,0 +1,228 @@
+"""Every request that a client can make, and how its answer is read; shared by the sync and the async client."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+from urllib.parse import quote
+
+import httpx
+import numpy as np
+
+from drape import errors
+from drape.errors import DrapeError, InputError, MotionError, Unavailable
+from drape.motion.clip import MotionClip
+from drape.motion.grounding import placed_on_ground
+
+Answer = TypeVar("Answer")
+Motion = MotionClip | np.ndarray
+
+BINARY, GLB = "application/octet-stream", "model/gltf-binary"
+SUFFIXES = (".obj", ".glb", ".ply", ".stl")
+DEFAULT_URL = "http://127.0.0.1:8000"
+DEFAULT_FPS = 30.0
+
+
+class ServiceError(DrapeError):
+    """A refusal of the service of a kind that this client does not know."""
+
+
+@dataclass(frozen=True)
+class Call(Generic[Answer]):
+    """One request and the reader of its answer."""
+
+    method: str
+    path: str
+    read: Callable[[httpx.Response], Answer]
+    params: Mapping[str, str] = field(default_factory=dict)
+    headers: Mapping[str, str] = field(default_factory=dict)
+    json: Any = None
+    content: bytes | None = None
+
+    def arguments(self) -> dict[str, Any]:
+        """What httpx's ``request`` takes."""
+        return {
+            "method": self.method,
+            "url": self.path,
+            "params": dict(self.params),
+            "headers": dict(self.headers),
+            "json": self.json,
+            "content": self.content,
+        }
+
+    def answer(self, response: httpx.Response) -> Answer:
+        """The answer read; raises the service's refusal."""
+        if response.is_success:
+            return self.read(response)
+        raise refusal(response)
+
+
+def refusal(response: httpx.Response) -> DrapeError:
+    """The error that a problem document stands for."""
+    try:
+        document = response.json()
+        return problem_error(document)
+    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError):
+        got = f"status {response.status_code} {response.reason_phrase}"
+        cure = "Check that the address is that of the drape service."
+        return ServiceError(str(response.request.url), expected="an answer of the drape service", got=got, cure=cure)
+
+
+def problem_error(document: Mapping[str, Any]) -> DrapeError:
+    """The error with the fields of ``document``, of the class it names where that is one of ``drape.errors``."""
+    name = str(document.get("kind") or document["type"]).rpartition(":")[2]
+    known = getattr(errors, name, None)
+    kind = known if isinstance(known, type) and issubclass(known, DrapeError) else ServiceError
+    return kind(document["name"], expected=document["expected"], got=document["got"], cure=document["cure"])
+
+
+def unreachable(url: object, error: Exception) -> Unavailable:
+    """The refusal where no answer came."""
+    reason = str(error) or type(error).__name__
+    return Unavailable(
+        f"service at {url}", expected="an answer", got=reason, cure="Start it (make serve) or give its --url."
+    )
+
+
+# --- requests ---
+
+
+def health() -> Call[dict[str, Any]]:
+    return Call("GET", "/health", httpx.Response.json)
+
+
+def garments() -> Call[list[dict[str, Any]]]:
+    return Call("GET", "/garments", httpx.Response.json)
+
+
+def bodies() -> Call[list[dict[str, Any]]]:
+    return Call("GET", "/bodies", httpx.Response.json)
+
+
+def motions() -> Call[list[dict[str, Any]]]:
+    return Call("GET", "/motions", httpx.Response.json)
+
+
+def body(name: str, betas: np.ndarray | None) -> Call[dict[str, Any]]:
+    return Call("GET", f"/bodies/{_quoted(name)}", httpx.Response.json, params=_betas_query(betas))
+
+
+def motion(name: str, betas: np.ndarray | None) -> Call[MotionClip]:
+    return Call("GET", f"/motions/{_quoted(name)}", _read_clip, params=_betas_query(betas))
+
+
+def _betas_query(betas: np.ndarray | None) -> dict[str, str]:
+    return {} if betas is None else {"betas": ",".join(repr(float(beta)) for beta in betas)}
+
+
+def mesh(garment: str) -> Call[dict[str, Any]]:
+    return Call(
+        "GET", f"/garments/{_quoted(garment)}/mesh", httpx.Response.json, headers={"Accept": "application/json"}
+    )
+
+
+def job(job_id: str) -> Call[dict[str, Any]]:
+    return Call("GET", f"/jobs/{_quoted(job_id)}", httpx.Response.json)
+
+
+def upload(path: Path, avatar: str | dict[str, Any] | None, name: str | None) -> Call[dict[str, Any]]:
+    """Sends a garment file; the answer is the job."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(
+            path.name,
+            expected=f"one of {', '.join(SUFFIXES)}",
+            got=path.suffix or "no suffix",
+            cure="Export the mesh so.",
+        )
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InputError(
+            str(path), expected="a file that can be read", got=str(error.strerror), cure="Check the path."
+        ) from error
+    params = {"name": (name or path.stem) + path.suffix.lower()}
+    if avatar is not None:
+        params["avatar"] = json.dumps(avatar) if isinstance(avatar, dict) else avatar
+    return Call(
+        "POST", "/garments", httpx.Response.json, params=params, content=content, headers={"Content-Type": BINARY}
+    )
+
+
+def drape(
+    garment: str,
+    motion: Motion,
+    *,
+    trans: np.ndarray | None,
+    betas: np.ndarray | None,
+    push_out: bool | None,
+) -> Call[np.ndarray]:
+    """World vertices [m] (F, V, 3) float32."""
+    document = _motion_document(motion, trans, betas, None) | {"garment": garment, "push_out": push_out}
+    return Call("POST", "/drape", _read_vertices, headers={"Accept": BINARY}, json=document)
+
+
+def drape_glb(
+    garment: str,
+    motion: Motion,
+    *,
+    trans: np.ndarray | None,
+    betas: np.ndarray | None,
+    fps: float | None,
+    push_out: bool | None,
+    body: bool,
+) -> Call[bytes]:
+    """The bytes of an animated GLB."""
+    document = _motion_document(motion, trans, betas, fps) | {"garment": garment, "push_out": push_out, "body": body}
+    return Call("POST", "/drape", _read_bytes, headers={"Accept": GLB}, json=document)
+
+
+def posed_body(body: str, motion: Motion, *, trans: np.ndarray | None, betas: np.ndarray | None) -> Call[np.ndarray]:
+    """World vertices [m] (F, Vb, 3) float32 of the body."""
+    document = _motion_document(motion, trans, betas, None)
+    return Call("POST", f"/bodies/{_quoted(body)}/posed", _read_vertices, headers={"Accept": BINARY}, json=document)
+
+
+def _quoted(name: str) -> str:
+    return quote(name, safe="")
+
+
+def _motion_document(
+    motion: Motion, trans: np.ndarray | None, betas: np.ndarray | None, fps: float | None
+) -> dict[str, Any]:
+    """The JSON of a clip or of poses (F, 24, 3); NaN is refused here, for JSON cannot carry it."""
+    if isinstance(motion, MotionClip):
+        poses, places = motion.poses, motion.trans if trans is None else trans
+        fps = motion.fps if fps is None else fps
+    else:
+        poses, places = np.asarray(motion), trans
+    document: dict[str, Any] = {"fps": DEFAULT_FPS if fps is None else float(fps)}
+    for key, array in (("poses", poses), ("trans", places), ("betas", betas)):
+        if array is None:
+            continue
+        numbers = np.asarray(array, dtype=np.float64)
+        if not np.isfinite(numbers).all():
+            raise MotionError(key, expected="finite numbers", got="NaN or infinity", cure="Remove these entries.")
+        document[key] = numbers.tolist()
+    return document
+
+
+def placed(clip: MotionClip, document: Mapping[str, Any]) -> MotionClip:
+    """``clip``, a file's or a sample's, with the soles of the body in ``document`` on the ground."""
+    return placed_on_ground(clip, np.array(document["joints"]), floor=document["floor_m"])
+
+
+def _read_bytes(response: httpx.Response) -> bytes:
+    return response.content
+
+
+def _read_vertices(response: httpx.Response) -> np.ndarray:
+    shape = (int(response.headers["X-Drape-Frames"]), int(response.headers["X-Drape-Vertices"]), 3)
+    return np.frombuffer(response.content, dtype="<f4").reshape(shape)
+
+
+def _read_clip(response: httpx.Response) -> MotionClip:
+    document = response.json()
+    return MotionClip(np.array(document["poses"]), np.array(document["trans"]), document["fps"], document["name"])

@@ -1,0 +1,159 @@
+"""``python -m clients.cli health | garments | upload | drape``: the service from the shell.
+
+python -m clients.cli drape --garment tshirt --motion walk --out out.glb
+python -m clients.cli drape --garment shirt.obj --avatar '{"gender": 1.0}' --motion clip.bvh --out out.npy
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from clients.calls import DEFAULT_URL, SUFFIXES
+from clients.client import DrapeClient
+from drape.errors import DrapeError, InputError
+from drape.motion.clip import MotionClip
+from drape.motion.readers import read_motion
+
+MOTION_SUFFIXES = (".npz", ".bvh", ".amc", ".asf")
+OUT_SUFFIXES = (".glb", ".npy")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    options = _parser().parse_args(arguments)
+    try:
+        with DrapeClient(options.url) as client:
+            options.run(client, options)
+    except DrapeError as error:
+        print(f"drape: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m clients.cli", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("--url", default=os.environ.get("DRAPE_URL", DEFAULT_URL), help="the service (DRAPE_URL)")
+    commands = parser.add_subparsers(required=True, metavar="command")
+    # The address may also follow the command.
+    shared = argparse.ArgumentParser(add_help=False)
+    shared.add_argument("--url", default=argparse.SUPPRESS, help="the service (DRAPE_URL)")
+
+    health = commands.add_parser("health", parents=[shared], help="what the service runs with")
+    health.set_defaults(run=_health)
+
+    garments = commands.add_parser("garments", parents=[shared], help="the garments that can be draped")
+    garments.set_defaults(run=_garments)
+
+    upload = commands.add_parser("upload", parents=[shared], help="take a garment file in")
+    upload.add_argument("file", type=Path)
+    upload.add_argument("--avatar", help="the body it was modelled on: JSON, or a name of avatars.json")
+    upload.add_argument("--name", help="name of the garment; the file's by default")
+    upload.set_defaults(run=_upload)
+
+    drape = commands.add_parser("drape", parents=[shared], help="drape a garment over a clip")
+    drape.add_argument("--garment", required=True, help="a garment's id, or a file to take in first")
+    drape.add_argument("--avatar", help="for a file: the body it was modelled on")
+    drape.add_argument("--motion", required=True, help="a sample clip's name, or a file .npz, .bvh or .amc")
+    drape.add_argument("--out", required=True, type=Path, help="out.glb (animated) or out.npy (vertices [m])")
+    drape.add_argument("--as-recorded", action="store_true", help="for a file: leave its translations as they are")
+    drape.add_argument("--fps", type=float, default=30.0, help="frames per second of the result (30)")
+    drape.add_argument("--betas", help="body shape, comma-separated")
+    drape.add_argument("--body", action="store_true", help="include the body in the GLB")
+    drape.add_argument("--push-out", action=argparse.BooleanOptionalAction, help="push vertices out of the body")
+    drape.set_defaults(run=_drape)
+    return parser
+
+
+def _health(client: DrapeClient, options: argparse.Namespace) -> None:
+    print(json.dumps(client.health(), indent=1))
+
+
+def _garments(client: DrapeClient, options: argparse.Namespace) -> None:
+    for garment in client.garments():
+        print(
+            f"{garment['id']:<28} {garment['vertices']:>7} vertices {garment['patches']:>5} patches {garment['source']}"
+        )
+
+
+def _upload(client: DrapeClient, options: argparse.Namespace) -> None:
+    print(client.upload_garment(options.file, options.avatar, name=options.name))
+
+
+def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
+    # Everything that can be refused here is refused before the service works.
+    suffix = options.out.suffix.lower()
+    if suffix not in OUT_SUFFIXES:
+        raise InputError("--out", expected="a name ending in .glb or .npy", got=options.out.name, cure="Rename it.")
+    if not options.out.absolute().parent.is_dir():
+        raise InputError(
+            "--out", expected="an existing folder", got=str(options.out.parent), cure="Make the folder first."
+        )
+    betas = _numbers(options.betas)
+    clip = _clip(client, options, betas).resampled(options.fps)
+    garment = options.garment
+    if Path(garment).suffix.lower() in SUFFIXES:
+        garment = client.upload_garment(garment, options.avatar)
+        print(f"taken in as {garment}")
+    if suffix == ".glb":
+        content = client.drape_glb(garment, clip, betas=betas, push_out=options.push_out, body=options.body)
+    else:
+        buffer = io.BytesIO()
+        np.save(buffer, client.drape(garment, clip, betas=betas, push_out=options.push_out), allow_pickle=False)
+        content = buffer.getvalue()
+    write_atomic(options.out, content)
+    print(f"{options.out}: {clip.frame_count} frames at {clip.fps:g} per second, {len(content)} bytes")
+
+
+def _clip(client: DrapeClient, options: argparse.Namespace, betas: np.ndarray | None) -> MotionClip:
+    motion = options.motion
+    if Path(motion).suffix.lower() not in MOTION_SUFFIXES:
+        return client.motion(motion, betas)
+    if not Path(motion).is_file():
+        cure = "Check the path."
+        raise InputError("--motion", expected="a file or a sample clip's name", got=motion, cure=cure)
+    clip = read_motion(Path(motion))
+    return clip if options.as_recorded else client.placed(clip, betas)
+
+
+def _numbers(text: str | None) -> np.ndarray | None:
+    try:
+        return None if text is None else np.array([float(part) for part in text.split(",")])
+    except ValueError as error:
+        raise InputError(
+            "--betas", expected="comma-separated numbers", got=text or "", cure="For example --betas 0.5,-1."
+        ) from error
+
+
+def write_atomic(path: Path, content: bytes) -> None:
+    """Writes ``path`` whole or not at all."""
+    try:
+        handle, temporary = tempfile.mkstemp(dir=path.absolute().parent, prefix=f".{path.name}.", suffix=".part")
+    except OSError as error:
+        raise InputError(
+            str(path), expected="a folder that can be written", got=str(error.strerror), cure="Choose another --out."
+        ) from error
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(content)
+        os.chmod(temporary, 0o644)  # mkstemp makes the file private
+        os.replace(temporary, path)
+    except OSError as error:
+        Path(temporary).unlink(missing_ok=True)
+        raise InputError(
+            str(path), expected="room to write", got=str(error.strerror), cure="Choose another --out."
+        ) from error
+
+
+if __name__ == "__main__":
+    sys.exit(main())

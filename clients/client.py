@@ -1,0 +1,250 @@
+"""The Python clients: ``DrapeClient`` blocks, ``AsyncDrapeClient`` awaits; both make the same calls.
+
+    client = DrapeClient("http://127.0.0.1:8000")
+    vertices = client.drape("tshirt", clip)     # [m], (frame, vertex, 3), world frame
+
+Refusals of the service come back as ``DrapeError`` with its sentence.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+
+from clients import calls
+from clients.calls import DEFAULT_URL, Answer, Call, Motion
+from drape.errors import DrapeError, Unavailable
+from drape.motion.clip import MotionClip
+
+# A clip of a thousand frames takes a while on a small machine; connecting does not.
+TIMEOUT = httpx.Timeout(300.0, connect=5.0)
+POLL_S = 0.25
+
+
+class DrapeClient:
+    """Talks to a running service; may be used as a context manager."""
+
+    def __init__(self, url: str = DEFAULT_URL, *, transport: httpx.BaseTransport | None = None) -> None:
+        self._http = httpx.Client(base_url=url, timeout=TIMEOUT, transport=transport)
+
+    def __enter__(self) -> DrapeClient:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Closes the connections."""
+        self._http.close()
+
+    def _send(self, call: Call[Answer]) -> Answer:
+        try:
+            response = self._http.request(**call.arguments())
+        except (httpx.TransportError, httpx.InvalidURL) as error:
+            raise calls.unreachable(self._http.base_url, error) from error
+        return call.answer(response)
+
+    def health(self) -> dict[str, Any]:
+        """Whether the service works, and with what."""
+        return self._send(calls.health())
+
+    def garments(self) -> list[dict[str, Any]]:
+        """The garments that can be draped; ``id`` names one."""
+        return self._send(calls.garments())
+
+    def bodies(self) -> list[dict[str, Any]]:
+        """The bodies of the service."""
+        return self._send(calls.bodies())
+
+    def motions(self) -> list[dict[str, Any]]:
+        """The sample clips of the service."""
+        return self._send(calls.motions())
+
+    def motion(self, name: str, betas: np.ndarray | None = None) -> MotionClip:
+        """One sample clip, placed on the ground for the service's body in the shape ``betas``."""
+        return self._send(calls.motion(name, betas))
+
+    def placed(self, clip: MotionClip, betas: np.ndarray | None = None) -> MotionClip:
+        """A clip from a file, placed on the ground for the service's body in the shape ``betas``."""
+        name = self.bodies()[0]["id"]
+        return calls.placed(clip, self._send(calls.body(name, betas)))
+
+    def mesh(self, garment: str) -> dict[str, Any]:
+        """Rest vertices [m], faces, uv and uv_faces of a garment."""
+        return self._send(calls.mesh(garment))
+
+    def upload_garment(
+        self,
+        path: str | Path,
+        avatar: str | dict[str, Any] | None = None,
+        *,
+        name: str | None = None,
+        wait_s: float = 600.0,
+    ) -> str:
+        """Uploads a garment file, waits for its job and returns the new garment's id."""
+        job = self._send(calls.upload(Path(path), avatar, name))
+        deadline = time.monotonic() + wait_s
+        while (garment := finished(job)) is None:
+            check_deadline(job, deadline, wait_s)
+            time.sleep(POLL_S)
+            job = self._send(calls.job(job["id"]))
+        return garment
+
+    def drape(
+        self,
+        garment: str,
+        motion: Motion,
+        *,
+        trans: np.ndarray | None = None,
+        betas: np.ndarray | None = None,
+        push_out: bool | None = None,
+    ) -> np.ndarray:
+        """World vertices [m] (F, V, 3) float32 of ``garment`` over a clip or poses (F, 24, 3) [rad]."""
+        return self._send(calls.drape(garment, motion, trans=trans, betas=betas, push_out=push_out))
+
+    def drape_glb(
+        self,
+        garment: str,
+        motion: Motion,
+        *,
+        trans: np.ndarray | None = None,
+        betas: np.ndarray | None = None,
+        fps: float | None = None,
+        push_out: bool | None = None,
+        body: bool = False,
+    ) -> bytes:
+        """The same as an animated GLB, with the body beside the garment if ``body``."""
+        return self._send(
+            calls.drape_glb(garment, motion, trans=trans, betas=betas, fps=fps, push_out=push_out, body=body)
+        )
+
+    def posed_body(
+        self, body: str, motion: Motion, *, trans: np.ndarray | None = None, betas: np.ndarray | None = None
+    ) -> np.ndarray:
+        """World vertices [m] (F, Vb, 3) float32 of the posed body."""
+        return self._send(calls.posed_body(body, motion, trans=trans, betas=betas))
+
+
+class AsyncDrapeClient:
+    """``DrapeClient`` with awaitable methods."""
+
+    def __init__(self, url: str = DEFAULT_URL, *, transport: httpx.AsyncBaseTransport | None = None) -> None:
+        self._http = httpx.AsyncClient(base_url=url, timeout=TIMEOUT, transport=transport)
+
+    async def __aenter__(self) -> AsyncDrapeClient:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()
+
+    async def close(self) -> None:
+        """Closes the connections."""
+        await self._http.aclose()
+
+    async def _send(self, call: Call[Answer]) -> Answer:
+        try:
+            response = await self._http.request(**call.arguments())
+        except (httpx.TransportError, httpx.InvalidURL) as error:
+            raise calls.unreachable(self._http.base_url, error) from error
+        return call.answer(response)
+
+    async def health(self) -> dict[str, Any]:
+        """Whether the service works, and with what."""
+        return await self._send(calls.health())
+
+    async def garments(self) -> list[dict[str, Any]]:
+        """The garments that can be draped; ``id`` names one."""
+        return await self._send(calls.garments())
+
+    async def bodies(self) -> list[dict[str, Any]]:
+        """The bodies of the service."""
+        return await self._send(calls.bodies())
+
+    async def motions(self) -> list[dict[str, Any]]:
+        """The sample clips of the service."""
+        return await self._send(calls.motions())
+
+    async def motion(self, name: str, betas: np.ndarray | None = None) -> MotionClip:
+        """One sample clip, placed on the ground for the service's body in the shape ``betas``."""
+        return await self._send(calls.motion(name, betas))
+
+    async def placed(self, clip: MotionClip, betas: np.ndarray | None = None) -> MotionClip:
+        """A clip from a file, placed on the ground for the service's body in the shape ``betas``."""
+        name = (await self.bodies())[0]["id"]
+        return calls.placed(clip, await self._send(calls.body(name, betas)))
+
+    async def mesh(self, garment: str) -> dict[str, Any]:
+        """Rest vertices [m], faces, uv and uv_faces of a garment."""
+        return await self._send(calls.mesh(garment))
+
+    async def upload_garment(
+        self,
+        path: str | Path,
+        avatar: str | dict[str, Any] | None = None,
+        *,
+        name: str | None = None,
+        wait_s: float = 600.0,
+    ) -> str:
+        """Uploads a garment file, waits for its job and returns the new garment's id."""
+        job = await self._send(calls.upload(Path(path), avatar, name))
+        deadline = time.monotonic() + wait_s
+        while (garment := finished(job)) is None:
+            check_deadline(job, deadline, wait_s)
+            await asyncio.sleep(POLL_S)
+            job = await self._send(calls.job(job["id"]))
+        return garment
+
+    async def drape(
+        self,
+        garment: str,
+        motion: Motion,
+        *,
+        trans: np.ndarray | None = None,
+        betas: np.ndarray | None = None,
+        push_out: bool | None = None,
+    ) -> np.ndarray:
+        """World vertices [m] (F, V, 3) float32 of ``garment`` over a clip or poses (F, 24, 3) [rad]."""
+        return await self._send(calls.drape(garment, motion, trans=trans, betas=betas, push_out=push_out))
+
+    async def drape_glb(
+        self,
+        garment: str,
+        motion: Motion,
+        *,
+        trans: np.ndarray | None = None,
+        betas: np.ndarray | None = None,
+        fps: float | None = None,
+        push_out: bool | None = None,
+        body: bool = False,
+    ) -> bytes:
+        """The same as an animated GLB, with the body beside the garment if ``body``."""
+        call = calls.drape_glb(garment, motion, trans=trans, betas=betas, fps=fps, push_out=push_out, body=body)
+        return await self._send(call)
+
+    async def posed_body(
+        self, body: str, motion: Motion, *, trans: np.ndarray | None = None, betas: np.ndarray | None = None
+    ) -> np.ndarray:
+        """World vertices [m] (F, Vb, 3) float32 of the posed body."""
+        return await self._send(calls.posed_body(body, motion, trans=trans, betas=betas))
+
+
+def finished(job: dict[str, Any]) -> str | None:
+    """The garment of a job that is done, None while it goes on; raises its refusal where it failed."""
+    if job["state"] == "failed":
+        raise calls.problem_error(job["problem"])
+    return job["garment"] if job["state"] == "done" else None
+
+
+def check_deadline(job: dict[str, Any], deadline: float, wait_s: float) -> None:
+    """Refuses to wait longer."""
+    if time.monotonic() > deadline:
+        name, cure = f"upload {job['name']}", f"Ask again later: GET /jobs/{job['id']}."
+        raise Unavailable(name, expected=f"an end within {wait_s:g} s", got=f"state {job['state']}", cure=cure)
+
+
+__all__ = ["AsyncDrapeClient", "DrapeClient", "DrapeError"]

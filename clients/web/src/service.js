@@ -1,0 +1,52 @@
+// REST calls. A refusal of the service is thrown as an Error whose message is its sentence.
+
+async function request(path, options = {}) {
+  let response;
+  try {
+    response = await fetch(path, options);
+  } catch {
+    throw new Error("The service does not answer. Is it still running?");
+  }
+  if (response.ok) return response;
+  let sentence = `${response.status} ${response.statusText}`;
+  try {
+    sentence = (await response.json()).detail ?? sentence;
+  } catch {
+    // Not a problem document: the status has to do.
+  }
+  throw new Error(sentence);
+}
+
+const json = async (path, options) => (await request(path, options)).json();
+
+export const health = () => json("/health");
+export const garments = () => json("/garments");
+export const motions = () => json("/motions");
+export const motion = (id, betas) => json(`/motions/${encodeURIComponent(id)}?betas=${betas.join(",")}`);
+export const garmentMesh = (id) =>
+  json(`/garments/${encodeURIComponent(id)}/mesh`, { headers: { Accept: "application/json" } });
+
+export async function bodyFile(id, betas) {
+  const path = `/bodies/${encodeURIComponent(id)}/mesh?betas=${betas.join(",")}`;
+  return (await request(path, { headers: { Accept: "model/gltf-binary" } })).arrayBuffer();
+}
+
+export async function clipFile(document) {
+  const headers = { Accept: "model/gltf-binary", "Content-Type": "application/json" };
+  return (await request("/drape", { method: "POST", headers, body: JSON.stringify(document) })).blob();
+}
+
+// Uploads a garment file and waits for its job; returns the new id.
+export async function uploadGarment(file, avatar, onState) {
+  const query = new URLSearchParams({ name: file.name });
+  if (avatar) query.set("avatar", avatar);
+  const headers = { "Content-Type": "application/octet-stream" };
+  let job = await json(`/garments?${query}`, { method: "POST", headers, body: file });
+  while (job.state === "queued" || job.state === "running") {
+    onState(job.state);
+    await new Promise((resolve) => setTimeout(resolve, 500));
+    job = await json(`/jobs/${job.id}`);
+  }
+  if (job.state === "failed") throw new Error(job.problem.detail);
+  return job.garment;
+}

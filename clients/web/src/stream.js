@@ -1,0 +1,95 @@
+// The WebSocket: poses out, frames in, every frame acknowledged; comes back by itself after a lost connection.
+import { SUBPROTOCOL, packAck, packPose, unpackFrame } from "./wire.js";
+
+const FIRST_RETRY_S = 0.5;
+const LAST_RETRY_S = 8;
+const KEPT_POSES = 256;
+const now = () => performance.now() / 1000;
+
+export class Stream {
+  // onFrame({ header, steps, pose }), onState(state, sentence): "open", "waiting", "refused".
+  constructor({ onFrame, onState }) {
+    this.onFrame = onFrame;
+    this.onState = onState;
+    this.request = null;
+    this.socket = null;
+    this.ready = false;
+    this.retryS = FIRST_RETRY_S;
+    this.sequence = 0;
+    this.poses = new Map();
+  }
+
+  // Asks for a garment, shape and push-out; on an open connection it turns to them at once.
+  open(request) {
+    this.request = request;
+    this.poses.clear();
+    this.ready = false;
+    clearTimeout(this.timer);
+    const { readyState } = this.socket ?? {};
+    if (readyState === WebSocket.OPEN) this.socket.send(this.#opening());
+    else if (readyState !== WebSocket.CONNECTING) this.#connect(); // else it opens with the new request
+  }
+
+  // Sends a pose if the stream is open; pose: 72 numbers, trans: 3.
+  send(pose, trans) {
+    if (!this.ready) return;
+    this.sequence = (this.sequence + 1) >>> 0;
+    this.poses.set(this.sequence, { pose, trans });
+    if (this.poses.size > KEPT_POSES) this.poses.delete(this.poses.keys().next().value);
+    this.socket.send(packPose({ sequence: this.sequence, clientTimeS: now(), trans, pose }));
+  }
+
+  #opening() {
+    return JSON.stringify({ type: "open", ...this.request });
+  }
+
+  #connect() {
+    this.socket?.close();
+    const scheme = location.protocol === "https:" ? "wss" : "ws";
+    const socket = new WebSocket(`${scheme}://${location.host}/stream`, SUBPROTOCOL);
+    socket.binaryType = "arraybuffer";
+    this.socket = socket;
+    this.refusal = null;
+    socket.onopen = () => socket.send(this.#opening());
+    socket.onmessage = ({ data }) => this.#take(socket, data);
+    socket.onclose = (event) => {
+      if (socket === this.socket) this.#lost(event);
+    };
+  }
+
+  #take(socket, data) {
+    if (socket !== this.socket) return;
+    if (typeof data === "string") {
+      const message = JSON.parse(data);
+      if (message.type === "error") this.refusal = message.detail;
+      if (message.type === "opened" && message.garment === this.request.garment) {
+        this.ready = true;
+        this.retryS = FIRST_RETRY_S;
+        this.onState("open", "");
+      }
+      return;
+    }
+    const frame = unpackFrame(data);
+    socket.send(packAck(frame.header.sequence));
+    const sent = this.poses.get(frame.header.sequence);
+    if (!sent || !this.ready) return; // of an earlier opening
+    for (const key of this.poses.keys()) {
+      if (key >= frame.header.sequence) break;
+      this.poses.delete(key);
+    }
+    this.onFrame({ ...frame, ...sent, ageS: () => now() - frame.header.client_time_s });
+  }
+
+  #lost(event) {
+    this.ready = false;
+    const sentence = this.refusal ?? event.reason;
+    // 44xx is our fault or the user's: trying again would be refused again. 4408 is a pause.
+    if (event.code >= 4400 && event.code < 4500 && event.code !== 4408) {
+      this.onState("refused", sentence);
+      return;
+    }
+    this.onState("waiting", sentence || "The connection is lost; trying again.");
+    this.timer = setTimeout(() => this.#connect(), this.retryS * 1000);
+    this.retryS = Math.min(2 * this.retryS, LAST_RETRY_S);
+  }
+}

@@ -1,0 +1,222 @@
+// The scene: a studio, the skinned body, the garment whose vertices arrive frame by frame.
+import * as THREE from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
+import { RoomEnvironment } from "three/addons/environments/RoomEnvironment.js";
+import { dequantise } from "./wire.js";
+
+const BACKGROUND = 0xe9e5de;
+const GRID_CELL_M = 0.5;
+const EYE = new THREE.Vector3(1.4, 0.35, 3.9); // from the body's root [m]
+
+// Without a graphics card the browser draws on the processor.
+function drawsInSoftware(renderer) {
+  const gl = renderer.getContext();
+  const names = gl.getExtension("WEBGL_debug_renderer_info");
+  return names !== null && /swiftshader|llvmpipe|software/i.test(gl.getParameter(names.UNMASKED_RENDERER_WEBGL));
+}
+
+export class Viewer {
+  // With keepQuality the picture stays as it is on a slow machine, for pictures.
+  constructor(canvas, { keepQuality = false } = {}) {
+    this.keepQuality = keepQuality;
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true });
+    this.plainness = 0;
+    this.pixelShare = 1;
+    this.renderer.shadowMap.enabled = true;
+    this.renderer.toneMapping = THREE.NeutralToneMapping;
+    this.scene = new THREE.Scene();
+    this.scene.background = new THREE.Color(BACKGROUND);
+    this.scene.fog = new THREE.Fog(BACKGROUND, 7, 16);
+    const plain = !keepQuality && drawsInSoftware(this.renderer);
+    if (!plain) {
+      const generator = new THREE.PMREMGenerator(this.renderer);
+      this.scene.environment = generator.fromScene(new RoomEnvironment(), 0.04).texture;
+      this.scene.environmentIntensity = 0.5;
+      generator.dispose();
+    }
+
+    this.camera = new THREE.PerspectiveCamera(32, 1, 0.05, 60);
+    this.controls = new OrbitControls(this.camera, canvas);
+    this.controls.enableDamping = true;
+    this.controls.minDistance = 0.6;
+    this.controls.maxDistance = 9;
+    this.controls.maxPolarAngle = 0.53 * Math.PI;
+    this.place = new THREE.Vector3(0, 0.92, 0);
+    this.controls.target.copy(this.place);
+    this.camera.position.copy(this.place).add(EYE);
+
+    this.#makeStudio();
+    this.#makeGarment();
+    this.#makeBodyMaterial();
+    new ResizeObserver(() => this.#resize()).observe(canvas);
+    this.#resize();
+    if (plain) this.simplify();
+  }
+
+  #makeStudio() {
+    this.studio = new THREE.Group();
+    const sun = new THREE.DirectionalLight(0xfff4e6, 1.8);
+    sun.position.set(1.8, 3.6, 2.4);
+    sun.castShadow = true;
+    sun.shadow.mapSize.set(1024, 1024);
+    sun.shadow.radius = 5;
+    sun.shadow.bias = -0.0004;
+    sun.shadow.normalBias = 0.012;
+    Object.assign(sun.shadow.camera, { left: -1.4, right: 1.4, top: 1.6, bottom: -1.6, near: 0.5, far: 9 });
+    const rim = new THREE.DirectionalLight(0xdfe9ff, 0.7);
+    rim.position.set(-2.5, 2.2, -2.5);
+    this.sun = sun;
+    this.fill = new THREE.HemisphereLight(0xffffff, 0xd8cfc2, 2.4); // stands in for the environment
+    this.fill.visible = false;
+    this.studio.add(sun, sun.target, rim, rim.target, this.fill);
+    this.scene.add(this.studio);
+
+    const material = new THREE.MeshStandardMaterial({ color: 0xded9d0, roughness: 0.95 });
+    this.ground = new THREE.Mesh(new THREE.CircleGeometry(24, 64).rotateX(-0.5 * Math.PI), material);
+    this.ground.receiveShadow = true;
+    this.grid = new THREE.GridHelper(24, 24 / GRID_CELL_M, 0xc4bdb1, 0xcfc9be);
+    this.grid.position.y = 0.001;
+    this.scene.add(this.ground, this.grid);
+  }
+
+  #makeGarment() {
+    this.cloth = new THREE.MeshPhysicalMaterial({
+      roughness: 0.85, side: THREE.DoubleSide, sheen: 0.35, sheenRoughness: 0.6, sheenColor: new THREE.Color(0xffffff),
+    });
+    this.cloth.shadowSide = THREE.DoubleSide;
+    this.garment = new THREE.Mesh(new THREE.BufferGeometry(), this.cloth);
+    this.garment.castShadow = this.garment.receiveShadow = true;
+    this.garment.frustumCulled = false;
+    this.garment.visible = false;
+    const lines = new THREE.MeshBasicMaterial({ color: 0x14202c, wireframe: true, transparent: true, opacity: 0.28 });
+    this.triangles = new THREE.Mesh(this.garment.geometry, lines);
+    this.triangles.frustumCulled = false;
+    this.triangles.visible = false;
+    this.garment.add(this.triangles);
+    this.scene.add(this.garment);
+  }
+
+  #makeBodyMaterial() {
+    this.skin = new THREE.MeshStandardMaterial({ color: 0xcdb3a0, roughness: 0.72 });
+    this.showBody = true;
+  }
+
+  #resize() {
+    const { clientWidth: width, clientHeight: height } = this.renderer.domElement;
+    if (!width || !height) return;
+    this.renderer.setPixelRatio(this.pixelShare * Math.min(devicePixelRatio, 2));
+    this.renderer.setSize(width, height, false);
+    this.camera.aspect = width / height;
+    // The panel covers the left: look past it.
+    const covered = width > 640 ? 296 : 0;
+    this.camera.setViewOffset(width, height, -covered / 2, 0, width, height);
+    this.camera.updateProjectionMatrix();
+  }
+
+  setColour(colour) {
+    this.cloth.color.set(colour);
+  }
+
+  // One step plainer: without shadows and sheen, then with fewer pixels.
+  simplify() {
+    if (this.keepQuality || this.plainness === 2) return;
+    this.plainness += 1;
+    if (this.plainness === 1) {
+      this.sun.castShadow = false;
+      const { color } = this.cloth;
+      this.cloth = new THREE.MeshLambertMaterial({ color, side: THREE.DoubleSide });
+      this.garment.material = this.cloth;
+      this.skin = new THREE.MeshLambertMaterial({ color: this.skin.color });
+      if (this.bodyMesh) this.bodyMesh.material = this.skin;
+      this.ground.material = new THREE.MeshLambertMaterial({ color: this.ground.material.color });
+      this.fill.visible = true;
+      this.scene.environment = null;
+    } else {
+      this.pixelShare = 0.6;
+      this.#resize();
+    }
+  }
+
+  setTriangles(shown) {
+    this.triangles.visible = shown;
+  }
+
+  setBodyShown(shown) {
+    this.showBody = shown;
+    if (this.body) this.body.visible = shown && this.posed;
+  }
+
+  // Takes the body file; it appears with the next frame.
+  async setBody(buffer) {
+    const { scene } = await new GLTFLoader().parseAsync(buffer, "");
+    if (this.body) this.scene.remove(this.body);
+    this.body = scene;
+    this.body.visible = false;
+    this.posed = false;
+    scene.traverse((node) => {
+      if (!node.isSkinnedMesh) return;
+      this.bodyMesh = node;
+      this.bones = node.skeleton.bones;
+      node.material = this.skin;
+      node.castShadow = node.receiveShadow = true;
+      node.frustumCulled = false;
+    });
+    this.scene.add(scene);
+  }
+
+  // mesh: the service's document; shown with the first frame.
+  setGarment(mesh) {
+    const geometry = new THREE.BufferGeometry();
+    const positions = new THREE.BufferAttribute(new Float32Array(mesh.vertices.length * 3), 3);
+    positions.setUsage(THREE.DynamicDrawUsage);
+    geometry.setAttribute("position", positions);
+    geometry.setIndex(mesh.faces.flat());
+    this.garment.geometry.dispose();
+    this.garment.geometry = this.triangles.geometry = geometry;
+    this.garment.visible = false;
+  }
+
+  // frame: what the stream hands over, with the pose that it answers.
+  show(frame) {
+    const { header, pose } = frame;
+    const positions = this.garment.geometry.getAttribute("position");
+    if (!positions || positions.count !== header.count) return false;
+    dequantise(frame, positions.array);
+    positions.needsUpdate = true;
+    this.garment.geometry.computeVertexNormals();
+    this.garment.position.fromArray(header.root);
+    this.garment.visible = true;
+    if (this.bones) this.#poseBody(pose, header.root);
+    this.#follow(header.root);
+    return true;
+  }
+
+  #poseBody(pose, root) {
+    const axis = new THREE.Vector3();
+    this.bones.forEach((bone, joint) => {
+      axis.fromArray(pose, 3 * joint);
+      const angle = axis.length();
+      bone.quaternion.setFromAxisAngle(angle > 1e-9 ? axis.divideScalar(angle) : axis.set(0, 1, 0), angle);
+    });
+    this.bones[0].position.fromArray(root); // the root joint turns about itself
+    this.posed = true;
+    this.body.visible = this.showBody;
+  }
+
+  // Camera, lights and floor go with the body; its height is left alone.
+  #follow([x, , z]) {
+    const step = new THREE.Vector3(x - this.place.x, 0, z - this.place.z);
+    this.place.add(step);
+    this.camera.position.add(step);
+    this.controls.target.add(step);
+    this.studio.position.set(x, 0, z);
+    this.ground.position.set(x, 0, z);
+    this.grid.position.set(GRID_CELL_M * Math.round(x / GRID_CELL_M), 0.001, GRID_CELL_M * Math.round(z / GRID_CELL_M));
+  }
+
+  render() {
+    this.controls.update();
+    this.renderer.render(this.scene, this.camera);
+  }
+}

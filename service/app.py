@@ -1,0 +1,54 @@
+"""The application: ``create_app(settings)``."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from fastapi import FastAPI
+from fastapi.middleware.cors import CORSMiddleware
+
+from service import errors, routes, stream
+from service.drapery import Drapery
+from service.jobs import Uploads
+from service.limits import BodyLimit
+from service.page import Page
+from service.sessions import Streams
+from service.settings import Settings, load_settings
+from service.state import State
+from service.version import product_version
+
+
+def create_app(settings: Settings | None = None, *, drapery: Drapery | None = None) -> FastAPI:
+    """The service; ``drapery`` hands over what is already loaded, otherwise the start loads it."""
+    settings = settings or load_settings()
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        loaded = drapery or Drapery(settings)
+        state = State(loaded, Uploads(loaded), Streams(loaded))
+        app.state.drape = state
+        state.uploads.start()
+        state.streams.start()
+        try:
+            yield
+        finally:
+            await state.uploads.stop()
+            await state.streams.stop()
+            loaded.close()
+
+    app = FastAPI(title="drape", version=product_version(), lifespan=lifespan, description="Garments on moving bodies.")
+    errors.install(app)
+    app.add_middleware(BodyLimit, limit=settings.max_body_bytes)
+    if settings.allowed_origins:
+        app.add_middleware(
+            CORSMiddleware,
+            allow_origins=list(settings.allowed_origins),
+            allow_methods=["*"],
+            allow_headers=["*"],
+            expose_headers=["X-Drape-Frames", "X-Drape-Vertices", "Location"],
+        )
+    app.include_router(routes.router)
+    app.include_router(stream.router)
+    app.mount("/", Page(settings.page_dir))
+    return app

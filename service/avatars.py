@@ -1,0 +1,70 @@
+"""Which avatar an upload was modelled on: what the client says, or the rule of avatars.json for its name."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from drape.data_paths import data_folder
+from drape.errors import BodyError, NotFound
+from drape.garment.avatars import STANDARD, avatar_table
+
+
+def upload_avatar(told: str | dict[str, Any] | None, name: str, garments_dir: Path) -> str | None:
+    """What the intake is given as ``--avatar``; None leaves it the standard body.
+
+    ``told`` is a phenotype or SMPL parameters as an object or JSON text, ``standard``, or a name of a table;
+    a path is refused, for it would name a file of this machine. Untold, the longest entry with
+    which ``name`` begins counts. Tables: avatars.json in the folder of uploads and in DRAPE_DATA/garments.
+    """
+    tables = [
+        (folder, avatar_table(folder)) for folder in (garments_dir, data_folder("garments")) if folder is not None
+    ]
+    if told is None:
+        fitting = [
+            (len(key), folder, entry)
+            for folder, table in tables
+            for key, entry in table.items()
+            if name.startswith(key)
+        ]
+        if not fitting:
+            return None
+        _, folder, entry = max(fitting, key=lambda found: found[0])
+        return _as_text(entry, folder)
+    if isinstance(told, dict):
+        return json.dumps(told)
+    text = told.strip()
+    if text == STANDARD:
+        return text
+    if text.startswith("{"):
+        _check_object(text)
+        return text
+    for folder, table in tables:
+        if text in table:
+            return _as_text(table[text], folder)
+    known = sorted({key for _, table in tables for key in table})
+    raise NotFound(
+        "avatar",
+        expected=f"a JSON object, {STANDARD!r}" + (f" or one of {', '.join(known)}" if known else ""),
+        got=text[:120],
+        cure='Send for example {"gender": 1.0, "age": 0.667}; docs/data.md lists the entries.',
+    )
+
+
+def _check_object(text: str) -> None:
+    try:
+        fits = isinstance(json.loads(text), dict)
+    except (json.JSONDecodeError, RecursionError):
+        fits = False
+    if not fits:
+        raise BodyError(
+            "avatar", expected="a JSON object", got=text[:60], cure='Send for example {"gender": 1.0, "age": 0.667}.'
+        )
+
+
+def _as_text(entry: dict[str, Any] | str, folder: Path) -> str:
+    """A table's entry as an argument; a mesh in it is relative to the table, which is the operator's."""
+    if isinstance(entry, dict):
+        return json.dumps(entry)
+    return entry if entry == STANDARD or entry.startswith("{") else str(folder / entry)

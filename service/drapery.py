@@ -1,0 +1,153 @@
+"""Poses in, draped vertices out: features, graph and push-out, on one worker thread."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from typing import TypeVar
+
+import numpy as np
+
+from drape.body.assets import load_body
+from drape.body.model import BodyModel
+from drape.errors import NotFound
+from drape.feeds import BodyFeed, body_feed
+from service.collider import MOVED_M, Collider
+from service.engine import Engine
+from service.garments import Entry, Registry
+from service.motions import Motions
+from service.settings import Settings
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True, eq=False)
+class PoseInput:
+    """Checked poses (F, 24, 3), translations (F, 3) and one shape (S,), and whether to push out."""
+
+    poses: np.ndarray
+    trans: np.ndarray
+    betas: np.ndarray
+    push: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Draped:
+    """Vertices [m] (F, V, 3) float32 relative to ``root`` [m] (F, 3) float64, and what the push-out did.
+
+    ``pushed_share`` (F,) is the share of vertices that the push-out moved, ``push_max_m`` (F,) the furthest.
+    """
+
+    vertices: np.ndarray
+    root: np.ndarray
+    pushed: bool
+    pushed_share: np.ndarray
+    push_max_m: np.ndarray
+
+    def world(self) -> np.ndarray:
+        """World positions [m] (F, V, 3) float32."""
+        return (self.vertices + self.root[:, None, :]).astype(np.float32)
+
+
+class Drapery:
+    """Everything a start loads: body, model, garments, clips; and the thread that computes.
+
+    One thread: the graph uses its own threads, and numbers then do not depend on who else waits.
+    Clips are computed in chunks, so that a long one lets waiting stream frames through.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.body: BodyModel = load_body(settings.body)
+        self.engine = Engine(settings.models_dir / settings.model, provider=settings.provider, threads=settings.threads)
+        self.engine.check_body(self.body)
+        self.collider = Collider(self.body)
+        self.garments = Registry(self.engine, self.body, settings)
+        self.motions = Motions(settings.motions_dir)
+        self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="drape")
+        self.warm_up()
+
+    def close(self) -> None:
+        """Waits for the running chunk and ends the thread."""
+        self._executor.shutdown(wait=True, cancel_futures=True)
+
+    def warm_up(self) -> None:
+        """One frame of one garment, so that the first request does not pay for lazy set-up."""
+        entries = self.garments.entries()
+        if entries:
+            rest = PoseInput(np.zeros((1, 24, 3)), np.zeros((1, 3)), np.zeros(self.body.shape_count), push=True)
+            self.compute(entries[0], [rest])
+
+    def check_body_id(self, name: str) -> None:
+        """Refuses a body that this service has not loaded."""
+        if name != self.body.name:
+            raise NotFound(
+                "body", expected=self.body.name, got=name, cure="GET /bodies lists the bodies of this service."
+            )
+
+    async def in_thread(self, function: Callable[..., Result], *arguments: object) -> Result:
+        """``function(*arguments)`` on the worker thread."""
+        return await asyncio.get_running_loop().run_in_executor(self._executor, partial(function, *arguments))
+
+    async def drape(self, entry: Entry, motion: PoseInput) -> Draped:
+        """The draped clip, chunk by chunk."""
+        size = self.settings.chunk_frames
+        starts = range(0, len(motion.poses), size)
+        parts = [
+            PoseInput(motion.poses[i : i + size], motion.trans[i : i + size], motion.betas, motion.push) for i in starts
+        ]
+        return _joined([await self.in_thread(self.compute, entry, [part]) for part in parts])
+
+    async def pose_body(self, motion: PoseInput) -> np.ndarray:
+        """World vertices [m] (F, Vb, 3) float32 of the body."""
+        size = self.settings.chunk_frames
+        return np.concatenate(
+            [
+                await self.in_thread(
+                    self._body_chunk, motion.poses[i : i + size], motion.trans[i : i + size], motion.betas
+                )
+                for i in range(0, len(motion.poses), size)
+            ]
+        )
+
+    def _body_chunk(self, poses: np.ndarray, trans: np.ndarray, betas: np.ndarray) -> np.ndarray:
+        return self.body.posed_vertices(poses, trans, betas).astype(np.float32)
+
+    def compute(self, entry: Entry, motions: Sequence[PoseInput]) -> Draped:
+        """All frames of ``motions``, which may differ in shape, of one garment in one run of the graph."""
+        feed = _joined_feed([body_feed(self.body, m.poses, m.trans, m.betas) for m in motions])
+        vertices = self.engine.drape({**feed.arrays, **entry.feed})
+        count = len(vertices)
+        share, furthest = np.zeros(count), np.zeros(count)
+        start = 0
+        for motion in motions:
+            rows = slice(start, start + len(motion.poses))
+            start = rows.stop
+            if motion.push:
+                vertices[rows], share[rows], furthest[rows] = self._pushed(vertices[rows], motion)
+        return Draped(vertices, feed.root, any(m.push for m in motions), share, furthest)
+
+    def _pushed(self, vertices: np.ndarray, motion: PoseInput) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """``vertices`` moved out of the body, the share moved and the furthest way [m] of each frame."""
+        moved, way = self.collider.push(vertices, motion.poses, motion.betas, self.settings.clearance_m)
+        return moved, (way > MOVED_M).mean(axis=1), way.max(axis=1)
+
+
+def _joined_feed(feeds: Sequence[BodyFeed]) -> BodyFeed:
+    if len(feeds) == 1:
+        return feeds[0]
+    arrays = {key: np.concatenate([feed.arrays[key] for feed in feeds]) for key in feeds[0].arrays}
+    return BodyFeed(arrays, np.concatenate([feed.root for feed in feeds]))
+
+
+def _joined(parts: Sequence[Draped]) -> Draped:
+    return Draped(
+        vertices=np.concatenate([part.vertices for part in parts]),
+        root=np.concatenate([part.root for part in parts]),
+        pushed=parts[0].pushed,
+        pushed_share=np.concatenate([part.pushed_share for part in parts]),
+        push_max_m=np.concatenate([part.push_max_m for part in parts]),
+    )

@@ -1,0 +1,197 @@
+"""The only file that touches ONNX Runtime: opens a model folder, checks it, runs its two graphs."""
+
+from __future__ import annotations
+
+import importlib.metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from drape.artifacts import GraphSpec, Manifest, load_manifest
+from drape.body.model import BodyModel
+from drape.errors import ArtifactError, Unavailable
+
+if TYPE_CHECKING:
+    import onnxruntime
+
+Provider = Literal["cpu", "cuda"]
+
+PROVIDER_NAMES: dict[Provider, str] = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
+DISTRIBUTIONS = ("onnxruntime", "onnxruntime-gpu")
+ENCODER, DRAPE = "garment_encoder", "drape"
+REQUIRED_OUTPUTS = {ENCODER: {"patch_embedding"}, DRAPE: {"vertices"}}
+# ONNX Runtime's names for element types.
+_TYPES = {
+    "float32": "tensor(float)",
+    "float64": "tensor(double)",
+    "float16": "tensor(float16)",
+    "int64": "tensor(int64)",
+}
+
+
+def check_distributions() -> str:
+    """The one ONNX Runtime distribution that is installed; refuses none and two.
+
+    Both put their files in the same folder: the last one installed wins, and
+    removing one breaks the other (microsoft/onnxruntime#10685).
+    """
+    found = {name: version for name in DISTRIBUTIONS if (version := _version(name))}
+    if len(found) == 2:
+        listed = " and ".join(f"{name} {version}" for name, version in found.items())
+        raise Unavailable(
+            "onnxruntime",
+            expected="one of onnxruntime and onnxruntime-gpu",
+            got=f"both: {listed}",
+            cure="Uninstall both, then install one: pip install '.[cpu]' or pip install '.[gpu]'.",
+        )
+    if not found:
+        raise Unavailable(
+            "onnxruntime",
+            expected="one of onnxruntime and onnxruntime-gpu",
+            got="none installed",
+            cure="Install one: pip install '.[cpu]' or pip install '.[gpu]'.",
+        )
+    return next(iter(found))
+
+
+def _version(name: str) -> str | None:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+class Engine:
+    """An opened model. ``embed`` and ``drape`` are safe to call from one thread at a time each."""
+
+    def __init__(self, folder: Path, *, provider: Provider = "cpu", threads: int = 1) -> None:
+        check_distributions()
+        self.manifest: Manifest = load_manifest(folder)
+        for name in (ENCODER, DRAPE):
+            if name not in self.manifest.graphs:
+                raise ArtifactError(
+                    f"{folder.name} graphs",
+                    expected=f"a graph {name!r}",
+                    got=str(sorted(self.manifest.graphs)),
+                    cure="Export the model again.",
+                )
+        if self.manifest.dynamic:
+            raise ArtifactError(
+                f"{folder.name} dynamic", expected="False", got="True", cure="Use a service that keeps recurrent state."
+            )
+        self._sessions = {
+            name: _open(folder, name, self.manifest.graphs[name], provider, threads) for name in (ENCODER, DRAPE)
+        }
+        self.provider: str = self._sessions[DRAPE].get_providers()[0]
+
+    def check_body(self, body: BodyModel) -> None:
+        """Refuses a body that the model was not trained on."""
+        if body.digest != self.manifest.body_digest:
+            raise ArtifactError(
+                f"{self.manifest.name} body_digest",
+                expected=f"{self.manifest.body_digest} ({self.manifest.body})",
+                got=f"{body.digest} ({body.name})",
+                cure="Set DRAPE_BODY to the model's body, or export a model for this body.",
+            )
+
+    def embed(self, patch_features: np.ndarray) -> np.ndarray:
+        """What the drape graph reads of a garment's patches, (K, E) float32; constant per garment and model."""
+        features = np.ascontiguousarray(patch_features, dtype=np.float32)
+        wanted = self.manifest.graphs[ENCODER].inputs[0].shape[-1]
+        if isinstance(wanted, int) and features.shape[-1] != wanted:
+            raise ArtifactError(
+                "garment patch_features",
+                expected=f"{wanted} numbers per patch (model {self.manifest.name})",
+                got=str(features.shape[-1]),
+                cure="Run the intake of this release again.",
+            )
+        return self._run(ENCODER, {"patch_features": features}, ["patch_embedding"])[0]
+
+    def drape(self, feed: dict[str, np.ndarray]) -> np.ndarray:
+        """Vertices [m] (F, V, 3) float32 relative to the root joint, for the graph's inputs ``feed``."""
+        vertices = self._run(DRAPE, feed, ["vertices"])[0]
+        if not np.isfinite(vertices).all():
+            raise ArtifactError(
+                f"{self.manifest.name} vertices",
+                expected="finite numbers",
+                got="NaN or infinity",
+                cure="Use another model; this one fails on the pose.",
+            )
+        return vertices
+
+    def _run(self, graph: str, feed: dict[str, np.ndarray], outputs: list[str]) -> list[Any]:
+        wanted = [tensor.name for tensor in self.manifest.graphs[graph].inputs]
+        return self._sessions[graph].run(outputs, {name: feed[name] for name in wanted})
+
+
+def _open(folder: Path, name: str, spec: GraphSpec, provider: Provider, threads: int) -> onnxruntime.InferenceSession:
+    """A session of one graph whose tensors are those of the manifest, on the provider that was asked for."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    # Spinning threads burn a core at 90 frames a second and gain 0.2 ms.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    options.log_severity_level = 3
+    # Only what was asked for; ONNX Runtime adds the CPU by itself where a node needs it.
+    try:
+        session = onnxruntime.InferenceSession(str(folder / spec.file), options, providers=[PROVIDER_NAMES[provider]])
+    except Exception as error:  # the runtime raises a class of its own for each kind of damage
+        raise ArtifactError(
+            f"{folder.name}/{spec.file}",
+            expected="a graph that ONNX Runtime opens",
+            got=str(error).splitlines()[0],
+            cure="Export the model again.",
+        ) from error
+    # ONNX Runtime falls back to the CPU without a word (only a log line), so what counts is what it says it uses.
+    used = session.get_providers()
+    if PROVIDER_NAMES[provider] not in used:
+        raise Unavailable(
+            "DRAPE_PROVIDER",
+            expected=f"{PROVIDER_NAMES[provider]} to open",
+            got=f"only {', '.join(used)}",
+            cure="Install the gpu extra and a driver that fits it, or set DRAPE_PROVIDER=cpu.",
+        )
+    _compare(
+        folder.name,
+        name,
+        "inputs",
+        {t.name: t.dtype for t in spec.inputs},
+        {t.name: t.type for t in session.get_inputs()},
+    )
+    _compare(
+        folder.name,
+        name,
+        "outputs",
+        {t.name: t.dtype for t in spec.outputs},
+        {t.name: t.type for t in session.get_outputs()},
+    )
+    missing = REQUIRED_OUTPUTS[name] - {tensor.name for tensor in spec.outputs}
+    if missing:
+        raise ArtifactError(
+            f"{folder.name} {name} outputs",
+            expected=", ".join(sorted(missing)),
+            got="none",
+            cure="Export the model again.",
+        )
+    return session
+
+
+def _compare(model: str, graph: str, side: str, written: dict[str, str], found: dict[str, str]) -> None:
+    if set(written) != set(found):
+        raise ArtifactError(
+            f"{model} {graph} {side}",
+            expected=f"{sorted(written)} as in the manifest",
+            got=str(sorted(found)),
+            cure="Export the model again.",
+        )
+    for name, dtype in written.items():
+        if _TYPES.get(dtype) != found[name]:
+            raise ArtifactError(
+                f"{model} {graph} {name}",
+                expected=f"{dtype} as in the manifest",
+                got=found[name],
+                cure="Export the model again.",
+            )

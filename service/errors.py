@@ -1,0 +1,147 @@
+"""The error tree on the outside: one table gives each refusal its HTTP status and WebSocket close code."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from starlette.exceptions import HTTPException
+
+from drape.errors import ArtifactError, BodyError, DrapeError, InputError, MeshError, MotionError, NotFound, Unavailable
+from service.validation import validation_refusal
+
+PROBLEM = "application/problem+json"
+REASON_BYTES = 123  # what a WebSocket close frame can carry
+
+
+class TooLarge(InputError):
+    """More bytes, frames or vertices than this service takes."""
+
+
+class Forbidden(InputError):
+    """A request that this service does not answer from where it came."""
+
+
+class NotAcceptable(InputError):
+    """None of the formats that the client accepts is one of ours."""
+
+
+class TooSlow(InputError):
+    """A stream client that has stopped reading, opening or sending."""
+
+
+class Busy(Unavailable):
+    """All places are taken for now."""
+
+
+@dataclass(frozen=True)
+class Rule:
+    """How one kind of refusal leaves the service."""
+
+    status: int
+    close_code: int
+    title: str
+
+
+# A class without a row takes the row of its nearest base; DrapeError is last resort.
+TABLE: dict[type[DrapeError], Rule] = {
+    NotFound: Rule(404, 4404, "Not found"),
+    MeshError: Rule(422, 4422, "Mesh cannot be draped"),
+    BodyError: Rule(422, 4422, "Body cannot be used"),
+    MotionError: Rule(422, 4422, "Pose or clip cannot be used"),
+    TooLarge: Rule(413, 1009, "Too large"),
+    Forbidden: Rule(403, 4403, "Forbidden"),
+    NotAcceptable: Rule(406, 4406, "Not acceptable"),
+    TooSlow: Rule(408, 4408, "Too slow"),
+    InputError: Rule(400, 4400, "Bad request"),
+    ArtifactError: Rule(500, 1011, "Stored data does not hold together"),
+    Busy: Rule(429, 1013, "Busy"),
+    Unavailable: Rule(503, 1013, "Unavailable"),
+    DrapeError: Rule(500, 1011, "Failed"),
+}
+
+
+def rule_for(error: DrapeError | type[DrapeError]) -> Rule:
+    """The row of ``error``'s class, or of its nearest base."""
+    kind = error if isinstance(error, type) else type(error)
+    return next(TABLE[base] for base in kind.__mro__ if base in TABLE)
+
+
+def problem(error: DrapeError) -> dict[str, Any]:
+    """The problem document (RFC 9457) of ``error``."""
+    rule = rule_for(error)
+    return {
+        "type": f"urn:drape:{type(error).__name__}",
+        "title": rule.title,
+        "status": rule.status,
+        "detail": str(error),
+        "name": error.name,
+        "expected": error.expected,
+        "got": error.got,
+        "cure": error.cure,
+    }
+
+
+def problem_response(error: DrapeError) -> JSONResponse:
+    """The HTTP answer to ``error``."""
+    document = problem(error)
+    return JSONResponse(document, status_code=document["status"], media_type=PROBLEM)
+
+
+def close_reason(error: DrapeError) -> str:
+    """The sentence of ``error``, cut to what a close frame carries; the whole one goes in a message before it."""
+    raw = str(error).encode()
+    return raw.decode() if len(raw) <= REASON_BYTES else raw[: REASON_BYTES - 3].decode(errors="ignore") + "..."
+
+
+def error_message(error: DrapeError) -> str:
+    """The JSON text message that precedes a close."""
+    return json.dumps({**problem(error), "type": "error", "kind": type(error).__name__})
+
+
+class InternalError(DrapeError):
+    """A fault of ours; the log holds the cause, the client does not."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "service", expected="an answer", got="an internal error", cure="Try again; the service's log has the cause."
+        )
+
+    def __reduce__(self):
+        return InternalError, ()
+
+
+_HTTP_REFUSALS: dict[int, tuple[type[DrapeError], str, str]] = {
+    404: (NotFound, "a path of this service", "See /docs for the paths."),
+    405: (InputError, "a method that this path has", "See /docs for the methods."),
+}
+
+
+def install(app: FastAPI) -> None:
+    """Makes every refusal of ``app`` a problem document."""
+
+    @app.exception_handler(DrapeError)
+    async def on_refusal(request: Request, error: DrapeError) -> JSONResponse:
+        return problem_response(error)
+
+    @app.exception_handler(RequestValidationError)
+    async def on_validation(request: Request, error: RequestValidationError) -> JSONResponse:
+        return problem_response(validation_refusal(error.errors()))
+
+    @app.exception_handler(HTTPException)
+    async def on_http(request: Request, error: HTTPException) -> JSONResponse:
+        kind, expected, cure = _HTTP_REFUSALS.get(
+            error.status_code, (InputError, "a request of this service", "See /docs.")
+        )
+        refusal = kind("request", expected=expected, got=f"{request.method} {request.url.path}", cure=cure)
+        document = {**problem(refusal), "status": error.status_code, "title": str(error.detail)}
+        return JSONResponse(document, status_code=error.status_code, media_type=PROBLEM, headers=error.headers)
+
+    @app.exception_handler(Exception)
+    async def on_fault(request: Request, error: Exception) -> JSONResponse:
+        # The server logs the exception itself.
+        return problem_response(InternalError())

@@ -1,0 +1,144 @@
+"""The garments that can be draped: shipped and uploaded caches, each with its embedding and graph inputs."""
+
+from __future__ import annotations
+
+import logging
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_COUNT
+from drape.errors import ArtifactError, DrapeError, NotFound
+from drape.feeds import garment_feed
+from drape.garment.cache import CHARTS_PER_VERTEX, Garment, load_garment
+from drape.geometry.jets import JET_COUNT
+from service.engine import Engine
+from service.errors import TooLarge
+from service.settings import Settings
+
+Source = Literal["shipped", "user"]
+
+log = logging.getLogger("drape.service")
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """A garment in service. ``feed`` holds its constant graph inputs, the embedding included."""
+
+    id: str
+    garment: Garment
+    source: Source
+    feed: dict[str, np.ndarray]
+
+
+class Registry:
+    """Garments by id. Shipped caches must load; of the uploaded ones a bad file is set aside and named in /health."""
+
+    def __init__(self, engine: Engine, body: BodyModel, settings: Settings) -> None:
+        self._engine, self._body, self._settings = engine, body, settings
+        self._entries: dict[str, Entry] = {}
+        self.refused: list[str] = []
+        for path in sorted(settings.shipped_garments_dir.glob("*.npz")):
+            self.add(self.prepare(path), "shipped")
+        uploaded = settings.garments_dir.glob("*.npz")
+        # In the order of arrival, so that ids given to equal names stay the same.
+        for path in sorted(uploaded, key=lambda path: (path.stat().st_mtime_ns, path.name)):
+            try:
+                self.add(self.prepare(path), "user")
+            except DrapeError as error:
+                log.warning("garment set aside: %s", error)
+                self.refused.append(f"{path.name}: {error}")
+
+    def entries(self) -> list[Entry]:
+        """All garments, shipped ones first."""
+        return list(self._entries.values())
+
+    def get(self, name: str) -> Entry:
+        """The garment with the id ``name``; refuses an unknown one."""
+        entry = self._entries.get(name)
+        if entry is None:
+            known = ", ".join(sorted(self._entries)[:20]) or "none yet"
+            raise NotFound(
+                "garment",
+                expected=f"one of: {known}",
+                got=name[:120],
+                cure="GET /garments lists them; POST /garments adds one.",
+            )
+        return entry
+
+    def prepare(self, path: Path) -> tuple[Garment, dict[str, np.ndarray]]:
+        """A checked garment and its graph inputs; what takes time, and safe on the worker thread."""
+        garment = load_garment(path)
+        check_garment(garment, self._body, max_vertices=self._settings.max_vertices)
+        return garment, {**garment_feed(garment), "patch_embedding": self._engine.embed(garment.patch_features)}
+
+    def add(self, prepared: tuple[Garment, dict[str, np.ndarray]], source: Source) -> Entry:
+        """Puts a prepared garment in service under its name, or name and digest where the name is taken."""
+        garment, feed = prepared
+        name = slug(garment.name)
+        taken = self._entries.get(name)
+        if taken is not None and taken.garment.digest != garment.digest:
+            name = f"{name}-{garment.digest[:8]}"
+        entry = Entry(name, garment, source if taken is None or name != taken.id else taken.source, feed)
+        self._entries[name] = entry
+        return entry
+
+
+def slug(name: str) -> str:
+    """``name`` with only letters, digits, dot, dash and underscore."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.")[:80] or "garment"
+
+
+def check_garment(garment: Garment, body: BodyModel, *, max_vertices: int) -> None:
+    """Refuses a cache that was made for another body, is too large, or whose arrays do not fit together."""
+    label = f"garment {garment.name}"
+    cure = "Run the intake again."
+    if garment.body_digest != body.digest:
+        raise ArtifactError(
+            f"{label} body_digest", expected=f"{body.digest} ({body.name})", got=garment.body_digest, cure=cure
+        )
+    delivered, patches = garment.vertex_count, garment.patch_count
+    if delivered > max_vertices:
+        raise TooLarge(
+            f"{label} vertices", expected=f"at most {max_vertices}", got=str(delivered), cure="Simplify the mesh."
+        )
+    rows = len(garment.vertices)
+    shapes = {
+        "vertices": (rows, 3),
+        "chart_patch": (rows, CHARTS_PER_VERTEX),
+        "chart_weight": (rows, CHARTS_PER_VERTEX),
+        "chart_uv": (rows, CHARTS_PER_VERTEX, 2),
+        "chart_residual": (rows, CHARTS_PER_VERTEX, 3),
+        "patch_rotation": (patches, 3, 3),
+        "patch_centre": (patches, 3),
+        "patch_scale": (patches,),
+        "patch_jet": (patches, JET_COUNT),
+        "patch_weights": (patches, JOINT_COUNT),
+        "face_material": (len(garment.faces),),
+    }
+    for name, shape in shapes.items():
+        array = getattr(garment, name)
+        if array.shape != shape:
+            raise ArtifactError(f"{label} {name}", expected=f"shape {shape}", got=f"shape {array.shape}", cure=cure)
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise ArtifactError(f"{label} {name}", expected="finite numbers", got="NaN or infinity", cure=cure)
+    if not 0 < delivered <= rows or patches == 0:
+        raise ArtifactError(
+            f"{label} vertex_count",
+            expected=f"1 to {rows}, and patches",
+            got=f"{delivered}, {patches} patches",
+            cure=cure,
+        )
+    bounds = {"faces": delivered, "chart_patch": patches}
+    if garment.uv_faces.size:
+        bounds["uv_faces"] = len(garment.uv)
+    for name, limit in bounds.items():
+        array = getattr(garment, name)
+        if array.size and (array.min() < 0 or array.max() >= limit):
+            raise ArtifactError(
+                f"{label} {name}", expected=f"indices in [0, {limit})", got=f"[{array.min()}, {array.max()}]", cure=cure
+            )

@@ -1,0 +1,198 @@
+"""Uploads: a file waits, is taken in by a limited process of its own, and becomes a garment or a refusal."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import os
+import shutil
+import signal
+import sys
+import uuid
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from drape.errors import ArtifactError, DrapeError, InputError, MeshError, NotFound
+from service import errors
+from service.drapery import Drapery
+from service.garments import slug
+from service.settings import ROOT, Settings
+
+FORMATS = ("obj", "glb", "ply", "stl")
+KEPT_JOBS = 256
+log = logging.getLogger("drape.service")
+
+
+@dataclass(eq=False)
+class Job:
+    """One upload and how far it is."""
+
+    id: str
+    name: str
+    state: Literal["queued", "running", "done", "failed"] = "queued"
+    garment: str | None = None
+    problem: dict[str, Any] | None = None
+
+
+class Uploads:
+    """A queue with one worker; files lie in a staging folder of this process until they are garments."""
+
+    def __init__(self, drapery: Drapery) -> None:
+        self._drapery, self._settings = drapery, drapery.settings
+        self._jobs: dict[str, Job] = {}
+        self._queue: asyncio.Queue[tuple[Job, Path, str | None]] = asyncio.Queue()
+        self._staging = self._settings.garments_dir / f".staging-{os.getpid()}"
+        self._worker: asyncio.Task[None] | None = None
+
+    def start(self) -> None:
+        """Clears what ended processes left behind and starts the worker."""
+        for folder in self._settings.garments_dir.glob(".staging-*"):
+            if not _is_running(folder.name.removeprefix(".staging-")) or folder == self._staging:
+                shutil.rmtree(folder, ignore_errors=True)
+        self._worker = asyncio.create_task(self._work(), name="uploads")
+
+    async def stop(self) -> None:
+        """Ends the worker and the process it runs; nothing half-written stays."""
+        if self._worker is not None:
+            self._worker.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._worker
+        shutil.rmtree(self._staging, ignore_errors=True)
+
+    def get(self, job_id: str) -> Job:
+        """The upload ``job_id``; refuses an unknown one."""
+        if job_id not in self._jobs:
+            raise NotFound(
+                "job", expected="the id of an upload of this run", got=job_id[:120], cure="Upload the file again."
+            )
+        return self._jobs[job_id]
+
+    def submit(self, name: str, file_format: str, payload: bytes, avatar: str | None) -> Job:
+        """Stores the file and queues it; refuses when too many wait."""
+        waiting = sum(job.state in ("queued", "running") for job in self._jobs.values())
+        if waiting >= self._settings.intake_queue:
+            raise errors.Busy(
+                "uploads",
+                expected=f"fewer than {self._settings.intake_queue} waiting",
+                got=str(waiting),
+                cure="Try again in a minute.",
+            )
+        job = Job(id=uuid.uuid4().hex[:12], name=slug(name))
+        folder = self._staging / job.id
+        folder.mkdir(parents=True)
+        file = folder / f"{job.name}.{file_format}"
+        file.write_bytes(payload)
+        self._jobs[job.id] = job
+        finished = [key for key, kept in self._jobs.items() if kept.state in ("done", "failed")]
+        for key in finished[: max(0, len(self._jobs) - KEPT_JOBS)]:
+            del self._jobs[key]
+        self._queue.put_nowait((job, file, avatar))
+        return job
+
+    async def _work(self) -> None:
+        while True:
+            job, file, avatar = await self._queue.get()
+            job.state = "running"
+            try:
+                job.garment = await self._take_in(file, avatar)
+                job.state = "done"
+            except DrapeError as error:
+                job.problem, job.state = errors.problem(error), "failed"
+                log.info("upload %s refused: %s", job.id, error)
+            except Exception:
+                log.exception("upload %s failed", job.id)
+                job.problem, job.state = errors.problem(errors.InternalError()), "failed"
+            finally:
+                shutil.rmtree(file.parent, ignore_errors=True)
+
+    async def _take_in(self, file: Path, avatar: str | None) -> str:
+        """The id of the garment made from ``file``."""
+        out = file.parent / "out"
+        report = await run_sandbox(file, avatar, out, self._settings)
+        made = out / str(report["file"])
+        registry = self._drapery.garments
+        prepared = await self._drapery.in_thread(registry.prepare, made)
+        os.replace(made, self._settings.garments_dir / made.name)
+        return registry.add(prepared, "user").id
+
+
+async def run_sandbox(file: Path, avatar: str | None, out: Path, settings: Settings) -> dict[str, Any]:
+    """What the intake process reports; raises its refusal, or one for the limit that it ran into."""
+    command = [sys.executable, "-m", "service.sandbox", str(file), "--out", str(out), "--body", settings.body]
+    command += ["--memory-mb", str(settings.intake_memory_mb), "--cpu-s", str(settings.intake_cpu_s)]
+    command += ["--avatar", avatar] if avatar is not None else []
+    # One thread each: their stacks and buffers count against the memory limit.
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+    process = await asyncio.create_subprocess_exec(
+        *command,
+        cwd=ROOT,
+        env=environment,
+        stdin=asyncio.subprocess.DEVNULL,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    label = f"upload {file.name}"
+    try:
+        output, _ = await asyncio.wait_for(process.communicate(), settings.intake_wall_s)
+    except TimeoutError:
+        raise errors.TooLarge(
+            label,
+            expected=f"an intake within {settings.intake_wall_s:g} s",
+            got="no end by then",
+            cure="Simplify the mesh.",
+        ) from None
+    finally:
+        if process.returncode is None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            await process.wait()
+    report = _last_json(output)
+    if report is not None and "problem" in report:
+        raise _refusal(report["problem"])
+    if report is not None and "file" in report:
+        return report
+    if process.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
+        raise errors.TooLarge(
+            label,
+            expected=f"an intake within {settings.intake_cpu_s} s of processor time",
+            got="more",
+            cure="Simplify the mesh.",
+        )
+    raise MeshError(
+        label,
+        expected="a mesh",
+        got=f"a file on which the intake ends with status {process.returncode}",
+        cure="Export the mesh again.",
+    )
+
+
+def _last_json(output: bytes) -> dict[str, Any] | None:
+    lines = output.decode(errors="replace").strip().splitlines()
+    try:
+        found = json.loads(lines[-1]) if lines else None
+    except json.JSONDecodeError:
+        return None
+    return found if isinstance(found, dict) else None
+
+
+_KINDS: dict[str, type[DrapeError]] = {kind.__name__: kind for kind in (*errors.TABLE, ArtifactError)}
+
+
+def _refusal(said: dict[str, str]) -> DrapeError:
+    """The error that the intake process put in words."""
+    kind = _KINDS.get(said["kind"], InputError)
+    return kind(said["name"], expected=said["expected"], got=said["got"], cure=said["cure"])
+
+
+def _is_running(pid: str) -> bool:
+    try:
+        os.kill(int(pid), 0)
+    except (ValueError, ProcessLookupError):
+        return False
+    except PermissionError:
+        return True
+    return True

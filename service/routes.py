@@ -1,0 +1,365 @@
+"""REST: health, garments, uploads, draped clips, bodies and sample clips."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import binascii
+import json
+from typing import Annotated, Any
+
+import numpy as np
+from fastapi import APIRouter, Depends, Query, Request, Response
+
+from drape.body.model import BodyModel
+from drape.errors import InputError, MeshError
+from service import glb, negotiation, schemas
+from service.avatars import upload_avatar
+from service.drapery import Draped, Drapery, PoseInput
+from service.errors import TooLarge
+from service.garments import Entry
+from service.jobs import FORMATS, Job
+from service.motions import floor_m
+from service.origins import check_origin
+from service.poses import motion_arrays, shape_array
+from service.state import State
+from service.version import product_version
+
+router = APIRouter()
+NUMBER_TEXT_BYTES = 20  # of one coordinate in JSON
+_BY_CONTENT_TYPE = {
+    "model/obj": "obj",
+    "model/gltf-binary": "glb",
+    "model/stl": "stl",
+    "model/ply": "ply",
+    "application/x-ply": "ply",
+    "application/sla": "stl",
+}
+
+
+def _state(request: Request) -> State:
+    return request.app.state.drape
+
+
+StateHere = Annotated[State, Depends(_state)]
+Betas = Annotated[str | None, Query(max_length=1000, description="Shape coefficients, comma-separated.")]
+
+
+@router.get("/health")
+async def health(state: StateHere) -> schemas.Health:
+    """Whether the service works, and with what."""
+    drapery = state.drapery
+    return schemas.Health(
+        status="ok",
+        version=product_version(),
+        model=drapery.engine.manifest.name,
+        model_digest=drapery.engine.manifest.digest,
+        provider=drapery.engine.provider,
+        body=drapery.body.name,
+        garments=len(drapery.garments.entries()),
+        sessions=state.streams.count,
+        refused_garments=drapery.garments.refused,
+    )
+
+
+# --- garments ---
+
+
+@router.get("/garments")
+async def garments(state: StateHere) -> list[schemas.GarmentInfo]:
+    """The garments that can be draped."""
+    return [_garment_info(entry) for entry in state.drapery.garments.entries()]
+
+
+@router.get("/garments/{garment_id}")
+async def garment(garment_id: str, state: StateHere) -> schemas.GarmentInfo:
+    """One garment."""
+    return _garment_info(state.drapery.garments.get(garment_id))
+
+
+@router.get("/garments/{garment_id}/mesh", response_model=schemas.MeshDocument)
+async def garment_mesh(garment_id: str, request: Request, state: StateHere) -> Response:
+    """The delivered mesh at rest on the standard body: JSON, or GLB by Accept."""
+    entry = state.drapery.garments.get(garment_id)
+    garment = entry.garment
+    kind = negotiation.choose(request.headers.get("accept"), (negotiation.JSON, negotiation.GLB))
+    if kind == negotiation.GLB:
+        file = glb.GlbFile()
+        glb.add_garment(file, garment, garment.vertices[None, : garment.vertex_count], fps=1.0)
+        return Response(file.to_bytes(), media_type=glb.CONTENT_TYPE)
+    document = {
+        "id": entry.id,
+        "vertices": garment.vertices[: garment.vertex_count].astype(np.float32).tolist(),
+        "faces": garment.faces.tolist(),
+        "uv": garment.uv.astype(np.float32).tolist(),
+        "uv_faces": garment.uv_faces.tolist(),
+        "materials": list(garment.material_names),
+        "face_material": garment.face_material.tolist(),
+    }
+    return Response(await asyncio.to_thread(json.dumps, document), media_type=negotiation.JSON)
+
+
+def _garment_info(entry: Entry) -> schemas.GarmentInfo:
+    garment = entry.garment
+    return schemas.GarmentInfo(
+        id=entry.id,
+        name=garment.name,
+        digest=garment.digest,
+        vertices=garment.vertex_count,
+        faces=len(garment.faces),
+        patches=garment.patch_count,
+        source=entry.source,
+        materials=list(garment.material_names),
+        manifest=garment.manifest,
+    )
+
+
+# --- uploads ---
+
+
+@router.post("/garments", status_code=202)
+async def upload(
+    request: Request,
+    response: Response,
+    state: StateHere,
+    name: Annotated[str | None, Query(max_length=120, description="File name or name of the garment.")] = None,
+    avatar: Annotated[
+        str | None, Query(max_length=10_000, description="Phenotype or SMPL parameters as JSON, or a name.")
+    ] = None,
+    format: Annotated[
+        str | None, Query(max_length=10, description="obj, glb, ply or stl, where the name does not say it.")
+    ] = None,
+) -> schemas.JobInfo:
+    """Takes a garment file in: the raw bytes as body, or JSON (name, format, data_base64, avatar). Poll the job."""
+    check_origin(request.headers, state.drapery.settings)
+    body = await request.body()
+    told: str | dict[str, Any] | None = avatar
+    content_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    if content_type == negotiation.JSON:
+        sent = _upload_request(body)
+        name, format, told = sent.name, sent.format, sent.avatar
+        try:
+            body = base64.b64decode(sent.data_base64, validate=True)
+        except binascii.Error as error:
+            raise InputError(
+                "data_base64", expected="base64", got=str(error), cure="Encode the file's bytes as standard base64."
+            ) from error
+    stem, file_format = _name_and_format(name, format, content_type)
+    if not body:
+        raise MeshError(
+            "request body", expected="the bytes of a mesh file", got="nothing", cure="Send the file as the body."
+        )
+    job = state.uploads.submit(stem, file_format, body, upload_avatar(told, stem, state.drapery.settings.garments_dir))
+    response.headers["Location"] = f"/jobs/{job.id}"
+    return _job_info(job)
+
+
+@router.get("/jobs/{job_id}")
+async def job(job_id: str, state: StateHere) -> schemas.JobInfo:
+    """How far an upload is."""
+    return _job_info(state.uploads.get(job_id))
+
+
+def _upload_request(body: bytes) -> schemas.UploadRequest:
+    from pydantic import ValidationError
+
+    from service.validation import validation_refusal
+
+    try:
+        return schemas.UploadRequest.model_validate_json(body)
+    except ValidationError as error:
+        raise validation_refusal(error.errors()) from error
+
+
+def _name_and_format(name: str | None, file_format: str | None, content_type: str) -> tuple[str, str]:
+    stem, dot, suffix = (name or "").rpartition(".")
+    if not dot or suffix.lower() not in FORMATS:
+        stem, suffix = name or "", ""
+    chosen = (file_format or suffix or _BY_CONTENT_TYPE.get(content_type, "")).lower()
+    if chosen not in FORMATS:
+        raise InputError(
+            "format",
+            expected=f"one of {', '.join(FORMATS)}",
+            got=chosen or "nothing",
+            cure="Give ?name=shirt.obj, or ?format=obj.",
+        )
+    if not stem:
+        raise InputError("name", expected="the garment's name", got="nothing", cure="Give ?name=shirt.obj.")
+    return stem, chosen
+
+
+def _job_info(job: Job) -> schemas.JobInfo:
+    return schemas.JobInfo(id=job.id, name=job.name, state=job.state, garment=job.garment, problem=job.problem)
+
+
+# --- draped clips and posed bodies ---
+
+
+@router.post("/drape", response_model=schemas.VerticesDocument)
+async def drape_clip(asked: schemas.DrapeRequest, request: Request, state: StateHere) -> Response:
+    """The garment on the moving body, world frame [m]: binary float32 (frames, vertices, 3), GLB or JSON by Accept."""
+    drapery = state.drapery
+    kind = _kind(request)
+    entry = drapery.garments.get(asked.garment)
+    push = drapery.settings.push_out if asked.push_out is None else asked.push_out
+    motion = _motion(asked, drapery, push=push)
+    _check_size(kind, len(motion.poses), entry.garment.vertex_count, drapery)
+    with state.slot():
+        draped = await drapery.drape(entry, motion)
+        headers = _quality_headers(draped, drapery)
+        if kind == negotiation.GLB:
+            content = await asyncio.to_thread(_garment_file, entry, draped, asked, motion, drapery)
+            return Response(content, media_type=kind, headers=_shape_headers(draped.vertices) | headers)
+        return await _vertices_response(draped.world(), asked.fps, kind, headers)
+
+
+@router.post("/bodies/{body_id}/posed", response_model=schemas.VerticesDocument)
+async def posed_body(body_id: str, asked: schemas.PosedRequest, request: Request, state: StateHere) -> Response:
+    """The posed body's vertices for the same input, in the same formats."""
+    drapery = state.drapery
+    drapery.check_body_id(body_id)
+    kind = _kind(request)
+    motion = _motion(asked, drapery, push=False)
+    if kind == negotiation.GLB:
+        file = glb.GlbFile()
+        glb.add_body(file, drapery.body, motion.betas, motion.poses, motion.trans, asked.fps)
+        return Response(file.to_bytes(), media_type=kind)
+    _check_size(kind, len(motion.poses), drapery.body.vertex_count, drapery)
+    with state.slot():
+        return await _vertices_response(await drapery.pose_body(motion), asked.fps, kind, {})
+
+
+def _kind(request: Request) -> str:
+    return negotiation.choose(request.headers.get("accept"), (negotiation.BINARY, negotiation.GLB, negotiation.JSON))
+
+
+def _motion(asked: schemas.PosedRequest, drapery: Drapery, *, push: bool) -> PoseInput:
+    poses, trans = motion_arrays(asked.poses, asked.trans, max_frames=drapery.settings.max_frames)
+    return PoseInput(poses, trans, shape_array(asked.betas, drapery.body), push)
+
+
+def _check_size(kind: str, frames: int, vertices: int, drapery: Drapery) -> None:
+    per_vertex = {negotiation.BINARY: 12, negotiation.GLB: 24, negotiation.JSON: 3 * NUMBER_TEXT_BYTES}[kind]
+    size, limit = frames * vertices * per_vertex, drapery.settings.max_answer_bytes
+    if size > limit:
+        raise TooLarge(
+            "answer",
+            expected=f"at most {limit} bytes",
+            got=f"about {size} for {frames} frames of {vertices} vertices",
+            cure="Send the clip in pieces.",
+        )
+
+
+def _garment_file(
+    entry: Entry, draped: Draped, asked: schemas.DrapeRequest, motion: PoseInput, drapery: Drapery
+) -> bytes:
+    file = glb.GlbFile()
+    glb.add_garment(file, entry.garment, draped.world(), asked.fps)
+    if asked.body:
+        glb.add_body(file, drapery.body, motion.betas, motion.poses, motion.trans, asked.fps)
+    return file.to_bytes()
+
+
+async def _vertices_response(vertices: np.ndarray, fps: float, kind: str, headers: dict[str, str]) -> Response:
+    headers = _shape_headers(vertices) | headers
+    if kind == negotiation.BINARY:
+        return Response(vertices.astype("<f4").tobytes(), media_type=kind, headers=headers)
+    document = {"fps": fps, "frames": len(vertices), "vertices": vertices.shape[1]}
+    content = await asyncio.to_thread(lambda: json.dumps(document | {"positions": vertices.tolist()}))
+    return Response(content, media_type=kind, headers=headers)
+
+
+def _shape_headers(vertices: np.ndarray) -> dict[str, str]:
+    return {"X-Drape-Frames": str(len(vertices)), "X-Drape-Vertices": str(vertices.shape[1])}
+
+
+def _quality_headers(draped: Draped, drapery: Drapery) -> dict[str, str]:
+    return {
+        "X-Drape-Model": drapery.engine.manifest.digest[:16],
+        "X-Drape-Push-Out": str(int(draped.pushed)),
+        "X-Drape-Pushed-Share": f"{draped.pushed_share.mean():.6f}",
+        "X-Drape-Push-Max-M": f"{draped.push_max_m.max():.6f}",
+    }
+
+
+# --- bodies and clips ---
+
+
+@router.get("/bodies")
+async def bodies(state: StateHere) -> list[schemas.BodyInfo]:
+    """The bodies of this service: the one that its model was trained on."""
+    return [_body_info(state.drapery.body)]
+
+
+def _body_info(body: BodyModel) -> schemas.BodyInfo:
+    return schemas.BodyInfo(
+        id=body.name,
+        digest=body.digest,
+        vertices=body.vertex_count,
+        faces=len(body.faces),
+        shapes=body.shape_count,
+    )
+
+
+@router.get("/bodies/{body_id}")
+async def body(body_id: str, state: StateHere, betas: Betas = None) -> schemas.BodyDocument:
+    """One body, in the shape ``betas``."""
+    drapery = state.drapery
+    drapery.check_body_id(body_id)
+    shape = shape_array(_numbers("betas", betas), drapery.body)
+    return schemas.BodyDocument(
+        **_body_info(drapery.body).model_dump(),
+        joints=drapery.body.rest_joints(shape).tolist(),
+        floor_m=floor_m(drapery.body, shape),
+    )
+
+
+@router.get("/bodies/{body_id}/mesh", response_model=schemas.MeshDocument)
+async def body_mesh(
+    body_id: str,
+    request: Request,
+    state: StateHere,
+    betas: Betas = None,
+) -> Response:
+    """The body at rest: JSON, or by Accept a GLB with its 24 joints as a skeleton, ready to be posed."""
+    drapery = state.drapery
+    drapery.check_body_id(body_id)
+    shape = shape_array(_numbers("betas", betas), drapery.body)
+    kind = negotiation.choose(request.headers.get("accept"), (negotiation.JSON, negotiation.GLB))
+    if kind == negotiation.GLB:
+        file = glb.GlbFile()
+        glb.add_body(file, drapery.body, shape)
+        return Response(file.to_bytes(), media_type=kind)
+    faces = drapery.body.faces.tolist()
+    vertices = drapery.body.rest_vertices(shape).astype(np.float32).tolist()
+    document = {"id": drapery.body.name, "vertices": vertices, "faces": faces, "uv": [], "uv_faces": []}
+    document |= {"materials": ["body"], "face_material": [0] * len(faces)}
+    return Response(await asyncio.to_thread(json.dumps, document), media_type=kind)
+
+
+def _numbers(name: str, text: str | None) -> list[float]:
+    try:
+        return [float(part) for part in text.split(",")] if text else []
+    except ValueError as error:
+        raise InputError(
+            name, expected="comma-separated numbers", got=str(text)[:60], cure="For example ?betas=0.5,-1."
+        ) from error
+
+
+@router.get("/motions")
+async def motions(state: StateHere) -> list[schemas.MotionInfo]:
+    """The shipped sample clips."""
+    clips = {key: state.drapery.motions.get(key) for key in state.drapery.motions.ids()}
+    return [
+        schemas.MotionInfo(id=key, name=clip.name, frames=clip.frame_count, fps=clip.fps) for key, clip in clips.items()
+    ]
+
+
+@router.get("/motions/{motion_id}", response_model=schemas.MotionDocument)
+async def motion(motion_id: str, state: StateHere, betas: Betas = None) -> Response:
+    """One sample clip with its poses [rad] and translations [m], for the body in the shape ``betas``."""
+    drapery = state.drapery
+    clip = drapery.motions.placed(motion_id, drapery.body, shape_array(_numbers("betas", betas), drapery.body))
+    document = {"id": motion_id, "name": clip.name, "frames": clip.frame_count, "fps": clip.fps}
+    document |= {"poses": np.round(clip.poses, 6).tolist(), "trans": np.round(clip.trans, 6).tolist()}
+    return Response(json.dumps(document), media_type=negotiation.JSON)

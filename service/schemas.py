@@ -1,0 +1,155 @@
+"""What requests may hold, and what answers hold."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from annotated_types import Len
+from pydantic import BaseModel, ConfigDict, Field
+
+from drape.body.skeleton import JOINT_COUNT
+from drape.feeds import BETA_COUNT
+
+Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+Vector = Annotated[list[Number], Len(3, 3)]
+PoseRows = Annotated[list[Vector], Len(JOINT_COUNT, JOINT_COUNT)]
+Identifier = Annotated[str, Field(min_length=1, max_length=120)]
+
+
+class Request(BaseModel):
+    """Base of what clients send: unknown fields are refused, so that a typing mistake is not ignored."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class PosedRequest(Request):
+    """A body in motion: rotation vectors [rad] relative to the parent, root translation [m], shape."""
+
+    poses: Annotated[list[PoseRows], Len(1)]
+    trans: list[Vector] | None = Field(default=None, description="Root translation [m] per frame; zeros if left out.")
+    betas: Annotated[list[Number], Len(0, BETA_COUNT)] | None = Field(
+        default=None, description="Body shape; zeros if left out."
+    )
+    fps: Annotated[float, Field(gt=0.0, le=1000.0, allow_inf_nan=False)] = 30.0
+
+
+class DrapeRequest(PosedRequest):
+    """A garment on a body in motion."""
+
+    garment: Identifier
+    push_out: bool | None = Field(
+        default=None, description="Push vertices out of the body; the service's setting if left out."
+    )
+    body: bool = Field(default=False, description="In a GLB, include the body as a second, skinned mesh.")
+
+
+class UploadRequest(Request):
+    """A garment file inside JSON, for clients that cannot send raw bytes."""
+
+    name: Identifier
+    format: Literal["obj", "glb", "ply", "stl"]
+    data_base64: str
+    avatar: str | dict[str, Any] | None = None
+
+
+class OpenRequest(Request):
+    """The first message of a stream."""
+
+    type: Literal["open"]
+    garment: Identifier
+    betas: Annotated[list[Number], Len(0, BETA_COUNT)] | None = None
+    push_out: bool | None = None
+
+
+class Health(BaseModel):
+    """Whether the service works, and with what."""
+
+    model_config = ConfigDict(protected_namespaces=())
+
+    status: Literal["ok"]
+    version: str
+    model: str
+    model_digest: str
+    provider: str
+    body: str
+    garments: int
+    sessions: int
+    refused_garments: list[str] = Field(description="Stored garments that could not be loaded, with the reason.")
+
+
+class GarmentInfo(BaseModel):
+    """One garment that can be draped."""
+
+    id: str
+    name: str
+    digest: str
+    vertices: int
+    faces: int
+    patches: int
+    source: Literal["shipped", "user"]
+    materials: list[str]
+    manifest: dict[str, Any]
+
+
+class JobInfo(BaseModel):
+    """The state of an upload. ``problem`` is the refusal where it failed, ``garment`` the new id where it is done."""
+
+    id: str
+    name: str
+    state: Literal["queued", "running", "done", "failed"]
+    garment: str | None = None
+    problem: dict[str, Any] | None = None
+
+
+class BodyInfo(BaseModel):
+    """One body."""
+
+    id: str
+    digest: str
+    vertices: int
+    faces: int
+    shapes: int
+
+
+class BodyDocument(BodyInfo):
+    """A body of some shape: rest joints [m] and the height of its soles, to place a clip on the ground."""
+
+    joints: list[list[float]]
+    floor_m: float
+
+
+class MotionInfo(BaseModel):
+    """One shipped clip."""
+
+    id: str
+    name: str
+    frames: int
+    fps: float
+
+
+class MotionDocument(MotionInfo):
+    """A clip with its numbers."""
+
+    poses: list[list[list[float]]]
+    trans: list[list[float]]
+
+
+class MeshDocument(BaseModel):
+    """A mesh at rest: positions [m], triangles, texture coordinates (empty where there are none)."""
+
+    id: str
+    vertices: list[list[float]]
+    faces: list[list[int]]
+    uv: list[list[float]]
+    uv_faces: list[list[int]]
+    materials: list[str]
+    face_material: list[int]
+
+
+class VerticesDocument(BaseModel):
+    """World positions [m], frame by frame."""
+
+    fps: float
+    frames: int
+    vertices: int
+    positions: list[list[list[float]]]

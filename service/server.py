@@ -1,0 +1,84 @@
+"""Uvicorn as the stream needs it: no compression, small buffers, and a line that can be cut."""
+
+from __future__ import annotations
+
+import errno
+import socket
+
+import uvicorn
+from fastapi import FastAPI
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.http11 import Request
+
+from drape.errors import InputError, Unavailable
+from service.settings import Settings
+from service.stream import ABORT
+
+SEND_BUFFER_BYTES = 256 * 1024  # what the kernel may hold back for a slow reader
+
+
+class StreamProtocol(WebSocketsSansIOProtocol):
+    """Puts ``transport.abort`` into the scope.
+
+    A client that has stopped reading keeps its connection open for ever otherwise: closing
+    waits for what is buffered, and pings are not answered by an application that is stuck.
+    """
+
+    def handle_connect(self, event: Request) -> None:
+        super().handle_connect(event)
+        scope = getattr(self, "scope", None)
+        if scope is not None:
+            scope["extensions"][ABORT] = {"call": self.transport.abort}
+
+
+def bind(host: str, port: int) -> socket.socket:
+    """A listening socket; refuses with a sentence where the address is taken or not ours."""
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
+    except OSError as error:
+        raise InputError(
+            "host", expected="an address of this machine", got=host, cure=f"Check --host ({error.strerror})."
+        ) from error
+    listener = socket.socket(family, kind, protocol)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        # Accepted connections inherit it.
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+        listener.bind(address)
+        listener.listen(256)
+    except OSError as error:
+        listener.close()
+        if error.errno == errno.EADDRINUSE:
+            raise Unavailable(
+                f"port {port}",
+                expected="a free port",
+                got="one that another program listens on",
+                cure="Stop that program, or choose another: --port 8123.",
+            ) from error
+        raise InputError(
+            f"{host}:{port}",
+            expected="an address that can be bound",
+            got=str(error.strerror),
+            cure="Check --host and --port.",
+        ) from error
+    return listener
+
+
+def make_server(app: FastAPI, settings: Settings) -> uvicorn.Server:
+    """A server for ``app``; hand it the listening socket in ``run(sockets=[...])``."""
+    return uvicorn.Server(
+        uvicorn.Config(
+            app,
+            ws=StreamProtocol,
+            ws_per_message_deflate=False,  # 40 times slower for a few per cent
+            ws_max_size=settings.stream_message_bytes,
+            ws_ping_interval=20.0,
+            ws_ping_timeout=20.0,
+            log_level="info",
+            access_log=False,
+            server_header=False,
+            timeout_graceful_shutdown=5,
+        )
+    )

@@ -1,0 +1,207 @@
+"""Stream sessions and the batcher that serves them: the newest pose wins, credit bounds what is under way.
+
+A session has a mailbox for one pose; a newer pose replaces it and is counted. It is
+computed as soon as the worker is free and the client has credit: frames that wait in
+a kernel buffer only grow old. There is no timer.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from drape.errors import DrapeError, InputError
+from drape.wire import Frame, Pose, pack_frame
+from service.drapery import Drapery, PoseInput
+from service.errors import Busy, InternalError
+from service.garments import Entry
+
+log = logging.getLogger("drape.service")
+
+
+@dataclass(frozen=True, eq=False)
+class Waiting:
+    """A pose and the time [s] (monotonic) it came."""
+
+    pose: Pose
+    arrived_s: float
+
+
+@dataclass(eq=False)
+class Session:
+    """One client's stream. ``generation`` counts openings: what was begun for an earlier one is thrown away."""
+
+    entry: Entry
+    betas: np.ndarray
+    push: bool
+    credit: int
+    generation: int = 0
+    dropped: int = 0
+    waiting: Waiting | None = None
+    outbox: bytes | None = None
+    failure: DrapeError | None = None
+    last_heard_s: float = field(default_factory=time.monotonic)
+    # Sequence and time [s] of every frame that was begun and is not acknowledged.
+    under_way: list[tuple[int, float]] = field(default_factory=list)
+    news: asyncio.Event = field(default_factory=asyncio.Event)
+
+    def reopen(self, entry: Entry, betas: np.ndarray, push: bool) -> None:
+        """Turns the session to another garment, shape or push-out."""
+        self.entry, self.betas, self.push = entry, betas, push
+        self.generation += 1
+        self.waiting, self.outbox = None, None
+        self.under_way.clear()
+
+    def put(self, pose: Pose) -> None:
+        """Puts a pose into the mailbox; one that waited there is dropped and counted."""
+        self.last_heard_s = time.monotonic()
+        self.dropped += self.waiting is not None
+        self.waiting = Waiting(pose, self.last_heard_s)
+
+    def ready(self) -> bool:
+        """Whether a pose waits that may be computed now."""
+        return self.waiting is not None and len(self.under_way) < self.credit and self.outbox is None
+
+    def take(self) -> Waiting:
+        """The waiting pose, now under way."""
+        assert self.waiting is not None
+        taken, self.waiting = self.waiting, None
+        self.under_way.append((taken.pose.sequence, time.monotonic()))
+        return taken
+
+    def acknowledge(self, sequence: int) -> None:
+        """Gives one credit back; an answer to a frame of an earlier opening is ignored."""
+        self.last_heard_s = time.monotonic()
+        for index, (sent, _) in enumerate(self.under_way):
+            if sent == sequence:
+                del self.under_way[index]
+                return
+        if self.generation == 0:
+            raise InputError(
+                "ack message",
+                expected="the sequence of a frame that was sent",
+                got=str(sequence),
+                cure="Acknowledge each frame once.",
+            )
+
+    def deliver(self, generation: int, result: bytes | DrapeError) -> None:
+        """Hands a frame, or the reason that there is none, to the sender."""
+        if generation != self.generation:
+            return
+        if isinstance(result, DrapeError):
+            self.failure = result
+        else:
+            self.outbox = result
+        self.news.set()
+
+
+class Streams:
+    """All sessions, and the task that computes their frames."""
+
+    def __init__(self, drapery: Drapery) -> None:
+        self._drapery = drapery
+        self._sessions: set[Session] = set()
+        self._wake = asyncio.Event()
+        self._worker: asyncio.Task[None] | None = None
+
+    @property
+    def count(self) -> int:
+        return len(self._sessions)
+
+    def start(self) -> None:
+        self._worker = asyncio.create_task(self._work(), name="streams")
+
+    async def stop(self) -> None:
+        if self._worker is not None:
+            self._worker.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await self._worker
+
+    def check_place(self) -> None:
+        """Refuses when every place is taken."""
+        limit = self._drapery.settings.stream_sessions
+        if len(self._sessions) >= limit:
+            raise Busy(
+                "streams",
+                expected=f"fewer than {limit} at a time",
+                got=str(len(self._sessions)),
+                cure="Try again later.",
+            )
+
+    def add(self, session: Session) -> None:
+        self.check_place()
+        self._sessions.add(session)
+
+    def discard(self, session: Session) -> None:
+        self._sessions.discard(session)
+
+    def wake(self) -> None:
+        """Says that a session may have become ready."""
+        self._wake.set()
+
+    async def _work(self) -> None:
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            while batch := self._next_batch():
+                await self._compute(batch)
+
+    def _next_batch(self) -> list[Session]:
+        """The session that has waited longest, with all others that wait for the same garment."""
+        ready = sorted(
+            (s for s in self._sessions if s.ready()), key=lambda s: s.waiting.arrived_s if s.waiting else 0.0
+        )
+        same = [session for session in ready if session.entry is ready[0].entry]
+        return same[: self._drapery.settings.chunk_frames]
+
+    async def _compute(self, batch: Sequence[Session]) -> None:
+        entry = batch[0].entry
+        generations = [session.generation for session in batch]
+        taken = [session.take() for session in batch]
+        dropped = [session.dropped for session in batch]
+        inputs = [
+            PoseInput(w.pose.pose[None], w.pose.trans[None], s.betas, s.push) for s, w in zip(batch, taken, strict=True)
+        ]
+        results = await self._drapery.in_thread(self._frames, entry, inputs, taken, dropped)
+        for session, generation, result in zip(batch, generations, results, strict=True):
+            session.deliver(generation, result)
+
+    def _frames(
+        self, entry: Entry, inputs: Sequence[PoseInput], taken: Sequence[Waiting], dropped: Sequence[int]
+    ) -> list[bytes | DrapeError]:
+        """Packed frames; where the batch fails each pose is tried alone, so that one cannot fail its mates."""
+        try:
+            draped = self._drapery.compute(entry, inputs)
+        except Exception as error:
+            if len(inputs) > 1:
+                return [
+                    self._frames(entry, inputs[i : i + 1], taken[i : i + 1], dropped[i : i + 1])[0]
+                    for i in range(len(inputs))
+                ]
+            if not isinstance(error, DrapeError):
+                log.exception("a stream frame failed")
+            return [error if isinstance(error, DrapeError) else InternalError()]
+        now = time.monotonic()
+        return [
+            pack_frame(
+                Frame(
+                    sequence=waiting.pose.sequence,
+                    client_time_s=waiting.pose.client_time_s,
+                    server_time_s=time.time(),
+                    root=draped.root[i],
+                    positions=draped.vertices[i],
+                    dropped=dropped[i],
+                    residence_us=int(1e6 * (now - waiting.arrived_s)),
+                    pushed=inputs[i].push,
+                    pushed_share=float(draped.pushed_share[i]),
+                    push_max_m=float(draped.push_max_m[i]),
+                )
+            )
+            for i, waiting in enumerate(taken)
+        ]

@@ -1,0 +1,75 @@
+"""What can be set, through the environment with the prefix ``DRAPE_``; a bad value stops the start.
+
+Every field is described in docs/service.md.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, ValidationError
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from drape.artifacts import DEFAULT_MODEL, MODELS_DIR
+from drape.body.assets import DEFAULT_BODY
+from drape.errors import InputError
+from drape.garment.cache import GARMENTS_DIR
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+class Settings(BaseSettings):
+    """One field per setting; names in the environment are upper case with the prefix."""
+
+    model_config = SettingsConfigDict(env_prefix="DRAPE_", extra="forbid", frozen=True, protected_namespaces=())
+
+    host: str = "127.0.0.1"
+    port: int = Field(default=8000, ge=0, le=65535)
+
+    model: str = DEFAULT_MODEL
+    models_dir: Path = MODELS_DIR
+    body: str = DEFAULT_BODY
+    provider: Literal["cpu", "cuda"] = "cpu"
+    threads: int = Field(default=1, ge=1, le=64)
+    chunk_frames: int = Field(default=8, ge=1, le=256)
+
+    shipped_garments_dir: Path = GARMENTS_DIR
+    garments_dir: Path = ROOT / "runs/garments"
+    motions_dir: Path = ROOT / "assets/motions"
+    page_dir: Path = ROOT / "clients/web/dist"
+
+    push_out: bool = True
+    clearance_m: float = Field(default=0.002, gt=0.0, le=0.05)
+
+    max_body_bytes: int = Field(default=64 * 2**20, ge=1024)
+    max_clips: int = Field(default=8, ge=1)
+    max_frames: int = Field(default=1200, ge=1)
+    max_vertices: int = Field(default=200_000, ge=3)
+    max_answer_bytes: int = Field(default=512 * 2**20, ge=1024)
+
+    intake_wall_s: float = Field(default=300.0, gt=0.0)
+    intake_cpu_s: int = Field(default=300, ge=1)
+    intake_memory_mb: int = Field(default=6144, ge=256)
+    intake_queue: int = Field(default=8, ge=1)
+
+    stream_sessions: int = Field(default=64, ge=1)
+    stream_credit: int = Field(default=2, ge=1, le=16)
+    stream_open_s: float = Field(default=5.0, gt=0.0)
+    stream_idle_s: float = Field(default=60.0, gt=0.0)
+    stream_ack_s: float = Field(default=3.0, gt=0.0)
+    stream_send_s: float = Field(default=1.0, gt=0.0)
+    stream_message_bytes: int = Field(default=65536, ge=1024)
+    allowed_origins: tuple[str, ...] = ()
+
+
+def load_settings(**overrides: object) -> Settings:
+    """The settings from the environment, ``overrides`` first; raises ``InputError`` for the first bad value."""
+    try:
+        return Settings(**overrides)  # pyright: ignore[reportArgumentType]
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = f"DRAPE_{'.'.join(str(part) for part in first['loc'])}".upper()
+        raise InputError(
+            name, expected=first["msg"], got=repr(first.get("input")), cure="Correct or unset it; see docs/service.md."
+        ) from error

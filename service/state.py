@@ -1,0 +1,36 @@
+"""What a running service holds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from service.drapery import Drapery
+from service.errors import Busy
+from service.jobs import Uploads
+from service.sessions import Streams
+
+
+@dataclass(eq=False)
+class State:
+    """Body, model and garments; uploads; streams; and how many clips are being computed."""
+
+    drapery: Drapery
+    uploads: Uploads
+    streams: Streams
+    clips: int = 0
+
+    @contextmanager
+    def slot(self) -> Iterator[None]:
+        """A place for one clip; refuses when all are taken, so that waiting answers cannot fill the memory."""
+        limit = self.drapery.settings.max_clips
+        if self.clips >= limit:
+            raise Busy(
+                "clips", expected=f"fewer than {limit} at a time", got=str(self.clips), cure="Try again in a second."
+            )
+        self.clips += 1
+        try:
+            yield
+        finally:
+            self.clips -= 1

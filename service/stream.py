@@ -1,0 +1,216 @@
+"""WS /stream: one JSON message opens, binary poses come in, binary frames go out. docs/wire.md is the contract."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import time
+from typing import Any
+
+from fastapi import APIRouter, WebSocket, WebSocketDisconnect
+from pydantic import ValidationError
+
+from drape import wire
+from drape.errors import DrapeError, InputError
+from service.errors import InternalError, TooSlow, close_reason, error_message, problem_response, rule_for
+from service.origins import check_origin
+from service.poses import check_poses, shape_array
+from service.schemas import OpenRequest
+from service.sessions import Session
+from service.state import State
+from service.validation import validation_refusal
+
+router = APIRouter()
+WATCH_S = 0.25
+ABORT = "drape.abort"  # what service.server puts into the scope: closes the connection without flushing
+log = logging.getLogger("drape.service")
+
+
+@router.websocket("/stream")
+async def stream(socket: WebSocket) -> None:
+    """One client, from its handshake to its close."""
+    state: State = socket.app.state.drape
+    settings = state.drapery.settings
+    try:
+        check_origin(socket.headers, settings)
+        _check_protocol(socket)
+    except DrapeError as error:
+        await socket.send_denial_response(problem_response(error))
+        return
+    await socket.accept(subprotocol=wire.SUBPROTOCOL)
+    try:
+        await _converse(socket, state)
+    except WebSocketDisconnect:
+        return
+    except DrapeError as error:
+        await _refuse(socket, error, settings.stream_send_s)
+    except Exception:
+        log.exception("a stream failed")
+        await _refuse(socket, InternalError(), settings.stream_send_s)
+
+
+def _check_protocol(socket: WebSocket) -> None:
+    offered = socket.scope.get("subprotocols", [])
+    if wire.SUBPROTOCOL not in offered:
+        raise InputError(
+            "Sec-WebSocket-Protocol",
+            expected=wire.SUBPROTOCOL,
+            got=", ".join(offered) or "none",
+            cure="Use a client of the same release.",
+        )
+
+
+async def _converse(socket: WebSocket, state: State) -> None:
+    """Opens the session and runs it until the client leaves or something is refused."""
+    settings = state.drapery.settings
+    state.streams.check_place()
+    try:
+        first = await asyncio.wait_for(socket.receive(), settings.stream_open_s)
+    except TimeoutError:
+        raise TooSlow(
+            "open message",
+            expected=f"within {settings.stream_open_s:g} s",
+            got="nothing",
+            cure='Send {"type": "open", "garment": ...} first.',
+        ) from None
+    session = _open_session(_text_of(first), state, None)
+    state.streams.add(session)
+    tasks = [
+        asyncio.create_task(part)
+        for part in (_read(socket, session, state), _send(socket, session, state), _watch(session, state))
+    ]
+    try:
+        await socket.send_text(_opened(session, state))
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        for task in done:
+            task.result()
+    finally:
+        state.streams.discard(session)
+        for task in tasks:
+            task.cancel()
+        # Their own errors no longer matter; the first one is being told.
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+def _text_of(message: Any) -> str:
+    if message["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(message.get("code", 1005))
+    text = message.get("text")
+    if text is None:
+        raise InputError(
+            "open message", expected="JSON text", got="bytes", cure='Send {"type": "open", "garment": ...} first.'
+        )
+    return text
+
+
+def _open_session(text: str, state: State, session: Session | None) -> Session:
+    """The session that ``text`` asks for: a new one, or ``session`` turned to it."""
+    try:
+        asked = OpenRequest.model_validate_json(text)
+    except ValidationError as error:
+        raise validation_refusal(error.errors()) from error
+    drapery = state.drapery
+    entry = drapery.garments.get(asked.garment)
+    betas = shape_array(asked.betas, drapery.body)
+    push = drapery.settings.push_out if asked.push_out is None else asked.push_out
+    if session is None:
+        return Session(entry, betas, push, drapery.settings.stream_credit)
+    session.reopen(entry, betas, push)
+    return session
+
+
+def _opened(session: Session, state: State) -> str:
+    return json.dumps(
+        {
+            "type": "opened",
+            "garment": session.entry.id,
+            "vertices": session.entry.garment.vertex_count,
+            "model": state.drapery.engine.manifest.digest,
+            "body": state.drapery.body.name,
+            "credit": session.credit,
+            "push_out": session.push,
+        }
+    )
+
+
+async def _read(socket: WebSocket, session: Session, state: State) -> None:
+    while True:
+        message = await socket.receive()
+        payload = message.get("bytes")
+        if message["type"] == "websocket.receive" and payload is not None:
+            _take(payload, session)
+        else:
+            _open_session(_text_of(message), state, session)
+            session.last_heard_s = time.monotonic()
+            await socket.send_text(_opened(session, state))
+        state.streams.wake()
+
+
+def _take(payload: bytes, session: Session) -> None:
+    """Puts a pose into the mailbox or takes an acknowledgement."""
+    if wire.message_kind(payload) == wire.ACK:
+        session.acknowledge(wire.unpack_ack(payload))
+        return
+    pose = wire.unpack_pose(payload)
+    check_poses(pose.pose[None], pose.trans[None])
+    session.put(pose)
+
+
+async def _send(socket: WebSocket, session: Session, state: State) -> None:
+    limit = state.drapery.settings.stream_send_s
+    while True:
+        await session.news.wait()
+        session.news.clear()
+        if session.failure is not None:
+            raise session.failure
+        frame, session.outbox = session.outbox, None
+        if frame is None:
+            continue
+        try:
+            await asyncio.wait_for(socket.send_bytes(frame), limit)
+        except TimeoutError:
+            raise TooSlow(
+                "stream",
+                expected=f"a frame taken within {limit:g} s",
+                got="a full connection",
+                cure="Read faster or ask for fewer frames.",
+            ) from None
+        state.streams.wake()
+
+
+async def _watch(session: Session, state: State) -> None:
+    """Raises when the client neither acknowledges nor sends."""
+    settings = state.drapery.settings
+    while True:
+        await asyncio.sleep(min(WATCH_S, settings.stream_ack_s / 4, settings.stream_idle_s / 4))
+        now = time.monotonic()
+        if session.under_way and now - session.under_way[0][1] > settings.stream_ack_s:
+            raise TooSlow(
+                "stream",
+                expected=f"an acknowledgement within {settings.stream_ack_s:g} s",
+                got="none",
+                cure="Acknowledge every frame that came.",
+            )
+        if now - session.last_heard_s > settings.stream_idle_s:
+            raise TooSlow(
+                "stream",
+                expected=f"a pose within {settings.stream_idle_s:g} s",
+                got="none",
+                cure="Open the stream again when there is motion.",
+            )
+
+
+async def _refuse(socket: WebSocket, error: DrapeError, limit_s: float) -> None:
+    """Says why in full, closes with the code of the error, and cuts the line if the client does not read."""
+    log.info("stream refused: %s", error)
+    try:
+        async with asyncio.timeout(limit_s):
+            await socket.send_text(error_message(error))
+            await socket.close(rule_for(error).close_code, close_reason(error))
+    except (TimeoutError, RuntimeError, WebSocketDisconnect):
+        abort = socket.scope.get("extensions", {}).get(ABORT)
+        if abort is not None:
+            with contextlib.suppress(Exception):
+                abort["call"]()

@@ -1,0 +1,60 @@
+"""Pydantic's complaints about a request, said as one refusal with name, expected, got and cure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from drape.errors import InputError, MotionError
+
+# What a field holds, by depth inside it: the list, its items, their items.
+_LEVELS: dict[str, tuple[str, ...]] = {
+    "poses": ("a list of frames", "24 joints", "3 numbers [rad]", "a finite number [rad]"),
+    "trans": ("one translation per frame", "3 numbers [m]", "a finite number [m]"),
+    "betas": ("at most 10 numbers", "a finite number"),
+}
+_CURES: dict[str, str] = {
+    "poses": "Send poses as frames x 24 joints x 3 rotation-vector components, all finite.",
+    "trans": "Send trans as frames x 3 finite numbers, or leave it out.",
+    "betas": "Send at most 10 finite shape coefficients, or leave betas out.",
+}
+
+
+def validation_refusal(errors: Sequence[Any]) -> InputError:
+    """The refusal for the first of pydantic's ``errors``."""
+    first = errors[0]
+    location = [part for part in first["loc"] if part not in ("body", "query", "path", "header")]
+    more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
+    if first["type"] == "json_invalid" or not location:
+        if first["type"] == "json_invalid":
+            got = "text that is not JSON"
+        else:
+            got = "a body of another type" if isinstance(first.get("input"), bytes) else _shown(first)
+        cure = "Send JSON with Content-Type: application/json."
+        return InputError("request body", expected="a JSON object", got=got + more, cure=cure)
+    field = str(location[0])
+    name = field + "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location[1:])
+    levels = _LEVELS.get(field)
+    if levels is None or first["type"] in ("missing", "extra_forbidden"):
+        expected = {"missing": "a value", "extra_forbidden": "no such field"}.get(first["type"], first["msg"])
+        got = {"missing": "nothing", "extra_forbidden": "one"}.get(first["type"], _shown(first))
+        return InputError(name, expected=expected, got=got + more, cure="See /docs for the request's fields.")
+    depth = sum(isinstance(part, int) for part in location[1:])
+    expected = levels[min(depth, len(levels) - 1)]
+    if first["type"] in ("too_long", "too_short"):
+        context = first.get("ctx", {})
+        got = str(context.get("actual_length", len(first.get("input") or ())))
+        if depth == 0 and first["type"] == "too_short":
+            expected = "at least 1 frame"
+    else:
+        got = _shown(first)
+    return MotionError(name, expected=expected, got=got + more, cure=_CURES[field])
+
+
+def _shown(error: Any) -> str:
+    """What came, short enough to be read."""
+    value = error.get("input")
+    if isinstance(value, (dict, list)):
+        return f"{'an object' if isinstance(value, dict) else 'a list'} of {len(value)}"
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -1,0 +1,118 @@
+"""Drives headless Chromium over its DevTools protocol, with nothing but a WebSocket."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+from PIL import Image
+from websockets.sync.client import ClientConnection, connect
+
+# Software rendering, also where there is a graphics card: the same picture everywhere.
+FLAGS = (
+    "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--no-first-run", "--disable-extensions",
+    "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--remote-debugging-port=0",
+)  # fmt: skip
+
+
+class Page:
+    """One open page; ``errors`` holds console errors, uncaught exceptions and failed loads so far."""
+
+    def __init__(self, connection: ClientConnection) -> None:
+        self._connection = connection
+        self._number = 0
+        self.errors: list[str] = []
+        for domain in ("Page", "Runtime", "Log"):
+            self.call(f"{domain}.enable")
+
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """The result of a DevTools method."""
+        self._number += 1
+        self._connection.send(json.dumps({"id": self._number, "method": method, "params": parameters}))
+        while True:
+            message = json.loads(self._connection.recv(timeout=60.0))
+            if message.get("id") == self._number:
+                assert "error" not in message, message["error"]
+                return message["result"]
+            self._note(message)
+
+    def _note(self, message: dict[str, Any]) -> None:
+        parameters = message.get("params", {})
+        if message["method"] == "Runtime.exceptionThrown":
+            self.errors.append(json.dumps(parameters["exceptionDetails"]))
+        elif message["method"] == "Log.entryAdded" and parameters["entry"]["level"] == "error":
+            self.errors.append(json.dumps(parameters["entry"]))
+        elif message["method"] == "Runtime.consoleAPICalled" and parameters["type"] in ("error", "assert"):
+            self.errors.append(json.dumps(parameters["args"]))
+
+    def evaluate(self, expression: str) -> Any:
+        """The value of a JavaScript expression."""
+        result = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in result, result
+        return result["result"].get("value")
+
+    def wait_for(self, expression: str, *, seconds: float = 60.0) -> Any:
+        """The value of ``expression`` once it is true."""
+        deadline = time.monotonic() + seconds
+        while not (value := self.evaluate(expression)):
+            assert time.monotonic() < deadline, (
+                f"{expression}; {self.evaluate('document.body.innerText')}; {self.errors}"
+            )
+            time.sleep(0.1)
+        return value
+
+    def choose_file(self, selector: str, path: Path) -> None:
+        """Puts a file into a file input."""
+        document = self.call("DOM.getDocument")["root"]["nodeId"]
+        node = self.call("DOM.querySelector", nodeId=document, selector=selector)["nodeId"]
+        self.call("DOM.setFileInputFiles", nodeId=node, files=[str(path)])
+
+    def picture(self) -> np.ndarray:
+        """What the compositor shows, (height, width, 3) from 0 to 255."""
+        data = self.call("Page.captureScreenshot", format="png")["data"]
+        with Image.open(io.BytesIO(base64.b64decode(data))) as image:
+            return np.asarray(image.convert("RGB")).astype(int)
+
+
+@contextmanager
+def open_page(chromium: str, url: str, *, width: int = 900, height: int = 640) -> Iterator[Page]:
+    """``url`` in a fresh profile."""
+    profile = Path(tempfile.mkdtemp(prefix="drape-chromium-"))
+    command = [chromium, *FLAGS, f"--user-data-dir={profile}", f"--window-size={width},{height}", "about:blank"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        port = _debugging_port(profile, process)
+        targets = httpx.get(f"http://127.0.0.1:{port}/json/list").json()
+        address = next(target["webSocketDebuggerUrl"] for target in targets if target["type"] == "page")
+        with connect(address, max_size=64 * 2**20, compression=None) as connection:
+            page = Page(connection)
+            page.call("Page.navigate", url=url)
+            yield page
+    finally:
+        process.terminate()
+        try:
+            process.wait(timeout=10.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        shutil.rmtree(profile, ignore_errors=True)
+
+
+def _debugging_port(profile: Path, process: subprocess.Popen[bytes]) -> int:
+    deadline = time.monotonic() + 30.0
+    file = profile / "DevToolsActivePort"
+    while not (file.is_file() and (lines := file.read_text().splitlines())):
+        assert process.poll() is None and time.monotonic() < deadline, "Chromium did not start"
+        time.sleep(0.05)
+    return int(lines[0])

@@ -1,0 +1,135 @@
+"""The command line writes a whole file or none, and says why."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clients.cli import main, write_atomic
+from clients.client import DrapeClient
+from drape.errors import InputError
+from drape.motion.readers import read_motion
+from tests.architecture.repository import ROOT
+
+
+def test_a_clip_becomes_a_glb(live: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    out = tmp_path / "out.glb"
+    command = [
+        "--url",
+        live,
+        "drape",
+        "--garment",
+        "tube",
+        "--motion",
+        "walk",
+        "--fps",
+        "10",
+        "--body",
+        "--out",
+        str(out),
+    ]
+    assert main(command) == 0
+    content = out.read_bytes()
+    assert content[:4] == b"glTF" and len(content) == int.from_bytes(content[8:12], "little")
+    document = json.loads(content[20 : 20 + int.from_bytes(content[12:16], "little")])
+    assert len(document["skins"]) == 1
+    assert "44 frames at 10 per second" in capsys.readouterr().out
+
+
+def test_a_file_of_motion_becomes_vertices(live: str, tmp_path: Path):
+    out = tmp_path / "out.npy"
+    clip = ROOT / "assets/motions/squat.npz"
+    base = [
+        "drape",
+        "--url",
+        live,
+        "--garment",
+        "tube",
+        "--motion",
+        str(clip),
+        "--fps",
+        "5",
+        "--betas",
+        "0.5",
+        "--out",
+        str(out),
+    ]
+    assert main(base) == 0
+    placed = np.load(out)
+    assert placed.shape == (25, 216, 3)
+    assert main([*base, "--as-recorded", "--no-push-out"]) == 0
+    recorded = read_motion(clip).resampled(5.0)
+    with DrapeClient(live) as client:
+        expected = client.drape("tube", recorded, betas=np.array([0.5]), push_out=False)
+    np.testing.assert_array_equal(np.load(out), expected)
+    assert np.abs(placed - expected).max() > 0.01
+
+
+def test_what_is_there_is_listed(live: str, capsys: pytest.CaptureFixture[str]):
+    assert main(["--url", live, "garments"]) == 0
+    assert "tube" in capsys.readouterr().out
+    assert main(["health", "--url", live]) == 0
+    assert json.loads(capsys.readouterr().out)["model"] == "tiny"
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"--garment": "cape"}, "garment: expected one of: tube"),
+        ({"--motion": "swim"}, "motion: expected one of"),
+        ({"--motion": "absent.bvh"}, "--motion: expected a file"),
+        ({"--out": "out.fbx"}, "--out: expected a name ending in .glb or .npy"),
+        ({"--out": "absent/out.glb"}, "--out: expected an existing folder"),
+        ({"--betas": "1,x"}, "--betas: expected comma-separated numbers"),
+        ({"--fps": "0"}, "fps: expected a positive frame rate"),
+        ({"--garment": "absent.obj"}, "expected a file that can be read"),
+        ({"--url": "http://127.0.0.1:9"}, "make serve"),
+    ],
+)
+def test_a_refusal_is_one_sentence_and_leaves_no_file(
+    live: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    changes: dict,
+    word: str,
+):
+    monkeypatch.chdir(tmp_path)
+    options = {"--url": live, "--garment": "tube", "--motion": "walk", "--out": "out.glb"} | changes
+    assert main(["drape", *(part for pair in options.items() for part in pair)]) == 2
+    said = capsys.readouterr().err.strip()
+    assert said.startswith("drape: ") and word in said
+    assert len(said.splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_upload_that_fails_says_why(live: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    noise = tmp_path / "noise.obj"
+    noise.write_bytes(b"nothing\n")
+    assert main(["upload", str(noise), "--url", live, "--avatar", "standard"]) == 2
+    assert capsys.readouterr().err.startswith("drape: ")
+
+
+def test_writing_is_all_or_nothing(tmp_path: Path):
+    target = tmp_path / "a.glb"
+    write_atomic(target, b"one")
+    write_atomic(target, b"two")
+    assert target.read_bytes() == b"two"
+    folder = tmp_path / "folder.glb"
+    folder.mkdir()
+    with pytest.raises(InputError):
+        write_atomic(folder, b"x")
+    with pytest.raises(InputError, match="can be written"):
+        write_atomic(tmp_path / "absent/a.glb", b"x")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.glb", "folder.glb"]
+
+
+def test_it_runs_as_a_module():
+    run = subprocess.run([sys.executable, "-m", "clients.cli", "--help"], cwd=ROOT, capture_output=True, text=True)
+    assert run.returncode == 0
+    assert "--motion walk" in run.stdout

@@ -1,0 +1,196 @@
+"""The Python clients against a running service."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from clients.calls import ServiceError, problem_error
+from clients.client import AsyncDrapeClient, DrapeClient, check_deadline, finished
+from clients.stream import DrapeStream
+from drape.body.model import BodyModel
+from drape.errors import DrapeError, InputError, MeshError, MotionError, NotFound, Unavailable
+from drape.garment.cache import Garment
+from drape.motion import samples
+from drape.motion.clip import MotionClip
+from tests.fixtures.poses import random_motion
+from tests.fixtures.tiny_model import expected_vertices
+
+
+def test_sync_and_async_say_the_same(live: str, body: BodyModel, tube: Garment):
+    poses, trans = random_motion(3)
+    betas = np.linspace(-1, 1, 10)
+    clip = MotionClip(poses, trans, 30.0, "random")
+    with DrapeClient(live) as client:
+        assert client.health()["status"] == "ok"
+        assert [garment["id"] for garment in client.garments()] == ["tube"]
+        assert "walk" in [motion["id"] for motion in client.motions()]
+        assert_array_equal(client.mesh("tube")["faces"], tube.faces)
+        vertices = client.drape("tube", clip, betas=betas, push_out=False)
+        again = client.drape("tube", poses, trans=trans, betas=betas, push_out=False)
+        file = client.drape_glb("tube", clip, body=True)
+        posed = client.posed_body(body.name, clip)
+        walk = client.motion("walk")
+
+    async def whole() -> None:
+        async with AsyncDrapeClient(live) as client:
+            assert (await client.health())["status"] == "ok"
+            assert await client.bodies() == [
+                {"id": body.name, "digest": body.digest, "vertices": 13348, "faces": 26692, "shapes": 10}
+            ]
+            assert len(await client.garments()) == 1 and len(await client.motions()) > 3
+            assert_array_equal((await client.mesh("tube"))["faces"], tube.faces)
+            assert_array_equal(await client.drape("tube", clip, betas=betas, push_out=False), vertices)
+            assert_array_equal(await client.posed_body(body.name, clip), posed)
+            assert (await client.drape_glb("tube", clip, body=True))[:4] == file[:4] == b"glTF"
+            assert_array_equal((await client.motion("walk")).poses, walk.poses)
+            assert_allclose((await client.placed(samples.walk())).trans, walk.trans, rtol=0, atol=1e-5)
+
+    asyncio.run(whole())
+    assert_array_equal(vertices, again)
+    assert_allclose(vertices, expected_vertices(body, tube, poses, trans, betas), rtol=0, atol=2e-6)
+    assert_allclose(posed, body.posed_vertices(poses, trans), rtol=0, atol=2e-6)
+
+
+def test_a_clip_from_a_file_is_placed_like_the_shipped_one(live: str):
+    betas = np.array([1.0, -1.0])
+    with DrapeClient(live) as client:
+        placed = client.placed(samples.walk(), betas)
+        assert_allclose(placed.trans, client.motion("walk", betas).trans, rtol=0, atol=1e-5)
+
+
+def test_refusals_come_back_as_themselves(live: str, tmp_path: Path):
+    with DrapeClient(live) as client:
+        with pytest.raises(NotFound, match="garment: expected one of: tube, got cape"):
+            client.drape("cape", np.zeros((1, 24, 3)))
+        with pytest.raises(MotionError, match=r"poses\[0\]: expected 24 joints"):
+            client.drape("tube", np.zeros((1, 23, 3)))
+        with pytest.raises(MotionError, match="poses: expected finite"):
+            client.drape("tube", np.full((1, 24, 3), np.nan))
+        with pytest.raises(NotFound, match="motion"):
+            client.motion("swim")
+        noise = tmp_path / "noise.obj"
+        noise.write_bytes(b"nothing here\n")
+        with pytest.raises(MeshError):
+            client.upload_garment(noise, {"betas": [0.0]})
+        with pytest.raises(InputError, match=r"one of \.obj"):
+            client.upload_garment(tmp_path / "shirt.fbx")
+        with pytest.raises(InputError, match="a file that can be read"):
+            client.upload_garment(tmp_path / "absent.obj")
+        with pytest.raises(Unavailable, match="within 0 s"):
+            client.upload_garment(noise, "standard", name="later", wait_s=0.0)
+
+    async def whole() -> None:
+        async with AsyncDrapeClient(live) as client:
+            with pytest.raises(MeshError):
+                await client.upload_garment(noise, "standard")
+            with pytest.raises(NotFound):
+                await client.motion("swim")
+
+    asyncio.run(whole())
+
+
+def test_no_service_is_said_with_its_cure():
+    with DrapeClient("http://127.0.0.1:9") as client, pytest.raises(Unavailable, match=r"service at .*make serve"):
+        client.health()
+
+    async def whole() -> None:
+        async with AsyncDrapeClient("http://127.0.0.1:9") as client:
+            await client.health()
+
+    with pytest.raises(Unavailable, match="make serve"):
+        asyncio.run(whole())
+    with pytest.raises(Unavailable, match="make serve"):
+        asyncio.run(DrapeStream.open("http://127.0.0.1:9", "tube"))
+
+
+def test_an_answer_of_another_program_is_told_apart():
+    transport = httpx.MockTransport(lambda request: httpx.Response(502, text="<html>bad gateway"))
+    with DrapeClient("http://example", transport=transport) as client, pytest.raises(ServiceError, match="status 502"):
+        client.health()
+    unknown = {"type": "urn:drape:Novelty", "name": "a", "expected": "b", "got": "c", "cure": "d"}
+    assert type(problem_error(unknown)) is ServiceError
+    assert type(problem_error(unknown | {"type": "urn:drape:MeshError"})) is MeshError
+    assert type(problem_error(unknown | {"type": "urn:drape:annotations"})) is ServiceError
+
+
+def test_jobs_end_in_a_garment_or_a_refusal():
+    job = {"id": "1", "name": "shirt", "state": "running", "garment": None, "problem": None}
+    assert finished(job) is None
+    assert finished(job | {"state": "done", "garment": "shirt"}) == "shirt"
+    problem = {"type": "urn:drape:MeshError", "name": "shirt", "expected": "b", "got": "c", "cure": "d"}
+    with pytest.raises(MeshError, match="shirt"):
+        finished(job | {"state": "failed", "problem": problem})
+    with pytest.raises(Unavailable, match="GET /jobs/1"):
+        check_deadline(job, deadline=0.0, wait_s=0.0)
+
+
+def test_the_stream_client_gets_its_frames(live: str, body: BodyModel, tube: Garment):
+    poses, trans = random_motion(5)
+
+    async def whole() -> None:
+        async with await DrapeStream.open(live, "tube", betas=np.zeros(10), push_out=False) as stream:
+            assert stream.about["vertices"] == 216
+            for pose, place in zip(poses, trans, strict=True):
+                sequence = await stream.send(pose, place)
+                received = await stream.receive()
+                assert received.frame.sequence == sequence
+                assert 0.0 < received.age_s < 5.0
+                expected = expected_vertices(body, tube, pose[None], place[None])[0]
+                assert_allclose(received.frame.vertices(), expected, rtol=0, atol=3e-5)
+            assert (await stream.reopen("tube", push_out=True))["push_out"] is True
+            await stream.send(poses[0])
+            assert (await stream.receive()).frame.pushed
+
+    asyncio.run(whole())
+
+
+def test_the_stream_client_hears_why_it_ended(live: str):
+    async def unknown() -> None:
+        await DrapeStream.open(live, "cape")
+
+    async def senseless() -> None:
+        async with await DrapeStream.open(live, "tube") as stream:
+            await stream.send(np.full((24, 3), np.nan))
+            await stream.receive()
+
+    async def ended(sends: bool) -> None:
+        async with await DrapeStream.open(live, "tube") as stream:
+            await stream._connection.send(b"noise")
+            if sends:
+                # The service has closed by then: sending is what fails.
+                await stream._connection.wait_closed()
+                await stream.send(np.zeros((24, 3)))
+            await stream.receive()
+
+    with pytest.raises(NotFound, match="cape"):
+        asyncio.run(unknown())
+    with pytest.raises(InputError, match="finite"):
+        asyncio.run(senseless())
+    for sends in (False, True):
+        with pytest.raises(InputError, match="at least 16 bytes"):
+            asyncio.run(ended(sends))
+
+
+def test_a_close_without_a_word_is_told_by_its_code(live: str):
+    async def closed() -> None:
+        async with await DrapeStream.open(live, "tube") as stream:
+            await stream._connection.send(b"\0" * 100_000)
+            await stream.receive()
+
+    with pytest.raises(DrapeError, match="close 1009"):
+        asyncio.run(closed())
+
+
+def test_documents_of_requests_are_plain_json():
+    from clients import calls
+
+    call = calls.drape("tube", np.zeros((1, 24, 3), np.float32), trans=None, betas=None, push_out=None)
+    assert json.loads(json.dumps(call.json))["poses"] == np.zeros((1, 24, 3)).tolist()
+    assert "trans" not in call.json

@@ -1,0 +1,72 @@
+"""The browser's copy of the wire is the one definition, and computes the same."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from drape import wire
+from tests.architecture.repository import ROOT
+
+WIRE_JS = ROOT / "clients/web/src/wire.js"
+SCRIPT = """
+import { packPose, packAck, unpackFrame, dequantise, SUBPROTOCOL } from %(module)s;
+const input = JSON.parse(await new Promise((done) => {
+  let text = ""; process.stdin.on("data", (part) => (text += part)).on("end", () => done(text));
+}));
+const hex = (buffer) => Buffer.from(buffer).toString("hex");
+const bytes = Uint8Array.from(Buffer.from(input.frame, "hex"));
+const frame = unpackFrame(bytes.buffer);
+const positions = new Float32Array(frame.steps.length);
+dequantise(frame, positions);
+let short = "";
+try { unpackFrame(new ArrayBuffer(8)); } catch (error) { short = error.message; }
+bytes[4] ^= 1;
+let stale = "";
+try { unpackFrame(bytes.buffer); } catch (error) { stale = error.message; }
+console.log(JSON.stringify({
+  pose: hex(packPose(input.pose)), ack: hex(packAck(input.ack)), header: frame.header, positions: [...positions],
+  protocol: SUBPROTOCOL, short, stale,
+}));
+"""
+
+
+def test_generated_copy_is_current():
+    run = subprocess.run([sys.executable, "scripts/sync_wire.py", "--check"], cwd=ROOT, capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+
+
+def test_javascript_reads_and_writes_what_python_does(tmp_path):
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("No Node.js: sudo apt-get install nodejs.")
+    generator = np.random.default_rng(3)
+    pose, trans = generator.normal(size=(24, 3)).astype(np.float32), generator.normal(size=3)
+    vertices = generator.normal(size=(7, 3)).astype(np.float32)
+    message = wire.pack_frame(wire.Frame(9, 2.5, 3.5, np.array([1.0, 2.0, 3.0]), vertices, 4, 55, True, 0.5, 0.25))
+    script = tmp_path / "wire.mjs"
+    (tmp_path / "wire_copy.mjs").write_bytes(WIRE_JS.read_bytes())
+    script.write_text(SCRIPT % {"module": json.dumps("./wire_copy.mjs")})
+    document = {
+        "frame": message.hex(),
+        "ack": 4_000_000_000,
+        "pose": {"sequence": 8, "clientTimeS": 1.25, "trans": trans.tolist(), "pose": pose.ravel().tolist()},
+    }
+    run = subprocess.run([node, script], input=json.dumps(document), capture_output=True, text=True, timeout=60)
+    assert run.returncode == 0, run.stderr
+    got = json.loads(run.stdout)
+    assert got["pose"] == wire.pack_pose(wire.Pose(8, 1.25, trans, pose)).hex()
+    assert got["ack"] == wire.pack_ack(4_000_000_000).hex()
+    assert got["protocol"] == wire.SUBPROTOCOL
+    read = wire.unpack_frame(message)
+    header = got["header"]
+    assert (header["sequence"], header["count"], header["dropped"], header["residence_us"]) == (9, 7, 4, 55)
+    assert header["root"] == [1.0, 2.0, 3.0]
+    assert_allclose(np.reshape(got["positions"], (-1, 3)), read.positions, rtol=0, atol=1e-6)
+    assert "too short" in got["short"] and "reload" in got["stale"]

@@ -1,0 +1,111 @@
+"""Laws of the joint descriptors: blind to heading, zero when still, the same for numpy and torch."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from numpy.testing import assert_allclose, assert_array_equal
+
+from drape.body import features
+from drape.body.skeleton import JOINT_COUNT, PARENTS
+from drape.geometry.rigid import forward_kinematics
+from drape.geometry.rotations import matrix_to_sixd, rotvec_to_matrix
+from tests.drape.body.body_files import default_body
+
+EXACT = 1e-12
+DT_S = 1.0 / 30.0
+
+
+@pytest.fixture
+def local(rng):
+    """Local rotations (5, 24, 3, 3) of five poses."""
+    return rotvec_to_matrix(0.5 * rng.normal(size=(5, JOINT_COUNT, 3)))
+
+
+def world(local):
+    return forward_kinematics(local, default_body().joints_template, PARENTS)
+
+
+def turned(local, turn):
+    root = turn @ local[..., :1, :, :]
+    return np.concatenate([root, local[..., 1:, :, :]], axis=-3)
+
+
+def test_static_features_ignore_the_heading(local):
+    want = features.static_features(local, world(local)[0])
+    for angle in (0.3, np.pi, -2.0):
+        moved = turned(local, rotvec_to_matrix(np.array([0.0, angle, 0.0])))
+        assert_allclose(features.static_features(moved, world(moved)[0]), want, rtol=0.0, atol=EXACT)
+
+
+def test_static_features_see_how_the_root_leans(local):
+    want = features.static_features(local, world(local)[0])
+    moved = turned(local, rotvec_to_matrix(np.array([0.3, 0.0, 0.0])))
+    got = features.static_features(moved, world(moved)[0])
+    assert_allclose(got[..., :6], want[..., :6], rtol=0.0, atol=EXACT)
+    # Gravity turns in the root's frame by the angle of the lean, about the axis of the lean.
+    cosine = (got[:, 0, 6:] * want[:, 0, 6:]).sum(axis=-1)
+    assert_allclose(cosine, np.cos(0.3), rtol=0.0, atol=EXACT)
+
+
+def test_static_features_are_the_rotation_and_gravity_in_the_joints_frame(local):
+    rotations = world(local)[0]
+    got = features.static_features(local, rotations)
+    assert got.shape == (5, JOINT_COUNT, features.STATIC_PER_JOINT)
+    assert features.feature_count() == JOINT_COUNT * features.STATIC_PER_JOINT
+    assert_array_equal(got[:, 1:, :6], matrix_to_sixd(local[:, 1:]))
+    assert_array_equal(got[:, 0, :6], np.tile([1.0, 0.0, 0.0, 0.0, 1.0, 0.0], (5, 1)))
+    down = np.einsum("fjab,fjb->fja", rotations, got[..., 6:])
+    assert_allclose(down, np.broadcast_to([0.0, -1.0, 0.0], down.shape), rtol=0.0, atol=EXACT)
+
+
+def test_dynamic_features_of_a_still_body_are_zero(local):
+    rotations, joints = world(local)
+    static = features.static_features(local, rotations)
+    got = features.dynamic_features(static, static, (joints, joints, joints), rotations, DT_S)
+    assert_array_equal(got, np.zeros((5, JOINT_COUNT, features.DYNAMIC_PER_JOINT)))
+
+
+def test_dynamic_features_of_a_falling_body_are_gravity_in_the_joints_frame(local):
+    rotations, joints = world(local)
+    static = features.static_features(local, rotations)
+    fallen = [joints - 0.5 * 9.81 * t * t * np.array([0.0, 1.0, 0.0]) for t in (2 * DT_S, DT_S, 0.0)]
+    got = features.dynamic_features(static, static, tuple(fallen), rotations, DT_S)
+    assert_allclose(got[..., 9:], 9.81 * static[..., 6:], rtol=0.0, atol=1e-9)
+    assert_array_equal(got[..., :9], np.zeros((5, JOINT_COUNT, 9)))
+
+
+def test_dynamic_features_of_a_walk_at_even_pace_are_zero(local, rng):
+    rotations, joints = world(local)
+    static = features.static_features(local, rotations)
+    step = rng.normal(size=3) * DT_S
+    got = features.dynamic_features(static, static, (joints + 2 * step, joints + step, joints), rotations, DT_S)
+    assert_allclose(got, 0.0, rtol=0.0, atol=1e-9)
+
+
+def test_dynamic_features_ignore_the_heading_and_count_in_seconds(local):
+    def dynamic(local, dt_s):
+        rotations, joints = world(local)
+        static = features.static_features(local, rotations)
+        track = (joints[2:], joints[1:-1], joints[:-2])  # at t, t - dt, t - 2 dt
+        return features.dynamic_features(static[2:], static[1:-1], track, rotations[2:], dt_s)
+
+    want = dynamic(local, DT_S)
+    heading = rotvec_to_matrix(np.array([0.0, 1.1, 0.0]))
+    assert_allclose(dynamic(turned(local, heading), DT_S), want, rtol=0.0, atol=1e-8)
+    slower = dynamic(local, 2.0 * DT_S)
+    assert_allclose(slower[..., :9], 0.5 * want[..., :9], rtol=1e-12, atol=1e-9)
+    assert_allclose(slower[..., 9:], 0.25 * want[..., 9:], rtol=1e-12, atol=1e-9)
+
+
+def test_numpy_and_torch_agree(local):
+    rotations, joints = world(local)
+    as_torch = [torch.from_numpy(np.ascontiguousarray(x)) for x in (local, rotations, joints)]
+    static = features.static_features(local, rotations)
+    static_torch = features.static_features(as_torch[0], as_torch[1])
+    assert_allclose(static_torch.numpy(), static, rtol=0.0, atol=EXACT)
+    track, track_torch = (joints, 0.9 * joints, 0.7 * joints), tuple(c * as_torch[2] for c in (1.0, 0.9, 0.7))
+    want = features.dynamic_features(static, 0.5 * static, track, rotations, DT_S)
+    got = features.dynamic_features(static_torch, 0.5 * static_torch, track_torch, as_torch[1], DT_S)
+    assert_allclose(got.numpy(), want, rtol=1e-12, atol=1e-9)

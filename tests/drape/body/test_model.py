@@ -1,0 +1,199 @@
+"""Laws of the posed body: rest pose, rigid motion, skin weights, joints, shape and pose blend shapes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from drape.body.assets import body_from_arrays
+from drape.body.skeleton import BONE_ENDS, JOINT_COUNT, JOINT_NAMES, PARENTS
+from drape.errors import BodyError, MotionError
+from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix
+from tests.drape.body.body_files import default_body, smpl_arrays
+
+EXACT = 1e-12
+REST = np.zeros((1, JOINT_COUNT, 3))
+
+
+@pytest.fixture
+def poses(rng):
+    return 0.5 * rng.normal(size=(3, JOINT_COUNT, 3))
+
+
+@pytest.fixture
+def betas(rng):
+    return rng.normal(size=10)
+
+
+@pytest.fixture
+def small(rng):
+    """A random body with pose blend shapes."""
+    return body_from_arrays(smpl_arrays(rng, posedirs=True), name="small", digest="")
+
+
+def test_rest_pose_returns_the_template(betas):
+    body = default_body()
+    assert_allclose(body.posed_vertices(REST)[0], body.v_template, rtol=0.0, atol=EXACT)
+    assert_allclose(body.posed_vertices(REST, None, betas)[0], body.rest_vertices(betas), rtol=0.0, atol=EXACT)
+
+
+def test_bones_of_the_rest_pose_are_the_identity(betas):
+    rotations, translations = default_body().bones(REST, None, betas)
+    assert_allclose(rotations[0], np.tile(np.eye(3), (JOINT_COUNT, 1, 1)), rtol=0.0, atol=EXACT)
+    assert_allclose(translations[0], 0.0, rtol=0.0, atol=EXACT)
+
+
+def test_skinning_commutes_with_rigid_motion(poses, betas, rng):
+    body = default_body()
+    turn, shift = rotvec_to_matrix(rng.normal(size=3)), rng.normal(size=3)
+    trans = rng.normal(size=(3, 3))
+    root = body.rest_joints(betas)[0]
+    moved = poses.copy()
+    moved[:, 0] = matrix_to_rotvec(turn @ rotvec_to_matrix(poses[:, 0]))
+    # The root joint turns about itself: what the motion does to its place goes into the translation.
+    moved_trans = (root + trans) @ turn.T + shift - root
+    want = body.posed_vertices(poses, trans, betas) @ turn.T + shift
+    assert_allclose(body.posed_vertices(moved, moved_trans, betas), want, rtol=0.0, atol=EXACT)
+
+
+def test_translation_moves_every_vertex_alike(poses, rng):
+    body, trans = default_body(), rng.normal(size=(3, 3))
+    want = body.posed_vertices(poses) + trans[:, None]
+    assert_allclose(body.posed_vertices(poses, trans), want, rtol=0.0, atol=EXACT)
+
+
+def test_turning_one_joint_moves_only_what_hangs_on_it():
+    body, poses = default_body(), REST.copy()
+    elbow = JOINT_NAMES.index("left_elbow")
+    poses[0, elbow] = [0.0, 0.0, 1.0]
+    below = {elbow}
+    for joint, parent in enumerate(PARENTS):
+        if parent in below:
+            below.add(joint)
+    moved = np.linalg.norm(body.posed_vertices(poses)[0] - body.v_template, axis=1) > 1e-9
+    hangs = body.weights[:, sorted(below)].sum(axis=1)
+    assert moved.any()
+    assert not (moved & (hangs == 0.0)).any()
+
+
+def test_bones_are_rotations_that_leave_the_joints_connected(poses, betas, rng):
+    body, trans = default_body(), rng.normal(size=(3, 3))
+    rotations, translations = body.bones(poses, trans, betas)
+    square = rotations @ np.swapaxes(rotations, -1, -2)
+    assert_allclose(square, np.broadcast_to(np.eye(3), square.shape), rtol=0.0, atol=EXACT)
+    joints = body.rest_joints(betas)
+    for joint, parent in enumerate(PARENTS[1:], start=1):
+        ends = [(rotations[:, bone] @ joints[joint]) + translations[:, bone] for bone in (joint, parent)]
+        assert_allclose(ends[0], ends[1], rtol=0.0, atol=EXACT)
+
+
+def test_skin_weights_are_a_partition_of_unity():
+    weights = default_body().weights
+    assert (weights >= 0.0).all()
+    assert_allclose(weights.sum(axis=1), 1.0, rtol=0.0, atol=EXACT)
+
+
+def test_every_joint_is_a_weighted_mean_of_vertices():
+    regressor = default_body().regressor
+    assert (regressor.data >= 0.0).all()
+    assert_allclose(np.asarray(regressor.sum(axis=1)).ravel(), 1.0, rtol=0.0, atol=1e-6)
+
+
+def test_joints_are_regressed_from_the_shaped_template(betas):
+    body = default_body()
+    for shape in (None, betas, 3.0 * np.eye(10)[2]):
+        assert_allclose(body.rest_joints(shape), body.regressor @ body.rest_vertices(shape), rtol=0.0, atol=EXACT)
+
+
+def test_shape_is_linear(betas, rng):
+    body, other = default_body(), rng.normal(size=10)
+    for rest in (body.rest_vertices, body.rest_joints):
+        zero = rest(None)
+        want = 2.0 * (rest(betas) - zero) - 0.5 * (rest(other) - zero)
+        assert_allclose(rest(2.0 * betas - 0.5 * other) - zero, want, rtol=0.0, atol=EXACT)
+        assert_allclose(rest(np.zeros(10)), zero, rtol=0.0, atol=0.0)
+
+
+def test_missing_shape_entries_are_zero(betas):
+    body = default_body()
+    assert_array_equal(body.check_betas(betas[:3]), [*betas[:3], *np.zeros(7)])
+    assert_array_equal(body.check_betas([]), np.zeros(10))
+    padded = np.where(np.arange(10) < 3, betas, 0.0)
+    assert_array_equal(body.rest_vertices(betas[:3]), body.rest_vertices(padded))
+
+
+def test_bone_directions_are_unit_and_leaves_repeat_their_parents():
+    directions = default_body().bone_directions
+    assert_allclose(np.linalg.norm(directions, axis=1), 1.0, rtol=0.0, atol=EXACT)
+    joints = default_body().joints_template
+    for joint, end in enumerate(BONE_ENDS):
+        if end < 0:
+            assert_array_equal(directions[joint], directions[PARENTS[joint]])
+        else:
+            assert directions[joint] @ (joints[end] - joints[joint]) > 0.0
+
+
+def test_body_stands_upright_faces_the_front_and_spreads_its_arms():
+    joints = dict(zip(JOINT_NAMES, default_body().joints_template, strict=True))
+    assert joints["head"][1] > joints["pelvis"][1] > joints["left_ankle"][1]
+    assert joints["left_foot"][2] > joints["left_ankle"][2]
+    assert joints["left_wrist"][0] > joints["left_shoulder"][0] > 0.0 > joints["right_wrist"][0]
+
+
+def test_pose_blend_shapes_vanish_at_rest_and_ignore_the_root(small, poses, rng):
+    assert_allclose(small.posed_vertices(REST)[0], small.v_template, rtol=0.0, atol=EXACT)
+    root_only = REST.copy()
+    root_only[0, 0] = rng.normal(size=3)
+    root = small.rest_joints()[0]
+    want = (small.v_template - root) @ rotvec_to_matrix(root_only[0, 0]).T + root
+    assert_allclose(small.posed_vertices(root_only)[0], want, rtol=0.0, atol=EXACT)
+
+
+def test_pose_blend_shapes_are_added_before_skinning(small, poses):
+    rotations, translations = small.bones(poses)
+    offset = (rotvec_to_matrix(poses)[:, 1:] - np.eye(3)).reshape(3, -1)
+    for frame in range(3):
+        rest = small.v_template + small.posedirs @ offset[frame]
+        by_bone = np.einsum("jab,vb->jva", rotations[frame], rest) + translations[frame][:, None]
+        want = np.einsum("vj,jva->va", small.weights, by_bone)
+        assert_allclose(small.posed_vertices(poses)[frame], want, rtol=0.0, atol=EXACT)
+
+
+def test_counts_are_those_of_the_arrays(small):
+    assert (small.vertex_count, small.shape_count) == (60, 10)
+    assert small.posed_vertices(np.zeros((0, JOINT_COUNT, 3))).shape == (0, 60, 3)
+
+
+@pytest.mark.parametrize("bad", [np.zeros(11), np.zeros((1, 10)), np.float64(1.0)])
+def test_shape_that_the_body_does_not_have_is_refused(small, bad):
+    with pytest.raises(BodyError, match="at most 10 numbers"):
+        small.rest_vertices(bad)
+
+
+def test_shape_that_is_not_finite_is_refused(small):
+    with pytest.raises(BodyError, match="betas: expected finite"):
+        small.rest_joints([0.0, np.nan])
+
+
+@pytest.mark.parametrize("bad", [np.zeros((24, 3)), np.zeros((1, 52, 3)), np.zeros((1, 72))])
+def test_poses_of_another_shape_are_refused(small, bad):
+    with pytest.raises(MotionError, match="poses: expected shape"):
+        small.bones(bad)
+
+
+def test_poses_that_are_not_finite_are_refused(small, poses):
+    poses[1, 2, 0] = np.inf
+    with pytest.raises(MotionError, match=r"poses: expected finite.*\(1, 2, 0\)"):
+        small.bones(poses)
+
+
+@pytest.mark.parametrize("bad", [np.zeros(3), np.zeros((1, 3)), np.zeros((3, 2))])
+def test_translations_of_another_shape_are_refused(small, poses, bad):
+    with pytest.raises(MotionError, match="trans: expected shape"):
+        small.bones(poses, bad)
+
+
+def test_translations_that_are_not_finite_are_refused(small, poses):
+    with pytest.raises(MotionError, match="trans: expected finite"):
+        small.bones(poses, np.full((3, 3), np.nan))

@@ -1,0 +1,200 @@
+"""The model folder: manifest round trip, digests, refusals, and replacement in one step."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+
+import pytest
+
+from drape import artifacts
+from drape.artifacts import GraphSpec, Manifest, TensorSpec, file_digest, load_manifest, publish_folder
+from drape.errors import ArtifactError, NotFound
+
+CONTENTS = {"encoder.onnx": b"first graph", "drape.onnx": b"second graph"}
+
+
+def graph(file: str) -> GraphSpec:
+    return GraphSpec(
+        file=file,
+        sha256=hashlib.sha256(CONTENTS[file]).hexdigest(),
+        opset=20,
+        inputs=(
+            TensorSpec("poses", ("frame", 24, 3), "float32", "rad"),
+            TensorSpec("chart_patch", ("vertex", 4), "int64"),
+        ),
+        outputs=(TensorSpec("vertices", ("frame", "vertex", 3), "float32", "m"),),
+    )
+
+
+@pytest.fixture
+def manifest():
+    return Manifest(
+        name="first",
+        graphs={"garment_encoder": graph("encoder.onnx"), "drape": graph("drape.onnx")},
+        body="anny_default",
+        body_digest="0" * 64,
+        embedding_size=16,
+        parity_error_m=1e-6,
+        dynamic=True,
+        training={"commit": "abc", "frames": 3},
+        quality=[{"garment": "tank", "rmse_mm": 1.5}],
+    )
+
+
+@pytest.fixture
+def folder(tmp_path, manifest):
+    """A model folder whose files match its manifest."""
+    folder = tmp_path / "first"
+    folder.mkdir()
+    for file, payload in CONTENTS.items():
+        (folder / file).write_bytes(payload)
+    (folder / "manifest.json").write_text(manifest.to_json())
+    return folder
+
+
+def test_manifest_is_read_as_it_was_written(manifest):
+    assert Manifest.from_json(manifest.to_json(), where="manifest.json") == manifest
+
+
+def test_manifest_with_defaults_is_read_as_it_was_written(manifest):
+    plain = Manifest("first", {}, "anny_default", "0" * 64, 16, 0.0)
+    assert Manifest.from_json(plain.to_json(), where="manifest.json") == plain
+    assert plain.format_version == artifacts.FORMAT_VERSION
+
+
+def test_unit_of_a_tensor_may_be_left_out():
+    assert TensorSpec.from_json({"name": "x", "shape": ["n", 3], "dtype": "int64"}) == TensorSpec(
+        "x", ("n", 3), "int64"
+    )
+
+
+def test_folder_is_read_as_it_was_written(folder, manifest):
+    assert load_manifest(folder) == manifest
+
+
+def test_digest_changes_with_any_graph_and_with_nothing_else(manifest):
+    digests = {manifest.digest}
+    for key, spec in manifest.graphs.items():
+        changed = {**manifest.graphs, key: dataclasses.replace(spec, sha256="f" * 64)}
+        digests.add(dataclasses.replace(manifest, graphs=changed).digest)
+    exchanged = dict(zip(manifest.graphs, reversed(manifest.graphs.values()), strict=True))
+    digests.add(dataclasses.replace(manifest, graphs=exchanged).digest)
+    assert len(digests) == 4
+    reordered = dict(reversed(manifest.graphs.items()))
+    assert dataclasses.replace(manifest, graphs=reordered, training={}, quality=[]).digest == manifest.digest
+
+
+def test_file_digest_is_sha256(tmp_path):
+    (tmp_path / "file").write_bytes(b"abc")
+    assert file_digest(tmp_path / "file") == hashlib.sha256(b"abc").hexdigest()
+
+
+def test_missing_model_is_not_found_and_the_others_are_named(folder):
+    with pytest.raises(NotFound, match=r"one of \['first'\].*got second"):
+        load_manifest(folder.parent / "second")
+
+
+@pytest.mark.parametrize("file", CONTENTS)
+def test_missing_graph_is_refused(folder, file):
+    (folder / file).unlink()
+    with pytest.raises(ArtifactError, match=f"expected {file}, got no such file"):
+        load_manifest(folder)
+
+
+@pytest.mark.parametrize("file", CONTENTS)
+def test_changed_graph_is_refused(folder, file):
+    (folder / file).write_bytes(b"another graph")
+    with pytest.raises(ArtifactError, match=f"first/{file} sha256"):
+        load_manifest(folder)
+
+
+@pytest.mark.parametrize("version", [0, 2, None, "1"])
+def test_another_format_is_refused(folder, version):
+    data = json.loads((folder / "manifest.json").read_text())
+    (folder / "manifest.json").write_text(json.dumps({**data, "format_version": version}))
+    with pytest.raises(ArtifactError, match=f"format_version: expected 1, got {version}"):
+        load_manifest(folder)
+
+
+def change(data: dict, *path: str, remove: bool = False) -> dict:
+    """``data`` with the entry at ``path`` removed or replaced by a number."""
+    copy = json.loads(json.dumps(data))
+    inner = copy
+    for key in path[:-1]:
+        inner = inner[key]
+    del inner[path[-1]]
+    if not remove:
+        inner[path[-1]] = 3
+    return copy
+
+
+@pytest.mark.parametrize(
+    ("path", "remove"),
+    [
+        (("graphs",), True),
+        (("graphs",), False),
+        (("graphs", "drape"), False),
+        (("graphs", "drape", "sha256"), True),
+        (("graphs", "drape", "inputs"), False),
+        (("name",), True),
+        (("embedding_size",), True),
+        (("unknown",), False),
+    ],
+)
+def test_manifest_with_missing_or_foreign_entries_is_refused(manifest, path, remove):
+    data = {**json.loads(manifest.to_json()), "unknown": 1}
+    if path != ("unknown",):
+        del data["unknown"]
+    with pytest.raises(ArtifactError, match="a model manifest"):
+        Manifest.from_json(json.dumps(change(data, *path, remove=remove)), where="manifest.json")
+
+
+@pytest.mark.parametrize("payload", [b"", b"{", b"[1, 2]", b"3", b"\xff\xfe\x00"])
+def test_file_that_is_no_manifest_is_refused(folder, payload):
+    (folder / "manifest.json").write_bytes(payload)
+    with pytest.raises(ArtifactError, match=r"first/manifest\.json: expected a model manifest"):
+        load_manifest(folder)
+
+
+def staged(tmp_path, content: str):
+    folder = tmp_path / "staged"
+    folder.mkdir()
+    (folder / f"{content}.txt").write_text(content)
+    return folder
+
+
+def contents(folder) -> dict[str, list[str]]:
+    return {path.name: sorted(file.name for file in path.iterdir()) for path in folder.iterdir()}
+
+
+def test_publishing_replaces_the_folder_and_leaves_nothing_behind(tmp_path):
+    target = tmp_path / "models" / "first"
+    for content in ("old", "new"):
+        publish_folder(staged(tmp_path, content), target)
+        assert contents(target.parent) == {"first": [f"{content}.txt"]}
+        assert not (tmp_path / "staged").exists()
+
+
+@pytest.mark.parametrize("failing_call", [1, 2])
+def test_crash_while_publishing_loses_neither_folder(tmp_path, monkeypatch, failing_call):
+    target, calls, replace = tmp_path / "models" / "first", [], os.replace
+    publish_folder(staged(tmp_path, "old"), target)
+
+    def crash(*paths):
+        calls.append(paths)
+        if len(calls) == failing_call:
+            raise OSError("power cut")
+        replace(*paths)
+
+    folder = staged(tmp_path, "new")
+    with monkeypatch.context() as patch:
+        patch.setattr(artifacts.os, "replace", crash)
+        with pytest.raises(OSError, match="power cut"):
+            publish_folder(folder, target)
+    assert list(contents(target.parent).values()) == [["old.txt"]]
+    assert contents(tmp_path)["staged"] == ["new.txt"]
+    publish_folder(folder, target)
+    assert contents(target.parent) == {"first": ["new.txt"]}

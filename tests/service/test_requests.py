@@ -1,0 +1,201 @@
+"""Bad requests get a sentence that says what to do, and the service goes on."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+
+import httpx
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from service.app import create_app
+from service.drapery import Drapery
+from service.errors import Busy
+from service.sessions import Streams
+from service.settings import Settings
+from service.state import State
+from tests.fixtures.serving import serve
+
+REST = np.zeros((1, 24, 3)).tolist()
+
+
+def refused(response: httpx.Response, status: int, *words: str) -> dict[str, object]:
+    assert response.status_code == status, response.text
+    assert response.headers["content-type"] == "application/problem+json"
+    document = response.json()
+    assert document["status"] == status
+    for word in words:
+        assert word in document["detail"], document["detail"]
+    for part in ("name", "expected", "got", "cure"):
+        assert document[part] in document["detail"]
+    return document
+
+
+def drape(api: httpx.Client, **fields: object) -> httpx.Response:
+    # By hand, since httpx refuses NaN.
+    content = json.dumps({"garment": "tube", "poses": REST} | fields)
+    return api.post("/drape", content=content, headers={"Content-Type": "application/json"})
+
+
+@pytest.mark.parametrize(
+    ("fields", "status", "words"),
+    [
+        ({"poses": [[[0, 0, 0]] * 23]}, 422, ["poses[0]: expected 24 joints, got 23."]),
+        ({"poses": [*REST, [[0, 0, 0]] * 25]}, 422, ["poses[1]: expected 24 joints, got 25."]),
+        ({"poses": [[[0, 0]] + [[0, 0, 0]] * 23]}, 422, ["poses[0][0]: expected 3 numbers [rad], got 2"]),
+        ({"poses": []}, 422, ["poses: expected at least 1 frame, got 0"]),
+        ({"poses": None}, 422, ["poses: expected a list of frames, got None"]),
+        ({"poses": [[[float("nan"), 0, 0]] * 24]}, 422, ["poses[0][0][0]: expected a finite number [rad], got nan"]),
+        ({"poses": [[["0", 0, 0]] * 24]}, 422, ["poses[0][0][0]: expected a finite number [rad], got '0'"]),
+        ({"poses": [[[1e300, 0, 0]] * 24]}, 422, ["poses[0][0][0]: expected at most 1000 rad, got 1e+300"]),
+        ({"trans": [[0, 0]]}, 422, ["trans[0]: expected 3 numbers [m], got 2"]),
+        ({"trans": [[0, 0, float("inf")]]}, 422, ["trans[0][2]: expected a finite number [m]"]),
+        ({"trans": [[0, 0, 1e9]]}, 422, ["trans[0][2]: expected at most 1e+06 m"]),
+        ({"trans": [[0, 0, 0]] * 2}, 422, ["trans: expected one translation per frame, 1, got 2"]),
+        ({"betas": [0.0] * 11}, 422, ["betas: expected at most 10 numbers, got 11"]),
+        ({"betas": [float("nan")]}, 422, ["betas[0]: expected a finite number"]),
+        ({"betas": [99.0]}, 422, ["betas[0]: expected at most 20, got 99"]),
+        ({"fps": 0}, 400, ["fps:", "greater than 0"]),
+        ({"garment": "cape"}, 404, ["garment: expected one of: tube, got cape.", "GET /garments"]),
+        ({"garment": ""}, 400, ["garment"]),
+        ({"colour": "red"}, 400, ["colour: expected no such field"]),
+        ({"push_out": "maybe"}, 400, ["push_out"]),
+        ({"poses": REST * 41}, 413, ["poses: expected at most 40 frames, got 41. Send the clip in pieces."]),
+    ],
+)
+def test_what_is_wrong_is_named(api: httpx.Client, fields: dict, status: int, words: list[str]):
+    refused(drape(api, **fields), status, *words)
+
+
+def test_a_missing_field_is_named(api: httpx.Client):
+    refused(api.post("/drape", json={"garment": "tube"}), 400, "poses: expected a value, got nothing")
+
+
+@pytest.mark.parametrize(
+    ("content", "content_type", "word"),
+    [
+        (b'{"garment": "tube", "poses": [', "application/json", "text that is not JSON"),
+        (b"[]", "application/json", "a list of 0"),
+        (b"", "application/json", "request body"),
+        (b"{}", "text/plain", "another type"),
+    ],
+)
+def test_what_is_no_json_object_is_refused(api: httpx.Client, content: bytes, content_type: str, word: str):
+    refused(api.post("/drape", content=content, headers={"Content-Type": content_type}), 400, word)
+
+
+def test_unknown_names_and_paths_are_not_found(api: httpx.Client):
+    refused(api.get("/garments/cape"), 404, "garment")
+    refused(api.get("/garments/cape/mesh"), 404, "garment")
+    refused(api.get("/motions/swim"), 404, "motion", "GET /motions")
+    refused(api.get("/bodies/atlas"), 404, "body: expected anny_default, got atlas")
+    refused(api.get("/bodies/atlas/mesh"), 404, "body")
+    refused(api.post("/bodies/atlas/posed", json={"poses": REST}), 404, "body")
+    refused(api.get("/jobs/none"), 404, "job")
+    refused(api.get("/nothing"), 404, "GET /nothing")
+    refused(api.delete("/health"), 405, "DELETE /health")
+    refused(api.get("/bodies/anny_default?betas=1,x"), 400, "betas: expected comma-separated numbers")
+
+
+@pytest.mark.parametrize("accept", ["image/png", "application/json;q=0", "model/gltf-binary;q=none", "text/*"])
+def test_formats_that_are_not_ours_are_refused(api: httpx.Client, accept: str):
+    response = api.post("/drape", json={"garment": "tube", "poses": REST}, headers={"Accept": accept})
+    refused(response, 406, "Accept: expected one of application/octet-stream")
+
+
+def test_too_large_a_body_is_refused_before_it_is_read(api: httpx.Client, settings: Settings):
+    size = settings.max_body_bytes + 1
+    refused(api.post("/drape", content=b" " * size), 413, "request body", f"at most {settings.max_body_bytes} bytes")
+
+    def pieces() -> Iterator[bytes]:
+        for _ in range(settings.max_body_bytes // 65536 + 2):
+            yield b" " * 65536
+
+    refused(api.post("/garments?name=a.obj", content=pieces()), 413, "request body")
+
+
+def test_too_large_an_answer_is_refused(make_settings: Callable[..., Settings]):
+    tight = make_settings(max_answer_bytes=216 * 12 * 3)
+    with serve(create_app(tight), tight) as url:
+        for frames, accept, status in ((3, "*/*", 200), (4, "*/*", 413), (2, "model/gltf-binary", 413)):
+            document = {"garment": "tube", "poses": REST * frames}
+            response = httpx.post(url + "/drape", json=document, headers={"Accept": accept})
+            assert response.status_code == status
+        refused(response, 413, "answer", "Send the clip in pieces.")
+
+
+def test_more_clips_than_places_are_refused(make_settings: Callable[..., Settings]):
+    drapery = Drapery(make_settings(max_clips=1))
+    state = State(drapery, None, Streams(drapery))  # pyright: ignore[reportArgumentType]
+    with state.slot(), pytest.raises(Busy, match="fewer than 1 at a time"), state.slot():
+        pass
+    with state.slot():
+        assert state.clips == 1
+    assert state.clips == 0
+    drapery.close()
+
+
+def test_the_page_that_is_not_built_says_how_to_build_it(make_settings: Callable[..., Settings], tmp_path):
+    bare = make_settings(page_dir=tmp_path / "none")
+    with serve(create_app(bare), bare) as url:
+        response = httpx.get(url + "/")
+        assert response.status_code == 503
+        assert "make page" in response.text
+        (tmp_path / "none").mkdir()
+        (tmp_path / "none/index.html").write_text("built")
+        assert httpx.get(url + "/").text == "built"
+
+
+def test_answers_of_a_whole_service(api: httpx.Client, body, tube):
+    health = api.get("/health").json()
+    assert health["status"] == "ok"
+    assert (health["model"], health["body"], health["garments"]) == ("tiny", body.name, 1)
+    assert health["provider"] == "CPUExecutionProvider"
+    (garment,) = api.get("/garments").json()
+    assert garment == api.get("/garments/tube").json()
+    assert (garment["vertices"], garment["patches"], garment["source"]) == (216, 12, "shipped")
+    (found,) = api.get("/bodies").json()
+    assert (found["id"], found["vertices"]) == (body.name, body.vertex_count)
+    mesh = api.get("/garments/tube/mesh").json()
+    np.testing.assert_array_equal(mesh["faces"], tube.faces)
+    np.testing.assert_array_equal(np.float32(mesh["vertices"]), tube.vertices)
+    np.testing.assert_array_equal(mesh["uv_faces"], tube.uv_faces)
+    assert mesh["materials"] == ["cotton", "trim"]
+    document = api.get(f"/bodies/{body.name}?betas=1").json()
+    np.testing.assert_allclose(document["joints"], body.rest_joints(np.array([1.0])), rtol=0, atol=1e-9)
+
+
+def test_sample_clips_stand_on_the_ground(api: httpx.Client, body):
+    ids = {clip["id"] for clip in api.get("/motions").json()}
+    assert {"walk", "turn", "reach", "squat"} <= ids
+    for betas in ("", "2", "-2"):
+        clip = api.get(f"/motions/walk?betas={betas}").json()
+        shape = np.array([float(betas)]) if betas else None
+        poses, trans = np.array(clip["poses"])[::24], np.array(clip["trans"])[::24]
+        lowest = body.posed_vertices(poses, trans, shape)[..., 1].min(axis=1)
+        assert np.abs(lowest).max() < 0.03
+
+
+numbers = st.one_of(st.floats(), st.integers(), st.none(), st.text(max_size=3), st.booleans())
+nested = st.recursive(
+    numbers, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=3), inner, max_size=2)
+)
+
+
+@given(poses=nested, trans=nested, betas=nested, fps=nested)
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_noise_in_a_request_is_refused_politely(api: httpx.Client, poses, trans, betas, fps):
+    response = drape(api, poses=poses, trans=trans, betas=betas, fps=fps)
+    assert response.status_code in (400, 413, 422)
+    assert set(response.json()) >= {"detail", "cure"}
+
+
+@given(content=st.binary(max_size=200), kind=st.sampled_from(["application/json", "", "application/octet-stream"]))
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_noise_as_a_body_is_refused_politely(api: httpx.Client, content: bytes, kind: str):
+    for path in ("/drape", "/bodies/anny_default/posed", "/garments"):
+        response = api.post(path, content=content, headers={"Content-Type": kind})
+        assert response.status_code in (400, 422)

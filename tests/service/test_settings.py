@@ -1,0 +1,85 @@
+"""Settings come from the environment; a bad one stops the start with a sentence."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from drape.errors import InputError, Unavailable
+from service.server import bind
+from service.settings import load_settings
+from tests.architecture.repository import ROOT
+
+
+def test_environment_sets_and_arguments_win(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("DRAPE_PORT", "8123")
+    monkeypatch.setenv("DRAPE_PUSH_OUT", "false")
+    monkeypatch.setenv("DRAPE_ALLOWED_ORIGINS", '["https://shop.example"]')
+    settings = load_settings()
+    assert (settings.port, settings.push_out) == (8123, False)
+    assert settings.allowed_origins == ("https://shop.example",)
+    assert load_settings(port=9).port == 9
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("PORT", "http"),
+        ("PORT", "70000"),
+        ("PROVIDER", "tpu"),
+        ("MAX_FRAMES", "0"),
+        ("CLEARANCE_M", "-1"),
+        ("THREADS", ""),
+    ],
+)
+def test_a_bad_value_is_refused_by_name(monkeypatch: pytest.MonkeyPatch, name: str, value: str):
+    monkeypatch.setenv(f"DRAPE_{name}", value)
+    with pytest.raises(InputError, match=rf"^DRAPE_{name}: .*docs/service.md"):
+        load_settings()
+
+
+def test_an_unknown_argument_is_refused():
+    with pytest.raises(InputError, match="DRAPE_PROT"):
+        load_settings(prot=1)
+
+
+def test_a_taken_port_and_a_foreign_address_are_refused():
+    with bind("127.0.0.1", 0) as taken, pytest.raises(Unavailable, match="--port"):
+        bind("127.0.0.1", taken.getsockname()[1])
+    with pytest.raises(InputError, match=r"host: .*no-such-host"):
+        bind("no-such-host.invalid", 0)
+    with pytest.raises(InputError, match="can be bound"):
+        bind("192.0.2.1", 0)  # reserved for documents: no machine has it
+
+
+def start(tiny_folder: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    known = {"DRAPE_MODEL": "tiny", "DRAPE_MODELS_DIR": str(tiny_folder / "models")}
+    return subprocess.run(
+        [sys.executable, "-m", "service", *arguments],
+        cwd=ROOT,
+        env={**os.environ, **known, **environment},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+
+
+def test_the_start_refuses_with_one_sentence_and_status_two(tiny_folder: Path):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = str(taken.getsockname()[1])
+        runs = {
+            f"port {port}": start(tiny_folder, "--port", port),
+            "model": start(tiny_folder, "--port", "0", DRAPE_MODEL="nothing"),
+            "DRAPE_PORT": start(tiny_folder, DRAPE_PORT="x"),
+        }
+    for name, run in runs.items():
+        assert run.returncode == 2
+        assert run.stderr.startswith(f"service: {name}: expected "), run.stderr
+        assert len(run.stderr.strip().splitlines()) == 1
