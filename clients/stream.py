@@ -52,7 +52,7 @@ class DrapeStream:
         url: str = DEFAULT_URL,
         garment: str = "",
         *,
-        betas: Sequence[float] | None = None,
+        betas: Sequence[float] | np.ndarray | None = None,
         push_out: bool | None = None,
     ) -> DrapeStream:
         """Connects and opens; raises the service's refusal."""
@@ -86,7 +86,7 @@ class DrapeStream:
         await self._connection.close()
 
     async def reopen(
-        self, garment: str, *, betas: Sequence[float] | None = None, push_out: bool | None = None
+        self, garment: str, *, betas: Sequence[float] | np.ndarray | None = None, push_out: bool | None = None
     ) -> dict[str, Any]:
         """Turns the stream to another garment, shape or push-out; frames of the old one are thrown away."""
         shape = None if betas is None else [float(beta) for beta in betas]

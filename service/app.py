@@ -39,7 +39,7 @@ def create_app(settings: Settings | None = None, *, drapery: Drapery | None = No
 
     app = FastAPI(title="drape", version=product_version(), lifespan=lifespan, description="Garments on moving bodies.")
     errors.install(app)
-    app.add_middleware(BodyLimit, limit=settings.max_body_bytes)
+    app.add_middleware(BodyLimit, settings=settings)
     if settings.allowed_origins:
         app.add_middleware(
             CORSMiddleware,

@@ -122,7 +122,7 @@ class Engine:
 
     def _run(self, graph: str, feed: dict[str, np.ndarray], outputs: list[str]) -> list[Any]:
         wanted = [tensor.name for tensor in self.manifest.graphs[graph].inputs]
-        return self._sessions[graph].run(outputs, {name: feed[name] for name in wanted})
+        return list(self._sessions[graph].run(outputs, {name: feed[name] for name in wanted}))
 
 
 def _open(folder: Path, name: str, spec: GraphSpec, provider: Provider, threads: int) -> onnxruntime.InferenceSession:

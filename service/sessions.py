@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -47,7 +48,7 @@ class Session:
     outbox: bytes | None = None
     failure: DrapeError | None = None
     last_heard_s: float = field(default_factory=time.monotonic)
-    # Sequence and time [s] of every frame that was begun and is not acknowledged.
+    # Sequence of every frame that was begun and is not acknowledged, and when [s] it was ready; infinity before that.
     under_way: list[tuple[int, float]] = field(default_factory=list)
     news: asyncio.Event = field(default_factory=asyncio.Event)
 
@@ -72,7 +73,7 @@ class Session:
         """The waiting pose, now under way."""
         assert self.waiting is not None
         taken, self.waiting = self.waiting, None
-        self.under_way.append((taken.pose.sequence, time.monotonic()))
+        self.under_way.append((taken.pose.sequence, math.inf))
         return taken
 
     def acknowledge(self, sequence: int) -> None:
@@ -94,6 +95,8 @@ class Session:
         """Hands a frame, or the reason that there is none, to the sender."""
         if generation != self.generation:
             return
+        now = time.monotonic()
+        self.under_way = [(sequence, min(ready_s, now)) for sequence, ready_s in self.under_way]
         if isinstance(result, DrapeError):
             self.failure = result
         else:

@@ -42,7 +42,8 @@ class Settings(BaseSettings):
     push_out: bool = True
     clearance_m: float = Field(default=0.002, gt=0.0, le=0.05)
 
-    max_body_bytes: int = Field(default=64 * 2**20, ge=1024)
+    max_body_bytes: int = Field(default=8 * 2**20, ge=1024)
+    max_upload_bytes: int = Field(default=64 * 2**20, ge=1024)
     max_clips: int = Field(default=8, ge=1)
     max_frames: int = Field(default=1200, ge=1)
     max_vertices: int = Field(default=200_000, ge=3)

@@ -36,7 +36,7 @@ def validation_refusal(errors: Sequence[Any]) -> InputError:
     name = field + "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location[1:])
     levels = _LEVELS.get(field)
     if levels is None or first["type"] in ("missing", "extra_forbidden"):
-        expected = {"missing": "a value", "extra_forbidden": "no such field"}.get(first["type"], first["msg"])
+        expected = {"missing": "a value", "extra_forbidden": "no such field"}.get(first["type"]) or str(first["msg"])
         got = {"missing": "nothing", "extra_forbidden": "one"}.get(first["type"], _shown(first))
         return InputError(name, expected=expected, got=got + more, cure="See /docs for the request's fields.")
     depth = sum(isinstance(part, int) for part in location[1:])

@@ -126,8 +126,8 @@ def bending(positions: Array, mesh: ClothMesh, material: Material) -> Array:
     return _bending(_planes(positions), mesh, material)
 
 
-def gravity(positions: Array, mesh: ClothMesh, material: Material, *, height_m: float = 0.0) -> Array:
-    """Potential energy m g (y - height) of the vertices."""
+def gravity(positions: Array, mesh: ClothMesh, material: Material, *, height_m: float | Array = 0.0) -> Array:
+    """Potential energy m g (y - height) of the vertices; ``height_m`` a number or (..., 1)."""
     xp = namespace(positions)
     weight = material.gravity_m_s2 * mesh.vertex_mass(material)
     return xp.sum(weight * (positions[..., 1] - height_m), axis=-1)
@@ -158,7 +158,7 @@ def total(
     before: Array | None = None,
     before_that: Array | None = None,
     dt_s: float | None = None,
-    height_m: float = 0.0,
+    height_m: float | Array = 0.0,
 ) -> dict[str, Array]:
     """The parts by name; "contact" where ``distance`` is given, "inertia" where the two steps before are."""
     planes = _planes(positions)

@@ -170,7 +170,7 @@ def test_foreign_readers_open_it(tube: Garment, body: BodyModel, tmp_path):
     path.write_bytes(file.to_bytes())
     read = pygltflib.GLTF2().load(str(path))
     assert read is not None and len(read.animations) == 1 and len(read.skins) == 1
-    scene = trimesh.load(path)
+    scene = trimesh.load_scene(path)
     assert {"tube", body.name} <= {name.split("_")[0] if name.startswith("tube") else name for name in scene.geometry}
 
 

@@ -80,6 +80,7 @@ def test_a_missing_field_is_named(api: httpx.Client):
         (b'{"garment": "tube", "poses": [', "application/json", "text that is not JSON"),
         (b"[]", "application/json", "a list of 0"),
         (b"", "application/json", "request body"),
+        (b"[" * 100_000, "application/json", "request"),
         (b"{}", "text/plain", "another type"),
     ],
 )
@@ -110,11 +111,12 @@ def test_too_large_a_body_is_refused_before_it_is_read(api: httpx.Client, settin
     size = settings.max_body_bytes + 1
     refused(api.post("/drape", content=b" " * size), 413, "request body", f"at most {settings.max_body_bytes} bytes")
 
-    def pieces() -> Iterator[bytes]:
-        for _ in range(settings.max_body_bytes // 65536 + 2):
+    def pieces(limit: int) -> Iterator[bytes]:
+        for _ in range(limit // 65536 + 2):
             yield b" " * 65536
 
-    refused(api.post("/garments?name=a.obj", content=pieces()), 413, "request body")
+    for path, limit in (("/drape", settings.max_body_bytes), ("/garments?name=a.obj", settings.max_upload_bytes)):
+        refused(api.post(path, content=pieces(limit)), 413, "request body", f"at most {limit} bytes")
 
 
 def test_too_large_an_answer_is_refused(make_settings: Callable[..., Settings]):

@@ -18,14 +18,12 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.typing import Subprotocol
 
 from drape import wire
 from drape.body.model import BodyModel
-from drape.errors import InputError
 from drape.garment.cache import Garment
 from service.app import create_app
-from service.drapery import Drapery
-from service.sessions import Session, Streams
 from service.settings import Settings
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import serve
@@ -33,11 +31,12 @@ from tests.fixtures.tiny_model import expected_vertices
 
 OPEN = {"type": "open", "garment": "tube", "push_out": False}
 REST = np.zeros((24, 3))
+PROTOCOL = Subprotocol(wire.SUBPROTOCOL)
 
 
 def run(url: str, talk: Callable[[ClientConnection], Awaitable[Any]], **options: Any) -> Any:
     async def whole() -> Any:
-        options.setdefault("subprotocols", [wire.SUBPROTOCOL])
+        options.setdefault("subprotocols", [PROTOCOL])
         async with connect(url.replace("http", "ws") + "/stream", compression=None, **options) as socket:
             return await talk(socket)
 
@@ -178,7 +177,7 @@ def test_two_clients_do_not_see_each_other(live: str, body: BodyModel, tube: Gar
     async def one(seed: int) -> float:
         betas = np.full(10, 0.1 * seed)
         worst = 0.0
-        async with connect(live.replace("http", "ws") + "/stream", subprotocols=[wire.SUBPROTOCOL]) as socket:
+        async with connect(live.replace("http", "ws") + "/stream", subprotocols=[PROTOCOL]) as socket:
             await opened(socket, betas=betas.tolist())
             for i in range(20):
                 pose, place = poses[(i * seed) % 20].astype(np.float32), trans[i]
@@ -189,7 +188,7 @@ def test_two_clients_do_not_see_each_other(live: str, body: BodyModel, tube: Gar
         return worst
 
     async def both() -> list[float]:
-        return await asyncio.gather(one(1), one(3), one(7))
+        return list(await asyncio.gather(one(1), one(3), one(7)))
 
     assert max(asyncio.run(both())) < 3e-5
 
@@ -296,7 +295,7 @@ def test_silence_is_ended(live: str, live_settings: Settings):
 def test_more_streams_than_places_are_turned_away(live: str, live_settings: Settings):
     async def many() -> tuple[int, str, dict]:
         async def one() -> ClientConnection:
-            return await connect(live.replace("http", "ws") + "/stream", subprotocols=[wire.SUBPROTOCOL])
+            return await connect(live.replace("http", "ws") + "/stream", subprotocols=[PROTOCOL])
 
         sockets = [await one() for _ in range(live_settings.stream_sessions)]
         for each in sockets:
@@ -393,52 +392,3 @@ def test_a_client_that_vanishes_frees_its_place(live: str):
     while httpx.get(live + "/health").json()["sessions"]:
         assert time.monotonic() < deadline
         time.sleep(0.05)
-
-
-# --- the batcher ---
-
-
-def test_one_bad_pose_does_not_fail_its_batch(make_settings: Callable[..., Settings]):
-    drapery = Drapery(make_settings())
-    entry = drapery.garments.get("tube")
-    streams = Streams(drapery)
-    sessions = [Session(entry, np.zeros(10), push=False, credit=2) for _ in range(3)]
-    poses = [REST, np.full((24, 3), np.nan), REST]
-    for i, (session, pose) in enumerate(zip(sessions, poses, strict=True)):
-        session.put(wire.Pose(i, 0.0, np.zeros(3), pose))
-        streams.add(session)
-
-    async def once() -> None:
-        batch = streams._next_batch()
-        assert batch == sessions
-        await streams._compute(batch)
-
-    asyncio.run(once())
-    assert [session.failure is not None for session in sessions] == [False, True, False]
-    assert [session.outbox is not None for session in sessions] == [True, False, True]
-    drapery.close()
-
-
-def test_the_longest_waiting_garment_goes_first_with_all_that_wait_for_it(make_settings: Callable[..., Settings]):
-    drapery = Drapery(make_settings(chunk_frames=2))
-    tube = drapery.garments.get("tube")
-    other = type(tube)("other", tube.garment, tube.source, tube.feed)
-    streams = Streams(drapery)
-    sessions = [Session(entry, np.zeros(10), push=False, credit=1) for entry in (other, tube, other, other)]
-    for session in (sessions[2], sessions[1], sessions[0], sessions[3]):
-        session.put(wire.Pose(0, 0.0, np.zeros(3), REST))
-        streams.add(session)
-        time.sleep(0.002)
-    assert streams._next_batch() == [sessions[2], sessions[0]]
-    for session in (sessions[2], sessions[0]):
-        session.take()
-    assert streams._next_batch() == [sessions[1]]
-    drapery.close()
-
-
-def test_an_acknowledgement_that_was_not_earned_is_refused(make_settings: Callable[..., Settings]):
-    drapery = Drapery(make_settings())
-    session = Session(drapery.garments.get("tube"), np.zeros(10), push=False, credit=1)
-    with pytest.raises(InputError, match="ack message"):
-        session.acknowledge(0)
-    drapery.close()

@@ -14,7 +14,9 @@ const element = (id) => document.getElementById(id);
 const state = { clip: null, timeS: 0, playing: true, betas: new Array(SHAPE_COUNT).fill(0), body: null };
 const counts = { frames: 0, since: performance.now(), shown: 0, dropped: 0, droppedBefore: 0, latest: null };
 
-function say(sentence, bad = false) {
+let spokenBy = "user";
+function say(sentence, bad = false, by = "user") {
+  spokenBy = by;
   element("message").textContent = sentence;
   element("message").classList.toggle("bad", bad);
 }
@@ -43,7 +45,9 @@ const stream = new Stream({
   },
   onState(now, sentence) {
     document.body.dataset.state = now;
-    if (sentence || now === "open") say(sentence, now === "refused");
+    // An open stream clears only what the stream has said itself.
+    if (sentence) say(sentence, now === "refused", "stream");
+    else if (spokenBy === "stream") say("");
   },
 });
 
@@ -107,8 +111,8 @@ const upload = failing(async () => {
     const words = { queued: "waits", running: "is being taken in" };
     const garment = await service.uploadGarment(file, element("avatar").value, (now) => say(`${file.name} ${words[now]} …`));
     await listGarments(garment);
-    say(`${file.name} is ready.`);
     await chooseGarment();
+    say(`${file.name} is ready.`);
   } finally {
     element("upload").disabled = false;
   }

@@ -7,6 +7,7 @@ import { dequantise } from "./wire.js";
 
 const BACKGROUND = 0xe9e5de;
 const GRID_CELL_M = 0.5;
+const NARROW_PX = 640; // as in style.css
 const EYE = new THREE.Vector3(1.4, 0.35, 3.9); // from the body's root [m]
 
 // Without a graphics card the browser draws on the processor.
@@ -108,9 +109,11 @@ export class Viewer {
     this.renderer.setPixelRatio(this.pixelShare * Math.min(devicePixelRatio, 2));
     this.renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
-    // The panel covers the left: look past it.
-    const covered = width > 640 ? 296 : 0;
-    this.camera.setViewOffset(width, height, -covered / 2, 0, width, height);
+    // The panel covers the left, or the top of a narrow screen: look past it.
+    const narrow = width <= NARROW_PX;
+    const [left, top] = narrow ? [0, 0.42 * height] : [296, 0];
+    this.camera.zoom = narrow ? 0.6 : 1;
+    this.camera.setViewOffset(width, height, -left / 2, -top / 2, width, height);
     this.camera.updateProjectionMatrix();
   }
 

@@ -7,6 +7,7 @@ import io
 import pickle
 import sys
 import types
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import numpy as np
@@ -46,6 +47,8 @@ class PythonTwoPickler(pickle._Pickler):
     """Writes what Python 2 wrote: protocol 2, text and bytes alike as byte strings, modules under their old names."""
 
     dispatch: ClassVar[dict] = dict(pickle._Pickler.dispatch)
+    write: Callable[[bytes], None]
+    memoize: Callable[[Any], None]
 
     def save_string(self, text: str | bytes) -> None:
         payload = text.encode("latin1") if isinstance(text, str) else text

@@ -105,7 +105,7 @@ def test_numpy_and_torch_agree(local):
     static = features.static_features(local, rotations)
     static_torch = features.static_features(as_torch[0], as_torch[1])
     assert_allclose(static_torch.numpy(), static, rtol=0.0, atol=EXACT)
-    track, track_torch = (joints, 0.9 * joints, 0.7 * joints), tuple(c * as_torch[2] for c in (1.0, 0.9, 0.7))
+    track, track_torch = ((x, 0.9 * x, 0.7 * x) for x in (joints, as_torch[2]))
     want = features.dynamic_features(static, 0.5 * static, track, rotations, DT_S)
     got = features.dynamic_features(static_torch, 0.5 * static_torch, track_torch, as_torch[1], DT_S)
     assert_allclose(got.numpy(), want, rtol=1e-12, atol=1e-9)

@@ -1,0 +1,81 @@
+"""Small rest garments and shipped ones, shared by the garment tests."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from drape.garment.cache import GARMENTS_DIR, Garment, load_garment
+from drape.garment.fitting import RestGarment, fit_garment, rest_garment
+from tests.drape.body.body_files import default_body
+from tests.drape.cloth.cloth_shapes import tube
+
+SHIPPED = ("dress", "longsleeve", "shorts", "tank", "trousers", "tshirt")
+PATCH_COUNT = 24
+
+
+def vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """A third of the area of the triangles round each vertex."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    share = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6.0
+    return np.bincount(faces.ravel(), np.repeat(share, 3), len(vertices))
+
+
+def nearest(vertices: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Index of the vertex nearest to each point."""
+    return np.asarray(KDTree(vertices).query(points)[1])
+
+
+def side_by_side(*pieces: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """One mesh of several pieces, each a metre further along x."""
+    vertices, faces, start = [], [], 0
+    for index, (v, f) in enumerate(pieces):
+        vertices.append(v + np.array([index, 0.0, 0.0]))
+        faces.append(f + start)
+        start += len(v)
+    return np.concatenate(vertices), np.concatenate(faces)
+
+
+@functools.cache
+def barrel() -> RestGarment:
+    """An open tube of 840 vertices round the trunk of the shipped body."""
+    vertices, faces = tube(40, 20, radius_m=0.25, height_m=0.5)
+    return rest_garment(vertices - [0.0, 0.1, 0.0], faces, default_body())
+
+
+def barrel_mesh() -> dict:
+    """The barrel as ``fit_garment`` takes it, with its last ring as if subdivision had added it."""
+    rest = barrel()
+    delivered = len(rest.vertices) - 40
+    return {
+        "vertices": rest.vertices,
+        "vertex_count": delivered,
+        "faces": rest.faces[(rest.faces < delivered).all(axis=1)],
+        "fine_faces": rest.faces,
+        "uv": np.zeros((0, 2)),
+        "uv_faces": np.zeros((0, 3)),
+        "material_names": ("cotton", "hem"),
+        "face_material": np.zeros((rest.faces < delivered).all(axis=1).sum()),
+    }
+
+
+@functools.cache
+def barrel_garment() -> Garment:
+    """The fitted barrel."""
+    return fit_garment(
+        name="barrel",
+        body=default_body(),
+        digest="d" * 64,
+        manifest={"source": "a tube"},
+        count=PATCH_COUNT,
+        **barrel_mesh(),
+    )
+
+
+@functools.cache
+def shipped(name: str) -> Garment:
+    """A shipped garment by name, read once."""
+    (path,) = GARMENTS_DIR.glob(f"{name}-*.npz")
+    return load_garment(path)

@@ -1,0 +1,196 @@
+"""Laws of the charts: blend weights, their continuity, patch centres and frames."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from drape.garment import charts
+from drape.garment.cache import CHARTS_PER_VERTEX
+from drape.garment.partition import mesh_edges, partition, vertex_graph
+from drape.geometry.rotations import quaternion_to_matrix, rotvec_to_matrix
+from tests.drape.cloth.cloth_shapes import grid, random_rotation
+from tests.drape.garment.rest_garments import barrel, nearest, side_by_side, vertex_areas
+
+EXACT = 1e-12
+WIDTH, HEIGHT = 20, 15  # cells of the coarsest plane
+
+
+def dense_weights(cover, count):
+    """Blend weights (N, K) with a column for every patch."""
+    dense = np.zeros((len(cover.patch), count))
+    np.add.at(dense, (np.arange(len(dense))[:, None], cover.patch), cover.weight)
+    return dense
+
+
+def plane(refinement=1):
+    return grid(WIDTH * refinement, HEIGHT * refinement, cell_m=0.02 / refinement)
+
+
+def plane_seeds(count):
+    """Places of the patch seeds of a partition of the coarsest plane."""
+    vertices, faces = plane()
+    area = vertex_areas(vertices, faces)
+    label = partition(vertices, faces, area, count, seed=0)
+    return vertices[charts.cluster_centres(label, vertices, area)[1]]
+
+
+@pytest.fixture
+def clusters():
+    """Labels, vertices, normals, areas and bone directions of the barrel."""
+    rest = barrel()
+    label = partition(rest.vertices, rest.faces, rest.areas, 24, seed=0)
+    bone = np.random.default_rng(1).normal(size=(24, 3))
+    return label, rest.vertices, rest.normals, rest.areas, bone
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 12])
+def test_blend_weights_are_a_partition_of_unity(count):
+    vertices, faces = plane()
+    cover = charts.cover(vertex_graph(vertices, faces), nearest(vertices, plane_seeds(count)), spacing_m=0.1)
+    assert cover.patch.shape == cover.weight.shape == (len(vertices), CHARTS_PER_VERTEX)
+    assert cover.patch.dtype == np.int32
+    assert (cover.weight >= 0.0).all()
+    assert_allclose(cover.weight.sum(axis=1), 1.0, rtol=0.0, atol=EXACT)
+    assert cover.patch.min() >= 0 and cover.patch.max() < count
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5, 12])
+def test_no_patch_is_blended_twice(count):
+    vertices, faces = plane()
+    cover = charts.cover(vertex_graph(vertices, faces), nearest(vertices, plane_seeds(count)), spacing_m=0.1)
+    for patch, weight in zip(cover.patch, cover.weight, strict=True):
+        used = patch[weight > 0.0]
+        assert len(np.unique(used)) == len(used)
+
+
+def test_patches_come_nearest_first_and_nearer_ones_weigh_more():
+    vertices, faces = plane()
+    seeds = nearest(vertices, plane_seeds(12))
+    cover = charts.cover(vertex_graph(vertices, faces), seeds, spacing_m=0.1)
+    assert (np.diff(cover.weight, axis=1) <= EXACT).all()
+    assert_array_equal(cover.patch[seeds, 0], np.arange(len(seeds)))
+
+
+def test_search_radius_does_not_change_the_cover():
+    vertices, faces = plane()
+    graph, seeds = vertex_graph(vertices, faces), nearest(vertices, plane_seeds(12))
+    want = dense_weights(charts.cover(graph, seeds, spacing_m=10.0), 12)
+    for spacing in (1e-3, 0.02, 0.1):
+        got = dense_weights(charts.cover(graph, seeds, spacing_m=spacing), 12)
+        assert_allclose(got, want, rtol=0.0, atol=EXACT)
+
+
+@pytest.mark.parametrize("count", [2, 4, 8, 20])
+def test_blend_weights_are_continuous_over_the_surface(count):
+    places, steps = plane_seeds(count), []
+    for refinement in (2, 4, 8):
+        vertices, faces = plane(refinement)
+        cover = charts.cover(vertex_graph(vertices, faces), nearest(vertices, places), spacing_m=0.1)
+        dense, edges = dense_weights(cover, count), mesh_edges(faces)
+        steps.append(np.abs(dense[edges[:, 0]] - dense[edges[:, 1]]).max(axis=1))
+    largest = [step.max() for step in steps]
+    # A jump would keep its height under refinement; the largest step falls with the edge.
+    assert largest[2] < 0.7 * largest[1]
+    assert largest[2] < 0.5 * largest[0]
+    assert_allclose([steps[k].mean() / steps[k + 1].mean() for k in (0, 1)], 2.0, rtol=0.1, atol=0.0)
+
+
+def test_pieces_of_few_patches_blend_only_their_own():
+    vertices, faces = side_by_side(plane(), grid(3, 3, cell_m=0.02), grid(4, 2, cell_m=0.02))
+    piece = np.round(vertices[:, 0] - 0.2).astype(int).clip(0)
+    seeds = np.concatenate(
+        [
+            nearest(vertices, plane_seeds(8)),
+            [np.flatnonzero(piece == 1)[0]],
+            np.flatnonzero(piece == 2)[[0, -1]],
+        ]
+    )
+    cover = charts.cover(vertex_graph(vertices, faces), seeds, spacing_m=0.1)
+    dense = dense_weights(cover, len(seeds))
+    assert_array_equal(dense[piece[seeds][None] != piece[:, None]], 0.0)
+    assert_allclose(dense[piece == 1, 8], 1.0, rtol=0.0, atol=EXACT)
+    assert_allclose(dense[piece == 2][:, [9, 10]].sum(axis=1), 1.0, rtol=0.0, atol=EXACT)
+    assert np.ptp(dense[piece == 2, 9]) > 0.1
+
+
+def test_centres_are_centroids_and_seeds_their_nearest_members(clusters):
+    label, vertices, _, area, _ = clusters
+    centre, seed = charts.cluster_centres(label, vertices, area)
+    for k in range(24):
+        members = np.flatnonzero(label == k)
+        assert_allclose(centre[k], np.average(vertices[members], axis=0, weights=area[members]), rtol=0.0, atol=EXACT)
+        distance = np.linalg.norm(vertices[members] - centre[k], axis=1)
+        assert seed[k] in members
+        assert_allclose(np.linalg.norm(vertices[seed[k]] - centre[k]), distance.min(), rtol=0.0, atol=EXACT)
+
+
+@pytest.mark.parametrize("orient", [None, charts.pca_orient])
+def test_frames_are_right_handed_rotations_on_the_side_of_the_mean_normal(clusters, orient):
+    label, _, normals, area, _ = clusters
+    frames = charts.patch_frames(*clusters, orient=orient)
+    assert_allclose(frames @ np.swapaxes(frames, 1, 2), np.tile(np.eye(3), (24, 1, 1)), rtol=0.0, atol=EXACT)
+    assert_allclose(np.linalg.det(frames), 1.0, rtol=0.0, atol=EXACT)
+    mean = np.stack([np.bincount(label, area * n) for n in normals.T], axis=1)
+    assert ((frames[:, :, 2] * mean).sum(axis=1) > 0.0).all()
+
+
+def test_third_axis_is_the_mean_normal_and_the_first_lies_along_the_bone(clusters):
+    label, _, normals, area, bone = clusters
+    frames = charts.patch_frames(*clusters)
+    mean = np.stack([np.bincount(label, area * n) for n in normals.T], axis=1)
+    assert_allclose(np.cross(frames[:, :, 2], mean), 0.0, rtol=0.0, atol=EXACT)
+    assert ((frames[:, :, 0] * bone).sum(axis=1) > 0.0).all()
+    assert_allclose((frames[:, :, 1] * bone).sum(axis=1), 0.0, rtol=0.0, atol=EXACT)
+
+
+def test_frames_turn_with_everything(clusters, rng):
+    label, vertices, normals, area, bone = clusters
+    turn, shift = random_rotation(rng), rng.normal(size=3)
+    got = charts.patch_frames(label, vertices @ turn.T + shift, normals @ turn.T, area, bone @ turn.T)
+    assert_allclose(got, turn @ charts.patch_frames(*clusters), rtol=0.0, atol=EXACT)
+
+
+@pytest.mark.parametrize(
+    ("normal", "bone"),
+    [
+        ([0.0, 1.0, 0.0], [0.0, 1.0, 0.0]),
+        ([0.0, 0.0, 1.0], [0.0, 0.0, 1.0]),  # the tip of a shoe
+        ([0.0, 0.0, -1.0], [0.0, 0.0, 1.0]),
+        ([0.0, 0.0, 0.0], [0.0, 0.0, 1.0]),  # normals that cancel
+        ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0]),
+    ],
+)
+def test_frames_are_rotations_where_normal_and_bone_do_not_say_them(normal, bone):
+    label, area = np.zeros(4, dtype=int), np.ones(4)
+    (frame,) = charts.patch_frames(label, np.zeros((4, 3)), np.tile(normal, (4, 1)), area, np.array([bone]))
+    assert_allclose(frame @ frame.T, np.eye(3), rtol=0.0, atol=EXACT)
+    assert_allclose(np.linalg.det(frame), 1.0, rtol=0.0, atol=EXACT)
+    if any(normal):
+        assert_allclose(frame[:, 2], normal, rtol=0.0, atol=EXACT)
+
+
+def test_pca_finds_the_normal_of_a_plane(rng):
+    turn = random_rotation(rng)
+    points = rng.normal(size=(40, 3)) * [2.0, 1.0, 0.0] @ turn.T + rng.normal(size=3)
+    frame = quaternion_to_matrix(charts.pca_orient(points))
+    assert_allclose(np.linalg.det(frame), 1.0, rtol=0.0, atol=EXACT)
+    assert_allclose(np.abs(frame[:, 2] @ turn[:, 2]), 1.0, rtol=0.0, atol=EXACT)
+
+
+def test_pca_orders_the_axes_by_spread_and_turns_with_the_points(rng):
+    points = rng.normal(size=(60, 3)) * [3.0, 1.0, 0.2]
+    frame = quaternion_to_matrix(charts.pca_orient(points))
+    spread = ((points - points.mean(axis=0)) @ frame).std(axis=0)
+    assert spread[0] > spread[1] > spread[2]
+    turn = rotvec_to_matrix(np.array([0.2, 0.5, -0.1]))
+    turned = quaternion_to_matrix(charts.pca_orient(points @ turn.T))
+    agreement = np.abs((turned * (turn @ frame)).sum(axis=0))
+    assert_allclose(agreement, 1.0, rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_pca_of_a_few_points_is_still_a_rotation(rng, count):
+    frame = quaternion_to_matrix(charts.pca_orient(rng.normal(size=(count, 3))))
+    assert_allclose(frame @ frame.T, np.eye(3), rtol=0.0, atol=EXACT)

@@ -1,0 +1,87 @@
+"""The shipped garments hold what the product promises of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from drape.garment.cache import GARMENTS_DIR, save_garment
+from drape.garment.fitting import fit_error, rest_garment
+from drape.geometry.closest import signed_distance
+from tests.drape.body.body_files import default_body
+from tests.drape.garment.rest_garments import SHIPPED, shipped
+
+CLEARANCE_M = 0.006
+FILE_LIMIT_BYTES = 3_000_000
+MICROMETRE = 1e-6
+
+
+def test_all_six_are_there_under_their_digests():
+    files = {path.name for path in GARMENTS_DIR.glob("*.npz")}
+    assert files == {shipped(name).file_name() for name in SHIPPED}
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_file_is_small(name):
+    assert (GARMENTS_DIR / shipped(name).file_name()).stat().st_size < FILE_LIMIT_BYTES
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_numbers_are_finite_and_indices_in_range(name):
+    garment = shipped(name)
+    for key, value in vars(garment).items():
+        if isinstance(value, np.ndarray):
+            assert np.isfinite(value).all(), key
+    assert garment.vertex_count <= len(garment.vertices)
+    assert garment.faces.min() >= 0 and garment.faces.max() < garment.vertex_count
+    assert garment.fine_faces.min() >= 0 and garment.fine_faces.max() < len(garment.vertices)
+    assert garment.chart_patch.min() >= 0 and garment.chart_patch.max() < garment.patch_count
+    assert len(garment.face_material) == len(garment.faces)
+    assert len(garment.uv_faces) in (0, len(garment.faces))
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_it_was_made_for_the_shipped_body(name):
+    assert shipped(name).body_digest == default_body().digest
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_patches_give_back_the_vertices(name):
+    garment = shipped(name)
+    assert_allclose(garment.reconstruct(), garment.vertices, rtol=0.0, atol=MICROMETRE)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_weights_are_partitions_of_unity(name):
+    garment = shipped(name)
+    for key in ("chart_weight", "skin_weights", "patch_weights"):
+        weight = getattr(garment, key)
+        assert weight.min() >= 0.0
+        assert_allclose(weight.sum(axis=1), 1.0, rtol=0.0, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_it_keeps_clear_of_the_body(name):
+    body = default_body()
+    assert signed_distance(shipped(name).vertices, body.v_template, body.faces).min() >= CLEARANCE_M
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_patches_and_fit_are_as_its_manifest_says(name):
+    garment = shipped(name)
+    rest = rest_garment(garment.vertices, garment.fine_faces, default_body())
+    figures = garment.manifest["fit"]
+    assert figures["patch_count"] == garment.patch_count
+    assert 100 <= garment.patch_count <= 400
+    assert_allclose(rest.areas.sum(), figures["area_m2"], rtol=1e-4, atol=0.0)
+    fields = {key: getattr(garment, key) for key in vars(garment) if key.startswith(("patch_", "chart_"))}
+    measured = fit_error(rest, fields)
+    assert measured["folded_chart_entries"] == figures["folded_chart_entries"] == 0
+    for key in ("point_rmse_m", "point_max_m", "normal_error_deg"):
+        assert_allclose(measured[key], figures[key], rtol=1e-2, atol=1e-6)
+
+
+def test_saving_again_writes_the_same_name(tmp_path):
+    garment = shipped("tank")
+    assert save_garment(garment, tmp_path).name == garment.file_name()

@@ -1,0 +1,141 @@
+"""How a rest garment hangs on the body: weights near the skin, far from it, and mirrored."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.spatial import KDTree
+
+from drape.body.skeleton import JOINT_NAMES
+from drape.garment import skin
+from drape.geometry.closest import closest_point
+from tests.drape.body.body_files import default_body
+from tests.drape.cloth.cloth_shapes import grid
+from tests.drape.garment.rest_garments import barrel, nearest
+
+EXACT = 1e-12
+TWIN = {"left": "right", "right": "left"}
+MIRRORED = [JOINT_NAMES.index("_".join(TWIN.get(part, part) for part in name.split("_"))) for name in JOINT_NAMES]
+LEFT = [JOINT_NAMES.index(name) for name in JOINT_NAMES if name.startswith("left")]
+RIGHT = [MIRRORED[joint] for joint in LEFT]
+# Finely modelled parts, where 12 mm between samples is coarse and no garment lies.
+UNDRESSED = ("head", "neck", "ankle", "foot", "wrist", "hand")
+
+
+def dressed_points(rng, count, gap_m):
+    """Points ``gap_m`` outside random places of trunk, arms and legs."""
+    body = default_body()
+    bare = [any(part in name for part in UNDRESSED) for name in JOINT_NAMES]
+    faces = body.faces[~np.array(bare)[body.weights.argmax(axis=1)][body.faces].any(axis=1)]
+    corners = body.v_template[faces[rng.integers(0, len(faces), count)]]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return np.einsum("nk,nka->na", rng.dirichlet(np.ones(3), count), corners) + gap_m * normal
+
+
+def test_weights_are_a_partition_of_unity():
+    hang = barrel().hang
+    assert (hang.weights >= 0.0).all()
+    assert_allclose(hang.weights.sum(axis=1), 1.0, rtol=0.0, atol=EXACT)
+    assert hang.shapedirs.shape == (len(barrel().vertices), 3, default_body().shape_count)
+
+
+def test_next_to_the_skin_the_nearest_triangle_says_the_weights(rng):
+    body, points = default_body(), dressed_points(rng, 600, 0.002)
+    got = skin.body_kernel(points, body) @ body.weights
+    near = closest_point(points, body.v_template, body.faces)
+    want = np.einsum("nk,nkj->nj", near.barycentric, body.weights[body.faces[near.face]])
+    error = np.abs(got - want).max(axis=1)
+    assert error.mean() < 0.015
+    assert np.quantile(error, 0.95) < 0.06
+
+
+def test_next_to_the_skin_the_shape_moves_the_garment_with_the_body(rng):
+    body, points = default_body(), dressed_points(rng, 600, 0.002)
+    got = (skin.body_kernel(points, body) @ body.shapedirs.reshape(body.vertex_count, -1)).reshape(600, 3, -1)
+    near = closest_point(points, body.v_template, body.faces)
+    want = np.einsum("nk,nkab->nab", near.barycentric, body.shapedirs[body.faces[near.face]])
+    error, size = np.linalg.norm(got - want, axis=1), np.linalg.norm(want, axis=1)
+    assert np.sqrt((error**2).mean()) < 0.05 * np.sqrt((size**2).mean())
+
+
+@pytest.mark.parametrize("height", [-0.3, -0.5, -0.7])
+def test_loose_point_between_the_legs_hangs_on_both(height):
+    body = default_body()
+    (weights,) = skin.body_kernel(np.array([[0.0, height, 0.0]]), body) @ body.weights
+    assert_allclose([weights[LEFT].sum(), weights[RIGHT].sum()], 0.5, rtol=0.0, atol=0.01)
+    (beside,) = skin.body_kernel(np.array([[0.15, height, 0.0]]), body) @ body.weights
+    assert beside[LEFT].sum() > 0.95
+
+
+def test_kernel_spreads_with_the_distance_from_the_body():
+    body = default_body()
+    spread = []
+    for z in (0.2, 0.3, 0.5):
+        row = skin.body_kernel(np.array([[0.0, 0.3, z]]), body)
+        assert_allclose(row.sum(), 1.0, rtol=0.0, atol=EXACT)
+        points = body.v_template[row.indices]
+        centre = row.data @ points
+        spread.append(np.sqrt(row.data @ ((points - centre) ** 2).sum(axis=1)))
+    assert spread[0] < spread[1] < spread[2]
+
+
+def test_symmetric_garment_hangs_symmetrically():
+    body, rest = default_body(), barrel()
+    twin = nearest(rest.vertices, rest.vertices * [-1.0, 1.0, 1.0])
+    # Triangles and their mirror images together: smoothing sees a symmetric net of edges.
+    hang = skin.hang(rest.vertices, np.concatenate([rest.faces, twin[rest.faces]]), body)
+    assert_allclose(hang.weights[twin][:, MIRRORED], hang.weights, rtol=0.0, atol=0.01)
+    mirrored = hang.shapedirs[twin] * np.array([-1.0, 1.0, 1.0])[:, None]
+    assert_allclose(mirrored, hang.shapedirs, rtol=0.0, atol=0.05 * np.abs(hang.shapedirs).max())
+
+
+def test_body_samples_are_spread_evenly():
+    body = default_body()
+    points = skin.thinned_vertices(body)
+    assert len(points) < body.vertex_count
+    assert_array_equal(points, np.unique(points))
+    cell = np.floor(body.v_template[points] / skin.SAMPLE_SPACING_M).astype(int)
+    assert len(np.unique(cell, axis=0)) == len(points)
+    reach = KDTree(body.v_template[points]).query(body.v_template)[0]
+    assert reach.max() <= np.sqrt(3.0) * skin.SAMPLE_SPACING_M
+
+
+def test_smoothing_keeps_constants_and_lone_vertices_and_shrinks_waves():
+    vertices, faces = grid(10, 10)
+    count = len(vertices) + 1
+    smooth = skin.smoothing_matrix(faces, count)
+    assert_allclose(smooth @ np.ones(count), 1.0, rtol=0.0, atol=EXACT)
+    assert (smooth.data >= 0.0).all()
+    lone = np.eye(count)[-1]
+    assert_array_equal(smooth @ lone, lone)
+    wave = np.append(np.cos(np.pi * vertices[:, 0] / 0.01), 0.0)
+    assert np.abs(smooth @ wave).max() < 0.8 * np.abs(wave).max()
+
+
+def test_passes_smooth_the_weights_over_the_mesh():
+    rest = barrel()
+    sharp = skin.hang(rest.vertices, rest.faces, default_body(), passes=0)
+    edges = np.sort(rest.faces[:, :2], axis=1)
+
+    def roughness(hang):
+        return np.abs(hang.weights[edges[:, 0]] - hang.weights[edges[:, 1]]).sum(axis=1).mean()
+
+    assert roughness(rest.hang) < roughness(sharp)
+
+
+def test_weights_too_small_to_matter_are_dropped():
+    weights = barrel().hang.weights
+    assert weights[weights > 0.0].min() > 1e-3
+
+
+def test_garment_follows_a_body_that_is_shifted():
+    body, rest = default_body(), barrel()
+    # Whole cells, so that the thinning picks the same vertices.
+    shift = skin.SAMPLE_SPACING_M * np.array([0.0, 64.0, 0.0])
+    moved = dataclasses.replace(body, v_template=body.v_template + shift)
+    got = skin.hang(rest.vertices + shift, rest.faces, moved)
+    assert_allclose(got.weights, rest.hang.weights, rtol=0.0, atol=1e-3)

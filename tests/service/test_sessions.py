@@ -1,0 +1,64 @@
+"""The batcher: who goes together, who goes first, and that nobody pays for another's fault."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from drape import wire
+from drape.errors import InputError
+from service.drapery import Drapery
+from service.sessions import Session, Streams
+from service.settings import Settings
+
+REST = np.zeros((24, 3))
+
+
+def test_one_bad_pose_does_not_fail_its_batch(make_settings: Callable[..., Settings]):
+    drapery = Drapery(make_settings())
+    entry = drapery.garments.get("tube")
+    streams = Streams(drapery)
+    sessions = [Session(entry, np.zeros(10), push=False, credit=2) for _ in range(3)]
+    poses = [REST, np.full((24, 3), np.nan), REST]
+    for i, (session, pose) in enumerate(zip(sessions, poses, strict=True)):
+        session.put(wire.Pose(i, 0.0, np.zeros(3), pose))
+        streams.add(session)
+
+    async def once() -> None:
+        batch = streams._next_batch()
+        assert batch == sessions
+        await streams._compute(batch)
+
+    asyncio.run(once())
+    assert [session.failure is not None for session in sessions] == [False, True, False]
+    assert [session.outbox is not None for session in sessions] == [True, False, True]
+    drapery.close()
+
+
+def test_the_longest_waiting_garment_goes_first_with_all_that_wait_for_it(make_settings: Callable[..., Settings]):
+    drapery = Drapery(make_settings(chunk_frames=2))
+    tube = drapery.garments.get("tube")
+    other = type(tube)("other", tube.garment, tube.source, tube.feed)
+    streams = Streams(drapery)
+    sessions = [Session(entry, np.zeros(10), push=False, credit=1) for entry in (other, tube, other, other)]
+    for session in (sessions[2], sessions[1], sessions[0], sessions[3]):
+        session.put(wire.Pose(0, 0.0, np.zeros(3), REST))
+        streams.add(session)
+        time.sleep(0.002)
+    assert streams._next_batch() == [sessions[2], sessions[0]]
+    for session in (sessions[2], sessions[0]):
+        session.take()
+    assert streams._next_batch() == [sessions[1]]
+    drapery.close()
+
+
+def test_an_acknowledgement_that_was_not_earned_is_refused(make_settings: Callable[..., Settings]):
+    drapery = Drapery(make_settings())
+    session = Session(drapery.garments.get("tube"), np.zeros(10), push=False, credit=1)
+    with pytest.raises(InputError, match="ack message"):
+        session.acknowledge(0)
+    drapery.close()
