@@ -54,7 +54,10 @@ class DataConfig:
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """The run: batch of frames per step, steps, rates, and where things go."""
+    """The run: batch of frames per step, steps, rates, and where things go.
+
+    ``contact_knee_j_m2``: contact energy per area of a frame above which it counts by its logarithm.
+    """
 
     model: ModelConfig = field(default_factory=ModelConfig)
     data: DataConfig = field(default_factory=DataConfig)
@@ -65,6 +68,7 @@ class TrainConfig:
     warmup_steps: int = 200
     gradient_clip: float = 1.0
     disagreement_weight: float = 50.0
+    contact_knee_j_m2: float = 0.5
     checkpoint_minutes: float = 4.0
     seed: int = 0
     threads: int = 2

@@ -64,6 +64,15 @@ def disagreement(posed: Posed, partition: Partition, sample: Tensor) -> Tensor:
     return (weight[None, ..., None] * (said - mean).square()).sum(dim=(2, 3)).mean()
 
 
+def soften(energy: Tensor, knee: float) -> Tensor:
+    """``knee log(1 + e / knee)``: the energy itself while small, its logarithm where nothing can be done.
+
+    Where an arm lies in the trunk, cloth between them touches whatever the network does;
+    left alone, such frames own the gradient.
+    """
+    return knee * torch.log1p(energy / knee)
+
+
 def energy_loss(
     vertices: Tensor,
     garment: TrainingGarment,

@@ -95,12 +95,13 @@ class Trainer:
             vertices, garment, batch, self.material, share=config.data.contact_share, generator=self.generator
         )
         sample = torch.randperm(vertices.shape[1], generator=self.generator)[:SAMPLE_VERTICES].to(self.device)
-        parts = {name: value.mean() for name, value in parts.items()}
-        parts["disagreement"] = losses.disagreement(posed, partition, sample)
-        energy = parts["membrane"] + parts["bending"] + parts["gravity"] + parts["contact"]
         # Per area, so that a dress does not outweigh a tank top.
         area = float(garment.rest.areas.sum())
-        loss = energy / area + config.disagreement_weight * parts["disagreement"]
+        contact = losses.soften(parts["contact"] / area, config.contact_knee_j_m2).mean()
+        parts = {name: value.mean() for name, value in parts.items()}
+        parts["disagreement"] = losses.disagreement(posed, partition, sample)
+        elastic = parts["membrane"] + parts["bending"] + parts["gravity"]
+        loss = elastic / area + contact + config.disagreement_weight * parts["disagreement"]
         loss.backward()
         norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), config.gradient_clip)
         self.step_count += 1

@@ -111,3 +111,10 @@ def test_vertex_normals_of_a_flat_square_are_its_axis():
     vertices = np.array([[[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]])
     normals = vertex_normals(vertices, np.array([[0, 1, 2], [0, 2, 3]]))
     assert_allclose(normals, np.broadcast_to([0.0, 0.0, 1.0], (1, 4, 3)), rtol=0, atol=1e-6)
+
+
+def test_softened_energy_is_itself_when_small_and_its_logarithm_when_large():
+    energy = torch.tensor([1e-4, 1e4], dtype=torch.float64)
+    got = losses.soften(energy, 0.5)
+    assert_allclose(got[0], 1e-4, rtol=1e-3, atol=0)
+    assert_allclose(got[1], 0.5 * np.log(2e4), rtol=1e-3, atol=0)
