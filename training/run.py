@@ -29,7 +29,7 @@ from drape.cloth.material import material
 from drape.data_paths import data_folder
 from drape.errors import InputError
 from drape.garment.fitting import rest_garment
-from training import checkpoint, losses
+from training import checkpoint, losses, parallel
 from training.config import PRESETS, TrainConfig
 from training.data import BodySource, TrainingGarment, collider_surface, draw_partition
 from training.garment_design import SHIPPED, build, varied
@@ -46,8 +46,7 @@ class Trainer:
     def __init__(self, config: TrainConfig, bank: PoseBank, *, device: torch.device) -> None:
         self.config, self.bank, self.device = config, bank, device
         torch.manual_seed(config.seed)
-        self.rng = np.random.default_rng(config.seed)
-        self.generator = torch.Generator().manual_seed(config.seed)
+        self._seed_draws(config.seed)
         self.body = load_body()
         self.source = BodySource(self.body, *collider_surface(self.body), device=device)
         self.material = material()
@@ -59,6 +58,12 @@ class Trainer:
         self.elapsed_s = 0.0
         self.rate_factor = 1.0
         self.halvings = 0
+
+    def _seed_draws(self, seed: int) -> None:
+        """Random sources of this process: every process of a parallel run draws its own batches."""
+        sequence = np.random.SeedSequence(seed, spawn_key=(parallel.rank(),) if parallel.rank() else ())
+        self.rng = np.random.default_rng(sequence)
+        self.generator = torch.Generator().manual_seed(seed + 1000003 * parallel.rank())
 
     def _set_statistics(self) -> None:
         self.model.garment.standardise.set_from(torch.cat([p.features for g in self.garments for p in g.partitions]))
@@ -76,8 +81,8 @@ class Trainer:
         )
         return self.rate_factor * warm * cosine
 
-    def step(self) -> dict[str, float]:
-        """One step; returns its loss parts, or {"skipped": 1} when it was not finite."""
+    def step(self, clock_s: float = 0.0) -> dict[str, float]:
+        """One step at ``clock_s`` of the run; returns its loss parts, or {"skipped": 1} when it was not finite."""
         config = self.config
         garment = self.garments[int(self.rng.integers(len(self.garments)))]
         partition = garment.partitions[int(self.rng.integers(len(garment.partitions)))]
@@ -103,9 +108,11 @@ class Trainer:
         elastic = parts["membrane"] + parts["bending"] + parts["gravity"]
         loss = elastic / area + contact + config.disagreement_weight * parts["disagreement"]
         loss.backward()
+        self.elapsed_s = parallel.average_gradients(self.model, clock_s)
         norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), config.gradient_clip)
         self.step_count += 1
-        if not bool(torch.isfinite(norm)) or not bool(torch.isfinite(loss)):
+        # A loss that is not finite has a gradient that is not; the averaged gradient is the same everywhere.
+        if not bool(torch.isfinite(norm)):
             return {"skipped": 1.0}
         self.optimiser.step()
         return {name: float(value.detach()) / area for name, value in parts.items() if name != "disagreement"} | {
@@ -127,9 +134,13 @@ class Trainer:
         }
 
     def restore(self, state: dict) -> None:
+        """The state of ``state``; in a parallel run only process 0 continues its random draws exactly."""
         self.model.load_state_dict(state["model"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.step_count, self.elapsed_s, self.rate_factor = state["step"], state["elapsed_s"], state["rate_factor"]
+        if parallel.rank():
+            self._seed_draws(self.config.seed + self.step_count)
+            return
         torch.set_rng_state(state["torch_random"])
         self.generator.set_state(state["sample_random"])
         self.rng.bit_generator.state = {
@@ -171,15 +182,21 @@ def train(trainer: Trainer, out: Path) -> None:
     from tqdm import tqdm
 
     config = trainer.config
-    writer = SummaryWriter(str(out / "log"))
+    leading = parallel.rank() == 0
+    writer = SummaryWriter(str(out / "log")) if leading else None
     last_good = copy.deepcopy(trainer.state())
     begun, saved = time.monotonic() - trainer.elapsed_s, time.monotonic()
-    bar = tqdm(total=round(60 * config.minutes), unit="s", mininterval=5.0, initial=round(trainer.elapsed_s))
+    bar = tqdm(
+        total=round(60 * config.minutes),
+        unit="s",
+        mininterval=5.0,
+        initial=round(trainer.elapsed_s),
+        disable=not leading,
+    )
     running: dict[str, float] = {}
     frames, since = 0, time.monotonic()
     while trainer.elapsed_s < 60.0 * config.minutes:
-        result = trainer.step()
-        trainer.elapsed_s = time.monotonic() - begun
+        result = trainer.step(time.monotonic() - begun)
         if "skipped" in result:
             trainer.halvings += 1
             if trainer.halvings > HALVINGS_MAX:
@@ -196,27 +213,29 @@ def train(trainer: Trainer, out: Path) -> None:
                 f"step {trainer.step_count}: not finite; last good state restored, rate factor {trainer.rate_factor:g}"
             )
             continue
-        frames += config.batch_size
+        frames += config.batch_size * parallel.world_size()
         for key, value in result.items():
             running[key] = value if key not in running else 0.98 * running[key] + 0.02 * value
         if trainer.step_count % 50 == 0:
             speed = frames / (time.monotonic() - since)
             frames, since = 0, time.monotonic()
-            for key, value in running.items():
-                writer.add_scalar(key, value, trainer.step_count)
-            writer.add_scalar("frames_per_s", speed, trainer.step_count)
+            if writer is not None:
+                for key, value in {**running, "frames_per_s": speed}.items():
+                    writer.add_scalar(key, value, trainer.step_count)
             bar.n = round(trainer.elapsed_s)
             bar.set_postfix_str(
                 " ".join(f"{k}={v:.3g}" for k, v in running.items()) + f" step={trainer.step_count} f/s={speed:.0f}"
             )
         if trainer.step_count % 500 == 0:
             last_good = copy.deepcopy(trainer.state())
-        if time.monotonic() - saved > 60.0 * config.checkpoint_minutes:
+        if leading and time.monotonic() - saved > 60.0 * config.checkpoint_minutes:
             checkpoint.save(out / "checkpoint.pt", trainer.state(), config)
             saved = time.monotonic()
-    checkpoint.save(out / "checkpoint.pt", trainer.state(), config)
+    if leading:
+        checkpoint.save(out / "checkpoint.pt", trainer.state(), config)
     bar.close()
-    writer.close()
+    if writer is not None:
+        writer.close()
 
 
 def main() -> None:
@@ -239,12 +258,15 @@ def main() -> None:
     torch.set_num_threads(config.threads)
     folders = arguments.motions or [f for f in [data_folder("motions")] if f is not None] or [sample_motions()]
     bank = PoseBank(read_clips(folders, held_out=config.data.held_out), config.data)
-    trainer = Trainer(config, bank, device=torch.device(arguments.device))
+    device = torch.device(arguments.device)
+    parallel.start(device)
+    trainer = Trainer(config, bank, device=device)
     weights = sum(p.numel() for p in trainer.model.parameters())
     print(f"{bank.frame_count} poses, {len(trainer.garments)} garments, {weights} weights")
     if state is not None:
         trainer.restore(state)
     train(trainer, out)
+    parallel.stop()
 
 
 def sample_motions() -> Path:

@@ -1,0 +1,64 @@
+"""Two processes under torchrun train as one with twice the batch: same weights everywhere, and one checkpoint."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from training import checkpoint, parallel
+
+SCRIPT = """
+import sys, torch
+from pathlib import Path
+from training import checkpoint, parallel
+from training.run import Trainer, train
+from tests.training.training_setup import CPU, TINY_RUN, bank
+from dataclasses import replace
+parallel.start(CPU)
+torch.set_num_threads(1)
+trainer = Trainer(replace(TINY_RUN, minutes=0.03), bank(), device=CPU)
+train(trainer, Path(sys.argv[1]))
+torch.save([p.detach() for p in trainer.model.parameters()], Path(sys.argv[1]) / f"rank{parallel.rank()}.pt")
+print("steps", trainer.step_count)
+parallel.stop()
+"""
+
+
+@pytest.mark.slow
+def test_two_processes_keep_the_same_weights(tmp_path: Path):
+    script = tmp_path / "two.py"
+    script.write_text(SCRIPT)
+    command = [
+        sys.executable,
+        "-m",
+        "torch.distributed.run",
+        "--standalone",
+        "--nproc-per-node",
+        "2",
+        str(script),
+        str(tmp_path),
+    ]
+    root = Path(__file__).resolve().parents[2]
+    environment = {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1", "PATH": "/usr/bin:/bin"}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=240, cwd=root, env=environment, check=False)
+    assert done.returncode == 0, done.stderr[-3000:]
+    weights = [torch.load(tmp_path / f"rank{rank}.pt", weights_only=True) for rank in (0, 1)]
+    for first, second in zip(*weights, strict=True):
+        assert torch.equal(first, second)
+    state, _ = checkpoint.load(tmp_path / "checkpoint.pt")
+    assert state["step"] > 3
+
+
+def test_alone_nothing_is_averaged():
+    layer = torch.nn.Linear(2, 2)
+    layer(torch.ones(1, 2)).sum().backward()
+    assert layer.weight.grad is not None
+    before = layer.weight.grad.clone()
+    assert parallel.average_gradients(layer, 12.5) == 12.5
+    assert torch.equal(layer.weight.grad, before)
+    assert parallel.rank() == 0
+    assert parallel.world_size() == 1
