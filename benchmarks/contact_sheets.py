@@ -26,6 +26,7 @@ FRAMES = 6
 VIEWS_DEG = (0.0, 90.0)
 SIZE = (380, 250)
 EXTENT_M = 2.3
+COLOURS = (CLOTH, (0.78, 0.30, 0.32), (0.25, 0.55, 0.42), (0.55, 0.42, 0.70), (0.80, 0.60, 0.25), (0.20, 0.50, 0.62))
 
 
 def clip_of(client: DrapeClient, motion: str) -> MotionClip:
@@ -59,6 +60,23 @@ def draw(client: DrapeClient, garment: str, clip: MotionClip) -> np.ndarray:
     return sheet(rows)
 
 
+def line_up(client: DrapeClient, garments: list[str], clip: MotionClip) -> np.ndarray:
+    """One row: each garment on another frame of the clip, seen from the front and a little from the side."""
+    body = load_body()
+    chosen = frames_of(clip, len(garments))
+    skin = client.posed_body(body.name, chosen)
+    row = []
+    for frame, garment in enumerate(garments):
+        cloth = client.drape(garment, chosen)[frame]
+        faces = np.asarray(client.mesh(garment)["faces"])
+        centre = np.array([*chosen.trans[frame, :1], 0.95, *chosen.trans[frame, 2:]])
+        colour = COLOURS[frame % len(COLOURS)]
+        surfaces = [Surface(skin[frame], body.faces, SKIN), Surface(cloth, faces, colour)]
+        azimuth = _heading_deg(skin[frame]) + (25.0 if frame % 2 else -25.0)
+        row.append(render(surfaces, size=(520, 300), azimuth_deg=azimuth, centre=centre, extent_m=2.0))
+    return sheet([row])
+
+
 def _heading_deg(skin: np.ndarray) -> float:
     """The angle about the vertical from which the body is seen from the front."""
     body = load_body()
@@ -74,10 +92,14 @@ def main() -> int:
     parser.add_argument("--garments", nargs="+", required=True, help="ids of the service, or garment files")
     parser.add_argument("--motion", default="walk", help="a sample clip's name, or a motion file")
     parser.add_argument("--out", type=Path, default=Path("docs/images"))
+    parser.add_argument("--line-up", action="store_true", help="one picture, each garment on another frame")
     options = parser.parse_args()
     try:
         with DrapeClient(options.url) as client:
             clip = clip_of(client, options.motion)
+            if options.line_up:
+                save_png(options.out / "hero.png", line_up(client, options.garments, clip))
+                return 0
             for wanted in options.garments:
                 garment = client.upload_garment(wanted) if Path(wanted).suffix else wanted
                 path = options.out / f"drape_{Path(wanted).stem}.png"

@@ -23,7 +23,8 @@ FOLDER_BUDGET_S = {
     "model_export": 90,
     "service": 150,
     "clients": 90,
-    "recovery": 140,
+    "recovery": 100,
+    "benchmarks": 40,
 }
 CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
