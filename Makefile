@@ -42,7 +42,7 @@ $(BIN)/python:
 	@PYTHON="$(PYTHON)" scripts/make_venv $(VENV)
 
 $(VENV)/.serve-stamp: pyproject.toml | $(BIN)/python
-	$(PIP) install --quiet -e '.[service,cpu]'
+	$(PIP) install --quiet -e '.[service,cpu,clients]'
 	@touch $@
 
 # torch first and alone: later requirements then find it and cannot pull another build of it.

@@ -13,6 +13,7 @@ import httpx
 import numpy as np
 
 from drape import errors
+from drape.avatar_table import entry_for
 from drape.errors import DrapeError, InputError, MotionError, Unavailable
 from drape.motion.clip import MotionClip
 from drape.motion.grounding import placed_on_ground
@@ -128,6 +129,11 @@ def job(job_id: str) -> Call[dict[str, Any]]:
     return Call("GET", f"/jobs/{_quoted(job_id)}", httpx.Response.json)
 
 
+def _says_itself(entry: Any) -> bool:
+    """Whether a table's entry means the same to the service: an object or ``standard``, not a mesh file."""
+    return isinstance(entry, dict) or entry == "standard"
+
+
 def upload(path: Path, avatar: str | dict[str, Any] | None, name: str | None) -> Call[dict[str, Any]]:
     """Sends a garment file; the answer is the job."""
     if path.suffix.lower() not in SUFFIXES:
@@ -144,6 +150,10 @@ def upload(path: Path, avatar: str | dict[str, Any] | None, name: str | None) ->
             str(path), expected="a file that can be read", got=str(error.strerror), cure="Check the path."
         ) from error
     params = {"name": (name or path.stem) + path.suffix.lower()}
+    if avatar is None:
+        # The service cannot see the folder that the file lies in.
+        found = entry_for(path.name, [path.parent])
+        avatar = found[1] if found is not None and _says_itself(found[1]) else None
     if avatar is not None:
         params["avatar"] = json.dumps(avatar) if isinstance(avatar, dict) else avatar
     return Call(

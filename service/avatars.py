@@ -6,9 +6,10 @@ import json
 from pathlib import Path
 from typing import Any
 
+from drape.avatar_table import SHIPPED_FOLDER, avatar_table, entry_for
 from drape.data_paths import data_folder
 from drape.errors import BodyError, NotFound
-from drape.garment.avatars import STANDARD, avatar_table
+from drape.garment.avatars import STANDARD
 
 
 def upload_avatar(told: str | dict[str, Any] | None, name: str, garments_dir: Path) -> str | None:
@@ -16,22 +17,13 @@ def upload_avatar(told: str | dict[str, Any] | None, name: str, garments_dir: Pa
 
     ``told`` is a phenotype or SMPL parameters as an object or JSON text, ``standard``, or a name of a table;
     a path is refused, for it would name a file of this machine. Untold, the longest entry with
-    which ``name`` begins counts. Tables: avatars.json in the folder of uploads and in DRAPE_DATA/garments.
+    which ``name`` begins counts. Tables: avatars.json in the folder of uploads, in DRAPE_DATA/garments, and the
+    shipped one.
     """
-    tables = [
-        (folder, avatar_table(folder)) for folder in (garments_dir, data_folder("garments")) if folder is not None
-    ]
+    folders = [folder for folder in (garments_dir, data_folder("garments"), SHIPPED_FOLDER) if folder is not None]
     if told is None:
-        fitting = [
-            (len(key), folder, entry)
-            for folder, table in tables
-            for key, entry in table.items()
-            if name.startswith(key)
-        ]
-        if not fitting:
-            return None
-        _, folder, entry = max(fitting, key=lambda found: found[0])
-        return _as_text(entry, folder)
+        found = entry_for(name, folders)
+        return None if found is None else _as_text(found[1], found[2])
     if isinstance(told, dict):
         return json.dumps(told)
     text = told.strip()
@@ -40,6 +32,7 @@ def upload_avatar(told: str | dict[str, Any] | None, name: str, garments_dir: Pa
     if text.startswith("{"):
         _check_object(text)
         return text
+    tables = [(folder, avatar_table(folder)) for folder in folders]
     for folder, table in tables:
         if text in table:
             return _as_text(table[text], folder)

@@ -18,13 +18,13 @@ from typing import Any
 
 import numpy as np
 
+from drape.avatar_table import SHIPPED_FOLDER, TABLE_NAME, avatar_table, entry_for
 from drape.body.assets import BODIES_DIR
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
 from drape.errors import ArtifactError, BodyError, NotFound
 
 AVATARS_FILE = BODIES_DIR / "avatars.npz"
-TABLE_NAME = "avatars.json"
 STANDARD = "standard"
 MESH_SUFFIXES = (".obj", ".glb", ".ply", ".stl")
 
@@ -195,30 +195,10 @@ def _same_topology(vertices: np.ndarray, space: PhenotypeSpace) -> bool:
     return bool(np.median(np.abs(here - near)) < 5e-3 and np.corrcoef(near, here)[0, 1] > 0.9)
 
 
-def avatar_table(folder: Path) -> dict[str, Any]:
-    """The ``avatars.json`` of ``folder``: beginnings of file names -> avatar; empty where there is none."""
-    path = folder / TABLE_NAME
-    if not path.is_file():
-        return {}
-    try:
-        table = json.loads(path.read_text(encoding="utf-8"))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise BodyError(TABLE_NAME, expected="JSON", got=str(error), cure="Repair the file.") from error
-    if not isinstance(table, dict) or not all(isinstance(entry, (dict, str)) for entry in table.values()):
-        raise BodyError(
-            TABLE_NAME, expected="names with their avatars", got=type(table).__name__, cure="See docs/garments.md."
-        )
-    return table
-
-
 def avatar_for(path: Path) -> tuple[str, Any] | None:
-    """Name and entry of the avatar of ``path`` in the table beside it; the longest fitting name wins."""
-    table = avatar_table(path.parent)
-    fitting = [name for name in table if path.name.startswith(name)]
-    if not fitting:
-        return None
-    name = max(fitting, key=len)
-    return name, table[name]
+    """Name and entry of the avatar of ``path`` in the table beside it, else in the shipped one; longest wins."""
+    found = entry_for(path.name, [path.parent, SHIPPED_FOLDER])
+    return None if found is None else found[:2]
 
 
 def parse_avatar(
@@ -264,7 +244,7 @@ def _table_folders(beside: Path | None) -> list[Path]:
     from drape.data_paths import data_folder
 
     shared = data_folder("garments")
-    return [folder for folder in (beside.parent if beside else None, shared) if folder is not None]
+    return [folder for folder in (beside.parent if beside else None, shared, SHIPPED_FOLDER) if folder is not None]
 
 
 def _entry(entry: Any, beside: Path | None) -> dict[str, Any] | Path | str | None:
