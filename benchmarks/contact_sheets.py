@@ -69,11 +69,11 @@ def line_up(client: DrapeClient, garments: list[str], clip: MotionClip) -> np.nd
     for frame, garment in enumerate(garments):
         cloth = client.drape(garment, chosen)[frame]
         faces = np.asarray(client.mesh(garment)["faces"])
-        centre = np.array([*chosen.trans[frame, :1], 0.95, *chosen.trans[frame, 2:]])
+        centre = 0.5 * (skin[frame].min(axis=0) + skin[frame].max(axis=0))
         colour = COLOURS[frame % len(COLOURS)]
         surfaces = [Surface(skin[frame], body.faces, SKIN), Surface(cloth, faces, colour)]
         azimuth = _heading_deg(skin[frame]) + (25.0 if frame % 2 else -25.0)
-        row.append(render(surfaces, size=(520, 300), azimuth_deg=azimuth, centre=centre, extent_m=2.0))
+        row.append(render(surfaces, size=(520, 300), azimuth_deg=azimuth, centre=centre, extent_m=2.4))
     return sheet([row])
 
 
@@ -98,7 +98,7 @@ def main() -> int:
         with DrapeClient(options.url) as client:
             clip = clip_of(client, options.motion)
             if options.line_up:
-                save_png(options.out / "hero.png", line_up(client, options.garments, clip))
+                save_png(options.out / "hero.png", line_up(client, options.garments, clip), colours=255)
                 return 0
             for wanted in options.garments:
                 garment = client.upload_garment(wanted) if Path(wanted).suffix else wanted

@@ -1,4 +1,9 @@
-"""python -m model_export CHECKPOINT assets/models/NAME: a checkpoint as a model folder that the service loads."""
+"""python -m model_export CHECKPOINT assets/models/NAME: a checkpoint as a model folder that the service loads.
+
+    python -m model_export --quality benchmarks/results/quality.json assets/models/NAME
+
+without a checkpoint writes the measured quality into the manifest of a folder that stands.
+"""
 
 from __future__ import annotations
 
@@ -9,23 +14,29 @@ from pathlib import Path
 
 from drape.errors import DrapeError
 from drape.garment.cache import GARMENTS_DIR, load_garment
-from model_export.export import command_line, commit, export, load_model
+from model_export.export import command_line, commit, export, load_model, write_quality
 
 
 def main() -> int:
     """Command line entry."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("checkpoint", type=Path)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("checkpoint", type=Path, nargs="?")
     parser.add_argument("target", type=Path)
     parser.add_argument("--quality", type=Path, help="JSON of benchmarks.quality whose rows go into the manifest")
     parser.add_argument("--garment", type=Path, help="garment cache for the parity check; default the shipped T-shirt")
     arguments = parser.parse_args()
     try:
+        rows = json.loads(arguments.quality.read_text())["rows"] if arguments.quality else None
+        if arguments.checkpoint is None:
+            if rows is None:
+                parser.error("give a checkpoint to export, or --quality to write into the manifest")
+            write_quality(arguments.target, rows)
+            print(f"{arguments.target}: {len(rows)} rows of quality")
+            return 0
         path = arguments.garment or next(iter(sorted(GARMENTS_DIR.glob("tshirt-*.npz"))), None)
         if path is None:
             parser.error("no shipped garment found: run python -m training.garment_design first, or give --garment")
         model, training = load_model(arguments.checkpoint)
-        rows = json.loads(arguments.quality.read_text())["rows"] if arguments.quality else None
         manifest = export(
             model,
             arguments.target,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 import tempfile
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,7 @@ import onnx
 import torch
 from torch import nn
 
-from drape.artifacts import GraphSpec, Manifest, TensorSpec, file_digest, publish_folder
+from drape.artifacts import GraphSpec, Manifest, TensorSpec, file_digest, load_manifest, publish_folder
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment
@@ -24,8 +26,8 @@ from training.model import OneFit
 
 OPSET = 20
 # Odd, and unlike each other: an axis of length 1 or two equal axes would be baked in without a word.
-SAMPLE = {"frames": 3, "patches": 7, "vertices": 11}
-LIMIT = {"frames": 65536, "patches": 65536, "vertices": 1 << 22}
+SAMPLE = {"frames": 3, "patches": 7, "vertices": 11, "points": 13}
+LIMIT = {"frames": 65536, "patches": 65536, "vertices": 1 << 22, "points": 65536}
 
 
 def load_model(path: Path) -> tuple[OneFit, dict[str, Any]]:
@@ -34,7 +36,7 @@ def load_model(path: Path) -> tuple[OneFit, dict[str, Any]]:
     model = OneFit(config.model)
     model.load_state_dict(state["model"])
     minutes = round(float(state["elapsed_s"]) / 60.0, 1)
-    frames = int(state["step"]) * config.batch_size
+    frames = int(state.get("frames", int(state["step"]) * config.batch_size))
     return model.eval(), {
         "steps": int(state["step"]),
         "frames": frames,
@@ -57,10 +59,10 @@ def export(
     target.parent.mkdir(parents=True, exist_ok=True)
     staged = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
     try:
-        encoder = _write(
+        encoder = write_graph(
             EncoderGraph(model), staged / "garment_encoder.onnx", encoder_inputs(model), encoder_outputs(model)
         )
-        drape = _write(DrapeGraph(model), staged / "drape.onnx", drape_inputs(model), OUTPUTS)
+        drape = write_graph(DrapeGraph(model), staged / "drape.onnx", drape_inputs(model), OUTPUTS)
         error = parity_error(model, staged / encoder.file, staged / drape.file, garment)
         if not error <= TOLERANCE_M:
             raise ArtifactError(
@@ -90,7 +92,18 @@ def export(
     return manifest
 
 
-def _write(module: nn.Module, path: Path, inputs: tuple[TensorSpec, ...], outputs: tuple[TensorSpec, ...]) -> GraphSpec:
+def write_quality(folder: Path, rows: list[dict[str, Any]]) -> None:
+    """Replaces the quality table of an exported model; its graphs stay as they are."""
+    manifest = replace(load_manifest(folder), quality=rows)
+    temporary = folder / "manifest.json.part"
+    temporary.write_text(manifest.to_json())
+    os.replace(temporary, folder / "manifest.json")
+
+
+def write_graph(
+    module: nn.Module, path: Path, inputs: tuple[TensorSpec, ...], outputs: tuple[TensorSpec, ...]
+) -> GraphSpec:
+    """Writes ``module`` as the ONNX file ``path`` whose named axes are symbolic, and what the manifest says of it."""
     samples, dynamic = {}, {}
     axes = {name: torch.export.Dim(name, min=1, max=LIMIT[name]) for name in SAMPLE}
     for spec in inputs:

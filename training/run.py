@@ -55,6 +55,7 @@ class Trainer:
         self._set_statistics()
         self.optimiser = torch.optim.Adam(self.model.parameters(), lr=config.learning_rate)
         self.step_count = 0
+        self.frame_count = 0
         self.elapsed_s = 0.0
         self.rate_factor = 1.0
         self.halvings = 0
@@ -111,6 +112,7 @@ class Trainer:
         self.elapsed_s = parallel.average_gradients(self.model, clock_s)
         norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), config.gradient_clip)
         self.step_count += 1
+        self.frame_count += config.batch_size * parallel.world_size()
         # A loss that is not finite has a gradient that is not; the averaged gradient is the same everywhere.
         if not bool(torch.isfinite(norm)):
             return {"skipped": 1.0}
@@ -126,6 +128,7 @@ class Trainer:
             "model": self.model.state_dict(),
             "optimiser": self.optimiser.state_dict(),
             "step": self.step_count,
+            "frames": self.frame_count,
             "elapsed_s": self.elapsed_s,
             "rate_factor": self.rate_factor,
             "torch_random": torch.get_rng_state(),
@@ -138,6 +141,7 @@ class Trainer:
         self.model.load_state_dict(state["model"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.step_count, self.elapsed_s, self.rate_factor = state["step"], state["elapsed_s"], state["rate_factor"]
+        self.frame_count = state.get("frames", state["step"] * self.config.batch_size)
         if parallel.rank():
             self._seed_draws(self.config.seed + self.step_count)
             return

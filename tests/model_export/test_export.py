@@ -120,6 +120,21 @@ def test_a_baked_in_axis_is_refused(exported):
         exporting._check_symbolic(proto, graph.inputs, graph.outputs, "drape.onnx")
 
 
+def test_quality_is_written_into_a_standing_folder(exported, tmp_path, monkeypatch):
+    import json
+    import shutil
+
+    from model_export.__main__ import main
+
+    _, folder, manifest = exported
+    shutil.copytree(folder, tmp_path / "m")
+    (tmp_path / "q.json").write_text(json.dumps({"rows": [{"garment": "tank", "gain": 0.5}]}))
+    monkeypatch.setattr("sys.argv", ["model_export", "--quality", str(tmp_path / "q.json"), str(tmp_path / "m")])
+    assert main() == 0
+    assert load_manifest(tmp_path / "m") == replace(manifest, quality=[{"garment": "tank", "gain": 0.5}])
+    assert sorted(p.name for p in (tmp_path / "m").iterdir()) == sorted(p.name for p in folder.iterdir())
+
+
 def test_a_checkpoint_exports_through_the_command(garment, tmp_path, monkeypatch):
     from model_export.__main__ import main
 
