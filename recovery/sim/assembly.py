@@ -1,0 +1,74 @@
+"""Assembly by static sparse maps: the mesh never changes, so where an element's numbers go is settled once.
+
+Section 3.4.3 and appendix B of Yu, Cordier and Seo (2024): one constant matrix of ones takes the stack of
+all element gradients to the nodes, another the stack of all element Hessians to the entries of the
+global matrix, whose pattern is fixed too. Both are products of a sparse matrix with a vector.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse
+
+from drape.errors import InputError
+
+
+class StaticAssembly:
+    """Maps for groups of elements: ``elements`` are arrays (corner, n) of node numbers.
+
+    Unknown ``3 node + coordinate``. ``fixed`` (V,) names nodes that do not move: their rows and columns
+    of an assembled matrix are those of the identity.
+    """
+
+    def __init__(self, elements: list[np.ndarray], node_count: int, *, fixed: np.ndarray) -> None:
+        self.node_count = node_count
+        self.size = 3 * node_count
+        self.free = np.repeat(~fixed, 3)
+        unknowns = [
+            (3 * nodes[:, None] + np.arange(3)[None, :, None]).reshape(-1, nodes.shape[1]) for nodes in elements
+        ]
+        diagonal = np.arange(self.size).reshape(-1, 3)
+        row_groups = [np.broadcast_to(u[:, None], (len(u), *u.shape)) for u in unknowns]
+        column_groups = [np.broadcast_to(u[None], (len(u), *u.shape)) for u in unknowns]
+        row_groups.append(np.repeat(diagonal[:, :, None], 3, axis=2))
+        column_groups.append(np.repeat(diagonal[:, None, :], 3, axis=1))
+        # Column-major keys: SuperLU wants CSC, and the pattern is symmetric.
+        keys = [(c.reshape(-1) * self.size + r.reshape(-1)) for r, c in zip(row_groups, column_groups, strict=True)]
+        pattern, place = np.unique(np.concatenate(keys), return_inverse=True)
+        splits = np.cumsum([len(key) for key in keys])[:-1]
+        places = np.split(place.reshape(-1), splits)
+        self.entry_count = len(pattern)
+        self._rows = (pattern % self.size).astype(np.int32)
+        columns = pattern // self.size
+        self._starts = np.searchsorted(columns, np.arange(self.size + 1)).astype(np.int32)
+        self._hessian_maps = [_ones(where, self.entry_count) for where in places[:-1]]
+        self._block_places = places[-1].reshape(-1, 3, 3)
+        self._gradient_maps = [_ones(u.reshape(-1), self.size) for u in unknowns]
+        self._kept = self.free[self._rows] & self.free[columns]
+        self._fixed_diagonal = (self._rows == columns) & ~self.free[columns]
+
+    def gradient(self, stacks: list[np.ndarray]) -> np.ndarray:
+        """Sum (V, 3) of element gradients (corner, 3, n), one stack per group."""
+        pairs = zip(self._gradient_maps, stacks, strict=True)
+        return sum((one @ stack.reshape(-1) for one, stack in pairs), np.zeros(self.size)).reshape(-1, 3)
+
+    def matrix(self, stacks: list[np.ndarray], *, blocks: np.ndarray, scale: float) -> scipy.sparse.csc_matrix:
+        """``scale`` times the sum of element Hessians (3 corner, 3 corner, n), plus ``blocks`` (V, 3, 3) of nodes."""
+        data = np.zeros(self.entry_count)
+        for one, stack in zip(self._hessian_maps, stacks, strict=True):
+            data += one @ stack.reshape(-1)
+        data *= scale
+        data[self._block_places] += blocks
+        data *= self._kept
+        data[self._fixed_diagonal] = 1.0
+        return scipy.sparse.csc_matrix((data, self._rows, self._starts), shape=(self.size, self.size))
+
+
+def _ones(target: np.ndarray, count: int) -> scipy.sparse.csr_matrix:
+    """The matrix (count, n) that adds entry i of a vector to ``target[i]``."""
+    n = len(target)
+    if max(n, count) > np.iinfo(np.int32).max:
+        raise InputError(
+            "mesh", expected="fewer element entries than 2^31", got=str(n), cure="Simulate a coarser mesh."
+        )
+    return scipy.sparse.csr_matrix((np.ones(n), (target, np.arange(n))), shape=(count, n))

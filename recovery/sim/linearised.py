@@ -1,0 +1,126 @@
+"""The linearised implicit Euler step of equation 1, the one the paper differentiates."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from recovery.sim import elastic, implicit
+from recovery.sim.contact import SkinContact, tangential
+from recovery.sim.model import ClothModel, ClothState, Parameters, Rest
+from recovery.sim.solver import Factor, LinearSolver, superlu
+
+
+class LinearisedStep:
+    """(M + dt^2 K + dt D) dv = dt (f - dt K v - D v), K = -df/dx of elastic and repulsion, D the drag of friction."""
+
+    def __init__(
+        self, model: ClothModel, contact: SkinContact | None, solver: LinearSolver, *, dt_s: float, definite: bool
+    ) -> None:
+        self.model, self.contact, self.solver = model, contact, solver
+        self.dt_s, self.definite = dt_s, definite
+        self._factor: Factor | None = None
+
+    @property
+    def free(self) -> Tensor:
+        return self.model.free
+
+    def solve(self, state: ClothState, parameters: Parameters) -> Tensor:
+        with torch.no_grad():
+            model, dt = self.model, self.dt_s
+            rest = model.rest(parameters.panels)
+            force = elastic.forces(model, rest, parameters, state.x) + self._outer_force(state.x, rest, parameters)
+            mass = parameters.density_kg_m2 * rest.node_area
+            matrix = elastic.hessian(
+                model,
+                rest,
+                parameters,
+                state.x,
+                definite=self.definite,
+                scale=dt * dt,
+                blocks=self._blocks(state, rest, mass).numpy(),
+            )
+            moving = (self.free * state.v).reshape(-1).numpy()
+            resisted = torch.from_numpy(matrix @ moving).reshape(-1, 3) - mass[:, None] * state.v
+            rhs = self.free * (dt * force - resisted)
+            self._factor = self.solver(matrix)
+            return torch.from_numpy(self._factor.solve(np.ascontiguousarray(rhs.numpy()).reshape(-1))).reshape(-1, 3)
+
+    def factor(self, solution: Tensor, state: ClothState, parameters: Parameters) -> Factor:
+        if self._factor is None:
+            self.solve(state, parameters)
+        assert self._factor is not None
+        return self._factor
+
+    def adjoint(self, weights: Tensor, solution: Tensor, state: ClothState, parameters: Parameters) -> Tensor:
+        model, dt = self.model, self.dt_s
+        rest = model.rest(parameters.panels)
+        mass = parameters.density_kg_m2 * rest.node_area
+        after = self.free * (state.v + solution)
+        pushed = (weights * self._outer_force(state.x, rest, parameters)).sum()
+        total = dt * (pushed - elastic.work(model, rest, parameters, state.x, weights))
+        total = total - (mass[:, None] * weights * solution).sum()
+        total = total - dt * dt * elastic.bilinear(
+            model, rest, parameters, state.x, weights, after, definite=self.definite
+        )
+        if self.contact is not None:
+            scale, r = self.contact.stiffness(state.x, rest.node_area)
+            total = total - dt * dt * (scale * (weights * r).sum(dim=1) * (after * r).sum(dim=1)).sum()
+            drag, normal = self.contact.drag(state.x, state.v, rest.node_area)
+            total = total - dt * (drag * (weights * tangential(after, normal)).sum(dim=1)).sum()
+        return total
+
+    def _outer_force(self, x: Tensor, rest: Rest, parameters: Parameters) -> Tensor:
+        """Weight, given forces and repulsion [N] (V, 3)."""
+        force = parameters.force_n + (parameters.density_kg_m2 * rest.node_area)[:, None] * self.model.gravity
+        return force if self.contact is None else force + self.contact.force(x, rest.node_area)
+
+    def _blocks(self, state: ClothState, rest: Rest, mass: Tensor) -> Tensor:
+        """What the system has at each node alone (V, 3, 3): mass, repulsion, drag."""
+        identity = torch.eye(3, dtype=mass.dtype)
+        blocks = mass[:, None, None] * identity
+        if self.contact is not None:
+            scale, r = self.contact.stiffness(state.x, rest.node_area)
+            drag, n = self.contact.drag(state.x, state.v, rest.node_area)
+            blocks = blocks + (self.dt_s**2 * scale)[:, None, None] * r[:, :, None] * r[:, None, :]
+            blocks = blocks + (self.dt_s * drag)[:, None, None] * (identity - n[:, :, None] * n[:, None, :])
+        return blocks
+
+
+def linearised_step(
+    model: ClothModel,
+    state: ClothState,
+    parameters: Parameters,
+    *,
+    dt_s: float,
+    contact: SkinContact | None = None,
+    definite: bool = True,
+    solver: LinearSolver = superlu,
+) -> ClothState:
+    """The state ``dt_s`` [s] later after one linear solve (equation 1), then equation 4's correction.
+
+    ``definite`` False takes the exact Jacobian, whose system can be indefinite where cloth is compressed.
+    The factor is kept for the backward pass; differentiable once.
+    """
+    step = LinearisedStep(model, contact, solver, dt_s=dt_s, definite=definite)
+    v = state.v + implicit.solution(step, state, parameters)
+    after = ClothState(state.x + dt_s * v, v)
+    return after if contact is None else contact.corrected(after, model.free)
+
+
+def simulate(
+    model: ClothModel,
+    state: ClothState,
+    parameters: Parameters,
+    *,
+    dt_s: float,
+    steps: int,
+    contact: SkinContact | None = None,
+    definite: bool = True,
+    solver: LinearSolver = superlu,
+) -> ClothState:
+    """The state after ``steps`` linearised steps of ``dt_s`` [s]."""
+    for _ in range(steps):
+        state = linearised_step(model, state, parameters, dt_s=dt_s, contact=contact, definite=definite, solver=solver)
+    return state

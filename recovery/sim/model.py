@@ -1,0 +1,180 @@
+"""What a simulation takes: the sewn mesh, what may be differentiated, and the state."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from drape.arrays import check_finite, check_shape
+from drape.cloth import orthotropic
+from drape.cloth.orthotropic import OrthotropicMaterial, RestShape
+from drape.errors import InputError, MeshError
+from drape.geometry import meshes
+from recovery.sim.assembly import StaticAssembly
+
+SMALLEST_PANEL_SHARE = 1e-9  # of the mean rest triangle
+
+
+class ClothState(NamedTuple):
+    """Positions ``x`` [m] and velocities ``v`` [m/s] (V, 3) of the nodes, float64."""
+
+    x: Tensor
+    v: Tensor
+
+
+class Parameters(NamedTuple):
+    """What a simulation can be differentiated by, besides its state; float64.
+
+    ``panels`` [m] (P, 2) rest positions, ``stretch`` [N/m] (4,) = (H00, H01, H11, H22), ``bending_j`` [J]
+    () or (H,) per hinge, ``density_kg_m2`` (), ``force_n`` [N] (V, 3) on the nodes.
+    """
+
+    panels: Tensor
+    stretch: Tensor
+    bending_j: Tensor
+    density_kg_m2: Tensor
+    force_n: Tensor
+
+
+class Rest(NamedTuple):
+    """Constants that follow from the panels: triangles, ``hinge_weight`` (H,), and ``node_area`` [m^2] (V,)."""
+
+    shape: RestShape
+    hinge_weight: Tensor
+    node_area: Tensor
+
+
+class ClothModel:
+    """The constants of a sewn mesh: which node each panel vertex became, elements, and the static maps.
+
+    ``faces`` (F, 3) are nodes of the sewn mesh, ``panel_faces`` (F, 3) the same triangles as vertices of
+    the panels; a node on a seam has several. ``fixed`` lists nodes that do not move. Without
+    ``panel_faces`` the cloth is one panel.
+    """
+
+    def __init__(
+        self,
+        faces: np.ndarray,
+        *,
+        panel_faces: np.ndarray | None = None,
+        fixed: np.ndarray | None = None,
+        gravity_m_s2: float = 9.81,
+    ) -> None:
+        self.faces = meshes.check_faces(faces, int(np.max(faces, initial=-1)) + 1)
+        panel_faces = self.faces if panel_faces is None else panel_faces
+        self.panel_faces = meshes.check_faces(panel_faces, int(np.max(panel_faces, initial=-1)) + 1)
+        if self.panel_faces.shape != self.faces.shape or len(self.faces) == 0:
+            raise MeshError(
+                "panel_faces",
+                expected=f"one panel triangle for each of {max(len(self.faces), 1)} or more sewn triangles",
+                got=f"{len(self.panel_faces)} for {len(self.faces)}",
+                cure="Pass the panels' triangles in the order of the sewn ones.",
+            )
+        self.node_count = int(self.faces.max()) + 1
+        self.panel_count = int(self.panel_faces.max()) + 1
+        for name, used, count in (
+            ("faces", self.faces, self.node_count),
+            ("panel_faces", self.panel_faces, self.panel_count),
+        ):
+            if len(np.unique(used)) != count:
+                raise MeshError(
+                    name,
+                    expected="every vertex in a triangle",
+                    got=f"{count - len(np.unique(used))} loose vertices",
+                    cure="Remove vertices that no triangle uses.",
+                )
+        node_of = np.full(self.panel_count, -1)
+        node_of[self.panel_faces.reshape(-1)] = self.faces.reshape(-1)
+        if (node_of[self.panel_faces] != self.faces).any():
+            raise MeshError(
+                "panel_faces",
+                expected="every panel vertex sewn to one node",
+                got="a panel vertex with two nodes",
+                cure="Split that panel vertex.",
+            )
+        self.node_of_panel_vertex = node_of
+        self.fixed = np.zeros(self.node_count, dtype=bool)
+        if fixed is not None:
+            fixed = np.asarray(fixed, dtype=np.int64)
+            if fixed.size and not (fixed.min() >= 0 and fixed.max() < self.node_count):
+                raise InputError(
+                    "fixed",
+                    expected=f"nodes in [0, {self.node_count})",
+                    got=f"[{fixed.min()}, {fixed.max()}]",
+                    cure="Name nodes of the sewn mesh.",
+                )
+            self.fixed[fixed] = True
+        self.gravity = torch.tensor([0.0, -gravity_m_s2, 0.0], dtype=torch.float64)
+        self.hinge_nodes = hinges = meshes.hinges(self.faces)
+        sides = meshes.hinge_faces(self.faces)
+        self.assembly = StaticAssembly([self.faces.T, hinges.T], self.node_count, fixed=self.fixed)
+        self.free = torch.from_numpy(~self.fixed).to(torch.float64)[:, None]
+        self._face_index = torch.from_numpy(np.ascontiguousarray(self.faces.T).reshape(-1))
+        self._panel_index = torch.from_numpy(np.ascontiguousarray(self.panel_faces.T).reshape(-1))
+        self._hinge_index = torch.from_numpy(np.ascontiguousarray(hinges.T).reshape(-1))
+        starts = self.faces[sides]  # (H, 2, 3): which corner of each face starts the shared edge
+        ends = np.roll(starts, -1, axis=2)
+        low, high = hinges[:, :2].min(axis=1)[:, None, None], hinges[:, :2].max(axis=1)[:, None, None]
+        shared = (np.minimum(starts, ends) == low) & (np.maximum(starts, ends) == high)
+        edge = shared.argmax(axis=2) * len(self.faces) + sides
+        self._hinge_edges = torch.from_numpy(edge)
+        self._hinge_sides = torch.from_numpy(sides)
+
+    def parameters(
+        self, panels: np.ndarray, material: OrthotropicMaterial, *, force_n: np.ndarray | None = None
+    ) -> Parameters:
+        """Tensors of checked numbers; ask for gradients with ``requires_grad_`` on those you want."""
+        panels = np.asarray(panels, dtype=np.float64)
+        check_shape("panels", panels, (self.panel_count, 2), error=MeshError)
+        check_finite("panels", panels, error=MeshError)
+        area = orthotropic.rest_area(panels.T[:, self.panel_faces.T].transpose(1, 0, 2))
+        if area.min() <= SMALLEST_PANEL_SHARE * area.mean():
+            raise MeshError(
+                "panels",
+                expected="triangles with an area",
+                got=f"triangle {int(area.argmin())} of area {area.min():.3g} m^2",
+                cure="Remove collapsed triangles of the panel.",
+            )
+        force = np.zeros((self.node_count, 3)) if force_n is None else np.asarray(force_n, dtype=np.float64)
+        check_shape("force_n", force, (self.node_count, 3))
+        check_finite("force_n", force)
+        return Parameters(
+            torch.tensor(panels),
+            torch.tensor(material.stretch_n_per_m),
+            torch.tensor(material.bending_j, dtype=torch.float64),
+            torch.tensor(material.density_kg_m2, dtype=torch.float64),
+            torch.tensor(force),
+        )
+
+    def state(self, positions: np.ndarray, velocities: np.ndarray | None = None) -> ClothState:
+        """The state at checked ``positions`` [m] (V, 3), at rest unless ``velocities`` [m/s] are given."""
+        x = np.asarray(positions, dtype=np.float64)
+        v = np.zeros_like(x) if velocities is None else np.asarray(velocities, dtype=np.float64)
+        for name, array in (("positions", x), ("velocities", v)):
+            check_shape(name, array, (self.node_count, 3))
+            check_finite(name, array)
+        if v[self.fixed].any():
+            raise InputError("velocities", expected="zero at fixed nodes", got="a moving one", cure="Free that node.")
+        return ClothState(torch.tensor(x), torch.tensor(v))
+
+    def rest(self, panels: Tensor) -> Rest:
+        """Constants of the rest ``panels`` (P, 2); differentiable."""
+        corners = orthotropic.corners(panels.T, self._panel_index, 3)
+        shape = orthotropic.rest_shape(corners)
+        lengths = orthotropic.panel_edges(corners).reshape(-1)
+        length = 0.5 * (lengths[self._hinge_edges[:, 0]] + lengths[self._hinge_edges[:, 1]])
+        first, second = shape.area[self._hinge_sides[:, 0]], shape.area[self._hinge_sides[:, 1]]
+        weight = orthotropic.hinge_weight(length, first, second)
+        zeros = torch.zeros(self.node_count, dtype=panels.dtype)
+        return Rest(shape, weight, zeros.index_add(0, self._face_index, (shape.area / 3.0).repeat(3)))
+
+    def triangles(self, vectors: Tensor) -> Tensor:
+        """Corners (3, 3, F) of the triangles from node vectors (V, 3)."""
+        return orthotropic.corners(vectors.T, self._face_index, 3)
+
+    def hinges(self, vectors: Tensor) -> Tensor:
+        """Corners (4, 3, H) of the hinges from node vectors (V, 3)."""
+        return orthotropic.corners(vectors.T, self._hinge_index, 4)

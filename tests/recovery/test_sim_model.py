@@ -1,0 +1,193 @@
+"""The sewn mesh: static assembly, invariances of its forces, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+from drape.cloth import orthotropic
+from drape.cloth.material import material
+from drape.cloth.orthotropic import OrthotropicMaterial
+from drape.errors import InputError, MeshError
+from recovery.sim import elastic
+from recovery.sim.model import ClothModel
+from recovery.sim.solver import solve, superlu
+from tests.recovery.sim_setup import WOVEN, crumpled, lifted, sewn_tube, strip
+
+ISOTROPIC = OrthotropicMaterial.from_isotropic(material("jersey"))
+
+
+def test_assembly_by_static_maps_equals_a_loop_over_elements():
+    model, panels, nodes = sewn_tube()
+    parameters = model.parameters(panels, WOVEN)
+    rest, x = model.rest(parameters.panels), crumpled(model, nodes).x
+    membrane = orthotropic.membrane_hessian(model.triangles(x), rest.shape, parameters.stretch, definite=False)
+    bending = orthotropic.bending_hessian(model.hinges(x), rest.hinge_weight, parameters.bending_j, definite=False)
+    expected = np.zeros((model.node_count * 3,) * 2)
+    for nodes_of, stack in ((model.faces.T, membrane.numpy()), (model.hinge_nodes.T, bending.numpy())):
+        for element in range(nodes_of.shape[1]):
+            unknowns = (3 * nodes_of[:, element, None] + np.arange(3)).reshape(-1)
+            expected[np.ix_(unknowns, unknowns)] += stack[:, :, element]
+    found = elastic.hessian(model, rest, parameters, x, definite=False).toarray()
+    assert_allclose(found, expected, rtol=0, atol=1e-13 * np.abs(expected).max())
+    assert_allclose(found, found.T, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+def test_assembled_forces_and_hessian_are_derivatives_of_the_energy():
+    model, panels, nodes = sewn_tube()
+    parameters = model.parameters(panels, WOVEN)
+    rest, x = model.rest(parameters.panels), crumpled(model, nodes).x
+    leaf = x.clone().requires_grad_(True)
+    (slope,) = torch.autograd.grad(elastic.energy(model, rest, parameters, leaf), leaf)
+    force = elastic.forces(model, rest, parameters, x)
+    assert_allclose(force, -slope, rtol=0, atol=1e-11 * float(slope.abs().max()))
+    direction = torch.from_numpy(np.random.default_rng(4).normal(size=nodes.shape))
+    step = 1e-7
+    change = elastic.forces(model, rest, parameters, x + step * direction) - elastic.forces(
+        model, rest, parameters, x - step * direction
+    )
+    product = elastic.hessian(model, rest, parameters, x, definite=False) @ direction.numpy().reshape(-1)
+    assert_allclose(-change.numpy().reshape(-1) / (2 * step), product, rtol=0, atol=1e-6 * np.abs(product).max())
+
+
+def test_the_definite_system_is_definite_for_crumpled_cloth():
+    model, panels, nodes = sewn_tube()
+    parameters = model.parameters(panels, WOVEN)
+    rest = model.rest(parameters.panels)
+    for seed in range(20):
+        x = crumpled(model, 0.5 * nodes, size_m=0.01, seed=seed).x
+        values = np.linalg.eigvalsh(elastic.hessian(model, rest, parameters, x, definite=True).toarray())
+        assert values[0] > -1e-12 * values[-1]
+        exact = np.linalg.eigvalsh(elastic.hessian(model, rest, parameters, x, definite=False).toarray())
+        assert exact[0] < -1.0
+
+
+def test_rest_has_no_force_and_any_shape_no_net_force_or_torque():
+    panel, faces = strip(5, 4, length_m=0.2, width_m=0.1)
+    flat = ClothModel(faces)
+    parameters = flat.parameters(panel, WOVEN)
+    force = elastic.forces(flat, flat.rest(parameters.panels), parameters, flat.state(lifted(panel)).x)
+    assert_allclose(force, 0.0, rtol=0, atol=1e-12)
+    model, panels, nodes = sewn_tube()
+    parameters = model.parameters(panels, WOVEN)
+    x = crumpled(model, nodes).x
+    force = elastic.forces(model, model.rest(parameters.panels), parameters, x)
+    scale = float(force.abs().max())
+    assert_allclose(force.sum(dim=0), 0.0, rtol=0, atol=1e-12 * scale)
+    assert_allclose(torch.linalg.cross(x, force).sum(dim=0), 0.0, rtol=0, atol=1e-12 * scale)
+
+
+def test_rigid_motion_of_the_garment_changes_no_energy(rng):
+    model, panels, nodes = sewn_tube()
+    parameters = model.parameters(panels, WOVEN)
+    rest, x = model.rest(parameters.panels), crumpled(model, nodes).x
+    turn = Rotation.random(rng=rng).as_matrix()
+    moved = torch.from_numpy(x.numpy() @ turn.T + rng.normal(size=3))
+    before, after = (elastic.energy(model, rest, parameters, at) for at in (x, moved))
+    assert_allclose(after, before, rtol=1e-10)
+    expected = elastic.forces(model, rest, parameters, x).numpy() @ turn.T
+    found = elastic.forces(model, rest, parameters, moved)
+    assert_allclose(found, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+
+
+def test_the_pattern_gradient_ignores_rigid_motions_of_a_panel():
+    """Moving a panel changes nothing; turning it turns the grain, which only a woven cloth feels."""
+    model, panels, nodes = sewn_tube()
+    x = crumpled(model, nodes).x
+    front = np.arange(len(panels)) < len(panels) // 2
+    for cloth, feels_turn in ((ISOTROPIC, False), (WOVEN, True)):
+        parameters = model.parameters(panels, cloth)
+        leaf = parameters.panels.requires_grad_(True)
+        (slope,) = torch.autograd.grad(elastic.energy(model, model.rest(leaf), parameters, x), leaf)
+        own = slope.numpy()[front]
+        scale = np.abs(own).max()
+        assert_allclose(own.sum(axis=0), 0.0, rtol=0, atol=1e-11 * scale)
+        torque = (panels[front] * own[:, ::-1] * [1.0, -1.0]).sum()
+        assert (abs(torque) > 1e-4 * scale) == feels_turn
+        assert feels_turn or abs(torque) < 1e-12 * scale
+
+
+def test_mass_is_density_times_the_area_of_the_pattern():
+    model, panels, _ = sewn_tube()
+    area = model.rest(torch.from_numpy(panels)).node_area
+    assert_allclose(area.sum(), 2 * 0.2 * 0.15, rtol=1e-12)
+
+
+def test_panels_and_nodes_correspond_one_to_many():
+    model, panels, nodes = sewn_tube()
+    count = np.bincount(model.node_of_panel_vertex)
+    assert len(count) == len(nodes) and count.sum() == len(panels)
+    assert set(count.tolist()) == {1, 2}
+
+
+def test_the_solve_has_the_gradient_of_its_matrix_and_right_side(rng):
+    model, panels, nodes = sewn_tube(2, 1)
+    parameters = model.parameters(panels, WOVEN)
+    matrix = elastic.hessian(
+        model,
+        model.rest(parameters.panels),
+        parameters,
+        crumpled(model, nodes).x,
+        definite=True,
+        blocks=100.0 * np.broadcast_to(np.eye(3), (model.node_count, 3, 3)),
+    )
+    rows, starts = np.asarray(matrix.indices), np.asarray(matrix.indptr)
+    size = len(starts) - 1
+    values = torch.from_numpy(np.asarray(matrix.data, dtype=np.float64) / 100.0).requires_grad_(True)
+    rhs = torch.from_numpy(rng.normal(size=size)).requires_grad_(True)
+    solution = solve(values, rhs, rows=rows, starts=starts)
+    assert_allclose(matrix @ solution.detach().numpy() / 100.0, rhs.detach(), rtol=0, atol=1e-12)
+    # Mirrored entries move together: the factorisation may read only one of them.
+    transposed = np.empty(len(rows), dtype=np.int64)
+    columns = np.repeat(np.arange(size), np.diff(starts))
+    transposed[np.lexsort((columns, rows))] = np.arange(len(rows))
+
+    def mirrored(entries, right):
+        return solve(0.5 * (entries + entries[transposed]), right, rows=rows, starts=starts)
+
+    assert torch.autograd.gradcheck(mirrored, (values, rhs), eps=1e-6, atol=1e-6, fast_mode=True)
+
+
+def test_the_pivots_count_the_negative_eigenvalues():
+    model, panels, nodes = sewn_tube(fixed=[0, 1, 2])
+    parameters = model.parameters(panels, WOVEN)
+    rest = model.rest(parameters.panels)
+    counts = []
+    for seed in range(5):
+        x = crumpled(model, nodes * (1.0 - 0.1 * seed), size_m=0.005, seed=seed).x
+        matrix = elastic.hessian(model, rest, parameters, x, definite=False)
+        counts.append(superlu(matrix).negative_pivots())
+        assert counts[-1] == (np.linalg.eigvalsh(matrix.toarray()) < 0.0).sum()
+    assert max(counts) > 0
+
+
+def test_what_cannot_be_solved_is_refused():
+    model, panels, nodes = sewn_tube(2, 1)
+    parameters = model.parameters(panels, WOVEN)
+    rest, x = model.rest(parameters.panels), model.state(nodes).x
+    with pytest.raises(InputError, match="finite forces"):
+        superlu(elastic.hessian(model, rest, parameters, x * np.nan, definite=True))
+    with pytest.raises(InputError, match="regular system"):
+        superlu(0.0 * elastic.hessian(model, rest, parameters, x, definite=True))
+
+
+def test_meshes_that_are_no_garment_are_refused():
+    panel, faces = strip(2, 1, length_m=0.2, width_m=0.1)
+    nothing = np.zeros((0, 3), dtype=int)
+    for wrong, panel_faces in ((nothing, None), (faces, faces[:-1]), (faces + 1, None), (faces, faces[::-1])):
+        with pytest.raises(MeshError):
+            ClothModel(wrong, panel_faces=panel_faces)
+    with pytest.raises(InputError, match="fixed"):
+        ClothModel(faces, fixed=np.array([99]))
+    model = ClothModel(faces, fixed=np.array([0]))
+    with pytest.raises(MeshError, match="collapsed"):
+        model.parameters(panel * [1.0, 0.0], WOVEN)
+    with pytest.raises(MeshError, match="shape"):
+        model.parameters(panel[:-1], WOVEN)
+    with pytest.raises(InputError, match="finite"):
+        model.state(np.full((len(panel), 3), np.nan))
+    with pytest.raises(InputError, match="velocities"):
+        model.state(lifted(panel), np.ones((len(panel), 3)))
