@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,8 +18,8 @@ from drape.errors import DrapeError, InputError
 finite32 = st.floats(-100.0, 100.0, width=32)
 
 
-def pose_message(**changes: object) -> bytes:
-    values = {
+def pose_message(**changes: Any) -> bytes:
+    values: dict[str, Any] = {
         "sequence": 7,
         "client_time_s": 1.5,
         "trans": np.arange(3.0),

@@ -58,7 +58,7 @@ def test_energy_gradient_reaches_the_jets_as_finite_differences_say():
     def energy(step: float) -> torch.Tensor:
         state = Posed(rotation, centre, jet + step * direction)
         vertices = losses.vertices_from(posed_coefficients(state, partition.patches.scale), partition)
-        return sum(energies.total(vertices.double(), cloth, material()).values()).sum()
+        return torch.stack(list(energies.total(vertices.double(), cloth, material()).values())).sum()
 
     cloth = energies.ClothMesh.from_rest(garment().rest.vertices, garment().rest.faces).like(
         torch.zeros(1, dtype=torch.float64)

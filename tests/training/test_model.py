@@ -95,7 +95,7 @@ def test_turning_the_body_about_the_vertical_turns_the_drape():
     torch.manual_seed(0)
     model = OneFit(ModelConfig()).eval()
     for head in model.decoder.heads.values():
-        torch.nn.init.normal_(list(head.children())[-1].weight, std=0.05)
+        torch.nn.init.normal_(list(head.parameters())[-2], std=0.05)
     partition = garment().partitions[0]
     poses = bank().draw(2, np.random.default_rng(3))
     turn = rotvec_to_matrix(np.array([0.0, 2.1, 0.0]))
@@ -128,7 +128,7 @@ def test_paper_variant_moves_patches_by_translation_and_scale():
     torch.manual_seed(0)
     model = OneFit(replace(TINY, variant="paper")).eval()
     for head in model.decoder.heads.values():
-        torch.nn.init.normal_(list(head.children())[-1].weight, std=0.3)
+        torch.nn.init.normal_(list(head.parameters())[-2], std=0.3)
     partition = garment().partitions[0]
     bodies = batch()
     with torch.no_grad():
