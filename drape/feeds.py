@@ -33,7 +33,7 @@ def body_feed(body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.n
     """Features and bones of ``poses`` (F, 24, 3) [rad] with root translations ``trans`` (F, 3) [m], shape ``betas``.
 
     Inputs named: ``body_features`` (F, 24 * 9 + 10), ``bone_rotation`` (F, 24, 3, 3),
-    ``bone_translation`` (F, 24, 3), ``bone_quaternion`` (F, 24, 4), ``betas`` (F, 10).
+    ``bone_translation`` (F, 24, 3), ``bone_quaternion`` (F, 24, 4), ``betas`` (F, 10), ``body_joints`` (F, 24, 3) [m].
     """
     poses = np.asarray(poses, dtype=np.float64)
     rotations, translations = body.bones(poses, None, betas)
@@ -55,6 +55,7 @@ def body_feed(body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.n
         "bone_translation": relative,
         "bone_quaternion": matrix_to_quaternion(rotations),
         "betas": shapes,
+        "body_joints": (rotations @ body.rest_joints(betas)[..., None])[..., 0] + relative,
     }
     return BodyFeed({key: np.ascontiguousarray(value, dtype=np.float32) for key, value in arrays.items()}, root)
 

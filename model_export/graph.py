@@ -15,6 +15,7 @@ BODY_INPUTS: tuple[TensorSpec, ...] = (
     TensorSpec("bone_quaternion", ("frames", 24, 4), "float32", "1"),
     TensorSpec("betas", ("frames", 10), "float32", "standard deviations"),
 )
+JOINT_INPUT = TensorSpec("body_joints", ("frames", 24, 3), "float32", "m, relative to the root joint")
 PATCH_INPUTS: tuple[TensorSpec, ...] = (
     TensorSpec("patch_centre", ("patches", 3), "float32", "m"),
     TensorSpec("patch_rotation", ("patches", 3, 3), "float32", "1"),
@@ -42,7 +43,8 @@ def drape_inputs(model: OneFit) -> tuple[TensorSpec, ...]:
     """Inputs of the drape graph of ``model``, in order."""
     embedding = TensorSpec("patch_embedding", ("patches", model.config.embedding_size), "float32", "1")
     skin = (SKIN_INPUT,) if model.config.variant == "paper" else ()
-    return (*BODY_INPUTS, embedding, *PATCH_INPUTS, *CHART_INPUTS, *skin)
+    joints = (JOINT_INPUT,) if model.config.surroundings else ()
+    return (*BODY_INPUTS, embedding, *PATCH_INPUTS, *CHART_INPUTS, *skin, *joints)
 
 
 def encoder_inputs(model: OneFit) -> tuple[TensorSpec, ...]:
@@ -92,8 +94,9 @@ class DrapeGraph(nn.Module):
         chart_basis: Tensor,
         chart_local: Tensor,
         skin_weights: Tensor | None = None,
+        body_joints: Tensor | None = None,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        body = BodyTensors(body_features, bone_rotation, bone_translation, bone_quaternion, betas)
+        body = BodyTensors(body_features, bone_rotation, bone_translation, bone_quaternion, betas, body_joints)
         patches = PatchTensors(
             patch_centre, patch_rotation, patch_scale, patch_weights, patch_heaviest, patch_shapedirs
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse
@@ -20,7 +20,7 @@ from drape.garment.partition import patch_count_for
 from drape.geometry import jets
 from drape.geometry.rotations import matrix_to_quaternion, rotvec_to_matrix
 from training.model import BodyTensors, PatchTensors
-from training.poses import pose_bodies
+from training.poses import pose_bodies, posed_joints
 from training.sparse import SparsePair
 
 COEFFICIENTS = 1 + 3 + jets.HEIGHT_COUNT  # rows of model.posed_coefficients
@@ -40,13 +40,14 @@ class Partition:
 
 @dataclass(frozen=True, eq=False)
 class TrainingGarment:
-    """A garment with its cloth constants and the partitions drawn so far."""
+    """A garment with its cloth constants and the partitions at hand, with their seeds."""
 
     name: str
     rest: RestGarment
     cloth: ClothMesh
     partitions: list[Partition]
     skin_weights: Tensor
+    seeds: list[int] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,6 +139,7 @@ class BodySource:
             translation=tensor(translations),
             quaternion=tensor(matrix_to_quaternion(rotations)),
             betas=tensor(shapes),
+            joints=tensor(posed_joints(self.body, rotations, translations, betas)),
         )
         collider = self._collider(
             rotations.astype(np.float32), translations.astype(np.float32), betas.astype(np.float32)
@@ -181,9 +183,9 @@ def nearest_collider(points: np.ndarray, collider: np.ndarray) -> np.ndarray:
     """Index (F, n) of the collider vertex nearest to each point (F, n, 3)."""
     index = np.empty(points.shape[:2], dtype=np.int64)
     for n in range(len(points)):
-        # An unbalanced tree builds three times faster and queries as fast here.
+        # An unbalanced tree builds three times faster and queries as fast here; threads cost more than they find.
         tree = KDTree(collider[n], balanced_tree=False, compact_nodes=False)
-        index[n] = tree.query(points[n], workers=2)[1]
+        index[n] = tree.query(points[n])[1]
     return index
 
 

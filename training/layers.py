@@ -7,9 +7,11 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
+from drape.body.skeleton import JOINT_COUNT
 from training.config import ModelConfig
 
 SLOPE = 0.01  # LeakyReLU, as in appendix A.3
+SURROUNDINGS_COUNT = 3 * JOINT_COUNT + 3  # of model.patch_surroundings
 
 
 def mlp(sizes: list[int], *, last_activation: bool = False, bias: bool = True) -> nn.Sequential:
@@ -103,8 +105,9 @@ class DynamicEncoder(nn.Module):
 class Decoder(nn.Module):
     """Body code (F, 256) and patch embedding (K, E) -> outputs (F, K, n), one head per kind of output.
 
-    The first layer acts on the concatenation of both; written as a sum of two products, its
-    garment half is computed once per garment and its body half once per frame.
+    The first layer acts on the concatenation of both and of what the posed patch sees around it;
+    written as a sum of products, its garment half is computed once per garment and its body half
+    once per frame.
     """
 
     def __init__(self, config: ModelConfig, heads: dict[str, int]) -> None:
@@ -112,6 +115,7 @@ class Decoder(nn.Module):
         width = config.decoder_sizes[0]
         self.from_patch = nn.Linear(config.embedding_size, width)
         self.from_body = nn.Linear(config.body_code_size, width, bias=False)
+        self.from_surroundings = nn.Linear(SURROUNDINGS_COUNT, width, bias=False) if config.surroundings else None
         self.trunk = mlp(list(config.decoder_sizes), last_activation=True)
         self.heads = nn.ModuleDict(
             {name: mlp([config.decoder_sizes[-1], *config.head_sizes, size]) for name, size in heads.items()}
@@ -124,7 +128,11 @@ class Decoder(nn.Module):
             nn.init.normal_(last.weight, std=1e-3)
             nn.init.zeros_(last.bias)
 
-    def forward(self, body_code: Tensor, embedding: Tensor) -> dict[str, Tensor]:
-        x = self.activation(self.from_body(body_code)[:, None] + self.from_patch(embedding)[None])
-        x = self.trunk(x)
+    def forward(self, body_code: Tensor, embedding: Tensor, surroundings: Tensor | None = None) -> dict[str, Tensor]:
+        """Outputs by head; ``surroundings`` (F, K, 75) where the configuration has them."""
+        x = self.from_body(body_code)[:, None] + self.from_patch(embedding)[None]
+        if self.from_surroundings is not None:
+            assert surroundings is not None
+            x = x + self.from_surroundings(surroundings)
+        x = self.trunk(self.activation(x))
         return {name: head(x) for name, head in self.heads.items()}

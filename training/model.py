@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from drape.garment.features import saturated
 from drape.geometry import jets
 from drape.geometry.skinning import blend_frames, skin_points
 from training.config import ModelConfig
@@ -34,6 +35,7 @@ class BodyTensors:
     translation: Tensor  # (F, 24, 3)
     quaternion: Tensor  # (F, 24, 4)
     betas: Tensor  # (F, 10)
+    joints: Tensor | None = None  # (F, 24, 3); needed by networks with surroundings
 
 
 @dataclass(frozen=True)
@@ -67,13 +69,18 @@ class OneFit(nn.Module):
         self.decoder = Decoder(config, heads)
 
     def predict(
-        self, body: BodyTensors, embedding: Tensor, dynamic_code: Tensor | None = None, motion: float = 1.0
+        self,
+        body: BodyTensors,
+        embedding: Tensor,
+        surroundings: Tensor | None = None,
+        dynamic_code: Tensor | None = None,
+        motion: float = 1.0,
     ) -> Tensor:
         """Change of the rest jets (F, K, 27) in units of the patch scale; ``motion`` scales the dynamic code."""
         code = self.body(body.features)
         if dynamic_code is not None:
             code = code + motion * dynamic_code
-        out = self.decoder(code, embedding)
+        out = self.decoder(code, embedding, surroundings)
         gain = self.config.output_gain
         if self.config.variant == "vector":
             return gain * torch.cat([out["plane"], out["height"]], dim=-1)
@@ -81,8 +88,11 @@ class OneFit(nn.Module):
 
     def forward(self, body: BodyTensors, patches: PatchTensors, embedding: Tensor) -> Posed:
         """Posed patches of F bodies."""
-        jet = self.predict(body, embedding)
-        rotation, centre = rest_frames(body, patches) if self.config.variant == "paper" else pose_frames(body, patches)
+        rotation, centre = pose_frames(body, patches)
+        around = patch_surroundings(body, rotation, centre) if self.config.surroundings else None
+        jet = self.predict(body, embedding, around)
+        if self.config.variant == "paper":
+            rotation, centre = rest_frames(body, patches)
         return Posed(rotation, centre, jet)
 
 
@@ -109,6 +119,18 @@ def pose_frames(body: BodyTensors, patches: PatchTensors) -> tuple[Tensor, Tenso
         centre, patches.weights, patches.heaviest, body.rotation, body.translation, body.quaternion
     )
     return rotation @ patches.rotation, centre
+
+
+def patch_surroundings(body: BodyTensors, rotation: Tensor, centre: Tensor) -> Tensor:
+    """What a posed patch sees around it (F, K, 75): the posed joints and gravity, in its own frame.
+
+    The code of the whole pose must be learned for every place of the body; seen from the patch,
+    a bent elbow near cloth looks alike on all garments.
+    """
+    assert body.joints is not None
+    offset = (body.joints[:, None] - centre[:, :, None]) @ rotation  # (F, K, 24, 3)
+    gravity = -rotation[..., 1, :]
+    return torch.cat([saturated(offset).flatten(-2), gravity], dim=-1)
 
 
 def rest_frames(body: BodyTensors, patches: PatchTensors) -> tuple[Tensor, Tensor]:

@@ -36,6 +36,13 @@ def world_size() -> int:
     return dist.get_world_size() if dist.is_initialized() else 1
 
 
+def share(module: nn.Module) -> None:
+    """Gives every process the weights and statistics of process 0."""
+    if dist.is_initialized():
+        for tensor in module.state_dict().values():
+            dist.broadcast(tensor, src=0)
+
+
 def average_gradients(module: nn.Module, clock_s: float) -> float:
     """Averages the gradients of all processes in one message; returns process 0's ``clock_s``.
 

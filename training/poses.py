@@ -93,3 +93,9 @@ def pose_bodies(body: BodyModel, poses: np.ndarray, betas: np.ndarray) -> tuple[
     joints = body.joints_template + np.einsum("jcs,ns->njc", body.joint_shapedirs, betas)
     rotations, translations = rigid.bone_transforms(rotvec_to_matrix(poses), joints, PARENTS)
     return rotations, translations - joints[:, :1]
+
+
+def posed_joints(body: BodyModel, rotations: np.ndarray, translations: np.ndarray, betas: np.ndarray) -> np.ndarray:
+    """Joints [m] (n, 24, 3) of ``pose_bodies``' bones, relative to the root joint."""
+    joints = body.joints_template + np.einsum("jcs,ns->njc", body.joint_shapedirs, betas)
+    return (rotations @ joints[..., None])[..., 0] + translations

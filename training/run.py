@@ -1,7 +1,7 @@
 """Trains the draping network.
 
-    python -m training.run --preset first --out runs/first [--minutes 75] [--motions DIR ...]
-    python -m training.run --resume runs/first
+    python -m training.run --preset shipped --out runs/shipped [--minutes 95] [--motions DIR ...]
+    python -m training.run --resume runs/shipped
 
 Self-supervised: each step draws a garment, one of its random partitions and a batch of
 poses, and lowers the total energy of the cloth on the posed body. A step whose loss or
@@ -24,18 +24,17 @@ import torch
 from torch.utils.tensorboard import SummaryWriter
 
 from drape.body.assets import load_body
-from drape.cloth.energies import ClothMesh
 from drape.cloth.material import material
 from drape.data_paths import data_folder
 from drape.errors import InputError
-from drape.garment.fitting import rest_garment
 from training import checkpoint, losses, parallel
 from training.config import PRESETS, TrainConfig
-from training.data import BodySource, TrainingGarment, collider_surface, draw_partition
-from training.garment_design import SHIPPED, build, varied
+from training.data import BodySource, collider_surface
 from training.model import OneFit
 from training.poses import PoseBank, draw_betas, read_clips
+from training.wardrobe import Wardrobe
 
+EARLY_AGREEMENT = 0.02  # share of the weight of disagreement at the start
 SAMPLE_VERTICES = 384  # per step, for the disagreement of charts
 HALVINGS_MAX = 8
 
@@ -50,9 +49,10 @@ class Trainer:
         self.body = load_body()
         self.source = BodySource(self.body, *collider_surface(self.body), device=device)
         self.material = material()
-        self.garments = load_garments(config, self.body, device=device)
+        self.wardrobe = Wardrobe(config.data, self.body, seed=config.seed + 3, device=device, process=parallel.rank())
         self.model = OneFit(config.model).to(device)
         self._set_statistics()
+        parallel.share(self.model)  # statistics are of this process's garments: all take those of the first
         self.optimiser = torch.optim.Adam(self.model.parameters(), lr=config.learning_rate)
         self.step_count = 0
         self.frame_count = 0
@@ -67,26 +67,31 @@ class Trainer:
         self.generator = torch.Generator().manual_seed(seed + 1000003 * parallel.rank())
 
     def _set_statistics(self) -> None:
-        self.model.garment.standardise.set_from(torch.cat([p.features for g in self.garments for p in g.partitions]))
+        garments = self.wardrobe.garments
+        self.model.garment.standardise.set_from(torch.cat([p.features for g in garments for p in g.partitions]))
         poses = self.bank.draw(512, np.random.default_rng(self.config.seed + 1))
         betas = draw_betas(512, self.body.shape_count, self.config.data, np.random.default_rng(self.config.seed + 2))
         self.model.body.standardise.set_from(self.source.pose(poses, betas).tensors.features)
+
+    def progress(self) -> float:
+        """Share of the run's time that is used."""
+        return min(1.0, self.elapsed_s / (60.0 * self.config.minutes))
 
     def rate(self) -> float:
         """Learning rate: a linear warm-up, then a cosine over the time the run has."""
         config = self.config
         warm = min(1.0, (self.step_count + 1) / config.warmup_steps)
-        progress = min(1.0, self.elapsed_s / (60.0 * config.minutes))
         cosine = config.final_rate + 0.5 * (config.learning_rate - config.final_rate) * (
-            1.0 + math.cos(math.pi * progress)
+            1.0 + math.cos(math.pi * self.progress())
         )
         return self.rate_factor * warm * cosine
 
     def step(self, clock_s: float = 0.0) -> dict[str, float]:
         """One step at ``clock_s`` of the run; returns its loss parts, or {"skipped": 1} when it was not finite."""
         config = self.config
-        garment = self.garments[int(self.rng.integers(len(self.garments)))]
-        partition = garment.partitions[int(self.rng.integers(len(garment.partitions)))]
+        if (self.step_count + 1) % config.data.fresh_steps == 0:
+            self.wardrobe.refresh(self.rng)
+        garment, partition = self.wardrobe.draw(self.rng)
         poses = self.bank.draw(config.batch_size, self.rng)
         betas = draw_betas(config.batch_size, self.body.shape_count, config.data, self.rng)
         batch = self.source.pose(poses, betas)
@@ -107,7 +112,8 @@ class Trainer:
         parts = {name: value.mean() for name, value in parts.items()}
         parts["disagreement"] = losses.disagreement(posed, partition, sample)
         elastic = parts["membrane"] + parts["bending"] + parts["gravity"]
-        loss = elastic / area + contact + config.disagreement_weight * parts["disagreement"]
+        agree = config.disagreement_weight * (EARLY_AGREEMENT + self.progress()) * parts["disagreement"]
+        loss = elastic / area + contact + agree
         loss.backward()
         self.elapsed_s = parallel.average_gradients(self.model, clock_s)
         norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), config.gradient_clip)
@@ -131,6 +137,7 @@ class Trainer:
             "frames": self.frame_count,
             "elapsed_s": self.elapsed_s,
             "rate_factor": self.rate_factor,
+            "partitions": self.wardrobe.seeds(),
             "torch_random": torch.get_rng_state(),
             "sample_random": self.generator.get_state(),
             "numpy_random": _plain(self.rng.bit_generator.state),
@@ -145,6 +152,8 @@ class Trainer:
         if parallel.rank():
             self._seed_draws(self.config.seed + self.step_count)
             return
+        if "partitions" in state:
+            self.wardrobe.restore(state["partitions"])
         torch.set_rng_state(state["torch_random"])
         self.generator.set_state(state["sample_random"])
         self.rng.bit_generator.state = {
@@ -156,29 +165,6 @@ class Trainer:
 def _plain(state: Mapping[str, Any]) -> dict[str, Any]:
     # The 128-bit integers of PCG64 do not fit a tensor file: as text they do.
     return {**state, "state": {key: str(value) for key, value in state["state"].items()}}
-
-
-def load_garments(config: TrainConfig, body, *, device: torch.device) -> list[TrainingGarment]:
-    """The garments named in the configuration and random variants of their designs, each with its partitions."""
-    known = {design.name: design for design in SHIPPED}
-    rng = np.random.default_rng(config.seed + 3)
-    found = []
-    for name in config.data.garments:
-        if name not in known:
-            raise InputError("garment", expected=f"one of {sorted(known)}", got=name, cure="Name a shipped garment.")
-        meshes = [(name, *build(known[name], body))]
-        meshes += [(f"{name}_{i}", *varied(known[name], body, rng)[1:]) for i in range(config.data.variants)]
-        for label, vertices, faces in meshes:
-            rest = rest_garment(vertices, faces, body)
-            count = config.data.partitions if label == name else max(1, config.data.partitions // 3)
-            partitions = [
-                draw_partition(rest, seed=int(rng.integers(2**31)), jitter=config.data.patch_jitter, device=device)
-                for _ in range(count)
-            ]
-            cloth = ClothMesh.from_rest(rest.vertices, faces).like(torch.zeros(1, device=device))
-            weights = torch.from_numpy(rest.hang.weights.astype(np.float32)).to(device)
-            found.append(TrainingGarment(label, rest, cloth, partitions, weights))
-    return found
 
 
 def train(trainer: Trainer, out: Path) -> None:
@@ -245,8 +231,8 @@ def train(trainer: Trainer, out: Path) -> None:
 def main() -> None:
     """Command line entry."""
     parser = argparse.ArgumentParser(description="Trains the draping network.")
-    parser.add_argument("--preset", choices=sorted(PRESETS), default="first")
-    parser.add_argument("--out", type=Path, default=Path("runs/first"))
+    parser.add_argument("--preset", choices=sorted(PRESETS), default="shipped")
+    parser.add_argument("--out", type=Path, default=Path("runs/shipped"))
     parser.add_argument("--resume", type=Path, help="folder of an earlier run to go on with")
     parser.add_argument("--minutes", type=float)
     parser.add_argument("--motions", type=Path, nargs="*", help="folders of motion files; default DRAPE_DATA/motions")
@@ -266,7 +252,7 @@ def main() -> None:
     parallel.start(device)
     trainer = Trainer(config, bank, device=device)
     weights = sum(p.numel() for p in trainer.model.parameters())
-    print(f"{bank.frame_count} poses, {len(trainer.garments)} garments, {weights} weights")
+    print(f"{bank.frame_count} poses, {len(trainer.wardrobe.garments)} garments, {weights} weights")
     if state is not None:
         trainer.restore(state)
     train(trainer, out)

@@ -7,11 +7,13 @@ import scipy.sparse
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 
+from drape.arrays import Array, namespace
 from drape.body.model import BodyModel
 from drape.geometry import jets
 from drape.geometry.rotations import matrix_to_sixd
 
 FREQUENCIES = (1.0, 2.0, 4.0, 8.0)  # of the positional encoding, cycles per 2 m / pi
+REACH_M = 0.3  # of a joint on a patch
 BOUNDARY_REACH_M = 0.25  # farther hems are all alike
 
 
@@ -20,6 +22,13 @@ def boundary_vertices(faces: np.ndarray) -> np.ndarray:
     sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     edges, uses = np.unique(sides, axis=0, return_counts=True)
     return np.unique(edges[uses == 1])
+
+
+def saturated(offsets: Array) -> Array:
+    """Offsets [m] (..., 3) with their length r turned into tanh(r / 0.3): what is far says little about a patch."""
+    xp = namespace(offsets)
+    reach = xp.sqrt(xp.sum(offsets * offsets, axis=-1, keepdims=True) + 1e-12)
+    return offsets * (xp.tanh(reach / REACH_M) / reach)
 
 
 def positional_encoding(points: np.ndarray) -> np.ndarray:
@@ -46,9 +55,7 @@ def patch_features(
     """Features (K, D) float32 of K patches; distances in decimetres so that entries are near one."""
     joints = body.joints_template
     local = np.einsum("kba,kjb->kja", rotation, joints[None] - centre[:, None])  # joints in the patch frame
-    # Far joints say little about a patch: saturate, which also keeps the entries in one range.
-    reach = np.linalg.norm(local, axis=-1, keepdims=True)
-    joint_offsets = (local / np.maximum(reach, 1e-9) * np.tanh(reach / 0.3)).reshape(len(centre), -1)
+    joint_offsets = saturated(local).reshape(len(centre), -1)
 
     tree = KDTree(body.v_template)
     _, near = tree.query(centre, k=8)

@@ -9,9 +9,9 @@ from numpy.testing import assert_allclose
 
 from drape.geometry.closest import signed_distance
 from tests.training.training_setup import body
-from training.garment_design import SHIPPED, build, cut, varied
+from training.garment_design import DESIGNS, SHIPPED, SLIVER_SHARE, build, cut, varied
 
-OPENINGS = {"tshirt": 4, "longsleeve": 4, "tank": 4, "dress": 4, "trousers": 3, "shorts": 3}
+OPENINGS = {"tshirt": 4, "longsleeve": 4, "tank": 4, "dress": 4, "trousers": 3, "shorts": 3, "skirt": 2}
 
 
 def sheet(count: int = 12) -> tuple[np.ndarray, np.ndarray]:
@@ -34,8 +34,8 @@ def test_a_straight_cut_leaves_the_exact_area_and_a_straight_edge():
     assert mesh.is_winding_consistent
 
 
-@pytest.mark.parametrize("design", SHIPPED, ids=lambda d: d.name)
-def test_shipped_designs_are_clear_and_have_their_openings(design):
+@pytest.mark.parametrize("design", DESIGNS.values(), ids=lambda d: d.name)
+def test_designs_are_clear_and_have_their_openings(design):
     vertices, faces = build(design, body())
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     assert signed_distance(vertices, body().v_template, body().faces).min() >= 0.006
@@ -62,6 +62,8 @@ def test_variants_differ_but_keep_their_openings():
     seen = set()
     for _ in range(2):
         design, vertices, faces = varied(SHIPPED[2], body(), rng)
-        assert trimesh.Trimesh(vertices, faces, process=False).euler_number == base.euler_number
+        mesh = trimesh.Trimesh(vertices, faces, process=False)
+        assert mesh.euler_number == base.euler_number
+        assert mesh.area_faces.min() > SLIVER_SHARE * mesh.area_faces.mean()
         seen.add(design)
     assert len(seen) == 2

@@ -9,13 +9,14 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
+from drape.feeds import body_feed
 from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_matrix
 from tests.training.training_setup import TINY, bank, body, garment, source
 from training import losses
 from training.config import ModelConfig
-from training.layers import Decoder, DynamicEncoder, GarmentEncoder, Standardise
-from training.model import OneFit, Posed, pose_frames, posed_coefficients, vertex_positions
+from training.layers import SURROUNDINGS_COUNT, Decoder, DynamicEncoder, GarmentEncoder, Standardise
+from training.model import OneFit, Posed, patch_surroundings, pose_frames, posed_coefficients, vertex_positions
 
 
 def batch(count: int = 3, seed: int = 0):
@@ -114,6 +115,30 @@ def test_turning_the_body_about_the_vertical_turns_the_drape():
     assert_allclose(outputs[1], outputs[0] @ turn.T, rtol=0, atol=2e-4)
 
 
+def test_surroundings_are_joints_and_gravity_in_the_patch_frame():
+    """Written out joint by joint; far joints saturate at length one, and turning the world changes only gravity."""
+    partition, bodies = garment().partitions[0], batch(2).tensors
+    rotation, centre = pose_frames(bodies, partition.patches)
+    got = patch_surroundings(bodies, rotation, centre).double().numpy()
+    assert bodies.joints is not None
+    for frame, patch, joint in ((0, 0, 0), (0, 3, 20), (1, 5, 7)):
+        offset = (bodies.joints[frame, joint] - centre[frame, patch]).double().numpy()
+        local = rotation[frame, patch].double().numpy().T @ offset
+        reach = np.linalg.norm(local)
+        wanted = local / reach * np.tanh(reach / 0.3)
+        assert_allclose(got[frame, patch, 3 * joint : 3 * joint + 3], wanted, rtol=0, atol=2e-5)
+        gravity = rotation[frame, patch].double().numpy().T @ np.array([0.0, -1.0, 0.0])
+        assert_allclose(got[frame, patch, 72:], gravity, rtol=0, atol=1e-6)
+
+
+def test_joints_of_a_batch_are_those_of_the_body_model():
+    poses, betas = bank().draw(2, np.random.default_rng(8)), np.random.default_rng(9).normal(size=(2, 10))
+    joints = source().pose(poses, betas).tensors.joints
+    for n in range(2):
+        feed = body_feed(body(), poses[n : n + 1], np.zeros((1, 3)), betas[n])
+        assert_allclose(joints[n], feed.arrays["body_joints"][0], rtol=0, atol=2e-6)
+
+
 def test_untrained_network_stays_near_plain_skinning():
     torch.manual_seed(0)
     model = OneFit(ModelConfig()).eval()
@@ -126,7 +151,7 @@ def test_untrained_network_stays_near_plain_skinning():
 def test_paper_variant_moves_patches_by_translation_and_scale():
     """Its heads written as a vector jet must equal s (1 + ds) (u, v) + dT and the added height."""
     torch.manual_seed(0)
-    model = OneFit(replace(TINY, variant="paper")).eval()
+    model = OneFit(replace(TINY, variant="paper", surroundings=False)).eval()
     for head in model.decoder.heads.values():
         torch.nn.init.normal_(list(head.parameters())[-2], std=0.3)
     partition = garment().partitions[0]
@@ -151,15 +176,17 @@ def test_unknown_variant_is_refused():
 
 
 def test_decoder_equals_layers_on_the_concatenated_codes():
-    """The split first layer is the product with the concatenation of both codes (section 3)."""
+    """The split first layer is the product with the concatenation of both codes (section 3) and the surroundings."""
     torch.manual_seed(1)
     decoder = Decoder(TINY, {"out": 5})
+    assert decoder.from_surroundings is not None
     code, embedding = torch.randn(4, TINY.body_code_size), torch.randn(7, TINY.embedding_size)
-    weight = torch.cat([decoder.from_body.weight, decoder.from_patch.weight], dim=1)
-    both = torch.cat([code[:, None].expand(-1, 7, -1), embedding[None].expand(4, -1, -1)], dim=-1)
+    around = torch.randn(4, 7, SURROUNDINGS_COUNT)
+    weight = torch.cat([decoder.from_body.weight, decoder.from_patch.weight, decoder.from_surroundings.weight], dim=1)
+    both = torch.cat([code[:, None].expand(-1, 7, -1), embedding[None].expand(4, -1, -1), around], dim=-1)
     first = torch.nn.functional.leaky_relu(both @ weight.T + decoder.from_patch.bias, 0.01)
     expected = decoder.heads["out"](decoder.trunk(first))
-    assert_allclose(decoder(code, embedding)["out"].detach(), expected.detach(), rtol=1e-4, atol=1e-6)
+    assert_allclose(decoder(code, embedding, around)["out"].detach(), expected.detach(), rtol=1e-4, atol=1e-6)
 
 
 def test_a_still_body_has_no_dynamic_code_and_its_state_dies_away():

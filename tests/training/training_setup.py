@@ -21,7 +21,11 @@ TINY = ModelConfig(
     garment_hidden=16, embedding_size=8, body_hidden=16, body_code_size=16, decoder_sizes=(16, 16), head_sizes=(8,)
 )
 TINY_RUN = TrainConfig(
-    model=TINY, data=DataConfig(garments=("shorts",), partitions=1, variants=0), batch_size=2, warmup_steps=2, threads=1
+    model=TINY,
+    data=DataConfig(garments=("shorts",), partitions=1, variants=0, fresh_steps=70),
+    batch_size=2,
+    warmup_steps=2,
+    threads=1,
 )
 
 

@@ -1,0 +1,61 @@
+"""Garments trained on: variants per process, fresh partitions, the same ones again from their seeds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from drape.errors import InputError
+from tests.training.training_setup import CPU, TINY_RUN, body
+from training.wardrobe import Wardrobe
+
+DATA = replace(TINY_RUN.data, partitions=2, variants=1, variant_partitions=1)
+
+
+@pytest.fixture(scope="module")
+def wardrobe() -> Wardrobe:
+    return Wardrobe(DATA, body(), seed=1, device=CPU)
+
+
+def test_a_wardrobe_holds_designs_and_variants_with_their_partitions(wardrobe: Wardrobe):
+    assert [(g.name, len(g.partitions)) for g in wardrobe.garments] == [("shorts", 2), ("shorts_0", 1)]
+    own, variant = wardrobe.garments
+    assert own.rest.vertices.shape != variant.rest.vertices.shape
+
+
+def test_processes_share_the_design_and_not_the_variants(wardrobe: Wardrobe):
+    other = Wardrobe(replace(DATA, partitions=1), body(), seed=1, device=CPU, process=1)
+    assert np.array_equal(other.garments[0].rest.vertices, wardrobe.garments[0].rest.vertices)
+    assert other.garments[1].rest.vertices.shape != wardrobe.garments[1].rest.vertices.shape
+
+
+def test_a_fresh_partition_differs_and_its_seed_brings_the_old_one_back(wardrobe: Wardrobe):
+    seeds = wardrobe.seeds()
+    before = [[p.patches.centre for p in g.partitions] for g in wardrobe.garments]
+    wardrobe.refresh(np.random.default_rng(0))
+    changed = [(i, j) for i, row in enumerate(seeds) for j, s in enumerate(row) if wardrobe.seeds()[i][j] != s]
+    assert len(changed) == 1
+    i, j = changed[0]
+    fresh = wardrobe.garments[i].partitions[j].patches.centre
+    assert fresh.shape != before[i][j].shape or not torch.equal(fresh, before[i][j])
+    wardrobe.restore(seeds)
+    for garment, row in zip(wardrobe.garments, before, strict=True):
+        for partition, centre in zip(garment.partitions, row, strict=True):
+            assert torch.equal(partition.patches.centre, centre)
+
+
+@pytest.mark.parametrize(("share", "wanted"), [(1.0, 1.0), (0.0, 0.5)])
+def test_the_own_share_is_the_chance_of_the_designs_themselves(wardrobe: Wardrobe, share: float, wanted: float):
+    wardrobe.config, kept = replace(DATA, own_share=share), wardrobe.config
+    rng = np.random.default_rng(0)
+    drawn = [wardrobe.draw(rng)[0].name == "shorts" for _ in range(400)]
+    wardrobe.config = kept
+    assert np.mean(drawn) == pytest.approx(wanted, abs=0.08)
+
+
+def test_unknown_garment_is_refused():
+    with pytest.raises(InputError, match="toga"):
+        Wardrobe(replace(DATA, garments=("toga",)), body(), seed=1, device=CPU)

@@ -1,0 +1,84 @@
+"""The garments trained on: named designs, random neighbours of them, and partitions drawn afresh as it goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import torch
+
+from drape.body.model import BodyModel
+from drape.cloth.energies import ClothMesh
+from drape.errors import InputError
+from drape.garment.fitting import RestGarment, rest_garment
+from training.config import DataConfig
+from training.data import Partition, TrainingGarment, draw_partition
+from training.garment_design import DESIGNS, build, varied
+
+
+class Wardrobe:
+    """Garments with their partitions. ``process`` gives every process of a parallel run variants of its own.
+
+    A partition is known by its seed, so that a checkpoint holds seeds and ``restore`` draws
+    the same partitions again.
+    """
+
+    def __init__(
+        self, config: DataConfig, body: BodyModel, *, seed: int, device: torch.device, process: int = 0
+    ) -> None:
+        self.config, self.device = config, device
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(process,)))
+        self.garments: list[TrainingGarment] = []
+        self.own: list[int] = []  # places of the named designs themselves
+        for name in config.garments:
+            for label, vertices, faces in self._meshes(name, body, rng):
+                if label == name:
+                    self.own.append(len(self.garments))
+                rest = rest_garment(vertices, faces, body)
+                count = config.partitions if label == name else config.variant_partitions
+                seeds = [int(rng.integers(2**31)) for _ in range(count)]
+                self.garments.append(self._dressed(label, rest, seeds))
+
+    def _meshes(
+        self, name: str, body: BodyModel, rng: np.random.Generator
+    ) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+        if name not in DESIGNS:
+            raise InputError("garment", expected=f"one of {sorted(DESIGNS)}", got=name, cure="Name a known design.")
+        yield (name, *build(DESIGNS[name], body))
+        for i in range(self.config.variants):
+            yield (f"{name}_{i}", *varied(DESIGNS[name], body, rng)[1:])
+
+    def _dressed(self, label: str, rest: RestGarment, seeds: list[int]) -> TrainingGarment:
+        cloth = ClothMesh.from_rest(rest.vertices, rest.faces).like(torch.zeros(1, device=self.device))
+        weights = torch.from_numpy(rest.hang.weights.astype(np.float32)).to(self.device)
+        return TrainingGarment(label, rest, cloth, [self._partition(rest, s) for s in seeds], weights, seeds)
+
+    def _partition(self, rest: RestGarment, seed: int) -> Partition:
+        return draw_partition(rest, seed=seed, jitter=self.config.patch_jitter, device=self.device)
+
+    def draw(self, rng: np.random.Generator) -> tuple[TrainingGarment, Partition]:
+        """A garment and one of its partitions: a named design with chance ``own_share``, else any."""
+        own = rng.random() < self.config.own_share
+        place = self.own[int(rng.integers(len(self.own)))] if own else int(rng.integers(len(self.garments)))
+        garment = self.garments[place]
+        return garment, garment.partitions[int(rng.integers(len(garment.partitions)))]
+
+    def refresh(self, rng: np.random.Generator) -> None:
+        """Replaces a random partition by one never seen."""
+        garment = self.garments[int(rng.integers(len(self.garments)))]
+        self._replace(garment, int(rng.integers(len(garment.partitions))), int(rng.integers(2**31)))
+
+    def _replace(self, garment: TrainingGarment, place: int, seed: int) -> None:
+        garment.partitions[place] = self._partition(garment.rest, seed)
+        garment.seeds[place] = seed
+
+    def seeds(self) -> list[list[int]]:
+        """What ``restore`` needs."""
+        return [list(garment.seeds) for garment in self.garments]
+
+    def restore(self, seeds: list[list[int]]) -> None:
+        """Draws the partitions of ``seeds`` where they differ from those at hand."""
+        for garment, wanted in zip(self.garments, seeds, strict=True):
+            for place, seed in enumerate(wanted):
+                if garment.seeds[place] != seed:
+                    self._replace(garment, place, seed)
