@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.arrays import check_finite, check_shape
-from drape.body.features import feature_count, static_features
+from drape.body.features import Kinematics, feature_count, static_features
 from drape.body.model import BodyModel
 from drape.errors import MotionError
 from drape.garment.cache import Garment
@@ -23,10 +23,11 @@ BETA_COUNT = 10
 
 @dataclass(frozen=True)
 class BodyFeed:
-    """Graph inputs of F posed bodies, float32, and the root positions [m] (F, 3) in float64."""
+    """Graph inputs of F posed bodies, float32; the root positions [m] (F, 3) and where the bodies are, in float64."""
 
     arrays: dict[str, np.ndarray]
     root: np.ndarray
+    kinematics: Kinematics
 
 
 def body_feed(body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.ndarray | None = None) -> BodyFeed:
@@ -48,16 +49,18 @@ def body_feed(body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.n
     if betas is not None:
         shape[: body.shape_count] = body.check_betas(betas)[:BETA_COUNT]
     shapes = np.broadcast_to(shape, (len(poses), BETA_COUNT))
-    static = static_features(rotvec_to_matrix(poses), rotations).reshape(len(poses), feature_count())
+    static = static_features(rotvec_to_matrix(poses), rotations)
+    joints = (rotations @ body.rest_joints(betas)[..., None])[..., 0] + relative
     arrays = {
-        "body_features": np.concatenate([static, shapes], axis=1),
+        "body_features": np.concatenate([static.reshape(len(poses), feature_count()), shapes], axis=1),
         "bone_rotation": rotations,
         "bone_translation": relative,
         "bone_quaternion": matrix_to_quaternion(rotations),
         "betas": shapes,
-        "body_joints": (rotations @ body.rest_joints(betas)[..., None])[..., 0] + relative,
+        "body_joints": joints,
     }
-    return BodyFeed({key: np.ascontiguousarray(value, dtype=np.float32) for key, value in arrays.items()}, root)
+    feed = {key: np.ascontiguousarray(value, dtype=np.float32) for key, value in arrays.items()}
+    return BodyFeed(feed, root, Kinematics(static, joints + root[:, None], rotations))
 
 
 def garment_feed(garment: Garment, *, fine: bool = False) -> dict[str, np.ndarray]:

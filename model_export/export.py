@@ -1,4 +1,4 @@
-"""Writes a checkpoint as a model folder: two ONNX graphs and a manifest, published only when parity holds."""
+"""Writes a checkpoint as a model folder: ONNX graphs and a manifest, published only when parity holds."""
 
 from __future__ import annotations
 
@@ -19,15 +19,25 @@ from drape.artifacts import GraphSpec, Manifest, TensorSpec, file_digest, load_m
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment
-from model_export.graph import OUTPUTS, DrapeGraph, EncoderGraph, drape_inputs, encoder_inputs, encoder_outputs
-from model_export.parity import TOLERANCE_M, parity_error
+from model_export.graph import (
+    OUTPUTS,
+    DrapeGraph,
+    DynamicGraph,
+    EncoderGraph,
+    drape_inputs,
+    dynamic_inputs,
+    dynamic_outputs,
+    encoder_inputs,
+    encoder_outputs,
+)
+from model_export.parity import TOLERANCE_M, parity_error, sequence_error
 from training import checkpoint
 from training.model import OneFit
 
 OPSET = 20
 # Odd, and unlike each other: an axis of length 1 or two equal axes would be baked in without a word.
-SAMPLE = {"frames": 3, "patches": 7, "vertices": 11, "points": 13}
-LIMIT = {"frames": 65536, "patches": 65536, "vertices": 1 << 22, "points": 65536}
+SAMPLE = {"frames": 3, "patches": 7, "vertices": 11, "points": 13, "clients": 5}
+LIMIT = {"frames": 65536, "patches": 65536, "vertices": 1 << 22, "points": 65536, "clients": 65536}
 
 
 def load_model(path: Path) -> tuple[OneFit, dict[str, Any]]:
@@ -36,7 +46,7 @@ def load_model(path: Path) -> tuple[OneFit, dict[str, Any]]:
     model = OneFit(config.model)
     model.load_state_dict(state["model"])
     minutes = round(float(state["elapsed_s"]) / 60.0, 1)
-    frames = int(state.get("frames", int(state["step"]) * config.batch_size))
+    frames = int(state.get("frames", int(state["step"]) * config.frames_per_step))
     return model.eval(), {
         "steps": int(state["step"]),
         "frames": frames,
@@ -59,11 +69,10 @@ def export(
     target.parent.mkdir(parents=True, exist_ok=True)
     staged = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
     try:
-        encoder = write_graph(
-            EncoderGraph(model), staged / "garment_encoder.onnx", encoder_inputs(model), encoder_outputs(model)
-        )
-        drape = write_graph(DrapeGraph(model), staged / "drape.onnx", drape_inputs(model), OUTPUTS)
-        error = parity_error(model, staged / encoder.file, staged / drape.file, garment)
+        graphs = write_graphs(model, staged)
+        error = parity_error(model, staged / graphs["garment_encoder"].file, staged / graphs["drape"].file, garment)
+        if model.config.dynamic:
+            error = max(error, sequence_error(model, staged, graphs, garment))
         if not error <= TOLERANCE_M:
             raise ArtifactError(
                 "parity",
@@ -74,12 +83,13 @@ def export(
         body = load_body()
         manifest = Manifest(
             name=target.name,
-            graphs={"garment_encoder": encoder, "drape": drape},
+            graphs=graphs,
             body=DEFAULT_BODY,
             body_digest=body.digest,
             embedding_size=model.config.embedding_size,
             parity_error_m=error,
             dynamic=model.config.dynamic,
+            state_size=model.config.state_size if model.config.dynamic else 0,
             training=training,
             quality=quality or [],
         )
@@ -90,6 +100,17 @@ def export(
         shutil.rmtree(staged, ignore_errors=True)
         raise
     return manifest
+
+
+def write_graphs(model: OneFit, folder: Path) -> dict[str, GraphSpec]:
+    """Writes every graph of ``model`` into ``folder``."""
+    parts = {
+        "garment_encoder": (EncoderGraph(model), encoder_inputs(model), encoder_outputs(model)),
+        "drape": (DrapeGraph(model), drape_inputs(model), OUTPUTS),
+    }
+    if model.config.dynamic:
+        parts["dynamic_encoder"] = DynamicGraph(model), dynamic_inputs(model), dynamic_outputs(model)
+    return {key: write_graph(part[0], folder / f"{key}.onnx", *part[1:]) for key, part in parts.items()}
 
 
 def write_quality(folder: Path, rows: list[dict[str, Any]]) -> None:

@@ -1,4 +1,4 @@
-"""The two graphs that are exported, with their input and output names fixed here."""
+"""The graphs that are exported, with their input and output names fixed here."""
 
 from __future__ import annotations
 
@@ -31,6 +31,8 @@ CHART_INPUTS: tuple[TensorSpec, ...] = (
     TensorSpec("chart_local", ("vertices", 4, 3), "float32", "m"),
 )
 SKIN_INPUT = TensorSpec("skin_weights", ("vertices", 24), "float32", "1")
+MOTION_INPUT = TensorSpec("motion_features", ("clients", 24, 12), "float32", "1/s and m/s^2")
+STEP_INPUT = TensorSpec("dt_s", ("clients",), "float32", "s")
 OUTPUTS: tuple[TensorSpec, ...] = (
     TensorSpec("vertices", ("frames", "vertices", 3), "float32", "m, relative to the root joint"),
     TensorSpec("jet", ("frames", "patches", 27), "float32", "patch scales"),
@@ -44,7 +46,24 @@ def drape_inputs(model: OneFit) -> tuple[TensorSpec, ...]:
     embedding = TensorSpec("patch_embedding", ("patches", model.config.embedding_size), "float32", "1")
     skin = (SKIN_INPUT,) if model.config.variant == "paper" else ()
     joints = (JOINT_INPUT,) if model.config.surroundings else ()
-    return (*BODY_INPUTS, embedding, *PATCH_INPUTS, *CHART_INPUTS, *skin, *joints)
+    code = TensorSpec(
+        "dynamic_code", ("frames", model.config.body_code_size), "float32", "1, scaled by the motion knob"
+    )
+    motion = (code,) if model.config.dynamic else ()
+    return (*BODY_INPUTS, embedding, *PATCH_INPUTS, *CHART_INPUTS, *skin, *joints, *motion)
+
+
+def dynamic_inputs(model: OneFit) -> tuple[TensorSpec, ...]:
+    """Inputs of the dynamic encoder graph of a dynamic ``model``."""
+    return MOTION_INPUT, TensorSpec("state", ("clients", model.config.state_size), "float32", "1"), STEP_INPUT
+
+
+def dynamic_outputs(model: OneFit) -> tuple[TensorSpec, ...]:
+    """Outputs of the dynamic encoder graph."""
+    return (
+        TensorSpec("dynamic_code", ("clients", model.config.body_code_size), "float32", "1"),
+        TensorSpec("next_state", ("clients", model.config.state_size), "float32", "1"),
+    )
 
 
 def encoder_inputs(model: OneFit) -> tuple[TensorSpec, ...]:
@@ -66,6 +85,18 @@ class EncoderGraph(nn.Module):
 
     def forward(self, patch_features: Tensor) -> Tensor:
         return self.garment(patch_features)
+
+
+class DynamicGraph(nn.Module):
+    """Motion and state of every client -> code to add to its pose's, and its next state; run once per frame."""
+
+    def __init__(self, model: OneFit) -> None:
+        super().__init__()
+        assert model.dynamic is not None
+        self.dynamic = model.dynamic
+
+    def forward(self, motion_features: Tensor, state: Tensor, dt_s: Tensor) -> tuple[Tensor, Tensor]:
+        return self.dynamic(motion_features, state, dt_s)
 
 
 class DrapeGraph(nn.Module):
@@ -95,12 +126,13 @@ class DrapeGraph(nn.Module):
         chart_local: Tensor,
         skin_weights: Tensor | None = None,
         body_joints: Tensor | None = None,
+        dynamic_code: Tensor | None = None,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         body = BodyTensors(body_features, bone_rotation, bone_translation, bone_quaternion, betas, body_joints)
         patches = PatchTensors(
             patch_centre, patch_rotation, patch_scale, patch_weights, patch_heaviest, patch_shapedirs
         )
-        posed = self.model(body, patches, patch_embedding)
+        posed = self.model(body, patches, patch_embedding, dynamic_code)
         vertices = vertex_positions(posed, patches, chart_patch, chart_weight, chart_basis, chart_local)
         if skin_weights is not None:
             vertices = paper_vertices(vertices, skin_weights, body)

@@ -21,6 +21,8 @@ class ModelConfig:
     translation and scale in the rest pose, vertices skinned after (the published method).
     ``output_gain`` keeps the untrained drape near plain skinning. ``surroundings``: the decoder also
     sees the posed joints and gravity in each patch's own frame (not in the published network).
+    ``state_decay_s`` is the time constant of the recurrent state, ``state_rest_s`` the time after which
+    a still body's is zero (training.recurrent).
     """
 
     patch_feature_count: int = 154
@@ -34,8 +36,10 @@ class ModelConfig:
     head_sizes: tuple[int, ...] = (64,)
     variant: str = "vector"
     dynamic: bool = False
-    state_size: int = 512
+    motion_hidden: int = 256
+    state_size: int = 256
     state_decay_s: float = 0.5
+    state_rest_s: float = 1.8
     output_gain: float = 0.1
     surroundings: bool = True
 
@@ -65,16 +69,41 @@ class DataConfig:
 
 
 @dataclass(frozen=True)
+class MotionConfig:
+    """Windows of clips that the recurrent encoder is trained on (training.windows).
+
+    ``window_frames``: frames whose energy is lowered and through which gradients run; up to ``warm_up_frames``
+    pass through the recurrent state before them. ``intervals_s``: time between frames, one drawn per window;
+    ``drop_share``: chance that a frame is left out; ``speeds``: clips are played slower and faster between these.
+    ``stop_share``: windows in which the body stops dead; ``sway_share``: those in which the ground sways besides,
+    with accelerations up to ``sway_m_s2``. ``random_state_share``: windows that begin with a random state.
+    ``static_rate``: learning rate of the static weights as a share of that of the recurrent ones; 0 freezes them.
+    """
+
+    window_frames: int = 6
+    warm_up_frames: int = 24
+    intervals_s: tuple[float, ...] = (1.0 / 60.0, 1.0 / 30.0, 1.0 / 30.0, 1.0 / 20.0)
+    drop_share: float = 0.1
+    speeds: tuple[float, float] = (0.7, 1.4)
+    stop_share: float = 0.35
+    sway_share: float = 0.35
+    sway_m_s2: float = 4.0
+    random_state_share: float = 0.3
+    static_rate: float = 0.0
+
+
+@dataclass(frozen=True)
 class TrainConfig:
     """The run: batch of frames per step, steps, rates, and where things go.
 
-    ``batch_size``: frames per step of each process. ``disagreement_weight`` [1/m^2 J/m^2] grows linearly to its
-    full value over the run: charts that must agree from the start learn slower. ``contact_knee_j_m2``: contact
-    energy per area of a frame above which it counts by its logarithm.
+    ``batch_size``: frames, of a dynamic model windows, per step of each process. ``disagreement_weight``
+    [1/m^2 J/m^2] grows linearly to its full value over a static run: charts that must agree from the start learn
+    slower. ``contact_knee_j_m2``: contact energy per area of a frame above which it counts by its logarithm.
     """
 
     model: ModelConfig = field(default_factory=ModelConfig)
     data: DataConfig = field(default_factory=DataConfig)
+    motion: MotionConfig = field(default_factory=MotionConfig)
     batch_size: int = 4
     minutes: float = 60.0
     learning_rate: float = 1e-3
@@ -88,6 +117,11 @@ class TrainConfig:
     threads: int = 2
     autocast: bool = False
     compile: bool = False
+
+    @property
+    def frames_per_step(self) -> int:
+        """Draped frames of one process whose energy one step lowers."""
+        return self.batch_size * (self.motion.window_frames if self.model.dynamic else 1)
 
 
 def shipped() -> TrainConfig:
@@ -107,4 +141,9 @@ def paper() -> TrainConfig:
     )
 
 
-PRESETS = {"shipped": shipped, "smoke": smoke, "paper": paper}
+def dynamic() -> TrainConfig:
+    """The recurrent encoder on top of a static model, whose weights stay as they are."""
+    return TrainConfig(model=ModelConfig(dynamic=True), batch_size=2, minutes=45.0, warmup_steps=100)
+
+
+PRESETS = {"shipped": shipped, "smoke": smoke, "paper": paper, "dynamic": dynamic}

@@ -81,27 +81,6 @@ class StaticEncoder(nn.Module):
         return self.layers(self.standardise(features))
 
 
-class DynamicEncoder(nn.Module):
-    """Motion features (F, 24, 12) and state (F, H) -> dynamic body code (F, 256) and the next state.
-
-    Nothing here has a bias and the state decays as exp(-dt / tau), so that a body at rest
-    ends with a zero code and the garment comes to its static drape.
-    """
-
-    def __init__(self, config: ModelConfig, joint_count: int = 24) -> None:
-        super().__init__()
-        self.decay_s = config.state_decay_s
-        self.joint = mlp([config.dynamic_feature_count, 32, 32], last_activation=True, bias=False)
-        self.body = mlp([32 * joint_count, 512, config.state_size], last_activation=True, bias=False)
-        self.cell = nn.GRUCell(config.state_size, config.state_size, bias=False)
-        self.out = nn.Linear(config.state_size, config.body_code_size, bias=False)
-
-    def forward(self, features: Tensor, state: Tensor, dt_s: Tensor) -> tuple[Tensor, Tensor]:
-        x = self.body(self.joint(features).flatten(1))
-        state = self.cell(x, state * torch.exp(-dt_s / self.decay_s))
-        return self.out(state), state
-
-
 class Decoder(nn.Module):
     """Body code (F, 256) and patch embedding (K, E) -> outputs (F, K, n), one head per kind of output.
 

@@ -11,7 +11,8 @@ from drape.garment.features import saturated
 from drape.geometry import jets
 from drape.geometry.skinning import blend_frames, skin_points
 from training.config import ModelConfig
-from training.layers import Decoder, DynamicEncoder, GarmentEncoder, StaticEncoder
+from training.layers import Decoder, GarmentEncoder, StaticEncoder
+from training.recurrent import DynamicEncoder
 
 
 @dataclass(frozen=True)
@@ -74,23 +75,24 @@ class OneFit(nn.Module):
         embedding: Tensor,
         surroundings: Tensor | None = None,
         dynamic_code: Tensor | None = None,
-        motion: float = 1.0,
     ) -> Tensor:
-        """Change of the rest jets (F, K, 27) in units of the patch scale; ``motion`` scales the dynamic code."""
+        """Change of the rest jets (F, K, 27) in units of the patch scale."""
         code = self.body(body.features)
         if dynamic_code is not None:
-            code = code + motion * dynamic_code
+            code = code + dynamic_code
         out = self.decoder(code, embedding, surroundings)
         gain = self.config.output_gain
         if self.config.variant == "vector":
             return gain * torch.cat([out["plane"], out["height"]], dim=-1)
         return gain * torch.cat(_paper_as_vector(out), dim=-1)
 
-    def forward(self, body: BodyTensors, patches: PatchTensors, embedding: Tensor) -> Posed:
-        """Posed patches of F bodies."""
+    def forward(
+        self, body: BodyTensors, patches: PatchTensors, embedding: Tensor, dynamic_code: Tensor | None = None
+    ) -> Posed:
+        """Posed patches of F bodies; ``dynamic_code`` (F, 256), times the motion knob, is added to that of the pose."""
         rotation, centre = pose_frames(body, patches)
         around = patch_surroundings(body, rotation, centre) if self.config.surroundings else None
-        jet = self.predict(body, embedding, around)
+        jet = self.predict(body, embedding, around, dynamic_code)
         if self.config.variant == "paper":
             rotation, centre = rest_frames(body, patches)
         return Posed(rotation, centre, jet)

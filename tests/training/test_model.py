@@ -15,7 +15,7 @@ from drape.geometry.rotations import rotvec_to_matrix
 from tests.training.training_setup import TINY, bank, body, garment, source
 from training import losses
 from training.config import ModelConfig
-from training.layers import SURROUNDINGS_COUNT, Decoder, DynamicEncoder, GarmentEncoder, Standardise
+from training.layers import SURROUNDINGS_COUNT, Decoder, GarmentEncoder, Standardise
 from training.model import OneFit, Posed, patch_surroundings, pose_frames, posed_coefficients, vertex_positions
 
 
@@ -187,23 +187,6 @@ def test_decoder_equals_layers_on_the_concatenated_codes():
     first = torch.nn.functional.leaky_relu(both @ weight.T + decoder.from_patch.bias, 0.01)
     expected = decoder.heads["out"](decoder.trunk(first))
     assert_allclose(decoder(code, embedding, around)["out"].detach(), expected.detach(), rtol=1e-4, atol=1e-6)
-
-
-def test_a_still_body_has_no_dynamic_code_and_its_state_dies_away():
-    torch.manual_seed(2)
-    encoder = DynamicEncoder(TINY).double()
-    still = torch.zeros(1, 24, TINY.dynamic_feature_count, dtype=torch.float64)
-    state = torch.randn(1, TINY.state_size, dtype=torch.float64)
-    dt = torch.tensor(1 / 30, dtype=torch.float64)
-    sizes = []
-    for _ in range(60):
-        code, state = encoder(still, state, dt)
-        state = state.detach()
-        sizes.append(float(state.abs().max()))
-    assert sizes[-1] < 1e-2 * sizes[0]
-    code, state = encoder(still, torch.zeros_like(state), dt)
-    assert float(code.abs().max()) == 0.0
-    assert float(state.abs().max()) == 0.0
 
 
 def test_standardise_has_unit_statistics_and_bounds_strangers():
