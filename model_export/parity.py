@@ -95,7 +95,7 @@ def sequence_error(
             code, states[0] = (x.numpy() for x in encode(*(torch.from_numpy(inputs[name]) for name in motion_names)))
             tensors = {name: torch.from_numpy((arrays | {"dynamic_code": code})[name]) for name in names}
             expected = DrapeGraph(model)(**tensors)[0].numpy()
-        code, states[1] = advance.run(["dynamic_code", "next_state"], {**moved, "state": states[1]})
+        code, states[1] = map(np.asarray, advance.run(["dynamic_code", "next_state"], {**moved, "state": states[1]}))
         got = run.run(["vertices"], {name: (arrays | {"dynamic_code": code})[name] for name in names})[0]
         worst = max(worst, float(np.linalg.norm(got - expected, axis=-1).max()))
     return worst

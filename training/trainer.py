@@ -52,7 +52,7 @@ class BaseTrainer:
         self.model = OneFit(config.model).to(device)
         self._set_statistics()
         if weights is not None:
-            self._start_from(weights)
+            take_weights(self.model, weights)
         parallel.share(self.model)  # statistics are of this process's garments: all take those of the first
         self.optimiser = torch.optim.Adam(self._parameter_groups(), lr=config.learning_rate)
         self.step_count = 0
@@ -74,21 +74,6 @@ class BaseTrainer:
     def objective(self) -> Objective:
         """The loss of a batch that is drawn now."""
         raise NotImplementedError
-
-    def _start_from(self, weights: Mapping[str, Tensor]) -> None:
-        """Takes ``weights`` over; of a static model's the recurrent encoder stays as it is."""
-        try:
-            missing, unknown = self.model.load_state_dict(dict(weights), strict=False)
-        except RuntimeError as error:
-            missing, unknown = [], [" ".join(str(error).split())[:200]]
-        strange = [*unknown, *(name for name in missing if not name.startswith("dynamic."))]
-        if strange:
-            raise ArtifactError(
-                "weights to start from",
-                expected="those of a network of this size",
-                got=", ".join(strange[:3]),
-                cure="Take a checkpoint of the same architecture.",
-            )
 
     def _parameter_groups(self) -> list[dict[str, Any]]:
         """Weights that learn, with their share of the learning rate."""
@@ -200,6 +185,22 @@ class BaseTrainer:
             **state["numpy_random"],
             "state": {k: int(v) for k, v in state["numpy_random"]["state"].items()},
         }
+
+
+def take_weights(model: OneFit, weights: Mapping[str, Tensor]) -> None:
+    """Loads ``weights`` into ``model``; those of a static model leave its recurrent encoder as it is."""
+    try:
+        missing, unknown = model.load_state_dict(dict(weights), strict=False)
+    except RuntimeError as error:
+        missing, unknown = [], [" ".join(str(error).split())[:200]]
+    strange = [*unknown, *(name for name in missing if not name.startswith("dynamic."))]
+    if strange:
+        raise ArtifactError(
+            "weights to start from",
+            expected="those of a network of this size",
+            got=", ".join(strange[:3]),
+            cure="Take a checkpoint of the same architecture.",
+        )
 
 
 class Trainer(BaseTrainer):

@@ -151,7 +151,7 @@ def inertia(
     xp = namespace(positions)
     ratio = 1.0 if dt_before_s is None else dt_s / dt_before_s
     # Both times may be arrays (...): the ratio then stands against vertices and coordinates.
-    ratio = ratio if isinstance(ratio, float) else ratio[..., None, None]
+    ratio = ratio if isinstance(ratio, int | float) else ratio[..., None, None]
     off = positions - before - ratio * (before - before_that)
     return xp.sum(mesh.vertex_mass(material) * xp.sum(off * off, axis=-1), axis=-1) / (2.0 * dt_s * dt_s)
 

@@ -1,0 +1,189 @@
+"""Training of the recurrent encoder: the right potential, frozen statics, bit-identical resumption, refusals."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from numpy.testing import assert_allclose
+
+from drape.cloth.material import material
+from drape.errors import ArtifactError, InputError
+from drape.motion.clip import MotionClip
+from tests.training.training_setup import CPU, TINY_RUN
+from training import checkpoint, run
+from training.config import MotionConfig, TrainConfig, dynamic
+from training.dynamics import DynamicTrainer
+from training.model import OneFit
+from training.poses import read_clips
+from training.run import make_trainer, sample_motions, started
+from training.trainer import take_weights
+from training.windows import HISTORY, WindowBank
+
+MOTION = MotionConfig(window_frames=3, warm_up_frames=4)
+MODEL = replace(TINY_RUN.model, dynamic=True, motion_hidden=16, state_size=16)
+RUN = replace(TINY_RUN, model=MODEL, motion=MOTION, learning_rate=1e-2)
+
+
+@pytest.fixture(scope="module")
+def static() -> OneFit:
+    torch.manual_seed(0)
+    made = OneFit(TINY_RUN.model)
+    # Untrained heads hardly answer; a code could do nothing through them.
+    for head in made.decoder.heads.values():
+        torch.nn.init.normal_(list(head.parameters())[-2], std=0.3)
+    return made
+
+
+@pytest.fixture(scope="module")
+def trainer(static: OneFit) -> DynamicTrainer:
+    torch.set_num_threads(1)
+    clips = read_clips([sample_motions()], held_out=())
+    made = make_trainer(RUN, clips, device=CPU, weights=static.state_dict())
+    assert isinstance(made, DynamicTrainer)
+    return made
+
+
+def on_the_same_windows(trainer: DynamicTrainer) -> float:
+    """Mean loss of windows that are the same at every call; the trainer is as before afterwards."""
+    state = copy.deepcopy(trainer.state())
+    trainer.rng = np.random.default_rng(0)
+    trainer.generator.manual_seed(0)
+    with torch.no_grad():
+        losses = [float(trainer.objective().loss) for _ in range(12)]
+    trainer.restore(state)
+    return float(np.mean(losses))
+
+
+def test_statics_stay_bit_for_bit_and_the_potential_falls(trainer: DynamicTrainer, static: OneFit):
+    first = on_the_same_windows(trainer)
+    begun = {name: value.clone() for name, value in trainer.model.state_dict().items()}
+    for _ in range(40):
+        trainer.step()
+    assert on_the_same_windows(trainer) < 0.995 * first
+    for name, value in trainer.model.state_dict().items():
+        if not name.startswith("dynamic."):
+            assert torch.equal(value, begun[name]) and torch.equal(value, static.state_dict()[name]), name
+    changed = [n for n, p in trainer.encoder.named_parameters() if not torch.equal(p, begun[f"dynamic.{n}"])]
+    assert len(changed) == len(list(trainer.encoder.parameters()))
+
+
+def test_a_resumed_run_continues_bit_for_bit(trainer: DynamicTrainer, tmp_path):
+    checkpoint.save(tmp_path / "checkpoint.pt", trainer.state(), RUN)
+    straight = [trainer.step()["loss"] for _ in range(3)]
+    state, config = checkpoint.load(tmp_path / "checkpoint.pt")
+    assert config == RUN
+    trainer.restore(state)
+    assert [trainer.step()["loss"] for _ in range(3)] == straight
+
+
+def test_a_step_that_is_not_finite_is_not_taken(trainer: DynamicTrainer):
+    before = {name: value.clone() for name, value in trainer.model.state_dict().items()}
+    hidden = trainer.material
+    try:
+        trainer.material = replace(hidden, density_kg_m2=1e38)
+        assert trainer.step() == {"skipped": 1.0}
+    finally:
+        trainer.material = hidden
+    for name, value in trainer.model.state_dict().items():
+        assert torch.equal(value, before[name])
+
+
+def falling(trainer: DynamicTrainer, acceleration: np.ndarray) -> dict[str, float]:
+    """The report on a body in one pose whose root is under a constant acceleration [m/s^2], without a dynamic code."""
+    time_s = np.arange(120) / 60.0
+    clip = MotionClip(np.zeros((120, 24, 3)), 0.5 * time_s[:, None] ** 2 * acceleration, 60.0, "falling")
+    plain = replace(MOTION, drop_share=0.0, intervals_s=(1 / 30,), speeds=(1.0, 1.0), stop_share=0.0, sway_share=0.0)
+    data = replace(RUN.data, mirror_share=0.0, shape_share=0.0)
+    bank, config, weights = trainer.bank, trainer.config, trainer.encoder.out.weight.detach().clone()
+    try:
+        trainer.bank, trainer.config = WindowBank([clip], data, plain), replace(RUN, data=data, motion=plain)
+        with torch.no_grad():
+            trainer.encoder.out.weight.zero_()
+            return trainer.objective().report
+    finally:
+        trainer.bank, trainer.config = bank, config
+        with torch.no_grad():
+            trainer.encoder.out.weight.copy_(weights)
+
+
+def test_inertia_counts_the_way_of_the_root_through_the_world(trainer: DynamicTrainer):
+    acceleration = np.array([3.0, -1.0, 2.0])
+    got = falling(trainer, acceleration)["inertia"]
+    # Cloth that hangs still on a body under acceleration a: m a^2 dt^2 / 2, here per area.
+    want = 0.5 * material().density_kg_m2 * (acceleration**2).sum() / 30.0**2
+    assert_allclose(got, want, rtol=2e-2, atol=0)
+    assert falling(trainer, np.zeros(3))["inertia"] < 1e-9
+
+
+def test_gradients_run_through_the_window_only(trainer: DynamicTrainer):
+    windows = trainer.bank.draw(2, HISTORY + 4 + HISTORY + 3, np.random.default_rng(1))
+    codes = trainer.codes(windows, np.zeros((2, 10)), HISTORY + 3)
+    assert codes.shape == (2, HISTORY + 3, MODEL.body_code_size)
+    parameter = trainer.encoder.cell.weight_hh
+    (history,) = torch.autograd.grad(codes[:, :HISTORY].sum(), parameter, retain_graph=True, allow_unused=True)
+    (first,) = torch.autograd.grad(codes[:, HISTORY].sum(), parameter, retain_graph=True)
+    assert history is None or float(history.abs().max()) == 0.0
+    assert float(first.abs().max()) > 0.0
+
+
+def test_some_windows_begin_with_a_state(trainer: DynamicTrainer):
+    states = trainer._first_state(400)
+    sizes = states.square().mean(dim=1).sqrt()
+    share = float((sizes > 0.0).float().mean())
+    assert abs(share - MOTION.random_state_share) < 0.1
+    assert float(sizes.max()) > 0.5 and float(states.abs().max()) <= 1.0
+
+
+def test_static_weights_are_frozen_or_learn_slowly(trainer: DynamicTrainer):
+    recurrent = list(trainer.encoder.parameters())
+    assert [p for p in trainer.model.parameters() if p.requires_grad] == recurrent
+    config, state = trainer.config, copy.deepcopy(trainer.state())
+    try:
+        trainer.config = replace(RUN, motion=replace(MOTION, static_rate=0.1))
+        groups = trainer._parameter_groups()
+        static_count = len(list(trainer.model.parameters())) - len(recurrent)
+        assert [(g["share"], len(g["params"])) for g in groups] == [(1.0, len(recurrent)), (0.1, static_count)]
+        trainer.model.requires_grad_(True)
+        trainer.optimiser = torch.optim.Adam(groups)
+        before = trainer.model.decoder.from_body.weight.detach().clone()
+        trainer.step()
+        assert not torch.equal(trainer.model.decoder.from_body.weight, before)
+        rates = [group["lr"] for group in trainer.optimiser.param_groups]
+        assert rates[1] == pytest.approx(0.1 * rates[0]) and rates[1] > 0.0
+    finally:
+        trainer.config = config
+        trainer.optimiser = torch.optim.Adam(trainer._parameter_groups(), lr=config.learning_rate)
+        trainer.restore(state)
+
+
+def test_the_preset_grows_from_a_static_checkpoint(static: OneFit, tmp_path):
+    data = replace(TINY_RUN.data, held_out=("walk",))
+    checkpoint.save(tmp_path / "checkpoint.pt", {"model": static.state_dict()}, replace(TINY_RUN, data=data))
+    config, weights = started(dynamic(), tmp_path / "checkpoint.pt")
+    wanted = dynamic().model
+    assert config.model == replace(
+        TINY_RUN.model, dynamic=True, state_size=wanted.state_size, motion_hidden=wanted.motion_hidden
+    )
+    assert config.data.held_out == ("walk",)
+    assert weights is not None and torch.equal(weights["decoder.from_body.weight"], static.decoder.from_body.weight)
+    assert started(TrainConfig(), None) == (TrainConfig(), None)
+
+
+@pytest.mark.parametrize(("preset", "start"), [("dynamic", None), ("shipped", "checkpoint.pt")])
+def test_a_start_that_does_not_fit_the_preset_is_refused(preset, start, tmp_path, monkeypatch, capsys):
+    arguments = ["run", "--preset", preset, *(["--from", str(tmp_path / start)] if start else [])]
+    monkeypatch.setattr("sys.argv", arguments)
+    assert run.main() == 2
+    assert "--from: expected" in capsys.readouterr().err
+    with pytest.raises(InputError, match="--preset dynamic --from"):
+        started(run.PRESETS[preset](), None if start is None else tmp_path / start)
+
+
+@pytest.mark.parametrize("change", [{"body_code_size": 12}, {"surroundings": False}])
+def test_weights_of_another_architecture_are_refused(static: OneFit, change):
+    with pytest.raises(ArtifactError, match="weights to start from"):
+        take_weights(OneFit(replace(MODEL, **change)), static.state_dict())
