@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -11,13 +12,16 @@ from drape.body.model import BodyModel
 from drape.cloth.energies import ClothMesh
 from drape.errors import InputError
 from drape.garment.fitting import RestGarment, rest_garment
+from drape.garment.intake import intake
 from training.config import DataConfig
 from training.data import Partition, TrainingGarment, draw_partition
 from training.garment_design import DESIGNS, build, varied
 
 
 class Wardrobe:
-    """Garments with their partitions. ``process`` gives every process of a parallel run variants of its own.
+    """Garments with their partitions: of designs and their variants, or of garment files through intake.
+
+    ``process`` gives every process of a parallel run variants of its own.
 
     A partition is known by its seed, so that a checkpoint holds seeds and ``restore`` draws
     the same partitions again.
@@ -42,8 +46,17 @@ class Wardrobe:
     def _meshes(
         self, name: str, body: BodyModel, rng: np.random.Generator
     ) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+        if Path(name).is_file():
+            taken = intake(Path(name), body=body)
+            yield name, taken.vertices.astype(np.float64), taken.fine_faces.astype(np.int64)
+            return
         if name not in DESIGNS:
-            raise InputError("garment", expected=f"one of {sorted(DESIGNS)}", got=name, cure="Name a known design.")
+            raise InputError(
+                "garment",
+                expected=f"one of {sorted(DESIGNS)}, or a garment file",
+                got=name,
+                cure="Name a known design or a file that is there.",
+            )
         yield (name, *build(DESIGNS[name], body))
         for i in range(self.config.variants):
             yield (f"{name}_{i}", *varied(DESIGNS[name], body, rng)[1:])

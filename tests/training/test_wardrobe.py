@@ -7,8 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+import trimesh
 
 from drape.errors import InputError
+from drape.garment.cache import GARMENTS_DIR
+from drape.geometry.closest import signed_distance
 from tests.training.training_setup import CPU, TINY_RUN, body
 from training.wardrobe import Wardrobe
 
@@ -54,6 +57,17 @@ def test_the_own_share_is_the_chance_of_the_designs_themselves(wardrobe: Wardrob
     drawn = [wardrobe.draw(rng)[0].name == "shorts" for _ in range(400)]
     wardrobe.config = kept
     assert np.mean(drawn) == pytest.approx(wanted, abs=0.08)
+
+
+def test_a_garment_file_goes_through_intake(tmp_path):
+    design = np.load(next(GARMENTS_DIR.glob("tank-*.npz")))
+    mesh = trimesh.Trimesh(design["vertices"], design["fine_faces"], process=False)
+    mesh.export(tmp_path / "top.obj")
+    path = str(tmp_path / "top.obj")
+    (garment,) = Wardrobe(replace(DATA, garments=(path,), partitions=1), body(), seed=1, device=CPU).garments
+    assert garment.name == path
+    assert signed_distance(garment.rest.vertices, body().v_template, body().faces).min() >= 0.006
+    assert len(garment.partitions) == 1
 
 
 def test_unknown_garment_is_refused():
