@@ -77,10 +77,9 @@ class MotionConfig:
     ``drop_share``: chance that a frame is left out; ``speeds``: clips are played slower and faster between these.
     ``stop_share``: windows in which the body stops dead; ``sway_share``: those in which the ground sways besides,
     with accelerations up to ``sway_m_s2``. ``random_state_share``: windows that begin with a random state.
-    ``static_rate``: learning rate of the static weights as a share of that of the recurrent ones; 0 freezes them.
     """
 
-    window_frames: int = 6
+    window_frames: int = 4
     warm_up_frames: int = 24
     intervals_s: tuple[float, ...] = (1.0 / 60.0, 1.0 / 30.0, 1.0 / 30.0, 1.0 / 20.0)
     drop_share: float = 0.1
@@ -89,7 +88,6 @@ class MotionConfig:
     sway_share: float = 0.35
     sway_m_s2: float = 4.0
     random_state_share: float = 0.3
-    static_rate: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -143,7 +141,7 @@ def paper() -> TrainConfig:
 
 def dynamic() -> TrainConfig:
     """The recurrent encoder on top of a static model, whose weights stay as they are."""
-    return TrainConfig(model=ModelConfig(dynamic=True), batch_size=2, minutes=45.0, warmup_steps=100)
+    return TrainConfig(model=ModelConfig(dynamic=True), batch_size=3, minutes=45.0, warmup_steps=100)
 
 
 PRESETS = {"shipped": shipped, "smoke": smoke, "paper": paper, "dynamic": dynamic}

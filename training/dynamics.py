@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from drape.cloth import energies
 from training.config import TrainConfig
+from training.data import TrainingGarment
 from training.poses import draw_betas
 from training.recurrent import DynamicEncoder
 from training.trainer import BaseTrainer, Objective
@@ -25,6 +25,10 @@ class DynamicTrainer(BaseTrainer):
     A frame's loss is its incremental potential (Santesteban et al. 2022; Bertiche et al. 2022): the cloth's energy and
     m / (2 dt^2) |x - (x1 + dt v)|^2, with the network's own two earlier frames taken as given. Where x lies in the
     world counts: the root's way is added to what the network drapes relative to the root.
+
+    The static drape s of the same poses is where cloth must come to rest, but no network hangs it so well that no
+    force is left. So the energy is E(x) - E(s) - E'(s) (x - s): the force that is left counts as carried. Without
+    that it would rule the gradient, and motion would be used to mend the static drape.
     """
 
     def __init__(
@@ -45,52 +49,70 @@ class DynamicTrainer(BaseTrainer):
         return self.model.dynamic
 
     def _set_statistics(self) -> None:
-        """Of the motion features only; those of the static encoders came with their weights."""
+        """Of motion features and static codes; those of the static encoders came with their weights."""
         config = self.config
         windows = self.bank.draw(STATISTICS_WINDOWS, HISTORY + 4, np.random.default_rng(config.seed + 1))
         betas = np.zeros((STATISTICS_WINDOWS, self.body.shape_count))
         self.encoder.scale.set_from(self._tensor(windows.features(self.body, betas)).flatten(0, 1))
+        with torch.no_grad():
+            batch = self.source.pose(windows.poses[:, 0], betas)
+            self.encoder.set_code_scale(self.model.body(batch.tensors.features))
 
-    def _parameter_groups(self) -> list[dict[str, Any]]:
-        recurrent = set(self.encoder.parameters())
-        static = [p for p in self.model.parameters() if p not in recurrent]
-        groups: list[dict[str, Any]] = [{"params": list(self.encoder.parameters()), "share": 1.0}]
-        rate = self.config.motion.static_rate
-        if rate > 0.0:
-            return [*groups, {"params": static, "share": rate}]
-        for parameter in static:
-            parameter.requires_grad_(False)
-        return groups
-
-    def _agreement(self) -> float:
-        return 1.0  # the charts agree already, and shall go on to
+    def _learning(self) -> list[nn.Parameter]:
+        """The recurrent encoder's alone: the static drape stays what it is, bit for bit."""
+        self.model.requires_grad_(False)
+        self.encoder.requires_grad_(True)
+        return list(self.encoder.parameters())
 
     def objective(self) -> Objective:
-        """The mean incremental potential of the last frames of windows drawn now."""
-        config = self.config
+        """The mean incremental potential above the static drape's of the last frames of windows drawn now."""
+        config, count = self.config, self.config.batch_size
         garment, partition = self.wardrobe.draw(self.rng)
         warm_up = int(self.rng.integers(0, config.motion.warm_up_frames + 1))
         shown = HISTORY + config.motion.window_frames  # frames that are draped
-        windows = self.bank.draw(config.batch_size, HISTORY + warm_up + shown, self.rng)
-        betas = draw_betas(config.batch_size, self.body.shape_count, config.data, self.rng)
+        windows = self.bank.draw(count, HISTORY + warm_up + shown, self.rng)
+        betas = draw_betas(count, self.body.shape_count, config.data, self.rng)
         codes = self.codes(windows, betas, shown)
-        poses = windows.poses[:, -shown:]
-        per_frame = np.repeat(betas[:, None], shown, axis=1)
-
-        def drape(part: slice) -> tuple[Any, ...]:
-            """Bodies, posed patches and vertices (B, frames, V, 3) of the draped frames ``part``."""
-            batch = self.source.pose(_flat(poses[:, part]), _flat(per_frame[:, part]))
-            posed, vertices = self._drape(batch, garment, partition, codes[:, part].flatten(0, 1))
-            return batch, posed, vertices.unflatten(0, (config.batch_size, -1))
-
+        poses, shapes = windows.poses[:, -shown:], np.repeat(betas[:, None], shown, axis=1)
+        earlier, frames = (
+            self.source.pose(_flat(poses[:, part]), _flat(shapes[:, part]))
+            for part in (slice(0, HISTORY), slice(HISTORY, None))
+        )
         with torch.no_grad():
-            _, _, history = drape(slice(0, HISTORY))
-        batch, posed, vertices = drape(slice(HISTORY, None))
+            _, history = self._drape(earlier, garment, partition, codes[:, :HISTORY].flatten(0, 1))
+            _, static_history = self._drape(earlier, garment, partition)
+            still, static = self._drape(frames, garment, partition)
+        posed, vertices = self._drape(frames, garment, partition, codes[:, HISTORY:].flatten(0, 1))
+
+        # Both drapes meet contact at the same vertices.
+        drawn = self.generator.get_state()
+        with torch.enable_grad():
+            static.requires_grad_()
+            rest = self._energy(static, garment, frames)
+            # Where nothing can be done about contact it counts less, as in static training; by what it is at rest.
+            share = 1.0 / (1.0 + rest["contact"].detach() / config.contact_knee_j_m2)
+            (force,) = torch.autograd.grad(_total(rest, share).sum(), static)
+        self.generator.set_state(drawn)
+        parts = self._energy(vertices, garment, frames)
+        carried = (force * (vertices - static.detach())).sum(dim=(1, 2))
+        above = (_total(parts, share) - _total(rest, share).detach() - carried).mean()
+        inertia = self._inertia(history, vertices, windows, garment)
+        means = {name: value.mean() for name, value in parts.items()} | {"above": above, "inertia": inertia}
+        with torch.no_grad():
+            means["inertia_static"] = self._inertia(static_history, static, windows, garment)
+        # What motion changes must be the same to all charts.
+        charts = self._disagreement(posed, partition, less=still)
+        return Objective(above + inertia + config.disagreement_weight * charts, means, charts)
+
+    def _inertia(self, history: Tensor, vertices: Tensor, windows: Windows, garment: TrainingGarment) -> Tensor:
+        """Mean inertia per area [J/m^2] of ``vertices`` (B T, V, 3) after ``history`` (B 2, V, 3), frames as given."""
+        parts = [x.unflatten(0, (self.config.batch_size, -1)) for x in (history, vertices)]
+        shown = sum(part.shape[1] for part in parts)
         # Relative to where the root was first, so that float32 stays precise.
         way = windows.trans[:, -shown:] - windows.trans[:, -shown : -shown + 1]
-        world = torch.cat([history, vertices], dim=1) + self._tensor(way)[:, :, None]
+        world = torch.cat(parts, dim=1) + self._tensor(way)[:, :, None]
         dt_s = self._tensor(windows.dt_s[:, -shown + 1 :])
-        inertia = energies.inertia(
+        energy = energies.inertia(
             world[:, 2:],
             world[:, 1:-1].detach(),
             world[:, :-2].detach(),
@@ -99,8 +121,7 @@ class DynamicTrainer(BaseTrainer):
             dt_s=dt_s[:, 1:],
             dt_before_s=dt_s[:, :-1],
         )
-        flat = vertices.flatten(0, 1)
-        return self._energy(posed, flat, garment, partition, batch, {"inertia": inertia.flatten()})
+        return energy.mean() / float(garment.rest.areas.sum())
 
     def codes(self, windows: Windows, betas: np.ndarray, shown: int) -> Tensor:
         """Dynamic codes (B, shown, 256) of the last ``shown`` frames; gradients run through all but the first two.
@@ -128,6 +149,11 @@ class DynamicTrainer(BaseTrainer):
 
     def _tensor(self, array: np.ndarray) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32)).to(self.device)
+
+
+def _total(parts: dict[str, Tensor], contact_share: Tensor) -> Tensor:
+    """Energy (F,) of frames whose contact counts by ``contact_share`` (F,)."""
+    return parts["membrane"] + parts["bending"] + parts["gravity"] + contact_share * parts["contact"]
 
 
 def _flat(array: np.ndarray) -> np.ndarray:

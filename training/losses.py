@@ -50,9 +50,14 @@ def garment_vertices(
     return paper_vertices(vertices, garment.skin_weights, body) if variant == "paper" else vertices
 
 
-def disagreement(posed: Posed, partition: Partition, sample: Tensor) -> Tensor:
-    """Mean squared distance [m^2] between what a vertex's charts say of it, over ``sample`` vertices."""
+def disagreement(posed: Posed, partition: Partition, sample: Tensor, *, less: Posed | None = None) -> Tensor:
+    """Mean squared distance [m^2] between what a vertex's charts say of it, over ``sample`` vertices.
+
+    With ``less``, another drape on the same bodies: between what they say of the way from there.
+    """
     coefficients = posed_coefficients(posed, partition.patches.scale)
+    if less is not None:
+        coefficients = coefficients - posed_coefficients(less, partition.patches.scale)
     patch = partition.chart_patch[sample]
     row = partition.chart_row[sample]
     weight = partition.chart_weight[sample]

@@ -113,8 +113,11 @@ class DynamicEncoder(nn.Module):
     """Motion features (F, 24, 12), state (F, H) and time step (F,) -> dynamic body code (F, 256) and the next state.
 
     Nothing here has a bias: no motion and a zero state give a code of exactly zero, and the
-    garment hangs as the static network drapes it.
+    garment hangs as the static network drapes it. Codes count in deviations of the static code
+    (``set_code_scale``): the decoder answers to differences that small.
     """
+
+    code_scale: Tensor
 
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
@@ -130,9 +133,14 @@ class DynamicEncoder(nn.Module):
             if isinstance(layer, nn.Linear):
                 nn.init.kaiming_normal_(layer.weight, a=SLOPE)
         # Small first codes: training starts from the static drape.
-        nn.init.normal_(self.out.weight, std=1e-3)
+        nn.init.normal_(self.out.weight, std=0.1)
+        self.register_buffer("code_scale", torch.full((config.body_code_size,), 1.0 / math.sqrt(config.state_size)))
+
+    def set_code_scale(self, static_codes: Tensor) -> None:
+        """Takes the deviations of ``static_codes`` (n, 256) as the unit of dynamic ones."""
+        self.code_scale.copy_(static_codes.std(dim=0) / math.sqrt(self.out.in_features))
 
     def forward(self, features: Tensor, state: Tensor, dt_s: Tensor) -> tuple[Tensor, Tensor]:
         x = self.body(self.joint(self.scale(features)).flatten(1))
         state = self.cell(x, state, dt_s)
-        return self.out(state), state
+        return self.code_scale * self.out(state), state

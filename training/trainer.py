@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from drape.body.assets import load_body
 from drape.cloth.material import material
@@ -27,10 +27,17 @@ SAMPLE_VERTICES = 384  # per step, for the disagreement of charts
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """A loss, and what it is made of for the report: parts [J/m^2] and the disagreement [mm]."""
+    """A loss [J/m^2], what it is made of ``parts`` [J/m^2], and the disagreement [m^2] of charts, for the report."""
 
     loss: Tensor
-    report: dict[str, float]
+    parts: dict[str, Tensor]
+    charts: Tensor
+
+    def report(self) -> dict[str, float]:
+        """Numbers for curves and progress bar."""
+        found = {name: float(value.detach()) for name, value in self.parts.items()}
+        found["disagreement_mm"] = 1e3 * math.sqrt(max(float(self.charts.detach()), 0.0))
+        return found | {"loss": float(self.loss.detach())}
 
 
 class BaseTrainer:
@@ -50,11 +57,13 @@ class BaseTrainer:
         self.material = material()
         self.wardrobe = Wardrobe(config.data, self.body, seed=config.seed + 3, device=device, process=parallel.rank())
         self.model = OneFit(config.model).to(device)
-        self._set_statistics()
         if weights is not None:
             take_weights(self.model, weights)
+        self._set_statistics()
+        if weights is not None:
+            take_weights(self.model, weights)  # with the statistics they were trained on
         parallel.share(self.model)  # statistics are of this process's garments: all take those of the first
-        self.optimiser = torch.optim.Adam(self._parameter_groups(), lr=config.learning_rate)
+        self.optimiser = torch.optim.Adam(self._learning(), lr=config.learning_rate)
         self.step_count = 0
         self.frame_count = 0
         self.elapsed_s = 0.0
@@ -75,17 +84,13 @@ class BaseTrainer:
         """The loss of a batch that is drawn now."""
         raise NotImplementedError
 
-    def _parameter_groups(self) -> list[dict[str, Any]]:
-        """Weights that learn, with their share of the learning rate."""
-        return [{"params": list(self.model.parameters()), "share": 1.0}]
+    def _learning(self) -> list[nn.Parameter]:
+        """The weights that learn."""
+        return list(self.model.parameters())
 
     def progress(self) -> float:
         """Share of the run's time that is used."""
         return min(1.0, self.elapsed_s / (60.0 * self.config.minutes))
-
-    def _agreement(self) -> float:
-        """Share of the weight of disagreement that counts now."""
-        return EARLY_AGREEMENT + self.progress()
 
     def rate(self) -> float:
         """Learning rate: a linear warm-up, then a cosine over the time the run has."""
@@ -102,7 +107,7 @@ class BaseTrainer:
         if (self.step_count + 1) % config.data.fresh_steps == 0:
             self.wardrobe.refresh(self.rng)
         for group in self.optimiser.param_groups:
-            group["lr"] = group.get("share", 1.0) * self.rate()  # older checkpoints say no share
+            group["lr"] = self.rate()
         self.optimiser.zero_grad(set_to_none=True)
         objective = self.objective()
         objective.loss.backward()
@@ -114,7 +119,7 @@ class BaseTrainer:
         if not bool(torch.isfinite(norm)):
             return {"skipped": 1.0}
         self.optimiser.step()
-        return objective.report | {"gradient_norm": float(norm)}
+        return objective.report() | {"gradient_norm": float(norm)}
 
     def _drape(
         self, batch: BodyBatch, garment: TrainingGarment, partition: Partition, dynamic_code: Tensor | None = None
@@ -127,32 +132,18 @@ class BaseTrainer:
         posed = replace(posed, jet=posed.jet.float())
         return posed, losses.garment_vertices(posed, partition, garment, batch.tensors, variant=config.model.variant)
 
-    def _energy(
-        self,
-        posed: Posed,
-        vertices: Tensor,
-        garment: TrainingGarment,
-        partition: Partition,
-        batch: BodyBatch,
-        more: dict[str, Tensor],
-    ) -> Objective:
-        """Energy per area of the cloth of ``batch`` with the parts ``more`` [J] (F,), and its charts' disagreement."""
-        config = self.config
+    def _energy(self, vertices: Tensor, garment: TrainingGarment, batch: BodyBatch) -> dict[str, Tensor]:
+        """Energy per area [J/m^2] (F,) of the cloth of ``batch``, by part; so a dress does not outweigh a tank top."""
         parts = losses.energy_loss(
-            vertices, garment, batch, self.material, share=config.data.contact_share, generator=self.generator
+            vertices, garment, batch, self.material, share=self.config.data.contact_share, generator=self.generator
         )
-        sample = torch.randperm(vertices.shape[1], generator=self.generator)[:SAMPLE_VERTICES].to(self.device)
-        # Per area, so that a dress does not outweigh a tank top.
-        area = float(garment.rest.areas.sum())
-        contact = losses.soften(parts["contact"] / area, config.contact_knee_j_m2).mean()
-        parts = {name: value.mean() for name, value in (parts | more).items()}
-        elastic = sum((value for name, value in parts.items() if name != "contact"), torch.zeros_like(contact))
-        charts = losses.disagreement(posed, partition, sample)
-        agree = config.disagreement_weight * self._agreement() * charts
-        loss = elastic / area + contact + agree
-        report = {name: float(value.detach()) / area for name, value in parts.items()}
-        report["disagreement_mm"] = 1e3 * math.sqrt(max(float(charts.detach()), 0.0))
-        return Objective(loss, report | {"loss": float(loss.detach())})
+        return {name: value / float(garment.rest.areas.sum()) for name, value in parts.items()}
+
+    def _disagreement(self, posed: Posed, partition: Partition, *, less: Posed | None = None) -> Tensor:
+        """Mean squared disagreement [m^2] of the charts of ``posed`` at some vertices drawn now."""
+        count = partition.chart_patch.shape[0]
+        sample = torch.randperm(count, generator=self.generator)[:SAMPLE_VERTICES].to(self.device)
+        return losses.disagreement(posed, partition, sample, less=less)
 
     def state(self) -> dict:
         return {
@@ -225,7 +216,13 @@ class Trainer(BaseTrainer):
         betas = draw_betas(config.batch_size, self.body.shape_count, config.data, self.rng)
         batch = self.source.pose(poses, betas)
         posed, vertices = self._drape(batch, garment, partition)
-        return self._energy(posed, vertices, garment, partition, batch, {})
+        parts = self._energy(vertices, garment, batch)
+        contact = losses.soften(parts["contact"], config.contact_knee_j_m2)
+        energy = (parts["membrane"] + parts["bending"] + parts["gravity"] + contact).mean()
+        charts = self._disagreement(posed, partition)
+        # Charts that must agree from the start learn slower.
+        agree = config.disagreement_weight * (EARLY_AGREEMENT + self.progress()) * charts
+        return Objective(energy + agree, {name: value.mean() for name, value in parts.items()}, charts)
 
 
 def _plain(state: Mapping[str, Any]) -> dict[str, Any]:
