@@ -48,6 +48,7 @@ def test_body_feed_has_the_shapes_it_states(poses, trans, betas):
         "bone_translation": (3, JOINT_COUNT, 3),
         "bone_quaternion": (3, JOINT_COUNT, 4),
         "betas": (3, BETA_COUNT),
+        "body_joints": (3, JOINT_COUNT, 3),
     }
     assert all(value.dtype == np.float32 and value.flags.c_contiguous for value in feed.arrays.values())
     assert feed.root.shape == (3, 3) and feed.root.dtype == np.float64
@@ -66,6 +67,14 @@ def test_root_is_the_place_of_the_root_joint(poses, trans, betas):
     rotations, translations = body.bones(poses, trans, betas)
     joint = rotations[:, 0] @ body.rest_joints(betas)[0] + translations[:, 0]
     assert_allclose(body_feed(body, poses, trans, betas).root, joint, rtol=0.0, atol=1e-12)
+
+
+def test_joints_are_where_the_bones_put_them(poses, trans, betas):
+    body = default_body()
+    rotations, translations = body.bones(poses, trans, betas)
+    joints = (rotations @ body.rest_joints(betas)[..., None])[..., 0] + translations
+    feed = body_feed(body, poses, trans, betas)
+    assert_allclose(feed.arrays["body_joints"] + feed.root[:, None], joints, rtol=0.0, atol=1e-6)
 
 
 def test_feed_and_root_give_the_posed_body(poses, trans, betas):
