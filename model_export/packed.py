@@ -15,6 +15,8 @@ What ``body_feed`` and the readable ``DrapeGraph`` compute, arranged for speed; 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import onnxscript
 import torch
 from torch import Tensor, nn
@@ -108,17 +110,57 @@ class FirstGraph(nn.Module):
         return embedding, self.from_patch(embedding)
 
 
+@dataclass(frozen=True)
+class Bodies:
+    """Inputs of ``PackedGraph`` per body."""
+
+    joint_quaternion: Tensor
+    joint_rest: Tensor
+    betas: Tensor
+    dynamic_code: Tensor | None = None
+
+
+@dataclass(frozen=True)
+class Patches:
+    """Inputs of ``PackedGraph`` per stored patch, less the prefix of their names."""
+
+    first: Tensor
+    weights: Tensor
+    rotation: Tensor
+    scale: Tensor
+    centre: Tensor
+    shapedirs: Tensor
+
+
+@dataclass(frozen=True)
+class PosedPatches:
+    """Posed jets (P, 3, 18), what the head gave (P, 72), frames (P, 3, 3) and (P, 3, 1), bones of the bodies."""
+
+    coefficients: Tensor
+    local: Tensor
+    rotation: Tensor
+    centre: Tensor
+    bone_rotation: Tensor
+    bone_translation: Tensor
+
+
 class PackedGraph(nn.Module):
     """Bodies, stored garments and the index tensors of ``drape.packing`` -> all outputs of ``OUTPUTS``.
 
     Only for vector jets: the paper's variant skins vertices, which is another vertex stage.
     """
 
-    left_terms: Tensor
     rotation_terms: Tensor
-    descent: Tensor
-    offsets: Tensor
+    sixd_terms: Tensor
+    neutral: Tensor
+    left_terms: Tensor
     cross_terms: Tensor
+    identity: Tensor
+    offsets: Tensor
+    descent: Tensor
+    parents: Tensor
+    without_root: Tensor
+    jet_columns: Tensor
     ones: Tensor
 
     def __init__(self, model: OneFit) -> None:
@@ -165,39 +207,55 @@ class PackedGraph(nn.Module):
         item_blocks: Tensor,
         dynamic_code: Tensor | None = None,
     ) -> tuple[Tensor, ...]:
-        quaternion, bone_rotation, joints = self._posed_joints(joint_quaternion, joint_rest)
-        bone_translation = joints - (bone_rotation @ joint_rest[..., None])[..., 0]
-        code = self.body(self._features(joint_quaternion, bone_rotation, betas))
-        if dynamic_code is not None:
-            code = code + dynamic_code
+        bodies = Bodies(joint_quaternion, joint_rest, betas, dynamic_code)
+        patches = Patches(patch_first, patch_weights, patch_rotation, patch_scale, patch_centre, patch_shapedirs)
+        posed = self.pose(bodies, patches, patch_stored, patch_body, patch_bone)
+        coefficients = _rows(posed.coefficients, tile_patch)  # (Q, 3, 18)
+        vertices = self.blend(coefficients, _rows(tile_positions, tile_stored), vertex_charts)
+        tangents = self.blend(coefficients, _rows(tile_tangents, tile_stored), vertex_charts, count=2)
+        steps, low, step = _quantised(vertices, block_item, item_blocks)
+        return (
+            vertices, self._normals(tangents), steps, low, step, torch.index_select(posed.local, 1, self.jet_columns),
+            posed.rotation, posed.centre.reshape(-1, 3), posed.bone_rotation, posed.bone_translation,
+        )  # fmt: skip
 
-        weights = _rows(patch_weights, patch_stored)
+    def pose(
+        self, bodies: Bodies, patches: Patches, patch_stored: Tensor | None, patch_body: Tensor, patch_bone: Tensor
+    ) -> PosedPatches:
+        """Posed jets of the patches ``patch_stored``, or of all ``patches`` in order where it is None."""
+        quaternion, bone_rotation, joints = self._posed_joints(bodies.joint_quaternion, bodies.joint_rest)
+        bone_translation = joints - (bone_rotation @ bodies.joint_rest[..., None])[..., 0]
+        code = self.body(self._features(bodies.joint_quaternion, bone_rotation, bodies.betas))
+        if bodies.dynamic_code is not None:
+            code = code + bodies.dynamic_code
+
+        weights = _rows(patches.weights, patch_stored)
         blended = self._blended_rotation(quaternion, weights, patch_body, patch_bone)
-        rotation = blended @ _rows(patch_rotation, patch_stored)
+        rotation = blended @ _rows(patches.rotation, patch_stored)
         centre = _skinned(
-            _rows(patch_centre, patch_stored),
-            _rows(patch_shapedirs, patch_stored),
-            _rows(betas, patch_body),
+            _rows(patches.centre, patch_stored),
+            _rows(patches.shapedirs, patch_stored),
+            _rows(bodies.betas, patch_body),
             weights,
             torch.cat([bone_rotation, bone_translation[..., None]], dim=-1).reshape(-1, JOINT_COUNT, 12),
             patch_body,
         )
-        x = _rows(patch_first, patch_stored) + _rows(self.from_body(code), patch_body)
+        x = _rows(patches.first, patch_stored) + _rows(self.from_body(code), patch_body)
         if self.from_surroundings is not None:
             x = self._with_surroundings(x, _rows(joints.mT, patch_body), rotation, centre)
         local = self.head(self.trunk(nn.functional.leaky_relu(x, SLOPE)))  # (P, 4 * 18)
-        scaled = rotation * _rows(patch_scale, patch_stored)[:, :, None]
+        scaled = rotation * _rows(patches.scale, patch_stored)[:, :, None]
         frame = torch.cat([scaled, centre], dim=-1)  # (P, 3, 4)
-        coefficients = _rows(frame @ local.reshape(-1, 4, COLUMNS), tile_patch)  # (Q, 3, 18)
+        coefficients = frame @ local.reshape(-1, 4, COLUMNS)
+        return PosedPatches(coefficients, local, rotation, centre, bone_rotation, bone_translation)
 
-        vertices = self._summed(coefficients @ _rows(tile_positions, tile_stored), vertex_charts, 1)
-        tangents = self._summed(coefficients @ _rows(tile_tangents, tile_stored), vertex_charts, 2)
-        steps, low, step = _quantised(vertices, block_item, item_blocks)
-        jet = torch.index_select(local, 1, self.jet_columns)
-        return (
-            vertices, self._normals(tangents), steps, low, step,
-            jet, rotation, centre.reshape(-1, 3), bone_rotation, bone_translation,
-        )  # fmt: skip
+    def blend(self, coefficients: Tensor, columns: Tensor, vertex_charts: Tensor, *, count: int = 1) -> Tensor:
+        """Sums (blocks, 64, 3 * count) over every vertex's charts of tiles (Q, 3, 18) @ (Q, 18, 64 * count)."""
+        width = 3 * count
+        product = coefficients @ columns
+        rows = product.reshape(-1, width, CHARTS_PER_TILE).mT.reshape(-1, width)
+        gathered = _rows(rows, vertex_charts.reshape(-1)).reshape(CHARTS_PER_VERTEX, -1)
+        return (self.ones @ gathered).reshape(-1, VERTICES_PER_BLOCK, width)
 
     def _posed_joints(self, local: Tensor, rest: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """World quaternions (B, 24, 4), rotations (B, 24, 3, 3) and joints [m] (B, 24, 3) of bodies.
@@ -247,13 +305,6 @@ class PackedGraph(nn.Module):
         saturated = (offset * (torch.tanh(reach * (1.0 / REACH_M)) / reach)).reshape(-1, 3 * JOINT_COUNT)
         return torch.addmm(x, torch.cat([saturated, rotation.reshape(-1, 9)], dim=-1), self.from_surroundings)
 
-    def _summed(self, product: Tensor, vertex_charts: Tensor, count: int) -> Tensor:
-        """Sums (blocks, 64, 3 * count) over the charts of every vertex of tile products (Q, 3, count * 64)."""
-        width = 3 * count
-        rows = product.reshape(-1, width, CHARTS_PER_TILE).mT.reshape(-1, width)
-        gathered = _rows(rows, vertex_charts.reshape(-1)).reshape(CHARTS_PER_VERTEX, -1)
-        return (self.ones @ gathered).reshape(-1, VERTICES_PER_BLOCK, width)
-
     def _normals(self, tangents: Tensor) -> Tensor:
         """Unit cross products (blocks, 64, 3) of the tangents (blocks, 64, 6), which lie as x, x', y, y', z, z'."""
         a, b, c, d = (tangents @ self.cross_terms).split(3, dim=-1)
@@ -262,8 +313,8 @@ class PackedGraph(nn.Module):
         return normal / torch.sqrt(torch.clamp(squared, min=1e-24))
 
 
-def _rows(table: Tensor, index: Tensor) -> Tensor:
-    return torch.index_select(table, 0, index)
+def _rows(table: Tensor, index: Tensor | None) -> Tensor:
+    return table if index is None else torch.index_select(table, 0, index)
 
 
 def _skinned(

@@ -68,7 +68,9 @@ def test_products_of_tiles_sum_to_the_blend(feed, packed):
     entries = np.concatenate([place, feed["chart_basis"]], axis=-1).astype(np.float64)
     want = np.einsum("vk,vkac,vkc->va", feed["chart_weight"].astype(np.float64), coefficients[patch], entries)
     assert_allclose(vertices[: packed.vertex_count], want, rtol=0, atol=1e-6)
-    assert_array_equal(vertices[packed.vertex_count :], np.broadcast_to(vertices[0], vertices[packed.vertex_count :].shape))
+    assert_array_equal(
+        vertices[packed.vertex_count :], np.broadcast_to(vertices[0], vertices[packed.vertex_count :].shape)
+    )
     assert len(vertices) % VERTICES_PER_BLOCK == 0
 
 

@@ -138,9 +138,10 @@ def test_the_dynamic_code_is_added_to_the_body_code():
     assert_allclose(still["vertices"], run_packed(static)[0]["vertices"], rtol=0, atol=0)
     # As if the last layer of the body encoder gave it.
     kind, row = ITEMS[0]
-    bias = list(static.body.layers.children())[-1].bias
+    last = list(static.body.layers.children())[-1]
+    assert isinstance(last, torch.nn.Linear)
     with torch.no_grad():
-        bias += torch.from_numpy(code[row])
+        last.bias.add_(torch.from_numpy(code[row]))
     vertices = readable(static, kind, row)[0]
     assert_allclose(moved["vertices"].reshape(-1, 3)[composition.vertices[0]], vertices, rtol=0, atol=2e-6)
 
@@ -179,7 +180,9 @@ def test_the_exported_graph_keeps_the_parity():
 def test_the_parity_sees_another_network():
     """The check that lets a model out must fail when the graph is of other weights."""
     _, folder, _ = exported()
-    error = packed_parity_error(lively(seed=1), folder / "garment_encoder.onnx", folder / "packed.onnx", garment("tank"))
+    error = packed_parity_error(
+        lively(seed=1), folder / "garment_encoder.onnx", folder / "packed.onnx", garment("tank")
+    )
     assert error > 1e-4
 
 

@@ -190,7 +190,9 @@ def test_constants_are_kept_once(bodies):
         for name, array in packer.store.packed(kind).stored.items():
             assert np.shares_memory(array, packer.store.arrays()[name])
     packer.run(ScenePlan(normals=True), bodies, [("tank", 0)])
-    assert packer.store.bytes > 2 * before - sum(p.stored["patch_first"].nbytes for p in map(packer.store.packed, KINDS))
+    assert packer.store.bytes > 2 * before - sum(
+        p.stored["patch_first"].nbytes for p in map(packer.store.packed, KINDS)
+    )
 
 
 def test_garments_come_and_go(bodies):

@@ -1,4 +1,4 @@
-"""Tangent columns: exact for rigid motion and for surfaces known in closed form, near the mesh's own normals elsewhere."""
+"""Tangent columns: exact for rigid motion and surfaces in closed form, near the mesh's own normals elsewhere."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.fixtures.tiny_model import tube_garment
 
 
 def coefficients(garment: Garment, jet: np.ndarray, rotation: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Posed jets (K, 3, 18) of patches whose frames are turned by ``rotation`` and whose jets are changed by ``jet``."""
+    """Posed jets (K, 3, 18) of patches with frames turned by ``rotation`` and jets changed by ``jet``."""
     local = np.zeros((garment.patch_count, 3, COLUMNS))
     p, q, h = jets.unpack(jet)
     local[:, 0, 3:9], local[:, 1, 3:9], local[:, 2, 3:] = p, q, h
@@ -115,7 +115,7 @@ def one_patch_sheet() -> Garment:
         patch_weights=tube.patch_weights[:1],
         chart_patch=zeros.astype(np.int64),
         chart_uv=np.repeat(uv[:, None], 4, axis=1),
-        chart_weight=zeros + [1.0, 0.0, 0.0, 0.0],
+        chart_weight=zeros + np.array([1.0, 0.0, 0.0, 0.0]),
         chart_residual=np.zeros((len(uv), 4, 3)),
     )
 
