@@ -45,25 +45,6 @@ class Optimum:
     seconds: float
 
 
-def static_parts(
-    vertices: np.ndarray,
-    cloth: ClothMesh,
-    material: Material,
-    contact: BodyContact,
-    body_vertices: np.ndarray,
-    *,
-    height_m: np.ndarray,
-) -> dict[str, np.ndarray]:
-    """Energies [J] (F,) by part, gravity relative to ``height_m`` (F,): what every method is judged by."""
-    distance = contact.planes(vertices, body_vertices).distance(vertices)
-    return energies.total(vertices, cloth, material, distance=distance, height_m=height_m[:, None])
-
-
-def mean_height(vertices: np.ndarray, cloth: ClothMesh) -> np.ndarray:
-    """Height [m] (F,) of the centre of mass."""
-    return vertices[..., 1] @ cloth.vertex_area / cloth.vertex_area.sum()
-
-
 def vertex_stiffness(cloth: ClothMesh, material: Material) -> np.ndarray:
     """A bound [N/m] (V,) of the diagonal of the Hessian: membrane, hinges and half of the vertices' contact."""
     a, b, d = cloth.inverse_shape

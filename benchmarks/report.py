@@ -12,19 +12,59 @@ from typing import Any
 
 from benchmarks.common import RESULTS_DIR, ROOT
 
-QUALITY_COLUMNS = ("edge_pct", "area_pct", "colliding_vertex_pct", "colliding_triangle_pct", "energy_j", "gain")
+QUALITY_COLUMNS = {
+    "edge_pct": ".2f",
+    "area_pct": ".2f",
+    "colliding_vertex_pct": ".2f",
+    "colliding_triangle_pct": ".2f",
+    "self_intersections": ".1f",
+    "energy_j": ".2f",
+    "gain": ".2f",
+}
+NETWORK_COLUMNS = {
+    "gain": ".2f",
+    "edge_over_physics_pp": ".1f",
+    "area_over_physics_pp": ".1f",
+    "chart_gap_p99_mm": ".1f",
+    "chart_normal_p99_deg": ".1f",
+    "jitter_ratio": ".2f",
+    "jitter_worst": ".2f",
+}
+CROSSING_METHODS = ("skinning", "network", "physics")
 
 
 def quality_table(record: dict[str, Any]) -> str:
     """Every garment and method of ``benchmarks.quality``."""
     lines = [
-        "| garment | method | edge % | area % | colliding % (vertex) | colliding % (triangle) | energy [J] | gain |",
-        "|---|---|---|---|---|---|---|---|",
+        "| garment | method | edge % | area % | colliding % (vertex) | colliding % (triangle) | self-intersections "
+        "| energy [J] | gain |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
-    for row in record["rows"]:
-        values = [f"{row[c]:.2f}" if row[c] is not None else "-" for c in QUALITY_COLUMNS]
-        lines.append(f"| {row['garment']} | {row['method']} | " + " | ".join(values) + " |")
+    lines += [f"| {row['garment']} | {row['method']} | {_values(row, QUALITY_COLUMNS)} |" for row in record["rows"]]
     return "\n".join([*lines, "", provenance(record)])
+
+
+def network_table(record: dict[str, Any]) -> str:
+    """The network beside its bounds: one line per garment, and their means; the figures that have targets."""
+    lines = [
+        "| garment | gain | edge over physics [pp] | area over physics [pp] | chart gap p99 [mm] "
+        "| chart normal p99 [deg] | jitter | in the worst clip | with push-out "
+        "| self-intersections: skinning | network | physics |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    every = [*record["rows"], *record["summary"]]
+    for garment, kind in dict.fromkeys((row["garment"], row.get("set", "")) for row in every):
+        rows = {row["method"]: row for row in every if (row["garment"], row.get("set", "")) == (garment, kind)}
+        pushed = _values(rows["network_push"], {"jitter_ratio": ".2f"})
+        crossings = [_values(rows[method], {"self_intersections": ".1f"}) for method in CROSSING_METHODS]
+        name = f"{garment} {kind}".strip() if garment == "all" else garment
+        lines.append(f"| {name} | {' | '.join([_values(rows['network'], NETWORK_COLUMNS), pushed, *crossings])} |")
+    return "\n".join(lines)
+
+
+def _values(row: dict[str, Any], columns: dict[str, str]) -> str:
+    """The cells of ``columns``; a dash for what the row lacks."""
+    return " | ".join("-" if row.get(key) is None else format(row[key], form) for key, form in columns.items())
 
 
 def gain_table(record: dict[str, Any]) -> str:
@@ -60,7 +100,9 @@ def insert(path: Path, name: str, text: str) -> bool:
 TABLES: tuple[tuple[str, str, str, Callable[[dict[str, Any]], str]], ...] = (
     ("quality", "docs/quality.md", "quality", quality_table),
     ("quality", "README.md", "gain", gain_table),
+    ("quality", "docs/quality.md", "quality_network", network_table),
     ("quality_unseen", "docs/quality.md", "quality_unseen", quality_table),
+    ("quality_unseen", "docs/quality.md", "quality_unseen_network", network_table),
 )
 
 

@@ -8,8 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from drape.cloth.contact import nearest_vertices, plane_distance, take_rows
-from drape.errors import MeshError
+from drape.cloth import energies
+from drape.cloth.contact import BodyContact, nearest_vertices, plane_distance, take_rows
+from drape.cloth.energies import ClothMesh
+from drape.cloth.material import Material
+from drape.errors import InputError, MeshError
 from drape.geometry import closest, meshes
 
 
@@ -38,6 +41,36 @@ def colliding_triangle_pct(vertices: np.ndarray, body_vertices: np.ndarray, body
         for cloth, body in zip(vertices, body_vertices, strict=True)
     ]
     return 100.0 * np.array(inside)
+
+
+def static_parts(
+    vertices: np.ndarray,
+    cloth: ClothMesh,
+    material: Material,
+    contact: BodyContact,
+    body_vertices: np.ndarray,
+    *,
+    height_m: np.ndarray,
+) -> dict[str, np.ndarray]:
+    """Energies [J] (F,) by part, gravity relative to ``height_m`` (F,): what every method is judged by."""
+    distance = contact.planes(vertices, body_vertices).distance(vertices)
+    return energies.total(vertices, cloth, material, distance=distance, height_m=height_m[:, None])
+
+
+def mean_height(vertices: np.ndarray, cloth: ClothMesh) -> np.ndarray:
+    """Height [m] (F,) of the centre of mass."""
+    return vertices[..., 1] @ cloth.vertex_area / cloth.vertex_area.sum()
+
+
+def third_difference_square(vertices: np.ndarray) -> float:
+    """Mean square [m^2] of x[t+3] - 3 x[t+2] + 3 x[t+1] - x[t] over the vertices of a clip (F, V, 3).
+
+    A constant acceleration has none, so what remains is jerk times the cube of the time step: jitter.
+    """
+    if len(vertices) < 4:
+        raise InputError("clip", expected="4 frames or more", got=str(len(vertices)), cure="Take a longer window.")
+    third = np.diff(np.asarray(vertices, dtype=np.float64), n=3, axis=0)
+    return float(np.mean(np.sum(third * third, axis=-1)))
 
 
 def gain(e_skin_push: float, e_net: float, e_physics: float) -> float:

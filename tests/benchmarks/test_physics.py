@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from benchmarks import physics
-from drape.cloth import energies
+from drape.cloth import energies, metrics
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import material
@@ -47,7 +47,7 @@ def test_a_sheet_on_a_sphere_rests_in_the_gap_where_contact_carries_its_weight(s
     flat = (rest - rest.mean(axis=0))[:, [1, 2, 0]] + [0.0, 0.103, 0.0]
     optimum = physics.minimise(cloth, material(), flat[None], contact, body[None], step_limit=1500)
     parts = [
-        physics.static_parts(x, cloth, material(), contact, body[None], height_m=np.array([0.1]))
+        metrics.static_parts(x, cloth, material(), contact, body[None], height_m=np.array([0.1]))
         for x in (flat[None], optimum.vertices)
     ]
     before, after = (np.stack(list(p.values())).sum() for p in parts)
@@ -83,9 +83,3 @@ def test_stiffness_bounds_the_diagonal_of_the_hessian(rng):
             shift[vertex, axis] = step
             curvature = (energy(rest + shift) + energy(rest - shift) - 2.0 * energy(rest)) / step**2
             assert curvature < 1.5 * bound[vertex]
-
-
-def test_mean_height_is_that_of_the_centre_of_mass():
-    rest, faces = grid(4, 3, cell_m=0.02)
-    cloth = ClothMesh.from_rest(rest, faces)
-    assert_allclose(physics.mean_height(rest[None], cloth), [0.03], rtol=1e-12, atol=0.0)

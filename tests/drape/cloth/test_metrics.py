@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from drape.cloth import metrics
-from drape.errors import MeshError
+from drape.cloth import energies, metrics
+from drape.cloth.contact import BodyContact
+from drape.cloth.energies import ClothMesh
+from drape.cloth.material import material
+from drape.errors import InputError, MeshError
 from drape.geometry import meshes
 from tests.drape.cloth.cloth_shapes import grid, random_rotation
 from tests.drape.geometry.geometry_shapes import icosphere
@@ -45,6 +48,48 @@ def test_the_triangle_rule_is_right_where_the_vertex_rule_is_not():
     normals = meshes.vertex_normals(vertices, faces)[None]
     assert metrics.colliding_vertex_pct(outside, vertices[None], normals) == [100.0]
     assert metrics.colliding_triangle_pct(outside, vertices[None], faces) == [0.0]
+
+
+def test_mean_height_is_that_of_the_centre_of_mass():
+    rest, faces = grid(4, 3, cell_m=0.02)
+    cloth = ClothMesh.from_rest(rest, faces)
+    assert_allclose(metrics.mean_height(rest[None], cloth), [0.03], rtol=1e-12, atol=0.0)
+
+
+def test_static_parts_take_gravity_from_the_given_height_and_contact_from_the_posed_body():
+    body, body_faces = icosphere(4, radius_m=0.1)
+    rest, faces = grid(3, 3, cell_m=0.01)
+    cloth = ClothMesh.from_rest(rest, faces)
+    # Flat above the pole, its middle in the contact gap, and once more far away and 0.5 m higher.
+    near = (rest - rest.mean(axis=0))[:, [1, 2, 0]] + [0.0, 0.102, 0.0]
+    frames = np.stack([near, near + np.array([0.0, 0.5, 0.0])])
+    parts = metrics.static_parts(
+        frames,
+        cloth,
+        material(),
+        BodyContact(body_faces, len(body)),
+        np.stack([body, body]),
+        height_m=np.array([0.102, 0.102]),
+    )
+    weight_n = 9.81 * 0.2 * 0.03 * 0.03
+    assert_allclose(parts["gravity"], [0.0, 0.5 * weight_n], rtol=1e-9, atol=1e-15)
+    assert_allclose(parts["membrane"], energies.membrane(frames, cloth, material()), rtol=1e-12, atol=0.0)
+    assert parts["contact"][0] > 0.0 == parts["contact"][1]
+
+
+def test_the_third_difference_sees_jerk_and_nothing_slower(rng):
+    t = np.arange(8.0)[:, None, None]
+    start, velocity, acceleration, jerk = rng.normal(size=(4, 5, 3))
+    smooth = start + velocity * t + 0.5 * acceleration * t**2
+    assert_allclose(metrics.third_difference_square(smooth), 0.0, rtol=0.0, atol=1e-24)
+    # The third difference of t^3 / 6 is 1.
+    expected = (jerk**2).sum(axis=-1).mean()
+    assert_allclose(metrics.third_difference_square(smooth + jerk * t**3 / 6.0), expected, rtol=1e-9, atol=0.0)
+
+
+def test_a_clip_too_short_for_a_third_difference_is_refused():
+    with pytest.raises(InputError, match="4 frames"):
+        metrics.third_difference_square(np.zeros((3, 2, 3)))
 
 
 def test_gain_is_zero_for_skinning_one_for_physics_and_undefined_without_room():

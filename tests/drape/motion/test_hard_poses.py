@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from benchmarks.hard_poses import OVERLAP_LIMIT_PCT, body_overlap_pct, hard_poses
 from drape.body.assets import load_body
 from drape.errors import InputError
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.motion.clip import MotionClip
+from drape.motion.hard_poses import OVERLAP_LIMIT_PCT, body_overlap_pct, hard_poses
 
 ELBOW = 18
 

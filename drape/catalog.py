@@ -1,0 +1,83 @@
+"""Garments and motions as a command line names them: a shipped name, a file, or a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from drape.body.model import BodyModel
+from drape.errors import ArtifactError, NotFound
+from drape.garment.cache import GARMENTS_DIR, Garment, load_garment
+
+MOTIONS_DIR = GARMENTS_DIR.parent / "motions"
+GARMENT_SUFFIXES = (".npz", ".obj", ".glb", ".gltf", ".ply", ".stl")
+MOTION_SUFFIXES = (".npz", ".bvh", ".amc")
+
+
+def find_garments(names: Sequence[str]) -> list[Path]:
+    """Cache and mesh files of ``names``; all shipped garments where none is named."""
+    return find_files(names, GARMENTS_DIR, GARMENT_SUFFIXES, "garment")
+
+
+def find_motions(names: Sequence[str]) -> list[Path]:
+    """Motion files of ``names``; all shipped clips where none is named."""
+    return find_files(names, MOTIONS_DIR, MOTION_SUFFIXES, "motion")
+
+
+def find_files(names: Sequence[str], folder: Path, suffixes: tuple[str, ...], kind: str) -> list[Path]:
+    """Files of ``names``, each a file, a folder, or a name in ``folder``; a folder's avatars are left out.
+
+    Raises ``NotFound``, naming the ``kind`` and what there is, where a name has no file.
+    """
+    found: list[Path] = []
+    for name in names or [str(folder)]:
+        path = Path(name)
+        if path.is_dir():
+            matches = sorted(p for p in path.iterdir() if p.suffix.lower() in suffixes and not _is_avatar(p))
+        elif path.is_file():
+            matches = [path]
+        else:
+            matches = [p for p in sorted(folder.iterdir()) if p.suffix in suffixes and short_name(p) == name]
+        if not matches:
+            known = sorted({short_name(p) for p in folder.iterdir() if p.suffix in suffixes})
+            raise NotFound(kind, expected=f"one of {known}, a file or a folder", got=name, cure="Check the name.")
+        found += matches
+    return found
+
+
+def short_name(path: Path) -> str:
+    """What a file answers to: its stem; NAME for a cache file NAME-DIGEST16.npz."""
+    stem, _, digest = path.stem.rpartition("-")
+    return stem if stem and len(digest) == 16 else path.stem
+
+
+def is_shipped(path: Path) -> bool:
+    """Whether the garment at ``path`` is one of those that come with the product, and so was trained on."""
+    return path.resolve().parent == GARMENTS_DIR
+
+
+def open_garment(path: Path, body: BodyModel) -> Garment:
+    """The garment cached at ``path``, or the mesh there after intake; refused if it was made for another body."""
+    if path.suffix == ".npz":
+        garment = load_garment(path)
+    else:
+        from drape.garment.intake import intake
+
+        garment = intake(path, body=body)
+    check_body(f"garment {garment.name}", garment.body_digest, body)
+    return garment
+
+
+def check_body(what: str, digest: str, body: BodyModel) -> None:
+    """Raises ``ArtifactError`` if ``what`` was made for another body."""
+    if digest != body.digest:
+        raise ArtifactError(
+            f"{what} body",
+            expected=f"digest {body.digest[:12]} of {body.name}",
+            got=digest[:12],
+            cure="Make it again with this body.",
+        )
+
+
+def _is_avatar(path: Path) -> bool:
+    return path.stem.startswith("avatar")

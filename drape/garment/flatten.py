@@ -1,0 +1,204 @@
+"""One piece of cloth laid flat without a fold, near a plane that is given.
+
+Tutte's embedding (1963) of a disc cannot fold; SLIM (Rabinovich et al. 2017) relaxes it in steps that keep that,
+towards the projection onto the plane, so that places move only where they must. A piece that runs round a sleeve
+or a leg is no disc: it is cut open first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import igl
+import numpy as np
+import scipy.sparse
+import scipy.sparse.linalg
+from scipy.sparse.csgraph import connected_components, dijkstra
+
+from drape.geometry import jets, meshes
+
+# Weights of the projection against the symmetric Dirichlet energy: of the first two the one whose jets fit best is
+# kept, the others serve where a rim crosses itself. More pull fits tighter creases and drapes worse: places crowd along
+# the fold (docs/decisions/0005-polyfit.md).
+PULLS, WEAKER_PULLS = (30.0, 10.0), (1.0, 0.0)
+ITERATIONS = (4, 8)  # after each of these the jets are looked at: SLIM's own optimum is not always theirs
+RING_SHARE = 0.3  # a second rim this long, of the first, means that the piece runs round a limb
+CUT_FLOOR = 0.02  # weight that a cut costs where the chart has none, so that cuts stay short
+RIDGE = 1e-4
+
+
+def signed_areas(uv: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Twice the signed area (T,) of ``triangles`` (T, 3) in the plane ``uv`` (..., 2)."""
+    a, b, c = (uv[triangles[:, k]] for k in range(3))
+    return (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+
+
+def rims_cross(uv: np.ndarray, triangles: np.ndarray) -> bool:
+    """Whether two open edges of ``triangles`` (T, 3) cross in the plane ``uv`` (n, 2).
+
+    A piece that is a disc and has no triangle upside down covers no place twice unless its rim crosses itself.
+    """
+    halves = meshes.half_edges(triangles)[:, :2]
+    edges, uses = np.unique(np.sort(halves, axis=1), axis=0, return_counts=True)
+    rim = edges[uses == 1]
+    start, along = uv[rim[:, 0]], uv[rim[:, 1]] - uv[rim[:, 0]]
+
+    def side(points: np.ndarray) -> np.ndarray:
+        """On which side of edge i point j lies (E, E)."""
+        away = points[None] - start[:, None]
+        return along[:, None, 0] * away[..., 1] - along[:, None, 1] * away[..., 0]
+
+    parted = side(start) * side(uv[rim[:, 1]]) < 0.0
+    joined = (rim[:, None, :, None] == rim[None, :, None, :]).any(axis=(2, 3))
+    return bool((parted & parted.T & ~joined).any())
+
+
+def edge_graph(points: np.ndarray, triangles: np.ndarray) -> scipy.sparse.csr_matrix:
+    """Symmetric graph (n, n) of the edges' lengths between ``points`` (n, 3)."""
+    edges = meshes.unique_edges(triangles)
+    length = np.maximum(np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1), 1e-9)
+    graph = scipy.sparse.coo_matrix((length, (edges[:, 0], edges[:, 1])), shape=(len(points),) * 2).tocsr()
+    return graph + graph.T
+
+
+def lay_flat(
+    points: np.ndarray, plane: np.ndarray, triangles: np.ndarray, weight: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Rows (m,) of ``points`` (n, 3) that are kept and their places (m, 2): no place twice. None without a disc.
+
+    ``plane`` (n, 2) are the places to stay near, ``weight`` (n,) what each vertex counts in the chart: cuts run
+    where it is small. Left out are the vertices of cuts, of smaller pieces, and those where parts touch by a corner.
+    """
+    disc = _largest_piece(triangles)
+    while len(disc):
+        rims = meshes.boundary_loops(disc)
+        lengths = [float(np.linalg.norm(points[rim] - points[np.roll(rim, -1)], axis=1).sum()) for rim in rims]
+        order = np.argsort(lengths)[::-1]
+        if not rims:
+            return None  # closed: there is no rim to lay out
+        if len(rims) == 1 or lengths[order[1]] <= RING_SHARE * lengths[order[0]]:
+            holes = [rims[index] for index in order[1:]]
+            return _flatten(points, plane, disc, weight, rims[order[0]], holes)
+        cut = _cut(points, disc, weight, rims[order[1]], np.concatenate([rims[i] for i in order if i != order[1]]))
+        disc = _largest_piece(disc[~np.isin(disc, cut).any(axis=1)])
+    return None
+
+
+def _cut(points: np.ndarray, disc: np.ndarray, weight: np.ndarray, start: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Vertices of the path from the rim ``start`` to one of ``ends`` along which the chart weighs least."""
+    graph = edge_graph(points, disc).tocoo()
+    cost = graph.data * (0.5 * (weight[graph.row] + weight[graph.col]) / weight.max() + CUT_FLOOR)
+    priced = scipy.sparse.csr_matrix((cost, (graph.row, graph.col)), shape=graph.shape)
+    distance, before, _ = dijkstra(priced, indices=start, min_only=True, return_predecessors=True)
+    path = [int(ends[np.argmin(distance[ends])])]
+    while before[path[-1]] >= 0:
+        path.append(int(before[path[-1]]))
+    return np.array(path)
+
+
+def _flatten(
+    points: np.ndarray,
+    plane: np.ndarray,
+    disc: np.ndarray,
+    weight: np.ndarray,
+    outer: np.ndarray,
+    holes: list[np.ndarray],
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """``lay_flat`` of the triangles ``disc`` with the rim ``outer`` and small ``holes``."""
+    filled, hub = [disc], len(points)
+    surface, target = [points], [plane]
+    for hole in holes:  # closed by a fan, so that Tutte's theorem holds
+        filled.append(np.stack([np.roll(hole, -1), hole, np.full(len(hole), hub)], axis=1))
+        surface.append(points[hole].mean(axis=0, keepdims=True))
+        target.append(plane[hole].mean(axis=0, keepdims=True))
+        hub += 1
+    used, mesh = np.unique(np.concatenate(filled), return_inverse=True)
+    mesh = mesh.reshape(-1, 3)
+    surface, target = np.concatenate(surface)[used], np.concatenate(target)[used]
+    start = _tutte(surface, target, mesh, np.searchsorted(used, outer))
+    if start is None:
+        return None
+    real = int(np.searchsorted(used, len(points)))
+    inner = mesh[(mesh < real).all(axis=1)]
+    best, least = None, np.inf
+    for index, pull in enumerate(PULLS + WEAKER_PULLS):
+        if best is not None and index >= len(PULLS):
+            break
+        for placed in _relaxed(surface, mesh, start, target, real, pull):
+            if not np.isfinite(placed).all() or (signed_areas(placed, inner) <= 0.0).any():
+                break
+            misfit = _misfit(placed, surface[:real], weight[used[:real]])
+            if misfit < least and not rims_cross(placed, inner):
+                best, least = placed, misfit
+    # A rim on a circle crosses nothing: Tutte's own places are the last resort.
+    return used[:real], start[:real] if best is None else best
+
+
+def _relaxed(
+    surface: np.ndarray, mesh: np.ndarray, start: np.ndarray, target: np.ndarray, real: int, pull: float
+) -> Iterator[np.ndarray]:
+    """Places (real, 2) after each of ``ITERATIONS`` of SLIM, pulled towards the first ``real`` of ``target``."""
+    bound = np.arange(real if pull else 0, dtype=np.int32)
+    data = igl.slim_precompute(
+        np.asfortranarray(surface), np.asfortranarray(mesh.astype(np.int32)), np.asfortranarray(start),
+        igl.MappingEnergyType.SYMMETRIC_DIRICHLET, bound, np.asfortranarray(target[bound]), pull,
+    )  # fmt: skip
+    for iterations in ITERATIONS:
+        yield np.array(igl.slim_solve(data, iterations))[:real, :2]
+
+
+def _misfit(uv: np.ndarray, points: np.ndarray, weight: np.ndarray) -> float:
+    """Weighted square of what jets over ``uv`` leave of ``points`` (n, 3)."""
+    total = 0.0
+    root = np.sqrt(weight)[:, None]
+    in_plane, height = points[:, :2] - uv, points[:, 2:]
+    for order, values in ((jets.IN_PLANE_ORDER, in_plane), (jets.HEIGHT_ORDER, height)):
+        a = jets.basis(uv, order) * root
+        coefficients = np.linalg.solve(a.T @ a + RIDGE * np.eye(a.shape[1]), a.T @ (values * root))
+        total += float(np.sum((values * root - a @ coefficients) ** 2))
+    return total
+
+
+def _largest_piece(triangles: np.ndarray) -> np.ndarray:
+    """The largest piece of ``triangles`` joined along edges, without the corners by which parts only touch."""
+    while len(triangles):
+        halves = meshes.half_edges(triangles)[:, :2]
+        _, edge, uses = np.unique(np.sort(halves, axis=1), axis=0, return_inverse=True, return_counts=True)
+        edge, face = edge.reshape(-1), np.arange(len(halves)) // 3
+        links = scipy.sparse.coo_matrix(
+            (np.ones(len(halves)), (face, len(triangles) + edge)), shape=(len(triangles) + len(uses),) * 2
+        )
+        piece = connected_components(links, directed=False)[1][: len(triangles)]
+        largest = piece == np.bincount(piece).argmax()
+        rim = halves[(uses[edge] == 1) & largest[face]]
+        touching = np.flatnonzero(np.bincount(rim.reshape(-1)) > 2) if len(rim) else rim[:0, 0]
+        triangles = triangles[largest]
+        if not len(touching):
+            break
+        triangles = triangles[~np.isin(triangles, touching).any(axis=1)]
+    return triangles
+
+
+def _tutte(surface: np.ndarray, target: np.ndarray, mesh: np.ndarray, ring: np.ndarray) -> np.ndarray | None:
+    """Places (n, 2): ``ring`` on a circle, every other vertex in the mean of its neighbours, turned to ``target``.
+
+    None where a triangle is flat: the mesh is not a disc then.
+    """
+    count = len(surface)
+    sides = np.linalg.norm(surface[ring] - surface[np.roll(ring, -1)], axis=1)
+    angle = 2.0 * np.pi * np.concatenate([[0.0], np.cumsum(sides)[:-1]]) / sides.sum()
+    first, second = (surface[mesh[:, k]] - surface[mesh[:, 0]] for k in (1, 2))
+    area = 0.5 * np.linalg.norm(np.cross(first, second), axis=1).sum()
+    places = np.zeros((count, 2))
+    places[ring] = np.sqrt(area / np.pi) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    free = np.setdiff1d(np.arange(count), ring)
+    if len(free):
+        mean = meshes.umbrella_laplacian(mesh, count)[free]
+        solved = scipy.sparse.linalg.spsolve(mean[:, free].tocsc(), -mean[:, ring] @ places[ring])
+        places[free] = np.asarray(solved).reshape(-1, 2)
+    if not np.isfinite(places).all() or (signed_areas(places, mesh) <= 0.0).any():
+        return None
+    centre = places.mean(axis=0)
+    u, _, vt = np.linalg.svd((places - centre).T @ (target - target.mean(axis=0)))
+    turn = u @ np.diag([1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return (places - centre) @ turn + target.mean(axis=0)

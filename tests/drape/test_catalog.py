@@ -1,0 +1,49 @@
+"""What a name on the command line finds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from drape import catalog
+from drape.body.assets import load_body
+from drape.errors import ArtifactError, NotFound
+from drape.garment.cache import GARMENTS_DIR, save_garment
+from tests.fixtures.tiny_model import tube_garment
+
+
+def test_names_files_and_folders_are_found(tmp_path):
+    for name in ("tank-0123456789abcdef.npz", "long-sleeve.obj", "avatar_female.obj", "notes.txt"):
+        (tmp_path / name).touch()
+    suffixes = (".npz", ".obj")
+
+    def find(*names):
+        return [path.name for path in catalog.find_files(names, tmp_path, suffixes, "garment")]
+
+    assert find() == ["long-sleeve.obj", "tank-0123456789abcdef.npz"]
+    assert find("tank") == ["tank-0123456789abcdef.npz"]
+    assert find("long-sleeve", str(tmp_path / "notes.txt")) == ["long-sleeve.obj", "notes.txt"]
+    with pytest.raises(NotFound, match="tank"):
+        find("trousers")
+
+
+def test_without_names_everything_shipped_is_found():
+    garments = catalog.find_garments([])
+    assert "tshirt" in {catalog.short_name(path) for path in garments}
+    assert all(catalog.is_shipped(path) for path in garments)
+    assert [path.stem for path in catalog.find_motions(["walk"])] == ["walk"]
+
+
+def test_a_copy_elsewhere_is_not_the_shipped_garment(tmp_path):
+    assert not catalog.is_shipped(tmp_path / next(GARMENTS_DIR.glob("*.npz")).name)
+
+
+def test_a_cached_garment_is_opened_unless_it_was_made_for_another_body(tmp_path):
+    body = load_body()
+    garment = tube_garment(body)
+    path = save_garment(garment, tmp_path)
+    assert catalog.open_garment(path, body).digest == garment.digest
+    other = save_garment(replace(garment, name="other", body_digest="0" * 64), tmp_path)
+    with pytest.raises(ArtifactError, match="garment other body"):
+        catalog.open_garment(other, body)

@@ -1,0 +1,186 @@
+"""A quick look at a checkpoint: energies of its drape beside skinning's, without export and without physics.
+
+    python -m training.evaluate runs/first
+    python -m training.evaluate runs/first/checkpoint.pt --garments tshirt jacket.obj --frames 12
+
+Poses are the hard ones of the clips that the run held out, or of the shipped clips where no
+motion folder is at hand. What the columns mean stands in docs/quality.md; ``python -m benchmarks.quality``
+measures the exported model in full.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from drape.body.assets import load_body
+from drape.body.model import BodyModel
+from drape.catalog import MOTION_SUFFIXES, find_garments, find_motions, open_garment
+from drape.cloth import metrics
+from drape.cloth.contact import BodyContact, push_out
+from drape.cloth.energies import ClothMesh
+from drape.cloth.material import material
+from drape.data_paths import data_folder
+from drape.errors import ArtifactError
+from drape.garment.cache import Garment
+from drape.garment.disagreement import disagreement
+from drape.geometry.skinning import skin_points
+from drape.motion.clip import MotionClip
+from drape.motion.hard_poses import HardPoses, hard_poses
+from drape.motion.readers import read_motion
+from training import checkpoint
+from training.config import TrainConfig
+from training.data import BodySource, collider_surface, partition_tensors
+from training.losses import vertices_from
+from training.model import OneFit, Posed, paper_vertices, posed_coefficients
+
+FRAMES = 8
+CPU = torch.device("cpu")
+COLUMNS = ("membrane_j", "bending_j", "gravity_j", "contact_j", "energy_j", "edge_pct", "area_pct", "share")
+
+
+def load_network(path: Path) -> tuple[OneFit, TrainConfig, int]:
+    """The network at ``path``, a checkpoint or the folder of a run, its configuration, and the steps it took.
+
+    Raises ``ArtifactError`` where the file is no checkpoint or holds a network of another build.
+    """
+    path = path / "checkpoint.pt" if path.is_dir() else path
+    payload, config = checkpoint.load(path)
+    model = OneFit(config.model)
+    try:
+        model.load_state_dict(payload["model"])
+        steps = int(payload["step"])
+    except (KeyError, RuntimeError) as error:
+        raise ArtifactError(
+            f"checkpoint {path.name}",
+            expected="the weights of a network of this version",
+            got=" ".join(str(error).split())[:200],
+            cure="Train again, or check out the version that wrote it.",
+        ) from error
+    return model.eval(), config, steps
+
+
+def held_out_clips(config: TrainConfig, motions: Sequence[str]) -> list[MotionClip]:
+    """The clips named ``motions``; else those the run held out, else the shipped ones, which a run may have seen."""
+    folder = data_folder("motions")
+    if not motions and folder is not None:
+        files = [p for p in sorted(folder.iterdir()) if p.suffix.lower() in MOTION_SUFFIXES]
+        motions = [str(p) for p in files if p.stem in config.data.held_out]
+    return [read_motion(path) for path in find_motions(motions)]
+
+
+def posed_patches(model: OneFit, garment: Garment, source: BodySource, poses: np.ndarray) -> tuple[np.ndarray, Posed]:
+    """World vertices [m] (F, V, 3) of the subdivided mesh at ``poses`` (F, 24, 3) [rad], and the posed patches."""
+    partition = partition_tensors({item.name: getattr(garment, item.name) for item in fields(garment)}, device=CPU)
+    body = source.pose(poses, np.zeros((len(poses), source.body.shape_count))).tensors
+    with torch.no_grad():
+        posed = model(body, partition.patches, model.garment(partition.features))
+        vertices = vertices_from(posed_coefficients(posed, partition.patches.scale), partition)
+        if model.config.variant == "paper":
+            vertices = paper_vertices(vertices, torch.from_numpy(garment.skin_weights.astype(np.float32)), body)
+    return vertices.double().numpy() + source.body.rest_joints()[0], posed
+
+
+def evaluate(model: OneFit, garment: Garment, body: BodyModel, poses: HardPoses) -> list[dict[str, Any]]:
+    """One row per method: mean energies [J] by part, strains, and the share of the energy of skinning + push-out."""
+    cloth_material, contact = material(), BodyContact(body.faces, body.vertex_count)
+    rest, faces = garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64)
+    cloth = ClothMesh.from_rest(rest, faces)
+    rotations, translations = body.bones(poses.poses)
+    still = np.broadcast_to(rest, (len(poses.poses), *rest.shape))
+    skinned = skin_points(still, garment.skin_weights.astype(np.float64), rotations, translations)
+    source = BodySource(body, *collider_surface(body), device=CPU)
+    draped, posed = posed_patches(model, garment, source, poses.poses)
+    skin = body.posed_vertices(poses.poses)
+    normals = np.asarray(contact.normals(skin))
+    positions = {
+        "skinning": skinned,
+        "skinning_push": push_out(skinned, skin, normals),
+        "network": draped,
+        "network_push": push_out(draped, skin, normals),
+    }
+    height = metrics.mean_height(skinned, cloth)
+    rows = []
+    for method, vertices in positions.items():
+        parts = metrics.static_parts(vertices, cloth, cloth_material, contact, skin, height_m=height)
+        rows.append(
+            {
+                "garment": garment.name,
+                "method": method,
+                **{f"{part}_j": float(value.mean()) for part, value in parts.items()},
+                "energy_j": float(np.stack(list(parts.values())).sum(axis=0).mean()),
+                "edge_pct": float(metrics.edge_strain_pct(vertices, rest, faces).mean()),
+                "area_pct": float(metrics.area_strain_pct(vertices, rest, faces).mean()),
+            }
+        )
+    baseline = rows[1]["energy_j"]
+    for row in rows:
+        row["share"] = row["energy_j"] / baseline if baseline > 0.0 else float("nan")
+    charts = disagreement(garment, posed.jet.numpy(), _all_frames(posed), posed.centre.numpy())
+    rows[2]["chart_gap_p99_mm"] = 1e3 * float(np.percentile(charts.gap_m, 99.0))
+    rows[2]["chart_normal_p99_deg"] = float(np.degrees(np.percentile(charts.normal_rad, 99.0)))
+    return rows
+
+
+def _all_frames(posed: Posed) -> np.ndarray:
+    """Rotations (F, K, 3, 3); the paper's variant has them once for all frames."""
+    return posed.rotation.expand(*posed.centre.shape, 3).numpy()
+
+
+def print_rows(rows: list[dict[str, Any]]) -> None:
+    """A table of ``rows``, the charts' disagreement behind the network's."""
+    width = max(len(row["garment"]) for row in rows)
+    print(f"{'garment':{width}}  {'method':13}  " + "  ".join(f"{column:>10}" for column in COLUMNS))
+    for row in rows:
+        line = f"{row['garment']:{width}}  {row['method']:13}  " + "  ".join(f"{row[c]:10.4f}" for c in COLUMNS)
+        if "chart_gap_p99_mm" in row:
+            line += f"  charts {row['chart_gap_p99_mm']:.1f} mm, {row['chart_normal_p99_deg']:.0f} deg (p99)"
+        print(line)
+
+
+def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
+    """Prints the table and one line of JSON, and returns what that holds."""
+    parser = argparse.ArgumentParser(
+        prog="python -m training.evaluate", description="Energies of a checkpoint's drape beside skinning's."
+    )
+    parser.add_argument("checkpoint", type=Path, help="a checkpoint, or the folder of a run")
+    parser.add_argument("--garments", nargs="+", default=[], help="names, files or folders (default: the shipped ones)")
+    parser.add_argument("--motions", nargs="+", default=[], help="names, files or folders (default: held-out clips)")
+    parser.add_argument("--frames", type=int, default=FRAMES, help=f"hard poses (default {FRAMES})")
+    parser.add_argument("--threads", type=int, help="of torch")
+    options = parser.parse_args(arguments)
+    model, config, steps = load_network(options.checkpoint)
+    torch.set_num_threads(options.threads or config.threads)
+    body = load_body()
+    poses = hard_poses(held_out_clips(config, options.motions), body, options.frames)
+    rows: list[dict[str, Any]] = []
+    for path in find_garments(options.garments):
+        rows += evaluate(model, open_garment(path, body), body, poses)
+    print_rows(rows)
+    record = {
+        "evaluate": str(options.checkpoint.name),
+        "step": steps,
+        "frames": list(poses.labels),
+        "rows": [{key: _plain(value) for key, value in row.items()} for row in rows],
+    }
+    print(json.dumps(record, allow_nan=False), flush=True)
+    return record
+
+
+def _plain(value: Any) -> Any:
+    """``value`` for JSON: floats at six digits, None for what is not finite."""
+    if not isinstance(value, float):
+        return value
+    return float(f"{value:.6g}") if math.isfinite(value) else None
+
+
+if __name__ == "__main__":
+    main()
