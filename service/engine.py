@@ -123,13 +123,7 @@ class Engine:
     def drape(self, feed: dict[str, np.ndarray]) -> np.ndarray:
         """Vertices [m] (F, V, 3) float32 relative to the root joint, for the graph's inputs ``feed``."""
         vertices = self._run(DRAPE, feed, ["vertices"])[0]
-        if not np.isfinite(vertices).all():
-            raise ArtifactError(
-                f"{self.manifest.name} vertices",
-                expected="finite numbers",
-                got="NaN or infinity",
-                cure="Use another model; this one fails on the pose.",
-            )
+        check_finite(self, bool(np.isfinite(vertices).all()))
         return vertices
 
     @property
@@ -170,6 +164,17 @@ class Engine:
     def _run(self, graph: str, feed: dict[str, np.ndarray], outputs: list[str]) -> list[Any]:
         wanted = [tensor.name for tensor in self.manifest.graphs[graph].inputs]
         return list(self._sessions[graph].run(outputs, {name: feed[name] for name in wanted}))
+
+
+def check_finite(engine: Engine, finite: bool) -> None:
+    """Refuses an answer of the network that holds NaN or infinity."""
+    if not finite:
+        raise ArtifactError(
+            f"{engine.manifest.name} vertices",
+            expected="finite numbers",
+            got="NaN or infinity",
+            cure="Use another model; this one fails on the pose.",
+        )
 
 
 @dataclass(frozen=True)

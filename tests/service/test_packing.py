@@ -17,7 +17,9 @@ from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.errors import ArtifactError, InputError, NotFound
 from drape.feeds import body_feed, garment_feed
+from drape.garment.cache import save_garment
 from drape.packing import TANGENTS, pack_body
+from service.drapery import Drapery, PoseInput
 from service.engine import PACKED, Engine
 from service.packing import STORED_INDEX, Packer, ScenePlan
 from service.subgraph import cut
@@ -271,3 +273,46 @@ def test_a_manifest_with_other_tensors_is_refused(tmp_path: Path):
     packer.add("tank", garment("tank"))
     with pytest.raises(ArtifactError, match="packed patch_first: expected float16 as in the manifest"):
         packer.warm_up(ScenePlan(), pack_body(load_body()).rows(np.zeros((1, 24, 3))))
+
+
+def test_the_service_drapes_through_it_with_the_same_numbers(make_settings, tmp_path: Path):
+    """A clip and two clients by the packed graph, and by a service whose model has none."""
+    import shutil
+
+    models = tmp_path / "models"
+    shutil.copytree(exported()[1], models / "small")
+    shutil.copytree(exported()[1], models / "plain")
+    manifest = load_manifest(models / "plain")
+    graphs = {key: spec for key, spec in manifest.graphs.items() if key != PACKED}
+    (models / "plain" / "manifest.json").write_text(replace(manifest, graphs=graphs).to_json())
+    shirts = tmp_path / "shirts"
+    for kind in KINDS:
+        save_garment(garment(kind), shirts)
+    poses, trans = random_motion(3, seed=8)
+    bent = np.linspace(-1.0, 1.0, load_body().shape_count)
+    inputs = [PoseInput(poses[:2], trans[:2], 0.0 * bent, push=False), PoseInput(poses[2:], trans[2:], bent, push=True)]
+    draped = []
+    for model in ("small", "plain"):
+        drapery = Drapery(make_settings(models_dir=models, model=model, shipped_garments_dir=shirts))
+        assert (drapery.packer is not None) == (model == "small")
+        draped.append(drapery.compute(drapery.garments.get("tank"), inputs))
+        drapery.close()
+    assert_allclose(draped[0].vertices, draped[1].vertices, rtol=0, atol=2e-5)
+    assert_allclose(draped[0].root, draped[1].root, rtol=0, atol=1e-12)
+    assert_array_equal(draped[0].pushed_share[:2], 0.0)
+
+
+def test_the_service_refuses_what_is_not_finite(make_settings, tmp_path: Path):
+    import shutil
+
+    shutil.copytree(exported()[1], tmp_path / "small")
+    save_garment(garment("tank"), tmp_path / "shirts")
+    drapery = Drapery(make_settings(models_dir=tmp_path, model="small", shipped_garments_dir=tmp_path / "shirts"))
+    entry = drapery.garments.get("tank")
+    broken = replace(entry.garment, patch_features=np.full_like(entry.garment.patch_features, np.nan))
+    assert drapery.packer is not None
+    drapery.packer.add(entry.garment.digest, broken)
+    rest = PoseInput(np.zeros((1, 24, 3)), np.zeros((1, 3)), np.zeros(load_body().shape_count), push=False)
+    with pytest.raises(ArtifactError, match="small vertices: expected finite numbers"):
+        drapery.compute(entry, [rest])
+    drapery.close()
