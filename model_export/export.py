@@ -1,4 +1,4 @@
-"""Writes a checkpoint as a model folder: two ONNX graphs and a manifest, published only when parity holds."""
+"""Writes a checkpoint as a model folder: its ONNX graphs and a manifest, published only when parity holds."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import shutil
 import sys
 import tempfile
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,10 @@ from drape.artifacts import GraphSpec, Manifest, TensorSpec, file_digest, load_m
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment
+from model_export import packed
 from model_export.graph import OUTPUTS, DrapeGraph, EncoderGraph, drape_inputs, encoder_inputs, encoder_outputs
+from model_export.packed import FirstGraph, PackedGraph, first_outputs, packed_inputs
+from model_export.packed_parity import packed_parity_error
 from model_export.parity import TOLERANCE_M, parity_error
 from training import checkpoint
 from training.model import OneFit
@@ -28,6 +32,8 @@ OPSET = 20
 # Odd, and unlike each other: an axis of length 1 or two equal axes would be baked in without a word.
 SAMPLE = {"frames": 3, "patches": 7, "vertices": 11, "points": 13}
 LIMIT = {"frames": 65536, "patches": 65536, "vertices": 1 << 22, "points": 65536}
+MOST = 1 << 22
+INDEX_TYPES = {"int32": torch.int32, "int64": torch.int64}
 
 
 def load_model(path: Path) -> tuple[OneFit, dict[str, Any]]:
@@ -59,11 +65,19 @@ def export(
     target.parent.mkdir(parents=True, exist_ok=True)
     staged = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
     try:
+        packs = model.config.variant == "vector"
         encoder = write_graph(
-            EncoderGraph(model), staged / "garment_encoder.onnx", encoder_inputs(model), encoder_outputs(model)
+            FirstGraph(model) if packs else EncoderGraph(model),
+            staged / "garment_encoder.onnx",
+            encoder_inputs(model),
+            first_outputs(model) if packs else encoder_outputs(model),
         )
         drape = write_graph(DrapeGraph(model), staged / "drape.onnx", drape_inputs(model), OUTPUTS)
+        graphs = {"garment_encoder": encoder, "drape": drape}
         error = parity_error(model, staged / encoder.file, staged / drape.file, garment)
+        if packs:
+            graphs["packed"] = write_packed(model, staged / "packed.onnx")
+            error = max(error, packed_parity_error(model, staged / encoder.file, staged / "packed.onnx", garment))
         if not error <= TOLERANCE_M:
             raise ArtifactError(
                 "parity",
@@ -74,7 +88,7 @@ def export(
         body = load_body()
         manifest = Manifest(
             name=target.name,
-            graphs={"garment_encoder": encoder, "drape": drape},
+            graphs=graphs,
             body=DEFAULT_BODY,
             body_digest=body.digest,
             embedding_size=model.config.embedding_size,
@@ -101,21 +115,29 @@ def write_quality(folder: Path, rows: list[dict[str, Any]]) -> None:
 
 
 def write_graph(
-    module: nn.Module, path: Path, inputs: tuple[TensorSpec, ...], outputs: tuple[TensorSpec, ...]
+    module: nn.Module,
+    path: Path,
+    inputs: tuple[TensorSpec, ...],
+    outputs: tuple[TensorSpec, ...],
+    *,
+    sample: dict[str, int] = SAMPLE,
+    translations: dict[Callable, Callable] | None = None,
 ) -> GraphSpec:
     """Writes ``module`` as the ONNX file ``path`` whose named axes are symbolic, and what the manifest says of it."""
     samples, dynamic = {}, {}
-    axes = {name: torch.export.Dim(name, min=1, max=LIMIT[name]) for name in SAMPLE}
+    axes = {name: torch.export.Dim(name, min=1, max=LIMIT.get(name, MOST)) for name in sample}
     for spec in inputs:
-        shape = tuple(SAMPLE[axis] if isinstance(axis, str) else axis for axis in spec.shape)
+        shape = tuple(sample[axis] if isinstance(axis, str) else axis for axis in spec.shape)
         # Index inputs must be valid indices of the sample; zeros always are.
-        samples[spec.name] = torch.zeros(shape, dtype=torch.int64) if spec.dtype == "int64" else torch.rand(shape)
+        index = INDEX_TYPES.get(spec.dtype)
+        samples[spec.name] = torch.rand(shape) if index is None else torch.zeros(shape, dtype=index)
         dynamic[spec.name] = {i: axes[axis] for i, axis in enumerate(spec.shape) if isinstance(axis, str)}
     with warnings.catch_warnings(), torch.no_grad():
         warnings.simplefilter("ignore")  # the exporter's own deprecation notices
         program = torch.onnx.export(
             module, kwargs=samples, dynamo=True, opset_version=OPSET, input_names=[s.name for s in inputs],
             output_names=[s.name for s in outputs], dynamic_shapes=dynamic, optimize=True, verbose=False,
+            custom_translation_table=translations,
         )  # fmt: skip
     assert program is not None
     proto = program.model_proto
@@ -123,6 +145,18 @@ def write_graph(
     onnx.checker.check_model(proto)
     onnx.save(proto, str(path))
     return GraphSpec(path.name, file_digest(path), OPSET, inputs, outputs)
+
+
+def write_packed(model: OneFit, path: Path) -> GraphSpec:
+    """Writes the packed graph of ``model`` (vector jets only)."""
+    return write_graph(
+        PackedGraph(model).eval(),
+        path,
+        packed_inputs(model),
+        packed.OUTPUTS,
+        sample=packed.SAMPLE,
+        translations=packed.TRANSLATIONS,
+    )
 
 
 def _check_symbolic(

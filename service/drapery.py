@@ -15,10 +15,12 @@ from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.errors import NotFound
 from drape.feeds import BodyFeed, body_feed
+from drape.packing import pack_body
 from service.collider import MOVED_M, Collider
-from service.engine import Engine
+from service.engine import Engine, check_finite
 from service.garments import Entry, Registry
 from service.motions import Motions
+from service.packing import Packer, ScenePlan
 from service.settings import Settings
 
 Result = TypeVar("Result")
@@ -65,7 +67,8 @@ class Drapery:
         self.engine = Engine(settings.models_dir / settings.model, provider=settings.provider, threads=settings.threads)
         self.engine.check_body(self.body)
         self.collider = Collider(self.body)
-        self.garments = Registry(self.engine, self.body, settings)
+        self.packer = Packer(self.engine) if self.engine.packs else None
+        self.garments = Registry(self.engine, self.body, settings, self.packer)
         self.motions = Motions(settings.motions_dir)
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="drape")
         self.warm_up()
@@ -118,8 +121,7 @@ class Drapery:
 
     def compute(self, entry: Entry, motions: Sequence[PoseInput]) -> Draped:
         """All frames of ``motions``, which may differ in shape, of one garment in one run of the graph."""
-        feed = _joined_feed([body_feed(self.body, m.poses, m.trans, m.betas) for m in motions])
-        vertices = self.engine.drape({**feed.arrays, **entry.feed})
+        vertices, roots = self._drape(entry, motions)
         count = len(vertices)
         share, furthest = np.zeros(count), np.zeros(count)
         start = 0
@@ -128,7 +130,21 @@ class Drapery:
             start = rows.stop
             if motion.push:
                 vertices[rows], share[rows], furthest[rows] = self._pushed(vertices[rows], motion)
-        return Draped(vertices, feed.root, any(m.push for m in motions), share, furthest)
+        return Draped(vertices, roots, any(m.push for m in motions), share, furthest)
+
+    def _drape(self, entry: Entry, motions: Sequence[PoseInput]) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices [m] (F, V, 3) of all frames relative to the roots [m] (F, 3), by the packed graph where it is."""
+        if self.packer is None:
+            feed = _joined_feed([body_feed(self.body, m.poses, m.trans, m.betas) for m in motions])
+            return self.engine.drape({**feed.arrays, **entry.feed}), feed.root
+        shapes = [pack_body(self.body, m.betas) for m in motions]
+        rows = [shape.rows(m.poses) for shape, m in zip(shapes, motions, strict=True)]
+        bodies = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
+        roots = np.concatenate([m.trans + shape.root for shape, m in zip(shapes, motions, strict=True)])
+        items = [(entry.garment.digest, frame) for frame in range(len(roots))]
+        vertices = self.packer.run(ScenePlan(), bodies, items)
+        check_finite(self.engine, all(result.finite for result in vertices))
+        return np.stack([result.arrays["vertices"] for result in vertices]), roots
 
     def _pushed(self, vertices: np.ndarray, motion: PoseInput) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """``vertices`` moved out of the body, the share moved and the furthest way [m] of each frame."""
