@@ -32,7 +32,7 @@ from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material, material
 from drape.errors import ArtifactError, DrapeError
-from drape.feeds import body_feed, garment_feed
+from drape.feeds import body_feed, garment_feed, kinematics
 from drape.garment.cache import Garment
 from drape.geometry import meshes
 from drape.motion.clip import MotionClip
@@ -92,11 +92,11 @@ def stopped(clip: MotionClip, *, fps: float = FPS, hold_s: float = HOLD_S) -> tu
 
 def drape(engine: Engine, body: BodyModel, what: Subject, clip: MotionClip, *, motion: float) -> np.ndarray:
     """Vertices [m] (F, V, 3) float32 relative to the root joint, frame by frame as a stream would get them."""
-    feed = body_feed(body, clip.poses, clip.trans)
+    feed, at = body_feed(body, clip.poses, clip.trans), kinematics(body, clip.poses, clip.trans)
     memory, frames = nothing(engine), []
     for i in range(clip.frame_count):
         if motion > 0.0:
-            (memory,) = advance(engine, [memory], [Moment(i / clip.fps, feed.kinematics[i])])
+            (memory,) = advance(engine, [memory], [Moment(i / clip.fps, at[i])])
         code = np.float32(motion) * memory.code[None]
         arrays = {key: value[i : i + 1] for key, value in feed.arrays.items()}
         frames.append(engine.drape({**arrays, **what.feed, "dynamic_code": code})[0])

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from benchmarks import latency_report
 from benchmarks.common import RESULTS_DIR, ROOT
 
 QUALITY_COLUMNS = {
@@ -103,6 +104,10 @@ TABLES: tuple[tuple[str, str, str, Callable[[dict[str, Any]], str]], ...] = (
     ("quality", "docs/quality.md", "quality_network", network_table),
     ("quality_unseen", "docs/quality.md", "quality_unseen", quality_table),
     ("quality_unseen", "docs/quality.md", "quality_unseen_network", network_table),
+    ("latency", "docs/performance.md", "latency_single", latency_report.single_table),
+    ("latency", "docs/performance.md", "latency_stages", latency_report.stage_table),
+    ("latency", "docs/performance.md", "latency_batches", latency_report.batch_table),
+    ("latency", "docs/performance.md", "latency_growth", latency_report.growth_table),
 )
 
 

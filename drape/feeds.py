@@ -23,11 +23,10 @@ BETA_COUNT = 10
 
 @dataclass(frozen=True)
 class BodyFeed:
-    """Graph inputs of F posed bodies, float32; the root positions [m] (F, 3) and where the bodies are, in float64."""
+    """Graph inputs of F posed bodies, float32, and the root positions [m] (F, 3) in float64."""
 
     arrays: dict[str, np.ndarray]
     root: np.ndarray
-    kinematics: Kinematics
 
 
 def body_feed(body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.ndarray | None = None) -> BodyFeed:
@@ -49,18 +48,25 @@ def body_feed(body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.n
     if betas is not None:
         shape[: body.shape_count] = body.check_betas(betas)[:BETA_COUNT]
     shapes = np.broadcast_to(shape, (len(poses), BETA_COUNT))
-    static = static_features(rotvec_to_matrix(poses), rotations)
-    joints = (rotations @ body.rest_joints(betas)[..., None])[..., 0] + relative
+    static = static_features(rotvec_to_matrix(poses), rotations).reshape(len(poses), feature_count())
     arrays = {
-        "body_features": np.concatenate([static.reshape(len(poses), feature_count()), shapes], axis=1),
+        "body_features": np.concatenate([static, shapes], axis=1),
         "bone_rotation": rotations,
         "bone_translation": relative,
         "bone_quaternion": matrix_to_quaternion(rotations),
         "betas": shapes,
-        "body_joints": joints,
+        "body_joints": (rotations @ body.rest_joints(betas)[..., None])[..., 0] + relative,
     }
-    feed = {key: np.ascontiguousarray(value, dtype=np.float32) for key, value in arrays.items()}
-    return BodyFeed(feed, root, Kinematics(static, joints + root[:, None], rotations))
+    return BodyFeed({key: np.ascontiguousarray(value, dtype=np.float32) for key, value in arrays.items()}, root)
+
+
+def kinematics(body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.ndarray | None = None) -> Kinematics:
+    """Where the bodies of ``poses`` (F, 24, 3) [rad] with root translations ``trans`` (F, 3) [m] and shape ``betas``
+    are: what ``motion_features`` compares."""
+    poses = np.asarray(poses, dtype=np.float64)
+    rotations, translations = body.bones(poses, trans, betas)
+    joints = (rotations @ body.rest_joints(betas)[..., None])[..., 0] + translations
+    return Kinematics(static_features(rotvec_to_matrix(poses), rotations), joints, rotations)
 
 
 def garment_feed(garment: Garment, *, fine: bool = False) -> dict[str, np.ndarray]:

@@ -1,4 +1,4 @@
-"""Writes a checkpoint as a model folder: ONNX graphs and a manifest, published only when parity holds."""
+"""Writes a checkpoint as a model folder: its ONNX graphs and a manifest, published only when parity holds."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import shutil
 import sys
 import tempfile
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from drape.artifacts import GraphSpec, Manifest, TensorSpec, file_digest, load_m
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment
+from model_export import packed
 from model_export.graph import (
     OUTPUTS,
     DrapeGraph,
@@ -30,6 +32,8 @@ from model_export.graph import (
     encoder_inputs,
     encoder_outputs,
 )
+from model_export.packed import FirstGraph, PackedGraph, first_outputs, packed_inputs
+from model_export.packed_parity import packed_parity_error
 from model_export.parity import TOLERANCE_M, parity_error, sequence_error
 from training import checkpoint
 from training.model import OneFit
@@ -38,6 +42,8 @@ OPSET = 20
 # Odd, and unlike each other: an axis of length 1 or two equal axes would be baked in without a word.
 SAMPLE = {"frames": 3, "patches": 7, "vertices": 11, "points": 13, "clients": 5}
 LIMIT = {"frames": 65536, "patches": 65536, "vertices": 1 << 22, "points": 65536, "clients": 65536}
+MOST = 1 << 22
+INDEX_TYPES = {"int32": torch.int32, "int64": torch.int64}
 
 
 def load_model(path: Path) -> tuple[OneFit, dict[str, Any]]:
@@ -70,7 +76,10 @@ def export(
     staged = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
     try:
         graphs = write_graphs(model, staged)
-        error = parity_error(model, staged / graphs["garment_encoder"].file, staged / graphs["drape"].file, garment)
+        encoder, drape = (staged / graphs[name].file for name in ("garment_encoder", "drape"))
+        error = parity_error(model, encoder, drape, garment)
+        if "packed" in graphs:
+            error = max(error, packed_parity_error(model, encoder, staged / graphs["packed"].file, garment))
         if model.config.dynamic:
             error = max(error, sequence_error(model, staged, graphs, garment))
         if not error <= TOLERANCE_M:
@@ -103,14 +112,17 @@ def export(
 
 
 def write_graphs(model: OneFit, folder: Path) -> dict[str, GraphSpec]:
-    """Writes every graph of ``model`` into ``folder``."""
+    """Writes every graph of ``model`` into ``folder``; the packed one where its representation is vector jets."""
+    packs = model.config.variant == "vector"
+    encoder = (FirstGraph(model), first_outputs(model)) if packs else (EncoderGraph(model), encoder_outputs(model))
     parts = {
-        "garment_encoder": (EncoderGraph(model), encoder_inputs(model), encoder_outputs(model)),
+        "garment_encoder": (encoder[0], encoder_inputs(model), encoder[1]),
         "drape": (DrapeGraph(model), drape_inputs(model), OUTPUTS),
     }
     if model.config.dynamic:
         parts["dynamic_encoder"] = DynamicGraph(model), dynamic_inputs(model), dynamic_outputs(model)
-    return {key: write_graph(part[0], folder / f"{key}.onnx", *part[1:]) for key, part in parts.items()}
+    graphs = {key: write_graph(part[0], folder / f"{key}.onnx", *part[1:]) for key, part in parts.items()}
+    return graphs | ({"packed": write_packed(model, folder / "packed.onnx")} if packs else {})
 
 
 def write_quality(folder: Path, rows: list[dict[str, Any]]) -> None:
@@ -122,21 +134,29 @@ def write_quality(folder: Path, rows: list[dict[str, Any]]) -> None:
 
 
 def write_graph(
-    module: nn.Module, path: Path, inputs: tuple[TensorSpec, ...], outputs: tuple[TensorSpec, ...]
+    module: nn.Module,
+    path: Path,
+    inputs: tuple[TensorSpec, ...],
+    outputs: tuple[TensorSpec, ...],
+    *,
+    sample: dict[str, int] = SAMPLE,
+    translations: dict[Callable, Callable] | None = None,
 ) -> GraphSpec:
     """Writes ``module`` as the ONNX file ``path`` whose named axes are symbolic, and what the manifest says of it."""
     samples, dynamic = {}, {}
-    axes = {name: torch.export.Dim(name, min=1, max=LIMIT[name]) for name in SAMPLE}
+    axes = {name: torch.export.Dim(name, min=1, max=LIMIT.get(name, MOST)) for name in sample}
     for spec in inputs:
-        shape = tuple(SAMPLE[axis] if isinstance(axis, str) else axis for axis in spec.shape)
+        shape = tuple(sample[axis] if isinstance(axis, str) else axis for axis in spec.shape)
         # Index inputs must be valid indices of the sample; zeros always are.
-        samples[spec.name] = torch.zeros(shape, dtype=torch.int64) if spec.dtype == "int64" else torch.rand(shape)
+        index = INDEX_TYPES.get(spec.dtype)
+        samples[spec.name] = torch.rand(shape) if index is None else torch.zeros(shape, dtype=index)
         dynamic[spec.name] = {i: axes[axis] for i, axis in enumerate(spec.shape) if isinstance(axis, str)}
     with warnings.catch_warnings(), torch.no_grad():
         warnings.simplefilter("ignore")  # the exporter's own deprecation notices
         program = torch.onnx.export(
             module, kwargs=samples, dynamo=True, opset_version=OPSET, input_names=[s.name for s in inputs],
             output_names=[s.name for s in outputs], dynamic_shapes=dynamic, optimize=True, verbose=False,
+            custom_translation_table=translations,
         )  # fmt: skip
     assert program is not None
     proto = program.model_proto
@@ -144,6 +164,18 @@ def write_graph(
     onnx.checker.check_model(proto)
     onnx.save(proto, str(path))
     return GraphSpec(path.name, file_digest(path), OPSET, inputs, outputs)
+
+
+def write_packed(model: OneFit, path: Path) -> GraphSpec:
+    """Writes the packed graph of ``model`` (vector jets only)."""
+    return write_graph(
+        PackedGraph(model).eval(),
+        path,
+        packed_inputs(model),
+        packed.OUTPUTS,
+        sample=packed.SAMPLE,
+        translations=packed.TRANSLATIONS,
+    )
 
 
 def _check_symbolic(

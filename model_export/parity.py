@@ -12,7 +12,7 @@ from drape.artifacts import GraphSpec
 from drape.body.assets import load_body
 from drape.body.features import motion_features
 from drape.body.model import BodyModel
-from drape.feeds import body_feed, garment_feed
+from drape.feeds import body_feed, garment_feed, kinematics
 from drape.garment.cache import Garment
 from model_export.graph import DrapeGraph, DynamicGraph, EncoderGraph, drape_inputs, dynamic_inputs
 from training.model import OneFit
@@ -77,7 +77,7 @@ def sequence_error(
     poses = 0.4 * np.sin(2.0 * np.pi * time_s[:, None, None] * swing)
     trans = np.sin(3.0 * time_s)[:, None] * [0.5, 0.1, 0.8]
     feed = body_feed(body, poses, trans)
-    at = feed.kinematics
+    at = kinematics(body, poses, trans)
     features = motion_features(at[2:], at[1:-1], at[:-2], dt_s[1:], dt_s[:-1]).astype(np.float32)
     constants = garment_feed(garment)
     with torch.no_grad():

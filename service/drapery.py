@@ -12,15 +12,16 @@ from typing import TypeVar
 import numpy as np
 
 from drape.body.assets import load_body
-from drape.body.features import Kinematics
 from drape.body.model import BodyModel
 from drape.errors import NotFound
-from drape.feeds import BodyFeed, body_feed
+from drape.feeds import BodyFeed, body_feed, kinematics
+from drape.packing import pack_body
 from service.collider import MOVED_M, Collider
 from service.dynamics import Memory, Moment, advance, nothing
-from service.engine import Engine
+from service.engine import Engine, check_finite
 from service.garments import Entry, Registry
 from service.motions import Motions
+from service.packing import Packer, ScenePlan
 from service.settings import Settings
 
 Result = TypeVar("Result")
@@ -81,7 +82,8 @@ class Drapery:
         self.engine = Engine(settings.models_dir / settings.model, provider=settings.provider, threads=settings.threads)
         self.engine.check_body(self.body)
         self.collider = Collider(self.body)
-        self.garments = Registry(self.engine, self.body, settings)
+        self.packer = Packer(self.engine) if self.engine.packs else None
+        self.garments = Registry(self.engine, self.body, settings, self.packer)
         self.motions = Motions(settings.motions_dir)
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="drape")
         self.warm_up()
@@ -142,13 +144,7 @@ class Drapery:
 
     def compute(self, entry: Entry, motions: Sequence[PoseInput]) -> Draped:
         """All frames of ``motions``, which may differ in shape, of one garment in one run of the graph."""
-        feeds = [body_feed(self.body, m.poses, m.trans, m.betas) for m in motions]
-        feed = _joined_feed(feeds)
-        arrays, memories = {**feed.arrays, **entry.feed}, tuple(m.memory for m in motions)
-        if self.engine.dynamic:
-            codes, memories = self._follow(motions, [feed.kinematics for feed in feeds])
-            arrays["dynamic_code"] = np.concatenate(codes)
-        vertices = self.engine.drape(arrays)
+        vertices, roots, memories = self._drape(entry, motions)
         count = len(vertices)
         share, furthest = np.zeros(count), np.zeros(count)
         start = 0
@@ -157,29 +153,56 @@ class Drapery:
             start = rows.stop
             if motion.push:
                 vertices[rows], share[rows], furthest[rows] = self._pushed(vertices[rows], motion)
-        return Draped(vertices, feed.root, any(m.push for m in motions), share, furthest, memories)
+        return Draped(vertices, roots, any(m.push for m in motions), share, furthest, memories)
 
-    def _follow(
-        self, motions: Sequence[PoseInput], bodies: Sequence[Kinematics]
-    ) -> tuple[list[np.ndarray], tuple[Memory | None, ...]]:
-        """Scaled codes (F, C) of every input, and the memories after them; with the knob at 0 nothing is run.
+    def _drape(
+        self, entry: Entry, motions: Sequence[PoseInput]
+    ) -> tuple[np.ndarray, np.ndarray, tuple[Memory | None, ...]]:
+        """Vertices [m] (F, V, 3) of all frames relative to the roots [m] (F, 3), by the packed graph where it is.
 
-        Frame by frame, since each needs the state after the one before; the inputs of a frame go together.
+        Third, what each input's body leaves behind.
         """
-        codes = [np.zeros((len(m.poses), self.engine.code_size), np.float32) for m in motions]
+        codes, memories = self._follow(motions)
+        if self.packer is None:
+            feed = _joined_feed([body_feed(self.body, m.poses, m.trans, m.betas) for m in motions])
+            return self.engine.drape({**feed.arrays, **entry.feed, **codes}), feed.root, memories
+        shapes = [pack_body(self.body, m.betas) for m in motions]
+        rows = [shape.rows(m.poses) for shape, m in zip(shapes, motions, strict=True)]
+        bodies = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
+        roots = np.concatenate([m.trans + shape.root for shape, m in zip(shapes, motions, strict=True)])
+        items = [(entry.garment.digest, frame) for frame in range(len(roots))]
+        results = self.packer.run(ScenePlan(), bodies | codes, items)
+        check_finite(self.engine, all(result.finite for result in results))
+        return np.stack([result.arrays["vertices"] for result in results]), roots, memories
+
+    def _follow(self, motions: Sequence[PoseInput]) -> tuple[dict[str, np.ndarray], tuple[Memory | None, ...]]:
+        """``dynamic_code`` (F, C) of all frames, times the knob, and the memories after them; empty of a static model.
+
+        Frame by frame, since each needs the state after the one before; the inputs of a frame go together. Where the
+        knob is 0 neither kinematics nor recurrence are computed, and codes are zero.
+        """
+        if not self.engine.dynamic:
+            return {}, tuple(m.memory for m in motions)
         memories = [(m.memory or nothing(self.engine)) if m.motion > 0.0 else None for m in motions]
-        for frame in range(max(len(m.poses) for m in motions)):
+        codes = [np.zeros((len(m.poses), self.engine.code_size), np.float32) for m in motions]
+        bodies = {
+            i: kinematics(self.body, m.poses, m.trans, m.betas)
+            for i, m in enumerate(motions)
+            if memories[i] is not None
+        }
+        for frame in range(max((len(motions[i].poses) for i in bodies), default=0)):
             rows, before, moments = [], [], []
-            for i, (motion, memory) in enumerate(zip(motions, memories, strict=True)):
-                if memory is not None and frame < len(motion.poses):
-                    assert motion.times_s is not None
+            for i, at in bodies.items():
+                motion, memory = motions[i], memories[i]
+                if frame < len(motion.poses):
+                    assert memory is not None and motion.times_s is not None
                     rows.append(i)
                     before.append(memory)
-                    moments.append(Moment(float(motion.times_s[frame]), bodies[i][frame]))
+                    moments.append(Moment(float(motion.times_s[frame]), at[frame]))
             for i, memory in zip(rows, advance(self.engine, before, moments), strict=True):
                 memories[i] = memory
                 codes[i][frame] = np.float32(motions[i].motion) * memory.code
-        return codes, tuple(memories)
+        return {"dynamic_code": np.concatenate(codes)}, tuple(memories)
 
     def _pushed(self, vertices: np.ndarray, motion: PoseInput) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """``vertices`` moved out of the body, the share moved and the furthest way [m] of each frame."""
@@ -191,13 +214,7 @@ def _joined_feed(feeds: Sequence[BodyFeed]) -> BodyFeed:
     if len(feeds) == 1:
         return feeds[0]
     arrays = {key: np.concatenate([feed.arrays[key] for feed in feeds]) for key in feeds[0].arrays}
-    each = [feed.kinematics for feed in feeds]
-    kinematics = Kinematics(
-        np.concatenate([at.static for at in each]),
-        np.concatenate([at.joints for at in each]),
-        np.concatenate([at.rotations for at in each]),
-    )
-    return BodyFeed(arrays, np.concatenate([feed.root for feed in feeds]), kinematics)
+    return BodyFeed(arrays, np.concatenate([feed.root for feed in feeds]))
 
 
 def _joined(parts: Sequence[Draped]) -> Draped:

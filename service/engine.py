@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import importlib.metadata
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -11,6 +14,7 @@ import numpy as np
 from drape.artifacts import GraphSpec, Manifest, load_manifest
 from drape.body.model import BodyModel
 from drape.errors import ArtifactError, Unavailable
+from service.subgraph import cut
 
 if TYPE_CHECKING:
     import onnxruntime
@@ -19,7 +23,8 @@ Provider = Literal["cpu", "cuda"]
 
 PROVIDER_NAMES: dict[Provider, str] = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
 DISTRIBUTIONS = ("onnxruntime", "onnxruntime-gpu")
-ENCODER, DRAPE, DYNAMIC = "garment_encoder", "drape", "dynamic_encoder"
+ENCODER, DRAPE, PACKED, DYNAMIC = "garment_encoder", "drape", "packed", "dynamic_encoder"
+FIRST = "patch_first"  # output of the encoder that the packed graph reads
 REQUIRED_OUTPUTS = {ENCODER: {"patch_embedding"}, DRAPE: {"vertices"}, DYNAMIC: {"dynamic_code", "next_state"}}
 # ONNX Runtime's names for element types.
 _TYPES = {
@@ -27,6 +32,8 @@ _TYPES = {
     "float64": "tensor(double)",
     "float16": "tensor(float16)",
     "int64": "tensor(int64)",
+    "int32": "tensor(int32)",
+    "uint16": "tensor(uint16)",
 }
 
 
@@ -81,9 +88,14 @@ class Engine:
                     got=str(sorted(self.manifest.graphs)),
                     cure="Export the model again.",
                 )
-        self._sessions = {name: _open(folder, name, self.manifest.graphs[name], provider, threads) for name in graphs}
         self.state_size = self.manifest.state_size
         self.code_size = _code_size(folder.name, self.manifest)
+        self._provider: Provider = provider
+        self._threads = threads
+        # Read now: a folder replaced later must not mix its graphs with those of this one.
+        packed = self.manifest.graphs.get(PACKED)
+        self._files = {PACKED: (folder / packed.file).read_bytes()} if packed else {}
+        self._sessions = {name: _open(folder, name, self.manifest.graphs[name], provider, threads) for name in graphs}
         self.provider: str = self._sessions[DRAPE].get_providers()[0]
 
     def check_body(self, body: BodyModel) -> None:
@@ -112,13 +124,7 @@ class Engine:
     def drape(self, feed: dict[str, np.ndarray]) -> np.ndarray:
         """Vertices [m] (F, V, 3) float32 relative to the root joint, for the graph's inputs ``feed``."""
         vertices = self._run(DRAPE, feed, ["vertices"])[0]
-        if not np.isfinite(vertices).all():
-            raise ArtifactError(
-                f"{self.manifest.name} vertices",
-                expected="finite numbers",
-                got="NaN or infinity",
-                cure="Use another model; this one fails on the pose.",
-            )
+        check_finite(self, bool(np.isfinite(vertices).all()))
         return vertices
 
     def advance(self, features: np.ndarray, state: np.ndarray, dt_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -135,6 +141,41 @@ class Engine:
             )
         return code, after
 
+    @property
+    def packs(self) -> bool:
+        """Whether the model has the packed graph."""
+        return PACKED in self.manifest.graphs and FIRST in {t.name for t in self.manifest.graphs[ENCODER].outputs}
+
+    def first(self, patch_features: np.ndarray) -> np.ndarray:
+        """What the packed graph reads of a garment's patches, (K, n) float32; constant per garment and model."""
+        if not self.packs:
+            raise ArtifactError(
+                f"{self.manifest.name} graphs",
+                expected=f"a graph {PACKED!r} and an encoder with {FIRST!r}",
+                got=str(sorted(self.manifest.graphs)),
+                cure="Export the model again.",
+            )
+        features = np.ascontiguousarray(patch_features, dtype=np.float32)
+        return self._run(ENCODER, {"patch_features": features}, [FIRST])[0]
+
+    def open_cut(self, graph: str, outputs: Sequence[str], *, direct: Collection[str] = ()) -> GraphSession:
+        """A session of what ``outputs`` of ``graph`` need and nothing else (``service.subgraph``)."""
+        name, spec = self.manifest.name, self.manifest.graphs[graph]
+        model = cut(self._files[graph], outputs, direct=direct)
+        session = _session(f"{name}/{spec.file}", model, self._provider, self._threads)
+        found = {t.name: t.type for t in session.get_inputs()}
+        _compare(name, graph, "inputs", {t.name: t.dtype for t in spec.inputs if t.name in found}, found)
+        found = {t.name: t.type for t in session.get_outputs()}
+        _compare(name, graph, "outputs", {t.name: t.dtype for t in spec.outputs if t.name in found}, found)
+        return GraphSession(session)
+
+    def value(self, array: np.ndarray) -> onnxruntime.OrtValue:
+        """``array`` where the graphs compute; on the CPU it shares the array's memory."""
+        import onnxruntime
+
+        device = "cuda" if self._provider == "cuda" else "cpu"
+        return onnxruntime.OrtValue.ortvalue_from_numpy(array, device)
+
     def _run(self, graph: str, feed: dict[str, np.ndarray], outputs: list[str]) -> list[Any]:
         wanted = [tensor.name for tensor in self.manifest.graphs[graph].inputs]
         return list(self._sessions[graph].run(outputs, {name: feed[name] for name in wanted}))
@@ -142,48 +183,50 @@ class Engine:
 
 def _code_size(model: str, manifest: Manifest) -> int:
     """Numbers of a dynamic code, 0 of a static model; refuses graphs that are not what the manifest says."""
-    sizes = {t.name: t.shape[-1] for t in manifest.graphs[DRAPE].inputs}
+    drapes = [manifest.graphs[name] for name in (DRAPE, PACKED) if name in manifest.graphs]
+    codes = {{t.name: t.shape[-1] for t in graph.inputs}.get("dynamic_code", 0) for graph in drapes}
     states = [t.shape[-1] for t in manifest.graphs[DYNAMIC].inputs if t.name == "state"] if manifest.dynamic else [0]
-    code = sizes.get("dynamic_code", 0)
-    if not isinstance(code, int) or (code > 0) != manifest.dynamic or states != [manifest.state_size]:
+    code = next(iter(codes))
+    fits = len(codes) == 1 and (code != 0) == manifest.dynamic and states == [manifest.state_size]
+    if not fits or not isinstance(code, int):
         raise ArtifactError(
             f"{model} dynamic",
-            expected="a drape graph with a dynamic_code and a state of state_size, or neither",
-            got=f"dynamic {manifest.dynamic}, dynamic_code of {code}, states {states} and {manifest.state_size}",
+            expected="drape graphs with a dynamic_code and a state of state_size, or neither",
+            got=f"dynamic {manifest.dynamic}, dynamic_code of {codes}, states {states} and {manifest.state_size}",
             cure="Export the model again.",
         )
     return code
 
 
+def check_finite(engine: Engine, finite: bool) -> None:
+    """Refuses an answer of the network that holds NaN or infinity."""
+    if not finite:
+        raise ArtifactError(
+            f"{engine.manifest.name} vertices",
+            expected="finite numbers",
+            got="NaN or infinity",
+            cure="Use another model; this one fails on the pose.",
+        )
+
+
+@dataclass(frozen=True)
+class GraphSession:
+    """A session of part of a graph: the names of its ``inputs``, and values that stay where it computes."""
+
+    _session: onnxruntime.InferenceSession
+
+    @cached_property
+    def inputs(self) -> tuple[str, ...]:
+        return tuple(tensor.name for tensor in self._session.get_inputs())
+
+    def run(self, outputs: Sequence[str], feed: dict[str, onnxruntime.OrtValue]) -> list[np.ndarray]:
+        """``outputs`` for ``feed``."""
+        return [value.numpy() for value in self._session.run_with_ort_values(list(outputs), feed)]
+
+
 def _open(folder: Path, name: str, spec: GraphSpec, provider: Provider, threads: int) -> onnxruntime.InferenceSession:
     """A session of one graph whose tensors are those of the manifest, on the provider that was asked for."""
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.inter_op_num_threads = 1
-    # Spinning threads burn a core at 90 frames a second and gain 0.2 ms.
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    options.log_severity_level = 3
-    # Only what was asked for; ONNX Runtime adds the CPU by itself where a node needs it.
-    try:
-        session = onnxruntime.InferenceSession(str(folder / spec.file), options, providers=[PROVIDER_NAMES[provider]])
-    except Exception as error:  # the runtime raises a class of its own for each kind of damage
-        raise ArtifactError(
-            f"{folder.name}/{spec.file}",
-            expected="a graph that ONNX Runtime opens",
-            got=str(error).splitlines()[0],
-            cure="Export the model again.",
-        ) from error
-    # ONNX Runtime falls back to the CPU without a word (only a log line), so what counts is what it says it uses.
-    used = session.get_providers()
-    if PROVIDER_NAMES[provider] not in used:
-        raise Unavailable(
-            "DRAPE_PROVIDER",
-            expected=f"{PROVIDER_NAMES[provider]} to open",
-            got=f"only {', '.join(used)}",
-            cure="Install the gpu extra and a driver that fits it, or set DRAPE_PROVIDER=cpu.",
-        )
+    session = _session(f"{folder.name}/{spec.file}", str(folder / spec.file), provider, threads)
     _compare(
         folder.name,
         name,
@@ -205,6 +248,38 @@ def _open(folder: Path, name: str, spec: GraphSpec, provider: Provider, threads:
             expected=", ".join(sorted(missing)),
             got="none",
             cure="Export the model again.",
+        )
+    return session
+
+
+def _session(label: str, model: str | bytes, provider: Provider, threads: int) -> onnxruntime.InferenceSession:
+    """A session of the file or the bytes ``model``, on the provider that was asked for."""
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    # Spinning threads burn a core at 90 frames a second and gain 0.2 ms.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    options.log_severity_level = 3
+    # Only what was asked for; ONNX Runtime adds the CPU by itself where a node needs it.
+    try:
+        session = onnxruntime.InferenceSession(model, options, providers=[PROVIDER_NAMES[provider]])
+    except Exception as error:  # the runtime raises a class of its own for each kind of damage
+        raise ArtifactError(
+            label,
+            expected="a graph that ONNX Runtime opens",
+            got=str(error).splitlines()[0],
+            cure="Export the model again.",
+        ) from error
+    # ONNX Runtime falls back to the CPU without a word (only a log line), so what counts is what it says it uses.
+    used = session.get_providers()
+    if PROVIDER_NAMES[provider] not in used:
+        raise Unavailable(
+            "DRAPE_PROVIDER",
+            expected=f"{PROVIDER_NAMES[provider]} to open",
+            got=f"only {', '.join(used)}",
+            cure="Install the gpu extra and a driver that fits it, or set DRAPE_PROVIDER=cpu.",
         )
     return session
 

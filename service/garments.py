@@ -18,6 +18,7 @@ from drape.garment.cache import CHARTS_PER_VERTEX, Garment, load_garment
 from drape.geometry.jets import JET_COUNT
 from service.engine import Engine
 from service.errors import TooLarge
+from service.packing import Packer
 from service.settings import Settings
 
 Source = Literal["shipped", "user"]
@@ -38,8 +39,8 @@ class Entry:
 class Registry:
     """Garments by id. Shipped caches must load; of the uploaded ones a bad file is set aside and named in /health."""
 
-    def __init__(self, engine: Engine, body: BodyModel, settings: Settings) -> None:
-        self._engine, self._body, self._settings = engine, body, settings
+    def __init__(self, engine: Engine, body: BodyModel, settings: Settings, packer: Packer | None = None) -> None:
+        self._engine, self._body, self._settings, self._packer = engine, body, settings, packer
         self._entries: dict[str, Entry] = {}
         self.refused: list[str] = []
         for path in sorted(settings.shipped_garments_dir.glob("*.npz")):
@@ -74,6 +75,8 @@ class Registry:
         """A checked garment and its graph inputs; what takes time, and safe on the worker thread."""
         garment = load_garment(path)
         check_garment(garment, self._body, max_vertices=self._settings.max_vertices)
+        if self._packer is not None:
+            self._packer.add(garment.digest, garment)
         return garment, {**garment_feed(garment), "patch_embedding": self._engine.embed(garment.patch_features)}
 
     def add(self, prepared: tuple[Garment, dict[str, np.ndarray]], source: Source) -> Entry:

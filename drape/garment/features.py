@@ -7,7 +7,7 @@ import scipy.sparse
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 
-from drape.arrays import Array, namespace
+from drape.arrays import Array, like, namespace
 from drape.body.model import BodyModel
 from drape.geometry import jets
 from drape.geometry.rotations import matrix_to_sixd
@@ -27,7 +27,8 @@ def boundary_vertices(faces: np.ndarray) -> np.ndarray:
 def saturated(offsets: Array) -> Array:
     """Offsets [m] (..., 3) with their length r turned into tanh(r / 0.3): what is far says little about a patch."""
     xp = namespace(offsets)
-    reach = xp.sqrt(xp.sum(offsets * offsets, axis=-1, keepdims=True) + 1e-12)
+    # A maximum and not a sum: graph optimisers take "+ 1e-12" for "+ 0" and drop the guard.
+    reach = xp.sqrt(xp.maximum(xp.sum(offsets * offsets, axis=-1, keepdims=True), like(offsets, 1e-12)))
     return offsets * (xp.tanh(reach / REACH_M) / reach)
 
 

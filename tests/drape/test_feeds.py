@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.body.features import feature_count
 from drape.body.skeleton import JOINT_COUNT
 from drape.errors import BodyError, MotionError
-from drape.feeds import BETA_COUNT, body_feed, garment_feed
+from drape.feeds import BETA_COUNT, body_feed, garment_feed, kinematics
 from drape.geometry import jets
 from drape.geometry.rotations import matrix_to_rotvec, quaternion_to_matrix, rotvec_to_matrix
 from drape.geometry.skinning import skin_points
@@ -69,14 +69,15 @@ def test_root_is_the_place_of_the_root_joint(poses, trans, betas):
     assert_allclose(body_feed(body, poses, trans, betas).root, joint, rtol=0.0, atol=1e-12)
 
 
-def test_kinematics_are_the_joints_in_the_world(poses, trans, betas):
+def test_joints_are_where_the_bones_put_them(poses, trans, betas):
     body = default_body()
-    feed = body_feed(body, poses, trans, betas)
     rotations, translations = body.bones(poses, trans, betas)
     joints = (rotations @ body.rest_joints(betas)[..., None])[..., 0] + translations
-    assert_allclose(feed.kinematics.joints, joints, rtol=0.0, atol=1e-12)
-    assert_array_equal(feed.kinematics.rotations, rotations)
-    flat = feed.kinematics.static.reshape(3, -1)
+    feed, at = body_feed(body, poses, trans, betas), kinematics(body, poses, trans, betas)
+    assert_allclose(feed.arrays["body_joints"] + feed.root[:, None], joints, rtol=0.0, atol=1e-6)
+    assert_allclose(at.joints, joints, rtol=0.0, atol=1e-12)
+    assert_array_equal(at.rotations, rotations)
+    flat = at.static.reshape(3, -1)
     assert_array_equal(flat.astype(np.float32), feed.arrays["body_features"][:, : feature_count()])
 
 

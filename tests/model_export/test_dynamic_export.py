@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,50 +14,36 @@ from drape.artifacts import load_manifest
 from drape.body.assets import load_body
 from drape.body.features import motion_features
 from drape.errors import ArtifactError
-from drape.feeds import body_feed, garment_feed
-from drape.garment.cache import GARMENTS_DIR, load_garment
+from drape.feeds import body_feed, garment_feed, kinematics
+from drape.garment.cache import Garment
 from model_export import export as exporting
 from model_export.graph import OUTPUTS, DrapeGraph, drape_inputs
 from model_export.parity import session
 from service.dynamics import Moment, advance, nothing
 from service.engine import Engine
+from tests.fixtures.packed import MOVING, exported_dynamic
+from tests.fixtures.packed import garment as fixture_garment
 from tests.fixtures.poses import smooth_motion
-from training.config import ModelConfig
 from training.model import OneFit
 
 pytestmark = pytest.mark.slow
-SMALL = ModelConfig(
-    garment_hidden=16, embedding_size=8, body_hidden=16, body_code_size=16, decoder_sizes=(16, 16), head_sizes=(8,),
-    dynamic=True, motion_hidden=24, state_size=32,
-)  # fmt: skip
 REST_S = 2.0
 FRAMES_AT_REST = 10_000
 
 
 @pytest.fixture(scope="module")
-def garment():
-    return load_garment(next(iter(sorted(GARMENTS_DIR.glob("tank-*.npz")))))
+def garment() -> Garment:
+    return fixture_garment("tank")
 
 
 @pytest.fixture(scope="module")
 def model() -> OneFit:
-    """Random weights, so large that an ordinary recurrence would never come to rest."""
-    torch.manual_seed(0)
-    made = OneFit(SMALL).eval()
-    for head in made.decoder.heads.values():
-        torch.nn.init.normal_(list(head.parameters())[-2], std=0.3)
-    assert made.dynamic is not None
-    with torch.no_grad():
-        made.dynamic.cell.weight_hh.add_(torch.randn(made.dynamic.cell.weight_hh.shape))
-        torch.nn.init.normal_(made.dynamic.out.weight, std=0.5)
-    return made
+    return exported_dynamic()[0]
 
 
 @pytest.fixture(scope="module")
-def folder(model, garment, tmp_path_factory):
-    target = tmp_path_factory.mktemp("models") / "small"
-    exporting.export(model, target, garment=garment, training={"steps": 0})
-    return target
+def folder() -> Path:
+    return exported_dynamic()[1]
 
 
 def test_the_manifest_says_that_it_is_dynamic(folder):
@@ -78,7 +65,7 @@ def test_the_manifest_says_that_it_is_dynamic(folder):
 def test_a_recurrence_that_differs_is_refused(model, garment, folder, tmp_path, monkeypatch):
     graphs = load_manifest(folder).graphs
     torch.manual_seed(9)
-    other = OneFit(SMALL).eval()
+    other = OneFit(MOVING).eval()
     other.load_state_dict(model.state_dict())
     assert other.dynamic is not None
     with torch.no_grad():
@@ -87,6 +74,7 @@ def test_a_recurrence_that_differs_is_refused(model, garment, folder, tmp_path, 
     assert exporting.sequence_error(other, folder, graphs, garment) > exporting.TOLERANCE_M
     monkeypatch.setattr(exporting, "write_graphs", lambda model, staged: graphs)
     monkeypatch.setattr(exporting, "parity_error", lambda *_: 0.0)
+    monkeypatch.setattr(exporting, "packed_parity_error", lambda *_: 0.0)
     monkeypatch.setattr(exporting, "sequence_error", lambda *_: 1.0)
     with pytest.raises(ArtifactError, match="parity"):
         exporting.export(other, tmp_path / "m", garment=garment, training={})
@@ -94,15 +82,15 @@ def test_a_recurrence_that_differs_is_refused(model, garment, folder, tmp_path, 
 
 
 def test_at_rest_it_is_the_static_model_bit_for_bit(model, garment, folder, tmp_path):
-    static = OneFit(replace(SMALL, dynamic=False)).eval()
+    static = OneFit(replace(MOVING, dynamic=False)).eval()
     static.load_state_dict({k: v for k, v in model.state_dict().items() if not k.startswith("dynamic.")})
     exporting.write_graph(DrapeGraph(static), tmp_path / "drape.onnx", drape_inputs(static), OUTPUTS)
     poses, trans = smooth_motion(np.arange(3) * 0.4)
     arrays = body_feed(load_body(), poses, trans).arrays | garment_feed(garment)
-    arrays["patch_embedding"] = np.ones((garment.patch_count, SMALL.embedding_size), np.float32)
+    arrays["patch_embedding"] = np.ones((garment.patch_count, MOVING.embedding_size), np.float32)
     names = [spec.name for spec in drape_inputs(static)]
     want = session(tmp_path / "drape.onnx").run(["vertices"], {name: arrays[name] for name in names})[0]
-    arrays["dynamic_code"] = np.zeros((3, SMALL.body_code_size), np.float32)
+    arrays["dynamic_code"] = np.zeros((3, MOVING.body_code_size), np.float32)
     engine = Engine(folder)
     assert_array_equal(engine.drape(arrays), want)
     arrays["dynamic_code"] += 1.0
@@ -126,7 +114,7 @@ def test_a_body_that_stops_rests_within_two_seconds_and_then_for_ever(folder, ga
     engine, body = Engine(folder), load_body()
     moving = 15
     poses, trans = smooth_motion(np.arange(moving) / fps)
-    at = body_feed(body, poses, trans).kinematics
+    at = kinematics(body, poses, trans)
     constants = garment_feed(garment) | {"patch_embedding": engine.embed(garment.patch_features)}
     last = body_feed(body, poses[-1:], trans[-1:]).arrays
 

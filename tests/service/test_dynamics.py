@@ -19,7 +19,7 @@ from drape.artifacts import load_manifest
 from drape.body.features import Kinematics
 from drape.body.model import BodyModel
 from drape.errors import ArtifactError
-from drape.feeds import body_feed
+from drape.feeds import kinematics
 from drape.garment.cache import Garment
 from service.app import create_app
 from service.drapery import Drapery, PoseInput
@@ -173,7 +173,7 @@ def test_clients_of_any_number_and_length_swing_as_if_alone(drapery: Drapery):
 
 
 def at(body: BodyModel, poses: np.ndarray, trans: np.ndarray) -> Kinematics:
-    return body_feed(body, poses, trans).kinematics
+    return kinematics(body, poses, trans)
 
 
 def remembered(drapery: Drapery, times_s: np.ndarray, *, poses: np.ndarray, trans: np.ndarray) -> Memory:
@@ -391,7 +391,7 @@ def test_a_dynamic_model_without_its_recurrent_graph_is_refused(folder: Path):
 @pytest.mark.parametrize("changes", [{"dynamic": False}, {"state_size": STATE_SIZE + 1}])
 def test_a_manifest_that_says_otherwise_than_its_graphs_is_refused(folder: Path, changes: dict):
     rewrite(folder, **changes)
-    with pytest.raises(ArtifactError, match="dynamic: expected a drape graph with a dynamic_code"):
+    with pytest.raises(ArtifactError, match="dynamic: expected drape graphs with a dynamic_code"):
         Engine(folder)
 
 

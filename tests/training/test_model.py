@@ -134,6 +134,7 @@ def test_surroundings_are_joints_and_gravity_in_the_patch_frame():
 def test_joints_of_a_batch_are_those_of_the_body_model():
     poses, betas = bank().draw(2, np.random.default_rng(8)), np.random.default_rng(9).normal(size=(2, 10))
     joints = source().pose(poses, betas).tensors.joints
+    assert joints is not None
     for n in range(2):
         feed = body_feed(body(), poses[n : n + 1], np.zeros((1, 3)), betas[n])
         assert_allclose(joints[n], feed.arrays["body_joints"][0], rtol=0, atol=2e-6)

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.body.features import motion_features
 from drape.errors import MotionError
-from drape.feeds import body_feed
+from drape.feeds import kinematics
 from drape.motion.clip import MotionClip
 from tests.fixtures.poses import smooth_motion
 from tests.training.training_setup import body
@@ -109,7 +109,7 @@ def test_features_are_those_that_the_service_makes(rng):
     got = windows.features(body(), betas)
     assert got.shape == (2, FRAMES - 2, 24, 12)
     for i in range(2):
-        at = body_feed(body(), windows.poses[i], windows.trans[i], betas[i]).kinematics
+        at = kinematics(body(), windows.poses[i], windows.trans[i], betas[i])
         dt_s = windows.dt_s[i]
         want = motion_features(at[2:], at[1:-1], at[:-2], dt_s[1:], dt_s[:-1])
         assert_allclose(got[i], want, rtol=1e-6, atol=1e-7)

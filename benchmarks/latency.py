@@ -1,0 +1,224 @@
+"""Latency and throughput of the packed graph, beside its rivals in the same run, and how cost grows.
+
+A row's times are those of one call: pose in, vertices of ``batch`` frames out, without push-out; ``push_out_ms``
+comes on top. Rows with a vertex, patch or garment count that no shipped garment has measure growth. A rival that could
+not run here says why under ``skipped``. Times of a model do not depend on its weights, so without ``--checkpoint`` they
+are random; then the strain that Newton must reach means nothing and its row is left out.
+
+    python -m benchmarks.latency [--quick] [--threads 2] [--checkpoint FILE] [--newton PYTHON] [--save]
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from benchmarks import common, latency_rivals
+from benchmarks.latency_setup import (
+    Timing,
+    make_model,
+    poses,
+    shipped,
+    shipped_names,
+    timed,
+    with_patches,
+    with_vertices,
+)
+from drape.body.assets import load_body
+from drape.body.model import BodyModel
+from drape.feeds import body_feed, garment_feed
+from drape.garment.cache import Garment
+from drape.packing import PackedBody, pack_body
+from service.engine import PACKED, Engine
+from service.packing import STORED_INDEX, Packer, ScenePlan
+from training.model import OneFit
+
+COLUMNS = {
+    "name": "s", "garment": "s", "vertices": "d", "patches": "d", "batch": "d", "min_ms": ".3f",
+    "p50_ms": ".3f", "p95_ms": ".3f", "p99_ms": ".3f", "frames_per_s": ".0f", "push_out_ms": ".2f", "stages": "s", "skipped": "s",
+}  # fmt: skip
+SINGLE = ("tshirt", "dress")
+BATCHES = (1, 2, 4, 8, 16, 32, 64, 128, 256)
+VERTICES = (1000, 5000, 20000, 80000)
+PATCHES = (100, 200, 300, 400)
+GARMENTS = (1, 4, 16, 64)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What all measurements share."""
+
+    engine: Engine
+    model: OneFit
+    body: BodyModel
+    shape: PackedBody
+    seconds: float
+    threads: int
+
+    def packer(self, garments: dict[str, Garment]) -> Packer:
+        """A packer with ``garments`` in store."""
+        packer = Packer(self.engine)
+        for key, garment in garments.items():
+            packer.add(key, garment)
+        return packer
+
+    def clock(self, packer: Packer, keys: Sequence[str], plan: ScenePlan) -> Timing:
+        """Time of draping one frame of each of ``keys``, every one on a body of its own; poses change every call."""
+        every = np.resize(poses(64), (64 + len(keys), 24, 3))
+        items = [(key, row) for row, key in enumerate(keys)]
+        turn = iter(range(sys.maxsize))
+
+        def call() -> None:
+            start = next(turn) % 64
+            packer.run(plan, self.shape.rows(every[start : start + len(keys)]), items)
+
+        return timed(call, seconds=self.seconds)
+
+
+def single_rows(bench: Bench, name: str, options: argparse.Namespace) -> list[dict[str, Any]]:
+    """One frame of one garment: ours by plan, with its stages, and every rival."""
+    garment = shipped(name)
+    packer = bench.packer({name: garment})
+    size = {"garment": name, "vertices": garment.vertex_count, "patches": garment.patch_count, "batch": 1}
+    pose = poses(5)[2:3]
+    skinning = latency_rivals.SkinningPush(garment, bench.body)
+    draped = packer.run(ScenePlan(), bench.shape.rows(pose), [(name, 0)])[0].arrays["vertices"]
+    push = timed(lambda: skinning.push(draped[None], pose), seconds=bench.seconds).p50_ms
+    whole = bench.clock(packer, [name], ScenePlan())
+    rows = [{"name": "onnx", **whole.row(), "push_out_ms": push, "stage_ms": stages(bench, packer, name, pose, whole)}]
+    for plan in (ScenePlan(normals=True), ScenePlan("steps"), ScenePlan("jets")):
+        label = "_normals" if plan.normals else f"_{plan.shape}"
+        rows.append({"name": f"onnx{label}", **bench.clock(packer, [name], plan).row()})
+    rows.append({"name": "onnx_readable", **readable(bench, garment, pose).row()})
+    rows += latency_rivals.torch_rows(
+        bench.model, garment, bench.body, pose, seconds=bench.seconds, compiled=not options.quick
+    )
+    skin = timed(lambda: skinning.skin(pose), seconds=bench.seconds)
+    both = timed(lambda: skinning.push(skinning.skin(pose), pose), seconds=bench.seconds)
+    rows.append({"name": "skinning_push", **both.row(), "push_out_ms": both.p50_ms - skin.p50_ms})
+    rows.append(latency_rivals.floor_row(bench.model, packer.store.packed(name), threads=bench.threads))
+    if name == SINGLE[0]:
+        reason = "quick form" if options.quick else "random weights: give --checkpoint"
+        trained = options.checkpoint is not None and not options.quick
+        rows.append(
+            latency_rivals.newton_row(options.newton, garment, bench.body, pose, draped)
+            if trained
+            else {"name": "newton_vbd", "skipped": reason}
+        )
+    for row in rows:
+        row.setdefault("frames_per_s", 1e3 / row["p50_ms"] if "p50_ms" in row else None)
+    return [row | size for row in rows]
+
+
+def stages(bench: Bench, packer: Packer, key: str, pose: np.ndarray, whole: Timing) -> dict[str, float]:
+    """Milliseconds of one frame by stage, as differences of graphs that end after each."""
+    rows = bench.shape.rows(pose)
+    feed = rows | packer.store.packed(key).stored
+    packer.run(ScenePlan(), rows, [(key, 0)])
+    feed |= packer._composed(((key, 0),), alone=True)[0].arrays
+    ends = {"bones": ("bone_rotation", "bone_translation"), "patches": ("jet", "frame_rotation", "frame_centre")}
+    done, last = {"pose": timed(lambda: bench.shape.rows(pose), seconds=bench.seconds / 4).p50_ms}, 0.0
+    for stage, outputs in (ends | {"vertices": ("vertices",)}).items():
+        session = bench.engine.open_cut(PACKED, outputs, direct=STORED_INDEX)
+        values = {name: bench.engine.value(np.ascontiguousarray(feed[name])) for name in session.inputs}
+
+        def call(session=session, outputs=outputs, values=values) -> None:
+            session.run(outputs, values)
+
+        now = timed(call, seconds=bench.seconds).p50_ms
+        done[stage], last = now - last, now
+    return done | {"packing": whole.p50_ms - sum(done.values())}
+
+
+def readable(bench: Bench, garment: Garment, pose: np.ndarray) -> Timing:
+    """The graph that is not packed, features in numpy."""
+    constants = garment_feed(garment) | {"patch_embedding": bench.engine.embed(garment.patch_features)}
+
+    def call() -> None:
+        bench.engine.drape(body_feed(bench.body, pose, np.zeros((1, 3))).arrays | constants)
+
+    return timed(call, seconds=bench.seconds)
+
+
+def batch_rows(bench: Bench, batches: Sequence[int]) -> list[dict[str, Any]]:
+    """Frames of all shipped garments in turn, every one of another client."""
+    garments = {name: shipped(name) for name in shipped_names()}
+    packer, rows = bench.packer(garments), []
+    for batch in batches:
+        keys = [list(garments)[i % len(garments)] for i in range(batch)]
+        timing = bench.clock(packer, keys, ScenePlan())
+        size = {
+            "vertices": sum(garments[key].vertex_count for key in keys),
+            "patches": sum(garments[key].patch_count for key in keys),
+            "frames_per_s": 1e3 * batch / timing.p50_ms,
+        }
+        rows.append({"name": "onnx", "garment": "mixed", "batch": batch, **timing.row(), **size})
+    return rows
+
+
+def growth_rows(bench: Bench, *, quick: bool) -> list[dict[str, Any]]:
+    """One T-shirt with more vertices, with more patches, and with more garments in store and in the call."""
+    shirt, rows = shipped("tshirt"), []
+    variants = [(f"vertices {count}", with_vertices(shirt, count)) for count in (VERTICES[1:2] if quick else VERTICES)]
+    variants += [(f"patches {count}", with_patches(shirt, count)) for count in (() if quick else PATCHES)]
+    for label, garment in variants:
+        packer = bench.packer({label: garment})
+        timing = bench.clock(packer, [label], ScenePlan())
+        size = {"vertices": garment.vertex_count, "patches": garment.patch_count, "store_bytes": packer.store.bytes}
+        rows.append({"name": "onnx", "garment": f"tshirt, {label}", "batch": 1, **size, **timing.row()})
+    five = with_vertices(shirt, 5000)
+    for count in GARMENTS[:2] if quick else GARMENTS:
+        keys = [f"garment {i}" for i in range(count)]
+        packer = bench.packer({key: replace(five, name=key) for key in keys})
+        size = {"vertices": five.vertex_count * count, "patches": five.patch_count * count}
+        for label, chosen in ((f"1 of {count} in store", keys[:1]), (f"all {count} in store", keys)):
+            timing = bench.clock(packer, chosen, ScenePlan())
+            extra = {"batch": len(chosen), "store_bytes": packer.store.bytes}
+            rows.append({"name": "onnx", "garment": label, **size, **extra, **timing.row()})
+    for row in rows:
+        row["frames_per_s"] = 1e3 * row["batch"] / row["p50_ms"]
+    return rows
+
+
+def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
+    """Prints the table and the record, and returns the record."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.latency", description="Latency and throughput.")
+    parser.add_argument("--checkpoint", type=Path, help="a training checkpoint; default random weights")
+    parser.add_argument("--newton", help="an interpreter that has the package newton")
+    common.add_options(parser)
+    options = parser.parse_args(arguments)
+    torch.set_num_threads(options.threads)
+    load = os.getloadavg()[0]
+    with tempfile.TemporaryDirectory() as folder:
+        model = make_model(options.checkpoint, Path(folder) / "latency")
+        engine, body = Engine(Path(folder) / "latency", threads=options.threads), load_body()
+        seconds = 0.3 if options.quick else 3.0
+        bench = Bench(engine, model, body, pack_body(body), seconds, options.threads)
+        rows = [row for name in SINGLE for row in single_rows(bench, name, options)]
+        rows += batch_rows(bench, BATCHES[:4:3] if options.quick else BATCHES)
+        rows += growth_rows(bench, quick=options.quick)
+    shown = [row | {"stages": _stages_text(row.get("stage_ms"))} for row in rows]
+    common.print_table(shown, COLUMNS)
+    if load > 0.5:
+        print(f"the machine was busy: load {load:.1f} when this began; such times are provisional")
+    return common.finish(
+        "latency", rows, options, device="cpu", provider=engine.provider, load_before=load,
+        weights="random" if options.checkpoint is None else "checkpoint",
+    )  # fmt: skip
+
+
+def _stages_text(stage_ms: dict[str, float] | None) -> str | None:
+    return None if stage_ms is None else " ".join(f"{name} {ms:.2f}" for name, ms in stage_ms.items())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,121 @@
+"""Tables and the plot of a record of ``benchmarks.latency``.
+
+python -m benchmarks.latency_report   (writes docs/images/latency_growth.png; the tables come with benchmarks.report)
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from benchmarks.common import RESULTS_DIR, ROOT
+
+PLOT = ROOT / "docs" / "images" / "latency_growth.png"
+NAMES = {
+    "onnx": "packed graph: vertices",
+    "onnx_normals": "packed graph: vertices and normals",
+    "onnx_steps": "packed graph: 16-bit steps",
+    "onnx_jets": "packed graph: posed jets",
+    "onnx_readable": "graph that is not packed",
+    "torch_eager": "torch, eager, same precomputation",
+    "torch_compile": "torch.compile, same precomputation",
+    "skinning_push": "skinning and push-out (SciPy)",
+    "newton_vbd": "Newton VBD",
+    "floor": "floor",
+}
+Record = dict[str, Any]
+
+
+def single_table(record: Record) -> str:
+    """One frame of one garment: ours, the rivals, the floor."""
+    lines = ["| garment | what | p50 [ms] | p95 | p99 | least |", "|---|---|---|---|---|---|"]
+    for row in record["rows"]:
+        if row["batch"] != 1 or row["garment"] == "mixed" or "," in row["garment"] or "store" in row["garment"]:
+            continue
+        name = NAMES[row["name"]]
+        if "iterations" in row:
+            reached = "" if row["reached"] else ", strain not reached"
+            name += f", {row['iterations']} iterations{reached}"
+        lines.append(f"| {row['garment']} | {name} | {_times(row)} |")
+    return "\n".join([*lines, "", _provenance(record)])
+
+
+def stage_table(record: Record) -> str:
+    """Where the milliseconds of a frame go, and the push-out that comes on top."""
+    rows = [row for row in record["rows"] if row["name"] == "onnx" and "stage_ms" in row]
+    stages = list(rows[0]["stage_ms"])
+    lines = ["| garment | vertices | " + " | ".join(stages) + " | push-out |", "|---" * (len(stages) + 3) + "|"]
+    for row in rows:
+        cells = [f"{row['stage_ms'][stage]:.2f}" for stage in stages]
+        lines.append(f"| {row['garment']} | {row['vertices']} | {' | '.join(cells)} | {row['push_out_ms']:.2f} |")
+    return "\n".join(lines)
+
+
+def batch_table(record: Record) -> str:
+    """Frames of all shipped garments in turn."""
+    lines = ["| frames in a call | p50 [ms] | frames/s |", "|---|---|---|"]
+    rows = [row for row in record["rows"] if row["garment"] == "mixed"]
+    return "\n".join([*lines, *(f"| {r['batch']} | {r['p50_ms']:.2f} | {r['frames_per_s']:.0f} |" for r in rows)])
+
+
+def growth_table(record: Record) -> str:
+    """More vertices, patches and garments."""
+    lines = ["| what | vertices | patches | p50 [ms] | memory [MB] |", "|---|---|---|---|---|"]
+    for row in record["rows"]:
+        if "store_bytes" in row:
+            size = f"{row['vertices']} | {row['patches']} | {row['p50_ms']:.2f} | {1e-6 * row['store_bytes']:.1f}"
+            lines.append(f"| {row['garment']} | {size} |")
+    return "\n".join(lines)
+
+
+def _times(row: dict[str, Any]) -> str:
+    if "p50_ms" not in row:
+        return f"{row['skipped']} | | | "
+    return " | ".join(
+        "" if row.get(key) is None else f"{row[key]:.2f}" for key in ("p50_ms", "p95_ms", "p99_ms", "min_ms")
+    )
+
+
+def _provenance(record: Record) -> str:
+    return (
+        f"Measured on {record['machine']}, {record['threads']} threads, load {record['load_before']:.1f} before it, "
+        f"commit {record['commit']}: `{record['command']}`."
+    )
+
+
+def plot(record: Record, path: Path) -> None:
+    """Milliseconds of one frame over vertices and over patches, and frames per second over the batch."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(1, 3, figsize=(11.0, 3.4), constrained_layout=True)
+    series = (
+        ("vertices", "vertices", "ms per frame", lambda r: ", vertices" in r["garment"], "p50_ms"),
+        ("patches", "patches", "ms per frame", lambda r: ", patches" in r["garment"], "p50_ms"),
+        ("batch", "frames in a call", "frames per second", lambda r: r["garment"] == "mixed", "frames_per_s"),
+    )
+    for axis, (key, across, up, chosen, value) in zip(axes, series, strict=True):
+        rows = [row for row in record["rows"] if row["name"] == "onnx" and chosen(row)]
+        axis.plot([row[key] for row in rows], [row[value] for row in rows], "o-", color="#1f5f8b")
+        axis.set_xlabel(across)
+        axis.set_ylabel(up)
+        axis.set_ylim(bottom=0.0)
+        axis.grid(alpha=0.3)
+        if key != "patches":
+            axis.set_xscale("log")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+    pyplot.close(figure)
+
+
+def main() -> None:
+    """Command line entry."""
+    plot(json.loads((RESULTS_DIR / "latency.json").read_text(encoding="utf-8")), PLOT)
+    print(PLOT.relative_to(ROOT))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,124 @@
+"""What ``benchmarks.latency`` measures on: a model folder, garments of any vertex and patch count, one clock."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from drape.body.assets import load_body
+from drape.garment.cache import GARMENTS_DIR, Garment, load_garment
+from drape.garment.fitting import patch_fields, rest_garment
+from drape.geometry import jets, meshes
+from drape.motion.samples import SAMPLES
+from model_export import export as exporting
+from training.config import ModelConfig
+from training.model import OneFit
+
+WARM_CALLS = 5
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Milliseconds per call: percentiles over all calls, and the least, which a busy machine moves little."""
+
+    min_ms: float
+    p50_ms: float
+    p95_ms: float
+    p99_ms: float
+    calls: int
+
+    def row(self) -> dict[str, float]:
+        """The numbers as a row of the table has them."""
+        return {"min_ms": self.min_ms, "p50_ms": self.p50_ms, "p95_ms": self.p95_ms, "p99_ms": self.p99_ms}
+
+
+def timed(call: Callable[[], object], *, seconds: float, calls: int = 500) -> Timing:
+    """Calls again and again, at most ``calls`` times and for ``seconds``, at least ten times, after a warm-up."""
+    for _ in range(WARM_CALLS):
+        call()
+    taken: list[float] = []
+    end = time.perf_counter() + seconds
+    while len(taken) < 10 or (len(taken) < calls and time.perf_counter() < end):
+        start = time.perf_counter()
+        call()
+        taken.append(1e3 * (time.perf_counter() - start))
+    p50, p95, p99 = np.percentile(taken, [50, 95, 99])
+    return Timing(min(taken), float(p50), float(p95), float(p99), len(taken))
+
+
+def make_model(checkpoint: Path | None, folder: Path) -> OneFit:
+    """The network of ``checkpoint``, or one of random weights (time does not depend on them), in ``folder``."""
+    if checkpoint is None:
+        torch.manual_seed(0)
+        model = OneFit(ModelConfig()).eval()
+    else:
+        model, _ = exporting.load_model(checkpoint)
+    exporting.export(model, folder, garment=shipped("tank"), training={})
+    return model
+
+
+def shipped(name: str) -> Garment:
+    """The shipped garment called ``name``."""
+    return load_garment(next(iter(sorted(GARMENTS_DIR.glob(f"{name}-*.npz")))))
+
+
+def shipped_names() -> list[str]:
+    """Names of all shipped garments."""
+    return sorted({path.name.rsplit("-", 1)[0] for path in GARMENTS_DIR.glob("*.npz")})
+
+
+def poses(count: int) -> np.ndarray:
+    """Poses (count, 24, 3) [rad], spread over the sample clips."""
+    clips = [make().poses for make in SAMPLES.values()]
+    every = np.concatenate(clips)
+    return every[np.linspace(0, len(every) - 1, count).astype(int)]
+
+
+def with_vertices(garment: Garment, count: int) -> Garment:
+    """``garment`` with its mesh subdivided, and ``count`` of its vertices in the same patches.
+
+    A new vertex takes patches and weights of a parent; its places in them are its own, so the surface is the same.
+    """
+    while garment.vertex_count < count:
+        garment = _subdivided(garment)
+    chosen = np.sort(np.random.default_rng(0).permutation(garment.vertex_count)[:count])
+    rows = {f.name: getattr(garment, f.name)[chosen] for f in fields(Garment) if f.name in _PER_VERTEX}
+    return replace(garment, vertex_count=count, faces=garment.faces[:0], **rows)
+
+
+_PER_VERTEX = ("vertices", "chart_patch", "chart_uv", "chart_weight", "chart_residual", "skin_weights", "shapedirs")
+
+
+def _subdivided(garment: Garment) -> Garment:
+    count = garment.vertex_count
+    vertices, faces, parents = meshes.subdivide(garment.vertices[:count].astype(np.float64), garment.faces)
+    first = parents[:, 0]  # of an old vertex: itself
+    patch = garment.chart_patch[first]
+    rotation = garment.patch_rotation[patch].astype(np.float64)
+    local = np.einsum("vkba,vkb->vka", rotation, vertices[:, None] - garment.patch_centre[patch])
+    scale = garment.patch_scale[patch].astype(np.float64)[..., None]
+    uv = local[..., :2] / scale
+    return replace(
+        garment,
+        vertex_count=len(vertices),
+        vertices=vertices,
+        faces=faces,
+        fine_faces=faces,
+        chart_patch=patch,
+        chart_uv=uv,
+        chart_weight=garment.chart_weight[first],
+        chart_residual=local - scale * jets.evaluate(garment.patch_jet[patch].astype(np.float64), uv),
+        skin_weights=garment.skin_weights[first],
+        shapedirs=garment.shapedirs[first],
+    )
+
+
+def with_patches(garment: Garment, count: int) -> Garment:
+    """``garment`` covered anew by ``count`` patches."""
+    rest = rest_garment(garment.vertices[: garment.vertex_count], garment.faces, load_body())
+    return replace(garment, **patch_fields(rest, count=count))

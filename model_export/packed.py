@@ -1,0 +1,344 @@
+"""The packed drape graph: any mix of garments, clients and frames in one call, and nothing computed twice.
+
+What ``body_feed`` and the readable ``DrapeGraph`` compute, arranged for speed; ``packed_parity`` compares the two.
+
+- Patches of all items lie one after the other. ``patch_body`` names the body of each, ``patch_stored`` its row among
+  the constants of the garments in store, which are handed over once.
+- The garment half of the decoder's first layer is a constant of the garment (``patch_first``).
+- A body comes as 24 quaternions and rest joints; its bones and features are a few small products here, and some
+  three hundred calls in numpy.
+- Network and frame give the posed jets, a 3 x 18 matrix per patch. A vertex is the sum over its four charts of
+  such a matrix times a constant column, so charts are sorted by patch into tiles of ``CHARTS_PER_TILE`` columns:
+  the vertex stage is one small product of a fixed shape per tile and a sum of four rows.
+- Outputs are independent branches: ``service.subgraph`` cuts the graph of a scene out of this one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import onnxscript
+import torch
+from torch import Tensor, nn
+
+from drape.artifacts import TensorSpec
+from drape.body.features import STATIC_PER_JOINT
+from drape.body.skeleton import JOINT_COUNT
+from drape.errors import ArtifactError
+from drape.feeds import BETA_COUNT
+from drape.garment.cache import CHARTS_PER_VERTEX
+from drape.garment.features import REACH_M
+from drape.geometry import jets
+from drape.packing import CHARTS_PER_TILE, COLUMNS, VERTICES_PER_BLOCK
+from drape.wire import STEP_COUNT
+from model_export import packed_weights as constants
+from training.layers import SLOPE
+from training.model import OneFit
+
+# As in export.SAMPLE: odd, and unlike each other and every fixed axis.
+SAMPLE = {
+    "bodies": 5, "patches": 7, "tiles": 9, "items": 11, "blocks": 13, "blocks_per_item": 17,
+    "stored_patches": 19, "stored_tiles": 21, "stored_tangents": 23,
+}  # fmt: skip
+OUTPUTS: tuple[TensorSpec, ...] = (
+    TensorSpec("vertices", ("blocks", VERTICES_PER_BLOCK, 3), "float32", "m, relative to the root joint"),
+    TensorSpec("normals", ("blocks", VERTICES_PER_BLOCK, 3), "float32", "1"),
+    TensorSpec("steps", ("blocks", VERTICES_PER_BLOCK, 3), "uint16", "box_step"),
+    TensorSpec("box_low", ("items", 3), "float32", "m, relative to the root joint"),
+    TensorSpec("box_step", ("items", 3), "float32", "m"),
+    TensorSpec("jet", ("patches", jets.JET_COUNT), "float32", "patch scales"),
+    TensorSpec("frame_rotation", ("patches", 3, 3), "float32", "1"),
+    TensorSpec("frame_centre", ("patches", 3), "float32", "m, relative to the root joint"),
+    TensorSpec("bone_rotation", ("bodies", JOINT_COUNT, 3, 3), "float32", "1"),
+    TensorSpec("bone_translation", ("bodies", JOINT_COUNT, 3), "float32", "m, relative to the root joint"),
+)
+
+
+def packed_inputs(model: OneFit) -> tuple[TensorSpec, ...]:
+    """Inputs of the packed graph of ``model``, in order."""
+    width = model.config.decoder_sizes[0]
+    code = (TensorSpec("dynamic_code", ("bodies", model.config.body_code_size), "float32", "1"),)
+    return (
+        TensorSpec("joint_quaternion", ("bodies", JOINT_COUNT + 1, 4), "float32", "1, relative to the parent"),
+        TensorSpec("joint_rest", ("bodies", JOINT_COUNT, 3), "float32", "m"),
+        TensorSpec("betas", ("bodies", BETA_COUNT), "float32", "standard deviations"),
+        TensorSpec("patch_first", ("stored_patches", width), "float32", "1"),
+        TensorSpec("patch_weights", ("stored_patches", JOINT_COUNT), "float32", "1"),
+        TensorSpec("patch_rotation", ("stored_patches", 3, 3), "float32", "1"),
+        TensorSpec("patch_scale", ("stored_patches", 1), "float32", "m"),
+        TensorSpec("patch_centre", ("stored_patches", 4), "float32", "m, homogeneous"),
+        TensorSpec("patch_shapedirs", ("stored_patches", 4, BETA_COUNT), "float32", "m, last row zero"),
+        TensorSpec("tile_positions", ("stored_tiles", COLUMNS, CHARTS_PER_TILE), "float32", "1"),
+        TensorSpec("tile_tangents", ("stored_tangents", COLUMNS, 2 * CHARTS_PER_TILE), "float32", "1/m"),
+        TensorSpec("patch_stored", ("patches",), "int32", "row of patch_first and the like"),
+        TensorSpec("patch_body", ("patches",), "int32", "row of joint_quaternion and the like"),
+        TensorSpec("patch_bone", ("patches",), "int32", "24 patch_body + heaviest bone"),
+        TensorSpec("tile_stored", ("tiles",), "int32", "row of tile_positions"),
+        TensorSpec("tile_patch", ("tiles",), "int32", "packed patch"),
+        TensorSpec("vertex_charts", (CHARTS_PER_VERTEX, "blocks", VERTICES_PER_BLOCK), "int32", "column of the tiles"),
+        TensorSpec("block_item", ("blocks",), "int32", "item of a block of vertices"),
+        TensorSpec("item_blocks", ("items", "blocks_per_item"), "int32", "blocks of an item, the first one repeated"),
+        *(code if model.config.dynamic else ()),
+    )
+
+
+def first_outputs(model: OneFit) -> tuple[TensorSpec, ...]:
+    """Outputs of the garment encoder where the model has a packed graph."""
+    return (
+        TensorSpec("patch_embedding", ("patches", model.config.embedding_size), "float32", "1"),
+        TensorSpec("patch_first", ("patches", model.config.decoder_sizes[0]), "float32", "1"),
+    )
+
+
+def _gather(table, dim, index):
+    """``torch.index_select`` as one Gather; the exporter's own adds a Reshape and a Cast to every index."""
+    return onnxscript.opset20.Gather(table, index, axis=dim)
+
+
+TRANSLATIONS = {torch.ops.aten.index_select.default: _gather}
+
+
+class FirstGraph(nn.Module):
+    """Patch features -> patch embedding, and the garment half of the decoder's first layer; run once per garment."""
+
+    def __init__(self, model: OneFit) -> None:
+        super().__init__()
+        self.garment, self.from_patch = model.garment, model.decoder.from_patch
+
+    def forward(self, patch_features: Tensor) -> tuple[Tensor, Tensor]:
+        embedding = self.garment(patch_features)
+        return embedding, self.from_patch(embedding)
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """Inputs of ``PackedGraph`` per body."""
+
+    joint_quaternion: Tensor
+    joint_rest: Tensor
+    betas: Tensor
+    dynamic_code: Tensor | None = None
+
+
+@dataclass(frozen=True)
+class Patches:
+    """Inputs of ``PackedGraph`` per stored patch, less the prefix of their names."""
+
+    first: Tensor
+    weights: Tensor
+    rotation: Tensor
+    scale: Tensor
+    centre: Tensor
+    shapedirs: Tensor
+
+
+@dataclass(frozen=True)
+class PosedPatches:
+    """Posed jets (P, 3, 18), what the head gave (P, 72), frames (P, 3, 3) and (P, 3, 1), bones of the bodies."""
+
+    coefficients: Tensor
+    local: Tensor
+    rotation: Tensor
+    centre: Tensor
+    bone_rotation: Tensor
+    bone_translation: Tensor
+
+
+class PackedGraph(nn.Module):
+    """Bodies, stored garments and the index tensors of ``drape.packing`` -> all outputs of ``OUTPUTS``.
+
+    Only for vector jets: the paper's variant skins vertices, which is another vertex stage.
+    """
+
+    rotation_terms: Tensor
+    sixd_terms: Tensor
+    neutral: Tensor
+    left_terms: Tensor
+    cross_terms: Tensor
+    identity: Tensor
+    offsets: Tensor
+    descent: Tensor
+    parents: Tensor
+    without_root: Tensor
+    jet_columns: Tensor
+    ones: Tensor
+
+    def __init__(self, model: OneFit) -> None:
+        super().__init__()
+        if model.config.variant != "vector":
+            raise ArtifactError(
+                "variant",
+                expected="'vector'",
+                got=repr(model.config.variant),
+                cure="Only vector jets are packed; serve this model with its drape graph.",
+            )
+        decoder = model.decoder
+        self.body = model.body
+        self.from_body = decoder.from_body
+        self.trunk = decoder.trunk
+        self.from_surroundings = constants.surroundings_layer(decoder.from_surroundings)
+        self.head = constants.merged_heads(decoder.heads, model.config.output_gain)
+        for name, value in constants.tables().items():
+            self.register_buffer(name, value)
+        self.jumps = [f"jump_{i}" for i, _ in enumerate(constants.ancestor_jumps())]
+        for name, value in zip(self.jumps, constants.ancestor_jumps(), strict=True):
+            self.register_buffer(name, value)
+
+    def forward(
+        self,
+        joint_quaternion: Tensor,
+        joint_rest: Tensor,
+        betas: Tensor,
+        patch_first: Tensor,
+        patch_weights: Tensor,
+        patch_rotation: Tensor,
+        patch_scale: Tensor,
+        patch_centre: Tensor,
+        patch_shapedirs: Tensor,
+        tile_positions: Tensor,
+        tile_tangents: Tensor,
+        patch_stored: Tensor,
+        patch_body: Tensor,
+        patch_bone: Tensor,
+        tile_stored: Tensor,
+        tile_patch: Tensor,
+        vertex_charts: Tensor,
+        block_item: Tensor,
+        item_blocks: Tensor,
+        dynamic_code: Tensor | None = None,
+    ) -> tuple[Tensor, ...]:
+        bodies = Bodies(joint_quaternion, joint_rest, betas, dynamic_code)
+        patches = Patches(patch_first, patch_weights, patch_rotation, patch_scale, patch_centre, patch_shapedirs)
+        posed = self.pose(bodies, patches, patch_stored, patch_body, patch_bone)
+        coefficients = _rows(posed.coefficients, tile_patch)  # (Q, 3, 18)
+        vertices = self.blend(coefficients, _rows(tile_positions, tile_stored), vertex_charts)
+        tangents = self.blend(coefficients, _rows(tile_tangents, tile_stored), vertex_charts, count=2)
+        steps, low, step = _quantised(vertices, block_item, item_blocks)
+        return (
+            vertices, self._normals(tangents), steps, low, step, torch.index_select(posed.local, 1, self.jet_columns),
+            posed.rotation, posed.centre.reshape(-1, 3), posed.bone_rotation, posed.bone_translation,
+        )  # fmt: skip
+
+    def pose(
+        self, bodies: Bodies, patches: Patches, patch_stored: Tensor | None, patch_body: Tensor, patch_bone: Tensor
+    ) -> PosedPatches:
+        """Posed jets of the patches ``patch_stored``, or of all ``patches`` in order where it is None."""
+        quaternion, bone_rotation, joints = self._posed_joints(bodies.joint_quaternion, bodies.joint_rest)
+        bone_translation = joints - (bone_rotation @ bodies.joint_rest[..., None])[..., 0]
+        code = self.body(self._features(bodies.joint_quaternion, bone_rotation, bodies.betas))
+        if bodies.dynamic_code is not None:
+            code = code + bodies.dynamic_code
+
+        weights = _rows(patches.weights, patch_stored)
+        blended = self._blended_rotation(quaternion, weights, patch_body, patch_bone)
+        rotation = blended @ _rows(patches.rotation, patch_stored)
+        centre = _skinned(
+            _rows(patches.centre, patch_stored),
+            _rows(patches.shapedirs, patch_stored),
+            _rows(bodies.betas, patch_body),
+            weights,
+            torch.cat([bone_rotation, bone_translation[..., None]], dim=-1).reshape(-1, JOINT_COUNT, 12),
+            patch_body,
+        )
+        x = _rows(patches.first, patch_stored) + _rows(self.from_body(code), patch_body)
+        if self.from_surroundings is not None:
+            x = self._with_surroundings(x, _rows(joints.mT, patch_body), rotation, centre)
+        local = self.head(self.trunk(nn.functional.leaky_relu(x, SLOPE)))  # (P, 4 * 18)
+        scaled = rotation * _rows(patches.scale, patch_stored)[:, :, None]
+        frame = torch.cat([scaled, centre], dim=-1)  # (P, 3, 4)
+        coefficients = frame @ local.reshape(-1, 4, COLUMNS)
+        return PosedPatches(coefficients, local, rotation, centre, bone_rotation, bone_translation)
+
+    def blend(self, coefficients: Tensor, columns: Tensor, vertex_charts: Tensor, *, count: int = 1) -> Tensor:
+        """Sums (blocks, 64, 3 * count) over every vertex's charts of tiles (Q, 3, 18) @ (Q, 18, 64 * count)."""
+        width = 3 * count
+        product = coefficients @ columns
+        rows = product.reshape(-1, width, CHARTS_PER_TILE).mT.reshape(-1, width)
+        gathered = _rows(rows, vertex_charts.reshape(-1)).reshape(CHARTS_PER_VERTEX, -1)
+        return (self.ones @ gathered).reshape(-1, VERTICES_PER_BLOCK, width)
+
+    def _posed_joints(self, local: Tensor, rest: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """World quaternions (B, 24, 4), rotations (B, 24, 3, 3) and joints [m] (B, 24, 3) of bodies.
+
+        ``rigid.bone_transforms`` by doubling: four rounds of products reach the root of a tree nine joints deep.
+        Row 24 of ``local`` is the identity, the ancestor of those that have none left.
+        """
+        product = (local @ self.left_terms).reshape(-1, JOINT_COUNT + 1, 4, 4)
+        for name in self.jumps:
+            product = torch.index_select(product, 1, getattr(self, name)) @ product
+        quaternion = product[:, :JOINT_COUNT, :, 0]
+        rotation = self._matrices(quaternion.reshape(-1, 4)).reshape(-1, JOINT_COUNT, 3, 3)
+        # A joint moves with its parent's rotation: the sum of all offsets between it and the root.
+        offset = (self.offsets @ rest)[..., None]
+        turned = (torch.index_select(rotation, 1, self.parents) @ offset).reshape(-1, JOINT_COUNT, 3)
+        return quaternion, rotation, self.descent @ turned
+
+    def _features(self, local: Tensor, rotation: Tensor, betas: Tensor) -> Tensor:
+        """``drape.body.features.static_features`` and the shape (B, 226)."""
+        relative = torch.index_select(local, 1, self.without_root)  # the root's own turn is not told
+        outer = (relative[..., :, None] * relative[..., None, :]).reshape(-1, JOINT_COUNT, 16)
+        parts = [self.neutral + outer @ self.sixd_terms, -rotation[:, :, 1, :]]
+        static = torch.cat(parts, dim=-1).reshape(-1, JOINT_COUNT * STATIC_PER_JOINT)
+        return torch.cat([static, betas], dim=-1)
+
+    def _matrices(self, quaternion: Tensor) -> Tensor:
+        """Rotation matrices (n, 9) of quaternions (n, 4) of any length: of q q^T over |q|^2."""
+        outer = (quaternion[:, :, None] * quaternion[:, None, :]).reshape(-1, 16)
+        terms = outer @ self.rotation_terms
+        return self.identity + terms[:, :9] / terms[:, 9:]
+
+    def _blended_rotation(self, quaternion: Tensor, weights: Tensor, patch_body: Tensor, patch_bone: Tensor) -> Tensor:
+        """Rotations (P, 3, 3) of ``drape.geometry.skinning.blend_frames``, signs taken once per pair of bones."""
+        agreement = quaternion @ quaternion.mT  # (B, 24, 24)
+        sign = torch.where(agreement < 0.0, -1.0, 1.0).reshape(-1, JOINT_COUNT)
+        signed = weights * _rows(sign, patch_bone)
+        reference = _rows(quaternion.reshape(-1, 4), patch_bone)
+        mixed = (signed[:, None, :] @ _rows(quaternion, patch_body)).reshape(-1, 4) + 1e-6 * reference
+        return self._matrices(mixed).reshape(-1, 3, 3)
+
+    def _with_surroundings(self, x: Tensor, joints: Tensor, rotation: Tensor, centre: Tensor) -> Tensor:
+        """``x`` plus the layer on ``training.model.patch_surroundings``, from posed joints (P, 3, 24)."""
+        assert self.from_surroundings is not None
+        offset = rotation.mT @ (joints - centre)
+        # A maximum and not a sum: the exporter's optimiser takes "+ 1e-12" for "+ 0" and drops the guard.
+        reach = torch.sqrt(torch.clamp((offset * offset).sum(dim=1, keepdim=True), min=1e-12))
+        saturated = (offset * (torch.tanh(reach * (1.0 / REACH_M)) / reach)).reshape(-1, 3 * JOINT_COUNT)
+        return torch.addmm(x, torch.cat([saturated, rotation.reshape(-1, 9)], dim=-1), self.from_surroundings)
+
+    def _normals(self, tangents: Tensor) -> Tensor:
+        """Unit cross products (blocks, 64, 3) of the tangents (blocks, 64, 6), which lie as x, x', y, y', z, z'."""
+        a, b, c, d = (tangents @ self.cross_terms).split(3, dim=-1)
+        normal = a * b - c * d
+        squared = (normal * normal).sum(dim=-1, keepdim=True)
+        return normal / torch.sqrt(torch.clamp(squared, min=1e-24))
+
+
+def _rows(table: Tensor, index: Tensor | None) -> Tensor:
+    return table if index is None else torch.index_select(table, 0, index)
+
+
+def _skinned(
+    centre: Tensor, shapedirs: Tensor, betas: Tensor, weights: Tensor, bones: Tensor, patch_body: Tensor
+) -> Tensor:
+    """Centres (P, 3, 1) [m]: rest centres (P, 4) moved by the shape, then by the blended bones (B, 24, 12)."""
+    rest = centre[:, :, None] + shapedirs @ betas[:, :, None]
+    blended = weights[:, None, :] @ _rows(bones, patch_body)
+    return blended.reshape(-1, 3, 4) @ rest
+
+
+def _quantised(vertices: Tensor, block_item: Tensor, item_blocks: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """``drape.wire.quantise`` of every item: steps (blocks, 64, 3), low corners and steps [m] (I, 3).
+
+    A vertex that is not finite makes the low corner of its item NaN.
+    """
+    per_item = item_blocks.shape[1]
+
+    def of_items(values: Tensor) -> Tensor:
+        return _rows(values, item_blocks.reshape(-1)).reshape(-1, per_item, 3)
+
+    low = of_items(vertices.amin(dim=1)).amin(dim=1)
+    high = of_items(vertices.amax(dim=1)).amax(dim=1)
+    step = torch.clamp((high - low) / STEP_COUNT, min=1e-9)
+    places = (vertices - _rows(low, block_item)[:, None]) / _rows(step, block_item)[:, None]
+    steps = torch.clamp(torch.round(places), 0, STEP_COUNT).to(torch.uint16)
+    return steps, low + 0.0 * of_items(vertices.sum(dim=1)).sum(dim=1), step

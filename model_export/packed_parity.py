@@ -1,0 +1,67 @@
+"""The packed graph on onnxruntime against the readable graph in torch, in one mixed batch."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from drape.body.assets import load_body
+from drape.feeds import body_feed, garment_feed
+from drape.garment.cache import Garment
+from drape.garment.tangents import tangent_columns
+from drape.packing import TANGENTS, Place, compose, pack_body, pack_garment, pack_tangents
+from model_export.graph import DrapeGraph, EncoderGraph, drape_inputs
+from model_export.parity import hard_poses, session
+from training.model import OneFit
+
+FRAMES = 5
+
+
+def packed_parity_error(model: OneFit, encoder: Path, packed: Path, garment: Garment) -> float:
+    """Largest vertex distance [m] of one batch: hard poses of two body shapes, the garment in three sizes of itself."""
+    body = load_body()
+    feeds = [_first_vertices(garment_feed(garment), share) for share in (1.0, 0.5, 0.01)]
+    first = np.asarray(session(encoder).run(["patch_first"], {"patch_features": garment.patch_features})[0])
+    columns = tangent_columns(garment)
+    garments, places, patch, tile = [], [], 0, 0
+    for feed in feeds:
+        made = pack_garment(feed, first)
+        charts = feed["chart_patch"]
+        made.stored[TANGENTS] = pack_tangents(charts, garment.patch_count, columns[: len(charts)])
+        garments.append(made)
+        places.append(Place(patch, tile))
+        patch, tile = patch + made.patch_count, tile + made.tile_count
+    stored = {name: np.concatenate([made.stored[name] for made in garments]) for name in garments[0].stored}
+    poses = hard_poses(FRAMES, seed=3)
+    betas = [np.zeros(body.shape_count), np.random.default_rng(0).normal(size=body.shape_count)]
+    shape_of = [frame % 2 for frame in range(FRAMES)]
+    rows = [pack_body(body, betas[shape]).rows(poses[i : i + 1]) for i, shape in enumerate(shape_of)]
+    bodies = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
+    items = [(i % len(garments), i) for i in range(FRAMES)]
+    composition = compose([(garments[g], places[g], frame) for g, frame in items])
+    names = [spec.name for spec in drape_inputs(model)]
+    code = {}
+    if model.config.dynamic:
+        drawn = np.random.default_rng(1).normal(size=(FRAMES, model.config.body_code_size)).astype(np.float32)
+        code["dynamic_code"] = drawn if "dynamic_code" in names else 0.0 * drawn
+    got = np.asarray(session(packed).run(["vertices"], bodies | stored | composition.arrays | code)[0])
+
+    with torch.no_grad():
+        embedding = EncoderGraph(model)(torch.from_numpy(garment.patch_features)).numpy()
+    worst = 0.0
+    for place, (g, frame) in zip(composition.vertices, items, strict=True):
+        feed = body_feed(body, poses[frame : frame + 1], np.zeros((1, 3)), betas[shape_of[frame]])
+        arrays = feed.arrays | feeds[g] | {"patch_embedding": embedding}
+        arrays |= {name: value[frame : frame + 1] for name, value in code.items()}
+        with torch.no_grad():
+            expected = DrapeGraph(model)(**{name: torch.from_numpy(arrays[name]) for name in names})[0].numpy()
+        worst = max(worst, float(np.linalg.norm(got.reshape(-1, 3)[place] - expected[0], axis=-1).max()))
+    return worst
+
+
+def _first_vertices(feed: dict[str, np.ndarray], share: float) -> dict[str, np.ndarray]:
+    """The garment of the first ``share`` of the vertices."""
+    count = max(1, int(share * len(feed["chart_patch"])))
+    return {name: value[:count] if name.startswith(("chart", "skin")) else value for name, value in feed.items()}

@@ -1,0 +1,170 @@
+"""The mesh of a panel as a linear function of its control points: curves, then mean value coordinates inside.
+
+A boundary point keeps its place on its edge's curve; an inner point is a fixed mean of the boundary points (Floater
+2003; Hormann and Floater 2006 for any simple polygon). Neither changes while control points move, so the mesh
+is W @ controls and its derivative is W.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drape.arrays import check_finite, check_shape
+from drape.errors import InputError
+from recovery.pattern import geometry
+from recovery.pattern.model import Edge, EdgeKind, Panel, Pattern
+
+ON_BOUNDARY = 1e-12  # of a side's length: nearer points are on it and interpolate its ends
+CHUNK = 2_000_000  # entries of the arrays held at once
+
+
+@dataclass(frozen=True, eq=False)
+class Controls:
+    """Control points of a pattern, panel by panel, in the order of the outline.
+
+    ``positions`` [m] (K, 2); ``panel`` (K,) its number; ``edge`` (K,) the edge that starts at the point or that the
+    handle shapes; ``handle`` (K,): 0 for a corner, 1 or 2 for a handle. ``free_curves`` says whether handles
+    of Bezier edges are controls of their own or follow their chord; arcs always follow.
+    """
+
+    positions: np.ndarray
+    panel: np.ndarray
+    edge: np.ndarray
+    handle: np.ndarray
+    free_curves: bool
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+
+def _has_handles(edge: Edge, free_curves: bool) -> bool:
+    return free_curves and edge.kind in (EdgeKind.QUADRATIC, EdgeKind.CUBIC)
+
+
+def control_points(pattern: Pattern, *, free_curves: bool = False) -> Controls:
+    """The control points of ``pattern``: its corners, and with ``free_curves`` the handles of its Bezier edges."""
+    positions, rows = [], []
+    for panel_number, panel in enumerate(pattern.panels):
+        for number, edge in enumerate(panel.edges):
+            start, chord = geometry.chord(panel, number)
+            positions.append(start)
+            rows.append((panel_number, number, 0))
+            for place, (along, left) in enumerate(edge.handles if _has_handles(edge, free_curves) else (), start=1):
+                positions.append(start + along * chord + left * np.array([-chord[1], chord[0]]))
+                rows.append((panel_number, number, place))
+    panel_index, edge_index, handle_index = np.array(rows, dtype=np.int64).T
+    return Controls(np.array(positions), panel_index, edge_index, handle_index, free_curves)
+
+
+def with_controls(pattern: Pattern, controls: Controls, positions: np.ndarray) -> Pattern:
+    """``pattern`` with its control points at ``positions`` [m] (K, 2), in the order of ``controls``."""
+    positions = np.asarray(positions, dtype=np.float64)
+    check_shape("positions", positions, (len(controls), 2))
+    check_finite("positions", positions)
+    panels = []
+    for panel_number, panel in enumerate(pattern.panels):
+        mine = controls.panel == panel_number
+        vertices = panel.vertices.copy()
+        corner = mine & (controls.handle == 0)
+        starts = np.array([edge.start for edge in panel.edges])
+        vertices[starts[controls.edge[corner]]] = positions[corner]
+        edges = list(panel.edges)
+        for number, edge in enumerate(panel.edges):
+            if _has_handles(edge, controls.free_curves):
+                handles = positions[mine & (controls.edge == number) & (controls.handle > 0)]
+                edges[number] = replace(edge, handles=_relative(handles, vertices[edge.start], vertices[edge.end]))
+        panels.append(replace(panel, vertices=vertices, edges=tuple(edges)))
+    return replace(pattern, panels=tuple(panels))
+
+
+def _relative(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[tuple[float, float], ...]:
+    chord = end - start
+    arm = points - start
+    along, left = arm @ chord, arm @ np.array([-chord[1], chord[0]])
+    return tuple(zip((along / (chord @ chord)).tolist(), (left / (chord @ chord)).tolist(), strict=True))
+
+
+def edge_matrix(edge: Edge, t: np.ndarray, *, free_curves: bool) -> np.ndarray:
+    """Matrix (2 T, 2 (2 + H)): points of the edge at ``t`` (T,) from its start, its H free handles, and its end.
+
+    Coordinates are interleaved, x before y. A curve that follows its chord needs the chord turned left, which mixes
+    x and y.
+    """
+    t = np.asarray(t, dtype=np.float64)
+    if _has_handles(edge, free_curves) or edge.kind is EdgeKind.LINE:
+        return np.kron(geometry.bernstein(edge.kind, t), np.eye(2))
+    along, left = geometry.relative_curve(edge, t).T
+    turned = np.array([[0.0, -1.0], [1.0, 0.0]])
+    from_end = np.kron(along[:, None], np.eye(2)) + np.kron(left[:, None], turned)
+    from_start = np.kron(np.ones((len(t), 1)), np.eye(2)) - from_end
+    return np.concatenate([from_start, from_end], axis=1)
+
+
+def boundary_matrix(panel: Panel, parameters: list[np.ndarray], *, free_curves: bool) -> np.ndarray:
+    """Matrix (2 B, 2 k): boundary points of a panel from its k control points.
+
+    ``parameters`` holds for each edge the t of its points from the start on, the end left out.
+    """
+    firsts, count = [], 0
+    for edge in panel.edges:
+        firsts.append(count)
+        count += 1 + (len(edge.handles) if _has_handles(edge, free_curves) else 0)
+    matrix = np.zeros((2 * sum(len(t) for t in parameters), 2 * count))
+    row = 0
+    for number, (edge, t) in enumerate(zip(panel.edges, parameters, strict=True)):
+        own = edge_matrix(edge, t, free_curves=free_curves)
+        last = firsts[(number + 1) % len(firsts)]
+        points = [*range(firsts[number], firsts[number] + own.shape[1] // 2 - 1), last]
+        columns = (2 * np.array(points)[:, None] + np.arange(2)).reshape(-1)
+        matrix[row : row + len(own), columns] += own
+        row += len(own)
+    return matrix
+
+
+def mean_value_weights(points: np.ndarray, cage: np.ndarray) -> np.ndarray:
+    """Weights (N, M) that give each of ``points`` [m] (N, 2) as a mean of the corners of a polygon ``cage`` [m] (M, 2).
+
+    Rows sum to one and reproduce linear functions; on a side they interpolate its ends. In a polygon that is
+    not convex some are negative.
+    """
+    points, cage = np.asarray(points, dtype=np.float64), np.asarray(cage, dtype=np.float64)
+    check_shape("points", points, (None, 2))
+    check_shape("cage", cage, (None, 2))
+    check_finite("points", points)
+    check_finite("cage", cage)
+    if len(cage) < 3 or (np.linalg.norm(np.roll(cage, -1, axis=0) - cage, axis=1) == 0.0).any():
+        raise InputError("cage", expected="3 or more distinct corners", got=f"{len(cage)}", cure="Remove doubled ones.")
+    step = max(1, CHUNK // len(cage))
+    blocks = [_weights(points[first : first + step], cage) for first in range(0, len(points), step)]
+    return np.concatenate(blocks) if blocks else np.zeros((0, len(cage)))
+
+
+def _weights(points: np.ndarray, cage: np.ndarray) -> np.ndarray:
+    arm = cage[None] - points[:, None]  # (n, M, 2)
+    following = np.roll(arm, -1, axis=1)
+    length = np.linalg.norm(arm, axis=2)
+    product = length * np.roll(length, -1, axis=1)
+    cross = arm[..., 0] * following[..., 1] - arm[..., 1] * following[..., 0]
+    dot = (arm * following).sum(axis=2)
+    side = np.linalg.norm(np.roll(cage, -1, axis=0) - cage, axis=1)
+    on_corner = length <= ON_BOUNDARY * side
+    on_side = (np.abs(cross) <= ON_BOUNDARY * side**2) & (dot <= 0.0)
+    inner = ~(on_corner | on_side).any(axis=1)
+    # tan(angle / 2), each form where nothing cancels.
+    acute = dot >= 0.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        tangent = np.where(acute, cross / (product + dot), (product - dot) / cross)
+        weights = (np.roll(tangent, 1, axis=1) + tangent) / length
+        weights = weights / weights.sum(axis=1, keepdims=True)
+    for row in np.nonzero(~inner)[0]:
+        weights[row] = 0.0
+        if on_corner[row].any():
+            weights[row, on_corner[row].argmax()] = 1.0
+            continue
+        start = int(on_side[row].argmax())
+        end = (start + 1) % len(cage)
+        share = length[row, start] / (length[row, start] + length[row, end])
+        weights[row, [start, end]] = 1.0 - share, share
+    return weights

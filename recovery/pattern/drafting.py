@@ -1,0 +1,89 @@
+"""Drafting of panels from named sides: corners, curves by their Bezier points, mirror images, seams by name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Placement, Stitch
+
+Point = tuple[float, float]
+KINDS = (EdgeKind.LINE, EdgeKind.QUADRATIC, EdgeKind.CUBIC)
+FRONT, BACK = (0.0, 0.0, 0.0), (0.0, 180.0, 0.0)  # rotations [deg] of panels before and behind the body
+
+
+@dataclass(frozen=True)
+class Side:
+    """A side of a drafted panel: its ``name``, where it starts, and up to two Bezier points, all [m]."""
+
+    name: str
+    start: Point
+    handles: tuple[Point, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Drafted:
+    """A panel and the numbers of its edges by the names of its sides."""
+
+    panel: Panel
+    numbers: dict[str, int]
+
+    def edge(self, side: str) -> EdgeRef:
+        """The edge named ``side``."""
+        return EdgeRef(self.panel.name, self.numbers[side])
+
+
+def draft(
+    name: str,
+    sides: Sequence[Side],
+    *,
+    rotation: tuple[float, float, float],
+    z: float,
+    flip: bool = False,
+    apart_m: float = 0.0,
+) -> Drafted:
+    """The panel bounded by ``sides``, counter-clockwise, drawn where it hangs as its viewer sees it.
+
+    ``rotation`` is ``FRONT`` or ``BACK``, ``z`` [m] its distance before the origin; ``flip`` mirrors left and right;
+    ``apart_m`` moves it to the right, or flipped to the left. The panel's own origin is the middle of the box of its
+    corners.
+    """
+    if flip:
+        sides = mirror(sides)
+    points = np.array([side.start for side in sides])
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    edges = []
+    for number, side in enumerate(sides):
+        following = (number + 1) % len(sides)
+        start, chord = points[number], points[following] - points[number]
+        arm = np.array(side.handles, dtype=np.float64).reshape(-1, 2) - start
+        along, left = arm @ chord, arm @ np.array([-chord[1], chord[0]])
+        handles = tuple(zip((along / (chord @ chord)).tolist(), (left / (chord @ chord)).tolist(), strict=True))
+        edges.append(Edge(number, following, KINDS[len(handles)], handles))
+    seen = float(middle[0]) + (-apart_m if flip else apart_m)
+    across = -seen if rotation == BACK else seen
+    placement = Placement(rotation, (across, float(middle[1]), z))
+    return Drafted(
+        Panel(name, points - middle, tuple(edges), placement), {side.name: i for i, side in enumerate(sides)}
+    )
+
+
+def mirror(sides: Sequence[Side]) -> list[Side]:
+    """``sides`` with left and right exchanged, again counter-clockwise and under the same names."""
+
+    def reflected(point: Point) -> Point:
+        return (-point[0], point[1])
+
+    result = []
+    for number in range(len(sides) - 1, -1, -1):
+        end = sides[(number + 1) % len(sides)].start
+        handles = tuple(reflected(handle) for handle in reversed(sides[number].handles))
+        result.append(Side(sides[number].name, reflected(end), handles))
+    return result
+
+
+def sew(first: Drafted, first_side: str, second: Drafted, second_side: str) -> Stitch:
+    """The stitch of two named sides, right side on right side."""
+    return Stitch(first.edge(first_side), second.edge(second_side))

@@ -1,0 +1,148 @@
+"""What a tailor measures on a body, taken from its mesh in the T-pose: girths by an imagined tape, heights, reaches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_NAMES
+from drape.errors import BodyError
+
+STEP_M = 0.01  # between the heights at which the trunk is measured
+BESIDE_M = 1e-4  # planes beside the middle: vertices lie exactly on it
+
+
+@dataclass(frozen=True, eq=False)
+class BodyMeasurements:
+    """Lengths [m] of a body at rest in the T-pose; heights are y, reaches are x on the left side.
+
+    ``heights`` and ``girths`` (N,) give the tape around the trunk (both legs below the crotch), ``front_z`` and
+    ``back_z`` how far the trunk reaches. Arm girths are taken a quarter down the upper arm and at the wrist.
+    """
+
+    neck_y: float
+    neck_half_width: float
+    neck_girth: float
+    shoulder_x: float
+    shoulder_y: float
+    underarm_y: float
+    chest_girth: float
+    waist_y: float
+    waist_girth: float
+    hip_y: float
+    hip_girth: float
+    crotch_y: float
+    knee_y: float
+    ankle_y: float
+    thigh_girth: float
+    calf_girth: float
+    elbow_x: float
+    wrist_x: float
+    arm_y: float
+    arm_z: float
+    arm_girth: float
+    wrist_girth: float
+    front_z: float
+    back_z: float
+    heights: np.ndarray
+    girths: np.ndarray
+
+    def girth_at(self, y: float) -> float:
+        """The tape [m] around the trunk at height ``y``."""
+        return float(np.interp(y, self.heights, self.girths))
+
+
+def section(vertices: np.ndarray, faces: np.ndarray, axis: int, value: float) -> np.ndarray:
+    """Points [m] (N, 3) where the edges of the triangles cross the plane x_axis = ``value``."""
+    corners = vertices[faces]
+    offset = corners[..., axis] - value
+    points = []
+    for first, second in ((0, 1), (1, 2), (2, 0)):
+        a, b = offset[:, first], offset[:, second]
+        crossing = a * b < 0.0
+        share = (a[crossing] / (a[crossing] - b[crossing]))[:, None]
+        points.append(corners[crossing, first] + share * (corners[crossing, second] - corners[crossing, first]))
+    return np.concatenate(points)
+
+
+def tape(points: np.ndarray) -> float:
+    """Perimeter [m] of the convex hull of plane ``points`` (N, 2): what a taut tape reads."""
+    if len(points) < 3:
+        raise BodyError(
+            "body",
+            expected="a mesh that the measuring plane cuts",
+            got=f"{len(points)} points",
+            cure="Check that the body stands in the T-pose, in metres, y up.",
+        )
+    return float(ConvexHull(points).area)  # in the plane qhull's "area" is the perimeter
+
+
+def measure(body: BodyModel, betas: np.ndarray | None = None) -> BodyMeasurements:
+    """The measurements of ``body`` with shape ``betas``, both arms spread."""
+    vertices, joints = body.rest_vertices(betas), body.rest_joints(betas)
+    place = {name: joints[JOINT_NAMES.index(name)] for name in JOINT_NAMES}
+    arms = [JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("elbow", "wrist", "hand")]
+    is_arm = body.weights[:, arms].sum(axis=1) > 0.5
+    trunk = body.faces[~is_arm[body.faces].any(axis=1)]
+    shoulder, elbow, wrist = place["left_shoulder"], place["left_elbow"], place["left_wrist"]
+
+    def level(y: float, reach: float = np.inf) -> np.ndarray:
+        points = section(vertices, trunk, 1, y)[:, [0, 2]]
+        return points[np.abs(points[:, 0]) < reach]
+
+    def across(x: float) -> np.ndarray:
+        points = section(vertices, body.faces, 0, x)
+        return points[points[:, 1] > place["spine3"][1]]
+
+    inner_arm = float(shoulder[0] + 0.05 * (elbow[0] - shoulder[0]))
+    armpit = across(inner_arm)
+    underarm_y = float(armpit[:, 1].min())
+    reach = inner_arm
+    heights = np.arange(place["left_ankle"][1], underarm_y, STEP_M)
+    girths = np.array([tape(level(y, reach)) for y in heights])
+    around_waist = (heights > place["spine1"][1]) & (heights < place["spine3"][1])
+    around_hips = (heights > place["left_hip"][1] - 0.12) & (heights < place["spine1"][1])
+    waist = int(np.flatnonzero(around_waist)[girths[around_waist].argmin()])
+    hip = int(np.flatnonzero(around_hips)[girths[around_hips].argmax()])
+    middle = section(vertices, trunk, 0, BESIDE_M)
+    below = middle[(middle[:, 1] < place["spine1"][1]) & (middle[:, 1] > place["left_knee"][1])]
+    crotch_y = float(below[:, 1].min())
+    neck = level(float(place["neck"][1]), 0.6 * float(shoulder[0]))
+    leg = level(crotch_y - 0.03)
+    calves = [
+        tape(points[points[:, 0] > 0.0])
+        for points in (level(y) for y in np.arange(place["left_ankle"][1] + 0.05, place["left_knee"][1], STEP_M))
+    ]
+    upper = across(float(shoulder[0] + 0.25 * (elbow[0] - shoulder[0])))
+    trunk_points = vertices[(vertices[:, 1] > crotch_y) & (vertices[:, 1] < underarm_y) & ~is_arm]
+    return BodyMeasurements(
+        neck_y=float(place["neck"][1]),
+        neck_half_width=0.5 * float(np.ptp(neck[:, 0])),
+        neck_girth=tape(neck),
+        shoulder_x=float(shoulder[0]),
+        shoulder_y=float(across(float(shoulder[0]))[:, 1].max()),
+        underarm_y=underarm_y,
+        chest_girth=float(girths[heights > place["spine3"][1] + 0.05].max()),
+        waist_y=float(heights[waist]),
+        waist_girth=float(girths[waist]),
+        hip_y=float(heights[hip]),
+        hip_girth=float(girths[hip]),
+        crotch_y=crotch_y,
+        knee_y=float(place["left_knee"][1]),
+        ankle_y=float(place["left_ankle"][1]),
+        thigh_girth=tape(leg[leg[:, 0] > 0.0]),
+        calf_girth=max(calves),
+        elbow_x=float(elbow[0]),
+        wrist_x=float(wrist[0]),
+        arm_y=float(elbow[1]),
+        arm_z=float(elbow[2]),
+        arm_girth=tape(upper[:, 1:]),
+        wrist_girth=tape(across(float(wrist[0]))[:, 1:]),
+        front_z=float(trunk_points[:, 2].max()),
+        back_z=float(trunk_points[:, 2].min()),
+        heights=heights,
+        girths=girths,
+    )

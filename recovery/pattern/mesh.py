@@ -1,0 +1,252 @@
+"""The mesh of a whole pattern: panels triangulated, seams joined, and the map from control points to vertices."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+from scipy.sparse import csgraph
+
+from drape.arrays import check_shape
+from drape.errors import MeshError
+from drape.geometry import meshes
+from recovery.pattern import geometry
+from recovery.pattern.coordinates import Controls, boundary_matrix, control_points, mean_value_weights
+from recovery.pattern.model import EdgeRef, Pattern
+from recovery.pattern.triangulate import corner_angles_deg, signed_areas, triangulate
+
+MOST_FLIPS = 200  # of inner edges at sewn corners
+
+
+@dataclass(frozen=True, eq=False)
+class PatternMesh:
+    """Triangulated panels and how they are sewn; a vertex of a panel is one row, a node one or several of them.
+
+    ``rest`` [m] (P, 2) panel vertices, each in its panel's frame; ``panel`` (P,) and ``face_panel`` (F,) numbers of
+    panels; ``panel_faces`` (F, 3) triangles as panel vertices and ``faces`` (F, 3) as nodes, both
+    counter-clockwise from outside (a panel sewn right to wrong is turned in both);
+    ``node_of_panel_vertex`` (P,), onto ``node_count`` nodes, is the one-to-many map of the seams;
+    ``seam_pairs`` (S, 2) panel vertices that are sewn together and ``seam_of_pair`` (S,) the number of the stitch;
+    ``edge_vertices`` the panel vertices along every edge, both ends included. ``rest`` as (2 P,) is ``weights``
+    (2 P, 2 K) times the positions of ``controls`` as (2 K,).
+    """
+
+    pattern: Pattern
+    rest: np.ndarray
+    panel: np.ndarray
+    panel_faces: np.ndarray
+    face_panel: np.ndarray
+    faces: np.ndarray
+    node_of_panel_vertex: np.ndarray
+    node_count: int
+    seam_pairs: np.ndarray
+    seam_of_pair: np.ndarray
+    edge_vertices: Mapping[EdgeRef, np.ndarray]
+    controls: Controls
+    weights: scipy.sparse.csr_matrix
+
+    def rest_at(self, positions: np.ndarray) -> np.ndarray:
+        """Panel vertices [m] (P, 2) for control points at ``positions`` [m] (K, 2)."""
+        positions = np.asarray(positions, dtype=np.float64)
+        check_shape("positions", positions, (len(self.controls), 2))
+        return (self.weights @ positions.reshape(-1)).reshape(-1, 2)
+
+    def folded(self, rest: np.ndarray) -> np.ndarray:
+        """Numbers of the triangles that are turned over or flat when the panel vertices lie at ``rest`` [m] (P, 2)."""
+        areas = signed_areas(rest, self.panel_faces)
+        return np.nonzero(areas * np.sign(signed_areas(self.rest, self.panel_faces)) <= 0.0)[0]
+
+    def placed(self) -> np.ndarray:
+        """World positions [m] (P, 3) of the panel vertices, panels placed flat and not yet sewn."""
+        world = np.zeros((len(self.rest), 3))
+        for number, panel in enumerate(self.pattern.panels):
+            mine = self.panel == number
+            world[mine] = panel.placement.apply(self.rest[mine])
+        return world
+
+    def nodes_from(self, values: np.ndarray) -> np.ndarray:
+        """Means (N, C) over each node's panel vertices of ``values`` (P, C)."""
+        total = np.zeros((self.node_count, values.shape[1]))
+        np.add.at(total, self.node_of_panel_vertex, values)
+        return total / np.bincount(self.node_of_panel_vertex, minlength=self.node_count)[:, None]
+
+    def smallest_angles_deg(self) -> dict[str, float]:
+        """The smallest corner [deg] of any triangle, by panel."""
+        least = corner_angles_deg(self.rest, self.panel_faces).min(axis=1)
+        return {
+            panel.name: float(least[self.face_panel == number].min())
+            for number, panel in enumerate(self.pattern.panels)
+        }
+
+
+def mesh_pattern(pattern: Pattern, edge_length_m: float, *, free_curves: bool = False) -> PatternMesh:
+    """Checks ``pattern``, triangulates its panels with sides of about ``edge_length_m``, joins them at the stitches.
+
+    ``free_curves`` makes the handles of Bezier edges control points of their own. Raises ``InputError`` for an unfit
+    pattern and ``MeshError`` where sewing does not give a surface.
+    """
+    geometry.check_pattern(pattern)
+    counts = geometry.segment_counts(pattern, edge_length_m)
+    controls = control_points(pattern, free_curves=free_curves)
+    rest, faces, blocks = [], [], []
+    edge_vertices: dict[EdgeRef, np.ndarray] = {}
+    first = 0
+    for panel in pattern.panels:
+        refs = [EdgeRef(panel.name, number) for number in range(len(panel.edges))]
+        parameters = [
+            geometry.equal_parameters(edge, counts[ref])[:-1] for edge, ref in zip(panel.edges, refs, strict=True)
+        ]
+        matrix = boundary_matrix(panel, parameters, free_curves=free_curves)
+        own = control_points(_alone(pattern, panel.name), free_curves=free_curves).positions
+        boundary = (matrix @ own.reshape(-1)).reshape(-1, 2)
+        points, triangles = triangulate(boundary, edge_length_m)
+        inner = np.kron(mean_value_weights(points[len(boundary) :], boundary), np.eye(2)) @ matrix
+        block = np.concatenate([matrix, inner])
+        # The vertices are what the map gives, so that they agree to the last bit.
+        rest.append((block @ own.reshape(-1)).reshape(-1, 2))
+        blocks.append(block)
+        faces.append(triangles + first)
+        place = 0
+        for ref in refs:
+            along = np.arange(place, place + counts[ref] + 1)
+            edge_vertices[ref] = first + along % len(boundary)
+            place += counts[ref]
+        first += len(points)
+    sizes = [len(block) for block in rest]
+    panel_index = np.repeat(np.arange(len(sizes)), sizes)
+    panel_faces = np.concatenate(faces)
+    face_panel = panel_index[panel_faces[:, 0]]
+    pairs, of_stitch = _seam_pairs(pattern, edge_vertices)
+    node_count, node_of = _merged(pairs, first)
+    panel_faces = _opened_tips(np.concatenate(rest), panel_faces, node_of)
+    turned = _turned_panels(pattern)[face_panel]
+    panel_faces[turned] = panel_faces[turned][:, ::-1]
+    sewn = node_of[panel_faces]
+    joined = sum(counts[stitch.first] for stitch in pattern.stitches)
+    _check_surface(pattern, sewn, face_panel, expected_edges=len(meshes.unique_edges(panel_faces)) - joined)
+    return PatternMesh(
+        pattern=pattern,
+        rest=np.concatenate(rest),
+        panel=panel_index,
+        panel_faces=panel_faces,
+        face_panel=face_panel,
+        faces=sewn,
+        node_of_panel_vertex=node_of,
+        node_count=node_count,
+        seam_pairs=pairs,
+        seam_of_pair=of_stitch,
+        edge_vertices=edge_vertices,
+        controls=controls,
+        weights=scipy.sparse.csr_matrix(scipy.sparse.block_diag(blocks)),
+    )
+
+
+def _alone(pattern: Pattern, name: str) -> Pattern:
+    return Pattern(name, (pattern.panel(name),))
+
+
+def _seam_pairs(pattern: Pattern, edge_vertices: Mapping[EdgeRef, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    pairs, of_stitch = [np.zeros((0, 2), dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+    for number, stitch in enumerate(pattern.stitches):
+        second = edge_vertices[stitch.second]
+        second = second if stitch.right_to_wrong else second[::-1]
+        pairs.append(np.stack([edge_vertices[stitch.first], second], axis=1))
+        of_stitch.append(np.full(len(second), number))
+    return np.concatenate(pairs), np.concatenate(of_stitch)
+
+
+def _merged(pairs: np.ndarray, count: int) -> tuple[int, np.ndarray]:
+    """Nodes: panel vertices that chains of pairs join, numbered by their first panel vertex."""
+    graph = scipy.sparse.coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    _, label = csgraph.connected_components(graph, directed=False)
+    _, first, inverse = np.unique(label, return_index=True, return_inverse=True)
+    rank = np.argsort(np.argsort(first))
+    return len(first), rank[inverse.reshape(-1)].astype(np.int64)
+
+
+def _opened_tips(points: np.ndarray, faces: np.ndarray, node_of: np.ndarray) -> np.ndarray:
+    """``faces`` (F, 3) with inner edges flipped where sewing would close a corner or lay edges on each other.
+
+    Where both sides of a corner are sewn to each other the triangle in the corner would collapse; where they are
+    sewn to the sides of another corner, the inner edges of both corner triangles would coincide.
+    """
+    faces = faces.copy()
+    for _ in range(MOST_FLIPS):
+        halves = meshes.half_edges(faces)
+        ends = np.sort(node_of[halves[:, :2]], axis=1)
+        _, inverse, counts = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
+        spoilt = (ends[:, 0] == ends[:, 1]) | (counts[inverse.reshape(-1)] > 2)
+        if not any(_flip(points, faces, *divmod(int(half), 3)) for half in np.flatnonzero(spoilt)):
+            break
+    return faces
+
+
+def _flip(points: np.ndarray, faces: np.ndarray, number: int, start: int) -> bool:
+    """Flips in place the edge that starts at corner ``start`` of a face; False at a border or a bent pair."""
+    b, c, a = np.roll(faces[number], -start)
+    across = np.argwhere((faces == c) & (np.roll(faces, -1, axis=1) == b))
+    if len(across) != 1:
+        return False
+    other, corner = across[0]
+    d = faces[other][(corner + 2) % 3]
+    pair = np.array([(a, b, d), (a, d, c)])
+    if signed_areas(points, pair).min() <= 0.0:
+        return False
+    faces[[number, other]] = pair
+    return True
+
+
+def _turned_panels(pattern: Pattern) -> np.ndarray:
+    """Which panels (number of panels,) show their wrong side outside, so that neighbouring triangles agree.
+
+    The first panel of every connected part shows its right side.
+    """
+    number_of = {panel.name: number for number, panel in enumerate(pattern.panels)}
+    turned = np.full(len(pattern.panels), -1)
+    for seed in range(len(turned)):
+        if turned[seed] >= 0:
+            continue
+        turned[seed] = 0
+        open_panels = [seed]
+        while open_panels:
+            here = open_panels.pop()
+            for stitch in pattern.stitches:
+                ends = [number_of[stitch.first.panel], number_of[stitch.second.panel]]
+                if here not in ends:
+                    continue
+                there = ends[1] if ends[0] == here else ends[0]
+                wanted = turned[here] ^ int(stitch.right_to_wrong)
+                if turned[there] < 0:
+                    turned[there] = wanted
+                    open_panels.append(there)
+                elif turned[there] != wanted:
+                    raise MeshError(
+                        "stitches",
+                        expected="a surface with an outside",
+                        got=f"a one-sided band through {stitch.first} and {stitch.second}",
+                        cure="Turn one of the right-to-wrong stitches around.",
+                    )
+    return turned == 1
+
+
+def _check_surface(pattern: Pattern, faces: np.ndarray, face_panel: np.ndarray, *, expected_edges: int) -> None:
+    collapsed = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
+    if collapsed.any():
+        name = pattern.panels[int(face_panel[collapsed][0])].name
+        raise MeshError(
+            "stitches",
+            expected="triangles whose corners stay apart when sewn",
+            got=f"{int(collapsed.sum())} collapsed ones, the first in panel {name}",
+            cure="Take shorter mesh edges, or check that the stitches join the right edges.",
+        )
+    halves = meshes.half_edges(faces)[:, :2]
+    coincide = expected_edges - len(meshes.unique_edges(faces))
+    if coincide > 0 or len(np.unique(halves, axis=0)) < len(halves):
+        raise MeshError(
+            "stitches",
+            expected="edges that meet only where a stitch joins them, neighbours facing the same way",
+            got=f"{coincide} edges that fall onto others",
+            cure="Take shorter mesh edges, or check that the stitches join the right edges.",
+        )

@@ -1,0 +1,300 @@
+"""Drapes any mix of garments, clients and frames through the packed graph: what is stored, asked, run and cut apart.
+
+A ``ScenePlan`` names what a scene needs; the session of a plan holds the nodes that this takes and no other.
+Constants of the garments lie in the ``Store`` once. A batch is a list of (garment, body) items; its index tensors are
+kept while memory allows, since streams repeat their batches. An item's result does not depend on what else is in the
+batch, not in one bit on a CPU (tests/service/test_packing.py), so a batch may be run in parts of any size.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from drape.errors import InputError, NotFound
+from drape.feeds import garment_feed
+from drape.garment.cache import Garment
+from drape.garment.tangents import tangent_columns
+from drape.packing import (
+    TANGENTS,
+    Composition,
+    PackedGarment,
+    Place,
+    compose,
+    pack_garment,
+    pack_tangents,
+)
+from service.engine import PACKED, Engine, GraphSession
+
+Shape = Literal["vertices", "steps", "jets"]
+OUTPUTS_OF: dict[Shape, tuple[str, ...]] = {
+    "vertices": ("vertices",),
+    "steps": ("steps", "box_low", "box_step"),
+    "jets": ("jet", "frame_rotation", "frame_centre"),
+}
+NORMALS, BONES = "normals", ("bone_rotation", "bone_translation")
+PER_VERTEX = ("vertices", "steps", NORMALS)
+PER_PATCH = OUTPUTS_OF["jets"]
+STORED_INDEX = ("patch_stored", "tile_stored")  # of no use where one garment is all there is
+TILES_PER_CALL = 2048  # about 10 MB of columns: what a core's share of the last cache holds
+KEPT_BYTES = 32 << 20  # of index tensors
+
+Item = tuple[str, int]  # garment, row of its body
+
+
+@dataclass(frozen=True)
+class ScenePlan:
+    """What a scene asks for: vertices, their 16-bit steps in the item's box, or posed jets; normals; bones."""
+
+    shape: Shape = "vertices"
+    normals: bool = False
+    bones: bool = False
+
+    def __post_init__(self) -> None:
+        if self.shape not in OUTPUTS_OF:
+            raise InputError(
+                "scene shape", expected=" or ".join(OUTPUTS_OF), got=repr(self.shape), cure="Ask for one of these."
+            )
+        if self.normals and self.shape == "jets":
+            raise InputError(
+                "scene normals",
+                expected="none with jets",
+                got="normals and jets",
+                cure="Take normals from the jets, or ask for vertices.",
+            )
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Outputs of the packed graph that the plan fetches."""
+        return (*OUTPUTS_OF[self.shape], *((NORMALS,) if self.normals else ()), *(BONES if self.bones else ()))
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """Outputs of one item by name: rows of its vertices (V, ...) or patches (K, ...), its box (3,), its bones.
+
+    ``finite`` is false where the network's answer holds NaN or infinity.
+    """
+
+    arrays: dict[str, np.ndarray]
+    finite: bool
+
+
+@dataclass(eq=False)
+class _Stored:
+    garment: Garment
+    packed: PackedGarment
+
+
+class Store:
+    """Constants of all garments, each array in one piece; a garment's own are views of it."""
+
+    def __init__(self) -> None:
+        self._garments: dict[str, _Stored] = {}
+        self._places: dict[str, Place] = {}
+        self._arrays: dict[str, np.ndarray] = {}
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._garments
+
+    def add(self, key: str, garment: Garment, patch_first: np.ndarray) -> None:
+        """Puts ``garment`` under ``key``, in place of what was there; ``patch_first`` (K, n) is the encoder's."""
+        self._garments[key] = _Stored(garment, pack_garment(garment_feed(garment), patch_first))
+        self._lay_out()
+
+    def remove(self, key: str) -> None:
+        """Forgets the garment ``key``."""
+        self.packed(key)
+        del self._garments[key]
+        self._lay_out()
+
+    def packed(self, key: str) -> PackedGarment:
+        """The garment ``key``; refuses one that is not in store."""
+        if key not in self._garments:
+            raise NotFound(
+                "garment", expected=", ".join(self._garments) or "one in store", got=key, cure="Add the garment first."
+            )
+        return self._garments[key].packed
+
+    def place(self, key: str) -> Place:
+        """First rows of the garment ``key``."""
+        return self._places[key]
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The stored inputs of the packed graph by name."""
+        return self._arrays
+
+    def want_tangents(self) -> bool:
+        """Makes the constants that normals need where they are missing, and whether any were."""
+        missing = [stored for stored in self._garments.values() if TANGENTS not in stored.packed.stored]
+        for stored in missing:
+            garment = stored.garment
+            charts = garment.chart_patch[: garment.vertex_count]
+            stored.packed.stored[TANGENTS] = pack_tangents(charts, garment.patch_count, tangent_columns(garment))
+        if missing:
+            self._lay_out()
+        return bool(missing)
+
+    @property
+    def bytes(self) -> int:
+        """Memory of everything in store."""
+        return sum(stored.packed.bytes for stored in self._garments.values())
+
+    def _lay_out(self) -> None:
+        packed = [stored.packed for stored in self._garments.values()]
+        names = set.intersection(*(set(garment.stored) for garment in packed)) if packed else set()
+        self._arrays = {name: np.concatenate([garment.stored[name] for garment in packed]) for name in names}
+        patch = tile = 0
+        for key, garment in zip(self._garments, packed, strict=True):
+            self._places[key] = Place(patch, tile)
+            for name, array in self._arrays.items():
+                start = tile if name.startswith("tile") else patch
+                garment.stored[name] = array[start : start + len(garment.stored[name])]
+            patch, tile = patch + garment.patch_count, tile + garment.tile_count
+
+
+class Packer:
+    """Runs plans on the packed graph of an engine's model; safe to call from one thread at a time."""
+
+    def __init__(self, engine: Engine, *, kept_bytes: int = KEPT_BYTES, tiles_per_call: int = TILES_PER_CALL) -> None:
+        self._engine = engine
+        self._store = Store()
+        self._sessions: dict[tuple[ScenePlan, bool], GraphSession] = {}
+        self._kept: OrderedDict[tuple[Item, ...], tuple[Composition, dict[str, Any]]] = OrderedDict()
+        self._kept_bytes, self._limit = 0, kept_bytes
+        self._tiles_per_call = tiles_per_call
+        self._values: dict[str, Any] = {}
+
+    @property
+    def store(self) -> Store:
+        """Constants of the garments; change it through this class."""
+        return self._store
+
+    @property
+    def kept_bytes(self) -> int:
+        """Memory of the index tensors that are kept."""
+        return self._kept_bytes
+
+    def add(self, key: str, garment: Garment) -> None:
+        """Encodes ``garment`` and puts it in store under ``key``."""
+        self._store.add(key, garment, self._engine.first(garment.patch_features))
+        self._forget()
+
+    def remove(self, key: str) -> None:
+        """Forgets the garment ``key``."""
+        self._store.remove(key)
+        self._forget()
+
+    def warm_up(self, plan: ScenePlan, bodies: dict[str, np.ndarray]) -> None:
+        """Opens the sessions of ``plan`` and runs them once, on the first of ``bodies``."""
+        keys = list(self._store._garments)[:1]
+        if keys:
+            self.run(plan, bodies, [(keys[0], 0)])
+            self.run(plan, bodies, [(keys[0], 0), (keys[0], 0)])
+
+    def run(self, plan: ScenePlan, bodies: dict[str, np.ndarray], items: Sequence[Item]) -> list[Result]:
+        """Results of ``items``, in their order. ``bodies`` are ``drape.packing.PackedBody.rows``, joined over clients.
+
+        Refuses a garment that is not in store and a row that ``bodies`` do not have. Of a dynamic model ``bodies``
+        may hold ``dynamic_code`` (B, C); without it all are at rest.
+        """
+        count = min(len(rows) for rows in bodies.values())
+        if self._engine.dynamic:
+            bodies = {"dynamic_code": np.zeros((count, self._engine.code_size), np.float32)} | bodies
+        for key, row in items:
+            self._store.packed(key)
+            if not 0 <= row < count:
+                raise InputError(
+                    "body row", expected=f"a row in [0, {count})", got=str(row), cure="Give each item its body's row."
+                )
+        if plan.normals and self._store.want_tangents():
+            self._forget()
+        results: list[Result] = []
+        for part in self._parts(items):
+            rows = {row: i for i, row in enumerate(dict.fromkeys(row for _, row in part))}
+            local = {name: np.ascontiguousarray(values[list(rows)]) for name, values in bodies.items()}
+            results += self._run_part(plan, local, tuple((key, rows[row]) for key, row in part))
+        return results
+
+    def _parts(self, items: Sequence[Item]) -> list[list[Item]]:
+        """``items`` in parts that fit a call; a part has at least one."""
+        parts: list[list[Item]] = []
+        tiles = self._tiles_per_call
+        for item in items:
+            size = self._store.packed(item[0]).tile_count
+            if tiles + size > self._tiles_per_call:
+                parts.append([])
+                tiles = 0
+            parts[-1].append(item)
+            tiles += size
+        return parts
+
+    def _run_part(self, plan: ScenePlan, bodies: dict[str, np.ndarray], items: tuple[Item, ...]) -> list[Result]:
+        alone = len(items) == 1
+        session = self._session(plan, alone)
+        composition, indices = self._composed(items, alone)
+        stored = self._store.packed(items[0][0]).stored if alone else self._store.arrays()
+        feed: dict[str, Any] = {}
+        for name in session.inputs:
+            if name in bodies:
+                feed[name] = self._engine.value(bodies[name])
+            elif name in indices:
+                feed[name] = indices[name]
+            else:
+                feed[name] = self._constant(name, stored[name], items[0][0] if alone else "")
+        outputs = dict(zip(plan.outputs, session.run(plan.outputs, feed), strict=True))
+        return _apart(outputs, composition, [row for _, row in items])
+
+    def _session(self, plan: ScenePlan, alone: bool) -> GraphSession:
+        if (plan, alone) not in self._sessions:
+            direct = STORED_INDEX if alone else ()
+            self._sessions[plan, alone] = self._engine.open_cut(PACKED, plan.outputs, direct=direct)
+        return self._sessions[plan, alone]
+
+    def _composed(self, items: tuple[Item, ...], alone: bool) -> tuple[Composition, dict[str, Any]]:
+        """Index tensors of ``items``, the latest used of them kept as far as memory allows."""
+        kept = self._kept.pop(items, None)
+        if kept is None:
+            places = [Place(0, 0)] if alone else [self._store.place(key) for key, _ in items]
+            made = compose([(self._store.packed(key), p, row) for (key, row), p in zip(items, places, strict=True)])
+            kept = made, {name: self._engine.value(array) for name, array in made.arrays.items()}
+            self._kept_bytes += made.bytes
+        self._kept[items] = kept
+        while self._kept_bytes > self._limit and self._kept:
+            _, (dropped, _) = self._kept.popitem(last=False)
+            self._kept_bytes -= dropped.bytes
+        return kept
+
+    def _constant(self, name: str, array: np.ndarray, key: str) -> Any:
+        """A stored array where the graph computes, handed over once."""
+        label = f"{key} {name}"
+        if label not in self._values:
+            self._values[label] = self._engine.value(array)
+        return self._values[label]
+
+    def _forget(self) -> None:
+        self._kept.clear()
+        self._values.clear()
+        self._kept_bytes = 0
+
+
+def _apart(outputs: dict[str, np.ndarray], composition: Composition, rows: list[int]) -> list[Result]:
+    """The outputs of every item."""
+    flat = {name: outputs[name].reshape(-1, 3) for name in PER_VERTEX if name in outputs}
+    results = []
+    for item, row in enumerate(rows):
+        arrays = {}
+        for name, values in outputs.items():
+            if name in flat:
+                arrays[name] = flat[name][composition.vertices[item]]
+            elif name in PER_PATCH:
+                arrays[name] = values[composition.patches[item]]
+            else:
+                arrays[name] = values[row if name in BONES else item]
+        checked = [arrays[name] for name in ("vertices", "box_low", *PER_PATCH) if name in arrays]
+        results.append(Result(arrays, all(bool(np.isfinite(array).all()) for array in checked)))
+    return results

@@ -1,0 +1,381 @@
+"""Files for people who cut: read back with other readers, lengths agree to a tenth of a millimetre."""
+
+from __future__ import annotations
+
+import base64
+import re
+import zlib
+from pathlib import Path
+from xml.etree import ElementTree
+
+import ezdxf
+import numpy as np
+import pytest
+from ezdxf.entities import Point, Polyline
+from numpy.testing import assert_allclose
+
+from drape.errors import InputError
+from recovery.pattern import geometry
+from recovery.pattern.__main__ import main
+from recovery.pattern.bases import tshirt
+from recovery.pattern.export import FORMATS, export_pattern
+from recovery.pattern.export_dxf import write_dxf
+from recovery.pattern.export_pdf import write_pdf
+from recovery.pattern.export_svg import write_svg
+from recovery.pattern.garmentcode import read_pattern, write_pattern
+from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stitch
+from recovery.pattern.pieces import NOTCH_DEPTH_M, Sheet, make_sheet, offset
+from recovery.pattern.triangulate import boundary_distance, inside
+from tests.recovery.pattern_setup import assert_same_pattern, curved, default_measurements, rectangle, tube
+
+SVG = "{http://www.w3.org/2000/svg}"
+ALLOWANCE_M = 0.01
+
+
+def every_curve() -> Pattern:
+    """Two panels with all kinds of edges, large and small arcs to both sides, sewn once."""
+    round_ends = Panel(
+        "röund end",
+        np.array([(0.0, 0.0), (0.3, 0.0), (0.35, 0.5), (-0.05, 0.5)]),
+        (
+            Edge(0, 1, EdgeKind.CIRCLE, ((0.5, -0.2),)),
+            Edge(1, 2),
+            Edge(2, 3, EdgeKind.CIRCLE, ((0.5, -0.7),)),
+            Edge(3, 0, EdgeKind.CIRCLE, ((0.5, 0.1),)),
+        ),
+    )
+    stitch = Stitch(EdgeRef("curved", 1), EdgeRef("röund end", 1))
+    return Pattern("every curve", (curved(), round_ends), (stitch,), material="wool")
+
+
+def perimeter_mm(panel: Panel) -> float:
+    return 1000.0 * sum(geometry.edge_length(panel, number) for number in range(len(panel.edges)))
+
+
+def polygon_mm(points: np.ndarray) -> float:
+    return float(np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1).sum())
+
+
+# --- pieces ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_seam_allowance_is_parallel_to_the_sewing_line():
+    square = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], dtype=float)
+    wide = offset(square, 0.05)
+    assert_allclose(polygon_mm(wide), 4.4, rtol=1e-6)
+    assert_allclose(wide.min(axis=0), -0.05, atol=1e-6)
+    assert offset(square, 0.0) is square
+    for piece in make_sheet(every_curve(), allowance_m=ALLOWANCE_M).pieces:
+        along = np.concatenate([a + np.linspace(0, 1, 9)[:-1, None] * (b - a) for a, b in _sides(piece.cutting)])
+        gap = boundary_distance(along, piece.sewing)
+        assert gap.min() > ALLOWANCE_M - 2e-6 and not inside(along, piece.sewing).any()
+        assert np.quantile(gap, 0.7) < ALLOWANCE_M + 1e-4  # farther only towards mitred corners
+
+
+def _sides(polygon: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    return list(zip(polygon, np.roll(polygon, -1, axis=0), strict=True))
+
+
+def test_sharp_corners_are_cut_off():
+    needle = np.array([(0, 0), (1.0, 0.0), (0.0, 0.05)])
+    assert offset(needle, 0.01)[:, 0].max() < 1.0 + 3.0 * 0.01
+
+
+def test_every_seam_has_notches_at_its_middle_and_its_ends():
+    pattern = tube()
+    for piece in make_sheet(pattern, allowance_m=ALLOWANCE_M).pieces:
+        middles = [notch for notch in piece.notches if abs(notch.point[1]) < 1e-6]
+        assert len(middles) == 2 and len(piece.notches) == 6
+        for notch in piece.notches:
+            assert boundary_distance(notch.point[None], piece.cutting)[0] < 1e-6
+            assert_allclose(np.linalg.norm(notch.inward), 1.0)
+            assert inside((notch.point + NOTCH_DEPTH_M * notch.inward)[None], piece.cutting)[0]
+        assert sorted(text for _, text in piece.seam_marks) == ["1", "2"]
+        assert inside(np.array([point for point, _ in piece.seam_marks]), piece.sewing).all()
+
+
+def test_grain_lines_are_upright_and_inside():
+    for pattern in (every_curve(), tshirt(default_measurements())):
+        for piece in make_sheet(pattern).pieces:
+            assert piece.grain[0, 0] == piece.grain[1, 0] and piece.grain[1, 1] > piece.grain[0, 1] + 0.05
+            along = piece.grain[0] + np.linspace(0, 1, 50)[:, None] * (piece.grain[1] - piece.grain[0])
+            assert inside(along, piece.sewing).all() and inside(piece.label_at[None], piece.sewing)[0]
+
+
+def test_pieces_lie_on_the_sheet_without_overlap():
+    for pattern in (every_curve(), tshirt(default_measurements())):
+        sheet = make_sheet(pattern, allowance_m=0.02)
+        boxes = []
+        for piece, place in zip(sheet.pieces, sheet.offsets, strict=True):
+            outline = piece.cutting + place
+            boxes.append((outline.min(axis=0), outline.max(axis=0)))
+            assert (boxes[-1][0] > 0.005).all() and (boxes[-1][1] < [sheet.width_m, sheet.height_m]).all()
+        for i, (low, high) in enumerate(boxes):
+            assert all((high < other[0]).any() or (low > other[1]).any() for other in boxes[:i])
+
+
+@pytest.mark.parametrize("allowance", [-0.01, 0.5, np.nan])
+def test_seam_allowances_are_small_lengths(allowance):
+    with pytest.raises(InputError, match="allowance_m"):
+        make_sheet(tube(), allowance_m=allowance)
+
+
+# --- SVG -------------------------------------------------------------------------------------------------------------
+
+
+def path_length(d: str) -> float:
+    """Length of an SVG path of M, L, Q, C, A and Z with absolute coordinates; arcs are circles."""
+    total, first, at = 0.0, np.zeros(2), np.zeros(2)
+    for letter, text in re.findall(r"([MLQCAZ])([^MLQCAZ]*)", d):
+        numbers = np.array([float(value) for value in re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", text)])
+        if letter == "M":
+            first = at = numbers
+        elif letter == "A":
+            radius, large, end = numbers[0], numbers[3], numbers[5:]
+            angle = 2.0 * np.arcsin(np.clip(np.linalg.norm(end - at) / (2.0 * radius), 0.0, 1.0))
+            total += radius * (2.0 * np.pi - angle if large else angle)
+            at = end
+        else:
+            points = np.vstack([at, numbers.reshape(-1, 2) if letter != "Z" else first])
+            t = np.linspace(0.0, 1.0, 2001)[:, None, None]
+            curve = np.broadcast_to(points, (2001, *points.shape))
+            while curve.shape[1] > 1:  # de Casteljau
+                curve = (1.0 - t) * curve[:, :-1] + t * curve[:, 1:]
+            total += np.linalg.norm(np.diff(curve[:, 0], axis=0), axis=1).sum()
+            at = points[-1]
+    return total
+
+
+def arc_middle(d: str) -> list[np.ndarray]:
+    """Highest points of the arcs of an SVG path, by the construction of the SVG specification."""
+    found, at = [], np.zeros(2)
+    for letter, text in re.findall(r"([MLQCAZ])([^MLQCAZ]*)", d):
+        numbers = np.array([float(value) for value in re.findall(r"-?\d+\.?\d*", text)])
+        if letter == "A":
+            radius, large, sweep, end = numbers[0], numbers[3], numbers[4], numbers[5:]
+            chord = end - at
+            root = np.sqrt(max(radius**2 - 0.25 * chord @ chord, 0.0))
+            normal = np.array([-chord[1], chord[0]]) / np.linalg.norm(chord)
+            centre = 0.5 * (at + end) + (root if large != sweep else -root) * normal
+            found.append(centre - normal * radius * (1.0 if sweep else -1.0))
+        if len(numbers):
+            at = numbers[-2:]
+    return found
+
+
+@pytest.mark.parametrize("pattern", [every_curve(), tshirt(default_measurements())], ids=lambda pattern: pattern.name)
+def test_the_svg_read_back_has_the_lengths_of_the_pattern(pattern, tmp_path):
+    sheet = make_sheet(pattern, allowance_m=ALLOWANCE_M)
+    write_svg(sheet, tmp_path / "sheet.svg")
+    root = ElementTree.parse(tmp_path / "sheet.svg").getroot()
+    size = np.array([float(root.attrib[name].removesuffix("mm")) for name in ("width", "height")])
+    assert_allclose(size, [1000 * sheet.width_m, 1000 * sheet.height_m], atol=1e-3)
+    assert root.attrib["viewBox"].split() == [
+        "0",
+        "0",
+        f"{size[0]:.3f}",
+        f"{size[1]:.3f}",
+    ]  # one unit is one millimetre
+    groups = {group.attrib["id"]: group for group in root.iter(f"{SVG}g")}
+    assert list(groups) == [panel.name for panel in pattern.panels]
+    for piece, place in zip(sheet.pieces, sheet.offsets, strict=True):
+        paths = {path.attrib["class"]: path.attrib["d"] for path in groups[piece.panel.name].iter(f"{SVG}path")}
+        assert abs(path_length(paths["sew"]) - perimeter_mm(piece.panel)) < 0.1
+        assert abs(path_length(paths["cut"]) - 1000.0 * polygon_mm(piece.cutting)) < 0.1
+        first = piece.panel.vertices[piece.panel.edges[0].start] + place
+        assert paths["sew"].startswith(f"M{1000 * first[0]:.4f} {1000 * (sheet.height_m - first[1]):.4f}")
+        assert len(list(groups[piece.panel.name].iter(f"{SVG}line"))) == len(piece.notches)
+        arcs = [number for number, edge in enumerate(piece.panel.edges) if edge.kind is EdgeKind.CIRCLE]
+        for number, middle in zip(arcs, arc_middle(paths["sew"]), strict=True):
+            highest = 1000.0 * (geometry.edge_points(piece.panel, number, np.array([0.5]))[0] + place)
+            assert_allclose(middle, [highest[0], 1000.0 * sheet.height_m - highest[1]], atol=2e-3)
+    scale = next(element for element in root.iter(f"{SVG}rect"))
+    assert scale.attrib["width"] == scale.attrib["height"] == "50"
+    texts = [element.text for element in root.iter(f"{SVG}text")]
+    assert "cut 1" in texts and "seam allowance 10 mm" in texts and pattern.material in texts
+
+
+# --- DXF -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dialect", ["aama", "gerber"])
+@pytest.mark.parametrize("unit_mm", [1.0, 10.0])
+def test_the_dxf_read_back_has_the_lengths_of_the_pattern(dialect, unit_mm, tmp_path, caplog):
+    pattern = every_curve()
+    sheet = make_sheet(pattern, allowance_m=ALLOWANCE_M)
+    path = tmp_path / "pattern.dxf"
+    write_dxf(sheet, path, unit_mm=unit_mm, dialect=dialect)
+    assert not caplog.records
+    assert path.read_bytes().isascii()
+    assert ("TABLES" in path.read_text()) == (dialect == "aama")
+    document = ezdxf.readfile(path)
+    assert document.dxfversion == "AC1009"  # R12
+    inserts = list(document.modelspace().query("INSERT"))
+    assert [insert.dxf.name for insert in inserts] == ["CURVED", "ROUND_END"]
+    for piece, place, insert in zip(sheet.pieces, sheet.offsets, inserts, strict=True):
+        assert_allclose(unit_mm * np.array(insert.dxf.insert)[:2], 1000.0 * place, atol=1e-6)
+        block = document.blocks[insert.dxf.name]
+        lines = {}
+        for entity in block.query("POLYLINE"):
+            assert isinstance(entity, Polyline) and entity.is_closed
+            lines[entity.dxf.layer] = unit_mm * np.array([vertex.dxf.location for vertex in entity.vertices])[:, :2]
+        assert sorted(lines) == ["1", "14"]
+        assert abs(polygon_mm(lines["14"]) - perimeter_mm(piece.panel)) < 0.1
+        assert abs(polygon_mm(lines["1"]) - 1000.0 * polygon_mm(piece.cutting)) < 0.1
+        (grain,) = block.query("LINE[layer=='7']")
+        ends = np.array([grain.dxf.start, grain.dxf.end])[:, :2]
+        assert_allclose(unit_mm * ends, 1000.0 * piece.grain, atol=1e-6)
+        notches = [point for point in block.query("POINT[layer=='4']") if isinstance(point, Point)]
+        found = unit_mm * np.array([point.dxf.location for point in notches])[:, :2]
+        assert_allclose(found, [1000.0 * notch.point for notch in piece.notches], atol=1e-6)
+        corners = len(block.query("POINT[layer=='2']"))
+        assert 2 <= corners <= 10 and corners + len(block.query("POINT[layer=='3']")) == len(piece.cutting)
+        texts = [text.dxf.text for text in block.query("TEXT[layer=='1']")]
+        assert texts[1:3] == ["Size: ONE", "Quantity: 1"] and "Annotation: wool" in texts
+    assert "Piece Name: round end" in [text.dxf.text for text in document.blocks["ROUND_END"].query("TEXT")]
+    assert "Units: METRIC" in [text.dxf.text for text in document.modelspace().query("TEXT")]
+
+
+def test_without_allowance_the_boundary_is_the_sewing_line(tmp_path):
+    write_dxf(make_sheet(tube(), allowance_m=0.0), tmp_path / "tube.dxf")
+    block = ezdxf.readfile(tmp_path / "tube.dxf").blocks["FRONT"]
+    assert [line.dxf.layer for line in block.query("POLYLINE")] == ["1"]
+
+
+def test_blocks_keep_their_own_names(tmp_path):
+    names = ["a b", "a_b", "日本", "x" * 40, "x" * 41]
+    pattern = Pattern("names", tuple(rectangle(name) for name in names))
+    write_dxf(make_sheet(pattern), tmp_path / "names.dxf")
+    document = ezdxf.readfile(tmp_path / "names.dxf")
+    blocks = [insert.dxf.name for insert in document.modelspace().query("INSERT")]
+    assert len(set(blocks)) == 5 and max(map(len, blocks)) <= 31
+
+
+# --- PDF -------------------------------------------------------------------------------------------------------------
+
+
+def pdf_streams(path: Path) -> list[str]:
+    """The drawing instructions in a PDF: its streams, unpacked."""
+    found = []
+    for packed in re.findall(rb"stream\r?\n(.*?)endstream", path.read_bytes(), re.DOTALL):
+        text = packed.strip()
+        data = zlib.decompress(base64.a85decode(text.removesuffix(b"~>"))) if text.endswith(b"~>") else text
+        found.append(data.decode("latin-1"))
+    return found
+
+
+def pdf_polygons_mm(stream: str) -> list[np.ndarray]:
+    """Closed polygons [mm] of a stream of m, l and h instructions."""
+    polygons = []
+    for found in re.findall(r"((?:-?[\d.]+ -?[\d.]+ [ml]\s+)+)h", stream):
+        polygons.append(np.array(re.findall(r"(-?[\d.]+) (-?[\d.]+) [ml]", found), dtype=float) * 25.4 / 72.0)
+    return polygons
+
+
+def media_boxes_mm(path: Path) -> np.ndarray:
+    found = re.findall(rb"/MediaBox \[ ?0 0 ([\d.]+) ([\d.]+)", path.read_bytes())
+    return np.array(found, dtype=float) * 25.4 / 72.0
+
+
+def checked_form(path: Path, sheet: Sheet) -> None:
+    (form,) = [
+        stream for stream in pdf_streams(path) if sheet.title in stream and " l" in stream and "Do" not in stream
+    ]
+    polygons = pdf_polygons_mm(form)
+    for number, (piece, place) in enumerate(zip(sheet.pieces, sheet.offsets, strict=True)):
+        cut, sew = polygons[2 * number : 2 * number + 2]
+        assert_allclose(cut, 1000.0 * (piece.cutting + place), atol=2e-3)
+        assert abs(polygon_mm(sew) - perimeter_mm(piece.panel)) < 0.1
+
+
+def test_one_page_holds_the_pieces_at_true_size(tmp_path):
+    sheet = make_sheet(every_curve(), allowance_m=ALLOWANCE_M)
+    assert write_pdf(sheet, tmp_path / "sheet.pdf", page="single") == 1
+    assert_allclose(
+        media_boxes_mm(tmp_path / "sheet.pdf")[-1], [1000 * sheet.width_m, 1000 * sheet.height_m], atol=1e-2
+    )
+    checked_form(tmp_path / "sheet.pdf", sheet)
+
+
+def test_sheets_of_a4_cover_every_piece_at_true_size(tmp_path):
+    sheet = make_sheet(every_curve(), allowance_m=ALLOWANCE_M)
+    path = tmp_path / "tiles.pdf"
+    count = write_pdf(sheet, path)
+    pages = [stream for stream in pdf_streams(path) if " Do" in stream]
+    assert len(pages) == count
+    assert_allclose(media_boxes_mm(path)[-count:], np.broadcast_to([210.0, 297.0], (count, 2)), atol=1e-2)
+    checked_form(path, sheet)
+    # Each page shifts the same drawing: window corner in the sheet = border - shift.
+    shifts = [re.search(r"1 0 0 1 (-?[\d.]+) (-?[\d.]+) cm\s+/\S+ Do", page) for page in pages]
+    corners = np.array([10.0 - 25.4 / 72.0 * np.array(shift.groups(), dtype=float) for shift in shifts if shift])
+    assert len(corners) == count
+    assert_allclose(np.mod(corners[:, 0] + 1e-3, 190.0), 1e-3, atol=2e-3)
+    for piece, place in zip(sheet.pieces, sheet.offsets, strict=True):
+        outline = 1000.0 * (piece.cutting + place)
+        within = outline[:, None] - corners
+        covered = ((within >= -1e-2) & (within <= np.array([190.01, 277.01]))).all(axis=2)
+        assert covered.any(axis=1).all()
+    columns, rows = np.ceil(1000.0 * sheet.width_m / 190.0), np.ceil(1000.0 * sheet.height_m / 277.0)
+    assert count < columns * rows  # the empty corner is left out
+
+
+def test_the_same_pattern_gives_the_same_pdf(tmp_path):
+    for name in ("one.pdf", "two.pdf"):
+        write_pdf(make_sheet(tube()), tmp_path / name)
+    assert (tmp_path / "one.pdf").read_bytes() == (tmp_path / "two.pdf").read_bytes()
+
+
+# --- all formats, and the command line -------------------------------------------------------------------------------
+
+
+def test_options_that_do_not_exist_are_refused(tmp_path):
+    sheet = make_sheet(tube())
+    with pytest.raises(InputError, match="unit_mm"):
+        write_dxf(sheet, tmp_path / "x.dxf", unit_mm=25.4)
+    with pytest.raises(InputError, match="dialect"):
+        write_dxf(sheet, tmp_path / "x.dxf", dialect="astm")
+    with pytest.raises(InputError, match="page"):
+        write_pdf(sheet, tmp_path / "x.pdf", page="A0")
+    with pytest.raises(InputError, match="format"):
+        export_pattern(tube(), tmp_path, ["svg", "ps"])
+    long = Pattern("long", tuple(rectangle(str(number), width=1.4, height=1.5) for number in range(4)))
+    with pytest.raises(InputError, match="at most 5080 mm"):
+        write_pdf(make_sheet(long), tmp_path / "x.pdf", page="single")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_line_converts_and_shows(tmp_path, capsys):
+    source = write_pattern(every_curve(), tmp_path / "in" / "pattern.json")
+    out = tmp_path / "out"
+    assert main(["convert", str(source), "--out", str(out), "--name", "coat", "--allowance", "0.015"]) == 0
+    assert capsys.readouterr().out.split() == [str(out / f"coat.{name}") for name in FORMATS]
+    assert "seam allowance 15 mm" in (out / "coat.svg").read_text()
+    back = read_pattern(out / "coat.json")
+    assert back.name == "coat" and len(back.stitches) == 1
+    assert main(["show", str(source), "--edge-length", "0.05", "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "every curve: 2 panels, 1 stitches" in printed and "lengths differ" in printed and "nodes" in printed
+    assert (out / "every curve.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_command_line_drafts_a_dress(tmp_path, capsys):
+    arguments = ["draft", "tshirt", "--out", str(tmp_path), "--name", "dress", "--format", "json"]
+    assert main([*arguments, "--set", "length_m=1.0", "flare_m=0.1"]) == 0
+    expected = tshirt(default_measurements(), length_m=1.0, flare_m=0.1, name="dress")
+    assert_same_pattern(read_pattern(tmp_path / "dress.json"), expected)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["convert", "nothing.json", "--out", "x"], "Check the path"),
+        (["draft", "skirt", "--out", "x", "--set", "wideness=1"], "flare_m"),
+        (["draft", "skirt", "--out", "x", "--set", "flare_m=wide"], "NAME=NUMBER"),
+        (["draft", "skirt", "--out", "x", "--body", "nobody"], "nobody"),
+    ],
+)
+def test_the_command_line_says_what_is_wrong(arguments, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    printed = capsys.readouterr()
+    assert message in printed.err and printed.out == "" and list(tmp_path.iterdir()) == []

@@ -1,0 +1,318 @@
+"""Packed batches: the same bits alone and in any mix, only what a plan asks for, bounded memory, refusals."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from drape.artifacts import load_manifest
+from drape.body.assets import load_body
+from drape.body.model import BodyModel
+from drape.errors import ArtifactError, InputError, NotFound
+from drape.feeds import body_feed, garment_feed
+from drape.garment.cache import save_garment
+from drape.packing import TANGENTS, pack_body
+from service.drapery import Drapery, PoseInput
+from service.engine import PACKED, Engine
+from service.packing import STORED_INDEX, Packer, ScenePlan
+from service.subgraph import cut
+from tests.fixtures.packed import KINDS, exported, garment
+from tests.fixtures.poses import random_motion
+from tests.fixtures.tiny_model import TINY, tube_garment
+
+pytestmark = pytest.mark.slow
+BODIES = 64
+PLANS = [
+    ScenePlan(),
+    ScenePlan(normals=True),
+    ScenePlan("steps"),
+    ScenePlan("jets", bones=True),
+]
+
+
+@pytest.fixture(scope="module")
+def bodies() -> dict[str, np.ndarray]:
+    """Sixty-four clients, each with its own pose and shape."""
+    body = load_body()
+    poses, _ = random_motion(BODIES, seed=4)
+    poses[0] = 0.0
+    shapes = np.random.default_rng(1).normal(size=(BODIES, body.shape_count))
+    rows = [pack_body(body, shapes[i]).rows(poses[i : i + 1]) for i in range(BODIES)]
+    return {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
+
+
+def make_packer(threads: int = 1, **options: int) -> Packer:
+    packer = Packer(Engine(exported()[1], threads=threads), **options)
+    for kind in KINDS:
+        packer.add(kind, garment(kind))
+    return packer
+
+
+@pytest.fixture(scope="module")
+def packer() -> Packer:
+    return make_packer()
+
+
+def test_it_drapes_as_the_readable_graph(packer: Packer):
+    body, engine = load_body(), Engine(exported()[1])
+    poses, _ = random_motion(3, seed=2)
+    betas = np.linspace(-1.0, 1.0, body.shape_count)
+    rows = pack_body(body, betas).rows(poses)
+    items = [("shorts", 1), ("tank", 2), ("shorts", 0)]
+    feed = body_feed(body, poses, np.zeros((3, 3)), betas)
+    for (kind, row), result in zip(items, packer.run(ScenePlan(), rows, items), strict=True):
+        one = {name: value[row : row + 1] for name, value in feed.arrays.items()}
+        embedding = engine.embed(garment(kind).patch_features)
+        want = engine.drape({**one, **garment_feed(garment(kind)), "patch_embedding": embedding})[0]
+        assert result.finite
+        assert_allclose(result.arrays["vertices"], want, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_an_item_has_the_same_bits_alone_and_in_any_batch(bodies, threads: int):
+    packer = make_packer(threads)
+    generator = np.random.default_rng(threads)
+    alone: dict[tuple[ScenePlan, str, int], dict[str, np.ndarray]] = {}
+    for size in (1, 2, 3, 7, 20, BODIES):
+        plan = PLANS[generator.integers(len(PLANS))]
+        items = [(KINDS[generator.integers(len(KINDS))], int(generator.integers(BODIES))) for _ in range(size)]
+        for (kind, row), result in zip(items, packer.run(plan, bodies, items), strict=True):
+            key = (plan, kind, row)
+            if key not in alone:
+                one = {name: values[row : row + 1] for name, values in bodies.items()}
+                alone[key] = packer.run(plan, one, [(kind, 0)])[0].arrays
+            assert result.arrays.keys() == alone[key].keys() == set(plan.outputs)
+            for name, value in result.arrays.items():
+                assert_array_equal(value, alone[key][name], err_msg=f"{name} of {kind} in a batch of {size}")
+
+
+def test_parts_of_a_batch_and_threads_change_no_bit(bodies):
+    items = [(KINDS[i % len(KINDS)], i) for i in range(8)]
+    whole, parts, threaded = (
+        [r.arrays["vertices"] for r in made.run(ScenePlan(), bodies, items)]
+        for made in (make_packer(tiles_per_call=1 << 20), make_packer(tiles_per_call=1), make_packer(2))
+    )
+    for a, b, c in zip(whole, parts, threaded, strict=True):
+        assert_array_equal(a, b)
+        assert_array_equal(a, c)
+
+
+def kernels(plan: ScenePlan, alone: bool, folder: Path) -> list[str]:
+    """Names of the nodes that ONNX Runtime ran for ``plan``, from its own profile."""
+    data = cut((exported()[1] / "packed.onnx").read_bytes(), plan.outputs, direct=STORED_INDEX if alone else ())
+    options = onnxruntime.SessionOptions()
+    options.enable_profiling, options.profile_file_prefix = True, str(folder / "profile")
+    options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL  # names stay
+    session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+    packer = make_packer()
+    packer._sessions[plan, alone] = _Recorded(session)  # type: ignore[assignment]
+    rows = pack_body(load_body()).rows(np.zeros((1, 24, 3)))
+    packer.run(plan, rows, [("tank", 0)] if alone else [("tank", 0), ("shorts", 0)])
+    events = json.loads(Path(session.end_profiling()).read_text())
+    return [e["name"].removesuffix("_kernel_time") for e in events if e["name"].endswith("_kernel_time")]
+
+
+class _Recorded:
+    """A session as the packer takes it, around one that profiles."""
+
+    def __init__(self, session: onnxruntime.InferenceSession) -> None:
+        self._session = session
+        self.inputs = tuple(tensor.name for tensor in session.get_inputs())
+
+    def run(self, outputs, feed) -> list[np.ndarray]:
+        return [value.numpy() for value in self._session.run_with_ort_values(list(outputs), feed)]
+
+
+@pytest.mark.parametrize("alone", [True, False])
+@pytest.mark.parametrize("plan", PLANS, ids=["vertices", "normals", "steps", "jets"])
+def test_nothing_that_a_plan_does_not_ask_for_is_computed(plan: ScenePlan, alone: bool, tmp_path: Path):
+    ran = kernels(plan, alone, tmp_path)
+    graph = onnx.load(str(exported()[1] / "packed.onnx")).graph
+    ancestors, needed = set(), set(plan.outputs)
+    for node in reversed(graph.node):
+        if needed.intersection(node.output):
+            ancestors.add(node.name)
+            needed.update(node.input)
+    gathers = {n.name for n in graph.node if n.op_type == "Gather" and n.input[1] in STORED_INDEX} if alone else set()
+    assert sorted(ran) == sorted(ancestors - gathers)
+    assert len(ran) < len(graph.node)
+    # Spelled out: without normals no tangents, with jets no vertices, in one garment's call no copy of its constants.
+    inputs = set(make_inputs(plan, alone))
+    assert (TANGENTS in inputs) == plan.normals
+    assert ("tile_positions" in inputs) == (plan.shape != "jets")
+    assert ("block_item" in inputs) == (plan.shape == "steps")
+    assert ("patch_stored" in inputs) == (not alone)
+
+
+def make_inputs(plan: ScenePlan, alone: bool) -> tuple[str, ...]:
+    return Engine(exported()[1]).open_cut(PACKED, plan.outputs, direct=STORED_INDEX if alone else ()).inputs
+
+
+def test_onnxruntime_itself_would_run_everything():
+    """Why graphs are cut: should this fail, a newer runtime prunes by itself and ``service.subgraph`` can go."""
+    model = cut((exported()[1] / "packed.onnx").read_bytes(), ["bone_rotation", "bone_translation"])
+    options = onnxruntime.SessionOptions()
+    options.enable_profiling = True
+    options.profile_file_prefix = str(exported()[1] / "profile")
+    session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+    rows = pack_body(load_body()).rows(np.zeros((1, 24, 3)))
+    run_options = onnxruntime.RunOptions()
+    run_options.only_execute_path_to_fetches = True
+    session.run(["bone_rotation"], {t.name: rows[t.name] for t in session.get_inputs()}, run_options)
+    events = json.loads(Path(path := session.end_profiling()).read_text())
+    Path(path).unlink()
+    subtractions = [e for e in events if e.get("args", {}).get("op_name") == "Sub" and "_kernel" in e["name"]]
+    assert len(subtractions) == 1  # of the translation, which nobody fetched
+
+
+def test_memory_of_compositions_is_bounded_and_numbers_stay(bodies):
+    bounded, free = make_packer(kept_bytes=300_000), make_packer()
+    for batch in range(6):
+        items = [(KINDS[(batch + i) % len(KINDS)], i) for i in range(3)]
+        kept, new = bounded.run(ScenePlan(), bodies, items), free.run(ScenePlan(), bodies, items)
+        assert bounded.kept_bytes <= 300_000
+        for a, b in zip(kept, new, strict=True):
+            assert_array_equal(a.arrays["vertices"], b.arrays["vertices"])
+    assert free.kept_bytes > 300_000
+
+
+def test_constants_are_kept_once(bodies):
+    packer = make_packer()
+    before = packer.store.bytes
+    packer.run(ScenePlan(), bodies, [("tank", 0), ("shorts", 1)])
+    assert packer.store.bytes == before
+    for kind in KINDS:
+        for name, array in packer.store.packed(kind).stored.items():
+            assert np.shares_memory(array, packer.store.arrays()[name])
+    packer.run(ScenePlan(normals=True), bodies, [("tank", 0)])
+    assert packer.store.bytes > 2 * before - sum(
+        p.stored["patch_first"].nbytes for p in map(packer.store.packed, KINDS)
+    )
+
+
+def test_garments_come_and_go(bodies):
+    packer = make_packer()
+    items = [("tank", 0), ("trousers", 1)]
+    before = packer.run(ScenePlan(), bodies, items)
+    packer.run(ScenePlan(normals=True), bodies, items)
+    packer.add("tube", replace(tube_garment(load_body()), patch_features=garment("tank").patch_features[:12]))
+    packer.remove("shorts")
+    assert "shorts" not in packer.store and "tube" in packer.store
+    after = packer.run(ScenePlan(), bodies, [*items, ("tube", 2)])
+    for a, b in zip(before, after[:2], strict=True):
+        assert_array_equal(a.arrays["vertices"], b.arrays["vertices"])
+    assert after[2].arrays["vertices"].shape == (216, 3)
+    assert "normals" in packer.run(ScenePlan(normals=True), bodies, [("tube", 0)])[0].arrays
+
+
+def test_what_is_not_finite_is_told_of_its_own_item(bodies):
+    packer = make_packer()
+    quaternion = bodies["joint_quaternion"].copy()
+    quaternion[3, 7] = np.nan
+    for plan in PLANS:
+        results = packer.run(plan, bodies | {"joint_quaternion": quaternion}, [("tank", 2), ("tank", 3), ("shorts", 4)])
+        assert [result.finite for result in results] == [True, False, True]
+
+
+def test_warm_up_opens_the_sessions_of_a_plan(bodies):
+    packer = make_packer()
+    packer.warm_up(ScenePlan("jets"), bodies)
+    assert set(packer._sessions) == {(ScenePlan("jets"), True), (ScenePlan("jets"), False)}
+    Packer(Engine(exported()[1])).warm_up(ScenePlan(), bodies)  # nothing in store, nothing to run
+
+
+def test_no_items_give_no_results(packer: Packer, bodies):
+    assert packer.run(ScenePlan(), bodies, []) == []
+
+
+@pytest.mark.parametrize("row", [-1, BODIES])
+def test_a_body_that_is_not_there_is_refused(packer: Packer, bodies, row: int):
+    with pytest.raises(InputError, match=rf"body row: expected a row in \[0, {BODIES}\), got {row}"):
+        packer.run(ScenePlan(), bodies, [("tank", 0), ("tank", row)])
+
+
+def test_a_garment_that_is_not_in_store_is_refused(packer: Packer, bodies):
+    with pytest.raises(NotFound, match="garment: expected tank, shorts, trousers, got cape"):
+        packer.run(ScenePlan(), bodies, [("cape", 0)])
+    with pytest.raises(NotFound, match="got cape"):
+        packer.remove("cape")
+
+
+def test_plans_that_make_no_sense_are_refused():
+    with pytest.raises(InputError, match="scene shape: expected vertices or steps or jets, got 'points'"):
+        ScenePlan("points")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="scene normals: expected none with jets"):
+        ScenePlan("jets", normals=True)
+
+
+def test_a_model_without_the_packed_graph_is_refused(tiny_folder: Path, body: BodyModel):
+    engine = Engine(tiny_folder / "models" / TINY)
+    assert not engine.packs
+    assert Engine(exported()[1]).packs
+    with pytest.raises(ArtifactError, match="a graph 'packed' and an encoder with 'patch_first'"):
+        Packer(engine).add("tube", tube_garment(body))
+
+
+def test_a_manifest_with_other_tensors_is_refused(tmp_path: Path):
+    import shutil
+
+    folder = Path(shutil.copytree(exported()[1], tmp_path / "small"))
+    manifest = load_manifest(folder)
+    spec = manifest.graphs[PACKED]
+    tensors = tuple(replace(t, dtype="float16") if t.name == "patch_first" else t for t in spec.inputs)
+    changed = replace(manifest, graphs={**manifest.graphs, PACKED: replace(spec, inputs=tensors)})
+    (folder / "manifest.json").write_text(changed.to_json())
+    packer = Packer(Engine(folder))
+    packer.add("tank", garment("tank"))
+    with pytest.raises(ArtifactError, match="packed patch_first: expected float16 as in the manifest"):
+        packer.warm_up(ScenePlan(), pack_body(load_body()).rows(np.zeros((1, 24, 3))))
+
+
+def test_the_service_drapes_through_it_with_the_same_numbers(make_settings, tmp_path: Path):
+    """A clip and two clients by the packed graph, and by a service whose model has none."""
+    import shutil
+
+    models = tmp_path / "models"
+    shutil.copytree(exported()[1], models / "small")
+    shutil.copytree(exported()[1], models / "plain")
+    manifest = load_manifest(models / "plain")
+    graphs = {key: spec for key, spec in manifest.graphs.items() if key != PACKED}
+    (models / "plain" / "manifest.json").write_text(replace(manifest, graphs=graphs).to_json())
+    shirts = tmp_path / "shirts"
+    for kind in KINDS:
+        save_garment(garment(kind), shirts)
+    poses, trans = random_motion(3, seed=8)
+    bent = np.linspace(-1.0, 1.0, load_body().shape_count)
+    inputs = [PoseInput(poses[:2], trans[:2], 0.0 * bent, push=False), PoseInput(poses[2:], trans[2:], bent, push=True)]
+    draped = []
+    for model in ("small", "plain"):
+        drapery = Drapery(make_settings(models_dir=models, model=model, shipped_garments_dir=shirts))
+        assert (drapery.packer is not None) == (model == "small")
+        draped.append(drapery.compute(drapery.garments.get("tank"), inputs))
+        drapery.close()
+    assert_allclose(draped[0].vertices, draped[1].vertices, rtol=0, atol=2e-5)
+    assert_allclose(draped[0].root, draped[1].root, rtol=0, atol=1e-12)
+    assert_array_equal(draped[0].pushed_share[:2], 0.0)
+
+
+def test_the_service_refuses_what_is_not_finite(make_settings, tmp_path: Path):
+    import shutil
+
+    shutil.copytree(exported()[1], tmp_path / "small")
+    save_garment(garment("tank"), tmp_path / "shirts")
+    drapery = Drapery(make_settings(models_dir=tmp_path, model="small", shipped_garments_dir=tmp_path / "shirts"))
+    entry = drapery.garments.get("tank")
+    broken = replace(entry.garment, patch_features=np.full_like(entry.garment.patch_features, np.nan))
+    assert drapery.packer is not None
+    drapery.packer.add(entry.garment.digest, broken)
+    rest = PoseInput(np.zeros((1, 24, 3)), np.zeros((1, 3)), np.zeros(load_body().shape_count), push=False)
+    with pytest.raises(ArtifactError, match="small vertices: expected finite numbers"):
+        drapery.compute(entry, [rest])
+    drapery.close()
