@@ -141,7 +141,9 @@ def paper() -> TrainConfig:
 
 def dynamic() -> TrainConfig:
     """The recurrent encoder on top of a static model, whose weights stay as they are."""
-    return TrainConfig(model=ModelConfig(dynamic=True), batch_size=3, minutes=45.0, warmup_steps=100)
+    return TrainConfig(
+        model=ModelConfig(dynamic=True), batch_size=3, minutes=45.0, learning_rate=2e-3, warmup_steps=100
+    )
 
 
 PRESETS = {"shipped": shipped, "smoke": smoke, "paper": paper, "dynamic": dynamic}

@@ -132,11 +132,13 @@ class BaseTrainer:
         posed = replace(posed, jet=posed.jet.float())
         return posed, losses.garment_vertices(posed, partition, garment, batch.tensors, variant=config.model.variant)
 
-    def _energy(self, vertices: Tensor, garment: TrainingGarment, batch: BodyBatch) -> dict[str, Tensor]:
-        """Energy per area [J/m^2] (F,) of the cloth of ``batch``, by part; so a dress does not outweigh a tank top."""
-        parts = losses.energy_loss(
-            vertices, garment, batch, self.material, share=self.config.data.contact_share, generator=self.generator
-        )
+    def _planes(self, vertices: Tensor, batch: BodyBatch) -> losses.ContactPlanes:
+        """What ``vertices`` [m] (F, V, 3) touch, at some of them drawn now."""
+        return losses.contact_planes(vertices, batch, share=self.config.data.contact_share, generator=self.generator)
+
+    def _energy(self, vertices: Tensor, garment: TrainingGarment, planes: losses.ContactPlanes) -> dict[str, Tensor]:
+        """Energy per area [J/m^2] (F,) of the cloth, by part; so a dress does not outweigh a tank top."""
+        parts = losses.energy_loss(vertices, garment, planes, self.material)
         return {name: value / float(garment.rest.areas.sum()) for name, value in parts.items()}
 
     def _disagreement(self, posed: Posed, partition: Partition, *, less: Posed | None = None) -> Tensor:
@@ -216,7 +218,7 @@ class Trainer(BaseTrainer):
         betas = draw_betas(config.batch_size, self.body.shape_count, config.data, self.rng)
         batch = self.source.pose(poses, betas)
         posed, vertices = self._drape(batch, garment, partition)
-        parts = self._energy(vertices, garment, batch)
+        parts = self._energy(vertices, garment, self._planes(vertices, batch))
         contact = losses.soften(parts["contact"], config.contact_knee_j_m2)
         energy = (parts["membrane"] + parts["bending"] + parts["gravity"] + contact).mean()
         charts = self._disagreement(posed, partition)

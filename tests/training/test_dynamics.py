@@ -16,12 +16,12 @@ from drape.motion.clip import MotionClip
 from tests.training.training_setup import CPU, MOVING_RUN, TINY_RUN
 from training import checkpoint, run
 from training.config import TrainConfig, dynamic
-from training.dynamics import DynamicTrainer
+from training.dynamics import CALM_M_S2, DynamicTrainer
 from training.model import OneFit
 from training.poses import read_clips
 from training.run import make_trainer, sample_motions, started
 from training.trainer import Objective, take_weights
-from training.windows import HISTORY, WindowBank
+from training.windows import HISTORY, WindowBank, Windows
 
 RUN, MODEL, MOTION = MOVING_RUN, MOVING_RUN.model, MOVING_RUN.motion
 
@@ -191,3 +191,13 @@ def test_a_start_that_does_not_fit_the_preset_is_refused(preset, start, tmp_path
 def test_weights_of_another_architecture_are_refused(static: OneFit, change):
     with pytest.raises(ArtifactError, match="weights to start from"):
         take_weights(OneFit(replace(MODEL, **change)), static.state_dict())
+
+
+def test_a_jerk_counts_less_than_its_square(trainer: DynamicTrainer):
+    """The weight of a frame under the acceleration a is 1 / sqrt(1 + (a / 2)^2), however far apart frames are."""
+    dt_s = np.array([[1 / 30, 1 / 60, 1 / 20]])
+    windows = Windows(np.zeros((1, 4, 24, 3)), np.zeros((1, 4, 3)), dt_s)
+    for acceleration in (0.0, 2.0, 20.0):
+        inertia = 0.5 * material().density_kg_m2 * acceleration**2 * torch.from_numpy(dt_s[:, 1:] ** 2)
+        want = np.full((1, 2), 1.0 / np.sqrt(1.0 + (acceleration / CALM_M_S2) ** 2))
+        assert_allclose(trainer._weight(inertia, windows), want, rtol=1e-6, atol=0)
