@@ -95,8 +95,9 @@ class TrainConfig:
     """The run: batch of frames per step, steps, rates, and where things go.
 
     ``batch_size``: frames, of a dynamic model windows, per step of each process. ``disagreement_weight``
-    [1/m^2 J/m^2] grows linearly to its full value over a static run: charts that must agree from the start learn
-    slower. ``contact_knee_j_m2``: contact energy per area of a frame above which it counts by its logarithm.
+    [1/m^2 J/m^2] grows linearly from the share ``early_agreement`` to all of it over a static run: charts that
+    must agree from the start learn slower. ``contact_knee_j_m2``: contact energy per area of a frame above
+    which it counts by its logarithm.
     """
 
     model: ModelConfig = field(default_factory=ModelConfig)
@@ -109,6 +110,7 @@ class TrainConfig:
     warmup_steps: int = 200
     gradient_clip: float = 1.0
     disagreement_weight: float = 4000.0
+    early_agreement: float = 0.02
     contact_knee_j_m2: float = 0.5
     checkpoint_minutes: float = 4.0
     seed: int = 0
@@ -144,6 +146,12 @@ def dynamic() -> TrainConfig:
     return TrainConfig(
         model=ModelConfig(dynamic=True), batch_size=3, minutes=45.0, learning_rate=2e-3, warmup_steps=100
     )
+
+
+def finetune() -> TrainConfig:
+    """What goes on training a static model on one garment: its charts agree already, and rates are low."""
+    data = DataConfig(variants=0, own_share=1.0)
+    return TrainConfig(data=data, minutes=10.0, learning_rate=3e-4, warmup_steps=50, early_agreement=1.0)
 
 
 PRESETS = {"shipped": shipped, "smoke": smoke, "paper": paper, "dynamic": dynamic}

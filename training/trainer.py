@@ -21,7 +21,6 @@ from training.model import OneFit, Posed
 from training.poses import PoseBank, draw_betas
 from training.wardrobe import Wardrobe
 
-EARLY_AGREEMENT = 0.02  # share of the weight of disagreement at the start
 SAMPLE_VERTICES = 384  # per step, for the disagreement of charts
 
 
@@ -199,9 +198,16 @@ def take_weights(model: OneFit, weights: Mapping[str, Tensor]) -> None:
 class Trainer(BaseTrainer):
     """Learns the drape of single poses from ``bank``."""
 
-    def __init__(self, config: TrainConfig, bank: PoseBank, *, device: torch.device) -> None:
+    def __init__(
+        self,
+        config: TrainConfig,
+        bank: PoseBank,
+        *,
+        device: torch.device,
+        weights: Mapping[str, Tensor] | None = None,
+    ) -> None:
         self.bank = bank
-        super().__init__(config, device=device)
+        super().__init__(config, device=device, weights=weights)
 
     def _set_statistics(self) -> None:
         garments = self.wardrobe.garments
@@ -223,7 +229,8 @@ class Trainer(BaseTrainer):
         energy = (parts["membrane"] + parts["bending"] + parts["gravity"] + contact).mean()
         charts = self._disagreement(posed, partition)
         # Charts that must agree from the start learn slower.
-        agree = config.disagreement_weight * (EARLY_AGREEMENT + self.progress()) * charts
+        share = config.early_agreement + (1.0 - config.early_agreement) * self.progress()
+        agree = config.disagreement_weight * share * charts
         return Objective(energy + agree, {name: value.mean() for name, value in parts.items()}, charts)
 
 

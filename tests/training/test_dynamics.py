@@ -19,7 +19,8 @@ from training.config import TrainConfig, dynamic
 from training.dynamics import CALM_M_S2, DynamicTrainer
 from training.model import OneFit
 from training.poses import read_clips
-from training.run import make_trainer, sample_motions, started
+from training.run import make_trainer, sample_motions
+from training.starting import started
 from training.trainer import Objective, take_weights
 from training.windows import HISTORY, WindowBank, Windows
 
