@@ -72,15 +72,17 @@ class DataConfig:
 class MotionConfig:
     """Windows of clips that the recurrent encoder is trained on (training.windows).
 
-    ``window_frames``: frames whose energy is lowered and through which gradients run; up to ``warm_up_frames``
-    pass through the recurrent state before them. ``intervals_s``: time between frames, one drawn per window;
-    ``drop_share``: chance that a frame is left out; ``speeds``: clips are played slower and faster between these.
-    ``stop_share``: windows in which the body stops dead; ``sway_share``: those in which the ground sways besides,
-    with accelerations up to ``sway_m_s2``. ``random_state_share``: windows that begin with a random state.
+    ``window_frames``: frames whose potential is lowered; up to ``warm_up_frames`` pass through the recurrent state
+    before them, the last ``memory_frames`` of them with gradients, so that what lasts is learned. ``intervals_s``:
+    time between frames, one drawn per window; ``drop_share``: chance that a frame is left out; ``speeds``: clips are
+    played slower and faster between these. ``stop_share``: windows in which the body stops dead; ``sway_share``:
+    those in which the ground sways besides, with accelerations up to ``sway_m_s2``. ``random_state_share``: windows
+    that begin with a random state.
     """
 
-    window_frames: int = 4
+    window_frames: int = 2
     warm_up_frames: int = 24
+    memory_frames: int = 16
     intervals_s: tuple[float, ...] = (1.0 / 60.0, 1.0 / 30.0, 1.0 / 30.0, 1.0 / 20.0)
     drop_share: float = 0.1
     speeds: tuple[float, float] = (0.7, 1.4)
@@ -144,7 +146,7 @@ def paper() -> TrainConfig:
 def dynamic() -> TrainConfig:
     """The recurrent encoder on top of a static model, whose weights stay as they are."""
     return TrainConfig(
-        model=ModelConfig(dynamic=True), batch_size=3, minutes=45.0, learning_rate=2e-3, warmup_steps=100
+        model=ModelConfig(dynamic=True), batch_size=6, minutes=45.0, learning_rate=2e-3, warmup_steps=100
     )
 
 

@@ -102,7 +102,7 @@ class DynamicTrainer(BaseTrainer):
             weight = self._weight(unmoved, windows).flatten()
         # What motion changes must be the same to all charts.
         charts = self._disagreement(posed, partition, less=still)
-        loss = (weight * (above + inertia)).mean() + config.disagreement_weight * charts
+        loss = (weight * (above + inertia)).mean() + config.disagreement_weight * weight.mean() * charts
         parts |= {"above": above, "inertia": inertia, "inertia_static": unmoved}
         return Objective(loss, {name: value.mean() for name, value in parts.items()}, charts)
 
@@ -132,16 +132,18 @@ class DynamicTrainer(BaseTrainer):
         return energy / float(garment.rest.areas.sum())
 
     def codes(self, windows: Windows, betas: np.ndarray, shown: int) -> Tensor:
-        """Dynamic codes (B, shown, 256) of the last ``shown`` frames; gradients run through all but the first two.
+        """Dynamic codes (B, shown, 256) of the last ``shown`` frames.
 
-        The frames before, and a random state, bring the recurrence to where a stream would be.
+        Those before, and a random state, bring the recurrence to where a stream would be; gradients run through the
+        last ``memory_frames`` of them.
         """
         features = self._tensor(windows.features(self.body, betas))
         dt_s = self._tensor(windows.dt_s[:, 1:])
         state, codes = self._first_state(len(betas)), []
         frames = features.shape[1]
+        first = frames - shown - self.config.motion.memory_frames
         for frame in range(frames):
-            with torch.set_grad_enabled(torch.is_grad_enabled() and frame >= frames - shown + HISTORY):
+            with torch.set_grad_enabled(torch.is_grad_enabled() and frame >= first):
                 code, state = self.encoder(features[:, frame], state, dt_s[:, frame])
             if frame >= frames - shown:
                 codes.append(code)

@@ -146,15 +146,19 @@ def test_inertia_counts_the_way_of_the_root_through_the_world(trainer: DynamicTr
     assert falling(trainer, np.zeros(3))["inertia"] < 1e-9
 
 
-def test_gradients_run_through_the_window_only(trainer: DynamicTrainer):
-    windows = trainer.bank.draw(2, HISTORY + 4 + HISTORY + 3, np.random.default_rng(1))
-    codes = trainer.codes(windows, np.zeros((2, 10)), HISTORY + 3)
-    assert codes.shape == (2, HISTORY + 3, MODEL.body_code_size)
-    parameter = trainer.encoder.cell.weight_hh
-    (history,) = torch.autograd.grad(codes[:, :HISTORY].sum(), parameter, retain_graph=True, allow_unused=True)
-    (first,) = torch.autograd.grad(codes[:, HISTORY].sum(), parameter, retain_graph=True)
-    assert history is None or float(history.abs().max()) == 0.0
-    assert float(first.abs().max()) > 0.0
+def test_gradients_reach_as_far_back_as_the_memory(trainer: DynamicTrainer, monkeypatch):
+    shown = HISTORY + MOTION.window_frames
+    for before in (MOTION.memory_frames, MOTION.memory_frames + 1):
+        state = torch.full((2, MODEL.state_size), 0.1, requires_grad=True)
+        monkeypatch.setattr(trainer, "_first_state", lambda count, state=state: state)
+        windows = trainer.bank.draw(2, HISTORY + before + shown, np.random.default_rng(1))
+        codes = trainer.codes(windows, np.zeros((2, 10)), shown)
+        assert codes.shape == (2, shown, MODEL.body_code_size)
+        (slope,) = torch.autograd.grad(codes[:, -1].sum(), state, allow_unused=True)
+        if before == MOTION.memory_frames:
+            assert slope is not None and float(slope.abs().max()) > 0.0
+        else:
+            assert slope is None
 
 
 def test_some_windows_begin_with_a_state(trainer: DynamicTrainer):
