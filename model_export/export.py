@@ -57,7 +57,7 @@ def load_model(path: Path) -> tuple[OneFit, dict[str, Any]]:
         "steps": int(state["step"]),
         "frames": frames,
         "minutes": minutes,
-        "garments": list(config.data.garments),
+        "garments": [Path(name).stem for name in config.data.garments],  # of files not the folder
         "held_out": list(config.data.held_out),
     }
 

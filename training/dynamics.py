@@ -17,6 +17,7 @@ from training.trainer import BaseTrainer, Objective
 from training.windows import HISTORY, WindowBank, Windows
 
 STATISTICS_WINDOWS = 128
+CALM_M_S2 = 2.0  # frames with more acceleration than this count less: few windows would own the gradient
 
 
 class DynamicTrainer(BaseTrainer):
@@ -65,7 +66,7 @@ class DynamicTrainer(BaseTrainer):
         return list(self.encoder.parameters())
 
     def objective(self) -> Objective:
-        """The mean incremental potential above the static drape's of the last frames of windows drawn now."""
+        """The incremental potential above the static drape's, its weighted mean over windows drawn now."""
         config, count = self.config, self.config.batch_size
         garment, partition = self.wardrobe.draw(self.rng)
         warm_up = int(self.rng.integers(0, config.motion.warm_up_frames + 1))
@@ -84,28 +85,35 @@ class DynamicTrainer(BaseTrainer):
             still, static = self._drape(frames, garment, partition)
         posed, vertices = self._drape(frames, garment, partition, codes[:, HISTORY:].flatten(0, 1))
 
-        # Both drapes meet contact at the same vertices.
-        drawn = self.generator.get_state()
+        # Both drapes meet the same planes: which body vertex is nearest must not tell their energies apart.
+        planes = self._planes(vertices, frames)
         with torch.enable_grad():
             static.requires_grad_()
-            rest = self._energy(static, garment, frames)
+            rest = self._energy(static, garment, planes)
             # Where nothing can be done about contact it counts less, as in static training; by what it is at rest.
             share = 1.0 / (1.0 + rest["contact"].detach() / config.contact_knee_j_m2)
             (force,) = torch.autograd.grad(_total(rest, share).sum(), static)
-        self.generator.set_state(drawn)
-        parts = self._energy(vertices, garment, frames)
+        parts = self._energy(vertices, garment, planes)
         carried = (force * (vertices - static.detach())).sum(dim=(1, 2))
-        above = (_total(parts, share) - _total(rest, share).detach() - carried).mean()
-        inertia = self._inertia(history, vertices, windows, garment)
-        means = {name: value.mean() for name, value in parts.items()} | {"above": above, "inertia": inertia}
+        above = _total(parts, share) - _total(rest, share).detach() - carried
+        inertia = self._inertia(history, vertices, windows, garment).flatten()
         with torch.no_grad():
-            means["inertia_static"] = self._inertia(static_history, static, windows, garment)
+            unmoved = self._inertia(static_history, static, windows, garment)
+            weight = self._weight(unmoved, windows).flatten()
         # What motion changes must be the same to all charts.
         charts = self._disagreement(posed, partition, less=still)
-        return Objective(above + inertia + config.disagreement_weight * charts, means, charts)
+        loss = (weight * (above + inertia)).mean() + config.disagreement_weight * weight.mean() * charts
+        parts |= {"above": above, "inertia": inertia, "inertia_static": unmoved}
+        return Objective(loss, {name: value.mean() for name, value in parts.items()}, charts)
+
+    def _weight(self, inertia: Tensor, windows: Windows) -> Tensor:
+        """How much a frame (B, T) counts whose static drape has the ``inertia`` [J/m^2]: less where that is jerked."""
+        dt_s = self._tensor(windows.dt_s[:, -inertia.shape[1] :])
+        squared = 2.0 * inertia / (self.material.density_kg_m2 * dt_s.square())  # mean acceleration [m^2/s^4]
+        return torch.rsqrt(1.0 + squared / CALM_M_S2**2)
 
     def _inertia(self, history: Tensor, vertices: Tensor, windows: Windows, garment: TrainingGarment) -> Tensor:
-        """Mean inertia per area [J/m^2] of ``vertices`` (B T, V, 3) after ``history`` (B 2, V, 3), frames as given."""
+        """Inertia per area [J/m^2] (B, T) of ``vertices`` (B T, V, 3) after ``history`` (B 2, V, 3)."""
         parts = [x.unflatten(0, (self.config.batch_size, -1)) for x in (history, vertices)]
         shown = sum(part.shape[1] for part in parts)
         # Relative to where the root was first, so that float32 stays precise.
@@ -121,19 +129,21 @@ class DynamicTrainer(BaseTrainer):
             dt_s=dt_s[:, 1:],
             dt_before_s=dt_s[:, :-1],
         )
-        return energy.mean() / float(garment.rest.areas.sum())
+        return energy / float(garment.rest.areas.sum())
 
     def codes(self, windows: Windows, betas: np.ndarray, shown: int) -> Tensor:
-        """Dynamic codes (B, shown, 256) of the last ``shown`` frames; gradients run through all but the first two.
+        """Dynamic codes (B, shown, 256) of the last ``shown`` frames.
 
-        The frames before, and a random state, bring the recurrence to where a stream would be.
+        Those before, and a random state, bring the recurrence to where a stream would be; gradients run through the
+        last ``memory_frames`` of them.
         """
         features = self._tensor(windows.features(self.body, betas))
         dt_s = self._tensor(windows.dt_s[:, 1:])
         state, codes = self._first_state(len(betas)), []
         frames = features.shape[1]
+        first = frames - shown - self.config.motion.memory_frames
         for frame in range(frames):
-            with torch.set_grad_enabled(torch.is_grad_enabled() and frame >= frames - shown + HISTORY):
+            with torch.set_grad_enabled(torch.is_grad_enabled() and frame >= first):
                 code, state = self.encoder(features[:, frame], state, dt_s[:, frame])
             if frame >= frames - shown:
                 codes.append(code)

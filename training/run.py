@@ -2,6 +2,8 @@
 
     python -m training.run --preset shipped --out runs/shipped [--minutes 95] [--motions DIR ...]
     python -m training.run --preset dynamic --from runs/shipped/checkpoint.pt --out runs/dynamic
+    python -m training.run --finetune onefit --garment shirt.obj --out runs/shirt
+    python -m training.run --garment shirt.obj --minutes 10 --out runs/scratch
     python -m training.run --resume runs/shipped
 
 Self-supervised: each step draws a garment, one of its random partitions and a batch of
@@ -29,6 +31,7 @@ from training import checkpoint, parallel
 from training.config import PRESETS, TrainConfig
 from training.dynamics import DynamicTrainer
 from training.poses import PoseBank, read_clips
+from training.starting import dressed, finetuned, started
 from training.trainer import BaseTrainer, Trainer
 from training.windows import WindowBank
 
@@ -99,10 +102,13 @@ def train(trainer: BaseTrainer, out: Path) -> None:
 def main() -> int:
     """Command line entry."""
     parser = argparse.ArgumentParser(description="Trains the draping network.")
-    parser.add_argument("--preset", choices=sorted(PRESETS), default="shipped")
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument("--preset", choices=sorted(PRESETS), default="shipped")
+    kind.add_argument("--finetune", type=Path, metavar="MODEL", help="model to go on with, on --garment alone")
+    kind.add_argument("--resume", type=Path, help="folder of an earlier run to go on with")
+    parser.add_argument("--garment", nargs="+", help="garment files or names of designs, instead of the preset's")
     parser.add_argument("--out", type=Path, default=Path("runs/shipped"))
-    parser.add_argument("--from", type=Path, dest="start", help="checkpoint of the static model to add dynamics to")
-    parser.add_argument("--resume", type=Path, help="folder of an earlier run to go on with")
+    parser.add_argument("--from", type=Path, dest="start", help="static model to add dynamics to")
     parser.add_argument("--minutes", type=float)
     parser.add_argument("--motions", type=Path, nargs="*", help="folders of motion files; default DRAPE_DATA/motions")
     parser.add_argument("--threads", type=int, help="of torch; one is steadier beside other programs")
@@ -119,9 +125,19 @@ def main() -> int:
 def _run(arguments: argparse.Namespace) -> None:
     state, weights = None, None
     if arguments.resume:
+        if arguments.garment:
+            raise InputError(
+                "--garment",
+                expected="nothing with --resume",
+                got=arguments.garment[0],
+                cure="A run keeps its garments.",
+            )
         state, config = checkpoint.load(arguments.resume / "checkpoint.pt")
+    elif arguments.finetune:
+        config, weights = finetuned(arguments.finetune, arguments.garment)
     else:
         config, weights = started(PRESETS[arguments.preset](), arguments.start)
+        config = dressed(config, arguments.garment)
     if arguments.minutes is not None:
         config = replace(config, minutes=arguments.minutes)
     if arguments.threads is not None:
@@ -140,34 +156,13 @@ def _run(arguments: argparse.Namespace) -> None:
     parallel.stop()
 
 
-def started(config: TrainConfig, start: Path | None) -> tuple[TrainConfig, dict[str, Any] | None]:
-    """``config`` on top of the checkpoint ``start``, and the weights there; a static preset takes none."""
-    if config.model.dynamic != (start is not None):
-        raise InputError(
-            "--from",
-            expected="the checkpoint of a static model" if config.model.dynamic else "nothing for a static preset",
-            got="nothing" if start is None else start.name,
-            cure="Train a static preset first, then --preset dynamic --from its checkpoint.pt.",
-        )
-    if start is None:
-        return config, None
-    payload, found = checkpoint.load(start)
-    model, wanted = found.model, config.model
-    if not model.dynamic:
-        sizes = {"motion_hidden": wanted.motion_hidden, "state_size": wanted.state_size}
-        calming = {"state_decay_s": wanted.state_decay_s, "state_rest_s": wanted.state_rest_s}
-        model = replace(model, dynamic=True, **sizes, **calming)
-    data = replace(config.data, held_out=found.data.held_out)
-    return replace(config, model=model, data=data), payload["model"]
-
-
 def make_trainer(
     config: TrainConfig, clips: list[MotionClip], *, device: torch.device, weights: dict[str, Any] | None = None
 ) -> Trainer | DynamicTrainer:
     """The trainer that ``config`` asks for."""
     if config.model.dynamic:
         return DynamicTrainer(config, WindowBank(clips, config.data, config.motion), device=device, weights=weights)
-    return Trainer(config, PoseBank(clips, config.data), device=device)
+    return Trainer(config, PoseBank(clips, config.data), device=device, weights=weights)
 
 
 def sample_motions() -> Path:

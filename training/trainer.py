@@ -21,7 +21,6 @@ from training.model import OneFit, Posed
 from training.poses import PoseBank, draw_betas
 from training.wardrobe import Wardrobe
 
-EARLY_AGREEMENT = 0.02  # share of the weight of disagreement at the start
 SAMPLE_VERTICES = 384  # per step, for the disagreement of charts
 
 
@@ -139,11 +138,13 @@ class BaseTrainer:
         posed = replace(posed, jet=posed.jet.float())
         return posed, losses.garment_vertices(posed, partition, garment, batch.tensors, variant=config.model.variant)
 
-    def _energy(self, vertices: Tensor, garment: TrainingGarment, batch: BodyBatch) -> dict[str, Tensor]:
-        """Energy per area [J/m^2] (F,) of the cloth of ``batch``, by part; so a dress does not outweigh a tank top."""
-        parts = losses.energy_loss(
-            vertices, garment, batch, self.material, share=self.config.data.contact_share, generator=self.generator
-        )
+    def _planes(self, vertices: Tensor, batch: BodyBatch) -> losses.ContactPlanes:
+        """What ``vertices`` [m] (F, V, 3) touch, at some of them drawn now."""
+        return losses.contact_planes(vertices, batch, share=self.config.data.contact_share, generator=self.generator)
+
+    def _energy(self, vertices: Tensor, garment: TrainingGarment, planes: losses.ContactPlanes) -> dict[str, Tensor]:
+        """Energy per area [J/m^2] (F,) of the cloth, by part; so a dress does not outweigh a tank top."""
+        parts = losses.energy_loss(vertices, garment, planes, self.material)
         return {name: value / float(garment.rest.areas.sum()) for name, value in parts.items()}
 
     def _disagreement(self, posed: Posed, partition: Partition, *, less: Posed | None = None) -> Tensor:
@@ -204,9 +205,16 @@ def take_weights(model: OneFit, weights: Mapping[str, Tensor]) -> None:
 class Trainer(BaseTrainer):
     """Learns the drape of single poses from ``bank``."""
 
-    def __init__(self, config: TrainConfig, bank: PoseBank, *, device: torch.device) -> None:
+    def __init__(
+        self,
+        config: TrainConfig,
+        bank: PoseBank,
+        *,
+        device: torch.device,
+        weights: Mapping[str, Tensor] | None = None,
+    ) -> None:
         self.bank = bank
-        super().__init__(config, device=device)
+        super().__init__(config, device=device, weights=weights)
 
     def _set_statistics(self) -> None:
         garments = self.wardrobe.garments
@@ -230,12 +238,13 @@ class Trainer(BaseTrainer):
         betas = draw_betas(config.batch_size, self.body.shape_count, config.data, self.rng)
         batch = self.source.pose(poses, betas)
         posed, vertices = self._drape(batch, garment, partition, passes=self._passes())
-        parts = self._energy(vertices, garment, batch)
+        parts = self._energy(vertices, garment, self._planes(vertices, batch))
         contact = losses.soften(parts["contact"], config.contact_knee_j_m2)
         energy = (parts["membrane"] + parts["bending"] + parts["gravity"] + contact).mean()
         charts = self._disagreement(posed, partition)
         # Charts that must agree from the start learn slower.
-        agree = config.disagreement_weight * (EARLY_AGREEMENT + self.progress()) * charts
+        share = config.early_agreement + (1.0 - config.early_agreement) * self.progress()
+        agree = config.disagreement_weight * share * charts
         return Objective(energy + agree, {name: value.mean() for name, value in parts.items()}, charts)
 
 

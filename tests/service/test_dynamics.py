@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
-import shutil
 from collections.abc import Callable, Iterator
 from itertools import pairwise
-from pathlib import Path
 
 import httpx
 import numpy as np
@@ -15,16 +13,14 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape import wire
-from drape.artifacts import load_manifest
 from drape.body.features import Kinematics
 from drape.body.model import BodyModel
-from drape.errors import ArtifactError
 from drape.feeds import kinematics
 from drape.garment.cache import Garment
 from service.app import create_app
 from service.drapery import Drapery, PoseInput
 from service.dynamics import JUMP_M_S, STEP_LIMIT_S, Memory, Moment, advance, nothing
-from service.engine import DRAPE, DYNAMIC, ENCODER, Engine
+from service.engine import Engine
 from service.sessions import Session, Streams
 from service.settings import Settings
 from tests.fixtures.poses import smooth_motion
@@ -358,46 +354,3 @@ def test_a_batch_mate_that_fails_takes_nobody_along(drapery: Drapery):
     alone = drapery.compute(sessions[0].entry, [clip_input(TIMES_S[:6], seed=0)]).memories[0]
     assert sessions[0].memory is not None and alone is not None
     assert_array_equal(sessions[0].memory.state, alone.state)
-
-
-# --- engine ---
-
-
-@pytest.fixture
-def folder(tiny_folder: Path, tmp_path: Path) -> Path:
-    """A copy of the dynamic model that a test may spoil."""
-    return Path(shutil.copytree(tiny_folder / "models" / TINY_DYNAMIC, tmp_path / TINY_DYNAMIC))
-
-
-def rewrite(folder: Path, **changes: object) -> None:
-    manifest = dataclasses.replace(load_manifest(folder), **changes)
-    (folder / "manifest.json").write_text(manifest.to_json())
-
-
-def test_the_engine_knows_what_it_opened(folder: Path, tiny_folder: Path):
-    engine = Engine(folder)
-    assert (engine.dynamic, engine.state_size, engine.code_size) == (True, STATE_SIZE, STATE_SIZE)
-    static = Engine(tiny_folder / "models" / "tiny")
-    assert (static.dynamic, static.state_size, static.code_size) == (False, 0, 0)
-
-
-def test_a_dynamic_model_without_its_recurrent_graph_is_refused(folder: Path):
-    graphs = load_manifest(folder).graphs
-    rewrite(folder, graphs={key: graphs[key] for key in (ENCODER, DRAPE)})
-    with pytest.raises(ArtifactError, match=f"graph '{DYNAMIC}'"):
-        Engine(folder)
-
-
-@pytest.mark.parametrize("changes", [{"dynamic": False}, {"state_size": STATE_SIZE + 1}])
-def test_a_manifest_that_says_otherwise_than_its_graphs_is_refused(folder: Path, changes: dict):
-    rewrite(folder, **changes)
-    with pytest.raises(ArtifactError, match="dynamic: expected drape graphs with a dynamic_code"):
-        Engine(folder)
-
-
-def test_a_state_that_is_not_finite_is_refused(folder: Path):
-    engine = Engine(folder)
-    features = np.zeros((2, 24, 12), np.float32)
-    features[1, 0, 9] = np.inf
-    with pytest.raises(ArtifactError, match="next_state: expected finite numbers"):
-        engine.advance(features, np.zeros((2, STATE_SIZE)), np.full(2, 0.03))

@@ -16,12 +16,13 @@ from drape.motion.clip import MotionClip
 from tests.training.training_setup import CPU, MOVING_RUN, TINY_RUN
 from training import checkpoint, run
 from training.config import TrainConfig, dynamic
-from training.dynamics import DynamicTrainer
+from training.dynamics import CALM_M_S2, DynamicTrainer
 from training.model import OneFit
 from training.poses import read_clips
-from training.run import make_trainer, sample_motions, started
+from training.run import make_trainer, sample_motions
+from training.starting import started
 from training.trainer import Objective, take_weights
-from training.windows import HISTORY, WindowBank
+from training.windows import HISTORY, WindowBank, Windows
 
 RUN, MODEL, MOTION = MOVING_RUN, MOVING_RUN.model, MOVING_RUN.motion
 
@@ -145,15 +146,19 @@ def test_inertia_counts_the_way_of_the_root_through_the_world(trainer: DynamicTr
     assert falling(trainer, np.zeros(3))["inertia"] < 1e-9
 
 
-def test_gradients_run_through_the_window_only(trainer: DynamicTrainer):
-    windows = trainer.bank.draw(2, HISTORY + 4 + HISTORY + 3, np.random.default_rng(1))
-    codes = trainer.codes(windows, np.zeros((2, 10)), HISTORY + 3)
-    assert codes.shape == (2, HISTORY + 3, MODEL.body_code_size)
-    parameter = trainer.encoder.cell.weight_hh
-    (history,) = torch.autograd.grad(codes[:, :HISTORY].sum(), parameter, retain_graph=True, allow_unused=True)
-    (first,) = torch.autograd.grad(codes[:, HISTORY].sum(), parameter, retain_graph=True)
-    assert history is None or float(history.abs().max()) == 0.0
-    assert float(first.abs().max()) > 0.0
+def test_gradients_reach_as_far_back_as_the_memory(trainer: DynamicTrainer, monkeypatch):
+    shown = HISTORY + MOTION.window_frames
+    for before in (MOTION.memory_frames, MOTION.memory_frames + 1):
+        state = torch.full((2, MODEL.state_size), 0.1, requires_grad=True)
+        monkeypatch.setattr(trainer, "_first_state", lambda count, state=state: state)
+        windows = trainer.bank.draw(2, HISTORY + before + shown, np.random.default_rng(1))
+        codes = trainer.codes(windows, np.zeros((2, 10)), shown)
+        assert codes.shape == (2, shown, MODEL.body_code_size)
+        (slope,) = torch.autograd.grad(codes[:, -1].sum(), state, allow_unused=True)
+        if before == MOTION.memory_frames:
+            assert slope is not None and float(slope.abs().max()) > 0.0
+        else:
+            assert slope is None
 
 
 def test_some_windows_begin_with_a_state(trainer: DynamicTrainer):
@@ -191,3 +196,13 @@ def test_a_start_that_does_not_fit_the_preset_is_refused(preset, start, tmp_path
 def test_weights_of_another_architecture_are_refused(static: OneFit, change):
     with pytest.raises(ArtifactError, match="weights to start from"):
         take_weights(OneFit(replace(MODEL, **change)), static.state_dict())
+
+
+def test_a_jerk_counts_less_than_its_square(trainer: DynamicTrainer):
+    """The weight of a frame under the acceleration a is 1 / sqrt(1 + (a / 2)^2), however far apart frames are."""
+    dt_s = np.array([[1 / 30, 1 / 60, 1 / 20]])
+    windows = Windows(np.zeros((1, 4, 24, 3)), np.zeros((1, 4, 3)), dt_s)
+    for acceleration in (0.0, 2.0, 20.0):
+        inertia = 0.5 * material().density_kg_m2 * acceleration**2 * torch.from_numpy(dt_s[:, 1:] ** 2)
+        want = np.full((1, 2), 1.0 / np.sqrt(1.0 + (acceleration / CALM_M_S2) ** 2))
+        assert_allclose(trainer._weight(inertia, windows), want, rtol=1e-6, atol=0)

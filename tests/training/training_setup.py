@@ -38,7 +38,7 @@ TINY_RUN = TrainConfig(
 MOVING_RUN = replace(
     TINY_RUN,
     model=replace(TINY, dynamic=True, motion_hidden=16, state_size=16),
-    motion=MotionConfig(window_frames=3, warm_up_frames=4),
+    motion=MotionConfig(window_frames=3, warm_up_frames=4, memory_frames=3),
     learning_rate=1e-2,
 )
 
