@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
 import torch
@@ -82,11 +83,17 @@ class OneFit(nn.Module):
         self.decoder = Decoder(config, heads)
         self.corrections = nn.ModuleList(Correction(config) for _ in range(config.corrections))
         self.register_buffer("tangent_terms", tangent_terms(), persistent=False)
+        self.autocast = False  # of the networks alone: places in space need float32
 
     @property
     def agrees(self) -> bool:
         """Whether ``forward`` needs the tables of ``training.agreement``."""
         return self.config.agreed_base or self.config.corrections > 0
+
+    def _mixed(self, like: Tensor) -> AbstractContextManager:
+        if not self.autocast:
+            return nullcontext()
+        return torch.autocast(like.device.type, dtype=torch.bfloat16)
 
     def predict(
         self,
@@ -96,10 +103,12 @@ class OneFit(nn.Module):
         dynamic_code: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
         """Change of the jets (F, K, 27) in units of the patch scale, and the decoder's code of each patch."""
-        code = self.body(body.features)
-        if dynamic_code is not None:
-            code = code + dynamic_code
-        out, hidden = self.decoder(code, embedding, surroundings)
+        with self._mixed(embedding):
+            code = self.body(body.features)
+            if dynamic_code is not None:
+                code = code + dynamic_code
+            out, hidden = self.decoder(code, embedding, surroundings)
+        out = {name: value.float() for name, value in out.items()} if self.autocast else out
         gain = self.config.output_gain
         if self.config.variant == "vector":
             return gain * torch.cat([out["plane"], out["height"]], dim=-1), hidden
@@ -135,7 +144,9 @@ class OneFit(nn.Module):
             anchors = charts.anchors(posed_coefficients(Posed(rotation, centre, jet), patches.scale))
             jet = agreed_jets(anchors, charts, rotation, centre, patches.scale)
             strain, force = strain_and_force(jet, charts, self.tangent_terms)
-            jet = jet + self.config.output_gain * correction(hidden, strain, force, jet)
+            with self._mixed(hidden):
+                change = correction(hidden, strain, force, jet)
+            jet = jet + self.config.output_gain * (change.float() if self.autocast else change)
         if self.config.variant == "paper":
             rotation, centre = rest_frames(body, patches)
         return Posed(rotation, centre, jet)

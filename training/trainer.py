@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -56,6 +56,7 @@ class BaseTrainer:
         self.material = material()
         self.wardrobe = Wardrobe(config.data, self.body, seed=config.seed + 3, device=device, process=parallel.rank())
         self.model = OneFit(config.model).to(device)
+        self.model.autocast = config.autocast
         if weights is not None:
             take_weights(self.model, weights)
         self._set_statistics()
@@ -130,12 +131,10 @@ class BaseTrainer:
     ) -> tuple[Posed, Tensor]:
         """Posed patches of ``batch`` and vertices [m] (F, V, 3) relative to the root; ``passes`` as of ``OneFit``."""
         config = self.config
-        with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=config.autocast):
-            embedding = self.model.garment(partition.features)
-            posed = self.model(
-                batch.tensors, partition.patches, embedding, dynamic_code, charts=partition.agreement, passes=passes
-            )
-        posed = replace(posed, jet=posed.jet.float())
+        embedding = self.model.garment(partition.features)
+        posed = self.model(
+            batch.tensors, partition.patches, embedding, dynamic_code, charts=partition.agreement, passes=passes
+        )
         return posed, losses.garment_vertices(posed, partition, garment, batch.tensors, variant=config.model.variant)
 
     def _planes(self, vertices: Tensor, batch: BodyBatch) -> losses.ContactPlanes:

@@ -157,3 +157,17 @@ def test_corrections_fit_no_network_but_one_of_vector_jets_with_surroundings():
     for wrong in (replace(paper().model, corrections=1), ModelConfig(surroundings=False)):
         with pytest.raises(ValueError, match="agreed_base and corrections"):
             OneFit(wrong)
+
+
+def test_autocast_stays_near_full_precision():
+    torch.manual_seed(0)
+    model = OneFit(ModelConfig(corrections=1)).eval()
+    bodies = source().pose(np.zeros((1, 24, 3)) + 0.1, np.zeros((1, body().shape_count))).tensors
+    jets_of = []
+    for model.autocast in (False, True):
+        with torch.no_grad():
+            embedding = model.garment(partition().features)
+            jets_of.append(model(bodies, partition().patches, embedding, charts=partition().agreement).jet)
+    assert jets_of[1].dtype == torch.float32
+    gap = float((jets_of[0] - jets_of[1]).abs().max())
+    assert 0.0 < gap < 1e-3  # bfloat16 in the networks, whose outputs are small, and nowhere else
