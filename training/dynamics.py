@@ -99,11 +99,12 @@ class DynamicTrainer(BaseTrainer):
         inertia = self._inertia(history, vertices, windows, garment).flatten()
         with torch.no_grad():
             unmoved = self._inertia(static_history, static, windows, garment)
+            at_rest = self._inertia(history, vertices, windows, garment, candidate=static)
             weight = self._weight(unmoved, windows).flatten()
         # What motion changes must be the same to all charts.
         charts = self._disagreement(posed, partition, less=still)
         loss = (weight * (above + inertia)).mean() + config.disagreement_weight * weight.mean() * charts
-        parts |= {"above": above, "inertia": inertia, "inertia_static": unmoved}
+        parts |= {"above": above, "inertia": inertia, "inertia_at_rest": at_rest}
         return Objective(loss, {name: value.mean() for name, value in parts.items()}, charts)
 
     def _weight(self, inertia: Tensor, windows: Windows) -> Tensor:
@@ -112,16 +113,28 @@ class DynamicTrainer(BaseTrainer):
         squared = 2.0 * inertia / (self.material.density_kg_m2 * dt_s.square())  # mean acceleration [m^2/s^4]
         return torch.rsqrt(1.0 + squared / CALM_M_S2**2)
 
-    def _inertia(self, history: Tensor, vertices: Tensor, windows: Windows, garment: TrainingGarment) -> Tensor:
-        """Inertia per area [J/m^2] (B, T) of ``vertices`` (B T, V, 3) after ``history`` (B 2, V, 3)."""
+    def _inertia(
+        self,
+        history: Tensor,
+        vertices: Tensor,
+        windows: Windows,
+        garment: TrainingGarment,
+        *,
+        candidate: Tensor | None = None,
+    ) -> Tensor:
+        """Inertia per area [J/m^2] (B, T) of ``vertices`` (B T, V, 3) after ``history`` (B 2, V, 3).
+
+        With a ``candidate`` (B T, V, 3) its own, had the cloth gone there in one frame instead.
+        """
         parts = [x.unflatten(0, (self.config.batch_size, -1)) for x in (history, vertices)]
         shown = sum(part.shape[1] for part in parts)
         # Relative to where the root was first, so that float32 stays precise.
-        way = windows.trans[:, -shown:] - windows.trans[:, -shown : -shown + 1]
-        world = torch.cat(parts, dim=1) + self._tensor(way)[:, :, None]
+        way = self._tensor(windows.trans[:, -shown:] - windows.trans[:, -shown : -shown + 1])[:, :, None]
+        world = torch.cat(parts, dim=1) + way
+        there = world if candidate is None else candidate.unflatten(0, (self.config.batch_size, -1)) + way[:, HISTORY:]
         dt_s = self._tensor(windows.dt_s[:, -shown + 1 :])
         energy = energies.inertia(
-            world[:, 2:],
+            there[:, -world.shape[1] + HISTORY :],
             world[:, 1:-1].detach(),
             world[:, :-2].detach(),
             garment.cloth,

@@ -206,3 +206,15 @@ def test_a_jerk_counts_less_than_its_square(trainer: DynamicTrainer):
         inertia = 0.5 * material().density_kg_m2 * acceleration**2 * torch.from_numpy(dt_s[:, 1:] ** 2)
         want = np.full((1, 2), 1.0 / np.sqrt(1.0 + (acceleration / CALM_M_S2) ** 2))
         assert_allclose(trainer._weight(inertia, windows), want, rtol=1e-6, atol=0)
+
+
+def test_a_candidate_is_judged_after_the_frames_that_were(trainer: DynamicTrainer):
+    """Cloth that was 1 cm to the side for two frames and goes back in the third: m / (2 dt^2) (1 cm)^2."""
+    garment, count = trainer.wardrobe.garments[0], trainer.config.batch_size
+    windows = Windows(np.zeros((count, 3, 24, 3)), np.zeros((count, 3, 3)), np.full((count, 2), 1 / 30))
+    still = torch.from_numpy(garment.rest.vertices).float().expand(count, -1, -1)
+    aside = still + torch.tensor([0.01, 0.0, 0.0])
+    history = aside.repeat_interleave(2, dim=0)
+    assert_allclose(trainer._inertia(history, aside, windows, garment), np.zeros((count, 1)), rtol=0, atol=1e-9)
+    got = trainer._inertia(history, aside, windows, garment, candidate=still)
+    assert_allclose(got, np.full((count, 1), 0.5 * material().density_kg_m2 * 0.01**2 * 30.0**2), rtol=1e-3, atol=0)
