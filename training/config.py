@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from drape.body.features import DYNAMIC_PER_JOINT, STATIC_PER_JOINT
 from drape.body.skeleton import JOINT_COUNT
@@ -136,6 +136,11 @@ class TrainConfig:
         return self.batch_size * (self.motion.window_frames if self.model.dynamic else 1)
 
 
+def as_published(model: ModelConfig) -> ModelConfig:
+    """``model`` with the published representation, and without what was added to it since."""
+    return replace(model, variant="paper", surroundings=False, agreed_base=False, corrections=0)
+
+
 def shipped() -> TrainConfig:
     """The shipped model: static, seven designs and neighbours of each, a hundred minutes on two cores."""
     return TrainConfig(minutes=95.0)
@@ -148,16 +153,7 @@ def smoke() -> TrainConfig:
 
 def paper() -> TrainConfig:
     """The published representation, for its tables and as the baseline."""
-    return TrainConfig(
-        model=ModelConfig(
-            variant="paper",
-            surroundings=False,
-            agreed_base=False,
-            corrections=0,
-            decoder_sizes=PAPER_DECODER,
-            head_sizes=PAPER_HEADS,
-        )
-    )
+    return TrainConfig(model=as_published(ModelConfig(decoder_sizes=PAPER_DECODER, head_sizes=PAPER_HEADS)))
 
 
 def dynamic() -> TrainConfig:

@@ -15,7 +15,7 @@ from drape.geometry.rotations import rotvec_to_matrix
 from tests.training.training_setup import TINY, bank, body, garment, source
 from training import losses
 from training.agreement import agreed_jets
-from training.config import ModelConfig
+from training.config import ModelConfig, as_published
 from training.layers import SURROUNDINGS_COUNT, Decoder, GarmentEncoder, Standardise
 from training.model import OneFit, Posed, patch_surroundings, pose_frames, posed_coefficients, vertex_positions
 
@@ -162,7 +162,7 @@ def test_untrained_network_stays_near_plain_skinning():
 def test_paper_variant_moves_patches_by_translation_and_scale():
     """Its heads written as a vector jet must equal s (1 + ds) (u, v) + dT and the added height."""
     torch.manual_seed(0)
-    model = OneFit(replace(TINY, variant="paper", surroundings=False, agreed_base=False, corrections=0)).eval()
+    model = OneFit(as_published(TINY)).eval()
     for head in model.decoder.heads.values():
         torch.nn.init.normal_(list(head.parameters())[-2], std=0.3)
     partition = garment().partitions[0]
