@@ -56,9 +56,15 @@ class Network:
         calls = []
         for start in range(0, len(poses), FRAMES_PER_CALL):
             arrays = {key: value[start : start + FRAMES_PER_CALL] for key, value in feed.arrays.items()}
+            arrays |= self._at_rest(len(arrays["body_features"]))
             calls.append(self._run("drape", {**arrays, **constants}, outputs))
         vertices, jet, rotation, centre = (np.concatenate(parts) for parts in zip(*calls, strict=True))
         return Draped(vertices.astype(np.float64) + feed.root[:, None], jet, rotation, centre, feed.root)
+
+    def _at_rest(self, frames: int) -> dict[str, np.ndarray]:
+        """What the drape graph of a dynamic model takes besides: no motion."""
+        motion = [spec for spec in self.manifest.graphs["drape"].inputs if spec.name == "dynamic_code"]
+        return {spec.name: np.zeros((frames, int(spec.shape[-1])), np.float32) for spec in motion}
 
     def _run(self, graph: str, arrays: dict[str, np.ndarray], outputs: list[str]) -> list[np.ndarray]:
         feed = {spec.name: arrays[spec.name] for spec in self.manifest.graphs[graph].inputs}

@@ -52,7 +52,7 @@ COLUMNS = {"processes": "d", "threads": "d", "batch": "d", "frames_per_s": ".1f"
 def stage_times(profile: cProfile.Profile, frames: int) -> dict[str, float]:
     """Milliseconds per frame by stage; "other" is what no stage holds."""
     stats: dict[tuple[str, int, str], Any] = pstats.Stats(profile).stats  # type: ignore[attr-defined]
-    total = max(entry[3] for (path, _, name), entry in stats.items() if name == "step" and path.endswith("run.py"))
+    total = max(entry[3] for (path, _, name), entry in stats.items() if name == "step" and path.endswith("trainer.py"))
     times: dict[str, float] = {}
     for stage, functions in STAGES.items():
         found = [entry[3] for (path, _, name), entry in stats.items() if (Path(path).name, name) in functions]

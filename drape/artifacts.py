@@ -47,7 +47,9 @@ class Manifest:
     """What a model folder says of itself.
 
     ``graphs``: "garment_encoder" (patch features -> embedding, run once per garment)
-    and "drape" (pose + garment -> vertices). ``body_digest``: sha256 of the body the
+    and "drape" (pose + garment -> vertices); of a ``dynamic`` model also "dynamic_encoder"
+    (motion + state -> what the drape graph adds to the pose, next state), with a state of
+    ``state_size`` numbers per client. ``body_digest``: sha256 of the body the
     network was trained on. ``parity_error_m``: largest vertex distance torch vs
     onnxruntime at export. ``quality``: rows of benchmarks.quality. ``training``: commit,
     command, frames seen, losses at the end.
@@ -60,6 +62,7 @@ class Manifest:
     embedding_size: int
     parity_error_m: float
     dynamic: bool = False
+    state_size: int = 0
     training: dict[str, Any] = field(default_factory=dict)
     quality: list[dict[str, Any]] = field(default_factory=list)
     format_version: int = FORMAT_VERSION

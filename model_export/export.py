@@ -21,17 +21,27 @@ from drape.body.assets import DEFAULT_BODY, load_body
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment
 from model_export import packed
-from model_export.graph import OUTPUTS, DrapeGraph, EncoderGraph, drape_inputs, encoder_inputs, encoder_outputs
+from model_export.graph import (
+    OUTPUTS,
+    DrapeGraph,
+    DynamicGraph,
+    EncoderGraph,
+    drape_inputs,
+    dynamic_inputs,
+    dynamic_outputs,
+    encoder_inputs,
+    encoder_outputs,
+)
 from model_export.packed import FirstGraph, PackedGraph, first_outputs, packed_inputs
 from model_export.packed_parity import packed_parity_error
-from model_export.parity import TOLERANCE_M, parity_error
+from model_export.parity import TOLERANCE_M, parity_error, sequence_error
 from training import checkpoint
 from training.model import OneFit
 
 OPSET = 20
 # Odd, and unlike each other: an axis of length 1 or two equal axes would be baked in without a word.
-SAMPLE = {"frames": 3, "patches": 7, "vertices": 11, "points": 13}
-LIMIT = {"frames": 65536, "patches": 65536, "vertices": 1 << 22, "points": 65536}
+SAMPLE = {"frames": 3, "patches": 7, "vertices": 11, "points": 13, "clients": 5, "anchors": 17}
+LIMIT = {"frames": 65536, "patches": 65536, "vertices": 1 << 22, "points": 65536, "clients": 65536, "anchors": 1 << 20}
 MOST = 1 << 22
 INDEX_TYPES = {"int32": torch.int32, "int64": torch.int64}
 
@@ -42,12 +52,12 @@ def load_model(path: Path) -> tuple[OneFit, dict[str, Any]]:
     model = OneFit(config.model)
     model.load_state_dict(state["model"])
     minutes = round(float(state["elapsed_s"]) / 60.0, 1)
-    frames = int(state.get("frames", int(state["step"]) * config.batch_size))
+    frames = int(state.get("frames", int(state["step"]) * config.frames_per_step))
     return model.eval(), {
         "steps": int(state["step"]),
         "frames": frames,
         "minutes": minutes,
-        "garments": list(config.data.garments),
+        "garments": [Path(name).stem for name in config.data.garments],  # of files not the folder
         "held_out": list(config.data.held_out),
     }
 
@@ -65,19 +75,13 @@ def export(
     target.parent.mkdir(parents=True, exist_ok=True)
     staged = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
     try:
-        packs = model.config.variant == "vector"
-        encoder = write_graph(
-            FirstGraph(model) if packs else EncoderGraph(model),
-            staged / "garment_encoder.onnx",
-            encoder_inputs(model),
-            first_outputs(model) if packs else encoder_outputs(model),
-        )
-        drape = write_graph(DrapeGraph(model), staged / "drape.onnx", drape_inputs(model), OUTPUTS)
-        graphs = {"garment_encoder": encoder, "drape": drape}
-        error = parity_error(model, staged / encoder.file, staged / drape.file, garment)
-        if packs:
-            graphs["packed"] = write_packed(model, staged / "packed.onnx")
-            error = max(error, packed_parity_error(model, staged / encoder.file, staged / "packed.onnx", garment))
+        graphs = write_graphs(model, staged)
+        encoder, drape = (staged / graphs[name].file for name in ("garment_encoder", "drape"))
+        error = parity_error(model, encoder, drape, garment)
+        if "packed" in graphs:
+            error = max(error, packed_parity_error(model, encoder, staged / graphs["packed"].file, garment))
+        if model.config.dynamic:
+            error = max(error, sequence_error(model, staged, graphs, garment))
         if not error <= TOLERANCE_M:
             raise ArtifactError(
                 "parity",
@@ -94,6 +98,7 @@ def export(
             embedding_size=model.config.embedding_size,
             parity_error_m=error,
             dynamic=model.config.dynamic,
+            state_size=model.config.state_size if model.config.dynamic else 0,
             training=training,
             quality=quality or [],
         )
@@ -104,6 +109,20 @@ def export(
         shutil.rmtree(staged, ignore_errors=True)
         raise
     return manifest
+
+
+def write_graphs(model: OneFit, folder: Path) -> dict[str, GraphSpec]:
+    """Writes every graph of ``model`` into ``folder``; the packed one where its representation is vector jets."""
+    packs = model.config.variant == "vector"
+    encoder = (FirstGraph(model), first_outputs(model)) if packs else (EncoderGraph(model), encoder_outputs(model))
+    parts = {
+        "garment_encoder": (encoder[0], encoder_inputs(model), encoder[1]),
+        "drape": (DrapeGraph(model), drape_inputs(model), OUTPUTS),
+    }
+    if model.config.dynamic:
+        parts["dynamic_encoder"] = DynamicGraph(model), dynamic_inputs(model), dynamic_outputs(model)
+    graphs = {key: write_graph(part[0], folder / f"{key}.onnx", *part[1:]) for key, part in parts.items()}
+    return graphs | ({"packed": write_packed(model, folder / "packed.onnx")} if packs else {})
 
 
 def write_quality(folder: Path, rows: list[dict[str, Any]]) -> None:

@@ -1,4 +1,4 @@
-"""The two graphs that are exported, with their input and output names fixed here."""
+"""The graphs that are exported, with their input and output names fixed here."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import torch
 from torch import Tensor, nn
 
 from drape.artifacts import TensorSpec
+from drape.garment.agreement import FIT_COUNT, MEMBERS, STRAIN_POINTS
+from training.agreement import GatheredAgreement
 from training.model import BodyTensors, OneFit, PatchTensors, paper_vertices, vertex_positions
 
 BODY_INPUTS: tuple[TensorSpec, ...] = (
@@ -30,7 +32,18 @@ CHART_INPUTS: tuple[TensorSpec, ...] = (
     TensorSpec("chart_basis", ("vertices", 4, 15), "float32", "1"),
     TensorSpec("chart_local", ("vertices", 4, 3), "float32", "m"),
 )
+AGREEMENT_INPUTS: tuple[TensorSpec, ...] = (
+    TensorSpec("anchor_patch", ("anchors", 4), "int64", "patch index"),
+    TensorSpec("anchor_row", ("anchors", 4, 19), "float32", "1 and m"),
+    TensorSpec("patch_member", ("patches", MEMBERS), "int64", "anchor index"),
+    TensorSpec("patch_fit", ("patches", FIT_COUNT, MEMBERS), "float32", "1"),
+    TensorSpec("patch_rest", ("patches", FIT_COUNT, 3), "float32", "patch scales"),
+    TensorSpec("patch_tangent", ("patches", STRAIN_POINTS, 3, 2), "float32", "1"),
+    TensorSpec("patch_orthonormal", ("patches", STRAIN_POINTS, 2, 2), "float32", "1"),
+)
 SKIN_INPUT = TensorSpec("skin_weights", ("vertices", 24), "float32", "1")
+MOTION_INPUT = TensorSpec("motion_features", ("clients", 24, 12), "float32", "1/s and m/s^2")
+STEP_INPUT = TensorSpec("dt_s", ("clients",), "float32", "s")
 OUTPUTS: tuple[TensorSpec, ...] = (
     TensorSpec("vertices", ("frames", "vertices", 3), "float32", "m, relative to the root joint"),
     TensorSpec("jet", ("frames", "patches", 27), "float32", "patch scales"),
@@ -44,7 +57,25 @@ def drape_inputs(model: OneFit) -> tuple[TensorSpec, ...]:
     embedding = TensorSpec("patch_embedding", ("patches", model.config.embedding_size), "float32", "1")
     skin = (SKIN_INPUT,) if model.config.variant == "paper" else ()
     joints = (JOINT_INPUT,) if model.config.surroundings else ()
-    return (*BODY_INPUTS, embedding, *PATCH_INPUTS, *CHART_INPUTS, *skin, *joints)
+    code = TensorSpec(
+        "dynamic_code", ("frames", model.config.body_code_size), "float32", "1, scaled by the motion knob"
+    )
+    motion = (code,) if model.config.dynamic else ()
+    charts = AGREEMENT_INPUTS if model.agrees else ()
+    return (*BODY_INPUTS, embedding, *PATCH_INPUTS, *CHART_INPUTS, *skin, *joints, *motion, *charts)
+
+
+def dynamic_inputs(model: OneFit) -> tuple[TensorSpec, ...]:
+    """Inputs of the dynamic encoder graph of a dynamic ``model``."""
+    return MOTION_INPUT, TensorSpec("state", ("clients", model.config.state_size), "float32", "1"), STEP_INPUT
+
+
+def dynamic_outputs(model: OneFit) -> tuple[TensorSpec, ...]:
+    """Outputs of the dynamic encoder graph."""
+    return (
+        TensorSpec("dynamic_code", ("clients", model.config.body_code_size), "float32", "1"),
+        TensorSpec("next_state", ("clients", model.config.state_size), "float32", "1"),
+    )
 
 
 def encoder_inputs(model: OneFit) -> tuple[TensorSpec, ...]:
@@ -66,6 +97,18 @@ class EncoderGraph(nn.Module):
 
     def forward(self, patch_features: Tensor) -> Tensor:
         return self.garment(patch_features)
+
+
+class DynamicGraph(nn.Module):
+    """Motion and state of every client -> code to add to its pose's, and its next state; run once per frame."""
+
+    def __init__(self, model: OneFit) -> None:
+        super().__init__()
+        assert model.dynamic is not None
+        self.dynamic = model.dynamic
+
+    def forward(self, motion_features: Tensor, state: Tensor, dt_s: Tensor) -> tuple[Tensor, Tensor]:
+        return self.dynamic(motion_features, state, dt_s)
 
 
 class DrapeGraph(nn.Module):
@@ -95,12 +138,23 @@ class DrapeGraph(nn.Module):
         chart_local: Tensor,
         skin_weights: Tensor | None = None,
         body_joints: Tensor | None = None,
+        dynamic_code: Tensor | None = None,
+        anchor_patch: Tensor | None = None,
+        anchor_row: Tensor | None = None,
+        patch_member: Tensor | None = None,
+        patch_fit: Tensor | None = None,
+        patch_rest: Tensor | None = None,
+        patch_tangent: Tensor | None = None,
+        patch_orthonormal: Tensor | None = None,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         body = BodyTensors(body_features, bone_rotation, bone_translation, bone_quaternion, betas, body_joints)
         patches = PatchTensors(
             patch_centre, patch_rotation, patch_scale, patch_weights, patch_heaviest, patch_shapedirs
         )
-        posed = self.model(body, patches, patch_embedding)
+        tables = (anchor_patch, anchor_row, patch_member, patch_fit, patch_rest, patch_tangent, patch_orthonormal)
+        given = [table for table in tables if table is not None]
+        charts = GatheredAgreement(*given) if given else None
+        posed = self.model(body, patches, patch_embedding, dynamic_code, charts=charts)
         vertices = vertex_positions(posed, patches, chart_patch, chart_weight, chart_basis, chart_local)
         if skin_weights is not None:
             vertices = paper_vertices(vertices, skin_weights, body)

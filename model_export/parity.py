@@ -8,14 +8,17 @@ import numpy as np
 import onnxruntime
 import torch
 
+from drape.artifacts import GraphSpec
 from drape.body.assets import load_body
+from drape.body.features import motion_features
 from drape.body.model import BodyModel
-from drape.feeds import body_feed, garment_feed
+from drape.feeds import body_feed, garment_feed, kinematics
 from drape.garment.cache import Garment
-from model_export.graph import DrapeGraph, EncoderGraph, drape_inputs
+from model_export.graph import DrapeGraph, DynamicGraph, EncoderGraph, drape_inputs, dynamic_inputs
 from training.model import OneFit
 
 TOLERANCE_M = 1e-4
+SEQUENCE_FRAMES = 30
 
 
 def hard_poses(count: int, *, seed: int = 0) -> np.ndarray:
@@ -52,8 +55,47 @@ def parity_error(
         rng = np.random.default_rng(count)
         feed = body_feed(body, poses, np.zeros((count, 3)), scale * rng.normal(size=body.shape_count))
         arrays = feed.arrays | garment_feed(garment) | {"patch_embedding": embedding}
+        # Of a dynamic model: any code of the size that motion makes.
+        arrays["dynamic_code"] = rng.normal(0.0, 0.3, size=(count, model.config.body_code_size)).astype(np.float32)
         with torch.no_grad():
             expected = DrapeGraph(model)(**{name: torch.from_numpy(arrays[name]) for name in names})[0].numpy()
         got = run.run(["vertices"], {name: arrays[name] for name in names} | {"patch_embedding": stored})[0]
+        worst = max(worst, float(np.linalg.norm(got - expected, axis=-1).max()))
+    return worst
+
+
+def sequence_error(
+    model: OneFit, folder: Path, graphs: dict[str, GraphSpec], garment: Garment, *, body: BodyModel | None = None
+) -> float:
+    """Largest vertex distance [m] along a motion with uneven steps and a stop, each side carrying its own state."""
+    body = load_body() if body is None else body
+    rng = np.random.default_rng(3)
+    dt_s = rng.choice([1 / 60, 1 / 30, 1 / 12], size=SEQUENCE_FRAMES - 1)
+    time_s = np.concatenate([[0.0], np.cumsum(dt_s)])
+    time_s = np.minimum(time_s, time_s[-6])  # of the body, which stands still at the end
+    swing = rng.uniform(0.5, 3.0, size=(24, 3))
+    poses = 0.4 * np.sin(2.0 * np.pi * time_s[:, None, None] * swing)
+    trans = np.sin(3.0 * time_s)[:, None] * [0.5, 0.1, 0.8]
+    feed = body_feed(body, poses, trans)
+    at = kinematics(body, poses, trans)
+    features = motion_features(at[2:], at[1:-1], at[:-2], dt_s[1:], dt_s[:-1]).astype(np.float32)
+    constants = garment_feed(garment)
+    with torch.no_grad():
+        embedding = EncoderGraph(model)(torch.from_numpy(garment.patch_features)).numpy()
+    advance, run = session(folder / graphs["dynamic_encoder"].file), session(folder / graphs["drape"].file)
+    names, motion_names = ([spec.name for spec in specs] for specs in (drape_inputs(model), dynamic_inputs(model)))
+    states = [np.zeros((1, model.config.state_size), dtype=np.float32)] * 2
+    encode, worst = DynamicGraph(model), 0.0
+    for frame in range(SEQUENCE_FRAMES - 2):
+        moved = {"motion_features": features[frame : frame + 1], "dt_s": dt_s[frame + 1 : frame + 2].astype(np.float32)}
+        arrays = {key: value[frame + 2 : frame + 3] for key, value in feed.arrays.items()}
+        arrays |= constants | {"patch_embedding": embedding}
+        with torch.no_grad():
+            inputs = {**moved, "state": states[0]}
+            code, states[0] = (x.numpy() for x in encode(*(torch.from_numpy(inputs[name]) for name in motion_names)))
+            tensors = {name: torch.from_numpy((arrays | {"dynamic_code": code})[name]) for name in names}
+            expected = DrapeGraph(model)(**tensors)[0].numpy()
+        code, states[1] = map(np.asarray, advance.run(["dynamic_code", "next_state"], {**moved, "state": states[1]}))
+        got = run.run(["vertices"], {name: (arrays | {"dynamic_code": code})[name] for name in names})[0]
         worst = max(worst, float(np.linalg.norm(got - expected, axis=-1).max()))
     return worst

@@ -1,11 +1,11 @@
-"""Poses in, draped vertices out: features, graph and push-out, on one worker thread."""
+"""Poses in, draped vertices out: features, graphs and push-out, on one worker thread."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeVar
 
@@ -14,9 +14,10 @@ import numpy as np
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.errors import NotFound
-from drape.feeds import BodyFeed, body_feed
+from drape.feeds import BodyFeed, body_feed, kinematics
 from drape.packing import pack_body
 from service.collider import MOVED_M, Collider
+from service.dynamics import Memory, Moment, advance, nothing
 from service.engine import Engine, check_finite
 from service.garments import Entry, Registry
 from service.motions import Motions
@@ -28,12 +29,24 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, eq=False)
 class PoseInput:
-    """Checked poses (F, 24, 3), translations (F, 3) and one shape (S,), and whether to push out."""
+    """Checked poses (F, 24, 3), translations (F, 3) and one shape (S,), and whether to push out.
+
+    With a ``motion`` knob above 0 the cloth follows the motion: ``times_s`` (F,) says when each frame is,
+    ``memory`` what came before the first.
+    """
 
     poses: np.ndarray
     trans: np.ndarray
     betas: np.ndarray
     push: bool
+    motion: float = 0.0
+    times_s: np.ndarray | None = None
+    memory: Memory | None = None
+
+    def part(self, rows: slice, memory: Memory | None) -> PoseInput:
+        """The frames ``rows``, after what ``memory`` holds."""
+        times = None if self.times_s is None else self.times_s[rows]
+        return replace(self, poses=self.poses[rows], trans=self.trans[rows], times_s=times, memory=memory)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +54,7 @@ class Draped:
     """Vertices [m] (F, V, 3) float32 relative to ``root`` [m] (F, 3) float64, and what the push-out did.
 
     ``pushed_share`` (F,) is the share of vertices that the push-out moved, ``push_max_m`` (F,) the furthest.
+    ``memories``: what each input's body leaves behind, None where its motion does not count.
     """
 
     vertices: np.ndarray
@@ -48,6 +62,7 @@ class Draped:
     pushed: bool
     pushed_share: np.ndarray
     push_max_m: np.ndarray
+    memories: tuple[Memory | None, ...]
 
     def world(self) -> np.ndarray:
         """World positions [m] (F, V, 3) float32."""
@@ -83,6 +98,9 @@ class Drapery:
         if entries:
             rest = PoseInput(np.zeros((1, 24, 3)), np.zeros((1, 3)), np.zeros(self.body.shape_count), push=True)
             self.compute(entries[0], [rest])
+        if self.engine.dynamic:
+            still = nothing(self.engine)
+            self.engine.advance(np.zeros((1, 24, 12)), still.state[None], np.array([1.0 / 30.0]))
 
     def check_body_id(self, name: str) -> None:
         """Refuses a body that this service has not loaded."""
@@ -98,11 +116,16 @@ class Drapery:
     async def drape(self, entry: Entry, motion: PoseInput) -> Draped:
         """The draped clip, chunk by chunk."""
         size = self.settings.chunk_frames
-        starts = range(0, len(motion.poses), size)
-        parts = [
-            PoseInput(motion.poses[i : i + size], motion.trans[i : i + size], motion.betas, motion.push) for i in starts
-        ]
-        return _joined([await self.in_thread(self.compute, entry, [part]) for part in parts])
+        parts: list[Draped] = []
+        memory = motion.memory
+        for i in range(0, len(motion.poses), size):
+            parts.append(await self.in_thread(self.compute, entry, [motion.part(slice(i, i + size), memory)]))
+            memory = parts[-1].memories[0]
+        return _joined(parts)
+
+    def motion_knob(self, asked: float | None) -> float:
+        """How much motion counts: what was ``asked`` for, else all of it; nothing where the model is static."""
+        return (1.0 if asked is None else asked) if self.engine.dynamic else 0.0
 
     async def pose_body(self, motion: PoseInput) -> np.ndarray:
         """World vertices [m] (F, Vb, 3) float32 of the body."""
@@ -121,7 +144,7 @@ class Drapery:
 
     def compute(self, entry: Entry, motions: Sequence[PoseInput]) -> Draped:
         """All frames of ``motions``, which may differ in shape, of one garment in one run of the graph."""
-        vertices, roots = self._drape(entry, motions)
+        vertices, roots, memories = self._drape(entry, motions)
         count = len(vertices)
         share, furthest = np.zeros(count), np.zeros(count)
         start = 0
@@ -130,21 +153,56 @@ class Drapery:
             start = rows.stop
             if motion.push:
                 vertices[rows], share[rows], furthest[rows] = self._pushed(vertices[rows], motion)
-        return Draped(vertices, roots, any(m.push for m in motions), share, furthest)
+        return Draped(vertices, roots, any(m.push for m in motions), share, furthest, memories)
 
-    def _drape(self, entry: Entry, motions: Sequence[PoseInput]) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices [m] (F, V, 3) of all frames relative to the roots [m] (F, 3), by the packed graph where it is."""
+    def _drape(
+        self, entry: Entry, motions: Sequence[PoseInput]
+    ) -> tuple[np.ndarray, np.ndarray, tuple[Memory | None, ...]]:
+        """Vertices [m] (F, V, 3) of all frames relative to the roots [m] (F, 3), by the packed graph where it is.
+
+        Third, what each input's body leaves behind.
+        """
+        codes, memories = self._follow(motions)
         if self.packer is None:
             feed = _joined_feed([body_feed(self.body, m.poses, m.trans, m.betas) for m in motions])
-            return self.engine.drape({**feed.arrays, **entry.feed}), feed.root
+            return self.engine.drape({**feed.arrays, **entry.feed, **codes}), feed.root, memories
         shapes = [pack_body(self.body, m.betas) for m in motions]
         rows = [shape.rows(m.poses) for shape, m in zip(shapes, motions, strict=True)]
         bodies = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
         roots = np.concatenate([m.trans + shape.root for shape, m in zip(shapes, motions, strict=True)])
         items = [(entry.garment.digest, frame) for frame in range(len(roots))]
-        vertices = self.packer.run(ScenePlan(), bodies, items)
-        check_finite(self.engine, all(result.finite for result in vertices))
-        return np.stack([result.arrays["vertices"] for result in vertices]), roots
+        results = self.packer.run(ScenePlan(), bodies | codes, items)
+        check_finite(self.engine, all(result.finite for result in results))
+        return np.stack([result.arrays["vertices"] for result in results]), roots, memories
+
+    def _follow(self, motions: Sequence[PoseInput]) -> tuple[dict[str, np.ndarray], tuple[Memory | None, ...]]:
+        """``dynamic_code`` (F, C) of all frames, times the knob, and the memories after them; empty of a static model.
+
+        Frame by frame, since each needs the state after the one before; the inputs of a frame go together. Where the
+        knob is 0 neither kinematics nor recurrence are computed, and codes are zero.
+        """
+        if not self.engine.dynamic:
+            return {}, tuple(m.memory for m in motions)
+        memories = [(m.memory or nothing(self.engine)) if m.motion > 0.0 else None for m in motions]
+        codes = [np.zeros((len(m.poses), self.engine.code_size), np.float32) for m in motions]
+        bodies = {
+            i: kinematics(self.body, m.poses, m.trans, m.betas)
+            for i, m in enumerate(motions)
+            if memories[i] is not None
+        }
+        for frame in range(max((len(motions[i].poses) for i in bodies), default=0)):
+            rows, before, moments = [], [], []
+            for i, at in bodies.items():
+                motion, memory = motions[i], memories[i]
+                if frame < len(motion.poses):
+                    assert memory is not None and motion.times_s is not None
+                    rows.append(i)
+                    before.append(memory)
+                    moments.append(Moment(float(motion.times_s[frame]), at[frame]))
+            for i, memory in zip(rows, advance(self.engine, before, moments), strict=True):
+                memories[i] = memory
+                codes[i][frame] = np.float32(motions[i].motion) * memory.code
+        return {"dynamic_code": np.concatenate(codes)}, tuple(memories)
 
     def _pushed(self, vertices: np.ndarray, motion: PoseInput) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """``vertices`` moved out of the body, the share moved and the furthest way [m] of each frame."""
@@ -166,4 +224,5 @@ def _joined(parts: Sequence[Draped]) -> Draped:
         pushed=parts[0].pushed,
         pushed_share=np.concatenate([part.pushed_share for part in parts]),
         push_max_m=np.concatenate([part.push_max_m for part in parts]),
+        memories=parts[-1].memories,
     )

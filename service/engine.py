@@ -1,4 +1,4 @@
-"""The only file that touches ONNX Runtime: opens a model folder, checks it, runs its two graphs."""
+"""The only file that touches ONNX Runtime: opens a model folder, checks it, runs its graphs."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ Provider = Literal["cpu", "cuda"]
 
 PROVIDER_NAMES: dict[Provider, str] = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
 DISTRIBUTIONS = ("onnxruntime", "onnxruntime-gpu")
-ENCODER, DRAPE, PACKED = "garment_encoder", "drape", "packed"
+ENCODER, DRAPE, PACKED, DYNAMIC = "garment_encoder", "drape", "packed", "dynamic_encoder"
 FIRST = "patch_first"  # output of the encoder that the packed graph reads
-REQUIRED_OUTPUTS = {ENCODER: {"patch_embedding"}, DRAPE: {"vertices"}}
+REQUIRED_OUTPUTS = {ENCODER: {"patch_embedding"}, DRAPE: {"vertices"}, DYNAMIC: {"dynamic_code", "next_state"}}
 # ONNX Runtime's names for element types.
 _TYPES = {
     "float32": "tensor(float)",
@@ -70,12 +70,17 @@ def _version(name: str) -> str | None:
 
 
 class Engine:
-    """An opened model. ``embed`` and ``drape`` are safe to call from one thread at a time each."""
+    """An opened model, static or dynamic. Each of its graphs is safe to run from one thread at a time.
+
+    Of a ``dynamic`` model the drape graph also takes ``dynamic_code`` (F, ``code_size``), zeros for bodies at rest.
+    """
 
     def __init__(self, folder: Path, *, provider: Provider = "cpu", threads: int = 1) -> None:
         check_distributions()
         self.manifest: Manifest = load_manifest(folder)
-        for name in (ENCODER, DRAPE):
+        self.dynamic = self.manifest.dynamic
+        graphs = (ENCODER, DRAPE, DYNAMIC) if self.dynamic else (ENCODER, DRAPE)
+        for name in graphs:
             if name not in self.manifest.graphs:
                 raise ArtifactError(
                     f"{folder.name} graphs",
@@ -83,18 +88,14 @@ class Engine:
                     got=str(sorted(self.manifest.graphs)),
                     cure="Export the model again.",
                 )
-        if self.manifest.dynamic:
-            raise ArtifactError(
-                f"{folder.name} dynamic", expected="False", got="True", cure="Use a service that keeps recurrent state."
-            )
+        self.state_size = self.manifest.state_size
+        self.code_size = _code_size(folder.name, self.manifest)
         self._provider: Provider = provider
         self._threads = threads
         # Read now: a folder replaced later must not mix its graphs with those of this one.
         packed = self.manifest.graphs.get(PACKED)
         self._files = {PACKED: (folder / packed.file).read_bytes()} if packed else {}
-        self._sessions = {
-            name: _open(folder, name, self.manifest.graphs[name], provider, threads) for name in (ENCODER, DRAPE)
-        }
+        self._sessions = {name: _open(folder, name, self.manifest.graphs[name], provider, threads) for name in graphs}
         self.provider: str = self._sessions[DRAPE].get_providers()[0]
 
     def check_body(self, body: BodyModel) -> None:
@@ -125,6 +126,20 @@ class Engine:
         vertices = self._run(DRAPE, feed, ["vertices"])[0]
         check_finite(self, bool(np.isfinite(vertices).all()))
         return vertices
+
+    def advance(self, features: np.ndarray, state: np.ndarray, dt_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Codes (n, C) and next states (n, H), float32, of motion (n, 24, 12), states (n, H) and steps (n,) [s]."""
+        inputs = {"motion_features": features, "state": state, "dt_s": dt_s}
+        feed = {name: np.ascontiguousarray(value, dtype=np.float32) for name, value in inputs.items()}
+        code, after = self._run(DYNAMIC, feed, ["dynamic_code", "next_state"])
+        if not (np.isfinite(code).all() and np.isfinite(after).all()):
+            raise ArtifactError(
+                f"{self.manifest.name} next_state",
+                expected="finite numbers",
+                got="NaN or infinity",
+                cure="Use another model, or motion 0; this one fails on the motion.",
+            )
+        return code, after
 
     @property
     def packs(self) -> bool:
@@ -164,6 +179,23 @@ class Engine:
     def _run(self, graph: str, feed: dict[str, np.ndarray], outputs: list[str]) -> list[Any]:
         wanted = [tensor.name for tensor in self.manifest.graphs[graph].inputs]
         return list(self._sessions[graph].run(outputs, {name: feed[name] for name in wanted}))
+
+
+def _code_size(model: str, manifest: Manifest) -> int:
+    """Numbers of a dynamic code, 0 of a static model; refuses graphs that are not what the manifest says."""
+    drapes = [manifest.graphs[name] for name in (DRAPE, PACKED) if name in manifest.graphs]
+    codes = {{t.name: t.shape[-1] for t in graph.inputs}.get("dynamic_code", 0) for graph in drapes}
+    states = [t.shape[-1] for t in manifest.graphs[DYNAMIC].inputs if t.name == "state"] if manifest.dynamic else [0]
+    code = next(iter(codes))
+    fits = len(codes) == 1 and (code != 0) == manifest.dynamic and states == [manifest.state_size]
+    if not fits or not isinstance(code, int):
+        raise ArtifactError(
+            f"{model} dynamic",
+            expected="drape graphs with a dynamic_code and a state of state_size, or neither",
+            got=f"dynamic {manifest.dynamic}, dynamic_code of {codes}, states {states} and {manifest.state_size}",
+            cure="Export the model again.",
+        )
+    return code
 
 
 def check_finite(engine: Engine, finite: bool) -> None:

@@ -199,9 +199,12 @@ class Packer:
     def run(self, plan: ScenePlan, bodies: dict[str, np.ndarray], items: Sequence[Item]) -> list[Result]:
         """Results of ``items``, in their order. ``bodies`` are ``drape.packing.PackedBody.rows``, joined over clients.
 
-        Refuses a garment that is not in store and a row that ``bodies`` do not have.
+        Refuses a garment that is not in store and a row that ``bodies`` do not have. Of a dynamic model ``bodies``
+        may hold ``dynamic_code`` (B, C); without it all are at rest.
         """
         count = min(len(rows) for rows in bodies.values())
+        if self._engine.dynamic:
+            bodies = {"dynamic_code": np.zeros((count, self._engine.code_size), np.float32)} | bodies
         for key, row in items:
             self._store.packed(key)
             if not 0 <= row < count:

@@ -6,6 +6,7 @@ import asyncio
 import base64
 import binascii
 import json
+from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -54,6 +55,7 @@ async def health(state: StateHere) -> schemas.Health:
         version=product_version(),
         model=drapery.engine.manifest.name,
         model_digest=drapery.engine.manifest.digest,
+        dynamic=drapery.engine.dynamic,
         provider=drapery.engine.provider,
         body=drapery.body.name,
         garments=len(drapery.garments.entries()),
@@ -202,11 +204,13 @@ async def drape_clip(asked: schemas.DrapeRequest, request: Request, state: State
     kind = _kind(request)
     entry = drapery.garments.get(asked.garment)
     push = drapery.settings.push_out if asked.push_out is None else asked.push_out
-    motion = _motion(asked, drapery, push=push)
+    knob = drapery.motion_knob(asked.motion)
+    times_s = np.arange(len(asked.poses)) / asked.fps
+    motion = replace(_motion(asked, drapery, push=push), motion=knob, times_s=times_s)
     _check_size(kind, len(motion.poses), entry.garment.vertex_count, drapery)
     with state.slot():
         draped = await drapery.drape(entry, motion)
-        headers = _quality_headers(draped, drapery)
+        headers = _quality_headers(draped, drapery) | {"X-Drape-Motion": f"{knob:g}"}
         if kind == negotiation.GLB:
             content = await asyncio.to_thread(_garment_file, entry, draped, asked, motion, drapery)
             return Response(content, media_type=kind, headers=_shape_headers(draped.vertices) | headers)

@@ -13,6 +13,15 @@ from drape.feeds import BETA_COUNT
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Vector = Annotated[list[Number], Len(3, 3)]
 PoseRows = Annotated[list[Vector], Len(JOINT_COUNT, JOINT_COUNT)]
+Knob = Annotated[
+    float | None,
+    Field(
+        ge=0.0,
+        le=1.0,
+        allow_inf_nan=False,
+        description="How much the cloth follows motion: 0 as if at rest, 1 (default) in full. A static model has 0.",
+    ),
+]
 Identifier = Annotated[str, Field(min_length=1, max_length=120)]
 
 
@@ -40,6 +49,7 @@ class DrapeRequest(PosedRequest):
     push_out: bool | None = Field(
         default=None, description="Push vertices out of the body; the service's setting if left out."
     )
+    motion: Knob = None
     body: bool = Field(default=False, description="In a GLB, include the body as a second, skinned mesh.")
 
 
@@ -59,6 +69,7 @@ class OpenRequest(Request):
     garment: Identifier
     betas: Annotated[list[Number], Len(0, BETA_COUNT)] | None = None
     push_out: bool | None = None
+    motion: Knob = None
 
 
 class Health(BaseModel):
@@ -70,6 +81,7 @@ class Health(BaseModel):
     version: str
     model: str
     model_digest: str
+    dynamic: bool
     provider: str
     body: str
     garments: int

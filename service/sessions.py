@@ -20,6 +20,7 @@ import numpy as np
 from drape.errors import DrapeError, InputError
 from drape.wire import Frame, Pose, pack_frame
 from service.drapery import Drapery, PoseInput
+from service.dynamics import Memory
 from service.errors import Busy, InternalError
 from service.garments import Entry
 
@@ -36,12 +37,18 @@ class Waiting:
 
 @dataclass(eq=False)
 class Session:
-    """One client's stream. ``generation`` counts openings: what was begun for an earlier one is thrown away."""
+    """One client's stream. ``generation`` counts openings: what was begun for an earlier one is thrown away.
+
+    ``motion`` is the knob, ``memory`` what the body's motion so far leaves behind; both are those of the client and
+    go on over a change of garment.
+    """
 
     entry: Entry
     betas: np.ndarray
     push: bool
     credit: int
+    motion: float = 0.0
+    memory: Memory | None = None
     generation: int = 0
     dropped: int = 0
     waiting: Waiting | None = None
@@ -52,9 +59,11 @@ class Session:
     under_way: list[tuple[int, float]] = field(default_factory=list)
     news: asyncio.Event = field(default_factory=asyncio.Event)
 
-    def reopen(self, entry: Entry, betas: np.ndarray, push: bool) -> None:
-        """Turns the session to another garment, shape or push-out."""
-        self.entry, self.betas, self.push = entry, betas, push
+    def reopen(self, entry: Entry, betas: np.ndarray, push: bool, motion: float = 0.0) -> None:
+        """Turns the session to another garment, shape, push-out or motion knob."""
+        if motion == 0.0 or not np.array_equal(betas, self.betas):
+            self.memory = None  # the joints of another shape are elsewhere: that is no motion
+        self.entry, self.betas, self.push, self.motion = entry, betas, push, motion
         self.generation += 1
         self.waiting, self.outbox = None, None
         self.under_way.clear()
@@ -91,10 +100,11 @@ class Session:
                 cure="Acknowledge each frame once.",
             )
 
-    def deliver(self, generation: int, result: bytes | DrapeError) -> None:
-        """Hands a frame, or the reason that there is none, to the sender."""
+    def deliver(self, generation: int, result: bytes | DrapeError, memory: Memory | None = None) -> None:
+        """Hands a frame, or the reason that there is none, to the sender, and keeps what the frame leaves behind."""
         if generation != self.generation:
             return
+        self.memory = memory
         now = time.monotonic()
         self.under_way = [(sequence, min(ready_s, now)) for sequence, ready_s in self.under_way]
         if isinstance(result, DrapeError):
@@ -168,17 +178,18 @@ class Streams:
         generations = [session.generation for session in batch]
         taken = [session.take() for session in batch]
         dropped = [session.dropped for session in batch]
-        inputs = [
-            PoseInput(w.pose.pose[None], w.pose.trans[None], s.betas, s.push) for s, w in zip(batch, taken, strict=True)
-        ]
+        inputs = [_pose_input(session, waiting) for session, waiting in zip(batch, taken, strict=True)]
         results = await self._drapery.in_thread(self._frames, entry, inputs, taken, dropped)
-        for session, generation, result in zip(batch, generations, results, strict=True):
-            session.deliver(generation, result)
+        for session, generation, (result, memory) in zip(batch, generations, results, strict=True):
+            session.deliver(generation, result, memory)
 
     def _frames(
         self, entry: Entry, inputs: Sequence[PoseInput], taken: Sequence[Waiting], dropped: Sequence[int]
-    ) -> list[bytes | DrapeError]:
-        """Packed frames; where the batch fails each pose is tried alone, so that one cannot fail its mates."""
+    ) -> list[tuple[bytes | DrapeError, Memory | None]]:
+        """Packed frames, and what they leave behind.
+
+        Where the batch fails each pose is tried alone, from the memory before it, so that one cannot fail its mates.
+        """
         try:
             draped = self._drapery.compute(entry, inputs)
         except Exception as error:
@@ -189,9 +200,9 @@ class Streams:
                 ]
             if not isinstance(error, DrapeError):
                 log.exception("a stream frame failed")
-            return [error if isinstance(error, DrapeError) else InternalError()]
+            return [(error if isinstance(error, DrapeError) else InternalError(), inputs[0].memory)]
         now = time.monotonic()
-        return [
+        frames = [
             pack_frame(
                 Frame(
                     sequence=waiting.pose.sequence,
@@ -208,3 +219,12 @@ class Streams:
             )
             for i, waiting in enumerate(taken)
         ]
+        return list(zip(frames, draped.memories, strict=True))
+
+
+def _pose_input(session: Session, waiting: Waiting) -> PoseInput:
+    pose = waiting.pose
+    times_s = np.array([pose.client_time_s])
+    return PoseInput(
+        pose.pose[None], pose.trans[None], session.betas, session.push, session.motion, times_s, session.memory
+    )

@@ -115,9 +115,10 @@ def _open_session(text: str, state: State, session: Session | None) -> Session:
     entry = drapery.garments.get(asked.garment)
     betas = shape_array(asked.betas, drapery.body)
     push = drapery.settings.push_out if asked.push_out is None else asked.push_out
+    motion = drapery.motion_knob(asked.motion)
     if session is None:
-        return Session(entry, betas, push, drapery.settings.stream_credit)
-    session.reopen(entry, betas, push)
+        return Session(entry, betas, push, drapery.settings.stream_credit, motion)
+    session.reopen(entry, betas, push, motion)
     return session
 
 
@@ -131,6 +132,7 @@ def _opened(session: Session, state: State) -> str:
             "body": state.drapery.body.name,
             "credit": session.credit,
             "push_out": session.push,
+            "motion": session.motion,
         }
     )
 

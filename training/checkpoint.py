@@ -11,7 +11,7 @@ from typing import Any
 import torch
 
 from drape.errors import ArtifactError
-from training.config import DataConfig, ModelConfig, TrainConfig
+from training.config import DataConfig, ModelConfig, MotionConfig, TrainConfig
 
 
 def save(path: Path, payload: dict[str, Any], config: TrainConfig) -> None:
@@ -45,4 +45,5 @@ def config_from(data: dict[str, Any]) -> TrainConfig:
 
     data = dict(data)
     model, inputs = ModelConfig(**tuples(data.pop("model"))), DataConfig(**tuples(data.pop("data")))
-    return TrainConfig(model=model, data=inputs, **tuples(data))
+    motion = MotionConfig(**tuples(data.pop("motion", {})))  # checkpoints from before it was there have none
+    return TrainConfig(model=model, data=inputs, motion=motion, **tuples(data))

@@ -11,9 +11,9 @@ from torch import Tensor
 from drape.cloth import energies
 from drape.cloth.contact import plane_distance
 from drape.cloth.material import Material
+from training.agreement import framewise
 from training.data import BodyBatch, Partition, TrainingGarment, nearest_collider
 from training.model import BodyTensors, Posed, paper_vertices, posed_coefficients
-from training.sparse import product
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,7 @@ class LossParts:
 
 def vertices_from(coefficients: Tensor, partition: Partition) -> Tensor:
     """Vertices [m] (F, V, 3) by one sparse product; equals ``model.vertex_positions``."""
-    frames, patches = coefficients.shape[:2]
-    dense = coefficients.permute(1, 2, 3, 0).reshape(patches * coefficients.shape[2], 3 * frames)
-    flat = product(partition.blend, dense)  # (V, 3 F)
-    return flat.reshape(-1, 3, frames).permute(2, 0, 1)
+    return framewise(partition.blend, coefficients.flatten(1, 2))
 
 
 def garment_vertices(
@@ -50,9 +47,14 @@ def garment_vertices(
     return paper_vertices(vertices, garment.skin_weights, body) if variant == "paper" else vertices
 
 
-def disagreement(posed: Posed, partition: Partition, sample: Tensor) -> Tensor:
-    """Mean squared distance [m^2] between what a vertex's charts say of it, over ``sample`` vertices."""
+def disagreement(posed: Posed, partition: Partition, sample: Tensor, *, less: Posed | None = None) -> Tensor:
+    """Mean squared distance [m^2] between what a vertex's charts say of it, over ``sample`` vertices.
+
+    With ``less``, another drape on the same bodies: between what they say of the way from there.
+    """
     coefficients = posed_coefficients(posed, partition.patches.scale)
+    if less is not None:
+        coefficients = coefficients - posed_coefficients(less, partition.patches.scale)
     patch = partition.chart_patch[sample]
     row = partition.chart_row[sample]
     weight = partition.chart_weight[sample]
@@ -73,26 +75,36 @@ def soften(energy: Tensor, knee: float) -> Tensor:
     return knee * torch.log1p(energy / knee)
 
 
-def energy_loss(
-    vertices: Tensor,
-    garment: TrainingGarment,
-    body: BodyBatch,
-    material: Material,
-    *,
-    share: float,
-    generator: torch.Generator,
-) -> dict[str, Tensor]:
-    """Energy parts [J] (F,). Contact is taken on a random ``share`` of the vertices and scaled up: unbiased, and the
-    nearest-neighbour search is what costs."""
-    parts = energies.total(vertices, garment.cloth, material)
+@dataclass(frozen=True, eq=False)
+class ContactPlanes:
+    """Tangent planes of the body, ``point`` and ``normal`` (F, n, 3), that the vertices ``sample`` (n,) meet."""
+
+    sample: Tensor
+    point: Tensor
+    normal: Tensor
+
+
+def contact_planes(vertices: Tensor, body: BodyBatch, *, share: float, generator: torch.Generator) -> ContactPlanes:
+    """Planes of the body nearest to a random ``share`` of ``vertices`` [m] (F, V, 3)."""
     count = vertices.shape[1]
     sample = torch.randperm(count, generator=generator)[: max(1, round(share * count))].to(vertices.device)
-    touched = vertices.index_select(1, sample)
-    index = nearest_collider(touched.detach().cpu().numpy(), body.collider)
+    touched = vertices.detach().index_select(1, sample)
+    index = nearest_collider(touched.cpu().numpy(), body.collider)
     frame = np.arange(len(index))[:, None]
     point = torch.from_numpy(body.collider[frame, index]).to(vertices.device)
     normal = torch.from_numpy(body.collider_normals[frame, index].astype(np.float32)).to(vertices.device)
-    depth = torch.clamp(material.contact_gap_m - plane_distance(touched, point, normal), min=0.0)
-    area = garment.cloth.vertex_area[sample]
-    parts["contact"] = (material.contact_j_m4 * count / len(sample)) * (area * depth.square()).sum(dim=-1)
+    return ContactPlanes(sample, point, normal)
+
+
+def energy_loss(
+    vertices: Tensor, garment: TrainingGarment, planes: ContactPlanes, material: Material
+) -> dict[str, Tensor]:
+    """Energy parts [J] (F,). Contact is that of the sample of ``planes`` scaled up: unbiased, and the nearest-neighbour
+    search is what costs."""
+    parts = energies.total(vertices, garment.cloth, material)
+    touched = vertices.index_select(1, planes.sample)
+    depth = torch.clamp(material.contact_gap_m - plane_distance(touched, planes.point, planes.normal), min=0.0)
+    area = garment.cloth.vertex_area[planes.sample]
+    scale = material.contact_j_m4 * vertices.shape[1] / len(planes.sample)
+    parts["contact"] = scale * (area * depth.square()).sum(dim=-1)
     return parts

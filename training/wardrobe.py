@@ -9,17 +9,17 @@ import numpy as np
 import torch
 
 from drape.body.model import BodyModel
+from drape.catalog import open_garment
 from drape.cloth.energies import ClothMesh
 from drape.errors import InputError
 from drape.garment.fitting import RestGarment, rest_garment
-from drape.garment.intake import intake
 from training.config import DataConfig
 from training.data import Partition, TrainingGarment, draw_partition
 from training.garment_design import DESIGNS, build, varied
 
 
 class Wardrobe:
-    """Garments with their partitions: of designs and their variants, or of garment files through intake.
+    """Garments with their partitions: of designs and their variants, or of garment files, meshes through intake.
 
     ``process`` gives every process of a parallel run variants of its own.
 
@@ -47,7 +47,7 @@ class Wardrobe:
         self, name: str, body: BodyModel, rng: np.random.Generator
     ) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
         if Path(name).is_file():
-            taken = intake(Path(name), body=body)
+            taken = open_garment(Path(name), body)
             yield name, taken.vertices.astype(np.float64), taken.fine_faces.astype(np.int64)
             return
         if name not in DESIGNS:

@@ -8,6 +8,10 @@ must not depend on which way the body faces.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+import numpy as np
+
 from drape.arrays import Array, like, namespace
 from drape.body.skeleton import JOINT_COUNT
 from drape.geometry.rotations import matrix_to_sixd
@@ -15,6 +19,22 @@ from drape.geometry.rotations import matrix_to_sixd
 STATIC_PER_JOINT = 9
 DYNAMIC_PER_JOINT = 12
 GRAVITY_DIRECTION = (0.0, -1.0, 0.0)
+STILL = 1e-6
+"""Dynamic descriptors [1/s, m/s^2] smaller than this are rounding and count as zero: a still body is still exactly."""
+
+
+@dataclass(frozen=True, eq=False)
+class Kinematics:
+    """Where posed bodies are, float64: ``static`` descriptors (..., 24, 9), ``joints`` [m] in the world (..., 24, 3),
+    bone ``rotations`` (..., 24, 3, 3)."""
+
+    static: np.ndarray
+    joints: np.ndarray
+    rotations: np.ndarray
+
+    def __getitem__(self, index: int | slice | tuple) -> Kinematics:
+        """The bodies at ``index`` of the leading axes."""
+        return Kinematics(self.static[index], self.joints[index], self.rotations[index])
 
 
 def static_features(local_rotations: Array, world_rotations: Array) -> Array:
@@ -31,19 +51,39 @@ def static_features(local_rotations: Array, world_rotations: Array) -> Array:
 
 
 def dynamic_features(
-    static_now: Array, static_before: Array, joints: tuple[Array, Array, Array], world_rotations: Array, dt_s: Array
+    static_now: Array,
+    static_before: Array,
+    joints: tuple[Array, Array, Array],
+    world_rotations: Array,
+    dt_s: Array,
+    dt_before_s: Array | None = None,
 ) -> Array:
     """Dynamic descriptors (..., 24, 12): rate of the static ones [1/s], joint acceleration [m/s^2] in its frame.
 
-    ``joints`` are world joint positions [m] (..., 24, 3) at t, t - dt, t - 2 dt;
-    ``dt_s`` broadcasts over (..., 24, 1). Zero for a still body.
+    ``joints`` are world joint positions [m] (..., 24, 3) of this frame, the one before and the one
+    before that; ``dt_s`` is the time since the frame before, ``dt_before_s`` that between the two
+    others (the same if left out). Both broadcast over (..., 24, 1). Zero for a still body.
     """
     xp = namespace(static_now)
+    dt_before_s = dt_s if dt_before_s is None else dt_before_s
     rate = (static_now - static_before) / dt_s
     now, before, earlier = joints
-    acceleration = (now - 2.0 * before + earlier) / (dt_s * dt_s)
+    acceleration = ((now - before) / dt_s - (before - earlier) / dt_before_s) / (0.5 * (dt_s + dt_before_s))
     local = (xp.matrix_transpose(world_rotations) @ acceleration[..., None])[..., 0]
     return xp.concat([rate, local], axis=-1)
+
+
+def motion_features(
+    now: Kinematics, before: Kinematics, earlier: Kinematics, dt_s: np.ndarray, dt_before_s: np.ndarray
+) -> np.ndarray:
+    """Dynamic descriptors (..., 24, 12) of bodies that were ``before`` and ``earlier`` the times (...) [s] ago.
+
+    What is smaller than ``STILL`` is zero.
+    """
+    dt_s, dt_before_s = (np.asarray(dt, dtype=np.float64)[..., None, None] for dt in (dt_s, dt_before_s))
+    joints = (now.joints, before.joints, earlier.joints)
+    found = dynamic_features(now.static, before.static, joints, now.rotations, dt_s, dt_before_s)
+    return np.where(np.abs(found) < STILL, 0.0, found)
 
 
 def feature_count() -> int:

@@ -134,11 +134,25 @@ def gravity(positions: Array, mesh: ClothMesh, material: Material, *, height_m: 
 
 
 def inertia(
-    positions: Array, before: Array, before_that: Array, mesh: ClothMesh, material: Material, *, dt_s: float
+    positions: Array,
+    before: Array,
+    before_that: Array,
+    mesh: ClothMesh,
+    material: Material,
+    *,
+    dt_s: float | Array,
+    dt_before_s: float | Array | None = None,
 ) -> Array:
-    """Incremental potential m / (2 dt^2) |x - (2 x1 - x2)|^2 with x1 one and x2 two steps of ``dt_s`` [s] ago."""
+    """Inertia's part of the incremental potential, m / (2 dt^2) |x - (x1 + dt v)|^2, v = (x1 - x2) / dt1.
+
+    ``before`` x1 is ``dt_s`` [s] ago, ``before_that`` x2 another ``dt_before_s`` (dt1; as long if left
+    out), numbers or arrays (...). With equal steps it is SNUG's m / (2 dt^2) |x - 2 x1 + x2|^2.
+    """
     xp = namespace(positions)
-    off = positions - (2.0 * before - before_that)
+    ratio = 1.0 if dt_before_s is None else dt_s / dt_before_s
+    # Both times may be arrays (...): the ratio then stands against vertices and coordinates.
+    ratio = ratio if isinstance(ratio, int | float) else ratio[..., None, None]
+    off = positions - before - ratio * (before - before_that)
     return xp.sum(mesh.vertex_mass(material) * xp.sum(off * off, axis=-1), axis=-1) / (2.0 * dt_s * dt_s)
 
 
@@ -157,7 +171,8 @@ def total(
     distance: Array | None = None,
     before: Array | None = None,
     before_that: Array | None = None,
-    dt_s: float | None = None,
+    dt_s: float | Array | None = None,
+    dt_before_s: float | Array | None = None,
     height_m: float | Array = 0.0,
 ) -> dict[str, Array]:
     """The parts by name; "contact" where ``distance`` is given, "inertia" where the two steps before are."""
@@ -170,7 +185,7 @@ def total(
     if distance is not None:
         parts["contact"] = contact(distance, mesh, material)
     if before is not None and before_that is not None and dt_s is not None:
-        parts["inertia"] = inertia(positions, before, before_that, mesh, material, dt_s=dt_s)
+        parts["inertia"] = inertia(positions, before, before_that, mesh, material, dt_s=dt_s, dt_before_s=dt_before_s)
     elif not (before is None and before_that is None and dt_s is None):
         raise InputError(
             "before, before_that and dt_s",

@@ -139,12 +139,17 @@ def flagged_steps(clip: MotionClip) -> np.ndarray:
 
 def clean_windows(clip: MotionClip, length: int, *, stride: int = 1) -> list[int]:
     """Starts of the windows of ``length`` frames that hold no flagged step, ``stride`` frames apart."""
+    return clean_starts(flagged_steps(clip), length, stride=stride).tolist()
+
+
+def clean_starts(flagged: np.ndarray, length: int, *, stride: int = 1) -> np.ndarray:
+    """``clean_windows`` of a clip whose ``flagged_steps`` are at hand."""
     for name, value in (("length", length), ("stride", stride)):
         if value < 1:
             raise MotionError(name, expected="1 or more frames", got=str(value), cure=f"Choose a positive {name}.")
-    flagged_before = np.concatenate([[0], np.cumsum(flagged_steps(clip))])
-    starts = np.arange(0, clip.frame_count - length + 1, stride)
-    return starts[flagged_before[starts + length - 1] == flagged_before[starts]].tolist()
+    flagged_before = np.concatenate([[0], np.cumsum(flagged)])
+    starts = np.arange(0, len(flagged) + 1 - length + 1, stride)
+    return starts[flagged_before[starts + length - 1] == flagged_before[starts]]
 
 
 def _frozen(name: str, value: np.ndarray) -> np.ndarray:

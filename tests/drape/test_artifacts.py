@@ -39,6 +39,7 @@ def manifest():
         embedding_size=16,
         parity_error_m=1e-6,
         dynamic=True,
+        state_size=8,
         training={"commit": "abc", "frames": 3},
         quality=[{"garment": "tank", "rmse_mm": 1.5}],
     )
@@ -57,6 +58,13 @@ def folder(tmp_path, manifest):
 
 def test_manifest_is_read_as_it_was_written(manifest):
     assert Manifest.from_json(manifest.to_json(), where="manifest.json") == manifest
+
+
+def test_a_manifest_from_before_there_was_dynamics_is_static(manifest):
+    data = json.loads(manifest.to_json())
+    del data["state_size"], data["dynamic"]
+    read = Manifest.from_json(json.dumps(data), where="manifest.json")
+    assert (read.dynamic, read.state_size) == (False, 0)
 
 
 def test_manifest_with_defaults_is_read_as_it_was_written(manifest):

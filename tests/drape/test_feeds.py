@@ -11,7 +11,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.body.features import feature_count
 from drape.body.skeleton import JOINT_COUNT
 from drape.errors import BodyError, MotionError
-from drape.feeds import BETA_COUNT, body_feed, garment_feed
+from drape.feeds import BETA_COUNT, body_feed, garment_feed, kinematics
+from drape.garment.agreement import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.geometry import jets
 from drape.geometry.rotations import matrix_to_rotvec, quaternion_to_matrix, rotvec_to_matrix
 from drape.geometry.skinning import skin_points
@@ -73,8 +74,12 @@ def test_joints_are_where_the_bones_put_them(poses, trans, betas):
     body = default_body()
     rotations, translations = body.bones(poses, trans, betas)
     joints = (rotations @ body.rest_joints(betas)[..., None])[..., 0] + translations
-    feed = body_feed(body, poses, trans, betas)
+    feed, at = body_feed(body, poses, trans, betas), kinematics(body, poses, trans, betas)
     assert_allclose(feed.arrays["body_joints"] + feed.root[:, None], joints, rtol=0.0, atol=1e-6)
+    assert_allclose(at.joints, joints, rtol=0.0, atol=1e-12)
+    assert_array_equal(at.rotations, rotations)
+    flat = at.static.reshape(3, -1)
+    assert_array_equal(flat.astype(np.float32), feed.arrays["body_features"][:, : feature_count()])
 
 
 def test_feed_and_root_give_the_posed_body(poses, trans, betas):
@@ -153,9 +158,18 @@ def test_garment_feed_has_the_shapes_it_states(fine):
         "chart_basis": (count, 4, jets.HEIGHT_COUNT),
         "chart_local": (count, 4, 3),
         "skin_weights": (count, JOINT_COUNT),
+        "anchor_patch": (len(feed["anchor_patch"]), 4),
+        "anchor_row": (len(feed["anchor_patch"]), 4, 19),
+        "patch_member": (patches, MEMBERS),
+        "patch_slot": (patches, MEMBERS),
+        "patch_fit": (patches, FIT_COUNT, MEMBERS),
+        "patch_rest": (patches, FIT_COUNT, 3),
+        "patch_tangent": (patches, STRAIN_POINTS, 3, 2),
+        "patch_orthonormal": (patches, STRAIN_POINTS, 2, 2),
     }
+    indices = ("patch_heaviest", "chart_patch", "anchor_patch", "patch_member", "patch_slot")
     for key, value in feed.items():
-        assert value.dtype == (np.int64 if key in ("patch_heaviest", "chart_patch") else np.float32)
+        assert value.dtype == (np.int64 if key in indices else np.float32)
         assert value.flags.c_contiguous
 
 

@@ -93,12 +93,6 @@ def test_another_body_is_refused(folder: Path, body: BodyModel):
         Engine(folder).check_body(dataclasses.replace(body, digest="0" * 64))
 
 
-def test_a_recurrent_model_is_refused(folder: Path):
-    rewrite(folder, dynamic=True)
-    with pytest.raises(ArtifactError, match="dynamic: expected False"):
-        Engine(folder)
-
-
 def test_a_missing_graph_is_refused(folder: Path):
     manifest = load_manifest(folder)
     rewrite(folder, graphs={ENCODER: manifest.graphs[ENCODER]})

@@ -15,12 +15,14 @@ SCRIPT = """
 import sys, torch
 from pathlib import Path
 from training import checkpoint, parallel
-from training.run import Trainer, train
-from tests.training.training_setup import CPU, TINY_RUN, bank
+from training.poses import read_clips
+from training.run import make_trainer, sample_motions, train
+from tests.training.training_setup import CPU, MOVING_RUN, TINY_RUN
 from dataclasses import replace
 parallel.start(CPU)
 torch.set_num_threads(1)
-trainer = Trainer(replace(TINY_RUN, minutes=0.03), bank(), device=CPU)
+run = {"static": TINY_RUN, "dynamic": MOVING_RUN}[sys.argv[2]]
+trainer = make_trainer(replace(run, minutes=0.08), read_clips([sample_motions()], held_out=()), device=CPU)
 train(trainer, Path(sys.argv[1]))
 torch.save([p.detach() for p in trainer.model.parameters()], Path(sys.argv[1]) / f"rank{parallel.rank()}.pt")
 print("steps", trainer.step_count)
@@ -29,7 +31,8 @@ parallel.stop()
 
 
 @pytest.mark.slow
-def test_two_processes_keep_the_same_weights(tmp_path: Path):
+@pytest.mark.parametrize("kind", ["static", "dynamic"])
+def test_two_processes_keep_the_same_weights(tmp_path: Path, kind: str):
     script = tmp_path / "two.py"
     script.write_text(SCRIPT)
     command = [
@@ -41,6 +44,7 @@ def test_two_processes_keep_the_same_weights(tmp_path: Path):
         "2",
         str(script),
         str(tmp_path),
+        kind,
     ]
     root = Path(__file__).resolve().parents[2]
     environment = {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1", "PATH": "/usr/bin:/bin"}

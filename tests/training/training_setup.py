@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -11,14 +12,21 @@ from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.cloth.energies import ClothMesh
 from drape.garment.fitting import RestGarment, rest_garment
-from training.config import DataConfig, ModelConfig, TrainConfig
+from training.config import DataConfig, ModelConfig, MotionConfig, TrainConfig
 from training.data import BodySource, TrainingGarment, collider_surface, draw_partition
 from training.poses import PoseBank
 from training.run import sample_motions
 
 CPU = torch.device("cpu")
 TINY = ModelConfig(
-    garment_hidden=16, embedding_size=8, body_hidden=16, body_code_size=16, decoder_sizes=(16, 16), head_sizes=(8,)
+    garment_hidden=16,
+    embedding_size=8,
+    body_hidden=16,
+    body_code_size=16,
+    decoder_sizes=(16, 16),
+    head_sizes=(8,),
+    corrections=1,
+    correction_hidden=16,
 )
 TINY_RUN = TrainConfig(
     model=TINY,
@@ -26,6 +34,12 @@ TINY_RUN = TrainConfig(
     batch_size=2,
     warmup_steps=2,
     threads=1,
+)
+MOVING_RUN = replace(
+    TINY_RUN,
+    model=replace(TINY, dynamic=True, motion_hidden=16, state_size=16),
+    motion=MotionConfig(window_frames=3, warm_up_frames=4, memory_frames=3),
+    learning_rate=1e-2,
 )
 
 

@@ -109,3 +109,44 @@ def test_numpy_and_torch_agree(local):
     want = features.dynamic_features(static, 0.5 * static, track, rotations, DT_S)
     got = features.dynamic_features(static_torch, 0.5 * static_torch, track_torch, as_torch[1], DT_S)
     assert_allclose(got.numpy(), want, rtol=1e-12, atol=1e-9)
+
+
+def test_uneven_steps_measure_the_same_fall(local):
+    rotations, joints = world(local)
+    static = features.static_features(local, rotations)
+    times = (0.05, 0.03, 0.0)
+    fallen = [joints - 0.5 * 9.81 * t * t * np.array([0.0, 1.0, 0.0]) for t in times]
+    got = features.dynamic_features(static, static, tuple(fallen), rotations, 0.02, 0.03)
+    assert_allclose(got[..., 9:], 9.81 * static[..., 6:], rtol=0.0, atol=1e-9)
+
+
+def kinematics(local, moved):
+    rotations, joints = world(local)
+    return features.Kinematics(features.static_features(local, rotations), joints + moved, rotations)
+
+
+def test_motion_features_take_times_per_body(local):
+    now, before, earlier = (kinematics(local, np.full(3, way)) for way in (0.3, 0.1, 0.0))
+    dt_s, dt_before_s = np.linspace(0.01, 0.05, 5), np.linspace(0.04, 0.02, 5)
+    got = features.motion_features(now, before, earlier, dt_s, dt_before_s)
+    for i in range(5):
+        one = features.motion_features(now[i], before[i], earlier[i], dt_s[i], dt_before_s[i])
+        assert_array_equal(got[i], one)
+        joints = (now.joints[i], before.joints[i], earlier.joints[i])
+        want = features.dynamic_features(
+            now.static[i], before.static[i], joints, now.rotations[i], dt_s[i], dt_before_s[i]
+        )
+        assert_array_equal(one[..., 9:], want[..., 9:])
+        acceleration = (0.2 / dt_s[i] - 0.1 / dt_before_s[i]) / (0.5 * (dt_s[i] + dt_before_s[i]))
+        assert_allclose(np.linalg.norm(one[:, 9:], axis=-1), np.sqrt(3.0) * abs(acceleration), rtol=1e-9, atol=0.0)
+
+
+def test_rounding_is_no_motion(local):
+    now, before = kinematics(local, np.zeros(3)), kinematics(local, np.full(3, 1e-13))
+    dt_s = np.full(5, 1.0 / 240.0)
+    plain = features.dynamic_features(
+        now.static, now.static, (now.joints, before.joints, now.joints), now.rotations, 1.0 / 240.0
+    )
+    assert 0.0 < np.abs(plain).max() < features.STILL
+    got = features.motion_features(now, before, now, dt_s, dt_s)
+    assert_array_equal(got, np.zeros((5, JOINT_COUNT, features.DYNAMIC_PER_JOINT)))

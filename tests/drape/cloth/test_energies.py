@@ -180,6 +180,25 @@ def test_inertia_vanishes_for_uniform_motion_and_is_half_m_a2_dt2():
     )
 
 
+def test_inertia_over_uneven_steps_vanishes_for_uniform_motion_and_takes_times_per_frame():
+    rest, faces = grid()
+    mesh = ClothMesh.from_rest(rest, faces)
+    velocity, push = np.array([1.0, -2.0, 0.5]), np.array([0.0, 3e-3, 4e-3])
+    dt_s, dt_before_s = np.array([0.01, 0.03, 0.05]), np.array([0.04, 0.02, 0.05])
+    before = np.stack([rest] * 3)
+    before_that = before - velocity * dt_before_s[:, None, None]
+    moved = before + velocity * dt_s[:, None, None] + push
+    mass = mesh.vertex_mass(JERSEY).sum()
+    got = energies.inertia(moved, before, before_that, mesh, JERSEY, dt_s=dt_s, dt_before_s=dt_before_s)
+    assert_allclose(got, 0.5 * mass * 25e-6 / dt_s**2, rtol=1e-9, atol=0.0)
+    parts = energies.total(
+        moved, mesh, JERSEY, before=before, before_that=before_that, dt_s=dt_s, dt_before_s=dt_before_s
+    )
+    assert_allclose(parts["inertia"], got, rtol=0.0, atol=0.0)
+    one = energies.inertia(moved[1], before[1], before_that[1], mesh, JERSEY, dt_s=0.03, dt_before_s=0.02)
+    assert_allclose(one, got[1], rtol=1e-12, atol=0.0)
+
+
 def test_contact_acts_inside_the_gap_only_and_is_independent_of_the_mesh():
     depth = 0.001
     expected = JERSEY.contact_j_m4 * 0.05 * 0.04 * depth**2

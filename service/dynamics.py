@@ -1,0 +1,91 @@
+"""What the service remembers of a moving body, and how a frame moves it on.
+
+The memory belongs to the client and not to a garment: all that hangs on a body swings with the
+same motion. It is never changed in place, so a frame that fails leaves the one before it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drape.body.features import Kinematics, motion_features
+from service.engine import Engine
+
+STEP_LIMIT_S = 0.25
+"""After a longer pause the cloth hangs still again, and motion is measured anew."""
+SHORTEST_STEP_S = 1.0 / 240.0
+"""Frames that come closer together count as this far apart: a clock's jitter must not become an acceleration."""
+JUMP_M_S = 25.0
+"""A joint that is faster was not moved there: a clip began again, or a tracker lost its body."""
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """Where a body was, (24, ...), and when [s] by its client's clock."""
+
+    time_s: float
+    at: Kinematics
+
+
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """The last two moments of a body, newest first, the recurrent state (H,) after them and its code (C,)."""
+
+    moments: tuple[Moment, ...]
+    state: np.ndarray
+    code: np.ndarray
+
+
+def nothing(engine: Engine) -> Memory:
+    """The memory of a body that has not been seen yet: no motion, the static drape."""
+    return Memory((), np.zeros(engine.state_size, np.float32), np.zeros(engine.code_size, np.float32))
+
+
+def advance(engine: Engine, memories: Sequence[Memory], moments: Sequence[Moment]) -> list[Memory]:
+    """Every memory after its client's next moment; all that move go through the network in one run.
+
+    A body is taken as seen for the first time, with a state and a code of zero, where it jumps, or
+    its time goes back or leaps; a moment at the same time as the last changes nothing. Three
+    moments are needed before motion counts.
+    """
+    after = [_seen(engine, memory, moment) for memory, moment in zip(memories, moments, strict=True)]
+    moving = [i for i, memory in enumerate(after) if memory is not memories[i] and len(memory.moments) == 3]
+    if not moving:
+        return after
+    now, before, earlier = (_stacked([after[i].moments[k].at for i in moving]) for k in range(3))
+    dt_s, dt_before_s = (_steps([after[i].moments[k : k + 2] for i in moving]) for k in range(2))
+    features = motion_features(now, before, earlier, dt_s, dt_before_s)
+    codes, states = engine.advance(features, np.stack([after[i].state for i in moving]), dt_s)
+    for row, i in enumerate(moving):
+        after[i] = Memory(after[i].moments[:2], states[row], codes[row])
+    return after
+
+
+def _seen(engine: Engine, memory: Memory, moment: Moment) -> Memory:
+    """``memory`` with ``moment`` in front, or a new one where the two do not follow each other."""
+    if memory.moments:
+        last = memory.moments[0]
+        dt_s = moment.time_s - last.time_s
+        if dt_s == 0.0:
+            return memory
+        if 0.0 < dt_s <= STEP_LIMIT_S:
+            fastest_m_s = np.linalg.norm(moment.at.joints - last.at.joints, axis=-1).max() / max(dt_s, SHORTEST_STEP_S)
+            if fastest_m_s <= JUMP_M_S:
+                return replace(memory, moments=(moment, *memory.moments))
+    return replace(nothing(engine), moments=(moment,))
+
+
+def _stacked(bodies: Sequence[Kinematics]) -> Kinematics:
+    return Kinematics(
+        np.stack([body.static for body in bodies]),
+        np.stack([body.joints for body in bodies]),
+        np.stack([body.rotations for body in bodies]),
+    )
+
+
+def _steps(pairs: Sequence[tuple[Moment, ...]]) -> np.ndarray:
+    """Time steps [s] (n,) between the two moments of each pair, newest first."""
+    return np.maximum([newer.time_s - older.time_s for newer, older in pairs], SHORTEST_STEP_S)

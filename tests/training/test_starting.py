@@ -1,0 +1,171 @@
+"""What a run starts from: exported weights read back whole, fine-tuning on one garment, refusals."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+import torch
+from numpy.testing import assert_allclose
+
+from drape.artifacts import MODELS_DIR, file_digest, load_manifest
+from drape.errors import ArtifactError, InputError
+from drape.garment.cache import GARMENTS_DIR
+from tests.fixtures.packed import MOVING, SMALL, exported, exported_dynamic
+from tests.training.training_setup import CPU, TINY, TINY_RUN
+from training import checkpoint, run
+from training.config import TrainConfig, dynamic
+from training.exported import load_exported
+from training.model import OneFit
+from training.poses import read_clips
+from training.run import make_trainer, sample_motions
+from training.starting import dressed, finetuned, read_model, started
+
+TANK = str(next(GARMENTS_DIR.glob("tank-*.npz")))
+
+
+@pytest.fixture
+def tiny(tmp_path: Path) -> tuple[OneFit, Path]:
+    """A tiny static network and the folder of its run."""
+    torch.manual_seed(3)
+    made = OneFit(TINY)
+    data = replace(TINY_RUN.data, held_out=("walk",))
+    checkpoint.save(tmp_path / "run" / "checkpoint.pt", {"model": made.state_dict()}, replace(TINY_RUN, data=data))
+    return made, tmp_path / "run"
+
+
+def same(weights: dict[str, torch.Tensor], model: OneFit) -> bool:
+    wanted = model.state_dict()
+    return weights.keys() == wanted.keys() and all(torch.equal(weights[key], wanted[key]) for key in wanted)
+
+
+# --- exported models ---
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [exported, exported_dynamic], ids=["static", "dynamic"])
+def test_an_exported_model_gives_its_static_weights_back(make):
+    model, folder, _ = make()
+    weights, config, held_out = load_exported(folder)
+    assert config == SMALL and held_out == ()
+    static = OneFit(SMALL)
+    static.load_state_dict({k: v for k, v in model.state_dict().items() if not k.startswith("dynamic.")})
+    assert same(weights, static)
+
+
+def test_the_shipped_model_gives_a_network_that_computes_its_graph():
+    weights, config, held_out = load_exported(MODELS_DIR / "onefit")
+    model = OneFit(config)
+    model.load_state_dict(weights)
+    assert held_out == tuple(load_manifest(MODELS_DIR / "onefit").training["held_out"])
+    from model_export.graph import EncoderGraph
+    from model_export.parity import session
+
+    features = np.random.default_rng(0).normal(size=(5, config.patch_feature_count)).astype(np.float32)
+    with torch.no_grad():
+        got = EncoderGraph(model.eval())(torch.from_numpy(features)).numpy()
+    encoder = session(MODELS_DIR / "onefit" / "garment_encoder.onnx")
+    want = np.asarray(encoder.run(["patch_embedding"], {"patch_features": features})[0])
+    assert_allclose(got, want, rtol=0, atol=1e-4)
+
+
+def test_a_graph_without_a_weight_is_refused(tmp_path: Path):
+    folder = Path(shutil.copytree(MODELS_DIR / "onefit", tmp_path / "onefit"))
+    model = onnx.load(str(folder / "drape.onnx"))
+    for tensor in model.graph.initializer:
+        if tensor.name == "model.decoder.trunk.0.bias":
+            tensor.name = "renamed"
+    onnx.save(model, str(folder / "drape.onnx"))
+    manifest = load_manifest(MODELS_DIR / "onefit")
+    spec = replace(manifest.graphs["drape"], sha256=file_digest(folder / "drape.onnx"))
+    changed = replace(manifest, graphs={**manifest.graphs, "drape": spec})
+    (folder / "manifest.json").write_text(changed.to_json())
+    with pytest.raises(ArtifactError, match="model onefit: expected the weights of a draping network"):
+        load_exported(folder)
+
+
+# --- what --from and --finetune take ---
+
+
+def test_a_run_a_checkpoint_and_a_name_are_models(tiny: tuple[OneFit, Path]):
+    model, folder = tiny
+    for path in (folder, folder / "checkpoint.pt"):
+        weights, config, held_out = read_model(path)
+        assert same(weights, model) and config == TINY and held_out == ("walk",)
+    named, config, _ = read_model(Path("onefit"))
+    assert named["decoder.from_body.weight"].shape == (config.decoder_sizes[0], config.body_code_size)
+
+
+@pytest.mark.parametrize("name", ["no_such_model", "run"])
+def test_a_model_that_is_not_there_is_refused(tmp_path: Path, name: str):
+    (tmp_path / "run").mkdir()  # a folder with nothing in it
+    with pytest.raises(InputError, match="model to start from: expected a checkpoint"):
+        read_model(tmp_path / name)
+
+
+@pytest.mark.slow
+def test_motion_can_be_added_to_an_exported_model():
+    config, weights = started(dynamic(), exported()[1])
+    wanted = dynamic().model
+    assert config.model == replace(
+        SMALL, dynamic=True, motion_hidden=wanted.motion_hidden, state_size=wanted.state_size
+    )
+    assert weights is not None and same(weights, exported()[0])
+
+
+def test_garments_take_the_place_of_the_presets():
+    config = dressed(TrainConfig(), [TANK, "skirt"])
+    assert (config.data.garments, config.data.variants, config.data.own_share) == ((TANK, "skirt"), 0, 1.0)
+    assert dressed(TrainConfig(), None) == TrainConfig()
+
+
+# --- fine-tuning ---
+
+
+def test_fine_tuning_starts_from_the_model_on_the_garment_alone(tiny: tuple[OneFit, Path]):
+    model, folder = tiny
+    config, weights = finetuned(folder, [TANK])
+    assert config.data.garments == (TANK,) and config.data.held_out == ("walk",) and config.early_agreement == 1.0
+    config = replace(config, data=replace(config.data, partitions=1), batch_size=2, threads=1)
+    trainer = make_trainer(config, read_clips([sample_motions()], held_out=()), device=CPU, weights=weights)
+    assert [garment.name for garment in trainer.wardrobe.garments] == [TANK]
+    assert same(trainer.model.state_dict(), model), "weights and statistics are the model's"
+    trainer.step()
+    assert not same(trainer.model.state_dict(), model)
+
+
+def test_of_a_dynamic_model_the_static_drape_is_fine_tuned(tmp_path: Path):
+    moving = OneFit(MOVING)
+    checkpoint.save(tmp_path / "checkpoint.pt", {"model": moving.state_dict()}, replace(TINY_RUN, model=MOVING))
+    config, weights = finetuned(tmp_path, ["skirt"])
+    assert config.model == replace(MOVING, dynamic=False)
+    assert weights.keys() == OneFit(SMALL).state_dict().keys()
+
+
+@pytest.mark.slow
+def test_the_command_line_fine_tunes(tiny: tuple[OneFit, Path], tmp_path: Path, monkeypatch):
+    _, folder = tiny
+    options = ["--finetune", str(folder), "--garment", TANK, "--motions", str(sample_motions())]
+    options += ["--out", str(tmp_path / "out"), "--minutes", "0.005", "--threads", "1", "--device", "cpu"]
+    monkeypatch.setattr("sys.argv", ["run", *options])
+    assert run.main() == 0
+    payload, config = checkpoint.load(tmp_path / "out" / "checkpoint.pt")
+    assert payload["step"] >= 1 and config.data.garments == (TANK,) and config.model == TINY
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--finetune", "onefit"], "--garment: expected a garment file to fine-tune on"),
+        (["--resume", "runs/shirt", "--garment", TANK], "--garment: expected nothing with --resume"),
+        (["--finetune", "no_such_model", "--garment", TANK], "model to start from: expected a checkpoint"),
+    ],
+)
+def test_options_that_do_not_fit_are_refused(options: list[str], message: str, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["run", *options])
+    assert run.main() == 2
+    assert message in capsys.readouterr().err

@@ -1,0 +1,77 @@
+"""What a run starts from: nothing, a static model that gets a recurrent encoder, or a model to be fine-tuned."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from torch import Tensor
+
+from drape.artifacts import MODELS_DIR
+from drape.errors import InputError
+from training import checkpoint
+from training.config import ModelConfig, TrainConfig, finetune
+from training.exported import load_exported
+
+Weights = dict[str, Tensor]
+CHECKPOINT, MANIFEST = "checkpoint.pt", "manifest.json"
+
+
+def read_model(model: Path) -> tuple[Weights, ModelConfig, tuple[str, ...]]:
+    """Weights, sizes and held-out clips of ``model``: a checkpoint, the folder of a run or of an exported model, or the
+    name of one under assets/models."""
+    for folder in (model, MODELS_DIR / model):
+        if (folder / MANIFEST).is_file():
+            return load_exported(folder)
+    path = model / CHECKPOINT if model.is_dir() else model
+    if not path.is_file():
+        raise InputError(
+            "model to start from",
+            expected=f"a checkpoint, a folder with {CHECKPOINT} or {MANIFEST}, or a name under assets/models",
+            got=model.name,
+            cure="Name one that is there.",
+        )
+    payload, found = checkpoint.load(path)
+    return payload["model"], found.model, found.data.held_out
+
+
+def started(config: TrainConfig, start: Path | None) -> tuple[TrainConfig, Weights | None]:
+    """``config`` on top of the model ``start``, and the weights there; a static preset takes none."""
+    if config.model.dynamic != (start is not None):
+        raise InputError(
+            "--from",
+            expected="a static model" if config.model.dynamic else "nothing for a static preset",
+            got="nothing" if start is None else start.name,
+            cure="Train a static preset first, then --preset dynamic --from its checkpoint.pt.",
+        )
+    if start is None:
+        return config, None
+    weights, model, held_out = read_model(start)
+    if not model.dynamic:
+        wanted = config.model
+        sizes = {"motion_hidden": wanted.motion_hidden, "state_size": wanted.state_size}
+        calming = {"state_decay_s": wanted.state_decay_s, "state_rest_s": wanted.state_rest_s}
+        model = replace(model, dynamic=True, **sizes, **calming)
+    return replace(config, model=model, data=replace(config.data, held_out=held_out)), weights
+
+
+def finetuned(model: Path, garments: list[str] | None) -> tuple[TrainConfig, Weights]:
+    """The configuration that goes on training ``model`` on ``garments`` alone, and its weights.
+
+    Of a dynamic model it is the static drape that is trained; --preset dynamic adds motion to the result.
+    """
+    if not garments:
+        raise InputError("--garment", expected="a garment file to fine-tune on", got="none", cure="Name one.")
+    weights, sizes, held_out = read_model(model)
+    config = dressed(finetune(), garments)
+    static = {name: value for name, value in weights.items() if not name.startswith("dynamic.")}
+    data = replace(config.data, held_out=held_out)
+    return replace(config, model=replace(sizes, dynamic=False), data=data), static
+
+
+def dressed(config: TrainConfig, garments: list[str] | None) -> TrainConfig:
+    """``config`` trained on ``garments``, files or names of designs, and on no neighbours of theirs; on its own where
+    there are none."""
+    if not garments:
+        return config
+    return replace(config, data=replace(config.data, garments=tuple(garments), variants=0, own_share=1.0))

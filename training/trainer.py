@@ -1,0 +1,252 @@
+"""The state of a training run and one step of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from drape.body.assets import load_body
+from drape.cloth.material import material
+from drape.errors import ArtifactError
+from training import losses, parallel
+from training.config import TrainConfig
+from training.data import BodyBatch, BodySource, Partition, TrainingGarment, collider_surface
+from training.model import OneFit, Posed
+from training.poses import PoseBank, draw_betas
+from training.wardrobe import Wardrobe
+
+SAMPLE_VERTICES = 384  # per step, for the disagreement of charts
+
+
+@dataclass(frozen=True, eq=False)
+class Objective:
+    """A loss [J/m^2], what it is made of ``parts`` [J/m^2], and the disagreement [m^2] of charts, for the report."""
+
+    loss: Tensor
+    parts: dict[str, Tensor]
+    charts: Tensor
+
+    def report(self) -> dict[str, float]:
+        """Numbers for curves and progress bar."""
+        found = {name: float(value.detach()) for name, value in self.parts.items()}
+        found["disagreement_mm"] = 1e3 * math.sqrt(max(float(self.charts.detach()), 0.0))
+        return found | {"loss": float(self.loss.detach())}
+
+
+class BaseTrainer:
+    """The state of a run: model, optimiser, random sources, and how far it is; what it learns from is a subclass's.
+
+    ``weights``: those of a model to start from.
+    """
+
+    def __init__(
+        self, config: TrainConfig, *, device: torch.device, weights: Mapping[str, Tensor] | None = None
+    ) -> None:
+        self.config, self.device = config, device
+        torch.manual_seed(config.seed)
+        self._seed_draws(config.seed)
+        self.body = load_body()
+        self.source = BodySource(self.body, *collider_surface(self.body), device=device)
+        self.material = material()
+        self.wardrobe = Wardrobe(config.data, self.body, seed=config.seed + 3, device=device, process=parallel.rank())
+        self.model = OneFit(config.model).to(device)
+        self.model.autocast = config.autocast
+        if weights is not None:
+            take_weights(self.model, weights)
+        self._set_statistics()
+        if weights is not None:
+            take_weights(self.model, weights)  # with the statistics they were trained on
+        parallel.share(self.model)  # statistics are of this process's garments: all take those of the first
+        self.optimiser = torch.optim.Adam(self._learning(), lr=config.learning_rate)
+        self.step_count = 0
+        self.frame_count = 0
+        self.elapsed_s = 0.0
+        self.rate_factor = 1.0
+        self.halvings = 0
+
+    def _seed_draws(self, seed: int) -> None:
+        """Random sources of this process: every process of a parallel run draws its own batches."""
+        sequence = np.random.SeedSequence(seed, spawn_key=(parallel.rank(),) if parallel.rank() else ())
+        self.rng = np.random.default_rng(sequence)
+        self.generator = torch.Generator().manual_seed(seed + 1000003 * parallel.rank())
+
+    def _set_statistics(self) -> None:
+        """Sets what the network knows of the sizes of its inputs."""
+        raise NotImplementedError
+
+    def objective(self) -> Objective:
+        """The loss of a batch that is drawn now."""
+        raise NotImplementedError
+
+    def _learning(self) -> list[nn.Parameter]:
+        """The weights that learn."""
+        return list(self.model.parameters())
+
+    def progress(self) -> float:
+        """Share of the run's time that is used."""
+        return min(1.0, self.elapsed_s / (60.0 * self.config.minutes))
+
+    def rate(self) -> float:
+        """Learning rate: a linear warm-up, then a cosine over the time the run has."""
+        config = self.config
+        warm = min(1.0, (self.step_count + 1) / config.warmup_steps)
+        cosine = config.final_rate + 0.5 * (config.learning_rate - config.final_rate) * (
+            1.0 + math.cos(math.pi * self.progress())
+        )
+        return self.rate_factor * warm * cosine
+
+    def step(self, clock_s: float = 0.0) -> dict[str, float]:
+        """One step at ``clock_s`` of the run; returns its loss parts, or {"skipped": 1} when it was not finite."""
+        config = self.config
+        if (self.step_count + 1) % config.data.fresh_steps == 0:
+            self.wardrobe.refresh(self.rng)
+        for group in self.optimiser.param_groups:
+            group["lr"] = self.rate()
+        self.optimiser.zero_grad(set_to_none=True)
+        objective = self.objective()
+        objective.loss.backward()
+        self.elapsed_s = parallel.average_gradients(self.model, clock_s)
+        norm = torch.nn.utils.clip_grad_norm_(self.model.parameters(), config.gradient_clip)
+        self.step_count += 1
+        self.frame_count += config.frames_per_step * parallel.world_size()
+        # A loss that is not finite has a gradient that is not; the averaged gradient is the same everywhere.
+        if not bool(torch.isfinite(norm)):
+            return {"skipped": 1.0}
+        self.optimiser.step()
+        return objective.report() | {"gradient_norm": float(norm)}
+
+    def _drape(
+        self,
+        batch: BodyBatch,
+        garment: TrainingGarment,
+        partition: Partition,
+        dynamic_code: Tensor | None = None,
+        passes: int | None = None,
+    ) -> tuple[Posed, Tensor]:
+        """Posed patches of ``batch`` and vertices [m] (F, V, 3) relative to the root; ``passes`` as of ``OneFit``."""
+        config = self.config
+        embedding = self.model.garment(partition.features)
+        posed = self.model(
+            batch.tensors, partition.patches, embedding, dynamic_code, charts=partition.agreement, passes=passes
+        )
+        return posed, losses.garment_vertices(posed, partition, garment, batch.tensors, variant=config.model.variant)
+
+    def _planes(self, vertices: Tensor, batch: BodyBatch) -> losses.ContactPlanes:
+        """What ``vertices`` [m] (F, V, 3) touch, at some of them drawn now."""
+        return losses.contact_planes(vertices, batch, share=self.config.data.contact_share, generator=self.generator)
+
+    def _energy(self, vertices: Tensor, garment: TrainingGarment, planes: losses.ContactPlanes) -> dict[str, Tensor]:
+        """Energy per area [J/m^2] (F,) of the cloth, by part; so a dress does not outweigh a tank top."""
+        parts = losses.energy_loss(vertices, garment, planes, self.material)
+        return {name: value / float(garment.rest.areas.sum()) for name, value in parts.items()}
+
+    def _disagreement(self, posed: Posed, partition: Partition, *, less: Posed | None = None) -> Tensor:
+        """Mean squared disagreement [m^2] of the charts of ``posed`` at some vertices drawn now."""
+        count = partition.chart_patch.shape[0]
+        sample = torch.randperm(count, generator=self.generator)[:SAMPLE_VERTICES].to(self.device)
+        return losses.disagreement(posed, partition, sample, less=less)
+
+    def state(self) -> dict:
+        return {
+            "model": self.model.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "step": self.step_count,
+            "frames": self.frame_count,
+            "elapsed_s": self.elapsed_s,
+            "rate_factor": self.rate_factor,
+            "partitions": self.wardrobe.seeds(),
+            "torch_random": torch.get_rng_state(),
+            "sample_random": self.generator.get_state(),
+            "numpy_random": _plain(self.rng.bit_generator.state),
+        }
+
+    def restore(self, state: dict) -> None:
+        """The state of ``state``; in a parallel run only process 0 continues its random draws exactly."""
+        self.model.load_state_dict(state["model"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.step_count, self.elapsed_s, self.rate_factor = state["step"], state["elapsed_s"], state["rate_factor"]
+        self.frame_count = state.get("frames", state["step"] * self.config.frames_per_step)
+        if parallel.rank():
+            self._seed_draws(self.config.seed + self.step_count)
+            return
+        if "partitions" in state:
+            self.wardrobe.restore(state["partitions"])
+        torch.set_rng_state(state["torch_random"])
+        self.generator.set_state(state["sample_random"])
+        self.rng.bit_generator.state = {
+            **state["numpy_random"],
+            "state": {k: int(v) for k, v in state["numpy_random"]["state"].items()},
+        }
+
+
+def take_weights(model: OneFit, weights: Mapping[str, Tensor]) -> None:
+    """Loads ``weights`` into ``model``; those of a static model leave its recurrent encoder as it is."""
+    try:
+        missing, unknown = model.load_state_dict(dict(weights), strict=False)
+    except RuntimeError as error:
+        missing, unknown = [], [" ".join(str(error).split())[:200]]
+    strange = [*unknown, *(name for name in missing if not name.startswith("dynamic."))]
+    if strange:
+        raise ArtifactError(
+            "weights to start from",
+            expected="those of a network of this size",
+            got=", ".join(strange[:3]),
+            cure="Take a checkpoint of the same architecture.",
+        )
+
+
+class Trainer(BaseTrainer):
+    """Learns the drape of single poses from ``bank``."""
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        bank: PoseBank,
+        *,
+        device: torch.device,
+        weights: Mapping[str, Tensor] | None = None,
+    ) -> None:
+        self.bank = bank
+        super().__init__(config, device=device, weights=weights)
+
+    def _set_statistics(self) -> None:
+        garments = self.wardrobe.garments
+        self.model.garment.standardise.set_from(torch.cat([p.features for g in garments for p in g.partitions]))
+        poses = self.bank.draw(512, np.random.default_rng(self.config.seed + 1))
+        betas = draw_betas(512, self.body.shape_count, self.config.data, np.random.default_rng(self.config.seed + 2))
+        self.model.body.standardise.set_from(self.source.pose(poses, betas).tensors.features)
+
+    def _passes(self) -> int | None:
+        """Passes of corrections in this step: the same in all processes, whose gradients are averaged."""
+        rng = np.random.default_rng((self.config.seed, self.step_count))
+        if rng.random() < self.config.full_share:
+            return None
+        return int(rng.integers(self.config.model.corrections + 1))
+
+    def objective(self) -> Objective:
+        """The loss of a batch that is drawn now."""
+        config = self.config
+        garment, partition = self.wardrobe.draw(self.rng)
+        poses = self.bank.draw(config.batch_size, self.rng)
+        betas = draw_betas(config.batch_size, self.body.shape_count, config.data, self.rng)
+        batch = self.source.pose(poses, betas)
+        posed, vertices = self._drape(batch, garment, partition, passes=self._passes())
+        parts = self._energy(vertices, garment, self._planes(vertices, batch))
+        contact = losses.soften(parts["contact"], config.contact_knee_j_m2)
+        energy = (parts["membrane"] + parts["bending"] + parts["gravity"] + contact).mean()
+        charts = self._disagreement(posed, partition)
+        # Charts that must agree from the start learn slower.
+        share = config.early_agreement + (1.0 - config.early_agreement) * self.progress()
+        agree = config.disagreement_weight * share * charts
+        return Objective(energy + agree, {name: value.mean() for name, value in parts.items()}, charts)
+
+
+def _plain(state: Mapping[str, Any]) -> dict[str, Any]:
+    # The 128-bit integers of PCG64 do not fit a tensor file: as text they do.
+    return {**state, "state": {key: str(value) for key, value in state["state"].items()}}

@@ -1,0 +1,116 @@
+"""Windows of motion: consecutive frames of clips and the times between them, for training the recurrent encoder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drape.body.features import Kinematics, motion_features, static_features
+from drape.body.model import BodyModel
+from drape.errors import MotionError
+from drape.geometry.rotations import rotvec_to_matrix
+from drape.motion.clip import MotionClip, clean_starts, flagged_steps
+from training.config import DataConfig, MotionConfig
+from training.poses import mirrored, pose_bodies, posed_joints
+
+HISTORY = 2  # frames before the first that has motion features, and before the first that has inertia
+DRAWS = 50  # with the times wished for, before every frame of a clip is taken
+SWAY_HZ = (0.3, 2.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """B windows of N frames: ``poses`` (B, N, 24, 3) [rad], ``trans`` (B, N, 3) [m], ``dt_s`` (B, N-1) between them."""
+
+    poses: np.ndarray
+    trans: np.ndarray
+    dt_s: np.ndarray
+
+    def kinematics(self, body: BodyModel, betas: np.ndarray) -> Kinematics:
+        """Where the bodies of the shapes ``betas`` (B, S) are, (B, N, ...)."""
+        shape = self.poses.shape[:2]
+        poses = self.poses.reshape(-1, *self.poses.shape[2:])
+        shapes = np.repeat(betas, shape[1], axis=0)
+        rotations, translations = pose_bodies(body, poses, shapes)
+        static = static_features(rotvec_to_matrix(poses), rotations)
+        joints = posed_joints(body, rotations, translations, shapes)
+        each = [array.reshape(*shape, *array.shape[1:]) for array in (static, joints, rotations)]
+        return Kinematics(each[0], each[1] + self.trans[:, :, None], each[2])
+
+    def features(self, body: BodyModel, betas: np.ndarray) -> np.ndarray:
+        """Motion features (B, N-2, 24, 12) of all frames but the first two."""
+        at = self.kinematics(body, betas)
+        now, before, earlier = at[:, 2:], at[:, 1:-1], at[:, :-2]
+        return motion_features(now, before, earlier, self.dt_s[:, 1:], self.dt_s[:, :-1])
+
+
+class WindowBank:
+    """Clips from which windows are drawn; a clip's chance grows with the root of its length."""
+
+    def __init__(self, clips: list[MotionClip], data: DataConfig, motion: MotionConfig) -> None:
+        self.mirror_share, self.motion = data.mirror_share, motion
+        frames = motion.warm_up_frames + 2 * HISTORY + motion.window_frames
+        flags = [(clip, flagged_steps(clip)) for clip in clips]
+        usable = [(clip, flagged) for clip, flagged in flags if len(clean_starts(flagged, frames))]
+        if not usable:
+            raise MotionError(
+                "training clips",
+                expected=f"a clip with {frames} frames in a row",
+                got=f"{len(clips)} clips without",
+                cure="Set DRAPE_DATA, or name a folder with --motions.",
+            )
+        self.clips, self.flagged = [clip for clip, _ in usable], [flagged for _, flagged in usable]
+        chance = np.sqrt([clip.frame_count for clip in self.clips])
+        self.chance = chance / chance.sum()
+
+    @property
+    def frame_count(self) -> int:
+        return sum(clip.frame_count for clip in self.clips)
+
+    def draw(self, count: int, frames: int, rng: np.random.Generator) -> Windows:
+        """``count`` windows of ``frames`` frames."""
+        drawn = [self._draw_one(frames, rng) for _ in range(count)]
+        poses, trans, dt_s = (np.stack(parts) for parts in zip(*drawn, strict=True))
+        flip = rng.random(count) < self.mirror_share
+        poses[flip] = mirrored(poses[flip])
+        trans[flip] *= np.array([-1.0, 1.0, 1.0])
+        return Windows(poses, trans, dt_s)
+
+    def _draw_one(self, frames: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        place, steps = self._clean_steps(frames, rng)
+        clip = self.clips[place[0]]
+        dt_s = steps / (clip.fps * rng.uniform(*self.motion.speeds))
+        index = place[1] + np.concatenate([[0], np.cumsum(steps)])
+        time_s = np.concatenate([[0.0], np.cumsum(dt_s)])
+        last = frames - 1
+        if rng.random() < self.motion.stop_share:
+            last = int(rng.integers(1, frames))
+        # Time goes on after a stop, the body does not.
+        held = np.minimum(np.arange(frames), last)
+        trans = clip.trans[index[held]] - clip.trans[index[0]]
+        if rng.random() < self.motion.sway_share:
+            trans = trans + self._sway(time_s[held], rng)
+        return clip.poses[index[held]], trans, dt_s
+
+    def _clean_steps(self, frames: int, rng: np.random.Generator) -> tuple[tuple[int, int], np.ndarray]:
+        """A clip and a first frame, and steps (frames - 1,) in frames of the clip that meet no glitch."""
+        motion = self.motion
+        for _ in range(DRAWS):
+            c = int(rng.choice(len(self.clips), p=self.chance))
+            stride = max(1, round(self.clips[c].fps * rng.choice(motion.intervals_s)))
+            steps = stride * rng.geometric(1.0 - motion.drop_share, size=frames - 1)
+            starts = clean_starts(self.flagged[c], int(steps.sum()) + 1)
+            if len(starts):
+                return (c, int(rng.choice(starts))), steps
+        c = int(rng.choice(len(self.clips), p=self.chance))
+        steps = np.ones(frames - 1, dtype=np.int64)
+        return (c, int(rng.choice(clean_starts(self.flagged[c], frames)))), steps
+
+    def _sway(self, time_s: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Displacement [m] (N, 3) of the ground: a sum of three waves, weaker upwards."""
+        turn = 2.0 * np.pi * np.exp(rng.uniform(*np.log(SWAY_HZ), size=3))  # [rad/s]
+        phase = rng.uniform(0.0, 2.0 * np.pi, size=3)
+        acceleration = rng.normal(size=(3, 3)) * [1.0, 0.4, 1.0]
+        acceleration *= rng.uniform(0.0, self.motion.sway_m_s2) / np.linalg.norm(acceleration, axis=1).sum()
+        return np.sin(time_s[:, None] * turn + phase) @ (acceleration / turn[:, None] ** 2)
