@@ -44,7 +44,8 @@ from training.model import OneFit
 
 COLUMNS = {
     "name": "s", "garment": "s", "vertices": "d", "patches": "d", "batch": "d", "min_ms": ".3f",
-    "p50_ms": ".3f", "p95_ms": ".3f", "p99_ms": ".3f", "frames_per_s": ".0f", "push_out_ms": ".2f", "stages": "s", "skipped": "s",
+    "p50_ms": ".3f", "p95_ms": ".3f", "p99_ms": ".3f", "frames_per_s": ".0f", "push_out_ms": ".2f", "stages": "s",
+    "skipped": "s",
 }  # fmt: skip
 SINGLE = ("tshirt", "dress")
 BATCHES = (1, 2, 4, 8, 16, 32, 64, 128, 256)

@@ -14,6 +14,7 @@ from drape.arrays import check_finite, check_shape
 from drape.body.features import Kinematics, feature_count, static_features
 from drape.body.model import BodyModel
 from drape.errors import MotionError
+from drape.garment.agreement import agreement
 from drape.garment.cache import Garment
 from drape.geometry import jets
 from drape.geometry.rotations import matrix_to_quaternion, rotvec_to_matrix
@@ -76,7 +77,10 @@ def garment_feed(garment: Garment, *, fine: bool = False) -> dict[str, np.ndarra
     Inputs named: ``patch_centre`` (K, 3), ``patch_rotation`` (K, 3, 3), ``patch_scale`` (K,),
     ``patch_weights`` (K, 24), ``patch_heaviest`` (K,) int64, ``patch_shapedirs`` (K, 3, 10),
     ``chart_patch`` (V, 4) int64, ``chart_weight`` (V, 4), ``chart_basis`` (V, 4, 15), ``chart_local`` (V, 4, 3),
-    ``skin_weights`` (V, 24). A graph names those it takes; the paper's variant alone takes the last.
+    ``skin_weights`` (V, 24); and of ``drape.garment.agreement``: ``anchor_patch`` (A, 4) int64, ``anchor_row``
+    (A, 4, 19) blend weights times [1, rest place, basis], ``patch_member`` (K, 48) int64 and ``patch_slot`` (K, 48),
+    ``patch_fit`` (K, 21, 48), ``patch_rest`` (K, 21, 3), ``patch_tangent`` (K, 7, 3, 2), ``patch_orthonormal``
+    (K, 7, 2, 2). A graph names those it takes; the paper's variant alone takes skin weights, and none of the last.
     """
     count = len(garment.vertices) if fine else garment.vertex_count
     shapedirs = np.zeros((garment.patch_count, 3, BETA_COUNT), dtype=np.float32)
@@ -94,5 +98,27 @@ def garment_feed(garment: Garment, *, fine: bool = False) -> dict[str, np.ndarra
     }
     feed: dict[str, np.ndarray] = {key: np.ascontiguousarray(value, dtype=np.float32) for key, value in arrays.items()}
     feed["patch_heaviest"] = garment.heaviest_bone
+    feed |= _agreement_feed(garment)
     feed["chart_patch"] = np.ascontiguousarray(garment.chart_patch[:count], dtype=np.int64)
     return feed
+
+
+def _agreement_feed(garment: Garment) -> dict[str, np.ndarray]:
+    """Of the whole subdivided mesh: how charts agree does not depend on which vertices are delivered."""
+    local = garment.chart_local()
+    tables = agreement(
+        garment.chart_patch, garment.chart_uv, garment.chart_weight, local, garment.patch_jet, garment.patch_scale
+    )
+    anchor = tables.anchor
+    basis = jets.basis(garment.chart_uv[anchor].astype(np.float64), jets.HEIGHT_ORDER)
+    row = np.concatenate([np.ones((*basis.shape[:2], 1)), local[anchor], basis], axis=-1)
+    arrays = {
+        "anchor_row": garment.chart_weight[anchor].astype(np.float64)[..., None] * row,
+        "patch_fit": tables.fit,
+        "patch_rest": tables.rest,
+        "patch_tangent": tables.tangent,
+        "patch_orthonormal": tables.orthonormal,
+    }
+    feed: dict[str, np.ndarray] = {key: np.ascontiguousarray(value, dtype=np.float32) for key, value in arrays.items()}
+    feed["anchor_patch"] = np.ascontiguousarray(garment.chart_patch[anchor], dtype=np.int64)
+    return feed | {"patch_member": tables.member, "patch_slot": tables.slot}

@@ -18,6 +18,7 @@ from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
 from drape.errors import ArtifactError
 from drape.feeds import BETA_COUNT
+from drape.garment.agreement import MEMBERS
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_quaternion
@@ -64,13 +65,16 @@ class PackedGarment:
     """Constants of one garment as the packed graph takes them.
 
     ``stored``: inputs of the graph by name, rows of which are patches (K) or tiles (Q); ``heaviest`` (K,) bone of
-    each patch; ``tile_patch`` (Q,); ``vertex_charts`` (4, blocks, 64) columns of its own tiles.
+    each patch; ``tile_patch`` (Q,); ``vertex_charts`` (4, blocks, 64) columns of its own tiles; ``anchor_charts``
+    (4, blocks, 64) rows among the K x 48 of its anchor columns, ``member_anchor`` (K, 48) its anchors.
     """
 
     stored: dict[str, np.ndarray]
     heaviest: np.ndarray
     tile_patch: np.ndarray
     vertex_charts: np.ndarray
+    anchor_charts: np.ndarray
+    member_anchor: np.ndarray
     vertex_count: int
 
     @property
@@ -88,7 +92,8 @@ class PackedGarment:
     @property
     def bytes(self) -> int:
         """Memory of all arrays."""
-        arrays = [*self.stored.values(), self.heaviest, self.tile_patch, self.vertex_charts]
+        indices = [self.heaviest, self.tile_patch, self.vertex_charts, self.anchor_charts, self.member_anchor]
+        arrays = [*self.stored.values(), *indices]
         return sum(array.nbytes for array in arrays)
 
 
@@ -165,10 +170,6 @@ def pack_garment(feed: dict[str, np.ndarray], patch_first: np.ndarray) -> Packed
     scale = feed["patch_scale"][feed["chart_patch"]].astype(np.float64)[..., None]
     entries = np.concatenate([feed["chart_local"] / scale, feed["chart_basis"]], axis=-1)
     columns = feed["chart_weight"].astype(np.float64)[..., None] * entries
-    blocks = -(-len(columns) // VERTICES_PER_BLOCK)
-    charts = np.empty((blocks * VERTICES_PER_BLOCK, CHARTS_PER_VERTEX), dtype=np.int32)
-    charts[: len(columns)] = tiling.column
-    charts[len(columns) :] = tiling.column[0]
     stored = {
         "patch_first": patch_first,
         "patch_weights": feed["patch_weights"],
@@ -177,14 +178,57 @@ def pack_garment(feed: dict[str, np.ndarray], patch_first: np.ndarray) -> Packed
         "patch_centre": np.concatenate([feed["patch_centre"], np.ones((count, 1))], axis=1),
         "patch_shapedirs": np.pad(feed["patch_shapedirs"], ((0, 0), (0, 1), (0, 0))),
         "tile_positions": tiling.lay(columns),
+        **_anchor_constants(feed),
     }
     return PackedGarment(
         stored={key: np.ascontiguousarray(value, dtype=np.float32) for key, value in stored.items()},
         heaviest=heaviest.astype(np.int32),
         tile_patch=tiling.patch,
-        vertex_charts=np.ascontiguousarray(charts.T).reshape(CHARTS_PER_VERTEX, blocks, VERTICES_PER_BLOCK),
+        vertex_charts=_blocks(tiling.column),
+        anchor_charts=_blocks(_anchor_rows(feed)),
+        member_anchor=feed["patch_member"].astype(np.int32),
         vertex_count=len(columns),
     )
+
+
+def _blocks(index: np.ndarray) -> np.ndarray:
+    """``index`` (n, 4) as (4, blocks, 64), the last block filled up with the first row."""
+    blocks = -(-len(index) // VERTICES_PER_BLOCK)
+    filled = np.empty((blocks * VERTICES_PER_BLOCK, CHARTS_PER_VERTEX), dtype=np.int32)
+    filled[: len(index)], filled[len(index) :] = index, index[0]
+    return np.ascontiguousarray(filled.T).reshape(CHARTS_PER_VERTEX, blocks, VERTICES_PER_BLOCK)
+
+
+def _anchor_constants(feed: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """What ``drape.garment.agreement`` says of each patch, as columns like those of the tiles."""
+    count = len(feed["patch_scale"])
+    row = feed["anchor_row"][feed["patch_member"], feed["patch_slot"]].astype(np.float64)  # (K, 48, 19)
+    row = np.where(_held(feed)[..., None], row, 0.0)
+    rest_place = row[..., 1:4] / feed["patch_scale"][:, None, None]
+    rest, height = feed["patch_rest"], jets.HEIGHT_COUNT
+    unit = feed["patch_orthonormal"]
+    return {
+        "anchor_columns": np.concatenate([rest_place, row[..., 4:]], axis=-1).swapaxes(1, 2),
+        "anchor_fit": feed["patch_fit"],
+        "anchor_rest": np.concatenate([rest[:, height:, 0], rest[:, height:, 1], rest[:, :height, 2]], axis=1),
+        "strain_tangent": feed["patch_tangent"].transpose(0, 3, 2, 1).reshape(count, -1),
+        "strain_unit": np.stack([unit[..., 0, 0], unit[..., 0, 1], unit[..., 1, 1]], axis=1),
+    }
+
+
+def _held(feed: dict[str, np.ndarray]) -> np.ndarray:
+    """Places (K, 48) that hold an anchor: the fit is zero in the others."""
+    return np.any(feed["patch_fit"] != 0.0, axis=1)
+
+
+def _anchor_rows(feed: dict[str, np.ndarray]) -> np.ndarray:
+    """Where each chart (A, 4) of the anchors lies among the K x 48 anchor columns; charts of no weight have zeros."""
+    held = _held(feed)
+    empty = MEMBERS - 1  # the last place of a patch is always empty
+    rows = feed["anchor_patch"] * MEMBERS + empty
+    patch, place = np.nonzero(held)
+    rows[feed["patch_member"][held], feed["patch_slot"][held]] = patch * MEMBERS + place
+    return rows
 
 
 @dataclass(frozen=True)
@@ -212,8 +256,9 @@ class Composition:
 def compose(items: Sequence[tuple[PackedGarment, Place, int]]) -> Composition:
     """Index tensors of ``items``: garment, its place in the store, row of its body."""
     patch_stored, patch_body, patch_bone, tile_stored, tile_patch, charts, block_item = ([] for _ in range(7))
+    anchor_charts, member_anchor = [], []
     patches, vertices = [], []
-    patch = tile = block = 0
+    patch = tile = block = anchor_block = 0
     firsts = []
     for item, (garment, place, body) in enumerate(items):
         patch_stored.append(np.arange(place.patch, place.patch + garment.patch_count, dtype=np.int32))
@@ -223,6 +268,9 @@ def compose(items: Sequence[tuple[PackedGarment, Place, int]]) -> Composition:
         tile_patch.append(garment.tile_patch + np.int32(patch))
         charts.append(garment.vertex_charts + np.int32(CHARTS_PER_TILE * tile))
         block_item.append(np.full(garment.block_count, item, dtype=np.int32))
+        anchor_charts.append(garment.anchor_charts + np.int32(MEMBERS * patch))
+        member_anchor.append(garment.member_anchor + np.int32(VERTICES_PER_BLOCK * anchor_block))
+        anchor_block += garment.anchor_charts.shape[1]
         patches.append(slice(patch, patch + garment.patch_count))
         vertices.append(slice(VERTICES_PER_BLOCK * block, VERTICES_PER_BLOCK * block + garment.vertex_count))
         firsts.append(block)
@@ -238,6 +286,8 @@ def compose(items: Sequence[tuple[PackedGarment, Place, int]]) -> Composition:
         "tile_stored": np.concatenate(tile_stored),
         "tile_patch": np.concatenate(tile_patch),
         "vertex_charts": np.concatenate(charts, axis=1),
+        "anchor_charts": np.concatenate(anchor_charts, axis=1),
+        "member_anchor": np.concatenate(member_anchor),
         "block_item": np.concatenate(block_item),
         "item_blocks": item_blocks.astype(np.int32),
     }

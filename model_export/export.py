@@ -40,8 +40,8 @@ from training.model import OneFit
 
 OPSET = 20
 # Odd, and unlike each other: an axis of length 1 or two equal axes would be baked in without a word.
-SAMPLE = {"frames": 3, "patches": 7, "vertices": 11, "points": 13, "clients": 5}
-LIMIT = {"frames": 65536, "patches": 65536, "vertices": 1 << 22, "points": 65536, "clients": 65536}
+SAMPLE = {"frames": 3, "patches": 7, "vertices": 11, "points": 13, "clients": 5, "anchors": 17}
+LIMIT = {"frames": 65536, "patches": 65536, "vertices": 1 << 22, "points": 65536, "clients": 65536, "anchors": 1 << 20}
 MOST = 1 << 22
 INDEX_TYPES = {"int32": torch.int32, "int64": torch.int64}
 

@@ -6,6 +6,8 @@ import torch
 from torch import Tensor, nn
 
 from drape.artifacts import TensorSpec
+from drape.garment.agreement import FIT_COUNT, MEMBERS, STRAIN_POINTS
+from training.agreement import GatheredAgreement
 from training.model import BodyTensors, OneFit, PatchTensors, paper_vertices, vertex_positions
 
 BODY_INPUTS: tuple[TensorSpec, ...] = (
@@ -30,6 +32,15 @@ CHART_INPUTS: tuple[TensorSpec, ...] = (
     TensorSpec("chart_basis", ("vertices", 4, 15), "float32", "1"),
     TensorSpec("chart_local", ("vertices", 4, 3), "float32", "m"),
 )
+AGREEMENT_INPUTS: tuple[TensorSpec, ...] = (
+    TensorSpec("anchor_patch", ("anchors", 4), "int64", "patch index"),
+    TensorSpec("anchor_row", ("anchors", 4, 19), "float32", "1 and m"),
+    TensorSpec("patch_member", ("patches", MEMBERS), "int64", "anchor index"),
+    TensorSpec("patch_fit", ("patches", FIT_COUNT, MEMBERS), "float32", "1"),
+    TensorSpec("patch_rest", ("patches", FIT_COUNT, 3), "float32", "patch scales"),
+    TensorSpec("patch_tangent", ("patches", STRAIN_POINTS, 3, 2), "float32", "1"),
+    TensorSpec("patch_orthonormal", ("patches", STRAIN_POINTS, 2, 2), "float32", "1"),
+)
 SKIN_INPUT = TensorSpec("skin_weights", ("vertices", 24), "float32", "1")
 MOTION_INPUT = TensorSpec("motion_features", ("clients", 24, 12), "float32", "1/s and m/s^2")
 STEP_INPUT = TensorSpec("dt_s", ("clients",), "float32", "s")
@@ -50,7 +61,8 @@ def drape_inputs(model: OneFit) -> tuple[TensorSpec, ...]:
         "dynamic_code", ("frames", model.config.body_code_size), "float32", "1, scaled by the motion knob"
     )
     motion = (code,) if model.config.dynamic else ()
-    return (*BODY_INPUTS, embedding, *PATCH_INPUTS, *CHART_INPUTS, *skin, *joints, *motion)
+    charts = AGREEMENT_INPUTS if model.agrees else ()
+    return (*BODY_INPUTS, embedding, *PATCH_INPUTS, *CHART_INPUTS, *skin, *joints, *motion, *charts)
 
 
 def dynamic_inputs(model: OneFit) -> tuple[TensorSpec, ...]:
@@ -127,12 +139,22 @@ class DrapeGraph(nn.Module):
         skin_weights: Tensor | None = None,
         body_joints: Tensor | None = None,
         dynamic_code: Tensor | None = None,
+        anchor_patch: Tensor | None = None,
+        anchor_row: Tensor | None = None,
+        patch_member: Tensor | None = None,
+        patch_fit: Tensor | None = None,
+        patch_rest: Tensor | None = None,
+        patch_tangent: Tensor | None = None,
+        patch_orthonormal: Tensor | None = None,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         body = BodyTensors(body_features, bone_rotation, bone_translation, bone_quaternion, betas, body_joints)
         patches = PatchTensors(
             patch_centre, patch_rotation, patch_scale, patch_weights, patch_heaviest, patch_shapedirs
         )
-        posed = self.model(body, patches, patch_embedding, dynamic_code)
+        tables = (anchor_patch, anchor_row, patch_member, patch_fit, patch_rest, patch_tangent, patch_orthonormal)
+        given = [table for table in tables if table is not None]
+        charts = GatheredAgreement(*given) if given else None
+        posed = self.model(body, patches, patch_embedding, dynamic_code, charts=charts)
         vertices = vertex_positions(posed, patches, chart_patch, chart_weight, chart_basis, chart_local)
         if skin_weights is not None:
             vertices = paper_vertices(vertices, skin_weights, body)

@@ -26,19 +26,21 @@ from drape.body.features import STATIC_PER_JOINT
 from drape.body.skeleton import JOINT_COUNT
 from drape.errors import ArtifactError
 from drape.feeds import BETA_COUNT
+from drape.garment.agreement import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.garment.features import REACH_M
 from drape.geometry import jets
 from drape.packing import CHARTS_PER_TILE, COLUMNS, VERTICES_PER_BLOCK
 from drape.wire import STEP_COUNT
 from model_export import packed_weights as constants
+from training.agreement import TANGENT_COUNT, TRACE_SHARE, softened
 from training.layers import SLOPE
 from training.model import OneFit
 
 # As in export.SAMPLE: odd, and unlike each other and every fixed axis.
 SAMPLE = {
     "bodies": 5, "patches": 7, "tiles": 9, "items": 11, "blocks": 13, "blocks_per_item": 17,
-    "stored_patches": 19, "stored_tiles": 21, "stored_tangents": 23,
+    "stored_patches": 19, "stored_tiles": 21, "stored_tangents": 23, "anchor_blocks": 27,
 }  # fmt: skip
 OUTPUTS: tuple[TensorSpec, ...] = (
     TensorSpec("vertices", ("blocks", VERTICES_PER_BLOCK, 3), "float32", "m, relative to the root joint"),
@@ -54,9 +56,21 @@ OUTPUTS: tuple[TensorSpec, ...] = (
 )
 
 
+AGREEMENT_INPUTS: tuple[TensorSpec, ...] = (
+    TensorSpec("anchor_columns", ("stored_patches", COLUMNS, MEMBERS), "float32", "1"),
+    TensorSpec("anchor_fit", ("stored_patches", FIT_COUNT, MEMBERS), "float32", "1"),
+    TensorSpec("anchor_rest", ("stored_patches", jets.JET_COUNT), "float32", "patch scales"),
+    TensorSpec("strain_tangent", ("stored_patches", TANGENT_COUNT), "float32", "1"),
+    TensorSpec("strain_unit", ("stored_patches", 3, STRAIN_POINTS), "float32", "1"),
+    TensorSpec("anchor_charts", (CHARTS_PER_VERTEX, "anchor_blocks", VERTICES_PER_BLOCK), "int32", "anchor column"),
+    TensorSpec("member_anchor", ("patches", MEMBERS), "int32", "anchor"),
+)
+
+
 def packed_inputs(model: OneFit) -> tuple[TensorSpec, ...]:
     """Inputs of the packed graph of ``model``, in order."""
     width = model.config.decoder_sizes[0]
+    charts = AGREEMENT_INPUTS if model.agrees else ()
     code = (TensorSpec("dynamic_code", ("bodies", model.config.body_code_size), "float32", "1"),)
     return (
         TensorSpec("joint_quaternion", ("bodies", JOINT_COUNT + 1, 4), "float32", "1, relative to the parent"),
@@ -79,6 +93,7 @@ def packed_inputs(model: OneFit) -> tuple[TensorSpec, ...]:
         TensorSpec("block_item", ("blocks",), "int32", "item of a block of vertices"),
         TensorSpec("item_blocks", ("items", "blocks_per_item"), "int32", "blocks of an item, the first one repeated"),
         *(code if model.config.dynamic else ()),
+        *charts,
     )
 
 
@@ -133,11 +148,24 @@ class Patches:
 
 
 @dataclass(frozen=True)
+class Charts:
+    """Inputs of ``PackedGraph`` by which charts agree, gathered for its patches."""
+
+    columns: Tensor  # (P, 18, 48)
+    fit: Tensor  # (P, 21, 48)
+    rest: Tensor  # (P, 27)
+    tangent: Tensor  # (P, 42): by u at x, y, z of seven points, then by v
+    unit: Tensor  # (P, 3, 7): the upper triangles
+    anchor_charts: Tensor
+    member_anchor: Tensor
+
+
+@dataclass(frozen=True)
 class PosedPatches:
-    """Posed jets (P, 3, 18), what the head gave (P, 72), frames (P, 3, 3) and (P, 3, 1), bones of the bodies."""
+    """Posed jets (P, 3, 18), jets in the frames (P, 27), frames (P, 3, 3) and (P, 3, 1), bones of the bodies."""
 
     coefficients: Tensor
-    local: Tensor
+    jet: Tensor
     rotation: Tensor
     centre: Tensor
     bone_rotation: Tensor
@@ -160,7 +188,10 @@ class PackedGraph(nn.Module):
     descent: Tensor
     parents: Tensor
     without_root: Tensor
-    jet_columns: Tensor
+    placed: Tensor
+    frame_only: Tensor
+    fit_columns: Tensor
+    strain_terms: Tensor
     ones: Tensor
 
     def __init__(self, model: OneFit) -> None:
@@ -178,6 +209,10 @@ class PackedGraph(nn.Module):
         self.trunk = decoder.trunk
         self.from_surroundings = constants.surroundings_layer(decoder.from_surroundings)
         self.head = constants.merged_heads(decoder.heads, model.config.output_gain)
+        self.based = model.config.agreed_base
+        self.corrections = nn.ModuleList(
+            constants.correction_layers(correction, model.config.output_gain) for correction in model.corrections
+        )
         for name, value in constants.tables().items():
             self.register_buffer(name, value)
         self.jumps = [f"jump_{i}" for i, _ in enumerate(constants.ancestor_jumps())]
@@ -206,21 +241,40 @@ class PackedGraph(nn.Module):
         block_item: Tensor,
         item_blocks: Tensor,
         dynamic_code: Tensor | None = None,
+        anchor_columns: Tensor | None = None,
+        anchor_fit: Tensor | None = None,
+        anchor_rest: Tensor | None = None,
+        strain_tangent: Tensor | None = None,
+        strain_unit: Tensor | None = None,
+        anchor_charts: Tensor | None = None,
+        member_anchor: Tensor | None = None,
     ) -> tuple[Tensor, ...]:
         bodies = Bodies(joint_quaternion, joint_rest, betas, dynamic_code)
         patches = Patches(patch_first, patch_weights, patch_rotation, patch_scale, patch_centre, patch_shapedirs)
-        posed = self.pose(bodies, patches, patch_stored, patch_body, patch_bone)
+        charts = None
+        if anchor_columns is not None:
+            stored = (anchor_columns, anchor_fit, anchor_rest, strain_tangent, strain_unit)
+            gathered = (_rows(table, patch_stored) for table in stored if table is not None)
+            assert anchor_charts is not None and member_anchor is not None
+            charts = Charts(*gathered, anchor_charts, member_anchor)
+        posed = self.pose(bodies, patches, patch_stored, patch_body, patch_bone, charts)
         coefficients = _rows(posed.coefficients, tile_patch)  # (Q, 3, 18)
         vertices = self.blend(coefficients, _rows(tile_positions, tile_stored), vertex_charts)
         tangents = self.blend(coefficients, _rows(tile_tangents, tile_stored), vertex_charts, count=2)
         steps, low, step = _quantised(vertices, block_item, item_blocks)
         return (
-            vertices, self._normals(tangents), steps, low, step, torch.index_select(posed.local, 1, self.jet_columns),
+            vertices, self._normals(tangents), steps, low, step, posed.jet,
             posed.rotation, posed.centre.reshape(-1, 3), posed.bone_rotation, posed.bone_translation,
         )  # fmt: skip
 
     def pose(
-        self, bodies: Bodies, patches: Patches, patch_stored: Tensor | None, patch_body: Tensor, patch_bone: Tensor
+        self,
+        bodies: Bodies,
+        patches: Patches,
+        patch_stored: Tensor | None,
+        patch_body: Tensor,
+        patch_bone: Tensor,
+        charts: Charts | None = None,
     ) -> PosedPatches:
         """Posed jets of the patches ``patch_stored``, or of all ``patches`` in order where it is None."""
         quaternion, bone_rotation, joints = self._posed_joints(bodies.joint_quaternion, bodies.joint_rest)
@@ -240,14 +294,52 @@ class PackedGraph(nn.Module):
             torch.cat([bone_rotation, bone_translation[..., None]], dim=-1).reshape(-1, JOINT_COUNT, 12),
             patch_body,
         )
+        scale = _rows(patches.scale, patch_stored)[:, :, None]
+        frame = torch.cat([rotation * scale, centre], dim=-1)  # (P, 3, 4)
+        into = rotation / scale
+        base = None
+        if self.based:
+            assert charts is not None
+            base = self._agreed(frame @ charts.columns[:, :4], charts, into, centre)
         x = _rows(patches.first, patch_stored) + _rows(self.from_body(code), patch_body)
         if self.from_surroundings is not None:
-            x = self._with_surroundings(x, _rows(joints.mT, patch_body), rotation, centre)
-        local = self.head(self.trunk(nn.functional.leaky_relu(x, SLOPE)))  # (P, 4 * 18)
-        scaled = rotation * _rows(patches.scale, patch_stored)[:, :, None]
-        frame = torch.cat([scaled, centre], dim=-1)  # (P, 3, 4)
-        coefficients = frame @ local.reshape(-1, 4, COLUMNS)
-        return PosedPatches(coefficients, local, rotation, centre, bone_rotation, bone_translation)
+            x = self._with_surroundings(x, _rows(joints.mT, patch_body), rotation, centre, base)
+        hidden = self.trunk(nn.functional.leaky_relu(x, SLOPE))
+        jet = self.head(hidden) if base is None else base + self.head(hidden)
+        for correction in self.corrections:
+            assert charts is not None
+            jet = self._agreed(self._posed(frame, jet) @ charts.columns, charts, into, centre)
+            strain, force = self._strain(jet, charts)
+            jet = jet + correction(torch.cat([hidden, softened(strain), softened(force), jet], dim=-1))
+        return PosedPatches(self._posed(frame, jet), jet, rotation, centre, bone_rotation, bone_translation)
+
+    def _posed(self, frame: Tensor, jet: Tensor) -> Tensor:
+        """Posed jets (P, 3, 18) of ``jet`` (P, 27) in scaled frames (P, 3, 4)."""
+        return frame @ torch.addmm(self.frame_only, jet, self.placed).reshape(-1, 4, COLUMNS)
+
+    def _agreed(self, said: Tensor, charts: Charts, into: Tensor, centre: Tensor) -> Tensor:
+        """``training.agreement.agreed_jets`` (P, 27) of what each chart says of its members (P, 3, 48)."""
+        rows = said.mT.reshape(-1, 3)
+        anchors = (self.ones @ _rows(rows, charts.anchor_charts.reshape(-1)).reshape(CHARTS_PER_VERTEX, -1)).reshape(
+            -1, 3
+        )
+        places = _rows(anchors, charts.member_anchor.reshape(-1)).reshape(-1, MEMBERS, 3)
+        local = (charts.fit @ (places - centre.mT)) @ into
+        return torch.index_select(local.reshape(-1, 3 * FIT_COUNT), 1, self.fit_columns) - charts.rest
+
+    def _strain(self, jet: Tensor, charts: Charts) -> tuple[Tensor, Tensor]:
+        """``training.agreement.strain_and_force``: strain (P, 21), here by component, and force (P, 27)."""
+        tangent = torch.addmm(charts.tangent, jet, self.strain_terms).reshape(-1, 2, 3, STRAIN_POINTS)
+        a, b, c = charts.unit.split(1, dim=1)  # (P, 1, 7)
+        by_u, by_v = tangent[:, 0], tangent[:, 1]
+        u, v = a * by_u, b * by_u + c * by_v
+        e11 = 0.5 * (u * u).sum(dim=1, keepdim=True) - 0.5
+        e22 = 0.5 * (v * v).sum(dim=1, keepdim=True) - 0.5
+        e12 = 0.5 * (u * v).sum(dim=1, keepdim=True)
+        trace = TRACE_SHARE * (e11 + e22)
+        along_u, along_v = (e11 + trace) * u + e12 * v, e12 * u + (e22 + trace) * v
+        pull = torch.cat([a * along_u + b * along_v, c * along_v], dim=1).reshape(-1, TANGENT_COUNT)
+        return torch.cat([e11, e22, 2.0 * e12], dim=1).reshape(-1, 3 * STRAIN_POINTS), pull @ self.strain_terms.mT
 
     def blend(self, coefficients: Tensor, columns: Tensor, vertex_charts: Tensor, *, count: int = 1) -> Tensor:
         """Sums (blocks, 64, 3 * count) over every vertex's charts of tiles (Q, 3, 18) @ (Q, 18, 64 * count)."""
@@ -296,14 +388,17 @@ class PackedGraph(nn.Module):
         mixed = (signed[:, None, :] @ _rows(quaternion, patch_body)).reshape(-1, 4) + 1e-6 * reference
         return self._matrices(mixed).reshape(-1, 3, 3)
 
-    def _with_surroundings(self, x: Tensor, joints: Tensor, rotation: Tensor, centre: Tensor) -> Tensor:
-        """``x`` plus the layer on ``training.model.patch_surroundings``, from posed joints (P, 3, 24)."""
+    def _with_surroundings(
+        self, x: Tensor, joints: Tensor, rotation: Tensor, centre: Tensor, base: Tensor | None
+    ) -> Tensor:
+        """``x`` plus the layer on ``training.model.patch_surroundings`` of posed joints (P, 3, 24), and on ``base``."""
         assert self.from_surroundings is not None
         offset = rotation.mT @ (joints - centre)
         # A maximum and not a sum: the exporter's optimiser takes "+ 1e-12" for "+ 0" and drops the guard.
         reach = torch.sqrt(torch.clamp((offset * offset).sum(dim=1, keepdim=True), min=1e-12))
         saturated = (offset * (torch.tanh(reach * (1.0 / REACH_M)) / reach)).reshape(-1, 3 * JOINT_COUNT)
-        return torch.addmm(x, torch.cat([saturated, rotation.reshape(-1, 9)], dim=-1), self.from_surroundings)
+        parts = [saturated, rotation.reshape(-1, 9), *([] if base is None else [base])]
+        return torch.addmm(x, torch.cat(parts, dim=-1), self.from_surroundings)
 
     def _normals(self, tangents: Tensor) -> Tensor:
         """Unit cross products (blocks, 64, 3) of the tangents (blocks, 64, 6), which lie as x, x', y, y', z, z'."""

@@ -8,9 +8,11 @@ import torch
 from torch import Tensor, nn
 
 from drape.body.skeleton import JOINT_COUNT, PARENTS
+from drape.garment.agreement import FIT_COUNT, STRAIN_POINTS
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.geometry import jets
 from drape.packing import COLUMNS
+from training.agreement import tangent_terms
 from training.layers import SLOPE
 
 # Entries of q q^T (wxyz, row by row) in each entry of the rotation matrix less the identity, and in |q|^2.
@@ -61,7 +63,7 @@ def tables() -> dict[str, Tensor]:
         "descent": descent,
         "parents": torch.tensor([max(parent, 0) for parent in PARENTS]),
         "without_root": torch.tensor([JOINT_COUNT, *range(1, JOINT_COUNT)]),
-        "jet_columns": torch.tensor(_jet_columns()),
+        **_jet_tables(),
         "ones": torch.ones(1, CHARTS_PER_VERTEX),
     }
 
@@ -82,40 +84,74 @@ def _jet_columns() -> list[int]:
     return [row * COLUMNS + 3 + i for row, count in enumerate(counts) for i in range(count)]
 
 
+def _jet_tables() -> dict[str, Tensor]:
+    """Jets (P, 27) @ ``placed`` + ``frame_only`` is (P, 4 * 18), which multiplies [scaled rotation, centre].
+
+    Its rows are p, q, h and one: columns 0-2 pass the rest place (an identity), 3-17 are the jets; the last row's
+    entry 3 adds the centre. ``fit_columns`` are the jets among the 21 x 3 fitted numbers; ``strain_terms`` as
+    ``training.agreement.tangent_terms``, derivative by derivative, axis by axis.
+    """
+    placed, frame_only = torch.zeros(jets.JET_COUNT, 4 * COLUMNS), torch.zeros(1, 4 * COLUMNS)
+    placed[torch.arange(jets.JET_COUNT), torch.tensor(_jet_columns())] = 1.0
+    for axis in range(3):
+        frame_only[0, axis * COLUMNS + axis] = 1.0
+    frame_only[0, 3 * COLUMNS + 3] = 1.0
+    plane = range(jets.HEIGHT_COUNT, FIT_COUNT)
+    columns = [3 * i for i in plane] + [3 * i + 1 for i in plane] + [3 * i + 2 for i in range(jets.HEIGHT_COUNT)]
+    terms = tangent_terms().reshape(jets.JET_COUNT, STRAIN_POINTS, 3, 2)
+    return {
+        "placed": placed,
+        "frame_only": frame_only,
+        "fit_columns": torch.tensor(columns),
+        "strain_terms": terms.permute(0, 3, 2, 1).reshape(jets.JET_COUNT, -1).contiguous(),
+    }
+
+
 def surroundings_layer(layer: nn.Linear | None) -> nn.Parameter | None:
-    """The layer's weights (81, n) for [offsets as (3, 24), rotation] instead of [offsets as (24, 3), gravity]."""
+    """The layer's weights (81, n) for [offsets as (3, 24), rotation] instead of [offsets as (24, 3), gravity].
+
+    With the agreed base (108, n): its jets come last.
+    """
     if layer is None:
         return None
     count = 3 * JOINT_COUNT
-    made = torch.zeros(count + 9, layer.out_features)
     weight = layer.weight.detach()
+    base = weight[:, count + 3 :].T  # of the agreed base, where the network has one
+    made = torch.zeros(count + 9 + len(base), layer.out_features)
+    made[count + 9 :] = base
     made[:count] = weight[:, :count].reshape(-1, JOINT_COUNT, 3).permute(2, 1, 0).reshape(count, -1)
-    made[count + 3 : count + 6] = -weight[:, count:].T  # gravity is minus the second row of the rotation
+    made[count + 3 : count + 6] = -weight[:, count : count + 3].T  # gravity is minus the second row of the rotation
     return nn.Parameter(made, requires_grad=False)
 
 
 def merged_heads(heads: nn.ModuleDict, gain: float) -> nn.Sequential:
-    """Both heads as one, whose output (P, 4 * 18) multiplies [scaled rotation, centre]: rows p, q, h and one.
-
-    Columns 0-2 pass the rest place (a constant identity), 3-17 are the jets; the last row's entry 3 adds
-    the centre. The output gain is in the weights.
-    """
+    """Both heads as one, which gives jets (P, 27); the output gain is in the weights."""
     plane, height = _linears(heads["plane"]), _linears(heads["height"])
     layers: list[nn.Module] = []
     for depth, (a, b) in enumerate(zip(plane[:-1], height[:-1], strict=True)):
         made = _side_by_side(a, b, shared=depth == 0)  # both read the trunk's output
         layers += [made, nn.LeakyReLU(SLOPE)]
-    both = _side_by_side(plane[-1], height[-1], shared=len(plane) == 1)
-    last = nn.Linear(both.in_features, 4 * COLUMNS)
+    last = _side_by_side(plane[-1], height[-1], shared=len(plane) == 1)
     with torch.no_grad():
-        columns = torch.tensor(_jet_columns())
-        last.weight.zero_()
-        last.bias.zero_()
-        last.weight[columns], last.bias[columns] = gain * both.weight, gain * both.bias
-        for axis in range(3):
-            last.bias[axis * COLUMNS + axis] = 1.0
-        last.bias[3 * COLUMNS + 3] = 1.0
+        last.weight *= gain
+        last.bias *= gain
     return nn.Sequential(*layers, last).requires_grad_(False)
+
+
+def correction_layers(correction: nn.Sequential, gain: float) -> nn.Sequential:
+    """A ``training.layers.Correction`` that takes strains component by component; the output gain is in the weights."""
+    first, last = _linears(correction)
+    before = first.in_features - 3 * STRAIN_POINTS - 2 * jets.JET_COUNT
+    column = torch.arange(first.in_features)
+    strains = column[before : before + 3 * STRAIN_POINTS].reshape(STRAIN_POINTS, 3).T.reshape(-1)
+    column[before : before + 3 * STRAIN_POINTS] = strains
+    made = nn.Linear(first.in_features, first.out_features), nn.Linear(last.in_features, last.out_features)
+    with torch.no_grad():
+        made[0].weight.copy_(first.weight[:, column])
+        made[0].bias.copy_(first.bias)
+        made[1].weight.copy_(gain * last.weight)
+        made[1].bias.copy_(gain * last.bias)
+    return nn.Sequential(made[0], nn.LeakyReLU(SLOPE), made[1]).requires_grad_(False)
 
 
 def _linears(head: nn.Module) -> list[nn.Linear]:

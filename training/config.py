@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from drape.body.features import DYNAMIC_PER_JOINT, STATIC_PER_JOINT
 from drape.body.skeleton import JOINT_COUNT
@@ -21,6 +21,9 @@ class ModelConfig:
     translation and scale in the rest pose, vertices skinned after (the published method).
     ``output_gain`` keeps the untrained drape near plain skinning. ``surroundings``: the decoder also
     sees the posed joints and gravity in each patch's own frame (not in the published network).
+    ``agreed_base``: jets start from the blend of the rigid charts, fitted to every chart anew, and not from charts
+    that disagree. ``corrections``: passes in which charts are brought to agree, feel their strain and are corrected,
+    by networks of ``correction_hidden`` units.
     ``state_decay_s`` is the time constant of the recurrent state, ``state_rest_s`` the time after which
     a still body's is zero (training.recurrent).
     """
@@ -32,7 +35,7 @@ class ModelConfig:
     embedding_size: int = 128
     body_hidden: int = 256
     body_code_size: int = 256
-    decoder_sizes: tuple[int, ...] = (640, 256)
+    decoder_sizes: tuple[int, ...] = (512, 192)
     head_sizes: tuple[int, ...] = (64,)
     variant: str = "vector"
     dynamic: bool = False
@@ -42,6 +45,9 @@ class ModelConfig:
     state_rest_s: float = 1.8
     output_gain: float = 0.1
     surroundings: bool = True
+    agreed_base: bool = True
+    corrections: int = 3
+    correction_hidden: int = 256
 
 
 @dataclass(frozen=True)
@@ -49,8 +55,8 @@ class DataConfig:
     """What is trained on. ``garments``: names of designs; ``partitions``: random partitions kept of each;
     ``variants``: random neighbours of each design, drawn anew in every process, with ``variant_partitions`` each;
     ``own_share``: chance of a named design itself; ``patch_jitter``: patch counts vary by this share;
-    ``fresh_steps``: steps after which one partition is replaced by one never seen; ``held_out``: clips never
-    trained on.
+    ``fresh_steps``: steps after which one partition is replaced by one never seen; ``even_share``: poses drawn evenly
+    over kinds of poses instead of as often as they occur; ``held_out``: clips never trained on.
     """
 
     garments: tuple[str, ...] = ("tshirt", "longsleeve", "tank", "trousers", "shorts", "dress", "skirt")
@@ -66,6 +72,7 @@ class DataConfig:
     shape_deviation: float = 0.6
     held_out: tuple[str, ...] = ("cmu_01_09", "cmu_02_06", "cmu_03_02")
     contact_share: float = 0.4
+    even_share: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -100,6 +107,8 @@ class TrainConfig:
     [1/m^2 J/m^2] grows linearly from the share ``early_agreement`` to all of it over a static run: charts that
     must agree from the start learn slower. ``contact_knee_j_m2``: contact energy per area of a frame above
     which it counts by its logarithm.
+    ``full_share``: steps that take all passes of corrections; the others take any number, so that the model
+    drapes with fewer as well.
     """
 
     model: ModelConfig = field(default_factory=ModelConfig)
@@ -111,9 +120,10 @@ class TrainConfig:
     final_rate: float = 1e-5
     warmup_steps: int = 200
     gradient_clip: float = 1.0
-    disagreement_weight: float = 4000.0
+    disagreement_weight: float = 15000.0
     early_agreement: float = 0.02
     contact_knee_j_m2: float = 0.5
+    full_share: float = 0.7
     checkpoint_minutes: float = 4.0
     seed: int = 0
     threads: int = 2
@@ -124,6 +134,11 @@ class TrainConfig:
     def frames_per_step(self) -> int:
         """Draped frames of one process whose energy one step lowers."""
         return self.batch_size * (self.motion.window_frames if self.model.dynamic else 1)
+
+
+def as_published(model: ModelConfig) -> ModelConfig:
+    """``model`` with the published representation, and without what was added to it since."""
+    return replace(model, variant="paper", surroundings=False, agreed_base=False, corrections=0)
 
 
 def shipped() -> TrainConfig:
@@ -138,9 +153,7 @@ def smoke() -> TrainConfig:
 
 def paper() -> TrainConfig:
     """The published representation, for its tables and as the baseline."""
-    return TrainConfig(
-        model=ModelConfig(variant="paper", surroundings=False, decoder_sizes=PAPER_DECODER, head_sizes=PAPER_HEADS)
-    )
+    return TrainConfig(model=as_published(ModelConfig(decoder_sizes=PAPER_DECODER, head_sizes=PAPER_HEADS)))
 
 
 def dynamic() -> TrainConfig:

@@ -15,10 +15,12 @@ from drape.body.model import BodyModel
 from drape.cloth.contact import DETAIL_JOINTS
 from drape.cloth.energies import ClothMesh
 from drape.feeds import BETA_COUNT
+from drape.garment.agreement import agreement
 from drape.garment.fitting import RestGarment, patch_fields
 from drape.garment.partition import patch_count_for
 from drape.geometry import jets
 from drape.geometry.rotations import matrix_to_quaternion, rotvec_to_matrix
+from training.agreement import SparseAgreement
 from training.model import BodyTensors, PatchTensors
 from training.poses import pose_bodies, posed_joints
 from training.sparse import SparsePair
@@ -36,6 +38,7 @@ class Partition:
     chart_patch: Tensor
     chart_weight: Tensor
     chart_row: Tensor  # (V, 4, 19): [1, rest position in the patch frame, basis]
+    agreement: SparseAgreement
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +88,7 @@ def partition_tensors(fields: dict[str, np.ndarray], *, device: torch.device) ->
     )
     blend.sum_duplicates()
     blend.eliminate_zeros()
+    tables = agreement(patch, uv, weight, local, fields["patch_jet"], scale)
     shapedirs = np.zeros((patch_count, 3, BETA_COUNT), dtype=np.float32)
     shapedirs[..., : fields["patch_shapedirs"].shape[2]] = fields["patch_shapedirs"]
 
@@ -106,6 +110,7 @@ def partition_tensors(fields: dict[str, np.ndarray], *, device: torch.device) ->
         chart_patch=tensor(patch),
         chart_weight=tensor(weight),
         chart_row=tensor(row),
+        agreement=SparseAgreement.of(tables, blend, device=device),
     )
 
 

@@ -82,7 +82,8 @@ def posed_patches(model: OneFit, garment: Garment, source: BodySource, poses: np
     partition = partition_tensors({item.name: getattr(garment, item.name) for item in fields(garment)}, device=CPU)
     body = source.pose(poses, np.zeros((len(poses), source.body.shape_count))).tensors
     with torch.no_grad():
-        posed = model(body, partition.patches, model.garment(partition.features))
+        embedding = model.garment(partition.features)
+        posed = model(body, partition.patches, embedding, charts=partition.agreement)
         vertices = vertices_from(posed_coefficients(posed, partition.patches.scale), partition)
         if model.config.variant == "paper":
             vertices = paper_vertices(vertices, torch.from_numpy(garment.skin_weights.astype(np.float32)), body)

@@ -12,10 +12,14 @@ from torch import Tensor
 
 from drape.artifacts import load_manifest
 from drape.errors import ArtifactError
+from drape.geometry import jets
+from training.agreement import TANGENT_COUNT
 from training.config import ModelConfig
+from training.layers import SURROUNDINGS_COUNT
 from training.model import OneFit
 
 DRAPE, ENCODER = "drape", "garment_encoder"
+TERMS = sorted((jets.JET_COUNT, TANGENT_COUNT))  # of training.agreement.tangent_terms, a constant and no weight
 WITHOUT_BIAS = "decoder.from_surroundings"  # the one layer that the exporter writes without anything that names it
 
 
@@ -61,8 +65,11 @@ def _weights(graph: onnx.GraphProto) -> dict[str, np.ndarray]:
     for node in graph.node:
         if node.op_type == "MatMul" and node.input[1] in stored and not node.input[1].endswith(".weight"):
             bias = added.get(node.output[0], "").removeprefix("model.")
-            layer = bias.removesuffix(".bias") if bias.endswith(".bias") else WITHOUT_BIAS
-            named[f"{layer}.weight"] = numpy_helper.to_array(stored[node.input[1]]).T
+            matrix = numpy_helper.to_array(stored[node.input[1]])
+            if bias.endswith(".bias"):
+                named[f"{bias.removesuffix('.bias')}.weight"] = matrix.T
+            elif sorted(matrix.shape) != TERMS:
+                named[f"{WITHOUT_BIAS}.weight"] = matrix.T
     return named
 
 
@@ -75,6 +82,8 @@ def _sizes(arrays: dict[str, np.ndarray]) -> ModelConfig:
         }
         return [len(found[key]) for key in sorted(found, key=lambda key: int(key.split(".")[-2]))]
 
+    around = arrays.get(f"{WITHOUT_BIAS}.weight")
+    corrected = sorted(key for key in arrays if key.startswith("corrections.") and key.endswith(".0.bias"))
     vector = any(key.startswith("decoder.heads.plane") for key in arrays)
     return ModelConfig(
         patch_feature_count=arrays["garment.first.0.weight"].shape[1],
@@ -86,5 +95,8 @@ def _sizes(arrays: dict[str, np.ndarray]) -> ModelConfig:
         decoder_sizes=(len(arrays["decoder.from_patch.weight"]), *widths("decoder.trunk")),
         head_sizes=tuple(widths("decoder.heads.height")[:-1]),
         variant="vector" if vector else "paper",
-        surroundings=f"{WITHOUT_BIAS}.weight" in arrays,
+        surroundings=around is not None,
+        agreed_base=around is not None and around.shape[1] > SURROUNDINGS_COUNT,
+        corrections=len(corrected),
+        correction_hidden=len(arrays[corrected[0]]) if corrected else ModelConfig.correction_hidden,
     )

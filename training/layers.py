@@ -8,9 +8,13 @@ import torch
 from torch import Tensor, nn
 
 from drape.body.skeleton import JOINT_COUNT
+from drape.garment.agreement import STRAIN_POINTS
+from drape.geometry import jets
+from training.agreement import softened
 from training.config import ModelConfig
 
 SLOPE = 0.01  # LeakyReLU, as in appendix A.3
+STRAIN_COUNT = 3 * STRAIN_POINTS
 SURROUNDINGS_COUNT = 3 * JOINT_COUNT + 3  # of model.patch_surroundings
 
 
@@ -94,7 +98,8 @@ class Decoder(nn.Module):
         width = config.decoder_sizes[0]
         self.from_patch = nn.Linear(config.embedding_size, width)
         self.from_body = nn.Linear(config.body_code_size, width, bias=False)
-        self.from_surroundings = nn.Linear(SURROUNDINGS_COUNT, width, bias=False) if config.surroundings else None
+        around = SURROUNDINGS_COUNT + (jets.JET_COUNT if config.agreed_base else 0)
+        self.from_surroundings = nn.Linear(around, width, bias=False) if config.surroundings else None
         self.trunk = mlp(list(config.decoder_sizes), last_activation=True)
         self.heads = nn.ModuleDict(
             {name: mlp([config.decoder_sizes[-1], *config.head_sizes, size]) for name, size in heads.items()}
@@ -107,11 +112,34 @@ class Decoder(nn.Module):
             nn.init.normal_(last.weight, std=1e-3)
             nn.init.zeros_(last.bias)
 
-    def forward(self, body_code: Tensor, embedding: Tensor, surroundings: Tensor | None = None) -> dict[str, Tensor]:
-        """Outputs by head; ``surroundings`` (F, K, 75) where the configuration has them."""
+    def forward(
+        self, body_code: Tensor, embedding: Tensor, surroundings: Tensor | None = None
+    ) -> tuple[dict[str, Tensor], Tensor]:
+        """Outputs by head, and what the trunk made of its inputs (F, K, n), which corrections read.
+
+        ``surroundings`` (F, K, 75, or 102 with the agreed base) where the configuration has them.
+        """
         x = self.from_body(body_code)[:, None] + self.from_patch(embedding)[None]
         if self.from_surroundings is not None:
             assert surroundings is not None
             x = x + self.from_surroundings(surroundings)
         x = self.trunk(self.activation(x))
-        return {name: head(x) for name, head in self.heads.items()}
+        return {name: head(x) for name, head in self.heads.items()}, x
+
+
+class Correction(nn.Sequential):
+    """What a patch knows and feels -> change of its jets (F, K, 27).
+
+    Inputs: the decoder's code of the patch, strain and force of ``training.agreement``, and the jets themselves.
+    """
+
+    def __init__(self, config: ModelConfig) -> None:
+        inputs = config.decoder_sizes[-1] + STRAIN_COUNT + 2 * jets.JET_COUNT
+        super().__init__(*mlp([inputs, config.correction_hidden, jets.JET_COUNT]))
+        last = self[-1]
+        assert isinstance(last, nn.Linear)
+        nn.init.normal_(last.weight, std=1e-3)
+        nn.init.zeros_(last.bias)
+
+    def forward(self, hidden: Tensor, strain: Tensor, force: Tensor, jet: Tensor) -> Tensor:
+        return super().forward(torch.cat([hidden, softened(strain), softened(force), jet], dim=-1))

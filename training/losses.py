@@ -11,9 +11,9 @@ from torch import Tensor
 from drape.cloth import energies
 from drape.cloth.contact import plane_distance
 from drape.cloth.material import Material
+from training.agreement import framewise
 from training.data import BodyBatch, Partition, TrainingGarment, nearest_collider
 from training.model import BodyTensors, Posed, paper_vertices, posed_coefficients
-from training.sparse import product
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,7 @@ class LossParts:
 
 def vertices_from(coefficients: Tensor, partition: Partition) -> Tensor:
     """Vertices [m] (F, V, 3) by one sparse product; equals ``model.vertex_positions``."""
-    frames, patches = coefficients.shape[:2]
-    dense = coefficients.permute(1, 2, 3, 0).reshape(patches * coefficients.shape[2], 3 * frames)
-    flat = product(partition.blend, dense)  # (V, 3 F)
-    return flat.reshape(-1, 3, frames).permute(2, 0, 1)
+    return framewise(partition.blend, coefficients.flatten(1, 2))
 
 
 def garment_vertices(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
 import torch
@@ -10,8 +11,9 @@ from torch import Tensor, nn
 from drape.garment.features import saturated
 from drape.geometry import jets
 from drape.geometry.skinning import blend_frames, skin_points
+from training.agreement import ChartAgreement, agreed_jets, strain_and_force, tangent_terms
 from training.config import ModelConfig
-from training.layers import Decoder, GarmentEncoder, StaticEncoder
+from training.layers import Correction, Decoder, GarmentEncoder, StaticEncoder
 from training.recurrent import DynamicEncoder
 
 
@@ -51,9 +53,15 @@ class Posed:
 class OneFit(nn.Module):
     """The network of OneFit (section 3, appendix A.3) with vector jets in rigidly skinned frames.
 
+    Past the paper, in three steps (docs/architecture.md): charts start where the blend of the rigid ones is, the
+    decoder predicts a change of each, and a few passes bring charts to agree and correct them by what
+    they feel of their strain. The last is a learned solver: each pass sees how far off the drape still is.
+
     Variant "paper" predicts a height jet, a translation and a scale of each patch in
     the rest pose; its vertices are skinned afterwards.
     """
+
+    tangent_terms: Tensor
 
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
@@ -67,7 +75,25 @@ class OneFit(nn.Module):
             heads = {"height": jets.HEIGHT_COUNT, "translation": 3, "scale": 1}
         else:
             raise ValueError(f"variant: expected 'vector' or 'paper', got {config.variant!r}. Choose one of them.")
+        if self.agrees and (config.variant != "vector" or not config.surroundings):
+            raise ValueError(
+                f"agreed_base and corrections: expected neither with variant {config.variant!r} and surroundings "
+                f"{config.surroundings}, got {config.agreed_base} and {config.corrections}. Leave them out."
+            )
         self.decoder = Decoder(config, heads)
+        self.corrections = nn.ModuleList(Correction(config) for _ in range(config.corrections))
+        self.register_buffer("tangent_terms", tangent_terms(), persistent=False)
+        self.autocast = False  # of the networks alone: places in space need float32
+
+    @property
+    def agrees(self) -> bool:
+        """Whether ``forward`` needs the tables of ``training.agreement``."""
+        return self.config.agreed_base or self.config.corrections > 0
+
+    def _mixed(self, like: Tensor) -> AbstractContextManager:
+        if not self.autocast:
+            return nullcontext()
+        return torch.autocast(like.device.type, dtype=torch.bfloat16)
 
     def predict(
         self,
@@ -75,24 +101,52 @@ class OneFit(nn.Module):
         embedding: Tensor,
         surroundings: Tensor | None = None,
         dynamic_code: Tensor | None = None,
-    ) -> Tensor:
-        """Change of the rest jets (F, K, 27) in units of the patch scale."""
-        code = self.body(body.features)
-        if dynamic_code is not None:
-            code = code + dynamic_code
-        out = self.decoder(code, embedding, surroundings)
+    ) -> tuple[Tensor, Tensor]:
+        """Change of the jets (F, K, 27) in units of the patch scale, and the decoder's code of each patch."""
+        with self._mixed(embedding):
+            code = self.body(body.features)
+            if dynamic_code is not None:
+                code = code + dynamic_code
+            out, hidden = self.decoder(code, embedding, surroundings)
+        out = {name: value.float() for name, value in out.items()} if self.autocast else out
         gain = self.config.output_gain
         if self.config.variant == "vector":
-            return gain * torch.cat([out["plane"], out["height"]], dim=-1)
-        return gain * torch.cat(_paper_as_vector(out), dim=-1)
+            return gain * torch.cat([out["plane"], out["height"]], dim=-1), hidden
+        return gain * torch.cat(_paper_as_vector(out), dim=-1), hidden
 
     def forward(
-        self, body: BodyTensors, patches: PatchTensors, embedding: Tensor, dynamic_code: Tensor | None = None
+        self,
+        body: BodyTensors,
+        patches: PatchTensors,
+        embedding: Tensor,
+        dynamic_code: Tensor | None = None,
+        *,
+        charts: ChartAgreement | None = None,
+        passes: int | None = None,
     ) -> Posed:
-        """Posed patches of F bodies; ``dynamic_code`` (F, 256), times the motion knob, is added to that of the pose."""
+        """Posed patches of F bodies.
+
+        ``dynamic_code`` (F, 256), times the motion knob, is added to that of the pose. ``charts``: the garment's
+        tables, where the network ``agrees``; ``passes``: of the corrections, all of them by default.
+        """
         rotation, centre = pose_frames(body, patches)
         around = patch_surroundings(body, rotation, centre) if self.config.surroundings else None
-        jet = self.predict(body, embedding, around, dynamic_code)
+        base = None
+        if self.config.agreed_base:
+            assert charts is not None and around is not None
+            frames = torch.cat([centre[..., None, :], rotation.mT], dim=-2)
+            base = agreed_jets(charts.anchors(frames), charts, rotation, centre, patches.scale)
+            around = torch.cat([around, base], dim=-1)
+        jet, hidden = self.predict(body, embedding, around, dynamic_code)
+        jet = jet if base is None else base + jet
+        for correction in self.corrections[:passes]:
+            assert charts is not None
+            anchors = charts.anchors(posed_coefficients(Posed(rotation, centre, jet), patches.scale))
+            jet = agreed_jets(anchors, charts, rotation, centre, patches.scale)
+            strain, force = strain_and_force(jet, charts, self.tangent_terms)
+            with self._mixed(hidden):
+                change = correction(hidden, strain, force, jet)
+            jet = jet + self.config.output_gain * (change.float() if self.autocast else change)
         if self.config.variant == "paper":
             rotation, centre = rest_frames(body, patches)
         return Posed(rotation, centre, jet)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from scipy.cluster.vq import kmeans2
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES, PARENTS
@@ -19,6 +20,8 @@ LEGS = tuple(i for i, n in enumerate(JOINT_NAMES) if n.split("_")[-1] in ("hip",
 MIRROR = tuple(
     JOINT_NAMES.index(n.replace("left", "#").replace("right", "left").replace("#", "right")) for n in JOINT_NAMES
 )
+BODY_JOINTS = slice(1, 22)  # without root and hands
+KIND_COUNT = 128  # of poses, drawn evenly in part
 STRIDE_S = 1.0 / 15.0
 
 
@@ -60,6 +63,7 @@ class PoseBank:
         self.frames = [f for f in frames if len(f)]
         chance = np.array([np.sqrt(len(f)) for f in self.frames])
         self.chance = chance / chance.sum()
+        self.kinds = pose_kinds(np.concatenate(self.frames))
 
     @property
     def frame_count(self) -> int:
@@ -79,7 +83,19 @@ class PoseBank:
 
     def _pick(self, count: int, rng: np.random.Generator) -> np.ndarray:
         clips = rng.choice(len(self.frames), size=count, p=self.chance)
-        return np.stack([self.frames[c][rng.integers(len(self.frames[c]))] for c in clips])
+        poses = np.stack([self.frames[c][rng.integers(len(self.frames[c]))] for c in clips])
+        for n in np.flatnonzero(rng.random(count) < self.config.even_share):
+            kind = self.kinds[int(rng.integers(len(self.kinds)))]
+            poses[n] = kind[int(rng.integers(len(kind)))]
+        return poses
+
+
+def pose_kinds(poses: np.ndarray) -> list[np.ndarray]:
+    """Poses (n, 24, 3) sorted into up to 128 kinds by the rotations of the body's joints (k-means, a fixed seed)."""
+    features = rotvec_to_matrix(poses[:, BODY_JOINTS])[..., :2].reshape(len(poses), -1).astype(np.float32)
+    count = min(KIND_COUNT, len(poses))
+    _, label = kmeans2(features, count, iter=10, minit="++", seed=0)
+    return [poses[label == k] for k in range(count) if (label == k).any()]
 
 
 def draw_betas(count: int, shape_count: int, config: DataConfig, rng: np.random.Generator) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -56,6 +56,7 @@ class BaseTrainer:
         self.material = material()
         self.wardrobe = Wardrobe(config.data, self.body, seed=config.seed + 3, device=device, process=parallel.rank())
         self.model = OneFit(config.model).to(device)
+        self.model.autocast = config.autocast
         if weights is not None:
             take_weights(self.model, weights)
         self._set_statistics()
@@ -121,14 +122,19 @@ class BaseTrainer:
         return objective.report() | {"gradient_norm": float(norm)}
 
     def _drape(
-        self, batch: BodyBatch, garment: TrainingGarment, partition: Partition, dynamic_code: Tensor | None = None
+        self,
+        batch: BodyBatch,
+        garment: TrainingGarment,
+        partition: Partition,
+        dynamic_code: Tensor | None = None,
+        passes: int | None = None,
     ) -> tuple[Posed, Tensor]:
-        """Posed patches of ``batch`` and vertices [m] (F, V, 3) relative to the root."""
+        """Posed patches of ``batch`` and vertices [m] (F, V, 3) relative to the root; ``passes`` as of ``OneFit``."""
         config = self.config
-        with torch.autocast(self.device.type, dtype=torch.bfloat16, enabled=config.autocast):
-            embedding = self.model.garment(partition.features)
-            posed = self.model(batch.tensors, partition.patches, embedding, dynamic_code)
-        posed = replace(posed, jet=posed.jet.float())
+        embedding = self.model.garment(partition.features)
+        posed = self.model(
+            batch.tensors, partition.patches, embedding, dynamic_code, charts=partition.agreement, passes=passes
+        )
         return posed, losses.garment_vertices(posed, partition, garment, batch.tensors, variant=config.model.variant)
 
     def _planes(self, vertices: Tensor, batch: BodyBatch) -> losses.ContactPlanes:
@@ -216,6 +222,13 @@ class Trainer(BaseTrainer):
         betas = draw_betas(512, self.body.shape_count, self.config.data, np.random.default_rng(self.config.seed + 2))
         self.model.body.standardise.set_from(self.source.pose(poses, betas).tensors.features)
 
+    def _passes(self) -> int | None:
+        """Passes of corrections in this step: the same in all processes, whose gradients are averaged."""
+        rng = np.random.default_rng((self.config.seed, self.step_count))
+        if rng.random() < self.config.full_share:
+            return None
+        return int(rng.integers(self.config.model.corrections + 1))
+
     def objective(self) -> Objective:
         """The loss of a batch that is drawn now."""
         config = self.config
@@ -223,7 +236,7 @@ class Trainer(BaseTrainer):
         poses = self.bank.draw(config.batch_size, self.rng)
         betas = draw_betas(config.batch_size, self.body.shape_count, config.data, self.rng)
         batch = self.source.pose(poses, betas)
-        posed, vertices = self._drape(batch, garment, partition)
+        posed, vertices = self._drape(batch, garment, partition, passes=self._passes())
         parts = self._energy(vertices, garment, self._planes(vertices, batch))
         contact = losses.soften(parts["contact"], config.contact_knee_j_m2)
         energy = (parts["membrane"] + parts["bending"] + parts["gravity"] + contact).mean()

@@ -12,6 +12,7 @@ from drape.body.features import feature_count
 from drape.body.skeleton import JOINT_COUNT
 from drape.errors import BodyError, MotionError
 from drape.feeds import BETA_COUNT, body_feed, garment_feed, kinematics
+from drape.garment.agreement import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.geometry import jets
 from drape.geometry.rotations import matrix_to_rotvec, quaternion_to_matrix, rotvec_to_matrix
 from drape.geometry.skinning import skin_points
@@ -157,9 +158,18 @@ def test_garment_feed_has_the_shapes_it_states(fine):
         "chart_basis": (count, 4, jets.HEIGHT_COUNT),
         "chart_local": (count, 4, 3),
         "skin_weights": (count, JOINT_COUNT),
+        "anchor_patch": (len(feed["anchor_patch"]), 4),
+        "anchor_row": (len(feed["anchor_patch"]), 4, 19),
+        "patch_member": (patches, MEMBERS),
+        "patch_slot": (patches, MEMBERS),
+        "patch_fit": (patches, FIT_COUNT, MEMBERS),
+        "patch_rest": (patches, FIT_COUNT, 3),
+        "patch_tangent": (patches, STRAIN_POINTS, 3, 2),
+        "patch_orthonormal": (patches, STRAIN_POINTS, 2, 2),
     }
+    indices = ("patch_heaviest", "chart_patch", "anchor_patch", "patch_member", "patch_slot")
     for key, value in feed.items():
-        assert value.dtype == (np.int64 if key in ("patch_heaviest", "chart_patch") else np.float32)
+        assert value.dtype == (np.int64 if key in indices else np.float32)
         assert value.flags.c_contiguous
 
 

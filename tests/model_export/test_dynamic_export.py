@@ -59,7 +59,7 @@ def test_the_manifest_says_that_it_is_dynamic(folder):
         "dynamic_code": ("clients", 16),
         "next_state": ("clients", 32),
     }
-    assert manifest.graphs["drape"].inputs[-1].name == "dynamic_code"
+    assert "dynamic_code" in {spec.name for spec in manifest.graphs["drape"].inputs}
 
 
 def test_a_recurrence_that_differs_is_refused(model, garment, folder, tmp_path, monkeypatch):

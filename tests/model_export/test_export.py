@@ -19,7 +19,7 @@ from model_export import export as exporting
 from model_export.graph import DrapeGraph, drape_inputs
 from model_export.parity import hard_poses, session
 from training import checkpoint
-from training.config import ModelConfig, TrainConfig
+from training.config import ModelConfig, TrainConfig, as_published
 from training.model import OneFit
 
 pytestmark = pytest.mark.slow
@@ -35,7 +35,7 @@ def garment():
 
 def lively(variant: str) -> OneFit:
     torch.manual_seed(0)
-    model = OneFit(replace(SMALL, variant=variant)).eval()
+    model = OneFit(as_published(SMALL) if variant == "paper" else SMALL).eval()
     for head in model.decoder.heads.values():
         torch.nn.init.normal_(list(head.parameters())[-2], std=0.3)
     return model

@@ -22,6 +22,7 @@ from model_export.packed import OUTPUTS, FirstGraph, PackedGraph, packed_inputs
 from model_export.packed_parity import packed_parity_error
 from model_export.parity import hard_poses
 from tests.fixtures.packed import KINDS, SMALL, exported, garment, lively
+from training.config import as_published
 from training.layers import Decoder
 from training.model import OneFit
 
@@ -68,7 +69,9 @@ def readable(model: OneFit, kind: str, row: int) -> list[np.ndarray]:
 
 CONFIGS = {
     "surroundings": SMALL,
-    "without": replace(SMALL, surroundings=False),
+    "without": replace(SMALL, surroundings=False, agreed_base=False, corrections=0),
+    "base alone": replace(SMALL, corrections=0),
+    "two corrections alone": replace(SMALL, agreed_base=False, corrections=2),
     "deep heads": replace(SMALL, head_sizes=(12, 8), decoder_sizes=(24, 16, 16)),
     "no hidden heads": replace(SMALL, head_sizes=()),
 }
@@ -82,7 +85,7 @@ def test_a_mixed_batch_equals_the_readable_graph_item_by_item(config):
         vertices, jet, rotation, centre = readable(model, kind, row)
         assert_allclose(out["vertices"].reshape(-1, 3)[composition.vertices[item]], vertices, rtol=0, atol=2e-6)
         here = composition.patches[item]
-        assert_allclose(out["jet"][here], jet, rtol=0, atol=1e-5)
+        assert_allclose(out["jet"][here], jet, rtol=0, atol=5e-5)
         assert_allclose(out["frame_rotation"][here], rotation, rtol=0, atol=2e-6)
         assert_allclose(out["frame_centre"][here], centre, rtol=0, atol=2e-6)
 
@@ -121,7 +124,7 @@ def test_normals_stand_on_the_draped_surface():
     for item, (kind, _) in enumerate(ITEMS):
         here = composition.vertices[item]
         normals = out["normals"].reshape(-1, 3)[here]
-        assert_allclose(np.linalg.norm(normals, axis=1), 1.0, rtol=0, atol=1e-5)
+        assert_allclose(np.linalg.norm(normals, axis=1), 1.0, rtol=0, atol=5e-5)
         vertices = out["vertices"].reshape(-1, 3)[here].astype(np.float64)
         of_mesh = meshes.vertex_normals(vertices, garment(kind).faces)
         angle = np.degrees(np.arccos(np.clip(np.sum(normals * of_mesh, axis=1), -1.0, 1.0)))
@@ -148,7 +151,7 @@ def test_the_dynamic_code_is_added_to_the_body_code():
 
 def test_the_papers_variant_is_refused():
     with pytest.raises(ArtifactError, match="variant: expected 'vector'"):
-        PackedGraph(lively(replace(SMALL, variant="paper", surroundings=False)))
+        PackedGraph(lively(as_published(SMALL)))
 
 
 def test_first_half_is_the_decoders_own():

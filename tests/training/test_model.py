@@ -14,7 +14,8 @@ from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_matrix
 from tests.training.training_setup import TINY, bank, body, garment, source
 from training import losses
-from training.config import ModelConfig
+from training.agreement import agreed_jets
+from training.config import ModelConfig, as_published
 from training.layers import SURROUNDINGS_COUNT, Decoder, GarmentEncoder, Standardise
 from training.model import OneFit, Posed, patch_surroundings, pose_frames, posed_coefficients, vertex_positions
 
@@ -109,7 +110,9 @@ def test_turning_the_body_about_the_vertical_turns_the_drape():
         embedding = model.garment(partition.features)
         outputs = []
         for set_of_poses in (poses, turned):
-            state = model(source().pose(set_of_poses, betas).tensors, partition.patches, embedding)
+            state = model(
+                source().pose(set_of_poses, betas).tensors, partition.patches, embedding, charts=partition.agreement
+            )
             outputs.append(losses.vertices_from(posed_coefficients(state, partition.patches.scale), partition).numpy())
     assert np.abs(outputs[0]).max() > 0.1
     assert_allclose(outputs[1], outputs[0] @ turn.T, rtol=0, atol=2e-4)
@@ -145,22 +148,29 @@ def test_untrained_network_stays_near_plain_skinning():
     model = OneFit(ModelConfig()).eval()
     partition = garment().partitions[0]
     with torch.no_grad():
-        state = model(batch().tensors, partition.patches, model.garment(partition.features))
-    assert float(state.jet.abs().max()) < 1e-2
+        embedding = model.garment(partition.features)
+        state = model(batch().tensors, partition.patches, embedding, charts=partition.agreement)
+        plain = model(batch().tensors, partition.patches, embedding, charts=partition.agreement, passes=0)
+        rotation, centre = pose_frames(batch().tensors, partition.patches)
+        frames = torch.cat([centre[..., None, :], rotation.mT], dim=-2)
+        charts, scale = partition.agreement, partition.patches.scale
+        base = agreed_jets(charts.anchors(frames), charts, rotation, centre, scale)
+    assert float((plain.jet - base).abs().max()) < 1e-2
+    assert float((state.jet - base).abs().max()) < 0.5  # agreement alone moves charts a little
 
 
 def test_paper_variant_moves_patches_by_translation_and_scale():
     """Its heads written as a vector jet must equal s (1 + ds) (u, v) + dT and the added height."""
     torch.manual_seed(0)
-    model = OneFit(replace(TINY, variant="paper", surroundings=False)).eval()
+    model = OneFit(as_published(TINY)).eval()
     for head in model.decoder.heads.values():
         torch.nn.init.normal_(list(head.parameters())[-2], std=0.3)
     partition = garment().partitions[0]
     bodies = batch()
     with torch.no_grad():
         embedding = model.garment(partition.features)
-        out = model.decoder(model.body(bodies.tensors.features), embedding)
-        jet = model.predict(bodies.tensors, embedding)
+        out, _ = model.decoder(model.body(bodies.tensors.features), embedding)
+        jet, _ = model.predict(bodies.tensors, embedding)
         state = model(bodies.tensors, partition.patches, embedding)
     uv = torch.tensor([0.3, -0.6])
     got = jets.evaluate(jet, uv) / model.config.output_gain
@@ -182,12 +192,12 @@ def test_decoder_equals_layers_on_the_concatenated_codes():
     decoder = Decoder(TINY, {"out": 5})
     assert decoder.from_surroundings is not None
     code, embedding = torch.randn(4, TINY.body_code_size), torch.randn(7, TINY.embedding_size)
-    around = torch.randn(4, 7, SURROUNDINGS_COUNT)
+    around = torch.randn(4, 7, SURROUNDINGS_COUNT + jets.JET_COUNT)
     weight = torch.cat([decoder.from_body.weight, decoder.from_patch.weight, decoder.from_surroundings.weight], dim=1)
     both = torch.cat([code[:, None].expand(-1, 7, -1), embedding[None].expand(4, -1, -1), around], dim=-1)
     first = torch.nn.functional.leaky_relu(both @ weight.T + decoder.from_patch.bias, 0.01)
     expected = decoder.heads["out"](decoder.trunk(first))
-    assert_allclose(decoder(code, embedding, around)["out"].detach(), expected.detach(), rtol=1e-4, atol=1e-6)
+    assert_allclose(decoder(code, embedding, around)[0]["out"].detach(), expected.detach(), rtol=1e-4, atol=1e-6)
 
 
 def test_standardise_has_unit_statistics_and_bounds_strangers():

@@ -22,7 +22,7 @@ from dataclasses import replace
 parallel.start(CPU)
 torch.set_num_threads(1)
 run = {"static": TINY_RUN, "dynamic": MOVING_RUN}[sys.argv[2]]
-trainer = make_trainer(replace(run, minutes=0.03), read_clips([sample_motions()], held_out=()), device=CPU)
+trainer = make_trainer(replace(run, minutes=0.08), read_clips([sample_motions()], held_out=()), device=CPU)
 train(trainer, Path(sys.argv[1]))
 torch.save([p.detach() for p in trainer.model.parameters()], Path(sys.argv[1]) / f"rank{parallel.rank()}.pt")
 print("steps", trainer.step_count)

@@ -19,7 +19,14 @@ from training.run import sample_motions
 
 CPU = torch.device("cpu")
 TINY = ModelConfig(
-    garment_hidden=16, embedding_size=8, body_hidden=16, body_code_size=16, decoder_sizes=(16, 16), head_sizes=(8,)
+    garment_hidden=16,
+    embedding_size=8,
+    body_hidden=16,
+    body_code_size=16,
+    decoder_sizes=(16, 16),
+    head_sizes=(8,),
+    corrections=1,
+    correction_hidden=16,
 )
 TINY_RUN = TrainConfig(
     model=TINY,

@@ -1,0 +1,128 @@
+"""Tables by which the overlapping charts of a garment are brought to agree, and to feel how they are strained.
+
+A few vertices of every patch are its anchors. Where the blend of all charts puts the anchors, each
+chart is fitted anew by weighted least squares. The fit is linear, so it is a constant matrix per patch; its cost
+does not grow with the mesh. Afterwards a chart says nearly what its neighbours say.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from drape.garment.cache import CHARTS_PER_VERTEX
+from drape.geometry import jets
+
+ANCHORS_PER_PATCH = 8  # within the patch itself; its chart reaches over three times as many of its neighbours'
+MEMBERS = 48  # places for the anchors of a chart, of which at least the last stays empty; most charts have 32
+FIT_COUNT = jets.HEIGHT_COUNT + jets.IN_PLANE_COUNT  # rows of a fit: the height's order, then the in-plane order
+RIDGE = 1e-4  # of the mean diagonal of the normal equations
+# Strain is felt at the centre of a patch and on a ring round it [patch scales]; half a patch is about 0.42 wide.
+RING, RING_COUNT = 0.4, 6
+STRAIN_POINTS = 1 + RING_COUNT
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """Constants of K patches over A anchors, float64.
+
+    ``anchor`` (A,) rows of the vertices. ``member`` (K, 48) the anchors of each chart, ``slot`` (K, 48) which of an
+    anchor's four charts this one is; left over places hold zeros. ``fit`` (K, 21, 48) takes values at the
+    members to polynomials: 15 coefficients of the height's order, 6 of the in-plane order; ``rest`` (K, 21, 3) is
+    the fit of the rest places in the patch's frame [patch scales]. ``tangent`` (K, 7, 3, 2) derivatives of the rest
+    jet at ``strain_points``, ``orthonormal`` (K, 7, 2, 2) upper triangles that turn them into unit vectors.
+    """
+
+    anchor: np.ndarray
+    member: np.ndarray
+    slot: np.ndarray
+    fit: np.ndarray
+    rest: np.ndarray
+    tangent: np.ndarray
+    orthonormal: np.ndarray
+
+
+def strain_points() -> np.ndarray:
+    """Parameters (u, v) (7, 2) at which strain is felt."""
+    angle = np.arange(RING_COUNT) * (2.0 * np.pi / RING_COUNT)
+    return np.concatenate([np.zeros((1, 2)), RING * np.stack([np.cos(angle), np.sin(angle)], axis=1)])
+
+
+def agreement(
+    chart_patch: np.ndarray,
+    chart_uv: np.ndarray,
+    chart_weight: np.ndarray,
+    chart_local: np.ndarray,
+    patch_jet: np.ndarray,
+    patch_scale: np.ndarray,
+) -> Agreement:
+    """Tables of a garment from its charts (V, 4, ...) and patches (K, ...), as ``Garment`` holds them."""
+    count = len(patch_scale)
+    anchor = _anchors(chart_patch, chart_uv, chart_weight, count)
+    patch, weight = chart_patch[anchor], chart_weight[anchor].astype(np.float64)
+    uv = chart_uv[anchor].astype(np.float64)
+    local = chart_local[anchor] / patch_scale.astype(np.float64)[patch][..., None]
+    member, slot = (np.zeros((count, MEMBERS), dtype=np.int64) for _ in range(2))
+    fit, rest = np.zeros((count, FIT_COUNT, MEMBERS)), np.zeros((count, FIT_COUNT, 3))
+    for k, (rows, slots) in enumerate(_held(patch, weight, count)):
+        bases = (jets.basis(uv[rows, slots], order) for order in (jets.HEIGHT_ORDER, jets.IN_PLANE_ORDER))
+        made = np.concatenate([_weighted_fit(basis, weight[rows, slots]) for basis in bases])
+        member[k, : len(rows)], slot[k, : len(rows)], fit[k, :, : len(rows)] = rows, slots, made
+        rest[k] = made @ local[rows, slots]
+    points = np.broadcast_to(strain_points(), (count, STRAIN_POINTS, 2))
+    jet = patch_jet.astype(np.float64)[:, None]
+    by_u, by_v = jets.evaluate(jet, points, u_times=1), jets.evaluate(jet, points, v_times=1)
+    tangent = np.stack([by_u, by_v], axis=-1)
+    lower = np.linalg.cholesky(tangent.swapaxes(-1, -2) @ tangent)
+    return Agreement(anchor, member, slot, fit, rest, tangent, np.linalg.inv(lower).swapaxes(-1, -2))
+
+
+def _weighted_fit(basis: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """(n, m) matrix from values at m points to the n coefficients of least weighted squares, with a ridge."""
+    weighted = basis * weight[:, None]
+    normal = weighted.T @ basis
+    normal += RIDGE * np.trace(normal) / len(normal) * np.eye(len(normal))
+    return np.linalg.solve(normal, weighted.T)
+
+
+def _held(patch: np.ndarray, weight: np.ndarray, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Of each patch the rows and slots of the charts (A, 4) that are its own and weigh anything."""
+    rows, slots = np.nonzero(weight > 0.0)
+    held = patch[rows, slots]
+    order = np.argsort(held, kind="stable")
+    starts = np.searchsorted(held[order], np.arange(count + 1))
+    parts = [order[a:b] for a, b in pairwise(starts)]
+    return [(rows[part], slots[part]) for part in parts]
+
+
+def _anchors(patch: np.ndarray, uv: np.ndarray, weight: np.ndarray, count: int) -> np.ndarray:
+    """Up to ``ANCHORS_PER_PATCH`` vertices of every patch's own, each the farthest in (u, v) from those before it;
+    fewer where a chart would reach over more than it has places for."""
+    every, heaviest = np.arange(len(patch)), np.argmax(weight, axis=1)
+    owner, place = patch[every, heaviest], uv[every, heaviest].astype(np.float64)
+    order = np.argsort(owner, kind="stable")
+    starts = np.searchsorted(owner[order], np.arange(count + 1))
+    groups = [order[a:b] for a, b in pairwise(starts) if b > a]
+    anchor = np.sort(np.concatenate([own[_farthest_first(place[own])] for own in groups]))
+    while True:
+        held = _held(patch[anchor], weight[anchor], count)
+        rows, slots = max(held, key=lambda part: len(part[0]))
+        if len(rows) < MEMBERS:
+            return anchor
+        least = np.argsort(weight[anchor][rows, slots], kind="stable")[: len(rows) - MEMBERS + 1]
+        anchor = np.delete(anchor, rows[least])
+
+
+def _farthest_first(points: np.ndarray) -> np.ndarray:
+    """Rows of up to ``ANCHORS_PER_PATCH`` of ``points`` (n, 2), from the one nearest to the origin on."""
+    taken = [int(np.argmin(np.sum(points * points, axis=1)))]
+    distance = np.sum((points - points[taken[0]]) ** 2, axis=1)
+    while len(taken) < min(ANCHORS_PER_PATCH, len(points)):
+        taken.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.sum((points - points[taken[-1]]) ** 2, axis=1))
+    return np.array(taken)
+
+
+assert CHARTS_PER_VERTEX * ANCHORS_PER_PATCH < MEMBERS

@@ -1,0 +1,173 @@
+"""Agreement and strain: the fast form against the readable one, closed forms, and the force as a gradient."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+from numpy.testing import assert_allclose
+
+from drape.body.assets import load_body
+from drape.catalog import find_garments, open_garment
+from drape.feeds import garment_feed
+from drape.garment.cache import Garment
+from drape.garment.disagreement import disagreement
+from drape.geometry import jets
+from drape.geometry.rotations import rotvec_to_matrix
+from tests.training.training_setup import CPU, TINY, body, source
+from training.agreement import (
+    TRACE_SHARE,
+    GatheredAgreement,
+    agreed_jets,
+    softened,
+    strain_and_force,
+    tangent_terms,
+)
+from training.config import ModelConfig, paper
+from training.data import Partition, partition_tensors
+from training.model import OneFit, Posed, pose_frames, posed_coefficients
+
+
+@cache
+def garment() -> Garment:
+    return open_garment(find_garments(["tank"])[0], load_body())
+
+
+@cache
+def partition() -> Partition:
+    return partition_tensors({item.name: getattr(garment(), item.name) for item in fields(garment())}, device=CPU)
+
+
+@cache
+def gathered() -> GatheredAgreement:
+    feed = {name: torch.from_numpy(value) for name, value in garment_feed(garment()).items()}
+    names = ("anchor_patch", "anchor_row", "patch_member", "patch_fit", "patch_rest", "patch_tangent")
+    return GatheredAgreement(*(feed[name] for name in names), feed["patch_orthonormal"])
+
+
+def posed(count: int = 2, size: float = 0.05) -> Posed:
+    rng = np.random.default_rng(4)
+    poses = rng.normal(0.0, 0.3, size=(count, 24, 3))
+    bodies = source().pose(poses, np.zeros((count, body().shape_count))).tensors
+    rotation, centre = pose_frames(bodies, partition().patches)
+    jet = size * torch.randn(count, garment().patch_count, jets.JET_COUNT, generator=torch.Generator().manual_seed(2))
+    return Posed(rotation, centre, jet)
+
+
+def frames(state: Posed) -> torch.Tensor:
+    return torch.cat([state.centre[..., None, :], state.rotation.mT], dim=-2)
+
+
+def test_sparse_form_equals_the_gathered_one_forward_and_backward():
+    scale, results = partition().patches.scale, []
+    for charts in (partition().agreement, gathered()):
+        state = posed()
+        jet = state.jet.clone().requires_grad_()
+        anchors = charts.anchors(posed_coefficients(replace(state, jet=jet), scale))
+        agreed = agreed_jets(anchors, charts, state.rotation, state.centre, scale)
+        (gradient,) = torch.autograd.grad((agreed**2).sum(), jet)
+        base = agreed_jets(charts.anchors(frames(state)), charts, state.rotation, state.centre, scale)
+        results.append((anchors.detach(), agreed.detach(), gradient, base))
+    for fast, slow in zip(*results, strict=True):
+        assert_allclose(fast, slow, rtol=0, atol=2e-4 * float(slow.abs().max()))
+
+
+def test_charts_that_agree_stay_as_they_are():
+    """A garment moved rigidly: all charts say the same, and the fit finds the rest jets again."""
+    turn = torch.from_numpy(rotvec_to_matrix(np.array([0.4, -1.1, 0.3]))).float()
+    patches = partition().patches
+    rotation = (turn @ patches.rotation)[None]
+    centre = (patches.centre @ turn.T + torch.tensor([0.3, -0.2, 0.1]))[None]
+    charts = partition().agreement
+    state = Posed(rotation, centre, torch.zeros(1, garment().patch_count, jets.JET_COUNT))
+    agreed = agreed_jets(charts.anchors(frames(state)), charts, rotation, centre, patches.scale)
+    assert float(agreed.abs().max()) < 1e-4
+
+
+def test_agreement_brings_charts_together():
+    state, scale, charts = posed(size=0.02), partition().patches.scale, partition().agreement
+    anchors = charts.anchors(posed_coefficients(state, scale))
+    agreed = agreed_jets(anchors, charts, state.rotation, state.centre, scale)
+    gaps = [
+        disagreement(garment(), jet.numpy(), state.rotation.numpy(), state.centre.numpy()).gap_m
+        for jet in (state.jet, agreed)
+    ]
+    assert np.median(gaps[1]) < 0.3 * np.median(gaps[0])
+
+
+def test_strain_of_a_stretch_is_its_closed_form():
+    """u -> 1.2 u, v -> 0.9 v + 0.1 u of flat patches: E = (F^T F - 1) / 2."""
+    count, charts = 3, gathered()
+    flat = torch.zeros(count, 7, 3, 2)
+    flat[..., 0, 0] = flat[..., 1, 1] = 1.0
+    charts = replace(charts, tangent=flat, orthonormal=torch.eye(2).expand(count, 7, 2, 2))
+    jet = torch.zeros(1, count, jets.JET_COUNT)
+    jet[..., 1], jet[..., jets.IN_PLANE_COUNT + 1], jet[..., jets.IN_PLANE_COUNT + 2] = 0.2, 0.1, -0.1
+    strain, force = strain_and_force(jet, charts, tangent_terms())
+    f = np.array([[1.2, 0.0], [0.1, 0.9]])
+    e = 0.5 * (f.T @ f - np.eye(2))
+    wanted = np.tile([e[0, 0], e[1, 1], 2.0 * e[0, 1]], 7)
+    assert_allclose(strain[0, 1], wanted, rtol=0, atol=1e-6)
+    assert_allclose(
+        force[0, 1, 1], 7.0 * (f @ (e + TRACE_SHARE * np.trace(e) * np.eye(2)))[0, 0], rtol=1e-5
+    )  # d/dp_u of the sum over seven points alike
+
+
+def test_rigid_patches_feel_nothing():
+    strain, force = strain_and_force(torch.zeros(1, garment().patch_count, jets.JET_COUNT), gathered(), tangent_terms())
+    assert float(strain.abs().max()) < 1e-5 and float(force.abs().max()) < 1e-4
+
+
+def test_force_is_the_gradient_of_the_strain_energy():
+    charts = gathered()
+    exact = replace(charts, tangent=charts.tangent.double(), orthonormal=charts.orthonormal.double())
+    terms = tangent_terms().double()
+    jet = 0.2 * torch.randn(2, garment().patch_count, jets.JET_COUNT, dtype=torch.float64)
+    jet.requires_grad_()
+    strain, force = strain_and_force(jet, exact, terms)
+    e11, e22, shear = strain.unflatten(-1, (7, 3)).unbind(-1)
+    energy = 0.5 * (e11**2 + e22**2 + 0.5 * shear**2) + 0.5 * TRACE_SHARE * (e11 + e22) ** 2
+    (gradient,) = torch.autograd.grad(energy.sum(), jet)
+    assert_allclose(force.detach(), gradient, rtol=0, atol=1e-9 * float(gradient.abs().max()))
+
+
+def test_softened_values_are_four_times_the_small_and_bounded():
+    assert_allclose(softened(torch.tensor([1e-6, -1e-6])), [4e-6, -4e-6], rtol=1e-4)
+    assert float(softened(torch.tensor([1e6])).abs().max()) <= 1.0
+
+
+def test_passes_choose_how_many_corrections_are_taken():
+    torch.manual_seed(0)
+    model = OneFit(replace(TINY, corrections=2)).eval()
+    for correction in model.corrections:
+        torch.nn.init.normal_(correction[-1].weight, std=0.3)
+    bodies = source().pose(np.zeros((1, 24, 3)) + 0.1, np.zeros((1, body().shape_count))).tensors
+    charts, patches = partition().agreement, partition().patches
+    with torch.no_grad():
+        embedding = model.garment(partition().features)
+        got = [model(bodies, patches, embedding, charts=charts, passes=n).jet for n in (0, 1, 2, None)]
+    assert float((got[0] - got[1]).abs().max()) > 1e-4 and float((got[1] - got[2]).abs().max()) > 1e-4
+    assert torch.equal(got[2], got[3])
+
+
+def test_corrections_fit_no_network_but_one_of_vector_jets_with_surroundings():
+    for wrong in (replace(paper().model, corrections=1), ModelConfig(surroundings=False)):
+        with pytest.raises(ValueError, match="agreed_base and corrections"):
+            OneFit(wrong)
+
+
+def test_autocast_stays_near_full_precision():
+    torch.manual_seed(0)
+    model = OneFit(ModelConfig(corrections=1)).eval()
+    bodies = source().pose(np.zeros((1, 24, 3)) + 0.1, np.zeros((1, body().shape_count))).tensors
+    jets_of = []
+    for model.autocast in (False, True):
+        with torch.no_grad():
+            embedding = model.garment(partition().features)
+            jets_of.append(model(bodies, partition().patches, embedding, charts=partition().agreement).jet)
+    assert jets_of[1].dtype == torch.float32
+    gap = float((jets_of[0] - jets_of[1]).abs().max())
+    assert 0.0 < gap < 1e-3  # bfloat16 in the networks, whose outputs are small, and nowhere else

@@ -1,0 +1,164 @@
+"""Brings overlapping charts to agree and tells how they are strained: what the network's corrections look at.
+
+Two forms of the same tables: ``GatheredAgreement`` reads as the formula and is what export writes, ``SparseAgreement``
+is what training runs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import scipy.sparse
+import torch
+from torch import Tensor
+
+from drape.garment.agreement import FIT_COUNT, Agreement, strain_points
+from drape.geometry import jets
+from training.sparse import SparsePair, product
+
+TANGENT_COUNT = 6 * len(strain_points())
+TRACE_SHARE = 0.3  # of the strain's trace in the force: Poisson's effect
+
+
+class ChartAgreement(Protocol):
+    """What a posed garment needs to bring its charts to agree (names as in ``drape.garment.agreement``)."""
+
+    rest: Tensor  # (K, 21, 3)
+    tangent: Tensor  # (K, 7, 3, 2)
+    orthonormal: Tensor  # (K, 7, 2, 2)
+
+    def anchors(self, coefficients: Tensor) -> Tensor:
+        """Anchors [m] (F, A, 3) blended from world coefficients (F, K, 4 or 19, 3)."""
+        ...
+
+    def fitted(self, anchors: Tensor, centre: Tensor) -> Tensor:
+        """Polynomials (F, K, 21, 3) of ``anchors`` (F, A, 3) relative to the patch centres (F, K, 3)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class GatheredAgreement:
+    """Tables as the drape graph takes them."""
+
+    anchor_patch: Tensor  # (A, 4) int64
+    anchor_row: Tensor  # (A, 4, 19): weight x [1, rest place, basis]
+    member: Tensor  # (K, 48) int64
+    fit: Tensor  # (K, 21, 48)
+    rest: Tensor
+    tangent: Tensor
+    orthonormal: Tensor
+
+    def anchors(self, coefficients: Tensor) -> Tensor:
+        rows, count = coefficients.shape[2], self.anchor_patch.shape[0]
+        gathered = torch.index_select(coefficients.flatten(2), 1, self.anchor_patch.reshape(-1))
+        row = self.anchor_row[..., :rows].reshape(1, count, 1, -1)
+        return (row @ gathered.reshape(coefficients.shape[0], count, -1, 3))[..., 0, :]
+
+    def fitted(self, anchors: Tensor, centre: Tensor) -> Tensor:
+        places = torch.index_select(anchors, 1, self.member.reshape(-1))
+        places = places.reshape(anchors.shape[0], *self.member.shape, 3)
+        return self.fit @ (places - centre[:, :, None])
+
+
+@dataclass(frozen=True, eq=False)
+class SparseAgreement:
+    """Tables as sparse matrices, whose gradients do not scatter; equals ``GatheredAgreement``."""
+
+    rigid: SparsePair  # (A, 4 K)
+    blend: SparsePair  # (A, 19 K)
+    fit: SparsePair  # (21 K, A)
+    fit_total: Tensor  # (K, 21, 1)
+    rest: Tensor
+    tangent: Tensor
+    orthonormal: Tensor
+
+    @classmethod
+    def of(cls, tables: Agreement, blend: scipy.sparse.csr_matrix, *, device: torch.device) -> SparseAgreement:
+        """From ``tables`` and the blend (V, 19 K) of the same partition."""
+        count = len(tables.member)
+        rows = scipy.sparse.csr_matrix(blend[tables.anchor])
+        per_patch = rows.shape[1] // count
+        framed = (np.arange(count)[:, None] * per_patch + np.arange(4)).ravel()
+        row = np.broadcast_to(np.arange(count * FIT_COUNT).reshape(count, FIT_COUNT, 1), tables.fit.shape)
+        column = np.broadcast_to(tables.member[:, None], tables.fit.shape)
+        fit = scipy.sparse.csr_matrix(
+            (tables.fit.ravel(), (row.ravel(), column.ravel())), shape=(count * FIT_COUNT, len(tables.anchor))
+        )
+        fit.sum_duplicates()
+        fit.eliminate_zeros()
+
+        def tensor(values: np.ndarray) -> Tensor:
+            return torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32)).to(device)
+
+        return cls(
+            rigid=SparsePair.from_scipy(scipy.sparse.csr_matrix(rows[:, framed]), device=device),
+            blend=SparsePair.from_scipy(rows, device=device),
+            fit=SparsePair.from_scipy(fit, device=device),
+            fit_total=tensor(tables.fit.sum(axis=2, keepdims=True)),
+            rest=tensor(tables.rest),
+            tangent=tensor(tables.tangent),
+            orthonormal=tensor(tables.orthonormal),
+        )
+
+    def anchors(self, coefficients: Tensor) -> Tensor:
+        return framewise(self.rigid if coefficients.shape[2] == 4 else self.blend, coefficients.flatten(1, 2))
+
+    def fitted(self, anchors: Tensor, centre: Tensor) -> Tensor:
+        fitted = framewise(self.fit, anchors).unflatten(1, (centre.shape[1], FIT_COUNT))
+        return fitted - self.fit_total * centre[:, :, None]
+
+
+def framewise(pair: SparsePair, values: Tensor) -> Tensor:
+    """``pair`` (n, m) times ``values`` (F, m, 3) of every frame: (F, n, 3)."""
+    frames = values.shape[0]
+    flat = product(pair, values.permute(1, 2, 0).reshape(values.shape[1], 3 * frames))
+    return flat.reshape(-1, 3, frames).permute(2, 0, 1)
+
+
+def agreed_jets(anchors: Tensor, charts: ChartAgreement, rotation: Tensor, centre: Tensor, scale: Tensor) -> Tensor:
+    """Jets (F, K, 27), added to those at rest, of charts fitted to ``anchors`` [m] (F, A, 3).
+
+    ``rotation`` (F, K, 3, 3) and ``centre`` (F, K, 3) [m] are the posed frames, ``scale`` (K,) [m] the patches'.
+    """
+    local = charts.fitted(anchors, centre) @ (rotation / scale[:, None, None]) - charts.rest
+    plane, height = local[..., jets.HEIGHT_COUNT :, :], local[..., : jets.HEIGHT_COUNT, 2]
+    return torch.cat([plane[..., 0], plane[..., 1], height], dim=-1)
+
+
+def tangent_terms() -> Tensor:
+    """(27, 42): what each jet coefficient adds to the derivatives (7 points, 3 axes, 2) at the strain points."""
+    points = strain_points()
+    terms = np.zeros((jets.JET_COUNT, len(points), 3, 2))
+    plane, height = jets.IN_PLANE_COUNT, jets.HEIGHT_COUNT
+    for way, derivative in enumerate(({"u_times": 1}, {"v_times": 1})):
+        by_plane = jets.basis_derivative(points, jets.IN_PLANE_ORDER, **derivative).T
+        terms[:plane, :, 0, way] = by_plane
+        terms[plane : 2 * plane, :, 1, way] = by_plane
+        terms[2 * plane :, :, 2, way] = jets.basis_derivative(points, jets.HEIGHT_ORDER, **derivative).T
+    assert terms.shape[0] == 2 * plane + height
+    return torch.from_numpy(terms.reshape(jets.JET_COUNT, -1)).float()
+
+
+def strain_and_force(jet: Tensor, charts: ChartAgreement, terms: Tensor) -> tuple[Tensor, Tensor]:
+    """Green strain (F, K, 21) of posed charts at seven points each, and the force on their coefficients (F, K, 27).
+
+    The strain is [E11, E22, 2 E12] against the rest jet; the force the gradient of |E|^2 / 2 + 0.15 tr(E)^2 summed
+    over the points: which way, and by how much, each coefficient would relax the patch. ``terms``: ``tangent_terms``.
+    """
+    moved = (jet @ terms).unflatten(-1, charts.tangent.shape[1:])
+    tangent = (charts.tangent + moved) @ charts.orthonormal
+    u, v = tangent[..., 0], tangent[..., 1]
+    e11, e22 = 0.5 * ((u * u).sum(-1) - 1.0), 0.5 * ((v * v).sum(-1) - 1.0)
+    e12 = 0.5 * (u * v).sum(-1)
+    trace = TRACE_SHARE * (e11 + e22)
+    along_u = (e11 + trace)[..., None] * u + e12[..., None] * v
+    along_v = e12[..., None] * u + (e22 + trace)[..., None] * v
+    pull = torch.stack([along_u, along_v], dim=-1) @ charts.orthonormal.mT
+    return torch.stack([e11, e22, 2.0 * e12], dim=-1).flatten(-2), pull.flatten(-3) @ terms.T
+
+
+def softened(x: Tensor) -> Tensor:
+    """``4 x / (1 + 4 |x|)``: strains of a few percent fill the range, torn patches stay within it."""
+    return 4.0 * x / (1.0 + 4.0 * x.abs())
