@@ -77,21 +77,31 @@ def held_out_clips(config: TrainConfig, motions: Sequence[str]) -> list[MotionCl
     return [read_motion(path) for path in find_motions(motions)]
 
 
-def posed_patches(model: OneFit, garment: Garment, source: BodySource, poses: np.ndarray) -> tuple[np.ndarray, Posed]:
-    """World vertices [m] (F, V, 3) of the subdivided mesh at ``poses`` (F, 24, 3) [rad], and the posed patches."""
+def posed_patches(
+    model: OneFit, garment: Garment, source: BodySource, poses: np.ndarray, *, passes: int | None = None
+) -> tuple[np.ndarray, Posed]:
+    """World vertices [m] (F, V, 3) of the subdivided mesh at ``poses`` (F, 24, 3) [rad], and the posed patches.
+
+    ``passes`` of the corrections are taken, all by default.
+    """
     partition = partition_tensors({item.name: getattr(garment, item.name) for item in fields(garment)}, device=CPU)
     body = source.pose(poses, np.zeros((len(poses), source.body.shape_count))).tensors
     with torch.no_grad():
         embedding = model.garment(partition.features)
-        posed = model(body, partition.patches, embedding, charts=partition.agreement)
+        posed = model(body, partition.patches, embedding, charts=partition.agreement, passes=passes)
         vertices = vertices_from(posed_coefficients(posed, partition.patches.scale), partition)
         if model.config.variant == "paper":
             vertices = paper_vertices(vertices, torch.from_numpy(garment.skin_weights.astype(np.float32)), body)
     return vertices.double().numpy() + source.body.rest_joints()[0], posed
 
 
-def evaluate(model: OneFit, garment: Garment, body: BodyModel, poses: HardPoses) -> list[dict[str, Any]]:
-    """One row per method: mean energies [J] by part, strains, and the share of the energy of skinning + push-out."""
+def evaluate(
+    model: OneFit, garment: Garment, body: BodyModel, poses: HardPoses, *, passes: int | None = None
+) -> list[dict[str, Any]]:
+    """One row per method: mean energies [J] by part, strains, and the share of the energy of skinning + push-out.
+
+    ``passes`` as of ``posed_patches``.
+    """
     cloth_material, contact = material(), BodyContact(body.faces, body.vertex_count)
     rest, faces = garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64)
     cloth = ClothMesh.from_rest(rest, faces)
@@ -99,7 +109,7 @@ def evaluate(model: OneFit, garment: Garment, body: BodyModel, poses: HardPoses)
     still = np.broadcast_to(rest, (len(poses.poses), *rest.shape))
     skinned = skin_points(still, garment.skin_weights.astype(np.float64), rotations, translations)
     source = BodySource(body, *collider_surface(body), device=CPU)
-    draped, posed = posed_patches(model, garment, source, poses.poses)
+    draped, posed = posed_patches(model, garment, source, poses.poses, passes=passes)
     skin = body.posed_vertices(poses.poses)
     normals = np.asarray(contact.normals(skin))
     positions = {
@@ -156,6 +166,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     parser.add_argument("--garments", nargs="+", default=[], help="names, files or folders (default: the shipped ones)")
     parser.add_argument("--motions", nargs="+", default=[], help="names, files or folders (default: held-out clips)")
     parser.add_argument("--frames", type=int, default=FRAMES, help=f"hard poses (default {FRAMES})")
+    parser.add_argument("--passes", type=int, help="of the corrections (default: all)")
     parser.add_argument("--threads", type=int, help="of torch")
     options = parser.parse_args(arguments)
     model, config, steps = load_network(options.checkpoint)
@@ -164,12 +175,13 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     poses = hard_poses(held_out_clips(config, options.motions), body, options.frames)
     rows: list[dict[str, Any]] = []
     for path in find_garments(options.garments):
-        rows += evaluate(model, open_garment(path, body), body, poses)
+        rows += evaluate(model, open_garment(path, body), body, poses, passes=options.passes)
     print_rows(rows)
     record = {
         "evaluate": str(options.checkpoint.name),
         "step": steps,
         "frames": list(poses.labels),
+        "passes": len(model.corrections[: options.passes]),
         "rows": [{key: _plain(value) for key, value in row.items()} for row in rows],
     }
     print(json.dumps(record, allow_nan=False), flush=True)

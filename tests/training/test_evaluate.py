@@ -103,6 +103,13 @@ def test_the_command_ends_with_its_record(tmp_path, capsys):
     assert all(label.startswith("sway:") for label in record["frames"])
 
 
+def test_fewer_passes_drape_otherwise():
+    garment = tube_garment(body())
+    jets = [posed_patches(network(), garment, source(), bend(), passes=n)[1].jet for n in (0, 1, None)]
+    assert float((jets[0] - jets[1]).abs().max()) > 1e-4
+    assert torch.equal(jets[1], jets[2])  # the tiny network has one
+
+
 def config_of(model: OneFit):
     return replace(TINY_RUN, model=model.config)
 
