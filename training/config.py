@@ -158,9 +158,7 @@ def paper() -> TrainConfig:
 
 def dynamic() -> TrainConfig:
     """The recurrent encoder on top of a static model, whose weights stay as they are."""
-    return TrainConfig(
-        model=ModelConfig(dynamic=True), batch_size=6, minutes=45.0, warmup_steps=100
-    )
+    return TrainConfig(model=ModelConfig(dynamic=True), batch_size=6, minutes=45.0, warmup_steps=100)
 
 
 def finetune() -> TrainConfig:
