@@ -15,6 +15,7 @@ from drape.body.assets import load_body
 from drape.errors import ArtifactError
 from drape.feeds import body_feed, garment_feed
 from drape.garment.cache import GARMENTS_DIR, load_garment
+from drape.geometry import jets
 from model_export import export as exporting
 from model_export.graph import DrapeGraph, drape_inputs
 from model_export.parity import hard_poses, session
@@ -24,7 +25,14 @@ from training.model import OneFit
 
 pytestmark = pytest.mark.slow
 SMALL = ModelConfig(
-    garment_hidden=16, embedding_size=8, body_hidden=16, body_code_size=16, decoder_sizes=(16, 16), head_sizes=(8,)
+    garment_hidden=16,
+    embedding_size=8,
+    body_hidden=16,
+    body_code_size=16,
+    decoder_sizes=(16, 16),
+    head_sizes=(8,),
+    corrections=1,
+    correction_hidden=16,
 )
 
 
@@ -76,14 +84,16 @@ def test_any_number_of_frames_vertices_and_patches_runs(exported, garment, frame
             arrays[name] = value[:vertices]
         elif name.startswith("patch"):
             arrays[name] = value[:patches]
-    arrays["chart_patch"] = np.minimum(arrays["chart_patch"], patches - 1)
+    for name in ("chart_patch", "anchor_patch"):
+        arrays[name] = np.minimum(arrays[name], patches - 1)
     names = [spec.name for spec in drape_inputs(model)]
     got = session(folder / "drape.onnx").run(None, {name: arrays[name] for name in names})
     with torch.no_grad():
         expected = DrapeGraph(model)(**{name: torch.from_numpy(arrays[name]) for name in names})
     for have, want in zip((np.asarray(array) for array in got), expected, strict=True):
         assert have.shape == tuple(want.shape)
-        assert_allclose(have, want.numpy(), rtol=1e-4, atol=1e-5)
+        # Fits of the fourth order make some ten times more of what is rounded.
+        assert_allclose(have, want.numpy(), rtol=1e-4, atol=2e-4 if have.shape[-1] == jets.JET_COUNT else 1e-5)
 
 
 def test_a_frame_is_the_same_alone_and_in_a_batch(exported, garment):
@@ -101,9 +111,9 @@ def test_a_frame_is_the_same_alone_and_in_a_batch(exported, garment):
         assert_allclose(got[0], together[frame], rtol=0, atol=1e-6)
 
 
-def test_a_graph_that_differs_is_refused_and_the_old_model_stays(garment, tmp_path, monkeypatch):
-    model = lively("vector")
-    exporting.export(model, tmp_path / "m", garment=garment, training={})
+def test_a_graph_that_differs_is_refused_and_the_old_model_stays(exported, garment, tmp_path, monkeypatch):
+    model, folder, _ = exported
+    shutil.copytree(folder, tmp_path / "m")
     before = (tmp_path / "m" / "manifest.json").read_text()
     monkeypatch.setattr(exporting, "TOLERANCE_M", 1e-12)
     with pytest.raises(ArtifactError, match="parity"):
