@@ -20,7 +20,7 @@ FOLDER_BUDGET_S = {
     "architecture": 60,
     "drape": 200,
     "training": 150,
-    "model_export": 90,
+    "model_export": 150,
     "service": 150,
     "clients": 90,
     "recovery": 100,
