@@ -22,11 +22,14 @@ from drape.body.model import BodyModel
 from drape.cloth.material import material
 from drape.cloth.metrics import edge_strain_pct
 from drape.feeds import garment_feed
+from drape.garment.agreement import FIT_COUNT, MEMBERS
 from drape.garment.cache import Garment
+from drape.geometry import jets
 from drape.geometry.skinning import skin_points
 from drape.packing import COLUMNS, PackedGarment, Place, compose, pack_body, pack_garment
-from model_export.packed import Bodies, FirstGraph, PackedGraph, Patches
+from model_export.packed import Bodies, Charts, FirstGraph, PackedGraph, Patches
 from service.collider import Collider
+from training.agreement import TANGENT_COUNT
 from training.model import OneFit
 
 COMPILE_LIMIT_S = 240
@@ -50,12 +53,15 @@ class EagerDrape(nn.Module):
         self.patches = Patches(
             *(arrays[f"patch_{name}"] for name in ("first", "weights", "rotation", "scale", "centre", "shapedirs"))
         )
+        stored = ("anchor_columns", "anchor_fit", "anchor_rest", "strain_tangent", "strain_unit")
+        charts = Charts(*(arrays[name] for name in (*stored, "anchor_charts", "member_anchor")))
+        self.charts = charts if model.agrees else None
         self.index = arrays
 
     def forward(self, joint_quaternion: Tensor, joint_rest: Tensor, betas: Tensor) -> Tensor:
         """Vertices (blocks, 64, 3) [m]."""
         bodies, index = Bodies(joint_quaternion, joint_rest, betas), self.index
-        posed = self.graph.pose(bodies, self.patches, None, index["patch_body"], index["patch_bone"])
+        posed = self.graph.pose(bodies, self.patches, None, index["patch_body"], index["patch_bone"], self.charts)
         coefficients = torch.index_select(posed.coefficients, 0, index["tile_patch"])
         return self.graph.blend(coefficients, self.columns, index["vertex_charts"])
 
@@ -124,11 +130,17 @@ class SkinningPush:
 
 
 def multiply_adds(model: OneFit, garment: PackedGarment) -> float:
-    """Multiply-adds of one frame of one garment: network, frames and vertex stage."""
+    """Multiply-adds of one frame of one garment: network, frames, agreement of charts, strain, and vertex stage."""
     graph = PackedGraph(model)
-    linear = [m for part in (graph.trunk, graph.head) for m in part.modules() if isinstance(m, nn.Linear)]
+    linear = [
+        m for part in (graph.trunk, graph.head, graph.corrections) for m in part.modules() if isinstance(m, nn.Linear)
+    ]
     per_patch = sum(m.weight.numel() for m in linear) + 24 * 16 + 24 * 9 + 3 * 4 * COLUMNS
     per_patch += graph.from_surroundings.numel() if graph.from_surroundings is not None else 0
+    passes = len(graph.corrections)
+    agreed = (3 * 4 * MEMBERS if graph.based else 0) + passes * 3 * COLUMNS * MEMBERS
+    agreed += (passes + graph.based) * (3 * FIT_COUNT * MEMBERS + 9 * FIT_COUNT)
+    per_patch += agreed + passes * 2 * jets.JET_COUNT * TANGENT_COUNT
     per_body = sum(p.numel() for p in [*graph.body.parameters(), graph.from_body.weight])
     return per_body + per_patch * garment.patch_count + 3 * garment.stored["tile_positions"].size
 
