@@ -116,10 +116,10 @@ def sheet(rows: list[list[np.ndarray]]) -> np.ndarray:
     return np.concatenate([np.concatenate(row, axis=1) for row in rows], axis=0)
 
 
-def save_png(path: Path, image: np.ndarray, *, colours: int = 128) -> None:
+def save_png(path: Path, image: np.ndarray, *, colours: int = 64) -> None:
     """Writes ``image`` as a palette PNG: contact sheets stay well under 400 KB."""
     from PIL import Image
 
     path.parent.mkdir(parents=True, exist_ok=True)
     picture = Image.fromarray((np.clip(image, 0, 1) * 255).astype(np.uint8))
-    picture.quantize(colours, method=Image.Quantize.MEDIANCUT).save(path, optimize=True)
+    picture.quantize(colours, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(path, optimize=True)
