@@ -253,10 +253,11 @@ class PackedGraph(nn.Module):
         patches = Patches(patch_first, patch_weights, patch_rotation, patch_scale, patch_centre, patch_shapedirs)
         charts = None
         if anchor_columns is not None:
+            assert anchor_fit is not None and anchor_rest is not None and strain_tangent is not None
+            assert strain_unit is not None and anchor_charts is not None and member_anchor is not None
             stored = (anchor_columns, anchor_fit, anchor_rest, strain_tangent, strain_unit)
-            gathered = (_rows(table, patch_stored) for table in stored if table is not None)
-            assert anchor_charts is not None and member_anchor is not None
-            charts = Charts(*gathered, anchor_charts, member_anchor)
+            columns, fit, rest, tangent, unit = (_rows(table, patch_stored) for table in stored)
+            charts = Charts(columns, fit, rest, tangent, unit, anchor_charts, member_anchor)
         posed = self.pose(bodies, patches, patch_stored, patch_body, patch_bone, charts)
         coefficients = _rows(posed.coefficients, tile_patch)  # (Q, 3, 18)
         vertices = self.blend(coefficients, _rows(tile_positions, tile_stored), vertex_charts)

@@ -133,12 +133,12 @@ def merged_heads(heads: nn.ModuleDict, gain: float) -> nn.Sequential:
         layers += [made, nn.LeakyReLU(SLOPE)]
     last = _side_by_side(plane[-1], height[-1], shared=len(plane) == 1)
     with torch.no_grad():
-        last.weight *= gain
-        last.bias *= gain
+        last.weight.mul_(gain)
+        last.bias.mul_(gain)
     return nn.Sequential(*layers, last).requires_grad_(False)
 
 
-def correction_layers(correction: nn.Sequential, gain: float) -> nn.Sequential:
+def correction_layers(correction: nn.Module, gain: float) -> nn.Sequential:
     """A ``training.layers.Correction`` that takes strains component by component; the output gain is in the weights."""
     first, last = _linears(correction)
     before = first.in_features - 3 * STRAIN_POINTS - 2 * jets.JET_COUNT

@@ -25,9 +25,20 @@ TRACE_SHARE = 0.3  # of the strain's trace in the force: Poisson's effect
 class ChartAgreement(Protocol):
     """What a posed garment needs to bring its charts to agree (names as in ``drape.garment.agreement``)."""
 
-    rest: Tensor  # (K, 21, 3)
-    tangent: Tensor  # (K, 7, 3, 2)
-    orthonormal: Tensor  # (K, 7, 2, 2)
+    @property
+    def rest(self) -> Tensor:
+        """(K, 21, 3)."""
+        ...
+
+    @property
+    def tangent(self) -> Tensor:
+        """(K, 7, 3, 2)."""
+        ...
+
+    @property
+    def orthonormal(self) -> Tensor:
+        """(K, 7, 2, 2)."""
+        ...
 
     def anchors(self, coefficients: Tensor) -> Tensor:
         """Anchors [m] (F, A, 3) blended from world coefficients (F, K, 4 or 19, 3)."""
@@ -79,8 +90,8 @@ class SparseAgreement:
         """From ``tables`` and the blend (V, 19 K) of the same partition."""
         count = len(tables.member)
         rows = scipy.sparse.csr_matrix(blend[tables.anchor])
-        per_patch = rows.shape[1] // count
-        framed = (np.arange(count)[:, None] * per_patch + np.arange(4)).ravel()
+        per_patch = (1, 3, jets.HEIGHT_COUNT)
+        framed = (np.arange(count)[:, None] * sum(per_patch) + np.arange(4)).ravel()
         row = np.broadcast_to(np.arange(count * FIT_COUNT).reshape(count, FIT_COUNT, 1), tables.fit.shape)
         column = np.broadcast_to(tables.member[:, None], tables.fit.shape)
         fit = scipy.sparse.csr_matrix(

@@ -94,7 +94,7 @@ def pose_kinds(poses: np.ndarray) -> list[np.ndarray]:
     """Poses (n, 24, 3) sorted into up to 128 kinds by the rotations of the body's joints (k-means, a fixed seed)."""
     features = rotvec_to_matrix(poses[:, BODY_JOINTS])[..., :2].reshape(len(poses), -1).astype(np.float32)
     count = min(KIND_COUNT, len(poses))
-    _, label = kmeans2(features, count, iter=10, minit="++", seed=0)
+    _, label = kmeans2(features, count, iter=10, minit="++", rng=np.random.default_rng(0))
     return [poses[label == k] for k in range(count) if (label == k).any()]
 
 

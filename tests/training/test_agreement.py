@@ -45,7 +45,8 @@ def partition() -> Partition:
 def gathered() -> GatheredAgreement:
     feed = {name: torch.from_numpy(value) for name, value in garment_feed(garment()).items()}
     names = ("anchor_patch", "anchor_row", "patch_member", "patch_fit", "patch_rest", "patch_tangent")
-    return GatheredAgreement(*(feed[name] for name in names), feed["patch_orthonormal"])
+    patch, row, member, fit, rest, tangent = (feed[name] for name in names)
+    return GatheredAgreement(patch, row, member, fit, rest, tangent, feed["patch_orthonormal"])
 
 
 def posed(count: int = 2, size: float = 0.05) -> Posed:
@@ -143,7 +144,7 @@ def test_passes_choose_how_many_corrections_are_taken():
     torch.manual_seed(0)
     model = OneFit(replace(TINY, corrections=2)).eval()
     for correction in model.corrections:
-        torch.nn.init.normal_(correction[-1].weight, std=0.3)
+        torch.nn.init.normal_(list(correction.parameters())[-2], std=0.3)
     bodies = source().pose(np.zeros((1, 24, 3)) + 0.1, np.zeros((1, body().shape_count))).tensors
     charts, patches = partition().agreement, partition().patches
     with torch.no_grad():
