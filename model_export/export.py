@@ -20,7 +20,7 @@ from drape.artifacts import GraphSpec, Manifest, TensorSpec, file_digest, load_m
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment
-from model_export import packed
+from model_export import packed, packed_specs
 from model_export.graph import (
     OUTPUTS,
     DrapeGraph,
@@ -32,8 +32,9 @@ from model_export.graph import (
     encoder_inputs,
     encoder_outputs,
 )
-from model_export.packed import FirstGraph, PackedGraph, first_outputs, packed_inputs
+from model_export.packed import FirstGraph, PackedGraph
 from model_export.packed_parity import packed_parity_error
+from model_export.packed_specs import first_outputs, packed_inputs
 from model_export.parity import TOLERANCE_M, parity_error, sequence_error
 from training import checkpoint
 from training.model import OneFit
@@ -172,8 +173,8 @@ def write_packed(model: OneFit, path: Path) -> GraphSpec:
         PackedGraph(model).eval(),
         path,
         packed_inputs(model),
-        packed.OUTPUTS,
-        sample=packed.SAMPLE,
+        packed_specs.OUTPUTS,
+        sample=packed_specs.SAMPLE,
         translations=packed.TRANSLATIONS,
     )
 

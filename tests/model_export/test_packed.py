@@ -18,8 +18,9 @@ from drape.packing import TANGENTS, Composition, Place, compose, pack_body, pack
 from drape.wire import quantise
 from model_export import packed_weights
 from model_export.graph import DrapeGraph, EncoderGraph, drape_inputs
-from model_export.packed import OUTPUTS, FirstGraph, PackedGraph, packed_inputs
+from model_export.packed import FirstGraph, PackedGraph
 from model_export.packed_parity import packed_parity_error
+from model_export.packed_specs import OUTPUTS, packed_inputs
 from model_export.parity import hard_poses
 from tests.fixtures.packed import KINDS, SMALL, exported, garment, lively
 from training.config import as_published
