@@ -1,0 +1,112 @@
+"""Sews a pattern round a body and drapes it.
+
+python -m recovery.drape PATTERN.json --out DIR [--body BODY] [--pose CLIP:FRAME] [--fabric jersey] [--scale 1.0]
+
+Writes NAME.obj and NAME.glb (in the pose), NAME_rest.obj (in the T-pose), NAME.json (how it went), and the garment
+cache NAME-DIGEST.npz that the service reads. Exit codes: 2 refused, 3 written but not at rest.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from drape.body.assets import DEFAULT_BODY, load_body
+from drape.cloth.material import DEFAULT_MATERIAL
+from drape.errors import DrapeError
+from drape.garment.intake import garment_name, intake
+from recovery.drape.output import glb_bytes, obj_text, panel_texture, write
+from recovery.drape.pipeline import Draped, DrapeOptions, Hold, drape_pattern
+from recovery.drape.placement import Axes
+from recovery.drape.posing import read_pose
+from recovery.drape.settle import TOLERANCE_N
+from recovery.pattern.garmentcode import read_pattern
+
+REFUSED_EXIT_CODE = 2
+NOT_AT_REST_EXIT_CODE = 3
+
+
+def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
+    """The command line."""
+    assert __doc__ is not None
+    default = DrapeOptions()
+    parser = argparse.ArgumentParser(
+        prog="python -m recovery.drape", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("pattern", type=Path, help="JSON of Garment-Pattern-Generator or GarmentCode")
+    parser.add_argument("--out", type=Path, required=True, help="folder of the files")
+    parser.add_argument("--body", default=DEFAULT_BODY, help="name or file of a body")
+    parser.add_argument("--pose", help="CLIP:FRAME of a motion file or a sample, or a JSON file of 72 numbers")
+    parser.add_argument("--name", help="of the garment; the pattern's own otherwise")
+    parser.add_argument("--fabric", default=DEFAULT_MATERIAL, help="jersey, soft or stiff")
+    parser.add_argument("--scale", type=float, default=default.scale, help="sizes the pattern up or down")
+    parser.add_argument("--edge-length", type=float, default=default.edge_length_m, help="of the mesh [m]")
+    parser.add_argument("--axes", type=Axes, choices=list(Axes), default=default.axes, help="of the file's placements")
+    parser.add_argument("--hold", type=Hold, choices=list(Hold), default=default.hold, help="auto: a belt at the waist")
+    parser.add_argument("--grid", type=float, default=default.grid_m, help="spacing of the body's distance [m]")
+    parser.add_argument(
+        "--iterations", type=int, default=default.iteration_limit, help="of Newton; 0 for a quick look, not at rest"
+    )
+    parser.add_argument("--units-in-meter", type=float, help="overrides the file: 100 for centimetres")
+    parser.add_argument("--no-garment", action="store_true", help="write no garment cache")
+    return parser.parse_args(arguments)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; 2 and one sentence on what is wrong, 3 and one on what is not at rest."""
+    given = parse(arguments)
+    started = time.perf_counter()
+    try:
+        pattern = read_pattern(given.pattern, units_in_meter=given.units_in_meter)
+        name = garment_name(given.name or pattern.name)
+        body = load_body(given.body)
+        pose = None if given.pose is None else read_pose(given.pose)
+        options = DrapeOptions(
+            edge_length_m=given.edge_length,
+            fabric=given.fabric,
+            scale=given.scale,
+            axes=given.axes,
+            hold=given.hold,
+            grid_m=given.grid,
+            iteration_limit=given.iterations,
+        )
+        draped = drape_pattern(pattern, body, options, pose=pose, report=print)
+        texture = panel_texture(draped.mesh)
+        rest = obj_text(draped.mesh, draped.rest.nodes, texture)
+        files = [
+            write(given.out / f"{name}.obj", obj_text(draped.mesh, draped.nodes, texture)),
+            write(given.out / f"{name}.glb", glb_bytes(draped.mesh, draped.nodes, texture)),
+            write(given.out / f"{name}_rest.obj", rest),
+        ]
+        if not given.no_garment:
+            # The cache holds the rest garment: it is the T-pose that a pose is skinned from.
+            intake(rest.encode(), name=name, kind="obj", avatar="standard", body=body, folder=given.out, report=print)
+        seconds = round(time.perf_counter() - started, 1)
+        record = {"pattern": pattern.name, "body": body.name, "fabric": given.fabric, "scale": given.scale}
+        files.append(write(given.out / f"{name}.json", {**record, **draped.figures, "seconds": seconds}))
+    except DrapeError as error:
+        print(error, file=sys.stderr)
+        return REFUSED_EXIT_CODE
+    for path in files:
+        print(path)
+    if not draped.at_rest:
+        print(not_at_rest(draped), file=sys.stderr)
+        return NOT_AT_REST_EXIT_CODE
+    return 0
+
+
+def not_at_rest(draped: Draped) -> str:
+    """One sentence on what did not come to rest, and one on what can be done."""
+    drapes = {"T-pose": draped.rest, "pose": draped.posed}
+    left = [f"{d.report.residual_n:.1e} N in the {name}" for name, d in drapes.items() if d and not d.report.converged]
+    return (
+        f"not at rest: a node is left with {' and '.join(left)}, where {TOLERANCE_N:.0e} N is asked; the report says "
+        '"converged": false. Try another mesh (--edge-length), a size up (--scale) or a stiffer fabric (--fabric).'
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

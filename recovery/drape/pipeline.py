@@ -1,0 +1,177 @@
+"""A pattern and a body in, a garment at rest out: meshed, placed, sewn, draped in the T-pose, and in a pose."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
+from drape.cloth.material import DEFAULT_MATERIAL, material
+from drape.cloth.orthotropic import OrthotropicMaterial
+from drape.errors import InputError
+from drape.geometry import meshes
+from recovery.drape.placement import Axes, Placed, place, scaled
+from recovery.drape.posing import to_pose
+from recovery.drape.relax import Relaxation
+from recovery.drape.repair import uncrossed
+from recovery.drape.settle import ITERATION_LIMIT, Drape, settle
+from recovery.drape.sewing import Sewn, in_numpy, sew
+from recovery.pattern.mesh import PatternMesh, mesh_pattern
+from recovery.pattern.model import Pattern
+from recovery.sim.sdf import GridDistance
+
+Report = Callable[[str], None]
+
+
+class Hold(StrEnum):
+    """What keeps the garment up: a belt at its topmost opening, nothing but the body, or whichever its cut asks for."""
+
+    AUTO = "auto"
+    BELT = "belt"
+    NOTHING = "nothing"
+
+
+@dataclass(frozen=True)
+class DrapeOptions:
+    """``edge_length_m`` of the cloth's mesh, ``fabric`` by name, ``scale`` of the pattern, ``grid_m`` of the body.
+
+    ``iteration_limit`` is that of Newton; 0 leaves the garment where the quasi-static steps end.
+    """
+
+    edge_length_m: float = 0.025
+    fabric: str = DEFAULT_MATERIAL
+    scale: float = 1.0
+    axes: Axes = Axes.AUTO
+    hold: Hold = Hold.AUTO
+    grid_m: float = 0.01
+    iteration_limit: int = ITERATION_LIMIT
+
+    def __post_init__(self) -> None:
+        if self.iteration_limit < 0:
+            raise InputError(
+                "iterations", expected="a number from 0", got=f"{self.iteration_limit}", cure="Leave it at its default."
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Draped:
+    """The garment at ``rest`` in the T-pose and, where a pose was asked for, ``posed``; how it came there."""
+
+    mesh: PatternMesh
+    placed: Placed
+    sewn: Sewn
+    rest: Drape
+    posed: Drape | None
+    figures: dict[str, Any]
+
+    @property
+    def nodes(self) -> np.ndarray:
+        """Nodes [m] (N, 3) in the pose that was asked for."""
+        return self.rest.nodes if self.posed is None else self.posed.nodes
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether both drapes, or the one there is, came to rest."""
+        return self.rest.report.converged and (self.posed is None or self.posed.report.converged)
+
+
+def drape_pattern(
+    pattern: Pattern,
+    body: BodyModel,
+    options: DrapeOptions = DrapeOptions(),
+    *,
+    pose: np.ndarray | None = None,
+    report: Report | None = None,
+) -> Draped:
+    """``pattern`` sewn round ``body`` and at rest on it, in the T-pose and then in ``pose`` (24, 3).
+
+    Raises ``InputError`` (or ``MeshError``) for a pattern that cannot be meshed, placed or closed round this body.
+    """
+    say = report or (lambda line: None)
+    cloth = OrthotropicMaterial.from_isotropic(material(options.fabric))
+    pattern, notes = uncrossed(pattern)
+    for note in notes:
+        say(f"repaired  {note}")
+    mesh = mesh_pattern(pattern if options.scale == 1.0 else scaled(pattern, options.scale), options.edge_length_m)
+    say(f"meshed    {mesh.node_count} nodes, {len(mesh.faces)} triangles, {len(pattern.stitches)} seams")
+    skin = GridDistance.from_mesh(body.v_template, body.faces, spacing_m=options.grid_m)
+    distance = in_numpy(skin)
+    placed = place(mesh, body, distance, axes=options.axes)
+    say(
+        f"placed    in the axes {placed.axes}, lifted by {100 * placed.lift_m:.0f} cm, moved outward by at most "
+        f"{100 * placed.outward_m:.1f} cm; hangs from the {placed.hangs_from}"
+    )
+    sewn = sew(mesh, placed.positions, distance)
+    say(f"sewn      seams within {1e3 * sewn.gap_m:.1f} mm; {describe_stretch(stretch_figures(sewn.stretch))}")
+    belt = options.hold is Hold.BELT or (options.hold is Hold.AUTO and placed.hangs_from == "waist")
+    knee = float(body.joints_template[JOINT_NAMES.index("left_knee"), 1])
+    limit = options.iteration_limit
+    rest = settle(mesh, sewn.nodes, skin, cloth, belt=belt, lowest_top_m=knee, iteration_limit=limit)
+    fallen = float(sewn.nodes[:, 1].max() - rest.nodes[:, 1].max())
+    figures: dict[str, Any] = {
+        "repaired": list(notes),
+        "nodes": mesh.node_count,
+        "triangles": len(mesh.faces),
+        "axes": str(placed.axes),
+        "lift_cm": round(100 * placed.lift_m, 2),
+        "hangs_from": placed.hangs_from,
+        "belt_nodes": len(rest.held),
+        "seam_gap_mm": round(1e3 * sewn.gap_m, 2),
+        "sewn": stretch_figures(sewn.stretch),
+        "top_sank_cm": round(100 * fallen, 2),
+        "rest": drape_figures(mesh, rest, skin),
+    }
+    say(describe_drape("draped", figures["rest"]))
+    posed = None
+    if pose is not None:
+        moved = to_pose(mesh, rest.nodes, body, np.asarray(pose, dtype=np.float64).reshape(JOINT_COUNT, 3))
+        posed_skin = GridDistance.from_mesh(body.posed_vertices(pose[None])[0], body.faces, spacing_m=options.grid_m)
+        posed = settle(mesh, moved, posed_skin, cloth, held=rest.held, iteration_limit=limit)
+        figures["posed"] = drape_figures(mesh, posed, posed_skin)
+        say(describe_drape("posed", figures["posed"]))
+    return Draped(mesh, placed, sewn, rest, posed, figures)
+
+
+def drape_figures(mesh: PatternMesh, drape: Drape, skin: GridDistance) -> dict[str, Any]:
+    """What tells whether a drape can be trusted: force left, strain, distance of nodes and of the edges' middles."""
+    distance = in_numpy(skin)
+    edges = meshes.unique_edges(mesh.faces)
+    middles = distance(drape.nodes[edges].mean(axis=1))[0]
+    stretch = Relaxation(mesh.faces, mesh.rest[mesh.panel_faces], distance, gap_m=0.0).stretch(drape.nodes)
+    return {
+        "converged": drape.report.converged,
+        "force_left_n": drape.report.residual_n,
+        "newton_iterations": drape.report.iterations,
+        "steps": drape.steps,
+        "clearance_mm": round(1e3 * float(distance(drape.nodes)[0].min()), 3),
+        "edges_in_body_pct": round(100.0 * float((middles < 0.0).mean()), 3),
+        **stretch_figures(stretch),
+    }
+
+
+def stretch_figures(stretch: np.ndarray) -> dict[str, float]:
+    """The larger of each triangle's two principal stretches (F, 2), less one, in %: median and 99th percentile."""
+    larger = 100.0 * (stretch[:, 0] - 1.0)
+    return {
+        "stretch_median_pct": round(float(np.median(larger)), 2),
+        "stretch_p99_pct": round(float(np.quantile(larger, 0.99)), 2),
+    }
+
+
+def describe_stretch(figures: dict[str, Any]) -> str:
+    """One phrase on ``stretch_figures``."""
+    return f"stretched by {figures['stretch_median_pct']:.1f} % (99th percentile {figures['stretch_p99_pct']:.1f} %)"
+
+
+def describe_drape(what: str, figures: dict[str, Any]) -> str:
+    """The line that says how a drape ended."""
+    end = "at rest" if figures["converged"] else "NOT at rest"
+    return (
+        f"{what:9s} {end}, force left {figures['force_left_n']:.1e} N; clearance {figures['clearance_mm']:.1f} mm, "
+        f"{figures['edges_in_body_pct']:.1f} % of edges cut the body; {describe_stretch(figures)}"
+    )

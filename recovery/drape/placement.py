@@ -1,0 +1,148 @@
+"""Stands a pattern's placed panels up round a body: whose axes they were drawn in, at which height, clear of the skin.
+
+A file places panels round the body that it was drawn for. Base patterns use the axes of the wearer's file, files of
+Garment-Pattern-Generator those of SMPL's template, files of GarmentCode stand on the floor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.errors import InputError
+from recovery.drape.relax import Distance
+from recovery.pattern.measurements import measure
+from recovery.pattern.mesh import PatternMesh
+from recovery.pattern.model import Pattern, Placement
+
+SMPL_PELVIS_M = (0.0, -0.235, 0.0)  # first joint of SMPL's templates, about
+CLEARANCE_M = 0.015  # panels start at least this far off the skin
+CLEAR_STEP_M, CLEAR_LIMIT_M = 0.005, 0.6
+LEVELS_M = 0.01 * np.arange(-10, 16)  # heights that are tried beside the file's
+LEVEL_PRICE = 1e-3  # metres of depth that a metre of lift costs, so that a level that fits is left alone
+THREAD_SAMPLES = 9
+FAR_M = 0.30  # from neck and waist: the garment was drawn in other axes or for nobody's trunk
+
+
+class Axes(StrEnum):
+    """The axes that a file's placements are given in."""
+
+    AUTO = "auto"
+    BODY = "body"
+    SMPL = "smpl"
+    FLOOR = "floor"
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Panel vertices ``positions`` [m] (P, 3) round the body, clear of it.
+
+    ``axes`` were taken, the panels lifted by ``lift_m`` beyond them, and moved outward by at most ``outward_m``.
+    ``hangs_from`` is "shoulders" or "waist".
+    """
+
+    positions: np.ndarray
+    axes: Axes
+    lift_m: float
+    outward_m: float
+    hangs_from: str
+
+
+def scaled(pattern: Pattern, factor: float) -> Pattern:
+    """``pattern`` sized up or down: panels and the places of their middles alike."""
+    if not 0.5 <= factor <= 2.0:
+        raise InputError("scale", expected="a factor from 0.5 to 2", got=f"{factor}", cure="Draft a new size instead.")
+
+    def grown(placement: Placement) -> Placement:
+        x, y, z = (value * factor for value in placement.translation_m)
+        return replace(placement, translation_m=(x, y, z))
+
+    panels = tuple(replace(p, vertices=p.vertices * factor, placement=grown(p.placement)) for p in pattern.panels)
+    return replace(pattern, panels=panels)
+
+
+def place(mesh: PatternMesh, body: BodyModel, distance: Distance, *, axes: Axes = Axes.AUTO) -> Placed:
+    """The panels of ``mesh`` round ``body`` in the T-pose, whose signed distance is ``distance``.
+
+    The height is the one at which the fewest straight threads between sewn edges pass through the body. Raises
+    ``InputError`` where no panel is placed or none comes to stand round the trunk.
+    """
+    check_placed(mesh.pattern)
+    flat = mesh.placed()
+    size = measure(body)
+    top = float(flat[:, 1].max())
+    holds = {"shoulders": size.neck_y, "waist": size.waist_y}
+    pelvis, floor = body.joints_template[0], float(body.v_template[:, 1].min())
+    origins = {
+        Axes.BODY: np.zeros(3),
+        Axes.SMPL: pelvis - np.array(SMPL_PELVIS_M),
+        Axes.FLOOR: np.array([pelvis[0], floor, pelvis[2]]),
+    }
+    miss = {
+        (name, hold): abs(top + origin[1] - height)
+        for name, origin in origins.items()
+        for hold, height in holds.items()
+        if axes in (Axes.AUTO, name)
+    }
+    chosen, hold = min(miss, key=lambda pair: miss[pair])
+    if miss[chosen, hold] > FAR_M:
+        raise InputError(
+            "placement",
+            expected="a garment that begins near the neck or the waist",
+            got=f"its highest point {100 * miss[chosen, hold]:.0f} cm from both",
+            cure="Say which axes the panels were placed in (--axes), and check the file's unit.",
+        )
+    stood = flat + origins[chosen]
+    lift = best_lift(stood, mesh.seam_pairs, distance)
+    stood = stood + np.array([0.0, lift, 0.0])
+    positions, outward = cleared(mesh, stood, distance)
+    return Placed(positions, chosen, lift, outward, hold)
+
+
+def check_placed(pattern: Pattern) -> None:
+    """Refuses a pattern of several panels that all lie in one place."""
+    spots = {(panel.placement.rotation_deg, panel.placement.translation_m) for panel in pattern.panels}
+    if len(pattern.panels) > 1 and len(spots) == 1:
+        raise InputError(
+            "placement",
+            expected="every panel with its own place round the body",
+            got=f"{len(pattern.panels)} panels in one place",
+            cure="Give each panel a translation and a rotation, as Garment-Pattern-Generator and GarmentCode do.",
+        )
+
+
+def best_lift(positions: np.ndarray, pairs: np.ndarray, distance: Distance) -> float:
+    """How far [m] to lift placed panels (P, 3) so that straight threads between ``pairs`` (S, 2) miss the body."""
+    if not len(pairs):
+        return 0.0
+    share = np.linspace(0.0, 1.0, THREAD_SAMPLES)[:, None, None]
+    threads = ((1.0 - share) * positions[pairs[:, 0]] + share * positions[pairs[:, 1]]).reshape(-1, 3)
+    costs = []
+    for level in LEVELS_M:
+        depth = np.maximum(0.0, -distance(threads + np.array([0.0, level, 0.0]))[0])
+        costs.append(float(depth.reshape(THREAD_SAMPLES, -1).max(axis=0).mean()) + LEVEL_PRICE * abs(level))
+    return float(LEVELS_M[int(np.argmin(costs))])
+
+
+def cleared(mesh: PatternMesh, positions: np.ndarray, distance: Distance) -> tuple[np.ndarray, float]:
+    """``positions`` (P, 3) with every panel moved along its normal until it is clear, and the longest way [m]."""
+    moved, longest = positions.copy(), 0.0
+    for number, panel in enumerate(mesh.pattern.panels):
+        mine = mesh.panel == number
+        normal = panel.placement.matrix()[:, 2]
+        for way in np.arange(0.0, CLEAR_LIMIT_M, CLEAR_STEP_M):
+            shifted = positions[mine] + way * normal
+            if distance(shifted)[0].min() >= CLEARANCE_M:
+                moved[mine], longest = shifted, max(longest, float(way))
+                break
+        else:
+            raise InputError(
+                f"panel {panel.name}",
+                expected="a place beside the body, its right side outward",
+                got=f"a panel in the body, also {100 * CLEAR_LIMIT_M:.0f} cm further out",
+                cure="Correct its translation, or turn it so that its right side faces away from the wearer.",
+            )
+    return moved, longest

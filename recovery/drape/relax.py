@@ -1,0 +1,136 @@
+"""A quick, unconditionally stable relaxation of cloth: as rigid as possible, pulled by threads, kept off the body.
+
+Local-global iterations (Sorkine and Alexa 2007; Bouaziz et al. 2014): every triangle keeps the rotation nearest to its
+deformation, then one linear system moves all vertices towards those rotations, towards the ends of their threads
+and out of the body. It is no drape, there is neither gravity nor fabric in it; it brings cloth from where
+panels were laid to where a simulator can start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import scipy.sparse
+from scipy.sparse.linalg import splu
+
+from drape.errors import MeshError
+from drape.geometry import meshes
+
+Distance = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]  # points (N, 3) -> distance [m] (N,), gradient (N, 3)
+
+# Weights beside the membrane's cotangent weights, which are numbers around one at every mesh size.
+THREAD_WEIGHT = 10.0
+CONTACT_WEIGHT = 10.0
+INERTIA_WEIGHT = 0.02
+BENDING_LENGTH_M = 0.01  # folds shorter than about this cost more to bend than to squeeze flat
+LONGEST_MOVE_M = 0.02  # in one iteration; below half of a wrist, so that no vertex jumps through the body
+COLLAPSED = 1e-12
+
+
+class Relaxation:
+    """Cloth of vertices x (V, 3) whose triangles ``faces`` (F, 3) have flat rest corners ``rest`` [m] (F, 3, 2).
+
+    ``threads`` (S, 2) are pairs of vertices that can be pulled together. ``distance`` is the body, ``gap_m`` what cloth
+    keeps from it.
+    """
+
+    def __init__(
+        self,
+        faces: np.ndarray,
+        rest: np.ndarray,
+        distance: Distance,
+        *,
+        gap_m: float,
+        threads: np.ndarray | None = None,
+    ) -> None:
+        self.faces, self.distance, self.gap_m = faces, distance, gap_m
+        self.count = count = int(faces.max()) + 1
+        first, second = rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0]
+        double = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+        if not (np.abs(double) > COLLAPSED * np.abs(double).mean()).all():
+            raise MeshError(
+                "panels",
+                expected="triangles with an area",
+                got=f"a flat one, number {int(np.abs(double).argmin())}",
+                cure="Remove collapsed triangles of the panel.",
+            )
+        g1 = np.stack([second[:, 1], -second[:, 0]], axis=1) / double[:, None]
+        g2 = np.stack([-first[:, 1], first[:, 0]], axis=1) / double[:, None]
+        self._gradient = np.stack([-g1 - g2, g1, g2], axis=1)  # (F, 3, 2) of the shape functions
+        self._area = 0.5 * np.abs(double)
+        weights = self._area[:, None, None] * np.einsum("fic,fjc->fij", self._gradient, self._gradient)
+        rows, columns = np.repeat(faces, 3, axis=1).reshape(-1), np.tile(faces, (1, 3)).reshape(-1)
+        membrane = scipy.sparse.csr_matrix((weights.reshape(-1), (rows, columns)), shape=(count, count))
+        self._constant = membrane + self._bending(membrane) + INERTIA_WEIGHT * scipy.sparse.identity(count)
+        self.threads = np.zeros((0, 2), dtype=np.int64) if threads is None else threads
+        ends = np.arange(len(self.threads))
+        values = np.ones(len(ends))
+        self._difference = scipy.sparse.csr_matrix(
+            (
+                np.concatenate([values, -values]),
+                (np.concatenate([ends, ends]), np.concatenate([self.threads[:, 0], self.threads[:, 1]])),
+            ),
+            shape=(len(ends), count),
+        )
+        self._constant = self._constant + THREAD_WEIGHT * (self._difference.T @ self._difference)
+        self._gather = scipy.sparse.csr_matrix(
+            (np.ones(faces.size), (faces.reshape(-1), np.arange(faces.size))), shape=(count, faces.size)
+        )
+
+    def _bending(self, membrane: scipy.sparse.csr_matrix) -> scipy.sparse.csr_matrix:
+        """Squared mean curvature of the inner vertices; nothing at borders, where it is not defined."""
+        area = np.bincount(self.faces.reshape(-1), np.repeat(self._area / 3.0, 3), minlength=self.count)
+        inner = np.ones(self.count)
+        for loop in meshes.boundary_loops(self.faces):
+            inner[loop] = 0.0
+        scale = scipy.sparse.diags(BENDING_LENGTH_M**2 * inner / np.maximum(area, 1e-30))
+        return scipy.sparse.csr_matrix(membrane.T @ scale @ membrane)
+
+    def step(self, x: np.ndarray, lengths_m: np.ndarray | None = None) -> np.ndarray:
+        """One iteration from ``x`` (V, 3); ``lengths_m`` (S,) is how long each thread may be (default: zero)."""
+        distance, normal = self.distance(x)
+        touching = distance < self.gap_m
+        goal = x + np.where(touching, self.gap_m - distance, 0.0)[:, None] * normal
+        right = self._gather @ self._wanted(x).reshape(-1, 3) + INERTIA_WEIGHT * x
+        right += CONTACT_WEIGHT * touching[:, None] * goal
+        if lengths_m is not None:
+            thread = self._difference @ x
+            length = np.linalg.norm(thread, axis=1)
+            share = np.minimum(1.0, lengths_m / np.maximum(length, 1e-12))
+            right += THREAD_WEIGHT * (self._difference.T @ (share[:, None] * thread))
+        system = self._constant + CONTACT_WEIGHT * scipy.sparse.diags(touching.astype(np.float64))
+        factor = splu(
+            system.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
+        move = factor.solve(right) - x
+        size = np.linalg.norm(move, axis=1, keepdims=True)
+        return x + move * np.minimum(1.0, LONGEST_MOVE_M / np.maximum(size, 1e-12))
+
+    def thread_lengths(self, x: np.ndarray) -> np.ndarray:
+        """Lengths [m] (S,) of the threads at ``x``."""
+        return np.linalg.norm(self._difference @ x, axis=1)
+
+    def stretch(self, x: np.ndarray) -> np.ndarray:
+        """Singular values (F, 2) of the triangles' deformation at ``x``, the larger first; one is unstretched."""
+        f = np.einsum("fcx,fcp->fxp", x[self.faces], self._gradient)
+        return np.linalg.svd(f, compute_uv=False)
+
+    def _wanted(self, x: np.ndarray) -> np.ndarray:
+        """Right side (F, 3 corners, 3) of triangles turned to where they are and not stretched."""
+        f = np.einsum("fcx,fcp->fxp", x[self.faces], self._gradient)
+        return self._area[:, None, None] * np.einsum("fxp,fcp->fcx", nearest_isometry(f), self._gradient)
+
+
+def nearest_isometry(f: np.ndarray) -> np.ndarray:
+    """The matrices (F, 3, 2) with orthonormal columns nearest to ``f`` (F, 3, 2): f (f^T f)^(-1/2), in closed form."""
+    c00, c11 = (f[:, :, 0] ** 2).sum(axis=1), (f[:, :, 1] ** 2).sum(axis=1)
+    c01 = (f[:, :, 0] * f[:, :, 1]).sum(axis=1)
+    # Root of a 2 x 2 matrix C: (C + s I) / t with s^2 = det C, t^2 = tr C + 2 s; s is bounded for flat triangles.
+    s = np.sqrt(np.maximum(c00 * c11 - c01 * c01, COLLAPSED * (c00 + c11) ** 2 + 1e-30))
+    t = np.sqrt(c00 + c11 + 2.0 * s)
+    r00, r11, r01 = (c00 + s) / t, (c11 + s) / t, c01 / t
+    determinant = r00 * r11 - r01 * r01
+    first = (f[:, :, 0] * r11[:, None] - f[:, :, 1] * r01[:, None]) / determinant[:, None]
+    second = (f[:, :, 1] * r00[:, None] - f[:, :, 0] * r01[:, None]) / determinant[:, None]
+    return np.stack([first, second], axis=2)

@@ -1,0 +1,165 @@
+"""Lets a sewn garment come to rest on a body: quasi-static implicit steps, then Newton to a residual.
+
+Newton for the drape itself has nothing that holds a triangle which is squeezed flat, in an armpit for one, and can end
+in a collapsed one. Where it does not arrive, implicit steps that are each solved by Newton go before it: the
+inertia of a short step holds every node, and each longer step lets it go further.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from drape.cloth.orthotropic import OrthotropicMaterial
+from drape.errors import InputError
+from drape.geometry import meshes
+from recovery.pattern.mesh import PatternMesh
+from recovery.sim.contact import SkinContact
+from recovery.sim.linearised import linearised_step
+from recovery.sim.model import ClothModel, ClothState, Parameters
+from recovery.sim.newton import Report, equilibrium, newton_step
+from recovery.sim.sdf import SignedDistance
+
+TOLERANCE_N = 1e-5  # a node weighs about 1e-3 N
+ITERATION_LIMIT = 150  # of Newton for the drape
+PATIENT_DT_S = (0.05, 0.1, 0.2, 0.4, *[0.8] * 8)  # of the implicit steps where Newton alone does not arrive
+PATIENT_LIMIT = 60  # of Newton in one of them
+PATIENT_TOLERANCE = 10.0  # of the drape's tolerance: what such a step is solved to, and what ends them
+FIRST_DT_S, LAST_DT_S = 0.02, 0.3
+STEP_LIMIT = 120
+LONGEST_MOVE_M = 0.03
+# Largest distance [m] between the shapes before and after two steps at which the rest is left to Newton. Two, because
+# the linearised repulsion throws nodes off the skin in one step and drops them in the next, by about its gap, for ever.
+SETTLED_M = 1e-3
+BELT_BAND_M = 0.06  # of the topmost opening that a belt holds, from its highest node down
+
+
+class Drape(NamedTuple):
+    """Nodes [m] (N, 3) at rest; ``held`` nodes of the belt; how Newton ended; quasi-static ``steps`` before it."""
+
+    nodes: np.ndarray
+    held: np.ndarray
+    report: Report
+    steps: int
+
+
+def topmost_opening(faces: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """Nodes of the highest border of the garment, those near its top: what a waistband or an elastic holds."""
+    loops = meshes.boundary_loops(faces)
+    if not loops:
+        return np.zeros(0, dtype=np.int64)
+    loop = max(loops, key=lambda nodes_of: float(nodes[nodes_of, 1].mean()))
+    height = nodes[loop, 1]
+    return np.sort(loop[height > height.max() - BELT_BAND_M])
+
+
+def settle(
+    mesh: PatternMesh,
+    nodes: np.ndarray,
+    body: SignedDistance,
+    cloth: OrthotropicMaterial,
+    *,
+    belt: bool = False,
+    held: np.ndarray | None = None,
+    lowest_top_m: float = -np.inf,
+    tolerance_n: float = TOLERANCE_N,
+    iteration_limit: int = ITERATION_LIMIT,
+) -> Drape:
+    """The garment at rest under its weight, from sewn ``nodes`` [m] (N, 3) near it, without friction.
+
+    ``belt`` first lets it close round the body without weight and then holds its topmost opening there; ``held``
+    names nodes that stay where they are instead. ``iteration_limit`` is Newton's; with 0 the quasi-static steps are
+    all. The report says whether no node is left with more than ``tolerance_n`` [N]. Raises ``InputError`` for a
+    garment whose highest node ends below the height ``lowest_top_m``: it fell off.
+    """
+    contact = SkinContact(body, friction=0.0)
+    steps = 0
+    if belt:
+        model = ClothModel(mesh.faces, panel_faces=mesh.panel_faces, gravity_m_s2=0.0)
+        nodes, steps = _quasi_static(model, model.parameters(mesh.rest, cloth), nodes, contact, STEP_LIMIT // 3)
+        held = topmost_opening(mesh.faces, nodes)
+    held = np.zeros(0, dtype=np.int64) if held is None else held
+    model = ClothModel(mesh.faces, panel_faces=mesh.panel_faces, fixed=held)
+    parameters = model.parameters(mesh.rest, cloth)
+    start = nodes
+    nodes, more = _quasi_static(model, parameters, nodes, contact, STEP_LIMIT)
+    if (top := float(nodes[:, 1].max())) < lowest_top_m:
+        raise InputError(
+            "garment",
+            expected="one that stays up",
+            got=f"one that slid down by {100 * (float(start[:, 1].max()) - top):.0f} cm",
+            cure="Give it a belt (--hold belt) or a smaller size (--scale).",
+        )
+    state, report = to_rest(model, model.state(nodes), parameters, contact, tolerance_n, iteration_limit)
+    return Drape(state.x.numpy(), held, report, steps + more)
+
+
+def to_rest(
+    model: ClothModel,
+    start: ClothState,
+    parameters: Parameters,
+    contact: SkinContact,
+    tolerance_n: float = TOLERANCE_N,
+    iteration_limit: int = ITERATION_LIMIT,
+) -> tuple[ClothState, Report]:
+    """The drape near ``start`` and how it ended; of all shapes on the way the one with the least force, if none rests.
+
+    Newton first, then implicit steps from rest with Newton after them; iterations are counted over all.
+    """
+    total = 0
+
+    def drape(state: ClothState, limit: int) -> tuple[ClothState, Report]:
+        nonlocal total
+        found, report = equilibrium(
+            model, state, parameters, contact=contact, tolerance_n=tolerance_n, iteration_limit=limit
+        )
+        total += report.iterations
+        return found, report._replace(iterations=total)
+
+    found = [drape(start, iteration_limit)]
+    if not found[0][1].converged:
+        found.append(drape(start, 0))
+        state = start
+        for dt in PATIENT_DT_S:
+            state, step = newton_step(
+                model,
+                ClothState(state.x, torch.zeros_like(state.x)),
+                parameters,
+                dt_s=dt,
+                contact=contact,
+                tolerance_n=PATIENT_TOLERANCE * tolerance_n,
+                iteration_limit=min(PATIENT_LIMIT, iteration_limit),
+            )
+            total += step.iterations
+            found.append(drape(state, 0))
+            if found[-1][1].residual_n <= PATIENT_TOLERANCE * tolerance_n:
+                break
+        found.append(drape(state, iteration_limit))
+    state, report = min(found, key=lambda one: one[1].residual_n)
+    return state, report._replace(iterations=total)
+
+
+def _quasi_static(
+    model: ClothModel, parameters: Parameters, nodes: np.ndarray, contact: SkinContact, limit: int
+) -> tuple[np.ndarray, int]:
+    """Nodes [m] (N, 3) after at most ``limit`` implicit steps, and how many there were.
+
+    Each starts from rest, so that nothing swings; steps grow while the cloth does not have to be slowed down. Ends
+    where two steps of the last size change nothing.
+    """
+    dt, x = FIRST_DT_S, torch.tensor(nodes)
+    before = x  # a step earlier than x
+    for number in range(1, limit + 1):
+        with torch.no_grad():
+            after = linearised_step(model, ClothState(x, torch.zeros_like(x)), parameters, dt_s=dt, contact=contact).x
+            size = float((after - x).norm(dim=1).max())
+            after = x + min(1.0, LONGEST_MOVE_M / max(size, 1e-12)) * (after - x)
+            change = float((after - before).norm(dim=1).max())
+        before, x = x, after
+        if dt >= LAST_DT_S and change < SETTLED_M:
+            return x.numpy(), number
+        if size < LONGEST_MOVE_M:
+            dt = min(1.3 * dt, LAST_DT_S)
+    return x.numpy(), limit

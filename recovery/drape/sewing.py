@@ -1,0 +1,80 @@
+"""Sews placed panels round a body: threads shorten evenly until the seams meet, then their vertices are merged."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from drape.errors import InputError
+from recovery.drape.relax import Distance, Relaxation
+from recovery.pattern.mesh import PatternMesh
+from recovery.sim.sdf import SignedDistance
+
+SEWING_GAP_M = 0.012  # cloth is kept this far off while it is sewn: inflated clear of the body
+CLOSING_ROUNDS, CLOSED_ROUNDS, MERGED_ROUNDS = 100, 60, 60
+OPEN_SEAM_M = 0.05  # a seam that stays open by more than this has the body between its sides
+MOST_STRETCH = (
+    1.6  # of nine triangles in ten; threads are stronger than cloth, so a small garment is stretched, not open
+)
+
+
+class Sewn(NamedTuple):
+    """Nodes [m] (N, 3), the largest gap [m] left before the merge, and the stretch of the triangles (F, 2) after it."""
+
+    nodes: np.ndarray
+    gap_m: float
+    stretch: np.ndarray
+
+
+def in_numpy(distance: SignedDistance) -> Distance:
+    """A simulator's signed distance as a function of arrays; gradients are made unit vectors."""
+
+    def query(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        with torch.no_grad():
+            value, gradient = distance(torch.from_numpy(np.ascontiguousarray(points)))
+        slope = gradient.numpy()
+        return value.numpy(), slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-9)
+
+    return query
+
+
+def sewn_relaxation(mesh: PatternMesh, distance: Distance, *, gap_m: float = SEWING_GAP_M) -> Relaxation:
+    """The relaxation of the garment's nodes, seams merged."""
+    return Relaxation(mesh.faces, mesh.rest[mesh.panel_faces], distance, gap_m=gap_m)
+
+
+def sew(mesh: PatternMesh, placed: np.ndarray, distance: Distance) -> Sewn:
+    """Nodes of the sewn garment from ``placed`` panel vertices [m] (P, 3) that are clear of the body.
+
+    Raises ``InputError`` where a seam cannot close, or only by stretching the cloth beyond what any garment bears.
+    """
+    panels = Relaxation(
+        mesh.panel_faces, mesh.rest[mesh.panel_faces], distance, gap_m=SEWING_GAP_M, threads=mesh.seam_pairs
+    )
+    x, start = placed, panels.thread_lengths(placed)
+    for number in range(CLOSING_ROUNDS + CLOSED_ROUNDS):
+        x = panels.step(x, start * max(0.0, 1.0 - (number + 1) / CLOSING_ROUNDS))
+    gaps = panels.thread_lengths(x)
+    if len(gaps) and gaps.max() > OPEN_SEAM_M:
+        stitch = mesh.pattern.stitches[int(mesh.seam_of_pair[gaps.argmax()])]
+        raise InputError(
+            f"stitch {stitch.first} to {stitch.second}",
+            expected="edges that meet round the body",
+            got=f"{100 * gaps.max():.1f} cm between them",
+            cure="Check the placement of both panels and the axes they were placed in (--axes).",
+        )
+    merged = sewn_relaxation(mesh, distance)
+    nodes = mesh.nodes_from(x)
+    for _ in range(MERGED_ROUNDS):
+        nodes = merged.step(nodes)
+    stretch = merged.stretch(nodes)
+    if (most := float(np.quantile(stretch[:, 0], 0.9))) > MOST_STRETCH:
+        raise InputError(
+            "pattern",
+            expected=f"cloth that reaches round the body, stretched by at most {100 * (MOST_STRETCH - 1.0):.0f} %",
+            got=f"{100 * (most - 1.0):.0f} %",
+            cure="Size the pattern up (--scale), and check its unit (--units-in-meter).",
+        )
+    return Sewn(nodes, float(gaps.max(initial=0.0)), stretch)

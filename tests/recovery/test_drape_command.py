@@ -1,0 +1,151 @@
+"""Poses, files, and the whole way from a pattern to a garment that the service can load."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from drape.body.assets import load_body
+from drape.errors import InputError, MotionError, NotFound
+from drape.garment.cache import load_garment
+from drape.garment.mesh_io import read_mesh
+from drape.geometry.rotations import rotvec_to_matrix
+from drape.motion.samples import walk
+from recovery.drape.__main__ import main
+from recovery.drape.output import glb_bytes, obj_text, panel_texture, write
+from recovery.drape.posing import LARGEST_TURN_RAD, between, carried, read_pose
+from recovery.pattern.bases import skirt
+from recovery.pattern.garmentcode import write_pattern
+from recovery.pattern.mesh import mesh_pattern
+from tests.recovery.pattern_setup import default_measurements, tube
+
+# --- files -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_obj_holds_nodes_and_panels_and_which_belongs_to_which(tmp_path):
+    mesh = mesh_pattern(tube(), 0.1)
+    nodes = mesh.nodes_from(mesh.placed())
+    read = read_mesh(write(tmp_path / "tube.obj", obj_text(mesh, nodes, panel_texture(mesh))))
+    assert_allclose(read.vertices, nodes, atol=1e-8)
+    assert (read.faces == mesh.faces).all() and (read.uv_faces == mesh.panel_faces).all()
+    assert read.material_names == ("front", "back")
+    assert (read.face_material == mesh.face_panel).all()
+    # The texture is the pattern at one scale: its sides have the panels' lengths.
+    unit = panel_texture(mesh)[1]
+    assert read.uv.min() >= 0.0 and read.uv.max() <= 1.0
+    for corners in (mesh.panel_faces[:, :2], mesh.panel_faces[:, 1:]):
+        lengths = [np.linalg.norm(np.diff(points[corners], axis=1)[:, 0], axis=1) for points in (read.uv, mesh.rest)]
+        assert_allclose(unit * lengths[0], lengths[1], atol=1e-7)
+
+
+def test_the_glb_shows_the_same_surface(tmp_path):
+    mesh = mesh_pattern(tube(), 0.1)
+    nodes = mesh.nodes_from(mesh.placed())
+    read = read_mesh(write(tmp_path / "tube.glb", glb_bytes(mesh, nodes, panel_texture(mesh))))
+    assert_allclose(read.vertices[read.faces], nodes[mesh.faces], atol=1e-6)
+
+
+# --- poses -----------------------------------------------------------------------------------------------------------
+
+
+def test_poses_are_read_from_samples_motion_and_json(tmp_path):
+    clip = walk()
+    assert_allclose(read_pose("walk:3"), clip.poses[3])
+    assert_allclose(read_pose("walk"), clip.poses[0])
+    assert_allclose(read_pose("walk:-1"), clip.poses[-1])
+    plain, named = tmp_path / "a.json", tmp_path / "b.json"
+    plain.write_text(json.dumps(clip.poses[5].reshape(-1).tolist()))
+    named.write_text(json.dumps({"pose": clip.poses[5].tolist()}))
+    assert_allclose(read_pose(str(plain)), clip.poses[5])
+    assert_allclose(read_pose(str(named)), clip.poses[5])
+
+
+@pytest.mark.parametrize("text", ["[1, 2, 3]", "{}", "no json", '{"pose": "standing"}', "[" + "NaN, " * 71 + "NaN]"])
+def test_a_json_that_holds_no_pose_is_refused(tmp_path, text):
+    path = tmp_path / "pose.json"
+    path.write_text(text)
+    with pytest.raises(MotionError, match=r"pose\.json"):
+        read_pose(str(path))
+
+
+def test_poses_that_are_not_there_are_refused(tmp_path):
+    with pytest.raises(NotFound, match="pose"):
+        read_pose(str(tmp_path / "nothing.npz"))
+    with pytest.raises(MotionError, match="a frame from 0"):
+        read_pose("walk:100000")
+
+
+def test_the_way_to_a_pose_ends_there_in_small_even_turns(rng):
+    pose = 0.8 * rng.normal(size=(24, 3))
+    way = between(pose)
+    assert_allclose(way[-1], pose)
+    steps = np.diff(way, axis=0, prepend=np.zeros((1, 24, 3)))
+    assert_allclose(steps, np.broadcast_to(steps[0], steps.shape), atol=1e-12)
+    assert np.linalg.norm(steps[0][1:], axis=1).max() <= LARGEST_TURN_RAD
+    assert len(between(np.zeros((24, 3)))) == 1
+
+
+def test_turning_the_whole_body_turns_the_garment_rigidly():
+    """x' = R (x - pelvis) + pelvis, whatever the weights are."""
+    body, mesh = load_body(), mesh_pattern(tube(), 0.1)
+    nodes = mesh.nodes_from(mesh.placed())
+    before, after = np.zeros((2, 24, 3))
+    after[0] = [0.2, 1.1, -0.4]
+    pelvis = body.joints_template[0]
+    expected = (nodes - pelvis) @ rotvec_to_matrix(after[0]).T + pelvis
+    assert_allclose(carried(nodes, mesh.faces, body, before, after), expected, atol=1e-9)
+    assert_allclose(carried(nodes, mesh.faces, body, after, after), nodes, atol=1e-9)
+
+
+# --- the command -----------------------------------------------------------------------------------------------------
+
+
+def short_skirt(folder: Path) -> list[str]:
+    """Arguments of the command: a skirt on a coarse mesh and a coarse grid."""
+    source = write_pattern(skirt(default_measurements(), length_m=0.35), folder / "skirt.json")
+    return [str(source), "--out", str(folder / "out"), "--edge-length", "0.07", "--grid", "0.05"]
+
+
+def test_a_pattern_becomes_a_garment_in_one_command(tmp_path, capsys):
+    """Files are there, the report says it is at rest, and the cache loads."""
+    assert main(short_skirt(tmp_path)) == 0
+    out = tmp_path / "out"
+    record = json.loads((out / "skirt.json").read_text())
+    assert record["rest"]["converged"] and record["rest"]["clearance_mm"] > 0.0
+    assert record["hangs_from"] == "waist" and record["belt_nodes"] > 10 and record["repaired"] == []
+    garment = load_garment(next(out.glob("skirt-*.npz")))
+    draped = read_mesh(out / "skirt.obj")
+    assert garment.vertex_count == len(draped.vertices) == record["nodes"]
+    assert (garment.faces == draped.faces).all() and garment.body_digest == load_body().digest
+    assert_allclose(garment.vertices[: garment.vertex_count], draped.vertices, atol=0.02)
+    assert "at rest" in capsys.readouterr().out
+
+
+def test_a_garment_that_is_not_at_rest_is_written_and_flagged(tmp_path, capsys):
+    """No Newton, so no rest: exit code 3, the force that is left, and false in the report."""
+    assert main([*short_skirt(tmp_path), "--no-garment", "--iterations", "0"]) == 3
+    record = json.loads((tmp_path / "out" / "skirt.json").read_text())
+    assert record["rest"]["converged"] is False and record["rest"]["newton_iterations"] == 0
+    printed = capsys.readouterr()
+    assert "NOT at rest" in printed.out
+    assert f"{record['rest']['force_left_n']:.1e} N in the T-pose" in printed.err and "--edge-length" in printed.err
+    assert (tmp_path / "out" / "skirt.glb").exists() and not list((tmp_path / "out").glob("*.npz"))
+
+
+def test_the_command_refuses_with_one_sentence(tmp_path, capsys):
+    assert main([str(tmp_path / "none.json"), "--out", str(tmp_path)]) == 2
+    assert "Check the path" in capsys.readouterr().err
+    source = write_pattern(tube(), tmp_path / "tube.json")
+    refused = (
+        (["--scale", "9"], "Draft a new size"),
+        (["--pose", "nobody:3"], "Check the path"),
+        (["--iterations", "-1"], "Leave it at its default"),
+    )
+    for more, cure in refused:
+        assert main([str(source), "--out", str(tmp_path), "--grid", "0.05", *more]) == 2
+        assert cure in capsys.readouterr().err
+    assert issubclass(NotFound, InputError)

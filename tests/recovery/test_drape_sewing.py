@@ -1,0 +1,327 @@
+"""Placing panels round a body, sewing them, and letting the garment come to rest."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+import torch
+from numpy.testing import assert_allclose
+
+from drape.body.assets import load_body
+from drape.data_paths import data_folder
+from drape.errors import InputError
+from recovery.drape.placement import CLEARANCE_M, Axes, best_lift, check_placed, cleared, place, scaled
+from recovery.drape.relax import Distance
+from recovery.drape.repair import uncrossed
+from recovery.drape.settle import STEP_LIMIT, TOLERANCE_N, settle, to_rest, topmost_opening
+from recovery.drape.sewing import SEWING_GAP_M, Sewn, in_numpy, sew
+from recovery.pattern import geometry
+from recovery.pattern.bases import BASES
+from recovery.pattern.garmentcode import read_pattern
+from recovery.pattern.mesh import PatternMesh, mesh_pattern
+from recovery.pattern.model import Pattern
+from recovery.sim.contact import SkinContact
+from recovery.sim.model import ClothModel, ClothState, Parameters
+from recovery.sim.newton import equilibrium
+from recovery.sim.sdf import GridDistance, Plane, SignedDistance, Sphere
+from tests.recovery.pattern_setup import default_measurements, rectangle, tube
+from tests.recovery.sim_setup import WOVEN
+
+BALL = in_numpy(Sphere((0.0, 0.0, 0.0), 0.1))
+
+
+@lru_cache(maxsize=1)
+def tube_mesh() -> PatternMesh:
+    """A tube of 0.8 m girth and 0.6 m height."""
+    return mesh_pattern(tube(), 0.08)
+
+
+@lru_cache(maxsize=1)
+def sewn_tube() -> Sewn:
+    """The tube round a ball."""
+    return sew(tube_mesh(), tube_mesh().placed(), BALL)
+
+
+@lru_cache(maxsize=1)
+def body_distance() -> Distance:
+    """The shipped body on a coarse grid."""
+    body = load_body()
+    return in_numpy(GridDistance.from_mesh(body.v_template, body.faces, spacing_m=0.04))
+
+
+# --- placing ---------------------------------------------------------------------------------------------------------
+
+
+def test_scaling_a_pattern_scales_its_lengths_and_the_places_of_its_panels():
+    before, after = tube(), scaled(tube(), 1.25)
+    for old, new in zip(before.panels, after.panels, strict=True):
+        assert_allclose(geometry.edge_length(new, 1), 1.25 * geometry.edge_length(old, 1))
+        assert_allclose(new.placement.apply(new.vertices), 1.25 * old.placement.apply(old.vertices), atol=1e-12)
+
+
+@pytest.mark.parametrize("factor", [0.0, 3.0, float("nan")])
+def test_a_scale_that_no_size_has_is_refused(factor):
+    with pytest.raises(InputError, match="scale"):
+        scaled(tube(), factor)
+
+
+def test_panels_in_one_heap_are_refused():
+    with pytest.raises(InputError, match="2 panels in one place"):
+        check_placed(Pattern("heap", (rectangle("a"), rectangle("b"))))
+
+
+def test_threads_are_lifted_out_of_the_body_and_no_further():
+    """Threads at 0.30 m over a body that ends at 0.335 m: lifted by 4 cm, the first of the levels that is free."""
+    positions = np.array([[x, 0.30, z] for x in (-0.1, 0.1) for z in (-0.2, 0.2)])
+    pairs = np.array([[0, 1], [2, 3]])
+    assert_allclose(best_lift(positions, pairs, in_numpy(Plane((0.0, 0.335, 0.0)))), 0.04)
+    assert best_lift(positions, pairs, in_numpy(Plane((0.0, 0.2, 0.0)))) == 0.0
+    assert best_lift(positions, np.zeros((0, 2), dtype=np.int64), BALL) == 0.0
+
+
+def test_a_panel_in_the_body_moves_along_its_normal_until_it_is_clear():
+    mesh = tube_mesh()
+    flat = mesh.placed()
+    inside = flat - np.where(mesh.panel == 0, 0.15, 0.0)[:, None] * [0.0, 0.0, 1.0]
+    moved, way = cleared(mesh, inside, BALL)
+    assert BALL(moved)[0].min() >= CLEARANCE_M
+    assert_allclose(moved[mesh.panel == 1], flat[mesh.panel == 1])
+    assert_allclose(moved[mesh.panel == 0] - inside[mesh.panel == 0], [[0.0, 0.0, way]] * (mesh.panel == 0).sum())
+    # No more than a step beyond what is needed: the nearest vertex of the panel to the ball's axis decides.
+    radius = np.linalg.norm(inside[mesh.panel == 0][:, :2], axis=1).min()
+    needed = np.sqrt((0.1 + CLEARANCE_M) ** 2 - radius**2) - 0.05
+    assert needed <= way <= needed + 0.006
+
+
+def test_a_panel_with_its_right_side_to_the_body_is_refused():
+    mesh = tube_mesh()
+    with pytest.raises(InputError, match="panel front"):
+        cleared(mesh, mesh.placed(), in_numpy(Plane((0.0, 0.0, 2.0), (0.0, 0.0, 1.0))))
+
+
+@pytest.mark.parametrize("name", sorted(BASES))
+def test_base_patterns_stand_where_they_were_drafted(name):
+    body = load_body()
+    placed = place(mesh_pattern(BASES[name](default_measurements()), 0.08), body, body_distance())
+    assert placed.axes is Axes.BODY
+    assert placed.hangs_from == ("shoulders" if name == "tshirt" else "waist")
+    assert abs(placed.lift_m) <= 0.02 and placed.outward_m <= 0.02
+
+
+def test_a_garment_far_from_neck_and_waist_is_refused():
+    high = replace(
+        tube(),
+        panels=tuple(
+            replace(p, placement=replace(p.placement, translation_m=(0.0, 3.0, p.placement.translation_m[2])))
+            for p in tube().panels
+        ),
+    )
+    with pytest.raises(InputError, match="neck or the waist"):
+        place(mesh_pattern(high, 0.1), load_body(), body_distance())
+
+
+@pytest.mark.data
+def test_files_of_the_data_folder_stand_round_the_trunk():
+    folder = data_folder("patterns")
+    files = sorted(folder.glob("*.json")) if folder else []
+    if not files:
+        pytest.skip("No patterns/*.json in DRAPE_DATA: docs/data.md says where to get them.")
+    body = load_body()
+    size = default_measurements()
+    for path in files:
+        mesh = mesh_pattern(uncrossed(read_pattern(path))[0], 0.08)
+        placed = place(mesh, body, body_distance())
+        top = placed.positions[:, 1].max()
+        nearest = size.neck_y if placed.hangs_from == "shoulders" else size.waist_y
+        assert abs(top - nearest) < 0.12, path.name
+        assert body_distance()(placed.positions)[0].min() >= CLEARANCE_M, path.name
+
+
+def crossed(pattern: Pattern) -> Pattern:
+    """``pattern`` with the partners of its two stitches exchanged."""
+    one, other = pattern.stitches
+    return replace(pattern, stitches=(replace(one, second=other.second), replace(other, second=one.second)))
+
+
+def test_crossed_seams_are_exchanged_and_named():
+    found, notes = uncrossed(crossed(tube()))
+    assert found.stitches == tube().stitches
+    assert len(notes) == 1 and "front[1] to back[1]" in notes[0]
+    turned = crossed(tube())  # the same with the second stitch written the other way round
+    one, other = turned.stitches
+    swapped = replace(turned, stitches=(one, replace(other, first=other.second, second=other.first)))
+    assert uncrossed(swapped)[0].stitches == tube().stitches
+
+
+@pytest.mark.parametrize("name", sorted(BASES))
+def test_seams_that_are_right_are_left_alone(name):
+    pattern = BASES[name](default_measurements())
+    found, notes = uncrossed(pattern)
+    assert notes == () and found.stitches == pattern.stitches
+
+
+# --- sewing ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_tube_is_sewn_round_a_ball_without_stretching():
+    mesh = tube_mesh()
+    sewn = sewn_tube()
+    assert sewn.gap_m < 1e-3
+    assert sewn.nodes.shape == (mesh.node_count, 3)
+    assert np.abs(sewn.stretch - 1.0).max() < 0.05
+    assert BALL(sewn.nodes)[0].min() > SEWING_GAP_M - 1e-3
+    # Round the ball and not beside it: the middle ring winds once about the axis.
+    waist = np.abs(sewn.nodes[:, 1]) < 0.1
+    angle = np.arctan2(sewn.nodes[waist, 2], sewn.nodes[waist, 0])
+    assert np.diff(np.sort(angle), append=np.sort(angle)[0] + 2 * np.pi).max() < 1.2
+
+
+def test_sewing_is_repeatable_to_the_last_bit():
+    mesh = tube_mesh()
+    assert (sew(mesh, mesh.placed(), BALL).nodes == sewn_tube().nodes).all()
+
+
+def test_a_body_between_the_seams_is_refused():
+    """A slab without end: front and back never meet."""
+
+    def slab(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.abs(points[:, 2]) - 0.1, np.stack([0 * points[:, 2], 0 * points[:, 2], np.sign(points[:, 2])], 1)
+
+    with pytest.raises(InputError, match="edges that meet round the body"):
+        sew(tube_mesh(), tube_mesh().placed(), slab)
+
+
+def test_a_pattern_far_too_small_is_refused():
+    """0.8 m of cloth round a ball of 1.6 m."""
+    mesh = tube_mesh()
+    radius = 0.255
+    apart = mesh.placed() + np.where(mesh.panel == 0, 0.1, -0.1)[:, None] * [0.0, 0.0, 1.0]
+    with pytest.raises(InputError, match="Size the pattern up"):
+        sew(mesh, apart, cylinder(radius))
+
+
+def cylinder(radius: float) -> Distance:
+    """The distance of an upright cylinder without ends."""
+
+    def distance(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        length = np.hypot(points[:, 0], points[:, 2])
+        normal = np.stack([points[:, 0], 0 * length, points[:, 2]], axis=1) / np.maximum(length, 1e-12)[:, None]
+        return length - radius, normal
+
+    return distance
+
+
+def torch_cylinder(radius: float) -> SignedDistance:
+    """The same for the simulator."""
+
+    def distance(points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        length = torch.sqrt(points[:, 0] ** 2 + points[:, 2] ** 2)
+        return length - radius, points * torch.tensor([1.0, 0.0, 1.0]) / length[:, None]
+
+    return distance
+
+
+# --- at rest ---------------------------------------------------------------------------------------------------------
+
+
+def far(points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """A body that is nowhere near."""
+    return torch.full((len(points),), 10.0, dtype=points.dtype), torch.zeros_like(points) + torch.tensor(
+        [0.0, 1.0, 0.0]
+    )
+
+
+def test_the_topmost_opening_is_the_upper_rim_of_a_tube():
+    mesh = tube_mesh()
+    nodes = mesh.nodes_from(mesh.placed())
+    assert set(topmost_opening(mesh.faces, nodes)) == set(np.flatnonzero(nodes[:, 1] > 0.3 - 1e-9))
+    closed = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
+    assert len(topmost_opening(closed, np.eye(4)[:, :3])) == 0
+
+
+def upright(mesh: PatternMesh) -> np.ndarray:
+    """Nodes of the tube as a round, unstretched cylinder."""
+    radius = 0.8 / (2.0 * np.pi)
+    angle = mesh.rest[:, 0] / radius + np.pi * mesh.panel
+    return mesh.nodes_from(radius * np.stack([np.sin(angle), mesh.rest[:, 1] / radius, np.cos(angle)], axis=1))
+
+
+def test_a_tube_hangs_from_its_rim_by_its_own_weight():
+    """Each height carries what hangs below it: the tube grows by rho g L^2 / (2 E), E = H11 - H01^2 / H00.
+
+    Twice the density against once: a triangulated cylinder is lower than a smooth one (Schwarz), loaded or not.
+    """
+    mesh = tube_mesh()
+    nodes = upright(mesh)
+    held, rim = topmost_opening(mesh.faces, nodes), nodes[:, 1] < -0.3 + 1e-9
+    hems = []
+    for factor in (1.0, 2.0):
+        cloth = replace(WOVEN, density_kg_m2=factor * WOVEN.density_kg_m2)
+        drape = settle(mesh, nodes, far, cloth, held=held)
+        assert drape.report.converged
+        assert_allclose(drape.nodes[held], nodes[held], atol=0.0)
+        hems.append(drape.nodes[rim, 1].mean())
+    growth = WOVEN.density_kg_m2 * 9.81 * 0.6**2 / (2.0 * (WOVEN.h11 - WOVEN.h01**2 / WOVEN.h00))
+    assert_allclose(hems[0] - hems[1], growth, rtol=0.1)
+
+
+def test_a_belt_closes_round_the_body_before_it_holds():
+    """A tube of 0.8 m starts inside a body of 1.0 m: it lies on the skin, and then nothing moves its rim."""
+    mesh = tube_mesh()
+    drape = settle(mesh, 0.95 * upright(mesh), torch_cylinder(0.16), WOVEN, belt=True)
+    assert drape.report.converged
+    # Nodes that the repulsion throws off and on do not keep the steps going: a third of the limit would be the belt's.
+    assert drape.steps < STEP_LIMIT // 2
+    assert set(drape.held) == set(topmost_opening(mesh.faces, upright(mesh)))
+    radius = np.hypot(drape.nodes[drape.held, 0], drape.nodes[drape.held, 2])
+    assert radius.min() > 0.16 and radius.max() < 0.16 + SkinContact(far).gap_m + 1e-3
+
+
+def test_a_garment_that_nothing_holds_is_refused():
+    with pytest.raises(InputError, match="Give it a belt"):
+        settle(tube_mesh(), sewn_tube().nodes, far, WOVEN, lowest_top_m=-0.5)
+
+
+def unsettled() -> tuple[ClothModel, ClothState, Parameters, SkinContact]:
+    """A snug tube on a cylinder, its nodes 1 mm off at random."""
+    mesh, noise = tube_mesh(), np.random.default_rng(1)
+    nodes = upright(mesh)
+    contact = SkinContact(torch_cylinder(0.16), friction=0.0)
+    model = ClothModel(mesh.faces, panel_faces=mesh.panel_faces, fixed=topmost_opening(mesh.faces, nodes))
+    parameters = model.parameters(mesh.rest, WOVEN)
+    rest, report = to_rest(model, model.state(nodes), parameters, contact)
+    assert report.converged
+    return model, model.state(rest.x.numpy() + 1e-3 * noise.normal(size=nodes.shape)), parameters, contact
+
+
+def force_left(model: ClothModel, state: ClothState, parameters: Parameters, contact: SkinContact) -> float:
+    """The largest force [N] on a node, evaluated anew."""
+    return equilibrium(model, state, parameters, contact=contact, iteration_limit=0)[1].residual_n
+
+
+def test_where_newton_does_not_arrive_implicit_steps_do():
+    """Three of Newton's iterations leave more force than there was at the start; steps of three each reach rest."""
+    model, start, parameters, contact = unsettled()
+    alone = equilibrium(model, start, parameters, contact=contact, tolerance_n=TOLERANCE_N, iteration_limit=3)[1]
+    assert not alone.converged and alone.residual_n > force_left(model, start, parameters, contact) > 1.0
+    found, report = to_rest(model, start, parameters, contact, iteration_limit=3)
+    assert report.converged and report.iterations > alone.iterations
+    assert force_left(model, found, parameters, contact) <= TOLERANCE_N
+    # It is the drape that Newton finds when it may go on.
+    sure = to_rest(model, start, parameters, contact)[0]
+    assert_allclose(found.x, sure.x, atol=1e-5)
+
+
+@pytest.mark.parametrize("limit", [0, 1])
+def test_what_does_not_come_to_rest_is_the_shape_with_the_least_force_and_says_so(limit):
+    """No force is as small as 1e-30 N; without iterations the start is all there is."""
+    model, start, parameters, contact = unsettled()
+    alone = equilibrium(model, start, parameters, contact=contact, iteration_limit=limit)[1]
+    found, report = to_rest(model, start, parameters, contact, tolerance_n=1e-30, iteration_limit=limit)
+    assert not report.converged
+    assert_allclose(report.residual_n, force_left(model, found, parameters, contact), rtol=1e-6)
+    assert report.residual_n <= min(alone.residual_n, force_left(model, start, parameters, contact))
+    assert (limit == 0) == bool((found.x == start.x).all())
