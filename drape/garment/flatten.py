@@ -17,11 +17,14 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from drape.geometry import jets, meshes
 
-# Weights of the projection against the symmetric Dirichlet energy: of the first two the one whose jets fit best is
-# kept, the others serve where a rim crosses itself. More pull fits tighter creases and drapes worse: places crowd along
-# the fold (docs/decisions/0005-polyfit.md).
-PULLS, WEAKER_PULLS = (30.0, 10.0), (1.0, 0.0)
-ITERATIONS = (4, 8)  # after each of these the jets are looked at: SLIM's own optimum is not always theirs
+# Weights of the projection against the symmetric Dirichlet energy, and after how many steps of SLIM the jets are looked
+# at: the places that they fit best are kept. More pull fits tighter creases and drapes worse, since places crowd along
+# the fold (docs/decisions/0005-polyfit.md). Where every rim crosses itself, places nearer to Tutte's serve.
+PULLS, STEPS = (30.0, 10.0), (4, 8)
+LOOSE_PULLS, LOOSE_STEPS = (1.0, 0.0), (1, 1, 1, 1, 1, 1)
+# Then places go back to the projection wherever it does not fold. Triangles keep this share of their area; the share of
+# the way back changes by at most so much per patch scale along an edge.
+RETURN_AREA, RETURN_SLOPE, RETURN_ROUNDS = 0.2, 1.0, 40
 RING_SHARE = 0.3  # a second rim this long, of the first, means that the piece runs round a limb
 CUT_FLOOR = 0.02  # weight that a cut costs where the chart has none, so that cuts stay short
 RIDGE = 1e-4
@@ -121,30 +124,57 @@ def _flatten(
     real = int(np.searchsorted(used, len(points)))
     inner = mesh[(mesh < real).all(axis=1)]
     best, least = None, np.inf
-    for index, pull in enumerate(PULLS + WEAKER_PULLS):
-        if best is not None and index >= len(PULLS):
-            break
-        for placed in _relaxed(surface, mesh, start, target, real, pull):
-            if not np.isfinite(placed).all() or (signed_areas(placed, inner) <= 0.0).any():
-                break
-            misfit = _misfit(placed, surface[:real], weight[used[:real]])
-            if misfit < least and not rims_cross(placed, inner):
-                best, least = placed, misfit
+    for pulls, steps in ((PULLS, STEPS), (LOOSE_PULLS, LOOSE_STEPS)):
+        for pull in pulls if best is None else ():
+            for placed in _relaxed(surface, mesh, start, target[:real], pull, steps):
+                if not np.isfinite(placed).all() or (signed_areas(placed, inner) <= 0.0).any():
+                    break
+                misfit = _misfit(placed, surface[:real], weight[used[:real]])
+                if misfit < least and not rims_cross(placed, inner):
+                    best, least = placed, misfit
     # A rim on a circle crosses nothing: Tutte's own places are the last resort.
-    return used[:real], start[:real] if best is None else best
+    best = start[:real] if best is None else best
+    back = _returned(best, target[:real], surface[:real], inner)
+    return used[:real], best if rims_cross(back, inner) else back
+
+
+def _returned(placed: np.ndarray, target: np.ndarray, surface: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """``placed`` (m, 2) moved to ``target`` (m, 2) where that does not fold, and part of the way near where it does.
+
+    The network has learnt its motions over projections, so a place that need not differ from one should not.
+    """
+    least = RETURN_AREA * signed_areas(placed, triangles)
+    edges = meshes.unique_edges(triangles)
+    first, second = np.concatenate([edges, edges[:, ::-1]]).T
+    slope = RETURN_SLOPE * np.linalg.norm(surface[first] - surface[second], axis=1)
+    share = np.ones(len(placed))
+    for _ in range(RETURN_ROUNDS):
+        moved = placed + share[:, None] * (target - placed)
+        moved = moved.astype(np.float32).astype(np.float64)  # as caches store them
+        bad = signed_areas(moved, triangles) <= least
+        if not bad.any():
+            return moved
+        corners = np.unique(triangles[bad])
+        share[corners] = np.where(share[corners] < 0.1, 0.0, 0.6 * share[corners])
+        before = np.full_like(share, np.inf)
+        while (share < before).any():  # no step along an edge is steeper than its slope
+            before = share.copy()
+            np.minimum.at(share, first, before[second] + slope)
+    return placed
 
 
 def _relaxed(
-    surface: np.ndarray, mesh: np.ndarray, start: np.ndarray, target: np.ndarray, real: int, pull: float
+    surface: np.ndarray, mesh: np.ndarray, start: np.ndarray, target: np.ndarray, pull: float, steps: tuple[int, ...]
 ) -> Iterator[np.ndarray]:
-    """Places (real, 2) after each of ``ITERATIONS`` of SLIM, pulled towards the first ``real`` of ``target``."""
-    bound = np.arange(real if pull else 0, dtype=np.int32)
+    """Places (m, 2) of the first m points of ``surface``, pulled towards ``target`` (m, 2), after each of ``steps``."""
+    bound = np.arange(len(target) if pull else 0, dtype=np.int32)
     data = igl.slim_precompute(
         np.asfortranarray(surface), np.asfortranarray(mesh.astype(np.int32)), np.asfortranarray(start),
         igl.MappingEnergyType.SYMMETRIC_DIRICHLET, bound, np.asfortranarray(target[bound]), pull,
     )  # fmt: skip
-    for iterations in ITERATIONS:
-        yield np.array(igl.slim_solve(data, iterations))[:real, :2]
+    for count in steps:
+        # In the precision of caches: what is no fold here must be none there.
+        yield np.array(igl.slim_solve(data, count), dtype=np.float32)[: len(target), :2].astype(np.float64)
 
 
 def _misfit(uv: np.ndarray, points: np.ndarray, weight: np.ndarray) -> float:

@@ -81,7 +81,7 @@ def without_folds(cover: Cover, local: np.ndarray, scale: np.ndarray, faces: np.
     uv = local[..., :2] / scale[cover.patch][..., None]
     count = len(scale)
     folded = np.zeros(count, dtype=bool)
-    found = folded_charts(cover, uv, faces)
+    found = folded_charts(cover, uv.astype(np.float32), faces)  # as caches store them
     folded[: len(found)] = found
     if not folded.any():
         return Flattened(cover, uv, folded)

@@ -1,0 +1,224 @@
+"""What benchmarks.polyfit measures: fits of patches by model, the product's charts by frame and by density."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from drape.garment import charts
+from drape.garment.adaptive import adaptive_density, patch_rmse
+from drape.garment.density import curvature_density, curvature_squared, smoothed_normals
+from drape.garment.fitting import RestGarment, fit_error, patch_fields
+from drape.garment.partition import partition, patch_count_for
+from drape.geometry.rotations import rotvec_to_quaternion
+from training.polyfit import fit
+from training.polyfit.families import Patches
+from training.polyfit.garment_patches import NamedGarment, sample_patches
+from training.polyfit.train import Prepared, fitted, prepare
+
+BATCH = 512
+SEARCH_STEPS, SEARCH_RATE = 60, 0.03
+CLUSTER_POINTS = 400  # per patch of table 7
+CURVATURE_WIDTH_M = 0.01
+CHARTS = {False: "projected", True: "laid flat"}
+DENSITIES = (("even", False), ("even", True), ("by curvature", False), ("adaptive", False), ("adaptive", True))
+
+
+def figures(result: fit.Fit, normals: torch.Tensor) -> dict[str, torch.Tensor]:
+    """Height RMSE [patch sizes], normal error [deg] and share of points that look down, of every patch."""
+    return {
+        "height_rmse": fit.height_rmse(result),
+        "normal_deg": fit.normal_error_deg(result, normals),
+        "over_share": fit.over_share(normals),
+    }
+
+
+def summary(parts: list[dict[str, torch.Tensor]]) -> dict[str, float]:
+    """Means over all patches, the 99th percentile of the height, and the share of patches that fold over."""
+    joined = {key: torch.cat([p[key] for p in parts]) for key in parts[0]}
+    return {
+        "height_rmse": float(joined["height_rmse"].mean()),
+        "height_rmse_p99": float(joined["height_rmse"].quantile(0.99)),
+        "normal_deg": float(joined["normal_deg"].mean()),
+        "folded_patch_pct": 100.0 * float((joined["over_share"] > 0).float().mean()),
+    }
+
+
+def evaluate(model: nn.Module | None, patches: Patches, *, order: int = 4) -> dict[str, float]:
+    """The fit of ``patches`` in frames chosen by ``model`` (None: principal axes), or the jets it regresses."""
+    parts = []
+    with torch.no_grad():
+        for start in range(0, len(patches.points), BATCH):
+            rows = slice(start, start + BATCH)
+            own = prepare(Patches(patches.points[rows], patches.normals[rows]))
+            parts.append(figures(*fitted(model, own, order=order)))
+    return summary(parts)
+
+
+def mean_normal_frames(patches: Patches) -> Prepared:
+    """Patches in the frames that the product uses without PolyFit: along the mean normal."""
+    own = prepare(patches)
+    normal = own.normals.mean(dim=-2)
+    normal = normal / normal.norm(dim=-1, keepdim=True).clamp(min=1e-9)
+    up = torch.tensor([0.0, 0.0, 1.0]).expand_as(normal)
+    # Half-way rotation from the mean normal to the z axis; w stays positive unless they are opposite.
+    side = torch.where(normal[:, 2:] < 0, -1.0, 1.0)
+    cross = torch.linalg.cross(side * normal, up)
+    quaternion = torch.cat([1.0 + side * normal[:, 2:], cross], dim=-1)
+    quaternion = quaternion / quaternion.norm(dim=-1, keepdim=True)
+    return Prepared(fit.turned(own.points, quaternion), fit.turned(own.normals, quaternion))
+
+
+def evaluate_mean_normal(patches: Patches) -> dict[str, float]:
+    """The fit of ``patches`` in the frames of their mean normals."""
+    with torch.no_grad():
+        return summary([figures(*fitted(None, mean_normal_frames(patches), order=4))])
+
+
+def search(patches: Patches) -> dict[str, float]:
+    """The best frame of every patch by descent on its own height error: what no network can beat by much."""
+    own = prepare(patches)
+    turn = torch.zeros(len(own.points), 3, requires_grad=True)
+    optimiser = torch.optim.Adam([turn], lr=SEARCH_RATE)
+    for step in range(SEARCH_STEPS):
+        optimiser.param_groups[0]["lr"] = SEARCH_RATE * (1.0 - step / SEARCH_STEPS)
+        quaternion = rotvec_to_quaternion(turn)
+        loss = fit.height_rmse(fit.fit_jet(fit.turned(own.points, quaternion), order=4)).sum()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    with torch.no_grad():
+        quaternion = rotvec_to_quaternion(turn)
+        result = fit.fit_jet(fit.turned(own.points, quaternion), order=4)
+        return summary([figures(result, fit.turned(own.normals, quaternion))])
+
+
+def milliseconds_per_patch(model: nn.Module | None, patches: Patches, *, repeats: int = 5) -> float:
+    """Processor time [ms] from points to jet, frames included, in batches of ``BATCH``; the least of ``repeats``.
+
+    Not the wall clock's: what else the machine does must not count.
+    """
+    points, normals = (torch.cat([x] * (BATCH // len(x) + 1))[:BATCH] for x in (patches.points, patches.normals))
+    best = np.inf
+    with torch.no_grad():
+        for _ in range(repeats):
+            begun = time.process_time()
+            fitted(model, prepare(Patches(points, normals)), order=4)
+            best = min(best, time.process_time() - begun)
+    return 1e3 * best / BATCH
+
+
+def cluster_fit(model: nn.Module | None, garment: NamedGarment, *, seed: int = 0) -> dict[str, float]:
+    """Point RMSE [m] and normal error [deg] of a garment's patches without overlap, the paper's form (table 7)."""
+    rest = garment.rest
+    label = partition(
+        rest.vertices, rest.faces, rest.areas, patch_count_for(float(rest.areas.sum())), seed=seed, graph=rest.graph
+    )
+    rng = np.random.default_rng(seed)
+    points, normals = sample_patches(rest, label, point_count=CLUSTER_POINTS, rng=rng)
+    patches = Patches(torch.from_numpy(points), torch.from_numpy(normals))
+    moved = patches.points - patches.points.mean(dim=1, keepdim=True)
+    size = moved.norm(dim=-1).amax(dim=-1)
+    with torch.no_grad():
+        result, turned = fitted(model, prepare(patches), order=4)
+    squared = (result.residual * size[:, None]) ** 2
+    return {
+        "point_rmse_m": float(torch.sqrt(squared.mean())),
+        "normal_deg": float(fit.normal_error_deg(result, turned).mean()),
+    }
+
+
+def chart_figures(rest: RestGarment, fields: dict[str, np.ndarray]) -> dict[str, float]:
+    """Errors [mm, deg] of the product's charts without their residuals, and how much folds over.
+
+    ``worst_patch_mm`` is the largest of the patches' own RMSEs, each weighed as in the blend.
+    """
+    cover = charts.Cover(fields["chart_patch"], fields["chart_weight"].astype(np.float64))
+    weight = cover.weight * rest.areas[:, None]
+    squared = fields["chart_residual"].astype(np.float64) ** 2
+    blended = fit_error(rest, fields)
+    return {
+        "patch_count": float(len(fields["patch_scale"])),
+        "chart_rmse_mm": 1e3 * float(np.sqrt(np.sum(weight * squared.sum(axis=-1)) / weight.sum())),
+        "worst_patch_mm": 1e3 * float(patch_rmse(rest, fields).max()),
+        "point_rmse_mm": 1e3 * blended["point_rmse_m"],
+        "point_max_mm": 1e3 * blended["point_max_m"],
+        "normal_deg": blended["normal_error_deg"],
+        "folded_triangles": float(blended["folded_chart_triangles"]),
+        "folded_charts": float(blended["folded_charts"]),
+    }
+
+
+def mean_of(rows: Sequence[dict[str, float]]) -> dict[str, float]:
+    """The mean of every column."""
+    return {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
+
+
+def frame_rows(garments: Sequence[NamedGarment], orients: dict[str, Any], *, seeds: int) -> list[dict[str, Any]]:
+    """Charts of every garment by the choice of patch frame, projected and laid flat where they fold."""
+    rows = []
+    for garment in garments:
+        for unfold, treated in CHARTS.items():
+            for name, orient in orients.items():
+                runs = [
+                    chart_figures(garment.rest, patch_fields(garment.rest, seed=seed, orient=orient, unfold=unfold))
+                    for seed in range(seeds)
+                ]
+                kind = {"table": "frames", "garment": garment.name, "charts": treated, "frame": name}
+                rows.append(kind | mean_of(runs))
+    return rows
+
+
+def curvature_rms(rest: RestGarment) -> float:
+    """Root mean square curvature [1/m] of the cloth, that of single triangles left out: normals flow over 1 cm."""
+    normals = smoothed_normals(rest.normals, rest.vertices, rest.faces, rest.areas, width_m=CURVATURE_WIDTH_M)
+    squared = curvature_squared(rest.vertices, rest.faces, normals, rest.areas)
+    return float(np.sqrt(np.sum(rest.areas * squared) / rest.areas.sum()))
+
+
+def density_rows(garments: Sequence[NamedGarment], *, seeds: int) -> list[dict[str, Any]]:
+    """Charts of every garment at equal patch count: even, by curvature alone, or adaptive to the fit as well.
+
+    Projected, and laid flat where they fold. ``worst_ratio`` is the worst patch's error over that of even patches
+    in the projection, ``worst_ratio_alike`` over that of even patches treated alike.
+    """
+    rows = []
+    for garment in garments:
+        rest, curvature = garment.rest, curvature_rms(garment.rest)
+        by_curvature = curvature_density(rest.vertices, rest.faces, rest.normals, rest.areas)
+        worst: dict[bool, float] = {}
+        for name, unfold in DENSITIES:
+            runs = []
+            for seed in range(seeds):
+                density = None if name == "even" else by_curvature
+                if name == "adaptive":
+                    density = adaptive_density(rest, seed=seed, unfold=unfold)
+                runs.append(chart_figures(rest, patch_fields(rest, seed=seed, density=density, unfold=unfold)))
+            mean = mean_of(runs)
+            worst.setdefault(unfold, mean["worst_patch_mm"])
+            kind = {"table": "density", "garment": garment.name, "patches": name, "charts": CHARTS[unfold]}
+            rows.append(
+                kind
+                | {"curvature_per_m": curvature, **mean}
+                | {"worst_ratio": mean["worst_patch_mm"] / worst[False]}
+                | {"worst_ratio_alike": mean["worst_patch_mm"] / worst[unfold]}
+            )
+    return rows
+
+
+def most_curved(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """What the density table says of the garment with the most curvature: its name, worst patches, their ratios."""
+    own = [row for row in rows if row["table"] == "density"]
+    name = max(own, key=lambda row: row["curvature_per_m"])["garment"]
+    found = {(row["patches"], row["charts"]): row["worst_patch_mm"] for row in own if row["garment"] == name}
+    even, adaptive = found["even", "projected"], found["adaptive", "projected"]
+    laid_flat = found["adaptive", "laid flat"]
+    return {
+        "garment": name, "even_mm": even, "adaptive_mm": adaptive, "adaptive_laid_flat_mm": laid_flat,
+        "ratio": adaptive / even, "ratio_laid_flat": laid_flat / even,
+    }  # fmt: skip
