@@ -1,4 +1,4 @@
-"""The posed body as an obstacle: what ``drape.cloth.contact`` needs, fast enough for one frame at a time."""
+"""The rival of the push-out: the nearest vertex of the posed body by a k-d tree, one frame at a time."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ import scipy.sparse
 from drape.body.model import BodyModel
 from drape.cloth.contact import BodyContact, push_out
 from drape.geometry import skinning
-
-MOVED_M = 1e-6  # a vertex pushed less than this counts as left alone
 
 
 class Collider:

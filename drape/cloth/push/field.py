@@ -1,0 +1,95 @@
+"""The signed distance of points to a surface given by samples with normals, smooth in points and samples.
+
+With weights w_k = softmax(-|x - b_k|^2 / h^2 + bias_k) over a list of samples b_k, n_k, the mean normal n and the
+mean point b,
+
+    d(x) = 1/2 sum_k w_k n_k . (x - b_k) + 1/2 n . (x - b) / |n|
+
+The first term is the implicit moving-least-squares surface (Kolluri 2008), which lies s^2 / 2R outside a
+surface of radius R for samples s away, the second the plane of mean point and mean normal (Alexa and Adamson
+2004), which lies as far inside: their mean has no error of second order, so that samples may be a quarter of a
+limb's radius apart. ``mixed`` is two matrix products and a softmax, attention of points to samples; ``surface``
+reads distance and normal off the means, with coordinates first, so that every operation runs along the points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from drape.arrays import Array, like, namespace
+
+BANDWIDTH_M = 0.014  # h, about the spacing of the samples
+TINY = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """What a surface is at N points: ``distance`` [m] (..., N), outside positive; unit ``normal`` (..., 3, N).
+
+    ``beside_m2`` (..., N): square of how far beside the samples a point lies, along the surface: more than their
+    spacing means that the surface ends before it. ``agreement`` (..., N) in [0, 1] of the normals that were
+    mixed: little where two surfaces face each other.
+    """
+
+    distance: Array
+    normal: Array
+    beside_m2: Array
+    agreement: Array
+
+
+def queries(points: Array) -> Array:
+    """Rows (..., P, 8) whose product with a sample's row is -|x - b|^2 / h^2 less x . x, for ``points`` (..., P, 3)."""
+    scale = 1.0 / (BANDWIDTH_M * BANDWIDTH_M)
+    turned = like(points, [[2.0 * scale * (row == column) for column in range(8)] for row in range(3)])
+    return points @ turned + like(points, [-scale * (column == 3) for column in range(8)])
+
+
+def mixed(query: Array, table: Array, bias: Array) -> Array:
+    """Means (..., P, 8) of the samples' rows ``table`` (..., K, 8) (``drape.cloth.push.skin.sample_table``).
+
+    For ``queries`` (..., P, 8) with logits ``bias`` (..., K).
+    """
+    logits = query @ namespace(query).matrix_transpose(table) + bias[..., None, :]
+    return softmax(logits) @ table
+
+
+def surface(points: Array, means: Array) -> Surface:
+    """The surface at ``points`` [m] (..., 3, N) from the means (..., 8, N) there."""
+    xp = namespace(points)
+    normal = means[..., 4:7, :]
+    length = xp.sqrt(xp.clip(xp.sum(normal * normal, axis=-2), min=TINY))
+    unit = normal * (1.0 / length)[..., None, :]
+    offset = points - means[..., :3, :]
+    along = xp.sum(unit * offset, axis=-2)
+    plane = xp.concat([points, -xp.ones_like(points[..., :1, :])], axis=-2)
+    implicit = xp.sum(means[..., 4:8, :] * plane, axis=-2)
+    beside = xp.sum(offset * offset, axis=-2) - along * along
+    return Surface(0.5 * (implicit + along), unit, beside, length)
+
+
+def softmax(logits: Array) -> Array:
+    """Softmax over the last axis; torch's own, one kernel, where the namespace has it."""
+    xp = namespace(logits)
+    if hasattr(xp, "softmax"):
+        return xp.softmax(logits, -1)
+    grown = xp.exp(logits - xp.max(logits, axis=-1, keepdims=True))
+    return grown / xp.sum(grown, axis=-1, keepdims=True)
+
+
+def ramp(value: Array, low: float, high: float) -> Array:
+    """0 at ``low``, 1 at ``high``, linear between and constant beyond; ``high`` may lie below ``low``."""
+    return namespace(value).clip((value - low) * (1.0 / (high - low)), min=0.0, max=1.0)
+
+
+def take(rows: Array, index: Array, axis: int = 0) -> Array:
+    """``rows`` at ``index`` (n,), none negative, along ``axis``: one operation of torch, not four."""
+    xp = namespace(rows)
+    return xp.index_select(rows, axis, index) if hasattr(xp, "index_select") else xp.take(rows, index, axis=axis)
+
+
+def largest(scores: Array, count: int) -> Array:
+    """Places (..., ``count``) of the largest entries of each row of ``scores`` (..., n), in no order."""
+    xp = namespace(scores)
+    if hasattr(xp, "topk"):
+        return xp.topk(scores, count, dim=-1, sorted=False)[1]
+    return xp.argpartition(scores, -count, axis=-1)[..., -count:]

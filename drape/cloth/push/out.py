@@ -1,0 +1,200 @@
+"""The push-out: cloth out of the parts of the body that it hangs on, and of those that come near in a pose.
+
+A vertex knows from its rest place on which side of which limb it belongs. Pushing along the normal of whichever
+skin is nearest tears cloth that two parts press from both sides: between arm and trunk one vertex goes with the
+arm, its neighbour with the trunk. So the surface under the cloth at rest ("own") and the rest of the body
+("other parts") are two surfaces (``drape.cloth.push.field``), and the steps are
+
+1. out of other parts, then out of the own part, which has the last word;
+2. the displacement is fitted by the garment's own charts, a polynomial per patch, and blended: cloth beside the
+   pushed vertices comes along, and edges keep their lengths;
+3. what is still missing to the clearance, by the same two surfaces, to first order.
+
+Everything that switches a push fades in and out over a length, so that cloth moves smoothly when the body does.
+The same function runs on numpy, on torch and, exported, in ONNX Runtime: array sizes depend on the sizes of the
+inputs alone. Vectors have their coordinates first, points last: operations then run along the points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drape.arrays import Array, namespace
+from drape.cloth.push.field import largest, mixed, queries, ramp, surface, take
+from drape.cloth.push.samples import CLUSTER_SIZE, REGION_SIZE, Samples, sample_table
+from drape.cloth.push.tables import BLOCK_SIZE, GROUP_SIZE, OTHER_STEPS
+
+CLEARANCE_M = 0.0025
+REGION_COUNT = 2  # of other parts that a group of blocks is tested against
+BESIDE_M2 = (0.026**2, 0.016**2)  # a point this far beside the samples has left the surface that they are
+DEPTH_M = (-0.035, -0.025)  # deeper inside is not this surface
+AGREEMENT = (0.35, 0.65)  # of the mixed normals: below, two surfaces are mixed
+LARGEST_PUSH_M = 0.030
+HAS_OTHER = 2.0  # of 255: a list without a sample like this has no other part
+OTHER_LEAST = 1e-3  # what a sample counts that is no other part, beside ones that are
+CHARTS_PER_VERTEX = 4
+REGION_BIAS_M2 = 0.002  # squared distance [m^2] that one logit of a region outweighs
+
+
+@dataclass(frozen=True, eq=False)
+class PushFeed:
+    """Constants of a garment as ``push_out`` takes them: ``drape.push_packing.pack_push`` makes them.
+
+    G groups of 2 blocks of 16 vertices, N = 32 G slots; K patches, Q tiles of 64 charts (``drape.packing``).
+    ``block_vertex`` (G, 32) vertices; ``vertex_slot`` (V,) slots; ``own_cluster`` (G, 2, 10) clusters of the skin under
+    each block with ``own_bias`` (G, 2, 40); ``other`` (G, P, 48) uint8, how much a sample is another part, in
+    255ths, and ``region_bias`` (G, P, 4) of regions. ``patch_block`` (K, B) the blocks that lie in a patch,
+    ``patch_fit`` (K, B, 10) the weights by which their displacements give its polynomial; ``tile_basis`` (Q, 10, 64),
+    ``tile_patch`` (Q,), ``slot_charts`` (4, G, 32) columns of the tiles.
+    """
+
+    block_vertex: Array
+    vertex_slot: Array
+    own_cluster: Array
+    own_bias: Array
+    other: Array
+    region_bias: Array
+    patch_block: Array
+    patch_fit: Array
+    tile_basis: Array
+    tile_patch: Array
+    slot_charts: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Pushed:
+    """What the push-out makes of F drapes: ``vertices`` [m] (F, V, 3), and the part of it that jets can carry.
+
+    ``coefficients`` [m] (F, K, 3, 10): the displacement as a cubic of each patch's parameters, in the axes of the
+    vertices; their blend is step 2. ``left_m`` (F,): the longest way of step 3, which a drape by jets lacks.
+    """
+
+    vertices: Array
+    coefficients: Array
+    left_m: Array
+
+
+def push_out(vertices: Array, skin: Array, feed: PushFeed, clearance_m: Array | float = CLEARANCE_M) -> Array:
+    """``vertices`` [m] (F, V, 3) out of the bodies whose samples are ``skin`` (F, R, 12, 8) (``skin.skin_table``)."""
+    return push_in_parts(vertices, skin, feed, clearance_m).vertices
+
+
+def push_in_parts(vertices: Array, skin: Array, feed: PushFeed, clearance_m: Array | float = CLEARANCE_M) -> Pushed:
+    """``push_out``, and what of it the charts carry."""
+    xp = namespace(vertices)
+    start = take(vertices, _flat(feed.block_vertex), axis=1)  # (F, N, 3)
+    query = queries(start)
+    own_means = _own_part(query, skin, feed)
+    other_means, has_other = _other_parts(start, query, skin, feed)
+    points = xp.matrix_transpose(start)[:, None]
+    both = surface(points, xp.matrix_transpose(xp.stack([own_means, other_means], axis=1)))
+    share = ramp(both.beside_m2, *BESIDE_M2) * ramp(both.distance, *DEPTH_M) * ramp(both.agreement, *AGREEMENT)
+    missing = clearance_m - both.distance  # (F, 2, N)
+    own_normal, other_normal = both.normal[:, 0], both.normal[:, 1]
+    own_share, other_share = share[:, 0], share[:, 1] * has_other
+
+    def out(moved: Array) -> Array:
+        """``moved`` (F, 3, N) and what is missing then, to first order."""
+        from_other = _way(missing[:, 1] - _dot(moved, other_normal), other_share)
+        moved = moved + from_other[:, None] * other_normal
+        return moved + _way(missing[:, 0] - _dot(moved, own_normal), own_share)[:, None] * own_normal
+
+    coefficients = fit(out(xp.zeros_like(own_normal)), feed)
+    carried = blended(coefficients, feed)
+    moved = out(carried)
+    rest = moved - carried
+    left = xp.sqrt(xp.max(xp.sum(rest * rest, axis=1), axis=-1))
+    return Pushed(take(start + xp.matrix_transpose(moved), feed.vertex_slot, axis=1), coefficients, left)
+
+
+def push_out_of_bodies(
+    vertices: np.ndarray, body_vertices: np.ndarray, skin: Samples, feed: PushFeed, clearance_m: float = CLEARANCE_M
+) -> np.ndarray:
+    """``vertices`` [m] (F, V, 3) out of the posed bodies ``body_vertices`` (F, Vb, 3), one frame after the other."""
+    pushed = np.empty_like(vertices)
+    for frame in range(len(vertices)):
+        one = slice(frame, frame + 1)
+        # Relative to the body: the field multiplies coordinates, and a body may stand far away.
+        origin = body_vertices[frame].mean(axis=0)
+        point, normal = skin.posed(body_vertices[one] - origin)
+        table = np.asarray(sample_table(point, normal)).reshape(1, skin.region_count, REGION_SIZE, -1)
+        pushed[one] = push_out(vertices[one] - origin, table, feed, clearance_m) + origin
+    return pushed
+
+
+def fitted(displacement: Array, feed: PushFeed) -> Array:
+    """``displacement`` (F, 3, N) of the slots as the blend of a least-squares polynomial per patch."""
+    return blended(fit(displacement, feed), feed)
+
+
+def fit(displacement: Array, feed: PushFeed) -> Array:
+    """Coefficients (F, K, 3, 10) of the least-squares polynomial of each patch for ``displacement`` (F, 3, N)."""
+    xp = namespace(displacement)
+    frames, (patches, members, _) = displacement.shape[0], feed.patch_fit.shape
+    of_blocks = xp.mean(xp.reshape(displacement, (frames, 3, -1, BLOCK_SIZE)), axis=3)
+    of_patch = take(xp.matrix_transpose(of_blocks), _flat(feed.patch_block), axis=1)
+    of_patch = xp.matrix_transpose(xp.reshape(of_patch, (frames, patches, members, 3)))
+    return of_patch @ feed.patch_fit
+
+
+def blended(coefficients: Array, feed: PushFeed) -> Array:
+    """The displacement (F, 3, N) of the slots that the patches' ``coefficients`` (F, K, 3, 10) say together."""
+    xp = namespace(coefficients)
+    frames, slots = coefficients.shape[0], feed.slot_charts.shape[1] * feed.slot_charts.shape[2]
+    tiles, _, columns = feed.tile_basis.shape
+    rows = xp.matrix_transpose(take(coefficients, feed.tile_patch, axis=1) @ feed.tile_basis)  # (F, Q, 64, 3)
+    rows = take(xp.reshape(rows, (frames, tiles * columns, 3)), _flat(feed.slot_charts), axis=1)
+    return xp.matrix_transpose(xp.sum(xp.reshape(rows, (frames, CHARTS_PER_VERTEX, slots, 3)), axis=1))
+
+
+def _own_part(query: Array, skin: Array, feed: PushFeed) -> Array:
+    """Means (F, N, 8) of the skin under the blocks."""
+    xp = namespace(query)
+    frames, slots = query.shape[0], query.shape[1]
+    groups, own = feed.own_bias.shape[0], feed.own_bias.shape[2]
+    clusters = xp.reshape(skin, (frames, -1, 8 * CLUSTER_SIZE))
+    taken = take(clusters, _flat(feed.own_cluster), axis=1)
+    table = xp.reshape(taken, (frames, groups, GROUP_SIZE, own, 8))
+    means = mixed(xp.reshape(query, (frames, groups, GROUP_SIZE, BLOCK_SIZE, 8)), table, feed.own_bias)
+    return xp.reshape(means, (frames, slots, 8))
+
+
+def _other_parts(start: Array, query: Array, skin: Array, feed: PushFeed) -> tuple[Array, Array]:
+    """Means (F, N, 8) of the other parts nearest to each group, and 1 where there are any (F, N)."""
+    xp = namespace(start)
+    frames, regions = skin.shape[0], skin.shape[1]
+    slots, groups = start.shape[1], feed.region_bias.shape[0]
+    points = xp.reshape(start, (frames, groups, GROUP_SIZE * BLOCK_SIZE, 3))
+    region = xp.mean(skin[..., :3], axis=2)  # (F, R, 3)
+    centre = xp.mean(points, axis=2)  # (F, G, 3)
+    squared = xp.sum(region * region, axis=-1)[:, None] - 2.0 * (centre @ xp.matrix_transpose(region))
+    far = REGION_BIAS_M2 * xp.reshape(feed.region_bias, (groups, regions))
+    top = largest(far - squared, REGION_COUNT)  # (F, G, n)
+    frame = regions * xp.arange(frames, dtype=top.dtype)[:, None, None]
+    group = regions * xp.arange(groups, dtype=top.dtype)[:, None]
+    count = REGION_COUNT * REGION_SIZE
+    rows = take(xp.reshape(skin, (-1, 8 * REGION_SIZE)), _flat(top + frame))
+    table = xp.reshape(rows, (frames, groups, count, 8))
+    other = take(xp.reshape(feed.other, (-1, REGION_SIZE)), _flat(top + group))
+    other = xp.reshape(xp.astype(other, start.dtype), (frames, groups, count))
+    bias = xp.log(other * (1.0 / OTHER_STEPS) + OTHER_LEAST)
+    has_other = xp.astype(xp.max(other, axis=-1, keepdims=True) >= HAS_OTHER, start.dtype)
+    means = mixed(xp.reshape(query, (frames, groups, GROUP_SIZE * BLOCK_SIZE, 8)), table, bias)
+    has_other = xp.broadcast_to(has_other, (frames, groups, GROUP_SIZE * BLOCK_SIZE))
+    return xp.reshape(means, (frames, slots, 8)), xp.reshape(has_other, (frames, slots))
+
+
+def _flat(index: Array) -> Array:
+    return namespace(index).reshape(index, (-1,))
+
+
+def _way(missing: Array, share: Array) -> Array:
+    """Length [m] of a push that is ``missing`` [m] from the clearance: never negative, saturated."""
+    xp = namespace(missing)
+    return LARGEST_PUSH_M * xp.tanh(xp.clip(missing, min=0.0) * (1.0 / LARGEST_PUSH_M)) * share
+
+
+def _dot(first: Array, second: Array) -> Array:
+    return namespace(first).sum(first * second, axis=-2)

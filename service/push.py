@@ -1,0 +1,262 @@
+"""Keeps drapes out of the body: the push-out's constants of bodies and garments, and the graph that uses them.
+
+A model folder without the graph, or a body with pose blend shapes, takes the same formula in numpy, frame by frame.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.cloth.push.layers import cloth_samples
+from drape.cloth.push.out import PushFeed, push_in_parts, push_out
+from drape.cloth.push.samples import sample_table
+from drape.cloth.push.skin import SkinOnBones, body_skin, skin_table
+from drape.errors import NotFound
+from drape.layer_packing import LayerFeed, Sheet, layer_arrays, pack_layer, push_over
+from drape.push_packing import feed_arrays, pack_push, pushed_jets
+from service.engine import PUSH, PUSH_OVER, Engine, GraphSession
+
+MOVED_M = 1e-4  # a vertex pushed less than this counts as left alone
+OUTPUT = "pushed"
+JET_OUTPUTS = ("jet_push", "left")
+KEPT_SHAPES = 64  # a megabyte each
+KEPT_OUTFITS = 32  # some five megabytes per layer over others
+
+Formula = Callable[[np.ndarray, slice, np.ndarray], np.ndarray]  # vertices, frame and table of samples to vertices
+
+
+@dataclass(eq=False)
+class _Stored:
+    """A garment in store: its ``drape.feeds.garment_feed``, rest mesh and constants, and what lies over it needs."""
+
+    feed: dict[str, np.ndarray]
+    vertices: np.ndarray
+    faces: np.ndarray
+    push: PushFeed
+    arrays: dict[str, np.ndarray]
+    sheet: Sheet | None = None
+
+
+class Pusher:
+    """Pushes garment vertices out of one body in any pose and shape; safe to call from one thread at a time."""
+
+    def __init__(self, engine: Engine, body: BodyModel) -> None:
+        self._engine, self._body = engine, body
+        self._skin = body_skin(body)
+        self._stored: dict[str, _Stored] = {}
+        self._layers: OrderedDict[tuple[str, ...], tuple[LayerFeed, dict[str, np.ndarray]]] = OrderedDict()
+        self._looking, self._making = threading.Lock(), threading.Lock()
+        self._shapes: OrderedDict[bytes, SkinOnBones] = OrderedDict()
+        self._session: GraphSession | None = None
+        self._over: GraphSession | None = None
+        self._jets: GraphSession | None = None
+        if engine.pushes and body.posedirs is None:
+            self._session = engine.open_cut(PUSH, [OUTPUT])
+        if engine.pushes_over and body.posedirs is None:
+            self._over = engine.open_cut(PUSH_OVER, [OUTPUT])
+
+    @property
+    def in_graph(self) -> bool:
+        """Whether the graph does it."""
+        return self._session is not None
+
+    def add(self, key: str, feed: dict[str, np.ndarray], vertices: np.ndarray, faces: np.ndarray) -> None:
+        """Puts the garment ``key`` in store: its ``drape.feeds.garment_feed``, rest vertices [m] (V, 3) and faces."""
+        push = pack_push(feed, vertices, self._skin)
+        self._stored[key] = _Stored(feed, vertices, faces, push, feed_arrays(push))
+
+    def prepare(self, keys: Sequence[str]) -> None:
+        """Makes the constants of every garment of an outfit over those before it, where they are missing.
+
+        Takes a second per garment, and may be called from any thread.
+        """
+        for count in range(1, len(keys)):
+            self._layer(tuple(keys[: count + 1]))
+
+    def push(
+        self, key: str, vertices: np.ndarray, poses: np.ndarray, betas: np.ndarray, clearance_m: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """``vertices`` [m] (F, V, 3) relative to the root, out of the body; and the way [m] (F, V) of each.
+
+        For ``poses`` (F, 24, 3) [rad] and one shape ``betas``; refuses (``NotFound``) a garment not in store.
+        """
+        stored = self._get(key)
+        vertices = np.ascontiguousarray(vertices, dtype=np.float32)
+        clearance = np.float32(clearance_m)
+        if self._session is None:
+            formula = partial(_by_formula, feed=stored.push, clearance=clearance)
+            pushed = self._by_numpy(formula, vertices, poses, betas)
+        else:
+            (pushed,) = self._by_graph(self._session, stored.arrays, vertices, poses, betas, clearance)
+        return pushed, np.linalg.norm(pushed - vertices, axis=-1)
+
+    def push_over(
+        self,
+        keys: Sequence[str],
+        vertices: np.ndarray,
+        under: np.ndarray,
+        poses: np.ndarray,
+        betas: np.ndarray,
+        clearance_m: float,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """``push`` for the last garment of ``keys``, out of the body and of the others, which lie at ``under``.
+
+        ``under`` [m] (F, U, 3) holds the pushed vertices of the others, innermost first, relative to the root.
+        """
+        feed, arrays = self._layer(tuple(keys))
+        vertices, under = (np.ascontiguousarray(x, dtype=np.float32) for x in (vertices, under))
+        clearance = np.float32(clearance_m)
+        if self._over is None:
+            formula = partial(_over_by_formula, under=under, feed=feed, clearance=clearance)
+            pushed = self._by_numpy(formula, vertices, poses, betas)
+        else:
+            (pushed,) = self._by_graph(self._over, arrays | {"under": under}, vertices, poses, betas, clearance)
+        return pushed, np.linalg.norm(pushed - vertices, axis=-1)
+
+    def push_jets(
+        self,
+        key: str,
+        vertices: np.ndarray,
+        jet: np.ndarray,
+        rotation: np.ndarray,
+        poses: np.ndarray,
+        betas: np.ndarray,
+        clearance_m: float,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The push-out inside the jets of a drape: jets (F, K, 45), and what they lack to the clearance [m] (F,).
+
+        For the drape's ``vertices`` [m] (F, V, 3) relative to the root, ``jet`` (F, K, 27 or 45) and frames
+        ``rotation`` (F, K, 3, 3); the rest as in ``push``.
+        """
+        stored = self._get(key)
+        vertices, clearance = np.ascontiguousarray(vertices, dtype=np.float32), np.float32(clearance_m)
+        if self._body.posedirs is None and self._engine.pushes_jets:
+            if self._jets is None:
+                self._jets = self._engine.open_cut(PUSH, JET_OUTPUTS)
+            coefficients, left = self._by_graph(
+                self._jets, stored.arrays, vertices, poses, betas, clearance, outputs=JET_OUTPUTS
+            )
+        else:
+            frames = [slice(frame, frame + 1) for frame in range(len(poses))]
+            parts = [
+                push_in_parts(vertices[one], self._table(poses[one], betas), stored.push, clearance) for one in frames
+            ]
+            coefficients = np.concatenate([part.coefficients for part in parts])
+            left = np.concatenate([part.left_m for part in parts])
+        return pushed_jets(jet, rotation, stored.feed["patch_scale"], coefficients), left
+
+    def _get(self, key: str) -> _Stored:
+        if key not in self._stored:
+            raise NotFound(
+                "garment", expected=", ".join(self._stored) or "one in store", got=key, cure="Add the garment first."
+            )
+        return self._stored[key]
+
+    def _layer(self, keys: tuple[str, ...]) -> tuple[LayerFeed, dict[str, np.ndarray]]:
+        """Constants of the last of ``keys`` over the others; the latest used are kept."""
+        *inner, outer = (self._get(key) for key in keys)
+        kept = self._found(keys)
+        if kept is not None:
+            return kept
+        with self._making:  # one at a time; who looks for others does not wait
+            kept = self._found(keys)
+            if kept is None:
+                made = pack_layer(outer.feed, outer.vertices, self._skin, [_sheet(stored) for stored in inner])
+                kept = made, layer_arrays(made)
+                with self._looking:
+                    self._layers[keys] = kept
+                    if len(self._layers) > KEPT_OUTFITS:
+                        self._layers.popitem(last=False)
+        return kept
+
+    def _found(self, keys: tuple[str, ...]) -> tuple[LayerFeed, dict[str, np.ndarray]] | None:
+        with self._looking:
+            kept = self._layers.get(keys)
+            if kept is not None:
+                self._layers.move_to_end(keys)
+            return kept
+
+    def _by_graph(
+        self,
+        session: GraphSession,
+        constants: dict[str, np.ndarray],
+        vertices: np.ndarray,
+        poses: np.ndarray,
+        betas: np.ndarray,
+        clearance: np.float32,
+        *,
+        outputs: Sequence[str] = (OUTPUT,),
+    ) -> list[np.ndarray]:
+        rotations, translations = self._bones(poses, betas)
+        skin = self._on_bones(betas)
+        arrays = constants | {
+            "vertices": vertices,
+            "bone_rotation": rotations,
+            "bone_translation": translations,
+            "clearance": np.full(1, clearance),
+            "skin_rows": skin.rows,
+            "skin_bones": skin.bones,
+        }
+        return session.run(outputs, {name: self._engine.value(arrays[name]) for name in session.inputs})
+
+    def _by_numpy(self, formula: Formula, vertices: np.ndarray, poses: np.ndarray, betas: np.ndarray) -> np.ndarray:
+        pushed = np.empty_like(vertices)
+        for frame in range(len(poses)):
+            one = slice(frame, frame + 1)
+            pushed[one] = formula(vertices[one], one, self._table(poses[one], betas))
+        return pushed
+
+    def _table(self, poses: np.ndarray, betas: np.ndarray) -> np.ndarray:
+        """Samples (F, R, 12, 8) float32 of the posed skin."""
+        if self._body.posedirs is None:
+            skin = self._on_bones(betas)
+            return skin_table(skin.rows, skin.bones, *self._bones(poses, betas))
+        posed = self._body.posed_vertices(poses, None, betas) - self._body.rest_joints(betas)[0]
+        table = sample_table(*self._skin.posed(posed)).astype(np.float32)
+        return table.reshape(len(poses), self._skin.region_count, -1, table.shape[-1])
+
+    def _bones(self, poses: np.ndarray, betas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        rotations, translations = self._body.bones(poses, None, betas)
+        relative = translations - self._body.rest_joints(betas)[0]
+        return np.ascontiguousarray(rotations, dtype=np.float32), np.ascontiguousarray(relative, dtype=np.float32)
+
+    def _on_bones(self, betas: np.ndarray) -> SkinOnBones:
+        key = np.asarray(betas, dtype=np.float64).tobytes()
+        if key not in self._shapes:
+            self._shapes[key] = self._skin.on_bones(self._body, betas)
+            if len(self._shapes) > KEPT_SHAPES:
+                self._shapes.popitem(last=False)
+        self._shapes.move_to_end(key)
+        return self._shapes[key]
+
+
+def _sheet(stored: _Stored) -> Sheet:
+    """The garment as others lie over it, made once."""
+    if stored.sheet is None:
+        stored.sheet = Sheet(stored.vertices, stored.faces, cloth_samples(stored.vertices, stored.faces))
+    return stored.sheet
+
+
+def _by_formula(
+    vertices: np.ndarray, frame: slice, table: np.ndarray, *, feed: PushFeed, clearance: np.float32
+) -> np.ndarray:
+    return push_out(vertices, table, feed, clearance)
+
+
+def _over_by_formula(
+    vertices: np.ndarray,
+    frame: slice,
+    table: np.ndarray,
+    *,
+    under: np.ndarray,
+    feed: LayerFeed,
+    clearance: np.float32,
+) -> np.ndarray:
+    return push_over(vertices, under[frame], table, feed, clearance)
