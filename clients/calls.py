@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -170,12 +170,30 @@ def drape(
     push_out: bool | None,
 ) -> Call[np.ndarray]:
     """World vertices [m] (F, V, 3) float32."""
-    document = _motion_document(motion, trans, betas, None) | {"garment": garment, "push_out": push_out}
+    document = _motion_document(motion, trans, betas, None) | worn(garment) | {"push_out": push_out}
     return Call("POST", "/drape", _read_vertices, headers={"Accept": BINARY}, json=document)
 
 
+def drape_outfit(
+    garments: Sequence[str],
+    motion: Motion,
+    *,
+    trans: np.ndarray | None,
+    betas: np.ndarray | None,
+    push_out: bool | None,
+) -> Call[list[np.ndarray]]:
+    """World vertices [m] (F, V, 3) float32 of each of ``garments``."""
+    document = _motion_document(motion, trans, betas, None) | worn(garments) | {"push_out": push_out}
+    return Call("POST", "/drape", _read_layers, headers={"Accept": BINARY}, json=document)
+
+
+def worn(garment: str | Sequence[str]) -> dict[str, Any]:
+    """How a request names one garment, or several over each other."""
+    return {"garment": garment} if isinstance(garment, str) else {"garments": list(garment)}
+
+
 def drape_glb(
-    garment: str,
+    garment: str | Sequence[str],
     motion: Motion,
     *,
     trans: np.ndarray | None,
@@ -185,7 +203,7 @@ def drape_glb(
     body: bool,
 ) -> Call[bytes]:
     """The bytes of an animated GLB."""
-    document = _motion_document(motion, trans, betas, fps) | {"garment": garment, "push_out": push_out, "body": body}
+    document = _motion_document(motion, trans, betas, fps) | worn(garment) | {"push_out": push_out, "body": body}
     return Call("POST", "/drape", _read_bytes, headers={"Accept": GLB}, json=document)
 
 
@@ -231,6 +249,13 @@ def _read_bytes(response: httpx.Response) -> bytes:
 def _read_vertices(response: httpx.Response) -> np.ndarray:
     shape = (int(response.headers["X-Drape-Frames"]), int(response.headers["X-Drape-Vertices"]), 3)
     return np.frombuffer(response.content, dtype="<f4").reshape(shape)
+
+
+def _read_layers(response: httpx.Response) -> list[np.ndarray]:
+    """The vertices of each garment; one garment has no header that counts its own."""
+    vertices = _read_vertices(response)
+    counts = [int(part.rpartition(":")[2]) for part in response.headers.get("X-Drape-Garments", "").split(",") if part]
+    return np.split(vertices, np.cumsum(counts, dtype=int)[:-1], axis=1)
 
 
 def _read_clip(response: httpx.Response) -> MotionClip:

@@ -1,6 +1,7 @@
 """``python -m clients.cli health | garments | upload | drape``: the service from the shell.
 
 python -m clients.cli drape --garment tshirt --motion walk --out out.glb
+python -m clients.cli drape --garment trousers tshirt --motion walk --out outfit.glb
 python -m clients.cli drape --garment shirt.obj --avatar '{"gender": 1.0}' --motion clip.bvh --out out.npy
 """
 
@@ -62,10 +63,17 @@ def _parser() -> argparse.ArgumentParser:
     upload.set_defaults(run=_upload)
 
     drape = commands.add_parser("drape", parents=[shared], help="drape a garment over a clip")
-    drape.add_argument("--garment", required=True, help="a garment's id, or a file to take in first")
+    drape.add_argument(
+        "--garment",
+        required=True,
+        nargs="+",
+        help="a garment's id, or a file to take in first; several are worn over each other, the innermost first",
+    )
     drape.add_argument("--avatar", help="for a file: the body it was modelled on")
     drape.add_argument("--motion", required=True, help="a sample clip's name, or a file .npz, .bvh or .amc")
-    drape.add_argument("--out", required=True, type=Path, help="out.glb (animated) or out.npy (vertices [m])")
+    drape.add_argument(
+        "--out", required=True, type=Path, help="out.glb (animated) or out.npy (vertices [m], layer after layer)"
+    )
     drape.add_argument("--as-recorded", action="store_true", help="for a file: leave its translations as they are")
     drape.add_argument("--fps", type=float, default=30.0, help="frames per second of the result (30)")
     drape.add_argument("--betas", help="body shape, comma-separated")
@@ -101,15 +109,19 @@ def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
         )
     betas = _numbers(options.betas)
     clip = _clip(client, options, betas).resampled(options.fps)
-    garment = options.garment
-    if Path(garment).suffix.lower() in SUFFIXES:
-        garment = client.upload_garment(garment, options.avatar)
-        print(f"taken in as {garment}")
+    worn: list[str] = []
+    for garment in options.garment:
+        if Path(garment).suffix.lower() in SUFFIXES:
+            garment = client.upload_garment(garment, options.avatar)
+            print(f"taken in as {garment}")
+        worn.append(garment)
     if suffix == ".glb":
-        content = client.drape_glb(garment, clip, betas=betas, push_out=options.push_out, body=options.body)
+        garments = worn[0] if len(worn) == 1 else worn
+        content = client.drape_glb(garments, clip, betas=betas, push_out=options.push_out, body=options.body)
     else:
         buffer = io.BytesIO()
-        np.save(buffer, client.drape(garment, clip, betas=betas, push_out=options.push_out), allow_pickle=False)
+        layers = client.drape_outfit(worn, clip, betas=betas, push_out=options.push_out)
+        np.save(buffer, np.concatenate(layers, axis=1), allow_pickle=False)
         content = buffer.getvalue()
     write_atomic(options.out, content)
     print(f"{options.out}: {clip.frame_count} frames at {clip.fps:g} per second, {len(content)} bytes")

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -107,9 +108,21 @@ class DrapeClient:
         """World vertices [m] (F, V, 3) float32 of ``garment`` over a clip or poses (F, 24, 3) [rad]."""
         return self._send(calls.drape(garment, motion, trans=trans, betas=betas, push_out=push_out))
 
+    def drape_outfit(
+        self,
+        garments: Sequence[str],
+        motion: Motion,
+        *,
+        trans: np.ndarray | None = None,
+        betas: np.ndarray | None = None,
+        push_out: bool | None = None,
+    ) -> list[np.ndarray]:
+        """``drape`` of several garments worn over each other, the innermost first; vertices of each."""
+        return self._send(calls.drape_outfit(garments, motion, trans=trans, betas=betas, push_out=push_out))
+
     def drape_glb(
         self,
-        garment: str,
+        garment: str | Sequence[str],
         motion: Motion,
         *,
         trans: np.ndarray | None = None,
@@ -118,7 +131,7 @@ class DrapeClient:
         push_out: bool | None = None,
         body: bool = False,
     ) -> bytes:
-        """The same as an animated GLB, with the body beside the garment if ``body``."""
+        """An animated GLB of a garment, or of several over each other; with the body beside them if ``body``."""
         return self._send(
             calls.drape_glb(garment, motion, trans=trans, betas=betas, fps=fps, push_out=push_out, body=body)
         )
@@ -211,9 +224,22 @@ class AsyncDrapeClient:
         """World vertices [m] (F, V, 3) float32 of ``garment`` over a clip or poses (F, 24, 3) [rad]."""
         return await self._send(calls.drape(garment, motion, trans=trans, betas=betas, push_out=push_out))
 
+    async def drape_outfit(
+        self,
+        garments: Sequence[str],
+        motion: Motion,
+        *,
+        trans: np.ndarray | None = None,
+        betas: np.ndarray | None = None,
+        push_out: bool | None = None,
+    ) -> list[np.ndarray]:
+        """``drape`` of several garments worn over each other, the innermost first; vertices of each."""
+        call = calls.drape_outfit(garments, motion, trans=trans, betas=betas, push_out=push_out)
+        return await self._send(call)
+
     async def drape_glb(
         self,
-        garment: str,
+        garment: str | Sequence[str],
         motion: Motion,
         *,
         trans: np.ndarray | None = None,
@@ -222,7 +248,7 @@ class AsyncDrapeClient:
         push_out: bool | None = None,
         body: bool = False,
     ) -> bytes:
-        """The same as an animated GLB, with the body beside the garment if ``body``."""
+        """An animated GLB of a garment, or of several over each other; with the body beside them if ``body``."""
         call = calls.drape_glb(garment, motion, trans=trans, betas=betas, fps=fps, push_out=push_out, body=body)
         return await self._send(call)
 

@@ -1,6 +1,6 @@
 """The Python client of the stream: poses in, frames out, each with its age.
 
-    async with await DrapeStream.open("http://127.0.0.1:8000", "tshirt") as stream:
+    async with await DrapeStream.open("http://127.0.0.1:8000", "tshirt") as stream:  # or ["trousers", "tshirt"]
         await stream.send(pose, trans)
         received = await stream.receive()
         received.frame.vertices(), received.age_s
@@ -22,7 +22,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidURI
 from websockets.typing import Subprotocol
 
-from clients.calls import DEFAULT_URL, ServiceError, problem_error, unreachable
+from clients.calls import DEFAULT_URL, ServiceError, problem_error, unreachable, worn
 from drape import wire
 from drape.errors import DrapeError
 
@@ -39,7 +39,7 @@ class Received:
 
 
 class DrapeStream:
-    """An open stream of one garment. ``about`` is the service's answer to the opening."""
+    """An open stream of one garment or outfit. ``about`` is the service's answer to the opening."""
 
     def __init__(self, connection: ClientConnection, about: dict[str, Any]) -> None:
         self._connection = connection
@@ -50,7 +50,7 @@ class DrapeStream:
     async def open(
         cls,
         url: str = DEFAULT_URL,
-        garment: str = "",
+        garment: str | Sequence[str] = "",
         *,
         betas: Sequence[float] | np.ndarray | None = None,
         push_out: bool | None = None,
@@ -86,17 +86,29 @@ class DrapeStream:
         await self._connection.close()
 
     async def reopen(
-        self, garment: str, *, betas: Sequence[float] | np.ndarray | None = None, push_out: bool | None = None
+        self,
+        garment: str | Sequence[str],
+        *,
+        betas: Sequence[float] | np.ndarray | None = None,
+        push_out: bool | None = None,
     ) -> dict[str, Any]:
-        """Turns the stream to another garment, shape or push-out; frames of the old one are thrown away."""
+        """Turns the stream to another garment, shape or push-out; frames of the old one are thrown away.
+
+        Several garments are worn over each other, the innermost first; ``layers`` parts their vertices.
+        """
         shape = None if betas is None else [float(beta) for beta in betas]
-        request = {"type": "open", "garment": garment, "betas": shape, "push_out": push_out}
+        request = {"type": "open", **worn(garment), "betas": shape, "push_out": push_out}
         await self._transmit(json.dumps(request))
         while True:
             message = await self._message()
             if isinstance(message, str):
                 self.about = json.loads(message)
                 return self.about
+
+    def layers(self, vertices: np.ndarray) -> list[np.ndarray]:
+        """The ``vertices`` (V, 3) of a frame by garment; all of them where there is one."""
+        counts = [layer["vertices"] for layer in self.about.get("garments", ())]
+        return np.split(vertices, np.cumsum(counts, dtype=int)[:-1])
 
     async def send(self, pose: np.ndarray, trans: np.ndarray | None = None) -> int:
         """Sends a pose (24, 3) [rad] with its root translation (3,) [m]; returns its sequence number."""

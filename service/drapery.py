@@ -16,12 +16,12 @@ from drape.body.model import BodyModel
 from drape.errors import NotFound
 from drape.feeds import BodyFeed, body_feed, kinematics
 from drape.packing import pack_body
-from service.collider import MOVED_M, Collider
 from service.dynamics import Memory, Moment, advance, nothing
 from service.engine import Engine, check_finite
-from service.garments import Entry, Registry
+from service.garments import Entry, Outfit, Registry, Scene
 from service.motions import Motions
 from service.packing import Packer, ScenePlan
+from service.push import MOVED_M, Pusher
 from service.settings import Settings
 
 Result = TypeVar("Result")
@@ -30,6 +30,8 @@ Result = TypeVar("Result")
 @dataclass(frozen=True, eq=False)
 class PoseInput:
     """Checked poses (F, 24, 3), translations (F, 3) and one shape (S,), and whether to push out.
+
+    ``passes``: how many corrections of the network run, None for all; the same for all inputs of a call.
 
     With a ``motion`` knob above 0 the cloth follows the motion: ``times_s`` (F,) says when each frame is,
     ``memory`` what came before the first.
@@ -42,6 +44,7 @@ class PoseInput:
     motion: float = 0.0
     times_s: np.ndarray | None = None
     memory: Memory | None = None
+    passes: int | None = None
 
     def part(self, rows: slice, memory: Memory | None) -> PoseInput:
         """The frames ``rows``, after what ``memory`` holds."""
@@ -81,9 +84,10 @@ class Drapery:
         self.body: BodyModel = load_body(settings.body)
         self.engine = Engine(settings.models_dir / settings.model, provider=settings.provider, threads=settings.threads)
         self.engine.check_body(self.body)
-        self.collider = Collider(self.body)
-        self.packer = Packer(self.engine) if self.engine.packs else None
-        self.garments = Registry(self.engine, self.body, settings, self.packer)
+        self.engine.check_passes(settings.passes)
+        self.pusher = Pusher(self.engine, self.body)
+        self.packer = Packer(self.engine, self.body) if self.engine.packs else None
+        self.garments = Registry(self.engine, self.body, settings, self.packer, self.pusher)
         self.motions = Motions(settings.motions_dir)
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="drape")
         self.warm_up()
@@ -113,8 +117,15 @@ class Drapery:
         """``function(*arguments)`` on the worker thread."""
         return await asyncio.get_running_loop().run_in_executor(self._executor, partial(function, *arguments))
 
-    async def drape(self, entry: Entry, motion: PoseInput) -> Draped:
+    async def prepare(self, scene: Scene) -> None:
+        """Makes what an outfit's push-out needs, beside the frames that are being computed."""
+        if isinstance(scene, Outfit):
+            await asyncio.to_thread(self.pusher.prepare, [entry.garment.digest for entry in scene.layers])
+
+    async def drape(self, entry: Scene, motion: PoseInput) -> Draped:
         """The draped clip, chunk by chunk."""
+        if motion.push:
+            await self.prepare(entry)
         size = self.settings.chunk_frames
         parts: list[Draped] = []
         memory = motion.memory
@@ -122,6 +133,10 @@ class Drapery:
             parts.append(await self.in_thread(self.compute, entry, [motion.part(slice(i, i + size), memory)]))
             memory = parts[-1].memories[0]
         return _joined(parts)
+
+    def passes(self, asked: int | None) -> int | None:
+        """How many corrections run: what was ``asked`` for, else the setting; None for all. Refuses what cannot be."""
+        return self.engine.check_passes(self.settings.passes if asked is None else asked)
 
     def motion_knob(self, asked: float | None) -> float:
         """How much motion counts: what was ``asked`` for, else all of it; nothing where the model is static."""
@@ -142,38 +157,47 @@ class Drapery:
     def _body_chunk(self, poses: np.ndarray, trans: np.ndarray, betas: np.ndarray) -> np.ndarray:
         return self.body.posed_vertices(poses, trans, betas).astype(np.float32)
 
-    def compute(self, entry: Entry, motions: Sequence[PoseInput]) -> Draped:
-        """All frames of ``motions``, which may differ in shape, of one garment in one run of the graph."""
-        vertices, roots, memories = self._drape(entry, motions)
-        count = len(vertices)
+    def compute(self, scene: Scene, motions: Sequence[PoseInput]) -> Draped:
+        """All frames of ``motions``, which may differ in shape, of one garment or outfit in one run of the graph.
+
+        The vertices of an outfit's garments follow each other as its layers do.
+        """
+        layers, roots, memories = self._drape(scene.layers, motions)
+        count = len(roots)
         share, furthest = np.zeros(count), np.zeros(count)
         start = 0
         for motion in motions:
             rows = slice(start, start + len(motion.poses))
             start = rows.stop
             if motion.push:
-                vertices[rows], share[rows], furthest[rows] = self._pushed(vertices[rows], motion)
+                way = self._push(scene.layers, layers, rows, motion)
+                share[rows], furthest[rows] = (way > MOVED_M).mean(axis=1), way.max(axis=1)
+        vertices = layers[0] if len(layers) == 1 else np.concatenate(layers, axis=1)
         return Draped(vertices, roots, any(m.push for m in motions), share, furthest, memories)
 
     def _drape(
-        self, entry: Entry, motions: Sequence[PoseInput]
-    ) -> tuple[np.ndarray, np.ndarray, tuple[Memory | None, ...]]:
-        """Vertices [m] (F, V, 3) of all frames relative to the roots [m] (F, 3), by the packed graph where it is.
+        self, layers: Sequence[Entry], motions: Sequence[PoseInput]
+    ) -> tuple[list[np.ndarray], np.ndarray, tuple[Memory | None, ...]]:
+        """Of each layer the vertices [m] (F, V, 3) of all frames, by the packed graph where it is.
 
-        Third, what each input's body leaves behind.
+        Relative to the roots [m] (F, 3), which come second; third, what each input's body leaves behind.
         """
         codes, memories = self._follow(motions)
         if self.packer is None:
-            feed = _joined_feed([body_feed(self.body, m.poses, m.trans, m.betas) for m in motions])
-            return self.engine.drape({**feed.arrays, **entry.feed, **codes}), feed.root, memories
+            feels = self.engine.feels_body
+            feed = _joined_feed([body_feed(self.body, m.poses, m.trans, m.betas, skin=feels) for m in motions])
+            drapes = [self.engine.drape({**feed.arrays, **entry.feed, **codes}) for entry in layers]
+            return drapes, feed.root, memories
         shapes = [pack_body(self.body, m.betas) for m in motions]
         rows = [shape.rows(m.poses) for shape, m in zip(shapes, motions, strict=True)]
         bodies = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
         roots = np.concatenate([m.trans + shape.root for shape, m in zip(shapes, motions, strict=True)])
-        items = [(entry.garment.digest, frame) for frame in range(len(roots))]
-        results = self.packer.run(ScenePlan(), bodies | codes, items)
+        items = [(entry.garment.digest, frame) for entry in layers for frame in range(len(roots))]
+        results = self.packer.run(ScenePlan(passes=motions[0].passes), bodies | codes, items)
         check_finite(self.engine, all(result.finite for result in results))
-        return np.stack([result.arrays["vertices"] for result in results]), roots, memories
+        found = [result.arrays["vertices"] for result in results]
+        frames = len(roots)
+        return [np.stack(found[i * frames : (i + 1) * frames]) for i in range(len(layers))], roots, memories
 
     def _follow(self, motions: Sequence[PoseInput]) -> tuple[dict[str, np.ndarray], tuple[Memory | None, ...]]:
         """``dynamic_code`` (F, C) of all frames, times the knob, and the memories after them; empty of a static model.
@@ -204,10 +228,20 @@ class Drapery:
                 codes[i][frame] = np.float32(motions[i].motion) * memory.code
         return {"dynamic_code": np.concatenate(codes)}, tuple(memories)
 
-    def _pushed(self, vertices: np.ndarray, motion: PoseInput) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """``vertices`` moved out of the body, the share moved and the furthest way [m] of each frame."""
-        moved, way = self.collider.push(vertices, motion.poses, motion.betas, self.settings.clearance_m)
-        return moved, (way > MOVED_M).mean(axis=1), way.max(axis=1)
+    def _push(self, layers: Sequence[Entry], drapes: list[np.ndarray], rows: slice, motion: PoseInput) -> np.ndarray:
+        """Moves the frames ``rows`` of ``drapes`` out of the body and of the layers below; ways [m] (F, sum of V)."""
+        keys, pushed, ways = [entry.garment.digest for entry in layers], [], []
+        for layer, key in enumerate(keys):
+            vertices, place = drapes[layer][rows], (motion.poses, motion.betas, self.settings.clearance_m)
+            if layer == 0:
+                moved, way = self.pusher.push(key, vertices, *place)
+            else:
+                under = np.concatenate(pushed, axis=1)
+                moved, way = self.pusher.push_over(keys[: layer + 1], vertices, under, *place)
+            drapes[layer][rows] = moved
+            pushed.append(moved)
+            ways.append(way)
+        return np.concatenate(ways, axis=1)
 
 
 def _joined_feed(feeds: Sequence[BodyFeed]) -> BodyFeed:

@@ -13,7 +13,8 @@ import numpy as np
 
 from drape.artifacts import GraphSpec, Manifest, load_manifest
 from drape.body.model import BodyModel
-from drape.errors import ArtifactError, Unavailable
+from drape.errors import ArtifactError, InputError, Unavailable
+from drape.packing import pass_name
 from service.subgraph import cut
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ Provider = Literal["cpu", "cuda"]
 PROVIDER_NAMES: dict[Provider, str] = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
 DISTRIBUTIONS = ("onnxruntime", "onnxruntime-gpu")
 ENCODER, DRAPE, PACKED, DYNAMIC = "garment_encoder", "drape", "packed", "dynamic_encoder"
+PUSH, PUSH_OVER = "push_out", "push_over"
 FIRST = "patch_first"  # output of the encoder that the packed graph reads
 REQUIRED_OUTPUTS = {ENCODER: {"patch_embedding"}, DRAPE: {"vertices"}, DYNAMIC: {"dynamic_code", "next_state"}}
 # ONNX Runtime's names for element types.
@@ -34,6 +36,7 @@ _TYPES = {
     "int64": "tensor(int64)",
     "int32": "tensor(int32)",
     "uint16": "tensor(uint16)",
+    "uint8": "tensor(uint8)",
 }
 
 
@@ -90,12 +93,17 @@ class Engine:
                 )
         self.state_size = self.manifest.state_size
         self.code_size = _code_size(folder.name, self.manifest)
+        self.feels_body = "body_skin" in {tensor.name for tensor in self.manifest.graphs[DRAPE].inputs}
         self._provider: Provider = provider
         self._threads = threads
         # Read now: a folder replaced later must not mix its graphs with those of this one.
-        packed = self.manifest.graphs.get(PACKED)
-        self._files = {PACKED: (folder / packed.file).read_bytes()} if packed else {}
-        self._sessions = {name: _open(folder, name, self.manifest.graphs[name], provider, threads) for name in graphs}
+        cuttable = [name for name in (PACKED, PUSH, PUSH_OVER) if name in self.manifest.graphs]
+        self._files = {name: (folder / self.manifest.graphs[name].file).read_bytes() for name in cuttable}
+        weights = self.manifest.weights
+        self._weights = {weights.file: (folder / weights.file).read_bytes()} if weights else {}
+        self._sessions = {
+            name: _open(folder, name, self.manifest.graphs[name], self._weights, provider, threads) for name in graphs
+        }
         self.provider: str = self._sessions[DRAPE].get_providers()[0]
 
     def check_body(self, body: BodyModel) -> None:
@@ -146,6 +154,35 @@ class Engine:
         """Whether the model has the packed graph."""
         return PACKED in self.manifest.graphs and FIRST in {t.name for t in self.manifest.graphs[ENCODER].outputs}
 
+    @property
+    def pass_count(self) -> int:
+        """Corrections of which a scene may choose how many run; 0 where the model leaves no choice."""
+        outputs = {t.name for t in self.manifest.graphs[PACKED].outputs} if self.packs else set()
+        return next(count for count in range(len(outputs) + 1) if pass_name(count + 1) not in outputs)
+
+    def check_passes(self, passes: int | None) -> int | None:
+        """``passes``, None where that is all of them; refuses (``InputError``) what the model cannot do."""
+        count = self.pass_count
+        if passes is not None and not 0 <= passes <= count:
+            expected = f"0 to {count}" if count else f"none: the passes of model {self.manifest.name} are fixed"
+            raise InputError("passes", expected=expected, got=str(passes), cure="Leave it out for all passes.")
+        return None if passes == count else passes
+
+    @property
+    def pushes(self) -> bool:
+        """Whether the model has the push-out's graph."""
+        return PUSH in self.manifest.graphs
+
+    @property
+    def pushes_over(self) -> bool:
+        """Whether the model has the graph that pushes garments out of those below them."""
+        return PUSH_OVER in self.manifest.graphs
+
+    @property
+    def pushes_jets(self) -> bool:
+        """Whether the push-out's graph says what of it jets can carry."""
+        return self.pushes and "jet_push" in {t.name for t in self.manifest.graphs[PUSH].outputs}
+
     def first(self, patch_features: np.ndarray) -> np.ndarray:
         """What the packed graph reads of a garment's patches, (K, n) float32; constant per garment and model."""
         if not self.packs:
@@ -158,11 +195,18 @@ class Engine:
         features = np.ascontiguousarray(patch_features, dtype=np.float32)
         return self._run(ENCODER, {"patch_features": features}, [FIRST])[0]
 
-    def open_cut(self, graph: str, outputs: Sequence[str], *, direct: Collection[str] = ()) -> GraphSession:
-        """A session of what ``outputs`` of ``graph`` need and nothing else (``service.subgraph``)."""
+    def open_cut(
+        self, graph: str, outputs: Sequence[str], *, direct: Collection[str] = (), passes: int | None = None
+    ) -> GraphSession:
+        """A session of what ``outputs`` of ``graph`` need and nothing else (``service.subgraph``).
+
+        Of the packed graph, after ``passes`` corrections; all of them by default.
+        """
         name, spec = self.manifest.name, self.manifest.graphs[graph]
-        model = cut(self._files[graph], outputs, direct=direct)
-        session = _session(f"{name}/{spec.file}", model, self._provider, self._threads)
+        passes = self.check_passes(passes)
+        instead = None if passes is None else {pass_name(self.pass_count): pass_name(passes)}
+        model = cut(self._files[graph], outputs, direct=direct, instead=instead)
+        session = _session(f"{name}/{spec.file}", model, self._weights, self._provider, self._threads)
         found = {t.name: t.type for t in session.get_inputs()}
         _compare(name, graph, "inputs", {t.name: t.dtype for t in spec.inputs if t.name in found}, found)
         found = {t.name: t.type for t in session.get_outputs()}
@@ -224,9 +268,11 @@ class GraphSession:
         return [value.numpy() for value in self._session.run_with_ort_values(list(outputs), feed)]
 
 
-def _open(folder: Path, name: str, spec: GraphSpec, provider: Provider, threads: int) -> onnxruntime.InferenceSession:
+def _open(
+    folder: Path, name: str, spec: GraphSpec, weights: dict[str, bytes], provider: Provider, threads: int
+) -> onnxruntime.InferenceSession:
     """A session of one graph whose tensors are those of the manifest, on the provider that was asked for."""
-    session = _session(f"{folder.name}/{spec.file}", str(folder / spec.file), provider, threads)
+    session = _session(f"{folder.name}/{spec.file}", str(folder / spec.file), weights, provider, threads)
     _compare(
         folder.name,
         name,
@@ -252,8 +298,14 @@ def _open(folder: Path, name: str, spec: GraphSpec, provider: Provider, threads:
     return session
 
 
-def _session(label: str, model: str | bytes, provider: Provider, threads: int) -> onnxruntime.InferenceSession:
-    """A session of the file or the bytes ``model``, on the provider that was asked for."""
+def _session(
+    label: str, model: str | bytes, weights: dict[str, bytes], provider: Provider, threads: int
+) -> onnxruntime.InferenceSession:
+    """A session of the file or the bytes ``model``, on the provider that was asked for.
+
+    ``weights``: files of tensors outside the model, by the name that it has for them. From memory and not from the
+    folder: parts of the packed graph are opened long after the rest, when another model may lie there.
+    """
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
@@ -262,6 +314,9 @@ def _session(label: str, model: str | bytes, provider: Provider, threads: int) -
     # Spinning threads burn a core at 90 frames a second and gain 0.2 ms.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.log_severity_level = 3
+    if weights:
+        sizes = [len(content) for content in weights.values()]
+        options.add_external_initializers_from_files_in_memory(list(weights), list(weights.values()), sizes)
     # Only what was asked for; ONNX Runtime adds the CPU by itself where a node needs it.
     try:
         session = onnxruntime.InferenceSession(model, options, providers=[PROVIDER_NAMES[provider]])

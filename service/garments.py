@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -12,13 +13,15 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
-from drape.errors import ArtifactError, DrapeError, NotFound
+from drape.errors import ArtifactError, DrapeError, InputError, NotFound
 from drape.feeds import garment_feed
 from drape.garment.cache import CHARTS_PER_VERTEX, Garment, load_garment
 from drape.geometry.jets import JET_COUNT
+from drape.layer_packing import check_layers
 from service.engine import Engine
 from service.errors import TooLarge
 from service.packing import Packer
+from service.push import Pusher
 from service.settings import Settings
 
 Source = Literal["shipped", "user"]
@@ -35,12 +38,44 @@ class Entry:
     source: Source
     feed: dict[str, np.ndarray]
 
+    @property
+    def layers(self) -> tuple[Entry, ...]:
+        """Itself: what an outfit has several of."""
+        return (self,)
+
+    @property
+    def vertex_count(self) -> int:
+        return self.garment.vertex_count
+
+
+@dataclass(frozen=True)
+class Outfit:
+    """Garments worn over each other, the innermost first."""
+
+    layers: tuple[Entry, ...]
+
+    @property
+    def vertex_count(self) -> int:
+        """Of all layers."""
+        return sum(entry.vertex_count for entry in self.layers)
+
+
+Scene = Entry | Outfit
+
 
 class Registry:
     """Garments by id. Shipped caches must load; of the uploaded ones a bad file is set aside and named in /health."""
 
-    def __init__(self, engine: Engine, body: BodyModel, settings: Settings, packer: Packer | None = None) -> None:
-        self._engine, self._body, self._settings, self._packer = engine, body, settings, packer
+    def __init__(
+        self,
+        engine: Engine,
+        body: BodyModel,
+        settings: Settings,
+        packer: Packer | None = None,
+        pusher: Pusher | None = None,
+    ) -> None:
+        self._engine, self._body, self._settings = engine, body, settings
+        self._packer, self._pusher = packer, pusher
         self._entries: dict[str, Entry] = {}
         self.refused: list[str] = []
         for path in sorted(settings.shipped_garments_dir.glob("*.npz")):
@@ -71,13 +106,37 @@ class Registry:
             )
         return entry
 
+    def scene(self, garment: str | None, garments: Sequence[str] | None) -> Scene:
+        """What is worn: the one ``garment``, or ``garments`` over each other, innermost first.
+
+        Refuses both and neither, unknown ones, one that is named twice, and more layers than ``DRAPE_MAX_LAYERS``.
+        """
+        if garment is not None and garments is not None:
+            cure = "Name one garment, or the layers of an outfit."
+            raise InputError("garments", expected="garment or garments", got="both", cure=cure)
+        worn = garments if garment is None else [garment]
+        if worn is None:
+            raise InputError("garment", expected="a value", got="nothing", cure="See /docs for the request's fields.")
+        if len(worn) == 1:
+            return self.get(worn[0])
+        limit = self._settings.max_layers
+        if len(worn) > limit:
+            cure = "Leave the inner ones out that cannot be seen."
+            raise TooLarge("garments", expected=f"at most {limit} layers", got=str(len(worn)), cure=cure)
+        entries = tuple(self.get(name) for name in worn)
+        check_layers([entry.garment for entry in entries])
+        return Outfit(entries)
+
     def prepare(self, path: Path) -> tuple[Garment, dict[str, np.ndarray]]:
         """A checked garment and its graph inputs; what takes time, and safe on the worker thread."""
         garment = load_garment(path)
         check_garment(garment, self._body, max_vertices=self._settings.max_vertices)
         if self._packer is not None:
             self._packer.add(garment.digest, garment)
-        return garment, {**garment_feed(garment), "patch_embedding": self._engine.embed(garment.patch_features)}
+        feed = garment_feed(garment, body=self._body if self._engine.feels_body else None)
+        if self._pusher is not None:
+            self._pusher.add(garment.digest, feed, garment.vertices[: garment.vertex_count], garment.faces)
+        return garment, {**feed, "patch_embedding": self._engine.embed(garment.patch_features)}
 
     def add(self, prepared: tuple[Garment, dict[str, np.ndarray]], source: Source) -> Entry:
         """Puts a prepared garment in service under its name, or name and digest where the name is taken."""
@@ -89,6 +148,11 @@ class Registry:
         entry = Entry(name, garment, source if taken is None or name != taken.id else taken.source, feed)
         self._entries[name] = entry
         return entry
+
+
+def layer_list(outfit: Outfit) -> list[dict[str, str | int]]:
+    """Id and vertices of each layer, in the order in which an answer holds their vertices."""
+    return [{"id": entry.id, "vertices": entry.vertex_count} for entry in outfit.layers]
 
 
 def slug(name: str) -> str:

@@ -27,7 +27,7 @@ GENERATOR = "drape"
 _COMPONENTS = {"uint8": 5121, "uint16": 5123, "uint32": 5125, "float32": 5126}
 _SHAPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 _VERTEX_BUFFER, _INDEX_BUFFER = 34962, 34963
-GARMENT_COLOUR = (0.18, 0.42, 0.72, 1.0)
+GARMENT_COLOURS = ((0.18, 0.42, 0.72, 1.0), (0.62, 0.17, 0.19, 1.0), (0.16, 0.38, 0.26, 1.0), (0.40, 0.28, 0.55, 1.0))
 BODY_COLOUR = (0.80, 0.70, 0.63, 1.0)
 
 
@@ -129,7 +129,13 @@ def vertex_normals(frames: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return normals.astype(np.float32)
 
 
-def add_garment(file: GlbFile, garment: Garment, frames: np.ndarray, fps: float) -> None:
+def add_garment(
+    file: GlbFile,
+    garment: Garment,
+    frames: np.ndarray,
+    fps: float,
+    colour: tuple[float, float, float, float] = GARMENT_COLOURS[0],
+) -> None:
     """The garment at ``frames`` (F, V, 3) [m], animated if there are several."""
     corners = split_seams(garment)
     frames = frames.astype(np.float32)
@@ -157,7 +163,7 @@ def add_garment(file: GlbFile, garment: Garment, frames: np.ndarray, fps: float)
         primitive: dict[str, Any] = {
             "attributes": attributes,
             "indices": file.array(_indices(chosen, len(corners.source)), target=_INDEX_BUFFER),
-            "material": file.material(name, GARMENT_COLOUR),
+            "material": file.material(name, colour),
         }
         if targets:
             primitive["targets"] = targets

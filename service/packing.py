@@ -15,6 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from drape.body.model import BodyModel
 from drape.errors import InputError, NotFound
 from drape.feeds import garment_feed
 from drape.garment.cache import Garment
@@ -28,6 +29,7 @@ from drape.packing import (
     pack_garment,
     pack_tangents,
 )
+from drape.push_packing import SkinShapes
 from service.engine import PACKED, Engine, GraphSession
 
 Shape = Literal["vertices", "steps", "jets"]
@@ -48,11 +50,15 @@ Item = tuple[str, int]  # garment, row of its body
 
 @dataclass(frozen=True)
 class ScenePlan:
-    """What a scene asks for: vertices, their 16-bit steps in the item's box, or posed jets; normals; bones."""
+    """What a scene asks for: vertices, their 16-bit steps in the item's box, or posed jets; normals; bones.
+
+    ``passes``: how many of the network's corrections run, all of them by default.
+    """
 
     shape: Shape = "vertices"
     normals: bool = False
     bones: bool = False
+    passes: int | None = None
 
     def __post_init__(self) -> None:
         if self.shape not in OUTPUTS_OF:
@@ -101,9 +107,12 @@ class Store:
     def __contains__(self, key: str) -> bool:
         return key in self._garments
 
-    def add(self, key: str, garment: Garment, patch_first: np.ndarray) -> None:
-        """Puts ``garment`` under ``key``, in place of what was there; ``patch_first`` (K, n) is the encoder's."""
-        self._garments[key] = _Stored(garment, pack_garment(garment_feed(garment), patch_first))
+    def add(self, key: str, garment: Garment, patch_first: np.ndarray, body: BodyModel | None = None) -> None:
+        """Puts ``garment`` under ``key``, in place of what was there; ``patch_first`` (K, n) is the encoder's.
+
+        With ``body``, what its patches feel of it.
+        """
+        self._garments[key] = _Stored(garment, pack_garment(garment_feed(garment, body=body), patch_first))
         self._lay_out()
 
     def remove(self, key: str) -> None:
@@ -160,8 +169,12 @@ class Store:
 class Packer:
     """Runs plans on the packed graph of an engine's model; safe to call from one thread at a time."""
 
-    def __init__(self, engine: Engine, *, kept_bytes: int = KEPT_BYTES, tiles_per_call: int = TILES_PER_CALL) -> None:
+    def __init__(
+        self, engine: Engine, body: BodyModel, *, kept_bytes: int = KEPT_BYTES, tiles_per_call: int = TILES_PER_CALL
+    ) -> None:
         self._engine = engine
+        self._body = body if engine.feels_body else None
+        self._skins = SkinShapes(body) if engine.feels_body else None
         self._store = Store()
         self._sessions: dict[tuple[ScenePlan, bool], GraphSession] = {}
         self._kept: OrderedDict[tuple[Item, ...], tuple[Composition, dict[str, Any]]] = OrderedDict()
@@ -181,7 +194,7 @@ class Packer:
 
     def add(self, key: str, garment: Garment) -> None:
         """Encodes ``garment`` and puts it in store under ``key``."""
-        self._store.add(key, garment, self._engine.first(garment.patch_features))
+        self._store.add(key, garment, self._engine.first(garment.patch_features), self._body)
         self._forget()
 
     def remove(self, key: str) -> None:
@@ -236,6 +249,8 @@ class Packer:
     def _run_part(self, plan: ScenePlan, bodies: dict[str, np.ndarray], items: tuple[Item, ...]) -> list[Result]:
         alone = len(items) == 1
         session = self._session(plan, alone)
+        if self._skins is not None:
+            bodies = bodies | self._skins.feed(bodies["betas"])
         composition, indices = self._composed(items, alone)
         stored = self._store.packed(items[0][0]).stored if alone else self._store.arrays()
         feed: dict[str, Any] = {}
@@ -252,7 +267,7 @@ class Packer:
     def _session(self, plan: ScenePlan, alone: bool) -> GraphSession:
         if (plan, alone) not in self._sessions:
             direct = STORED_INDEX if alone else ()
-            self._sessions[plan, alone] = self._engine.open_cut(PACKED, plan.outputs, direct=direct)
+            self._sessions[plan, alone] = self._engine.open_cut(PACKED, plan.outputs, direct=direct, passes=plan.passes)
         return self._sessions[plan, alone]
 
     def _composed(self, items: tuple[Item, ...], alone: bool) -> tuple[Composition, dict[str, Any]]:

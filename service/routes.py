@@ -18,7 +18,7 @@ from service import glb, negotiation, schemas
 from service.avatars import upload_avatar
 from service.drapery import Draped, Drapery, PoseInput
 from service.errors import TooLarge
-from service.garments import Entry
+from service.garments import Entry, Outfit, Scene, layer_list
 from service.jobs import FORMATS, Job
 from service.motions import floor_m
 from service.origins import check_origin
@@ -199,22 +199,31 @@ def _job_info(job: Job) -> schemas.JobInfo:
 
 @router.post("/drape", response_model=schemas.VerticesDocument)
 async def drape_clip(asked: schemas.DrapeRequest, request: Request, state: StateHere) -> Response:
-    """The garment on the moving body, world frame [m]: binary float32 (frames, vertices, 3), GLB or JSON by Accept."""
+    """The garment on the moving body, world frame [m]: binary float32 (frames, vertices, 3), GLB or JSON by Accept.
+
+    The vertices of an outfit's garments follow each other; X-Drape-Garments says how many each has.
+    """
     drapery = state.drapery
     kind = _kind(request)
-    entry = drapery.garments.get(asked.garment)
+    entry = drapery.garments.scene(asked.garment, asked.garments)
     push = drapery.settings.push_out if asked.push_out is None else asked.push_out
     knob = drapery.motion_knob(asked.motion)
+    passes = drapery.passes(asked.passes)
     times_s = np.arange(len(asked.poses)) / asked.fps
-    motion = replace(_motion(asked, drapery, push=push), motion=knob, times_s=times_s)
-    _check_size(kind, len(motion.poses), entry.garment.vertex_count, drapery)
+    motion = replace(_motion(asked, drapery, push=push), motion=knob, times_s=times_s, passes=passes)
+    _check_size(kind, len(motion.poses), entry.vertex_count, drapery)
     with state.slot():
         draped = await drapery.drape(entry, motion)
         headers = _quality_headers(draped, drapery) | {"X-Drape-Motion": f"{knob:g}"}
+        if asked.passes is not None:
+            headers["X-Drape-Passes"] = str(asked.passes)
+        worn = layer_list(entry) if isinstance(entry, Outfit) else None
+        if worn is not None:
+            headers["X-Drape-Garments"] = ",".join(f"{layer['id']}:{layer['vertices']}" for layer in worn)
         if kind == negotiation.GLB:
             content = await asyncio.to_thread(_garment_file, entry, draped, asked, motion, drapery)
             return Response(content, media_type=kind, headers=_shape_headers(draped.vertices) | headers)
-        return await _vertices_response(draped.world(), asked.fps, kind, headers)
+        return await _vertices_response(draped.world(), asked.fps, kind, headers, worn)
 
 
 @router.post("/bodies/{body_id}/posed", response_model=schemas.VerticesDocument)
@@ -255,20 +264,33 @@ def _check_size(kind: str, frames: int, vertices: int, drapery: Drapery) -> None
 
 
 def _garment_file(
-    entry: Entry, draped: Draped, asked: schemas.DrapeRequest, motion: PoseInput, drapery: Drapery
+    entry: Scene, draped: Draped, asked: schemas.DrapeRequest, motion: PoseInput, drapery: Drapery
 ) -> bytes:
     file = glb.GlbFile()
-    glb.add_garment(file, entry.garment, draped.world(), asked.fps)
+    world, start = draped.world(), 0
+    for layer, worn in enumerate(entry.layers):
+        colour = glb.GARMENT_COLOURS[layer % len(glb.GARMENT_COLOURS)]
+        own = world[:, start : start + worn.vertex_count]
+        glb.add_garment(file, worn.garment, own, asked.fps, colour)
+        start += worn.vertex_count
     if asked.body:
         glb.add_body(file, drapery.body, motion.betas, motion.poses, motion.trans, asked.fps)
     return file.to_bytes()
 
 
-async def _vertices_response(vertices: np.ndarray, fps: float, kind: str, headers: dict[str, str]) -> Response:
+async def _vertices_response(
+    vertices: np.ndarray,
+    fps: float,
+    kind: str,
+    headers: dict[str, str],
+    worn: list[dict[str, str | int]] | None = None,
+) -> Response:
     headers = _shape_headers(vertices) | headers
     if kind == negotiation.BINARY:
         return Response(vertices.astype("<f4").tobytes(), media_type=kind, headers=headers)
-    document = {"fps": fps, "frames": len(vertices), "vertices": vertices.shape[1]}
+    document: dict[str, Any] = {"fps": fps, "frames": len(vertices), "vertices": vertices.shape[1]}
+    if worn is not None:
+        document["garments"] = worn
     content = await asyncio.to_thread(lambda: json.dumps(document | {"positions": vertices.tolist()}))
     return Response(content, media_type=kind, headers=headers)
 

@@ -22,7 +22,21 @@ Knob = Annotated[
         description="How much the cloth follows motion: 0 as if at rest, 1 (default) in full. A static model has 0.",
     ),
 ]
+Passes = Annotated[
+    int | None,
+    Field(
+        ge=0,
+        le=64,
+        strict=True,
+        description="How many corrections of the network run: fewer are faster; the service's setting if left out.",
+    ),
+]
 Identifier = Annotated[str, Field(min_length=1, max_length=120)]
+
+Layers = Annotated[
+    list[Identifier] | None,
+    Field(min_length=1, description="Instead of garment: several worn over each other, the innermost first."),
+]
 
 
 class Request(BaseModel):
@@ -43,13 +57,15 @@ class PosedRequest(Request):
 
 
 class DrapeRequest(PosedRequest):
-    """A garment on a body in motion."""
+    """A garment, or several over each other, on a body in motion."""
 
-    garment: Identifier
+    garment: Identifier | None = None
+    garments: Layers = None
     push_out: bool | None = Field(
         default=None, description="Push vertices out of the body; the service's setting if left out."
     )
     motion: Knob = None
+    passes: Passes = None
     body: bool = Field(default=False, description="In a GLB, include the body as a second, skinned mesh.")
 
 
@@ -66,10 +82,12 @@ class OpenRequest(Request):
     """The first message of a stream."""
 
     type: Literal["open"]
-    garment: Identifier
+    garment: Identifier | None = None
+    garments: Layers = None
     betas: Annotated[list[Number], Len(0, BETA_COUNT)] | None = None
     push_out: bool | None = None
     motion: Knob = None
+    passes: Passes = None
 
 
 class Health(BaseModel):
@@ -158,10 +176,18 @@ class MeshDocument(BaseModel):
     face_material: list[int]
 
 
+class LayerInfo(BaseModel):
+    """One garment of an outfit."""
+
+    id: str
+    vertices: int
+
+
 class VerticesDocument(BaseModel):
     """World positions [m], frame by frame."""
 
     fps: float
     frames: int
     vertices: int
+    garments: list[LayerInfo] | None = Field(default=None, description="Of an outfit: whose vertices follow whose.")
     positions: list[list[list[float]]]

@@ -22,7 +22,7 @@ from drape.wire import Frame, Pose, pack_frame
 from service.drapery import Drapery, PoseInput
 from service.dynamics import Memory
 from service.errors import Busy, InternalError
-from service.garments import Entry
+from service.garments import Scene
 
 log = logging.getLogger("drape.service")
 
@@ -43,12 +43,13 @@ class Session:
     go on over a change of garment.
     """
 
-    entry: Entry
+    entry: Scene
     betas: np.ndarray
     push: bool
     credit: int
     motion: float = 0.0
     memory: Memory | None = None
+    passes: int | None = None
     generation: int = 0
     dropped: int = 0
     waiting: Waiting | None = None
@@ -59,11 +60,13 @@ class Session:
     under_way: list[tuple[int, float]] = field(default_factory=list)
     news: asyncio.Event = field(default_factory=asyncio.Event)
 
-    def reopen(self, entry: Entry, betas: np.ndarray, push: bool, motion: float = 0.0) -> None:
-        """Turns the session to another garment, shape, push-out or motion knob."""
+    def reopen(
+        self, entry: Scene, betas: np.ndarray, push: bool, motion: float = 0.0, passes: int | None = None
+    ) -> None:
+        """Turns the session to another garment or outfit, shape, push-out, motion knob or number of passes."""
         if motion == 0.0 or not np.array_equal(betas, self.betas):
             self.memory = None  # the joints of another shape are elsewhere: that is no motion
-        self.entry, self.betas, self.push, self.motion = entry, betas, push, motion
+        self.entry, self.betas, self.push, self.motion, self.passes = entry, betas, push, motion, passes
         self.generation += 1
         self.waiting, self.outbox = None, None
         self.under_way.clear()
@@ -166,11 +169,11 @@ class Streams:
                 await self._compute(batch)
 
     def _next_batch(self) -> list[Session]:
-        """The session that has waited longest, with all others that wait for the same garment."""
+        """The session that has waited longest, with all others that wait for the same garment and passes."""
         ready = sorted(
             (s for s in self._sessions if s.ready()), key=lambda s: s.waiting.arrived_s if s.waiting else 0.0
         )
-        same = [session for session in ready if session.entry is ready[0].entry]
+        same = [s for s in ready if s.entry == ready[0].entry and s.passes == ready[0].passes]
         return same[: self._drapery.settings.chunk_frames]
 
     async def _compute(self, batch: Sequence[Session]) -> None:
@@ -184,7 +187,7 @@ class Streams:
             session.deliver(generation, result, memory)
 
     def _frames(
-        self, entry: Entry, inputs: Sequence[PoseInput], taken: Sequence[Waiting], dropped: Sequence[int]
+        self, entry: Scene, inputs: Sequence[PoseInput], taken: Sequence[Waiting], dropped: Sequence[int]
     ) -> list[tuple[bytes | DrapeError, Memory | None]]:
         """Packed frames, and what they leave behind.
 
@@ -226,5 +229,12 @@ def _pose_input(session: Session, waiting: Waiting) -> PoseInput:
     pose = waiting.pose
     times_s = np.array([pose.client_time_s])
     return PoseInput(
-        pose.pose[None], pose.trans[None], session.betas, session.push, session.motion, times_s, session.memory
+        pose.pose[None],
+        pose.trans[None],
+        session.betas,
+        session.push,
+        session.motion,
+        times_s,
+        session.memory,
+        session.passes,
     )

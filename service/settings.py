@@ -39,14 +39,16 @@ class Settings(BaseSettings):
     motions_dir: Path = ROOT / "assets/motions"
     page_dir: Path = ROOT / "clients/web/dist"
 
+    passes: int | None = Field(default=None, ge=0)
     push_out: bool = True
-    clearance_m: float = Field(default=0.002, gt=0.0, le=0.05)
+    clearance_m: float = Field(default=0.0025, gt=0.0, le=0.05)
 
     max_body_bytes: int = Field(default=8 * 2**20, ge=1024)
     max_upload_bytes: int = Field(default=64 * 2**20, ge=1024)
     max_clips: int = Field(default=8, ge=1)
     max_frames: int = Field(default=1200, ge=1)
     max_vertices: int = Field(default=200_000, ge=3)
+    max_layers: int = Field(default=4, ge=1, le=16)
     max_answer_bytes: int = Field(default=512 * 2**20, ge=1024)
 
     intake_wall_s: float = Field(default=300.0, gt=0.0)

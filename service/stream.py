@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from drape import wire
 from drape.errors import DrapeError, InputError
 from service.errors import InternalError, TooSlow, close_reason, error_message, problem_response, rule_for
+from service.garments import Outfit, layer_list
 from service.origins import check_origin
 from service.poses import check_poses, shape_array
 from service.schemas import OpenRequest
@@ -75,7 +76,7 @@ async def _converse(socket: WebSocket, state: State) -> None:
             got="nothing",
             cure='Send {"type": "open", "garment": ...} first.',
         ) from None
-    session = _open_session(_text_of(first), state, None)
+    session = await _open_session(_text_of(first), state, None)
     state.streams.add(session)
     tasks = [
         asyncio.create_task(part)
@@ -105,29 +106,34 @@ def _text_of(message: Any) -> str:
     return text
 
 
-def _open_session(text: str, state: State, session: Session | None) -> Session:
+async def _open_session(text: str, state: State, session: Session | None) -> Session:
     """The session that ``text`` asks for: a new one, or ``session`` turned to it."""
     try:
         asked = OpenRequest.model_validate_json(text)
     except ValidationError as error:
         raise validation_refusal(error.errors()) from error
     drapery = state.drapery
-    entry = drapery.garments.get(asked.garment)
+    entry = drapery.garments.scene(asked.garment, asked.garments)
     betas = shape_array(asked.betas, drapery.body)
     push = drapery.settings.push_out if asked.push_out is None else asked.push_out
     motion = drapery.motion_knob(asked.motion)
+    passes = drapery.passes(asked.passes)
+    if push:
+        await drapery.prepare(entry)
     if session is None:
-        return Session(entry, betas, push, drapery.settings.stream_credit, motion)
-    session.reopen(entry, betas, push, motion)
+        return Session(entry, betas, push, drapery.settings.stream_credit, motion, passes=passes)
+    session.reopen(entry, betas, push, motion, passes)
     return session
 
 
 def _opened(session: Session, state: State) -> str:
+    entry = session.entry
+    worn = {"garments": layer_list(entry)} if isinstance(entry, Outfit) else {"garment": entry.id}
     return json.dumps(
         {
             "type": "opened",
-            "garment": session.entry.id,
-            "vertices": session.entry.garment.vertex_count,
+            **worn,
+            "vertices": entry.vertex_count,
             "model": state.drapery.engine.manifest.digest,
             "body": state.drapery.body.name,
             "credit": session.credit,
@@ -144,7 +150,7 @@ async def _read(socket: WebSocket, session: Session, state: State) -> None:
         if message["type"] == "websocket.receive" and payload is not None:
             _take(payload, session)
         else:
-            _open_session(_text_of(message), state, session)
+            await _open_session(_text_of(message), state, session)
             session.last_heard_s = time.monotonic()
             await socket.send_text(_opened(session, state))
         state.streams.wake()

@@ -8,7 +8,7 @@ change. Field numbers are those of onnx.proto, which never renumbers them.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from drape.errors import ArtifactError
@@ -44,19 +44,26 @@ class _Node:
     operator: str
 
 
-def cut(model: bytes, outputs: Sequence[str], *, direct: Collection[str] = ()) -> bytes:
+def cut(
+    model: bytes,
+    outputs: Sequence[str],
+    *,
+    direct: Collection[str] = (),
+    instead: Mapping[str, str] | None = None,
+) -> bytes:
     """``model`` with only ``outputs`` (in this order) and what they need of its inputs, nodes and initialisers.
 
     ``direct`` names index inputs whose Gathers (on axis 0) are left out: what they pick from is used
-    whole, as if the index were 0, 1, 2, ... Raises ``ArtifactError`` for an output that the model does not have,
-    bytes that are no ONNX model, and nodes that hold graphs of their own.
+    whole, as if the index were 0, 1, 2, ... ``instead``: values that are read in place of others, by the
+    names of these; each must be computed before what reads it. Raises ``ArtifactError`` for an output or
+    a value that the model does not have, bytes that are no ONNX model, and nodes that hold graphs of their own.
     """
     try:
         fields = list(_fields(model))
         place = next(i for i, field in enumerate(fields) if field.number == MODEL_GRAPH)
         graph = fields[place].value
         assert isinstance(graph, bytes)
-        made = _cut_graph(list(_fields(graph)), outputs, set(direct))
+        made = _cut_graph(list(_fields(graph)), outputs, set(direct), dict(instead or {}))
     except (IndexError, StopIteration, AssertionError, UnicodeDecodeError) as error:
         raise ArtifactError(
             "model", expected="an ONNX model", got="bytes of another kind", cure="Export the model again."
@@ -66,7 +73,7 @@ def cut(model: bytes, outputs: Sequence[str], *, direct: Collection[str] = ()) -
     return b"".join(parts)
 
 
-def _cut_graph(fields: list[_Field], outputs: Sequence[str], direct: set[str]) -> bytes:
+def _cut_graph(fields: list[_Field], outputs: Sequence[str], direct: set[str], instead: dict[str, str]) -> bytes:
     nodes = [_node(field) for field in fields if field.number == GRAPH_NODE]
     renamed = {
         node.outputs[0]: node.inputs[0]
@@ -74,6 +81,13 @@ def _cut_graph(fields: list[_Field], outputs: Sequence[str], direct: set[str]) -
         if node.operator == "Gather" and node.inputs[1] in direct and _axis(node) == 0
     }
     nodes = [node for node in nodes if node.outputs[0] not in renamed]
+    computed = {name for node in nodes for name in node.outputs}
+    unknown = (instead.keys() | set(instead.values())) - computed
+    if unknown:
+        raise ArtifactError(
+            "model values", expected=", ".join(sorted(unknown)), got="none of these", cure="Export the model again."
+        )
+    renamed |= instead
     needed, kept = set(outputs), []
     for node in reversed(nodes):  # a graph's nodes are sorted: producers come first
         if needed.intersection(node.outputs):

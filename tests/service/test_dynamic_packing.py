@@ -125,7 +125,7 @@ KINEMATICS = drapery_module.kinematics
 
 
 def test_bodies_without_a_code_hang_at_rest():
-    packer = Packer(Engine(exported_dynamic()[1]))
+    packer = Packer(Engine(exported_dynamic()[1]), load_body())
     packer.add("tank", garment("tank"))
     rows = pack_body(load_body()).rows(smooth_motion(TIMES_S[:2])[0])
     code = np.zeros((2, exported_dynamic()[0].config.body_code_size), np.float32)

@@ -35,6 +35,8 @@ def test_environment_sets_and_arguments_win(monkeypatch: pytest.MonkeyPatch):
         ("MAX_FRAMES", "0"),
         ("CLEARANCE_M", "-1"),
         ("THREADS", ""),
+        ("PASSES", "-1"),
+        ("MAX_LAYERS", "0"),
     ],
 )
 def test_a_bad_value_is_refused_by_name(monkeypatch: pytest.MonkeyPatch, name: str, value: str):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import onnx
 import onnx.utils
@@ -85,6 +87,21 @@ def test_direct_leaves_gathers_on_other_axes():
     assert {t.name for t in made.graph.input} == {"table", "index"}
 
 
+def test_a_value_is_read_instead_of_another_and_what_only_made_that_is_gone():
+    whole = model().SerializeToString()
+    short = cut(whole, ["turned", "double"], instead={"big": "double"})
+    made = onnx.load_from_string(short)
+    assert [node.op_type for node in made.graph.node] == ["Gather", "Mul", "Transpose"]
+    turned, double = run(short, ["turned", "double"], FEED)
+    assert_array_equal(turned, double.T)
+    assert_array_equal(double, run(whole, ["double"], FEED)[0])
+    assert cut(whole, ["turned"], instead={}) == cut(whole, ["turned"])
+    with pytest.raises(ArtifactError, match="model values: expected scaled"):
+        cut(whole, ["turned"], instead={"big": "scaled"})
+    with pytest.raises(ArtifactError, match="model values: expected table"):
+        cut(whole, ["turned"], instead={"table": "double"})
+
+
 def test_an_unknown_output_is_refused():
     with pytest.raises(ArtifactError, match="model outputs: expected triple, got double, turned"):
         cut(model().SerializeToString(), ["triple"])
@@ -104,3 +121,20 @@ def test_control_flow_is_refused():
     whole.graph.node.append(helper.make_node("If", ["index"], ["chosen"], then_branch=inner, else_branch=inner))
     with pytest.raises(ArtifactError, match="no graphs inside"):
         cut(whole.SerializeToString(), ["double"])
+
+
+def test_tensors_outside_the_model_stay_where_they_are(tmp_path: Path):
+    onnx.save(model(), str(tmp_path / "m.onnx"), save_as_external_data=True, location="w.bin", size_threshold=1000)
+    data = (tmp_path / "m.onnx").read_bytes()
+    (outside,) = [t for t in onnx.load_from_string(data).graph.initializer if t.data_location == TensorProto.EXTERNAL]
+    made = cut(data, ["columns"], direct=["index"])
+    assert [t.SerializeToString() for t in onnx.load_from_string(made).graph.initializer] == [
+        outside.SerializeToString()
+    ]
+    assert onnx.load_from_string(cut(data, ["double"])).graph.initializer[0].name == "two"
+    options = onnxruntime.SessionOptions()
+    content = (tmp_path / "w.bin").read_bytes()
+    options.add_external_initializers_from_files_in_memory(["w.bin"], [content], [len(content)])
+    session = onnxruntime.InferenceSession(cut(data, ["turned"]), options, providers=["CPUExecutionProvider"])
+    got = np.asarray(session.run(None, {"table": TABLE, "index": FEED["index"]})[0])
+    assert_array_equal(got, run(model().SerializeToString(), ["turned"], FEED)[0])
