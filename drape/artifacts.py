@@ -1,4 +1,4 @@
-"""The model folder: ONNX files beside ``manifest.json``; one dataclass writes and reads it."""
+"""The model folder: ONNX files, the weights they share, and ``manifest.json``; one dataclass writes and reads it."""
 
 from __future__ import annotations
 
@@ -43,6 +43,14 @@ class GraphSpec:
 
 
 @dataclass(frozen=True)
+class WeightsSpec:
+    """The file of tensors that lie outside the ONNX files (ONNX external data), and its hash."""
+
+    file: str
+    sha256: str
+
+
+@dataclass(frozen=True)
 class Manifest:
     """What a model folder says of itself.
 
@@ -52,7 +60,7 @@ class Manifest:
     ``state_size`` numbers per client. ``body_digest``: sha256 of the body the
     network was trained on. ``parity_error_m``: largest vertex distance torch vs
     onnxruntime at export. ``quality``: rows of benchmarks.quality. ``training``: commit,
-    command, frames seen, losses at the end.
+    command, frames seen, losses at the end. ``weights``: None where every graph holds its own.
     """
 
     name: str
@@ -65,12 +73,15 @@ class Manifest:
     state_size: int = 0
     training: dict[str, Any] = field(default_factory=dict)
     quality: list[dict[str, Any]] = field(default_factory=list)
+    weights: WeightsSpec | None = None
     format_version: int = FORMAT_VERSION
 
     @property
     def digest(self) -> str:
         """One hash for the whole model: the key of everything computed with it."""
         joined = "".join(f"{key}{self.graphs[key].sha256}" for key in sorted(self.graphs))
+        if self.weights is not None:  # two trainings of one network differ here alone
+            joined += f"weights{self.weights.sha256}"
         return hashlib.sha256(joined.encode()).hexdigest()
 
     def to_json(self) -> str:
@@ -98,6 +109,8 @@ class Manifest:
                 )
                 for key, spec in data["graphs"].items()
             }
+            if data.get("weights") is not None:
+                data["weights"] = WeightsSpec(data["weights"]["file"], data["weights"]["sha256"])
             return cls(**data)
         except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
             raise ArtifactError(
@@ -112,7 +125,7 @@ def file_digest(path: Path) -> str:
 
 
 def load_manifest(folder: Path) -> Manifest:
-    """The manifest of ``folder`` after checking that every graph file is there and unchanged."""
+    """The manifest of ``folder`` after checking that the files of graphs and weights are there and unchanged."""
     path = folder / "manifest.json"
     if not path.is_file():
         known = sorted(p.parent.name for p in folder.parent.glob("*/manifest.json"))
@@ -125,17 +138,20 @@ def load_manifest(folder: Path) -> Manifest:
     manifest = Manifest.from_json(
         path.read_text(encoding="utf-8", errors="replace"), where=f"{folder.name}/manifest.json"
     )
-    for key, graph in manifest.graphs.items():
-        file = folder / graph.file
+    files: dict[str, GraphSpec | WeightsSpec] = {**manifest.graphs}
+    if manifest.weights is not None:
+        files["weights"] = manifest.weights
+    for key, spec in files.items():
+        file = folder / spec.file
         if not file.is_file():
             raise ArtifactError(
-                f"{folder.name} {key}", expected=graph.file, got="no such file", cure="Export the model again."
+                f"{folder.name} {key}", expected=spec.file, got="no such file", cure="Export the model again."
             )
         digest = file_digest(file)
-        if digest != graph.sha256:
+        if digest != spec.sha256:
             raise ArtifactError(
-                f"{folder.name}/{graph.file} sha256",
-                expected=graph.sha256,
+                f"{folder.name}/{spec.file} sha256",
+                expected=spec.sha256,
                 got=digest,
                 cure="Restore the file or export again.",
             )

@@ -13,8 +13,11 @@ import numpy as np
 from drape.arrays import check_finite, check_shape
 from drape.body.features import Kinematics, feature_count, static_features
 from drape.body.model import BodyModel
+from drape.cloth.push.patches import patch_skin
+from drape.cloth.push.skin import body_skin, shaped_skin
+from drape.cloth.push.tables import outward_directions
 from drape.errors import MotionError
-from drape.garment.agreement import agreement
+from drape.garment.agreement import agreement, strain_places
 from drape.garment.cache import Garment
 from drape.geometry import jets
 from drape.geometry.rotations import matrix_to_quaternion, rotvec_to_matrix
@@ -30,11 +33,14 @@ class BodyFeed:
     root: np.ndarray
 
 
-def body_feed(body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.ndarray | None = None) -> BodyFeed:
+def body_feed(
+    body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.ndarray | None = None, *, skin: bool = False
+) -> BodyFeed:
     """Features and bones of ``poses`` (F, 24, 3) [rad] with root translations ``trans`` (F, 3) [m], shape ``betas``.
 
     Inputs named: ``body_features`` (F, 24 * 9 + 10), ``bone_rotation`` (F, 24, 3, 3),
-    ``bone_translation`` (F, 24, 3), ``bone_quaternion`` (F, 24, 4), ``betas`` (F, 10), ``body_joints`` (F, 24, 3) [m].
+    ``bone_translation`` (F, 24, 3), ``bone_quaternion`` (F, 24, 4), ``betas`` (F, 10), ``body_joints`` (F, 24, 3) [m];
+    with ``skin`` also ``body_skin`` (F, R, 12, 8), its samples (``drape.cloth.push.skin``), of bodies that bones pose.
     """
     poses = np.asarray(poses, dtype=np.float64)
     rotations, translations = body.bones(poses, None, betas)
@@ -58,6 +64,8 @@ def body_feed(body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.n
         "betas": shapes,
         "body_joints": (rotations @ body.rest_joints(betas)[..., None])[..., 0] + relative,
     }
+    if skin:
+        arrays["body_skin"] = shaped_skin(body).table(rotations, relative, shapes)
     return BodyFeed({key: np.ascontiguousarray(value, dtype=np.float32) for key, value in arrays.items()}, root)
 
 
@@ -70,7 +78,7 @@ def kinematics(body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.
     return Kinematics(static_features(rotvec_to_matrix(poses), rotations), joints, rotations)
 
 
-def garment_feed(garment: Garment, *, fine: bool = False) -> dict[str, np.ndarray]:
+def garment_feed(garment: Garment, *, fine: bool = False, body: BodyModel | None = None) -> dict[str, np.ndarray]:
     """Constant graph inputs of a garment (its embedding excepted).
 
     Of the delivered vertices, or of all vertices of the subdivided mesh with ``fine``.
@@ -81,6 +89,10 @@ def garment_feed(garment: Garment, *, fine: bool = False) -> dict[str, np.ndarra
     (A, 4, 19) blend weights times [1, rest place, basis], ``patch_member`` (K, 48) int64 and ``patch_slot`` (K, 48),
     ``patch_fit`` (K, 21, 48), ``patch_rest`` (K, 21, 3), ``patch_tangent`` (K, 7, 3, 2), ``patch_orthonormal``
     (K, 7, 2, 2). A graph names those it takes; the paper's variant alone takes skin weights, and none of the last.
+
+    With the ``body`` that the garment was made for also what its patches feel of it (``drape.cloth.push.patches``):
+    ``patch_place`` (K, 7, 3) [m], ``patch_cluster`` (K, 10) int64, ``patch_cluster_bias`` (K, 40), ``patch_other``
+    (K, R, 12) uint8, ``patch_region_bias`` (K, R).
     """
     count = len(garment.vertices) if fine else garment.vertex_count
     shapedirs = np.zeros((garment.patch_count, 3, BETA_COUNT), dtype=np.float32)
@@ -98,9 +110,23 @@ def garment_feed(garment: Garment, *, fine: bool = False) -> dict[str, np.ndarra
     }
     feed: dict[str, np.ndarray] = {key: np.ascontiguousarray(value, dtype=np.float32) for key, value in arrays.items()}
     feed["patch_heaviest"] = garment.heaviest_bone
-    feed |= _agreement_feed(garment)
+    feed |= _agreement_feed(garment) | (_body_feed_of(garment, body) if body is not None else {})
     feed["chart_patch"] = np.ascontiguousarray(garment.chart_patch[:count], dtype=np.int64)
     return feed
+
+
+def _body_feed_of(garment: Garment, body: BodyModel) -> dict[str, np.ndarray]:
+    """What the patches of ``garment`` feel of ``body``."""
+    skin = body_skin(body)
+    centre = garment.patch_centre.astype(np.float64)
+    lists = patch_skin(centre, outward_directions(centre, skin), skin)
+    return {
+        "patch_place": strain_places(garment.patch_jet, garment.patch_scale).astype(np.float32),
+        "patch_cluster": lists.own_cluster.astype(np.int64),
+        "patch_cluster_bias": lists.own_bias,
+        "patch_other": lists.other,
+        "patch_region_bias": lists.region_bias,
+    }
 
 
 def _agreement_feed(garment: Garment) -> dict[str, np.ndarray]:

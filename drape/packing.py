@@ -16,9 +16,10 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
+from drape.cloth.push.samples import POSED_REGIONS
 from drape.errors import ArtifactError
 from drape.feeds import BETA_COUNT
-from drape.garment.agreement import MEMBERS
+from drape.garment.agreement import MEMBERS, STRAIN_POINTS, strain_points
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_quaternion
@@ -26,7 +27,13 @@ from drape.geometry.rotations import rotvec_to_quaternion
 COLUMNS = 3 + jets.HEIGHT_COUNT  # rest place, basis
 CHARTS_PER_TILE = 64
 VERTICES_PER_BLOCK = 64
+KINDS = {"felt_cluster": np.int32, "felt_other": np.uint8}  # of stored arrays; the others are float32
 TANGENTS = "tile_tangents"  # the one stored array that only normals need
+
+
+def pass_name(index: int) -> str:
+    """Output of the packed graph that holds the jets after ``index`` corrections, before the closing fit."""
+    return f"pass_{index}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,9 +186,10 @@ def pack_garment(feed: dict[str, np.ndarray], patch_first: np.ndarray) -> Packed
         "patch_shapedirs": np.pad(feed["patch_shapedirs"], ((0, 0), (0, 1), (0, 0))),
         "tile_positions": tiling.lay(columns),
         **_anchor_constants(feed),
+        **(_felt_constants(feed) if "patch_place" in feed else {}),
     }
     return PackedGarment(
-        stored={key: np.ascontiguousarray(value, dtype=np.float32) for key, value in stored.items()},
+        stored={key: np.ascontiguousarray(value, dtype=KINDS.get(key, np.float32)) for key, value in stored.items()},
         heaviest=heaviest.astype(np.int32),
         tile_patch=tiling.patch,
         vertex_charts=_blocks(tiling.column),
@@ -205,14 +213,28 @@ def _anchor_constants(feed: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     row = feed["anchor_row"][feed["patch_member"], feed["patch_slot"]].astype(np.float64)  # (K, 48, 19)
     row = np.where(_held(feed)[..., None], row, 0.0)
     rest_place = row[..., 1:4] / feed["patch_scale"][:, None, None]
-    rest, height = feed["patch_rest"], jets.HEIGHT_COUNT
     unit = feed["patch_orthonormal"]
     return {
         "anchor_columns": np.concatenate([rest_place, row[..., 4:]], axis=-1).swapaxes(1, 2),
         "anchor_fit": feed["patch_fit"],
-        "anchor_rest": np.concatenate([rest[:, height:, 0], rest[:, height:, 1], rest[:, :height, 2]], axis=1),
+        "anchor_rest": feed["patch_rest"].reshape(count, -1),
         "strain_tangent": feed["patch_tangent"].transpose(0, 3, 2, 1).reshape(count, -1),
         "strain_unit": np.stack([unit[..., 0, 0], unit[..., 0, 1], unit[..., 1, 1]], axis=1),
+    }
+
+
+def _felt_constants(feed: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Where each patch feels the body, as columns like those of the anchors, and the skin near it at rest."""
+    count, regions = feed["patch_region_bias"].shape
+    place = feed["patch_place"] / feed["patch_scale"][:, None, None]
+    basis = np.broadcast_to(jets.basis(strain_points(), jets.HEIGHT_ORDER), (count, STRAIN_POINTS, jets.HEIGHT_COUNT))
+    parts = regions // POSED_REGIONS
+    return {
+        "felt_columns": np.concatenate([place, basis], axis=-1).swapaxes(1, 2),
+        "felt_cluster": feed["patch_cluster"],
+        "felt_bias": feed["patch_cluster_bias"],
+        "felt_other": feed["patch_other"].reshape(count, parts, -1),
+        "felt_region": feed["patch_region_bias"].reshape(count, parts, POSED_REGIONS),
     }
 
 

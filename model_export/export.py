@@ -9,6 +9,7 @@ import tempfile
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -22,29 +23,34 @@ from drape.errors import ArtifactError
 from drape.garment.cache import Garment
 from model_export import packed, packed_specs
 from model_export.graph import (
-    OUTPUTS,
     DrapeGraph,
     DynamicGraph,
     EncoderGraph,
     drape_inputs,
+    drape_outputs,
     dynamic_inputs,
     dynamic_outputs,
     encoder_inputs,
     encoder_outputs,
 )
+from model_export.layer_graph import SAMPLE as LAYER_SAMPLE
+from model_export.layer_graph import LayerGraph, layer_inputs, layer_parity_error
 from model_export.packed import FirstGraph, PackedGraph
 from model_export.packed_parity import packed_parity_error
 from model_export.packed_specs import first_outputs, packed_inputs
 from model_export.parity import TOLERANCE_M, parity_error, sequence_error
+from model_export.push_graph import OUTPUTS, PushGraph, push_inputs, push_parity_error
+from model_export.push_graph import SAMPLE as PUSH_SAMPLE
+from model_export.shared_weights import forget_origin, share_weights
 from training import checkpoint
 from training.model import OneFit
 
 OPSET = 20
 # Odd, and unlike each other: an axis of length 1 or two equal axes would be baked in without a word.
-SAMPLE = {"frames": 3, "patches": 7, "vertices": 11, "points": 13, "clients": 5, "anchors": 17}
+SAMPLE = {"frames": 3, "patches": 7, "vertices": 11, "points": 13, "clients": 5, "anchors": 17, "regions": 19}
 LIMIT = {"frames": 65536, "patches": 65536, "vertices": 1 << 22, "points": 65536, "clients": 65536, "anchors": 1 << 20}
 MOST = 1 << 22
-INDEX_TYPES = {"int32": torch.int32, "int64": torch.int64}
+INDEX_TYPES = {"int32": torch.int32, "int64": torch.int64, "uint8": torch.uint8}
 
 
 def load_model(path: Path) -> tuple[OneFit, dict[str, Any]]:
@@ -76,13 +82,15 @@ def export(
     target.parent.mkdir(parents=True, exist_ok=True)
     staged = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
     try:
-        graphs = write_graphs(model, staged)
+        graphs, weights = share_weights(staged, write_graphs(model, staged))
         encoder, drape = (staged / graphs[name].file for name in ("garment_encoder", "drape"))
         error = parity_error(model, encoder, drape, garment)
         if "packed" in graphs:
             error = max(error, packed_parity_error(model, encoder, staged / graphs["packed"].file, garment))
         if model.config.dynamic:
             error = max(error, sequence_error(model, staged, graphs, garment))
+        error = max(error, push_parity_error(staged / graphs["push_out"].file, garment))
+        error = max(error, layer_parity_error(staged / graphs["push_over"].file, garment))
         if not error <= TOLERANCE_M:
             raise ArtifactError(
                 "parity",
@@ -102,6 +110,7 @@ def export(
             state_size=model.config.state_size if model.config.dynamic else 0,
             training=training,
             quality=quality or [],
+            weights=weights,
         )
         (staged / "manifest.json").write_text(manifest.to_json())
         staged.chmod(0o755)  # mkdtemp makes folders that only the owner can read
@@ -118,17 +127,22 @@ def write_graphs(model: OneFit, folder: Path) -> dict[str, GraphSpec]:
     encoder = (FirstGraph(model), first_outputs(model)) if packs else (EncoderGraph(model), encoder_outputs(model))
     parts = {
         "garment_encoder": (encoder[0], encoder_inputs(model), encoder[1]),
-        "drape": (DrapeGraph(model), drape_inputs(model), OUTPUTS),
+        "drape": (DrapeGraph(model), drape_inputs(model), drape_outputs(model)),
     }
     if model.config.dynamic:
         parts["dynamic_encoder"] = DynamicGraph(model), dynamic_inputs(model), dynamic_outputs(model)
     graphs = {key: write_graph(part[0], folder / f"{key}.onnx", *part[1:]) for key, part in parts.items()}
-    return graphs | ({"packed": write_packed(model, folder / "packed.onnx")} if packs else {})
+    if packs:
+        graphs["packed"] = write_packed(model, folder / "packed.onnx")
+    return graphs | {name: write(folder / f"{name}.onnx") for name, write in PUSHES.items()}
 
 
 def write_quality(folder: Path, rows: list[dict[str, Any]]) -> None:
     """Replaces the quality table of an exported model; its graphs stay as they are."""
-    manifest = replace(load_manifest(folder), quality=rows)
+    _write_manifest(folder, replace(load_manifest(folder), quality=rows))
+
+
+def _write_manifest(folder: Path, manifest: Manifest) -> None:
     temporary = folder / "manifest.json.part"
     temporary.write_text(manifest.to_json())
     os.replace(temporary, folder / "manifest.json")
@@ -162,6 +176,7 @@ def write_graph(
     assert program is not None
     proto = program.model_proto
     _check_symbolic(proto, inputs, outputs, path.name)
+    forget_origin(proto)
     onnx.checker.check_model(proto)
     onnx.save(proto, str(path))
     return GraphSpec(path.name, file_digest(path), OPSET, inputs, outputs)
@@ -173,10 +188,63 @@ def write_packed(model: OneFit, path: Path) -> GraphSpec:
         PackedGraph(model).eval(),
         path,
         packed_inputs(model),
-        packed_specs.OUTPUTS,
+        packed_specs.packed_outputs(model),
         sample=packed_specs.SAMPLE,
         translations=packed.TRANSLATIONS,
     )
+
+
+def write_push_out(path: Path) -> GraphSpec:
+    """Writes the push-out, which is the same for every model: exported once, then copied."""
+    content, spec = _exported(PushGraph, push_inputs, OUTPUTS, frozenset(PUSH_SAMPLE.items()))
+    path.write_bytes(content)
+    return replace(spec, file=path.name)
+
+
+def write_push_over(path: Path) -> GraphSpec:
+    """Writes the push-out of garments over others, likewise."""
+    content, spec = _exported(LayerGraph, layer_inputs, OUTPUTS, frozenset(LAYER_SAMPLE.items()))
+    path.write_bytes(content)
+    return replace(spec, file=path.name)
+
+
+PUSHES = {"push_out": write_push_out, "push_over": write_push_over}
+
+
+@lru_cache(maxsize=2)
+def _exported(
+    module: Callable[[], nn.Module],
+    inputs: Callable[[], tuple[TensorSpec, ...]],
+    outputs: tuple[TensorSpec, ...],
+    sample: frozenset[tuple[str, int]],
+) -> tuple[bytes, GraphSpec]:
+    with tempfile.TemporaryDirectory(prefix="push-out-") as folder:
+        path = Path(folder) / "push.onnx"
+        spec = write_graph(module(), path, inputs(), outputs, sample=dict(sample), translations=packed.TRANSLATIONS)
+        return path.read_bytes(), spec
+
+
+def add_push_out(folder: Path, garment: Garment) -> Manifest:
+    """Writes the push-out's graphs into a model folder that stands; its other graphs stay as they are."""
+    manifest = load_manifest(folder)
+    parts = {name: folder / f"{name}.onnx.part" for name in PUSHES}
+    specs = {name: write(parts[name]) for name, write in PUSHES.items()}
+    error = max(push_parity_error(parts["push_out"], garment), layer_parity_error(parts["push_over"], garment))
+    if not error <= TOLERANCE_M:
+        for part in parts.values():
+            part.unlink()
+        raise ArtifactError(
+            "push_out parity",
+            expected=f"at most {TOLERANCE_M} m between numpy and onnxruntime",
+            got=f"{error:.3g} m",
+            cure="Do not ship this graph; find the operator that differs.",
+        )
+    for name, part in parts.items():
+        os.replace(part, folder / f"{name}.onnx")
+    graphs = manifest.graphs | {name: replace(spec, file=f"{name}.onnx") for name, spec in specs.items()}
+    changed = replace(manifest, graphs=graphs, parity_error_m=max(error, manifest.parity_error_m))
+    _write_manifest(folder, changed)
+    return changed
 
 
 def _check_symbolic(

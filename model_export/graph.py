@@ -6,6 +6,9 @@ import torch
 from torch import Tensor, nn
 
 from drape.artifacts import TensorSpec
+from drape.cloth.push.patches import PatchSkin
+from drape.cloth.push.samples import CLUSTER_SIZE, REGION_SIZE
+from drape.cloth.push.tables import OWN_CLUSTERS
 from drape.garment.agreement import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from training.agreement import GatheredAgreement
 from training.model import BodyTensors, OneFit, PatchTensors, paper_vertices, vertex_positions
@@ -41,15 +44,18 @@ AGREEMENT_INPUTS: tuple[TensorSpec, ...] = (
     TensorSpec("patch_tangent", ("patches", STRAIN_POINTS, 3, 2), "float32", "1"),
     TensorSpec("patch_orthonormal", ("patches", STRAIN_POINTS, 2, 2), "float32", "1"),
 )
+# Of networks that feel the body; its skin comes posed, since this graph is the one to read.
+CONTACT_INPUTS: tuple[TensorSpec, ...] = (
+    TensorSpec("body_skin", ("frames", "regions", REGION_SIZE, 8), "float32", "m and 1, relative to the root joint"),
+    TensorSpec("patch_place", ("patches", STRAIN_POINTS, 3), "float32", "m"),
+    TensorSpec("patch_cluster", ("patches", OWN_CLUSTERS), "int64", "cluster of samples"),
+    TensorSpec("patch_cluster_bias", ("patches", OWN_CLUSTERS * CLUSTER_SIZE), "float32", "1"),
+    TensorSpec("patch_other", ("patches", "regions", REGION_SIZE), "uint8", "1 / 255"),
+    TensorSpec("patch_region_bias", ("patches", "regions"), "float32", "1"),
+)
 SKIN_INPUT = TensorSpec("skin_weights", ("vertices", 24), "float32", "1")
 MOTION_INPUT = TensorSpec("motion_features", ("clients", 24, 12), "float32", "1/s and m/s^2")
 STEP_INPUT = TensorSpec("dt_s", ("clients",), "float32", "s")
-OUTPUTS: tuple[TensorSpec, ...] = (
-    TensorSpec("vertices", ("frames", "vertices", 3), "float32", "m, relative to the root joint"),
-    TensorSpec("jet", ("frames", "patches", 27), "float32", "patch scales"),
-    TensorSpec("frame_rotation", ("frames", "patches", 3, 3), "float32", "1"),
-    TensorSpec("frame_centre", ("frames", "patches", 3), "float32", "m, relative to the root joint"),
-)
 
 
 def drape_inputs(model: OneFit) -> tuple[TensorSpec, ...]:
@@ -62,7 +68,18 @@ def drape_inputs(model: OneFit) -> tuple[TensorSpec, ...]:
     )
     motion = (code,) if model.config.dynamic else ()
     charts = AGREEMENT_INPUTS if model.agrees else ()
-    return (*BODY_INPUTS, embedding, *PATCH_INPUTS, *CHART_INPUTS, *skin, *joints, *motion, *charts)
+    contact = CONTACT_INPUTS if model.config.feels_body else ()
+    return (*BODY_INPUTS, embedding, *PATCH_INPUTS, *CHART_INPUTS, *skin, *joints, *motion, *charts, *contact)
+
+
+def drape_outputs(model: OneFit) -> tuple[TensorSpec, ...]:
+    """Outputs of the drape graph of ``model``, in order."""
+    return (
+        TensorSpec("vertices", ("frames", "vertices", 3), "float32", "m, relative to the root joint"),
+        TensorSpec("jet", ("frames", "patches", model.jet_count), "float32", "patch scales"),
+        TensorSpec("frame_rotation", ("frames", "patches", 3, 3), "float32", "1"),
+        TensorSpec("frame_centre", ("frames", "patches", 3), "float32", "m, relative to the root joint"),
+    )
 
 
 def dynamic_inputs(model: OneFit) -> tuple[TensorSpec, ...]:
@@ -146,10 +163,22 @@ class DrapeGraph(nn.Module):
         patch_rest: Tensor | None = None,
         patch_tangent: Tensor | None = None,
         patch_orthonormal: Tensor | None = None,
+        body_skin: Tensor | None = None,
+        patch_place: Tensor | None = None,
+        patch_cluster: Tensor | None = None,
+        patch_cluster_bias: Tensor | None = None,
+        patch_other: Tensor | None = None,
+        patch_region_bias: Tensor | None = None,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        body = BodyTensors(body_features, bone_rotation, bone_translation, bone_quaternion, betas, body_joints)
+        body = BodyTensors(
+            body_features, bone_rotation, bone_translation, bone_quaternion, betas, body_joints, body_skin
+        )
+        near = None
+        if patch_cluster is not None:
+            assert patch_cluster_bias is not None and patch_other is not None and patch_region_bias is not None
+            near = PatchSkin(patch_cluster, patch_cluster_bias, patch_other, patch_region_bias)
         patches = PatchTensors(
-            patch_centre, patch_rotation, patch_scale, patch_weights, patch_heaviest, patch_shapedirs
+            patch_centre, patch_rotation, patch_scale, patch_weights, patch_heaviest, patch_shapedirs, patch_place, near
         )
         tables = (anchor_patch, anchor_row, patch_member, patch_fit, patch_rest, patch_tangent, patch_orthonormal)
         given = [table for table in tables if table is not None]

@@ -10,12 +10,11 @@ What ``body_feed`` and the readable ``DrapeGraph`` compute, arranged for speed; 
 - Network and frame give the posed jets, a 3 x 18 matrix per patch. A vertex is the sum over its four charts of
   such a matrix times a constant column, so charts are sorted by patch into tiles of ``CHARTS_PER_TILE`` columns:
   the vertex stage is one small product of a fixed shape per tile and a sum of four rows.
-- Outputs are independent branches: ``service.subgraph`` cuts the graph of a scene out of this one.
+- Outputs are independent branches: ``service.subgraph`` cuts the graph of a scene out of this one. The jets after each
+  pass are outputs too: with those of an early pass in place of the last one's, what is cut out ends there.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import onnxscript
 import torch
@@ -27,9 +26,12 @@ from drape.errors import ArtifactError
 from drape.garment.agreement import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.garment.features import REACH_M
+from drape.geometry import jets
 from drape.packing import CHARTS_PER_TILE, COLUMNS, VERTICES_PER_BLOCK
 from drape.wire import STEP_COUNT
 from model_export import packed_weights as constants
+from model_export.packed_contact import Felt, Skins, felt_inputs, near_planes, posed_skins
+from model_export.packed_parts import Bodies, Charts, Patches, PosedPatches
 from training.agreement import TANGENT_COUNT, TRACE_SHARE, softened
 from training.layers import SLOPE
 from training.model import OneFit
@@ -55,55 +57,8 @@ class FirstGraph(nn.Module):
         return embedding, self.from_patch(embedding)
 
 
-@dataclass(frozen=True)
-class Bodies:
-    """Inputs of ``PackedGraph`` per body."""
-
-    joint_quaternion: Tensor
-    joint_rest: Tensor
-    betas: Tensor
-    dynamic_code: Tensor | None = None
-
-
-@dataclass(frozen=True)
-class Patches:
-    """Inputs of ``PackedGraph`` per stored patch, less the prefix of their names."""
-
-    first: Tensor
-    weights: Tensor
-    rotation: Tensor
-    scale: Tensor
-    centre: Tensor
-    shapedirs: Tensor
-
-
-@dataclass(frozen=True)
-class Charts:
-    """Inputs of ``PackedGraph`` by which charts agree, gathered for its patches."""
-
-    columns: Tensor  # (P, 18, 48)
-    fit: Tensor  # (P, 21, 48)
-    rest: Tensor  # (P, 27)
-    tangent: Tensor  # (P, 42): by u at x, y, z of seven points, then by v
-    unit: Tensor  # (P, 3, 7): the upper triangles
-    anchor_charts: Tensor
-    member_anchor: Tensor
-
-
-@dataclass(frozen=True)
-class PosedPatches:
-    """Posed jets (P, 3, 18), jets in the frames (P, 27), frames (P, 3, 3) and (P, 3, 1), bones of the bodies."""
-
-    coefficients: Tensor
-    jet: Tensor
-    rotation: Tensor
-    centre: Tensor
-    bone_rotation: Tensor
-    bone_translation: Tensor
-
-
 class PackedGraph(nn.Module):
-    """Bodies, stored garments and the index tensors of ``drape.packing`` -> all outputs of ``packed_specs.OUTPUTS``.
+    """Bodies, stored garments and the index tensors of ``drape.packing`` -> all of ``packed_specs.packed_outputs``.
 
     Only for vector jets: the paper's variant skins vertices, which is another vertex stage.
     """
@@ -119,10 +74,13 @@ class PackedGraph(nn.Module):
     parents: Tensor
     without_root: Tensor
     placed: Tensor
+    placed_full: Tensor
     frame_only: Tensor
     fit_columns: Tensor
+    full_columns: Tensor
     strain_terms: Tensor
     ones: Tensor
+    felt_terms: Tensor
 
     def __init__(self, model: OneFit) -> None:
         super().__init__()
@@ -139,9 +97,10 @@ class PackedGraph(nn.Module):
         self.trunk = decoder.trunk
         self.from_surroundings = constants.surroundings_layer(decoder.from_surroundings)
         self.head = constants.merged_heads(decoder.heads, model.config.output_gain)
-        self.based = model.config.agreed_base
+        self.based, self.closes = model.config.agreed_base, model.config.closing_fit
         self.corrections = nn.ModuleList(
-            constants.correction_layers(correction, model.config.output_gain) for correction in model.corrections
+            constants.correction_layers(correction, model.config.output_gain, hidden=model.config.decoder_sizes[-1])
+            for correction in model.corrections
         )
         for name, value in constants.tables().items():
             self.register_buffer(name, value)
@@ -178,8 +137,24 @@ class PackedGraph(nn.Module):
         strain_unit: Tensor | None = None,
         anchor_charts: Tensor | None = None,
         member_anchor: Tensor | None = None,
+        skin_rows: Tensor | None = None,
+        skin_bones: Tensor | None = None,
+        body_shape: Tensor | None = None,
+        felt_columns: Tensor | None = None,
+        felt_cluster: Tensor | None = None,
+        felt_bias: Tensor | None = None,
+        felt_other: Tensor | None = None,
+        felt_region: Tensor | None = None,
     ) -> tuple[Tensor, ...]:
-        bodies = Bodies(joint_quaternion, joint_rest, betas, dynamic_code)
+        skins = felt = None
+        if skin_rows is not None:
+            assert skin_bones is not None and body_shape is not None and felt_columns is not None
+            assert felt_cluster is not None and felt_bias is not None
+            assert felt_other is not None and felt_region is not None
+            skins = Skins(skin_rows, skin_bones, body_shape)
+            felt_tables = (felt_columns, felt_cluster, felt_bias, felt_other, felt_region)
+            felt = Felt(*(_rows(table, patch_stored) for table in felt_tables))
+        bodies = Bodies(joint_quaternion, joint_rest, betas, dynamic_code, skins)
         patches = Patches(patch_first, patch_weights, patch_rotation, patch_scale, patch_centre, patch_shapedirs)
         charts = None
         if anchor_columns is not None:
@@ -188,14 +163,14 @@ class PackedGraph(nn.Module):
             stored = (anchor_columns, anchor_fit, anchor_rest, strain_tangent, strain_unit)
             columns, fit, rest, tangent, unit = (_rows(table, patch_stored) for table in stored)
             charts = Charts(columns, fit, rest, tangent, unit, anchor_charts, member_anchor)
-        posed = self.pose(bodies, patches, patch_stored, patch_body, patch_bone, charts)
+        posed = self.pose(bodies, patches, patch_stored, patch_body, patch_bone, charts, felt)
         coefficients = _rows(posed.coefficients, tile_patch)  # (Q, 3, 18)
         vertices = self.blend(coefficients, _rows(tile_positions, tile_stored), vertex_charts)
         tangents = self.blend(coefficients, _rows(tile_tangents, tile_stored), vertex_charts, count=2)
         steps, low, step = _quantised(vertices, block_item, item_blocks)
         return (
             vertices, self._normals(tangents), steps, low, step, posed.jet,
-            posed.rotation, posed.centre.reshape(-1, 3), posed.bone_rotation, posed.bone_translation,
+            posed.rotation, posed.centre.reshape(-1, 3), posed.bone_rotation, posed.bone_translation, *posed.passes,
         )  # fmt: skip
 
     def pose(
@@ -206,6 +181,7 @@ class PackedGraph(nn.Module):
         patch_body: Tensor,
         patch_bone: Tensor,
         charts: Charts | None = None,
+        felt: Felt | None = None,
     ) -> PosedPatches:
         """Posed jets of the patches ``patch_stored``, or of all ``patches`` in order where it is None."""
         quaternion, bone_rotation, joints = self._posed_joints(bodies.joint_quaternion, bodies.joint_rest)
@@ -231,32 +207,49 @@ class PackedGraph(nn.Module):
         base = None
         if self.based:
             assert charts is not None
-            base = self._agreed(frame @ charts.columns[:, :4], charts, into, centre)
+            base = self._fitted(frame @ charts.columns[:, :4], charts, into, centre, self.fit_columns)
         x = _rows(patches.first, patch_stored) + _rows(self.from_body(code), patch_body)
         if self.from_surroundings is not None:
             x = self._with_surroundings(x, _rows(joints.mT, patch_body), rotation, centre, base)
         hidden = self.trunk(nn.functional.leaky_relu(x, SLOPE))
         jet = self.head(hidden) if base is None else base + self.head(hidden)
+        passes = [jet]
+        skin = near = None
+        if bodies.skins is not None:
+            skin = posed_skins(bodies.skins, bone_rotation, bone_translation)
         for correction in self.corrections:
             assert charts is not None
-            jet = self._agreed(self._posed(frame, jet) @ charts.columns, charts, into, centre)
+            jet = self._fitted(self._posed(frame, jet) @ charts.columns, charts, into, centre, self.fit_columns)
             strain, force = self._strain(jet, charts)
-            jet = jet + correction(torch.cat([hidden, softened(strain), softened(force), jet], dim=-1))
-        return PosedPatches(self._posed(frame, jet), jet, rotation, centre, bone_rotation, bone_translation)
+            inputs = [hidden, softened(strain), softened(force), jet]
+            if felt is not None:
+                assert skin is not None
+                points = self._posed(frame, jet) @ felt.columns
+                near = near_planes(points, skin, felt, patch_body) if near is None else near
+                inputs += felt_inputs(points, near, rotation, self.felt_terms)
+            jet = jet + correction(torch.cat(inputs, dim=-1))
+            passes.append(jet)
+        if self.closes:
+            assert charts is not None
+            jet = self._fitted(self._posed(frame, jet) @ charts.columns, charts, into, centre, self.full_columns)
+        kept = tuple(passes) if self.closes and len(passes) > 1 else ()
+        return PosedPatches(self._posed(frame, jet), jet, rotation, centre, bone_rotation, bone_translation, kept)
 
     def _posed(self, frame: Tensor, jet: Tensor) -> Tensor:
-        """Posed jets (P, 3, 18) of ``jet`` (P, 27) in scaled frames (P, 3, 4)."""
-        return frame @ torch.addmm(self.frame_only, jet, self.placed).reshape(-1, 4, COLUMNS)
+        """Posed jets (P, 3, 18) of ``jet`` (P, 27 or 45) in scaled frames (P, 3, 4)."""
+        placed = self.placed_full if jet.shape[-1] == jets.FULL_COUNT else self.placed
+        return frame @ torch.addmm(self.frame_only, jet, placed).reshape(-1, 4, COLUMNS)
 
-    def _agreed(self, said: Tensor, charts: Charts, into: Tensor, centre: Tensor) -> Tensor:
-        """``training.agreement.agreed_jets`` (P, 27) of what each chart says of its members (P, 3, 48)."""
+    def _fitted(self, said: Tensor, charts: Charts, into: Tensor, centre: Tensor, numbers: Tensor) -> Tensor:
+        """``training.agreement.agreed_jets`` (P, 27), or ``closing_jets`` (P, 45), of what each chart says of its
+        members (P, 3, 48): those ``numbers`` of the 63 that are fitted."""
         rows = said.mT.reshape(-1, 3)
         anchors = (self.ones @ _rows(rows, charts.anchor_charts.reshape(-1)).reshape(CHARTS_PER_VERTEX, -1)).reshape(
             -1, 3
         )
         places = _rows(anchors, charts.member_anchor.reshape(-1)).reshape(-1, MEMBERS, 3)
         local = (charts.fit @ (places - centre.mT)) @ into
-        return torch.index_select(local.reshape(-1, 3 * FIT_COUNT), 1, self.fit_columns) - charts.rest
+        return torch.index_select(local.reshape(-1, 3 * FIT_COUNT) - charts.rest, 1, numbers)
 
     def _strain(self, jet: Tensor, charts: Charts) -> tuple[Tensor, Tensor]:
         """``training.agreement.strain_and_force``: strain (P, 21), here by component, and force (P, 27)."""

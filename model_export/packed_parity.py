@@ -12,6 +12,7 @@ from drape.feeds import body_feed, garment_feed
 from drape.garment.cache import Garment
 from drape.garment.tangents import tangent_columns
 from drape.packing import TANGENTS, Place, compose, pack_body, pack_garment, pack_tangents
+from drape.push_packing import SkinShapes
 from model_export.graph import DrapeGraph, EncoderGraph, drape_inputs
 from model_export.parity import hard_poses, session
 from training.model import OneFit
@@ -22,7 +23,7 @@ FRAMES = 5
 def packed_parity_error(model: OneFit, encoder: Path, packed: Path, garment: Garment) -> float:
     """Largest vertex distance [m] of one batch: hard poses of two body shapes, the garment in three sizes of itself."""
     body = load_body()
-    feeds = [_first_vertices(garment_feed(garment), share) for share in (1.0, 0.5, 0.01)]
+    feeds = [_first_vertices(garment_feed(garment, body=body), share) for share in (1.0, 0.5, 0.01)]
     first = np.asarray(session(encoder).run(["patch_first"], {"patch_features": garment.patch_features})[0])
     columns = tangent_columns(garment)
     garments, places, patch, tile = [], [], 0, 0
@@ -40,25 +41,32 @@ def packed_parity_error(model: OneFit, encoder: Path, packed: Path, garment: Gar
     rows = [pack_body(body, betas[shape]).rows(poses[i : i + 1]) for i, shape in enumerate(shape_of)]
     bodies = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
     items = [(i % len(garments), i) for i in range(FRAMES)]
+    bodies |= SkinShapes(body).feed(bodies["betas"])
     composition = compose([(garments[g], places[g], frame) for g, frame in items])
     names = [spec.name for spec in drape_inputs(model)]
     code = {}
     if model.config.dynamic:
         drawn = np.random.default_rng(1).normal(size=(FRAMES, model.config.body_code_size)).astype(np.float32)
         code["dynamic_code"] = drawn if "dynamic_code" in names else 0.0 * drawn
-    got = np.asarray(session(packed).run(["vertices"], bodies | stored | composition.arrays | code)[0])
+    got = _run(packed, bodies | stored | composition.arrays | code)
 
     with torch.no_grad():
         embedding = EncoderGraph(model)(torch.from_numpy(garment.patch_features)).numpy()
     worst = 0.0
     for place, (g, frame) in zip(composition.vertices, items, strict=True):
-        feed = body_feed(body, poses[frame : frame + 1], np.zeros((1, 3)), betas[shape_of[frame]])
+        feed = body_feed(body, poses[frame : frame + 1], np.zeros((1, 3)), betas[shape_of[frame]], skin=True)
         arrays = feed.arrays | feeds[g] | {"patch_embedding": embedding}
         arrays |= {name: value[frame : frame + 1] for name, value in code.items()}
         with torch.no_grad():
             expected = DrapeGraph(model)(**{name: torch.from_numpy(arrays[name]) for name in names})[0].numpy()
         worst = max(worst, float(np.linalg.norm(got.reshape(-1, 3)[place] - expected[0], axis=-1).max()))
     return worst
+
+
+def _run(packed: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """The vertices for those of ``arrays`` that the graph takes."""
+    graph = session(packed)
+    return np.asarray(graph.run(["vertices"], {item.name: arrays[item.name] for item in graph.get_inputs()})[0])
 
 
 def _first_vertices(feed: dict[str, np.ndarray], share: float) -> dict[str, np.ndarray]:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from drape.artifacts import TensorSpec
 from drape.body.skeleton import JOINT_COUNT
+from drape.cloth.push.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE
+from drape.cloth.push.tables import OWN_CLUSTERS
 from drape.feeds import BETA_COUNT
 from drape.garment.agreement import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.geometry import jets
-from drape.packing import CHARTS_PER_TILE, COLUMNS, VERTICES_PER_BLOCK
+from drape.packing import CHARTS_PER_TILE, COLUMNS, VERTICES_PER_BLOCK, pass_name
 from training.agreement import TANGENT_COUNT
 from training.model import OneFit
 
@@ -16,25 +18,14 @@ from training.model import OneFit
 SAMPLE = {
     "bodies": 5, "patches": 7, "tiles": 9, "items": 11, "blocks": 13, "blocks_per_item": 17,
     "stored_patches": 19, "stored_tiles": 21, "stored_tangents": 23, "anchor_blocks": 27,
+    "shapes": 3, "parts": 6, "part_bones": 10,
 }  # fmt: skip
-OUTPUTS: tuple[TensorSpec, ...] = (
-    TensorSpec("vertices", ("blocks", VERTICES_PER_BLOCK, 3), "float32", "m, relative to the root joint"),
-    TensorSpec("normals", ("blocks", VERTICES_PER_BLOCK, 3), "float32", "1"),
-    TensorSpec("steps", ("blocks", VERTICES_PER_BLOCK, 3), "uint16", "box_step"),
-    TensorSpec("box_low", ("items", 3), "float32", "m, relative to the root joint"),
-    TensorSpec("box_step", ("items", 3), "float32", "m"),
-    TensorSpec("jet", ("patches", jets.JET_COUNT), "float32", "patch scales"),
-    TensorSpec("frame_rotation", ("patches", 3, 3), "float32", "1"),
-    TensorSpec("frame_centre", ("patches", 3), "float32", "m, relative to the root joint"),
-    TensorSpec("bone_rotation", ("bodies", JOINT_COUNT, 3, 3), "float32", "1"),
-    TensorSpec("bone_translation", ("bodies", JOINT_COUNT, 3), "float32", "m, relative to the root joint"),
-)
-
+PART_SIZE = POSED_REGIONS * REGION_SIZE  # samples that are posed together
 
 AGREEMENT_INPUTS: tuple[TensorSpec, ...] = (
     TensorSpec("anchor_columns", ("stored_patches", COLUMNS, MEMBERS), "float32", "1"),
     TensorSpec("anchor_fit", ("stored_patches", FIT_COUNT, MEMBERS), "float32", "1"),
-    TensorSpec("anchor_rest", ("stored_patches", jets.JET_COUNT), "float32", "patch scales"),
+    TensorSpec("anchor_rest", ("stored_patches", 3 * FIT_COUNT), "float32", "patch scales"),
     TensorSpec("strain_tangent", ("stored_patches", TANGENT_COUNT), "float32", "1"),
     TensorSpec("strain_unit", ("stored_patches", 3, STRAIN_POINTS), "float32", "1"),
     TensorSpec("anchor_charts", (CHARTS_PER_VERTEX, "anchor_blocks", VERTICES_PER_BLOCK), "int32", "anchor column"),
@@ -42,10 +33,51 @@ AGREEMENT_INPUTS: tuple[TensorSpec, ...] = (
 )
 
 
+# Of networks that feel the body; a shape is one of a body, shared by all bodies that have it.
+CONTACT_INPUTS: tuple[TensorSpec, ...] = (
+    TensorSpec("skin_rows", ("shapes", "parts", "part_bones", 4, 3 * PART_SIZE), "float32", "m or 1"),
+    TensorSpec("skin_bones", ("parts", "part_bones"), "int32", "bone index"),
+    TensorSpec("body_shape", ("bodies",), "int32", "row of skin_rows"),
+    TensorSpec("felt_columns", ("stored_patches", COLUMNS, STRAIN_POINTS), "float32", "1"),
+    TensorSpec("felt_cluster", ("stored_patches", OWN_CLUSTERS), "int32", "cluster of samples"),
+    TensorSpec("felt_bias", ("stored_patches", OWN_CLUSTERS * CLUSTER_SIZE), "float32", "1"),
+    TensorSpec("felt_other", ("stored_patches", "parts", PART_SIZE), "uint8", "1 / 255"),
+    TensorSpec("felt_region", ("stored_patches", "parts", POSED_REGIONS), "float32", "1"),
+)
+
+
+def packed_outputs(model: OneFit) -> tuple[TensorSpec, ...]:
+    """Outputs of the packed graph of ``model``, in order."""
+    return (
+        TensorSpec("vertices", ("blocks", VERTICES_PER_BLOCK, 3), "float32", "m, relative to the root joint"),
+        TensorSpec("normals", ("blocks", VERTICES_PER_BLOCK, 3), "float32", "1"),
+        TensorSpec("steps", ("blocks", VERTICES_PER_BLOCK, 3), "uint16", "box_step"),
+        TensorSpec("box_low", ("items", 3), "float32", "m, relative to the root joint"),
+        TensorSpec("box_step", ("items", 3), "float32", "m"),
+        TensorSpec("jet", ("patches", model.jet_count), "float32", "patch scales"),
+        TensorSpec("frame_rotation", ("patches", 3, 3), "float32", "1"),
+        TensorSpec("frame_centre", ("patches", 3), "float32", "m, relative to the root joint"),
+        TensorSpec("bone_rotation", ("bodies", JOINT_COUNT, 3, 3), "float32", "1"),
+        TensorSpec("bone_translation", ("bodies", JOINT_COUNT, 3), "float32", "m, relative to the root joint"),
+        *pass_outputs(model),
+    )
+
+
+def pass_outputs(model: OneFit) -> tuple[TensorSpec, ...]:
+    """Jets before the first correction of ``model`` and after each; none where no closing fit takes them."""
+    count = model.config.corrections
+    if not model.config.closing_fit or count == 0:
+        return ()
+    return tuple(
+        TensorSpec(pass_name(i), ("patches", jets.JET_COUNT), "float32", "patch scales") for i in range(count + 1)
+    )
+
+
 def packed_inputs(model: OneFit) -> tuple[TensorSpec, ...]:
     """Inputs of the packed graph of ``model``, in order."""
     width = model.config.decoder_sizes[0]
     charts = AGREEMENT_INPUTS if model.agrees else ()
+    contact = CONTACT_INPUTS if model.config.feels_body else ()
     code = (TensorSpec("dynamic_code", ("bodies", model.config.body_code_size), "float32", "1"),)
     return (
         TensorSpec("joint_quaternion", ("bodies", JOINT_COUNT + 1, 4), "float32", "1, relative to the parent"),
@@ -69,6 +101,7 @@ def packed_inputs(model: OneFit) -> tuple[TensorSpec, ...]:
         TensorSpec("item_blocks", ("items", "blocks_per_item"), "int32", "blocks of an item, the first one repeated"),
         *(code if model.config.dynamic else ()),
         *charts,
+        *contact,
     )
 
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from drape.body.skeleton import JOINT_COUNT, PARENTS
-from drape.garment.agreement import FIT_COUNT, STRAIN_POINTS
+from drape.garment.agreement import FIT_COUNT, STRAIN_POINTS, strain_points
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.geometry import jets
 from drape.packing import COLUMNS
@@ -65,6 +65,7 @@ def tables() -> dict[str, Tensor]:
         "without_root": torch.tensor([JOINT_COUNT, *range(1, JOINT_COUNT)]),
         **_jet_tables(),
         "ones": torch.ones(1, CHARTS_PER_VERTEX),
+        "felt_terms": torch.from_numpy(jets.basis(strain_points(), jets.HEIGHT_ORDER)).float(),
     }
 
 
@@ -78,9 +79,9 @@ def ancestor_jumps() -> list[Tensor]:
     return jumps
 
 
-def _jet_columns() -> list[int]:
-    """Places of the 27 jet numbers among the 4 x 18 that the head gives."""
-    counts = (jets.IN_PLANE_COUNT, jets.IN_PLANE_COUNT, jets.HEIGHT_COUNT)
+def _jet_columns(plane: int) -> list[int]:
+    """Places of a jet's numbers, ``plane`` of them of each in-plane polynomial, among the 4 x 18."""
+    counts = (plane, plane, jets.HEIGHT_COUNT)
     return [row * COLUMNS + 3 + i for row, count in enumerate(counts) for i in range(count)]
 
 
@@ -88,11 +89,14 @@ def _jet_tables() -> dict[str, Tensor]:
     """Jets (P, 27) @ ``placed`` + ``frame_only`` is (P, 4 * 18), which multiplies [scaled rotation, centre].
 
     Its rows are p, q, h and one: columns 0-2 pass the rest place (an identity), 3-17 are the jets; the last row's
-    entry 3 adds the centre. ``fit_columns`` are the jets among the 21 x 3 fitted numbers; ``strain_terms`` as
+    entry 3 adds the centre. ``placed_full`` does the same for full jets (P, 45). ``fit_columns`` and ``full_columns``
+    are the jets and the full jets among the 21 x 3 fitted numbers; ``strain_terms`` as
     ``training.agreement.tangent_terms``, derivative by derivative, axis by axis.
     """
     placed, frame_only = torch.zeros(jets.JET_COUNT, 4 * COLUMNS), torch.zeros(1, 4 * COLUMNS)
-    placed[torch.arange(jets.JET_COUNT), torch.tensor(_jet_columns())] = 1.0
+    placed[torch.arange(jets.JET_COUNT), torch.tensor(_jet_columns(jets.IN_PLANE_COUNT))] = 1.0
+    full = torch.zeros(jets.FULL_COUNT, 4 * COLUMNS)
+    full[torch.arange(jets.FULL_COUNT), torch.tensor(_jet_columns(jets.HEIGHT_COUNT))] = 1.0
     for axis in range(3):
         frame_only[0, axis * COLUMNS + axis] = 1.0
     frame_only[0, 3 * COLUMNS + 3] = 1.0
@@ -101,8 +105,10 @@ def _jet_tables() -> dict[str, Tensor]:
     terms = tangent_terms().reshape(jets.JET_COUNT, STRAIN_POINTS, 3, 2)
     return {
         "placed": placed,
+        "placed_full": full,
         "frame_only": frame_only,
         "fit_columns": torch.tensor(columns),
+        "full_columns": torch.tensor([3 * i + axis for axis in range(3) for i in range(jets.HEIGHT_COUNT)]),
         "strain_terms": terms.permute(0, 3, 2, 1).reshape(jets.JET_COUNT, -1).contiguous(),
     }
 
@@ -138,10 +144,13 @@ def merged_heads(heads: nn.ModuleDict, gain: float) -> nn.Sequential:
     return nn.Sequential(*layers, last).requires_grad_(False)
 
 
-def correction_layers(correction: nn.Module, gain: float) -> nn.Sequential:
-    """A ``training.layers.Correction`` that takes strains component by component; the output gain is in the weights."""
+def correction_layers(correction: nn.Module, gain: float, *, hidden: int) -> nn.Sequential:
+    """A ``training.layers.Correction`` that takes strains component by component; the output gain is in the weights.
+
+    ``hidden``: numbers of the decoder's code, which come before the strains.
+    """
     first, last = _linears(correction)
-    before = first.in_features - 3 * STRAIN_POINTS - 2 * jets.JET_COUNT
+    before = hidden
     column = torch.arange(first.in_features)
     strains = column[before : before + 3 * STRAIN_POINTS].reshape(STRAIN_POINTS, 3).T.reshape(-1)
     column[before : before + 3 * STRAIN_POINTS] = strains

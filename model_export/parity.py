@@ -53,8 +53,8 @@ def parity_error(
     for count, scale in ((1, 0.0), (5, 1.0), (16, 2.0)):
         poses = hard_poses(count, seed=count)
         rng = np.random.default_rng(count)
-        feed = body_feed(body, poses, np.zeros((count, 3)), scale * rng.normal(size=body.shape_count))
-        arrays = feed.arrays | garment_feed(garment) | {"patch_embedding": embedding}
+        feed = body_feed(body, poses, np.zeros((count, 3)), scale * rng.normal(size=body.shape_count), skin=True)
+        arrays = feed.arrays | garment_feed(garment, body=body) | {"patch_embedding": embedding}
         # Of a dynamic model: any code of the size that motion makes.
         arrays["dynamic_code"] = rng.normal(0.0, 0.3, size=(count, model.config.body_code_size)).astype(np.float32)
         with torch.no_grad():
@@ -76,10 +76,10 @@ def sequence_error(
     swing = rng.uniform(0.5, 3.0, size=(24, 3))
     poses = 0.4 * np.sin(2.0 * np.pi * time_s[:, None, None] * swing)
     trans = np.sin(3.0 * time_s)[:, None] * [0.5, 0.1, 0.8]
-    feed = body_feed(body, poses, trans)
+    feed = body_feed(body, poses, trans, skin=True)
     at = kinematics(body, poses, trans)
     features = motion_features(at[2:], at[1:-1], at[:-2], dt_s[1:], dt_s[:-1]).astype(np.float32)
-    constants = garment_feed(garment)
+    constants = garment_feed(garment, body=body)
     with torch.no_grad():
         embedding = EncoderGraph(model)(torch.from_numpy(garment.patch_features)).numpy()
     advance, run = session(folder / graphs["dynamic_encoder"].file), session(folder / graphs["drape"].file)

@@ -133,9 +133,19 @@ def agreed_jets(anchors: Tensor, charts: ChartAgreement, rotation: Tensor, centr
 
     ``rotation`` (F, K, 3, 3) and ``centre`` (F, K, 3) [m] are the posed frames, ``scale`` (K,) [m] the patches'.
     """
-    local = charts.fitted(anchors, centre) @ (rotation / scale[:, None, None]) - charts.rest
+    local = _moved(anchors, charts, rotation, centre, scale)
     plane, height = local[..., jets.HEIGHT_COUNT :, :], local[..., : jets.HEIGHT_COUNT, 2]
     return torch.cat([plane[..., 0], plane[..., 1], height], dim=-1)
+
+
+def closing_jets(anchors: Tensor, charts: ChartAgreement, rotation: Tensor, centre: Tensor, scale: Tensor) -> Tensor:
+    """As ``agreed_jets``, with the height's order in every direction: full jets (F, K, 45)."""
+    return _moved(anchors, charts, rotation, centre, scale)[..., : jets.HEIGHT_COUNT, :].mT.flatten(-2)
+
+
+def _moved(anchors: Tensor, charts: ChartAgreement, rotation: Tensor, centre: Tensor, scale: Tensor) -> Tensor:
+    """Polynomials (F, K, 21, 3) of ``anchors`` in the posed frames, less those at rest [patch scales]."""
+    return charts.fitted(anchors, centre) @ (rotation / scale[:, None, None]) - charts.rest
 
 
 def tangent_terms() -> Tensor:

@@ -23,7 +23,9 @@ class ModelConfig:
     sees the posed joints and gravity in each patch's own frame (not in the published network).
     ``agreed_base``: jets start from the blend of the rigid charts, fitted to every chart anew, and not from charts
     that disagree. ``corrections``: passes in which charts are brought to agree, feel their strain and are corrected,
-    by networks of ``correction_hidden`` units.
+    by networks of ``correction_hidden`` units. ``closing_fit``: at the end charts are fitted to their blend once more,
+    with the height's order in the plane as well (docs/decisions/0008-representation.md). ``feels_body``: corrections
+    also see how near the posed body is to each patch and which way it pushes (drape.cloth.push.patches).
     ``state_decay_s`` is the time constant of the recurrent state, ``state_rest_s`` the time after which
     a still body's is zero (training.recurrent).
     """
@@ -46,8 +48,10 @@ class ModelConfig:
     output_gain: float = 0.1
     surroundings: bool = True
     agreed_base: bool = True
-    corrections: int = 3
+    corrections: int = 4
     correction_hidden: int = 256
+    closing_fit: bool = True
+    feels_body: bool = True
 
 
 @dataclass(frozen=True)
@@ -61,9 +65,9 @@ class DataConfig:
 
     garments: tuple[str, ...] = ("tshirt", "longsleeve", "tank", "trousers", "shorts", "dress", "skirt")
     partitions: int = 6
-    variants: int = 4
+    variants: int = 7
     variant_partitions: int = 2
-    own_share: float = 0.4
+    own_share: float = 0.35
     fresh_steps: int = 300
     patch_jitter: float = 0.25
     mix_share: float = 0.35
@@ -138,7 +142,15 @@ class TrainConfig:
 
 def as_published(model: ModelConfig) -> ModelConfig:
     """``model`` with the published representation, and without what was added to it since."""
-    return replace(model, variant="paper", surroundings=False, agreed_base=False, corrections=0)
+    return replace(
+        model,
+        variant="paper",
+        surroundings=False,
+        agreed_base=False,
+        corrections=0,
+        closing_fit=False,
+        feels_body=False,
+    )
 
 
 def shipped() -> TrainConfig:

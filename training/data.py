@@ -14,8 +14,11 @@ from drape.body.features import static_features
 from drape.body.model import BodyModel
 from drape.cloth.contact import DETAIL_JOINTS
 from drape.cloth.energies import ClothMesh
+from drape.cloth.push.patches import PatchSkin, patch_skin
+from drape.cloth.push.skin import Skin, shaped_skin
+from drape.cloth.push.tables import outward_directions
 from drape.feeds import BETA_COUNT
-from drape.garment.agreement import agreement
+from drape.garment.agreement import agreement, strain_places
 from drape.garment.fitting import RestGarment, patch_fields
 from drape.garment.partition import patch_count_for
 from drape.geometry import jets
@@ -51,6 +54,7 @@ class TrainingGarment:
     partitions: list[Partition]
     skin_weights: Tensor
     seeds: list[int] = field(default_factory=list)
+    band: tuple[Tensor, Tensor] | None = None  # vertices (n,) and lengths [m] (n,) of drape.cloth.waistband
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,15 +66,15 @@ class BodyBatch:
     collider_normals: np.ndarray  # (F, C, 3)
 
 
-def draw_partition(rest: RestGarment, *, seed: int, jitter: float, device: torch.device) -> Partition:
+def draw_partition(rest: RestGarment, skin: Skin, *, seed: int, jitter: float, device: torch.device) -> Partition:
     """A random partition; its patch count differs from the rule's by up to ``jitter``."""
     rng = np.random.default_rng(seed)
     count = round(patch_count_for(float(rest.areas.sum())) * float(rng.uniform(1.0 - jitter, 1.0 + jitter)))
-    return partition_tensors(patch_fields(rest, count=count, seed=seed), device=device)
+    return partition_tensors(patch_fields(rest, count=count, seed=seed), skin, device=device)
 
 
-def partition_tensors(fields: dict[str, np.ndarray], *, device: torch.device) -> Partition:
-    """The patch and chart fields of a garment as tensors."""
+def partition_tensors(fields: dict[str, np.ndarray], skin: Skin, *, device: torch.device) -> Partition:
+    """The patch and chart fields of a garment as tensors; ``skin`` is that of the body it was made for."""
     uv = fields["chart_uv"].astype(np.float64)
     patch, weight = fields["chart_patch"], fields["chart_weight"].astype(np.float64)
     scale = fields["patch_scale"].astype(np.float64)
@@ -92,6 +96,10 @@ def partition_tensors(fields: dict[str, np.ndarray], *, device: torch.device) ->
     shapedirs = np.zeros((patch_count, 3, BETA_COUNT), dtype=np.float32)
     shapedirs[..., : fields["patch_shapedirs"].shape[2]] = fields["patch_shapedirs"]
 
+    centre = fields["patch_centre"].astype(np.float64)
+    near = patch_skin(centre, outward_directions(centre, skin), skin)
+    place = strain_places(fields["patch_jet"], scale)
+
     def tensor(array: np.ndarray) -> Tensor:
         kind = np.int64 if array.dtype.kind in "iu" else np.float32
         return torch.from_numpy(np.ascontiguousarray(array, dtype=kind)).to(device)
@@ -104,6 +112,13 @@ def partition_tensors(fields: dict[str, np.ndarray], *, device: torch.device) ->
             weights=tensor(fields["patch_weights"]),
             heaviest=tensor(np.argmax(fields["patch_weights"], axis=1)),
             shapedirs=tensor(shapedirs),
+            place=tensor(place),
+            skin=PatchSkin(
+                tensor(near.own_cluster),
+                tensor(near.own_bias),
+                torch.from_numpy(near.other).to(device),
+                tensor(near.region_bias),
+            ),
         ),
         features=tensor(fields["patch_features"]),
         blend=SparsePair.from_scipy(blend, device=device),
@@ -125,6 +140,7 @@ class BodySource:
         self.template = body.v_template[collider_index].astype(np.float32)
         self.shapedirs = body.shapedirs[collider_index].astype(np.float32)
         self.weights = np.ascontiguousarray(body.weights[collider_index].astype(np.float32))
+        self._skin = shaped_skin(body)
         self.faces = collider_faces
 
     def pose(self, poses: np.ndarray, betas: np.ndarray) -> BodyBatch:
@@ -145,6 +161,7 @@ class BodySource:
             quaternion=tensor(matrix_to_quaternion(rotations)),
             betas=tensor(shapes),
             joints=tensor(posed_joints(self.body, rotations, translations, betas)),
+            skin=tensor(self._skin.table(rotations, translations, shapes)),
         )
         collider = self._collider(
             rotations.astype(np.float32), translations.astype(np.float32), betas.astype(np.float32)

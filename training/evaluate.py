@@ -28,6 +28,8 @@ from drape.cloth import metrics
 from drape.cloth.contact import BodyContact, push_out
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import material
+from drape.cloth.push.out import push_out_of_bodies
+from drape.cloth.push.skin import body_skin
 from drape.data_paths import data_folder
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment
@@ -36,6 +38,7 @@ from drape.geometry.skinning import skin_points
 from drape.motion.clip import MotionClip
 from drape.motion.hard_poses import HardPoses, hard_poses
 from drape.motion.readers import read_motion
+from drape.push_packing import push_feed
 from training import checkpoint
 from training.config import TrainConfig
 from training.data import BodySource, collider_surface, partition_tensors
@@ -84,7 +87,8 @@ def posed_patches(
 
     ``passes`` of the corrections are taken, all by default.
     """
-    partition = partition_tensors({item.name: getattr(garment, item.name) for item in fields(garment)}, device=CPU)
+    found = {item.name: getattr(garment, item.name) for item in fields(garment)}
+    partition = partition_tensors(found, body_skin(source.body), device=CPU)
     body = source.pose(poses, np.zeros((len(poses), source.body.shape_count))).tensors
     with torch.no_grad():
         embedding = model.garment(partition.features)
@@ -116,7 +120,7 @@ def evaluate(
         "skinning": skinned,
         "skinning_push": push_out(skinned, skin, normals),
         "network": draped,
-        "network_push": push_out(draped, skin, normals),
+        "network_push": push_out_of_bodies(draped, skin, body_skin(body), push_feed(garment, body)),
     }
     height = metrics.mean_height(skinned, cloth)
     rows = []

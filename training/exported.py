@@ -30,11 +30,12 @@ def load_exported(folder: Path) -> tuple[dict[str, Tensor], ModelConfig, tuple[s
     """
     manifest = load_manifest(folder)
     arrays: dict[str, np.ndarray] = {}
+    outputs = {spec.name: spec for spec in manifest.graphs[DRAPE].outputs}
     for name, prefix in ((ENCODER, "garment."), (DRAPE, "")):
         graph = onnx.load(str(folder / manifest.graphs[name].file)).graph
         arrays |= {key: value for key, value in _weights(graph).items() if key.startswith(prefix)}
     try:
-        config = _sizes(arrays)
+        config = _sizes(arrays, closing_fit=outputs["jet"].shape[-1] == jets.FULL_COUNT)
         made = OneFit(config).state_dict()
         weights = {key: torch.from_numpy(arrays[key].copy()).reshape(made[key].shape) for key in made}
     except (KeyError, RuntimeError) as error:
@@ -73,8 +74,8 @@ def _weights(graph: onnx.GraphProto) -> dict[str, np.ndarray]:
     return named
 
 
-def _sizes(arrays: dict[str, np.ndarray]) -> ModelConfig:
-    """The configuration whose network has these parameters."""
+def _sizes(arrays: dict[str, np.ndarray], *, closing_fit: bool) -> ModelConfig:
+    """The configuration whose network has these parameters; a closing fit has none."""
 
     def widths(layers: str) -> list[int]:
         found = {
@@ -99,4 +100,5 @@ def _sizes(arrays: dict[str, np.ndarray]) -> ModelConfig:
         agreed_base=around is not None and around.shape[1] > SURROUNDINGS_COUNT,
         corrections=len(corrected),
         correction_hidden=len(arrays[corrected[0]]) if corrected else ModelConfig.correction_hidden,
+        closing_fit=closing_fit,
     )

@@ -26,6 +26,7 @@ from drape.body.skeleton import JOINT_NAMES
 from drape.garment.cache import FORMAT_VERSION, GARMENTS_DIR, save_garment
 from drape.garment.features import boundary_vertices
 from drape.garment.fitting import fit_garment
+from drape.garment.intake import INTAKE_VERSION
 from drape.garment.skin import smoothing_matrix
 from drape.geometry.closest import closest_point, signed_distance
 
@@ -370,7 +371,9 @@ def main() -> None:
     body = load_body()
     for design in SHIPPED:
         vertices, faces = build(design, body)
-        key = vertices.tobytes() + faces.tobytes() + body.digest.encode() + str(FORMAT_VERSION).encode()
+        key = (
+            vertices.tobytes() + faces.tobytes() + body.digest.encode() + f"{FORMAT_VERSION}.{INTAKE_VERSION}".encode()
+        )
         garment = fit_garment(
             name=design.name, vertices=vertices, vertex_count=len(vertices), faces=faces, fine_faces=faces,
             uv=np.zeros((0, 2)), uv_faces=np.zeros((0, 3)),

@@ -15,6 +15,7 @@ from training.config import ModelConfig
 
 SLOPE = 0.01  # LeakyReLU, as in appendix A.3
 STRAIN_COUNT = 3 * STRAIN_POINTS
+CLOSENESS_COUNT = 2 * STRAIN_POINTS  # of the patch's own part of the body, and of others
 SURROUNDINGS_COUNT = 3 * JOINT_COUNT + 3  # of model.patch_surroundings
 
 
@@ -130,16 +131,18 @@ class Decoder(nn.Module):
 class Correction(nn.Sequential):
     """What a patch knows and feels -> change of its jets (F, K, 27).
 
-    Inputs: the decoder's code of the patch, strain and force of ``training.agreement``, and the jets themselves.
+    Inputs: the decoder's code of the patch, strain and force of ``training.agreement``, and the jets themselves; then
+    what it feels of the body, closeness and force, where the configuration has it.
     """
 
     def __init__(self, config: ModelConfig) -> None:
         inputs = config.decoder_sizes[-1] + STRAIN_COUNT + 2 * jets.JET_COUNT
+        inputs += CLOSENESS_COUNT + jets.JET_COUNT if config.feels_body else 0
         super().__init__(*mlp([inputs, config.correction_hidden, jets.JET_COUNT]))
         last = self[-1]
         assert isinstance(last, nn.Linear)
         nn.init.normal_(last.weight, std=1e-3)
         nn.init.zeros_(last.bias)
 
-    def forward(self, hidden: Tensor, strain: Tensor, force: Tensor, jet: Tensor) -> Tensor:
-        return super().forward(torch.cat([hidden, softened(strain), softened(force), jet], dim=-1))
+    def forward(self, hidden: Tensor, strain: Tensor, force: Tensor, jet: Tensor, body: list[Tensor]) -> Tensor:
+        return super().forward(torch.cat([hidden, softened(strain), softened(force), jet, *body], dim=-1))

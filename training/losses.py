@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -11,6 +11,7 @@ from torch import Tensor
 from drape.cloth import energies
 from drape.cloth.contact import plane_distance
 from drape.cloth.material import Material
+from drape.cloth.waistband import band_energy
 from training.agreement import framewise
 from training.data import BodyBatch, Partition, TrainingGarment, nearest_collider
 from training.model import BodyTensors, Posed, paper_vertices, posed_coefficients
@@ -64,6 +65,22 @@ def disagreement(posed: Posed, partition: Partition, sample: Tensor, *, less: Po
     said = (row[None, ..., None, :] @ gathered)[..., 0, :]  # (F, n, 4, 3)
     mean = (weight[None, ..., None] * said).sum(dim=2, keepdim=True)
     return (weight[None, ..., None] * (said - mean).square()).sum(dim=(2, 3)).mean()
+
+
+def held_up(posed: Posed, partition: Partition, garment: TrainingGarment) -> Tensor:
+    """Energy [J] (F,) of the garment's waistband (``drape.cloth.waistband``), zero without one."""
+    if garment.band is None:
+        return posed.jet.new_zeros(len(posed.jet))
+    vertex, length = garment.band
+    scale = partition.patches.scale
+    # Where the rigid charts carry the band is home; jets are what moves it from there.
+    moved = posed_coefficients(posed, scale) - posed_coefficients(
+        replace(posed, jet=torch.zeros_like(posed.jet)), scale
+    )
+    patch = partition.chart_patch[vertex]
+    row = partition.chart_weight[vertex][..., None] * partition.chart_row[vertex]  # (n, 4, 19)
+    gathered = torch.index_select(moved.flatten(2), 1, patch.reshape(-1)).reshape(len(moved), len(vertex), -1, 3)
+    return band_energy((row.reshape(1, len(vertex), 1, -1) @ gathered)[..., 0, :], length)
 
 
 def soften(energy: Tensor, knee: float) -> Tensor:

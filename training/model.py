@@ -8,10 +8,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from drape.cloth.push.patches import PatchSkin, Planes, felt, planes
+from drape.garment.agreement import strain_points
 from drape.garment.features import saturated
 from drape.geometry import jets
 from drape.geometry.skinning import blend_frames, skin_points
-from training.agreement import ChartAgreement, agreed_jets, strain_and_force, tangent_terms
+from training.agreement import ChartAgreement, agreed_jets, closing_jets, softened, strain_and_force, tangent_terms
 from training.config import ModelConfig
 from training.layers import Correction, Decoder, GarmentEncoder, StaticEncoder
 from training.recurrent import DynamicEncoder
@@ -27,6 +29,8 @@ class PatchTensors:
     weights: Tensor  # (K, 24)
     heaviest: Tensor  # (K,) int64
     shapedirs: Tensor  # (K, 3, 10)
+    place: Tensor | None = None  # (K, 7, 3) [m], of the strain points at rest in the patch frame
+    skin: PatchSkin | None = None
 
 
 @dataclass(frozen=True)
@@ -39,11 +43,12 @@ class BodyTensors:
     quaternion: Tensor  # (F, 24, 4)
     betas: Tensor  # (F, 10)
     joints: Tensor | None = None  # (F, 24, 3); needed by networks with surroundings
+    skin: Tensor | None = None  # (F, R, 12, 8) of drape.cloth.push.skin.skin_table; needed by those that feel the body
 
 
 @dataclass(frozen=True)
 class Posed:
-    """Posed patches: frames (F, K, 3, 3) and (F, K, 3), and what the network added to the rest jets (F, K, 27)."""
+    """Posed patches: frames (F, K, 3, 3) and (F, K, 3), and what was added to the rest jets (F, K, 27 or 45)."""
 
     rotation: Tensor
     centre: Tensor
@@ -53,15 +58,17 @@ class Posed:
 class OneFit(nn.Module):
     """The network of OneFit (section 3, appendix A.3) with vector jets in rigidly skinned frames.
 
-    Past the paper, in three steps (docs/architecture.md): charts start where the blend of the rigid ones is, the
-    decoder predicts a change of each, and a few passes bring charts to agree and correct them by what
-    they feel of their strain. The last is a learned solver: each pass sees how far off the drape still is.
+    Past the paper, in four steps (docs/architecture.md): charts start where the blend of the rigid ones is, the
+    decoder predicts a change of each, a few passes bring charts to agree and correct them by what they feel of
+    their strain, and a closing fit of higher order makes them say what the blend says. The passes are a learned
+    solver: each sees how far off the drape still is.
 
     Variant "paper" predicts a height jet, a translation and a scale of each patch in
     the rest pose; its vertices are skinned afterwards.
     """
 
     tangent_terms: Tensor
+    felt_terms: Tensor
 
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
@@ -77,18 +84,40 @@ class OneFit(nn.Module):
             raise ValueError(f"variant: expected 'vector' or 'paper', got {config.variant!r}. Choose one of them.")
         if self.agrees and (config.variant != "vector" or not config.surroundings):
             raise ValueError(
-                f"agreed_base and corrections: expected neither with variant {config.variant!r} and surroundings "
-                f"{config.surroundings}, got {config.agreed_base} and {config.corrections}. Leave them out."
+                f"agreed_base, corrections and closing_fit: expected none with variant {config.variant!r} and "
+                f"surroundings {config.surroundings}, got {config.agreed_base}, {config.corrections} and "
+                f"{config.closing_fit}. Leave them out."
             )
         self.decoder = Decoder(config, heads)
         self.corrections = nn.ModuleList(Correction(config) for _ in range(config.corrections))
         self.register_buffer("tangent_terms", tangent_terms(), persistent=False)
+        terms = jets.basis(strain_points(), jets.HEIGHT_ORDER).T  # (15, 7)
+        self.register_buffer("felt_terms", torch.from_numpy(terms.copy()).float(), persistent=False)
         self.autocast = False  # of the networks alone: places in space need float32
 
     @property
     def agrees(self) -> bool:
         """Whether ``forward`` needs the tables of ``training.agreement``."""
-        return self.config.agreed_base or self.config.corrections > 0
+        return self.config.agreed_base or self.config.corrections > 0 or self.config.closing_fit
+
+    def _felt(self, rotation: Tensor, points: Tensor, near: Planes) -> list[Tensor]:
+        """Closeness (F, K, 14) of the posed body to ``points`` of the patches, and its force on the jets (F, K, 27)."""
+        closeness, push = felt(points, near)
+        along = (push @ rotation).mT @ self.felt_terms.T  # (F, K, 3, 15)
+        plane, height = along[..., : jets.IN_PLANE_COUNT], along[..., 2, :]
+        return [closeness, softened(torch.cat([plane[..., 0, :], plane[..., 1, :], height], dim=-1) / 4.0)]
+
+    def _points(self, jet: Tensor, rotation: Tensor, centre: Tensor, patches: PatchTensors) -> Tensor:
+        """Where the strain points of posed patches are [m] (F, K, 7, 3)."""
+        assert patches.place is not None
+        moved = jets.full(jet).unflatten(-1, (3, -1)) @ self.felt_terms  # (F, K, 3, 7)
+        local = patches.place + patches.scale[:, None, None] * moved.mT
+        return local @ rotation.mT + centre[:, :, None]
+
+    @property
+    def jet_count(self) -> int:
+        """Numbers of a patch that ``forward`` returns."""
+        return jets.FULL_COUNT if self.config.closing_fit else jets.JET_COUNT
 
     def _mixed(self, like: Tensor) -> AbstractContextManager:
         if not self.autocast:
@@ -139,14 +168,28 @@ class OneFit(nn.Module):
             around = torch.cat([around, base], dim=-1)
         jet, hidden = self.predict(body, embedding, around, dynamic_code)
         jet = jet if base is None else base + jet
+        near = None  # tangent planes of the body, looked up once: corrections move patches by less than they are wide
         for correction in self.corrections[:passes]:
             assert charts is not None
             anchors = charts.anchors(posed_coefficients(Posed(rotation, centre, jet), patches.scale))
             jet = agreed_jets(anchors, charts, rotation, centre, patches.scale)
             strain, force = strain_and_force(jet, charts, self.tangent_terms)
+            body_felt = []
+            if self.config.feels_body:
+                # What is felt tells where things are; the energy's own gradient goes round it.
+                with torch.no_grad():
+                    points = self._points(jet, rotation, centre, patches)
+                    if near is None:
+                        assert patches.skin is not None and body.skin is not None
+                        near = planes(points, body.skin, patches.skin)
+                    body_felt = self._felt(rotation, points, near)
             with self._mixed(hidden):
-                change = correction(hidden, strain, force, jet)
+                change = correction(hidden, strain, force, jet, body_felt)
             jet = jet + self.config.output_gain * (change.float() if self.autocast else change)
+        if self.config.closing_fit:
+            assert charts is not None
+            anchors = charts.anchors(posed_coefficients(Posed(rotation, centre, jet), patches.scale))
+            jet = closing_jets(anchors, charts, rotation, centre, patches.scale)
         if self.config.variant == "paper":
             rotation, centre = rest_frames(body, patches)
         return Posed(rotation, centre, jet)
@@ -202,10 +245,7 @@ def posed_coefficients(posed: Posed, scale: Tensor) -> Tensor:
     Row 0 is the frame's centre, rows 1-3 turn the rest position y of the vertex in the
     patch frame, rows 4-18 are the network's jets turned into the world and scaled to metres.
     """
-    p, q, h = jets.unpack(posed.jet)
-    extra = jets.HEIGHT_COUNT - jets.IN_PLANE_COUNT
-    padding = torch.zeros_like(h[..., :extra])
-    local = torch.stack([torch.cat([p, padding], -1), torch.cat([q, padding], -1), h], dim=-1)  # (F, K, 15, 3)
+    local = jets.full(posed.jet).unflatten(-1, (3, jets.HEIGHT_COUNT)).mT  # (F, K, 15, 3)
     turned = scale[None, :, None, None] * (local @ posed.rotation.mT)
     return torch.cat([posed.centre[..., None, :], posed.rotation.mT, turned], dim=-2)
 

@@ -238,8 +238,9 @@ class Trainer(BaseTrainer):
         batch = self.source.pose(poses, betas)
         posed, vertices = self._drape(batch, garment, partition, passes=self._passes())
         parts = self._energy(vertices, garment, self._planes(vertices, batch))
+        parts["waistband"] = losses.held_up(posed, partition, garment) / float(garment.rest.areas.sum())
         contact = losses.soften(parts["contact"], config.contact_knee_j_m2)
-        energy = (parts["membrane"] + parts["bending"] + parts["gravity"] + contact).mean()
+        energy = (parts["membrane"] + parts["bending"] + parts["gravity"] + contact + parts["waistband"]).mean()
         charts = self._disagreement(posed, partition)
         # Charts that must agree from the start learn slower.
         share = config.early_agreement + (1.0 - config.early_agreement) * self.progress()

@@ -11,6 +11,8 @@ import torch
 from drape.body.model import BodyModel
 from drape.catalog import open_garment
 from drape.cloth.energies import ClothMesh
+from drape.cloth.push.skin import body_skin
+from drape.cloth.waistband import waistband
 from drape.errors import InputError
 from drape.garment.fitting import RestGarment, rest_garment
 from training.config import DataConfig
@@ -30,7 +32,8 @@ class Wardrobe:
     def __init__(
         self, config: DataConfig, body: BodyModel, *, seed: int, device: torch.device, process: int = 0
     ) -> None:
-        self.config, self.device = config, device
+        self.config, self.device, self._skin = config, device, body_skin(body)
+        self._body = body
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(process,)))
         self.garments: list[TrainingGarment] = []
         self.own: list[int] = []  # places of the named designs themselves
@@ -64,10 +67,15 @@ class Wardrobe:
     def _dressed(self, label: str, rest: RestGarment, seeds: list[int]) -> TrainingGarment:
         cloth = ClothMesh.from_rest(rest.vertices, rest.faces).like(torch.zeros(1, device=self.device))
         weights = torch.from_numpy(rest.hang.weights.astype(np.float32)).to(self.device)
-        return TrainingGarment(label, rest, cloth, [self._partition(rest, s) for s in seeds], weights, seeds)
+        found = waistband(rest.vertices, rest.faces, self._body)
+        band = None
+        if found is not None:
+            length = torch.from_numpy(found.length_m.astype(np.float32))
+            band = torch.from_numpy(found.vertex).to(self.device), length.to(self.device)
+        return TrainingGarment(label, rest, cloth, [self._partition(rest, s) for s in seeds], weights, seeds, band)
 
     def _partition(self, rest: RestGarment, seed: int) -> Partition:
-        return draw_partition(rest, seed=seed, jitter=self.config.patch_jitter, device=self.device)
+        return draw_partition(rest, self._skin, seed=seed, jitter=self.config.patch_jitter, device=self.device)
 
     def draw(self, rng: np.random.Generator) -> tuple[TrainingGarment, Partition]:
         """A garment and one of its partitions: a named design with chance ``own_share``, else any."""

@@ -43,6 +43,19 @@ def colliding_triangle_pct(vertices: np.ndarray, body_vertices: np.ndarray, body
     return 100.0 * np.array(inside)
 
 
+def through_pct(outer: np.ndarray, inner: np.ndarray, inner_faces: np.ndarray) -> np.ndarray:
+    """Share of the vertices ``outer`` (B, V, 3) that came through the garment ``inner`` (B, U, 3) below them.
+
+    A vertex is through where the nearest triangle of the inner garment faces away from it, unless the nearest point
+    lies on the border of that garment: then it is beside it.
+    """
+    shares = []
+    for over, under in zip(outer, inner, strict=True):
+        beside = closest.on_border(closest.closest_point(over, under, inner_faces), inner_faces)
+        shares.append((~beside & (closest.signed_distance(over, under, inner_faces) < 0.0)).mean())
+    return 100.0 * np.array(shares)
+
+
 def static_parts(
     vertices: np.ndarray,
     cloth: ClothMesh,

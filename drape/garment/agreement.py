@@ -50,6 +50,13 @@ def strain_points() -> np.ndarray:
     return np.concatenate([np.zeros((1, 2)), RING * np.stack([np.cos(angle), np.sin(angle)], axis=1)])
 
 
+def strain_places(patch_jet: np.ndarray, patch_scale: np.ndarray) -> np.ndarray:
+    """Where the strain points of patches with rest jets ``patch_jet`` (K, 27) are, in their frames [m] (K, 7, 3)."""
+    points = np.broadcast_to(strain_points(), (len(patch_scale), STRAIN_POINTS, 2))
+    scale = patch_scale.astype(np.float64)[:, None, None]
+    return scale * jets.evaluate(patch_jet.astype(np.float64)[:, None], points)
+
+
 def agreement(
     chart_patch: np.ndarray,
     chart_uv: np.ndarray,

@@ -37,7 +37,7 @@ class Disagreement:
 def chart_positions(garment: Garment, jet: np.ndarray, rotation: np.ndarray, centre: np.ndarray) -> np.ndarray:
     """Where each chart alone puts each vertex of the subdivided mesh [m], (F, V, 4, 3), float64.
 
-    ``jet`` (F, K, 27) what is added to the rest jets [patch scales], ``rotation`` (F, K, 3, 3) and ``centre``
+    ``jet`` (F, K, 27 or 45) what is added to the rest jets [patch scales], ``rotation`` (F, K, 3, 3) and ``centre``
     (F, K, 3) [m] the posed frames, as the drape graph returns them; positions are in the frame of ``centre``.
     """
     _check(garment, jet, rotation, centre)
@@ -58,14 +58,7 @@ def chart_normals(garment: Garment, jet: np.ndarray, rotation: np.ndarray) -> np
     jet, patch, uv = jet.astype(np.float64), garment.chart_patch, garment.chart_uv.astype(np.float64)
     scale = garment.patch_scale[patch].astype(np.float64)[..., None]
     by_u, by_v = (scale * jets.evaluate(jet[:, patch], uv, **d) for d in ({"u_times": 1}, {"v_times": 1}))
-    gradient = _uv_gradients(garment)
-    normals = meshes.vertex_normals(garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64))
-    moved = []
-    for tangent in _tangents(normals):
-        own = np.einsum("vkba,vb->vka", garment.patch_rotation[patch].astype(np.float64), tangent)
-        along = np.einsum("vkca,vka->vkc", gradient, own)
-        moved.append(own + along[..., 0:1] * by_u + along[..., 1:2] * by_v)
-    normal = cross(*moved)
+    normal = cross(*(own + along[..., 0:1] * by_u + along[..., 1:2] * by_v for own, along in rest_tangents(garment)))
     normal = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-30)
     return (rotation.astype(np.float64)[:, patch] @ normal[..., None])[..., 0]
 
@@ -79,13 +72,32 @@ def disagreement(garment: Garment, jet: np.ndarray, rotation: np.ndarray, centre
     said = chart_positions(garment, jet, rotation, centre)[:, overlap]
     blended = np.einsum("vk,fvka->fva", weight, said)
     gap = np.linalg.norm(said - blended[:, :, None], axis=-1)[:, heard]
-    normals = chart_normals(garment, jet, rotation)[:, overlap]
+    return Disagreement(gap, widest_angles(chart_normals(garment, jet, rotation)[:, overlap], heard))
+
+
+def widest_angles(normals: np.ndarray, heard: np.ndarray) -> np.ndarray:
+    """Largest angle [rad] (F, n) between two of the unit ``normals`` (F, n, m, 3) that ``heard`` (n, m) counts.
+
+    A normal that is NaN is not there.
+    """
     widest = np.zeros(normals.shape[:2])
     for first in range(normals.shape[2]):
         for second in range(first):
             angle = np.nan_to_num(_angle(normals[:, :, first], normals[:, :, second]))
             widest = np.maximum(widest, angle * (heard[:, first] & heard[:, second]))
-    return Disagreement(gap, widest)
+    return widest
+
+
+def rest_tangents(garment: Garment) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Two tangents of the rest mesh at every vertex: each (V, 4, 3) in the frames of its patches, and how fast
+    (u, v) change along it [1/m] (V, 4, 2), NaN where the chart has no triangle at the vertex."""
+    gradient = _uv_gradients(garment)
+    normals = meshes.vertex_normals(garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64))
+    found = []
+    for tangent in _tangents(normals):
+        own = np.einsum("vkba,vb->vka", garment.patch_rotation[garment.chart_patch].astype(np.float64), tangent)
+        found.append((own, np.einsum("vkca,vka->vkc", gradient, own)))
+    return found
 
 
 def _uv_gradients(garment: Garment) -> np.ndarray:
@@ -126,6 +138,6 @@ def _angle(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 def _check(garment: Garment, jet: np.ndarray, rotation: np.ndarray, centre: np.ndarray) -> None:
     count, frames = garment.patch_count, len(jet)
-    check_shape("jet", jet, (None, count, jets.JET_COUNT))
+    check_shape("jet", jet, (None, count, jets.FULL_COUNT if jet.shape[-1] == jets.FULL_COUNT else jets.JET_COUNT))
     check_shape("rotation", rotation, (frames, count, 3, 3))
     check_shape("centre", centre, (frames, count, 3))

@@ -13,6 +13,7 @@ from drape.body.model import BodyModel
 from drape.garment import charts, features, skin
 from drape.garment.cache import Garment
 from drape.garment.partition import mesh_edges, partition, patch_count_for, vertex_graph
+from drape.garment.unfold import fit_planes, folded_charts, folded_triangles, without_folds
 from drape.geometry import jets
 
 RIDGE = 1e-4  # of the jet fit, on coefficients of unit-scaled coordinates
@@ -68,12 +69,24 @@ def rest_garment(vertices: np.ndarray, faces: np.ndarray, body: BodyModel) -> Re
 
 
 def patch_fields(
-    rest: RestGarment, *, count: int | None = None, seed: int = DEFAULT_SEED, orient: charts.Orient | None = None
+    rest: RestGarment,
+    *,
+    count: int | None = None,
+    seed: int = DEFAULT_SEED,
+    orient: charts.Orient | None = None,
+    density: np.ndarray | None = None,
+    unfold: bool = False,
 ) -> dict[str, np.ndarray]:
-    """The patch and chart fields of ``Garment`` for one partition of ``rest`` into ``count`` patches."""
+    """The patch and chart fields of ``Garment`` for one partition of ``rest`` into ``count`` patches.
+
+    ``density`` (N,) makes patches smaller where it is high, each with a scale of its own
+    (``drape.garment.density``); ``unfold`` lays charts flat that fold over (``drape.garment.unfold``). What the
+    network reads of a patch is that of the projection either way: training draws partitions without unfolding.
+    """
     area = float(rest.areas.sum())
     count = min(patch_count_for(area) if count is None else count, len(rest.vertices))
-    label = partition(rest.vertices, rest.faces, rest.areas, count, seed=seed, graph=rest.graph)
+    mass = rest.areas if density is None else rest.areas * density
+    label = partition(rest.vertices, rest.faces, mass, count, seed=seed, graph=rest.graph)
     centre, seeds = charts.cluster_centres(label, rest.vertices, rest.areas)
     count = len(centre)
     weights = _cluster_mean(label, rest.areas, rest.hang.weights, count)
@@ -82,11 +95,16 @@ def patch_fields(
     rotation = charts.patch_frames(
         label, rest.vertices, rest.normals, rest.areas, weights @ rest.body.bone_directions, orient=orient
     )
-    scale = np.full(count, CHART_RADIUS * np.sqrt(area / count))
+    own_area = np.full(count, area / count) if density is None else np.bincount(label, rest.areas, count)
+    scale = CHART_RADIUS * np.sqrt(own_area)
     cover = charts.cover(rest.graph, seeds, spacing_m=float(np.sqrt(area / count)))
     local = np.einsum("vkba,vkb->vka", rotation[cover.patch], rest.vertices[:, None] - centre[cover.patch])
-    uv = local[..., :2] / scale[cover.patch][..., None]
-    jet = fit_jets(uv, local[..., 2] / scale[cover.patch], cover, count)
+    uv, height = local[..., :2] / scale[cover.patch][..., None], local[..., 2] / scale[cover.patch]
+    jet = projected = fit_jets(uv, height, cover, count)
+    if unfold:
+        flat = without_folds(cover, local, scale, rest.faces)
+        cover, uv = flat.cover, flat.uv
+        jet = fit_planes(fit_jets(uv, height, cover, count), flat, local, scale)
     residual = local - scale[cover.patch][..., None] * jets.evaluate(jet[cover.patch], uv)
     edges = mesh_edges(rest.faces)
     pairs = np.sort(label[edges], axis=1)
@@ -98,7 +116,7 @@ def patch_fields(
         "patch_weights": weights.astype(np.float32),
         "patch_shapedirs": shapedirs.astype(np.float32),
         "patch_features": features.patch_features(
-            centre=centre, rotation=rotation, scale=scale, jet=jet, weights=weights, seeds=seeds,
+            centre=centre, rotation=rotation, scale=scale, jet=projected, weights=weights, seeds=seeds,
             vertices=rest.vertices, faces=rest.faces, graph=rest.graph, body=rest.body,
         ),
         "patch_neighbours": np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0).astype(np.int32),
@@ -138,7 +156,12 @@ def fit_jets(uv: np.ndarray, height: np.ndarray, cover: charts.Cover, count: int
 
 
 def fit_error(rest: RestGarment, fields: dict[str, np.ndarray]) -> dict[str, float]:
-    """Point RMSE [m] and mean normal error [deg] of the blended jets without residual (OneFit, table 7)."""
+    """Point RMSE [m] and mean normal error [deg] of the blended jets without residual (OneFit, table 7).
+
+    Fold-over, zero after intake: ``folded_chart_triangles`` lie upside down in (u, v), ``folded_charts`` are no
+    bijections. ``folded_chart_entries`` count where a jet leans past its plane, which no height over a plane does
+    but a chart that was laid flat may: cloth that bends that far.
+    """
     patch = fields["chart_patch"]
     uv, weight = fields["chart_uv"].astype(np.float64), fields["chart_weight"].astype(np.float64)
     jet, scale = fields["patch_jet"].astype(np.float64), fields["patch_scale"].astype(np.float64)
@@ -151,11 +174,14 @@ def fit_error(rest: RestGarment, fields: dict[str, np.ndarray]) -> dict[str, flo
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
     cosine = np.clip(np.sum(normal * rest.normals, axis=1), -1.0, 1.0)
     folded = (jets.normal(jet[patch], uv)[..., 2] <= 0) & (weight > 0)
+    cover = charts.Cover(patch, weight)
     return {
         "point_rmse_m": float(np.sqrt(np.mean(point_error**2))),
         "point_max_m": float(point_error.max()),
         "normal_error_deg": float(np.degrees(np.arccos(cosine)).mean()),
         "folded_chart_entries": int(folded.sum()),
+        "folded_chart_triangles": int(folded_triangles(cover, uv, rest.faces).sum()),
+        "folded_charts": int(folded_charts(cover, uv, rest.faces).sum()),
     }
 
 
@@ -183,7 +209,7 @@ def fit_garment(
     subdivision; ``faces`` index the former, ``fine_faces`` all.
     """
     rest = rest_garment(vertices, fine_faces, body)
-    fields = patch_fields(rest, count=count, seed=seed, orient=orient)
+    fields = patch_fields(rest, count=count, seed=seed, orient=orient, unfold=True)
     garment = Garment(
         name=name,
         digest=digest,

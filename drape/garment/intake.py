@@ -33,7 +33,7 @@ from drape.garment.mesh_io import GarmentMesh, read_mesh
 from drape.garment.rest_pose import refine, to_standard
 from drape.geometry import meshes
 
-INTAKE_VERSION = 1  # raised when a change here changes the garments that come out
+INTAKE_VERSION = 2  # raised when a change here changes the garments that come out
 FINE_VERTEX_MINIMUM, FINE_VERTEX_LIMIT = 4_000, 40_000
 FINE_EDGE_M = 0.021  # each round halves the edges: the mean ends near 15 mm
 REFUSED_EXIT_CODE = 2
@@ -178,8 +178,8 @@ def intake(
 
     ``avatar`` says what it was modelled on (``drape.garment.avatars``); None asks the table
     beside the file and then takes the standard body, if the garment lies on it. With ``folder``
-    the result is stored there, and found there the next time. ``orient`` turns patch frames
-    (default: PCA). Raises ``InputError``; nothing is written then.
+    the result is stored there, and found there the next time. ``orient`` chooses patch planes
+    (default: their mean normals). Raises ``InputError``; nothing is written then.
     """
     say = report or (lambda line: None)
     body = load_body() if body is None else body

@@ -9,8 +9,9 @@ import numpy as np
 
 from drape.arrays import check_finite, check_shape
 from drape.errors import MeshError
-from drape.geometry.meshes import check_faces
+from drape.geometry.meshes import check_faces, half_edges
 
+ON_EDGE = 1e-9  # barycentric coordinate below which a point lies on the edge opposite
 NEEDLE = 1e-12  # squared sine below which a triangle has no barycentric coordinates; its nearest corner stands in
 
 
@@ -32,6 +33,22 @@ def closest_point(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -
     nearest, face = np.asarray(nearest), np.asarray(face).reshape(-1)
     weights = barycentric(nearest, vertices[faces[face]])
     return ClosestPoints(np.sqrt(np.asarray(squared).reshape(-1)), face, weights, nearest)
+
+
+def on_border(found: ClosestPoints, faces: np.ndarray) -> np.ndarray:
+    """Which of the nearest points (N,) lie on an edge that one triangle alone has: the cloth ends there."""
+    corners = np.asarray(faces, dtype=np.int64)
+    count = int(corners.max()) + 1
+    edges, times = np.unique(np.sort(half_edges(corners)[:, :2], axis=1), axis=0, return_counts=True)
+    border = edges[times == 1]
+    keys, rim = border @ (count, 1), np.zeros(count, dtype=bool)
+    rim[border] = True
+    own, weight = corners[found.face], found.barycentric
+    ends = (weight > 1.0 - ON_EDGE) & rim[own]
+    for k in range(3):
+        edge = np.sort(own[:, [(k + 1) % 3, (k + 2) % 3]], axis=1)
+        ends[:, k] |= (weight[:, k] < ON_EDGE) & np.isin(edge @ (count, 1), keys)
+    return np.asarray(ends.any(axis=1))
 
 
 def signed_distance(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -3,7 +3,8 @@
 A jet of order n is ``sum_{i<=n} sum_{j<=i} a_{i-j,j} u^(i-j) v^j`` (OneFit, equation 1),
 coefficients in that order: 1, u, v, u^2, uv, v^2, ... A vector jet carries three
 polynomials: in-plane p and q, and height h; its local surface is
-``x(u, v) = s (p, q, h)``. ``pack`` and ``unpack`` fix how a patch's coefficients lie in memory.
+``x(u, v) = s (p, q, h)``. ``pack`` and ``unpack`` fix how a patch's coefficients lie in memory. Networks predict
+vector jets of 27 numbers; a full one, of 45, has the height's order in the plane as well.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ def coefficient_count(order: int) -> int:
 IN_PLANE_COUNT = coefficient_count(IN_PLANE_ORDER)  # 6
 HEIGHT_COUNT = coefficient_count(HEIGHT_ORDER)  # 15
 JET_COUNT = 2 * IN_PLANE_COUNT + HEIGHT_COUNT  # 27
+FULL_COUNT = 3 * HEIGHT_COUNT  # 45
 
 
 def exponents(order: int) -> list[tuple[int, int]]:
@@ -61,21 +63,30 @@ def basis_derivative(uv: Array, order: int, *, u_times: int = 0, v_times: int = 
 
 
 def pack(p: Array, q: Array, h: Array) -> Array:
-    """Coefficients (..., 27) from p (..., 6), q (..., 6) and h (..., 15)."""
+    """Coefficients (..., 27 or 45) from p and q (..., 6 or 15) and h (..., 15)."""
     return namespace(p).concat([p, q, h], axis=-1)
 
 
 def unpack(jet: Array) -> tuple[Array, Array, Array]:
-    """p (..., 6), q (..., 6) and h (..., 15) of coefficients (..., 27)."""
-    return jet[..., :IN_PLANE_COUNT], jet[..., IN_PLANE_COUNT : 2 * IN_PLANE_COUNT], jet[..., 2 * IN_PLANE_COUNT :]
+    """p and q (..., 6) and h (..., 15) of coefficients (..., 27); of full ones (..., 45), p and q (..., 15)."""
+    plane = (jet.shape[-1] - HEIGHT_COUNT) // 2
+    return jet[..., :plane], jet[..., plane : 2 * plane], jet[..., 2 * plane :]
+
+
+def full(jet: Array) -> Array:
+    """The same jet with 45 coefficients, of (..., 27 or 45)."""
+    xp = namespace(jet)
+    p, q, h = unpack(jet)
+    padding = xp.zeros_like(h[..., p.shape[-1] :])
+    return xp.concat([p, padding, q, padding, h], axis=-1)
 
 
 def evaluate(jet: Array, uv: Array, *, u_times: int = 0, v_times: int = 0) -> Array:
-    """The vector jet (..., 27), or a derivative of it, at ``uv`` (..., 2): (..., 3), unscaled."""
+    """The vector jet (..., 27 or 45), or a derivative of it, at ``uv`` (..., 2): (..., 3), unscaled."""
     xp = namespace(jet)
     p, q, h = unpack(jet)
-    plane = basis_derivative(uv, IN_PLANE_ORDER, u_times=u_times, v_times=v_times)
     height = basis_derivative(uv, HEIGHT_ORDER, u_times=u_times, v_times=v_times)
+    plane = height[..., : p.shape[-1]]  # lower orders come first
     return xp.stack([xp.sum(p * plane, axis=-1), xp.sum(q * plane, axis=-1), xp.sum(h * height, axis=-1)], axis=-1)
 
 

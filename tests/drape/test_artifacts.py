@@ -10,10 +10,18 @@ import os
 import pytest
 
 from drape import artifacts
-from drape.artifacts import GraphSpec, Manifest, TensorSpec, file_digest, load_manifest, publish_folder
+from drape.artifacts import (
+    GraphSpec,
+    Manifest,
+    TensorSpec,
+    WeightsSpec,
+    file_digest,
+    load_manifest,
+    publish_folder,
+)
 from drape.errors import ArtifactError, NotFound
 
-CONTENTS = {"encoder.onnx": b"first graph", "drape.onnx": b"second graph"}
+CONTENTS = {"encoder.onnx": b"first graph", "drape.onnx": b"second graph", "weights.bin": b"tensors of both"}
 
 
 def graph(file: str) -> GraphSpec:
@@ -42,6 +50,7 @@ def manifest():
         state_size=8,
         training={"commit": "abc", "frames": 3},
         quality=[{"garment": "tank", "rmse_mm": 1.5}],
+        weights=WeightsSpec("weights.bin", hashlib.sha256(CONTENTS["weights.bin"]).hexdigest()),
     )
 
 
@@ -67,6 +76,14 @@ def test_a_manifest_from_before_there_was_dynamics_is_static(manifest):
     assert (read.dynamic, read.state_size) == (False, 0)
 
 
+def test_a_folder_from_before_there_were_shared_weights_is_read(folder, manifest):
+    data = json.loads(manifest.to_json())
+    del data["weights"]
+    (folder / "manifest.json").write_text(json.dumps(data))
+    (folder / "weights.bin").unlink()
+    assert load_manifest(folder) == dataclasses.replace(manifest, weights=None)
+
+
 def test_manifest_with_defaults_is_read_as_it_was_written(manifest):
     plain = Manifest("first", {}, "anny_default", "0" * 64, 16, 0.0)
     assert Manifest.from_json(plain.to_json(), where="manifest.json") == plain
@@ -83,14 +100,16 @@ def test_folder_is_read_as_it_was_written(folder, manifest):
     assert load_manifest(folder) == manifest
 
 
-def test_digest_changes_with_any_graph_and_with_nothing_else(manifest):
+def test_digest_changes_with_any_file_and_with_nothing_else(manifest):
     digests = {manifest.digest}
     for key, spec in manifest.graphs.items():
         changed = {**manifest.graphs, key: dataclasses.replace(spec, sha256="f" * 64)}
         digests.add(dataclasses.replace(manifest, graphs=changed).digest)
     exchanged = dict(zip(manifest.graphs, reversed(manifest.graphs.values()), strict=True))
     digests.add(dataclasses.replace(manifest, graphs=exchanged).digest)
-    assert len(digests) == 4
+    digests.add(dataclasses.replace(manifest, weights=WeightsSpec("weights.bin", "f" * 64)).digest)
+    digests.add(dataclasses.replace(manifest, weights=None).digest)
+    assert len(digests) == 6
     reordered = dict(reversed(manifest.graphs.items()))
     assert dataclasses.replace(manifest, graphs=reordered, training={}, quality=[]).digest == manifest.digest
 
@@ -106,15 +125,16 @@ def test_missing_model_is_not_found_and_the_others_are_named(folder):
 
 
 @pytest.mark.parametrize("file", CONTENTS)
-def test_missing_graph_is_refused(folder, file):
+def test_missing_file_is_refused_by_its_field(folder, file):
     (folder / file).unlink()
-    with pytest.raises(ArtifactError, match=f"expected {file}, got no such file"):
+    field = {"encoder.onnx": "garment_encoder", "drape.onnx": "drape", "weights.bin": "weights"}[file]
+    with pytest.raises(ArtifactError, match=f"first {field}: expected {file}, got no such file"):
         load_manifest(folder)
 
 
 @pytest.mark.parametrize("file", CONTENTS)
-def test_changed_graph_is_refused(folder, file):
-    (folder / file).write_bytes(b"another graph")
+def test_changed_file_is_refused(folder, file):
+    (folder / file).write_bytes(b"another file")
     with pytest.raises(ArtifactError, match=f"first/{file} sha256"):
         load_manifest(folder)
 
@@ -149,6 +169,9 @@ def change(data: dict, *path: str, remove: bool = False) -> dict:
         (("graphs", "drape", "inputs"), False),
         (("name",), True),
         (("embedding_size",), True),
+        (("weights",), False),
+        (("weights", "file"), True),
+        (("weights", "sha256"), True),
         (("unknown",), False),
     ],
 )

@@ -17,7 +17,7 @@ from drape.errors import ArtifactError
 from drape.feeds import body_feed, garment_feed, kinematics
 from drape.garment.cache import Garment
 from model_export import export as exporting
-from model_export.graph import OUTPUTS, DrapeGraph, drape_inputs
+from model_export.graph import DrapeGraph, drape_inputs, drape_outputs
 from model_export.parity import session
 from service.dynamics import Moment, advance, nothing
 from service.engine import Engine
@@ -73,8 +73,10 @@ def test_a_recurrence_that_differs_is_refused(model, garment, folder, tmp_path, 
     assert exporting.sequence_error(model, folder, graphs, garment) < 1e-5
     assert exporting.sequence_error(other, folder, graphs, garment) > exporting.TOLERANCE_M
     monkeypatch.setattr(exporting, "write_graphs", lambda model, staged: graphs)
+    monkeypatch.setattr(exporting, "share_weights", lambda staged, graphs: (graphs, None))
     monkeypatch.setattr(exporting, "parity_error", lambda *_: 0.0)
-    monkeypatch.setattr(exporting, "packed_parity_error", lambda *_: 0.0)
+    for other_parity in ("packed_parity_error", "push_parity_error", "layer_parity_error"):
+        monkeypatch.setattr(exporting, other_parity, lambda *_: 0.0)
     monkeypatch.setattr(exporting, "sequence_error", lambda *_: 1.0)
     with pytest.raises(ArtifactError, match="parity"):
         exporting.export(other, tmp_path / "m", garment=garment, training={})
@@ -84,9 +86,9 @@ def test_a_recurrence_that_differs_is_refused(model, garment, folder, tmp_path, 
 def test_at_rest_it_is_the_static_model_bit_for_bit(model, garment, folder, tmp_path):
     static = OneFit(replace(MOVING, dynamic=False)).eval()
     static.load_state_dict({k: v for k, v in model.state_dict().items() if not k.startswith("dynamic.")})
-    exporting.write_graph(DrapeGraph(static), tmp_path / "drape.onnx", drape_inputs(static), OUTPUTS)
+    exporting.write_graph(DrapeGraph(static), tmp_path / "drape.onnx", drape_inputs(static), drape_outputs(static))
     poses, trans = smooth_motion(np.arange(3) * 0.4)
-    arrays = body_feed(load_body(), poses, trans).arrays | garment_feed(garment)
+    arrays = body_feed(load_body(), poses, trans, skin=True).arrays | garment_feed(garment, body=load_body())
     arrays["patch_embedding"] = np.ones((garment.patch_count, MOVING.embedding_size), np.float32)
     names = [spec.name for spec in drape_inputs(static)]
     want = session(tmp_path / "drape.onnx").run(["vertices"], {name: arrays[name] for name in names})[0]
@@ -115,8 +117,8 @@ def test_a_body_that_stops_rests_within_two_seconds_and_then_for_ever(folder, ga
     moving = 15
     poses, trans = smooth_motion(np.arange(moving) / fps)
     at = kinematics(body, poses, trans)
-    constants = garment_feed(garment) | {"patch_embedding": engine.embed(garment.patch_features)}
-    last = body_feed(body, poses[-1:], trans[-1:]).arrays
+    constants = garment_feed(garment, body=load_body()) | {"patch_embedding": engine.embed(garment.patch_features)}
+    last = body_feed(body, poses[-1:], trans[-1:], skin=True).arrays
 
     def drape(code: np.ndarray) -> np.ndarray:
         return engine.drape({**last, **constants, "dynamic_code": code[None]})

@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 
 from drape.body.assets import load_body
 from drape.catalog import find_garments, open_garment
+from drape.cloth.push.skin import body_skin
 from drape.feeds import garment_feed
 from drape.garment.cache import Garment
 from drape.garment.disagreement import disagreement
@@ -22,6 +23,7 @@ from training.agreement import (
     TRACE_SHARE,
     GatheredAgreement,
     agreed_jets,
+    closing_jets,
     softened,
     strain_and_force,
     tangent_terms,
@@ -38,7 +40,8 @@ def garment() -> Garment:
 
 @cache
 def partition() -> Partition:
-    return partition_tensors({item.name: getattr(garment(), item.name) for item in fields(garment())}, device=CPU)
+    found = {item.name: getattr(garment(), item.name) for item in fields(garment())}
+    return partition_tensors(found, body_skin(body()), device=CPU)
 
 
 @cache
@@ -99,6 +102,45 @@ def test_agreement_brings_charts_together():
     assert np.median(gaps[1]) < 0.3 * np.median(gaps[0])
 
 
+def test_closing_fit_brings_charts_nearer_than_the_jets_of_the_passes_can():
+    """Order 4 in the plane follows what order 2 leaves; both forms of the tables give the same."""
+    state, scale = posed(size=0.02), partition().patches.scale
+    gaps, closed = [], []
+    for charts in (partition().agreement, gathered()):
+        anchors = charts.anchors(posed_coefficients(state, scale))
+        low = agreed_jets(anchors, charts, state.rotation, state.centre, scale)
+        high = closing_jets(anchors, charts, state.rotation, state.centre, scale)
+        assert high.shape[-1] == jets.FULL_COUNT
+        assert_allclose(jets.unpack(high)[2], jets.unpack(low)[2], rtol=0, atol=1e-6)  # heights have that order anyway
+        closed.append(high)
+        for jet in (low, high):
+            found = disagreement(garment(), jet.numpy(), state.rotation.numpy(), state.centre.numpy())
+            gaps.append(np.quantile(found.gap_m, 0.9))
+    assert_allclose(closed[0], closed[1], rtol=0, atol=2e-4 * float(closed[1].abs().max()))
+    assert gaps[1] < 0.8 * gaps[0] and gaps[3] < 0.8 * gaps[2]
+
+
+def test_charts_that_agree_stay_as_they_are_in_the_closing_fit():
+    """Polynomials of the fit's order that all charts share: an affine map of the whole garment."""
+    patches, charts = partition().patches, gathered()
+    stretch = torch.diag(torch.tensor([1.05, 0.97, 1.02]))
+    anchors = charts.anchors(torch.cat([patches.centre[:, None], patches.rotation.mT], dim=1)[None]) @ stretch
+    jet = closing_jets(anchors, charts, patches.rotation[None], patches.centre[None], patches.scale)
+    state = Posed(patches.rotation[None], patches.centre[None], jet)
+    again = charts.anchors(posed_coefficients(state, patches.scale))
+    assert float((again - anchors).abs().max()) < 5e-4  # the ridge and the rest's own detail
+
+
+def test_network_closes_with_full_jets_or_not_as_it_is_told():
+    bodies = source().pose(np.zeros((1, 24, 3)) + 0.1, np.zeros((1, body().shape_count))).tensors
+    for closing, count in ((True, jets.FULL_COUNT), (False, jets.JET_COUNT)):
+        model = OneFit(replace(TINY, closing_fit=closing)).eval()
+        with torch.no_grad():
+            embedding = model.garment(partition().features)
+            jet = model(bodies, partition().patches, embedding, charts=partition().agreement).jet
+        assert jet.shape[-1] == model.jet_count == count
+
+
 def test_strain_of_a_stretch_is_its_closed_form():
     """u -> 1.2 u, v -> 0.9 v + 0.1 u of flat patches: E = (F^T F - 1) / 2."""
     count, charts = 3, gathered()
@@ -156,7 +198,7 @@ def test_passes_choose_how_many_corrections_are_taken():
 
 def test_corrections_fit_no_network_but_one_of_vector_jets_with_surroundings():
     for wrong in (replace(paper().model, corrections=1), ModelConfig(surroundings=False)):
-        with pytest.raises(ValueError, match="agreed_base and corrections"):
+        with pytest.raises(ValueError, match="agreed_base, corrections and closing_fit"):
             OneFit(wrong)
 
 

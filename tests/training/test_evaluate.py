@@ -33,7 +33,11 @@ def network(variant: str = "vector", *, silent: bool = False) -> OneFit:
     """A tiny network; ``silent`` adds nothing to the jets."""
     torch.manual_seed(1)
     torch.set_num_threads(1)
-    plain = replace(TINY, agreed_base=False, corrections=0) if variant == "vector" else as_published(TINY)
+    plain = (
+        replace(TINY, agreed_base=False, corrections=0, closing_fit=False, feels_body=False)
+        if variant == "vector"
+        else as_published(TINY)
+    )
     return OneFit(replace(plain if silent or variant == "paper" else TINY, output_gain=0.0 if silent else 5.0)).eval()
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from numpy.testing import assert_allclose
 
 from drape.cloth import energies
 from drape.cloth.material import material
+from drape.cloth.waistband import SLACK_M, STIFFNESS_N_M2
 from drape.geometry import jets
 from tests.training.training_setup import bank, body, garment, source
 from training import losses
@@ -90,6 +93,21 @@ def test_charts_that_agree_have_no_disagreement_and_a_moved_patch_has():
     lift = 0.1 * float(partition.patches.scale[0])
     weight = torch.where(partition.chart_patch == 0, partition.chart_weight, torch.zeros(())).sum(dim=1)
     assert_allclose(got, float((weight * (1 - weight)).mean()) * lift**2, rtol=1e-3, atol=0)
+
+
+def test_a_garment_that_is_held_up_pays_for_where_its_band_went():
+    partition, scale = garment().partitions[0], garment().partitions[0].patches.scale
+    held = replace(garment(), band=(torch.arange(5), torch.full((5,), 0.02)))
+    rotation, centre = pose_frames(bodies(1).tensors, partition.patches)
+    still = Posed(rotation, centre, torch.zeros(1, len(scale), jets.JET_COUNT))
+    local = rotation.mT @ torch.tensor([0.0, -0.05, 0.0]) / scale[:, None]  # (1, K, 3), down by 5 cm in the world
+    fallen = still.jet.clone()
+    fallen[..., 0], fallen[..., jets.IN_PLANE_COUNT], fallen[..., 2 * jets.IN_PLANE_COUNT] = local.unbind(-1)
+    down = replace(still, jet=fallen)
+    assert float(losses.held_up(still, partition, held)) == 0.0
+    wanted = 0.5 * STIFFNESS_N_M2 * 0.1 * (0.05 - SLACK_M) ** 2
+    assert_allclose(losses.held_up(down, partition, held), [wanted], rtol=1e-3)
+    assert float(losses.held_up(down, partition, garment())) == 0.0  # no band, no hold
 
 
 def test_collider_normals_point_out_of_the_body():

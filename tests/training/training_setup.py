@@ -11,6 +11,7 @@ import torch
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.cloth.energies import ClothMesh
+from drape.cloth.push.skin import body_skin
 from drape.garment.fitting import RestGarment, rest_garment
 from training.config import DataConfig, ModelConfig, MotionConfig, TrainConfig
 from training.data import BodySource, TrainingGarment, collider_surface, draw_partition
@@ -73,7 +74,8 @@ def garment() -> TrainingGarment:
     rest = tube()
     cloth = ClothMesh.from_rest(rest.vertices, rest.faces).like(torch.zeros(1))
     weights = torch.from_numpy(rest.hang.weights.astype(np.float32))
-    return TrainingGarment("tube", rest, cloth, [draw_partition(rest, seed=3, jitter=0.0, device=CPU)], weights)
+    partition = draw_partition(rest, body_skin(body()), seed=3, jitter=0.0, device=CPU)
+    return TrainingGarment("tube", rest, cloth, [partition], weights)
 
 
 @cache

@@ -91,6 +91,17 @@ def test_pack_and_unpack_are_inverse(jet, rng):
     assert jet.shape[-1] == jets.JET_COUNT
 
 
+def test_full_jets_are_the_same_surface(jet, uv, rng):
+    full = jets.full(jet)
+    assert full.shape[-1] == jets.FULL_COUNT
+    assert_array_equal(jets.full(full), full)
+    for derivative in ({}, {"u_times": 1}, {"v_times": 2}):
+        assert_allclose(jets.evaluate(full, uv, **derivative), jets.evaluate(jet, uv, **derivative), rtol=0, atol=EXACT)
+    parts = [rng.normal(size=(5, jets.HEIGHT_COUNT)) for _ in range(3)]
+    for have, want in zip(jets.unpack(jets.pack(*parts)), parts, strict=True):
+        assert_array_equal(have, want)
+
+
 def test_identity_jet_is_the_parameter_plane(uv):
     flat = monge(np.zeros(jets.HEIGHT_COUNT))
     assert_allclose(jets.evaluate(flat, uv), np.c_[uv, np.zeros(50)], rtol=0.0, atol=EXACT)

@@ -1,0 +1,133 @@
+"""Large tensors of a model's graphs in one file beside them, each once: ONNX external data.
+
+The drape graph and the packed graph compute one network, so most matrices of theirs are the same numbers. A tensor of
+at least ``LEAST_BYTES`` goes to ``weights.bin``; tensors of equal content have one place there. The packed graph, which
+nothing reads weights back from, also takes matrices that another graph holds transposed: a Gemm says with ``transB``
+which way its matrix lies. No bit of a result changes, because the runtime brings constant matrices into a layout of its
+own before the first frame. What the exporter notes on every node, call stacks with folders of the machine that
+exported, is left out.
+
+Matrices that the packed graph holds with rows in another order are stored twice. A Gather of two constants would make
+one of the other, but ONNX Runtime 1.31 does not fold it when it opens the graph, and results then differ in last bits.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import onnx
+from onnx import TensorProto, helper, numpy_helper
+from onnx.external_data_helper import set_external_data
+
+from drape.artifacts import GraphSpec, Manifest, WeightsSpec, file_digest, load_manifest, publish_folder
+
+WEIGHTS_FILE = "weights.bin"
+ALIGNMENT = 64  # bytes: a cache line, and the widest vector register
+LEAST_BYTES = 1024
+BORROWER = "packed"
+
+
+@dataclass
+class _Store:
+    """The bytes of the file so far, and where in it each content begins."""
+
+    data: bytearray = field(default_factory=bytearray)
+    places: dict[bytes, int] = field(default_factory=dict)
+
+    def place(self, content: bytes) -> int:
+        """Where ``content`` begins, written now if it is new."""
+        if content not in self.places:
+            self.data.extend(bytes(-len(self.data) % ALIGNMENT))
+            self.places[content] = len(self.data)
+            self.data.extend(content)
+        return self.places[content]
+
+
+def share_weights(folder: Path, graphs: dict[str, GraphSpec]) -> tuple[dict[str, GraphSpec], WeightsSpec | None]:
+    """Rewrites the files of ``graphs`` in ``folder`` around ``weights.bin``; returns what the manifest says of them.
+
+    Where no tensor is large there is no such file, and None. Folders that have one already may be given again.
+    """
+    store, protos = _Store(), {}
+    for key in sorted(graphs, key=lambda key: (key == BORROWER, key)):  # whoever borrows comes last
+        proto = onnx.load(str(folder / graphs[key].file))
+        forget_origin(proto)
+        if key == BORROWER:
+            _borrow(proto.graph, store)
+        for tensor in proto.graph.initializer:
+            _move(tensor, store)
+        protos[key] = proto
+    for key, proto in protos.items():
+        onnx.save(proto, str(folder / graphs[key].file))
+    specs = {key: replace(spec, sha256=file_digest(folder / spec.file)) for key, spec in graphs.items()}
+    path = folder / WEIGHTS_FILE
+    path.unlink(missing_ok=True)
+    if not store.data:
+        return specs, None
+    path.write_bytes(store.data)
+    return specs, WeightsSpec(path.name, file_digest(path))
+
+
+def rewrite_folder(target: Path) -> Manifest:
+    """Shares the weights of the standing model folder ``target``, whose numbers stay; returns the new manifest."""
+    manifest = load_manifest(target)
+    staged = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
+    try:
+        shutil.copytree(target, staged, dirs_exist_ok=True)
+        graphs, weights = share_weights(staged, manifest.graphs)
+        manifest = replace(manifest, graphs=graphs, weights=weights)
+        (staged / "manifest.json").write_text(manifest.to_json())
+        staged.chmod(0o755)  # mkdtemp makes folders that only the owner can read
+        publish_folder(staged, target)
+    except BaseException:
+        shutil.rmtree(staged, ignore_errors=True)
+        raise
+    return manifest
+
+
+def forget_origin(proto: onnx.ModelProto) -> None:
+    """Drops what the exporter notes of the Python code behind the graph and its nodes."""
+    for part in (proto.graph, *proto.graph.node):
+        part.ClearField("doc_string")
+        part.ClearField("metadata_props")
+
+
+def _move(tensor: onnx.TensorProto, store: _Store) -> None:
+    """Puts the content of a large ``tensor`` into the file and leaves where it lies."""
+    content = _content(tensor)
+    if len(content) < LEAST_BYTES:
+        return
+    moved = TensorProto(name=tensor.name, dims=tensor.dims, data_type=tensor.data_type, raw_data=b"")
+    set_external_data(moved, WEIGHTS_FILE, offset=store.place(content), length=len(content))
+    moved.ClearField("raw_data")
+    tensor.CopyFrom(moved)
+
+
+def _borrow(graph: onnx.GraphProto, store: _Store) -> None:
+    """Turns matrices of Gemms in ``graph`` that the file has transposed."""
+    for tensor in graph.initializer:
+        users = [node for node in graph.node if tensor.name in node.input]
+        of_gemms = all(node.op_type == "Gemm" and list(node.input).index(tensor.name) == 1 for node in users)
+        if len(tensor.dims) != 2 or not of_gemms or _content(tensor) in store.places:
+            continue
+        turned = numpy_helper.from_array(np.ascontiguousarray(numpy_helper.to_array(tensor).T), tensor.name)
+        if _content(turned) in store.places:
+            tensor.CopyFrom(turned)
+            for node in users:
+                _turn(node)
+
+
+def _turn(gemm: onnx.NodeProto) -> None:
+    """Makes ``gemm`` take its matrix the other way round."""
+    turned = next((attribute.i for attribute in gemm.attribute if attribute.name == "transB"), 0)
+    kept = [attribute for attribute in gemm.attribute if attribute.name != "transB"]
+    del gemm.attribute[:]
+    gemm.attribute.extend([*kept, helper.make_attribute("transB", 1 - turned)])
+
+
+def _content(tensor: onnx.TensorProto) -> bytes:
+    return numpy_helper.to_array(tensor).tobytes()
