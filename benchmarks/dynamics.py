@@ -68,10 +68,10 @@ class Subject:
     hem: np.ndarray  # vertices
 
 
-def subject(engine: Engine, garment: Garment) -> Subject:
-    """``garment`` ready for draping and measuring on its subdivided mesh."""
+def subject(engine: Engine, garment: Garment, body: BodyModel) -> Subject:
+    """``garment`` ready for draping on ``body`` and measuring on its subdivided mesh."""
     rest, faces = garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64)
-    feed = {**garment_feed(garment, fine=True), "patch_embedding": engine.embed(garment.patch_features)}
+    feed = {**garment_feed(garment, fine=True, body=body), "patch_embedding": engine.embed(garment.patch_features)}
     return Subject(garment, feed, ClothMesh.from_rest(rest, faces), hem_vertices(rest, faces))
 
 
@@ -92,7 +92,7 @@ def stopped(clip: MotionClip, *, fps: float = FPS, hold_s: float = HOLD_S) -> tu
 
 def drape(engine: Engine, body: BodyModel, what: Subject, clip: MotionClip, *, motion: float) -> np.ndarray:
     """Vertices [m] (F, V, 3) float32 relative to the root joint, frame by frame as a stream would get them."""
-    feed, at = body_feed(body, clip.poses, clip.trans), kinematics(body, clip.poses, clip.trans)
+    feed, at = body_feed(body, clip.poses, clip.trans, skin=engine.feels_body), kinematics(body, clip.poses, clip.trans)
     memory, frames = nothing(engine), []
     for i in range(clip.frame_count):
         if motion > 0.0:
@@ -150,7 +150,7 @@ def potential_row(
     paced = clip.resampled(FPS)
     count = min(frames, paced.frame_count)
     part = paced.window((paced.frame_count - count) // 2, count)
-    feed = body_feed(body, part.poses, part.trans)
+    feed = body_feed(body, part.poses, part.trans, skin=engine.feels_body)
     way = (feed.root - feed.root[0])[:, None]
     world = {
         motion: drape(engine, body, what, part, motion=knob).astype(np.float64) + way
@@ -211,7 +211,11 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 def measure(engine: Engine, body: BodyModel, garment: Garment, clips: Sequence[MotionClip], frames: int) -> list[dict]:
     """Two rows for every clip: kind "stop" and kind "potential"."""
-    contact, cloth_material, what = BodyContact(body.faces, body.vertex_count), material(), subject(engine, garment)
+    contact, cloth_material, what = (
+        BodyContact(body.faces, body.vertex_count),
+        material(),
+        subject(engine, garment, body),
+    )
     rows: list[dict[str, Any]] = []
     for clip in clips:
         rows.append({"kind": "stop"} | stop_row(engine, body, what, clip))

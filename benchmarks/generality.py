@@ -45,7 +45,7 @@ RUNS: dict[str, dict[str, Any]] = {
     "T-shirt and 8 variants": {"garments": ("tshirt",), "partitions": 6, "variants": 8},
     "six, 1 partition each": {"garments": SIX, "partitions": 1, "variants": 0, "fresh_steps": NEVER},
     "six, fresh partitions": {"garments": SIX, "partitions": 6, "variants": 0, "fresh_steps": 100},
-    "seven and 4 variants each": {},
+    "seven and 7 variants each": {},
 }
 COLUMNS = {"run": "s", "garments": "d", "partitions": "d", "steps": "d"}
 

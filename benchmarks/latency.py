@@ -38,6 +38,7 @@ from drape.body.model import BodyModel
 from drape.feeds import body_feed, garment_feed
 from drape.garment.cache import Garment
 from drape.packing import PackedBody, pack_body
+from drape.push_packing import SkinShapes
 from service.engine import PACKED, Engine
 from service.packing import STORED_INDEX, Packer, ScenePlan
 from training.model import OneFit
@@ -67,7 +68,7 @@ class Bench:
 
     def packer(self, garments: dict[str, Garment]) -> Packer:
         """A packer with ``garments`` in store."""
-        packer = Packer(self.engine)
+        packer = Packer(self.engine, self.body)
         for key, garment in garments.items():
             packer.add(key, garment)
         return packer
@@ -126,6 +127,8 @@ def stages(bench: Bench, packer: Packer, key: str, pose: np.ndarray, whole: Timi
     feed = rows | packer.store.packed(key).stored
     packer.run(ScenePlan(), rows, [(key, 0)])
     feed |= packer._composed(((key, 0),), alone=True)[0].arrays
+    if bench.engine.feels_body:
+        feed |= SkinShapes(bench.body).feed(rows["betas"])
     ends = {"bones": ("bone_rotation", "bone_translation"), "patches": ("jet", "frame_rotation", "frame_centre")}
     done, last = {"pose": timed(lambda: bench.shape.rows(pose), seconds=bench.seconds / 4).p50_ms}, 0.0
     for stage, outputs in (ends | {"vertices": ("vertices",)}).items():
@@ -142,10 +145,11 @@ def stages(bench: Bench, packer: Packer, key: str, pose: np.ndarray, whole: Timi
 
 def readable(bench: Bench, garment: Garment, pose: np.ndarray) -> Timing:
     """The graph that is not packed, features in numpy."""
-    constants = garment_feed(garment) | {"patch_embedding": bench.engine.embed(garment.patch_features)}
+    constants = garment_feed(garment, body=bench.body) | {"patch_embedding": bench.engine.embed(garment.patch_features)}
 
     def call() -> None:
-        bench.engine.drape(body_feed(bench.body, pose, np.zeros((1, 3))).arrays | constants)
+        feed = body_feed(bench.body, pose, np.zeros((1, 3)), skin=bench.engine.feels_body)
+        bench.engine.drape(feed.arrays | constants)
 
     return timed(call, seconds=bench.seconds)
 

@@ -17,6 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from benchmarks.common import ROOT
+from benchmarks.kd_tree_push import Collider
 from benchmarks.latency_setup import timed
 from drape.body.model import BodyModel
 from drape.cloth.material import material
@@ -27,8 +28,10 @@ from drape.garment.cache import Garment
 from drape.geometry import jets
 from drape.geometry.skinning import skin_points
 from drape.packing import COLUMNS, PackedGarment, Place, compose, pack_body, pack_garment
-from model_export.packed import Bodies, Charts, FirstGraph, PackedGraph, Patches
-from service.collider import Collider
+from drape.push_packing import SkinShapes
+from model_export.packed import FirstGraph, PackedGraph
+from model_export.packed_contact import Felt, Skins
+from model_export.packed_parts import Bodies, Charts, Patches
 from training.agreement import TANGENT_COUNT
 from training.model import OneFit
 
@@ -41,12 +44,12 @@ CLEARANCE_M = 0.002
 class EagerDrape(nn.Module):
     """One body and one garment through ``PackedGraph`` in torch: the same constants computed before, vertices only."""
 
-    def __init__(self, model: OneFit, garment: Garment) -> None:
+    def __init__(self, model: OneFit, garment: Garment, body: BodyModel) -> None:
         super().__init__()
         self.graph = PackedGraph(model).eval()
         with torch.no_grad():
             first = FirstGraph(model)(torch.from_numpy(garment.patch_features))[1].numpy()
-        packed = pack_garment(garment_feed(garment), first)
+        packed = pack_garment(garment_feed(garment, body=body), first)
         arrays = {name: torch.from_numpy(value.copy()) for name, value in packed.stored.items()}
         arrays |= {k: torch.from_numpy(v) for k, v in compose([(packed, Place(0, 0), 0)]).arrays.items()}
         self.columns = arrays.pop("tile_positions")
@@ -56,12 +59,19 @@ class EagerDrape(nn.Module):
         stored = ("anchor_columns", "anchor_fit", "anchor_rest", "strain_tangent", "strain_unit")
         charts = Charts(*(arrays[name] for name in (*stored, "anchor_charts", "member_anchor")))
         self.charts = charts if model.agrees else None
+        self.skins = self.felt = None
+        if model.config.feels_body:
+            shape = SkinShapes(body).feed(pack_body(body).betas[None])
+            self.skins = Skins(*(torch.from_numpy(shape[k]) for k in ("skin_rows", "skin_bones", "body_shape")))
+            self.felt = Felt(*(arrays[f"felt_{name}"] for name in ("columns", "cluster", "bias", "other", "region")))
         self.index = arrays
 
     def forward(self, joint_quaternion: Tensor, joint_rest: Tensor, betas: Tensor) -> Tensor:
         """Vertices (blocks, 64, 3) [m]."""
-        bodies, index = Bodies(joint_quaternion, joint_rest, betas), self.index
-        posed = self.graph.pose(bodies, self.patches, None, index["patch_body"], index["patch_bone"], self.charts)
+        bodies, index = Bodies(joint_quaternion, joint_rest, betas, None, self.skins), self.index
+        posed = self.graph.pose(
+            bodies, self.patches, None, index["patch_body"], index["patch_bone"], self.charts, self.felt
+        )
         coefficients = torch.index_select(posed.coefficients, 0, index["tile_patch"])
         return self.graph.blend(coefficients, self.columns, index["vertex_charts"])
 
@@ -71,7 +81,7 @@ def torch_rows(
 ) -> list[dict[str, Any]]:
     """The same model in eager torch, and compiled where ``compiled`` and the machine has a compiler."""
     shape = pack_body(body)
-    eager = EagerDrape(model, garment)
+    eager = EagerDrape(model, garment, body)
 
     def call(module: Callable[..., Tensor]) -> Tensor:
         with torch.inference_mode():
@@ -140,6 +150,7 @@ def multiply_adds(model: OneFit, garment: PackedGarment) -> float:
     passes = len(graph.corrections)
     agreed = (3 * 4 * MEMBERS if graph.based else 0) + passes * 3 * COLUMNS * MEMBERS
     agreed += (passes + graph.based) * (3 * FIT_COUNT * MEMBERS + 9 * FIT_COUNT)
+    agreed += graph.closes * (3 * COLUMNS * MEMBERS + 3 * FIT_COUNT * MEMBERS + 9 * FIT_COUNT)
     per_patch += agreed + passes * 2 * jets.JET_COUNT * TANGENT_COUNT
     per_body = sum(p.numel() for p in [*graph.body.parameters(), graph.from_body.weight])
     return per_body + per_patch * garment.patch_count + 3 * garment.stored["tile_positions"].size

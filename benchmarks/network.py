@@ -50,8 +50,8 @@ class Network:
         """The garment's subdivided mesh and its charts at ``poses`` (F, 24, 3) [rad], without root translation."""
         features = np.ascontiguousarray(garment.patch_features, dtype=np.float32)
         (embedding,) = self._run("garment_encoder", {"patch_features": features}, ["patch_embedding"])
-        constants = {**garment_feed(garment, fine=True), "patch_embedding": embedding}
-        feed = body_feed(self.body, poses, np.zeros((len(poses), 3)))
+        constants = {**garment_feed(garment, fine=True, body=self.body), "patch_embedding": embedding}
+        feed = body_feed(self.body, poses, np.zeros((len(poses), 3)), skin=True)
         outputs = ["vertices", "jet", "frame_rotation", "frame_centre"]
         calls = []
         for start in range(0, len(poses), FRAMES_PER_CALL):

@@ -11,9 +11,12 @@ from benchmarks.network import Network
 from drape.body.model import BodyModel
 from drape.cloth.contact import BodyContact, push_out
 from drape.cloth.metrics import third_difference_square
+from drape.cloth.push.out import push_out_of_bodies
+from drape.cloth.push.skin import body_skin
 from drape.garment.cache import Garment
 from drape.geometry.skinning import skin_points
 from drape.motion.clip import MotionClip, clean_windows, joint_steps
+from drape.push_packing import push_feed
 
 FPS = 60.0
 WINDOW = 60  # frames
@@ -74,7 +77,7 @@ def jitter(
     if not windows:
         return {}
     squares: dict[str, list[float]] = {"skinning": [], "skinning_push": [], "network": [], "network_push": []}
-    rest = garment.vertices.astype(np.float64)
+    rest, feed = garment.vertices.astype(np.float64), push_feed(garment, body)
     for window in windows:
         rotations, translations = body.bones(window.poses)
         still = np.broadcast_to(rest, (len(window.poses), *rest.shape))
@@ -82,9 +85,14 @@ def jitter(
         draped = network.drape(garment, window.poses).vertices
         skin = body.posed_vertices(window.poses)
         normals = np.asarray(contact.normals(skin))
-        for method, vertices in (("skinning", skinned), ("network", draped)):
+        drapes = {
+            "skinning": skinned,
+            "skinning_push": push_out(skinned, skin, normals),
+            "network": draped,
+            "network_push": push_out_of_bodies(draped, skin, body_skin(body), feed),
+        }
+        for method, vertices in drapes.items():
             squares[method].append(third_difference_square(vertices))
-            squares[f"{method}_push"].append(third_difference_square(push_out(vertices, skin, normals)))
     labels = [window.label for window in windows]
     return {method: _compared(values, squares["skinning"], labels) for method, values in squares.items()}
 

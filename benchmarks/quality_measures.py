@@ -19,10 +19,13 @@ from drape.cloth.contact import BodyContact, push_out
 from drape.cloth.energies import ClothMesh
 from drape.cloth.intersections import intersection_count
 from drape.cloth.material import Material
+from drape.cloth.push.out import push_out_of_bodies
+from drape.cloth.push.skin import body_skin
 from drape.garment.cache import Garment
 from drape.garment.disagreement import disagreement
 from drape.geometry.skinning import skin_points
 from drape.motion.hard_poses import HardPoses
+from drape.push_packing import push_feed
 
 METHODS = ("skinning", "skinning_push", "network", "network_push", "physics")
 
@@ -117,7 +120,9 @@ def drapes(
         "skinning": skinned,
         "skinning_push": pushed,
         "network": draped.vertices,
-        "network_push": push_out(draped.vertices, bench.body_vertices, bench.body_normals),
+        "network_push": push_out_of_bodies(
+            draped.vertices, bench.body_vertices, body_skin(bench.body), push_feed(garment, bench.body)
+        ),
         "physics": optimum.vertices,
     }
     return positions, draped, optimum, was_cached

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from benchmarks import latency_report
+from benchmarks import latency_report, representation_report
 from benchmarks.common import RESULTS_DIR, ROOT
 
 QUALITY_COLUMNS = {
@@ -108,6 +108,9 @@ TABLES: tuple[tuple[str, str, str, Callable[[dict[str, Any]], str]], ...] = (
     ("latency", "docs/performance.md", "latency_stages", latency_report.stage_table),
     ("latency", "docs/performance.md", "latency_batches", latency_report.batch_table),
     ("latency", "docs/performance.md", "latency_growth", latency_report.growth_table),
+    ("representation", "docs/decisions/0008-representation.md", "forms", representation_report.form_table),
+    ("representation", "docs/decisions/0008-representation.md", "agreement", representation_report.agreement_table),
+    ("loss_ablation", "docs/losses.md", "loss_ablation", representation_report.loss_table),
 )
 
 

@@ -172,7 +172,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     engine = Engine(options.model, threads=options.threads)
     network = Network(options.model, body, threads=options.threads)
     poses = held_out(options.motions, body, frames)
-    rows = rows_of(made, network, Packer(engine), poses.poses, reference=reference, seconds=seconds)
+    rows = rows_of(made, network, Packer(engine, body), poses.poses, reference=reference, seconds=seconds)
     common.print_table(rows, COLUMNS)
     return common.finish(
         "resolution", rows, options, garment=base.name, reference=reference, frames=list(poses.labels),

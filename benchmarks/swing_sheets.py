@@ -69,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> Path:
     body = load_body()
     engine = open_engine(MODELS_DIR / options.model, body, threads=1)
     (path,) = find_garments([options.garment])
-    what = subject(engine, open_garment(path, body))
+    what = subject(engine, open_garment(path, body), body)
     rows = [strip(engine, body, what, read_motion(clip)) for clip in find_motions(options.motions)]
     out = options.out or common.ROOT / "docs" / "images" / f"swing_{what.garment.name}.png"
     save_png(out, sheet(rows))
