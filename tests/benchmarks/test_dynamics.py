@@ -49,7 +49,7 @@ def engine(models: Path) -> Engine:
 
 @pytest.fixture(scope="module")
 def tube(engine: Engine) -> subject.Subject:
-    return subject.subject(engine, tube_garment(load_body()))
+    return subject.subject(engine, tube_garment(load_body()), load_body())
 
 
 def clip(frames: int = 40) -> MotionClip:

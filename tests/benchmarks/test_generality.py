@@ -16,8 +16,8 @@ def test_every_run_is_a_configuration_of_known_designs():
         config = generality.training_config(run, 1.0, quick=False)
         assert set(config.data.garments) <= set(DESIGNS)
         assert config.data.partitions >= 1
-    whole = generality.training_config("seven and 4 variants each", 1.0, quick=False)
-    assert len(whole.data.garments) * (1 + whole.data.variants) == 35
+    whole = generality.training_config("seven and 7 variants each", 1.0, quick=False)
+    assert len(whole.data.garments) * (1 + whole.data.variants) == 56
 
 
 @pytest.mark.slow

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from benchmarks import report
+from benchmarks import loss_ablation, report, representation, representation_report
+from benchmarks.representation_space import REPRESENTATIONS
 
 ROW = {
     "edge_pct": 1.0,
@@ -56,3 +57,42 @@ def test_the_long_table_has_a_line_per_row_and_says_where_it_comes_from():
     table = report.quality_table(RECORD)
     assert table.count("| sash |") == 3
     assert "a machine, commit abc: `python -m benchmarks.quality`" in table
+
+
+def test_every_form_and_every_loss_has_a_name_in_the_documents():
+    assert set(REPRESENTATIONS) < set(representation_report.FORM_NAMES)
+    assert representation.AGREEING in representation_report.AGREEMENT_NAMES
+    assert {*loss_ablation.LOSS_SETS, "skinning", "skinning_push"} == set(representation_report.LOSS_NAMES)
+
+
+def test_the_table_of_forms_leaves_agreement_out_and_that_of_agreement_the_forms():
+    energies = {"membrane_j": 0.1, "energy_j": 0.25, "colliding_vertex_pct": 0.0, "edge_pct": 3.0, "area_pct": 2.0}
+    charts = {"chart_gap_p99_mm": 3.25, "chart_normal_p99_deg": 12.0, "percent": 100, "patches": 110, "gain": 0.91}
+    rows = [
+        {"garment": "sash", "method": "skinning", **energies, "gain": -0.3},
+        {"garment": "sash", "method": "rigid_2", "numbers": 27, **energies, **charts},
+        {"garment": "sash", "method": "rigid_2", "numbers": 27, **energies, **charts, "percent": 50},
+        {"garment": "sash", "method": "through", "numbers": 45, "refits": 2, "disagreement_weight": 4e3, **energies}
+        | charts,
+    ]
+    record = {**RECORD, "rows": rows}
+    _, _, *lines, _, source = representation_report.form_table(record).split("\n")
+    assert lines[0] == "| sash | - | - | skinning | 0.100 / 0.250 | 3.00 | 2.00 | 0.00 | -0.300 |"
+    assert [line.split(" | ")[2] for line in lines] == ["-", "27", "27"]
+    assert source.startswith("Measured on a machine")
+    _, _, *lines = representation_report.agreement_table(record).split("\n")
+    assert lines == [
+        "| sash | energy alone | - | - | 3.2 | 12.0 | 0.910 |",
+        "| sash | the same through consensus | 4e3 | 2 x 45 numbers | 3.2 | 12.0 | 0.910 |",
+    ]
+
+
+def test_the_table_of_losses_has_dashes_for_what_is_not_published():
+    energies = {"membrane_j": 0.1, "bending_j": 0.01, "contact_j": 0.0}
+    figures = {"edge_pct": 3.0, "area_pct": 2.0, "colliding_vertex_pct": 0.5, **energies}
+    published = dict(zip(("published_edge_pct", "published_area_pct"), (None, 12.76), strict=True))
+    rows = [{"loss": "skinning", **figures}, {"loss": "no_metric", **figures, **published, "chart_gap_p99_mm": 4.0}]
+    table = representation_report.loss_table({**RECORD, "rows": rows})
+    heads, rule, *lines = table.split("\n")[:4]
+    assert heads.count("|") == rule.count("|") == lines[0].count("|")
+    assert lines[1].startswith("| without metric (L_inext) | 3.00 | 2.00 | 0.500 | - | 12.8 | - | 0.100 | 0.0100 |")
