@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from drape.errors import ArtifactError, NotFound
 
@@ -43,11 +49,27 @@ class GraphSpec:
 
 
 @dataclass(frozen=True)
+class ParameterSpec:
+    """Where a parameter of the network, float32 of ``shape``, begins in the file of weights [bytes]; a ``turned``
+    matrix lies there transposed, as the graphs multiply with it."""
+
+    offset: int
+    shape: tuple[int, ...]
+    turned: bool = False
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> ParameterSpec:
+        return cls(data["offset"], tuple(data["shape"]), data["turned"])
+
+
+@dataclass(frozen=True)
 class WeightsSpec:
-    """The file of tensors that lie outside the ONNX files (ONNX external data), and its hash."""
+    """The file of tensors that lie outside the ONNX files (ONNX external data), its hash, and where in it the
+    ``parameters`` of the network are by their names in training."""
 
     file: str
     sha256: str
+    parameters: dict[str, ParameterSpec] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -60,7 +82,8 @@ class Manifest:
     ``state_size`` numbers per client. ``body_digest``: sha256 of the body the
     network was trained on. ``parity_error_m``: largest vertex distance torch vs
     onnxruntime at export. ``quality``: rows of benchmarks.quality. ``training``: commit,
-    command, frames seen, losses at the end. ``weights``: None where every graph holds its own.
+    command, frames seen, losses at the end. ``network``: its sizes, as ``training.config.ModelConfig`` names
+    them. ``weights``: None where every graph holds its own.
     """
 
     name: str
@@ -73,6 +96,7 @@ class Manifest:
     state_size: int = 0
     training: dict[str, Any] = field(default_factory=dict)
     quality: list[dict[str, Any]] = field(default_factory=list)
+    network: dict[str, Any] = field(default_factory=dict)
     weights: WeightsSpec | None = None
     format_version: int = FORMAT_VERSION
 
@@ -110,12 +134,26 @@ class Manifest:
                 for key, spec in data["graphs"].items()
             }
             if data.get("weights") is not None:
-                data["weights"] = WeightsSpec(data["weights"]["file"], data["weights"]["sha256"])
+                weights = data["weights"]
+                places = {key: ParameterSpec.from_json(place) for key, place in weights.get("parameters", {}).items()}
+                data["weights"] = WeightsSpec(weights["file"], weights["sha256"], places)
             return cls(**data)
         except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
             raise ArtifactError(
                 where, expected="a model manifest", got=str(error), cure="Export the model again."
             ) from error
+
+
+def read_parameters(folder: Path, weights: WeightsSpec) -> dict[str, np.ndarray]:
+    """Parameters of the network in the model ``folder``, whose manifest says ``weights``, by name."""
+    content = (folder / weights.file).read_bytes()
+
+    def read(place: ParameterSpec) -> np.ndarray:
+        shape = place.shape[::-1] if place.turned else place.shape
+        values = np.frombuffer(content, np.float32, count=math.prod(shape), offset=place.offset).reshape(shape)
+        return np.array(values.T if place.turned else values, order="C")
+
+    return {name: read(place) for name, place in weights.parameters.items()}
 
 
 def file_digest(path: Path) -> str:
@@ -156,6 +194,20 @@ def load_manifest(folder: Path) -> Manifest:
                 cure="Restore the file or export again.",
             )
     return manifest
+
+
+@contextmanager
+def staged_folder(target: Path) -> Iterator[Path]:
+    """A folder to write ``target`` in: published when the block ends, removed when it raises."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    staged = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
+    try:
+        yield staged
+        staged.chmod(0o755)  # mkdtemp makes folders that only the owner can read
+        publish_folder(staged, target)
+    except BaseException:
+        shutil.rmtree(staged, ignore_errors=True)
+        raise
 
 
 def publish_folder(staged: Path, target: Path) -> None:

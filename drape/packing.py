@@ -16,6 +16,7 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
+from drape.cloth.push.patches import in_halves
 from drape.cloth.push.samples import POSED_REGIONS
 from drape.errors import ArtifactError
 from drape.feeds import BETA_COUNT
@@ -27,7 +28,11 @@ from drape.geometry.rotations import rotvec_to_quaternion
 COLUMNS = 3 + jets.HEIGHT_COUNT  # rest place, basis
 CHARTS_PER_TILE = 64
 VERTICES_PER_BLOCK = 64
-KINDS = {"felt_cluster": np.int32, "felt_other": np.uint8}  # of stored arrays; the others are float32
+KINDS = {
+    "felt_cluster": np.int32,
+    "felt_other": np.uint8,
+    "felt_region": np.uint8,
+}  # of stored arrays; the others are float32
 TANGENTS = "tile_tangents"  # the one stored array that only normals need
 
 
@@ -225,7 +230,7 @@ def _anchor_constants(feed: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 def _felt_constants(feed: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Where each patch feels the body, as columns like those of the anchors, and the skin near it at rest."""
-    count, regions = feed["patch_region_bias"].shape
+    count, regions = feed["patch_other"].shape[:2]
     place = feed["patch_place"] / feed["patch_scale"][:, None, None]
     basis = np.broadcast_to(jets.basis(strain_points(), jets.HEIGHT_ORDER), (count, STRAIN_POINTS, jets.HEIGHT_COUNT))
     parts = regions // POSED_REGIONS
@@ -233,8 +238,8 @@ def _felt_constants(feed: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         "felt_columns": np.concatenate([place, basis], axis=-1).swapaxes(1, 2),
         "felt_cluster": feed["patch_cluster"],
         "felt_bias": feed["patch_cluster_bias"],
-        "felt_other": feed["patch_other"].reshape(count, parts, -1),
-        "felt_region": feed["patch_region_bias"].reshape(count, parts, POSED_REGIONS),
+        "felt_other": in_halves(feed["patch_other"]).reshape(count, parts, -1),
+        "felt_region": feed["patch_other"].max(axis=2).reshape(count, parts, POSED_REGIONS),
     }
 
 

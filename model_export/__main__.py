@@ -6,11 +6,7 @@ without a checkpoint writes the measured quality into the manifest of a folder t
 
     python -m model_export --push-out assets/models/NAME
 
-the graph of the push-out, which is the same for every network; and
-
-    python -m model_export --share-weights assets/models/NAME
-
-its weights into one file that its graphs share, without a change of a number.
+the graph of the push-out, which is the same for every network.
 """
 
 from __future__ import annotations
@@ -23,7 +19,6 @@ from pathlib import Path
 from drape.errors import DrapeError
 from drape.garment.cache import GARMENTS_DIR, load_garment
 from model_export.export import add_push_out, command_line, commit, export, load_model, write_quality
-from model_export.shared_weights import rewrite_folder
 
 
 def main() -> int:
@@ -34,18 +29,14 @@ def main() -> int:
     parser.add_argument("--quality", type=Path, help="JSON of benchmarks.quality whose rows go into the manifest")
     parser.add_argument("--push-out", action="store_true", help="write the push-out into a folder that stands")
     parser.add_argument("--garment", type=Path, help="garment cache for the parity check; default the shipped T-shirt")
-    parser.add_argument("--share-weights", action="store_true", help="rewrite the folder around one file of weights")
     arguments = parser.parse_args()
     try:
         rows = json.loads(arguments.quality.read_text())["rows"] if arguments.quality else None
         if arguments.checkpoint is None and not arguments.push_out:
-            if rows is None and not arguments.share_weights:
-                parser.error("give a checkpoint to export, or --quality, --push-out or --share-weights for one")
-            if arguments.share_weights:
-                print(f"{arguments.target}: digest {rewrite_folder(arguments.target).digest[:16]}")
-            if rows is not None:
-                write_quality(arguments.target, rows)
-                print(f"{arguments.target}: {len(rows)} rows of quality")
+            if rows is None:
+                parser.error("give a checkpoint to export, or --quality or --push-out for a folder that stands")
+            write_quality(arguments.target, rows)
+            print(f"{arguments.target}: {len(rows)} rows of quality")
             return 0
         path = arguments.garment or next(iter(sorted(GARMENTS_DIR.glob("tshirt-*.npz"))), None)
         if path is None:

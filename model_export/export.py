@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import os
-import shutil
 import sys
 import tempfile
 import warnings
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import onnx
 import torch
 from torch import nn
 
-from drape.artifacts import GraphSpec, Manifest, TensorSpec, file_digest, load_manifest, publish_folder
+from drape.artifacts import GraphSpec, Manifest, TensorSpec, file_digest, load_manifest, staged_folder
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment
@@ -79,10 +79,8 @@ def export(
 ) -> Manifest:
     """Writes ``target`` and returns its manifest; refuses above ``TOLERANCE_M`` and leaves the old folder then."""
     model.eval()
-    target.parent.mkdir(parents=True, exist_ok=True)
-    staged = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
-    try:
-        graphs, weights = share_weights(staged, write_graphs(model, staged))
+    with staged_folder(target) as staged:
+        graphs, weights = share_weights(staged, write_graphs(model, staged), parameters(model))
         encoder, drape = (staged / graphs[name].file for name in ("garment_encoder", "drape"))
         error = parity_error(model, encoder, drape, garment)
         if "packed" in graphs:
@@ -98,27 +96,27 @@ def export(
                 got=f"{error:.3g} m",
                 cure="Do not ship this export; find the operator that differs.",
             )
-        body = load_body()
         manifest = Manifest(
             name=target.name,
             graphs=graphs,
             body=DEFAULT_BODY,
-            body_digest=body.digest,
+            body_digest=load_body().digest,
             embedding_size=model.config.embedding_size,
             parity_error_m=error,
             dynamic=model.config.dynamic,
             state_size=model.config.state_size if model.config.dynamic else 0,
             training=training,
             quality=quality or [],
+            network=asdict(model.config),
             weights=weights,
         )
         (staged / "manifest.json").write_text(manifest.to_json())
-        staged.chmod(0o755)  # mkdtemp makes folders that only the owner can read
-        publish_folder(staged, target)
-    except BaseException:
-        shutil.rmtree(staged, ignore_errors=True)
-        raise
     return manifest
+
+
+def parameters(model: OneFit) -> dict[str, np.ndarray]:
+    """Everything that the state of ``model`` holds, by name."""
+    return {name: value.numpy() for name, value in model.state_dict().items()}
 
 
 def write_graphs(model: OneFit, folder: Path) -> dict[str, GraphSpec]:

@@ -50,7 +50,7 @@ CONTACT_INPUTS: tuple[TensorSpec, ...] = (
     TensorSpec("patch_place", ("patches", STRAIN_POINTS, 3), "float32", "m"),
     TensorSpec("patch_cluster", ("patches", OWN_CLUSTERS), "int64", "cluster of samples"),
     TensorSpec("patch_cluster_bias", ("patches", OWN_CLUSTERS * CLUSTER_SIZE), "float32", "1"),
-    TensorSpec("patch_other", ("patches", "regions", REGION_SIZE), "uint8", "1 / 255"),
+    TensorSpec("patch_other", ("patches", "regions", REGION_SIZE), "uint8", "1 / 15"),
     TensorSpec("patch_region_bias", ("patches", "regions"), "float32", "1"),
 )
 SKIN_INPUT = TensorSpec("skin_weights", ("vertices", 24), "float32", "1")

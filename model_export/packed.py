@@ -152,8 +152,10 @@ class PackedGraph(nn.Module):
             assert felt_cluster is not None and felt_bias is not None
             assert felt_other is not None and felt_region is not None
             skins = Skins(skin_rows, skin_bones, body_shape)
-            felt_tables = (felt_columns, felt_cluster, felt_bias, felt_other, felt_region)
-            felt = Felt(*(_rows(table, patch_stored) for table in felt_tables))
+            columns, cluster, bias, region = (
+                _rows(table, patch_stored) for table in (felt_columns, felt_cluster, felt_bias, felt_region)
+            )
+            felt = Felt(columns, cluster, bias, region, felt_other, patch_stored)
         bodies = Bodies(joint_quaternion, joint_rest, betas, dynamic_code, skins)
         patches = Patches(patch_first, patch_weights, patch_rotation, patch_scale, patch_centre, patch_shapedirs)
         charts = None

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from drape.cloth.push.field import mixed, queries
 from drape.cloth.push.out import REGION_BIAS_M2, REGION_COUNT
-from drape.cloth.push.patches import Planes, felt, mixed_others, tangent_planes
+from drape.cloth.push.patches import Planes, felt, from_halves, mixed_others, region_bias_of, tangent_planes
 from drape.cloth.push.samples import CLUSTER_SIZE, REGION_SIZE
 from drape.cloth.push.skin import skin_table
 from drape.geometry import jets
@@ -27,13 +27,14 @@ class Skins:
 
 @dataclass(frozen=True)
 class Felt:
-    """Inputs of ``PackedGraph`` by which patches feel it, gathered for its patches."""
+    """Inputs of ``PackedGraph`` by which patches feel it, gathered for its patches where nothing else is said."""
 
     columns: Tensor  # (P, 18, 7)
     cluster: Tensor  # (P, 10)
     bias: Tensor  # (P, 40)
-    other: Tensor  # (P, parts, 48)
     region: Tensor  # (P, parts, 4)
+    other: Tensor  # (stored patches, parts, 24), which few rows are taken of
+    stored: Tensor  # (P,)
 
 
 def posed_skins(skins: Skins, rotation: Tensor, translation: Tensor) -> Tensor:
@@ -57,14 +58,13 @@ def near_planes(points: Tensor, skin: Tensor, lists: Felt, patch_body: Tensor) -
     seen = torch.index_select(rows, 0, body).reshape(-1, regions, 4)
     centre = torch.cat([places.mean(dim=1), torch.ones_like(places[:, 0, :1])], dim=1)  # (P, 4)
     squared = (seen @ centre[:, :, None])[..., 0]
-    top = torch.topk(REGION_BIAS_M2 * lists.region.reshape(-1, regions) - squared, REGION_COUNT, dim=-1, sorted=False)[
-        1
-    ]
+    bias = region_bias_of(lists.region.reshape(-1, regions).to(places.dtype))
+    top = torch.topk(REGION_BIAS_M2 * bias - squared, REGION_COUNT, dim=-1, sorted=False)[1]
     table = torch.index_select(skin.reshape(-1, 8 * REGION_SIZE), 0, (top + (regions * body)[:, None]).reshape(-1))
-    # Not by one flat index: it would need the number of patches, and so an input that is of no use in a call of one.
-    other = torch.gather(lists.other.reshape(-1, regions, REGION_SIZE), 1, top[..., None].repeat(1, 1, REGION_SIZE))
+    row = (top + (regions * lists.stored.to(torch.int64))[:, None]).reshape(-1)
+    other = torch.index_select(lists.other.reshape(-1, REGION_SIZE // 2), 0, row).to(places.dtype)
     count = REGION_COUNT * REGION_SIZE
-    other_means = mixed_others(query, table.reshape(-1, count, 8), other.reshape(-1, count))
+    other_means = mixed_others(query, table.reshape(-1, count, 8), from_halves(other).reshape(-1, count))
     return tangent_planes(places[None], own_means[None], other_means[None])
 
 

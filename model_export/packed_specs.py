@@ -41,8 +41,8 @@ CONTACT_INPUTS: tuple[TensorSpec, ...] = (
     TensorSpec("felt_columns", ("stored_patches", COLUMNS, STRAIN_POINTS), "float32", "1"),
     TensorSpec("felt_cluster", ("stored_patches", OWN_CLUSTERS), "int32", "cluster of samples"),
     TensorSpec("felt_bias", ("stored_patches", OWN_CLUSTERS * CLUSTER_SIZE), "float32", "1"),
-    TensorSpec("felt_other", ("stored_patches", "parts", PART_SIZE), "uint8", "1 / 255"),
-    TensorSpec("felt_region", ("stored_patches", "parts", POSED_REGIONS), "float32", "1"),
+    TensorSpec("felt_other", ("stored_patches", "parts", PART_SIZE // 2), "uint8", "1 / 15, two each"),
+    TensorSpec("felt_region", ("stored_patches", "parts", POSED_REGIONS), "uint8", "1 / 15"),
 )
 
 

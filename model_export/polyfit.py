@@ -8,15 +8,13 @@ with torch.
 from __future__ import annotations
 
 import argparse
-import shutil
 import sys
-import tempfile
 from pathlib import Path
 
 import numpy as np
 import torch
 
-from drape.artifacts import MODELS_DIR, Manifest, TensorSpec, publish_folder
+from drape.artifacts import MODELS_DIR, Manifest, TensorSpec, staged_folder
 from drape.errors import ArtifactError, DrapeError
 from drape.garment.canonical import Transform, canonical
 from model_export.export import commit, write_graph
@@ -59,9 +57,7 @@ def export_polyfit(checkpoint: Path, target: Path) -> Manifest:
             cure="Export finetuned.pt or families.pt.",
         )  # fmt: skip
     state, config = load(checkpoint)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    staged = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
-    try:
+    with staged_folder(target) as staged:
         graph = write_graph(model, staged / "polyfit.onnx", INPUTS, OUTPUTS)
         error = parity_error(model, staged / graph.file)
         if not error <= TOLERANCE:
@@ -80,11 +76,6 @@ def export_polyfit(checkpoint: Path, target: Path) -> Manifest:
             },
         )  # fmt: skip
         (staged / "manifest.json").write_text(manifest.to_json())
-        staged.chmod(0o755)  # mkdtemp makes folders that only the owner can read
-        publish_folder(staged, target)
-    except BaseException:
-        shutil.rmtree(staged, ignore_errors=True)
-        raise
     return manifest
 
 

@@ -13,8 +13,7 @@ one of the other, but ONNX Runtime 1.31 does not fold it when it opens the graph
 
 from __future__ import annotations
 
-import shutil
-import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -23,7 +22,7 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 from onnx.external_data_helper import set_external_data
 
-from drape.artifacts import GraphSpec, Manifest, WeightsSpec, file_digest, load_manifest, publish_folder
+from drape.artifacts import GraphSpec, ParameterSpec, WeightsSpec, file_digest
 
 WEIGHTS_FILE = "weights.bin"
 ALIGNMENT = 64  # bytes: a cache line, and the widest vector register
@@ -47,10 +46,14 @@ class _Store:
         return self.places[content]
 
 
-def share_weights(folder: Path, graphs: dict[str, GraphSpec]) -> tuple[dict[str, GraphSpec], WeightsSpec | None]:
+def share_weights(
+    folder: Path, graphs: dict[str, GraphSpec], parameters: Mapping[str, np.ndarray] | None = None
+) -> tuple[dict[str, GraphSpec], WeightsSpec | None]:
     """Rewrites the files of ``graphs`` in ``folder`` around ``weights.bin``; returns what the manifest says of them.
 
-    Where no tensor is large there is no such file, and None. Folders that have one already may be given again.
+    The float32 ``parameters`` of the network are found in that file by their content, or added, so that training can
+    go on from it. Without them and where no tensor is large there is no such file, and None.
+    Folders that have one already may be given again.
     """
     store, protos = _Store(), {}
     for key in sorted(graphs, key=lambda key: (key == BORROWER, key)):  # whoever borrows comes last
@@ -64,29 +67,22 @@ def share_weights(folder: Path, graphs: dict[str, GraphSpec]) -> tuple[dict[str,
     for key, proto in protos.items():
         onnx.save(proto, str(folder / graphs[key].file))
     specs = {key: replace(spec, sha256=file_digest(folder / spec.file)) for key, spec in graphs.items()}
+    places = {name: _find(value, store) for name, value in (parameters or {}).items()}
     path = folder / WEIGHTS_FILE
     path.unlink(missing_ok=True)
     if not store.data:
         return specs, None
     path.write_bytes(store.data)
-    return specs, WeightsSpec(path.name, file_digest(path))
+    return specs, WeightsSpec(path.name, file_digest(path), places)
 
 
-def rewrite_folder(target: Path) -> Manifest:
-    """Shares the weights of the standing model folder ``target``, whose numbers stay; returns the new manifest."""
-    manifest = load_manifest(target)
-    staged = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
-    try:
-        shutil.copytree(target, staged, dirs_exist_ok=True)
-        graphs, weights = share_weights(staged, manifest.graphs)
-        manifest = replace(manifest, graphs=graphs, weights=weights)
-        (staged / "manifest.json").write_text(manifest.to_json())
-        staged.chmod(0o755)  # mkdtemp makes folders that only the owner can read
-        publish_folder(staged, target)
-    except BaseException:
-        shutil.rmtree(staged, ignore_errors=True)
-        raise
-    return manifest
+def _find(value: np.ndarray, store: _Store) -> ParameterSpec:
+    """Where ``value`` is in the file, which gets it at the end if it has it neither way round."""
+    assert value.dtype == np.float32
+    turned = np.ascontiguousarray(value.T).tobytes()
+    if value.ndim == 2 and value.tobytes() not in store.places and turned in store.places:
+        return ParameterSpec(store.places[turned], value.shape, turned=True)
+    return ParameterSpec(store.place(value.tobytes()), value.shape)
 
 
 def forget_origin(proto: onnx.ModelProto) -> None:

@@ -40,10 +40,16 @@ def load(path: Path, *, device: str = "cpu") -> tuple[dict[str, Any], TrainConfi
 def config_from(data: dict[str, Any]) -> TrainConfig:
     """The configuration from its dictionary form; lists become tuples again."""
 
-    def tuples(values: dict[str, Any]) -> dict[str, Any]:
-        return {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
-
     data = dict(data)
-    model, inputs = ModelConfig(**tuples(data.pop("model"))), DataConfig(**tuples(data.pop("data")))
-    motion = MotionConfig(**tuples(data.pop("motion", {})))  # checkpoints from before it was there have none
-    return TrainConfig(model=model, data=inputs, motion=motion, **tuples(data))
+    model, inputs = model_config_from(data.pop("model")), DataConfig(**_tuples(data.pop("data")))
+    motion = MotionConfig(**_tuples(data.pop("motion", {})))  # checkpoints from before it was there have none
+    return TrainConfig(model=model, data=inputs, motion=motion, **_tuples(data))
+
+
+def model_config_from(data: dict[str, Any]) -> ModelConfig:
+    """The sizes of a network from their dictionary form."""
+    return ModelConfig(**_tuples(data))
+
+
+def _tuples(values: dict[str, Any]) -> dict[str, Any]:
+    return {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}

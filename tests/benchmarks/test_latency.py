@@ -60,8 +60,7 @@ def test_rows_hold_together(record: dict):
     assert [row["batch"] for row in batches] == [1, 8]
     stores = [row for row in record["rows"] if "in store" in row["garment"]]
     extra = (stores[-1]["store_bytes"] - stores[0]["store_bytes"]) / 3
-    # An extra garment of 5,000 vertices. The target is 3 MB; what patches feel of the body took it to 3.24.
-    assert extra < 3.4e6
+    assert extra < 3e6  # an extra garment of 5,000 vertices
 
 
 @pytest.mark.slow

@@ -1,8 +1,7 @@
-"""Weights in one file: every content once, the same bits out, folders that can be rewritten again or not at all."""
+"""Weights in one file: every content once, the same bits out, and the network's parameters found in it by name."""
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
 
@@ -13,11 +12,9 @@ from numpy.testing import assert_array_equal
 from onnx import TensorProto, helper, numpy_helper
 from onnx.external_data_helper import ExternalDataInfo
 
-from drape.artifacts import MODELS_DIR, GraphSpec, Manifest, TensorSpec, file_digest, load_manifest
-from model_export import shared_weights
-from model_export.__main__ import main
+from drape.artifacts import MODELS_DIR, GraphSpec, TensorSpec, file_digest, load_manifest, read_parameters
 from model_export.parity import session
-from model_export.shared_weights import ALIGNMENT, LEAST_BYTES, WEIGHTS_FILE, rewrite_folder, share_weights
+from model_export.shared_weights import ALIGNMENT, LEAST_BYTES, WEIGHTS_FILE, share_weights
 
 DRAW = np.random.default_rng(7)
 WIDE = DRAW.normal(size=(192, 512)).astype(np.float32)  # a Gemm's matrix of the shipped packed graph has this shape
@@ -159,21 +156,41 @@ def test_without_large_tensors_there_is_no_file(tmp_path: Path):
     assert [path.name for path in (tmp_path / "m").iterdir()] == ["drape.onnx"]
 
 
-# --- standing folders ---
+# --- parameters of the network ---
+
+
+def test_parameters_are_found_by_their_content_or_added(tmp_path: Path):
+    graphs = write(tmp_path / "m", drape=readable())
+    scalar, row = np.float32(3.0).reshape(()), BIAS[None]
+    given = {"turned": WIDE, "straight": SAME, "bias": BIAS, "row": row, "scalar": scalar, "transposed": SAME.T.copy()}
+    _, weights = share_weights(tmp_path / "m", graphs, given)
+    assert weights is not None
+    found = weights.parameters
+    assert {name: (found[name].offset, found[name].turned) for name in ("turned", "straight", "transposed")} == {
+        "turned": (0, True), "straight": (WIDE.nbytes, False), "transposed": (WIDE.nbytes, True),
+    }  # fmt: skip
+    assert found["bias"].offset == found["row"].offset
+    read = read_parameters(tmp_path / "m", weights)
+    assert read.keys() == given.keys()
+    for name, value in given.items():
+        assert_array_equal(read[name], value)
+        assert read[name].flags.c_contiguous and read[name].flags.writeable
+    size = (tmp_path / "m" / WEIGHTS_FILE).stat().st_size
+    assert size <= WIDE.nbytes + SAME.nbytes + BIAS.nbytes + 4 + 2 * ALIGNMENT
+
+
+# --- the shipped model ---
 
 
 @pytest.fixture
-def old(tmp_path: Path) -> Path:
-    """The shipped model as folders were before: every graph holds its own tensors."""
+def alone(tmp_path: Path) -> tuple[Path, dict[str, GraphSpec]]:
+    """The shipped model's graphs, each with tensors of its own."""
     folder = Path(shutil.copytree(MODELS_DIR / "onefit", tmp_path / "models" / "onefit"))
-    manifest = json.loads((folder / "manifest.json").read_text())
-    for spec in manifest["graphs"].values():
-        onnx.save(onnx.load(str(folder / spec["file"])), str(folder / spec["file"]))
-        spec["sha256"] = file_digest(folder / spec["file"])
-    del manifest["weights"]
+    graphs = load_manifest(folder).graphs
+    for spec in graphs.values():
+        onnx.save(onnx.load(str(folder / spec.file)), str(folder / spec.file))
     (folder / WEIGHTS_FILE).unlink()
-    (folder / "manifest.json").write_text(json.dumps(manifest))
-    return folder
+    return folder, graphs
 
 
 def answers(folder: Path, spec: GraphSpec) -> list[bytes]:
@@ -190,49 +207,27 @@ def answers(folder: Path, spec: GraphSpec) -> list[bytes]:
     return [value.tobytes() for value in made]
 
 
-def test_the_shipped_model_is_smaller_and_gives_the_same_bits(old: Path, tmp_path: Path):
-    before = Path(shutil.copytree(old, tmp_path / "before"))
-    manifest = rewrite_folder(old)
-    assert load_manifest(old) == manifest
-    assert [path.name for path in old.parent.iterdir()] == ["onefit"]
-    assert manifest.training == load_manifest(before).training
-    assert manifest.quality == load_manifest(before).quality
-    for spec in manifest.graphs.values():
-        assert answers(old, spec) == answers(before, spec), spec.file
-    was, now = (sum(path.stat().st_size for path in folder.iterdir()) for folder in (before, old))
+def test_shared_weights_are_fewer_bytes_and_give_the_same_bits(
+    alone: tuple[Path, dict[str, GraphSpec]], tmp_path: Path
+):
+    folder, graphs = alone
+    before = Path(shutil.copytree(folder, tmp_path / "before"))
+    shared, _ = share_weights(folder, graphs)
+    for spec in shared.values():
+        assert answers(folder, spec) == answers(before, spec), spec.file
+    was, now = (sum(path.stat().st_size for path in folder.iterdir()) for folder in (before, folder))
     assert now < 0.8 * was
 
 
-def test_the_shipped_folder_is_what_the_program_writes_and_names_no_folder_of_a_machine(old: Path):
-    rewrite_folder(old)
+def test_the_shipped_folder_is_what_the_program_writes_and_names_no_folder_of_a_machine(
+    alone: tuple[Path, dict[str, GraphSpec]],
+):
+    shipped = load_manifest(MODELS_DIR / "onefit")
+    assert shipped.weights is not None
+    parameters = read_parameters(MODELS_DIR / "onefit", shipped.weights)
+    assert share_weights(*alone, parameters) == (shipped.graphs, shipped.weights)
     for path in (MODELS_DIR / "onefit").iterdir():
         content = path.read_bytes()
         if path.name != "manifest.json":
-            assert content == (old / path.name).read_bytes()
+            assert content == (alone[0] / path.name).read_bytes()
         assert b'File "/' not in content
-
-
-def test_a_crash_leaves_the_old_folder(old: Path, monkeypatch: pytest.MonkeyPatch):
-    before = {path.name: path.read_bytes() for path in old.iterdir()}
-
-    def crash(folder: Path, graphs: dict[str, GraphSpec]):
-        share_weights(folder, graphs)
-        raise OSError("disk full")
-
-    monkeypatch.setattr(shared_weights, "share_weights", crash)
-    with pytest.raises(OSError, match="disk full"):
-        rewrite_folder(old)
-    assert {path.name: path.read_bytes() for path in old.iterdir()} == before
-    assert [path.name for path in old.parent.iterdir()] == ["onefit"]
-
-
-def test_the_command_rewrites_and_refuses_what_is_no_model(
-    old: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
-    monkeypatch.setattr("sys.argv", ["model_export", "--share-weights", str(old)])
-    assert main() == 0
-    manifest: Manifest = load_manifest(old)
-    assert manifest.weights is not None and manifest.digest[:16] in capsys.readouterr().out
-    (old / WEIGHTS_FILE).write_bytes(b"another file")
-    assert main() == 2
-    assert "onefit/weights.bin sha256" in capsys.readouterr().err

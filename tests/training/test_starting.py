@@ -7,12 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import onnx
 import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from drape.artifacts import MODELS_DIR, file_digest, load_manifest
+from drape.artifacts import MODELS_DIR, load_manifest
 from drape.errors import ArtifactError, InputError
 from drape.garment.cache import GARMENTS_DIR
 from tests.fixtures.packed import MOVING, SMALL, exported, exported_dynamic
@@ -51,7 +50,7 @@ def same(weights: dict[str, torch.Tensor], model: OneFit) -> bool:
 def test_an_exported_model_gives_its_static_weights_back(make):
     model, folder, _ = make()
     weights, config, held_out = load_exported(folder)
-    assert config == SMALL and held_out == ()
+    assert config == replace(model.config, dynamic=False) and held_out == ()
     static = OneFit(SMALL)
     static.load_state_dict({k: v for k, v in model.state_dict().items() if not k.startswith("dynamic.")})
     assert same(weights, static)
@@ -73,17 +72,21 @@ def test_the_shipped_model_gives_a_network_that_computes_its_graph():
     assert_allclose(got, want, rtol=0, atol=1e-4)
 
 
-def test_a_graph_without_a_weight_is_refused(tmp_path: Path):
+@pytest.mark.parametrize("fault", ["no weights", "a name is missing", "a shape differs", "an unknown size"])
+def test_a_model_without_a_networks_weights_is_refused(tmp_path: Path, fault: str):
     folder = Path(shutil.copytree(MODELS_DIR / "onefit", tmp_path / "onefit"))
-    model = onnx.load(str(folder / "drape.onnx"))
-    for tensor in model.graph.initializer:
-        if tensor.name == "model.decoder.trunk.0.bias":
-            tensor.name = "renamed"
-    onnx.save(model, str(folder / "drape.onnx"))
-    manifest = load_manifest(MODELS_DIR / "onefit")
-    spec = replace(manifest.graphs["drape"], sha256=file_digest(folder / "drape.onnx"))
-    changed = replace(manifest, graphs={**manifest.graphs, "drape": spec})
-    (folder / "manifest.json").write_text(changed.to_json())
+    manifest = load_manifest(folder)
+    weights, network, name = manifest.weights, dict(manifest.network), "decoder.trunk.0.bias"
+    assert weights is not None
+    parameters = dict(weights.parameters)
+    if fault == "a name is missing":
+        del parameters[name]
+    elif fault == "a shape differs":
+        parameters[name] = replace(parameters[name], shape=(7,))
+    elif fault == "an unknown size":
+        network["of_another_program"] = 3
+    weights = None if fault == "no weights" else replace(weights, parameters=parameters)
+    (folder / "manifest.json").write_text(replace(manifest, weights=weights, network=network).to_json())
     with pytest.raises(ArtifactError, match="model onefit: expected the weights of a draping network"):
         load_exported(folder)
 

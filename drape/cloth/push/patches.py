@@ -13,21 +13,23 @@ import numpy as np
 
 from drape.arrays import Array, namespace
 from drape.cloth.push.field import largest, mixed, queries, ramp, surface, take
-from drape.cloth.push.out import AGREEMENT, BESIDE_M2, HAS_OTHER, OTHER_LEAST, REGION_BIAS_M2, REGION_COUNT
+from drape.cloth.push.out import AGREEMENT, BESIDE_M2, OTHER_LEAST, REGION_BIAS_M2, REGION_COUNT
 from drape.cloth.push.samples import CLUSTER_SIZE, REGION_SIZE
 from drape.cloth.push.skin import Skin
-from drape.cloth.push.tables import OTHER_STEPS, skin_lists
+from drape.cloth.push.tables import skin_lists
 
 GAP_M = 0.006  # a patch feels the body from this distance on; the contact energy begins at 4 mm
 UNIT_M = 0.01
 DEEP_M = (-0.060, -0.045)  # deeper inside is felt no more
+OTHER_STEPS = 15  # half a byte: two samples lie in one where they are stored
+REGION_LEAST = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class PatchSkin:
     """Skin near K patches: ``own_cluster`` (K, 10) clusters of samples under each, ``own_bias`` (K, 40) their logits;
-    ``other`` (K, R, 12) uint8, how much a sample is another part than the patch's own, in 255ths; ``region_bias``
-    (K, R) of regions."""
+    ``other`` (K, R, 12) uint8, how much a sample is another part than the patch's own, in 15ths; ``region_bias`` (K, R)
+    of regions (``region_bias_of``)."""
 
     own_cluster: Array
     own_bias: Array
@@ -38,13 +40,31 @@ class PatchSkin:
 def patch_skin(centre: np.ndarray, facing: np.ndarray, skin: Skin) -> PatchSkin:
     """The lists of patches at rest, ``centre`` [m] (K, 3) and unit outward ``facing`` (K, 3), as numpy arrays."""
     lists = skin_lists(np.asarray(centre, dtype=np.float64), np.asarray(facing, dtype=np.float64), skin)
-    other = lists.other.reshape(len(centre), -1, REGION_SIZE)
+    other = np.rint(OTHER_STEPS * lists.other.reshape(len(centre), -1, REGION_SIZE)).astype(np.uint8)
     return PatchSkin(
         own_cluster=lists.own_cluster.astype(np.int32),
         own_bias=lists.own_bias.astype(np.float32),
-        other=np.rint(OTHER_STEPS * other).astype(np.uint8),
-        region_bias=np.log(1e-6 + other.max(axis=2)).astype(np.float32),
+        other=other,
+        region_bias=region_bias_of(other.max(axis=2).astype(np.float32)),
     )
+
+
+def region_bias_of(most: Array) -> Array:
+    """Logits of regions by the ``most`` that a sample of each is another part, in 15ths: far below 0 where none is."""
+    return namespace(most).log(most * (1.0 / OTHER_STEPS) + REGION_LEAST)
+
+
+def in_halves(other: np.ndarray) -> np.ndarray:
+    """``other`` (..., 12) of ``PatchSkin`` as bytes (..., 6): sample i in the low half, i + 6 in the high half."""
+    half = other.shape[-1] // 2
+    return other[..., :half] | (other[..., half:] << 4)
+
+
+def from_halves(stored: Array) -> Array:
+    """The other way round: ``in_halves`` (..., 6) as numbers (..., 12) of the type of ``stored``, a floating one."""
+    xp = namespace(stored)
+    high = xp.floor(stored * (1.0 / 16.0))
+    return xp.concat([stored - 16.0 * high, high], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,10 +140,10 @@ def _other(points: Array, query: Array, skin: Array, lists: PatchSkin) -> Array:
 
 
 def mixed_others(query: Array, table: Array, other: Array) -> Array:
-    """Means (..., n, 8) of samples ``table`` (..., c, 8) that are another part by ``other`` (..., c) 255ths."""
+    """Means (..., n, 8) of samples ``table`` (..., c, 8) that are another part by ``other`` (..., c) 15ths."""
     xp = namespace(query)
     share = xp.astype(other, query.dtype)
     means = mixed(query, table, xp.log(share * (1.0 / OTHER_STEPS) + OTHER_LEAST))
-    there = xp.astype(xp.max(share, axis=-1, keepdims=True) >= HAS_OTHER, query.dtype)
+    there = xp.astype(xp.max(share, axis=-1, keepdims=True) >= 1.0, query.dtype)
     # Normals that are zero agree with nothing, which fades the surface out.
     return xp.concat([means[..., :4], means[..., 4:] * there[..., None]], axis=-1)

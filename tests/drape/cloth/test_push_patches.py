@@ -10,9 +10,21 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.body.assets import load_body
 from drape.body.skeleton import JOINT_NAMES
-from drape.cloth.push.patches import GAP_M, UNIT_M, PatchSkin, Planes, felt, patch_skin, planes
+from drape.cloth.push.patches import (
+    GAP_M,
+    OTHER_STEPS,
+    UNIT_M,
+    PatchSkin,
+    Planes,
+    felt,
+    from_halves,
+    in_halves,
+    patch_skin,
+    planes,
+    region_bias_of,
+)
 from drape.cloth.push.skin import body_skin, shaped_skin, skin_table
-from drape.cloth.push.tables import OTHER_STEPS, outward_directions
+from drape.cloth.push.tables import outward_directions
 from drape.feeds import body_feed, garment_feed
 from drape.geometry import closest
 from drape.geometry.skinning import blend_frames
@@ -105,6 +117,19 @@ def test_lists_are_what_their_shapes_say():
     assert own.own_cluster.shape == (count, 10) and own.own_bias.shape == (count, 40)
     assert own.other.shape == (count, skin.region_count, 12) and own.region_bias.shape == (count, skin.region_count)
     assert own.other.dtype == np.uint8 and own.other.max() == OTHER_STEPS and own.other.min() == 0
+
+
+def test_two_samples_fit_in_a_byte():
+    other = lists("tank").other
+    stored = in_halves(other)
+    assert stored.dtype == np.uint8 and stored.nbytes == other.nbytes // 2
+    for numbers in (stored.astype(np.float32), torch.from_numpy(stored).float()):
+        assert_array_equal(from_halves(numbers), other)
+
+
+def test_regions_without_another_part_lie_far_below():
+    bias = region_bias_of(np.array([0.0, 1.0, OTHER_STEPS]))
+    assert_allclose(np.exp(bias), [1e-6, 1.0 / OTHER_STEPS, 1.0], rtol=0, atol=2e-6)
 
 
 def test_skins_of_any_shape_are_those_of_their_bones():
