@@ -63,8 +63,7 @@ class EagerDrape(nn.Module):
         if model.config.feels_body:
             shape = SkinShapes(body).feed(pack_body(body).betas[None])
             self.skins = Skins(*(torch.from_numpy(shape[k]) for k in ("skin_rows", "skin_bones", "body_shape")))
-            felt = ("felt_columns", "felt_cluster", "felt_bias", "felt_region", "felt_other", "patch_stored")
-            self.felt = Felt(*(arrays[name] for name in felt))
+            self.felt = Felt(*(arrays[f"felt_{name}"] for name in ("columns", "cluster", "bias", "other", "region")))
         self.index = arrays
 
     def forward(self, joint_quaternion: Tensor, joint_rest: Tensor, betas: Tensor) -> Tensor:

@@ -45,7 +45,7 @@ from training.data import BodyBatch, Partition, TrainingGarment, nearest_collide
 from training.evaluate import held_out_clips, posed_patches
 from training.model import OneFit, Posed
 from training.paper_losses import ChartSamples, ChartSurface, PaperWeights
-from training.poses import PoseBank, draw_betas, read_clips
+from training.poses import PoseBank, read_clips
 from training.run import sample_motions, train
 from training.trainer import SAMPLE_VERTICES, Objective, Trainer
 
@@ -129,11 +129,7 @@ class LossTrainer(Trainer):
 
     def objective(self) -> Objective:
         """The weighted terms of ``self.chosen`` on a batch that is drawn now, means over it; the loss is their sum."""
-        config = self.config
-        garment, partition = self.wardrobe.draw(self.rng)
-        poses = self.bank.draw(config.batch_size, self.rng)
-        betas = draw_betas(config.batch_size, self.body.shape_count, config.data, self.rng)
-        batch = self.source.pose(poses, betas)
+        garment, partition, batch = self._draw()
         posed, vertices = self._drape(batch, garment, partition, passes=self._passes())
         posed = replace(posed, jet=posed.jet.float())
         terms = (self._house if self.chosen.house else self._paper)(vertices, posed, garment, partition, batch)

@@ -12,7 +12,7 @@ from drape.body.model import BodyModel
 from drape.cloth.push.field import take
 from drape.cloth.push.layers import ClothSamples, cloth_samples, covered, joined
 from drape.cloth.push.out import CLEARANCE_M, Pushed, PushFeed, push_in_parts
-from drape.cloth.push.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE, Samples, sample_table, unit_cross
+from drape.cloth.push.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE, Samples, table_of_columns, unit_cross
 from drape.cloth.push.skin import body_skin
 from drape.errors import ArtifactError, InputError
 from drape.feeds import garment_feed
@@ -146,6 +146,6 @@ def cloth_table(under: Array, feed: LayerFeed) -> Array:
     frames, (parts, clusters, count) = under.shape[0], feed.cloth_member.shape
     taken = take(under, xp.reshape(feed.cloth_member, (-1,)), axis=1)
     taken = xp.matrix_transpose(xp.reshape(taken, (frames, parts, clusters, count, 3)))
-    posed = xp.matrix_transpose(taken @ feed.cloth_rows)  # (F, Q, 12, 12, 3)
-    point, first, second = (posed[..., k * CLUSTER_SIZE : (k + 1) * CLUSTER_SIZE, :] for k in range(3))
-    return xp.reshape(sample_table(point, unit_cross(first, second)), (frames, POSED_REGIONS * parts, REGION_ROW))
+    posed = taken @ feed.cloth_rows  # (F, Q, 12, 3, 12)
+    point, first, second = (posed[..., k * CLUSTER_SIZE : (k + 1) * CLUSTER_SIZE] for k in range(3))
+    return xp.reshape(table_of_columns(point, unit_cross(first, second)), (frames, POSED_REGIONS * parts, REGION_ROW))

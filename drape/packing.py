@@ -221,8 +221,8 @@ def _anchor_constants(feed: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     unit = feed["patch_orthonormal"]
     return {
         "anchor_columns": np.concatenate([rest_place, row[..., 4:]], axis=-1).swapaxes(1, 2),
-        "anchor_fit": feed["patch_fit"],
-        "anchor_rest": feed["patch_rest"].reshape(count, -1),
+        "anchor_fit": feed["patch_fit"].swapaxes(1, 2),
+        "anchor_rest": feed["patch_rest"].swapaxes(1, 2).reshape(count, -1),
         "strain_tangent": feed["patch_tangent"].transpose(0, 3, 2, 1).reshape(count, -1),
         "strain_unit": np.stack([unit[..., 0, 0], unit[..., 0, 1], unit[..., 1, 1]], axis=1),
     }

@@ -27,6 +27,7 @@ from drape.garment.agreement import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.garment.features import REACH_M
 from drape.geometry import jets
+from drape.geometry.rotations import dot_columns
 from drape.packing import CHARTS_PER_TILE, COLUMNS, VERTICES_PER_BLOCK
 from drape.wire import STEP_COUNT
 from model_export import packed_weights as constants
@@ -152,10 +153,8 @@ class PackedGraph(nn.Module):
             assert felt_cluster is not None and felt_bias is not None
             assert felt_other is not None and felt_region is not None
             skins = Skins(skin_rows, skin_bones, body_shape)
-            columns, cluster, bias, region = (
-                _rows(table, patch_stored) for table in (felt_columns, felt_cluster, felt_bias, felt_region)
-            )
-            felt = Felt(columns, cluster, bias, region, felt_other, patch_stored)
+            felt_tables = (felt_columns, felt_cluster, felt_bias, felt_other, felt_region)
+            felt = Felt(*(_rows(table, patch_stored) for table in felt_tables))
         bodies = Bodies(joint_quaternion, joint_rest, betas, dynamic_code, skins)
         patches = Patches(patch_first, patch_weights, patch_rotation, patch_scale, patch_centre, patch_shapedirs)
         charts = None
@@ -249,8 +248,9 @@ class PackedGraph(nn.Module):
         anchors = (self.ones @ _rows(rows, charts.anchor_charts.reshape(-1)).reshape(CHARTS_PER_VERTEX, -1)).reshape(
             -1, 3
         )
-        places = _rows(anchors, charts.member_anchor.reshape(-1)).reshape(-1, MEMBERS, 3)
-        local = (charts.fit @ (places - centre.mT)) @ into
+        # Coordinates first: three rows of many columns, the shape that small products and differences are fast in.
+        places = _rows(anchors, charts.member_anchor.reshape(-1)).reshape(-1, MEMBERS, 3).mT
+        local = into.mT @ ((places - centre) @ charts.fit)
         return torch.index_select(local.reshape(-1, 3 * FIT_COUNT) - charts.rest, 1, numbers)
 
     def _strain(self, jet: Tensor, charts: Charts) -> tuple[Tensor, Tensor]:
@@ -259,9 +259,9 @@ class PackedGraph(nn.Module):
         a, b, c = charts.unit.split(1, dim=1)  # (P, 1, 7)
         by_u, by_v = tangent[:, 0], tangent[:, 1]
         u, v = a * by_u, b * by_u + c * by_v
-        e11 = 0.5 * (u * u).sum(dim=1, keepdim=True) - 0.5
-        e22 = 0.5 * (v * v).sum(dim=1, keepdim=True) - 0.5
-        e12 = 0.5 * (u * v).sum(dim=1, keepdim=True)
+        e11 = 0.5 * dot_columns(u, u) - 0.5
+        e22 = 0.5 * dot_columns(v, v) - 0.5
+        e12 = 0.5 * dot_columns(u, v)
         trace = TRACE_SHARE * (e11 + e22)
         along_u, along_v = (e11 + trace) * u + e12 * v, e12 * u + (e22 + trace) * v
         pull = torch.cat([a * along_u + b * along_v, c * along_v], dim=1).reshape(-1, TANGENT_COUNT)

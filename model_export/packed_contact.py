@@ -9,8 +9,15 @@ from torch import Tensor
 
 from drape.cloth.push.field import mixed, queries
 from drape.cloth.push.out import REGION_BIAS_M2, REGION_COUNT
-from drape.cloth.push.patches import Planes, felt, from_halves, mixed_others, region_bias_of, tangent_planes
-from drape.cloth.push.samples import CLUSTER_SIZE, REGION_SIZE
+from drape.cloth.push.patches import (
+    Planes,
+    felt,
+    from_halves,
+    mixed_others,
+    region_bias_of,
+    tangent_planes,
+)
+from drape.cloth.push.samples import CLUSTER_SIZE, REGION_SIZE, region_centres
 from drape.cloth.push.skin import skin_table
 from drape.geometry import jets
 from training.agreement import softened
@@ -27,14 +34,13 @@ class Skins:
 
 @dataclass(frozen=True)
 class Felt:
-    """Inputs of ``PackedGraph`` by which patches feel it, gathered for its patches where nothing else is said."""
+    """Inputs of ``PackedGraph`` by which patches feel it, gathered for its patches."""
 
     columns: Tensor  # (P, 18, 7)
     cluster: Tensor  # (P, 10)
     bias: Tensor  # (P, 40)
+    other: Tensor  # (P, parts, 24)
     region: Tensor  # (P, parts, 4)
-    other: Tensor  # (stored patches, parts, 24), which few rows are taken of
-    stored: Tensor  # (P,)
 
 
 def posed_skins(skins: Skins, rotation: Tensor, translation: Tensor) -> Tensor:
@@ -53,15 +59,17 @@ def near_planes(points: Tensor, skin: Tensor, lists: Felt, patch_body: Tensor) -
     own = torch.index_select(clusters, 0, (lists.cluster.to(torch.int64) + first[:, None]).reshape(-1))
     own_means = mixed(query, own.reshape(-1, lists.bias.shape[1], 8), lists.bias)
 
-    region = skin[..., :3].mean(dim=2)  # (B, R, 3)
+    region = region_centres(skin)
     rows = torch.cat([-2.0 * region, (region * region).sum(dim=-1, keepdim=True)], dim=-1).reshape(bodies, -1)
     seen = torch.index_select(rows, 0, body).reshape(-1, regions, 4)
     centre = torch.cat([places.mean(dim=1), torch.ones_like(places[:, 0, :1])], dim=1)  # (P, 4)
-    squared = (seen @ centre[:, :, None])[..., 0]
+    squared = (seen @ centre[:, :, None]).reshape(-1, regions)
     bias = region_bias_of(lists.region.reshape(-1, regions).to(places.dtype))
     top = torch.topk(REGION_BIAS_M2 * bias - squared, REGION_COUNT, dim=-1, sorted=False)[1]
     table = torch.index_select(skin.reshape(-1, 8 * REGION_SIZE), 0, (top + (regions * body)[:, None]).reshape(-1))
-    row = (top + (regions * lists.stored.to(torch.int64))[:, None]).reshape(-1)
+    # 0, 1, 2, ... counted out: the number of patches would be read off an index that a call of one garment lacks.
+    patch = regions * (torch.cumsum(torch.ones_like(body), dim=0) - 1)
+    row = (top + patch[:, None]).reshape(-1)
     other = torch.index_select(lists.other.reshape(-1, REGION_SIZE // 2), 0, row).to(places.dtype)
     count = REGION_COUNT * REGION_SIZE
     other_means = mixed_others(query, table.reshape(-1, count, 8), from_halves(other).reshape(-1, count))

@@ -24,7 +24,7 @@ PART_SIZE = POSED_REGIONS * REGION_SIZE  # samples that are posed together
 
 AGREEMENT_INPUTS: tuple[TensorSpec, ...] = (
     TensorSpec("anchor_columns", ("stored_patches", COLUMNS, MEMBERS), "float32", "1"),
-    TensorSpec("anchor_fit", ("stored_patches", FIT_COUNT, MEMBERS), "float32", "1"),
+    TensorSpec("anchor_fit", ("stored_patches", MEMBERS, FIT_COUNT), "float32", "1"),
     TensorSpec("anchor_rest", ("stored_patches", 3 * FIT_COUNT), "float32", "patch scales"),
     TensorSpec("strain_tangent", ("stored_patches", TANGENT_COUNT), "float32", "1"),
     TensorSpec("strain_unit", ("stored_patches", 3, STRAIN_POINTS), "float32", "1"),

@@ -90,7 +90,7 @@ def _jet_tables() -> dict[str, Tensor]:
 
     Its rows are p, q, h and one: columns 0-2 pass the rest place (an identity), 3-17 are the jets; the last row's
     entry 3 adds the centre. ``placed_full`` does the same for full jets (P, 45). ``fit_columns`` and ``full_columns``
-    are the jets and the full jets among the 21 x 3 fitted numbers; ``strain_terms`` as
+    are the jets and the full jets among the 3 x 21 fitted numbers; ``strain_terms`` as
     ``training.agreement.tangent_terms``, derivative by derivative, axis by axis.
     """
     placed, frame_only = torch.zeros(jets.JET_COUNT, 4 * COLUMNS), torch.zeros(1, 4 * COLUMNS)
@@ -101,14 +101,14 @@ def _jet_tables() -> dict[str, Tensor]:
         frame_only[0, axis * COLUMNS + axis] = 1.0
     frame_only[0, 3 * COLUMNS + 3] = 1.0
     plane = range(jets.HEIGHT_COUNT, FIT_COUNT)
-    columns = [3 * i for i in plane] + [3 * i + 1 for i in plane] + [3 * i + 2 for i in range(jets.HEIGHT_COUNT)]
+    columns = [*plane, *(FIT_COUNT + i for i in plane), *(2 * FIT_COUNT + i for i in range(jets.HEIGHT_COUNT))]
     terms = tangent_terms().reshape(jets.JET_COUNT, STRAIN_POINTS, 3, 2)
     return {
         "placed": placed,
         "placed_full": full,
         "frame_only": frame_only,
         "fit_columns": torch.tensor(columns),
-        "full_columns": torch.tensor([3 * i + axis for axis in range(3) for i in range(jets.HEIGHT_COUNT)]),
+        "full_columns": torch.tensor([FIT_COUNT * axis + i for axis in range(3) for i in range(jets.HEIGHT_COUNT)]),
         "strain_terms": terms.permute(0, 3, 2, 1).reshape(jets.JET_COUNT, -1).contiguous(),
     }
 

@@ -229,13 +229,18 @@ class Trainer(BaseTrainer):
             return None
         return int(rng.integers(self.config.model.corrections + 1))
 
-    def objective(self) -> Objective:
-        """The loss of a batch that is drawn now."""
+    def _draw(self) -> tuple[TrainingGarment, Partition, BodyBatch]:
+        """A garment, one of its partitions and a batch of posed bodies."""
         config = self.config
         garment, partition = self.wardrobe.draw(self.rng)
         poses = self.bank.draw(config.batch_size, self.rng)
         betas = draw_betas(config.batch_size, self.body.shape_count, config.data, self.rng)
-        batch = self.source.pose(poses, betas)
+        return garment, partition, self.source.pose(poses, betas)
+
+    def objective(self) -> Objective:
+        """The loss of a batch that is drawn now."""
+        config = self.config
+        garment, partition, batch = self._draw()
         posed, vertices = self._drape(batch, garment, partition, passes=self._passes())
         parts = self._energy(vertices, garment, self._planes(vertices, batch))
         parts["waistband"] = losses.held_up(posed, partition, garment) / float(garment.rest.areas.sum())

@@ -160,6 +160,22 @@ def cross(a: Array, b: Array) -> Array:
     )
 
 
+def cross_columns(a: Array, b: Array) -> Array:
+    """Cross products (..., 3, N) of columns, coordinates first: N numbers at a time, and not three."""
+    x, y, z = (a[..., i : i + 1, :] for i in range(3))
+    u, v, w = (b[..., i : i + 1, :] for i in range(3))
+    return namespace(a).concat([y * w - z * v, z * u - x * w, x * v - y * u], axis=-2)
+
+
+def dot_columns(a: Array, b: Array) -> Array:
+    """Scalar products (..., 1, N) of columns (..., n, N), n small: its rows are added, N numbers at a time."""
+    product = a * b
+    total = product[..., :1, :]
+    for row in range(1, product.shape[-2]):
+        total = total + product[..., row : row + 1, :]
+    return total
+
+
 def _norm(vector: Array) -> Array:
     xp = namespace(vector)
     return xp.sqrt(xp.sum(vector * vector, axis=-1, keepdims=True) + like(vector, 1e-30))

@@ -20,21 +20,12 @@ from drape.geometry import jets
 from model_export import export as exporting
 from model_export.graph import DrapeGraph, drape_inputs
 from model_export.parity import hard_poses, session
+from tests.fixtures.networks import TINY
 from training import checkpoint
-from training.config import ModelConfig, TrainConfig, as_published
+from training.config import TrainConfig, as_published
 from training.model import OneFit
 
 pytestmark = pytest.mark.slow
-SMALL = ModelConfig(
-    garment_hidden=16,
-    embedding_size=8,
-    body_hidden=16,
-    body_code_size=16,
-    decoder_sizes=(16, 16),
-    head_sizes=(8,),
-    corrections=1,
-    correction_hidden=16,
-)
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +35,7 @@ def garment():
 
 def lively(variant: str) -> OneFit:
     torch.manual_seed(0)
-    model = OneFit(as_published(SMALL) if variant == "paper" else SMALL).eval()
+    model = OneFit(as_published(TINY) if variant == "paper" else TINY).eval()
     for head in model.decoder.heads.values():
         torch.nn.init.normal_(list(head.parameters())[-2], std=0.3)
     return model
@@ -79,7 +70,7 @@ def test_any_number_of_frames_vertices_and_patches_runs(exported, garment, frame
     model, folder, _ = exported
     feed = body_feed(load_body(), hard_poses(frames), np.zeros((frames, 3)), skin=True)
     arrays = feed.arrays | garment_feed(garment, body=load_body())
-    arrays["patch_embedding"] = np.random.default_rng(0).normal(size=(patches, SMALL.embedding_size)).astype(np.float32)
+    arrays["patch_embedding"] = np.random.default_rng(0).normal(size=(patches, TINY.embedding_size)).astype(np.float32)
     for name, value in arrays.items():
         if name.startswith("chart") or name == "skin_weights":
             arrays[name] = value[:vertices]
@@ -103,7 +94,7 @@ def test_a_frame_is_the_same_alone_and_in_a_batch(exported, garment):
     model, folder, _ = exported
     feed = body_feed(load_body(), hard_poses(5), np.zeros((5, 3)), skin=True).arrays
     constants = garment_feed(garment, body=load_body()) | {
-        "patch_embedding": np.ones((garment.patch_count, SMALL.embedding_size), dtype=np.float32)
+        "patch_embedding": np.ones((garment.patch_count, TINY.embedding_size), dtype=np.float32)
     }
     names = [spec.name for spec in drape_inputs(model)]
     run = session(folder / "drape.onnx")
@@ -153,7 +144,7 @@ def test_a_checkpoint_exports_through_the_command(garment, tmp_path, monkeypatch
     from model_export.__main__ import main
 
     model = lively("vector")
-    config = TrainConfig(model=SMALL)
+    config = TrainConfig(model=TINY)
     checkpoint.save(tmp_path / "c.pt", {"model": model.state_dict(), "step": 5, "elapsed_s": 60.0}, config)
     monkeypatch.setattr("sys.argv", ["model_export", str(tmp_path / "c.pt"), str(tmp_path / "out")])
     assert main() == 0

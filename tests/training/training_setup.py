@@ -13,22 +13,13 @@ from drape.body.model import BodyModel
 from drape.cloth.energies import ClothMesh
 from drape.cloth.push.skin import body_skin
 from drape.garment.fitting import RestGarment, rest_garment
-from training.config import DataConfig, ModelConfig, MotionConfig, TrainConfig
+from tests.fixtures.networks import TINY
+from training.config import DataConfig, MotionConfig, TrainConfig
 from training.data import BodySource, TrainingGarment, collider_surface, draw_partition
 from training.poses import PoseBank
 from training.run import sample_motions
 
 CPU = torch.device("cpu")
-TINY = ModelConfig(
-    garment_hidden=16,
-    embedding_size=8,
-    body_hidden=16,
-    body_code_size=16,
-    decoder_sizes=(16, 16),
-    head_sizes=(8,),
-    corrections=1,
-    correction_hidden=16,
-)
 TINY_RUN = TrainConfig(
     model=TINY,
     data=DataConfig(garments=("shorts",), partitions=1, variants=0, fresh_steps=70),

@@ -17,6 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from drape.arrays import Array, like, namespace
+from drape.geometry.rotations import dot_columns
 
 BANDWIDTH_M = 0.014  # h, about the spacing of the samples
 TINY = 1e-12
@@ -57,14 +58,13 @@ def surface(points: Array, means: Array) -> Surface:
     """The surface at ``points`` [m] (..., 3, N) from the means (..., 8, N) there."""
     xp = namespace(points)
     normal = means[..., 4:7, :]
-    length = xp.sqrt(xp.clip(xp.sum(normal * normal, axis=-2), min=TINY))
-    unit = normal * (1.0 / length)[..., None, :]
+    length = xp.sqrt(xp.clip(dot_columns(normal, normal), min=TINY))
+    unit = normal * (1.0 / length)
     offset = points - means[..., :3, :]
-    along = xp.sum(unit * offset, axis=-2)
-    plane = xp.concat([points, -xp.ones_like(points[..., :1, :])], axis=-2)
-    implicit = xp.sum(means[..., 4:8, :] * plane, axis=-2)
-    beside = xp.sum(offset * offset, axis=-2) - along * along
-    return Surface(0.5 * (implicit + along), unit, beside, length)
+    along = dot_columns(unit, offset)
+    implicit = dot_columns(normal, points) - means[..., 7:8, :]
+    beside = dot_columns(offset, offset) - along * along
+    return Surface((0.5 * (implicit + along))[..., 0, :], unit, beside[..., 0, :], length[..., 0, :])
 
 
 def softmax(logits: Array) -> Array:

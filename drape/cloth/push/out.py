@@ -23,8 +23,9 @@ import numpy as np
 
 from drape.arrays import Array, namespace
 from drape.cloth.push.field import largest, mixed, queries, ramp, surface, take
-from drape.cloth.push.samples import CLUSTER_SIZE, REGION_SIZE, Samples, sample_table
+from drape.cloth.push.samples import CLUSTER_SIZE, REGION_SIZE, Samples, region_centres, sample_table
 from drape.cloth.push.tables import BLOCK_SIZE, GROUP_SIZE, OTHER_STEPS
+from drape.geometry.rotations import dot_columns
 
 CLEARANCE_M = 0.0025
 REGION_COUNT = 2  # of other parts that a group of blocks is tested against
@@ -93,19 +94,19 @@ def push_in_parts(vertices: Array, skin: Array, feed: PushFeed, clearance_m: Arr
     share = ramp(both.beside_m2, *BESIDE_M2) * ramp(both.distance, *DEPTH_M) * ramp(both.agreement, *AGREEMENT)
     missing = clearance_m - both.distance  # (F, 2, N)
     own_normal, other_normal = both.normal[:, 0], both.normal[:, 1]
-    own_share, other_share = share[:, 0], share[:, 1] * has_other
+    own_share, other_share = share[:, :1], share[:, 1:] * has_other[:, None]
 
     def out(moved: Array) -> Array:
         """``moved`` (F, 3, N) and what is missing then, to first order."""
-        from_other = _way(missing[:, 1] - _dot(moved, other_normal), other_share)
-        moved = moved + from_other[:, None] * other_normal
-        return moved + _way(missing[:, 0] - _dot(moved, own_normal), own_share)[:, None] * own_normal
+        from_other = _way(missing[:, 1:] - dot_columns(moved, other_normal), other_share)
+        moved = moved + from_other * other_normal
+        return moved + _way(missing[:, :1] - dot_columns(moved, own_normal), own_share) * own_normal
 
     coefficients = fit(out(xp.zeros_like(own_normal)), feed)
     carried = blended(coefficients, feed)
     moved = out(carried)
     rest = moved - carried
-    left = xp.sqrt(xp.max(xp.sum(rest * rest, axis=1), axis=-1))
+    left = xp.sqrt(xp.max(dot_columns(rest, rest)[:, 0], axis=-1))
     return Pushed(take(start + xp.matrix_transpose(moved), feed.vertex_slot, axis=1), coefficients, left)
 
 
@@ -167,7 +168,7 @@ def _other_parts(start: Array, query: Array, skin: Array, feed: PushFeed) -> tup
     frames, regions = skin.shape[0], skin.shape[1]
     slots, groups = start.shape[1], feed.region_bias.shape[0]
     points = xp.reshape(start, (frames, groups, GROUP_SIZE * BLOCK_SIZE, 3))
-    region = xp.mean(skin[..., :3], axis=2)  # (F, R, 3)
+    region = region_centres(skin)
     centre = xp.mean(points, axis=2)  # (F, G, 3)
     squared = xp.sum(region * region, axis=-1)[:, None] - 2.0 * (centre @ xp.matrix_transpose(region))
     far = REGION_BIAS_M2 * xp.reshape(feed.region_bias, (groups, regions))
@@ -194,7 +195,3 @@ def _way(missing: Array, share: Array) -> Array:
     """Length [m] of a push that is ``missing`` [m] from the clearance: never negative, saturated."""
     xp = namespace(missing)
     return LARGEST_PUSH_M * xp.tanh(xp.clip(missing, min=0.0) * (1.0 / LARGEST_PUSH_M)) * share
-
-
-def _dot(first: Array, second: Array) -> Array:
-    return namespace(first).sum(first * second, axis=-2)

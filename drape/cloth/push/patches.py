@@ -14,9 +14,10 @@ import numpy as np
 from drape.arrays import Array, namespace
 from drape.cloth.push.field import largest, mixed, queries, ramp, surface, take
 from drape.cloth.push.out import AGREEMENT, BESIDE_M2, OTHER_LEAST, REGION_BIAS_M2, REGION_COUNT
-from drape.cloth.push.samples import CLUSTER_SIZE, REGION_SIZE
+from drape.cloth.push.samples import CLUSTER_SIZE, REGION_SIZE, region_centres
 from drape.cloth.push.skin import Skin
 from drape.cloth.push.tables import skin_lists
+from drape.geometry.rotations import dot_columns
 
 GAP_M = 0.006  # a patch feels the body from this distance on; the contact energy begins at 4 mm
 UNIT_M = 0.01
@@ -93,7 +94,7 @@ def tangent_planes(points: Array, own: Array, other: Array) -> Planes:
     columns = xp.matrix_transpose(points)[:, :, None]
     found = surface(columns, xp.matrix_transpose(means))
     share = ramp(found.beside_m2, *BESIDE_M2) * ramp(found.distance, *DEEP_M) * ramp(found.agreement, *AGREEMENT)
-    return Planes(found.normal, found.distance - xp.sum(found.normal * columns, axis=-2), share)
+    return Planes(found.normal, found.distance - dot_columns(found.normal, columns)[..., 0, :], share)
 
 
 def felt(points: Array, near: Planes) -> tuple[Array, Array]:
@@ -104,7 +105,7 @@ def felt(points: Array, near: Planes) -> tuple[Array, Array]:
     """
     xp = namespace(points)
     frames, count = points.shape[0], points.shape[2]
-    distance = xp.sum(near.normal * xp.matrix_transpose(points)[:, :, None], axis=-2) + near.offset
+    distance = dot_columns(near.normal, xp.matrix_transpose(points)[:, :, None])[..., 0, :] + near.offset
     missing = (GAP_M - distance) * (1.0 / UNIT_M)  # (F, K, 2, n)
     closeness = xp.reshape(near.share * xp.tanh(missing), (frames, -1, 2 * count))
     pull = (near.share * xp.clip(missing, min=0.0))[:, :, :, None] * near.normal
@@ -125,7 +126,7 @@ def _other(points: Array, query: Array, skin: Array, lists: PatchSkin) -> Array:
     xp = namespace(points)
     frames, regions = skin.shape[0], skin.shape[1]
     patches = lists.region_bias.shape[0]
-    region = xp.mean(skin[..., :3], axis=2)  # (F, R, 3)
+    region = region_centres(skin)
     centre = xp.mean(points, axis=2)  # (F, K, 3)
     squared = xp.sum(region * region, axis=-1)[:, None] - 2.0 * (centre @ xp.matrix_transpose(region))
     top = largest(REGION_BIAS_M2 * lists.region_bias - squared, REGION_COUNT)  # (F, K, 2)

@@ -10,11 +10,11 @@ import numpy as np
 import scipy.sparse
 from scipy.spatial import KDTree
 
-from drape.arrays import Array, check_shape, namespace
+from drape.arrays import Array, check_shape, like, namespace
 from drape.cloth.push.blocks import blocks
 from drape.errors import InputError
 from drape.geometry import meshes
-from drape.geometry.rotations import cross
+from drape.geometry.rotations import cross_columns, dot_columns
 
 DENSE_PER_DISC = 12  # random points drawn for each sample kept
 NORMAL_REACH = 1.5  # spacings over which a sample's tangents are averaged
@@ -57,7 +57,8 @@ class Samples:
         flat = vertices.transpose(1, 0, 2).reshape(sources, -1)
         rows = (self.operator @ flat).reshape(3, self.count, len(vertices), 3)
         point, first, second = rows.transpose(0, 2, 1, 3)
-        return np.ascontiguousarray(point), unit_cross(first, second)
+        normal = unit_cross(first.swapaxes(-1, -2), second.swapaxes(-1, -2)).swapaxes(-1, -2)
+        return np.ascontiguousarray(point), np.ascontiguousarray(normal)
 
     def of_regions(self, regions: np.ndarray) -> Samples:
         """The samples of ``regions`` (n,) alone, in that order."""
@@ -108,24 +109,38 @@ def at_rest(operator: scipy.sparse.csr_matrix, rest: np.ndarray, placed: Placed)
     """The samples ``placed`` on the mesh ``rest`` [m] (V, 3), with the points and normals that ``operator`` gives."""
     template = operator @ rest
     count = len(placed.point)
-    smooth = np.asarray(unit_cross(template[count : 2 * count], template[2 * count :]))
+    smooth = np.asarray(unit_cross(template[count : 2 * count].T, template[2 * count :].T)).T
     return Samples(operator, template[:count], smooth, placed.spacing_m)
 
 
 def sample_table(point: Array, normal: Array) -> Array:
-    """Rows (..., 8) of samples as the field reads them: point b, b . b, normal n, n . b."""
+    """Rows (..., n, 8) of samples (..., n, 3) as the field reads them: point b, b . b, normal n, n . b."""
     xp = namespace(point)
-    square = xp.sum(point * point, axis=-1, keepdims=True)
-    return xp.concat([point, square, normal, xp.sum(point * normal, axis=-1, keepdims=True)], axis=-1)
+    return table_of_columns(xp.matrix_transpose(point), xp.matrix_transpose(normal))
+
+
+def table_of_columns(point: Array, normal: Array) -> Array:
+    """``sample_table`` (..., n, 8) of points and normals given coordinates first (..., 3, n)."""
+    xp = namespace(point)
+    square, across = dot_columns(point, point), dot_columns(point, normal)
+    columns = xp.concat([point, square, normal, across], axis=-2)
+    return xp.matrix_transpose(columns)
+
+
+def region_centres(skin: Array) -> Array:
+    """Mean points [m] (F, R, 3) of the regions of ``skin`` (F, R, 12, 8), as one product with a constant matrix."""
+    xp = namespace(skin)
+    mean = [[(axis == entry) / REGION_SIZE for axis in range(3)] for _ in range(REGION_SIZE) for entry in range(8)]
+    return xp.reshape(skin, (*skin.shape[:2], 8 * REGION_SIZE)) @ like(skin, mean)
 
 
 def unit_cross(first: Array, second: Array) -> Array:
-    """The unit vectors across ``first`` and ``second`` (..., 3); zero where these are parallel."""
+    """The unit vectors across ``first`` and ``second`` (..., 3, n), coordinates first; zero where parallel."""
     xp = namespace(first)
-    across = cross(first, second)
+    across = cross_columns(first, second)
     # Tangents have length one at rest; a fold of the skin makes them nearly parallel and the normal short.
     # A bound and not a sum: ONNX exporters take "+ 1e-12" for "+ 0".
-    return across / xp.sqrt(xp.clip(xp.sum(across * across, axis=-1, keepdims=True), min=1e-12))
+    return across * (1.0 / xp.sqrt(xp.clip(dot_columns(across, across), min=1e-12)))
 
 
 def _spread(

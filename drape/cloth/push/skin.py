@@ -26,7 +26,7 @@ from drape.cloth.push.samples import (
     at_rest,
     place,
     ring_operator,
-    sample_table,
+    table_of_columns,
     unit_cross,
 )
 from drape.errors import BodyError
@@ -114,9 +114,8 @@ def skin_table(rows: Array, bones: Array, rotations: Array, translations: Array)
     posed = xp.reshape(by_axis, (frames, parts, 3, width)) @ xp.reshape(
         rows, (*rows.shape[:-4], parts, width, 3 * size)
     )
-    posed = xp.matrix_transpose(posed)
-    point, first, second = (posed[:, :, k * size : (k + 1) * size, :] for k in range(3))
-    table = sample_table(point, unit_cross(first, second))
+    point, first, second = (posed[..., k * size : (k + 1) * size] for k in range(3))
+    table = table_of_columns(point, unit_cross(first, second))
     return xp.reshape(table, (frames, POSED_REGIONS * parts, REGION_SIZE, 8))
 
 

@@ -23,6 +23,7 @@ from drape.cloth.push.patches import (
     planes,
     region_bias_of,
 )
+from drape.cloth.push.samples import region_centres
 from drape.cloth.push.skin import body_skin, shaped_skin, skin_table
 from drape.cloth.push.tables import outward_directions
 from drape.feeds import body_feed, garment_feed
@@ -156,3 +157,8 @@ def test_bodies_share_the_rows_of_their_shapes():
     for i in range(KEPT_SHAPES + 3):
         store.feed(np.full((1, 10), 0.01 * i, dtype=np.float32))
     assert len(store._kept) == KEPT_SHAPES
+
+
+def test_the_centre_of_a_region_is_the_mean_of_its_samples():
+    skin = posed("tank", ARMS_DOWN)[1]
+    assert_allclose(region_centres(skin), skin[..., :3].mean(axis=2), rtol=0, atol=1e-6)

@@ -7,6 +7,8 @@ from scipy.linalg import expm
 
 from drape.geometry.rotations import (
     cross,
+    cross_columns,
+    dot_columns,
     matrix_to_quaternion,
     matrix_to_rotvec,
     matrix_to_sixd,
@@ -213,3 +215,12 @@ def test_gradient_of_slerp_between_equal_ends_is_finite():
     quaternion_slerp(rotvec_to_quaternion(start), rotvec_to_quaternion(end), t).sum().backward()
     assert torch.isfinite(start.grad).all()
     assert torch.isfinite(end.grad).all()
+
+
+@pytest.mark.parametrize("rows", [1, 3, 4])
+def test_products_of_columns_are_those_of_rows(rows: int):
+    first, second = np.random.default_rng(3).normal(size=(2, 2, 5, rows))
+    a, b = first.swapaxes(-1, -2), second.swapaxes(-1, -2)
+    assert_allclose(dot_columns(a, b), (first * second).sum(axis=-1)[:, None], rtol=0, atol=1e-15)
+    if rows == 3:
+        assert_allclose(cross_columns(a, b).swapaxes(-1, -2), np.cross(first, second), rtol=0, atol=1e-15)
