@@ -1,11 +1,11 @@
 """Latency and throughput of the packed graph, beside its rivals in the same run, and how cost grows.
 
 A row's times are those of one call: pose in, vertices of ``batch`` frames out, without push-out; ``push_out_ms``
-comes on top. Rows with a vertex, patch or garment count that no shipped garment has measure growth. A rival that could
-not run here says why under ``skipped``. Times of a model do not depend on its weights, so without ``--checkpoint`` they
-are random; then the strain that Newton must reach means nothing and its row is left out.
+comes on top, and rows "onnx_pushed" are both in one, with all passes of the network and with fewer. Rows with a vertex,
+patch or garment count that no shipped garment has measure growth. A rival that could not run here says why under
+``skipped``; Newton needs an interpreter that has it.
 
-    python -m benchmarks.latency [--quick] [--threads 2] [--checkpoint FILE] [--newton PYTHON] [--save]
+    python -m benchmarks.latency [--quick] [--threads 2] [--model FOLDER] [--newton PYTHON] [--save]
 """
 
 from __future__ import annotations
@@ -13,8 +13,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ import torch
 from benchmarks import common, latency_rivals
 from benchmarks.latency_setup import (
     Timing,
-    make_model,
+    network_of,
     poses,
     shipped,
     shipped_names,
@@ -33,14 +32,17 @@ from benchmarks.latency_setup import (
     with_patches,
     with_vertices,
 )
+from drape.artifacts import MODELS_DIR
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
+from drape.cloth.push.out import CLEARANCE_M
 from drape.feeds import body_feed, garment_feed
 from drape.garment.cache import Garment
 from drape.packing import PackedBody, pack_body
 from drape.push_packing import SkinShapes
 from service.engine import PACKED, Engine
 from service.packing import STORED_INDEX, Packer, ScenePlan
+from service.push import Pusher
 from training.model import OneFit
 
 COLUMNS = {
@@ -93,10 +95,12 @@ def single_rows(bench: Bench, name: str, options: argparse.Namespace) -> list[di
     size = {"garment": name, "vertices": garment.vertex_count, "patches": garment.patch_count, "batch": 1}
     pose = poses(5)[2:3]
     skinning = latency_rivals.SkinningPush(garment, bench.body)
-    draped = packer.run(ScenePlan(), bench.shape.rows(pose), [(name, 0)])[0].arrays["vertices"]
-    push = timed(lambda: skinning.push(draped[None], pose), seconds=bench.seconds).p50_ms
     whole = bench.clock(packer, [name], ScenePlan())
-    rows = [{"name": "onnx", **whole.row(), "push_out_ms": push, "stage_ms": stages(bench, packer, name, pose, whole)}]
+    rows: list[dict[str, Any]] = [
+        {"name": "onnx", **whole.row(), "stage_ms": stages(bench, packer, name, pose, whole)},
+        *pushed_rows(bench, packer, name, garment),
+    ]
+    rows[0]["push_out_ms"] = rows[1]["push_out_ms"]
     for plan in (ScenePlan(normals=True), ScenePlan("steps"), ScenePlan("jets")):
         label = "_normals" if plan.normals else f"_{plan.shape}"
         rows.append({"name": f"onnx{label}", **bench.clock(packer, [name], plan).row()})
@@ -109,16 +113,41 @@ def single_rows(bench: Bench, name: str, options: argparse.Namespace) -> list[di
     rows.append({"name": "skinning_push", **both.row(), "push_out_ms": both.p50_ms - skin.p50_ms})
     rows.append(latency_rivals.floor_row(bench.model, packer.store.packed(name), threads=bench.threads))
     if name == SINGLE[0]:
-        reason = "quick form" if options.quick else "random weights: give --checkpoint"
-        trained = options.checkpoint is not None and not options.quick
+        draped = packer.run(ScenePlan(), bench.shape.rows(pose), [(name, 0)])[0].arrays["vertices"]
         rows.append(
-            latency_rivals.newton_row(options.newton, garment, bench.body, pose, draped)
-            if trained
-            else {"name": "newton_vbd", "skipped": reason}
+            {"name": "newton_vbd", "skipped": "quick form"}
+            if options.quick
+            else latency_rivals.newton_row(options.newton, garment, bench.body, pose, draped)
         )
     for row in rows:
         row.setdefault("frames_per_s", 1e3 / row["p50_ms"] if "p50_ms" in row else None)
     return [row | size for row in rows]
+
+
+def pushed_rows(bench: Bench, packer: Packer, key: str, garment: Garment) -> list[dict[str, Any]]:
+    """One frame with its push-out, by passes of the network: all, then fewer; ``push_out_ms`` the push-out's part."""
+    pusher, betas = Pusher(bench.engine, bench.body), np.zeros(bench.body.shape_count)
+    pusher.add(key, garment_feed(garment), garment.vertices[: garment.vertex_count], garment.faces)
+    every = poses(64)
+    rows = []
+    for passes in (None, *reversed(range(bench.engine.pass_count))):
+        plan, turn = ScenePlan(passes=passes), iter(range(sys.maxsize))
+
+        def drape(plan: ScenePlan = plan, turn: Iterator[int] = turn) -> tuple[np.ndarray, np.ndarray]:
+            row = next(turn) % 64
+            pose = every[row : row + 1]
+            return packer.run(plan, bench.shape.rows(pose), [(key, 0)])[0].arrays["vertices"], pose
+
+        vertices, pose = drape()
+
+        def push(vertices: np.ndarray = vertices, pose: np.ndarray = pose) -> None:
+            pusher.push(key, vertices[None], pose, betas, CLEARANCE_M)
+
+        both = timed(lambda drape=drape, push=push: push(*drape()), seconds=bench.seconds)
+        alone = timed(push, seconds=bench.seconds / 2)
+        count = bench.engine.pass_count if passes is None else passes
+        rows.append({"name": "onnx_pushed", "passes": count, **both.row(), "push_out_ms": alone.p50_ms})
+    return rows
 
 
 def stages(bench: Bench, packer: Packer, key: str, pose: np.ndarray, whole: Timing) -> dict[str, float]:
@@ -197,27 +226,25 @@ def growth_rows(bench: Bench, *, quick: bool) -> list[dict[str, Any]]:
 def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     """Prints the table and the record, and returns the record."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.latency", description="Latency and throughput.")
-    parser.add_argument("--checkpoint", type=Path, help="a training checkpoint; default random weights")
+    parser.add_argument("--model", type=Path, default=MODELS_DIR / "onefit", help="a model folder; default the shipped")
     parser.add_argument("--newton", help="an interpreter that has the package newton")
     common.add_options(parser)
     options = parser.parse_args(arguments)
     torch.set_num_threads(options.threads)
     load = os.getloadavg()[0]
-    with tempfile.TemporaryDirectory() as folder:
-        model = make_model(options.checkpoint, Path(folder) / "latency")
-        engine, body = Engine(Path(folder) / "latency", threads=options.threads), load_body()
-        seconds = 0.3 if options.quick else 3.0
-        bench = Bench(engine, model, body, pack_body(body), seconds, options.threads)
-        rows = [row for name in SINGLE for row in single_rows(bench, name, options)]
-        rows += batch_rows(bench, BATCHES[:4:3] if options.quick else BATCHES)
-        rows += growth_rows(bench, quick=options.quick)
+    engine, body = Engine(options.model, threads=options.threads), load_body()
+    seconds = 0.3 if options.quick else 3.0
+    bench = Bench(engine, network_of(options.model), body, pack_body(body), seconds, options.threads)
+    rows = [row for name in SINGLE for row in single_rows(bench, name, options)]
+    rows += batch_rows(bench, BATCHES[:4:3] if options.quick else BATCHES)
+    rows += growth_rows(bench, quick=options.quick)
     shown = [row | {"stages": _stages_text(row.get("stage_ms"))} for row in rows]
     common.print_table(shown, COLUMNS)
     if load > 0.5:
         print(f"the machine was busy: load {load:.1f} when this began; such times are provisional")
     return common.finish(
         "latency", rows, options, device="cpu", provider=engine.provider, load_before=load,
-        weights="random" if options.checkpoint is None else "checkpoint",
+        model=options.model.name,
     )  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from benchmarks.common import RESULTS_DIR, ROOT
 PLOT = ROOT / "docs" / "images" / "latency_growth.png"
 NAMES = {
     "onnx": "packed graph: vertices",
+    "onnx_pushed": "packed graph and push-out",
     "onnx_normals": "packed graph: vertices and normals",
     "onnx_steps": "packed graph: 16-bit steps",
     "onnx_jets": "packed graph: posed jets",
@@ -33,7 +34,7 @@ def single_table(record: Record) -> str:
     for row in record["rows"]:
         if row["batch"] != 1 or row["garment"] == "mixed" or "," in row["garment"] or "store" in row["garment"]:
             continue
-        name = NAMES[row["name"]]
+        name = NAMES[row["name"]] + (f", {row['passes']} passes" if "passes" in row else "")
         if "iterations" in row:
             reached = "" if row["reached"] else ", strain not reached"
             name += f", {row['iterations']} iterations{reached}"

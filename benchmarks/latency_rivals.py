@@ -63,7 +63,7 @@ class EagerDrape(nn.Module):
         if model.config.feels_body:
             shape = SkinShapes(body).feed(pack_body(body).betas[None])
             self.skins = Skins(*(torch.from_numpy(shape[k]) for k in ("skin_rows", "skin_bones", "body_shape")))
-            self.felt = Felt(*(arrays[f"felt_{name}"] for name in ("columns", "cluster", "bias", "other", "region")))
+            self.felt = Felt(*(arrays[f"felt_{name}"] for name in ("place", "cluster", "bias", "other", "region")))
         self.index = arrays
 
     def forward(self, joint_quaternion: Tensor, joint_rest: Tensor, betas: Tensor) -> Tensor:

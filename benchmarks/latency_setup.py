@@ -8,15 +8,13 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from drape.body.assets import load_body
 from drape.garment.cache import GARMENTS_DIR, Garment, load_garment
 from drape.garment.fitting import patch_fields, rest_garment
 from drape.geometry import jets, meshes
 from drape.motion.samples import SAMPLES
-from model_export import export as exporting
-from training.config import ModelConfig
+from training.exported import load_exported
 from training.model import OneFit
 
 WARM_CALLS = 5
@@ -51,14 +49,11 @@ def timed(call: Callable[[], object], *, seconds: float, calls: int = 500) -> Ti
     return Timing(min(taken), float(p50), float(p95), float(p99), len(taken))
 
 
-def make_model(checkpoint: Path | None, folder: Path) -> OneFit:
-    """The network of ``checkpoint``, or one of random weights (time does not depend on them), in ``folder``."""
-    if checkpoint is None:
-        torch.manual_seed(0)
-        model = OneFit(ModelConfig()).eval()
-    else:
-        model, _ = exporting.load_model(checkpoint)
-    exporting.export(model, folder, garment=shipped("tank"), training={})
+def network_of(folder: Path) -> OneFit:
+    """The network in torch whose graphs are in the model ``folder``."""
+    weights, config, _ = load_exported(folder)
+    model = OneFit(config).eval()
+    model.load_state_dict(weights)
     return model
 
 

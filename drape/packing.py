@@ -20,13 +20,13 @@ from drape.cloth.push.patches import in_halves
 from drape.cloth.push.samples import POSED_REGIONS
 from drape.errors import ArtifactError
 from drape.feeds import BETA_COUNT
-from drape.garment.agreement import MEMBERS, STRAIN_POINTS, strain_points
+from drape.garment.agreement import MEMBERS
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_quaternion
 
 COLUMNS = 3 + jets.HEIGHT_COUNT  # rest place, basis
-CHARTS_PER_TILE = 64
+CHARTS_PER_TILE = 32  # of a patch's last tile half is empty on average
 VERTICES_PER_BLOCK = 64
 KINDS = {
     "felt_cluster": np.int32,
@@ -197,11 +197,16 @@ def pack_garment(feed: dict[str, np.ndarray], patch_first: np.ndarray) -> Packed
         stored={key: np.ascontiguousarray(value, dtype=KINDS.get(key, np.float32)) for key, value in stored.items()},
         heaviest=heaviest.astype(np.int32),
         tile_patch=tiling.patch,
-        vertex_charts=_blocks(tiling.column),
-        anchor_charts=_blocks(_anchor_rows(feed)),
-        member_anchor=feed["patch_member"].astype(np.int32),
+        vertex_charts=_small(_blocks(tiling.column)),
+        anchor_charts=_small(_blocks(_anchor_rows(feed))),
+        member_anchor=_small(feed["patch_member"]),
         vertex_count=len(columns),
     )
+
+
+def _small(index: np.ndarray) -> np.ndarray:
+    """``index`` in two bytes each where they hold it: a call's own are made of it."""
+    return index.astype(np.uint16 if index.max(initial=0) <= np.iinfo(np.uint16).max else np.int32)
 
 
 def _blocks(index: np.ndarray) -> np.ndarray:
@@ -229,13 +234,11 @@ def _anchor_constants(feed: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def _felt_constants(feed: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Where each patch feels the body, as columns like those of the anchors, and the skin near it at rest."""
+    """Where each patch feels the body at rest, and the skin near it there."""
     count, regions = feed["patch_other"].shape[:2]
-    place = feed["patch_place"] / feed["patch_scale"][:, None, None]
-    basis = np.broadcast_to(jets.basis(strain_points(), jets.HEIGHT_ORDER), (count, STRAIN_POINTS, jets.HEIGHT_COUNT))
     parts = regions // POSED_REGIONS
     return {
-        "felt_columns": np.concatenate([place, basis], axis=-1).swapaxes(1, 2),
+        "felt_place": (feed["patch_place"] / feed["patch_scale"][:, None, None]).swapaxes(1, 2),
         "felt_cluster": feed["patch_cluster"],
         "felt_bias": feed["patch_cluster_bias"],
         "felt_other": in_halves(feed["patch_other"]).reshape(count, parts, -1),

@@ -141,7 +141,7 @@ class PackedGraph(nn.Module):
         skin_rows: Tensor | None = None,
         skin_bones: Tensor | None = None,
         body_shape: Tensor | None = None,
-        felt_columns: Tensor | None = None,
+        felt_place: Tensor | None = None,
         felt_cluster: Tensor | None = None,
         felt_bias: Tensor | None = None,
         felt_other: Tensor | None = None,
@@ -149,11 +149,11 @@ class PackedGraph(nn.Module):
     ) -> tuple[Tensor, ...]:
         skins = felt = None
         if skin_rows is not None:
-            assert skin_bones is not None and body_shape is not None and felt_columns is not None
+            assert skin_bones is not None and body_shape is not None and felt_place is not None
             assert felt_cluster is not None and felt_bias is not None
             assert felt_other is not None and felt_region is not None
             skins = Skins(skin_rows, skin_bones, body_shape)
-            felt_tables = (felt_columns, felt_cluster, felt_bias, felt_other, felt_region)
+            felt_tables = (felt_place, felt_cluster, felt_bias, felt_other, felt_region)
             felt = Felt(*(_rows(table, patch_stored) for table in felt_tables))
         bodies = Bodies(joint_quaternion, joint_rest, betas, dynamic_code, skins)
         patches = Patches(patch_first, patch_weights, patch_rotation, patch_scale, patch_centre, patch_shapedirs)
@@ -225,7 +225,7 @@ class PackedGraph(nn.Module):
             inputs = [hidden, softened(strain), softened(force), jet]
             if felt is not None:
                 assert skin is not None
-                points = self._posed(frame, jet) @ felt.columns
+                points = self._felt_points(self._posed(frame, jet), felt)
                 near = near_planes(points, skin, felt, patch_body) if near is None else near
                 inputs += felt_inputs(points, near, rotation, self.felt_terms)
             jet = jet + correction(torch.cat(inputs, dim=-1))
@@ -240,6 +240,11 @@ class PackedGraph(nn.Module):
         """Posed jets (P, 3, 18) of ``jet`` (P, 27 or 45) in scaled frames (P, 3, 4)."""
         placed = self.placed_full if jet.shape[-1] == jets.FULL_COUNT else self.placed
         return frame @ torch.addmm(self.frame_only, jet, placed).reshape(-1, 4, COLUMNS)
+
+    def _felt_points(self, posed: Tensor, felt: Felt) -> Tensor:
+        """Where patches of posed jets (P, 3, 18) feel the body [m] (P, 3, 7)."""
+        moved = (posed[:, :, 3:].reshape(-1, jets.HEIGHT_COUNT) @ self.felt_terms.mT).reshape(-1, 3, STRAIN_POINTS)
+        return posed[:, :, :3] @ felt.place + moved
 
     def _fitted(self, said: Tensor, charts: Charts, into: Tensor, centre: Tensor, numbers: Tensor) -> Tensor:
         """``training.agreement.agreed_jets`` (P, 27), or ``closing_jets`` (P, 45), of what each chart says of its

@@ -36,7 +36,7 @@ class Skins:
 class Felt:
     """Inputs of ``PackedGraph`` by which patches feel it, gathered for its patches."""
 
-    columns: Tensor  # (P, 18, 7)
+    place: Tensor  # (P, 3, 7) [patch scales]
     cluster: Tensor  # (P, 10)
     bias: Tensor  # (P, 40)
     other: Tensor  # (P, parts, 24)

@@ -38,7 +38,7 @@ CONTACT_INPUTS: tuple[TensorSpec, ...] = (
     TensorSpec("skin_rows", ("shapes", "parts", "part_bones", 4, 3 * PART_SIZE), "float32", "m or 1"),
     TensorSpec("skin_bones", ("parts", "part_bones"), "int32", "bone index"),
     TensorSpec("body_shape", ("bodies",), "int32", "row of skin_rows"),
-    TensorSpec("felt_columns", ("stored_patches", COLUMNS, STRAIN_POINTS), "float32", "1"),
+    TensorSpec("felt_place", ("stored_patches", 3, STRAIN_POINTS), "float32", "patch scales"),
     TensorSpec("felt_cluster", ("stored_patches", OWN_CLUSTERS), "int32", "cluster of samples"),
     TensorSpec("felt_bias", ("stored_patches", OWN_CLUSTERS * CLUSTER_SIZE), "float32", "1"),
     TensorSpec("felt_other", ("stored_patches", "parts", PART_SIZE // 2), "uint8", "1 / 15, two each"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import sys
 import time
 from pathlib import Path
@@ -13,7 +12,8 @@ import torch
 from numpy.testing import assert_allclose
 
 from benchmarks import latency, latency_report, latency_rivals
-from benchmarks.latency_setup import poses, shipped, timed, with_patches, with_vertices
+from benchmarks.latency_setup import network_of, poses, shipped, timed, with_patches, with_vertices
+from drape.artifacts import MODELS_DIR
 from drape.body.assets import load_body
 from drape.packing import pack_body
 from service.engine import Engine
@@ -24,18 +24,11 @@ from tests.fixtures.packed import exported, lively
 @pytest.fixture(scope="module")
 def record() -> dict:
     """The quick form with the small network in place of the full-size one."""
-    model, folder, _ = exported()
-
-    def small(checkpoint: Path | None, target: Path):
-        shutil.copytree(folder, target)
-        return model
-
     patch = pytest.MonkeyPatch()
-    patch.setattr(latency, "make_model", small)
     patch.setattr(latency, "SINGLE", ("shorts",))
     threads = torch.get_num_threads()
     try:
-        return latency.main(["--quick", "--threads", "1"])
+        return latency.main(["--quick", "--threads", "1", "--model", str(exported()[1])])
     finally:
         torch.set_num_threads(threads)
         patch.undo()
@@ -51,6 +44,9 @@ def test_rows_hold_together(record: dict):
         if "skipped" not in row and row["name"] != "floor":
             assert 0.0 < row["min_ms"] <= row["p50_ms"] <= row["p95_ms"] <= row["p99_ms"]
         assert row["vertices"] > 0 and row["patches"] > 0
+    pushed = [row for row in record["rows"] if row["name"] == "onnx_pushed"]
+    assert [row["passes"] for row in pushed] == [1, 0]
+    assert all(row["min_ms"] > row["push_out_ms"] / 10 > 0.0 for row in pushed)
     ours = rows["onnx"]
     assert_allclose(sum(ours["stage_ms"].values()), ours["p50_ms"], rtol=1e-4)
     assert ours["push_out_ms"] > 0.0
@@ -58,9 +54,8 @@ def test_rows_hold_together(record: dict):
     assert rows["newton_vbd"]["skipped"] == "quick form"
     batches = [row for row in record["rows"] if row["garment"] == "mixed"]
     assert [row["batch"] for row in batches] == [1, 8]
-    stores = [row for row in record["rows"] if "in store" in row["garment"]]
-    extra = (stores[-1]["store_bytes"] - stores[0]["store_bytes"]) / 3
-    assert extra < 3e6  # an extra garment of 5,000 vertices
+    stores = [row["store_bytes"] for row in record["rows"] if "in store" in row["garment"]]
+    assert stores[-1] == 4 * stores[0]
 
 
 @pytest.mark.slow
@@ -75,6 +70,13 @@ def test_tables_and_plot_come_from_the_record(record: dict, tmp_path: Path):
     assert (tmp_path / "growth.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_another_garment_of_the_shipped_model_takes_less_than_three_megabytes():
+    packer = Packer(Engine(MODELS_DIR / "onefit"), load_body())
+    packer.add("it", with_vertices(shipped("tshirt"), 5000))
+    assert packer.store.packed("it").vertex_count == 5000
+    assert packer.store.bytes < 3e6
+
+
 def drape(garment, pose: np.ndarray) -> np.ndarray:
     packer = Packer(Engine(exported()[1]), load_body())
     packer.add("it", garment)
@@ -83,7 +85,7 @@ def drape(garment, pose: np.ndarray) -> np.ndarray:
 
 @pytest.mark.slow
 def test_eager_torch_computes_the_same_drape():
-    model, garment, pose = exported()[0], shipped("shorts"), poses(3)[1:2]
+    model, garment, pose = network_of(exported()[1]), shipped("shorts"), poses(3)[1:2]
     eager = latency_rivals.EagerDrape(model, garment, load_body())
     rows = pack_body(load_body()).rows(pose)
     with torch.no_grad():
