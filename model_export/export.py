@@ -107,11 +107,17 @@ def export(
             state_size=model.config.state_size if model.config.dynamic else 0,
             training=training,
             quality=quality or [],
-            network=asdict(model.config),
+            network=sizes(model),
             weights=weights,
         )
         (staged / "manifest.json").write_text(manifest.to_json())
     return manifest
+
+
+def sizes(model: OneFit) -> dict[str, Any]:
+    """The configuration of ``model`` in the values that JSON has: lists for tuples."""
+    found = asdict(model.config)
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in found.items()}
 
 
 def parameters(model: OneFit) -> dict[str, np.ndarray]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import tempfile
 from collections import defaultdict
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 from hypothesis import settings
 
 from drape.data_paths import HOW_TO_SET_DATA, data_folder
+from tests.fixtures.run_folder import RUN_FOLDER
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -53,6 +55,17 @@ def skip_reason(item: pytest.Item) -> str | None:
         if not (ROOT / "clients/web/dist/index.html").is_file():
             return "The page is not built: `make page` (needs Node.js 18 or newer)."
     return None
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Makes a folder that all processes of the run share; those that pytest-xdist starts inherit its name."""
+    if not hasattr(config, "workerinput"):
+        os.environ[RUN_FOLDER] = tempfile.mkdtemp(prefix="drape-tests-")
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    if not hasattr(config, "workerinput"):
+        shutil.rmtree(os.environ[RUN_FOLDER], ignore_errors=True)
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -20,6 +20,7 @@ from drape.geometry import jets
 from model_export import export as exporting
 from model_export.graph import DrapeGraph, drape_inputs
 from model_export.parity import hard_poses, session
+from tests.fixtures import packed
 from tests.fixtures.networks import TINY
 from training import checkpoint
 from training.config import TrainConfig, as_published
@@ -33,20 +34,27 @@ def garment():
     return load_garment(next(iter(sorted(GARMENTS_DIR.glob("tank-*.npz")))))
 
 
-def lively(variant: str) -> OneFit:
+def lively() -> OneFit:
+    """A small network of the published form."""
     torch.manual_seed(0)
-    model = OneFit(as_published(TINY) if variant == "paper" else TINY).eval()
+    model = OneFit(as_published(TINY)).eval()
     for head in model.decoder.heads.values():
         torch.nn.init.normal_(list(head.parameters())[-2], std=0.3)
     return model
 
 
-@pytest.fixture(scope="module", params=["vector", "paper"])
-def exported(request, garment, tmp_path_factory):
-    model = lively(request.param)
+@pytest.fixture(scope="module")
+def published(garment, tmp_path_factory):
+    """``lively``, its model folder and the manifest."""
+    model = lively()
     folder = tmp_path_factory.mktemp("models") / "small"
     manifest = exporting.export(model, folder, garment=garment, training={"steps": 0})
     return model, folder, manifest
+
+
+@pytest.fixture(params=["vector", "paper"])
+def exported(request):
+    return packed.exported() if request.param == "vector" else request.getfixturevalue("published")
 
 
 def test_every_named_axis_is_symbolic(exported):
@@ -70,7 +78,8 @@ def test_any_number_of_frames_vertices_and_patches_runs(exported, garment, frame
     model, folder, _ = exported
     feed = body_feed(load_body(), hard_poses(frames), np.zeros((frames, 3)), skin=True)
     arrays = feed.arrays | garment_feed(garment, body=load_body())
-    arrays["patch_embedding"] = np.random.default_rng(0).normal(size=(patches, TINY.embedding_size)).astype(np.float32)
+    size = model.config.embedding_size
+    arrays["patch_embedding"] = np.random.default_rng(0).normal(size=(patches, size)).astype(np.float32)
     for name, value in arrays.items():
         if name.startswith("chart") or name == "skin_weights":
             arrays[name] = value[:vertices]
@@ -94,7 +103,7 @@ def test_a_frame_is_the_same_alone_and_in_a_batch(exported, garment):
     model, folder, _ = exported
     feed = body_feed(load_body(), hard_poses(5), np.zeros((5, 3)), skin=True).arrays
     constants = garment_feed(garment, body=load_body()) | {
-        "patch_embedding": np.ones((garment.patch_count, TINY.embedding_size), dtype=np.float32)
+        "patch_embedding": np.ones((garment.patch_count, model.config.embedding_size), dtype=np.float32)
     }
     names = [spec.name for spec in drape_inputs(model)]
     run = session(folder / "drape.onnx")
@@ -105,8 +114,8 @@ def test_a_frame_is_the_same_alone_and_in_a_batch(exported, garment):
         assert_allclose(got[0], together[frame], rtol=0, atol=1e-6)
 
 
-def test_a_graph_that_differs_is_refused_and_the_old_model_stays(exported, garment, tmp_path, monkeypatch):
-    model, folder, _ = exported
+def test_a_graph_that_differs_is_refused_and_the_old_model_stays(published, garment, tmp_path, monkeypatch):
+    model, folder, _ = published
     shutil.copytree(folder, tmp_path / "m")
     before = (tmp_path / "m" / "manifest.json").read_text()
     monkeypatch.setattr(exporting, "TOLERANCE_M", 1e-12)
@@ -116,8 +125,8 @@ def test_a_graph_that_differs_is_refused_and_the_old_model_stays(exported, garme
     assert sorted(p.name for p in tmp_path.iterdir()) == ["m"]
 
 
-def test_a_baked_in_axis_is_refused(exported):
-    _, folder, manifest = exported
+def test_a_baked_in_axis_is_refused(published):
+    _, folder, manifest = published
     proto = onnx.load(str(folder / "drape.onnx"))
     proto.graph.input[0].type.tensor_type.shape.dim[0].dim_value = 3
     graph = manifest.graphs["drape"]
@@ -125,13 +134,13 @@ def test_a_baked_in_axis_is_refused(exported):
         exporting._check_symbolic(proto, graph.inputs, graph.outputs, "drape.onnx")
 
 
-def test_quality_is_written_into_a_standing_folder(exported, tmp_path, monkeypatch):
+def test_quality_is_written_into_a_standing_folder(published, tmp_path, monkeypatch):
     import json
     import shutil
 
     from model_export.__main__ import main
 
-    _, folder, manifest = exported
+    _, folder, manifest = published
     shutil.copytree(folder, tmp_path / "m")
     (tmp_path / "q.json").write_text(json.dumps({"rows": [{"garment": "tank", "gain": 0.5}]}))
     monkeypatch.setattr("sys.argv", ["model_export", "--quality", str(tmp_path / "q.json"), str(tmp_path / "m")])
@@ -143,8 +152,8 @@ def test_quality_is_written_into_a_standing_folder(exported, tmp_path, monkeypat
 def test_a_checkpoint_exports_through_the_command(garment, tmp_path, monkeypatch):
     from model_export.__main__ import main
 
-    model = lively("vector")
-    config = TrainConfig(model=TINY)
+    model = lively()
+    config = TrainConfig(model=model.config)
     checkpoint.save(tmp_path / "c.pt", {"model": model.state_dict(), "step": 5, "elapsed_s": 60.0}, config)
     monkeypatch.setattr("sys.argv", ["model_export", str(tmp_path / "c.pt"), str(tmp_path / "out")])
     assert main() == 0
