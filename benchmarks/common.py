@@ -55,6 +55,11 @@ def finish(bench: str, rows: list[dict[str, Any]], options: argparse.Namespace, 
     return record
 
 
+def provenance(record: dict[str, Any]) -> str:
+    """The sentence under a table: machine, commit and command."""
+    return f"Measured on {record['machine']}, commit {record['commit']}: `{record['command']}`."
+
+
 def command(bench: str, arguments: list[str]) -> str:
     """The command line, with the folder of private data under its variable's name."""
     data = data_folder()

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from benchmarks import latency_report, representation_report
-from benchmarks.common import RESULTS_DIR, ROOT
+from benchmarks import latency_report, representation_report, study_report
+from benchmarks.common import RESULTS_DIR, ROOT, provenance
 
 QUALITY_COLUMNS = {
     "edge_pct": ".2f",
@@ -82,11 +82,6 @@ def gain_table(record: dict[str, Any]) -> str:
     return "\n".join([*lines, "", provenance(record)])
 
 
-def provenance(record: dict[str, Any]) -> str:
-    """The sentence under a table: machine, commit and command."""
-    return f"Measured on {record['machine']}, commit {record['commit']}: `{record['command']}`."
-
-
 def insert(path: Path, name: str, text: str) -> bool:
     """Puts ``text`` between the markers called ``name`` in ``path``; False where the file has none."""
     begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
@@ -110,6 +105,9 @@ TABLES: tuple[tuple[str, str, str, Callable[[dict[str, Any]], str]], ...] = (
     ("latency", "docs/performance.md", "latency_growth", latency_report.growth_table),
     ("representation", "docs/decisions/0008-representation.md", "forms", representation_report.form_table),
     ("representation", "docs/decisions/0008-representation.md", "agreement", representation_report.agreement_table),
+    ("generality", "docs/training.md", "generality", study_report.generality_table),
+    ("finetuning", "docs/training.md", "finetuning", study_report.finetuning_table),
+    ("resolution", "docs/quality.md", "resolution", study_report.resolution_table),
     ("loss_ablation", "docs/losses.md", "loss_ablation", representation_report.loss_table),
 )
 

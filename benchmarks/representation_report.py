@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from benchmarks.common import provenance
+
 FORM_NAMES = {
     "skinning": "skinning",
     "skinning_push": "skinning + push-out",
@@ -53,7 +55,7 @@ def form_table(record: Record) -> str:
             cells += [f"{row['membrane_j']:.3f} / {row['energy_j']:.3f}"]
             cells += [f"{row[key]:.2f}" for key in ("edge_pct", "area_pct", "colliding_vertex_pct")]
             lines.append(f"| {' | '.join([*cells, format(row['gain'], '.3f')])} |")
-    return "\n".join([*lines, "", _provenance(record)])
+    return "\n".join([*lines, "", provenance(record)])
 
 
 def agreement_table(record: Record) -> str:
@@ -97,12 +99,8 @@ def loss_table(record: Record) -> str:
     for row in record["rows"]:
         cells = ["-" if row.get(key) is None else format(row[key], form) for key, form in columns.items()]
         lines.append(f"| {' | '.join([LOSS_NAMES[row['loss']], *cells])} |")
-    return "\n".join([*lines, "", _provenance(record)])
+    return "\n".join([*lines, "", provenance(record)])
 
 
 def _count(value: int | None) -> str:
     return "-" if value is None else str(value)
-
-
-def _provenance(record: Record) -> str:
-    return f"Measured on {record['machine']}, commit {record['commit']}: `{record['command']}`."

@@ -1,0 +1,42 @@
+"""Tables of the studies: a line per row, every head with its cell, a dash for what was not measured."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks import study_report
+
+WHERE = {"machine": "a machine", "commit": "abc", "command": "python -m benchmarks.x"}
+GENERALITY = [
+    {"run": "one", "garments": 1, "partitions": 1, "steps": 1500, "mean_seen": 0.5, "mean_unseen": -3.25,
+     "gain_sash": 0.5, "gain_cape": None},
+    {"run": "all", "garments": 56, "partitions": 90, "steps": 1500, "mean_seen": 0.75, "mean_unseen": 0.625,
+     "gain_sash": 0.75, "gain_cape": 0.625},
+]  # fmt: skip
+FINETUNING = [
+    {"garment": "cape", "network": "tuned", "steps": 1000, "train_s": 90.0, "edge_pct": 2.0, "area_pct": 3.0,
+     "colliding_vertex_pct": 0.25, "energy_j": 0.125, "gain": 0.9375},
+]  # fmt: skip
+RESOLUTION = [
+    {"mesh": "1,000", "vertices": 1012, "patches": 110, "rest_mm": 0.5, "mean_mm": 1.25, "p95_mm": 2.0,
+     "edge_pct": 4.0, "p50_ms": 1.5},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("table", "rows", "first"),
+    [
+        (study_report.generality_table, GENERALITY, "| one | 1 | 1 | 1,500 | 0.50 | -3.25 | 0.50 | - |"),
+        (
+            study_report.finetuning_table,
+            FINETUNING,
+            "| cape | fine-tuned | 1,000 | 1.5 | 2.00 | 3.00 | 0.25 | 0.125 | 0.938 |",
+        ),
+        (study_report.resolution_table, RESOLUTION, "| 1,000 | 1,012 | 110 | 0.50 | 1.25 | 2.00 | 4.00 | 1.50 |"),
+    ],
+)
+def test_a_table_has_a_line_per_row_and_says_where_it_comes_from(table, rows: list[dict], first: str):
+    heads, rule, *lines, empty, source = table({"rows": rows, **WHERE}).split("\n")
+    assert len(lines) == len(rows) and lines[0] == first and empty == ""
+    assert {line.count("|") for line in (heads, rule, *lines)} == {heads.count("|")}
+    assert source == "Measured on a machine, commit abc: `python -m benchmarks.x`."
