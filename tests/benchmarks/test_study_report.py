@@ -30,7 +30,7 @@ RESOLUTION = [
         (
             study_report.finetuning_table,
             FINETUNING,
-            "| cape | fine-tuned | 1,000 | 1.5 | 2.00 | 3.00 | 0.25 | 0.125 | 0.938 |",
+            "| cape | tuned | 1,000 | 1.5 | 2.00 | 3.00 | 0.25 | 0.125 | 0.938 |",
         ),
         (study_report.resolution_table, RESOLUTION, "| 1,000 | 1,012 | 110 | 0.50 | 1.25 | 2.00 | 4.00 | 1.50 |"),
     ],
