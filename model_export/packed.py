@@ -100,8 +100,7 @@ class PackedGraph(nn.Module):
         self.head = constants.merged_heads(decoder.heads, model.config.output_gain)
         self.based, self.closes = model.config.agreed_base, model.config.closing_fit
         self.corrections = nn.ModuleList(
-            constants.correction_layers(correction, model.config.output_gain, hidden=model.config.decoder_sizes[-1])
-            for correction in model.corrections
+            constants.correction_layers(correction, model.config.output_gain) for correction in model.corrections
         )
         for name, value in constants.tables().items():
             self.register_buffer(name, value)
@@ -259,7 +258,7 @@ class PackedGraph(nn.Module):
         return torch.index_select(local.reshape(-1, 3 * FIT_COUNT) - charts.rest, 1, numbers)
 
     def _strain(self, jet: Tensor, charts: Charts) -> tuple[Tensor, Tensor]:
-        """``training.agreement.strain_and_force``: strain (P, 21), here by component, and force (P, 27)."""
+        """``training.agreement.strain_and_force``: strain (P, 21) and force (P, 27)."""
         tangent = torch.addmm(charts.tangent, jet, self.strain_terms).reshape(-1, 2, 3, STRAIN_POINTS)
         a, b, c = charts.unit.split(1, dim=1)  # (P, 1, 7)
         by_u, by_v = tangent[:, 0], tangent[:, 1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import cast
 
 import torch
@@ -144,23 +145,14 @@ def merged_heads(heads: nn.ModuleDict, gain: float) -> nn.Sequential:
     return nn.Sequential(*layers, last).requires_grad_(False)
 
 
-def correction_layers(correction: nn.Module, gain: float, *, hidden: int) -> nn.Sequential:
-    """A ``training.layers.Correction`` that takes strains component by component; the output gain is in the weights.
-
-    ``hidden``: numbers of the decoder's code, which come before the strains.
-    """
+def correction_layers(correction: nn.Module, gain: float) -> nn.Sequential:
+    """A ``training.layers.Correction`` with the output gain in its weights."""
     first, last = _linears(correction)
-    before = hidden
-    column = torch.arange(first.in_features)
-    strains = column[before : before + 3 * STRAIN_POINTS].reshape(STRAIN_POINTS, 3).T.reshape(-1)
-    column[before : before + 3 * STRAIN_POINTS] = strains
-    made = nn.Linear(first.in_features, first.out_features), nn.Linear(last.in_features, last.out_features)
+    made = nn.Linear(last.in_features, last.out_features)
     with torch.no_grad():
-        made[0].weight.copy_(first.weight[:, column])
-        made[0].bias.copy_(first.bias)
-        made[1].weight.copy_(gain * last.weight)
-        made[1].bias.copy_(gain * last.bias)
-    return nn.Sequential(made[0], nn.LeakyReLU(SLOPE), made[1]).requires_grad_(False)
+        made.weight.copy_(gain * last.weight)
+        made.bias.copy_(gain * last.bias)
+    return nn.Sequential(copy.deepcopy(first), nn.LeakyReLU(SLOPE), made).requires_grad_(False)
 
 
 def _linears(head: nn.Module) -> list[nn.Linear]:

@@ -165,8 +165,9 @@ def tangent_terms() -> Tensor:
 def strain_and_force(jet: Tensor, charts: ChartAgreement, terms: Tensor) -> tuple[Tensor, Tensor]:
     """Green strain (F, K, 21) of posed charts at seven points each, and the force on their coefficients (F, K, 27).
 
-    The strain is [E11, E22, 2 E12] against the rest jet; the force the gradient of |E|^2 / 2 + 0.15 tr(E)^2 summed
-    over the points: which way, and by how much, each coefficient would relax the patch. ``terms``: ``tangent_terms``.
+    The strain is E11 at all points, then E22, then 2 E12, against the rest jet; the force the gradient of
+    |E|^2 / 2 + 0.15 tr(E)^2 summed over the points: which way, and by how much, each coefficient would relax the
+    patch. ``terms``: ``tangent_terms``.
     """
     moved = (jet @ terms).unflatten(-1, charts.tangent.shape[1:])
     tangent = (charts.tangent + moved) @ charts.orthonormal
@@ -177,7 +178,7 @@ def strain_and_force(jet: Tensor, charts: ChartAgreement, terms: Tensor) -> tupl
     along_u = (e11 + trace)[..., None] * u + e12[..., None] * v
     along_v = e12[..., None] * u + (e22 + trace)[..., None] * v
     pull = torch.stack([along_u, along_v], dim=-1) @ charts.orthonormal.mT
-    return torch.stack([e11, e22, 2.0 * e12], dim=-1).flatten(-2), pull.flatten(-3) @ terms.T
+    return torch.cat([e11, e22, 2.0 * e12], dim=-1), pull.flatten(-3) @ terms.T
 
 
 def softened(x: Tensor) -> Tensor:

@@ -152,7 +152,7 @@ def test_strain_of_a_stretch_is_its_closed_form():
     strain, force = strain_and_force(jet, charts, tangent_terms())
     f = np.array([[1.2, 0.0], [0.1, 0.9]])
     e = 0.5 * (f.T @ f - np.eye(2))
-    wanted = np.tile([e[0, 0], e[1, 1], 2.0 * e[0, 1]], 7)
+    wanted = np.repeat([e[0, 0], e[1, 1], 2.0 * e[0, 1]], 7)
     assert_allclose(strain[0, 1], wanted, rtol=0, atol=1e-6)
     assert_allclose(
         force[0, 1, 1], 7.0 * (f @ (e + TRACE_SHARE * np.trace(e) * np.eye(2)))[0, 0], rtol=1e-5
@@ -171,7 +171,7 @@ def test_force_is_the_gradient_of_the_strain_energy():
     jet = 0.2 * torch.randn(2, garment().patch_count, jets.JET_COUNT, dtype=torch.float64)
     jet.requires_grad_()
     strain, force = strain_and_force(jet, exact, terms)
-    e11, e22, shear = strain.unflatten(-1, (7, 3)).unbind(-1)
+    e11, e22, shear = strain.unflatten(-1, (3, 7)).unbind(-2)
     energy = 0.5 * (e11**2 + e22**2 + 0.5 * shear**2) + 0.5 * TRACE_SHARE * (e11 + e22) ** 2
     (gradient,) = torch.autograd.grad(energy.sum(), jet)
     assert_allclose(force.detach(), gradient, rtol=0, atol=1e-9 * float(gradient.abs().max()))

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.garment import charts, fitting
-from drape.garment.cache import Garment
+from drape.garment.cache import GARMENTS_DIR, Garment, load_garment
 from drape.garment.fitting import RestGarment, fit_error, fit_garment, fit_jets, patch_fields
 from drape.garment.partition import patch_count_for
 from drape.geometry import jets
@@ -253,3 +253,11 @@ def test_folded_charts_are_counted():
     jet[:, 1] *= -1.0  # u runs backwards: the normal points inwards
     used = int((fields["chart_weight"] > 0.0).sum())
     assert fit_error(rest, {**fields, "patch_jet": jet})["folded_chart_entries"] == used
+
+
+def test_shape_movement_is_kept_in_steps_of_micrometres():
+    made = load_garment(next(iter(sorted(GARMENTS_DIR.glob("tank-*.npz")))))
+    steps = made.shapedirs.astype(np.float64) / fitting.SHAPE_STEP_M
+    assert_array_equal(steps, np.rint(steps))
+    rest = fitting.rest_garment(made.vertices, made.fine_faces, default_body())
+    assert_allclose(made.shapedirs, rest.hang.shapedirs, rtol=0.0, atol=0.6 * fitting.SHAPE_STEP_M)
