@@ -106,7 +106,9 @@ def rows_of(
 def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     """Prints the table and the record, and returns the record."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.finetuning", description="Fine-tuned or from scratch.")
-    parser.add_argument("--garments", nargs="+", required=True, help="files or folders")
+    parser.add_argument(
+        "--garments", nargs="+", default=[], help="files or folders (default: the shipped; quick: tank)"
+    )
     parser.add_argument(
         "--model", type=Path, default=Path("onefit"), help="what is fine-tuned, as training.run takes it"
     )
@@ -125,7 +127,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     clips = read_clips([data_folder("motions") or sample_motions()], held_out=PRESETS["shipped"]().data.held_out)
     poses = hard_poses(held_out_clips(PRESETS["shipped"](), []), body, options.frames or (1 if options.quick else 4))
     rows: list[dict[str, Any]] = []
-    for path in find_garments(options.garments):
+    for path in find_garments(options.garments or (["tank"] if options.quick else [])):
         garment = open_garment(path, body)
         rows += rows_of(
             path, garment, options.model, source, poses, clips, steps=steps, patience=options.patience,

@@ -107,6 +107,10 @@ TABLES: tuple[tuple[str, str, str, Callable[[dict[str, Any]], str]], ...] = (
     ("representation", "docs/decisions/0008-representation.md", "agreement", representation_report.agreement_table),
     ("generality", "docs/training.md", "generality", study_report.generality_table),
     ("finetuning", "docs/training.md", "finetuning", study_report.finetuning_table),
+    ("training", "docs/training.md", "throughput", study_report.throughput_table),
+    ("dynamics", "docs/training.md", "dynamics_stop", study_report.stop_table),
+    ("dynamics", "docs/training.md", "dynamics_potential", study_report.potential_table),
+    ("push_out", "docs/push_out.md", "push_out", study_report.push_table),
     ("resolution", "docs/quality.md", "resolution", study_report.resolution_table),
     ("loss_ablation", "docs/losses.md", "loss_ablation", representation_report.loss_table),
 )

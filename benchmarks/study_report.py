@@ -1,4 +1,4 @@
-"""Tables of the studies of the network: variety of the garments trained on, fine-tuning, resolution of the mesh."""
+"""Tables of the studies: variety of the garments trained on, fine-tuning, resolution, throughput, motion, push-out."""
 
 from __future__ import annotations
 
@@ -45,6 +45,78 @@ def resolution_table(record: Record) -> str:
     forms = {"rest_mm": ".2f", "mean_mm": ".2f", "p95_mm": ".2f", "edge_pct": ".2f", "p50_ms": ".2f"}
     for row in record["rows"]:
         cells = [row["mesh"], f"{row['vertices']:,}", str(row["patches"])]
+        lines.append("| " + " | ".join([*cells, *(_number(row.get(key), form) for key, form in forms.items())]) + " |")
+    return "\n".join([*lines, "", provenance(record)])
+
+
+def throughput_table(record: Record) -> str:
+    """One line per way to share a training step among cores, and where its time goes."""
+    stages = [key.removesuffix("_ms") for key in record["rows"][0] if key.endswith("_ms")]
+    heads = (
+        "processes",
+        "threads each",
+        "frames a step",
+        "frames/s",
+        "spread",
+        *(f"{name} [ms/frame]" for name in stages),
+    )
+    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
+    for row in record["rows"]:
+        cells = [str(row[key]) for key in ("processes", "threads", "batch")]
+        cells += [f"{row[key]:.0f}" for key in ("frames_per_s", "spread")]
+        lines.append("| " + " | ".join([*cells, *(f"{row[f'{name}_ms']:.2f}" for name in stages)]) + " |")
+    return "\n".join([*lines, "", provenance(record)])
+
+
+def stop_table(record: Record) -> str:
+    """One line per garment and clip: the hem after an abrupt stop."""
+    rows = [row for row in record["rows"] if row["kind"] == "stop"]
+    times = [key for key in rows[0] if key[0].isdigit()]
+    heads = (
+        "garment",
+        "clip",
+        "swings through",
+        "within 1 mm after [s]",
+        "every bit still after [s]",
+        "hem: largest [mm]",
+    )
+    lines = [
+        "| " + " | ".join([*heads, *(f"after {key}" for key in times)]) + " |",
+        "|---" * (len(heads) + len(times)) + "|",
+    ]
+    for row in rows:
+        cells = [row["garment"], row["clip"], str(row["swings"])]
+        cells += [
+            _number(row[key], form) for key, form in {"millimetre_s": ".2f", "rest_s": ".2f", "peak_mm": ".1f"}.items()
+        ]
+        lines.append("| " + " | ".join([*cells, *(_number(row[key], ".1f") for key in times)]) + " |")
+    return "\n".join([*lines, "", provenance(record)])
+
+
+def potential_table(record: Record) -> str:
+    """One line per garment and clip: the incremental potential of the moving and of the static drape."""
+    lines = [
+        "| garment | clip | after the same frames: moving [J] | static | each after its own: moving | static |",
+        "|---" * 6 + "|",
+    ]
+    for row in (row for row in record["rows"] if row["kind"] == "potential"):
+        values = [row[f"{kind}_{motion}_j"] for kind in ("given", "own") for motion in ("dynamic", "static")]
+        lines.append(
+            "| " + " | ".join([row["garment"], row["clip"], *(_number(value, ".4f") for value in values)]) + " |"
+        )
+    return "\n".join(lines)
+
+
+def push_table(record: Record) -> str:
+    """One line per set of garments and way out of the body."""
+    forms = {
+        "colliding_triangle_pct": ".3f", "edge_pct": ".2f", "edge_added_pp": ".2f", "energy_j": ".3f",
+        "jitter_ratio": ".2f", "p50_ms": ".2f", "processor_ms": ".2f",
+    }  # fmt: skip
+    heads = ("garments", "way", "colliding triangles %", "edge %", "added [pp]", "energy [J]", "jitter", "p50 [ms]")
+    lines = [f"| {' | '.join([*heads, 'processor [ms]'])} |", "|---" * (len(heads) + 1) + "|"]
+    for row in record["summary"]:
+        cells = [f"{row['garment']}, {row['set']}", row["method"].replace("_", " ")]
         lines.append("| " + " | ".join([*cells, *(_number(row.get(key), form) for key, form in forms.items())]) + " |")
     return "\n".join([*lines, "", provenance(record)])
 
