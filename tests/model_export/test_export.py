@@ -94,9 +94,8 @@ def test_any_number_of_frames_vertices_and_patches_runs(exported, garment, frame
     for have, want in zip((np.asarray(array) for array in got), expected, strict=True):
         assert have.shape == tuple(want.shape)
         # Fits of the fourth order make some ten times more of what is rounded.
-        assert_allclose(
-            have, want.numpy(), rtol=1e-4, atol=2e-4 if have.shape[-1] in (jets.JET_COUNT, jets.FULL_COUNT) else 1e-5
-        )
+        of_jets = have.shape[-1] in (jets.JET_COUNT, jets.FULL_COUNT)
+        assert_allclose(have, want.numpy(), rtol=1e-4, atol=2e-4 if of_jets else 1e-5)
 
 
 def test_a_frame_is_the_same_alone_and_in_a_batch(exported, garment):

@@ -90,7 +90,8 @@ def test_a_mixed_batch_equals_the_readable_graph_item_by_item(config):
         vertices, jet, rotation, centre = readable(model, kind, row)
         assert_allclose(out["vertices"].reshape(-1, 3)[composition.vertices[item]], vertices, rtol=0, atol=2e-6)
         here = composition.patches[item]
-        assert_allclose(out["jet"][here], jet, rtol=0, atol=2e-4)  # the highest coefficients carry the rounding
+        # Coefficients of the fourth order in every direction carry the rounding of the closing fit.
+        assert_allclose(out["jet"][here], jet, rtol=0, atol=2e-4 if config.closing_fit else 5e-5)
         assert_allclose(out["frame_rotation"][here], rotation, rtol=0, atol=2e-6)
         assert_allclose(out["frame_centre"][here], centre, rtol=0, atol=2e-6)
 
