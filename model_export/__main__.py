@@ -18,7 +18,7 @@ from pathlib import Path
 
 from drape.errors import DrapeError
 from drape.garment.cache import GARMENTS_DIR, load_garment
-from model_export.export import add_push_out, command_line, commit, export, load_model, write_quality
+from model_export.export import add_push_out, command_line, commit, export, load_model, static_training, write_quality
 
 
 def main() -> int:
@@ -50,7 +50,9 @@ def main() -> int:
             model,
             arguments.target,
             garment=load_garment(path),
-            training=training | {"commit": commit(), "command": command_line()},
+            training=training
+            | {"commit": commit(), "command": command_line()}
+            | static_training(model, arguments.target),
             quality=rows,
         )
     except DrapeError as error:

@@ -17,7 +17,7 @@ import onnx
 import torch
 from torch import nn
 
-from drape.artifacts import GraphSpec, Manifest, TensorSpec, file_digest, load_manifest, staged_folder
+from drape.artifacts import GraphSpec, Manifest, TensorSpec, file_digest, load_manifest, read_parameters, staged_folder
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment
@@ -112,6 +112,19 @@ def export(
         )
         (staged / "manifest.json").write_text(manifest.to_json())
     return manifest
+
+
+def static_training(model: OneFit, folder: Path) -> dict[str, Any]:
+    """What is to be told of the training of the static part of a dynamic ``model``, under "static": what the model in
+    ``folder`` says of its own, where its weights are the same; nothing otherwise."""
+    if not model.config.dynamic or not (folder / "manifest.json").is_file():
+        return {}
+    manifest = load_manifest(folder)
+    kept = read_parameters(folder, manifest.weights) if manifest.weights is not None else {}
+    ours = {name: value for name, value in parameters(model).items() if not name.startswith("dynamic.")}
+    if not all(name in kept and np.array_equal(kept[name], value) for name, value in ours.items()):
+        return {}
+    return {"static": manifest.training.get("static", manifest.training)}
 
 
 def sizes(model: OneFit) -> dict[str, Any]:

@@ -17,11 +17,12 @@ from drape.errors import ArtifactError
 from drape.feeds import body_feed, garment_feed, kinematics
 from drape.garment.cache import Garment
 from model_export import export as exporting
+from model_export.export import static_training
 from model_export.graph import DrapeGraph, drape_inputs, drape_outputs
 from model_export.parity import session
 from service.dynamics import Moment, advance, nothing
 from service.engine import Engine
-from tests.fixtures.packed import MOVING, exported_dynamic
+from tests.fixtures.packed import MOVING, exported, exported_dynamic
 from tests.fixtures.packed import garment as fixture_garment
 from tests.fixtures.poses import smooth_motion
 from training.model import OneFit
@@ -44,6 +45,16 @@ def model() -> OneFit:
 @pytest.fixture(scope="module")
 def folder() -> Path:
     return exported_dynamic()[1]
+
+
+def test_the_manifest_tells_of_the_static_training_too_where_it_is_the_same(tmp_path: Path):
+    still, folder, _ = exported()
+    moving, _, _ = exported_dynamic()
+    assert static_training(moving, folder) == {"static": {"steps": 0}}
+    assert static_training(still, folder) == {}, "a static model has no other part"
+    assert static_training(moving, tmp_path) == {}, "no model stands there"
+    other = OneFit(moving.config)
+    assert static_training(other, folder) == {}, "other weights"
 
 
 def test_the_manifest_says_that_it_is_dynamic(folder):
