@@ -55,6 +55,8 @@ async def health(state: StateHere) -> schemas.Health:
         provider=drapery.engine.provider,
         body=drapery.body.name,
         garments=len(drapery.garments.entries()),
+        passes=drapery.engine.pass_count,
+        layers=drapery.settings.max_layers,
         sessions=state.streams.count,
         refused_garments=drapery.garments.refused,
     )

@@ -109,6 +109,8 @@ class Health(BaseModel):
     provider: str
     body: str
     garments: int
+    passes: int = Field(description="Corrections of the network of which a request may choose how many; 0: no choice.")
+    layers: int = Field(description="Garments that an outfit may have.")
     sessions: int
     refused_garments: list[str] = Field(description="Stored garments that could not be loaded, with the reason.")
 
