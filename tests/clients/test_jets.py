@@ -73,6 +73,7 @@ def test_clips_of_jets_become_vertices(outfit_url: str):
 def test_a_stream_of_jets(outfit_url: str):
     with DrapeClient(outfit_url) as client:
         layout, expected = client.jet_layout("tube"), client.drape("tube", POSES, trans=TRANS)
+        clip = client.drape_jets("tube", POSES, trans=TRANS)
 
     async def talk() -> tuple[ReceivedJets, wire.Frame]:
         async with await DrapeStream.open(outfit_url, "tube", geometry="jets") as stream:
@@ -90,8 +91,8 @@ def test_a_stream_of_jets(outfit_url: str):
 
     received, frame = asyncio.run(talk())
     assert 0.0 < received.age_s < 20.0
-    gap = np.linalg.norm(layout.vertices(received.frame) - expected[0], axis=1)
-    assert gap.max() <= received.frame.left_m + QUANTISED_M
+    assert np.abs(layout.vertices(received.frame) - layout.vertices(clip[0])).max() < QUANTISED_M
+    assert received.frame.pushed and received.frame.left_m == pytest.approx(clip[0].left_m, abs=1e-5)
     assert np.abs(frame.vertices() - expected[0]).max() < 1e-4
 
 
