@@ -15,8 +15,10 @@ import numpy as np
 from drape import errors
 from drape.avatar_table import entry_for
 from drape.errors import DrapeError, InputError, MotionError, Unavailable
+from drape.jet_layout import JetLayout, unpack_layout
 from drape.motion.clip import MotionClip
 from drape.motion.grounding import placed_on_ground
+from drape.wire_jets import JetFrame, split_jets
 
 Answer = TypeVar("Answer")
 Motion = MotionClip | np.ndarray
@@ -125,6 +127,10 @@ def mesh(garment: str) -> Call[dict[str, Any]]:
     )
 
 
+def jet_layout(garment: str) -> Call[JetLayout]:
+    return Call("GET", f"/garments/{_quoted(garment)}/jets", _read_layout, headers={"Accept": BINARY})
+
+
 def job(job_id: str) -> Call[dict[str, Any]]:
     return Call("GET", f"/jobs/{_quoted(job_id)}", httpx.Response.json)
 
@@ -185,6 +191,20 @@ def drape_outfit(
     """World vertices [m] (F, V, 3) float32 of each of ``garments``."""
     document = _motion_document(motion, trans, betas, None) | worn(garments) | {"push_out": push_out}
     return Call("POST", "/drape", _read_layers, headers={"Accept": BINARY}, json=document)
+
+
+def drape_jets(
+    garment: str | Sequence[str],
+    motion: Motion,
+    *,
+    trans: np.ndarray | None,
+    betas: np.ndarray | None,
+    push_out: bool | None,
+) -> Call[list[JetFrame]]:
+    """Posed patches of one garment, or of several over each other, frame by frame."""
+    document = _motion_document(motion, trans, betas, None) | worn(garment)
+    document |= {"push_out": push_out, "geometry": "jets"}
+    return Call("POST", "/drape", _read_jets, headers={"Accept": BINARY}, json=document)
 
 
 def worn(garment: str | Sequence[str]) -> dict[str, Any]:
@@ -256,6 +276,14 @@ def _read_layers(response: httpx.Response) -> list[np.ndarray]:
     vertices = _read_vertices(response)
     counts = [int(part.rpartition(":")[2]) for part in response.headers.get("X-Drape-Garments", "").split(",") if part]
     return np.split(vertices, np.cumsum(counts, dtype=int)[:-1], axis=1)
+
+
+def _read_layout(response: httpx.Response) -> JetLayout:
+    return unpack_layout(response.content)
+
+
+def _read_jets(response: httpx.Response) -> list[JetFrame]:
+    return split_jets(response.content)
 
 
 def _read_clip(response: httpx.Response) -> MotionClip:

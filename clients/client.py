@@ -20,7 +20,9 @@ import numpy as np
 from clients import calls
 from clients.calls import DEFAULT_URL, Answer, Call, Motion
 from drape.errors import DrapeError, Unavailable
+from drape.jet_layout import JetLayout
 from drape.motion.clip import MotionClip
+from drape.wire_jets import JetFrame
 
 # A clip of a thousand frames takes a while on a small machine; connecting does not.
 TIMEOUT = httpx.Timeout(300.0, connect=5.0)
@@ -79,6 +81,10 @@ class DrapeClient:
         """Rest vertices [m], faces, uv and uv_faces of a garment."""
         return self._send(calls.mesh(garment))
 
+    def jet_layout(self, garment: str) -> JetLayout:
+        """What makes vertices of the garment's jets, on its own mesh or a finer one; constant per garment."""
+        return self._send(calls.jet_layout(garment))
+
     def upload_garment(
         self,
         path: str | Path,
@@ -119,6 +125,21 @@ class DrapeClient:
     ) -> list[np.ndarray]:
         """``drape`` of several garments worn over each other, the innermost first; vertices of each."""
         return self._send(calls.drape_outfit(garments, motion, trans=trans, betas=betas, push_out=push_out))
+
+    def drape_jets(
+        self,
+        garment: str | Sequence[str],
+        motion: Motion,
+        *,
+        trans: np.ndarray | None = None,
+        betas: np.ndarray | None = None,
+        push_out: bool | None = None,
+    ) -> list[JetFrame]:
+        """``drape`` as posed patches, a frame each: ``jet_layout(garment).vertices(frame)`` [m] (V, 3).
+
+        Of several garments over each other ``frame.layers(counts)`` parts the patches.
+        """
+        return self._send(calls.drape_jets(garment, motion, trans=trans, betas=betas, push_out=push_out))
 
     def drape_glb(
         self,
@@ -195,6 +216,10 @@ class AsyncDrapeClient:
         """Rest vertices [m], faces, uv and uv_faces of a garment."""
         return await self._send(calls.mesh(garment))
 
+    async def jet_layout(self, garment: str) -> JetLayout:
+        """What makes vertices of the garment's jets, on its own mesh or a finer one; constant per garment."""
+        return await self._send(calls.jet_layout(garment))
+
     async def upload_garment(
         self,
         path: str | Path,
@@ -236,6 +261,21 @@ class AsyncDrapeClient:
         """``drape`` of several garments worn over each other, the innermost first; vertices of each."""
         call = calls.drape_outfit(garments, motion, trans=trans, betas=betas, push_out=push_out)
         return await self._send(call)
+
+    async def drape_jets(
+        self,
+        garment: str | Sequence[str],
+        motion: Motion,
+        *,
+        trans: np.ndarray | None = None,
+        betas: np.ndarray | None = None,
+        push_out: bool | None = None,
+    ) -> list[JetFrame]:
+        """``drape`` as posed patches, a frame each: ``jet_layout(garment).vertices(frame)`` [m] (V, 3).
+
+        Of several garments over each other ``frame.layers(counts)`` parts the patches.
+        """
+        return await self._send(calls.drape_jets(garment, motion, trans=trans, betas=betas, push_out=push_out))
 
     async def drape_glb(
         self,

@@ -5,6 +5,10 @@
         received = await stream.receive()
         received.frame.vertices(), received.age_s
 
+    async with await DrapeStream.open(url, "tshirt", geometry="jets") as stream:
+        await stream.send(pose, trans)
+        layout.vertices((await stream.receive_jets()).frame)  # layout: DrapeClient.jet_layout("tshirt")
+
 Frames answer the newest pose; poses that a newer one replaced are counted in ``frame.dropped``.
 """
 
@@ -15,7 +19,7 @@ import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from websockets.asyncio.client import ClientConnection, connect
@@ -25,9 +29,11 @@ from websockets.typing import Subprotocol
 from clients.calls import DEFAULT_URL, ServiceError, problem_error, unreachable, worn
 from drape import wire
 from drape.errors import DrapeError
+from drape.wire_jets import JetFrame, unpack_jets
 
 MESSAGE_LIMIT_BYTES = 16 * 2**20
 OPEN_S = 10.0
+Geometry = Literal["vertices", "jets"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +41,14 @@ class Received:
     """A frame and the time [s] since its pose was sent, by this machine's clock."""
 
     frame: wire.Frame
+    age_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class ReceivedJets:
+    """A frame of posed patches and the time [s] since its pose was sent, by this machine's clock."""
+
+    frame: JetFrame
     age_s: float
 
 
@@ -54,6 +68,7 @@ class DrapeStream:
         *,
         betas: Sequence[float] | np.ndarray | None = None,
         push_out: bool | None = None,
+        geometry: Geometry = "vertices",
     ) -> DrapeStream:
         """Connects and opens; raises the service's refusal."""
         address = url.rstrip("/").replace("http", "ws", 1) + "/stream"
@@ -69,7 +84,7 @@ class DrapeStream:
             raise unreachable(address, error) from error
         stream = cls(connection, {})
         try:
-            stream.about = await stream.reopen(garment, betas=betas, push_out=push_out)
+            stream.about = await stream.reopen(garment, betas=betas, push_out=push_out, geometry=geometry)
         except BaseException:
             await connection.close()
             raise
@@ -91,13 +106,17 @@ class DrapeStream:
         *,
         betas: Sequence[float] | np.ndarray | None = None,
         push_out: bool | None = None,
+        geometry: Geometry = "vertices",
     ) -> dict[str, Any]:
-        """Turns the stream to another garment, shape or push-out; frames of the old one are thrown away.
+        """Turns the stream to another garment, shape, push-out or geometry; frames of the old one are thrown away.
 
-        Several garments are worn over each other, the innermost first; ``layers`` parts their vertices.
+        Several garments are worn over each other, the innermost first; ``layers`` parts their vertices. With jets
+        frames come from ``receive_jets``.
         """
         shape = None if betas is None else [float(beta) for beta in betas]
         request = {"type": "open", **worn(garment), "betas": shape, "push_out": push_out}
+        if geometry != "vertices":  # a service from before jets knows no such field
+            request["geometry"] = geometry
         await self._transmit(json.dumps(request))
         while True:
             message = await self._message()
@@ -120,12 +139,21 @@ class DrapeStream:
 
     async def receive(self) -> Received:
         """The next frame, acknowledged."""
+        frame = wire.unpack_frame(await self._binary())
+        await self._transmit(wire.pack_ack(frame.sequence))
+        return Received(frame, time.perf_counter() - frame.client_time_s)
+
+    async def receive_jets(self) -> ReceivedJets:
+        """The next frame of a stream of jets, acknowledged; ``frame.layers`` parts it by garment."""
+        frame = unpack_jets(await self._binary())
+        await self._transmit(wire.pack_ack(frame.sequence))
+        return ReceivedJets(frame, time.perf_counter() - frame.client_time_s)
+
+    async def _binary(self) -> bytes:
         while True:
             message = await self._message()
             if isinstance(message, bytes):
-                frame = wire.unpack_frame(message)
-                await self._transmit(wire.pack_ack(frame.sequence))
-                return Received(frame, time.perf_counter() - frame.client_time_s)
+                return message
 
     async def _transmit(self, message: str | bytes) -> None:
         try:

@@ -3,7 +3,8 @@
 All numbers are little endian. Every message begins with the same 16 bytes (magic,
 version, kind, flags, sequence, count). The client sends POSE and ACK, the service FRAME.
 Vertices travel as 16-bit steps inside the frame's own bounding box, relative to the
-root joint: half a step of a 2 m box is 0.015 mm. ``docs/wire.md`` describes the conversation.
+root joint: half a step of a 2 m box is 0.015 mm. A client that asked for jets gets JETS in place of FRAME
+(``drape.wire_jets``) and once per garment a LAYOUT (``drape.jet_layout``). ``docs/wire.md`` describes the conversation.
 """
 
 from __future__ import annotations
@@ -14,11 +15,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from drape.errors import InputError
+from drape.geometry import jets
 
 WIRE_VERSION = 1
 SUBPROTOCOL = f"drape.v{WIRE_VERSION}"
 MAGIC = 0x45505244  # "DRPE" in file order
-POSE, ACK, FRAME = 1, 2, 3
+POSE, ACK, FRAME, JETS, LAYOUT = 1, 2, 3, 4, 5
 FLAG_PUSHED = 1  # the vertices were pushed out of the body
 STEP_COUNT = 65535
 POSE_SIZE = 72
@@ -48,15 +50,32 @@ LAYOUTS: dict[str, Layout] = {
         ("pushed_share", "f32", 1),
         ("push_max_m", "f32", 1),
     ),
+    "JETS": (
+        *PREFIX,
+        ("client_time_s", "f64", 1),
+        ("server_time_s", "f64", 1),
+        ("root", "f64", 3),
+        ("dropped", "u32", 1),
+        ("residence_us", "u32", 1),
+        ("pushed_share", "f32", 1),
+        ("push_max_m", "f32", 1),
+        ("left_m", "f32", 1),
+        ("centre_low", "f32", 3),
+        ("centre_step", "f32", 3),
+        ("jet_low", "f32", jets.FULL_COUNT),
+        ("jet_step", "f32", jets.FULL_COUNT),
+    ),
+    "LAYOUT": (*PREFIX, ("vertices", "u32", 1), ("charts", "u32", 1)),
 }
 _CODES = {"u8": "B", "u16": "H", "u32": "I", "f32": "f", "f64": "d"}
 
 
-def _struct(layout: Layout) -> struct.Struct:
+def record(layout: Layout) -> struct.Struct:
+    """The fields of ``layout`` as bytes."""
     return struct.Struct("<" + "".join(f"{count}{_CODES[kind]}" for _, kind, count in layout))
 
 
-_POSE, _ACK, _FRAME = (_struct(LAYOUTS[name]) for name in ("POSE", "ACK", "FRAME"))
+_POSE, _ACK, _FRAME = (record(LAYOUTS[name]) for name in ("POSE", "ACK", "FRAME"))
 POSE_BYTES, ACK_BYTES, FRAME_HEADER_BYTES = _POSE.size, _ACK.size, _FRAME.size
 
 
@@ -104,7 +123,7 @@ def pack_pose(pose: Pose) -> bytes:
 
 def unpack_pose(message: bytes) -> Pose:
     """The pose in ``message``; refuses another size, version or kind, and numbers that are not finite."""
-    _check_prefix("pose message", message, POSE, POSE_BYTES)
+    check_prefix("pose message", message, POSE, POSE_BYTES)
     values = _POSE.unpack(message)
     numbers = np.asarray(values[6:], dtype=np.float64)
     if not np.isfinite(numbers).all():
@@ -125,7 +144,7 @@ def pack_ack(sequence: int) -> bytes:
 
 def unpack_ack(message: bytes) -> int:
     """The acknowledged sequence number."""
-    _check_prefix("ack message", message, ACK, ACK_BYTES)
+    check_prefix("ack message", message, ACK, ACK_BYTES)
     return _ACK.unpack(message)[4]
 
 
@@ -138,17 +157,17 @@ def message_kind(message: bytes) -> int:
     return message[5]
 
 
-def quantise(positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Steps (V, 3) uint16, low corner (3,) and step size (3,) [m] of ``positions`` (V, 3)."""
+def quantise(positions: np.ndarray, count: int = STEP_COUNT) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Steps (V, n) uint16 from 0 to ``count``, low corner (n,) and step size (n,) of the columns of ``positions``."""
     low = positions.min(axis=0).astype(np.float32)
     extent = positions.max(axis=0).astype(np.float32) - low
-    step = np.maximum(extent / np.float32(STEP_COUNT), np.float32(1e-9))  # a flat box must not divide by zero
+    step = np.maximum(extent / np.float32(count), np.float32(1e-9))  # a flat box must not divide by zero
     steps = np.rint((positions.astype(np.float32) - low) / step)
-    return np.clip(steps, 0, STEP_COUNT).astype(np.uint16), low, step
+    return np.clip(steps, 0, count).astype(np.uint16), low, step
 
 
 def dequantise(steps: np.ndarray, low: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """Positions [m] (V, 3) float32."""
+    """The quantised columns (V, n), float32."""
     return low + step * steps.astype(np.float32)
 
 
@@ -166,7 +185,7 @@ def pack_frame(frame: Frame) -> bytes:
 
 def unpack_frame(message: bytes) -> Frame:
     """The frame in ``message``."""
-    _check_prefix("frame message", message, FRAME, None)
+    check_prefix("frame message", message, FRAME, least=FRAME_HEADER_BYTES)
     values = _FRAME.unpack_from(message)
     count = values[5]
     size = FRAME_HEADER_BYTES + count * 6 + (-(count * 6) % 4)
@@ -194,8 +213,8 @@ def unpack_frame(message: bytes) -> Frame:
     )
 
 
-def _check_prefix(name: str, message: bytes, kind: int, size: int | None) -> None:
-    least = size if size is not None else FRAME_HEADER_BYTES
+def check_prefix(name: str, message: bytes, kind: int, size: int | None = None, *, least: int = ACK_BYTES) -> None:
+    """Refuses a ``message`` that has not ``size`` bytes, or ``least`` of them, or another magic, version or kind."""
     if (size is not None and len(message) != size) or len(message) < least:
         wanted = f"{size} bytes" if size is not None else f"at least {least} bytes"
         raise InputError(name, expected=wanted, got=f"{len(message)} bytes", cure="See docs/wire.md for the layout.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 import tempfile
 import warnings
@@ -242,25 +243,25 @@ def _exported(
 
 
 def add_push_out(folder: Path, garment: Garment) -> Manifest:
-    """Writes the push-out's graphs into a model folder that stands; its other graphs stay as they are."""
+    """Writes the push-out's graphs into a model folder that stands; its other graphs compute what they did."""
     manifest = load_manifest(folder)
-    parts = {name: folder / f"{name}.onnx.part" for name in PUSHES}
-    specs = {name: write(parts[name]) for name, write in PUSHES.items()}
-    error = max(push_parity_error(parts["push_out"], garment), layer_parity_error(parts["push_over"], garment))
-    if not error <= TOLERANCE_M:
-        for part in parts.values():
-            part.unlink()
-        raise ArtifactError(
-            "push_out parity",
-            expected=f"at most {TOLERANCE_M} m between numpy and onnxruntime",
-            got=f"{error:.3g} m",
-            cure="Do not ship this graph; find the operator that differs.",
-        )
-    for name, part in parts.items():
-        os.replace(part, folder / f"{name}.onnx")
-    graphs = manifest.graphs | {name: replace(spec, file=f"{name}.onnx") for name, spec in specs.items()}
-    changed = replace(manifest, graphs=graphs, parity_error_m=max(error, manifest.parity_error_m))
-    _write_manifest(folder, changed)
+    with staged_folder(folder) as staged:
+        shutil.copytree(folder, staged, dirs_exist_ok=True)
+        specs = {name: write(staged / f"{name}.onnx") for name, write in PUSHES.items()}
+        files = {name: staged / spec.file for name, spec in specs.items()}
+        error = max(push_parity_error(files["push_out"], garment), layer_parity_error(files["push_over"], garment))
+        if not error <= TOLERANCE_M:
+            raise ArtifactError(
+                "push_out parity",
+                expected=f"at most {TOLERANCE_M} m between numpy and onnxruntime",
+                got=f"{error:.3g} m",
+                cure="Do not ship this graph; find the operator that differs.",
+            )
+        kept = read_parameters(folder, manifest.weights) if manifest.weights is not None else None
+        graphs, weights = share_weights(staged, manifest.graphs | specs, kept)
+        worst = max(error, manifest.parity_error_m)
+        changed = replace(manifest, graphs=graphs, weights=weights, parity_error_m=worst)
+        _write_manifest(staged, changed)
     return changed
 
 

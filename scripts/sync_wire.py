@@ -1,4 +1,7 @@
-"""Writes clients/web/src/wire.js from drape/wire.py. ``--check`` only compares and fails where they differ."""
+"""Writes clients/web/src/wire.js from drape/wire.py, wire_jets.py and jet_layout.py.
+
+``--check`` only compares and fails where they differ.
+"""
 
 from __future__ import annotations
 
@@ -9,25 +12,40 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from drape import wire  # noqa: E402
+from drape import jet_layout, wire, wire_jets  # noqa: E402
+from drape.geometry import jets  # noqa: E402
 
 TARGET = ROOT / "clients/web/src/wire.js"
 SIZES = {"u8": 1, "u16": 2, "u32": 4, "f32": 4, "f64": 8}
 
 TEMPLATE = """\
-// Generated from drape/wire.py by scripts/sync_wire.py. Do not edit.
+// Generated from drape/wire.py, wire_jets.py and jet_layout.py by scripts/sync_wire.py. Do not edit.
 
 export const WIRE_VERSION = {version};
 export const SUBPROTOCOL = "{subprotocol}";
 export const MAGIC = {magic};
-export const KIND = {{ POSE: {pose}, ACK: {ack}, FRAME: {frame} }};
+export const KIND = {{ POSE: {pose}, ACK: {ack}, FRAME: {frame}, JETS: {jets}, LAYOUT: {layout} }};
 export const FLAG_PUSHED = {flag_pushed};
-export const BYTES = {{ POSE: {pose_bytes}, ACK: {ack_bytes}, FRAME_HEADER: {frame_bytes} }};
+export const BYTES = {{
+  POSE: {pose_bytes}, ACK: {ack_bytes},
+  FRAME_HEADER: {frame_bytes}, JETS_HEADER: {jets_bytes}, LAYOUT_HEADER: {layout_bytes},
+}};
 
 // name: [offset, type, count]
 export const LAYOUTS = {{
 {layouts}
 }};
+
+// Of JETS: numbers of a jet, which of them have 16 bits and which have 8, columns of 16 bits, steps of a unit.
+export const JET_NUMBERS = {jet_numbers};
+const FINE = {fine};
+const COARSE = {coarse};
+const FINE_COLUMNS = {fine_columns};
+const ROW_BYTES = {row_bytes};
+const UNIT = {unit};
+// Of LAYOUT: float32 numbers of a patch (rotation, centre, scale) and of a chart (weight, u, v).
+const PATCH_NUMBERS = {patch_numbers};
+const CHART_NUMBERS = {chart_numbers};
 
 const GET = {{ u8: "getUint8", u16: "getUint16", u32: "getUint32", f32: "getFloat32", f64: "getFloat64" }};
 const SET = {{ u8: "setUint8", u16: "setUint16", u32: "setUint32", f32: "setFloat32", f64: "setFloat64" }};
@@ -76,6 +94,67 @@ export function unpackFrame(buffer) {{
   return {{ header, steps }};
 }}
 
+function readHeader(buffer, name, bytes) {{
+  if (buffer.byteLength < bytes) throw new Error(`${{name}} of ${{buffer.byteLength}} bytes is too short`);
+  const header = readRecord(new DataView(buffer), LAYOUTS[name]);
+  if (header.magic !== MAGIC || header.version !== WIRE_VERSION || header.kind !== KIND[name]) {{
+    throw new Error(`not a ${{name}} message of this wire version: reload the page`);
+  }}
+  return header;
+}}
+
+function checkSize(buffer, name, bytes) {{
+  if (buffer.byteLength !== bytes + (-bytes & 3)) throw new Error(`${{name}} has a wrong size: reload the page`);
+}}
+
+// The kind byte of a message.
+export const kindOf = (buffer) => new DataView(buffer).getUint8(5);
+
+// The header fields by name, and per patch: jet (45 numbers), rotation (9, by rows), centre (3) from the root [m].
+export function unpackJets(buffer) {{
+  const header = readHeader(buffer, "JETS", BYTES.JETS_HEADER);
+  const {{ count, centre_low, centre_step, jet_low, jet_step }} = header;
+  checkSize(buffer, "JETS", BYTES.JETS_HEADER + count * ROW_BYTES);
+  const fine = new Uint16Array(buffer, BYTES.JETS_HEADER, count * FINE_COLUMNS);
+  const coarse = new Uint8Array(buffer, BYTES.JETS_HEADER + 2 * fine.length, count * COARSE.length);
+  const jet = new Float32Array(JET_NUMBERS * count);
+  const rotation = new Float32Array(9 * count);
+  const centre = new Float32Array(3 * count);
+  for (let k = 0; k < count; k++) {{
+    const at = k * FINE_COLUMNS;
+    for (let i = 0; i < 3; i++) centre[3 * k + i] = centre_low[i] + centre_step[i] * fine[at + i];
+    let [w, x, y, z] = [0, 1, 2, 3].map((i) => fine[at + 3 + i] / UNIT - 1);
+    const norm = Math.hypot(w, x, y, z);
+    [w, x, y, z] = [w / norm, x / norm, y / norm, z / norm];
+    rotation.set([
+      1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+      2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+      2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    ], 9 * k);
+    const put = (number, step) => {{ jet[JET_NUMBERS * k + number] = jet_low[number] + jet_step[number] * step; }};
+    FINE.forEach((number, i) => put(number, fine[at + 7 + i]));
+    COARSE.forEach((number, i) => put(number, coarse[k * COARSE.length + i]));
+  }}
+  return {{ header, jet, rotation, centre }};
+}}
+
+// A garment's constants: patches (13 numbers each), rest (3), charts (3 per vertex and chart) and chartPatch.
+export function unpackLayout(buffer) {{
+  const {{ count, vertices, charts }} = readHeader(buffer, "LAYOUT", BYTES.LAYOUT_HEADER);
+  const entries = vertices * charts;
+  const floats = PATCH_NUMBERS * count + 3 * vertices + CHART_NUMBERS * entries;
+  checkSize(buffer, "LAYOUT", BYTES.LAYOUT_HEADER + 4 * floats + 2 * entries);
+  const numbers = new Float32Array(buffer, BYTES.LAYOUT_HEADER, floats);
+  const restAt = PATCH_NUMBERS * count;
+  return {{
+    count, vertices, charts,
+    patches: numbers.subarray(0, restAt),
+    rest: numbers.subarray(restAt, restAt + 3 * vertices),
+    chart: numbers.subarray(restAt + 3 * vertices),
+    chartPatch: new Uint16Array(buffer, BYTES.LAYOUT_HEADER + 4 * floats, entries),
+  }};
+}}
+
 // Root-relative positions [m] into target (Float32Array of 3 per vertex).
 export function dequantise({{ header, steps }}, target) {{
   const [x, y, z] = header.box_low;
@@ -108,6 +187,18 @@ def generate() -> str:
         pose=wire.POSE,
         ack=wire.ACK,
         frame=wire.FRAME,
+        jets=wire.JETS,
+        layout=wire.LAYOUT,
+        jets_bytes=wire_jets.HEADER_BYTES,
+        layout_bytes=jet_layout.HEADER_BYTES,
+        jet_numbers=jets.FULL_COUNT,
+        fine=wire_jets.FINE.tolist(),
+        coarse=wire_jets.COARSE.tolist(),
+        fine_columns=wire_jets.FINE_COLUMNS,
+        row_bytes=wire_jets.ROW_BYTES,
+        unit=wire_jets.UNIT,
+        patch_numbers=jet_layout.PATCH_NUMBERS,
+        chart_numbers=jet_layout.CHART_NUMBERS,
         flag_pushed=wire.FLAG_PUSHED,
         pose_bytes=wire.POSE_BYTES,
         ack_bytes=wire.ACK_BYTES,

@@ -8,7 +8,7 @@ from contextlib import asynccontextmanager
 from fastapi import FastAPI
 from fastapi.middleware.cors import CORSMiddleware
 
-from service import errors, routes, stream
+from service import errors, jets, routes, stream
 from service.drapery import Drapery
 from service.jobs import Uploads
 from service.limits import BodyLimit
@@ -49,6 +49,7 @@ def create_app(settings: Settings | None = None, *, drapery: Drapery | None = No
             expose_headers=["X-Drape-Frames", "X-Drape-Vertices", "Location"],
         )
     app.include_router(routes.router)
+    app.include_router(jets.router)
     app.include_router(stream.router)
     app.mount("/", Page(settings.page_dir))
     return app

@@ -3,28 +3,30 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 import numpy as np
 
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
-from drape.errors import NotFound
+from drape.errors import InputError, NotFound
 from drape.feeds import BodyFeed, body_feed, kinematics
+from drape.geometry import jets
 from drape.packing import pack_body
 from service.dynamics import Memory, Moment, advance, nothing
-from service.engine import Engine, check_finite
+from service.engine import JETS, Engine, check_finite
 from service.garments import Entry, Outfit, Registry, Scene
 from service.motions import Motions
-from service.packing import Packer, ScenePlan
-from service.push import MOVED_M, Pusher
+from service.packing import OUTPUTS_OF, Packer, ScenePlan, Shape
+from service.push import MOVED_M, PosedJets, PushedJets, Pusher
 from service.settings import Settings
 
 Result = TypeVar("Result")
+Geometry = Literal["vertices", "jets"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +72,28 @@ class Draped:
     def world(self) -> np.ndarray:
         """World positions [m] (F, V, 3) float32."""
         return (self.vertices + self.root[:, None, :]).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class DrapedJets:
+    """Posed patches of F frames: ``jet`` (F, K, 45), ``rotation`` (F, K, 3, 3) and ``centre`` [m] (F, K, 3) float32.
+
+    Centres are relative to ``root``. Jets hold the push-out but for ``left_m`` (F,), the longest way that a vertex
+    lacks to it. The rest is that of ``Draped``.
+    """
+
+    jet: np.ndarray
+    rotation: np.ndarray
+    centre: np.ndarray
+    left_m: np.ndarray
+    root: np.ndarray
+    pushed: bool
+    pushed_share: np.ndarray
+    push_max_m: np.ndarray
+    memories: tuple[Memory | None, ...]
+
+
+Frames = TypeVar("Frames", Draped, DrapedJets)
 
 
 class Drapery:
@@ -124,15 +148,34 @@ class Drapery:
 
     async def drape(self, entry: Scene, motion: PoseInput) -> Draped:
         """The draped clip, chunk by chunk."""
+        return _joined([part async for part in self._chunks(self.compute, entry, motion)])
+
+    async def drape_jets(self, entry: Scene, motion: PoseInput) -> DrapedJets:
+        """The draped clip as posed patches, chunk by chunk."""
+        return _joined([part async for part in self._chunks(self.compute_jets, entry, motion)])
+
+    async def _chunks(
+        self, compute: Callable[[Scene, Sequence[PoseInput]], Frames], entry: Scene, motion: PoseInput
+    ) -> AsyncIterator[Frames]:
         if motion.push:
             await self.prepare(entry)
         size = self.settings.chunk_frames
-        parts: list[Draped] = []
         memory = motion.memory
         for i in range(0, len(motion.poses), size):
-            parts.append(await self.in_thread(self.compute, entry, [motion.part(slice(i, i + size), memory)]))
-            memory = parts[-1].memories[0]
-        return _joined(parts)
+            part = await self.in_thread(compute, entry, [motion.part(slice(i, i + size), memory)])
+            memory = part.memories[0]
+            yield part
+
+    def check_geometry(self, asked: Geometry) -> Geometry:
+        """``asked``; refuses (``InputError``) jets of a model whose graphs do not say them."""
+        if asked == "jets" and not self.engine.tells_jets:
+            raise InputError(
+                "geometry",
+                expected=f"vertices: model {self.engine.manifest.name} does not say its jets",
+                got=asked,
+                cure="Ask for vertices, or export the model again.",
+            )
+        return asked
 
     def passes(self, asked: int | None) -> int | None:
         """How many corrections run: what was ``asked`` for, else the setting; None for all. Refuses what cannot be."""
@@ -162,8 +205,8 @@ class Drapery:
 
         The vertices of an outfit's garments follow each other as its layers do.
         """
-        layers, roots, memories = self._drape(scene.layers, motions)
-        count = len(roots)
+        drapes, roots, memories = self._drape(scene.layers, motions, "vertices")
+        layers, count = [drape["vertices"] for drape in drapes], len(roots)
         share, furthest = np.zeros(count), np.zeros(count)
         start = 0
         for motion in motions:
@@ -175,29 +218,52 @@ class Drapery:
         vertices = layers[0] if len(layers) == 1 else np.concatenate(layers, axis=1)
         return Draped(vertices, roots, any(m.push for m in motions), share, furthest, memories)
 
+    def compute_jets(self, scene: Scene, motions: Sequence[PoseInput]) -> DrapedJets:
+        """``compute`` as posed patches; those of an outfit's garments follow each other. Vertices only to push them."""
+        pushes = any(motion.push for motion in motions)
+        layers, roots, memories = self._drape(scene.layers, motions, "both" if pushes else "jets")
+        jet = [jets.full(layer["jet"]) for layer in layers]
+        count, start = len(roots), 0
+        share, furthest, left = np.zeros(count), np.zeros(count), np.zeros(count)
+        for motion in motions:
+            rows = slice(start, start + len(motion.poses))
+            start = rows.stop
+            if motion.push:
+                pushed = self._push_jets(scene.layers, layers, rows, motion)
+                for own, part in zip(jet, pushed, strict=True):
+                    own[rows] = part.jet
+                way = np.concatenate([part.way_m for part in pushed], axis=1)
+                share[rows], furthest[rows] = (way > MOVED_M).mean(axis=1), way.max(axis=1)
+                left[rows] = np.max([part.left_m for part in pushed], axis=0)
+        rotation, centre = (np.concatenate([layer[name] for layer in layers], axis=1) for name in JETS[1:])
+        whole = np.concatenate(jet, axis=1)
+        return DrapedJets(whole, rotation, centre, left, roots, pushes, share, furthest, memories)
+
     def _drape(
-        self, layers: Sequence[Entry], motions: Sequence[PoseInput]
-    ) -> tuple[list[np.ndarray], np.ndarray, tuple[Memory | None, ...]]:
-        """Of each layer the vertices [m] (F, V, 3) of all frames, by the packed graph where it is.
+        self, layers: Sequence[Entry], motions: Sequence[PoseInput], shape: Shape
+    ) -> tuple[list[dict[str, np.ndarray]], np.ndarray, tuple[Memory | None, ...]]:
+        """Of each layer the outputs of ``shape`` for all frames (F, ...) by name, by the packed graph where it is.
 
         Relative to the roots [m] (F, 3), which come second; third, what each input's body leaves behind.
         """
         codes, memories = self._follow(motions)
+        outputs = OUTPUTS_OF[shape]
         if self.packer is None:
             feels = self.engine.feels_body
             feed = _joined_feed([body_feed(self.body, m.poses, m.trans, m.betas, skin=feels) for m in motions])
-            drapes = [self.engine.drape({**feed.arrays, **entry.feed, **codes}) for entry in layers]
-            return drapes, feed.root, memories
+            drapes = [self.engine.drape_outputs({**feed.arrays, **entry.feed, **codes}, outputs) for entry in layers]
+            return [dict(zip(outputs, drape, strict=True)) for drape in drapes], feed.root, memories
         shapes = [pack_body(self.body, m.betas) for m in motions]
         rows = [shape.rows(m.poses) for shape, m in zip(shapes, motions, strict=True)]
         bodies = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
         roots = np.concatenate([m.trans + shape.root for shape, m in zip(shapes, motions, strict=True)])
         items = [(entry.garment.digest, frame) for entry in layers for frame in range(len(roots))]
-        results = self.packer.run(ScenePlan(passes=motions[0].passes), bodies | codes, items)
+        results = self.packer.run(ScenePlan(shape, passes=motions[0].passes), bodies | codes, items)
         check_finite(self.engine, all(result.finite for result in results))
-        found = [result.arrays["vertices"] for result in results]
         frames = len(roots)
-        return [np.stack(found[i * frames : (i + 1) * frames]) for i in range(len(layers))], roots, memories
+        parts = [results[i * frames : (i + 1) * frames] for i in range(len(layers))]
+        stacked = [{name: np.stack([result.arrays[name] for result in part]) for name in outputs} for part in parts]
+        return stacked, roots, memories
 
     def _follow(self, motions: Sequence[PoseInput]) -> tuple[dict[str, np.ndarray], tuple[Memory | None, ...]]:
         """``dynamic_code`` (F, C) of all frames, times the knob, and the memories after them; empty of a static model.
@@ -243,6 +309,22 @@ class Drapery:
             ways.append(way)
         return np.concatenate(ways, axis=1)
 
+    def _push_jets(
+        self, layers: Sequence[Entry], drapes: Sequence[dict[str, np.ndarray]], rows: slice, motion: PoseInput
+    ) -> list[PushedJets]:
+        """The push-out of the frames ``rows`` of every layer, out of the body and of the layers below, in its jets."""
+        keys, pushed = [entry.garment.digest for entry in layers], []
+        for layer, drape in enumerate(drapes):
+            under = np.concatenate([part.vertices for part in pushed], axis=1) if pushed else None
+            posed = PosedJets(drape["jet"][rows], drape["frame_rotation"][rows])
+            vertices, clearance_m = drape["vertices"][rows], self.settings.clearance_m
+            pushed.append(
+                self.pusher.push_jets(
+                    keys[: layer + 1], vertices, under, posed, motion.poses, motion.betas, clearance_m
+                )
+            )
+        return pushed
+
 
 def _joined_feed(feeds: Sequence[BodyFeed]) -> BodyFeed:
     if len(feeds) == 1:
@@ -251,12 +333,8 @@ def _joined_feed(feeds: Sequence[BodyFeed]) -> BodyFeed:
     return BodyFeed(arrays, np.concatenate([feed.root for feed in feeds]))
 
 
-def _joined(parts: Sequence[Draped]) -> Draped:
-    return Draped(
-        vertices=np.concatenate([part.vertices for part in parts]),
-        root=np.concatenate([part.root for part in parts]),
-        pushed=parts[0].pushed,
-        pushed_share=np.concatenate([part.pushed_share for part in parts]),
-        push_max_m=np.concatenate([part.push_max_m for part in parts]),
-        memories=parts[-1].memories,
-    )
+def _joined(parts: Sequence[Frames]) -> Frames:
+    """The chunks of a clip one after the other."""
+    names = [item.name for item in fields(parts[0]) if isinstance(getattr(parts[0], item.name), np.ndarray)]
+    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return replace(parts[0], **joined, memories=parts[-1].memories)

@@ -27,6 +27,7 @@ DISTRIBUTIONS = ("onnxruntime", "onnxruntime-gpu")
 ENCODER, DRAPE, PACKED, DYNAMIC = "garment_encoder", "drape", "packed", "dynamic_encoder"
 PUSH, PUSH_OVER = "push_out", "push_over"
 FIRST = "patch_first"  # output of the encoder that the packed graph reads
+JETS = ("jet", "frame_rotation", "frame_centre")  # outputs of the graphs that drape
 REQUIRED_OUTPUTS = {ENCODER: {"patch_embedding"}, DRAPE: {"vertices"}, DYNAMIC: {"dynamic_code", "next_state"}}
 # ONNX Runtime's names for element types.
 _TYPES = {
@@ -131,9 +132,19 @@ class Engine:
 
     def drape(self, feed: dict[str, np.ndarray]) -> np.ndarray:
         """Vertices [m] (F, V, 3) float32 relative to the root joint, for the graph's inputs ``feed``."""
-        vertices = self._run(DRAPE, feed, ["vertices"])[0]
-        check_finite(self, bool(np.isfinite(vertices).all()))
-        return vertices
+        return self.drape_outputs(feed, ["vertices"])[0]
+
+    def drape_outputs(self, feed: dict[str, np.ndarray], outputs: Sequence[str]) -> list[np.ndarray]:
+        """``outputs`` of the drape graph for its inputs ``feed``; refuses (``ArtifactError``) numbers not finite."""
+        found = self._run(DRAPE, feed, list(outputs))
+        check_finite(self, all(bool(np.isfinite(array).all()) for array in found))
+        return found
+
+    @property
+    def tells_jets(self) -> bool:
+        """Whether the graph that drapes says the jets that its vertices are made of, and their frames."""
+        graph = self.manifest.graphs[PACKED if self.packs else DRAPE]
+        return set(JETS) <= {tensor.name for tensor in graph.outputs}
 
     def advance(self, features: np.ndarray, state: np.ndarray, dt_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Codes (n, C) and next states (n, H), float32, of motion (n, 24, 12), states (n, H) and steps (n,) [s]."""
@@ -178,10 +189,10 @@ class Engine:
         """Whether the model has the graph that pushes garments out of those below them."""
         return PUSH_OVER in self.manifest.graphs
 
-    @property
-    def pushes_jets(self) -> bool:
-        """Whether the push-out's graph says what of it jets can carry."""
-        return self.pushes and "jet_push" in {t.name for t in self.manifest.graphs[PUSH].outputs}
+    def tells_jet_push(self, graph: str) -> bool:
+        """Whether the push-out's ``graph`` is there and says what of it jets can carry."""
+        spec = self.manifest.graphs.get(graph)
+        return spec is not None and {"jet_push", "left"} <= {tensor.name for tensor in spec.outputs}
 
     def first(self, patch_features: np.ndarray) -> np.ndarray:
         """What the packed graph reads of a garment's patches, (K, n) float32; constant per garment and model."""

@@ -6,6 +6,7 @@ import logging
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -17,6 +18,7 @@ from drape.errors import ArtifactError, DrapeError, InputError, NotFound
 from drape.feeds import garment_feed
 from drape.garment.cache import CHARTS_PER_VERTEX, Garment, load_garment
 from drape.geometry.jets import JET_COUNT
+from drape.jet_layout import JetLayout, pack_layout
 from drape.layer_packing import check_layers
 from service.engine import Engine
 from service.errors import TooLarge
@@ -24,6 +26,7 @@ from service.packing import Packer
 from service.push import Pusher
 from service.settings import Settings
 
+PATCH_LIMIT = 65536  # what a chart of a LAYOUT can name
 Source = Literal["shipped", "user"]
 
 log = logging.getLogger("drape.service")
@@ -47,6 +50,33 @@ class Entry:
     def vertex_count(self) -> int:
         return self.garment.vertex_count
 
+    @property
+    def patch_count(self) -> int:
+        return self.garment.patch_count
+
+    @cached_property
+    def jet_layout(self) -> bytes:
+        """The LAYOUT message (``drape.jet_layout``): what a client needs to make vertices of its jets."""
+        garment, rows = self.garment, slice(0, self.garment.vertex_count)
+        if garment.patch_count > PATCH_LIMIT:
+            raise TooLarge(
+                f"garment {garment.name} patches",
+                expected=f"at most {PATCH_LIMIT} for jets",
+                got=str(garment.patch_count),
+                cure="Ask for vertices.",
+            )
+        return pack_layout(
+            JetLayout(
+                garment.patch_rotation,
+                garment.patch_centre,
+                garment.patch_scale,
+                garment.vertices[rows],
+                garment.chart_patch[rows],
+                garment.chart_weight[rows],
+                garment.chart_uv[rows],
+            )
+        )
+
 
 @dataclass(frozen=True)
 class Outfit:
@@ -58,6 +88,11 @@ class Outfit:
     def vertex_count(self) -> int:
         """Of all layers."""
         return sum(entry.vertex_count for entry in self.layers)
+
+    @property
+    def patch_count(self) -> int:
+        """Of all layers."""
+        return sum(entry.patch_count for entry in self.layers)
 
 
 Scene = Entry | Outfit
@@ -150,9 +185,13 @@ class Registry:
         return entry
 
 
-def layer_list(outfit: Outfit) -> list[dict[str, str | int]]:
-    """Id and vertices of each layer, in the order in which an answer holds their vertices."""
-    return [{"id": entry.id, "vertices": entry.vertex_count} for entry in outfit.layers]
+def layer_list(scene: Scene, *, patches: bool = False) -> list[dict[str, str | int]]:
+    """Id and vertices, and ``patches``, of each layer, in the order in which an answer holds them."""
+    layers: list[dict[str, str | int]] = [{"id": entry.id, "vertices": entry.vertex_count} for entry in scene.layers]
+    for layer, entry in zip(layers, scene.layers, strict=True):
+        if patches:
+            layer["patches"] = entry.patch_count
+    return layers
 
 
 def slug(name: str) -> str:

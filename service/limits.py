@@ -1,4 +1,4 @@
-"""A limit on request bodies that answers with a problem document."""
+"""Limits on request bodies, which answer with a problem document, and on answers."""
 
 from __future__ import annotations
 
@@ -8,6 +8,18 @@ from service.errors import TooLarge, problem_response
 from service.settings import Settings
 
 UPLOAD_PATH = "/garments"
+
+
+def check_answer(size: int, what: str, settings: Settings) -> None:
+    """Refuses (``TooLarge``) an answer of about ``size`` bytes, for ``what``."""
+    limit = settings.max_answer_bytes
+    if size > limit:
+        raise TooLarge(
+            "answer",
+            expected=f"at most {limit} bytes",
+            got=f"about {size} for {what}",
+            cure="Send the clip in pieces.",
+        )
 
 
 class BodyLimit:

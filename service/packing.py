@@ -30,17 +30,18 @@ from drape.packing import (
     pack_tangents,
 )
 from drape.push_packing import SkinShapes
-from service.engine import PACKED, Engine, GraphSession
+from service.engine import JETS, PACKED, Engine, GraphSession
 
-Shape = Literal["vertices", "steps", "jets"]
+Shape = Literal["vertices", "steps", "jets", "both"]
 OUTPUTS_OF: dict[Shape, tuple[str, ...]] = {
     "vertices": ("vertices",),
     "steps": ("steps", "box_low", "box_step"),
-    "jets": ("jet", "frame_rotation", "frame_centre"),
+    "jets": JETS,
+    "both": ("vertices", *JETS),
 }
 NORMALS, BONES = "normals", ("bone_rotation", "bone_translation")
 PER_VERTEX = ("vertices", "steps", NORMALS)
-PER_PATCH = OUTPUTS_OF["jets"]
+PER_PATCH = JETS
 STORED_INDEX = ("patch_stored", "tile_stored")  # of no use where one garment is all there is
 TILES_PER_CALL = 2048  # about 10 MB of columns: what a core's share of the last cache holds
 KEPT_BYTES = 32 << 20  # of index tensors
@@ -50,7 +51,8 @@ Item = tuple[str, int]  # garment, row of its body
 
 @dataclass(frozen=True)
 class ScenePlan:
-    """What a scene asks for: vertices, their 16-bit steps in the item's box, or posed jets; normals; bones.
+    """What a scene asks for: vertices, their 16-bit steps in the item's box, posed jets, or jets and vertices;
+    normals; bones.
 
     ``passes``: how many of the network's corrections run, all of them by default.
     """

@@ -19,13 +19,13 @@ from drape.cloth.push.out import PushFeed, push_in_parts, push_out
 from drape.cloth.push.samples import sample_table
 from drape.cloth.push.skin import SkinOnBones, body_skin, skin_table
 from drape.errors import NotFound
-from drape.layer_packing import LayerFeed, Sheet, layer_arrays, pack_layer, push_over
+from drape.layer_packing import LayerFeed, Sheet, layer_arrays, pack_layer, push_over, push_over_in_parts
 from drape.push_packing import feed_arrays, pack_push, pushed_jets
 from service.engine import PUSH, PUSH_OVER, Engine, GraphSession
 
 MOVED_M = 1e-4  # a vertex pushed less than this counts as left alone
 OUTPUT = "pushed"
-JET_OUTPUTS = ("jet_push", "left")
+JET_OUTPUTS = (OUTPUT, "jet_push", "left")
 KEPT_SHAPES = 64  # a megabyte each
 KEPT_OUTFITS = 32  # some five megabytes per layer over others
 
@@ -44,6 +44,27 @@ class _Stored:
     sheet: Sheet | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class PosedJets:
+    """A drape as its graph says it: ``jet`` (F, K, 27 or 45) [patch scales] in frames ``rotation`` (F, K, 3, 3)."""
+
+    jet: np.ndarray
+    rotation: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class PushedJets:
+    """Jets (F, K, 45) that hold the push-out, and what they lack to it [m] (F,): the longest way of a vertex.
+
+    ``vertices`` [m] (F, V, 3) are what ``push`` makes, with its ways [m] (F, V).
+    """
+
+    jet: np.ndarray
+    left_m: np.ndarray
+    vertices: np.ndarray
+    way_m: np.ndarray
+
+
 class Pusher:
     """Pushes garment vertices out of one body in any pose and shape; safe to call from one thread at a time."""
 
@@ -56,7 +77,7 @@ class Pusher:
         self._shapes: OrderedDict[bytes, SkinOnBones] = OrderedDict()
         self._session: GraphSession | None = None
         self._over: GraphSession | None = None
-        self._jets: GraphSession | None = None
+        self._jets: dict[str, GraphSession] = {}
         if engine.pushes and body.posedirs is None:
             self._session = engine.open_cut(PUSH, [OUTPUT])
         if engine.pushes_over and body.posedirs is None:
@@ -122,35 +143,51 @@ class Pusher:
 
     def push_jets(
         self,
-        key: str,
+        keys: Sequence[str],
         vertices: np.ndarray,
-        jet: np.ndarray,
-        rotation: np.ndarray,
+        under: np.ndarray | None,
+        posed: PosedJets,
         poses: np.ndarray,
         betas: np.ndarray,
         clearance_m: float,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The push-out inside the jets of a drape: jets (F, K, 45), and what they lack to the clearance [m] (F,).
-
-        For the drape's ``vertices`` [m] (F, V, 3) relative to the root, ``jet`` (F, K, 27 or 45) and frames
-        ``rotation`` (F, K, 3, 3); the rest as in ``push``.
-        """
-        stored = self._get(key)
+    ) -> PushedJets:
+        """``push``, or ``push_over`` where ``keys`` are several, that also fits the push-out into the jets ``posed``
+        of the drape's ``vertices``; ``under`` is None where one key is all."""
+        stored = self._get(keys[-1])
         vertices, clearance = np.ascontiguousarray(vertices, dtype=np.float32), np.float32(clearance_m)
-        if self._body.posedirs is None and self._engine.pushes_jets:
-            if self._jets is None:
-                self._jets = self._engine.open_cut(PUSH, JET_OUTPUTS)
-            coefficients, left = self._by_graph(
-                self._jets, stored.arrays, vertices, poses, betas, clearance, outputs=JET_OUTPUTS
-            )
+        layer = self._layer(tuple(keys)) if under is not None else None
+        arrays = stored.arrays if layer is None else layer[1]
+        if under is not None:
+            under = np.ascontiguousarray(under, dtype=np.float32)
+            arrays = arrays | {"under": under}
+        session = self._jet_session(PUSH if under is None else PUSH_OVER)
+        if session is not None:
+            found = self._by_graph(session, arrays, vertices, poses, betas, clearance, outputs=JET_OUTPUTS)
         else:
-            frames = [slice(frame, frame + 1) for frame in range(len(poses))]
-            parts = [
-                push_in_parts(vertices[one], self._table(poses[one], betas), stored.push, clearance) for one in frames
+            parts = []
+            for frame in range(len(poses)):
+                one = slice(frame, frame + 1)
+                table = self._table(poses[one], betas)
+                if layer is None or under is None:
+                    parts.append(push_in_parts(vertices[one], table, stored.push, clearance))
+                else:
+                    parts.append(push_over_in_parts(vertices[one], under[one], table, layer[0], clearance))
+            found = [
+                np.concatenate([part.vertices for part in parts]),
+                np.concatenate([part.coefficients for part in parts]),
+                np.concatenate([part.left_m for part in parts]),
             ]
-            coefficients = np.concatenate([part.coefficients for part in parts])
-            left = np.concatenate([part.left_m for part in parts])
-        return pushed_jets(jet, rotation, stored.feed["patch_scale"], coefficients), left
+        moved, coefficients, left = found
+        jet = pushed_jets(posed.jet, posed.rotation, stored.feed["patch_scale"], coefficients)
+        return PushedJets(jet, left, moved, np.linalg.norm(moved - vertices, axis=-1))
+
+    def _jet_session(self, graph: str) -> GraphSession | None:
+        """The session of ``graph`` that says what jets can carry, opened once; None where numpy has to."""
+        if self._body.posedirs is not None or not self._engine.tells_jet_push(graph):
+            return None
+        if graph not in self._jets:
+            self._jets[graph] = self._engine.open_cut(graph, JET_OUTPUTS)
+        return self._jets[graph]
 
     def _get(self, key: str) -> _Stored:
         if key not in self._stored:

@@ -10,20 +10,21 @@ from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 
 from drape.body.model import BodyModel
 from drape.errors import InputError, MeshError
 from service import glb, negotiation, schemas
 from service.avatars import upload_avatar
-from service.drapery import Draped, Drapery, PoseInput
-from service.errors import TooLarge
+from service.drapery import Draped, DrapedJets, Drapery, PoseInput
 from service.garments import Entry, Outfit, Scene, layer_list
+from service.jets import check_jets_size, jets_response
 from service.jobs import FORMATS, Job
+from service.limits import check_answer
 from service.motions import floor_m
 from service.origins import check_origin
 from service.poses import motion_arrays, shape_array
-from service.state import State
+from service.state import StateHere
 from service.version import product_version
 
 router = APIRouter()
@@ -38,11 +39,6 @@ _BY_CONTENT_TYPE = {
 }
 
 
-def _state(request: Request) -> State:
-    return request.app.state.drape
-
-
-StateHere = Annotated[State, Depends(_state)]
 Betas = Annotated[str | None, Query(max_length=1000, description="Shape coefficients, comma-separated.")]
 
 
@@ -59,6 +55,8 @@ async def health(state: StateHere) -> schemas.Health:
         provider=drapery.engine.provider,
         body=drapery.body.name,
         garments=len(drapery.garments.entries()),
+        passes=drapery.engine.pass_count,
+        layers=drapery.settings.max_layers,
         sessions=state.streams.count,
         refused_garments=drapery.garments.refused,
     )
@@ -201,22 +199,28 @@ def _job_info(job: Job) -> schemas.JobInfo:
 async def drape_clip(asked: schemas.DrapeRequest, request: Request, state: StateHere) -> Response:
     """The garment on the moving body, world frame [m]: binary float32 (frames, vertices, 3), GLB or JSON by Accept.
 
-    The vertices of an outfit's garments follow each other; X-Drape-Garments says how many each has.
+    The vertices of an outfit's garments follow each other; X-Drape-Garments says how many each has. With geometry
+    "jets" the answer holds a JETS message per frame (docs/wire.md), binary only.
     """
     drapery = state.drapery
-    kind = _kind(request)
+    jets = drapery.check_geometry(asked.geometry) == "jets"
+    kind = negotiation.choose(request.headers.get("accept"), (negotiation.BINARY,)) if jets else _kind(request)
     entry = drapery.garments.scene(asked.garment, asked.garments)
     push = drapery.settings.push_out if asked.push_out is None else asked.push_out
     knob = drapery.motion_knob(asked.motion)
     passes = drapery.passes(asked.passes)
     times_s = np.arange(len(asked.poses)) / asked.fps
     motion = replace(_motion(asked, drapery, push=push), motion=knob, times_s=times_s, passes=passes)
+    said = {"X-Drape-Motion": f"{knob:g}"} | ({} if asked.passes is None else {"X-Drape-Passes": str(asked.passes)})
+    if jets:
+        check_jets_size(len(motion.poses), entry, drapery)
+        with state.slot():
+            clip = await drapery.drape_jets(entry, motion)
+            return await jets_response(clip, entry, times_s, _quality_headers(clip, drapery) | said)
     _check_size(kind, len(motion.poses), entry.vertex_count, drapery)
     with state.slot():
         draped = await drapery.drape(entry, motion)
-        headers = _quality_headers(draped, drapery) | {"X-Drape-Motion": f"{knob:g}"}
-        if asked.passes is not None:
-            headers["X-Drape-Passes"] = str(asked.passes)
+        headers = _quality_headers(draped, drapery) | said
         worn = layer_list(entry) if isinstance(entry, Outfit) else None
         if worn is not None:
             headers["X-Drape-Garments"] = ",".join(f"{layer['id']}:{layer['vertices']}" for layer in worn)
@@ -253,14 +257,7 @@ def _motion(asked: schemas.PosedRequest, drapery: Drapery, *, push: bool) -> Pos
 
 def _check_size(kind: str, frames: int, vertices: int, drapery: Drapery) -> None:
     per_vertex = {negotiation.BINARY: 12, negotiation.GLB: 24, negotiation.JSON: 3 * NUMBER_TEXT_BYTES}[kind]
-    size, limit = frames * vertices * per_vertex, drapery.settings.max_answer_bytes
-    if size > limit:
-        raise TooLarge(
-            "answer",
-            expected=f"at most {limit} bytes",
-            got=f"about {size} for {frames} frames of {vertices} vertices",
-            cure="Send the clip in pieces.",
-        )
+    check_answer(frames * vertices * per_vertex, f"{frames} frames of {vertices} vertices", drapery.settings)
 
 
 def _garment_file(
@@ -299,7 +296,7 @@ def _shape_headers(vertices: np.ndarray) -> dict[str, str]:
     return {"X-Drape-Frames": str(len(vertices)), "X-Drape-Vertices": str(vertices.shape[1])}
 
 
-def _quality_headers(draped: Draped, drapery: Drapery) -> dict[str, str]:
+def _quality_headers(draped: Draped | DrapedJets, drapery: Drapery) -> dict[str, str]:
     return {
         "X-Drape-Model": drapery.engine.manifest.digest[:16],
         "X-Drape-Push-Out": str(int(draped.pushed)),

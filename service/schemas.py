@@ -31,6 +31,10 @@ Passes = Annotated[
         description="How many corrections of the network run: fewer are faster; the service's setting if left out.",
     ),
 ]
+Geometry = Annotated[
+    Literal["vertices", "jets"],
+    Field(description="What comes: vertices, or the posed jets of the patches, for GET /garments/{id}/jets."),
+]
 Identifier = Annotated[str, Field(min_length=1, max_length=120)]
 
 Layers = Annotated[
@@ -66,6 +70,7 @@ class DrapeRequest(PosedRequest):
     )
     motion: Knob = None
     passes: Passes = None
+    geometry: Geometry = "vertices"
     body: bool = Field(default=False, description="In a GLB, include the body as a second, skinned mesh.")
 
 
@@ -88,6 +93,7 @@ class OpenRequest(Request):
     push_out: bool | None = None
     motion: Knob = None
     passes: Passes = None
+    geometry: Geometry = "vertices"
 
 
 class Health(BaseModel):
@@ -103,6 +109,8 @@ class Health(BaseModel):
     provider: str
     body: str
     garments: int
+    passes: int = Field(description="Corrections of the network of which a request may choose how many; 0: no choice.")
+    layers: int = Field(description="Garments that an outfit may have.")
     sessions: int
     refused_garments: list[str] = Field(description="Stored garments that could not be loaded, with the reason.")
 

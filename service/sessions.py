@@ -14,12 +14,14 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from drape.errors import DrapeError, InputError
 from drape.wire import Frame, Pose, pack_frame
-from service.drapery import Drapery, PoseInput
+from drape.wire_jets import JetFrame, pack_jets
+from service.drapery import Draped, DrapedJets, Drapery, Geometry, PoseInput
 from service.dynamics import Memory
 from service.errors import Busy, InternalError
 from service.garments import Scene
@@ -50,6 +52,7 @@ class Session:
     motion: float = 0.0
     memory: Memory | None = None
     passes: int | None = None
+    geometry: Geometry = "vertices"
     generation: int = 0
     dropped: int = 0
     waiting: Waiting | None = None
@@ -61,12 +64,19 @@ class Session:
     news: asyncio.Event = field(default_factory=asyncio.Event)
 
     def reopen(
-        self, entry: Scene, betas: np.ndarray, push: bool, motion: float = 0.0, passes: int | None = None
+        self,
+        entry: Scene,
+        betas: np.ndarray,
+        push: bool,
+        motion: float = 0.0,
+        passes: int | None = None,
+        geometry: Geometry = "vertices",
     ) -> None:
-        """Turns the session to another garment or outfit, shape, push-out, motion knob or number of passes."""
+        """Turns the session to another garment or outfit, shape, push-out, motion knob, passes or geometry."""
         if motion == 0.0 or not np.array_equal(betas, self.betas):
             self.memory = None  # the joints of another shape are elsewhere: that is no motion
         self.entry, self.betas, self.push, self.motion, self.passes = entry, betas, push, motion, passes
+        self.geometry = geometry
         self.generation += 1
         self.waiting, self.outbox = None, None
         self.under_way.clear()
@@ -169,36 +179,42 @@ class Streams:
                 await self._compute(batch)
 
     def _next_batch(self) -> list[Session]:
-        """The session that has waited longest, with all others that wait for the same garment and passes."""
+        """The session that has waited longest, with all others that wait for the same garment, passes and geometry."""
         ready = sorted(
             (s for s in self._sessions if s.ready()), key=lambda s: s.waiting.arrived_s if s.waiting else 0.0
         )
-        same = [s for s in ready if s.entry == ready[0].entry and s.passes == ready[0].passes]
+        same = [s for s in ready if _kind(s) == _kind(ready[0])]
         return same[: self._drapery.settings.chunk_frames]
 
     async def _compute(self, batch: Sequence[Session]) -> None:
-        entry = batch[0].entry
+        entry, geometry = batch[0].entry, batch[0].geometry
         generations = [session.generation for session in batch]
         taken = [session.take() for session in batch]
         dropped = [session.dropped for session in batch]
         inputs = [_pose_input(session, waiting) for session, waiting in zip(batch, taken, strict=True)]
-        results = await self._drapery.in_thread(self._frames, entry, inputs, taken, dropped)
+        results = await self._drapery.in_thread(self._frames, entry, geometry, inputs, taken, dropped)
         for session, generation, (result, memory) in zip(batch, generations, results, strict=True):
             session.deliver(generation, result, memory)
 
     def _frames(
-        self, entry: Scene, inputs: Sequence[PoseInput], taken: Sequence[Waiting], dropped: Sequence[int]
+        self,
+        entry: Scene,
+        geometry: Geometry,
+        inputs: Sequence[PoseInput],
+        taken: Sequence[Waiting],
+        dropped: Sequence[int],
     ) -> list[tuple[bytes | DrapeError, Memory | None]]:
         """Packed frames, and what they leave behind.
 
         Where the batch fails each pose is tried alone, from the memory before it, so that one cannot fail its mates.
         """
+        compute = self._drapery.compute if geometry == "vertices" else self._drapery.compute_jets
         try:
-            draped = self._drapery.compute(entry, inputs)
+            draped = compute(entry, inputs)
         except Exception as error:
             if len(inputs) > 1:
                 return [
-                    self._frames(entry, inputs[i : i + 1], taken[i : i + 1], dropped[i : i + 1])[0]
+                    self._frames(entry, geometry, inputs[i : i + 1], taken[i : i + 1], dropped[i : i + 1])[0]
                     for i in range(len(inputs))
                 ]
             if not isinstance(error, DrapeError):
@@ -206,23 +222,51 @@ class Streams:
             return [(error if isinstance(error, DrapeError) else InternalError(), inputs[0].memory)]
         now = time.monotonic()
         frames = [
-            pack_frame(
-                Frame(
-                    sequence=waiting.pose.sequence,
-                    client_time_s=waiting.pose.client_time_s,
-                    server_time_s=time.time(),
-                    root=draped.root[i],
-                    positions=draped.vertices[i],
-                    dropped=dropped[i],
-                    residence_us=int(1e6 * (now - waiting.arrived_s)),
-                    pushed=inputs[i].push,
-                    pushed_share=float(draped.pushed_share[i]),
-                    push_max_m=float(draped.push_max_m[i]),
-                )
+            packed_frame(
+                draped,
+                i,
+                sequence=waiting.pose.sequence,
+                client_time_s=waiting.pose.client_time_s,
+                pushed=inputs[i].push,
+                dropped=dropped[i],
+                residence_us=int(1e6 * (now - waiting.arrived_s)),
             )
             for i, waiting in enumerate(taken)
         ]
         return list(zip(frames, draped.memories, strict=True))
+
+
+def packed_frame(
+    draped: Draped | DrapedJets,
+    row: int,
+    *,
+    sequence: int,
+    client_time_s: float,
+    pushed: bool,
+    dropped: int = 0,
+    residence_us: int = 0,
+) -> bytes:
+    """The frame ``row`` of ``draped`` as a FRAME or JETS message."""
+    said: dict[str, Any] = {
+        "sequence": sequence,
+        "client_time_s": client_time_s,
+        "server_time_s": time.time(),
+        "root": draped.root[row],
+        "dropped": dropped,
+        "residence_us": residence_us,
+        "pushed": pushed,
+        "pushed_share": float(draped.pushed_share[row]),
+        "push_max_m": float(draped.push_max_m[row]),
+    }
+    if isinstance(draped, Draped):
+        return pack_frame(Frame(positions=draped.vertices[row], **said))
+    posed = {"jet": draped.jet[row], "rotation": draped.rotation[row], "centre": draped.centre[row]}
+    return pack_jets(JetFrame(**posed, **said, left_m=float(draped.left_m[row])))
+
+
+def _kind(session: Session) -> tuple[Scene, int | None, Geometry]:
+    """What sessions must share to be computed together."""
+    return session.entry, session.passes, session.geometry
 
 
 def _pose_input(session: Session, waiting: Waiting) -> PoseInput:

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Annotated
+
+from fastapi import Depends, Request
 
 from service.drapery import Drapery
 from service.errors import Busy
@@ -34,3 +37,10 @@ class State:
             yield
         finally:
             self.clips -= 1
+
+
+def _state(request: Request) -> State:
+    return request.app.state.drape
+
+
+StateHere = Annotated[State, Depends(_state)]

@@ -118,17 +118,20 @@ async def _open_session(text: str, state: State, session: Session | None) -> Ses
     push = drapery.settings.push_out if asked.push_out is None else asked.push_out
     motion = drapery.motion_knob(asked.motion)
     passes = drapery.passes(asked.passes)
+    geometry = drapery.check_geometry(asked.geometry)
     if push:
         await drapery.prepare(entry)
     if session is None:
-        return Session(entry, betas, push, drapery.settings.stream_credit, motion, passes=passes)
-    session.reopen(entry, betas, push, motion, passes)
+        return Session(entry, betas, push, drapery.settings.stream_credit, motion, passes=passes, geometry=geometry)
+    session.reopen(entry, betas, push, motion, passes, geometry)
     return session
 
 
 def _opened(session: Session, state: State) -> str:
-    entry = session.entry
-    worn = {"garments": layer_list(entry)} if isinstance(entry, Outfit) else {"garment": entry.id}
+    entry, jets = session.entry, session.geometry == "jets"
+    worn = {"garments": layer_list(entry, patches=jets)} if isinstance(entry, Outfit) else {"garment": entry.id}
+    if jets:  # an answer about vertices is what it was before there were jets
+        worn |= {"geometry": "jets", "patches": entry.patch_count}
     return json.dumps(
         {
             "type": "opened",

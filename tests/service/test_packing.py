@@ -304,7 +304,7 @@ def test_a_garment_that_is_not_in_store_is_refused(packer: Packer, bodies):
 
 
 def test_plans_that_make_no_sense_are_refused():
-    with pytest.raises(InputError, match="scene shape: expected vertices or steps or jets, got 'points'"):
+    with pytest.raises(InputError, match="scene shape: expected vertices or steps or jets or both, got 'points'"):
         ScenePlan("points")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="scene normals: expected none with jets"):
         ScenePlan("jets", normals=True)

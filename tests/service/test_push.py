@@ -17,7 +17,7 @@ from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.geometry.skinning import skin_points
 from service.engine import Engine
-from service.push import Pusher
+from service.push import PosedJets, Pusher
 from tests.fixtures.packed import exported, garment
 from tests.fixtures.poses import random_motion
 from tests.fixtures.tiny_model import TINY, tube_garment
@@ -73,19 +73,42 @@ def test_a_model_without_the_graph_and_a_body_with_corrections_take_numpy(tiny_f
 def test_jets_carry_the_push_by_graph_and_by_numpy(rng):
     body, whole = load_body(), garment("shorts")
     engine = Engine(exported()[1])
-    assert engine.pushes_jets
+    assert engine.tells_jet_push("push_out") and not engine.tells_jet_push("packed")
     by_graph = added(Pusher(engine, body), whole)
     by_numpy = added(Pusher(engine, replace(body, posedirs=np.zeros((body.vertex_count, 3, 207)))), whole)
     poses, betas, count = random_motion(2, spread_rad=0.35)[0], np.linspace(-1.0, 1.0, 10), whole.patch_count
     vertices, jet = drawn(whole, poses, betas), rng.normal(size=(2, count, 27)).astype(np.float32)
     rotation = rotvec_to_matrix(rng.normal(size=(2, count, 3)))
-    got, left = by_graph.push_jets("it", vertices, jet, rotation, poses, betas, CLEARANCE_M)
-    expected, also = by_numpy.push_jets("it", vertices, jet, rotation, poses, betas, CLEARANCE_M)
-    assert got.shape == (2, count, 45) and np.abs(got - jets.full(jet)).max() > 0.01
-    assert_allclose(got, expected, rtol=0, atol=5e-4)  # of a scale of 5 cm
-    assert_allclose(left, also, rtol=0, atol=2e-5)
-    pushed = by_graph.push("it", vertices, poses, betas, CLEARANCE_M)[0]
-    assert (left < np.linalg.norm(pushed - vertices, axis=-1).max(axis=1)).all() and (left > 0.0).all()
+    posed = PosedJets(jet, rotation)
+    got = by_graph.push_jets(["it"], vertices, None, posed, poses, betas, CLEARANCE_M)
+    expected = by_numpy.push_jets(["it"], vertices, None, posed, poses, betas, CLEARANCE_M)
+    assert got.jet.shape == (2, count, 45) and np.abs(got.jet - jets.full(jet)).max() > 0.01
+    assert_allclose(got.jet, expected.jet, rtol=0, atol=5e-4)  # of a scale of 5 cm
+    assert_allclose(got.left_m, expected.left_m, rtol=0, atol=2e-5)
+    pushed, way = by_graph.push("it", vertices, poses, betas, CLEARANCE_M)
+    assert_array_equal(got.vertices, pushed)
+    assert_array_equal(got.way_m, way)
+    assert (got.left_m < way.max(axis=1)).all() and (got.left_m > 0.0).all()
+
+
+@pytest.mark.slow
+def test_jets_carry_the_push_over_by_graph_and_by_numpy(rng):
+    body, inner, outer = load_body(), garment("tank"), garment("shorts")
+    engine = Engine(exported()[1])
+    poses, betas, keys = random_motion(2, spread_rad=0.2)[0], np.linspace(-1.0, 1.0, 10), ("tank", "shorts")
+    pushers = [Pusher(engine, body), Pusher(engine, replace(body, posedirs=np.zeros((body.vertex_count, 3, 207))))]
+    for pusher in pushers:
+        for key, whole in zip(keys, (inner, outer), strict=True):
+            pusher.add(key, garment_feed(whole), whole.vertices[: whole.vertex_count], whole.faces)
+    under, vertices = drawn(inner, poses, betas), drawn(outer, poses, betas)
+    rotation = rotvec_to_matrix(rng.normal(size=(2, outer.patch_count, 3)))
+    posed = PosedJets(np.zeros((2, outer.patch_count, 27), np.float32), rotation)
+    got, expected = (p.push_jets(keys, vertices, under, posed, poses, betas, CLEARANCE_M) for p in pushers)
+    assert np.abs(got.jet).max() > 0.01, "must push for the test to mean something"
+    assert_allclose(got.jet, expected.jet, rtol=0, atol=5e-4)
+    assert_allclose(got.left_m, expected.left_m, rtol=0, atol=2e-5)
+    pushed, _ = pushers[0].push_over(keys, vertices, under, poses, betas, CLEARANCE_M)
+    assert_array_equal(got.vertices, pushed)
 
 
 def test_a_garment_that_is_not_in_store_is_refused(tiny_folder):

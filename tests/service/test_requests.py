@@ -155,6 +155,7 @@ def test_answers_of_a_whole_service(api: httpx.Client, body, tube):
     health = api.get("/health").json()
     assert health["status"] == "ok"
     assert (health["model"], health["body"], health["garments"]) == ("tiny", body.name, 1)
+    assert (health["passes"], health["layers"]) == (0, 4)
     assert health["provider"] == "CPUExecutionProvider"
     (garment,) = api.get("/garments").json()
     assert garment == api.get("/garments/tube").json()

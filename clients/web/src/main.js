@@ -1,7 +1,10 @@
-// State and controls: which garment, which clip, which shape; plays the clip and counts what comes back.
+// State and controls: which garments, clip and shape, how they are draped; plays the clip and counts what comes back.
 import * as service from "./service.js";
+import { JetSurface } from "./jets.js";
 import { Stream } from "./stream.js";
 import { Viewer } from "./viewer.js";
+import { Wardrobe } from "./wardrobe.js";
+import { unpackLayout } from "./wire.js";
 
 const SHAPE_COUNT = 3;
 const SEND_RATE = 60; // poses per second at most
@@ -9,7 +12,7 @@ const STATS_S = 0.5;
 const SLOW_RATE = 20; // drawings per second below which the picture becomes plainer
 const SLOW_WATCH_S = 1;
 const SAVED_FPS = 30;
-const wanted = new URLSearchParams(location.search); // garment, clip, quality=high
+const wanted = new URLSearchParams(location.search); // garment=inner,outer, clip, passes, jets, quality=high
 const element = (id) => document.getElementById(id);
 const state = { clip: null, timeS: 0, playing: true, betas: new Array(SHAPE_COUNT).fill(0), body: null };
 const counts = { frames: 0, since: performance.now(), shown: 0, dropped: 0, droppedBefore: 0, latest: null };
@@ -51,18 +54,51 @@ const stream = new Stream({
   },
 });
 
-function openStream() {
-  const garment = element("garment").value;
-  if (garment) stream.open({ garment, betas: state.betas, push_out: element("push").checked });
+const wardrobe = new Wardrobe(element("layers"), element("add"), {
+  onChange: () => chooseGarments(),
+  onColour: (layer, colour) => viewer.setColour(layer, colour),
+});
+
+// What a request says of garments and of how they are draped.
+function scene() {
+  const garments = wardrobe.chosen();
+  const worn = garments.length === 1 ? { garment: garments[0] } : { garments };
+  const passes = element("passes").value;
+  const asked = { ...worn, betas: state.betas, push_out: element("push").checked };
+  return passes === "" ? asked : { ...asked, passes: Number(passes) };
 }
 
-const chooseGarment = failing(async () => {
-  const garment = element("garment").value;
-  if (!garment) return;
-  const mesh = await service.garmentMesh(garment);
-  if (garment !== element("garment").value) return; // another was chosen meanwhile
+function openStream() {
+  const garments = wardrobe.chosen();
+  if (!garments.length) return;
+  if (garments.length > 1 && element("push").checked) say("The outfit is being made ready …", false, "stream");
+  stream.open(element("jets").checked ? { ...scene(), geometry: "jets" } : scene());
+}
+
+// What never changes of a garment is fetched once.
+const kept = new Map();
+function once(key, fetching) {
+  if (!kept.has(key)) {
+    kept.set(key, fetching());
+    kept.get(key).catch(() => kept.delete(key));
+  }
+  return kept.get(key);
+}
+
+const surfaceOf = (id) => once(`jets ${id}`, async () => new JetSurface(unpackLayout(await service.jetLayout(id))));
+
+const chooseGarments = failing(async () => {
+  const chosen = wardrobe.chosen();
+  if (!chosen.length) return;
+  const jets = element("jets").checked;
+  const parts = chosen.map(async (id) => ({
+    mesh: await once(`mesh ${id}`, () => service.garmentMesh(id)),
+    surface: jets ? await surfaceOf(id) : null,
+  }));
+  const worn = await Promise.all(parts);
+  if (chosen.join() !== wardrobe.chosen().join() || jets !== element("jets").checked) return; // changed meanwhile
   counts.latest = null;
-  viewer.setGarment(mesh);
+  viewer.setGarments(worn.map((layer, i) => ({ ...layer, colour: wardrobe.colours()[i] })));
   openStream();
 });
 
@@ -81,12 +117,19 @@ const chooseShape = failing(async () => {
   openStream();
 });
 
-async function listGarments(chosen) {
+async function listGarments(chosen, limit) {
   const garments = await service.garments();
-  const options = garments.map((g) => new Option(g.source === "user" ? `${g.name} (yours)` : g.name, g.id));
-  element("garment").replaceChildren(...options);
+  wardrobe.offer(garments, chosen, limit);
   if (garments.length === 0) say("No garments yet: upload one.");
-  if (chosen) element("garment").value = chosen;
+}
+
+function listPasses(count) {
+  const fewer = Array.from({ length: count }, (_, i) => count - 1 - i);
+  const names = fewer.map((passes) => new Option(passes === 0 ? "none, the fastest" : String(passes), String(passes)));
+  element("passes").replaceChildren(new Option(`all ${count}`, ""), ...names);
+  element("passes-row").hidden = count === 0; // the model leaves no choice
+  const asked = wanted.get("passes");
+  if (asked !== null && fewer.includes(Number(asked))) element("passes").value = asked;
 }
 
 function makeSliders() {
@@ -110,8 +153,8 @@ const upload = failing(async () => {
   try {
     const words = { queued: "waits", running: "is being taken in" };
     const garment = await service.uploadGarment(file, element("avatar").value, (now) => say(`${file.name} ${words[now]} …`));
-    await listGarments(garment);
-    await chooseGarment();
+    await listGarments([...wardrobe.chosen().slice(0, -1), garment]);
+    await chooseGarments();
     say(`${file.name} is ready.`);
   } finally {
     element("upload").disabled = false;
@@ -120,8 +163,8 @@ const upload = failing(async () => {
 
 const save = failing(async () => {
   const { clip } = state;
-  const garment = element("garment").value;
-  if (!clip || !garment) throw new Error("Choose a garment and a clip first.");
+  const garments = wardrobe.chosen();
+  if (!clip || !garments.length) throw new Error("Choose a garment and a clip first.");
   element("save").disabled = true;
   say("The service writes the file …");
   try {
@@ -129,10 +172,10 @@ const save = failing(async () => {
     const kept = clip.poses.filter((_, frame) => frame % stride === 0);
     const poses = kept.map((pose) => Array.from({ length: 24 }, (_, joint) => pose.slice(3 * joint, 3 * joint + 3)));
     const trans = clip.trans.filter((_, frame) => frame % stride === 0);
-    const document_ = { garment, poses, trans, betas: state.betas, fps: clip.fps / stride, push_out: element("push").checked, body: true };
+    const document_ = { ...scene(), poses, trans, fps: clip.fps / stride, body: true };
     const link = document.createElement("a");
     link.href = URL.createObjectURL(await service.clipFile(document_));
-    link.download = `${garment}-${clip.id}.glb`;
+    link.download = `${garments.join("-")}-${clip.id}.glb`;
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
     say(`Saved ${link.download}.`);
@@ -165,6 +208,7 @@ function tick(now) {
       counts.shown += 1;
       counts.ageS = frame.ageS();
       counts.header = frame.header;
+      counts.bytes = frame.bytes;
       document.body.dataset.frames = String(Number(document.body.dataset.frames) + 1);
     }
   }
@@ -189,16 +233,19 @@ function showStats(now) {
     element("residence").textContent = `${(header.residence_us / 1000).toFixed(0)} ms`;
     element("dropped").textContent = String(header.dropped);
     element("pushed").textContent = header.flags & 1 ? `${(100 * header.pushed_share).toFixed(1)} %` : "off";
+    element("bytes").textContent = `${(counts.bytes / 1000).toFixed(1)} kB`;
+    element("left-row").hidden = header.left_m === undefined;
+    element("left").textContent = `${(1000 * (header.left_m ?? 0)).toFixed(1)} mm`;
   }
   counts.shown = 0;
   counts.since = now;
 }
 
 function wireControls() {
-  element("garment").addEventListener("change", chooseGarment);
   element("clip").addEventListener("change", chooseClip);
   element("push").addEventListener("change", openStream);
-  element("colour").addEventListener("input", () => viewer.setColour(element("colour").value));
+  element("passes").addEventListener("change", openStream);
+  element("jets").addEventListener("change", chooseGarments);
   element("body").addEventListener("change", () => viewer.setBodyShown(element("body").checked));
   element("wire").addEventListener("change", () => viewer.setTriangles(element("wire").checked));
   element("upload").addEventListener("click", upload);
@@ -213,15 +260,16 @@ const start = failing(async () => {
   const health = await service.health();
   element("about").textContent = `model ${health.model}, ${health.provider.replace("ExecutionProvider", "")}, body ${health.body}`;
   state.body = health.body;
-  viewer.setColour(element("colour").value);
+  listPasses(health.passes);
+  element("jets").checked = wanted.has("jets");
   makeSliders();
   wireControls();
   const clips = await service.motions();
   element("clip").replaceChildren(...clips.map((clip) => new Option(`${clip.name} (${(clip.frames / clip.fps).toFixed(1)} s)`, clip.id)));
   if (wanted.has("clip")) element("clip").value = wanted.get("clip");
   else if (clips.some((clip) => clip.id === "walk")) element("clip").value = "walk";
-  await listGarments(wanted.get("garment"));
-  await Promise.all([chooseShape(), chooseGarment()]);
+  await listGarments((wanted.get("garment") ?? "").split(","), health.layers);
+  await Promise.all([chooseShape(), chooseGarments()]);
 });
 
 requestAnimationFrame(tick);

@@ -26,6 +26,11 @@ export const motion = (id, betas) => json(`/motions/${encodeURIComponent(id)}?be
 export const garmentMesh = (id) =>
   json(`/garments/${encodeURIComponent(id)}/mesh`, { headers: { Accept: "application/json" } });
 
+export async function jetLayout(id) {
+  const path = `/garments/${encodeURIComponent(id)}/jets`;
+  return (await request(path, { headers: { Accept: "application/octet-stream" } })).arrayBuffer();
+}
+
 export async function bodyFile(id, betas) {
   const path = `/bodies/${encodeURIComponent(id)}/mesh?betas=${betas.join(",")}`;
   return (await request(path, { headers: { Accept: "model/gltf-binary" } })).arrayBuffer();

@@ -1,5 +1,5 @@
 // The WebSocket: poses out, frames in, every frame acknowledged; comes back by itself after a lost connection.
-import { SUBPROTOCOL, packAck, packPose, unpackFrame } from "./wire.js";
+import { KIND, SUBPROTOCOL, kindOf, packAck, packPose, unpackFrame, unpackJets } from "./wire.js";
 
 const FIRST_RETRY_S = 0.5;
 const LAST_RETRY_S = 8;
@@ -7,7 +7,7 @@ const KEPT_POSES = 256;
 const now = () => performance.now() / 1000;
 
 export class Stream {
-  // onFrame({ header, steps, pose }), onState(state, sentence): "open", "waiting", "refused".
+  // onFrame({ header, steps or jet, rotation and centre, pose, bytes }); onState(state, sentence): "open", "waiting", "refused".
   constructor({ onFrame, onState }) {
     this.onFrame = onFrame;
     this.onState = onState;
@@ -19,14 +19,14 @@ export class Stream {
     this.poses = new Map();
   }
 
-  // Asks for a garment, shape and push-out; on an open connection it turns to them at once.
+  // Asks for garments, shape and how to drape; on an open connection it turns to them at once.
   open(request) {
     this.request = request;
     this.poses.clear();
     this.ready = false;
     clearTimeout(this.timer);
     const { readyState } = this.socket ?? {};
-    if (readyState === WebSocket.OPEN) this.socket.send(this.#opening());
+    if (readyState === WebSocket.OPEN) this.#sendOpening();
     else if (readyState !== WebSocket.CONNECTING) this.#connect(); // else it opens with the new request
   }
 
@@ -39,8 +39,9 @@ export class Stream {
     this.socket.send(packPose({ sequence: this.sequence, clientTimeS: now(), trans, pose }));
   }
 
-  #opening() {
-    return JSON.stringify({ type: "open", ...this.request });
+  #sendOpening() {
+    this.unanswered += 1;
+    this.socket.send(JSON.stringify({ type: "open", ...this.request }));
   }
 
   #connect() {
@@ -50,7 +51,8 @@ export class Stream {
     socket.binaryType = "arraybuffer";
     this.socket = socket;
     this.refusal = null;
-    socket.onopen = () => socket.send(this.#opening());
+    this.unanswered = 0; // openings; each has one answer, and the last one counts
+    socket.onopen = () => this.#sendOpening();
     socket.onmessage = ({ data }) => this.#take(socket, data);
     socket.onclose = (event) => {
       if (socket === this.socket) this.#lost(event);
@@ -62,14 +64,15 @@ export class Stream {
     if (typeof data === "string") {
       const message = JSON.parse(data);
       if (message.type === "error") this.refusal = message.detail;
-      if (message.type === "opened" && message.garment === this.request.garment) {
+      if (message.type === "opened") this.unanswered -= 1;
+      if (message.type === "opened" && this.unanswered === 0) {
         this.ready = true;
         this.retryS = FIRST_RETRY_S;
         this.onState("open", "");
       }
       return;
     }
-    const frame = unpackFrame(data);
+    const frame = kindOf(data) === KIND.JETS ? unpackJets(data) : unpackFrame(data);
     socket.send(packAck(frame.header.sequence));
     const sent = this.poses.get(frame.header.sequence);
     if (!sent || !this.ready) return; // of an earlier opening
@@ -77,7 +80,7 @@ export class Stream {
       if (key >= frame.header.sequence) break;
       this.poses.delete(key);
     }
-    this.onFrame({ ...frame, ...sent, ageS: () => now() - frame.header.client_time_s });
+    this.onFrame({ ...frame, ...sent, bytes: data.byteLength, ageS: () => now() - frame.header.client_time_s });
   }
 
   #lost(event) {

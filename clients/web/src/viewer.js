@@ -1,4 +1,4 @@
-// The scene: a studio, the skinned body, the garment whose vertices arrive frame by frame.
+// The scene: a studio, the skinned body, the garments whose vertices or jets arrive frame by frame.
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
@@ -48,7 +48,7 @@ export class Viewer {
     this.camera.position.copy(this.place).add(EYE);
 
     this.#makeStudio();
-    this.#makeGarment();
+    this.#makeGarments();
     this.#makeBodyMaterial();
     new ResizeObserver(() => this.#resize()).observe(canvas);
     this.#resize();
@@ -81,21 +81,21 @@ export class Viewer {
     this.scene.add(this.ground, this.grid);
   }
 
-  #makeGarment() {
-    this.cloth = new THREE.MeshPhysicalMaterial({
-      roughness: 0.85, side: THREE.DoubleSide, sheen: 0.35, sheenRoughness: 0.6, sheenColor: new THREE.Color(0xffffff),
+  #makeGarments() {
+    this.layers = []; // innermost first
+    this.garments = new THREE.Group();
+    this.garments.visible = false;
+    this.lines = new THREE.MeshBasicMaterial({ color: 0x14202c, wireframe: true, transparent: true, opacity: 0.28 });
+    this.lines.visible = false;
+    this.scene.add(this.garments);
+  }
+
+  #cloth(color) {
+    if (this.plainness > 0) return new THREE.MeshLambertMaterial({ color, side: THREE.DoubleSide });
+    return new THREE.MeshPhysicalMaterial({
+      color, roughness: 0.85, side: THREE.DoubleSide, shadowSide: THREE.DoubleSide,
+      sheen: 0.35, sheenRoughness: 0.6, sheenColor: new THREE.Color(0xffffff),
     });
-    this.cloth.shadowSide = THREE.DoubleSide;
-    this.garment = new THREE.Mesh(new THREE.BufferGeometry(), this.cloth);
-    this.garment.castShadow = this.garment.receiveShadow = true;
-    this.garment.frustumCulled = false;
-    this.garment.visible = false;
-    const lines = new THREE.MeshBasicMaterial({ color: 0x14202c, wireframe: true, transparent: true, opacity: 0.28 });
-    this.triangles = new THREE.Mesh(this.garment.geometry, lines);
-    this.triangles.frustumCulled = false;
-    this.triangles.visible = false;
-    this.garment.add(this.triangles);
-    this.scene.add(this.garment);
   }
 
   #makeBodyMaterial() {
@@ -117,8 +117,8 @@ export class Viewer {
     this.camera.updateProjectionMatrix();
   }
 
-  setColour(colour) {
-    this.cloth.color.set(colour);
+  setColour(layer, colour) {
+    this.layers[layer]?.cloth.material.color.set(colour);
   }
 
   // One step plainer: without shadows and sheen, then with fewer pixels.
@@ -127,9 +127,7 @@ export class Viewer {
     this.plainness += 1;
     if (this.plainness === 1) {
       this.sun.castShadow = false;
-      const { color } = this.cloth;
-      this.cloth = new THREE.MeshLambertMaterial({ color, side: THREE.DoubleSide });
-      this.garment.material = this.cloth;
+      for (const { cloth } of this.layers) cloth.material = this.#cloth(cloth.material.color);
       this.skin = new THREE.MeshLambertMaterial({ color: this.skin.color });
       if (this.bodyMesh) this.bodyMesh.material = this.skin;
       this.ground.material = new THREE.MeshLambertMaterial({ color: this.ground.material.color });
@@ -142,7 +140,7 @@ export class Viewer {
   }
 
   setTriangles(shown) {
-    this.triangles.visible = shown;
+    this.lines.visible = shown;
   }
 
   setBodyShown(shown) {
@@ -168,28 +166,48 @@ export class Viewer {
     this.scene.add(scene);
   }
 
-  // mesh: the service's document; shown with the first frame.
-  setGarment(mesh) {
-    const geometry = new THREE.BufferGeometry();
-    const positions = new THREE.BufferAttribute(new Float32Array(mesh.vertices.length * 3), 3);
-    positions.setUsage(THREE.DynamicDrawUsage);
-    geometry.setAttribute("position", positions);
-    geometry.setIndex(mesh.faces.flat());
-    this.garment.geometry.dispose();
-    this.garment.geometry = this.triangles.geometry = geometry;
-    this.garment.visible = false;
+  // worn: of each layer, innermost first, the service's mesh, its JetSurface or null, its colour. Shown with a frame.
+  setGarments(worn) {
+    for (const { cloth } of this.layers) {
+      cloth.geometry.dispose();
+      cloth.material.dispose();
+    }
+    this.garments.clear();
+    this.garments.visible = false;
+    this.layers = worn.map(({ mesh, surface, colour }) => {
+      const geometry = new THREE.BufferGeometry();
+      const positions = new THREE.BufferAttribute(new Float32Array(mesh.vertices.length * 3), 3);
+      positions.setUsage(THREE.DynamicDrawUsage);
+      geometry.setAttribute("position", positions);
+      geometry.setIndex(mesh.faces.flat());
+      const cloth = new THREE.Mesh(geometry, this.#cloth(colour));
+      cloth.castShadow = cloth.receiveShadow = true;
+      const triangles = new THREE.Mesh(geometry, this.lines);
+      cloth.frustumCulled = triangles.frustumCulled = false;
+      cloth.add(triangles);
+      this.garments.add(cloth);
+      return { cloth, positions, surface };
+    });
   }
 
   // frame: what the stream hands over, with the pose that it answers.
   show(frame) {
     const { header, pose } = frame;
-    const positions = this.garment.geometry.getAttribute("position");
-    if (!positions || positions.count !== header.count) return false;
-    dequantise(frame, positions.array);
-    positions.needsUpdate = true;
-    this.garment.geometry.computeVertexNormals();
-    this.garment.position.fromArray(header.root);
-    this.garment.visible = true;
+    const ofJets = frame.jet !== undefined;
+    const count = ({ positions, surface }) => (ofJets ? surface?.patchCount : positions.count);
+    if (!this.layers.length || this.layers.reduce((sum, layer) => sum + count(layer), 0) !== header.count) return false;
+    let first = 0;
+    for (const layer of this.layers) {
+      const { cloth, positions, surface } = layer;
+      const end = first + count(layer);
+      if (ofJets) surface.evaluate(frame, positions.array, first);
+      else dequantise({ header, steps: frame.steps.subarray(3 * first, 3 * end) }, positions.array);
+      first = end;
+      positions.needsUpdate = true;
+      cloth.geometry.computeVertexNormals();
+    }
+    this.garments.position.fromArray(header.root);
+    this.garments.visible = true;
     if (this.bones) this.#poseBody(pose, header.root);
     this.#follow(header.root);
     return true;

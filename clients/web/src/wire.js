@@ -1,11 +1,14 @@
-// Generated from drape/wire.py by scripts/sync_wire.py. Do not edit.
+// Generated from drape/wire.py, wire_jets.py and jet_layout.py by scripts/sync_wire.py. Do not edit.
 
 export const WIRE_VERSION = 1;
 export const SUBPROTOCOL = "drape.v1";
 export const MAGIC = 0x45505244;
-export const KIND = { POSE: 1, ACK: 2, FRAME: 3 };
+export const KIND = { POSE: 1, ACK: 2, FRAME: 3, JETS: 4, LAYOUT: 5 };
 export const FLAG_PUSHED = 1;
-export const BYTES = { POSE: 336, ACK: 16, FRAME_HEADER: 96 };
+export const BYTES = {
+  POSE: 336, ACK: 16,
+  FRAME_HEADER: 96, JETS_HEADER: 460, LAYOUT_HEADER: 24,
+};
 
 // name: [offset, type, count]
 export const LAYOUTS = {
@@ -45,7 +48,48 @@ export const LAYOUTS = {
     pushed_share: [88, "f32", 1],
     push_max_m: [92, "f32", 1],
   },
+  JETS: {
+    magic: [0, "u32", 1],
+    version: [4, "u8", 1],
+    kind: [5, "u8", 1],
+    flags: [6, "u16", 1],
+    sequence: [8, "u32", 1],
+    count: [12, "u32", 1],
+    client_time_s: [16, "f64", 1],
+    server_time_s: [24, "f64", 1],
+    root: [32, "f64", 3],
+    dropped: [56, "u32", 1],
+    residence_us: [60, "u32", 1],
+    pushed_share: [64, "f32", 1],
+    push_max_m: [68, "f32", 1],
+    left_m: [72, "f32", 1],
+    centre_low: [76, "f32", 3],
+    centre_step: [88, "f32", 3],
+    jet_low: [100, "f32", 45],
+    jet_step: [280, "f32", 45],
+  },
+  LAYOUT: {
+    magic: [0, "u32", 1],
+    version: [4, "u8", 1],
+    kind: [5, "u8", 1],
+    flags: [6, "u16", 1],
+    sequence: [8, "u32", 1],
+    count: [12, "u32", 1],
+    vertices: [16, "u32", 1],
+    charts: [20, "u32", 1],
+  },
 };
+
+// Of JETS: numbers of a jet, which of them have 16 bits and which have 8, columns of 16 bits, steps of a unit.
+export const JET_NUMBERS = 45;
+const FINE = [0, 1, 2, 3, 4, 5, 15, 16, 17, 18, 19, 20, 30, 31, 32, 33, 34, 35];
+const COARSE = [6, 7, 8, 9, 10, 11, 12, 13, 14, 21, 22, 23, 24, 25, 26, 27, 28, 29, 36, 37, 38, 39, 40, 41, 42, 43, 44];
+const FINE_COLUMNS = 25;
+const ROW_BYTES = 77;
+const UNIT = 32767;
+// Of LAYOUT: float32 numbers of a patch (rotation, centre, scale) and of a chart (weight, u, v).
+const PATCH_NUMBERS = 13;
+const CHART_NUMBERS = 3;
 
 const GET = { u8: "getUint8", u16: "getUint16", u32: "getUint32", f32: "getFloat32", f64: "getFloat64" };
 const SET = { u8: "setUint8", u16: "setUint16", u32: "setUint32", f32: "setFloat32", f64: "setFloat64" };
@@ -92,6 +136,67 @@ export function unpackFrame(buffer) {
   }
   const steps = new Uint16Array(buffer, BYTES.FRAME_HEADER, header.count * 3);
   return { header, steps };
+}
+
+function readHeader(buffer, name, bytes) {
+  if (buffer.byteLength < bytes) throw new Error(`${name} of ${buffer.byteLength} bytes is too short`);
+  const header = readRecord(new DataView(buffer), LAYOUTS[name]);
+  if (header.magic !== MAGIC || header.version !== WIRE_VERSION || header.kind !== KIND[name]) {
+    throw new Error(`not a ${name} message of this wire version: reload the page`);
+  }
+  return header;
+}
+
+function checkSize(buffer, name, bytes) {
+  if (buffer.byteLength !== bytes + (-bytes & 3)) throw new Error(`${name} has a wrong size: reload the page`);
+}
+
+// The kind byte of a message.
+export const kindOf = (buffer) => new DataView(buffer).getUint8(5);
+
+// The header fields by name, and per patch: jet (45 numbers), rotation (9, by rows), centre (3) from the root [m].
+export function unpackJets(buffer) {
+  const header = readHeader(buffer, "JETS", BYTES.JETS_HEADER);
+  const { count, centre_low, centre_step, jet_low, jet_step } = header;
+  checkSize(buffer, "JETS", BYTES.JETS_HEADER + count * ROW_BYTES);
+  const fine = new Uint16Array(buffer, BYTES.JETS_HEADER, count * FINE_COLUMNS);
+  const coarse = new Uint8Array(buffer, BYTES.JETS_HEADER + 2 * fine.length, count * COARSE.length);
+  const jet = new Float32Array(JET_NUMBERS * count);
+  const rotation = new Float32Array(9 * count);
+  const centre = new Float32Array(3 * count);
+  for (let k = 0; k < count; k++) {
+    const at = k * FINE_COLUMNS;
+    for (let i = 0; i < 3; i++) centre[3 * k + i] = centre_low[i] + centre_step[i] * fine[at + i];
+    let [w, x, y, z] = [0, 1, 2, 3].map((i) => fine[at + 3 + i] / UNIT - 1);
+    const norm = Math.hypot(w, x, y, z);
+    [w, x, y, z] = [w / norm, x / norm, y / norm, z / norm];
+    rotation.set([
+      1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+      2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+      2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    ], 9 * k);
+    const put = (number, step) => { jet[JET_NUMBERS * k + number] = jet_low[number] + jet_step[number] * step; };
+    FINE.forEach((number, i) => put(number, fine[at + 7 + i]));
+    COARSE.forEach((number, i) => put(number, coarse[k * COARSE.length + i]));
+  }
+  return { header, jet, rotation, centre };
+}
+
+// A garment's constants: patches (13 numbers each), rest (3), charts (3 per vertex and chart) and chartPatch.
+export function unpackLayout(buffer) {
+  const { count, vertices, charts } = readHeader(buffer, "LAYOUT", BYTES.LAYOUT_HEADER);
+  const entries = vertices * charts;
+  const floats = PATCH_NUMBERS * count + 3 * vertices + CHART_NUMBERS * entries;
+  checkSize(buffer, "LAYOUT", BYTES.LAYOUT_HEADER + 4 * floats + 2 * entries);
+  const numbers = new Float32Array(buffer, BYTES.LAYOUT_HEADER, floats);
+  const restAt = PATCH_NUMBERS * count;
+  return {
+    count, vertices, charts,
+    patches: numbers.subarray(0, restAt),
+    rest: numbers.subarray(restAt, restAt + 3 * vertices),
+    chart: numbers.subarray(restAt + 3 * vertices),
+    chartPatch: new Uint16Array(buffer, BYTES.LAYOUT_HEADER + 4 * floats, entries),
+  };
 }
 
 // Root-relative positions [m] into target (Float32Array of 3 per vertex).

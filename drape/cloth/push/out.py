@@ -36,6 +36,8 @@ LARGEST_PUSH_M = 0.030
 HAS_OTHER = 2.0  # of 255: a list without a sample like this has no other part
 OTHER_LEAST = 1e-3  # what a sample counts that is no other part, beside ones that are
 CHARTS_PER_VERTEX = 4
+JET_ROUNDS = 4  # of fits, where charts carry all of the push
+JET_OVER = 2.0  # a fit of what is missing is taken this many times: it spreads a push and so falls short of it
 REGION_BIAS_M2 = 0.002  # squared distance [m^2] that one logit of a region outweighs
 
 
@@ -66,10 +68,11 @@ class PushFeed:
 
 @dataclass(frozen=True, eq=False)
 class Pushed:
-    """What the push-out makes of F drapes: ``vertices`` [m] (F, V, 3), and the part of it that jets can carry.
+    """What the push-out makes of F drapes: ``vertices`` [m] (F, V, 3), and the same for a drape by jets.
 
-    ``coefficients`` [m] (F, K, 3, 10): the displacement as a cubic of each patch's parameters, in the axes of the
-    vertices; their blend is step 2. ``left_m`` (F,): the longest way of step 3, which a drape by jets lacks.
+    ``coefficients`` [m] (F, K, 3, 10): a displacement as a cubic of each patch's parameters, in the axes of the
+    vertices. Jets have no step 3, so step 2 is repeated with what is still missing. ``left_m`` (F,): the longest way
+    that a vertex with the blend of ``coefficients`` would still have to go.
     """
 
     vertices: Array
@@ -83,7 +86,7 @@ def push_out(vertices: Array, skin: Array, feed: PushFeed, clearance_m: Array | 
 
 
 def push_in_parts(vertices: Array, skin: Array, feed: PushFeed, clearance_m: Array | float = CLEARANCE_M) -> Pushed:
-    """``push_out``, and what of it the charts carry."""
+    """``push_out``, and the push for a drape by jets. A graph that is cut to the vertices has none of the latter."""
     xp = namespace(vertices)
     start = take(vertices, _flat(feed.block_vertex), axis=1)  # (F, N, 3)
     query = queries(start)
@@ -105,9 +108,14 @@ def push_in_parts(vertices: Array, skin: Array, feed: PushFeed, clearance_m: Arr
     coefficients = fit(out(xp.zeros_like(own_normal)), feed)
     carried = blended(coefficients, feed)
     moved = out(carried)
+    vertices = take(start + xp.matrix_transpose(moved), feed.vertex_slot, axis=1)
+    for _ in range(JET_ROUNDS - 1):
+        coefficients = coefficients + JET_OVER * fit(moved - carried, feed)
+        carried = blended(coefficients, feed)
+        moved = out(carried)
     rest = moved - carried
     left = xp.sqrt(xp.max(dot_columns(rest, rest)[:, 0], axis=-1))
-    return Pushed(take(start + xp.matrix_transpose(moved), feed.vertex_slot, axis=1), coefficients, left)
+    return Pushed(vertices, coefficients, left)
 
 
 def push_out_of_bodies(

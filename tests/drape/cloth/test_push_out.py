@@ -11,8 +11,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.body.assets import load_body
 from drape.body.skeleton import JOINT_NAMES
+from drape.cloth import metrics
 from drape.cloth.contact import BodyContact
 from drape.cloth.contact import push_out as nearest_vertex_push_out
+from drape.cloth.push import out
 from drape.cloth.push.out import (
     CLEARANCE_M,
     PushFeed,
@@ -159,7 +161,7 @@ def test_a_smooth_displacement_is_fitted_and_cloth_far_from_a_push_stays():
     assert_array_equal(fitted(np.where(bump > 1e-3, bump, 0.0), feed)[0, :, far], 0.0)
 
 
-def test_jets_carry_the_fitted_push_and_what_they_lack_is_told(rng):
+def test_jets_carry_the_fitted_push_and_what_they_lack_is_told(rng, monkeypatch):
     """Vertices of the corrected jets, by the blend itself, are the drape plus the blend of the fitted displacement."""
     whole, feed, poses = garment("trousers"), feed_of("trousers"), bent("left_hip", (-1.2, 0.0, 0.3))
     constants = garment_feed(whole, fine=True)
@@ -183,9 +185,26 @@ def test_jets_carry_the_fitted_push_and_what_they_lack_is_told(rng):
         assert after.shape == (1, len(scale), 45)
         moved = of_jets(after) - of_jets(np.asarray(jets.full(jet)))
         assert_allclose(moved[0], carried, rtol=0, atol=1e-7)  # the tables are float32
-    rest = np.linalg.norm(pushed.vertices[0] - vertices[0] - carried, axis=-1)
-    assert_allclose(pushed.left_m, rest.max(), rtol=0, atol=1e-9)
-    assert 0.0 < pushed.left_m[0] < 0.03
+    monkeypatch.setattr(out, "JET_ROUNDS", 1)
+    once = push_in_parts(vertices, table_of(poses), feed)
+    assert_array_equal(once.vertices, pushed.vertices)  # those of vertices know nothing of the rounds
+    carried = blended(once.coefficients, feed)[0].T[feed.vertex_slot]
+    rest = np.linalg.norm(once.vertices[0] - vertices[0] - carried, axis=-1)
+    assert_allclose(once.left_m, rest.max(), rtol=0, atol=1e-9)
+    assert 0.0 < pushed.left_m[0] < once.left_m[0] < 0.03
+
+
+def test_cloth_of_jets_comes_out_of_the_body_like_cloth_of_vertices():
+    feed, poses = feed_of("trousers"), bent("left_hip", (-1.2, 0.0, 0.3))
+    vertices = skinned("trousers", poses) - np.array([0.0, 0.0, 0.015])
+    pushed = push_in_parts(vertices, table_of(poses), feed)
+    of_jets = vertices + np.swapaxes(blended(pushed.coefficients, feed), 1, 2)[:, feed.vertex_slot]
+    posed, faces = load_body().posed_vertices(poses), load_body().faces
+    drape, by_vertices, by_jets = (
+        metrics.colliding_triangle_pct(cloth, posed, faces)[0] for cloth in (vertices, pushed.vertices, of_jets)
+    )
+    assert drape > 1.0, "must collide for the test to mean something"
+    assert by_jets < by_vertices + 0.02 * drape
 
 
 def test_tables_keep_every_vertex_and_know_the_other_parts():

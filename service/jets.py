@@ -1,0 +1,53 @@
+"""Jets over REST: what a client needs of a garment once, and a clip as JETS messages."""
+
+from __future__ import annotations
+
+import asyncio
+
+import numpy as np
+from fastapi import APIRouter, Request, Response
+
+from drape.wire_jets import message_bytes
+from service import negotiation
+from service.drapery import DrapedJets, Drapery
+from service.garments import Outfit, Scene, layer_list
+from service.limits import check_answer
+from service.sessions import packed_frame
+from service.state import StateHere
+
+router = APIRouter()
+
+
+@router.get("/garments/{garment_id}/jets", response_class=Response)
+async def garment_jets(garment_id: str, request: Request, state: StateHere) -> Response:
+    """What makes vertices of the garment's jets: a LAYOUT message (docs/wire.md), constant per garment."""
+    entry = state.drapery.garments.get(garment_id)
+    kind = negotiation.choose(request.headers.get("accept"), (negotiation.BINARY,))
+    headers = {"X-Drape-Vertices": str(entry.vertex_count), "X-Drape-Patches": str(entry.patch_count)}
+    return Response(entry.jet_layout, media_type=kind, headers=headers)
+
+
+def check_jets_size(frames: int, scene: Scene, drapery: Drapery) -> None:
+    """Refuses (``TooLarge``) an answer of JETS messages that would be too large."""
+    patches = scene.patch_count
+    check_answer(frames * message_bytes(patches), f"{frames} frames of {patches} patches", drapery.settings)
+
+
+async def jets_response(draped: DrapedJets, scene: Scene, times_s: np.ndarray, headers: dict[str, str]) -> Response:
+    """The clip as one JETS message per frame; sequence and client time are the frame's number and time [s] (F,)."""
+    headers = headers | {
+        "X-Drape-Frames": str(len(draped.jet)),
+        "X-Drape-Patches": str(scene.patch_count),
+        "X-Drape-Left-M": f"{draped.left_m.max():.6f}",
+    }
+    if isinstance(scene, Outfit):
+        worn = layer_list(scene, patches=True)
+        headers["X-Drape-Garments"] = ",".join(f"{layer['id']}:{layer['patches']}" for layer in worn)
+    content = await asyncio.to_thread(_messages, draped, times_s)
+    return Response(content, media_type=negotiation.BINARY, headers=headers)
+
+
+def _messages(draped: DrapedJets, times_s: np.ndarray) -> bytes:
+    frames = range(len(draped.jet))
+    pushed = draped.pushed
+    return b"".join(packed_frame(draped, i, sequence=i, client_time_s=float(times_s[i]), pushed=pushed) for i in frames)

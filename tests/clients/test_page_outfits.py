@@ -1,0 +1,136 @@
+"""The page on the shipped model: garments over each other, fewer corrections, jets instead of vertices."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from drape.garment.cache import save_garment
+from service.app import create_app
+from service.drapery import Drapery
+from service.settings import Settings
+from tests.clients.browser import Page, open_page
+from tests.clients.test_page import set_control, share
+from tests.fixtures.packed import garment
+from tests.fixtures.serving import serve
+
+pytestmark = [pytest.mark.browser, pytest.mark.slow]
+
+# Keeps what the page asks the stream for.
+SPY = """(() => {
+  window.openings = [];
+  const send = WebSocket.prototype.send;
+  WebSocket.prototype.send = function (data) {
+    if (typeof data === "string") window.openings.push(data);
+    return send.call(this, data);
+  };
+  return true;
+})()"""
+
+
+@pytest.fixture(scope="module")
+def drapery(make_settings, tmp_path_factory) -> Drapery:
+    folder = tmp_path_factory.mktemp("three")
+    for kind in ("shorts", "tank", "trousers"):
+        save_garment(garment(kind), folder)
+    models = Settings().models_dir
+    limits = {"max_layers": 2, "stream_ack_s": 30.0, "stream_send_s": 30.0}
+    return Drapery(make_settings(models_dir=models, model="onefit", shipped_garments_dir=folder, **limits))
+
+
+@pytest.fixture(scope="module")
+def page(drapery: Drapery) -> Iterator[Page]:
+    from tests.conftest import find_chromium
+
+    chromium = find_chromium()
+    assert chromium is not None  # the marker has seen to it
+    with (
+        serve(create_app(drapery.settings, drapery=drapery), drapery.settings) as url,
+        open_page(chromium, url + "/?garment=trousers,tank&clip=reach") as page,
+    ):
+        page.wait_for("Number(document.body?.dataset.frames) >= 2")
+        page.evaluate(SPY)
+        yield page
+
+
+def worn(page: Page) -> list[str]:
+    return page.evaluate("Array.from(document.querySelectorAll('#layers select'), (select) => select.value)")
+
+
+def last_opening(page: Page) -> dict:
+    return json.loads(page.wait_for("window.openings.at(-1)"))
+
+
+def more_frames(page: Page) -> None:
+    """Waits until the stream answers the last opening with frames that are drawn."""
+    page.wait_for("document.body.dataset.state === 'open' && !document.getElementById('message').textContent")
+    frames = page.evaluate("Number(document.body.dataset.frames)")
+    page.wait_for(f"Number(document.body.dataset.frames) >= {frames} + 2")
+
+
+def test_both_garments_are_in_the_picture_in_their_colours(page: Page):
+    assert worn(page) == ["trousers", "tank"]
+    picture = page.picture()
+    assert share(picture, "b") > 0.005, "no trousers in their colour"
+    assert share(picture, "r") > 0.005, "no tank in its colour"
+    assert page.evaluate("document.getElementById('add').disabled"), "two layers are what this service takes"
+    offered = "Array.from(document.getElementById('garment').options, (option) => [option.value, option.disabled])"
+    assert dict(page.evaluate(offered)) == {"trousers": False, "shorts": False, "tank": True}
+
+
+def test_each_layer_has_its_own_colour(page: Page):
+    set_control(page, "colour-1", "value", "#20a020", "input")
+    more_frames(page)
+    picture = page.picture()
+    assert share(picture, "g") > 0.005 and share(picture, "r") < 0.002 and share(picture, "b") > 0.005
+
+
+def test_passes_are_chosen_and_the_service_runs_that_many(page: Page, drapery: Drapery):
+    assert drapery.packer is not None
+    options = page.evaluate("Array.from(document.getElementById('passes').options, (option) => option.value)")
+    assert options == ["", "3", "2", "1", "0"] and not page.evaluate("document.getElementById('passes-row').hidden")
+    for passes in (0, 2):
+        set_control(page, "passes", "value", str(passes), "change")
+        assert last_opening(page)["passes"] == passes
+        more_frames(page)
+        assert passes in {plan.passes for plan, _ in drapery.packer._sessions}
+    set_control(page, "passes", "value", "", "change")
+    assert "passes" not in last_opening(page)
+
+
+def test_jets_are_drawn_like_vertices_and_are_fewer_bytes(page: Page):
+    page.evaluate("document.getElementById('play').click()")  # paused: both draw the same pose
+    more_frames(page)
+    number = "Number.parseFloat(document.getElementById('bytes').textContent)"
+    before, of_vertices = page.picture()[:400, 300:], page.evaluate(number)  # above the numbers at the bottom
+    set_control(page, "jets", "checked", True, "change")
+    page.wait_for("!document.getElementById('left-row').hidden")
+    more_frames(page)
+    assert last_opening(page)["geometry"] == "jets"
+    after, of_jets = page.picture()[:400, 300:], page.evaluate(number)
+    assert of_jets < 0.6 * of_vertices
+    assert share(page.picture(), "g") > 0.005
+    assert (np.abs(after - before).max(axis=-1) > 40).mean() < 0.002
+    set_control(page, "jets", "checked", False, "change")
+    page.wait_for("document.getElementById('left-row').hidden")
+    page.evaluate("document.getElementById('play').click()")
+
+
+def test_garments_are_taken_off_and_put_on(page: Page):
+    page.evaluate("document.getElementById('remove').click()")
+    assert worn(page) == ["tank"]
+    more_frames(page)
+    opening = last_opening(page)
+    assert opening["garment"] == "tank" and "garments" not in opening
+    assert page.evaluate("document.getElementById('remove').disabled")
+    page.evaluate("document.getElementById('add').click()")
+    assert worn(page) == ["tank", "shorts"]
+    more_frames(page)
+    assert last_opening(page)["garments"] == ["tank", "shorts"]
+
+
+def test_no_console_error_so_far(page: Page):
+    assert page.errors == []
