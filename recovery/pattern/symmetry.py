@@ -2,7 +2,7 @@
 
 Two panels are alike when a cyclic shift of their edges and one orthogonal matrix lay the outline of one on the other:
 in the same order by a rotation, in reversed order by a reflection. A panel is symmetric when a reflection lays
-it on itself. What is tied then moves as one: a search has fewer unknowns and ends in a pattern with the same symmetries.
+it on itself. What is tied then moves as one: a search has fewer unknowns and its pattern the same symmetries.
 """
 
 from __future__ import annotations
@@ -213,8 +213,8 @@ def _points_of(controls: Controls, panel: int) -> dict[tuple[int, int], int]:
     return {(int(controls.edge[row]), int(controls.handle[row])): int(row) for row in rows}
 
 
-def _correspondence(controls: Controls, pattern: Pattern, symmetry: Symmetry) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of the first panel's control points, and the rows of the second's that they correspond to."""
+def correspondence(controls: Controls, pattern: Pattern, symmetry: Symmetry) -> tuple[np.ndarray, np.ndarray]:
+    """Rows (n,) of the first panel's control points, and the rows (n,) of the second's that they correspond to."""
     count = len(pattern.panels[symmetry.first].edges)
     own, other = _points_of(controls, symmetry.first), _points_of(controls, symmetry.second)
     pairs = []
@@ -259,11 +259,11 @@ def _projection(controls: Controls, pattern: Pattern, symmetries: Symmetries) ->
         mirror = np.eye(2 * len(own))
         place = {int(row): number for number, row in enumerate(own)}
         for symmetry in itself:
-            rows, images = _correspondence(controls, pattern, symmetry)
+            rows, images = correspondence(controls, pattern, symmetry)
             mirror = 0.5 * (mirror + _move_matrix(rows, images, symmetry.matrix, place, place))
         rows_all, spread = [own], [np.eye(2 * len(own))]
         for symmetry in between:
-            rows, images = _correspondence(controls, pattern, symmetry)
+            rows, images = correspondence(controls, pattern, symmetry)
             there = np.sort(images)
             spread.append(_move_matrix(rows, images, symmetry.matrix, place, {int(r): n for n, r in enumerate(there)}))
             rows_all.append(there)
