@@ -10,8 +10,9 @@ from drape.cloth.orthotropic import OrthotropicMaterial
 from recovery.pattern.mesh import PatternMesh
 from recovery.sim.contact import SkinContact
 from recovery.sim.model import ClothModel, ClothState
-from recovery.sim.newton import Report, equilibrium
+from recovery.sim.newton import Minimum, Report, equilibrium
 from recovery.sim.sdf import SignedDistance
+from recovery.sim.solver import superlu
 
 TOLERANCE_N = 1e-6  # a node weighs about 1e-3 N
 ITERATION_LIMIT = 60
@@ -53,3 +54,26 @@ class RestDrape:
             iteration_limit=self.iteration_limit,
         )
         return state.x, report
+
+    def sensitivity(self, rest: Tensor, nodes: np.ndarray, moves: np.ndarray) -> np.ndarray:
+        """Derivatives (N, 3, Z) of the drape ``nodes`` [m] (N, 3) along ``moves`` (P, 2, Z) of the panel vertices.
+
+        One factorisation for all of them: the adjoint's scalar is linear in its weights, so that its derivative by
+        them is the right side of a direction.
+        """
+        problem = Minimum(self.model, self.contact, superlu, dt_s=None, tolerance_n=self.tolerance_n, iteration_limit=0)
+        x = torch.from_numpy(np.ascontiguousarray(nodes))
+        state, parameters = ClothState(x, torch.zeros_like(x)), self.parameters._replace(panels=rest.detach())
+        solution = problem.solve(state, parameters)
+        factor = problem.factor(solution, state, parameters)
+        with torch.enable_grad():
+            panels = rest.detach().clone().requires_grad_(True)
+            weights = torch.zeros_like(x).requires_grad_(True)
+            scalar = problem.adjoint(weights, solution, state, parameters._replace(panels=panels))
+            (slope,) = torch.autograd.grad(scalar, panels, create_graph=True)
+            columns = []
+            for number in range(moves.shape[2]):
+                along = (slope * torch.from_numpy(np.ascontiguousarray(moves[:, :, number]))).sum()
+                (right,) = torch.autograd.grad(along, weights, retain_graph=True)
+                columns.append(factor.solve(np.ascontiguousarray((problem.free * right).numpy()).reshape(-1)))
+        return np.stack(columns, axis=1).reshape(len(nodes), 3, -1)

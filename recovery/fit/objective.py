@@ -31,10 +31,13 @@ CORNERS = (
 
 
 class Weights(NamedTuple):
-    """Of the terms beside the Chamfer distance of the surfaces."""
+    """Of the terms beside the Chamfer distance of the surfaces.
+
+    The paper's 0.1 and 0.01 have no units beside it; these let seams give way to what the target tells.
+    """
 
     contours: float = 1.0
-    seams: float = 0.1
+    seams: float = 0.001
 
 
 DEFAULT_WEIGHTS = Weights()
@@ -123,9 +126,9 @@ class Objective:
         corners = mesh.rest[mesh.panel_faces]
         first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
         area = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
-        self._shares = np.repeat(area / area.sum() / 3.0, 3)
-        self._pairs = [(contours[m.source].loop, target.contours[m.target].points) for m in matches]
-        self._seams = self._seam_edges(mesh.pattern if base is None else base)
+        self.shares = np.repeat(area / area.sum() / 3.0, 3)
+        self.pairs = [(contours[m.source].loop, target.contours[m.target].points) for m in matches]
+        self.seam_edges = self._seam_edges(mesh.pattern if base is None else base)
 
     def __call__(self, x: Tensor, rest: Tensor) -> Terms:
         """The loss of nodes ``x`` [m] (N, 3) and panel vertices ``rest`` [m] (P, 2)."""
@@ -140,7 +143,7 @@ class Objective:
         target = self.target
         there = closest.closest_point(points.detach().numpy(), target.vertices, target.faces)
         kappa = (target.weights[target.faces[there.face]] * there.barycentric).sum(axis=1)
-        forth = torch.from_numpy(self._shares * kappa) @ ((points - torch.from_numpy(there.point)) ** 2).sum(dim=1)
+        forth = torch.from_numpy(self.shares * kappa) @ ((points - torch.from_numpy(there.point)) ** 2).sum(dim=1)
         here = closest.closest_point(target.points, x.detach().numpy(), self.mesh.faces)
         nearest = (torch.from_numpy(here.barycentric)[:, :, None] * x[self._faces[here.face]]).sum(dim=1)
         back = torch.from_numpy(target.shares) @ ((nearest - torch.from_numpy(target.points)) ** 2).sum(dim=1)
@@ -148,14 +151,14 @@ class Objective:
 
     def open_contours(self, x: Tensor) -> Tensor:
         """Chamfer distance [m^2] between matched contours, the mean over them."""
-        if not self._pairs:
+        if not self.pairs:
             return x.sum() * 0.0
-        found = [polyline_chamfer(x[torch.from_numpy(loop)], torch.from_numpy(points)) for loop, points in self._pairs]
+        found = [polyline_chamfer(x[torch.from_numpy(loop)], torch.from_numpy(points)) for loop, points in self.pairs]
         return torch.stack(found).mean()
 
     def seams(self, rest: Tensor) -> Tensor:
         """Equation 8 [m^2]: squared differences of the lengths of sewn segments, times what the base eases in."""
-        first, second, ratio = self._seams
+        first, second, ratio = self.seam_edges
         lengths = [torch.linalg.vector_norm(rest[ends[:, 1]] - rest[ends[:, 0]], dim=1) for ends in (first, second)]
         return ((lengths[0] - ratio * lengths[1]) ** 2).sum()
 
@@ -176,19 +179,27 @@ def polyline_chamfer(first: Tensor, second: Tensor) -> Tensor:
 
 def _one_way(points: Tensor, line: Tensor) -> Tensor:
     """Mean squared distance of the closed polyline ``points``, by two points a segment, to the closed one ``line``."""
+    samples, shares, best, t = on_line(points, line)
+    # Where on the line is held, the line itself may move.
+    nearest = line[best] + t[:, None] * (torch.roll(line, -1, dims=0) - line)[best]
+    return shares @ ((samples - nearest) ** 2).sum(dim=1)
+
+
+def on_line(points: Tensor, line: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Samples (2 n, 3) of the closed polyline ``points``, their shares of its length, and where each is on ``line``.
+
+    That is the number of the nearest segment and the place on it from 0 to 1, both held while differentiating.
+    """
     following = torch.roll(points, -1, dims=0)
     length = torch.linalg.vector_norm(following - points, dim=1)
     shares = torch.cat([length, length]) / (2.0 * length.sum())
     share = 0.5 - 0.5 / 3.0**0.5  # Gauss's points of a segment
     samples = torch.cat([points + share * (following - points), following + share * (points - following)])
-    start = line
-    along = torch.roll(line, -1, dims=0) - line
     with torch.no_grad():
+        along = torch.roll(line, -1, dims=0) - line
         squared = torch.clamp((along * along).sum(dim=1), min=1e-30)
-        t = torch.clamp(((samples[:, None] - start[None]) * along[None]).sum(dim=2) / squared, 0.0, 1.0)
-        off = samples[:, None] - start[None] - t[..., None] * along[None]
+        t = torch.clamp(((samples[:, None] - line[None]) * along[None]).sum(dim=2) / squared, 0.0, 1.0)
+        off = samples[:, None] - line[None] - t[..., None] * along[None]
         best = (off * off).sum(dim=2).argmin(dim=1)
         t = t[torch.arange(len(samples)), best]
-    # Where on the line is held, the line itself may move.
-    nearest = start[best] + t[:, None] * along[best]
-    return shares @ ((samples - nearest) ** 2).sum(dim=1)
+    return samples, shares, best, t
