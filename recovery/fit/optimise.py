@@ -29,8 +29,8 @@ from recovery.pattern.model import Pattern
 from recovery.pattern.symmetry import FreeControls
 
 HALVINGS = 8
-DAMPING = 1e-3  # of the closing steps, as a share of the mean curvature of the loss; at the beginning
-DAMPING_RANGE = (1e-7, 1e4)
+DAMPING = 1e-2  # of the closing steps, as a share of the mean curvature of the loss; at the beginning
+DAMPING_RANGE = (1e-4, 1e4)
 STATE_VERSION = 2
 
 
@@ -42,8 +42,8 @@ class FitOptions:
     the target does not tell, a seam along the cloth for one, as far as what it does tell.
     """
 
-    iterations: int = 40
-    closing: int = 15
+    iterations: int = 20
+    closing: int = 10
     rate_m: float = 1e-3
     last_rate_m: float = 2e-5
     beta1: float = 0.9
