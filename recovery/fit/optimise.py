@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
+import zipfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -270,9 +271,10 @@ def _read(path: Path, digest: str) -> _State:
     try:
         with np.load(path, allow_pickle=False) as data:
             held = {name: data[name] for name in data.files}
-        parts = [Evaluation(*(held[f"{name}_{part}"] for part in Evaluation._fields)) for name in ("now", "best")]
+        now, best = (Evaluation(*(held[f"{name}_{part}"] for part in Evaluation._fields)) for name in ("now", "best"))
         state = _State(
-            *parts,
+            now,
+            best,
             held["mean"],
             held["square"],
             float(held["damping"]),
@@ -281,7 +283,7 @@ def _read(path: Path, digest: str) -> _State:
             bool(held["stuck"]),
         )
         of = str(held["digest"])
-    except (OSError, ValueError, KeyError, EOFError) as error:
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise ArtifactError(
             path.name, expected="the state of a search", got=f"{error}", cure="Delete the file and start anew."
         ) from error

@@ -320,15 +320,11 @@ def test_progress_is_shown_on_request(capsys):
 
 
 def test_wrong_options_and_other_controls_are_refused():
-    for wrong in (
-        {"iterations": 0, "closing": 0},
-        {"closing": -1},
-        {"rate_m": 0.5},
-        {"last_rate_m": 0.0},
-        {"beta1": 1.0},
-    ):
+    for wrong in (("closing", -1), ("rate_m", 0.5), ("last_rate_m", 0.0), ("beta1", 1.0), ("floor", 0.0)):
         with pytest.raises(InputError, match="fit options"):
-            FitOptions(**wrong)
+            replace(FitOptions(), **dict([wrong]))
+    with pytest.raises(InputError, match="fit options"):
+        FitOptions(iterations=0, closing=0)
     options = FitOptions(iterations=11, rate_m=1e-3, last_rate_m=1e-4)
     assert_allclose([options.rate(k) for k in (0, 5, 10)], [1e-3, 5.5e-4, 1e-4])
     mesh, forward, _, target, contours, matches = scene()
