@@ -1,0 +1,51 @@
+"""How far a recovered pattern is from the true one: control points after each panel is laid on its own, and areas."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from drape.errors import InputError
+from recovery.pattern import geometry
+from recovery.pattern.coordinates import control_points
+from recovery.pattern.model import Pattern
+from recovery.pattern.symmetry import procrustes
+
+
+class PatternError(NamedTuple):
+    """``controls_m`` [m] (K,) of every control point; ``areas`` (P,) of every panel over the true one, less 1."""
+
+    controls_m: np.ndarray
+    areas: np.ndarray
+
+    def describe(self) -> str:
+        """One phrase with means and largest values."""
+        far, area = 1e3 * self.controls_m, 100.0 * np.abs(self.areas)
+        return (
+            f"control points {far.mean():.2f} mm (largest {far.max():.2f}), "
+            f"areas {area.mean():.2f} % (largest {area.max():.2f})"
+        )
+
+
+def pattern_error(found: Pattern, truth: Pattern, *, free_curves: bool = False) -> PatternError:
+    """The error of ``found`` against ``truth``, which has the same panels in the same order.
+
+    A panel's place in its own plane means nothing, so each is moved rigidly to where it fits best; it is not mirrored.
+    """
+    own, true = (control_points(pattern, free_curves=free_curves) for pattern in (found, truth))
+    if not (np.array_equal(own.panel, true.panel) and np.array_equal(own.edge, true.edge)):
+        raise InputError(
+            "patterns",
+            expected="the same panels with the same edges",
+            got=f"{len(found.panels)} and {len(truth.panels)} panels, {len(own)} and {len(true)} control points",
+            cure="Compare a recovery with the pattern that its base was made from.",
+        )
+    far = np.zeros(len(own))
+    for panel in range(len(truth.panels)):
+        mine = own.panel == panel
+        a, b = own.positions[mine], true.positions[mine]
+        matrix, _ = procrustes(a, b, reflect=False)
+        far[mine] = np.linalg.norm((a - a.mean(axis=0)) @ matrix - (b - b.mean(axis=0)), axis=1)
+    pairs = zip(found.panels, truth.panels, strict=True)
+    return PatternError(far, np.array([geometry.area(a) / geometry.area(b) - 1.0 for a, b in pairs]))

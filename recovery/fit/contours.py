@@ -1,0 +1,193 @@
+"""Open contours of a garment, where they lie along the body, and which one of a target is which of a drape.
+
+Algorithm 2 of Yu, Cordier and Seo (2024). A contour belongs to the part of the body whose bones pass through it; its
+place is the point of that part's chain of bones nearest to its centre. Below the pelvis a middle line between both legs
+continues the trunk, so that the hem of a shirt has one coordinate whether it ends above or below the hips.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from drape.arrays import check_finite, check_shape
+from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
+from drape.errors import InputError, MeshError
+from drape.geometry import meshes
+
+TRUNK = "trunk"
+LIMBS = {
+    "left_leg": ("left_hip", "left_knee", "left_ankle"),
+    "right_leg": ("right_hip", "right_knee", "right_ankle"),
+    "left_arm": ("left_collar", "left_shoulder", "left_elbow", "left_wrist", "left_hand"),
+    "right_arm": ("right_collar", "right_shoulder", "right_elbow", "right_wrist", "right_hand"),
+}
+SPINE = ("pelvis", "neck", "head")  # straight: at the kinks of the spine the nearest point jumps by centimetres
+MIDDLES = ("ankle", "knee")  # of both legs, from below
+BEYOND_M = 0.2  # that a chain goes on after its last joint: hems below the ankle, cuffs over the hand
+OTHER_PART = 100.0  # cost [m^2] of matching contours of different parts: never, as long as there is a choice
+
+
+@dataclass(frozen=True, eq=False)
+class Contour:
+    """A closed border: ``loop`` (n,) vertices in order, ``length_m`` and ``centre`` [m] (3,), the mean along it."""
+
+    loop: np.ndarray
+    points: np.ndarray
+    length_m: float
+    centre: np.ndarray
+
+
+class Place(NamedTuple):
+    """Where a contour lies: the body's ``part``, ``along_m`` [m] from the part's root, unit ``direction`` (3,) outward.
+
+    The trunk begins at the pelvis, up is positive; a limb at its first joint. ``part`` None: no bone passes through.
+    """
+
+    part: str | None
+    along_m: float
+    direction: np.ndarray
+
+
+class Match(NamedTuple):
+    """A contour of the source and its counterpart: numbers, the target's length over the source's, metres to move.
+
+    ``move_m`` runs along ``direction`` (3,), that of the bone, away from the root.
+    """
+
+    source: int
+    target: int
+    place: Place
+    length_ratio: float
+    move_m: float
+
+
+def open_contours(vertices: np.ndarray, faces: np.ndarray) -> list[Contour]:
+    """The closed borders of a mesh (``vertices`` [m] (V, 3), ``faces`` (F, 3)), longest first."""
+    vertices = np.asarray(vertices, dtype=np.float64)
+    check_shape("vertices", vertices, (None, 3), error=MeshError)
+    check_finite("vertices", vertices, error=MeshError)
+    faces = meshes.check_faces(faces, len(vertices))
+    found = []
+    for loop in meshes.boundary_loops(faces):
+        points = vertices[loop]
+        following = np.roll(points, -1, axis=0)
+        lengths = np.linalg.norm(following - points, axis=1)
+        centre = (lengths[:, None] * 0.5 * (points + following)).sum(axis=0) / max(lengths.sum(), 1e-300)
+        found.append(Contour(loop, points, float(lengths.sum()), centre))
+    return sorted(found, key=lambda contour: -contour.length_m)
+
+
+def bone_chains(joints: np.ndarray) -> dict[str, tuple[np.ndarray, float]]:
+    """For each part of the body the points [m] (n, 3) of its bones, and the length [m] before its root.
+
+    ``joints`` [m] (24, 3) in the pose of the garment.
+    """
+    check_shape("joints", joints, (JOINT_COUNT, 3))
+    check_finite("joints", joints)
+    at = dict(zip(JOINT_NAMES, joints, strict=True))
+    middle = [0.5 * (at[f"left_{name}"] + at[f"right_{name}"]) for name in MIDDLES]
+    trunk = _longer(_longer(np.array([*middle, *(at[name] for name in SPINE)]))[::-1])[::-1]
+    below = float(np.linalg.norm(np.diff(trunk[: len(MIDDLES) + 2], axis=0), axis=1).sum())
+    chains = {TRUNK: (trunk, below)}
+    chains.update({part: (_longer(np.array([at[name] for name in names])), 0.0) for part, names in LIMBS.items()})
+    return chains
+
+
+def _longer(chain: np.ndarray) -> np.ndarray:
+    last = chain[-1] - chain[-2]
+    return np.concatenate([chain, [chain[-1] + BEYOND_M * last / max(float(np.linalg.norm(last)), 1e-300)]])
+
+
+def encircles(contour: Contour, chain: np.ndarray) -> bool:
+    """Whether the line ``chain`` [m] (n, 3) passes through ``contour``, counted on the fan about its centre."""
+    crossings = 0
+    a, b, c = contour.centre, contour.points, np.roll(contour.points, -1, axis=0)
+    normal = np.cross(b - a, c - a)
+    for start, end in pairwise(chain):
+        way = end - start
+        rise = normal @ way
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = ((a - start) * normal).sum(axis=1) / rise
+            point = start + t[:, None] * way
+            inside = np.ones(len(b), dtype=bool)
+            for p, q in ((a, b), (b, c), (c, a)):
+                inside &= (np.cross(q - p, point - p) * normal).sum(axis=1) >= 0.0
+        hit = inside & (t >= 0.0) & (t < 1.0) & (rise != 0.0)
+        crossings += int(np.sign(rise[hit]).sum())
+    return crossings != 0
+
+
+def place_of(contour: Contour, chains: dict[str, tuple[np.ndarray, float]]) -> Place:
+    """The place of ``contour`` along the body; the trunk goes before a limb.
+
+    Where no bone passes through, as through a cuff that lies folded, the nearest one counts if it is nearer to the
+    centre than a round contour of that length would be.
+    """
+    nearest = {part: _nearest(contour.centre, chain) for part, (chain, _) in chains.items()}
+    part = next((name for name, (chain, _) in chains.items() if encircles(contour, chain)), None)
+    if part is None:
+        part = min(nearest, key=lambda name: nearest[name][0])
+        if nearest[part][0] > contour.length_m / (2.0 * np.pi):
+            return Place(None, 0.0, np.zeros(3))
+    _, along, direction = nearest[part]
+    return Place(part, along - chains[part][1], direction)
+
+
+def _nearest(point: np.ndarray, chain: np.ndarray) -> tuple[float, float, np.ndarray]:
+    """Distance [m] of ``point`` to the line ``chain`` (n, 3), arc length of the nearest point, direction there."""
+    found, run = [], 0.0
+    for start, end in pairwise(chain):
+        length = max(float(np.linalg.norm(end - start)), 1e-300)
+        way = (end - start) / length
+        share = float(np.clip((point - start) @ way, 0.0, length))
+        found.append((float(np.linalg.norm(point - start - share * way)), run + share, way))
+        run += length
+    return min(found, key=lambda one: one[0])
+
+
+def match_contours(source: list[Contour], target: list[Contour], joints: np.ndarray) -> tuple[list[Match], list[int]]:
+    """Every contour of ``source`` with its counterpart, and the numbers of the target's contours that are left: holes.
+
+    Counterparts lie on the same part of the body; on each part the squared differences of their places are least
+    in sum, which keeps their order. Raises ``InputError`` where the target has no counterpart.
+    """
+    chains = bone_chains(joints)
+    own = [place_of(contour, chains) for contour in source]
+    theirs = [place_of(contour, chains) for contour in target]
+    for number, place in enumerate(own):
+        if place.part is None:
+            raise InputError(
+                "base garment",
+                expected="openings that the body passes through",
+                got=f"one of {source[number].length_m:.2f} m that no bone passes through",
+                cure="Drape the base pattern on the body first, and pass the joints of the same pose.",
+            )
+    for part in sorted({place.part for place in own if place.part}):
+        wanted, there = (sum(place.part == part for place in places) for places in (own, theirs))
+        if there < wanted:
+            raise InputError(
+                "target",
+                expected=f"{wanted} openings round the {part.replace('_', ' ')}",
+                got=f"{there}",
+                cure="Take a base pattern of the target's kind, and cut what closes the target's openings.",
+            )
+    cost = np.array(
+        [[OTHER_PART if a.part != b.part else (a.along_m - b.along_m) ** 2 for b in theirs] for a in own]
+    ).reshape(len(own), len(theirs))
+    rows, columns = linear_sum_assignment(cost)
+    matches = [
+        Match(
+            i,
+            j,
+            own[i],
+            target[j].length_m / source[i].length_m,
+            theirs[j].along_m - own[i].along_m,
+        )
+        for i, j in zip(rows.tolist(), columns.tolist(), strict=True)
+    ]
+    return matches, sorted(set(range(len(target))) - set(columns.tolist()))

@@ -1,0 +1,79 @@
+"""The drape at rest as a differentiable function of the panels, from the shape of a nearby pattern."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from drape.cloth.orthotropic import OrthotropicMaterial
+from recovery.pattern.mesh import PatternMesh
+from recovery.sim.contact import SkinContact
+from recovery.sim.model import ClothModel, ClothState
+from recovery.sim.newton import Minimum, Report, equilibrium
+from recovery.sim.sdf import SignedDistance
+from recovery.sim.solver import superlu
+
+TOLERANCE_N = 1e-6  # a node weighs about 1e-3 N
+ITERATION_LIMIT = 60
+
+
+class RestDrape:
+    """The garment of ``mesh`` at rest on ``body``; ``held`` nodes stay where they are.
+
+    Without friction, so the shape depends on the panels and not on the way there, as long as it stays in one basin.
+    """
+
+    def __init__(
+        self,
+        mesh: PatternMesh,
+        body: SignedDistance,
+        cloth: OrthotropicMaterial,
+        *,
+        held: np.ndarray | None = None,
+        tolerance_n: float = TOLERANCE_N,
+        iteration_limit: int = ITERATION_LIMIT,
+    ) -> None:
+        self.model = ClothModel(mesh.faces, panel_faces=mesh.panel_faces, fixed=held)
+        self.contact = SkinContact(body, friction=0.0)
+        self.parameters = self.model.parameters(mesh.rest, cloth)
+        self.tolerance_n, self.iteration_limit = tolerance_n, iteration_limit
+
+    def __call__(self, rest: Tensor, near: np.ndarray) -> tuple[Tensor, Report]:
+        """Nodes [m] (N, 3) for panel vertices ``rest`` [m] (P, 2), sought from ``near`` (N, 3), and how that ended.
+
+        Differentiable by ``rest`` if the report says that it converged.
+        """
+        x = torch.from_numpy(np.ascontiguousarray(near))
+        state, report = equilibrium(
+            self.model,
+            ClothState(x, torch.zeros_like(x)),
+            self.parameters._replace(panels=rest),
+            contact=self.contact,
+            tolerance_n=self.tolerance_n,
+            iteration_limit=self.iteration_limit,
+        )
+        return state.x, report
+
+    def sensitivity(self, rest: Tensor, nodes: np.ndarray, moves: np.ndarray) -> np.ndarray:
+        """Derivatives (N, 3, Z) of the drape ``nodes`` [m] (N, 3) along ``moves`` (P, 2, Z) of the panel vertices.
+
+        One factorisation for all of them: the adjoint's scalar is linear in its weights, so that its derivative by
+        them is the right side of a direction.
+        """
+        problem = Minimum(self.model, self.contact, superlu, dt_s=None, tolerance_n=self.tolerance_n, iteration_limit=0)
+        x = torch.from_numpy(np.ascontiguousarray(nodes))
+        state, parameters = ClothState(x, torch.zeros_like(x)), self.parameters._replace(panels=rest.detach())
+        solution = problem.solve(state, parameters)
+        factor = problem.factor(solution, state, parameters)
+        with torch.enable_grad():
+            panels = rest.detach().clone().requires_grad_(True)
+            weights = torch.zeros_like(x).requires_grad_(True)
+            scalar = problem.adjoint(weights, solution, state, parameters._replace(panels=panels))
+            (slope,) = torch.autograd.grad(scalar, panels, create_graph=True)
+            columns = []
+            for number in range(moves.shape[2]):
+                along = (slope * torch.from_numpy(np.ascontiguousarray(moves[:, :, number]))).sum()
+                (right,) = torch.autograd.grad(along, weights, retain_graph=True)
+                columns.append(factor.solve(np.ascontiguousarray((problem.free * right).numpy()).reshape(-1)))
+        return np.stack(columns, axis=1).reshape(len(nodes), 3, -1)

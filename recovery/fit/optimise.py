@@ -1,0 +1,297 @@
+"""Pattern optimisation (section 3.5 of Yu, Cordier and Seo 2024): Adam on what the symmetries leave free, then
+Gauss and Newton's steps.
+
+Every evaluation drapes the pattern to rest from the last shape and differentiates through that drape. A step that folds
+a panel over, or whose drape does not come to rest, is halved until it does neither. The paper stops at Adam; near the
+end damped steps with the derivatives of the whole drape go as far in a few drapes as Adam in hundreds.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import zipfile
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from drape.errors import ArtifactError, InputError
+from recovery.fit.curvature import gauss_newton_matrix
+from recovery.fit.forward import RestDrape
+from recovery.fit.objective import Objective
+from recovery.pattern.coordinates import with_controls
+from recovery.pattern.mesh import PatternMesh
+from recovery.pattern.model import Pattern
+from recovery.pattern.symmetry import FreeControls
+
+HALVINGS = 8
+DAMPING = 1e-2  # of the closing steps, as a share of the mean curvature of the loss; at the beginning
+DAMPING_RANGE = (1e-4, 1e4)
+STATE_VERSION = 2
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """Adam's ``iterations``, rate [m] falling as a cosine from ``rate_m`` to ``last_rate_m``; then ``closing`` steps.
+
+    ``floor`` stands in for Adam's epsilon: a share of the largest root mean square gradient. Without it Adam moves what
+    the target does not tell, a seam along the cloth for one, as far as what it does tell.
+    """
+
+    iterations: int = 20
+    closing: int = 10
+    rate_m: float = 1e-3
+    last_rate_m: float = 2e-5
+    beta1: float = 0.9
+    beta2: float = 0.99
+    floor: float = 0.1
+
+    def __post_init__(self) -> None:
+        fits = (
+            self.iterations >= 0
+            and self.closing >= 0
+            and self.iterations + self.closing >= 1
+            and 0.0 < self.last_rate_m <= self.rate_m < 0.1
+        )
+        if not (fits and 0.0 <= self.beta1 < 1.0 and 0.0 <= self.beta2 < 1.0 and 0.0 < self.floor <= 1.0):
+            raise InputError(
+                "fit options",
+                expected="iterations + closing >= 1, neither < 0, 0 < last_rate_m <= rate_m < 0.1 m, betas in [0, 1), "
+                "floor in (0, 1]",
+                got=f"{self}",
+                cure="Leave them at their defaults.",
+            )
+
+    def rate(self, iteration: int) -> float:
+        """The rate [m] of a step after ``iteration`` steps."""
+        share = 0.5 * (1.0 + np.cos(np.pi * min(1.0, iteration / max(1, self.iterations - 1))))
+        return float(self.last_rate_m + share * (self.rate_m - self.last_rate_m))
+
+
+DEFAULT_OPTIONS = FitOptions()
+
+
+class Evaluation(NamedTuple):
+    """Where the search stands: free ``values`` [m] (Z,), nodes [m] (N, 3), loss and parts [m^2] (4,), gradient (Z,)."""
+
+    values: np.ndarray
+    nodes: np.ndarray
+    terms: np.ndarray
+    gradient: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """The best pattern of a search, its control points [m] (K, 2), its drape [m] (N, 3).
+
+    ``history`` (I + 1, 5): total loss, surface, contours, seams [m^2] of every accepted step, and how often it
+    was halved or damped. ``finished`` is False where no step was left that comes to rest without folds, or that lessens
+    the loss: the end of a search as well as it can be known.
+    """
+
+    pattern: Pattern
+    positions: np.ndarray
+    nodes: np.ndarray
+    history: np.ndarray
+    finished: bool
+
+
+class PatternSearch:
+    """Adam on the free control points ``free`` of ``mesh``, whose drape ``forward`` gives and ``objective`` judges."""
+
+    def __init__(self, mesh: PatternMesh, free: FreeControls, forward: RestDrape, objective: Objective) -> None:
+        if len(free.controls) != len(mesh.controls) or free.controls.free_curves != mesh.controls.free_curves:
+            raise InputError(
+                "free controls",
+                expected=f"the {len(mesh.controls)} control points of the mesh",
+                got=f"{len(free.controls)}",
+                cure="Make both from the same pattern and with the same free_curves.",
+            )
+        self.mesh, self.free, self.forward, self.objective = mesh, free, forward, objective
+        self._origin = torch.from_numpy(mesh.weights @ free.origin.reshape(-1))
+        self._basis = torch.from_numpy(np.ascontiguousarray(mesh.weights @ free.basis))
+
+    def evaluate(self, values: np.ndarray, near: np.ndarray) -> Evaluation | None:
+        """The loss and its gradient at ``values`` (Z,), the drape sought from ``near`` (N, 3).
+
+        None where a panel is folded over or the drape does not come to rest.
+        """
+        z = torch.tensor(values, dtype=torch.float64, requires_grad=True)
+        rest = (self._origin + self._basis @ z).reshape(-1, 2)
+        if len(self.mesh.folded(rest.detach().numpy())):
+            return None
+        x, report = self.forward(rest, near)
+        if not report.converged:
+            return None
+        terms = self.objective(x, rest)
+        (gradient,) = torch.autograd.grad(terms.total, z)
+        return Evaluation(values, x.detach().numpy(), torch.stack(list(terms)).detach().numpy(), gradient.numpy())
+
+    def run(
+        self,
+        nodes: np.ndarray,
+        options: FitOptions = DEFAULT_OPTIONS,
+        *,
+        state_file: Path | None = None,
+        save_every: int = 10,
+        progress: bool = False,
+        limit: int | None = None,
+    ) -> Fitted:
+        """Searches from the pattern as it is, draped at ``nodes`` [m] (N, 3).
+
+        ``state_file`` is written every ``save_every`` steps and at the end; where it exists the search goes on from
+        it, bit for bit as if it had not stopped. ``limit`` ends this run after that many steps. Raises ``InputError``
+        where the start itself folds or does not come to rest, ``ArtifactError`` for the state of another search.
+        """
+        digest = self._digest(options)
+        state = _read(state_file, digest) if state_file is not None and state_file.exists() else self._start(nodes)
+        total = options.iterations + options.closing
+        last = total if limit is None else min(total, state.step + limit)
+        bar = tqdm(total=total, initial=state.step, disable=not progress, file=sys.stderr)
+        while state.step < last and not state.stuck:
+            state = self._advance(state, options) if state.step < options.iterations else self._close(state)
+            bar.update()
+            bar.set_postfix(
+                surface_mm=f"{1e3 * np.sqrt(0.5 * state.now.terms[1]):.2f}", halved=int(state.history[-1, 4])
+            )
+            if state_file is not None and state.step % save_every == 0:
+                _write(state_file, digest, state)
+        bar.close()
+        if state_file is not None:
+            _write(state_file, digest, state)
+        positions = self.free.positions(state.best.values)
+        pattern = with_controls(self.mesh.pattern, self.mesh.controls, positions)
+        return Fitted(pattern, positions, state.best.nodes, state.history, not state.stuck)
+
+    def _start(self, nodes: np.ndarray) -> _State:
+        first = self.evaluate(np.zeros(self.free.count), nodes)
+        if first is None:
+            raise InputError(
+                "start of the search",
+                expected="a pattern without folds whose drape comes to rest",
+                got="one that does not",
+                cure="Drape it first (recovery.drape), take another mesh, or allow more iterations of Newton.",
+            )
+        zeros = np.zeros(self.free.count)
+        return _State(first, first, zeros, zeros, DAMPING, 0, np.array([[*first.terms, 0.0]]), False)
+
+    def _advance(self, state: _State, options: FitOptions) -> _State:
+        gradient = state.now.gradient
+        mean = options.beta1 * state.mean + (1.0 - options.beta1) * gradient
+        square = options.beta2 * state.square + (1.0 - options.beta2) * gradient**2
+        count = state.step + 1
+        unbiased = mean / (1.0 - options.beta1**count), square / (1.0 - options.beta2**count)
+        size = np.sqrt(unbiased[1])
+        step = -options.rate(state.step) * unbiased[0] / (size + options.floor * size.max() + 1e-300)
+        for halved in range(HALVINGS):
+            found = self.evaluate(state.now.values + 0.5**halved * step, state.now.nodes)
+            if found is not None:
+                best = found if found.terms[0] < state.best.terms[0] else state.best
+                history = np.concatenate([state.history, [[*found.terms, float(halved)]]])
+                return _State(found, best, mean, square, state.damping, count, history, False)
+        return state._replace(stuck=True)
+
+    def _close(self, state: _State) -> _State:
+        """One damped step of Gauss and Newton from the best evaluation; a worse one is damped more."""
+        start = state.best
+        rest = (self._origin + self._basis @ torch.from_numpy(start.values)).reshape(-1, 2)
+        rest_moves = self._basis.numpy().reshape(len(rest), 2, -1)
+        moves = self.forward.sensitivity(rest, start.nodes, rest_moves)
+        matrix = gauss_newton_matrix(self.objective, start.nodes, rest.numpy(), moves, rest_moves)
+        scale = np.trace(matrix) / len(matrix)
+        damping = state.damping
+        for tried in range(HALVINGS):
+            step = np.linalg.solve(matrix + damping * scale * np.eye(len(matrix)), -start.gradient)
+            found = self.evaluate(start.values + step, start.nodes)
+            if found is not None and found.terms[0] < start.terms[0]:
+                history = np.concatenate([state.history, [[*found.terms, float(tried)]]])
+                damping = max(0.2 * damping, DAMPING_RANGE[0]) if tried == 0 else damping
+                return state._replace(now=found, best=found, damping=damping, step=state.step + 1, history=history)
+            damping = min(10.0 * damping, DAMPING_RANGE[1])
+        return state._replace(stuck=True, damping=damping)
+
+    def _digest(self, options: FitOptions) -> str:
+        """What a stored state must agree with: the mesh, the target, the constants."""
+        target = self.objective.target
+        arrays = [
+            self.mesh.rest,
+            self.mesh.faces,
+            self.free.origin,
+            self.free.basis,
+            target.vertices,
+            target.faces,
+            self.forward.parameters.stretch.numpy(),
+            self.forward.parameters.bending_j.numpy(),
+            self.forward.model.fixed,
+        ]
+        found = hashlib.sha256(repr((STATE_VERSION, asdict(options), self.objective.weights)).encode())
+        for array in arrays:
+            found.update(np.ascontiguousarray(array).tobytes())
+        return found.hexdigest()
+
+
+class _State(NamedTuple):
+    now: Evaluation
+    best: Evaluation
+    mean: np.ndarray
+    square: np.ndarray
+    damping: float
+    step: int
+    history: np.ndarray
+    stuck: bool
+
+
+def _write(path: Path, digest: str, state: _State) -> None:
+    arrays = {
+        f"{name}_{part}": getattr(getattr(state, name), part) for name in ("now", "best") for part in Evaluation._fields
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(path.name + ".part")
+    with temporary.open("wb") as file:
+        np.savez(
+            file,
+            digest=np.array(digest),
+            mean=state.mean,
+            square=state.square,
+            damping=np.array(state.damping),
+            step=np.array(state.step),
+            history=state.history,
+            stuck=np.array(state.stuck),
+            **arrays,
+        )
+    os.replace(temporary, path)
+
+
+def _read(path: Path, digest: str) -> _State:
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            held = {name: data[name] for name in data.files}
+        now, best = (Evaluation(*(held[f"{name}_{part}"] for part in Evaluation._fields)) for name in ("now", "best"))
+        state = _State(
+            now,
+            best,
+            held["mean"],
+            held["square"],
+            float(held["damping"]),
+            int(held["step"]),
+            held["history"],
+            bool(held["stuck"]),
+        )
+        of = str(held["digest"])
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise ArtifactError(
+            path.name, expected="the state of a search", got=f"{error}", cure="Delete the file and start anew."
+        ) from error
+    if of != digest:
+        raise ArtifactError(
+            path.name,
+            expected="the state of this search",
+            got="that of another pattern, target or other options",
+            cure="Delete the file, or search with what it was written for.",
+        )
+    return state

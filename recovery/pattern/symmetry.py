@@ -1,0 +1,318 @@
+"""Symmetries of a pattern (algorithm 1 of Yu, Cordier and Seo 2024), and the control points that they leave free.
+
+Two panels are alike when a cyclic shift of their edges and one orthogonal matrix lay the outline of one on the other:
+in the same order by a rotation, in reversed order by a reflection. A panel is symmetric when a reflection lays
+it on itself. What is tied then moves as one: a search has fewer unknowns and its pattern the same symmetries.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+
+from drape.arrays import check_finite, check_shape
+from drape.errors import InputError
+from recovery.pattern import geometry
+from recovery.pattern.coordinates import Controls, control_points, with_controls
+from recovery.pattern.model import EdgeKind, Panel, Pattern
+
+TOLERANCE_M = 0.001  # root mean square between a panel and the image of its like; front and back differ by more
+TIE_SHARE = 0.01  # of the tolerance: alignments that differ by less are told apart by the grain
+
+
+class Kind(StrEnum):
+    """The motion that lays one outline on the other."""
+
+    ROTATION = "rotation"
+    REFLECTION = "reflection"
+
+
+@dataclass(frozen=True, eq=False)
+class Symmetry:
+    """Panel ``second`` is the image of panel ``first`` (numbers; the same one for a panel that is symmetric itself).
+
+    A point a of the first lies at (a - mean of first's corners) @ ``matrix`` + mean of second's corners. Edge e of the
+    first corresponds to edge e + ``shift`` of the second for a rotation and to ``shift`` - e, run backwards, for a
+    reflection. ``error_m`` is the root mean square distance over corners and handles.
+    """
+
+    first: int
+    second: int
+    kind: Kind
+    matrix: np.ndarray
+    shift: int
+    error_m: float
+
+    def edge(self, number: int, count: int) -> int:
+        """The edge of the second panel that corresponds to edge ``number`` of the first, of ``count`` edges each."""
+        return (self.shift + (number if self.kind is Kind.ROTATION else -number)) % count
+
+
+@dataclass(frozen=True, eq=False)
+class Symmetries:
+    """``between`` panels, each tied panel once, and ``within`` panels; both empty for a pattern without symmetry."""
+
+    between: tuple[Symmetry, ...]
+    within: tuple[Symmetry, ...]
+
+    def describe(self, pattern: Pattern) -> list[str]:
+        """One line for every symmetry, by the panels' names."""
+        names = [panel.name for panel in pattern.panels]
+        return [
+            f"{names[s.second]} is {names[s.first]} by a {s.kind}, within {1e3 * s.error_m:.2g} mm"
+            for s in self.between
+        ] + [f"{names[s.first]} is symmetric by a {s.kind}, within {1e3 * s.error_m:.2g} mm" for s in self.within]
+
+
+def find_symmetries(pattern: Pattern, *, tolerance_m: float = TOLERANCE_M) -> Symmetries:
+    """The symmetries of ``pattern`` whose error is at most ``tolerance_m``.
+
+    As in algorithm 1, a panel that is the image of an earlier one is not looked at again, so every panel is tied to
+    at most one, and only the others are searched for a symmetry of their own. Where several alignments
+    are as good, as for a rectangle, the one that keeps the grain upright is taken, a reflection before a rotation.
+    """
+    if not 0.0 < tolerance_m < np.inf:
+        raise InputError("tolerance_m", expected="a length > 0", got=f"{tolerance_m}", cure="Pass metres.")
+    between: list[Symmetry] = []
+    effective = list(range(len(pattern.panels)))
+    tied: set[int] = set()
+    for p in effective:
+        if p in tied:
+            continue
+        for q in effective[p + 1 :]:
+            if q not in tied and (found := _best(pattern, p, q, tolerance_m)) is not None:
+                between.append(found)
+                tied.add(q)
+    within = [_best(pattern, p, p, tolerance_m) for p in effective if p not in tied]
+    return Symmetries(tuple(between), tuple(found for found in within if found is not None))
+
+
+def procrustes(first: np.ndarray, second: np.ndarray, *, reflect: bool) -> tuple[np.ndarray, float]:
+    """The orthogonal M (2, 2) of given handedness that takes ``first`` (N, 2) nearest to ``second``, and the error.
+
+    Schoenemann (1966): with means removed and first^T second = U S V^T it is U V^T, its last column turned where
+    the determinant asks for it. The error [m] is the root mean square of first @ M - second.
+    """
+    a, b = first - first.mean(axis=0), second - second.mean(axis=0)
+    u, _, vt = np.linalg.svd(a.T @ b)
+    wanted = -1.0 if reflect else 1.0
+    matrix = u @ np.diag([1.0, wanted * np.linalg.det(u @ vt)]) @ vt
+    return matrix, float(np.sqrt(((a @ matrix - b) ** 2).sum(axis=1).mean()))
+
+
+def _best(pattern: Pattern, p: int, q: int, tolerance_m: float) -> Symmetry | None:
+    first, second = pattern.panels[p], pattern.panels[q]
+    if len(first.edges) != len(second.edges):
+        return None
+    count = len(first.edges)
+    found: list[Symmetry] = []
+    # Within a panel only reflections are asked for: left and right, as in the paper.
+    for kind in (Kind.REFLECTION,) if p == q else (Kind.REFLECTION, Kind.ROTATION):
+        for shift in range(count):
+            candidate = Symmetry(p, q, kind, np.eye(2), shift, np.inf)
+            if any(
+                edge.kind is not second.edges[candidate.edge(number, count)].kind
+                for number, edge in enumerate(first.edges)
+            ):
+                continue
+            matrix, error = procrustes(*_matched(first, second, candidate), reflect=kind is Kind.REFLECTION)
+            if error <= tolerance_m:
+                found.append(replace(candidate, matrix=matrix, error_m=error))
+    if not found:
+        return None
+    least = min(s.error_m for s in found)
+    good = [s for s in found if s.error_m <= least + TIE_SHARE * tolerance_m]
+    return max(good, key=lambda s: (round(float(s.matrix[1, 1]), 2), s.kind is Kind.REFLECTION, -s.error_m))
+
+
+def _matched(first: Panel, second: Panel, symmetry: Symmetry) -> tuple[np.ndarray, np.ndarray]:
+    """Corners, handles and highest points of arcs of both panels (N, 2) in corresponding order."""
+    count = len(first.edges)
+    turned = symmetry.kind is Kind.REFLECTION
+    points = ([], [])
+    for number in range(count):
+        other = symmetry.edge(number, count)
+        points[0].append(_edge_controls(first, number)[:-1])
+        mine = _edge_controls(second, other)
+        points[1].append((mine[::-1] if turned else mine)[:-1])
+    return np.concatenate(points[0]), np.concatenate(points[1])
+
+
+def _edge_controls(panel: Panel, number: int) -> np.ndarray:
+    """Start, handles and end [m] (2 + H, 2) of an edge."""
+    start, chord = geometry.chord(panel, number)
+    relative = np.array([(0.0, 0.0), *panel.edges[number].handles, (1.0, 0.0)])
+    return start + relative[:, :1] * chord + relative[:, 1:] * np.array([-chord[1], chord[0]])
+
+
+# --- what the symmetries leave free ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class FreeControls:
+    """Control points as a linear function of what is left free: positions (K, 2) = ``origin`` + ``basis`` @ values.
+
+    ``origin`` [m] (K, 2) has the symmetries exactly; ``basis`` (2 K, Z) has orthonormal columns, so a step of one
+    millimetre in ``values`` [m] (Z,) moves the control points by one millimetre in all.
+    """
+
+    controls: Controls
+    origin: np.ndarray
+    basis: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """How many numbers are free."""
+        return self.basis.shape[1]
+
+    def positions(self, values: np.ndarray) -> np.ndarray:
+        """Control points [m] (K, 2) for ``values`` [m] (Z,)."""
+        values = np.asarray(values, dtype=np.float64)
+        check_shape("values", values, (self.count,))
+        check_finite("values", values)
+        return self.origin + (self.basis @ values).reshape(-1, 2)
+
+    def values(self, positions: np.ndarray) -> np.ndarray:
+        """The values (Z,) whose control points are nearest to ``positions`` [m] (K, 2)."""
+        check_shape("positions", positions, (len(self.controls), 2))
+        return self.basis.T @ (positions - self.origin).reshape(-1)
+
+
+def symmetrised(pattern: Pattern, symmetries: Symmetries) -> Pattern:
+    """``pattern`` with ``symmetries`` made exact: every panel the mean of its images, curves too."""
+    every = control_points(pattern, free_curves=True)
+    pattern = _with_mean_arcs(pattern, symmetries)
+    return with_controls(pattern, every, _mean_positions(every, pattern, symmetries))
+
+
+def free_controls(pattern: Pattern, symmetries: Symmetries, *, free_curves: bool = False) -> FreeControls:
+    """What ``symmetries`` leave free of the control points of ``pattern``.
+
+    The axis of a symmetric panel and the motion between two panels stay what they are; a panel's own place in its
+    plane means nothing and is left in. Pass a pattern that is ``symmetrised``, or curves that are no
+    control points keep their differences.
+    """
+    controls = control_points(pattern, free_curves=free_curves)
+    tie = _projection(controls, pattern, symmetries)
+    # The image of the tie, by Gram and Schmidt from its columns in order: a column is one coordinate and its images.
+    columns: list[np.ndarray] = []
+    for column in tie.T:
+        for _ in range(2):
+            for other in columns:
+                column = column - (other @ column) * other
+        if (length := np.linalg.norm(column)) > 1e-6:
+            columns.append(column / length)
+    return FreeControls(controls, _mean_positions(controls, pattern, symmetries), np.stack(columns, axis=1))
+
+
+def _points_of(controls: Controls, panel: int) -> dict[tuple[int, int], int]:
+    """Rows of a panel's control points by edge and handle."""
+    rows = np.flatnonzero(controls.panel == panel)
+    return {(int(controls.edge[row]), int(controls.handle[row])): int(row) for row in rows}
+
+
+def correspondence(controls: Controls, pattern: Pattern, symmetry: Symmetry) -> tuple[np.ndarray, np.ndarray]:
+    """Rows (n,) of the first panel's control points, and the rows (n,) of the second's that they correspond to."""
+    count = len(pattern.panels[symmetry.first].edges)
+    own, other = _points_of(controls, symmetry.first), _points_of(controls, symmetry.second)
+    pairs = []
+    for (edge, handle), row in own.items():
+        target = symmetry.edge(edge, count)
+        if symmetry.kind is Kind.REFLECTION:
+            handles = sum((target, h) in other for h in (1, 2))
+            # Backwards: an edge's start is the other's end, its first handle the last.
+            key = ((target + 1) % count, 0) if handle == 0 else (target, handles + 1 - handle)
+        else:
+            key = (target, handle)
+        pairs.append((row, other[key]))
+    rows = np.array(pairs, dtype=np.int64)
+    return rows[:, 0], rows[:, 1]
+
+
+def _corner_mean(controls: Controls, panel: int, positions: np.ndarray) -> np.ndarray:
+    return positions[(controls.panel == panel) & (controls.handle == 0)].mean(axis=0)
+
+
+def _mean_positions(controls: Controls, pattern: Pattern, symmetries: Symmetries) -> np.ndarray:
+    """Control points [m] (K, 2) that have the symmetries exactly, each panel about the mean of its own corners."""
+    positions = controls.positions.copy()
+    means = [_corner_mean(controls, panel, positions) for panel in range(len(pattern.panels))]
+    offsets = positions - np.array(means)[controls.panel]
+    return np.array(means)[controls.panel] + (_projection(controls, pattern, symmetries) @ offsets.reshape(-1)).reshape(
+        -1, 2
+    )
+
+
+def _projection(controls: Controls, pattern: Pattern, symmetries: Symmetries) -> np.ndarray:
+    """The orthogonal projection (2 K, 2 K) of moves of the control points onto those that keep the symmetries."""
+    size = 2 * len(controls)
+    total = np.eye(size)
+    for panel in range(len(pattern.panels)):
+        between = [s for s in symmetries.between if s.first == panel]
+        itself = [s for s in symmetries.within if s.first == panel]
+        if not (between or itself):
+            continue
+        # Spread: moves of this panel's points to those of every image.
+        own = np.flatnonzero(controls.panel == panel)
+        mirror = np.eye(2 * len(own))
+        place = {int(row): number for number, row in enumerate(own)}
+        for symmetry in itself:
+            rows, images = correspondence(controls, pattern, symmetry)
+            mirror = 0.5 * (mirror + _move_matrix(rows, images, symmetry.matrix, place, place))
+        rows_all, spread = [own], [np.eye(2 * len(own))]
+        for symmetry in between:
+            rows, images = correspondence(controls, pattern, symmetry)
+            there = np.sort(images)
+            spread.append(_move_matrix(rows, images, symmetry.matrix, place, {int(r): n for n, r in enumerate(there)}))
+            rows_all.append(there)
+        stacked = np.concatenate(spread) @ mirror  # mirror is a projection and the blocks of spread are orthogonal
+        index = (2 * np.concatenate(rows_all)[:, None] + np.arange(2)).reshape(-1)
+        total[np.ix_(index, index)] = stacked @ stacked.T / len(spread)
+    return total
+
+
+def _move_matrix(
+    rows: np.ndarray, images: np.ndarray, matrix: np.ndarray, place: dict[int, int], there: dict[int, int]
+) -> np.ndarray:
+    """Matrix (2 n, 2 n) from moves of points to those of their images."""
+    result = np.zeros((2 * len(rows), 2 * len(rows)))
+    for row, image in zip(rows.tolist(), images.tolist(), strict=True):
+        i, j = there[image], place[row]
+        result[2 * i : 2 * i + 2, 2 * j : 2 * j + 2] = matrix.T
+    return result
+
+
+def _with_mean_arcs(pattern: Pattern, symmetries: Symmetries) -> Pattern:
+    """Arcs that correspond get the mean of their heights; a reflection run backwards keeps a height's sign."""
+    heights = {
+        (panel, number): [edge.handles[0][1]]
+        for panel, one in enumerate(pattern.panels)
+        for number, edge in enumerate(one.edges)
+        if edge.kind is EdgeKind.CIRCLE
+    }
+    root = {key: key for key in heights}
+
+    def top(key: tuple[int, int]) -> tuple[int, int]:
+        while root[key] != key:
+            key = root[key]
+        return key
+
+    for symmetry in (*symmetries.between, *symmetries.within):
+        count = len(pattern.panels[symmetry.first].edges)
+        for key in [key for key in heights if key[0] == symmetry.first]:
+            root[top((symmetry.second, symmetry.edge(key[1], count)))] = top(key)
+    gathered: dict[tuple[int, int], list[float]] = {}
+    for key, height in heights.items():
+        gathered.setdefault(top(key), []).extend(height)
+    panels = []
+    for panel, one in enumerate(pattern.panels):
+        edges = [
+            replace(edge, handles=((0.5, float(np.mean(gathered[top((panel, number))]))),))
+            if (panel, number) in heights
+            else edge
+            for number, edge in enumerate(one.edges)
+        ]
+        panels.append(replace(one, edges=tuple(edges)))
+    return replace(pattern, panels=tuple(panels))

@@ -1,0 +1,221 @@
+"""Open contours against closed forms, their places along the body, and linear grading that recovers known sizes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from drape.body.assets import load_body
+from drape.body.skeleton import JOINT_NAMES
+from drape.errors import InputError, MeshError
+from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
+from recovery.drape.placement import scaled
+from recovery.fit.contours import Contour, bone_chains, encircles, match_contours, open_contours, place_of
+from recovery.fit.grading import contour_edges, grade
+from recovery.pattern.bases import skirt, tshirt
+from recovery.pattern.coordinates import control_points
+from recovery.pattern.mesh import PatternMesh, mesh_pattern
+from recovery.pattern.model import Pattern
+from recovery.pattern.symmetry import find_symmetries
+from tests.recovery.pattern_setup import default_measurements
+
+QUICK = DrapeOptions(edge_length_m=0.07, grid_m=0.03, iteration_limit=0)
+
+
+def tube(radii, heights, sides: int = 24) -> tuple[np.ndarray, np.ndarray]:
+    """A tube round the y axis through rings of these radii and heights [m], open at both ends."""
+    angle = 2.0 * np.pi * np.arange(sides) / sides
+    rings = [
+        np.stack([r * np.sin(angle), np.full(sides, y), r * np.cos(angle)], axis=1)
+        for r, y in zip(radii, heights, strict=True)
+    ]
+    faces = []
+    for ring in range(len(rings) - 1):
+        for k in range(sides):
+            a, b = ring * sides + k, ring * sides + (k + 1) % sides
+            faces += [[a, b, b + sides], [a, b + sides, a + sides]]
+    return np.concatenate(rings), np.array(faces)
+
+
+def joints() -> np.ndarray:
+    return load_body().joints_template
+
+
+def sandwich(name: str) -> tuple[PatternMesh, np.ndarray]:
+    """A base pattern and its nodes [m], panels flat before and behind the body and joined at the seams."""
+    mesh = mesh_pattern({"skirt": skirt, "tshirt": tshirt}[name](default_measurements()), 0.07)
+    return mesh, mesh.nodes_from(mesh.placed())
+
+
+def draped(scale: float) -> Draped:
+    """A coarse drape of a skirt, not quite at rest."""
+    return drape_pattern(scaled(skirt(default_measurements()), scale), load_body(), QUICK)
+
+
+def sizes(pattern: Pattern, base: Pattern) -> np.ndarray:
+    """Width and height (P, 2) of every panel's corners over the base's."""
+    now, before = control_points(pattern), control_points(base)
+    mine = [before.panel == panel for panel in range(len(base.panels))]
+    return np.array([np.ptp(now.positions[rows], axis=0) / np.ptp(before.positions[rows], axis=0) for rows in mine])
+
+
+# --- contours --------------------------------------------------------------------------------------------------------
+
+
+def test_the_loops_of_a_tube_have_the_lengths_of_polygons():
+    radii, heights, sides = (0.3, 0.25, 0.2), (-0.4, 0.0, 0.3), 24
+    hem, waist = open_contours(*tube(radii, heights, sides))
+    for contour, radius, height in ((hem, 0.3, -0.4), (waist, 0.2, 0.3)):
+        assert_allclose(contour.length_m, 2.0 * sides * radius * np.sin(np.pi / sides), rtol=1e-12)
+        assert_allclose(contour.centre, [0.0, height, 0.0], atol=1e-12)
+        assert len(contour.loop) == sides and (contour.points[:, 1] == height).all()
+
+
+def test_the_centre_is_the_mean_along_the_loop_however_it_is_cut():
+    """A square with one side cut into many: the mean of the vertices would lean towards it."""
+    corners = np.array([(0.0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)])
+    extra = np.stack([np.linspace(1, 0, 12)[1:-1], np.ones(10), np.zeros(10)], axis=1)
+    ring = np.concatenate([corners[:3], extra, corners[3:]])
+    vertices = np.concatenate([ring, [[0.5, 0.5, 0.1]]])
+    count = len(ring)
+    (contour,) = open_contours(vertices, np.array([[k, (k + 1) % count, count] for k in range(count)]))
+    assert_allclose(contour.centre, [0.5, 0.5, 0.0], atol=1e-12)
+    assert_allclose(contour.length_m, 4.0, rtol=1e-12)
+
+
+def test_a_closed_mesh_has_no_contour_and_a_broken_one_is_refused():
+    vertices = np.array([(0.0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)])
+    assert open_contours(vertices, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])) == []
+    with pytest.raises(MeshError, match="vertices"):
+        open_contours(vertices[:, :2], np.array([[0, 1, 2]]))
+    with pytest.raises(MeshError, match="finite"):
+        open_contours(vertices * np.nan, np.array([[0, 1, 2]]))
+
+
+def ring(centre, normal, radius: float) -> Contour:
+    """A round contour."""
+    normal = np.asarray(normal, dtype=np.float64) / np.linalg.norm(normal)
+    first = np.cross(normal, [0.3, 0.2, 0.9])
+    first /= np.linalg.norm(first)
+    angle = 2.0 * np.pi * np.arange(20) / 20
+    arms = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * np.cross(normal, first)
+    points = np.asarray(centre) + radius * arms
+    return Contour(np.arange(20), points, 2 * np.pi * radius, np.asarray(centre, dtype=np.float64))
+
+
+def test_places_are_told_by_the_bones_that_pass_through():
+    at = dict(zip(JOINT_NAMES, joints(), strict=True))
+    chains = bone_chains(joints())
+    waist = place_of(ring(0.7 * at["pelvis"] + 0.3 * at["neck"], (0, 1, 0), 0.15), chains)
+    assert waist.part == "trunk"
+    assert_allclose(waist.along_m, 0.3 * np.linalg.norm(at["neck"] - at["pelvis"]), rtol=1e-12)
+    assert waist.direction[1] > 0.9
+    # A hem round both legs continues the trunk downward; one round a leg belongs to the leg.
+    knees = 0.5 * (at["left_knee"] + at["right_knee"])
+    hem = place_of(ring(knees, (0, 1, 0), 0.3), chains)
+    assert hem.part == "trunk"
+    assert_allclose(hem.along_m, -np.linalg.norm(knees - at["pelvis"]), rtol=1e-12)
+    leg = place_of(ring(at["left_knee"], (0, 1, 0), 0.09), chains)
+    assert leg.part == "left_leg"
+    assert_allclose(leg.along_m, np.linalg.norm(at["left_knee"] - at["left_hip"]), rtol=1e-12)
+    cuff = place_of(ring(0.5 * (at["right_elbow"] + at["right_shoulder"]), (1, 0, 0), 0.08), chains)
+    assert cuff.part == "right_arm" and cuff.direction[0] < -0.9
+    nothing = place_of(ring(at["left_elbow"] + [0, 0.5, 0], (0, 0, 1), 0.1), chains)
+    assert nothing.part is None
+
+
+def test_a_line_that_enters_and_leaves_is_not_encircled():
+    contour = ring((0, 0, 0), (0, 1, 0), 0.1)
+    through = np.array([(0.02, -1.0, 0.0), (0.02, 1.0, 0.0)])
+    assert encircles(contour, through) and encircles(contour, through[::-1])
+    back = np.array([(0.02, -1.0, 0.0), (0.02, 1.0, 0.0), (-0.03, 1.0, 0.01), (-0.03, -1.0, 0.01)])
+    assert not encircles(contour, back)
+    assert not encircles(contour, through + np.array([0.2, 0.0, 0.0]))
+
+
+def test_contours_find_their_counterparts_and_holes_are_left():
+    at = dict(zip(JOINT_NAMES, joints(), strict=True))
+    source = [ring(at["pelvis"] + [0, y, 0], (0, 1, 0), radius) for y, radius in ((-0.35, 0.3), (0.15, 0.14))]
+    hole = ring(at["pelvis"] + [0.2, -0.2, 0.2], (1, 0, 1), 0.03)
+    target = [
+        hole,
+        ring(at["pelvis"] + [0, 0.1, 0], (0, 1, 0), 0.15),
+        ring(at["pelvis"] - [0, 0.5, 0], (0, 1, 0), 0.36),
+    ]
+    matches, left = match_contours(source, target, joints())
+    assert [(m.source, m.target) for m in matches] == [(0, 2), (1, 1)] and left == [0]
+    assert_allclose([m.length_ratio for m in matches], [0.36 / 0.3, 0.15 / 0.14])
+    assert_allclose([m.move_m for m in matches], [-0.15, -0.05], atol=0.005)  # bones are not quite upright
+    with pytest.raises(InputError, match="2 openings round the trunk"):
+        match_contours(source, target[:2], joints())
+    with pytest.raises(InputError, match="base garment"):
+        match_contours([hole], target, joints())
+
+
+# --- grading ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_contours_of_a_skirt_are_its_free_edges():
+    mesh, nodes = sandwich("skirt")
+    hem, waist = open_contours(nodes, mesh.faces)
+    named = {"hem": {0}, "waist": {3}}
+    for contour, numbers in ((hem, named["hem"]), (waist, named["waist"])):
+        refs = contour_edges(mesh, contour)
+        assert {ref.panel for ref in refs} == {"front", "back"} and {ref.edge for ref in refs} == numbers
+
+
+@pytest.mark.parametrize("name", ["skirt", "tshirt"])
+@pytest.mark.parametrize("scale", [0.93, 1.07])
+def test_a_target_that_is_the_drape_scaled_gives_the_scale_back(name, scale):
+    mesh, nodes = sandwich(name)
+    pelvis = joints()[0]
+    source = open_contours(nodes, mesh.faces)
+    matches, left = match_contours(source, open_contours(pelvis + scale * (nodes - pelvis), mesh.faces), joints())
+    assert left == []
+    assert_allclose([m.length_ratio for m in matches], scale, rtol=1e-9)
+    graded = grade(mesh, nodes, source, matches, find_symmetries(mesh.pattern))
+    assert_allclose(sizes(graded.pattern, mesh.pattern), scale, atol=0.02)
+    assert_allclose(graded.widths, scale, atol=0.02)
+    assert_allclose(graded.heights, scale, atol=0.02)
+    assert_allclose(0.1 * graded.tapers, 0.0, atol=0.03)  # over the 10 cm of a sleeve's half
+    assert graded.misfit < 0.01
+    again = find_symmetries(graded.pattern)
+    assert len(again.between) == len(find_symmetries(mesh.pattern).between)
+    assert max(s.error_m for s in (*again.between, *again.within)) < 1e-9
+
+
+def test_one_that_is_longer_only_is_lengthened_only():
+    mesh, nodes = sandwich("skirt")
+    pelvis = joints()[0]
+    source = open_contours(nodes, mesh.faces)
+    taller = pelvis + [1.0, 1.1, 1.0] * (nodes - pelvis)
+    graded = grade(
+        mesh,
+        nodes,
+        source,
+        match_contours(source, open_contours(taller, mesh.faces), joints())[0],
+        find_symmetries(mesh.pattern),
+    )
+    assert_allclose(graded.heights, 1.1, atol=0.015)
+    assert_allclose(graded.widths, 1.0, atol=0.005)
+
+
+@pytest.mark.slow
+def test_the_drape_of_a_scaled_pattern_is_graded_to_within_some_percent():
+    """The body stays as it is, so a wider skirt hangs lower: a start for the search, not its end."""
+    found, target = draped(1.0), draped(1.06)
+    source = open_contours(found.nodes, found.mesh.faces)
+    matches, _ = match_contours(source, open_contours(target.nodes, target.mesh.faces), joints())
+    graded = grade(found.mesh, found.nodes, source, matches, find_symmetries(found.mesh.pattern))
+    assert_allclose(graded.widths, 1.06, atol=0.02)
+    assert_allclose(graded.heights, 1.06, atol=0.04)
+
+
+def test_a_target_of_another_size_altogether_is_refused():
+    mesh, nodes = sandwich("skirt")
+    source = open_contours(nodes, mesh.faces)
+    matches, _ = match_contours(source, source, joints())
+    wrong = [match._replace(length_ratio=100.0) for match in matches]
+    with pytest.raises(InputError, match="unit"):
+        grade(mesh, nodes, source, wrong, find_symmetries(mesh.pattern))
