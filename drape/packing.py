@@ -111,21 +111,23 @@ class PackedGarment:
 
 @dataclass(frozen=True, eq=False)
 class Tiling:
-    """Where chart entries lie: ``patch`` (Q,) of each tile, ``column`` (V, 4) of each entry in the packed columns."""
+    """Where chart entries lie: ``patch`` (Q,) of each tile, ``column`` (V, 4) of each entry in the packed columns, of
+    which a tile has ``width``."""
 
     patch: np.ndarray
     column: np.ndarray
+    width: int
 
     def lay(self, values: np.ndarray) -> np.ndarray:
-        """``values`` (V, 4, n) of the chart entries as tiles (Q, n, 64) float32; zero where no entry lies."""
-        tiles = np.zeros((len(self.patch) * CHARTS_PER_TILE, values.shape[-1]), dtype=np.float32)
+        """``values`` (V, 4, n) of the chart entries as tiles (Q, n, width) float32; zero where no entry lies."""
+        tiles = np.zeros((len(self.patch) * self.width, values.shape[-1]), dtype=np.float32)
         tiles[self.column.reshape(-1)] = values.reshape(-1, values.shape[-1])
-        laid = tiles.reshape(len(self.patch), CHARTS_PER_TILE, -1).transpose(0, 2, 1)
+        laid = tiles.reshape(len(self.patch), self.width, -1).transpose(0, 2, 1)
         return np.ascontiguousarray(laid)
 
 
-def tile_charts(chart_patch: np.ndarray, patch_count: int) -> Tiling:
-    """Tiles of the entries ``chart_patch`` (V, 4); refuses indices outside [0, ``patch_count``)."""
+def tile_charts(chart_patch: np.ndarray, patch_count: int, *, width: int = CHARTS_PER_TILE) -> Tiling:
+    """Tiles of ``width`` columns of the entries ``chart_patch`` (V, 4), all of them in [0, ``patch_count``)."""
     if chart_patch.ndim != 2 or chart_patch.shape[1] != CHARTS_PER_VERTEX or not len(chart_patch):
         raise ArtifactError(
             "chart_patch",
@@ -143,16 +145,16 @@ def tile_charts(chart_patch: np.ndarray, patch_count: int) -> Tiling:
     flat = chart_patch.reshape(-1)
     order = np.argsort(flat, kind="stable")
     sizes = np.bincount(flat, minlength=patch_count)
-    tiles = -(-sizes // CHARTS_PER_TILE)
-    start = (np.cumsum(tiles) - tiles) * CHARTS_PER_TILE  # first column of each patch
+    tiles = -(-sizes // width)
+    start = (np.cumsum(tiles) - tiles) * width  # first column of each patch
     rank = np.arange(len(flat)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     column = np.empty(len(flat), dtype=np.int64)
     column[order] = start[flat[order]] + rank
-    return Tiling(np.repeat(np.arange(patch_count), tiles).astype(np.int32), column.reshape(chart_patch.shape))
+    return Tiling(np.repeat(np.arange(patch_count), tiles).astype(np.int32), column.reshape(chart_patch.shape), width)
 
 
 def pack_tangents(chart_patch: np.ndarray, patch_count: int, columns: np.ndarray) -> np.ndarray:
-    """``tile_tangents`` (Q, 18, 128) of a garment, from the columns (V, 4, 18, 2) of ``drape.garment.tangents``."""
+    """``tile_tangents`` (Q, 18, 64) of a garment, from the columns (V, 4, 18, 2) of ``drape.garment.tangents``."""
     tiling = tile_charts(chart_patch, patch_count)
     return np.concatenate([tiling.lay(columns[..., 0]), tiling.lay(columns[..., 1])], axis=2)
 

@@ -21,6 +21,7 @@ from drape.packing import tile_charts
 
 KEPT_SHAPES = 64
 RIDGE = 1e-3  # of the mean square of a patch's basis: few vertices do not determine a polynomial
+TILE_WIDTH = 64  # columns of ten numbers: wider tiles than those of the drape are faster and still small
 TERMS = jets.coefficient_count(3)  # of a patch's polynomial
 
 
@@ -108,7 +109,7 @@ def _of_tables(tables: PushTables) -> dict[str, np.ndarray]:
 
 def _of_charts(feed: dict[str, np.ndarray], tables: PushTables) -> dict[str, np.ndarray]:
     patches = len(feed["patch_scale"])
-    tiling = tile_charts(feed["chart_patch"], patches)
+    tiling = tile_charts(feed["chart_patch"], patches, width=TILE_WIDTH)
     weight = feed["chart_weight"].astype(np.float64)[..., None]
     basis = feed["chart_basis"].astype(np.float64)[..., :TERMS]
     charts = tiling.column[tables.block_vertex.reshape(-1)].astype(np.int32)

@@ -21,8 +21,7 @@ from drape.cloth.push.tables import BLOCK_SIZE, GROUP_SIZE, OWN_CLUSTERS
 from drape.feeds import garment_feed
 from drape.garment.cache import CHARTS_PER_VERTEX, Garment
 from drape.geometry.skinning import skin_points
-from drape.packing import CHARTS_PER_TILE
-from drape.push_packing import TERMS, feed_arrays, pack_push
+from drape.push_packing import TERMS, TILE_WIDTH, feed_arrays, pack_push
 from model_export.parity import hard_poses, session
 
 # As in export.SAMPLE: odd, and unlike each other and every fixed axis.
@@ -55,7 +54,7 @@ def push_inputs() -> tuple[TensorSpec, ...]:
         TensorSpec("push_region_bias", ("groups", "parts", POSED_REGIONS), "float32", "1"),
         TensorSpec("push_patch_block", ("patches", "patch_blocks"), "int32", "block"),
         TensorSpec("push_patch_fit", ("patches", "patch_blocks", TERMS), "float32", "1"),
-        TensorSpec("push_tile_basis", ("tiles", TERMS, CHARTS_PER_TILE), "float32", "1"),
+        TensorSpec("push_tile_basis", ("tiles", TERMS, TILE_WIDTH), "float32", "1"),
         TensorSpec("push_tile_patch", ("tiles",), "int32", "patch"),
         TensorSpec("push_slot_charts", (CHARTS_PER_VERTEX, "groups", GROUP_SIZE * BLOCK_SIZE), "int32", "column"),
     )
