@@ -84,7 +84,7 @@ def test_a_recurrence_that_differs_is_refused(model, garment, folder, tmp_path, 
     assert exporting.sequence_error(model, folder, graphs, garment) < 1e-5
     assert exporting.sequence_error(other, folder, graphs, garment) > exporting.TOLERANCE_M
     monkeypatch.setattr(exporting, "write_graphs", lambda model, staged: graphs)
-    monkeypatch.setattr(exporting, "share_weights", lambda staged, graphs: (graphs, None))
+    monkeypatch.setattr(exporting, "share_weights", lambda staged, graphs, parameters: (graphs, None))
     monkeypatch.setattr(exporting, "parity_error", lambda *_: 0.0)
     for other_parity in ("packed_parity_error", "push_parity_error", "layer_parity_error"):
         monkeypatch.setattr(exporting, other_parity, lambda *_: 0.0)
