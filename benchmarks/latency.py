@@ -158,6 +158,7 @@ def stages(bench: Bench, packer: Packer, key: str, pose: np.ndarray, whole: Timi
     feed |= packer._composed(((key, 0),), alone=True)[0].arrays
     if bench.engine.feels_body:
         feed |= SkinShapes(bench.body).feed(rows["betas"])
+    feed |= at_rest(bench.engine)
     ends = {"bones": ("bone_rotation", "bone_translation"), "patches": ("jet", "frame_rotation", "frame_centre")}
     done, last = {"pose": timed(lambda: bench.shape.rows(pose), seconds=bench.seconds / 4).p50_ms}, 0.0
     for stage, outputs in (ends | {"vertices": ("vertices",)}).items():
@@ -172,13 +173,18 @@ def stages(bench: Bench, packer: Packer, key: str, pose: np.ndarray, whole: Timi
     return done | {"packing": whole.p50_ms - sum(done.values())}
 
 
+def at_rest(engine: Engine) -> dict[str, np.ndarray]:
+    """The code of one body that does not move, of a dynamic model."""
+    return {"dynamic_code": np.zeros((1, engine.code_size), np.float32)} if engine.dynamic else {}
+
+
 def readable(bench: Bench, garment: Garment, pose: np.ndarray) -> Timing:
     """The graph that is not packed, features in numpy."""
     constants = garment_feed(garment, body=bench.body) | {"patch_embedding": bench.engine.embed(garment.patch_features)}
 
     def call() -> None:
         feed = body_feed(bench.body, pose, np.zeros((1, 3)), skin=bench.engine.feels_body)
-        bench.engine.drape(feed.arrays | constants)
+        bench.engine.drape(feed.arrays | constants | at_rest(bench.engine))
 
     return timed(call, seconds=bench.seconds)
 
