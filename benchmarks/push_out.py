@@ -48,6 +48,7 @@ from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
 from drape.push_packing import feed_arrays, pack_push, push_feed
 from model_export.export import write_push_out
+from service.subgraph import cut
 
 NEAREST_CLEARANCE_M = 0.002  # of the baseline (docs/quality.md)
 METHODS = ("none", "nearest_vertex", "rest_candidates", "capsules", "distance_grids", "own_and_other")
@@ -203,13 +204,13 @@ def times(
         assert program is not None
         program.save(str(path))
         calls[name] = _call(path, arrays, threads)
-    write_push_out(folder / "push_out.onnx")
+    path = folder / "push_out.onnx"
+    write_push_out(path)
+    path.write_bytes(cut(path.read_bytes(), ["pushed"]))  # as the service runs it for vertices
     bones = body_skin(body).on_bones(body)
     constants = feed_arrays(pack_push(garment_feed(garment), rest, body_skin(body)))
     own = arrays | constants | {"skin_rows": bones.rows, "skin_bones": bones.bones}
-    calls["own_and_other"] = _call(
-        folder / "push_out.onnx", own | {"clearance": np.full(1, CLEARANCE_M, dtype=np.float32)}, threads
-    )
+    calls["own_and_other"] = _call(path, own | {"clearance": np.full(1, CLEARANCE_M, dtype=np.float32)}, threads)
     return {name: _timed(call, seconds) for name, call in calls.items()}
 
 
