@@ -15,6 +15,7 @@ import platform
 import shlex
 import subprocess
 import sys
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +59,17 @@ def finish(bench: str, rows: list[dict[str, Any]], options: argparse.Namespace, 
 def provenance(record: dict[str, Any]) -> str:
     """The sentence under a table: machine, commit and command."""
     return f"Measured on {record['machine']}, commit {record['commit']}: `{record['command']}`."
+
+
+def cells(row: dict[str, Any], forms: dict[str, str]) -> list[str]:
+    """The numbers of ``row`` that ``forms`` names, formatted; a dash for what it lacks."""
+    return ["-" if row.get(key) is None else format(row[key], form) for key, form in forms.items()]
+
+
+def markdown_table(heads: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
+    """A Markdown table of ``heads`` and of ``lines``, which have a cell for each."""
+    rule = "|---" * len(heads) + "|"
+    return "\n".join([f"| {' | '.join(heads)} |", rule, *(f"| {' | '.join(line)} |" for line in lines)])
 
 
 def command(bench: str, arguments: list[str]) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import latency_report, representation_report, study_report
-from benchmarks.common import RESULTS_DIR, ROOT, provenance
+from benchmarks.common import RESULTS_DIR, ROOT, cells, provenance
 
 QUALITY_COLUMNS = {
     "edge_pct": ".2f",
@@ -41,7 +41,8 @@ def quality_table(record: dict[str, Any]) -> str:
         "| energy [J] | gain |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
-    lines += [f"| {row['garment']} | {row['method']} | {_values(row, QUALITY_COLUMNS)} |" for row in record["rows"]]
+    for row in record["rows"]:
+        lines.append(f"| {' | '.join([row['garment'], row['method'], *cells(row, QUALITY_COLUMNS)])} |")
     return "\n".join([*lines, "", provenance(record)])
 
 
@@ -56,16 +57,11 @@ def network_table(record: dict[str, Any]) -> str:
     every = [*record["rows"], *record["summary"]]
     for garment, kind in dict.fromkeys((row["garment"], row.get("set", "")) for row in every):
         rows = {row["method"]: row for row in every if (row["garment"], row.get("set", "")) == (garment, kind)}
-        pushed = _values(rows["network_push"], {"jitter_ratio": ".2f"})
-        crossings = [_values(rows[method], {"self_intersections": ".1f"}) for method in CROSSING_METHODS]
+        pushed = cells(rows["network_push"], {"jitter_ratio": ".2f"})
+        crossings = [cell for method in CROSSING_METHODS for cell in cells(rows[method], {"self_intersections": ".1f"})]
         name = f"{garment} {kind}".strip() if garment == "all" else garment
-        lines.append(f"| {name} | {' | '.join([_values(rows['network'], NETWORK_COLUMNS), pushed, *crossings])} |")
+        lines.append(f"| {name} | {' | '.join([*cells(rows['network'], NETWORK_COLUMNS), *pushed, *crossings])} |")
     return "\n".join(lines)
-
-
-def _values(row: dict[str, Any], columns: dict[str, str]) -> str:
-    """The cells of ``columns``; a dash for what the row lacks."""
-    return " | ".join("-" if row.get(key) is None else format(row[key], form) for key, form in columns.items())
 
 
 def gain_table(record: dict[str, Any]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from benchmarks.common import provenance
+from benchmarks.common import cells, provenance
 
 FORM_NAMES = {
     "skinning": "skinning",
@@ -97,8 +97,7 @@ def loss_table(record: Record) -> str:
         "chart_normal_p99_deg": ".0f",
     }
     for row in record["rows"]:
-        cells = ["-" if row.get(key) is None else format(row[key], form) for key, form in columns.items()]
-        lines.append(f"| {' | '.join([LOSS_NAMES[row['loss']], *cells])} |")
+        lines.append(f"| {' | '.join([LOSS_NAMES[row['loss']], *cells(row, columns)])} |")
     return "\n".join([*lines, "", provenance(record)])
 
 

@@ -1,11 +1,10 @@
 """Large tensors of a model's graphs in one file beside them, each once: ONNX external data.
 
 The drape graph and the packed graph compute one network, so most matrices of theirs are the same numbers. A tensor of
-at least ``LEAST_BYTES`` goes to ``weights.bin``; tensors of equal content have one place there. The packed graph, which
-nothing reads weights back from, also takes matrices that another graph holds transposed: a Gemm says with ``transB``
-which way its matrix lies. No bit of a result changes, because the runtime brings constant matrices into a layout of its
-own before the first frame. What the exporter notes on every node, call stacks with folders of the machine that
-exported, is left out.
+at least ``LEAST_BYTES`` goes to ``weights.bin``; tensors of equal content have one place there. The packed graph also
+takes matrices that another graph holds transposed: a Gemm says with ``transB`` which way its matrix lies. No bit of a
+result changes, because the runtime brings constant matrices into a layout of its own before the first frame. What the
+exporter notes on every node, call stacks with folders of the machine that exported, is left out.
 
 Matrices that the packed graph holds with rows in another order are stored twice. A Gather of two constants would make
 one of the other, but ONNX Runtime 1.31 does not fold it when it opens the graph, and results then differ in last bits.
