@@ -86,8 +86,8 @@ def garment_feed(garment: Garment, *, fine: bool = False, body: BodyModel | None
     ``patch_weights`` (K, 24), ``patch_heaviest`` (K,) int64, ``patch_shapedirs`` (K, 3, 10),
     ``chart_patch`` (V, 4) int64, ``chart_weight`` (V, 4), ``chart_basis`` (V, 4, 15), ``chart_local`` (V, 4, 3),
     ``skin_weights`` (V, 24); and of ``drape.garment.agreement``: ``anchor_patch`` (A, 4) int64, ``anchor_row``
-    (A, 4, 19) blend weights times [1, rest place, basis], ``patch_member`` (K, 48) int64 and ``patch_slot`` (K, 48),
-    ``patch_fit`` (K, 21, 48), ``patch_rest`` (K, 21, 3), ``patch_tangent`` (K, 7, 3, 2), ``patch_orthonormal``
+    (A, 4, 19) blend weights times [1, rest place, basis], ``patch_member`` (K, 56) int64 and ``patch_slot`` (K, 56),
+    ``patch_fit`` (K, 21, 56), ``patch_rest`` (K, 21, 3), ``patch_tangent`` (K, 7, 3, 2), ``patch_orthonormal``
     (K, 7, 2, 2). A graph names those it takes; the paper's variant alone takes skin weights, and none of the last.
 
     With the ``body`` that the garment was made for also what its patches feel of it (``drape.cloth.push.patches``):

@@ -78,7 +78,7 @@ class PackedGarment:
 
     ``stored``: inputs of the graph by name, rows of which are patches (K) or tiles (Q); ``heaviest`` (K,) bone of
     each patch; ``tile_patch`` (Q,); ``vertex_charts`` (4, blocks, 64) columns of its own tiles; ``anchor_charts``
-    (4, blocks, 64) rows among the K x 48 of its anchor columns, ``member_anchor`` (K, 48) its anchors.
+    (4, blocks, 64) rows among the K x 56 of its anchor columns, ``member_anchor`` (K, 56) its anchors.
     """
 
     stored: dict[str, np.ndarray]
@@ -222,7 +222,7 @@ def _blocks(index: np.ndarray) -> np.ndarray:
 def _anchor_constants(feed: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """What ``drape.garment.agreement`` says of each patch, as columns like those of the tiles."""
     count = len(feed["patch_scale"])
-    row = feed["anchor_row"][feed["patch_member"], feed["patch_slot"]].astype(np.float64)  # (K, 48, 19)
+    row = feed["anchor_row"][feed["patch_member"], feed["patch_slot"]].astype(np.float64)  # (K, 56, 19)
     row = np.where(_held(feed)[..., None], row, 0.0)
     rest_place = row[..., 1:4] / feed["patch_scale"][:, None, None]
     unit = feed["patch_orthonormal"]
@@ -249,12 +249,12 @@ def _felt_constants(feed: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def _held(feed: dict[str, np.ndarray]) -> np.ndarray:
-    """Places (K, 48) that hold an anchor: the fit is zero in the others."""
+    """Places (K, 56) that hold an anchor: the fit is zero in the others."""
     return np.any(feed["patch_fit"] != 0.0, axis=1)
 
 
 def _anchor_rows(feed: dict[str, np.ndarray]) -> np.ndarray:
-    """Where each chart (A, 4) of the anchors lies among the K x 48 anchor columns; charts of no weight have zeros."""
+    """Where each chart (A, 4) of the anchors lies among the K x 56 anchor columns; charts of no weight have zeros."""
     held = _held(feed)
     empty = MEMBERS - 1  # the last place of a patch is always empty
     rows = feed["anchor_patch"] * MEMBERS + empty

@@ -247,7 +247,7 @@ class PackedGraph(nn.Module):
 
     def _fitted(self, said: Tensor, charts: Charts, into: Tensor, centre: Tensor, numbers: Tensor) -> Tensor:
         """``training.agreement.agreed_jets`` (P, 27), or ``closing_jets`` (P, 45), of what each chart says of its
-        members (P, 3, 48): those ``numbers`` of the 63 that are fitted."""
+        members (P, 3, 56): those ``numbers`` of the 63 that are fitted."""
         rows = said.mT.reshape(-1, 3)
         anchors = (self.ones @ _rows(rows, charts.anchor_charts.reshape(-1)).reshape(CHARTS_PER_VERTEX, -1)).reshape(
             -1, 3

@@ -36,8 +36,8 @@ class Patches:
 class Charts:
     """Inputs of ``PackedGraph`` by which charts agree, gathered for its patches."""
 
-    columns: Tensor  # (P, 18, 48)
-    fit: Tensor  # (P, 48, 21)
+    columns: Tensor  # (P, 18, 56)
+    fit: Tensor  # (P, 56, 21)
     rest: Tensor  # (P, 63): 21 of each coordinate
     tangent: Tensor  # (P, 42): by u at x, y, z of seven points, then by v
     unit: Tensor  # (P, 3, 7): the upper triangles

@@ -55,8 +55,8 @@ class GatheredAgreement:
 
     anchor_patch: Tensor  # (A, 4) int64
     anchor_row: Tensor  # (A, 4, 19): weight x [1, rest place, basis]
-    member: Tensor  # (K, 48) int64
-    fit: Tensor  # (K, 21, 48)
+    member: Tensor  # (K, 56) int64
+    fit: Tensor  # (K, 21, 56)
     rest: Tensor
     tangent: Tensor
     orthonormal: Tensor

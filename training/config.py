@@ -67,7 +67,7 @@ class DataConfig:
     partitions: int = 6
     variants: int = 7
     variant_partitions: int = 2
-    own_share: float = 0.35
+    own_share: float = 0.5
     fresh_steps: int = 300
     patch_jitter: float = 0.25
     mix_share: float = 0.35
@@ -177,6 +177,11 @@ def finetune() -> TrainConfig:
     """What goes on training a static model on one garment: its charts agree already, and rates are low."""
     data = DataConfig(variants=0, own_share=1.0)
     return TrainConfig(data=data, minutes=10.0, learning_rate=3e-4, warmup_steps=50, early_agreement=1.0)
+
+
+def go_on() -> TrainConfig:
+    """What goes on training a static model on the shipped preset's garments, after a change that it has to learn."""
+    return replace(shipped(), learning_rate=5e-4, early_agreement=1.0)
 
 
 PRESETS = {"shipped": shipped, "smoke": smoke, "paper": paper, "dynamic": dynamic}

@@ -10,7 +10,7 @@ from torch import Tensor
 from drape.artifacts import MODELS_DIR
 from drape.errors import InputError
 from training import checkpoint
-from training.config import ModelConfig, TrainConfig, finetune
+from training.config import ModelConfig, TrainConfig, finetune, go_on
 from training.exported import load_exported
 
 Weights = dict[str, Tensor]
@@ -56,14 +56,13 @@ def started(config: TrainConfig, start: Path | None) -> tuple[TrainConfig, Weigh
 
 
 def finetuned(model: Path, garments: list[str] | None) -> tuple[TrainConfig, Weights]:
-    """The configuration that goes on training ``model`` on ``garments`` alone, and its weights.
+    """The configuration that goes on training ``model`` on ``garments`` alone, or else on the shipped preset's, and its
+    weights.
 
     Of a dynamic model it is the static drape that is trained; --preset dynamic adds motion to the result.
     """
-    if not garments:
-        raise InputError("--garment", expected="a garment file to fine-tune on", got="none", cure="Name one.")
     weights, sizes, held_out = read_model(model)
-    config = dressed(finetune(), garments)
+    config = dressed(finetune(), garments) if garments else go_on()
     static = {name: value for name, value in weights.items() if not name.startswith("dynamic.")}
     data = replace(config.data, held_out=held_out)
     return replace(config, model=replace(sizes, dynamic=False), data=data), static

@@ -1,7 +1,8 @@
 """Tables by which the overlapping charts of a garment are brought to agree, and to feel how they are strained.
 
 A few vertices of every patch are its anchors. Where the blend of all charts puts the anchors, each
-chart is fitted anew by weighted least squares. The fit is linear, so it is a constant matrix per patch; its cost
+chart is fitted anew by least squares, weighted by the roots of the blend's weights: between the weights themselves,
+which leave the rims of charts apart, and equal ones, which cost energy (docs/log.md). The fit is linear, so it is a constant matrix per patch; its cost
 does not grow with the mesh. Afterwards a chart says nearly what its neighbours say.
 """
 
@@ -15,8 +16,8 @@ import numpy as np
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.geometry import jets
 
-ANCHORS_PER_PATCH = 8  # within the patch itself; its chart reaches over three times as many of its neighbours'
-MEMBERS = 48  # places for the anchors of a chart, of which at least the last stays empty; most charts have 32
+ANCHORS_PER_PATCH = 12  # within the patch itself; its chart reaches over three times as many of its neighbours'
+MEMBERS = 56  # places for the anchors of a chart, of which at least the last stays empty; most charts have 48
 FIT_COUNT = jets.HEIGHT_COUNT + jets.IN_PLANE_COUNT  # rows of a fit: the height's order, then the in-plane order
 RIDGE = 1e-4  # of the mean diagonal of the normal equations
 # Strain is felt at the centre of a patch and on a ring round it [patch scales]; half a patch is about 0.42 wide.
@@ -28,8 +29,8 @@ STRAIN_POINTS = 1 + RING_COUNT
 class Agreement:
     """Constants of K patches over A anchors, float64.
 
-    ``anchor`` (A,) rows of the vertices. ``member`` (K, 48) the anchors of each chart, ``slot`` (K, 48) which of an
-    anchor's four charts this one is; left over places hold zeros. ``fit`` (K, 21, 48) takes values at the
+    ``anchor`` (A,) rows of the vertices. ``member`` (K, 56) the anchors of each chart, ``slot`` (K, 56) which of an
+    anchor's four charts this one is; left over places hold zeros. ``fit`` (K, 21, 56) takes values at the
     members to polynomials: 15 coefficients of the height's order, 6 of the in-plane order; ``rest`` (K, 21, 3) is
     the fit of the rest places in the patch's frame [patch scales]. ``tangent`` (K, 7, 3, 2) derivatives of the rest
     jet at ``strain_points``, ``orthonormal`` (K, 7, 2, 2) upper triangles that turn them into unit vectors.
@@ -75,7 +76,7 @@ def agreement(
     fit, rest = np.zeros((count, FIT_COUNT, MEMBERS)), np.zeros((count, FIT_COUNT, 3))
     for k, (rows, slots) in enumerate(_held(patch, weight, count)):
         bases = (jets.basis(uv[rows, slots], order) for order in (jets.HEIGHT_ORDER, jets.IN_PLANE_ORDER))
-        made = np.concatenate([_weighted_fit(basis, weight[rows, slots]) for basis in bases])
+        made = np.concatenate([_weighted_fit(basis, np.sqrt(weight[rows, slots])) for basis in bases])
         member[k, : len(rows)], slot[k, : len(rows)], fit[k, :, : len(rows)] = rows, slots, made
         rest[k] = made @ local[rows, slots]
     points = np.broadcast_to(strain_points(), (count, STRAIN_POINTS, 2))

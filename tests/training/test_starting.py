@@ -17,7 +17,7 @@ from drape.garment.cache import GARMENTS_DIR
 from tests.fixtures.packed import MOVING, SMALL, exported, exported_dynamic
 from tests.training.training_setup import CPU, TINY, TINY_RUN
 from training import checkpoint, run
-from training.config import TrainConfig, dynamic
+from training.config import TrainConfig, dynamic, shipped
 from training.exported import load_exported
 from training.model import OneFit
 from training.poses import read_clips
@@ -141,6 +141,14 @@ def test_fine_tuning_starts_from_the_model_on_the_garment_alone(tiny: tuple[OneF
     assert not same(trainer.model.state_dict(), model)
 
 
+def test_without_a_garment_training_goes_on_with_those_of_the_preset(tiny: tuple[OneFit, Path]):
+    model, folder = tiny
+    config, weights = finetuned(folder, None)
+    assert config.data == replace(shipped().data, held_out=("walk",)) and config.model == TINY
+    assert (config.early_agreement, config.minutes) == (1.0, shipped().minutes)
+    assert config.learning_rate < shipped().learning_rate and same(weights, model)
+
+
 def test_of_a_dynamic_model_the_static_drape_is_fine_tuned(tmp_path: Path):
     moving = OneFit(MOVING)
     checkpoint.save(tmp_path / "checkpoint.pt", {"model": moving.state_dict()}, replace(TINY_RUN, model=MOVING))
@@ -163,7 +171,6 @@ def test_the_command_line_fine_tunes(tiny: tuple[OneFit, Path], tmp_path: Path, 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--finetune", "onefit"], "--garment: expected a garment file to fine-tune on"),
         (["--resume", "runs/shirt", "--garment", TANK], "--garment: expected nothing with --resume"),
         (["--finetune", "no_such_model", "--garment", TANK], "model to start from: expected a checkpoint"),
     ],

@@ -49,7 +49,7 @@ def test_fit_returns_the_polynomial_it_is_given():
     """Up to the ridge: a thousandth of the coefficients, in both orders."""
     g, t = garment(), tables()
     rng = np.random.default_rng(0)
-    uv = g.chart_uv.astype(np.float64)[t.anchor[t.member], t.slot]  # (K, 48, 2)
+    uv = g.chart_uv.astype(np.float64)[t.anchor[t.member], t.slot]  # (K, 56, 2)
     for order, rows in ((jets.HEIGHT_ORDER, slice(0, 15)), (jets.IN_PLANE_ORDER, slice(15, FIT_COUNT))):
         wanted = rng.normal(size=(g.patch_count, jets.coefficient_count(order)))
         values = np.einsum("kmn,kn->km", jets.basis(uv, order), wanted)
