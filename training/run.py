@@ -104,7 +104,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Trains the draping network.")
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument("--preset", choices=sorted(PRESETS), default="shipped")
-    kind.add_argument("--finetune", type=Path, metavar="MODEL", help="model to go on with, on --garment or the preset's")
+    kind.add_argument("--finetune", type=Path, metavar="MODEL", help="model to go on with, maybe on --garment")
     kind.add_argument("--resume", type=Path, help="folder of an earlier run to go on with")
     parser.add_argument("--garment", nargs="+", help="garment files or names of designs, instead of the preset's")
     parser.add_argument("--out", type=Path, default=Path("runs/shipped"))

@@ -1,9 +1,10 @@
 """Tables by which the overlapping charts of a garment are brought to agree, and to feel how they are strained.
 
 A few vertices of every patch are its anchors. Where the blend of all charts puts the anchors, each
-chart is fitted anew by least squares, weighted by the roots of the blend's weights: between the weights themselves,
-which leave the rims of charts apart, and equal ones, which cost energy (docs/log.md). The fit is linear, so it is a constant matrix per patch; its cost
-does not grow with the mesh. Afterwards a chart says nearly what its neighbours say.
+chart is fitted anew by least squares, weighted by the roots of the blend's weights: between the weights
+themselves, which leave the rims of charts apart, and equal ones, which cost energy (docs/log.md). The fit
+is linear, so it is a constant matrix per patch; its cost does not grow with the mesh. Afterwards a chart
+says nearly what its neighbours say.
 """
 
 from __future__ import annotations
