@@ -30,7 +30,7 @@ from drape.garment.cache import Garment
 from drape.motion.clip import MotionClip
 from drape.motion.hard_poses import HardPoses, hard_poses
 from training.config import PRESETS, TrainConfig
-from training.data import BodySource, collider_surface
+from training.data import BodySource
 from training.evaluate import evaluate, held_out_clips, posed_patches
 from training.model import OneFit
 from training.poses import PoseBank, read_clips
@@ -123,7 +123,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     torch.set_num_threads(options.threads)
     steps = options.train_steps or (QUICK_STEPS if options.quick else STEPS)
     body = load_body()
-    source = BodySource(body, *collider_surface(body), device=CPU)
+    source = BodySource(body, device=CPU)
     clips = read_clips([data_folder("motions") or sample_motions()], held_out=PRESETS["shipped"]().data.held_out)
     poses = hard_poses(held_out_clips(PRESETS["shipped"](), []), body, options.frames or (1 if options.quick else 4))
     rows: list[dict[str, Any]] = []

@@ -41,6 +41,7 @@ def config_from(data: dict[str, Any]) -> TrainConfig:
     """The configuration from its dictionary form; lists become tuples again."""
 
     data = dict(data)
+    data.pop("compile", None)  # checkpoints from before it was dropped have it
     model, inputs = model_config_from(data.pop("model")), DataConfig(**_tuples(data.pop("data")))
     motion = MotionConfig(**_tuples(data.pop("motion", {})))  # checkpoints from before it was there have none
     return TrainConfig(model=model, data=inputs, motion=motion, **_tuples(data))

@@ -132,7 +132,6 @@ class TrainConfig:
     seed: int = 0
     threads: int = 2
     autocast: bool = False
-    compile: bool = False
 
     @property
     def frames_per_step(self) -> int:

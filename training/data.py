@@ -7,12 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy.sparse
 import torch
-from scipy.spatial import KDTree
 from torch import Tensor
 
 from drape.body.features import static_features
 from drape.body.model import BodyModel
-from drape.cloth.contact import DETAIL_JOINTS
 from drape.cloth.energies import ClothMesh
 from drape.cloth.push.patches import PatchSkin, patch_skin
 from drape.cloth.push.skin import Skin, shaped_skin
@@ -24,6 +22,7 @@ from drape.garment.partition import patch_count_for
 from drape.geometry import jets
 from drape.geometry.rotations import matrix_to_quaternion, rotvec_to_matrix
 from training.agreement import SparseAgreement
+from training.collider import Collider
 from training.model import BodyTensors, PatchTensors
 from training.poses import pose_bodies, posed_joints
 from training.sparse import SparsePair
@@ -132,16 +131,11 @@ def partition_tensors(fields: dict[str, np.ndarray], skin: Skin, *, device: torc
 class BodySource:
     """Turns poses and shapes into what network and contact need."""
 
-    def __init__(
-        self, body: BodyModel, collider_index: np.ndarray, collider_faces: np.ndarray, *, device: torch.device
-    ) -> None:
+    def __init__(self, body: BodyModel, *, device: torch.device) -> None:
         self.body = body
         self.device = device
-        self.template = body.v_template[collider_index].astype(np.float32)
-        self.shapedirs = body.shapedirs[collider_index].astype(np.float32)
-        self.weights = np.ascontiguousarray(body.weights[collider_index].astype(np.float32))
+        self._collider = Collider(body)
         self._skin = shaped_skin(body)
-        self.faces = collider_faces
 
     def pose(self, poses: np.ndarray, betas: np.ndarray) -> BodyBatch:
         """A batch from poses (F, 24, 3) [rad] and shapes (F, S)."""
@@ -163,56 +157,5 @@ class BodySource:
             joints=tensor(posed_joints(self.body, rotations, translations, betas)),
             skin=tensor(self._skin.table(rotations, translations, shapes)),
         )
-        collider = self._collider(
-            rotations.astype(np.float32), translations.astype(np.float32), betas.astype(np.float32)
-        )
-        return BodyBatch(tensors, collider, vertex_normals(collider, self.faces))
-
-    def _collider(self, rotations: np.ndarray, translations: np.ndarray, betas: np.ndarray) -> np.ndarray:
-        rest = self.template[None] + np.moveaxis(self.shapedirs @ betas.T, -1, 0)
-        out = np.empty_like(rest)
-        for n in range(len(rest)):
-            matrices = (self.weights @ rotations[n].reshape(-1, 9)).reshape(-1, 3, 3)
-            out[n] = (matrices @ rest[n, :, :, None])[..., 0] + self.weights @ translations[n]
-        return out
-
-
-def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Area-weighted unit normals (F, C, 3) of posed colliders; the incidence is a sparse product."""
-    frames, count = vertices.shape[:2]
-    a, b, c = (vertices[:, faces[:, k]] for k in range(3))
-    cross = np.cross(b - a, c - a)
-    incidence = _incidence(faces, count)
-    total = np.stack([incidence @ cross[n] for n in range(frames)])
-    return total / np.maximum(np.linalg.norm(total, axis=-1, keepdims=True), 1e-12)
-
-
-_INCIDENCE: dict[tuple[int, int], scipy.sparse.csr_matrix] = {}
-
-
-def _incidence(faces: np.ndarray, count: int) -> scipy.sparse.csr_matrix:
-    key = (id(faces), count)
-    if key not in _INCIDENCE:
-        rows = faces.T.ravel()
-        columns = np.tile(np.arange(len(faces)), 3)
-        _INCIDENCE[key] = scipy.sparse.csr_matrix(
-            (np.ones(len(rows), dtype=np.float32), (rows, columns)), shape=(count, len(faces))
-        )
-    return _INCIDENCE[key]
-
-
-def nearest_collider(points: np.ndarray, collider: np.ndarray) -> np.ndarray:
-    """Index (F, n) of the collider vertex nearest to each point (F, n, 3)."""
-    index = np.empty(points.shape[:2], dtype=np.int64)
-    for n in range(len(points)):
-        # An unbalanced tree builds three times faster and queries as fast here; threads cost more than they find.
-        tree = KDTree(collider[n], balanced_tree=False, compact_nodes=False)
-        index[n] = tree.query(points[n])[1]
-    return index
-
-
-def collider_surface(body: BodyModel) -> tuple[np.ndarray, np.ndarray]:
-    """Body vertices (C,) that training collides with and their faces (T, 3): all but head, hands and toes."""
-    kept = body.weights[:, DETAIL_JOINTS].sum(axis=1) <= 0.5
-    used, faces = np.unique(body.faces[kept[body.faces].all(axis=1)], return_inverse=True)
-    return used, faces.reshape(-1, 3)
+        collider = self._collider.posed(rotations, translations, betas)
+        return BodyBatch(tensors, collider, self._collider.normals(collider))

@@ -41,7 +41,7 @@ from drape.motion.readers import read_motion
 from drape.push_packing import push_feed
 from training import checkpoint
 from training.config import TrainConfig
-from training.data import BodySource, collider_surface, partition_tensors
+from training.data import BodySource, partition_tensors
 from training.losses import vertices_from
 from training.model import OneFit, Posed, paper_vertices, posed_coefficients
 
@@ -112,7 +112,7 @@ def evaluate(
     rotations, translations = body.bones(poses.poses)
     still = np.broadcast_to(rest, (len(poses.poses), *rest.shape))
     skinned = skin_points(still, garment.skin_weights.astype(np.float64), rotations, translations)
-    source = BodySource(body, *collider_surface(body), device=CPU)
+    source = BodySource(body, device=CPU)
     draped, posed = posed_patches(model, garment, source, poses.poses, passes=passes)
     skin = body.posed_vertices(poses.poses)
     normals = np.asarray(contact.normals(skin))

@@ -13,7 +13,8 @@ from drape.cloth.contact import plane_distance
 from drape.cloth.material import Material
 from drape.cloth.waistband import band_energy
 from training.agreement import framewise
-from training.data import BodyBatch, Partition, TrainingGarment, nearest_collider
+from training.collider import nearest_collider
+from training.data import BodyBatch, Partition, TrainingGarment
 from training.model import BodyTensors, Posed, paper_vertices, posed_coefficients
 
 

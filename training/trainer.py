@@ -16,7 +16,7 @@ from drape.cloth.material import material
 from drape.errors import ArtifactError
 from training import losses, parallel
 from training.config import TrainConfig
-from training.data import BodyBatch, BodySource, Partition, TrainingGarment, collider_surface
+from training.data import BodyBatch, BodySource, Partition, TrainingGarment
 from training.model import OneFit, Posed
 from training.poses import PoseBank, draw_betas
 from training.wardrobe import Wardrobe
@@ -52,7 +52,7 @@ class BaseTrainer:
         torch.manual_seed(config.seed)
         self._seed_draws(config.seed)
         self.body = load_body()
-        self.source = BodySource(self.body, *collider_surface(self.body), device=device)
+        self.source = BodySource(self.body, device=device)
         self.material = material()
         self.wardrobe = Wardrobe(config.data, self.body, seed=config.seed + 3, device=device, process=parallel.rank())
         self.model = OneFit(config.model).to(device)

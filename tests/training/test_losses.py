@@ -11,11 +11,13 @@ from numpy.testing import assert_allclose
 from drape.cloth import energies
 from drape.cloth.material import material
 from drape.cloth.waistband import SLACK_M, STIFFNESS_N_M2
-from drape.geometry import jets
+from drape.geometry import jets, meshes
 from tests.training.training_setup import bank, body, garment, source
 from training import losses
-from training.data import BodyBatch, nearest_collider, vertex_normals
+from training.collider import Collider, incidence, nearest_collider, vertex_normals
+from training.data import BodyBatch
 from training.model import Posed, pose_frames, posed_coefficients
+from training.poses import pose_bodies
 
 
 def bodies(count: int = 2):
@@ -132,8 +134,23 @@ def test_nearest_collider_is_the_nearest():
 
 def test_vertex_normals_of_a_flat_square_are_its_axis():
     vertices = np.array([[[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]])
-    normals = vertex_normals(vertices, np.array([[0, 1, 2], [0, 2, 3]]))
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    normals = vertex_normals(vertices, faces, incidence(faces, 4))
     assert_allclose(normals, np.broadcast_to([0.0, 0.0, 1.0], (1, 4, 3)), rtol=0, atol=1e-6)
+
+
+def test_the_collider_is_the_posed_body_without_head_hands_and_toes():
+    collider, model = Collider(body()), body()
+    poses = 0.3 * np.random.default_rng(2).normal(size=(2, 24, 3))
+    betas = np.zeros((2, model.shape_count))
+    betas[1] = np.random.default_rng(3).normal(size=model.shape_count)
+    rotations, translations = pose_bodies(model, poses, betas)
+    posed = collider.posed(rotations, translations, betas)
+    whole = [model.posed_vertices(pose[None], betas=beta)[0] for pose, beta in zip(poses, betas, strict=True)]
+    expected = [v[collider.index] - model.rest_joints(beta)[0] for v, beta in zip(whole, betas, strict=True)]
+    assert_allclose(posed, np.stack(expected), rtol=0, atol=2e-6)
+    of_mesh = meshes.vertex_normals(posed.astype(np.float64), collider.faces)
+    assert_allclose(collider.normals(posed), of_mesh, rtol=0, atol=1e-4)
 
 
 def test_softened_energy_is_itself_when_small_and_its_logarithm_when_large():

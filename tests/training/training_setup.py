@@ -15,7 +15,7 @@ from drape.cloth.push.skin import body_skin
 from drape.garment.fitting import RestGarment, rest_garment
 from tests.fixtures.networks import TINY
 from training.config import DataConfig, MotionConfig, TrainConfig
-from training.data import BodySource, TrainingGarment, collider_surface, draw_partition
+from training.data import BodySource, TrainingGarment, draw_partition
 from training.poses import PoseBank
 from training.run import sample_motions
 
@@ -71,7 +71,7 @@ def garment() -> TrainingGarment:
 
 @cache
 def source() -> BodySource:
-    return BodySource(body(), *collider_surface(body()), device=CPU)
+    return BodySource(body(), device=CPU)
 
 
 @cache

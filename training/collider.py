@@ -1,0 +1,75 @@
+"""The body as training collides with it: posed vertices, their normals, and the nearest of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse
+from scipy.spatial import KDTree
+
+from drape.body.model import BodyModel
+from drape.cloth.contact import DETAIL_JOINTS
+
+
+class Collider:
+    """The body's surface without head, hands and toes: C vertices, linearly skinned. Arrays within have coordinates
+    first, which is what few rows and many columns are fast in."""
+
+    def __init__(self, body: BodyModel) -> None:
+        self.index, self.faces = _surface(body)
+        count = len(self.index)
+        self._rest = np.ascontiguousarray(body.v_template[self.index].T.astype(np.float32))  # (3, C)
+        self._shapedirs = body.shapedirs[self.index].transpose(1, 0, 2).reshape(3 * count, -1).astype(np.float32)
+        self._weights = np.ascontiguousarray(body.weights[self.index].T.astype(np.float32))  # (J, C)
+        self._incidence = incidence(self.faces, count)
+
+    def posed(self, rotations: np.ndarray, translations: np.ndarray, betas: np.ndarray) -> np.ndarray:
+        """Vertices [m] (F, C, 3), float32, of bones (F, J, 3, 3) and (F, J, 3) [m] and shapes (F, S)."""
+        stacked = np.concatenate([rotations, translations[..., None]], axis=-1).astype(np.float32)  # (F, J, 3, 4)
+        out = np.empty((len(stacked), self._rest.shape[1], 3), dtype=np.float32)
+        for frame, (bones, shape) in enumerate(zip(stacked, betas.astype(np.float32), strict=True)):
+            blended = (bones.reshape(len(bones), 12).T @ self._weights).reshape(3, 4, -1)
+            x, y, z = self._rest + (self._shapedirs @ shape).reshape(3, -1) if np.any(shape) else self._rest
+            for axis, (by_x, by_y, by_z, moved) in enumerate(blended):
+                out[frame, :, axis] = by_x * x + by_y * y + by_z * z + moved
+        return out
+
+    def normals(self, posed: np.ndarray) -> np.ndarray:
+        """Area-weighted unit normals (F, C, 3) of ``posed`` (F, C, 3)."""
+        return vertex_normals(posed, self.faces, self._incidence)
+
+
+def vertex_normals(vertices: np.ndarray, faces: np.ndarray, incident: scipy.sparse.csr_matrix) -> np.ndarray:
+    """Area-weighted unit normals (F, C, 3) of ``vertices`` (F, C, 3); ``incident``: ``incidence`` of ``faces``."""
+    corners = np.ascontiguousarray(faces.T)
+    total = np.empty_like(vertices)
+    for frame, points in enumerate(vertices):
+        # Coordinates first: corners are then taken from three short rows, twice as fast.
+        a, b, c = (np.take(np.ascontiguousarray(points.T), corner, axis=1) for corner in corners)
+        (ux, uy, uz), (vx, vy, vz) = b - a, c - a
+        total[frame] = incident @ np.stack([uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx], axis=1)
+    length = np.sqrt(np.einsum("fci,fci->fc", total, total))[..., None]
+    return total / np.maximum(length, np.finfo(total.dtype).tiny)
+
+
+def incidence(faces: np.ndarray, count: int) -> scipy.sparse.csr_matrix:
+    """(count, T), one where a vertex belongs to a face (T, 3): sums over faces as a product that does not scatter."""
+    ones = np.ones(faces.size, dtype=np.float32)
+    return scipy.sparse.csr_matrix((ones, (faces.T.ravel(), np.tile(np.arange(len(faces)), 3))), (count, len(faces)))
+
+
+def nearest_collider(points: np.ndarray, collider: np.ndarray) -> np.ndarray:
+    """Index (F, n) of the collider vertex nearest to each point (F, n, 3)."""
+    index = np.empty(points.shape[:2], dtype=np.int64)
+    for n in range(len(points)):
+        # An unbalanced tree builds three times faster and queries as fast here, one of large leaves builds and queries
+        # a quarter faster than one of ten points each; threads cost more than they find.
+        tree = KDTree(collider[n], balanced_tree=False, compact_nodes=False, leafsize=32)
+        index[n] = tree.query(points[n])[1]
+    return index
+
+
+def _surface(body: BodyModel) -> tuple[np.ndarray, np.ndarray]:
+    """Body vertices (C,) that training collides with and their faces (T, 3): all but head, hands and toes."""
+    kept = body.weights[:, DETAIL_JOINTS].sum(axis=1) <= 0.5
+    used, faces = np.unique(body.faces[kept[body.faces].all(axis=1)], return_inverse=True)
+    return used, faces.reshape(-1, 3)
