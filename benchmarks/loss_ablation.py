@@ -40,8 +40,8 @@ from drape.garment.disagreement import disagreement
 from drape.geometry.meshes import edge_lengths, unique_edges
 from drape.motion.hard_poses import HardPoses, hard_poses
 from training import checkpoint, losses, paper_losses
-from training.config import DataConfig, ModelConfig, TrainConfig, as_published
 from training.collider import nearest_collider
+from training.config import DataConfig, ModelConfig, TrainConfig, as_published
 from training.data import BodyBatch, Partition, TrainingGarment
 from training.evaluate import held_out_clips, posed_patches
 from training.model import OneFit, Posed
