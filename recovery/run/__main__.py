@@ -23,12 +23,14 @@ from drape.garment.mesh_checks import UNITS_M, UP_AXES
 from recovery.drape.output import write
 from recovery.drape.pipeline import DrapeOptions
 from recovery.drape.posing import read_pose
+from recovery.fit.objective import DEFAULT_WEIGHTS
 from recovery.fit.optimise import FitOptions
 from recovery.run.job import Job, run_job
 
 REFUSED_EXIT_CODE = 2
 NOT_AT_REST_EXIT_CODE = 3
 EDGE_LENGTH_M = 0.04
+SEAM_WEIGHT = 0.1  # for cutting: recovery.fit alone lets seams give way a hundred times more easily
 
 
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
@@ -41,6 +43,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("target", type=Path, help="OBJ, GLB, PLY or STL of one garment on its body")
     parser.add_argument("--out", type=Path, required=True, help="folder of the files")
     parser.add_argument("--base", required=True, help="tshirt, trousers, skirt, or a pattern as JSON")
+    parser.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="parameters of the base [m]")
     parser.add_argument(
         "--body", default=DEFAULT_BODY, help="name, SMPL file, or closed surface; 'fit': one is fitted inside"
     )
@@ -55,6 +58,9 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--grid", type=float, default=0.02, help="spacing of the body's distance [m]")
     parser.add_argument("--adam", type=int, default=fit.iterations, help="steps of Adam")
     parser.add_argument("--closing", type=int, default=fit.closing, help="steps of Gauss and Newton after it")
+    parser.add_argument(
+        "--seam-weight", type=float, default=SEAM_WEIGHT, help="of the loss: seams keep the ratios of the base"
+    )
     parser.add_argument("--no-retarget", action="store_true", help="leave out other bodies and poses")
     parser.add_argument("--no-garment", action="store_true", help="write no garment cache")
     return parser.parse_args(arguments)
@@ -71,10 +77,12 @@ def job_of(given: argparse.Namespace) -> Job:
         pose=None if given.pose is None else read_pose(given.pose),
         name=given.name,
         label=given.label,
+        settings=given.set,
         unit=given.unit,
         up=given.up,
         drape=DrapeOptions(edge_length_m=given.edge_length, fabric=given.fabric, grid_m=given.grid),
         fit=FitOptions(iterations=given.adam, closing=given.closing),
+        weights=DEFAULT_WEIGHTS._replace(seams=given.seam_weight),
         retarget=not given.no_retarget,
         garment=not given.no_garment,
     )

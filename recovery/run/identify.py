@@ -92,7 +92,7 @@ def from_curvature(
 
 
 def corner_names(pattern: Pattern) -> list[str]:
-    """What every corner of ``pattern`` is, panel by panel: its panel and the two edges that meet there."""
+    """What every corner of ``pattern`` is, panel by panel: its panel, where in it, and the edges that meet there."""
     partner = {}
     for stitch in pattern.stitches:
         partner[stitch.first], partner[stitch.second] = stitch.second, stitch.first
@@ -106,11 +106,18 @@ def corner_names(pattern: Pattern) -> list[str]:
     names = []
     for panel in pattern.panels:
         count = len(panel.edges)
-        for number in range(count):
+        low, size = panel.vertices.min(axis=0), np.ptp(panel.vertices, axis=0)
+        for number, edge in enumerate(panel.edges):
+            across, up = (panel.vertices[edge.start] - low) / size
+            where = f"{('bottom', 'middle', 'top')[_third(up)]} {('left', 'middle', 'right')[_third(across)]}"
             before, after = (edge_name(EdgeRef(panel.name, n % count)) for n in (number - 1, number))
-            where = f"within the {after}" if before == after else f"between {before} and {after}"
-            names.append(f"{panel.name}, {where}")
+            edges = before if before == after else f"{before}, {after}"
+            names.append(f"{panel.name}, {where} ({edges})")
     return names
+
+
+def _third(share: float) -> int:
+    return min(2, int(3.0 * share))
 
 
 def weak_words(found: Identifiability, pattern: Pattern, count: int = 3) -> list[str]:
@@ -119,13 +126,11 @@ def weak_words(found: Identifiability, pattern: Pattern, count: int = 3) -> list
     sentences = []
     for gain, mode in list(zip(found.seen, found.modes, strict=True))[:count]:
         size = np.linalg.norm(mode, axis=1)
-        most = size > 0.5 * size.max()
+        others = int((size > 0.5 * size.max()).sum()) - 1
+        company = f", {others} other corners going along by more than half as much" if others else ""
         # A step that moves the farthest corner by a centimetre.
-        shown_mm = 10.0 * gain / size.max()
-        panels = sorted({names[k].partition(",")[0] for k in np.flatnonzero(most)})
-        farthest = names[int(size.argmax())]
         sentences.append(
-            f"{', '.join(panels)}: a change of 10 mm at the corner {farthest}, changes what the target shows by "
-            f"{shown_mm:.2f} mm."
+            f"10 mm at {names[int(size.argmax())]}{company}: what the target shows changes by "
+            f"{10.0 * gain / size.max():.2f} mm."
         )
     return sentences

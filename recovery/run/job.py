@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -16,9 +16,10 @@ from drape.garment.mesh_io import GarmentMesh
 from recovery.drape.output import glb_bytes, obj_text, panel_texture, write
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.fit.chamfer import Chamfer, SurfaceDistance, surface_chamfer, surface_distance
+from recovery.fit.objective import DEFAULT_WEIGHTS, Weights
 from recovery.fit.optimise import FitOptions
 from recovery.fit.pipeline import Recovered, posed_joints, recover_pattern
-from recovery.pattern.bases import BASES
+from recovery.pattern.bases import BASES, base_pattern
 from recovery.pattern.export import export_pattern
 from recovery.pattern.garmentcode import read_pattern
 from recovery.pattern.measurements import measure
@@ -36,7 +37,10 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """What is asked for; ``body`` is a name, a file, or ``fit``; ``base`` a base pattern's name or a JSON file."""
+    """What is asked for; ``body`` is a name, a file, or ``fit``; ``base`` a base pattern's name or a JSON file.
+
+    ``settings`` of a base are texts NAME=NUMBER, lengths in metres.
+    """
 
     target: Path
     out: Path
@@ -46,10 +50,12 @@ class Job:
     pose: np.ndarray | None = None
     name: str | None = None
     label: str | None = None
+    settings: Sequence[str] = ()
     unit: Unit = "auto"
     up: Up = "auto"
     drape: DrapeOptions = field(default_factory=DrapeOptions)
     fit: FitOptions = field(default_factory=FitOptions)
+    weights: Weights = DEFAULT_WEIGHTS
     retarget: bool = True
     garment: bool = True
 
@@ -86,11 +92,15 @@ class Outcome:
         return self.found.fitted.nodes
 
 
-def read_base(source: str, wearer: Wearer) -> Pattern:
-    """The base called ``source`` drafted for ``wearer``, or the pattern in a JSON file."""
+def read_base(source: str, wearer: Wearer, settings: Sequence[str] = ()) -> Pattern:
+    """The base called ``source`` drafted with ``settings`` for ``wearer``, or the pattern in a JSON file."""
     if source in BASES:
-        return BASES[source](measure(wearer.shaped))
+        return base_pattern(source, measure(wearer.shaped), settings)
     path = Path(source)
+    if settings:
+        raise InputError(
+            "--set", expected=f"a base of ours: {', '.join(sorted(BASES))}", got=source, cure="Leave --set out."
+        )
     if path.suffix.lower() != ".json":
         raise InputError(
             "--base",
@@ -113,7 +123,7 @@ def prepare(job: Job) -> tuple[GarmentMesh, Wearer, Pattern, list[str]]:
                 cure="Leave them out, or name the body.",
             )
         standard = read_wearer("anny_default")
-        mesh, wearer = inside_wearer(mesh, read_base(job.base, standard), unit=job.unit, up=job.up)
+        mesh, wearer = inside_wearer(mesh, read_base(job.base, standard, job.settings), unit=job.unit, up=job.up)
         mesh = placed_target(mesh, wearer.skin, unit="m", up="y")
     else:
         wearer = read_wearer(job.body, betas=job.betas, pose=job.pose)
@@ -122,7 +132,7 @@ def prepare(job: Job) -> tuple[GarmentMesh, Wearer, Pattern, list[str]]:
     joints = wearer.shaped.joints_template if wearer.pose is None else posed_joints(wearer.shaped, wearer.pose)
     there, holes = openings(mesh, joints)
     check_base(job.base, there)
-    return mesh, wearer, read_base(job.base, wearer), [*mesh.notes, *holes]
+    return mesh, wearer, read_base(job.base, wearer, job.settings), [*mesh.notes, *holes]
 
 
 def run_job(job: Job, *, progress: bool = False, say: Say = print) -> Outcome:
@@ -142,6 +152,7 @@ def run_job(job: Job, *, progress: bool = False, say: Say = print) -> Outcome:
         wearer.shaped,
         drape=job.drape,
         fit=job.fit,
+        weights=job.weights,
         pose=wearer.pose,
         state_file=job.out / f"{name}.search.npz",
         progress=progress,

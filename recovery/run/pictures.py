@@ -13,7 +13,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from PIL import Image
 
-from drape.geometry import closest
+from drape.geometry import closest, meshes
 from drape.geometry.raster import CLOTH, SKIN, Surface, render
 from recovery.pattern import geometry
 from recovery.pattern.model import Panel, Pattern
@@ -22,7 +22,7 @@ from recovery.run.identify import CAP_M, Identifiability
 from recovery.run.retarget import Worn
 
 DPI = 100
-COLOURS = 96  # of the palette: pages of a dozen pictures stay below a megabyte
+THIN_M = 0.012  # the body is drawn thinner by this: flat triangles of the cloth cut into it between their corners
 TARGET_COLOUR = (0.62, 0.62, 0.66)
 FULL_SCALE_MM = 10.0  # the colour scale ends here, or at the largest distance if that is less
 VIEWS = (("front", 0.0), ("side", 70.0), ("back", 180.0))
@@ -40,7 +40,7 @@ def target_and_result(target: Mesh, result: Mesh, skin: Mesh) -> bytes:
     distance = 1e3 * closest.closest_point(result.vertices, target.vertices, target.faces).distance
     scale = Normalize(0.0, max(1.0, min(FULL_SCALE_MM, float(distance.max()))))
     colours = matplotlib.colormaps["turbo"](scale(distance[result.faces].mean(axis=1)))[:, :3]
-    body = Surface(skin.vertices, skin.faces, SKIN)
+    body = _body(skin)
     rows = {
         "target": [body, Surface(*target, TARGET_COLOUR)],
         "recovered": [body, Surface(*result, CLOTH)],
@@ -88,7 +88,7 @@ def what_is_told(found: Identifiability, pattern: Pattern) -> bytes:
             ring = corner + radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
             axis.fill(*ring.T, facecolor=(*colour[:3], 0.55), edgecolor=colour, linewidth=0.8)
             text = f">{100 * CAP_M:.0f} cm" if radius >= CAP_M else f"{1e3 * radius:.0f}"
-            axis.text(*corner, text, fontsize=6, ha="center", va="center")
+            axis.text(*corner, text, fontsize=6.5, ha="center", va="center")
         axis.set_title(panel.name.replace("_", " "), fontsize=9)
     _ruler(axes[0])
     spectrum = axes[len(pattern.panels)]
@@ -118,7 +118,7 @@ def worn_elsewhere(places: list[Worn]) -> bytes:
     figure = Figure(figsize=(2.8 * len(places), 7.2), dpi=DPI, layout="constrained")
     axes = figure.subplots(2, len(places), squeeze=False)
     for column, worn in enumerate(places):
-        surfaces = [Surface(worn.skin, worn.skin_faces, SKIN)]
+        surfaces = [_body(Mesh(worn.skin, worn.skin_faces))]
         if len(worn.faces):
             surfaces.append(Surface(worn.nodes, worn.faces, CLOTH))
         for row, azimuth in enumerate((0.0, 160.0)):
@@ -135,10 +135,13 @@ def png(figure: Figure) -> bytes:
     figure.savefig(buffer, format="png")
     picture = Image.open(buffer).convert("RGB")
     packed = io.BytesIO()
-    picture.quantize(COLOURS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(
-        packed, "png", optimize=True
-    )
+    picture.quantize(256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(packed, "png", optimize=True)
     return packed.getvalue()
+
+
+def _body(skin: Mesh) -> Surface:
+    thinner = skin.vertices - THIN_M * meshes.vertex_normals(skin.vertices, skin.faces)
+    return Surface(thinner, skin.faces, SKIN)
 
 
 def _panel_axes(pattern: Pattern, *, more: int = 0) -> tuple[Figure, list[Axes]]:
