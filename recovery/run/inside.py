@@ -29,15 +29,15 @@ from drape.geometry import closest, meshes
 from recovery.fit.contours import LIMBS, TRUNK, Contour, bone_chains, open_contours
 
 GAP_M = 0.004  # between skin and cloth that lies on it
-PULL, PULL_REACH_M = 0.05, 0.03  # of cloth outside, against cloth inside; halved at that distance
+PULL, PULL_REACH_M = 0.1, 0.03  # of cloth outside, against cloth inside; halved at that distance
 CUFF = 0.2  # of a square metre between a cuff's middle and the limb's bone
-SHAPE_PRIOR_M, POSE_PRIOR_M, LIMB_PRIOR_M = 1e-3, 1.5e-2, 3e-3  # root mean square that a beta, or a radian, is worth
+SHAPE_PRIOR_M, POSE_PRIOR_M, LIMB_PRIOR_M = 4e-4, 1.5e-2, 3e-3  # root mean square that a beta, or a radian, is worth
 LIMB_ROOTS = ("collar", "shoulder", "hip")
 ROOT_PRIOR_M = 0.03
 POINT_COUNT = 1200
-STEPS = 40
+STEPS = 25
 AGREEMENT = 0.2
-DEEP_LIMIT_MM = 25.0  # at the 95th percentile of what lies inside: no body of ours fits
+INSIDE_LIMIT_PCT = 15.0  # of the cloth inside the best body: none of ours fits
 
 
 class InsideFit(NamedTuple):
@@ -59,7 +59,7 @@ def fit_inside(vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, top_
     """The standard body inside the garment ``vertices`` [m] (V, 3), ``faces`` (F, 3), y up, worn facing +z.
 
     ``top_m`` is the height on the body in its own frame at which such a garment begins. Raises ``BodyError`` where the
-    cloth still cuts deep into the best body.
+    cloth still cuts into the best body.
     """
     points, normals = _sample(vertices, faces)
     low, high = points.min(axis=0), points.max(axis=0)
@@ -74,10 +74,10 @@ def fit_inside(vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, top_
     fit = InsideFit(
         *unpack(body, parameters), 1e3 * float(np.abs(distance).mean()), 100.0 * float(inside.mean()), depth
     )
-    if depth > DEEP_LIMIT_MM:
+    if fit.inside_pct > INSIDE_LIMIT_PCT:
         raise BodyError(
             "body in the target",
-            expected=f"cloth that a body fits in, at most {DEEP_LIMIT_MM:g} mm inside it",
+            expected=f"cloth that a body fits in, at most {INSIDE_LIMIT_PCT:g} % of it inside",
             got=f"{fit.inside_pct:.0f} % of the cloth inside by {depth:.0f} mm",
             cure="Turn the target upright and facing +z, check its unit (--unit), or give the body (--body FILE).",
         )
@@ -163,19 +163,31 @@ def _perpendicular(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.
 
 def _joints(body: BodyModel, parameters: np.ndarray) -> np.ndarray:
     betas, pose, trans = unpack(body, parameters)
-    rotations, translations = body.bones(pose[None], trans[None], betas)
-    return np.einsum("jab,jb->ja", rotations[0], body.rest_joints(betas)) + translations[0]
+    return _joints_of(body, betas, pose[None], trans)[0]
+
+
+def _joints_of(body: BodyModel, betas: np.ndarray, poses: np.ndarray, trans: np.ndarray) -> np.ndarray:
+    """Joints [m] (F, 24, 3) of a shape in ``poses`` (F, 24, 3), moved by ``trans``."""
+    rotations, translations = body.bones(poses, None, betas)
+    return np.einsum("fjab,jb->fja", rotations, body.rest_joints(betas)) + translations + trans
 
 
 def _cuff_rows(
     body: BodyModel, cuffs: list[tuple[np.ndarray, int, int]], parameters: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Ways [m] (3 C,) from the cuffs' middles to their bones, and the derivative (3 C, P) by forward differences."""
+    step, pose_count = 1e-5, 3 * len(FREE_JOINTS)
+    betas, pose, trans = unpack(body, parameters)
+    turned = np.repeat(pose[None], pose_count + 1, axis=0)
+    for column in range(pose_count):
+        turned[column + 1, FREE_JOINTS[column // 3], column % 3] += step
+    by_pose = _joints_of(body, betas, turned, trans)
+    by_shape = [_joints_of(body, betas + step * row, pose[None], trans)[0] for row in np.eye(body.shape_count)]
+    by_place = [by_pose[0] + step * row for row in np.eye(3)]
 
-    def ways(values: np.ndarray) -> np.ndarray:
-        joints = _joints(body, values)
+    def ways(joints: np.ndarray) -> np.ndarray:
         return np.array([_perpendicular(centre, joints[a], joints[b]) for centre, a, b in cuffs]).reshape(-1)
 
-    here, step = ways(parameters), 1e-5
-    columns = [(ways(parameters + step * row) - here) / step for row in np.eye(len(parameters))]
+    here = ways(by_pose[0])
+    columns = [(ways(joints) - here) / step for joints in (*by_shape, *by_pose[1:], *by_place)]
     return here, np.array(columns).T.reshape(len(here), len(parameters))

@@ -132,7 +132,10 @@ def prepare(job: Job) -> tuple[GarmentMesh, Wearer, Pattern, list[str]]:
     joints = wearer.shaped.joints_template if wearer.pose is None else posed_joints(wearer.shaped, wearer.pose)
     there, holes = openings(mesh, joints)
     check_base(job.base, there)
-    return mesh, wearer, read_base(job.base, wearer, job.settings), [*mesh.notes, *holes]
+    notes = [f"On reading: {note}." for note in (*mesh.notes, *holes)]
+    if wearer.residual_mm > 0.0:
+        notes.append(f"The wearer is {wearer.source}. What it lacks in shape, the pattern makes up for.")
+    return mesh, wearer, read_base(job.base, wearer, job.settings), notes
 
 
 def run_job(job: Job, *, progress: bool = False, say: Say = print) -> Outcome:

@@ -12,6 +12,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from PIL import Image
+from scipy.spatial import KDTree
 
 from drape.geometry import closest, meshes
 from drape.geometry.raster import CLOTH, SKIN, Surface, render
@@ -22,9 +23,10 @@ from recovery.run.identify import CAP_M, Identifiability
 from recovery.run.retarget import Worn
 
 DPI = 100
-THIN_M = 0.012  # the body is drawn thinner by this: flat triangles of the cloth cut into it between their corners
+# Under the cloth the body is drawn thinner by this: flat triangles cut into it between their corners.
+THIN_M, THIN_REACH_M = 0.012, 0.05
 TARGET_COLOUR = (0.62, 0.62, 0.66)
-FULL_SCALE_MM = 10.0  # the colour scale ends here, or at the largest distance if that is less
+SCALE_SHARE = 0.98  # of the vertices lie within the colour scale
 VIEWS = (("front", 0.0), ("side", 70.0), ("back", 180.0))
 
 
@@ -38,9 +40,9 @@ class Mesh(NamedTuple):
 def target_and_result(target: Mesh, result: Mesh, skin: Mesh) -> bytes:
     """Three views of the target, of the result, and of the result coloured by its distance from the target."""
     distance = 1e3 * closest.closest_point(result.vertices, target.vertices, target.faces).distance
-    scale = Normalize(0.0, max(1.0, min(FULL_SCALE_MM, float(distance.max()))))
+    scale = Normalize(0.0, max(1.0, float(np.quantile(distance, SCALE_SHARE))))
     colours = matplotlib.colormaps["turbo"](scale(distance[result.faces].mean(axis=1)))[:, :3]
-    body = _body(skin)
+    body = _body(skin, target.vertices)
     rows = {
         "target": [body, Surface(*target, TARGET_COLOUR)],
         "recovered": [body, Surface(*result, CLOTH)],
@@ -56,7 +58,7 @@ def target_and_result(target: Mesh, result: Mesh, skin: Mesh) -> bytes:
             axis.set_axis_off()
             axis.set_title(f"{name}, {view}", fontsize=9)
     bar = ScalarMappable(scale, "turbo")
-    figure.colorbar(bar, ax=axes[-1], label="distance from the target [mm]", shrink=0.9)
+    figure.colorbar(bar, ax=axes[-1], label="distance from the target [mm]", shrink=0.9, extend="max")
     return png(figure)
 
 
@@ -118,7 +120,7 @@ def worn_elsewhere(places: list[Worn]) -> bytes:
     figure = Figure(figsize=(2.8 * len(places), 7.2), dpi=DPI, layout="constrained")
     axes = figure.subplots(2, len(places), squeeze=False)
     for column, worn in enumerate(places):
-        surfaces = [_body(Mesh(worn.skin, worn.skin_faces))]
+        surfaces = [_body(Mesh(worn.skin, worn.skin_faces), worn.nodes)]
         if len(worn.faces):
             surfaces.append(Surface(worn.nodes, worn.faces, CLOTH))
         for row, azimuth in enumerate((0.0, 160.0)):
@@ -139,9 +141,12 @@ def png(figure: Figure) -> bytes:
     return packed.getvalue()
 
 
-def _body(skin: Mesh) -> Surface:
-    thinner = skin.vertices - THIN_M * meshes.vertex_normals(skin.vertices, skin.faces)
-    return Surface(thinner, skin.faces, SKIN)
+def _body(skin: Mesh, cloth: np.ndarray) -> Surface:
+    if not len(cloth):
+        return Surface(*skin, SKIN)
+    far = np.asarray(KDTree(cloth).query(skin.vertices)[0])
+    inward = THIN_M * np.exp(-((far / THIN_REACH_M) ** 2))[:, None]
+    return Surface(skin.vertices - inward * meshes.vertex_normals(skin.vertices, skin.faces), skin.faces, SKIN)
 
 
 def _panel_axes(pattern: Pattern, *, more: int = 0) -> tuple[Figure, list[Axes]]:

@@ -70,10 +70,12 @@ def verdicts(outcome: Outcome) -> tuple[list[str], list[str]]:
     if largest > FAR_SHARE * rms:
         look.append(f"At one place they are {largest:.0f} mm apart: see the red spots in the picture.")
     loose = [seam for seam in geometry.seams(outcome.pattern) if abs(seam.mismatch) > SEAM_LIMIT]
-    for seam in loose:
+    if loose:
+        worst = max(loose, key=lambda seam: abs(seam.mismatch))
         look.append(
-            f"The seam {seam.stitch.first} to {seam.stitch.second} joins {100 * seam.first_m:.1f} cm to "
-            f"{100 * seam.second_m:.1f} cm: ease the longer edge in, or even them out."
+            f"{len(loose)} of {len(outcome.pattern.stitches)} seams join edges that differ by more than "
+            f"{100 * SEAM_LIMIT:.0f} %, most of all {worst.stitch.first} with {100 * worst.first_m:.1f} cm and "
+            f"{worst.stitch.second} with {100 * worst.second_m:.1f} cm: ease the longer edge in, or even them out."
         )
     if not loose:
         good.append(f"All seams join edges of equal length within {100 * SEAM_LIMIT:.0f} %.")
@@ -107,8 +109,8 @@ def _shape(page: Page, outcome: Outcome) -> None:
             pictures.Mesh(outcome.nodes, outcome.found.search.mesh.faces),
             pictures.Mesh(skin.vertices - outcome.wearer.trans, skin.faces),
         ),
-        "Above the target, in the middle the recovered garment, below its distance from the target. The body is drawn a "
-        "centimetre thinner than it is.",
+        "Above the target, in the middle the recovered garment, below its distance from the target. Under the cloth the "
+        "body is drawn a centimetre thinner than it is.",
     )
     d, far, floor = outcome.distance, outcome.chamfer, outcome.floor
     page.say(

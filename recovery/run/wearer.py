@@ -89,7 +89,8 @@ def fitted_wearer(path: Path, body: BodyModel) -> Wearer:
     scale, vertices = body_units(mesh.vertices, name=path.name)
     found = fit_body(vertices, mesh.faces, body, name=path.name)
     unit = "" if scale == 1.0 else f", scaled by {scale:g}"
-    return wearer_of(body, found.betas, found.pose, found.trans, f"{path.name}{unit}, fitted", found.residual_mm)
+    source = f"body {body.name} fitted to {path.name}{unit}, {found.residual_mm:.1f} mm from it on average"
+    return wearer_of(body, found.betas, found.pose, found.trans, source, found.residual_mm)
 
 
 def check_closed(faces: np.ndarray, name: str) -> None:
