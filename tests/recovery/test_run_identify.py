@@ -1,16 +1,10 @@
-"""What a target tells of a pattern: against closed forms, and against drapes of changed patterns."""
+"""What a target tells of a pattern: against closed forms; against a drape in test_run_command."""
 
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose
 
-from drape.body.assets import load_body
-from recovery.drape.pipeline import DrapeOptions, drape_pattern
-from recovery.fit.optimise import FitOptions
-from recovery.fit.pipeline import recover_pattern
-from recovery.pattern.bases import skirt
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.symmetry import find_symmetries, free_controls
 from recovery.run.identify import (
@@ -18,11 +12,10 @@ from recovery.run.identify import (
     Identifiability,
     corner_names,
     from_curvature,
-    identifiability,
     shape_basis,
     weak_words,
 )
-from tests.recovery.pattern_setup import default_measurements, tube
+from tests.recovery.pattern_setup import tube
 
 
 def test_shapes_are_what_is_left_without_rigid_moves():
@@ -78,26 +71,3 @@ def test_corners_and_weak_shapes_have_names():
     first, second = weak_words(told, tube())
     assert first.startswith("10 mm at front, top right") and "by 0.20 mm" in first
     assert "7 other corners" in second
-
-
-@pytest.mark.slow
-def test_the_told_spectrum_is_that_of_the_drape():
-    """A step along the best seen shape changes the drape's distance from the target as its singular value says."""
-    coarse = DrapeOptions(edge_length_m=0.07, grid_m=0.05)
-    body, truth = load_body(), skirt(default_measurements(), length_m=0.35)
-    target = drape_pattern(truth, body, coarse)
-    fit = FitOptions(iterations=0, closing=1)
-    found = recover_pattern(target.nodes, target.mesh.faces, truth, body, drape=coarse, fit=fit)
-    told = identifiability(found, 1e-3)
-    search = found.search
-    assert len(told.seen) == len(told.cloth) == search.free.count - 2  # both panels are symmetric: they can only rise
-    step = 1e-3 * told.modes[-1]
-    values = search.free.values(found.fitted.positions)
-    across, back = shape_basis(search.free.basis, search.free.controls.panel, found.fitted.positions)
-    moved = values + back @ (across.T @ step.reshape(-1))
-    near = search.evaluate(moved, found.fitted.nodes)
-    assert near is not None
-    start = search.evaluate(values, found.fitted.nodes)
-    assert start is not None
-    shown = near.terms[1] + near.terms[2] - (start.terms[1] + start.terms[2])
-    assert_allclose(np.sqrt(0.5 * shown), 1e-3 * told.seen[-1], rtol=0.15)
