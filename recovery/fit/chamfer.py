@@ -1,8 +1,8 @@
 """How far apart two surfaces are, by points drawn on both: the Chamfer distance of the papers, and its floor.
 
-Points, unlike surfaces, are never at distance zero: two drawings of one surface lie millimetres apart. That is the floor
-below which a Chamfer distance says nothing; beside it stand distances from points to triangles, whose floor is zero
-(docs/decisions/0004-pattern-recovery.md, point 2).
+Points, unlike surfaces, are never at distance zero: two drawings of one surface lie millimetres apart. That is the
+floor below which a Chamfer distance says nothing; beside it stand distances from points to triangles, whose floor is
+zero (docs/decisions/0004-pattern-recovery.md, point 2).
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 python -m recovery.run TARGET.obj --base tshirt --body BODY [--pose CLIP:FRAME] --out DIR
 
 Writes NAME.json, .svg, .dxf, .pdf (the pattern), NAME.obj and NAME.glb (the simulated garment), NAME_rest.obj and
-NAME-DIGEST.npz (the garment cache that the service reads), report.html and report.json. NAME.search.npz holds the search:
-the same command goes on from it. Exit codes: 2 refused, 3 written but not at rest.
+NAME-DIGEST.npz (the garment cache that the service reads), report.html and report.json. NAME.search.npz holds the
+search: the same command goes on from it. Exit codes: 2 refused, 3 written but not at rest.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """What the target tells of a pattern, and what it cannot tell: the drape's derivatives by the shape of the panels.
 
-With y the shape of the panels (moves of the control points, rigid moves of whole panels left out, orthonormal) the drape
-moves by dX/dy y. Its singular values say how far cloth moves; a target shows less, because cloth that slides along its own
-surface looks the same. What a target shows is the curvature of the loss: a change y raises the squared distance of the
-surfaces, mean of both directions, by y^T C y / 4, and its root is what the fit sees in millimetres.
+With y the shape of the panels (moves of the control points, rigid moves of whole panels left out, orthonormal) the
+drape moves by dX/dy y. Its singular values say how far cloth moves; a target shows something else, because cloth that
+slides along its own surface looks the same. What it shows is the curvature C of the loss: a change y raises the squared
+distance of the surfaces, mean of both directions, by y^T C y / 4, and the root of that is what the fit sees.
 """
 
 from __future__ import annotations
@@ -78,9 +78,7 @@ def shape_basis(basis: np.ndarray, panel: np.ndarray, positions: np.ndarray) -> 
     return across[:, kept], values[kept].T / size[kept]
 
 
-def from_curvature(
-    cloth: np.ndarray, curvature: np.ndarray, across: np.ndarray, tolerance_m: float
-) -> Identifiability:
+def from_curvature(cloth: np.ndarray, curvature: np.ndarray, across: np.ndarray, tolerance_m: float) -> Identifiability:
     """The answer for the singular values ``cloth`` (M,) and the loss's ``curvature`` (M, M) by moves ``across``."""
     value, vector = np.linalg.eigh(0.5 * (curvature + curvature.T))
     value = np.maximum(value, BLIND * max(float(value.max()), 1e-300))

@@ -2,8 +2,8 @@
 
 A garment says where the skin is not, and where it hangs, the shoulders or the waist, where it is. Gauss-Newton on
 distances along the skin's normals: cloth inside the body costs in full, cloth outside less the farther it is, and what
-the garment does not tell stays near the mean shape and the T-pose. Openings tell where limbs are: a bone goes through the
-middle of a cuff.
+the garment does not tell stays near the mean shape and the T-pose. Openings tell where limbs are: a bone goes through
+the middle of a cuff.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def _fit(
     for _ in range(STEPS):
         posed = posed_by(body, parameters)
         skin_normals = meshes.vertex_normals(posed, body.faces)
-        distance, near = map(np.asarray, KDTree(posed).query(points, k=6))
+        near = np.asarray(KDTree(posed).query(points, k=6)[1])
         agree = np.einsum("nc,nkc->nk", normals, skin_normals[near]) > AGREEMENT
         first = np.where(agree.any(axis=1), np.argmax(agree, axis=1), 0)
         index = near[np.arange(len(near)), first]
@@ -118,8 +118,9 @@ def _fit(
         gap = np.einsum("nc,nc->n", normal, points - posed[index]) - GAP_M
         weight = np.where(gap < 0.0, 1.0, PULL / (1.0 + (gap / PULL_REACH_M) ** 2))
         off, turn = _cuff_rows(body, cuffs, parameters)
-        before, cost = cost, float(
-            (weight * gap**2).mean() + prior @ (parameters - neutral) ** 2 + CUFF * (off**2).sum()
+        before, cost = (
+            cost,
+            float((weight * gap**2).mean() + prior @ (parameters - neutral) ** 2 + CUFF * (off**2).sum()),
         )
         rows = np.einsum("nc,ncp->np", normal, parameter_jacobian(body, parameters, index))
         system = (rows * weight[:, None]).T @ rows / len(rows) + np.diag(prior + 1e-8) + CUFF * turn.T @ turn
@@ -133,7 +134,7 @@ def _fit(
 
 
 def _cuffs(body: BodyModel, contours: list[Contour], parameters: np.ndarray) -> list[tuple[np.ndarray, int, int]]:
-    """Middles [m] (3,) of the openings that lie nearer to a limb than to the trunk at the start, and the bone's joints."""
+    """Middles [m] (3,) of the openings that lie nearer to a limb than to the trunk at the start, with the bone."""
     joints = _joints(body, parameters)
     number = {name: joint for joint, name in enumerate(JOINT_NAMES)}
     trunk = bone_chains(joints)[TRUNK][0]
@@ -146,9 +147,7 @@ def _cuffs(body: BodyModel, contours: list[Contour], parameters: np.ndarray) -> 
             if JOINT_NAMES[a].partition("_")[2] != "collar"
         ]
         near, a, b = min(limbs)
-        inner = min(
-            float(np.linalg.norm(_perpendicular(contour.centre, *bone))) for bone in pairwise(trunk)
-        )
+        inner = min(float(np.linalg.norm(_perpendicular(contour.centre, *bone))) for bone in pairwise(trunk))
         if near < inner:
             found.append((contour.centre, a, b))
     return found

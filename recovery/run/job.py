@@ -217,7 +217,9 @@ def _sewn_anew(
     distance = None
     if wearer.pose is None:
         distance = surface_distance((anew.rest.nodes, anew.mesh.faces), (found.fitted.nodes, found.search.mesh.faces))
-        say(f"sewn anew {distance.mean_mm:.2f} mm from the search's drape on average, {distance.largest_mm:.1f} largest")
+        say(
+            f"sewn anew {distance.mean_mm:.2f} mm from the search's drape on average, {distance.largest_mm:.1f} largest"
+        )
     worn = []
     if job.retarget:
         for place in retargeted(pattern, anew, wearer.shaped, wearer.standard, job.drape):

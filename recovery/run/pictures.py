@@ -1,4 +1,4 @@
-"""The pictures of a fit report: target beside result, panels over the base, what the target cannot tell, retargeting."""
+"""The pictures of a fit report: target beside result, panels over base, what the target cannot tell, retargeting."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def what_is_told(found: Identifiability, pattern: Pattern) -> bytes:
             ring = corner + radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
             axis.fill(*ring.T, facecolor=(*colour[:3], 0.55), edgecolor=colour, linewidth=0.8)
             text = f">{100 * CAP_M:.0f} cm" if radius >= CAP_M else f"{1e3 * radius:.0f}"
-            axis.text(*corner, text, fontsize=6.5, ha="center", va="center")
+            axis.text(float(corner[0]), float(corner[1]), text, fontsize=6.5, ha="center", va="center")
         axis.set_title(panel.name.replace("_", " "), fontsize=9)
     _ruler(axes[0])
     spectrum = axes[len(pattern.panels)]

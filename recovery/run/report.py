@@ -49,12 +49,10 @@ class Page:
     def table(self, heads: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
         """A table; the first column is text."""
         top = "".join(f"<th>{html.escape(head)}</th>" for head in heads)
-        body = "".join(
-            "<tr>" + "".join(f"<td>{html.escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows
-        )
+        body = "".join("<tr>" + "".join(f"<td>{html.escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows)
         self._parts.append(f"<table><tr>{top}</tr>{body}</table>")
 
     def text(self) -> str:
         """The whole page."""
         head = f'<meta charset="utf-8"><title>{html.escape(self.title)}</title><style>{STYLE}</style>'
-        return f"<!doctype html><html lang=\"en\"><head>{head}</head><body>{''.join(self._parts)}</body></html>\n"
+        return f'<!doctype html><html lang="en"><head>{head}</head><body>{"".join(self._parts)}</body></html>\n'

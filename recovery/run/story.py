@@ -82,8 +82,8 @@ def verdicts(outcome: Outcome) -> tuple[list[str], list[str]]:
     unsure = int((outcome.told.slack_m > UNSURE_M).sum())
     if unsure:
         look.append(
-            f"{unsure} of {len(outcome.told.slack_m)} corners could move by more than a centimetre without a difference "
-            "that the target shows: see what the target cannot tell."
+            f"{unsure} of {len(outcome.told.slack_m)} corners could move by more than a centimetre without a "
+            "difference that the target shows: see what the target cannot tell."
         )
     if not outcome.found.fitted.finished:
         look.append("The search ended because no further step helped or came to rest, not because it had converged.")
@@ -93,9 +93,12 @@ def verdicts(outcome: Outcome) -> tuple[list[str], list[str]]:
             good.append("Sewn anew from flat panels, the garment comes to rest on the body.")
         else:
             look.append(f"Sewn anew, the garment is not at rest: {rest.residual_n:.1e} N are left at a node.")
-    if outcome.anew_distance is not None and outcome.anew_distance.mean_mm > max(OTHER_FOLDS_MM, 2.0 * outcome.distance.mean_mm):
+    if outcome.anew_distance is not None and outcome.anew_distance.mean_mm > max(
+        OTHER_FOLDS_MM, 2.0 * outcome.distance.mean_mm
+    ):
         look.append(
-            f"Sewn anew it lies {outcome.anew_distance.mean_mm:.1f} mm from the search's drape: it fell into other folds."
+            f"Sewn anew it lies {outcome.anew_distance.mean_mm:.1f} mm from the search's drape: it fell into other "
+            "folds."
         )
     return good, look
 
@@ -109,8 +112,8 @@ def _shape(page: Page, outcome: Outcome) -> None:
             pictures.Mesh(outcome.nodes, outcome.found.search.mesh.faces),
             pictures.Mesh(skin.vertices - outcome.wearer.trans, skin.faces),
         ),
-        "Above the target, in the middle the recovered garment, below its distance from the target. Under the cloth the "
-        "body is drawn a centimetre thinner than it is.",
+        "Above the target, in the middle the recovered garment, below its distance from the target. Under the cloth "
+        "the body is drawn a centimetre thinner than it is.",
     )
     d, far, floor = outcome.distance, outcome.chamfer, outcome.floor
     page.say(
@@ -175,17 +178,17 @@ def _told(page: Page, outcome: Outcome) -> None:
     page.table(("corner", "may move by"), far)
     page.picture(
         pictures.what_is_told(told, outcome.pattern),
-        "Discs: how far [mm] each corner may move unseen. Right: how far the cloth moves, and how much of it the target "
-        "shows, for every change of shape, strongest first. Openings and folds count more than flat cloth, so that the "
-        "target can show more than the cloth moves on average.",
+        "Discs: how far [mm] each corner may move unseen. Right: how far the cloth moves, and how much of it the "
+        "target shows, for every change of shape, strongest first. Openings and folds count more than flat cloth, so "
+        "that the target can show more than the cloth moves on average.",
     )
     page.say("The changes of shape that the target shows least:")
     page.notes(weak_words(told, outcome.pattern))
     page.say(
-        f"Of {len(told.seen)} independent changes of shape that the symmetries leave, the target shows the best one at "
-        f"{told.seen[-1]:.2g} and the poorest at {told.seen[0]:.2g} mm per mm (condition {_condition(told.seen):.0f}); the "
-        f"cloth itself moves by {told.cloth[0]:.2g} to {told.cloth[-1]:.2g}. These are derivatives: they hold for small "
-        "changes."
+        f"Of {len(told.seen)} independent changes of shape that the symmetries leave, the target shows the best one "
+        f"at {told.seen[-1]:.2g} and the poorest at {told.seen[0]:.2g} mm per mm (condition "
+        f"{_condition(told.seen):.0f}); the cloth itself moves by {told.cloth[0]:.2g} to {told.cloth[-1]:.2g}. "
+        "These are derivatives: they hold for small changes."
     )
 
 
@@ -219,8 +222,8 @@ def cloth_words(fabric: str) -> str:
     cloth = material(fabric)
     stretch = cloth.lambda_n_per_m + 2.0 * cloth.mu_n_per_m
     return (
-        f"The cloth was taken to be {fabric}: {1e3 * cloth.density_kg_m2:.0f} g/m², stretch stiffness {stretch:.0f} N/m, "
-        f"bending stiffness {1e6 * cloth.bending_j:.0f} µJ. It was given, not recovered."
+        f"The cloth was taken to be {fabric}: {1e3 * cloth.density_kg_m2:.0f} g/m², stretch stiffness "
+        f"{stretch:.0f} N/m, bending stiffness {1e6 * cloth.bending_j:.0f} µJ. It was given, not recovered."
     )
 
 

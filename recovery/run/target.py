@@ -66,7 +66,10 @@ def labelled(mesh: GarmentMesh, label: str) -> GarmentMesh:
     """The faces of ``mesh`` whose material is called ``label``."""
     if label not in mesh.material_names:
         raise MeshError(
-            "--label", expected=f"one of {', '.join(mesh.material_names)}", got=label, cure="Name a material of the file."
+            "--label",
+            expected=f"one of {', '.join(mesh.material_names)}",
+            got=label,
+            cure="Name a material of the file.",
         )
     keep = mesh.face_material == mesh.material_names.index(label)
     if not keep.any():
@@ -161,7 +164,9 @@ def check_base(base: str, found: dict[str, int]) -> None:
             "target",
             expected=f"the openings of a {base}: {describe_openings(wanted)}",
             got=describe_openings(found) or "no opening that the body goes through",
-            cure=f"Take --base {fitting[0]}." if fitting else "Take a base of the target's kind, and open what is shut.",
+            cure=f"Take --base {fitting[0]}."
+            if fitting
+            else "Take a base of the target's kind, and open what is shut.",
         )
 
 

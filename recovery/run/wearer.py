@@ -1,4 +1,4 @@
-"""Whom the target was draped on: a named body, a file in SMPL's schema, a surface, or nobody: then one fitted inside."""
+"""Whom the target was draped on: a named body, a file in SMPL's schema, a surface, or nobody: one is fitted inside."""
 
 from __future__ import annotations
 
@@ -76,7 +76,12 @@ def read_wearer(source: str, *, betas: np.ndarray | None = None, pose: np.ndarra
 
 
 def wearer_of(
-    body: BodyModel, betas: np.ndarray, pose: np.ndarray | None, trans: np.ndarray, source: str, residual_mm: float = 0.0
+    body: BodyModel,
+    betas: np.ndarray,
+    pose: np.ndarray | None,
+    trans: np.ndarray,
+    source: str,
+    residual_mm: float = 0.0,
 ) -> Wearer:
     """``body`` in the shape ``betas`` and in ``pose``."""
     return Wearer(body, shaped_body(body, betas), betas, pose, trans, source, residual_mm)
@@ -105,7 +110,9 @@ def check_closed(faces: np.ndarray, name: str) -> None:
         )
 
 
-def inside_wearer(mesh: GarmentMesh, base: Pattern, *, unit: str = "auto", up: str = "auto") -> tuple[GarmentMesh, Wearer]:
+def inside_wearer(
+    mesh: GarmentMesh, base: Pattern, *, unit: str = "auto", up: str = "auto"
+) -> tuple[GarmentMesh, Wearer]:
     """``mesh`` in metres, y up, and the shipped body fitted inside it; ``base``, drafted for that body, tells its size.
 
     ``up`` is y unless it is said to be z: without a body nothing tells.

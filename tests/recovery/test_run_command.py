@@ -37,7 +37,7 @@ HALVES, OTHER_HALVES = np.array([[0, 1, 2], [0, 2, 3]]), np.array([[0, 1, 3], [1
 
 
 def test_two_meshes_of_one_surface_are_at_the_floor():
-    """Points drawn evenly with density n lie 1 / (2 sqrt n) from the nearest of another drawing, and 1 / (pi n) squared."""
+    """Of n points drawn per area the nearest lies 1 / (2 sqrt n) away on average, 1 / (pi n) squared."""
     found, floor = surface_chamfer((SQUARE, HALVES), (SQUARE, OTHER_HALVES), count=20_000)
     assert_allclose(floor.mean_mm, 1e3 * 0.5 / 20_000**0.5, rtol=0.02)
     assert_allclose(floor.squared_cm2, 1e4 * 2.0 / (np.pi * 20_000), rtol=0.03)
@@ -47,9 +47,9 @@ def test_two_meshes_of_one_surface_are_at_the_floor():
 
 
 def test_parallel_squares_are_their_distance_apart():
-    near = surface_distance((SQUARE, HALVES), (SQUARE + [0.0, 0.0, 0.01], HALVES))
+    near = surface_distance((SQUARE, HALVES), (SQUARE + np.array([0.0, 0.0, 0.01]), HALVES))
     assert_allclose(near, 10.0, rtol=1e-9)
-    first, second = drawn(SQUARE, HALVES, 50, 0), drawn(SQUARE, HALVES, 50, 0) + [0.0, 0.0, 0.001]
+    first, second = drawn(SQUARE, HALVES, 50, 0), drawn(SQUARE, HALVES, 50, 0) + np.array([0.0, 0.0, 0.001])
     assert_allclose(chamfer(first, second), (1e4 * 2e-6, 1.0), rtol=1e-6)
 
 
@@ -68,7 +68,7 @@ def test_a_page_holds_its_pictures_and_escapes_its_words():
     assert "<h1>a &lt; b</h1>" in text and "&lt;front&gt;" in text and "One. Two." in text
     assert 'class="warn">look' in text and 'class="good">fine' in text
     assert base64.b64encode(b"\x89PNG").decode() in text
-    assert "http" not in text and "src=\"data:" in text
+    assert "http" not in text and 'src="data:' in text
 
 
 def test_cloth_and_files_have_words():
@@ -92,7 +92,9 @@ def run(tmp_path_factory):
     coarse = ["--edge-length", "0.05", "--grid", "0.02", "--adam", "0", "--closing", "2", "--no-retarget"]
     outcomes = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(command, "run_job", lambda *given, **more: outcomes.append(run_job(*given, **more)) or outcomes[0])
+        patch.setattr(
+            command, "run_job", lambda *given, **more: outcomes.append(run_job(*given, **more)) or outcomes[0]
+        )
         code = command.main(
             [str(path), "--base", "tshirt", "--set", "length_m=0.66", "--out", str(folder / "out"), *coarse]
         )
@@ -120,7 +122,7 @@ def test_a_draped_mesh_becomes_a_pattern_and_a_garment(run):
 
 @pytest.mark.slow
 def test_the_report_says_what_was_found(run):
-    folder, outcome, truth = run
+    folder, _, truth = run
     record = json.loads((folder / "out" / "report.json").read_text())
     assert record["distance"]["mean_mm"] < 0.5 * record["base_distance"]["mean_mm"]
     assert record["chamfer_floor"]["mean_mm"] < record["chamfer"]["mean_mm"]
@@ -141,7 +143,9 @@ def test_what_the_target_shows_is_what_a_changed_pattern_changes(run):
     """A step along the best seen shape, draped: the loss rises as its singular value says."""
     _, outcome, _ = run
     found, told, search = outcome.found, outcome.told, outcome.found.search
-    assert len(told.seen) == len(told.cloth) == search.free.count - 8  # rigid: 3 of each half sleeve, and both bodices rise
+    assert (
+        len(told.seen) == len(told.cloth) == search.free.count - 8
+    )  # rigid: 3 of each half sleeve, and both bodices rise
     across, back = shape_basis(search.free.basis, search.free.controls.panel, found.fitted.positions)
     values = search.free.values(found.fitted.positions)
     step = back @ (across.T @ told.modes[-1].reshape(-1))

@@ -51,9 +51,7 @@ def write_obj(path: Path, mesh: GarmentMesh, *, materials: dict[str, np.ndarray]
 
 def both(first: GarmentMesh, second: GarmentMesh) -> tuple[GarmentMesh, dict[str, np.ndarray]]:
     moved = second.faces + len(first.vertices)
-    mesh = plain_mesh(
-        "both", np.concatenate([first.vertices, second.vertices]), np.concatenate([first.faces, moved])
-    )
+    mesh = plain_mesh("both", np.concatenate([first.vertices, second.vertices]), np.concatenate([first.faces, moved]))
     return mesh, {"cloth": first.faces, "skin": moved}
 
 
@@ -62,7 +60,7 @@ def both(first: GarmentMesh, second: GarmentMesh) -> tuple[GarmentMesh, dict[str
 
 def test_copies_of_vertices_flat_faces_and_crumbs_are_repaired_and_noted(tmp_path):
     mesh = skirt_tube()
-    crumb = plain_mesh("crumb", [[0, 0, 0.3], [0.01, 0, 0.3], [0, 0.01, 0.3]], [[0, 1, 2]])
+    crumb = plain_mesh("crumb", np.array([[0, 0, 0.3], [0.01, 0, 0.3], [0, 0.01, 0.3]]), [[0, 1, 2]])
     soup = plain_mesh("soup", mesh.vertices[mesh.faces].reshape(-1, 3), np.arange(3 * len(mesh.faces)))
     whole, _ = both(soup, crumb)
     flat = np.array([[0, 0, 1]])
@@ -82,7 +80,9 @@ def test_two_pieces_are_refused_and_a_label_chooses_one(tmp_path):
     with pytest.raises(MeshError, match="one of cloth, skin"):
         read_target(path, label="hat")
     with pytest.raises(MeshError, match="faces of skin"):
-        read_target(write_obj(tmp_path / "u.obj", mesh, materials={**materials, "skin": np.zeros((0, 3), int)}), label="skin")
+        read_target(
+            write_obj(tmp_path / "u.obj", mesh, materials={**materials, "skin": np.zeros((0, 3), int)}), label="skin"
+        )
 
 
 def test_an_edge_with_three_faces_and_a_solid_are_refused(tmp_path):
