@@ -25,7 +25,7 @@ from recovery.pattern.garmentcode import read_pattern
 from recovery.pattern.measurements import measure
 from recovery.pattern.model import Pattern
 from recovery.run.identify import Identifiability, identifiability
-from recovery.run.retarget import Worn, retargeted
+from recovery.run.retarget import Worn, lost_parts, retargeted
 from recovery.run.target import check_base, openings, placed_target, read_target
 from recovery.run.wearer import Wearer, inside_wearer, read_wearer
 
@@ -220,9 +220,12 @@ def _sewn_anew(
         say(
             f"sewn anew {distance.mean_mm:.2f} mm from the search's drape on average, {distance.largest_mm:.1f} largest"
         )
+    parts = [match.place.part for match in found.matches if match.place.part is not None]
+    if lost := lost_parts(anew.rest.nodes, anew.mesh.faces, wearer.shaped.joints_template, parts):
+        warnings.append(f"Sewn anew in the T-pose, {lost_words(lost)}: the garment cache is not worn as the target is.")
     worn = []
     if job.retarget:
-        for place in retargeted(pattern, anew, wearer.shaped, wearer.standard, job.drape):
+        for place in retargeted(pattern, anew, wearer.shaped, wearer.standard, job.drape, parts):
             say(f"worn      {place.what}: {place.refusal or describe_worn(place)}")
             worn.append(place)
     return anew, distance, worn
@@ -232,10 +235,17 @@ def describe_worn(place: Worn) -> str:
     """A phrase on how the garment lies there."""
     figures = place.figures
     end = "at rest" if figures["converged"] else f"not at rest ({figures['force_left_n']:.1e} N left)"
+    lost = f"; {lost_words(place.lost)}" if place.lost else ""
     return (
-        f"{end}; stretched by {figures['stretch_median_pct']:.1f} % (99th percentile "
+        f"{end}{lost}; stretched by {figures['stretch_median_pct']:.1f} % (99th percentile "
         f"{figures['stretch_p99_pct']:.0f} %), {figures['edges_in_body_pct']:.1f} % of edges cut the body"
     )
+
+
+def lost_words(lost: Sequence[str]) -> str:
+    """A phrase such as "the right arm is not in its opening"."""
+    parts = " and ".join(f"the {part.replace('_', ' ')}" for part in lost)
+    return f"{parts} {'is' if len(lost) == 1 else 'are'} not in the garment's opening"
 
 
 def _cache(rest: str, name: str, job: Job, wearer: Wearer, say: Say) -> Path:

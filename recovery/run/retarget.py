@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ from drape.body.model import BodyModel
 from drape.errors import InputError
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_in_pose, drape_pattern
 from recovery.drape.posing import read_pose
+from recovery.fit.contours import bone_chains, encircles, open_contours
+from recovery.fit.pipeline import posed_joints
 from recovery.pattern.model import Pattern
 from recovery.run.wearer import shaped_body
 
@@ -22,7 +25,10 @@ POSES = ("reach:110", "stretch:60")
 
 @dataclass(frozen=True, eq=False)
 class Worn:
-    """A garment somewhere else: ``nodes`` [m] (N, 3) and ``faces`` on ``skin`` [m] (V, 3); or why not (``refusal``)."""
+    """A garment somewhere else: ``nodes`` [m] (N, 3) and ``faces`` on ``skin`` [m] (V, 3); or why not (``refusal``).
+
+    ``lost`` are the parts of the body that should go through an opening and do not: an arm beside its sleeve.
+    """
 
     what: str
     skin: np.ndarray
@@ -31,14 +37,21 @@ class Worn:
     faces: np.ndarray
     figures: dict[str, Any]
     refusal: str = ""
+    lost: tuple[str, ...] = ()
 
 
 def retargeted(
-    pattern: Pattern, sewn: Draped, body: BodyModel, standard: BodyModel, options: DrapeOptions
+    pattern: Pattern,
+    sewn: Draped,
+    body: BodyModel,
+    standard: BodyModel,
+    options: DrapeOptions,
+    parts: Sequence[str] = (),
 ) -> Iterator[Worn]:
     """``pattern`` sewn and draped on two other shapes of ``standard``, and taken to two poses of ``body``.
 
-    ``sewn`` is its drape on ``body`` in the T-pose. What cannot be draped says so instead of ending the rest.
+    ``sewn`` is its drape on ``body`` in the T-pose; ``parts`` of the body should go through its openings.
+    What cannot be draped says so instead of ending the rest.
     """
     for what, betas in BODIES.items():
         other = shaped_body(standard, np.array(betas))
@@ -47,7 +60,8 @@ def retargeted(
             draped = drape_pattern(pattern, wearer, options)
             return draped.rest.nodes, draped.mesh.faces, draped.figures["rest"]
 
-        yield _worn(what, other.v_template, other.faces, sew)
+        worn = _worn(what, other.v_template, other.faces, sew)
+        yield replace(worn, lost=lost_parts(worn.nodes, worn.faces, other.joints_template, parts))
     for text in POSES:
         pose = read_pose(text)
 
@@ -55,7 +69,25 @@ def retargeted(
             posed, figures = drape_in_pose(sewn.mesh, sewn.rest, body, there, options)
             return posed.nodes, sewn.mesh.faces, figures
 
-        yield _worn(f"pose {text}", body.posed_vertices(pose[None])[0], body.faces, move)
+        worn = _worn(f"pose {text}", body.posed_vertices(pose[None])[0], body.faces, move)
+        yield replace(worn, lost=lost_parts(worn.nodes, worn.faces, posed_joints(body, pose), parts))
+
+
+def lost_parts(nodes: np.ndarray, faces: np.ndarray, joints: np.ndarray, parts: Sequence[str]) -> tuple[str, ...]:
+    """Those of ``parts`` that do not go through an opening of a garment at ``nodes`` [m] (N, 3), one opening for each.
+
+    ``joints`` [m] (24, 3) are those of the body in its pose. Empty for a garment without faces.
+    """
+    if not len(faces):
+        return ()
+    chains = bone_chains(joints)
+    there = Counter(
+        part
+        for contour in open_contours(nodes, faces)
+        for part in [next((name for name, (chain, _) in chains.items() if encircles(contour, chain)), None)]
+        if part is not None
+    )
+    return tuple(sorted((Counter(parts) - there).elements()))
 
 
 def _worn(

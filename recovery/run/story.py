@@ -299,7 +299,10 @@ def record_of(outcome: Outcome) -> dict[str, Any]:
         },
         "sewn_anew": None if anew is None else anew.figures,
         "sewn_anew_distance": None if outcome.anew_distance is None else outcome.anew_distance._asdict(),
-        "worn": [{"what": worn.what, "refusal": worn.refusal, **worn.figures} for worn in outcome.worn],
+        "worn": [
+            {"what": worn.what, "refusal": worn.refusal, "lost": list(worn.lost), **worn.figures}
+            for worn in outcome.worn
+        ],
         "files": [path.name for path in outcome.files],
         "seconds": round(outcome.seconds, 1),
     }

@@ -24,9 +24,9 @@ from recovery.pattern.bases import tshirt
 from recovery.pattern.garmentcode import read_pattern
 from recovery.run import __main__ as command
 from recovery.run.identify import shape_basis
-from recovery.run.job import describe_worn, run_job
+from recovery.run.job import describe_worn, lost_words, run_job
 from recovery.run.report import Page
-from recovery.run.retarget import _worn, retargeted
+from recovery.run.retarget import _worn, lost_parts, retargeted
 from recovery.run.story import cloth_words, file_words
 from tests.recovery.pattern_setup import default_measurements
 
@@ -164,11 +164,31 @@ def test_the_garment_is_taken_to_other_bodies_and_poses(run, monkeypatch):
     monkeypatch.setattr("recovery.run.retarget.BODIES", {"taller": (0.3,)})
     monkeypatch.setattr("recovery.run.retarget.POSES", (str(folder / "turned.json"),))
     draped, body = outcome.anew, load_body()
-    taller, posed = retargeted(truth, draped, body, body, COARSE)
+    parts = ["trunk", "trunk", "left_arm", "right_arm"]
+    taller, posed = retargeted(truth, draped, body, body, COARSE, parts)
+    assert taller.lost == posed.lost == ()
     for worn in (taller, posed):
         assert worn.figures["converged"] and worn.figures["clearance_mm"] > 0.0 and not worn.refusal
         assert "at rest" in describe_worn(worn)
     assert taller.nodes[:, 1].max() > draped.rest.nodes[:, 1].max() + 0.005
+
+
+def test_an_arm_beside_its_sleeve_is_noticed():
+    """A tube round the trunk, and one that hangs beside the arm."""
+    turn = 2.0 * np.pi * np.arange(24) / 24
+    ring = np.stack([0.25 * np.cos(turn), 0.0 * turn, 0.25 * np.sin(turn)], axis=1)
+    here, there = np.arange(24), np.roll(np.arange(24), -1)
+    tube_faces = np.concatenate(
+        [np.stack([here, 24 + there, there], axis=1), np.stack([here, 24 + here, 24 + there], axis=1)]
+    )
+    trunk = np.concatenate([ring + np.array([0.0, 0.1, 0.0]), ring + np.array([0.0, 0.3, 0.0])])
+    joints = load_body().joints_template
+    assert lost_parts(trunk, tube_faces, joints, ["trunk", "trunk"]) == ()
+    assert lost_parts(trunk, tube_faces, joints, ["trunk", "trunk", "right_arm"]) == ("right_arm",)
+    assert lost_parts(trunk + np.array([0.7, 0.0, 0.0]), tube_faces, joints, ["trunk"]) == ("trunk",)
+    assert lost_parts(np.zeros((0, 3)), np.zeros((0, 3), dtype=int), joints, ["trunk"]) == ()
+    assert lost_words(["right_arm"]) == "the right arm is not in the garment's opening"
+    assert lost_words(["left_arm", "right_arm"]).startswith("the left arm and the right arm are")
 
 
 def test_a_place_that_refuses_the_garment_says_so():
