@@ -29,7 +29,7 @@ from recovery.run.job import Job, run_job
 
 REFUSED_EXIT_CODE = 2
 NOT_AT_REST_EXIT_CODE = 3
-EDGE_LENGTH_M = 0.04
+EDGE_LENGTH_M = 0.05
 SEAM_WEIGHT = 0.1  # for cutting: recovery.fit alone lets seams give way a hundred times more easily
 
 
