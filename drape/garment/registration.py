@@ -7,6 +7,8 @@ added as a smooth displacement to the surface. The residual decides whether the 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
@@ -48,6 +50,15 @@ def body_units(vertices: np.ndarray, *, name: str = "avatar") -> tuple[float, np
     return fitting[0], vertices * fitting[0]
 
 
+class BodyFit(NamedTuple):
+    """Shape ``betas`` (S,), ``pose`` (24, 3) [rad], ``trans`` (3,) [m] of the standard body, and the residual [mm]."""
+
+    betas: np.ndarray
+    pose: np.ndarray
+    trans: np.ndarray
+    residual_mm: float
+
+
 def register(
     vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, name: str = "avatar"
 ) -> tuple[np.ndarray, float]:
@@ -55,6 +66,13 @@ def register(
 
     Raises ``BodyError`` above ``RESIDUAL_LIMIT_MM``.
     """
+    found = fit_body(vertices, faces, body, name=name)
+    fitted = body.posed_vertices(found.pose[None], found.trans[None], found.betas)[0]
+    return _snap(fitted, body, _Target(vertices, faces)), found.residual_mm
+
+
+def fit_body(vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, name: str = "avatar") -> BodyFit:
+    """Shape, pose and place of the standard body that lie nearest to a surface; refuses as ``register`` does."""
     used = np.unique(faces)
     if len(used) < 500:
         raise BodyError(
@@ -64,11 +82,11 @@ def register(
             cure="Subdivide the avatar's mesh.",
         )
     target = _Target(vertices, faces)
-    fitted, residual = vertices, np.inf
+    best, residual = np.zeros(0), np.inf
     for lift in ARM_LIFTS_RAD:
         found, distance = _fit(body, target, lift)
         if distance < residual:
-            fitted, residual = found, distance
+            best, residual = found, distance
         if residual < GOOD_RESIDUAL_MM:
             break
     if not residual <= RESIDUAL_LIMIT_MM:
@@ -78,7 +96,7 @@ def register(
             got=f"{residual:.1f} mm",
             cure="Give the avatar as a whole body, upright, facing +z, in a T- or A-pose, or as a phenotype.",
         )
-    return _snap(fitted, body, target), residual
+    return BodyFit(*unpack(body, best), residual)
 
 
 class _Target:
@@ -97,7 +115,7 @@ class _Target:
 
 
 def _fit(body: BodyModel, target: _Target, lift_rad: float) -> tuple[np.ndarray, float]:
-    """Posed body vertices [m] (V, 3) from one start, and the mean distance [mm] of the target's points to them."""
+    """Parameters of the body from one start, and the mean distance [mm] of the target's points to it."""
     parameters = _start(body, target, lift_rad)
     prior = np.concatenate(
         [np.full(body.shape_count, SHAPE_PRIOR), np.full(3 * len(FREE_JOINTS), POSE_PRIOR), np.zeros(3)]
@@ -105,7 +123,7 @@ def _fit(body: BodyModel, target: _Target, lift_rad: float) -> tuple[np.ndarray,
     prior[body.shape_count : body.shape_count + 3] = 0.0  # the root may turn freely
     centre = parameters.copy()
     for step in range(STEPS):
-        posed = _posed(body, parameters)
+        posed = posed_by(body, parameters)
         normals = meshes.vertex_normals(posed, body.faces)
         # Every point of the target looks for the body: parts that the target lacks do not pull.
         distance, near = map(np.asarray, KDTree(posed).query(target.points, k=4))
@@ -116,10 +134,10 @@ def _fit(body: BodyModel, target: _Target, lift_rad: float) -> tuple[np.ndarray,
         keep = agree[rows, first] & (distance[rows, first] < reach)
         index, goal, normal = near[rows, first][keep], target.points[keep], target.point_normals[keep]
         if len(index) < 100:
-            return posed, np.inf
+            return parameters, np.inf
         gap = posed[index] - goal
         robust = 1.0 / (1.0 + np.einsum("nc,nc->n", gap, gap) / (0.5 * reach) ** 2)
-        jacobian = _jacobian(body, parameters, index)
+        jacobian = parameter_jacobian(body, parameters, index)
         # Along the normal in full, along the surface a little: points may slide.
         project = 0.9 * normal[:, :, None] * normal[:, None, :] + 0.1 * np.eye(3)
         a = project @ jacobian * robust[:, None, None]
@@ -131,35 +149,42 @@ def _fit(body: BodyModel, target: _Target, lift_rad: float) -> tuple[np.ndarray,
         parameters = parameters + np.clip(change, -0.5, 0.5)
         if np.abs(change).max() < 1e-4:
             break
-    posed = _posed(body, parameters)
-    return posed, 1e3 * float(closest_point(target.points, posed, body.faces).distance.mean())
+    posed = posed_by(body, parameters)
+    return parameters, 1e3 * float(closest_point(target.points, posed, body.faces).distance.mean())
 
 
 def _start(body: BodyModel, target: _Target, lift_rad: float) -> np.ndarray:
     """Mean shape, arms ``lift_rad`` below the horizontal, feet and middle where the target's are."""
+    middle = 0.5 * (target.vertices.min(axis=0) + target.vertices.max(axis=0))
+    ours = 0.5 * (body.v_template.min(axis=0) + body.v_template.max(axis=0))
+    return start_parameters(body, lift_rad, middle - ours)
+
+
+def start_parameters(body: BodyModel, lift_rad: float, trans: np.ndarray) -> np.ndarray:
+    """Parameters of the mean shape at ``trans`` [m] (3,), arms ``lift_rad`` below the horizontal."""
     pose = np.zeros((JOINT_COUNT, 3))
     for side, sign in (("left", -1.0), ("right", 1.0)):
         pose[JOINT_NAMES.index(f"{side}_collar"), 2] = 0.2 * sign * lift_rad
         pose[JOINT_NAMES.index(f"{side}_shoulder"), 2] = 0.8 * sign * lift_rad
-    middle = 0.5 * (target.vertices.min(axis=0) + target.vertices.max(axis=0))
-    ours = 0.5 * (body.v_template.min(axis=0) + body.v_template.max(axis=0))
-    return np.concatenate([np.zeros(body.shape_count), pose[FREE_JOINTS].reshape(-1), middle - ours])
+    return np.concatenate([np.zeros(body.shape_count), pose[FREE_JOINTS].reshape(-1), trans])
 
 
-def _unpack(body: BodyModel, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def unpack(body: BodyModel, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Shape (S,), pose (24, 3) [rad] and translation [m] (3,) in ``parameters``: shape, free joints, translation."""
     pose = np.zeros((JOINT_COUNT, 3))
     pose[FREE_JOINTS] = parameters[body.shape_count : -3].reshape(-1, 3)
     return parameters[: body.shape_count], pose, parameters[-3:]
 
 
-def _posed(body: BodyModel, parameters: np.ndarray) -> np.ndarray:
-    betas, pose, trans = _unpack(body, parameters)
+def posed_by(body: BodyModel, parameters: np.ndarray) -> np.ndarray:
+    """Vertices [m] (V, 3) of the body with ``parameters``."""
+    betas, pose, trans = unpack(body, parameters)
     return body.posed_vertices(pose[None], trans[None], betas)[0]
 
 
-def _jacobian(body: BodyModel, parameters: np.ndarray, index: np.ndarray) -> np.ndarray:
+def parameter_jacobian(body: BodyModel, parameters: np.ndarray, index: np.ndarray) -> np.ndarray:
     """Derivative (N, 3, P) of the posed vertices ``index`` by forward differences; shape and translation exact."""
-    betas, pose, trans = _unpack(body, parameters)
+    betas, pose, trans = unpack(body, parameters)
     rest, weights = body.rest_vertices(betas)[index], body.weights[index]
     step = 1e-5
     poses = np.repeat(pose[None], 3 * len(FREE_JOINTS) + 1, axis=0)

@@ -129,12 +129,21 @@ def drape_pattern(
     say(describe_drape("draped", figures["rest"]))
     posed = None
     if pose is not None:
-        moved = to_pose(mesh, rest.nodes, body, np.asarray(pose, dtype=np.float64).reshape(JOINT_COUNT, 3))
-        posed_skin = GridDistance.from_mesh(body.posed_vertices(pose[None])[0], body.faces, spacing_m=options.grid_m)
-        posed = settle(mesh, moved, posed_skin, cloth, held=rest.held, iteration_limit=limit)
-        figures["posed"] = drape_figures(mesh, posed, posed_skin)
+        posed, figures["posed"] = drape_in_pose(mesh, rest, body, pose, options)
         say(describe_drape("posed", figures["posed"]))
     return Draped(mesh, placed, sewn, rest, posed, figures)
+
+
+def drape_in_pose(
+    mesh: PatternMesh, rest: Drape, body: BodyModel, pose: np.ndarray, options: DrapeOptions = DrapeOptions()
+) -> tuple[Drape, dict[str, Any]]:
+    """The garment of ``mesh``, at ``rest`` in the T-pose, at rest on ``body`` in ``pose`` (24, 3); and its figures."""
+    pose = np.asarray(pose, dtype=np.float64).reshape(JOINT_COUNT, 3)
+    moved = to_pose(mesh, rest.nodes, body, pose)
+    skin = GridDistance.from_mesh(body.posed_vertices(pose[None])[0], body.faces, spacing_m=options.grid_m)
+    cloth = OrthotropicMaterial.from_isotropic(material(options.fabric))
+    posed = settle(mesh, moved, skin, cloth, held=rest.held, iteration_limit=options.iteration_limit)
+    return posed, drape_figures(mesh, posed, skin)
 
 
 def drape_figures(mesh: PatternMesh, drape: Drape, skin: GridDistance) -> dict[str, Any]:

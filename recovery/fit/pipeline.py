@@ -30,6 +30,7 @@ class Recovered:
     """A recovery: what the base and the graded pattern draped to, the ``graded`` pattern, and what was ``fitted``.
 
     ``matches`` pair the graded drape's contours with the target's; ``holes`` are contours of the target that are left.
+    ``search`` holds what was searched with: mesh, free numbers, simulator, loss.
     """
 
     symmetries: Symmetries
@@ -38,6 +39,7 @@ class Recovered:
     start: Draped
     matches: list[Match]
     holes: list[int]
+    search: PatternSearch
     fitted: Fitted
 
 
@@ -50,11 +52,12 @@ def recover_pattern(
     drape: DrapeOptions = DEFAULT_DRAPE,
     fit: FitOptions = DEFAULT_OPTIONS,
     weights: Weights = DEFAULT_WEIGHTS,
+    pose: np.ndarray | None = None,
     state_file: Path | None = None,
     progress: bool = False,
     report: Callable[[str], None] | None = None,
 ) -> Recovered:
-    """The pattern whose drape on ``body`` in the T-pose is nearest to a target.
+    """The pattern whose drape on ``body`` is nearest to a target, in the T-pose or in ``pose`` (24, 3).
 
     The target, ``vertices`` [m] (V, 3) and ``faces`` (F, 3), is one garment's surface, open where the garment is;
     ``base`` is a pattern of its kind with the same panels. Raises ``InputError`` where contours have no counterpart or
@@ -66,26 +69,29 @@ def recover_pattern(
     base = symmetrised(base, symmetries)
     for line in symmetries.describe(base):
         say(f"symmetry  {line}")
-    first = drape_pattern(base, body, drape)
+    joints = body.joints_template if pose is None else posed_joints(body, pose)
+    first = drape_pattern(base, body, drape, pose=pose)
     contours = open_contours(first.nodes, first.mesh.faces)
-    matches, _ = match_contours(contours, contours_there, body.joints_template)
+    matches, _ = match_contours(contours, contours_there, joints)
     graded = grade(first.mesh, first.nodes, contours, matches, symmetries)
     say(
         f"graded    widths times {graded.widths.min():.3f} to {graded.widths.max():.3f}, heights "
         f"{graded.heights.min():.3f} to {graded.heights.max():.3f}; misfit {100 * graded.misfit:.1f} %"
     )
-    start = drape_pattern(graded.pattern, body, drape)
+    start = drape_pattern(graded.pattern, body, drape, pose=pose)
     if not start.at_rest:
+        drapes = [one for one in (start.rest, start.posed) if one is not None]
         raise InputError(
             "graded pattern",
             expected="a drape at rest to start from",
-            got=f"{start.rest.report.residual_n:.1e} N left at a node",
+            got=f"{max(one.report.residual_n for one in drapes):.1e} N left at a node",
             cure="Take another mesh (edge_length_m), more iterations, or a base nearer to the target.",
         )
     contours = open_contours(start.nodes, start.mesh.faces)
-    matches, holes = match_contours(contours, contours_there, body.joints_template)
+    matches, holes = match_contours(contours, contours_there, joints)
     target = Target.from_mesh(vertices, faces, contours_there)
-    skin = GridDistance.from_mesh(body.v_template, body.faces, spacing_m=drape.grid_m)
+    surface = body.v_template if pose is None else body.posed_vertices(pose[None])[0]
+    skin = GridDistance.from_mesh(surface, body.faces, spacing_m=drape.grid_m)
     cloth = OrthotropicMaterial.from_isotropic(material(drape.fabric))
     search = PatternSearch(
         start.mesh,
@@ -97,4 +103,10 @@ def recover_pattern(
     fitted = search.run(start.nodes, fit, state_file=state_file, progress=progress)
     before, after = (1e3 * np.sqrt(0.5 * value) for value in (fitted.history[0, 1], fitted.history[:, 1].min()))
     say(f"fitted    surfaces {before:.2f} mm apart at the start, {after:.2f} mm at the end (root mean square)")
-    return Recovered(symmetries, first, graded, start, matches, holes, fitted)
+    return Recovered(symmetries, first, graded, start, matches, holes, search, fitted)
+
+
+def posed_joints(body: BodyModel, pose: np.ndarray) -> np.ndarray:
+    """Joints [m] (24, 3) of ``body`` in ``pose`` (24, 3)."""
+    rotations, translations = body.bones(pose[None])
+    return np.einsum("jab,jb->ja", rotations[0], body.joints_template) + translations[0]

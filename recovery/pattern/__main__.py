@@ -14,9 +14,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from drape.body.assets import DEFAULT_BODY, load_body
-from drape.errors import DrapeError, InputError, NotFound
+from drape.errors import DrapeError
 from recovery.pattern import geometry
-from recovery.pattern.bases import BASES
+from recovery.pattern.bases import BASES, base_pattern
 from recovery.pattern.export import FORMATS, export_pattern
 from recovery.pattern.garmentcode import read_pattern
 from recovery.pattern.measurements import measure
@@ -93,21 +93,6 @@ def show(options: argparse.Namespace) -> None:
         print(path)
 
 
-def base_pattern(name: str, body: str, settings: Sequence[str]) -> Pattern:
-    """The base pattern ``name`` for ``body`` with parameters from ``settings``, each NAME=NUMBER."""
-    known = [key for key in (BASES[name].__kwdefaults__ or {}) if key != "name"]
-    values = {}
-    for setting in settings:
-        key, _, text = setting.partition("=")
-        if key not in known:
-            raise NotFound("--set", expected=f"one of {', '.join(known)}", got=key, cure="Check the name.")
-        try:
-            values[key] = float(text)
-        except ValueError as error:
-            raise InputError("--set", expected="NAME=NUMBER", got=setting, cure="Write lengths in metres.") from error
-    return BASES[name](measure(load_body(body)), **values)
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command; 2 and one sentence on what is wrong."""
     options = parse(arguments)
@@ -116,7 +101,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             show(options)
             return 0
         if options.command == "draft":
-            pattern = base_pattern(options.base, options.body, options.set)
+            pattern = base_pattern(options.base, measure(load_body(options.body)), options.set)
         else:
             pattern = read_pattern(options.pattern, units_in_meter=options.units_in_meter)
         pattern = replace(pattern, name=options.name or pattern.name)

@@ -6,11 +6,11 @@ back are drawn as their viewer sees them, so the wearer's left is on the right i
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from scipy.optimize import brentq
 
-from drape.errors import InputError
+from drape.errors import InputError, NotFound
 from recovery.pattern import geometry
 from recovery.pattern.drafting import BACK, FRONT, Drafted, Point, Side, draft, sew
 from recovery.pattern.measurements import BodyMeasurements
@@ -320,3 +320,18 @@ def skirt(
 
 
 BASES: dict[str, Callable[..., Pattern]] = {"tshirt": tshirt, "trousers": trousers, "skirt": skirt}
+
+
+def base_pattern(name: str, body: BodyMeasurements, settings: Sequence[str] = ()) -> Pattern:
+    """The base pattern ``name`` for ``body`` with parameters from ``settings``, each NAME=NUMBER."""
+    known = [key for key in (BASES[name].__kwdefaults__ or {}) if key != "name"]
+    values = {}
+    for setting in settings:
+        key, _, text = setting.partition("=")
+        if key not in known:
+            raise NotFound("--set", expected=f"one of {', '.join(known)}", got=key, cure="Check the name.")
+        try:
+            values[key] = float(text)
+        except ValueError as error:
+            raise InputError("--set", expected="NAME=NUMBER", got=setting, cure="Write lengths in metres.") from error
+    return BASES[name](body, **values)

@@ -1,0 +1,110 @@
+"""A small software rasteriser: shaded triangles, z-buffer, no display, no GPU."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+LIGHT = np.array([0.35, 0.55, 0.76])
+SKIN = (0.80, 0.66, 0.56)
+CLOTH = (0.25, 0.42, 0.85)
+BACKGROUND = 1.0
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A mesh to draw: vertices [m] (V, 3), faces (F, 3), an RGB colour or one per face (F, 3)."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    colour: tuple[float, float, float] | np.ndarray = CLOTH
+    smooth: bool = True
+
+
+def view_matrix(azimuth_deg: float, elevation_deg: float = 8.0) -> np.ndarray:
+    """Rotation (3, 3) world -> camera; azimuth 0 looks at the front (+z towards the viewer)."""
+    a, e = np.deg2rad(azimuth_deg), np.deg2rad(elevation_deg)
+    turn = np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])
+    tilt = np.array([[1, 0, 0], [0, np.cos(e), -np.sin(e)], [0, np.sin(e), np.cos(e)]])
+    return tilt @ turn
+
+
+def render(
+    surfaces: list[Surface],
+    *,
+    size: tuple[int, int] = (320, 320),
+    azimuth_deg: float = 0.0,
+    elevation_deg: float = 8.0,
+    centre: np.ndarray | None = None,
+    extent_m: float | None = None,
+) -> np.ndarray:
+    """An orthographic picture (height, width, 3) in [0, 1]; ``extent_m`` is the height of the view."""
+    height, width = size
+    view = view_matrix(azimuth_deg, elevation_deg)
+    everything = np.concatenate([s.vertices for s in surfaces])
+    centre = 0.5 * (everything.min(0) + everything.max(0)) if centre is None else np.asarray(centre)
+    extent_m = 1.08 * float(np.ptp((everything - centre) @ view.T, axis=0)[:2].max()) if extent_m is None else extent_m
+    scale = height / extent_m
+    depth = np.full(height * width, -np.inf)
+    image = np.full((height * width, 3), BACKGROUND)
+    for surface in surfaces:
+        camera = (surface.vertices - centre) @ view.T
+        screen = np.stack([width / 2 + camera[:, 0] * scale, height / 2 - camera[:, 1] * scale], axis=1)
+        _raster(surface, camera, screen, (height, width), view, depth, image)
+    return image.reshape(height, width, 3)
+
+
+def _raster(
+    surface: Surface,
+    camera: np.ndarray,
+    screen: np.ndarray,
+    size,
+    view: np.ndarray,
+    depth: np.ndarray,
+    image: np.ndarray,
+) -> None:
+    height, width = size
+    faces = surface.faces
+    corners = camera[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    vertex_normal = np.zeros_like(camera)
+    for k in range(3):
+        np.add.at(vertex_normal, faces[:, k], normal)
+    vertex_normal /= np.linalg.norm(vertex_normal, axis=1, keepdims=True) + 1e-12
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-12
+    colour = np.broadcast_to(np.asarray(surface.colour, dtype=float), (len(faces), 3))
+    p = screen[faces]
+    low = np.floor(p.min(axis=1)).astype(int)
+    high = np.ceil(p.max(axis=1)).astype(int)
+    span = high - low + 1
+    area = (p[:, 1, 0] - p[:, 0, 0]) * (p[:, 2, 1] - p[:, 0, 1]) - (p[:, 2, 0] - p[:, 0, 0]) * (p[:, 1, 1] - p[:, 0, 1])
+    alive = np.abs(area) > 1e-9
+    # One pass per pixel offset inside the triangles' boxes: triangles are small, so passes are few.
+    for dy in range(int(span[alive, 1].max(initial=0))):
+        for dx in range(int(span[alive, 0].max(initial=0))):
+            t = np.flatnonzero(alive & (span[:, 0] > dx) & (span[:, 1] > dy))
+            if not len(t):
+                break
+            x, y = low[t, 0] + dx, low[t, 1] + dy
+            inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+            t, x, y = t[inside], x[inside], y[inside]
+            a, b, c = p[t, 0], p[t, 1], p[t, 2]
+            w1 = ((x + 0.5 - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (y + 0.5 - a[:, 1])) / area[t]
+            w2 = ((b[:, 0] - a[:, 0]) * (y + 0.5 - a[:, 1]) - (x + 0.5 - a[:, 0]) * (b[:, 1] - a[:, 1])) / area[t]
+            w0 = 1.0 - w1 - w2
+            hit = (w0 >= -1e-6) & (w1 >= -1e-6) & (w2 >= -1e-6)
+            t, x, y = t[hit], x[hit], y[hit]
+            w = np.stack([w0, w1, w2], axis=1)[hit]
+            z = np.sum(w * camera[faces[t], 2], axis=1)
+            pixel = y * width + x
+            order = np.argsort(z, kind="stable")  # the nearest comes last and wins
+            t, pixel, z, w = t[order], pixel[order], z[order], w[order]
+            nearer = z > depth[pixel]
+            t, pixel, z, w = t[nearer], pixel[nearer], z[nearer], w[nearer]
+            n = np.einsum("nk,nkc->nc", w, vertex_normal[faces[t]]) if surface.smooth else normal[t]
+            n = n / (np.linalg.norm(n, axis=1, keepdims=True) + 1e-12)
+            n = np.where(n[:, 2:3] < 0, -n, n)
+            shade = 0.28 + 0.72 * np.clip(n @ LIGHT, 0, 1)
+            depth[pixel] = z
+            image[pixel] = np.clip(colour[t] * shade[:, None], 0, 1)

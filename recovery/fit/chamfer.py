@@ -1,0 +1,71 @@
+"""How far apart two surfaces are, by points drawn on both: the Chamfer distance of the papers, and its floor.
+
+Points, unlike surfaces, are never at distance zero: two drawings of one surface lie millimetres apart. That is the
+floor below which a Chamfer distance says nothing; beside it stand distances from points to triangles, whose floor is
+zero (docs/decisions/0004-pattern-recovery.md, point 2).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from drape.geometry import closest, meshes
+
+POINT_COUNT = 100_000
+
+
+class Chamfer(NamedTuple):
+    """``squared_cm2``: mean squared distances of both directions, summed; ``mean_mm``: the mean of both directions."""
+
+    squared_cm2: float
+    mean_mm: float
+
+
+class SurfaceDistance(NamedTuple):
+    """Distances [mm] from points to triangles, both directions together: mean, root mean square, 95 %, largest."""
+
+    mean_mm: float
+    rms_mm: float
+    p95_mm: float
+    largest_mm: float
+
+
+def drawn(vertices: np.ndarray, faces: np.ndarray, count: int, seed: int) -> np.ndarray:
+    """Points [m] (``count``, 3) drawn evenly by area from the triangles; ``seed`` decides which."""
+    rng = np.random.default_rng(seed)
+    areas = meshes.face_areas(vertices, faces)
+    corners = vertices[faces[rng.choice(len(faces), size=count, p=areas / areas.sum())]]
+    root, share = np.sqrt(rng.random(count)), rng.random(count)
+    weights = np.stack([1.0 - root, root * (1.0 - share), root * share], axis=1)
+    return np.einsum("nk,nkc->nc", weights, corners)
+
+
+def chamfer(first: np.ndarray, second: np.ndarray) -> Chamfer:
+    """The Chamfer distance of two sets of points [m] (N, 3) and (M, 3)."""
+    forth, back = (np.asarray(KDTree(there).query(here)[0]) for here, there in ((first, second), (second, first)))
+    squared = float((forth**2).mean() + (back**2).mean())
+    return Chamfer(1e4 * squared, 0.5e3 * float(forth.mean() + back.mean()))
+
+
+def surface_chamfer(
+    first: tuple[np.ndarray, np.ndarray], second: tuple[np.ndarray, np.ndarray], *, count: int = POINT_COUNT
+) -> tuple[Chamfer, Chamfer]:
+    """The Chamfer distance of two meshes (vertices [m], faces), and its floor: the second against itself drawn anew."""
+    own, there, anew = (drawn(*mesh, count, seed) for seed, mesh in enumerate((first, second, second)))
+    return chamfer(own, there), chamfer(anew, there)
+
+
+def surface_distance(
+    first: tuple[np.ndarray, np.ndarray], second: tuple[np.ndarray, np.ndarray], *, count: int = 20_000
+) -> SurfaceDistance:
+    """Distances from points on each mesh (vertices [m], faces) to the nearest point of the other."""
+    ways = [
+        closest.closest_point(drawn(*here, count, seed), *there).distance
+        for seed, (here, there) in enumerate(((first, second), (second, first)))
+    ]
+    found = 1e3 * np.concatenate(ways)
+    rms = float(np.sqrt((found**2).mean()))
+    return SurfaceDistance(float(found.mean()), rms, float(np.quantile(found, 0.95)), float(found.max()))

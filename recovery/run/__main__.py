@@ -1,0 +1,124 @@
+"""From a scan or a draped mesh to a sewing pattern and a garment that moves.
+
+python -m recovery.run TARGET.obj --base tshirt --body BODY [--pose CLIP:FRAME] --out DIR
+
+Writes NAME.json, .svg, .dxf, .pdf (the pattern), NAME.obj and NAME.glb (the simulated garment), NAME_rest.obj and
+NAME-DIGEST.npz (the garment cache that the service reads), report.html and report.json. NAME.search.npz holds the
+search: the same command goes on from it. Exit codes: 2 refused, 3 written but not at rest.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from drape.body.assets import DEFAULT_BODY
+from drape.cloth.material import DEFAULT_MATERIAL
+from drape.errors import DrapeError, InputError
+from drape.garment.mesh_checks import UNITS_M, UP_AXES
+from recovery.drape.output import write
+from recovery.drape.pipeline import DrapeOptions
+from recovery.drape.posing import read_pose
+from recovery.fit.objective import DEFAULT_WEIGHTS
+from recovery.fit.optimise import FitOptions
+from recovery.run.job import Job, run_job
+
+REFUSED_EXIT_CODE = 2
+NOT_AT_REST_EXIT_CODE = 3
+EDGE_LENGTH_M = 0.05
+SEAM_WEIGHT = 0.1  # for cutting: recovery.fit alone lets seams give way a hundred times more easily
+
+
+def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
+    """The command line."""
+    assert __doc__ is not None
+    fit = FitOptions()
+    parser = argparse.ArgumentParser(
+        prog="python -m recovery.run", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("target", type=Path, help="OBJ, GLB, PLY or STL of one garment on its body")
+    parser.add_argument("--out", type=Path, required=True, help="folder of the files")
+    parser.add_argument("--base", required=True, help="tshirt, trousers, skirt, or a pattern as JSON")
+    parser.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="parameters of the base [m]")
+    parser.add_argument(
+        "--body", default=DEFAULT_BODY, help="name, SMPL file, or closed surface; 'fit': one is fitted inside"
+    )
+    parser.add_argument("--betas", help="shape of the body: numbers between commas")
+    parser.add_argument("--pose", help="of the body: CLIP:FRAME of a motion file or a sample, or a JSON of 72 numbers")
+    parser.add_argument("--name", help="of the garment; the file's otherwise")
+    parser.add_argument("--label", help="material of the file that is the garment")
+    parser.add_argument("--unit", default="auto", choices=("auto", *UNITS_M), help="of the target")
+    parser.add_argument("--up", default="auto", choices=("auto", *UP_AXES), help="of the target")
+    parser.add_argument("--fabric", default=DEFAULT_MATERIAL, help="jersey, soft or stiff")
+    parser.add_argument("--edge-length", type=float, default=EDGE_LENGTH_M, help="of the garment's mesh [m]")
+    parser.add_argument("--grid", type=float, default=0.02, help="spacing of the body's distance [m]")
+    parser.add_argument("--adam", type=int, default=fit.iterations, help="steps of Adam")
+    parser.add_argument("--closing", type=int, default=fit.closing, help="steps of Gauss and Newton after it")
+    parser.add_argument(
+        "--seam-weight", type=float, default=SEAM_WEIGHT, help="of the loss: seams keep the ratios of the base"
+    )
+    parser.add_argument("--no-retarget", action="store_true", help="leave out other bodies and poses")
+    parser.add_argument("--no-garment", action="store_true", help="write no garment cache")
+    return parser.parse_args(arguments)
+
+
+def job_of(given: argparse.Namespace) -> Job:
+    """The job that the command line asks for."""
+    return Job(
+        target=given.target,
+        out=given.out,
+        base=given.base,
+        body=given.body,
+        betas=None if given.betas is None else read_betas(given.betas),
+        pose=None if given.pose is None else read_pose(given.pose),
+        name=given.name,
+        label=given.label,
+        settings=given.set,
+        unit=given.unit,
+        up=given.up,
+        drape=DrapeOptions(edge_length_m=given.edge_length, fabric=given.fabric, grid_m=given.grid),
+        fit=FitOptions(iterations=given.adam, closing=given.closing),
+        weights=DEFAULT_WEIGHTS._replace(seams=given.seam_weight),
+        retarget=not given.no_retarget,
+        garment=not given.no_garment,
+    )
+
+
+def read_betas(text: str) -> np.ndarray:
+    """Numbers between commas."""
+    try:
+        return np.array([float(part) for part in text.split(",")])
+    except ValueError as error:
+        raise InputError(
+            "--betas", expected="numbers between commas", got=text, cure="For example --betas 0.5,-1."
+        ) from error
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command; 2 and one sentence on what is wrong, 3 where the garment is not at rest."""
+    given = parse(arguments)
+    try:
+        outcome = run_job(job_of(given), progress=True)
+    except DrapeError as error:
+        print(error, file=sys.stderr)
+        return REFUSED_EXIT_CODE
+    from recovery.run.story import page_of, record_of  # matplotlib takes a second to load
+
+    for path in [
+        *outcome.files,
+        write(given.out / "report.html", page_of(outcome)),
+        write(given.out / "report.json", record_of(outcome)),
+    ]:
+        print(path)
+    if outcome.anew is None or not outcome.anew.at_rest:
+        print("not at rest: see the report; try another mesh (--edge-length) or fabric (--fabric)", file=sys.stderr)
+        return NOT_AT_REST_EXIT_CODE
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,134 @@
+"""What the target tells of a pattern, and what it cannot tell: the drape's derivatives by the shape of the panels.
+
+With y the shape of the panels (moves of the control points, rigid moves of whole panels left out, orthonormal) the
+drape moves by dX/dy y. Its singular values say how far cloth moves; a target shows something else, because cloth that
+slides along its own surface looks the same. What it shows is the curvature C of the loss: a change y raises the squared
+distance of the surfaces, mean of both directions, by y^T C y / 4, and the root of that is what the fit sees.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from drape.geometry import meshes
+from recovery.fit.contours import open_contours
+from recovery.fit.curvature import gauss_newton_matrix
+from recovery.fit.objective import Objective
+from recovery.fit.pipeline import Recovered
+from recovery.pattern.model import EdgeRef, Pattern
+
+RIGID = 1e-6  # singular values below: the change is a rigid motion of panels
+CAP_M = 0.05  # slack beyond this is "more than": the derivatives do not reach further
+BLIND = 1e-9  # of the largest curvature
+
+
+@dataclass(frozen=True, eq=False)
+class Identifiability:
+    """How well the target tells the pattern; M shapes that the symmetries leave free.
+
+    ``cloth`` (M,): singular values of dX/dy, root mean square over the cloth [m per m]. ``seen`` (M,): the same of what
+    the target shows, rising. ``modes`` (M, K, 2) [m]: moves of the control points that go with ``seen``, each of unit
+    length. ``slack_m`` (K,): how far each control point can go while the surface changes by no more than
+    ``tolerance_m``, at most ``CAP_M``.
+    """
+
+    cloth: np.ndarray
+    seen: np.ndarray
+    modes: np.ndarray
+    slack_m: np.ndarray
+    tolerance_m: float
+
+
+def identifiability(found: Recovered, tolerance_m: float) -> Identifiability:
+    """What the target of ``found`` tells at its best pattern."""
+    search = found.search
+    mesh, objective = search.mesh, search.objective
+    rest = mesh.rest_at(found.fitted.positions)
+    rest_moves = (mesh.weights @ search.free.basis).reshape(len(rest), 2, -1)
+    moves = search.forward.sensitivity(torch.from_numpy(rest), found.fitted.nodes, rest_moves)
+    # Seams ask nothing here: what is wanted is what the target says, not what sewing asks for.
+    contours = open_contours(found.start.nodes, mesh.faces)
+    shown = Objective(mesh, objective.target, contours, found.matches, objective.weights._replace(seams=0.0))
+    curvature = gauss_newton_matrix(shown, found.fitted.nodes, rest, moves, rest_moves)
+    across, back = shape_basis(search.free.basis, search.free.controls.panel, found.fitted.positions)
+    share = meshes.vertex_areas(found.fitted.nodes, mesh.faces)
+    weighted = (np.sqrt(share / share.sum())[:, None, None] * moves).reshape(-1, moves.shape[2]) @ back
+    return from_curvature(np.linalg.svd(weighted, compute_uv=False), back.T @ curvature @ back, across, tolerance_m)
+
+
+def shape_basis(basis: np.ndarray, panel: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Moves (2 K, M) of the control points that change panels' shapes, orthonormal, and the free values (Z, M) of each.
+
+    ``basis`` (2 K, Z) are the moves of the free values, ``panel`` (K,) the numbers of the panels, ``positions``
+    [m] (K, 2). A panel's own shift and turn in its plane are taken out of every move.
+    """
+    rigid = []
+    for number in np.unique(panel):
+        mine = panel == number
+        arm = np.where(mine[:, None], positions - positions[mine].mean(axis=0), 0.0)
+        turn = np.stack([-arm[:, 1], arm[:, 0]], axis=1)
+        rigid += [np.where(mine[:, None], way, 0.0).reshape(-1) for way in ((1.0, 0.0), (0.0, 1.0))]
+        rigid.append(turn.reshape(-1))
+    frame = np.linalg.qr(np.array(rigid).T)[0]
+    across, size, values = np.linalg.svd(basis - frame @ (frame.T @ basis), full_matrices=False)
+    kept = size > RIGID
+    return across[:, kept], values[kept].T / size[kept]
+
+
+def from_curvature(cloth: np.ndarray, curvature: np.ndarray, across: np.ndarray, tolerance_m: float) -> Identifiability:
+    """The answer for the singular values ``cloth`` (M,) and the loss's ``curvature`` (M, M) by moves ``across``."""
+    value, vector = np.linalg.eigh(0.5 * (curvature + curvature.T))
+    value = np.maximum(value, BLIND * max(float(value.max()), 1e-300))
+    modes = (across @ vector).T.reshape(len(value), -1, 2)
+    # y^T C y / 4 <= tolerance^2 is an ellipsoid; a point's farthest move in it is a largest singular value.
+    reach = 2.0 * tolerance_m * modes / np.sqrt(value)[:, None, None]
+    slack = np.linalg.svd(reach.transpose(1, 2, 0), compute_uv=False)[:, 0]
+    return Identifiability(cloth, 0.5 * np.sqrt(value), modes, np.minimum(slack, CAP_M), tolerance_m)
+
+
+def corner_names(pattern: Pattern) -> list[str]:
+    """What every corner of ``pattern`` is, panel by panel: its panel, where in it, and the edges that meet there."""
+    partner = {}
+    for stitch in pattern.stitches:
+        partner[stitch.first], partner[stitch.second] = stitch.second, stitch.first
+
+    def edge_name(ref: EdgeRef) -> str:
+        label = pattern.panel(ref.panel).edges[ref.edge].label
+        if label:
+            return label
+        return f"seam to {partner[ref].panel}" if ref in partner else "open edge"
+
+    names = []
+    for panel in pattern.panels:
+        count = len(panel.edges)
+        low, size = panel.vertices.min(axis=0), np.ptp(panel.vertices, axis=0)
+        for number, edge in enumerate(panel.edges):
+            across, up = (panel.vertices[edge.start] - low) / size
+            where = f"{('bottom', 'middle', 'top')[_third(up)]} {('left', 'middle', 'right')[_third(across)]}"
+            before, after = (edge_name(EdgeRef(panel.name, n % count)) for n in (number - 1, number))
+            edges = before if before == after else f"{before}, {after}"
+            names.append(f"{panel.name}, {where} ({edges})")
+    return names
+
+
+def _third(share: float) -> int:
+    return min(2, int(3.0 * share))
+
+
+def weak_words(found: Identifiability, pattern: Pattern, count: int = 3) -> list[str]:
+    """A sentence on each of the ``count`` shapes that the target tells least."""
+    names = corner_names(pattern)
+    sentences = []
+    for gain, mode in list(zip(found.seen, found.modes, strict=True))[:count]:
+        size = np.linalg.norm(mode, axis=1)
+        others = int((size > 0.5 * size.max()).sum()) - 1
+        company = f", {others} other corners going along by more than half as much" if others else ""
+        # A step that moves the farthest corner by a centimetre.
+        sentences.append(
+            f"10 mm at {names[int(size.argmax())]}{company}: what the target shows changes by "
+            f"{10.0 * gain / size.max():.2f} mm."
+        )
+    return sentences

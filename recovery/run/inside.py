@@ -1,0 +1,192 @@
+"""Fits shape and pose of the standard body inside a garment that came without one.
+
+A garment says where the skin is not, and where it hangs, the shoulders or the waist, where it is. Gauss-Newton on
+distances along the skin's normals: cloth inside the body costs in full, cloth outside less the farther it is, and what
+the garment does not tell stays near the mean shape and the T-pose. Openings tell where limbs are: a bone goes through
+the middle of a cuff.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_NAMES
+from drape.errors import BodyError
+from drape.garment.registration import (
+    ARM_LIFTS_RAD,
+    FREE_JOINTS,
+    parameter_jacobian,
+    posed_by,
+    start_parameters,
+    unpack,
+)
+from drape.geometry import closest, meshes
+from recovery.fit.contours import LIMBS, TRUNK, Contour, bone_chains, open_contours
+
+GAP_M = 0.004  # between skin and cloth that lies on it
+PULL, PULL_REACH_M = 0.1, 0.03  # of cloth outside, against cloth inside; halved at that distance
+CUFF = 0.2  # of a square metre between a cuff's middle and the limb's bone
+SHAPE_PRIOR_M, POSE_PRIOR_M, LIMB_PRIOR_M = 4e-4, 1.5e-2, 3e-3  # root mean square that a beta, or a radian, is worth
+LIMB_ROOTS = ("collar", "shoulder", "hip")
+ROOT_PRIOR_M = 0.03
+POINT_COUNT = 1200
+STEPS = 25
+AGREEMENT = 0.2
+INSIDE_LIMIT_PCT = 15.0  # of the cloth inside the best body: none of ours fits
+
+
+class InsideFit(NamedTuple):
+    """Shape ``betas`` (S,), ``pose`` (24, 3) [rad], ``trans`` [m] (3,); how the garment then lies on the skin.
+
+    ``mean_mm``: mean distance of the cloth from the skin; ``inside_pct`` of it is inside, by ``depth_mm`` at the 95th
+    percentile of that part.
+    """
+
+    betas: np.ndarray
+    pose: np.ndarray
+    trans: np.ndarray
+    mean_mm: float
+    inside_pct: float
+    depth_mm: float
+
+
+def fit_inside(vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, top_m: float) -> InsideFit:
+    """The standard body inside the garment ``vertices`` [m] (V, 3), ``faces`` (F, 3), y up, worn facing +z.
+
+    ``top_m`` is the height on the body in its own frame at which such a garment begins. Raises ``BodyError`` where the
+    cloth still cuts into the best body.
+    """
+    points, normals = _sample(vertices, faces)
+    low, high = points.min(axis=0), points.max(axis=0)
+    trunk = body.joints_template[0]
+    start = np.array([0.5 * (low[0] + high[0]) - trunk[0], high[1] - top_m, 0.5 * (low[2] + high[2]) - trunk[2]])
+    contours = open_contours(vertices, faces)
+    found = [_fit(body, points, normals, contours, start_parameters(body, lift, start)) for lift in ARM_LIFTS_RAD]
+    parameters, _ = min(found, key=lambda one: one[1])
+    distance = closest.signed_distance(vertices, posed_by(body, parameters), body.faces)
+    inside = distance < 0.0
+    depth = 1e3 * float(np.quantile(-distance[inside], 0.95)) if inside.any() else 0.0
+    fit = InsideFit(
+        *unpack(body, parameters), 1e3 * float(np.abs(distance).mean()), 100.0 * float(inside.mean()), depth
+    )
+    if fit.inside_pct > INSIDE_LIMIT_PCT:
+        raise BodyError(
+            "body in the target",
+            expected=f"cloth that a body fits in, at most {INSIDE_LIMIT_PCT:g} % of it inside",
+            got=f"{fit.inside_pct:.0f} % of the cloth inside by {depth:.0f} mm",
+            cure="Turn the target upright and facing +z, check its unit (--unit), or give the body (--body FILE).",
+        )
+    return fit
+
+
+def _sample(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points [m] (N, 3) on the cloth, evenly by area, and its normals there, outward by the sign of the volume."""
+    areas = meshes.face_areas(vertices, faces)
+    drawn = np.random.default_rng(0).choice(len(faces), size=POINT_COUNT, p=areas / areas.sum())
+    normals = meshes.face_normals(vertices, faces)
+    middle = vertices[faces].mean(axis=1)
+    volume = float(np.einsum("fc,fc->", meshes.area_vectors(vertices, faces), middle - middle.mean(axis=0)))
+    return middle[drawn], normals[drawn] * (1.0 if volume >= 0.0 else -1.0)
+
+
+def _fit(
+    body: BodyModel, points: np.ndarray, normals: np.ndarray, contours: list[Contour], parameters: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Parameters from one start, and the mean cost [m^2] with the priors."""
+    shape, pose = body.shape_count, 3 * len(FREE_JOINTS)
+    prior = np.concatenate([np.full(shape, SHAPE_PRIOR_M), np.full(pose, POSE_PRIOR_M), np.full(3, 1e-4)]) ** 2
+    for number, joint in enumerate(FREE_JOINTS):
+        if JOINT_NAMES[joint].partition("_")[2] in LIMB_ROOTS:
+            prior[shape + 3 * number : shape + 3 * number + 3] = LIMB_PRIOR_M**2
+    prior[shape : shape + 3] = ROOT_PRIOR_M**2
+    cuffs = _cuffs(body, contours, parameters)
+    neutral = np.concatenate([np.zeros(shape + pose), parameters[-3:]])
+    cost = np.inf
+    for _ in range(STEPS):
+        posed = posed_by(body, parameters)
+        skin_normals = meshes.vertex_normals(posed, body.faces)
+        near = np.asarray(KDTree(posed).query(points, k=6)[1])
+        agree = np.einsum("nc,nkc->nk", normals, skin_normals[near]) > AGREEMENT
+        first = np.where(agree.any(axis=1), np.argmax(agree, axis=1), 0)
+        index = near[np.arange(len(near)), first]
+        normal = skin_normals[index]
+        gap = np.einsum("nc,nc->n", normal, points - posed[index]) - GAP_M
+        weight = np.where(gap < 0.0, 1.0, PULL / (1.0 + (gap / PULL_REACH_M) ** 2))
+        off, turn = _cuff_rows(body, cuffs, parameters)
+        before, cost = (
+            cost,
+            float((weight * gap**2).mean() + prior @ (parameters - neutral) ** 2 + CUFF * (off**2).sum()),
+        )
+        rows = np.einsum("nc,ncp->np", normal, parameter_jacobian(body, parameters, index))
+        system = (rows * weight[:, None]).T @ rows / len(rows) + np.diag(prior + 1e-8) + CUFF * turn.T @ turn
+        slope = (rows * weight[:, None]).T @ gap / len(rows) - prior * (parameters - neutral)
+        slope = slope - CUFF * turn.T @ off
+        change = np.linalg.solve(system, slope)
+        parameters = parameters + np.clip(change, -0.3, 0.3)
+        if np.abs(change).max() < 1e-4 or abs(before - cost) < 1e-10:
+            break
+    return parameters, cost
+
+
+def _cuffs(body: BodyModel, contours: list[Contour], parameters: np.ndarray) -> list[tuple[np.ndarray, int, int]]:
+    """Middles [m] (3,) of the openings that lie nearer to a limb than to the trunk at the start, with the bone."""
+    joints = _joints(body, parameters)
+    number = {name: joint for joint, name in enumerate(JOINT_NAMES)}
+    trunk = bone_chains(joints)[TRUNK][0]
+    found = []
+    for contour in contours:
+        limbs = [
+            (float(np.linalg.norm(_perpendicular(contour.centre, joints[a], joints[b]))), a, b)
+            for names in LIMBS.values()
+            for a, b in pairwise([number[n] for n in names])
+            if JOINT_NAMES[a].partition("_")[2] != "collar"
+        ]
+        near, a, b = min(limbs)
+        inner = min(float(np.linalg.norm(_perpendicular(contour.centre, *bone))) for bone in pairwise(trunk))
+        if near < inner:
+            found.append((contour.centre, a, b))
+    return found
+
+
+def _perpendicular(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """From ``point`` (3,) to the nearest point of a bone."""
+    way = end - start
+    share = float(np.clip((point - start) @ way / (way @ way), 0.0, 1.0))
+    return start + share * way - point
+
+
+def _joints(body: BodyModel, parameters: np.ndarray) -> np.ndarray:
+    betas, pose, trans = unpack(body, parameters)
+    return _joints_of(body, betas, pose[None], trans)[0]
+
+
+def _joints_of(body: BodyModel, betas: np.ndarray, poses: np.ndarray, trans: np.ndarray) -> np.ndarray:
+    """Joints [m] (F, 24, 3) of a shape in ``poses`` (F, 24, 3), moved by ``trans``."""
+    rotations, translations = body.bones(poses, None, betas)
+    return np.einsum("fjab,jb->fja", rotations, body.rest_joints(betas)) + translations + trans
+
+
+def _cuff_rows(
+    body: BodyModel, cuffs: list[tuple[np.ndarray, int, int]], parameters: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Ways [m] (3 C,) from the cuffs' middles to their bones, and the derivative (3 C, P) by forward differences."""
+    step, pose_count = 1e-5, 3 * len(FREE_JOINTS)
+    betas, pose, trans = unpack(body, parameters)
+    turned = np.repeat(pose[None], pose_count + 1, axis=0)
+    for column in range(pose_count):
+        turned[column + 1, FREE_JOINTS[column // 3], column % 3] += step
+    by_pose = _joints_of(body, betas, turned, trans)
+    by_shape = [_joints_of(body, betas + step * row, pose[None], trans)[0] for row in np.eye(body.shape_count)]
+    by_place = [by_pose[0] + step * row for row in np.eye(3)]
+
+    def ways(joints: np.ndarray) -> np.ndarray:
+        return np.array([_perpendicular(centre, joints[a], joints[b]) for centre, a, b in cuffs]).reshape(-1)
+
+    here = ways(by_pose[0])
+    columns = [(ways(joints) - here) / step for joints in (*by_shape, *by_pose[1:], *by_place)]
+    return here, np.array(columns).T.reshape(len(here), len(parameters))

@@ -1,0 +1,257 @@
+"""One recovery from file to files: target read, wearer found, pattern fitted, garment sewn anew, told and written."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from drape.errors import InputError
+from drape.garment.intake import garment_name, intake
+from drape.garment.mesh_checks import Unit, Up
+from drape.garment.mesh_io import GarmentMesh
+from recovery.drape.output import glb_bytes, obj_text, panel_texture, write
+from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
+from recovery.fit.chamfer import Chamfer, SurfaceDistance, surface_chamfer, surface_distance
+from recovery.fit.objective import DEFAULT_WEIGHTS, Weights
+from recovery.fit.optimise import FitOptions
+from recovery.fit.pipeline import Recovered, posed_joints, recover_pattern
+from recovery.pattern.bases import BASES, base_pattern
+from recovery.pattern.export import export_pattern
+from recovery.pattern.garmentcode import read_pattern
+from recovery.pattern.measurements import measure
+from recovery.pattern.model import Pattern
+from recovery.run.identify import Identifiability, identifiability
+from recovery.run.retarget import Worn, lost_parts, retargeted
+from recovery.run.target import check_base, openings, placed_target, read_target
+from recovery.run.wearer import Wearer, inside_wearer, read_wearer
+
+FIT_INSIDE = "fit"  # --body fit
+LEAST_TOLERANCE_M = 1e-3  # below a millimetre no scan tells
+FORMATS = ("json", "svg", "dxf", "pdf")
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """What is asked for; ``body`` is a name, a file, or ``fit``; ``base`` a base pattern's name or a JSON file.
+
+    ``settings`` of a base are texts NAME=NUMBER, lengths in metres.
+    """
+
+    target: Path
+    out: Path
+    base: str
+    body: str
+    betas: np.ndarray | None = None
+    pose: np.ndarray | None = None
+    name: str | None = None
+    label: str | None = None
+    settings: Sequence[str] = ()
+    unit: Unit = "auto"
+    up: Up = "auto"
+    drape: DrapeOptions = field(default_factory=DrapeOptions)
+    fit: FitOptions = field(default_factory=FitOptions)
+    weights: Weights = DEFAULT_WEIGHTS
+    retarget: bool = True
+    garment: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What came of a job. ``target`` and ``nodes`` [m] (N, 3) lie in the body's frame, ``wearer.trans`` left out.
+
+    ``anew`` is the recovered pattern sewn from flat panels and draped in the T-pose, None where that was refused;
+    ``anew_distance`` how far that is from the search's drape, None in a pose. ``warnings`` are sentences.
+    """
+
+    job: Job
+    name: str
+    target: GarmentMesh
+    wearer: Wearer
+    base: Pattern
+    found: Recovered
+    pattern: Pattern
+    distance: SurfaceDistance
+    before: SurfaceDistance
+    chamfer: Chamfer
+    floor: Chamfer
+    told: Identifiability
+    anew: Draped | None
+    anew_distance: SurfaceDistance | None
+    worn: list[Worn]
+    files: list[Path]
+    warnings: list[str]
+    seconds: float
+
+    @property
+    def nodes(self) -> np.ndarray:
+        return self.found.fitted.nodes
+
+
+def read_base(source: str, wearer: Wearer, settings: Sequence[str] = ()) -> Pattern:
+    """The base called ``source`` drafted with ``settings`` for ``wearer``, or the pattern in a JSON file."""
+    if source in BASES:
+        return base_pattern(source, measure(wearer.shaped), settings)
+    path = Path(source)
+    if settings:
+        raise InputError(
+            "--set", expected=f"a base of ours: {', '.join(sorted(BASES))}", got=source, cure="Leave --set out."
+        )
+    if path.suffix.lower() != ".json":
+        raise InputError(
+            "--base",
+            expected=f"one of {', '.join(sorted(BASES))} or a JSON file",
+            got=source,
+            cure="Take the base of the target's kind.",
+        )
+    return read_pattern(path)
+
+
+def prepare(job: Job) -> tuple[GarmentMesh, Wearer, Pattern, list[str]]:
+    """The target in the wearer's frame, the wearer, the base, and notes on what was repaired; all checks are here."""
+    mesh = read_target(job.target, label=job.label)
+    if job.body == FIT_INSIDE:
+        if job.betas is not None or job.pose is not None:
+            raise InputError(
+                "--body fit",
+                expected="a body whose shape and pose are looked for",
+                got="--betas or --pose",
+                cure="Leave them out, or name the body.",
+            )
+        standard = read_wearer("anny_default")
+        mesh, wearer = inside_wearer(mesh, read_base(job.base, standard, job.settings), unit=job.unit, up=job.up)
+        mesh = placed_target(mesh, wearer.skin, unit="m", up="y")
+    else:
+        wearer = read_wearer(job.body, betas=job.betas, pose=job.pose)
+        mesh = placed_target(mesh, wearer.skin, unit=job.unit, up=job.up)
+    mesh = replace(mesh, vertices=mesh.vertices - wearer.trans)
+    joints = wearer.shaped.joints_template if wearer.pose is None else posed_joints(wearer.shaped, wearer.pose)
+    there, holes = openings(mesh, joints)
+    check_base(job.base, there)
+    notes = [f"On reading: {note}." for note in (*mesh.notes, *holes)]
+    if wearer.residual_mm > 0.0:
+        notes.append(f"The wearer is {wearer.source}. What it lacks in shape, the pattern makes up for.")
+    return mesh, wearer, read_base(job.base, wearer, job.settings), notes
+
+
+def run_job(job: Job, *, progress: bool = False, say: Say = print) -> Outcome:
+    """Does ``job``; writes pattern and garment as soon as they are found. Raises ``InputError`` for what it refuses."""
+    started = time.perf_counter()
+    mesh, wearer, base, warnings = prepare(job)
+    name = garment_name(job.name or job.target.stem)
+    base = replace(base, name=name)
+    for note in warnings:
+        say(f"note      {note}")
+    say(f"target    {len(mesh.vertices):,} vertices, {len(mesh.faces):,} triangles, on {wearer.source}")
+    job.out.mkdir(parents=True, exist_ok=True)
+    found = recover_pattern(
+        mesh.vertices,
+        mesh.faces,
+        base,
+        wearer.shaped,
+        drape=job.drape,
+        fit=job.fit,
+        weights=job.weights,
+        pose=wearer.pose,
+        state_file=job.out / f"{name}.search.npz",
+        progress=progress,
+        report=say,
+    )
+    pattern = found.fitted.pattern
+    files = export_pattern(pattern, job.out, FORMATS)
+    cloth = replace(found.search.mesh, pattern=pattern, rest=found.search.mesh.rest_at(found.fitted.positions))
+    texture = panel_texture(cloth)
+    simulated = found.fitted.nodes + wearer.trans
+    files.append(write(job.out / f"{name}.obj", obj_text(cloth, simulated, texture)))
+    files.append(write(job.out / f"{name}.glb", glb_bytes(cloth, simulated, texture)))
+    there = (mesh.vertices, mesh.faces)
+    distance = surface_distance((found.fitted.nodes, cloth.faces), there)
+    before = surface_distance((found.base.nodes, found.base.mesh.faces), there)
+    far, floor = surface_chamfer((found.fitted.nodes, cloth.faces), there)
+    say(
+        f"distance  {distance.mean_mm:.2f} mm mean, {distance.largest_mm:.1f} largest; Chamfer "
+        f"{far.squared_cm2:.4f} cm^2, floor {floor.squared_cm2:.4f}"
+    )
+    told = identifiability(found, max(LEAST_TOLERANCE_M, 1e-3 * distance.rms_mm))
+    anew, anew_distance, worn = _sewn_anew(job, wearer, found, pattern, warnings, say)
+    if anew is not None:
+        rest = obj_text(anew.mesh, anew.rest.nodes, panel_texture(anew.mesh))
+        files.append(write(job.out / f"{name}_rest.obj", rest))
+        if job.garment:
+            files.append(_cache(rest, name, job, wearer, say))
+    return Outcome(
+        job=job,
+        name=name,
+        target=mesh,
+        wearer=wearer,
+        base=base,
+        found=found,
+        pattern=pattern,
+        distance=distance,
+        before=before,
+        chamfer=far,
+        floor=floor,
+        told=told,
+        anew=anew,
+        anew_distance=anew_distance,
+        worn=worn,
+        files=files,
+        warnings=warnings,
+        seconds=time.perf_counter() - started,
+    )
+
+
+def _sewn_anew(
+    job: Job, wearer: Wearer, found: Recovered, pattern: Pattern, warnings: list[str], say: Say
+) -> tuple[Draped | None, SurfaceDistance | None, list[Worn]]:
+    """The pattern sewn from flat panels, its distance from the search's drape, and the garment elsewhere."""
+    try:
+        anew = drape_pattern(pattern, wearer.shaped, job.drape)
+    except InputError as error:
+        warnings.append(f"The recovered pattern cannot be sewn from flat panels, so there is no garment cache: {error}")
+        return None, None, []
+    distance = None
+    if wearer.pose is None:
+        distance = surface_distance((anew.rest.nodes, anew.mesh.faces), (found.fitted.nodes, found.search.mesh.faces))
+        say(
+            f"sewn anew {distance.mean_mm:.2f} mm from the search's drape on average, {distance.largest_mm:.1f} largest"
+        )
+    parts = [match.place.part for match in found.matches if match.place.part is not None]
+    if lost := lost_parts(anew.rest.nodes, anew.mesh.faces, wearer.shaped.joints_template, parts):
+        warnings.append(f"Sewn anew in the T-pose, {lost_words(lost)}: the garment cache is not worn as the target is.")
+    worn = []
+    if job.retarget:
+        for place in retargeted(pattern, anew, wearer.shaped, wearer.standard, job.drape, parts):
+            say(f"worn      {place.what}: {place.refusal or describe_worn(place)}")
+            worn.append(place)
+    return anew, distance, worn
+
+
+def describe_worn(place: Worn) -> str:
+    """A phrase on how the garment lies there."""
+    figures = place.figures
+    end = "at rest" if figures["converged"] else f"not at rest ({figures['force_left_n']:.1e} N left)"
+    lost = f"; {lost_words(place.lost)}" if place.lost else ""
+    return (
+        f"{end}{lost}; stretched by {figures['stretch_median_pct']:.1f} % (99th percentile "
+        f"{figures['stretch_p99_pct']:.0f} %), {figures['edges_in_body_pct']:.1f} % of edges cut the body"
+    )
+
+
+def lost_words(lost: Sequence[str]) -> str:
+    """A phrase such as "the right arm is not in its opening"."""
+    parts = " and ".join(f"the {part.replace('_', ' ')}" for part in lost)
+    return f"{parts} {'is' if len(lost) == 1 else 'are'} not in the garment's opening"
+
+
+def _cache(rest: str, name: str, job: Job, wearer: Wearer, say: Say) -> Path:
+    """Path of the garment cache of the T-pose's drape; a body of another shape is moved to the standard one."""
+    avatar = {"betas": wearer.betas.tolist()} if wearer.betas.any() else "standard"
+    garment = intake(
+        rest.encode(), name=name, kind="obj", avatar=avatar, body=wearer.standard, folder=job.out, report=say
+    )
+    return job.out / f"{garment.name}-{garment.digest[:16]}.npz"

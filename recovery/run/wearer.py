@@ -1,0 +1,145 @@
+"""Whom the target was draped on: a named body, a file in SMPL's schema, a surface, or nobody: one is fitted inside."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from drape.body.assets import load_body
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_COUNT
+from drape.errors import BodyError, MeshError
+from drape.garment.avatars import MESH_SUFFIXES, Avatar
+from drape.garment.mesh_checks import UNITS_M
+from drape.garment.mesh_io import AVATAR_VERTEX_LIMIT, GarmentMesh, read_mesh, weld
+from drape.garment.registration import body_units, fit_body
+from drape.geometry import meshes
+from recovery.pattern.model import Pattern
+from recovery.run.inside import fit_inside
+
+SIZE_SLACK = 1.5  # by which a target's height may differ from its base's
+
+
+@dataclass(frozen=True, eq=False)
+class Wearer:
+    """A body of its own shape in a pose: ``shaped`` is ``standard`` with ``betas`` in its template.
+
+    ``pose`` (24, 3) or None for the T-pose; ``trans`` [m] (3,) is added to everything in the target's frame;
+    ``residual_mm`` says how far a fitted body is from what it was fitted to.
+    """
+
+    standard: BodyModel
+    shaped: BodyModel
+    betas: np.ndarray
+    pose: np.ndarray | None
+    trans: np.ndarray
+    source: str
+    residual_mm: float = 0.0
+
+    @property
+    def skin(self) -> Avatar:
+        """Its surface in its pose, in the target's frame."""
+        pose = np.zeros((JOINT_COUNT, 3)) if self.pose is None else self.pose
+        vertices = self.shaped.posed_vertices(pose[None])[0] + self.trans
+        return Avatar(vertices, self.shaped.faces, self.residual_mm, self.source)
+
+
+def shaped_body(body: BodyModel, betas: np.ndarray) -> BodyModel:
+    """``body`` whose template has the shape ``betas``; itself where they are zero."""
+    betas = body.check_betas(betas)
+    if not betas.any():
+        return body
+    return replace(body, name=f"{body.name}_shaped", v_template=body.rest_vertices(betas))
+
+
+def read_wearer(source: str, *, betas: np.ndarray | None = None, pose: np.ndarray | None = None) -> Wearer:
+    """The wearer at ``source``: a shipped name, a file .npz or .pkl, or a surface that the shipped body is fitted to.
+
+    ``betas`` and ``pose`` (24, 3) are those of a body in SMPL's schema; a surface brings its own.
+    """
+    path = Path(source)
+    if path.suffix.lower() in MESH_SUFFIXES:
+        if betas is not None or pose is not None:
+            raise BodyError(
+                "--body",
+                expected="a surface alone, which has its own shape and pose",
+                got=f"{path.name} with --betas or --pose",
+                cure="Leave them out.",
+            )
+        return fitted_wearer(path, load_body())
+    body = load_body(source)
+    check_closed(body.faces, body.name)
+    betas = body.check_betas(np.zeros(0) if betas is None else betas)
+    return wearer_of(body, betas, pose, np.zeros(3), f"body {body.name}")
+
+
+def wearer_of(
+    body: BodyModel,
+    betas: np.ndarray,
+    pose: np.ndarray | None,
+    trans: np.ndarray,
+    source: str,
+    residual_mm: float = 0.0,
+) -> Wearer:
+    """``body`` in the shape ``betas`` and in ``pose``."""
+    return Wearer(body, shaped_body(body, betas), betas, pose, trans, source, residual_mm)
+
+
+def fitted_wearer(path: Path, body: BodyModel) -> Wearer:
+    """The shipped body fitted to the closed surface in ``path``."""
+    mesh = weld(read_mesh(path, vertex_limit=AVATAR_VERTEX_LIMIT))
+    check_closed(mesh.faces, path.name)
+    scale, vertices = body_units(mesh.vertices, name=path.name)
+    found = fit_body(vertices, mesh.faces, body, name=path.name)
+    unit = "" if scale == 1.0 else f", scaled by {scale:g}"
+    source = f"body {body.name} fitted to {path.name}{unit}, {found.residual_mm:.1f} mm from it on average"
+    return wearer_of(body, found.betas, found.pose, found.trans, source, found.residual_mm)
+
+
+def check_closed(faces: np.ndarray, name: str) -> None:
+    """Refuses a body with holes: what is inside must be defined."""
+    loops = meshes.boundary_loops(faces)
+    if loops:
+        raise BodyError(
+            f"body {name}",
+            expected="a closed surface",
+            got=f"{len(loops)} open borders, the longest of {len(loops[0])} vertices",
+            cure="Close its holes (neck, wrists, eyes), join copies of vertices, or take a body that ships (--body).",
+        )
+
+
+def inside_wearer(
+    mesh: GarmentMesh, base: Pattern, *, unit: str = "auto", up: str = "auto"
+) -> tuple[GarmentMesh, Wearer]:
+    """``mesh`` in metres, y up, and the shipped body fitted inside it; ``base``, drafted for that body, tells its size.
+
+    ``up`` is y unless it is said to be z: without a body nothing tells.
+    """
+    vertices = mesh.vertices
+    notes = []
+    if up == "z":
+        vertices = np.stack([vertices[:, 0], vertices[:, 2], -vertices[:, 1]], axis=1)
+        notes.append("turned from z up to y up")
+    placed = np.concatenate([panel.placement.apply(panel.vertices) for panel in base.panels])
+    wanted, height = float(np.ptp(placed[:, 1])), float(np.ptp(vertices[:, 1]))
+    misfit = {name: abs(np.log(max(height * scale, 1e-9) / wanted)) for name, scale in UNITS_M.items()}
+    name = min(misfit, key=lambda one: misfit[one]) if unit == "auto" else unit
+    if unit == "auto" and misfit[name] > np.log(SIZE_SLACK):
+        raise MeshError(
+            "target unit",
+            expected=f"a garment about {wanted:.2f} m high, as its base, in m, dm, cm, mm or inch",
+            got=f"a height of {height:.4g}",
+            cure="Say the unit (--unit) and the up axis (--up), or take a base of the target's kind (--base).",
+        )
+    if name != "m":
+        notes.append(f"converted from {name} to m")
+    mesh = replace(mesh, vertices=UNITS_M[name] * vertices).noted(*notes)
+    body = load_body()
+    found = fit_inside(mesh.vertices, mesh.faces, body, top_m=float(placed[:, 1].max()))
+    source = (
+        f"body {body.name} fitted inside the target: cloth {found.mean_mm:.0f} mm from the skin on average, "
+        f"{found.inside_pct:.1f} % of it inside by up to {found.depth_mm:.0f} mm"
+    )
+    return mesh, wearer_of(body, found.betas, found.pose, found.trans, source, found.mean_mm)

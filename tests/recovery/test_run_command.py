@@ -1,0 +1,210 @@
+"""The command from a draped mesh to pattern, garment and report; the report's words; distances and their floor."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import re
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from PIL import Image
+
+from drape.body.assets import load_body
+from drape.errors import InputError
+from drape.garment.cache import load_garment
+from drape.garment.mesh_io import read_mesh
+from recovery.drape.output import obj_text, panel_texture, write
+from recovery.drape.pipeline import DrapeOptions, drape_pattern
+from recovery.fit.chamfer import chamfer, drawn, surface_chamfer, surface_distance
+from recovery.fit.compare import pattern_error
+from recovery.pattern.bases import tshirt
+from recovery.pattern.garmentcode import read_pattern
+from recovery.run import __main__ as command
+from recovery.run.identify import shape_basis
+from recovery.run.job import describe_worn, lost_words, run_job
+from recovery.run.report import Page
+from recovery.run.retarget import _worn, lost_parts, retargeted
+from recovery.run.story import cloth_words, file_words
+from tests.recovery.pattern_setup import default_measurements
+
+SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
+HALVES, OTHER_HALVES = np.array([[0, 1, 2], [0, 2, 3]]), np.array([[0, 1, 3], [1, 2, 3]])
+
+# --- distances -------------------------------------------------------------------------------------------------------
+
+
+def test_two_meshes_of_one_surface_are_at_the_floor():
+    """Of n points drawn per area the nearest lies 1 / (2 sqrt n) away on average, 1 / (pi n) squared."""
+    found, floor = surface_chamfer((SQUARE, HALVES), (SQUARE, OTHER_HALVES), count=20_000)
+    assert_allclose(floor.mean_mm, 1e3 * 0.5 / 20_000**0.5, rtol=0.02)
+    assert_allclose(floor.squared_cm2, 1e4 * 2.0 / (np.pi * 20_000), rtol=0.03)
+    assert_allclose(found, floor, rtol=0.03)
+    exact = surface_distance((SQUARE, HALVES), (SQUARE, OTHER_HALVES))
+    assert exact.largest_mm < 1e-6
+
+
+def test_parallel_squares_are_their_distance_apart():
+    near = surface_distance((SQUARE, HALVES), (SQUARE + np.array([0.0, 0.0, 0.01]), HALVES))
+    assert_allclose(near, 10.0, rtol=1e-9)
+    first, second = drawn(SQUARE, HALVES, 50, 0), drawn(SQUARE, HALVES, 50, 0) + np.array([0.0, 0.0, 0.001])
+    assert_allclose(chamfer(first, second), (1e4 * 2e-6, 1.0), rtol=1e-6)
+
+
+# --- words -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_page_holds_its_pictures_and_escapes_its_words():
+    page = Page("a < b")
+    page.section("Panels & seams")
+    page.say("One.", "Two.")
+    page.notes(["look"])
+    page.notes(["fine"], good=True)
+    page.table(("panel", "width"), [("<front>", 3)])
+    page.picture(b"\x89PNG", "what it shows")
+    text = page.text()
+    assert "<h1>a &lt; b</h1>" in text and "&lt;front&gt;" in text and "One. Two." in text
+    assert 'class="warn">look' in text and 'class="good">fine' in text
+    assert base64.b64encode(b"\x89PNG").decode() in text
+    assert "http" not in text and 'src="data:' in text
+
+
+def test_cloth_and_files_have_words():
+    assert "200 g/m²" in cloth_words("jersey") and "not recovered" in cloth_words("jersey")
+    kinds = ("a.json", "a.svg", "a.dxf", "a.pdf", "a.obj", "a.glb", "a_rest.obj", "a-1.npz")
+    assert len({file_words(name) for name in kinds}) == len(kinds) and all(map(file_words, kinds))
+
+
+# --- the command -----------------------------------------------------------------------------------------------------
+
+COARSE = DrapeOptions(edge_length_m=0.05, grid_m=0.02)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """The command on a T-shirt's drape; its folder, its outcome, and the pattern that the target was draped from."""
+    folder = tmp_path_factory.mktemp("run")
+    truth = tshirt(default_measurements(), length_m=0.70, ease_m=0.15)
+    draped = drape_pattern(truth, load_body(), COARSE)
+    path = write(folder / "target.obj", obj_text(draped.mesh, draped.nodes, panel_texture(draped.mesh)))
+    coarse = ["--edge-length", "0.05", "--grid", "0.02", "--adam", "0", "--closing", "2", "--no-retarget"]
+    outcomes = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            command, "run_job", lambda *given, **more: outcomes.append(run_job(*given, **more)) or outcomes[0]
+        )
+        code = command.main(
+            [str(path), "--base", "tshirt", "--set", "length_m=0.66", "--out", str(folder / "out"), *coarse]
+        )
+    assert code == 0
+    return folder, outcomes[0], truth
+
+
+@pytest.mark.slow
+def test_a_draped_mesh_becomes_a_pattern_and_a_garment(run):
+    folder, outcome, truth = run
+    out = folder / "out"
+    names = {file.name for file in out.iterdir()}
+    assert {f"target.{kind}" for kind in ("json", "svg", "dxf", "pdf", "obj", "glb", "search.npz")} <= names
+    found = read_pattern(out / "target.json")
+    base = tshirt(default_measurements())
+    assert pattern_error(found, truth).controls_m.mean() < 0.5 * pattern_error(base, truth).controls_m.mean()
+    assert outcome.anew is not None and outcome.anew.at_rest
+    simulated, there = read_mesh(out / "target.obj"), read_mesh(folder / "target.obj")
+    apart = surface_distance((simulated.vertices, simulated.faces), (there.vertices, there.faces))
+    assert_allclose(apart.mean_mm, outcome.distance.mean_mm, rtol=0.05)
+    garment = load_garment(next(out.glob("target-*.npz")))
+    assert garment.body_digest == load_body().digest
+    assert garment.vertex_count == len(read_mesh(out / "target_rest.obj").vertices)
+
+
+@pytest.mark.slow
+def test_the_report_says_what_was_found(run):
+    folder, _, truth = run
+    record = json.loads((folder / "out" / "report.json").read_text())
+    assert record["distance"]["mean_mm"] < 0.5 * record["base_distance"]["mean_mm"]
+    assert record["chamfer_floor"]["mean_mm"] < record["chamfer"]["mean_mm"]
+    assert record["fabric"] == "jersey" and record["search"]["steps"] <= 2
+    assert len(record["identifiability"]["slack_m"]) == sum(len(panel.edges) for panel in truth.panels)
+    assert np.diff(record["identifiability"]["seen"]).min() >= 0.0
+    page = (folder / "out" / "report.html").read_text(encoding="utf-8")
+    pictures = re.findall(r'src="data:image/png;base64,([^"]+)"', page)
+    assert len(pictures) == 4
+    for payload in pictures:
+        assert np.asarray(Image.open(io.BytesIO(base64.b64decode(payload))).convert("RGB")).std() > 10.0
+    for words in ("Before you cut", "What the target cannot tell", "floor", "jersey", "over the base"):
+        assert words in page
+
+
+@pytest.mark.slow
+def test_what_the_target_shows_is_what_a_changed_pattern_changes(run):
+    """A step along the best seen shape, draped: the loss rises as its singular value says."""
+    _, outcome, _ = run
+    found, told, search = outcome.found, outcome.told, outcome.found.search
+    assert (
+        len(told.seen) == len(told.cloth) == search.free.count - 8
+    )  # rigid: 3 of each half sleeve, and both bodices rise
+    across, back = shape_basis(search.free.basis, search.free.controls.panel, found.fitted.positions)
+    values = search.free.values(found.fitted.positions)
+    step = back @ (across.T @ told.modes[-1].reshape(-1))
+    ends = [search.evaluate(values + way * step, found.fitted.nodes) for way in (-2e-3, 0.0, 2e-3)]
+    below, here, above = (end.terms[1] + end.terms[2] for end in ends if end is not None)
+    # L(z + h) + L(z - h) - 2 L(z) = h^2 L'', and L'' = 4 seen^2.
+    assert_allclose(np.sqrt((below + above - 2.0 * here) / 4.0) / 2e-3, told.seen[-1], rtol=0.1)
+
+
+@pytest.mark.slow
+def test_the_garment_is_taken_to_other_bodies_and_poses(run, monkeypatch):
+    folder, outcome, truth = run
+    pose = np.zeros((24, 3))
+    pose[0, 1] = 0.3
+    write(folder / "turned.json", json.dumps(pose.tolist()))
+    monkeypatch.setattr("recovery.run.retarget.BODIES", {"taller": (0.3,)})
+    monkeypatch.setattr("recovery.run.retarget.POSES", (str(folder / "turned.json"),))
+    draped, body = outcome.anew, load_body()
+    parts = ["trunk", "trunk", "left_arm", "right_arm"]
+    taller, posed = retargeted(truth, draped, body, body, COARSE, parts)
+    assert taller.lost == posed.lost == ()
+    for worn in (taller, posed):
+        assert worn.figures["converged"] and worn.figures["clearance_mm"] > 0.0 and not worn.refusal
+        assert "at rest" in describe_worn(worn)
+    assert taller.nodes[:, 1].max() > draped.rest.nodes[:, 1].max() + 0.005
+
+
+def test_an_arm_beside_its_sleeve_is_noticed():
+    """A tube round the trunk, and one that hangs beside the arm."""
+    turn = 2.0 * np.pi * np.arange(24) / 24
+    ring = np.stack([0.25 * np.cos(turn), 0.0 * turn, 0.25 * np.sin(turn)], axis=1)
+    here, there = np.arange(24), np.roll(np.arange(24), -1)
+    tube_faces = np.concatenate(
+        [np.stack([here, 24 + there, there], axis=1), np.stack([here, 24 + here, 24 + there], axis=1)]
+    )
+    trunk = np.concatenate([ring + np.array([0.0, 0.1, 0.0]), ring + np.array([0.0, 0.3, 0.0])])
+    joints = load_body().joints_template
+    assert lost_parts(trunk, tube_faces, joints, ["trunk", "trunk"]) == ()
+    assert lost_parts(trunk, tube_faces, joints, ["trunk", "trunk", "right_arm"]) == ("right_arm",)
+    assert lost_parts(trunk + np.array([0.7, 0.0, 0.0]), tube_faces, joints, ["trunk"]) == ("trunk",)
+    assert lost_parts(np.zeros((0, 3)), np.zeros((0, 3), dtype=int), joints, ["trunk"]) == ()
+    assert lost_words(["right_arm"]) == "the right arm is not in the garment's opening"
+    assert lost_words(["left_arm", "right_arm"]).startswith("the left arm and the right arm are")
+
+
+def test_a_place_that_refuses_the_garment_says_so():
+    def refuse():
+        raise InputError("pattern", expected="cloth", got="none", cure="Size it up.")
+
+    worn = _worn("a giant", SQUARE, HALVES, refuse)
+    assert worn.refusal.endswith("Size it up.") and len(worn.nodes) == len(worn.faces) == 0 and worn.figures == {}
+
+
+def test_the_command_refuses_with_one_sentence(tmp_path, capsys):
+    refused = (
+        ([str(tmp_path / "none.obj"), "--base", "skirt"], "Check the path"),
+        ([str(tmp_path / "none.obj"), "--base", "skirt", "--betas", "a,b"], "For example --betas"),
+        ([str(tmp_path / "none.obj"), "--base", "skirt", "--pose", "nobody:3"], "Check the path"),
+    )
+    for more, cure in refused:
+        assert command.main([*more, "--out", str(tmp_path)]) == 2
+        assert cure in capsys.readouterr().err

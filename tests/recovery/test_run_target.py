@@ -1,0 +1,221 @@
+"""What a target may look like: every repair leaves a note, every refusal says the cure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from drape.body.assets import load_body
+from drape.errors import BodyError, InputError, MeshError
+from drape.garment.mesh_io import GarmentMesh, plain_mesh
+from drape.geometry import meshes
+from recovery.pattern.bases import base_pattern
+from recovery.run.job import Job, prepare, read_base
+from recovery.run.target import OPENINGS, check_base, check_near, one_piece, openings, placed_target, read_target
+from recovery.run.wearer import check_closed, inside_wearer, read_wearer, shaped_body
+from tests.recovery.pattern_setup import default_measurements
+
+
+def sleeve_grid(columns: int, rows: int) -> np.ndarray:
+    """Faces of a tube of ``columns`` x ``rows`` quads, closed round, open at both ends, outside out."""
+    i, j = (part.reshape(-1) for part in np.meshgrid(np.arange(columns), np.arange(rows), indexing="ij"))
+
+    def at(column: np.ndarray, row: np.ndarray) -> np.ndarray:
+        return (column % columns) * (rows + 1) + row
+
+    a, b, c, d = at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)
+    return np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+
+
+def skirt_tube(radius: float = 0.24, top: float = 0.05, bottom: float = -0.45) -> GarmentMesh:
+    """A tube round hips and legs of the shipped body: what a skirt is."""
+    turn = 2.0 * np.pi * np.arange(40) / 40
+    height = np.linspace(top, bottom, 21)
+    points = np.stack(
+        np.broadcast_arrays(radius * np.cos(turn)[:, None], height, radius * np.sin(turn)[:, None]), axis=-1
+    )
+    return plain_mesh("skirt", points.reshape(-1, 3), sleeve_grid(40, 20))
+
+
+def write_obj(path: Path, mesh: GarmentMesh, *, materials: dict[str, np.ndarray] | None = None) -> Path:
+    lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in mesh.vertices]
+    for name, faces in (materials or {"cloth": mesh.faces}).items():
+        lines += [f"usemtl {name}", *("f " + " ".join(str(corner + 1) for corner in face) for face in faces)]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def both(first: GarmentMesh, second: GarmentMesh) -> tuple[GarmentMesh, dict[str, np.ndarray]]:
+    moved = second.faces + len(first.vertices)
+    mesh = plain_mesh("both", np.concatenate([first.vertices, second.vertices]), np.concatenate([first.faces, moved]))
+    return mesh, {"cloth": first.faces, "skin": moved}
+
+
+# --- the file --------------------------------------------------------------------------------------------------------
+
+
+def test_copies_of_vertices_flat_faces_and_crumbs_are_repaired_and_noted(tmp_path):
+    mesh = skirt_tube()
+    crumb = plain_mesh("crumb", np.array([[0, 0, 0.3], [0.01, 0, 0.3], [0, 0.01, 0.3]]), [[0, 1, 2]])
+    soup = plain_mesh("soup", mesh.vertices[mesh.faces].reshape(-1, 3), np.arange(3 * len(mesh.faces)))
+    whole, _ = both(soup, crumb)
+    flat = np.array([[0, 0, 1]])
+    read = read_target(write_obj(tmp_path / "t.obj", replace(whole, faces=np.concatenate([whole.faces, flat]))))
+    assert len(read.vertices) == len(mesh.vertices) and len(read.faces) == len(mesh.faces)
+    assert len(meshes.boundary_loops(read.faces)) == 2
+    notes = " / ".join(read.notes)
+    assert "welded" in notes and "1 degenerate" in notes and "1 small loose" in notes
+
+
+def test_two_pieces_are_refused_and_a_label_chooses_one(tmp_path):
+    mesh, materials = both(skirt_tube(), skirt_tube(radius=0.4))
+    path = write_obj(tmp_path / "t.obj", mesh, materials=materials)
+    with pytest.raises(MeshError, match=r"2 pieces.*--label.*cloth, skin"):
+        read_target(path)
+    assert len(read_target(path, label="cloth").faces) == len(materials["cloth"])
+    with pytest.raises(MeshError, match="one of cloth, skin"):
+        read_target(path, label="hat")
+    with pytest.raises(MeshError, match="faces of skin"):
+        read_target(
+            write_obj(tmp_path / "u.obj", mesh, materials={**materials, "skin": np.zeros((0, 3), int)}), label="skin"
+        )
+
+
+def test_an_edge_with_three_faces_and_a_solid_are_refused(tmp_path):
+    mesh = skirt_tube()
+    fin = np.array([[mesh.faces[0][1], mesh.faces[0][2], len(mesh.vertices)]])
+    finned = replace(
+        mesh, vertices=np.concatenate([mesh.vertices, [[0.0, 0.0, 0.5]]]), faces=np.concatenate([mesh.faces, fin])
+    )
+    with pytest.raises(MeshError, match="at most 2 faces at every edge"):
+        read_target(write_obj(tmp_path / "t.obj", finned))
+    body = load_body()
+    with pytest.raises(MeshError, match="a closed surface"):
+        read_target(write_obj(tmp_path / "u.obj", plain_mesh("body", body.v_template, body.faces)))
+
+
+def test_one_piece_keeps_a_whole_mesh_as_it_is():
+    mesh = skirt_tube()
+    kept = one_piece(mesh)
+    assert_allclose(kept.vertices, mesh.vertices)
+    assert (kept.faces == mesh.faces).all() and kept.notes == ()
+
+
+# --- on the body -----------------------------------------------------------------------------------------------------
+
+
+def test_centimetres_z_up_and_inside_out_are_repaired_and_noted():
+    skin = read_wearer("anny_default").skin
+    mesh = skirt_tube()
+    x, y, z = 100.0 * mesh.vertices.T
+    found = placed_target(replace(mesh, vertices=np.stack([x, -z, y], axis=1), faces=mesh.faces[:, ::-1]), skin)
+    assert_allclose(found.vertices, mesh.vertices, atol=1e-9)
+    assert (np.sort(found.faces, axis=1) == np.sort(mesh.faces, axis=1)).all()
+    assert_allclose(meshes.face_normals(found.vertices, found.faces), meshes.face_normals(mesh.vertices, mesh.faces))
+    notes = " / ".join(found.notes)
+    assert "from cm to m" in notes and "z up to y up" in notes and "normals point outward" in notes
+
+
+@pytest.mark.parametrize(
+    ("mesh", "got"),
+    [
+        (skirt_tube(radius=0.35), "cm away"),
+        (skirt_tube(radius=0.09, top=0.4, bottom=-0.05), "cm inside"),
+    ],
+)
+def test_a_target_off_its_body_is_refused(mesh, got):
+    with pytest.raises(InputError, match=got):
+        check_near(mesh, read_wearer("anny_default").skin)
+
+
+def test_a_target_in_no_known_unit_is_refused():
+    with pytest.raises(MeshError, match=r"an extent of.*its unit"):
+        placed_target(skirt_tube(radius=0.02, top=0.12, bottom=0.02), read_wearer("anny_default").skin)
+
+
+def test_too_little_cloth_is_refused():
+    ring = skirt_tube(radius=0.16, top=0.12, bottom=0.105)
+    with pytest.raises(MeshError, match=r"0\.02 m\^2 of cloth"):
+        placed_target(ring, read_wearer("anny_default").skin, unit="m", up="y")
+
+
+def test_the_base_must_have_the_openings_of_the_target():
+    found, notes = openings(skirt_tube(), load_body().joints_template)
+    assert found == OPENINGS["skirt"] and notes == []
+    check_base("skirt", found)
+    check_base("mine.json", found)  # nothing is known of its openings before it is draped
+    with pytest.raises(InputError, match=r"the openings of a tshirt.*Take --base skirt"):
+        check_base("tshirt", found)
+    with pytest.raises(InputError, match="Take a base of the target's kind"):
+        check_base("tshirt", {"trunk": 1})
+
+
+def test_a_hole_is_noted_and_left_alone():
+    mesh = skirt_tube()
+    holed = replace(mesh, faces=np.delete(mesh.faces, 410, axis=0))
+    found, notes = openings(holed, load_body().joints_template)
+    assert found == OPENINGS["skirt"] and "1 holes" in notes[0]
+
+
+# --- the wearer ------------------------------------------------------------------------------------------------------
+
+
+def test_a_body_with_a_hole_is_refused(tmp_path):
+    body = load_body()
+    with pytest.raises(BodyError, match=r"1 open borders.*Close its holes"):
+        check_closed(body.faces[1:], "mine")
+    path = write_obj(tmp_path / "open.obj", plain_mesh("open", body.v_template, body.faces[1:]))
+    with pytest.raises(BodyError, match="a closed surface"):
+        read_wearer(str(path))
+    with pytest.raises(BodyError, match="its own shape and pose"):
+        read_wearer(str(path), pose=np.zeros((24, 3)))
+
+
+def test_a_shape_is_in_the_template_of_the_wearer():
+    wearer = read_wearer("anny_default", betas=np.array([0.5, -1.0]))
+    assert_allclose(wearer.skin.vertices, load_body().rest_vertices(np.array([0.5, -1.0])), atol=1e-12)
+    assert_allclose(wearer.shaped.joints_template, load_body().rest_joints(np.array([0.5, -1.0])), atol=1e-12)
+    assert shaped_body(load_body(), np.zeros(2)).name == load_body().name
+
+
+def test_a_job_refuses_what_does_not_go_together(tmp_path):
+    path = write_obj(tmp_path / "t.obj", skirt_tube())
+    job = Job(target=path, out=tmp_path, base="skirt", body="fit", pose=np.zeros((24, 3)))
+    with pytest.raises(InputError, match="--body fit"):
+        prepare(job)
+    wearer = read_wearer("anny_default")
+    with pytest.raises(InputError, match="--base"):
+        read_base("hat", wearer)
+    with pytest.raises(InputError, match="--set"):
+        read_base("mine.json", wearer, ["length_m=1"])
+
+
+@pytest.mark.slow
+def test_a_body_is_found_inside_a_garment_in_another_unit_and_place():
+    """The base's own panels as placed tell the size; cloth round the trunk, sleeves round lowered arms."""
+    body = load_body()
+    pose = np.zeros((24, 3))
+    pose[16, 2], pose[17, 2] = -0.5, 0.5
+    near = body.posed_vertices(pose[None])[0]
+    normals = meshes.vertex_normals(near, body.faces)
+    # A tight shirt: the skin of trunk and upper arms, 8 mm out.
+    shirt = body.weights[:, [0, 3, 6, 9, 13, 14, 16, 17]].sum(axis=1) > 0.5
+    keep = shirt[body.faces].all(axis=1)
+    used, faces = np.unique(body.faces[keep], return_inverse=True)
+    vertices = (near + 0.008 * normals)[used] + [0.1, 0.9, 0.0]
+    base = base_pattern("tshirt", default_measurements())
+    mesh, wearer = inside_wearer(plain_mesh("scan", 100.0 * vertices, faces.reshape(-1, 3)), base)
+    assert_allclose(mesh.vertices, vertices)
+    assert "from cm to m" in mesh.notes[-1]
+    assert np.linalg.norm(wearer.skin.vertices[shirt] - (near[shirt] + [0.1, 0.9, 0.0]), axis=1).mean() < 0.025
+    assert wearer.residual_mm < 12.0 and wearer.pose is not None
+    assert wearer.pose[[13, 16], 2].sum() < -0.3 and wearer.pose[[14, 17], 2].sum() > 0.3
+    with pytest.raises(MeshError, match="Say the unit"):
+        inside_wearer(plain_mesh("scan", 4000.0 * vertices, faces.reshape(-1, 3)), base)
+    # In a narrow one no body fits.
+    with pytest.raises(BodyError, match="cloth that a body fits in"):
+        inside_wearer(plain_mesh("scan", vertices * [0.35, 1.0, 0.35], faces.reshape(-1, 3)), base, unit="m")
