@@ -31,6 +31,7 @@ import torch
 
 from benchmarks import common
 from benchmarks.recovery import off
+from benchmarks.recovery_report import ahead
 from benchmarks.render import SKIN, Surface, render, save_png, sheet
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
@@ -67,28 +68,11 @@ OWN: dict[str, Callable[[BodyModel], Pattern]] = {
 GARMENTS = (*TEMPLATES, *OWN)
 
 
-@dataclass(frozen=True)
-class Published:
-    """A row of table 2: the paper's own method. Chamfer distance read as cm^2, turning as degrees (decision 0004)."""
-
-    chamfer_cm2: float
-    normal: float
-    turning_deg: float
-    area_err: float
-
-
-TABLE_2 = {
-    "tee": Published(0.112, 0.049, 9.53, 0.09),
-    "dress": Published(0.110, 0.075, 10.96, 0.10),
-    "shorts": Published(0.126, 0.043, 7.37, 0.04),
-    "pants": Published(0.142, 0.049, 7.12, 0.08),
-    "skirt": Published(0.106, 0.014, 3.99, 0.04),
-}
-MEASURES = ("chamfer_cm2", "normal", "turning_deg", "area_err")
 COLUMNS = {
     "garment": "s", "seed": "d", "nodes": "d", "chamfer_cm2": ".3f", "normal": ".4f", "turning_deg": ".2f",
     "area_err": ".4f", "ahead": "d", "minutes": ".1f", "mean_mm": ".2f", "controls_mm": ".1f",
-    "truth_chamfer_cm2": ".3f", "truth_normal": ".4f", "floor_cm2": ".3f", "base_turning_deg": ".2f", "base_area_err": ".3f",
+    "truth_chamfer_cm2": ".3f", "truth_normal": ".4f", "floor_cm2": ".3f", "base_turning_deg": ".2f",
+    "base_area_err": ".3f",
 }  # fmt: skip
 
 
@@ -137,20 +121,33 @@ def newton_target(
         "stretch": cloth.h00 - cloth.h01**2 / cloth.h11, "shear": 0.5 * cloth.h22, "bending": preset.bending_j,
         "density": preset.density_kg_m2, "friction": 0.0, "gap_m": GAP_M,
     }  # fmt: skip
+    with tempfile.TemporaryDirectory() as scratch:
+        found = newton_drape(garment, scene, python, Path(scratch) if folder is None else folder)
+    return Target(truth, own, found["nodes"], float(found["moved_mm"]))
+
+
+def newton_drape(name: str, scene: dict[str, Any], python: str, folder: Path) -> dict[str, np.ndarray]:
+    """What ``benchmarks.newton_drape`` makes of ``scene``, kept in ``folder`` under the digest of scene and program."""
     program = common.ROOT / "benchmarks" / "newton_drape.py"
     digest = hashlib.sha256(program.read_bytes())
-    for name in sorted(scene):
-        digest.update(np.ascontiguousarray(scene[name]).tobytes())
-    with tempfile.TemporaryDirectory() as scratch:
-        kept = Path(scratch if folder is None else folder) / f"{garment}-{digest.hexdigest()[:12]}.npz"
-        if not kept.is_file():
-            kept.parent.mkdir(parents=True, exist_ok=True)
+    for key in sorted(scene):
+        digest.update(np.ascontiguousarray(scene[key]).tobytes())
+    kept = folder / f"{name}-{digest.hexdigest()[:12]}.npz"
+    if not kept.is_file():
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory() as scratch:
             asked, part = Path(scratch) / "scene.npz", Path(scratch) / "out.npz"
             np.savez(asked, **scene)
-            subprocess.run([python, str(program), str(asked), str(part)], check=True, timeout=NEWTON_LIMIT_S)
+            command = [python, str(program), str(asked), str(part)]
+            try:
+                done = subprocess.run(command, stderr=subprocess.PIPE, text=True, timeout=NEWTON_LIMIT_S, check=False)
+            except (OSError, subprocess.TimeoutExpired) as error:
+                raise SystemExit(f"--newton {python}: {error}") from error
+            if done.returncode:
+                raise SystemExit(f"--newton {python}: {(done.stderr.strip().splitlines() or ['no message'])[-1]}")
             kept.write_bytes(part.read_bytes())
-        with np.load(kept) as found:
-            return Target(truth, own, found["nodes"], float(found["moved_mm"]))
+    with np.load(kept) as found:
+        return {key: found[key] for key in found.files}
 
 
 def turning_deg(found: Pattern, truth: Pattern) -> np.ndarray:
@@ -201,7 +198,7 @@ def recover(
         "target_moved_mm": target.moved_mm,
         "minutes": minutes,
     }
-    row["ahead"] = sum(row[name] <= getattr(TABLE_2[garment], name) for name in MEASURES)
+    row["ahead"] = ahead(row)
     return row, (found.fitted.nodes, faces)
 
 
@@ -224,20 +221,6 @@ def draw(path: Path, body: BodyModel, shown: Sequence[tuple[Target, tuple[np.nda
             ]
         )
     save_png(path, sheet(pictures))
-
-
-def table(record: dict[str, Any]) -> str:
-    """The recoveries beside the paper's own row of table 2."""
-    heads = ["garment", "Chamfer [cm²]", "paper", "normals", "paper", "turning [deg]", "paper", "areas", "paper"]
-    heads += ["at or ahead", "mean distance [mm]", "true pattern in our simulator [cm²]", "minutes"]
-    lines = []
-    for row in record["rows"]:
-        published = TABLE_2[row["garment"]]
-        pairs = zip(MEASURES, (".3f", ".3f", ".2f", ".3f"), strict=True)
-        cells = [format(value, form) for name, form in pairs for value in (row[name], getattr(published, name))]
-        own = common.cells(row, {"ahead": "d", "mean_mm": ".1f", "truth_chamfer_cm2": ".3f", "minutes": ".1f"})
-        lines.append([f"{row['garment']}, base {row['seed']}", *cells, *own])
-    return f"{common.markdown_table(heads, lines)}\n\n{common.provenance(record)}"
 
 
 def main() -> int:
