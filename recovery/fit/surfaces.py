@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from drape.errors import MeshError
 from drape.geometry import meshes
@@ -61,8 +61,8 @@ def surface_error(
     rng = np.random.default_rng(seed)
     points, normals = sample_surface(vertices, faces, count, rng)
     true_points, true_normals = sample_surface(true_vertices, true_faces, count, rng)
-    to_true, at_true = cKDTree(true_points).query(points)
-    to_found, at_found = cKDTree(points).query(true_points)
+    to_true, at_true = KDTree(true_points).query(points)
+    to_found, at_found = KDTree(points).query(true_points)
     cosines = [(normals * true_normals[at_true]).sum(axis=1), (true_normals * normals[at_found]).sum(axis=1)]
     angles = [np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))) for cosine in cosines]
     return SurfaceError(
