@@ -73,13 +73,15 @@ def markdown_table(heads: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
 
 
 def command(bench: str, arguments: list[str]) -> str:
-    """The command line, with the folder of private data under its variable's name."""
+    """The command line, the folder of private data under its variable's name, other absolute paths cut to their end."""
     data = data_folder()
     words = [f"python -m benchmarks.{bench}"]
     for word in arguments:
         path = Path(word).resolve()
         if data is not None and path.is_relative_to(data.resolve()):
             words.append("$" + str(DATA_VARIABLE / path.relative_to(data.resolve())))
+        elif Path(word).is_absolute() and len(path.parts) > 2:
+            words.append(shlex.quote(f".../{Path(word).name}"))
         else:
             words.append(shlex.quote(word))
     return " ".join(words)

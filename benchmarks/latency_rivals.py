@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import signal
 import subprocess
 import tempfile
@@ -21,7 +20,7 @@ from benchmarks.kd_tree_push import Collider
 from benchmarks.latency_setup import timed
 from drape.body.model import BodyModel
 from drape.cloth.material import material
-from drape.cloth.metrics import edge_strain_pct
+from drape.cloth.metrics import area_strain_pct, edge_strain_pct
 from drape.feeds import garment_feed
 from drape.garment.agreement import FIT_COUNT, MEMBERS
 from drape.garment.cache import Garment
@@ -36,7 +35,7 @@ from training.agreement import TANGENT_COUNT
 from training.model import OneFit
 
 COMPILE_LIMIT_S = 240
-NEWTON_ITERATIONS = (1, 2, 5, 10, 20, 50)
+NEWTON_ITERATIONS = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 15, 20, 30, 50)
 NEWTON_LIMIT_S = 900
 CLEARANCE_M = 0.002
 
@@ -192,13 +191,13 @@ def newton_row(
     rest = garment.vertices[: garment.vertex_count].astype(np.float64)
     cloth = material()
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "scene.npz"
+        path, out = Path(folder) / "scene.npz", Path(folder) / "out.npz"
         np.savez(
             path, rest=rest, faces=garment.faces, start=start, body_faces=body.faces, iterations=NEWTON_ITERATIONS,
             body_vertices=skinning.collider.posed(pose, skinning.betas)[0], membrane=cloth.mu_n_per_m,
             area=cloth.lambda_n_per_m, bending=cloth.bending_j, density=cloth.density_kg_m2,
         )  # fmt: skip
-        command = [python, str(ROOT / "benchmarks" / "newton_vbd.py"), str(path)]
+        command = [python, str(ROOT / "benchmarks" / "newton_vbd.py"), str(path), str(out)]
         began = time.perf_counter()
         try:
             done = subprocess.run(command, capture_output=True, text=True, timeout=NEWTON_LIMIT_S, check=False)
@@ -207,14 +206,30 @@ def newton_row(
         if done.returncode:
             lines = done.stderr.strip().splitlines() or ["no message"]
             return {"name": "newton_vbd", "skipped": lines[-1][:160]}
-    runs = json.loads(done.stdout.strip().splitlines()[-1])
+        with np.load(out) as found:
+            runs = {name: found[name] for name in found.files}
+    strain = edge_strain_pct(runs["vertices"], rest, garment.faces)
+    area = area_strain_pct(np.concatenate([runs["vertices"], vertices[None]]), rest, garment.faces)
     wanted = float(edge_strain_pct(vertices[None].astype(np.float64), rest, garment.faces)[0])
-    enough = [run for run in runs if run["edge_pct"] <= wanted]
-    chosen = enough[0] if enough else runs[-1]
+    enough = np.nonzero(strain <= wanted)[0]
+    chosen = int(enough[0]) if len(enough) else len(strain) - 1
+    p50, p95, p99 = (float(value) for value in np.percentile(runs["step_ms"][chosen], [50, 95, 99]))
     return {
         "name": "newton_vbd",
-        **{key: chosen[key] for key in ("p50_ms", "p95_ms", "p99_ms", "iterations", "edge_pct")},
+        "p50_ms": p50,
+        "p95_ms": p95,
+        "p99_ms": p99,
+        "min_ms": float(runs["step_ms"][chosen].min()),
+        "collide_ms": float(np.median(runs["collide_ms"][chosen])),
+        "iterations": int(runs["iterations"][chosen]),
+        "edge_pct": float(strain[chosen]),
+        "area_pct": float(area[chosen]),
         "network_edge_pct": wanted,
-        "reached": bool(enough),
+        "network_area_pct": float(area[-1]),
+        "reached": bool(len(enough)),
+        "by_iterations": {
+            str(count): {"p50_ms": float(np.median(times)), "edge_pct": float(edge), "area_pct": float(face)}
+            for count, times, edge, face in zip(runs["iterations"], runs["step_ms"], strain, area, strict=False)
+        },
         "wall_s": time.perf_counter() - began,
     }

@@ -1,15 +1,16 @@
 """One frame of cloth by Newton's VBD solver (https://github.com/newton-physics/newton), for ``benchmarks.latency``.
 
-    PYTHON -m benchmarks.newton_vbd SCENE.npz
+    PYTHON -m benchmarks.newton_vbd SCENE.npz OUT.npz
 
-Runs in an environment that has ``newton`` and NumPy and nothing of ours. The scene holds the rest mesh, a start, the
-posed body and the cloth; the last line printed is a JSON list with time and edge strain for every count of iterations.
+Runs in an environment that has ``newton`` (1.8) and NumPy and nothing of ours. SCENE holds the rest mesh, a start, the
+posed body and the cloth; OUT gets, for every count of ``iterations`` (I,), ``step_ms`` and ``collide_ms`` (I, R) of R
+repeats and the ``vertices`` [m] (I, V, 3) after one step from the start at rest. A step's time includes its
+collision detection, which ``collide_ms`` gives alone.
 """
 
 from __future__ import annotations
 
 import importlib
-import json
 import sys
 import time
 from typing import Any
@@ -21,14 +22,15 @@ REPEATS = 5
 RADIUS_M = 0.002
 
 
-def edge_strain_pct(vertices: np.ndarray, rest: np.ndarray, faces: np.ndarray) -> float:
-    """Mean relative change of edge lengths [%], as ``drape.cloth.metrics.edge_strain_pct``."""
-    edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1), axis=0)
+def bending_n(rest: np.ndarray, edges: np.ndarray, bending_j: float) -> np.ndarray:
+    """Newton's hinge stiffness [N] (E,) of ours [J]; ``edges`` (E, 4): opposite corners, then both ends.
 
-    def lengths(points: np.ndarray) -> np.ndarray:
-        return np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
-
-    return float(100.0 * np.mean(np.abs(lengths(vertices) / lengths(rest) - 1.0)))
+    Its energy is k l theta^2 / 2, ours about b l^2 / (A1 + A2) theta^2 / 2, so k = b l / (A1 + A2). Border edges: 0.
+    """
+    first, second, start, end = (rest[np.maximum(edges[:, column], 0)] for column in range(4))
+    along = end - start
+    areas = sum(0.5 * np.linalg.norm(np.cross(along, corner - start), axis=1) for corner in (first, second))
+    return np.where((edges[:, :2] >= 0).all(axis=1), bending_j * np.linalg.norm(along, axis=1) / areas, 0.0)
 
 
 def main() -> None:
@@ -50,7 +52,7 @@ def main() -> None:
         tri_ke=float(scene["membrane"]),
         tri_ka=float(scene["area"]),
         tri_kd=0.0,
-        edge_ke=float(scene["bending"]),
+        edge_ke=1.0,
         edge_kd=0.0,
         particle_radius=RADIUS_M,
     )
@@ -59,28 +61,27 @@ def main() -> None:
     builder.color(include_bending=True)
     model = builder.finalize(device="cpu")
     model.soft_contact_ke, model.soft_contact_kd, model.soft_contact_mu = 1e2, 1e-2, 0.2
-    rows = []
-    for iterations in scene["iterations"].tolist():
+    hinges = model.edge_bending_properties.numpy()
+    hinges[:, 0] = bending_n(rest, model.edge_indices.numpy(), float(scene["bending"]))
+    model.edge_bending_properties.assign(hinges)
+    counts = scene["iterations"]
+    steps, detections = np.zeros((len(counts), REPEATS + 1)), np.zeros((len(counts), REPEATS + 1))
+    vertices = np.zeros((len(counts), len(rest), 3))
+    for row, iterations in enumerate(counts.tolist()):
         solver = newton.solvers.SolverVBD(model, iterations=iterations)
         before, after, control = model.state(), model.state(), model.control()
-        taken = []
-        for _ in range(REPEATS + 1):
+        for turn in range(REPEATS + 1):
             before.particle_q = warp.array(scene["start"].astype(np.float32), dtype=warp.vec3, device="cpu")
             before.particle_qd.zero_()
             began = time.perf_counter()
-            solver.step(before, after, control, model.collide(before), STEP_S)
-            taken.append(1e3 * (time.perf_counter() - began))
-        p50, p95, p99 = np.percentile(taken[1:], [50, 95, 99])  # the first call compiles
-        rows.append(
-            {
-                "iterations": iterations,
-                "p50_ms": float(p50),
-                "p95_ms": float(p95),
-                "p99_ms": float(p99),
-                "edge_pct": edge_strain_pct(after.particle_q.numpy().astype(np.float64), rest, faces),
-            }
-        )
-    print(json.dumps(rows))
+            contacts = model.collide(before)
+            detected = time.perf_counter()
+            solver.step(before, after, control, contacts, STEP_S)
+            steps[row, turn] = 1e3 * (time.perf_counter() - began)
+            detections[row, turn] = 1e3 * (detected - began)
+        vertices[row] = after.particle_q.numpy()
+    # The first call of each solver compiles.
+    np.savez(sys.argv[2], iterations=counts, step_ms=steps[:, 1:], collide_ms=detections[:, 1:], vertices=vertices)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from benchmarks import latency_report, representation_report, study_report
+from benchmarks import latency_report, recovery_report, representation_report, study_report
 from benchmarks.common import RESULTS_DIR, ROOT, cells, provenance
 
 QUALITY_COLUMNS = {
@@ -108,6 +108,7 @@ TABLES: tuple[tuple[str, str, str, Callable[[dict[str, Any]], str]], ...] = (
     ("dynamics", "docs/training.md", "dynamics_potential", study_report.potential_table),
     ("push_out", "docs/push_out.md", "push_out", study_report.push_table),
     ("resolution", "docs/quality.md", "resolution", study_report.resolution_table),
+    ("recovery_targets", "docs/recovery_fit.md", "recovery_targets", recovery_report.table),
     ("loss_ablation", "docs/losses.md", "loss_ablation", representation_report.loss_table),
 )
 
