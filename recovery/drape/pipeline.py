@@ -86,14 +86,16 @@ def drape_pattern(
     options: DrapeOptions = DrapeOptions(),
     *,
     pose: np.ndarray | None = None,
+    cloth: OrthotropicMaterial | None = None,
     report: Report | None = None,
 ) -> Draped:
     """``pattern`` sewn round ``body`` and at rest on it, in the T-pose and then in ``pose`` (24, 3).
 
+    ``cloth`` stands in for the fabric that the options name.
     Raises ``InputError`` (or ``MeshError``) for a pattern that cannot be meshed, placed or closed round this body.
     """
     say = report or (lambda line: None)
-    cloth = OrthotropicMaterial.from_isotropic(material(options.fabric))
+    cloth = cloth or OrthotropicMaterial.from_isotropic(material(options.fabric))
     pattern, notes = uncrossed(pattern)
     for note in notes:
         say(f"repaired  {note}")
