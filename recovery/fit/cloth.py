@@ -98,7 +98,10 @@ def named(name: str) -> OrthotropicMaterial:
 
 
 class Fabric(NamedTuple):
-    """The named fabric nearest to a cloth; ``factors`` (5,) of the cloth's stiffnesses over its own, as in ``NAMES``."""
+    """The named fabric nearest to a cloth; ``factors`` (5,): the cloth's stiffnesses over its own, as in ``NAMES``.
+
+    Stiffnesses are those over the weight; that of the coupling is a ratio of odds, see ``logarithms``.
+    """
 
     name: str
     factors: np.ndarray
@@ -110,7 +113,9 @@ class Fabric(NamedTuple):
             for what, factor in zip(NAMES, self.factors, strict=True)
             if abs(np.log(factor)) > SAME
         ]
-        return f"{self.name}, but {', '.join(told)}" if told else f"{self.name}, within {100 * SAME:.0f} % in everything"
+        return (
+            f"{self.name}, but {', '.join(told)}" if told else f"{self.name}, within {100 * SAME:.0f} % in everything"
+        )
 
 
 def nearest_fabric(cloth: OrthotropicMaterial, library: Iterable[str] = tuple(FABRICS)) -> Fabric:

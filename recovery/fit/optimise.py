@@ -80,7 +80,7 @@ DEFAULT_OPTIONS = FitOptions()
 
 
 class Evaluation(NamedTuple):
-    """Where the search stands: unknowns ``values`` [m] (Z,), nodes [m] (N, 3), loss and parts [m^2] (4,), gradient (Z,).
+    """Where the search stands: unknowns ``values`` [m] (Z,), nodes [m] (N, 3), loss and parts [m^2] (4,), gradient.
 
     The unknowns are the free numbers of the control points, and five more where the cloth is free.
     """

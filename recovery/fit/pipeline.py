@@ -20,7 +20,7 @@ from recovery.drape.settle import settle
 from recovery.fit.cloth import Fabric, FreeCloth, named, nearest_fabric
 from recovery.fit.contours import Contour, Match, match_contours, open_contours
 from recovery.fit.forward import RestDrape
-from recovery.fit.grading import Graded, grade
+from recovery.fit.grading import Graded, grade, graded_again, ungraded
 from recovery.fit.objective import DEFAULT_WEIGHTS, Objective, Target, Weights
 from recovery.fit.optimise import DEFAULT_OPTIONS, FitOptions, Fitted, PatternSearch
 from recovery.pattern.coordinates import control_points
@@ -76,6 +76,7 @@ def recover_pattern(
     meshes_m: Sequence[float] | None = None,
     fabrics: Sequence[str] = (),
     free_cloth: bool = False,
+    grading: bool = True,
     state_file: Path | None = None,
     progress: bool = False,
     report: Callable[[str], None] | None = None,
@@ -85,8 +86,9 @@ def recover_pattern(
     The target, ``vertices`` [m] (V, 3) and ``faces`` (F, 3), is one garment's surface, open where the garment is;
     ``base`` is a pattern of its kind with the same panels. ``meshes_m`` are the edge lengths [m] of the rounds, by
     default three times that of ``drape``; Adam's steps are taken in the first alone. Of ``fabrics`` the one that
-    comes nearest in a short search is taken instead of that of ``drape``; with ``free_cloth`` its constants are unknowns
-    after the first round. Raises ``InputError`` where contours have no counterpart or a drape does not come to rest.
+    comes nearest in a short search is taken instead of that of ``drape``; with ``free_cloth`` its constants are
+    unknowns after the first round. Without ``grading`` the search begins at the base. Raises ``InputError`` where
+    contours have no counterpart or a drape does not come to rest.
     """
     say = report or (lambda line: None)
     lengths = list(meshes_m) if meshes_m is not None else [drape.edge_length_m] * ROUNDS
@@ -98,20 +100,16 @@ def recover_pattern(
     for line in symmetries.describe(base):
         say(f"symmetry  {line}")
     first = drape_pattern(base, body, drape)
-    contours = open_contours(first.nodes, first.mesh.faces)
-    matches, _ = match_contours(contours, contours_there, body.joints_template)
-    graded = grade(first.mesh, first.nodes, contours, matches, symmetries)
-    say(
-        f"graded    widths times {graded.widths.min():.3f} to {graded.widths.max():.3f}, heights "
-        f"{graded.heights.min():.3f} to {graded.heights.max():.3f}; misfit {100 * graded.misfit:.1f} %"
-    )
-    start = drape_pattern(graded.pattern, body, replace(drape, edge_length_m=lengths[0]))
-    _check_rest(start)
-    target = Target.from_mesh(vertices, faces, contours_there)
+    matches, _ = _matched(first, contours_there, body)
+    graded = ungraded(base)
+    if grading:
+        graded = grade(first.mesh, first.nodes, open_contours(first.nodes, first.mesh.faces), matches, symmetries)
+    start = _drape(graded.pattern, body, replace(drape, edge_length_m=lengths[0]))
+    target = Target.from_mesh(vertices, faces, contours_there, folds=weights.folds)
     skin = GridDistance.from_mesh(body.v_template, body.faces, spacing_m=drape.grid_m)
-    task = _Task(target, contours_there, body.joints_template, skin, symmetries, graded.pattern, weights)
     cloth, losses = named(drape.fabric), {}
     if fabrics:
+        task = _Task(target, contours_there, body, skin, symmetries, graded.pattern, weights)
         losses = {name: task.tried(start, base, named(name)) for name in fabrics}
         name = min(losses, key=lambda one: losses[one])
         if not np.isfinite(losses[name]):
@@ -124,19 +122,29 @@ def recover_pattern(
         drape, cloth = replace(drape, fabric=name), named(name)
         told = ", ".join(f"{one} {1e3 * np.sqrt(0.5 * loss):.2f}" for one, loss in losses.items())
         say(f"fabric    {name}; left to the target [mm]: {told}")
+        start = _drape(graded.pattern, body, replace(drape, edge_length_m=lengths[0]))
+    if grading:
+        # Once is linear, and may have been with another fabric: a second time halves what the first one left.
+        matches, _ = _matched(start, contours_there, body)
+        contours = open_contours(start.nodes, start.mesh.faces)
+        graded = graded_again(graded, grade(start.mesh, start.nodes, contours, matches, symmetries))
+        start = _drape(graded.pattern, body, replace(drape, edge_length_m=lengths[0]))
+    say(
+        f"graded    widths times {graded.widths.min():.3f} to {graded.widths.max():.3f}, heights "
+        f"{graded.heights.min():.3f} to {graded.heights.max():.3f}; misfit {100 * graded.misfit:.1f} %"
+    )
+    task = _Task(target, contours_there, body, skin, symmetries, graded.pattern, weights)
     likely = cloth
     rounds: list[Round] = []
     pattern, ratios = graded.pattern, base
     for number, length in enumerate(lengths):
-        if number or fabrics:
+        if number:
             start = drape_pattern(pattern, body, replace(drape, edge_length_m=length), cloth=cloth)
-        if number == 0:
-            _check_rest(start)
-        elif not start.at_rest or not _would_change(rounds, start, free_cloth=free_cloth):
-            say(f"round {number + 1}   left: {'it would find the same' if start.at_rest else 'no drape at rest'}")
-            break
+            if not start.at_rest or not _would_change(rounds, start, free_cloth=free_cloth):
+                say(f"round {number + 1}   left: {'it would find the same' if start.at_rest else 'no drape at rest'}")
+                break
         free = FreeCloth(cloth) if free_cloth and (number or len(lengths) == 1) else None
-        search, matches, holes = task.search(start, pattern, ratios, cloth, free, likely)
+        search, matches = task.search(start, pattern, ratios, cloth, free, likely)
         if number and search.evaluate(np.zeros(search.count), start.nodes) is None:
             say(f"round {number + 1}   left: no drape at rest")
             break
@@ -152,6 +160,7 @@ def recover_pattern(
         pattern = ratios = fitted.pattern
         cloth = fitted.cloth
     best = min(rounds, key=lambda one: _least(one)[0])
+    _, holes = _matched(best.start, contours_there, body)
     fabric = nearest_fabric(best.fitted.cloth)
     apart = [1e3 * float(np.sqrt(0.5 * terms)) for terms in (rounds[0].fitted.history[0, 1], _least(best)[1])]
     say(f"fitted    surfaces {apart[0]:.2f} mm apart at the start, {apart[1]:.2f} mm at the end (root mean square)")
@@ -168,7 +177,7 @@ class _Task:
 
     target: Target
     contours: list[Contour]
-    joints: np.ndarray
+    body: BodyModel
     skin: GridDistance
     symmetries: Symmetries
     graded: Pattern
@@ -182,10 +191,10 @@ class _Task:
         cloth: OrthotropicMaterial,
         free: FreeCloth | None,
         likely: OrthotropicMaterial,
-    ) -> tuple[PatternSearch, list[Match], list[int]]:
+    ) -> tuple[PatternSearch, list[Match]]:
         """The search from ``start``, what ``pattern`` draped to; seams keep the ratios of lengths of ``ratios``."""
         contours = open_contours(start.nodes, start.mesh.faces)
-        matches, holes = match_contours(contours, self.contours, self.joints)
+        matches, _ = _matched(start, self.contours, self.body)
         controls = free_controls(pattern, self.symmetries)
         centre = controls.values(control_points(self.graded).positions)
         found = PatternSearch(
@@ -196,7 +205,7 @@ class _Task:
             cloth=free,
             likely=centre if free is None else np.concatenate([centre, free.values_of(likely)]),
         )
-        return found, matches, holes
+        return found, matches
 
     def tried(self, start: Draped, base: Pattern, cloth: OrthotropicMaterial) -> float:
         """The least loss [m^2] of a short search with ``cloth``; infinite where the graded pattern does not rest."""
@@ -204,13 +213,15 @@ class _Task:
         rest = settle(start.mesh, start.nodes, self.skin, cloth, held=held if len(held) else None)
         if not rest.report.converged:
             return float("inf")
-        search, _, _ = self.search(start, self.graded, base, cloth, None, cloth)
+        search, _ = self.search(start, self.graded, base, cloth, None, cloth)
         if search.evaluate(np.zeros(search.count), rest.nodes) is None:
             return float("inf")
         return float(search.run(rest.nodes, TRIED).history[:, 0].min())
 
 
-def _check_rest(start: Draped) -> None:
+def _drape(pattern: Pattern, body: BodyModel, drape: DrapeOptions) -> Draped:
+    """What the graded ``pattern`` drapes to. Raises ``InputError`` where that is not at rest."""
+    start = drape_pattern(pattern, body, drape)
     if not start.at_rest:
         raise InputError(
             "graded pattern",
@@ -218,6 +229,12 @@ def _check_rest(start: Draped) -> None:
             got=f"{start.rest.report.residual_n:.1e} N left at a node",
             cure="Take another mesh (edge_length_m), more iterations, or a base nearer to the target.",
         )
+    return start
+
+
+def _matched(draped: Draped, there: list[Contour], body: BodyModel) -> tuple[list[Match], list[int]]:
+    """Pairs of the contours of a drape and those of the target, and the target's that are left."""
+    return match_contours(open_contours(draped.nodes, draped.mesh.faces), there, body.joints_template)
 
 
 def _least(one: Round) -> np.ndarray:
