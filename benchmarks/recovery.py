@@ -227,6 +227,7 @@ def main() -> int:
     common.add_options(parser)
     parser.add_argument("--garments", nargs="+", choices=sorted(GARMENTS), default=["tshirt"])
     parser.add_argument("--seeds", type=int, default=5, help="how many disturbed bases")
+    parser.add_argument("--first-seed", type=int, default=0, help="number of the first of them")
     parser.add_argument("--edge-length", type=float, default=0.05, help="of the mesh [m]")
     parser.add_argument("--target-edge-length", type=float, help="of the target's mesh [m] (default: the same)")
     parser.add_argument("--meshes", type=float, nargs="+", help="edge lengths [m] of the rounds (default: three equal)")
@@ -254,7 +255,7 @@ def main() -> int:
             for variant in VARIANTS if options.ablation else ["all"]:
                 own = {"rounds": len(meshes), **cloth, **VARIANTS[variant]}
                 own["meshes_m"] = meshes[: own.pop("rounds")]
-                for seed in range(seeds):
+                for seed in range(options.first_seed, options.first_seed + seeds):
                     one, row = recover(truth, target, seed, drape, fit, **own)
                     rows.append({"garment": garment, "fabric": fabric, "variant": variant, **row})
                     found[garment, fabric, seed] = one

@@ -152,14 +152,18 @@ class PatternSearch:
         if not report.converged:
             return None
         terms = self.objective(x, rest)
-        off = z - torch.from_numpy(self.likely)
-        loss = terms.total
-        if self.cloth is not None:
-            loss = loss + self.objective.weights.material * self.cloth.implausible(z[self.free.count :])
-        loss = loss * (1.0 + (off @ off) / self.objective.weights.reach_m**2)
+        loss = terms.total * self._doubt(z)
         (gradient,) = torch.autograd.grad(loss, z)
         found = torch.stack([loss, *terms[1:]]).detach().numpy()
         return Evaluation(values, x.detach().numpy(), found, gradient.numpy())
+
+    def _doubt(self, values: torch.Tensor) -> torch.Tensor:
+        """What the loss is multiplied by at ``values`` (Z,): 1 at what is held likely."""
+        off = values - torch.from_numpy(self.likely)
+        way = off @ off
+        if self.cloth is not None:
+            way = way + self.objective.weights.material * self.cloth.implausible(values[self.free.count :])
+        return 1.0 + way / self.objective.weights.reach_m**2
 
     def _parts(self, values: torch.Tensor) -> tuple[torch.Tensor, ClothTensors | None]:
         """Panel vertices [m] (P, 2) and the constants of a freed cloth at ``values`` (Z,)."""
@@ -250,8 +254,7 @@ class PatternSearch:
         return state._replace(stuck=True, damping=damping)
 
     def _curvature(self, at: Evaluation) -> np.ndarray:
-        """Second derivative (Z, Z) of the loss as Gauss and Newton take it; the reach's product of slopes left out."""
-        reach = self.objective.weights.reach_m
+        """Second derivative (Z, Z) of the loss as Gauss and Newton take it, without the mixed term of both factors."""
         rest, cloth = self._parts(torch.from_numpy(at.values))
         moves = self._basis.numpy().reshape(len(rest), 2, -1)
         cloth_moves = None if self.cloth is None else self.cloth.slopes(at.values[self.free.count :])
@@ -260,14 +263,10 @@ class PatternSearch:
         matrix = gauss_newton_matrix(
             self.objective, at.nodes, rest.numpy(), drape_moves, np.concatenate([moves, idle], axis=2)
         )
-        if self.cloth is not None:
-            z = torch.from_numpy(at.values[self.free.count :])
-            implausible = torch.autograd.functional.hessian(self.cloth.implausible, z)
-            own = slice(self.free.count, self.count)
-            matrix[own, own] += self.objective.weights.material * implausible.numpy()
-        off = at.values - self.likely
-        factor = 1.0 + off @ off / reach**2
-        return factor * matrix + 2.0 * at.terms[0] / factor / reach**2 * np.eye(self.count)
+        z = torch.from_numpy(at.values)
+        doubt = float(self._doubt(z))
+        of_doubt = torch.autograd.functional.hessian(self._doubt, z)
+        return doubt * matrix + at.terms[0] / doubt * of_doubt.numpy()  # type: ignore[union-attr]
 
     def _digest(self, options: FitOptions) -> str:
         """What a stored state must agree with: the mesh, the target, the constants."""
