@@ -121,7 +121,7 @@ def recover(
         "seed": seed,
         "nodes": found.start.mesh.node_count,
         "target_nodes": target.mesh.node_count,
-        "same_mesh": bool(np.array_equal(found.start.mesh.faces, target.mesh.faces)),
+        "same_mesh": triangles(found.start) == triangles(target),
         "base_mm": 1e3 * float(before.controls_m.mean()),
         "graded_mm": 1e3 * float(graded.controls_m.mean()),
         "first_mm": 1e3 * float(pattern_error(found.rounds[0].fitted.pattern, truth).controls_m.mean()),
@@ -136,6 +136,11 @@ def recover(
         "target_at_rest": target.at_rest,
         "minutes": minutes,
     }
+
+
+def triangles(draped: Draped) -> set[tuple[int, ...]]:
+    """The nodes of every triangle."""
+    return {tuple(row) for row in np.sort(draped.mesh.faces, axis=1).tolist()}
 
 
 def compare(found: dict[tuple[str, str, int], Recovered]) -> list[dict[str, Any]]:

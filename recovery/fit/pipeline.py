@@ -36,10 +36,11 @@ TRIED = FitOptions(iterations=0, closing=3)  # of the search with each fabric: i
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """One search: what its pattern draped to at the ``start``, pairs of contours, and what was ``fitted``."""
+    """One search: what its pattern draped to at the ``start``, pairs of contours, and what was ``fitted`` with what."""
 
     start: Draped
     matches: list[Match]
+    search: PatternSearch
     fitted: Fitted
 
 
@@ -47,9 +48,10 @@ class Round:
 class Recovered:
     """A recovery: what the base and the graded pattern draped to, the ``graded`` pattern, and what was ``fitted``.
 
-    ``start``, ``matches`` and ``fitted`` are those of the best of the ``rounds``, on one mesh. ``matches`` pair the
-    start's contours with the target's; ``holes`` are contours of the target that are left. ``fabric`` is the named
-    one nearest to the cloth of the drape; ``fabric_losses`` [m^2] is what the search fell to with each that was tried.
+    ``start``, ``matches``, ``search`` and ``fitted`` are those of the best of the ``rounds``, on one mesh. ``matches``
+    pair the start's contours with the target's; ``holes`` are contours of the target that are left. ``search`` holds
+    what was searched with: mesh, free numbers, simulator, loss. ``fabric`` is the named one nearest to the cloth of the
+    drape; ``fabric_losses`` [m^2] is what the search fell to with each that was tried.
     """
 
     symmetries: Symmetries
@@ -58,6 +60,7 @@ class Recovered:
     start: Draped
     matches: list[Match]
     holes: list[int]
+    search: PatternSearch
     fitted: Fitted
     rounds: tuple[Round, ...]
     fabric: Fabric
@@ -73,6 +76,7 @@ def recover_pattern(
     drape: DrapeOptions = DEFAULT_DRAPE,
     fit: FitOptions = DEFAULT_OPTIONS,
     weights: Weights = DEFAULT_WEIGHTS,
+    pose: np.ndarray | None = None,
     meshes_m: Sequence[float] | None = None,
     fabrics: Sequence[str] = (),
     free_cloth: bool = False,
@@ -81,7 +85,7 @@ def recover_pattern(
     progress: bool = False,
     report: Callable[[str], None] | None = None,
 ) -> Recovered:
-    """The pattern whose drape on ``body`` in the T-pose is nearest to a target.
+    """The pattern whose drape on ``body`` is nearest to a target, in the T-pose or in ``pose`` (24, 3).
 
     The target, ``vertices`` [m] (V, 3) and ``faces`` (F, 3), is one garment's surface, open where the garment is;
     ``base`` is a pattern of its kind with the same panels. ``meshes_m`` are the edge lengths [m] of the rounds, by
@@ -99,17 +103,19 @@ def recover_pattern(
     base = symmetrised(base, symmetries)
     for line in symmetries.describe(base):
         say(f"symmetry  {line}")
-    first = drape_pattern(base, body, drape)
-    matches, _ = _matched(first, contours_there, body)
+    joints = body.joints_template if pose is None else posed_joints(body, pose)
+    first = drape_pattern(base, body, drape, pose=pose)
+    matches, _ = _matched(first, contours_there, joints)
     graded = ungraded(base)
     if grading:
         graded = grade(first.mesh, first.nodes, open_contours(first.nodes, first.mesh.faces), matches, symmetries)
-    start = _drape(graded.pattern, body, replace(drape, edge_length_m=lengths[0]))
+    start = _drape(graded.pattern, body, replace(drape, edge_length_m=lengths[0]), pose)
     target = Target.from_mesh(vertices, faces, contours_there, folds=weights.folds)
-    skin = GridDistance.from_mesh(body.v_template, body.faces, spacing_m=drape.grid_m)
+    surface = body.v_template if pose is None else body.posed_vertices(pose[None])[0]
+    skin = GridDistance.from_mesh(surface, body.faces, spacing_m=drape.grid_m)
     cloth, losses = named(drape.fabric), {}
     if fabrics:
-        task = _Task(target, contours_there, body, skin, symmetries, graded.pattern, weights)
+        task = _Task(target, contours_there, joints, skin, symmetries, graded.pattern, weights)
         losses = {name: task.tried(start, base, named(name)) for name in fabrics}
         name = min(losses, key=lambda one: losses[one])
         if not np.isfinite(losses[name]):
@@ -122,24 +128,24 @@ def recover_pattern(
         drape, cloth = replace(drape, fabric=name), named(name)
         told = ", ".join(f"{one} {1e3 * np.sqrt(0.5 * loss):.2f}" for one, loss in losses.items())
         say(f"fabric    {name}; left to the target [mm]: {told}")
-        start = _drape(graded.pattern, body, replace(drape, edge_length_m=lengths[0]))
+        start = _drape(graded.pattern, body, replace(drape, edge_length_m=lengths[0]), pose)
     if grading:
         # Once is linear, and may have been with another fabric: a second time halves what the first one left.
-        matches, _ = _matched(start, contours_there, body)
+        matches, _ = _matched(start, contours_there, joints)
         contours = open_contours(start.nodes, start.mesh.faces)
         graded = graded_again(graded, grade(start.mesh, start.nodes, contours, matches, symmetries))
-        start = _drape(graded.pattern, body, replace(drape, edge_length_m=lengths[0]))
+        start = _drape(graded.pattern, body, replace(drape, edge_length_m=lengths[0]), pose)
     say(
         f"graded    widths times {graded.widths.min():.3f} to {graded.widths.max():.3f}, heights "
         f"{graded.heights.min():.3f} to {graded.heights.max():.3f}; misfit {100 * graded.misfit:.1f} %"
     )
-    task = _Task(target, contours_there, body, skin, symmetries, graded.pattern, weights)
+    task = _Task(target, contours_there, joints, skin, symmetries, graded.pattern, weights)
     likely = cloth
     rounds: list[Round] = []
     pattern, ratios = graded.pattern, base
     for number, length in enumerate(lengths):
         if number:
-            start = drape_pattern(pattern, body, replace(drape, edge_length_m=length), cloth=cloth)
+            start = drape_pattern(pattern, body, replace(drape, edge_length_m=length), pose=pose, cloth=cloth)
             if not start.at_rest or not _would_change(rounds, start, free_cloth=free_cloth):
                 say(f"round {number + 1}   left: {'it would find the same' if start.at_rest else 'no drape at rest'}")
                 break
@@ -153,21 +159,31 @@ def recover_pattern(
         options = fit if number == 0 else replace(fit, iterations=0, closing=max(fit.closing, 1))
         file = None if state_file is None else state_file.with_stem(state_file.stem + (f"_{number}" if number else ""))
         fitted = search.run(start.nodes, options, state_file=file, progress=progress)
-        rounds.append(Round(start, matches, fitted))
+        rounds.append(Round(start, matches, search, fitted))
         apart = [1e3 * float(np.sqrt(0.5 * terms)) for terms in (fitted.history[0, 1], _least(rounds[-1])[1])]
         say(f"round {number + 1}   {start.mesh.node_count} nodes: surfaces {apart[0]:.2f} to {apart[1]:.2f} mm apart")
         # The base's seams were scaled by it; what the target tells of them is kept from here on.
         pattern = ratios = fitted.pattern
         cloth = fitted.cloth
     best = min(rounds, key=lambda one: _least(one)[0])
-    _, holes = _matched(best.start, contours_there, body)
+    _, holes = _matched(best.start, contours_there, joints)
     fabric = nearest_fabric(best.fitted.cloth)
     apart = [1e3 * float(np.sqrt(0.5 * terms)) for terms in (rounds[0].fitted.history[0, 1], _least(best)[1])]
     say(f"fitted    surfaces {apart[0]:.2f} mm apart at the start, {apart[1]:.2f} mm at the end (root mean square)")
     if free_cloth:
         say(f"cloth     {fabric.describe()}")
     return Recovered(
-        symmetries, first, graded, best.start, best.matches, holes, best.fitted, tuple(rounds), fabric, losses
+        symmetries,
+        first,
+        graded,
+        best.start,
+        best.matches,
+        holes,
+        best.search,
+        best.fitted,
+        tuple(rounds),
+        fabric,
+        losses,
     )
 
 
@@ -177,7 +193,7 @@ class _Task:
 
     target: Target
     contours: list[Contour]
-    body: BodyModel
+    joints: np.ndarray
     skin: GridDistance
     symmetries: Symmetries
     graded: Pattern
@@ -194,7 +210,7 @@ class _Task:
     ) -> tuple[PatternSearch, list[Match]]:
         """The search from ``start``, what ``pattern`` draped to; seams keep the ratios of lengths of ``ratios``."""
         contours = open_contours(start.nodes, start.mesh.faces)
-        matches, _ = _matched(start, self.contours, self.body)
+        matches, _ = _matched(start, self.contours, self.joints)
         controls = free_controls(pattern, self.symmetries)
         centre = controls.values(control_points(self.graded).positions)
         found = PatternSearch(
@@ -219,22 +235,29 @@ class _Task:
         return float(search.run(rest.nodes, TRIED).history[:, 0].min())
 
 
-def _drape(pattern: Pattern, body: BodyModel, drape: DrapeOptions) -> Draped:
+def _drape(pattern: Pattern, body: BodyModel, drape: DrapeOptions, pose: np.ndarray | None) -> Draped:
     """What the graded ``pattern`` drapes to. Raises ``InputError`` where that is not at rest."""
-    start = drape_pattern(pattern, body, drape)
+    start = drape_pattern(pattern, body, drape, pose=pose)
     if not start.at_rest:
+        drapes = [one for one in (start.rest, start.posed) if one is not None]
         raise InputError(
             "graded pattern",
             expected="a drape at rest to start from",
-            got=f"{start.rest.report.residual_n:.1e} N left at a node",
+            got=f"{max(one.report.residual_n for one in drapes):.1e} N left at a node",
             cure="Take another mesh (edge_length_m), more iterations, or a base nearer to the target.",
         )
     return start
 
 
-def _matched(draped: Draped, there: list[Contour], body: BodyModel) -> tuple[list[Match], list[int]]:
+def posed_joints(body: BodyModel, pose: np.ndarray) -> np.ndarray:
+    """Joints [m] (24, 3) of ``body`` in ``pose`` (24, 3)."""
+    rotations, translations = body.bones(pose[None])
+    return np.einsum("jab,jb->ja", rotations[0], body.joints_template) + translations[0]
+
+
+def _matched(draped: Draped, there: list[Contour], joints: np.ndarray) -> tuple[list[Match], list[int]]:
     """Pairs of the contours of a drape and those of the target, and the target's that are left."""
-    return match_contours(open_contours(draped.nodes, draped.mesh.faces), there, body.joints_template)
+    return match_contours(open_contours(draped.nodes, draped.mesh.faces), there, joints)
 
 
 def _least(one: Round) -> np.ndarray:
