@@ -265,9 +265,9 @@ def main() -> int:
                     rows.append({"garment": garment, "fabric": fabric, "variant": variant, **row})
                     found[garment, fabric, seed] = one
                     if options.picture is not None and len(rows) == 1:
-                        patterns = (off(truth, seed), one.graded.pattern, one.fitted.pattern)
+                        stages = {"base": off(truth, seed), "graded": one.graded.pattern}
+                        stages["recovered"] = one.fitted.pattern
                         history = np.concatenate([each.fitted.history for each in one.rounds])
-                        stages = dict(zip(("base", "graded", "recovered"), patterns, strict=True))
                         draw(options.picture, truth, stages, history)
     common.print_table(rows, COLUMNS)
     extra: dict[str, Any] = {}

@@ -87,11 +87,13 @@ def drape_pattern(
     *,
     pose: np.ndarray | None = None,
     cloth: OrthotropicMaterial | None = None,
+    skin: GridDistance | None = None,
     report: Report | None = None,
 ) -> Draped:
     """``pattern`` sewn round ``body`` and at rest on it, in the T-pose and then in ``pose`` (24, 3).
 
-    ``cloth`` stands in for the fabric that the options name.
+    ``cloth`` stands in for the fabric that the options name; ``skin`` is the body's distance in the T-pose, if it is
+    there already.
     Raises ``InputError`` (or ``MeshError``) for a pattern that cannot be meshed, placed or closed round this body.
     """
     say = report or (lambda line: None)
@@ -101,7 +103,7 @@ def drape_pattern(
         say(f"repaired  {note}")
     mesh = mesh_pattern(pattern if options.scale == 1.0 else scaled(pattern, options.scale), options.edge_length_m)
     say(f"meshed    {mesh.node_count} nodes, {len(mesh.faces)} triangles, {len(pattern.stitches)} seams")
-    skin = GridDistance.from_mesh(body.v_template, body.faces, spacing_m=options.grid_m)
+    skin = skin or GridDistance.from_mesh(body.v_template, body.faces, spacing_m=options.grid_m)
     distance = in_numpy(skin)
     placed = place(mesh, body, distance, axes=options.axes)
     say(

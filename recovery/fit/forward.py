@@ -90,10 +90,8 @@ class RestDrape:
             slopes = torch.autograd.grad(scalar, leaves, create_graph=True)
             columns = []
             for step in steps:
-                along = sum(
-                    (slope * torch.from_numpy(np.ascontiguousarray(part))).sum()
-                    for slope, part in zip(slopes, step, strict=True)
-                )
+                parts = [torch.from_numpy(np.ascontiguousarray(part)) for part in step]
+                along = torch.stack([(slope * part).sum() for slope, part in zip(slopes, parts, strict=True)]).sum()
                 (right,) = torch.autograd.grad(along, weights, retain_graph=True)
                 columns.append(factor.solve(np.ascontiguousarray((problem.free * right).numpy()).reshape(-1)))
         return np.stack(columns, axis=1).reshape(len(nodes), 3, -1)

@@ -16,7 +16,6 @@ from drape.body.model import BodyModel
 from drape.cloth.orthotropic import OrthotropicMaterial
 from drape.errors import InputError
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
-from recovery.drape.settle import settle
 from recovery.fit.cloth import Fabric, FreeCloth, named, nearest_fabric
 from recovery.fit.contours import Contour, Match, match_contours, open_contours
 from recovery.fit.forward import RestDrape
@@ -29,6 +28,7 @@ from recovery.pattern.symmetry import Symmetries, find_symmetries, free_controls
 from recovery.sim.sdf import GridDistance
 
 DEFAULT_DRAPE = DrapeOptions()
+GRADINGS = 2
 ROUNDS = 3
 SETTLED_M = 1e-4  # of every control point in a round: where the mesh stays as well, the next would find the same
 TRIED = FitOptions(iterations=0, closing=3)  # of the search with each fabric: its signature is mixed with the size's
@@ -89,8 +89,8 @@ def recover_pattern(
 
     The target, ``vertices`` [m] (V, 3) and ``faces`` (F, 3), is one garment's surface, open where the garment is;
     ``base`` is a pattern of its kind with the same panels. ``meshes_m`` are the edge lengths [m] of the rounds, by
-    default three times that of ``drape``; Adam's steps are taken in the first alone. Of ``fabrics`` the one that
-    comes nearest in a short search is taken instead of that of ``drape``; with ``free_cloth`` its constants are
+    default three times that of ``drape``; Adam's steps are taken in the first alone. Of ``fabrics`` and that of
+    ``drape`` the one that comes nearest in a short search is taken; with ``free_cloth`` its constants are
     unknowns after the first round. Without ``grading`` the search begins at the base. Raises ``InputError`` where
     contours have no counterpart or a drape does not come to rest.
     """
@@ -104,37 +104,44 @@ def recover_pattern(
     for line in symmetries.describe(base):
         say(f"symmetry  {line}")
     joints = body.joints_template if pose is None else posed_joints(body, pose)
-    first = drape_pattern(base, body, drape, pose=pose)
-    matches, _ = _matched(first, contours_there, joints)
-    graded = ungraded(base)
+    bare = GridDistance.from_mesh(body.v_template, body.faces, spacing_m=drape.grid_m)
+    first = drape_pattern(base, body, drape, pose=pose, skin=bare)
+    graded, start = ungraded(base), first
+
+    def grade_on(before: Graded, draped: Draped) -> tuple[Graded, Draped]:
+        """``before`` graded once more by what it draped to, and what that drapes to."""
+        matches, _ = _matched(draped, contours_there, joints)
+        contours = open_contours(draped.nodes, draped.mesh.faces)
+        after = graded_again(before, grade(draped.mesh, draped.nodes, contours, matches, symmetries))
+        return after, _drape(after.pattern, body, replace(drape, edge_length_m=lengths[0]), pose, bare)
+
     if grading:
-        graded = grade(first.mesh, first.nodes, open_contours(first.nodes, first.mesh.faces), matches, symmetries)
-    start = _drape(graded.pattern, body, replace(drape, edge_length_m=lengths[0]), pose)
+        # Once is linear: a second time halves what the first one left.
+        for _ in range(GRADINGS):
+            graded, start = grade_on(graded, start)
+    else:
+        start = _drape(base, body, replace(drape, edge_length_m=lengths[0]), pose, bare)
     target = Target.from_mesh(vertices, faces, contours_there, folds=weights.folds)
-    surface = body.v_template if pose is None else body.posed_vertices(pose[None])[0]
-    skin = GridDistance.from_mesh(surface, body.faces, spacing_m=drape.grid_m)
+    skin = bare
+    if pose is not None:
+        skin = GridDistance.from_mesh(body.posed_vertices(pose[None])[0], body.faces, spacing_m=drape.grid_m)
     cloth, losses = named(drape.fabric), {}
     if fabrics:
         task = _Task(target, contours_there, joints, skin, symmetries, graded.pattern, weights)
-        losses = {name: task.tried(start, base, named(name)) for name in fabrics}
+        starts = {drape.fabric: start}
+        for name in fabrics:
+            # From scratch: what hangs from a belt closes round the body elsewhere in another fabric.
+            options = replace(drape, fabric=name, edge_length_m=lengths[0])
+            starts.setdefault(name, drape_pattern(graded.pattern, body, options, pose=pose, skin=bare))
+        losses = {name: task.tried(one, base, named(name)) for name, one in starts.items()}
         name = min(losses, key=lambda one: losses[one])
-        if not np.isfinite(losses[name]):
-            raise InputError(
-                "fabrics",
-                expected="one with which the graded pattern comes to rest",
-                got=f"none of {', '.join(losses)}",
-                cure="Take others, or another mesh (edge_length_m).",
-            )
-        drape, cloth = replace(drape, fabric=name), named(name)
         told = ", ".join(f"{one} {1e3 * np.sqrt(0.5 * loss):.2f}" for one, loss in losses.items())
         say(f"fabric    {name}; left to the target [mm]: {told}")
-        start = _drape(graded.pattern, body, replace(drape, edge_length_m=lengths[0]), pose)
-    if grading:
-        # Once is linear, and may have been with another fabric: a second time halves what the first one left.
-        matches, _ = _matched(start, contours_there, joints)
-        contours = open_contours(start.nodes, start.mesh.faces)
-        graded = graded_again(graded, grade(start.mesh, start.nodes, contours, matches, symmetries))
-        start = _drape(graded.pattern, body, replace(drape, edge_length_m=lengths[0]), pose)
+        if name != drape.fabric:
+            drape, cloth = replace(drape, fabric=name), named(name)
+            start = starts[name]
+            if grading:
+                graded, start = grade_on(graded, start)
     say(
         f"graded    widths times {graded.widths.min():.3f} to {graded.widths.max():.3f}, heights "
         f"{graded.heights.min():.3f} to {graded.heights.max():.3f}; misfit {100 * graded.misfit:.1f} %"
@@ -145,7 +152,8 @@ def recover_pattern(
     pattern, ratios = graded.pattern, base
     for number, length in enumerate(lengths):
         if number:
-            start = drape_pattern(pattern, body, replace(drape, edge_length_m=length), pose=pose, cloth=cloth)
+            options = replace(drape, edge_length_m=length)
+            start = drape_pattern(pattern, body, options, pose=pose, cloth=cloth, skin=bare)
             if not start.at_rest or not _would_change(rounds, start, free_cloth=free_cloth):
                 say(f"round {number + 1}   left: {'it would find the same' if start.at_rest else 'no drape at rest'}")
                 break
@@ -156,9 +164,9 @@ def recover_pattern(
             break
         if not number:
             say(f"search    {search.free.count} numbers are free, {start.mesh.node_count} nodes")
-        options = fit if number == 0 else replace(fit, iterations=0, closing=max(fit.closing, 1))
+        steps = fit if number == 0 else replace(fit, iterations=0, closing=max(fit.closing, 1))
         file = None if state_file is None else state_file.with_stem(state_file.stem + (f"_{number}" if number else ""))
-        fitted = search.run(start.nodes, options, state_file=file, progress=progress)
+        fitted = search.run(start.nodes, steps, state_file=file, progress=progress)
         rounds.append(Round(start, matches, search, fitted))
         apart = [1e3 * float(np.sqrt(0.5 * terms)) for terms in (fitted.history[0, 1], _least(rounds[-1])[1])]
         say(f"round {number + 1}   {start.mesh.node_count} nodes: surfaces {apart[0]:.2f} to {apart[1]:.2f} mm apart")
@@ -225,19 +233,19 @@ class _Task:
 
     def tried(self, start: Draped, base: Pattern, cloth: OrthotropicMaterial) -> float:
         """The least loss [m^2] of a short search with ``cloth``; infinite where the graded pattern does not rest."""
-        held = start.rest.held
-        rest = settle(start.mesh, start.nodes, self.skin, cloth, held=held if len(held) else None)
-        if not rest.report.converged:
+        if not start.at_rest:
             return float("inf")
         search, _ = self.search(start, self.graded, base, cloth, None, cloth)
-        if search.evaluate(np.zeros(search.count), rest.nodes) is None:
+        if search.evaluate(np.zeros(search.count), start.nodes) is None:
             return float("inf")
-        return float(search.run(rest.nodes, TRIED).history[:, 0].min())
+        return float(search.run(start.nodes, TRIED).history[:, 0].min())
 
 
-def _drape(pattern: Pattern, body: BodyModel, drape: DrapeOptions, pose: np.ndarray | None) -> Draped:
+def _drape(
+    pattern: Pattern, body: BodyModel, drape: DrapeOptions, pose: np.ndarray | None, skin: GridDistance
+) -> Draped:
     """What the graded ``pattern`` drapes to. Raises ``InputError`` where that is not at rest."""
-    start = drape_pattern(pattern, body, drape, pose=pose)
+    start = drape_pattern(pattern, body, drape, pose=pose, skin=skin)
     if not start.at_rest:
         drapes = [one for one in (start.rest, start.posed) if one is not None]
         raise InputError(
