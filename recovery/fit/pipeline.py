@@ -48,10 +48,10 @@ class Round:
 class Recovered:
     """A recovery: what the base and the graded pattern draped to, the ``graded`` pattern, and what was ``fitted``.
 
-    ``start``, ``matches``, ``search`` and ``fitted`` are those of the best of the ``rounds``, on one mesh. ``matches``
-    pair the start's contours with the target's; ``holes`` are contours of the target that are left. ``search`` holds
-    what was searched with: mesh, free numbers, simulator, loss. ``fabric`` is the named one nearest to the cloth of the
-    drape; ``fabric_losses`` [m^2] is what the search fell to with each that was tried.
+    ``start``, ``matches``, ``search`` and ``fitted`` are those of the best of the ``rounds``, of those with a free cloth
+    if there are any. ``matches`` pair the start's contours with the target's; ``holes`` are contours of the target that
+    are left. ``search`` holds what was searched with: mesh, free numbers, simulator, loss. ``fabric`` is the named one
+    nearest to the cloth of the drape; ``fabric_losses`` [m^2] is what the search fell to with each that was tried.
     """
 
     symmetries: Symmetries
@@ -173,7 +173,7 @@ def recover_pattern(
         # The base's seams were scaled by it; what the target tells of them is kept from here on.
         pattern = ratios = fitted.pattern
         cloth = fitted.cloth
-    best = min(rounds, key=lambda one: _least(one)[0])
+    best = min([one for one in rounds if one.search.cloth is not None] or rounds, key=lambda one: _least(one)[0])
     _, holes = _matched(best.start, contours_there, joints)
     fabric = nearest_fabric(best.fitted.cloth)
     apart = [1e3 * float(np.sqrt(0.5 * terms)) for terms in (rounds[0].fitted.history[0, 1], _least(best)[1])]
