@@ -48,7 +48,7 @@ class Round:
 class Recovered:
     """A recovery: what the base and the graded pattern draped to, the ``graded`` pattern, and what was ``fitted``.
 
-    ``start``, ``matches``, ``search`` and ``fitted`` are those of the best of the ``rounds``, of those with a free cloth
+    ``start``, ``matches``, ``search``, ``fitted`` are those of the best of the ``rounds``, of those with a free cloth
     if there are any. ``matches`` pair the start's contours with the target's; ``holes`` are contours of the target that
     are left. ``search`` holds what was searched with: mesh, free numbers, simulator, loss. ``fabric`` is the named one
     nearest to the cloth of the drape; ``fabric_losses`` [m^2] is what the search fell to with each that was tried.
