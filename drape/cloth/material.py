@@ -44,16 +44,24 @@ class Material:
 
 
 DEFAULT_MATERIAL = "jersey"
+_JERSEY = Material()
+FABRICS = {
+    DEFAULT_MATERIAL: _JERSEY,
+    "soft": _JERSEY.scaled(1.0 / 3.0),
+    "stiff": _JERSEY.scaled(3.0),
+    "limp": replace(_JERSEY, bending_j=_JERSEY.bending_j / 5.0),
+    "crisp": replace(_JERSEY, bending_j=_JERSEY.bending_j * 5.0),
+}
 
 
 def material(name: str = DEFAULT_MATERIAL) -> Material:
-    """The preset called ``name``.
+    """The one of ``FABRICS`` called ``name``.
 
     "jersey" has the membrane constants 11.1 and 20.9 N/m of SNUG (Santesteban et
     al. 2022, Lame constants times 0.47 mm) and its 0.2 kg/m^2; "soft" and "stiff"
-    are it with a third and three times the stiffness, not measured fabrics.
+    are it with a third and three times the stiffness, "limp" and "crisp" with a fifth
+    and five times that of bending alone. None of the four is a measured fabric.
     """
-    presets = {"jersey": Material(), "soft": Material().scaled(1.0 / 3.0), "stiff": Material().scaled(3.0)}
-    if name not in presets:
-        raise NotFound("material", expected=f"one of {sorted(presets)}", got=name, cure="Use one of these names.")
-    return presets[name]
+    if name not in FABRICS:
+        raise NotFound("material", expected=f"one of {sorted(FABRICS)}", got=name, cure="Use one of these names.")
+    return FABRICS[name]

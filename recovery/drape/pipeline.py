@@ -86,20 +86,24 @@ def drape_pattern(
     options: DrapeOptions = DrapeOptions(),
     *,
     pose: np.ndarray | None = None,
+    cloth: OrthotropicMaterial | None = None,
+    skin: GridDistance | None = None,
     report: Report | None = None,
 ) -> Draped:
     """``pattern`` sewn round ``body`` and at rest on it, in the T-pose and then in ``pose`` (24, 3).
 
+    ``cloth`` stands in for the fabric that the options name; ``skin`` is the body's distance in the T-pose, if it is
+    there already.
     Raises ``InputError`` (or ``MeshError``) for a pattern that cannot be meshed, placed or closed round this body.
     """
     say = report or (lambda line: None)
-    cloth = OrthotropicMaterial.from_isotropic(material(options.fabric))
+    cloth = cloth or OrthotropicMaterial.from_isotropic(material(options.fabric))
     pattern, notes = uncrossed(pattern)
     for note in notes:
         say(f"repaired  {note}")
     mesh = mesh_pattern(pattern if options.scale == 1.0 else scaled(pattern, options.scale), options.edge_length_m)
     say(f"meshed    {mesh.node_count} nodes, {len(mesh.faces)} triangles, {len(pattern.stitches)} seams")
-    skin = GridDistance.from_mesh(body.v_template, body.faces, spacing_m=options.grid_m)
+    skin = skin or GridDistance.from_mesh(body.v_template, body.faces, spacing_m=options.grid_m)
     distance = in_numpy(skin)
     placed = place(mesh, body, distance, axes=options.axes)
     say(
@@ -129,19 +133,28 @@ def drape_pattern(
     say(describe_drape("draped", figures["rest"]))
     posed = None
     if pose is not None:
-        posed, figures["posed"] = drape_in_pose(mesh, rest, body, pose, options)
+        posed, figures["posed"] = drape_in_pose(mesh, rest, body, pose, options, cloth=cloth)
         say(describe_drape("posed", figures["posed"]))
     return Draped(mesh, placed, sewn, rest, posed, figures)
 
 
 def drape_in_pose(
-    mesh: PatternMesh, rest: Drape, body: BodyModel, pose: np.ndarray, options: DrapeOptions = DrapeOptions()
+    mesh: PatternMesh,
+    rest: Drape,
+    body: BodyModel,
+    pose: np.ndarray,
+    options: DrapeOptions = DrapeOptions(),
+    *,
+    cloth: OrthotropicMaterial | None = None,
 ) -> tuple[Drape, dict[str, Any]]:
-    """The garment of ``mesh``, at ``rest`` in the T-pose, at rest on ``body`` in ``pose`` (24, 3); and its figures."""
+    """The garment of ``mesh``, at ``rest`` in the T-pose, at rest on ``body`` in ``pose`` (24, 3); and its figures.
+
+    ``cloth`` as of ``drape_pattern``.
+    """
     pose = np.asarray(pose, dtype=np.float64).reshape(JOINT_COUNT, 3)
     moved = to_pose(mesh, rest.nodes, body, pose)
     skin = GridDistance.from_mesh(body.posed_vertices(pose[None])[0], body.faces, spacing_m=options.grid_m)
-    cloth = OrthotropicMaterial.from_isotropic(material(options.fabric))
+    cloth = cloth or OrthotropicMaterial.from_isotropic(material(options.fabric))
     posed = settle(mesh, moved, skin, cloth, held=rest.held, iteration_limit=options.iteration_limit)
     return posed, drape_figures(mesh, posed, skin)
 

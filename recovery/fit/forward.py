@@ -1,4 +1,4 @@
-"""The drape at rest as a differentiable function of the panels, from the shape of a nearby pattern."""
+"""The drape at rest as a differentiable function of panels and cloth, from the shape of a nearby pattern."""
 
 from __future__ import annotations
 
@@ -7,15 +7,17 @@ import torch
 from torch import Tensor
 
 from drape.cloth.orthotropic import OrthotropicMaterial
+from recovery.fit.cloth import ClothTensors
 from recovery.pattern.mesh import PatternMesh
 from recovery.sim.contact import SkinContact
-from recovery.sim.model import ClothModel, ClothState
+from recovery.sim.model import ClothModel, ClothState, Parameters
 from recovery.sim.newton import Minimum, Report, equilibrium
 from recovery.sim.sdf import SignedDistance
 from recovery.sim.solver import superlu
 
 TOLERANCE_N = 1e-6  # a node weighs about 1e-3 N
 ITERATION_LIMIT = 60
+LEAVES = ("panels", "stretch", "bending_j")
 
 
 class RestDrape:
@@ -36,44 +38,64 @@ class RestDrape:
     ) -> None:
         self.model = ClothModel(mesh.faces, panel_faces=mesh.panel_faces, fixed=held)
         self.contact = SkinContact(body, friction=0.0)
+        self.cloth = cloth
         self.parameters = self.model.parameters(mesh.rest, cloth)
         self.tolerance_n, self.iteration_limit = tolerance_n, iteration_limit
 
-    def __call__(self, rest: Tensor, near: np.ndarray) -> tuple[Tensor, Report]:
+    def __call__(self, rest: Tensor, near: np.ndarray, cloth: ClothTensors | None = None) -> tuple[Tensor, Report]:
         """Nodes [m] (N, 3) for panel vertices ``rest`` [m] (P, 2), sought from ``near`` (N, 3), and how that ended.
 
-        Differentiable by ``rest`` if the report says that it converged.
+        ``cloth`` stands in for the material's constants. Differentiable by it and by ``rest`` if the report says that
+        it converged.
         """
         x = torch.from_numpy(np.ascontiguousarray(near))
         state, report = equilibrium(
             self.model,
             ClothState(x, torch.zeros_like(x)),
-            self.parameters._replace(panels=rest),
+            self._parameters(rest, cloth),
             contact=self.contact,
             tolerance_n=self.tolerance_n,
             iteration_limit=self.iteration_limit,
         )
         return state.x, report
 
-    def sensitivity(self, rest: Tensor, nodes: np.ndarray, moves: np.ndarray) -> np.ndarray:
+    def sensitivity(
+        self,
+        rest: Tensor,
+        nodes: np.ndarray,
+        moves: np.ndarray,
+        cloth: ClothTensors | None = None,
+        cloth_moves: tuple[np.ndarray, np.ndarray] | None = None,
+    ) -> np.ndarray:
         """Derivatives (N, 3, Z) of the drape ``nodes`` [m] (N, 3) along ``moves`` (P, 2, Z) of the panel vertices.
 
-        One factorisation for all of them: the adjoint's scalar is linear in its weights, so that its derivative by
-        them is the right side of a direction.
+        With ``cloth_moves``, (4, Y) of the stretch and (Y,) of the bending, there are Y more. One factorisation for all
+        of them: the adjoint's scalar is linear in its weights, so that its derivative by them is the right side of a
+        direction.
         """
         problem = Minimum(self.model, self.contact, superlu, dt_s=None, tolerance_n=self.tolerance_n, iteration_limit=0)
         x = torch.from_numpy(np.ascontiguousarray(nodes))
-        state, parameters = ClothState(x, torch.zeros_like(x)), self.parameters._replace(panels=rest.detach())
-        solution = problem.solve(state, parameters)
-        factor = problem.factor(solution, state, parameters)
+        given = self._parameters(rest, cloth)
+        state = ClothState(x, torch.zeros_like(x))
+        at = given._replace(**{name: getattr(given, name).detach() for name in LEAVES})
+        solution = problem.solve(state, at)
+        factor = problem.factor(solution, state, at)
+        stretch, bending = (np.zeros((4, 0)), np.zeros(0)) if cloth_moves is None else cloth_moves
+        steps = [(moves[:, :, k], np.zeros(4), np.zeros(())) for k in range(moves.shape[2])]
+        steps += [(np.zeros(moves.shape[:2]), stretch[:, k], np.asarray(bending[k])) for k in range(len(bending))]
         with torch.enable_grad():
-            panels = rest.detach().clone().requires_grad_(True)
+            leaves = [leaf.clone().requires_grad_(True) for leaf in (at.panels, at.stretch, at.bending_j)]
             weights = torch.zeros_like(x).requires_grad_(True)
-            scalar = problem.adjoint(weights, solution, state, parameters._replace(panels=panels))
-            (slope,) = torch.autograd.grad(scalar, panels, create_graph=True)
+            scalar = problem.adjoint(weights, solution, state, at._replace(**dict(zip(LEAVES, leaves, strict=True))))
+            slopes = torch.autograd.grad(scalar, leaves, create_graph=True)
             columns = []
-            for number in range(moves.shape[2]):
-                along = (slope * torch.from_numpy(np.ascontiguousarray(moves[:, :, number]))).sum()
+            for step in steps:
+                parts = [torch.from_numpy(np.ascontiguousarray(part)) for part in step]
+                along = torch.stack([(slope * part).sum() for slope, part in zip(slopes, parts, strict=True)]).sum()
                 (right,) = torch.autograd.grad(along, weights, retain_graph=True)
                 columns.append(factor.solve(np.ascontiguousarray((problem.free * right).numpy()).reshape(-1)))
         return np.stack(columns, axis=1).reshape(len(nodes), 3, -1)
+
+    def _parameters(self, rest: Tensor, cloth: ClothTensors | None) -> Parameters:
+        given = self.parameters._replace(panels=rest)
+        return given if cloth is None else given._replace(stretch=cloth.stretch, bending_j=cloth.bending_j)

@@ -154,6 +154,26 @@ def grade(
     )
 
 
+def graded_again(first: Graded, second: Graded) -> Graded:
+    """``second``, which graded the pattern of ``first``, with the factors of both over the first one's base.
+
+    Squares of tapers are left out of the factors, as they are of both gradings.
+    """
+    return Graded(
+        second.pattern,
+        first.widths * second.widths,
+        first.heights * second.heights,
+        first.tapers * second.widths + first.widths * first.heights * second.tapers,
+        second.misfit,
+    )
+
+
+def ungraded(pattern: Pattern) -> Graded:
+    """``pattern`` as it is, all factors one; its misfit is not known."""
+    ones = np.ones(len(pattern.panels))
+    return Graded(pattern, ones, ones, 0.0 * ones, float("nan"))
+
+
 def _leaders(pattern: Pattern, symmetries: Symmetries) -> list[int]:
     """For every panel the one whose image it is, or itself."""
     leaders = list(range(len(pattern.panels)))

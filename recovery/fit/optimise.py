@@ -20,7 +20,10 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from drape.arrays import check_shape
+from drape.cloth.orthotropic import OrthotropicMaterial
 from drape.errors import ArtifactError, InputError
+from recovery.fit.cloth import ClothTensors, FreeCloth
 from recovery.fit.curvature import gauss_newton_matrix
 from recovery.fit.forward import RestDrape
 from recovery.fit.objective import Objective
@@ -32,7 +35,7 @@ from recovery.pattern.symmetry import FreeControls
 HALVINGS = 8
 DAMPING = 1e-2  # of the closing steps, as a share of the mean curvature of the loss; at the beginning
 DAMPING_RANGE = (1e-4, 1e4)
-STATE_VERSION = 2
+STATE_VERSION = 3
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,10 @@ DEFAULT_OPTIONS = FitOptions()
 
 
 class Evaluation(NamedTuple):
-    """Where the search stands: free ``values`` [m] (Z,), nodes [m] (N, 3), loss and parts [m^2] (4,), gradient (Z,)."""
+    """Where the search stands: unknowns ``values`` [m] (Z,), nodes [m] (N, 3), loss and parts [m^2] (4,), gradient.
+
+    The unknowns are the free numbers of the control points, and five more where the cloth is free.
+    """
 
     values: np.ndarray
     nodes: np.ndarray
@@ -87,7 +93,7 @@ class Evaluation(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """The best pattern of a search, its control points [m] (K, 2), its drape [m] (N, 3).
+    """The best pattern of a search, its control points [m] (K, 2), its drape [m] (N, 3), and the ``cloth`` it is of.
 
     ``history`` (I + 1, 5): total loss, surface, contours, seams [m^2] of every accepted step, and how often it
     was halved or damped. ``finished`` is False where no step was left that comes to rest without folds, or that lessens
@@ -99,12 +105,26 @@ class Fitted:
     nodes: np.ndarray
     history: np.ndarray
     finished: bool
+    cloth: OrthotropicMaterial
 
 
 class PatternSearch:
-    """Adam on the free control points ``free`` of ``mesh``, whose drape ``forward`` gives and ``objective`` judges."""
+    """Adam on the free control points ``free`` of ``mesh``, whose drape ``forward`` gives and ``objective`` judges.
 
-    def __init__(self, mesh: PatternMesh, free: FreeControls, forward: RestDrape, objective: Objective) -> None:
+    With ``cloth`` its constants are unknowns too. ``likely`` are the unknowns [m] (Z,) that the objective's reach is
+    counted from, by default those that the search begins at.
+    """
+
+    def __init__(
+        self,
+        mesh: PatternMesh,
+        free: FreeControls,
+        forward: RestDrape,
+        objective: Objective,
+        *,
+        cloth: FreeCloth | None = None,
+        likely: np.ndarray | None = None,
+    ) -> None:
         if len(free.controls) != len(mesh.controls) or free.controls.free_curves != mesh.controls.free_curves:
             raise InputError(
                 "free controls",
@@ -112,7 +132,10 @@ class PatternSearch:
                 got=f"{len(free.controls)}",
                 cure="Make both from the same pattern and with the same free_curves.",
             )
-        self.mesh, self.free, self.forward, self.objective = mesh, free, forward, objective
+        self.mesh, self.free, self.forward, self.objective, self.cloth = mesh, free, forward, objective, cloth
+        self.count = free.count + (cloth.count if cloth is not None else 0)
+        self.likely = np.zeros(self.count) if likely is None else np.asarray(likely, dtype=np.float64)
+        check_shape("likely", self.likely, (self.count,))
         self._origin = torch.from_numpy(mesh.weights @ free.origin.reshape(-1))
         self._basis = torch.from_numpy(np.ascontiguousarray(mesh.weights @ free.basis))
 
@@ -122,15 +145,31 @@ class PatternSearch:
         None where a panel is folded over or the drape does not come to rest.
         """
         z = torch.tensor(values, dtype=torch.float64, requires_grad=True)
-        rest = (self._origin + self._basis @ z).reshape(-1, 2)
+        rest, cloth = self._parts(z)
         if len(self.mesh.folded(rest.detach().numpy())):
             return None
-        x, report = self.forward(rest, near)
+        x, report = self.forward(rest, near, cloth)
         if not report.converged:
             return None
         terms = self.objective(x, rest)
-        (gradient,) = torch.autograd.grad(terms.total, z)
-        return Evaluation(values, x.detach().numpy(), torch.stack(list(terms)).detach().numpy(), gradient.numpy())
+        loss = terms.total * self._doubt(z)
+        (gradient,) = torch.autograd.grad(loss, z)
+        found = torch.stack([loss, *terms[1:]]).detach().numpy()
+        return Evaluation(values, x.detach().numpy(), found, gradient.numpy())
+
+    def _doubt(self, values: torch.Tensor) -> torch.Tensor:
+        """What the loss is multiplied by at ``values`` (Z,): 1 at what is held likely."""
+        off = values - torch.from_numpy(self.likely)
+        way = off @ off
+        if self.cloth is not None:
+            way = way + self.objective.weights.material * self.cloth.implausible(values[self.free.count :])
+        return 1.0 + way / self.objective.weights.reach_m**2
+
+    def _parts(self, values: torch.Tensor) -> tuple[torch.Tensor, ClothTensors | None]:
+        """Panel vertices [m] (P, 2) and the constants of a freed cloth at ``values`` (Z,)."""
+        count = self.free.count
+        rest = (self._origin + self._basis @ values[:count]).reshape(-1, 2)
+        return rest, None if self.cloth is None else self.cloth.tensors(values[count:])
 
     def run(
         self,
@@ -164,12 +203,14 @@ class PatternSearch:
         bar.close()
         if state_file is not None:
             _write(state_file, digest, state)
-        positions = self.free.positions(state.best.values)
+        count = self.free.count
+        positions = self.free.positions(state.best.values[:count])
         pattern = with_controls(self.mesh.pattern, self.mesh.controls, positions)
-        return Fitted(pattern, positions, state.best.nodes, state.history, not state.stuck)
+        cloth = self.forward.cloth if self.cloth is None else self.cloth.cloth(state.best.values[count:])
+        return Fitted(pattern, positions, state.best.nodes, state.history, not state.stuck, cloth)
 
     def _start(self, nodes: np.ndarray) -> _State:
-        first = self.evaluate(np.zeros(self.free.count), nodes)
+        first = self.evaluate(np.zeros(self.count), nodes)
         if first is None:
             raise InputError(
                 "start of the search",
@@ -177,7 +218,7 @@ class PatternSearch:
                 got="one that does not",
                 cure="Drape it first (recovery.drape), take another mesh, or allow more iterations of Newton.",
             )
-        zeros = np.zeros(self.free.count)
+        zeros = np.zeros(self.count)
         return _State(first, first, zeros, zeros, DAMPING, 0, np.array([[*first.terms, 0.0]]), False)
 
     def _advance(self, state: _State, options: FitOptions) -> _State:
@@ -199,10 +240,7 @@ class PatternSearch:
     def _close(self, state: _State) -> _State:
         """One damped step of Gauss and Newton from the best evaluation; a worse one is damped more."""
         start = state.best
-        rest = (self._origin + self._basis @ torch.from_numpy(start.values)).reshape(-1, 2)
-        rest_moves = self._basis.numpy().reshape(len(rest), 2, -1)
-        moves = self.forward.sensitivity(rest, start.nodes, rest_moves)
-        matrix = gauss_newton_matrix(self.objective, start.nodes, rest.numpy(), moves, rest_moves)
+        matrix = self._curvature(start)
         scale = np.trace(matrix) / len(matrix)
         damping = state.damping
         for tried in range(HALVINGS):
@@ -215,6 +253,21 @@ class PatternSearch:
             damping = min(10.0 * damping, DAMPING_RANGE[1])
         return state._replace(stuck=True, damping=damping)
 
+    def _curvature(self, at: Evaluation) -> np.ndarray:
+        """Second derivative (Z, Z) of the loss as Gauss and Newton take it, without the mixed term of both factors."""
+        rest, cloth = self._parts(torch.from_numpy(at.values))
+        moves = self._basis.numpy().reshape(len(rest), 2, -1)
+        cloth_moves = None if self.cloth is None else self.cloth.slopes(at.values[self.free.count :])
+        drape_moves = self.forward.sensitivity(rest, at.nodes, moves, cloth, cloth_moves)
+        idle = np.zeros((*moves.shape[:2], self.count - self.free.count))  # a cloth's constants move no panel
+        matrix = gauss_newton_matrix(
+            self.objective, at.nodes, rest.numpy(), drape_moves, np.concatenate([moves, idle], axis=2)
+        )
+        z = torch.from_numpy(at.values)
+        doubt = float(self._doubt(z))
+        of_doubt = torch.autograd.functional.hessian(self._doubt, z)
+        return doubt * matrix + at.terms[0] / doubt * of_doubt.numpy()  # type: ignore[union-attr]
+
     def _digest(self, options: FitOptions) -> str:
         """What a stored state must agree with: the mesh, the target, the constants."""
         target = self.objective.target
@@ -223,12 +276,15 @@ class PatternSearch:
             self.mesh.faces,
             self.free.origin,
             self.free.basis,
+            self.likely,
             target.vertices,
             target.faces,
             self.forward.parameters.stretch.numpy(),
             self.forward.parameters.bending_j.numpy(),
             self.forward.model.fixed,
         ]
+        if self.cloth is not None:
+            arrays += [self.cloth.logarithms, *(edge.numpy() for edge in self.cloth.range)]
         found = hashlib.sha256(repr((STATE_VERSION, asdict(options), self.objective.weights)).encode())
         for array in arrays:
             found.update(np.ascontiguousarray(array).tobytes())

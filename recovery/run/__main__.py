@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from drape.body.assets import DEFAULT_BODY
-from drape.cloth.material import DEFAULT_MATERIAL
+from drape.cloth.material import DEFAULT_MATERIAL, FABRICS
 from drape.errors import DrapeError, InputError
 from drape.garment.mesh_checks import UNITS_M, UP_AXES
 from recovery.drape.output import write
@@ -29,6 +29,7 @@ from recovery.run.job import Job, run_job
 
 REFUSED_EXIT_CODE = 2
 NOT_AT_REST_EXIT_CODE = 3
+CHOOSE_FABRIC = "auto"
 EDGE_LENGTH_M = 0.05
 SEAM_WEIGHT = 0.1  # for cutting: recovery.fit alone lets seams give way a hundred times more easily
 
@@ -53,7 +54,12 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--label", help="material of the file that is the garment")
     parser.add_argument("--unit", default="auto", choices=("auto", *UNITS_M), help="of the target")
     parser.add_argument("--up", default="auto", choices=("auto", *UP_AXES), help="of the target")
-    parser.add_argument("--fabric", default=DEFAULT_MATERIAL, help="jersey, soft or stiff")
+    parser.add_argument(
+        "--fabric",
+        default=DEFAULT_MATERIAL,
+        choices=(*FABRICS, CHOOSE_FABRIC),
+        help="of the target; auto: the nearest of the named ones is looked for, then its constants",
+    )
     parser.add_argument("--edge-length", type=float, default=EDGE_LENGTH_M, help="of the garment's mesh [m]")
     parser.add_argument("--grid", type=float, default=0.02, help="spacing of the body's distance [m]")
     parser.add_argument("--adam", type=int, default=fit.iterations, help="steps of Adam")
@@ -80,7 +86,12 @@ def job_of(given: argparse.Namespace) -> Job:
         settings=given.set,
         unit=given.unit,
         up=given.up,
-        drape=DrapeOptions(edge_length_m=given.edge_length, fabric=given.fabric, grid_m=given.grid),
+        drape=DrapeOptions(
+            edge_length_m=given.edge_length,
+            fabric=DEFAULT_MATERIAL if given.fabric == CHOOSE_FABRIC else given.fabric,
+            grid_m=given.grid,
+        ),
+        find_fabric=given.fabric == CHOOSE_FABRIC,
         fit=FitOptions(iterations=given.adam, closing=given.closing),
         weights=DEFAULT_WEIGHTS._replace(seams=given.seam_weight),
         retarget=not given.no_retarget,

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from drape.cloth.material import FABRICS
 from drape.errors import InputError
 from drape.garment.intake import garment_name, intake
 from drape.garment.mesh_checks import Unit, Up
@@ -39,7 +40,7 @@ Say = Callable[[str], None]
 class Job:
     """What is asked for; ``body`` is a name, a file, or ``fit``; ``base`` a base pattern's name or a JSON file.
 
-    ``settings`` of a base are texts NAME=NUMBER, lengths in metres.
+    ``settings`` of a base are texts NAME=NUMBER, lengths in metres; ``find_fabric``: the cloth is unknown as well.
     """
 
     target: Path
@@ -56,6 +57,7 @@ class Job:
     drape: DrapeOptions = field(default_factory=DrapeOptions)
     fit: FitOptions = field(default_factory=FitOptions)
     weights: Weights = DEFAULT_WEIGHTS
+    find_fabric: bool = False
     retarget: bool = True
     garment: bool = True
 
@@ -157,6 +159,8 @@ def run_job(job: Job, *, progress: bool = False, say: Say = print) -> Outcome:
         fit=job.fit,
         weights=job.weights,
         pose=wearer.pose,
+        fabrics=tuple(FABRICS) if job.find_fabric else (),
+        free_cloth=job.find_fabric,
         state_file=job.out / f"{name}.search.npz",
         progress=progress,
         report=say,
@@ -210,7 +214,7 @@ def _sewn_anew(
 ) -> tuple[Draped | None, SurfaceDistance | None, list[Worn]]:
     """The pattern sewn from flat panels, its distance from the search's drape, and the garment elsewhere."""
     try:
-        anew = drape_pattern(pattern, wearer.shaped, job.drape)
+        anew = drape_pattern(pattern, wearer.shaped, job.drape, cloth=found.fitted.cloth)
     except InputError as error:
         warnings.append(f"The recovered pattern cannot be sewn from flat panels, so there is no garment cache: {error}")
         return None, None, []
@@ -225,7 +229,9 @@ def _sewn_anew(
         warnings.append(f"Sewn anew in the T-pose, {lost_words(lost)}: the garment cache is not worn as the target is.")
     worn = []
     if job.retarget:
-        for place in retargeted(pattern, anew, wearer.shaped, wearer.standard, job.drape, parts):
+        for place in retargeted(
+            pattern, anew, wearer.shaped, wearer.standard, job.drape, parts, cloth=found.fitted.cloth
+        ):
             say(f"worn      {place.what}: {place.refusal or describe_worn(place)}")
             worn.append(place)
     return anew, distance, worn

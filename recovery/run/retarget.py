@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from drape.body.model import BodyModel
+from drape.cloth.orthotropic import OrthotropicMaterial
 from drape.errors import InputError
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_in_pose, drape_pattern
 from recovery.drape.posing import read_pose
@@ -47,17 +48,20 @@ def retargeted(
     standard: BodyModel,
     options: DrapeOptions,
     parts: Sequence[str] = (),
+    *,
+    cloth: OrthotropicMaterial,
 ) -> Iterator[Worn]:
     """``pattern`` sewn and draped on two other shapes of ``standard``, and taken to two poses of ``body``.
 
-    ``sewn`` is its drape on ``body`` in the T-pose; ``parts`` of the body should go through its openings.
+    ``sewn`` is its drape on ``body`` in the T-pose; ``parts`` of the body should go through its openings;
+    ``cloth`` is what it is made of.
     What cannot be draped says so instead of ending the rest.
     """
     for what, betas in BODIES.items():
         other = shaped_body(standard, np.array(betas))
 
         def sew(wearer: BodyModel = other) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
-            draped = drape_pattern(pattern, wearer, options)
+            draped = drape_pattern(pattern, wearer, options, cloth=cloth)
             return draped.rest.nodes, draped.mesh.faces, draped.figures["rest"]
 
         worn = _worn(what, other.v_template, other.faces, sew)
@@ -66,7 +70,7 @@ def retargeted(
         pose = read_pose(text)
 
         def move(there: np.ndarray = pose) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
-            posed, figures = drape_in_pose(sewn.mesh, sewn.rest, body, there, options)
+            posed, figures = drape_in_pose(sewn.mesh, sewn.rest, body, there, options, cloth=cloth)
             return posed.nodes, sewn.mesh.faces, figures
 
         worn = _worn(f"pose {text}", body.posed_vertices(pose[None])[0], body.faces, move)

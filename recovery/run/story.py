@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
-from drape.cloth.material import material
 from drape.geometry import meshes
+from recovery.fit.pipeline import Recovered
 from recovery.pattern import geometry
 from recovery.run import pictures
 from recovery.run.identify import CAP_M, corner_names, weak_words
@@ -208,7 +209,7 @@ def _elsewhere(page: Page, outcome: Outcome) -> None:
 def _made(page: Page, outcome: Outcome) -> None:
     page.section("How it was made")
     page.say(f"The target has {len(outcome.target.vertices):,} vertices and was draped on {outcome.wearer.source}.")
-    page.say(cloth_words(outcome.job.drape.fabric))
+    page.say(cloth_words(outcome.found, sought=outcome.job.find_fabric))
     mesh = outcome.found.search.mesh
     page.say(
         f"The simulator's mesh has {mesh.node_count:,} nodes; {outcome.found.search.free.count} numbers were free; the "
@@ -217,13 +218,19 @@ def _made(page: Page, outcome: Outcome) -> None:
     page.table(("file", "what it is"), [(path.name, file_words(path.name)) for path in outcome.files])
 
 
-def cloth_words(fabric: str) -> str:
-    """A sentence on the cloth that was assumed."""
-    cloth = material(fabric)
-    stretch = cloth.lambda_n_per_m + 2.0 * cloth.mu_n_per_m
+def cloth_words(found: Recovered, *, sought: bool) -> str:
+    """Sentences on the cloth that was assumed, or ``sought`` and found."""
+    cloth = found.fitted.cloth
+    figures = (
+        f"{1e3 * cloth.density_kg_m2:.0f} g/m², stretch stiffness {cloth.h00:.0f} N/m across and {cloth.h11:.0f} "
+        f"along, bending stiffness {1e6 * cloth.bending_j:.0f} µJ"
+    )
+    if not sought:
+        return f"The cloth was taken to be {found.fabric.name}: {figures}. It was given, not recovered."
+    tried = ", ".join(f"{name} {1e3 * np.sqrt(0.5 * loss):.2f} mm" for name, loss in found.fabric_losses.items())
     return (
-        f"The cloth was taken to be {fabric}: {1e3 * cloth.density_kg_m2:.0f} g/m², stretch stiffness "
-        f"{stretch:.0f} N/m, bending stiffness {1e6 * cloth.bending_j:.0f} µJ. It was given, not recovered."
+        f"The cloth was found to be {found.fabric.describe()}: {figures}. A drape at rest only tells stiffness over "
+        f"weight, so the weight is that of the named fabric. What each named one left to the target: {tried}."
     )
 
 
@@ -262,7 +269,12 @@ def record_of(outcome: Outcome) -> dict[str, Any]:
             "trans": outcome.wearer.trans.tolist(),
             "residual_mm": outcome.wearer.residual_mm,
         },
-        "fabric": outcome.job.drape.fabric,
+        "fabric": {
+            "name": outcome.found.fabric.name,
+            "words": outcome.found.fabric.describe(),
+            "sought": outcome.job.find_fabric,
+            "constants": asdict(fitted.cloth),
+        },
         "warnings": outcome.warnings,
         "distance": outcome.distance._asdict(),
         "base_distance": outcome.before._asdict(),

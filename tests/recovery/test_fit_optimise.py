@@ -188,6 +188,7 @@ def test_the_gradient_agrees_with_differences_through_the_drape(weights):
     finder, nodes = search(weights)
     rng = np.random.default_rng(0)
     values = 0.002 * rng.normal(size=finder.free.count)
+    finder.likely = 0.002 * rng.normal(size=finder.free.count)
     at = finder.evaluate(values, nodes)
     assert at is not None and at.terms[0] > 0.0
     direction = rng.normal(size=finder.free.count) + 2.0 * np.sign(at.gradient)

@@ -71,8 +71,7 @@ def test_a_page_holds_its_pictures_and_escapes_its_words():
     assert "http" not in text and 'src="data:' in text
 
 
-def test_cloth_and_files_have_words():
-    assert "200 g/m²" in cloth_words("jersey") and "not recovered" in cloth_words("jersey")
+def test_files_have_words():
     kinds = ("a.json", "a.svg", "a.dxf", "a.pdf", "a.obj", "a.glb", "a_rest.obj", "a-1.npz")
     assert len({file_words(name) for name in kinds}) == len(kinds) and all(map(file_words, kinds))
 
@@ -121,12 +120,22 @@ def test_a_draped_mesh_becomes_a_pattern_and_a_garment(run):
 
 
 @pytest.mark.slow
+def test_the_cloth_has_words(run):
+    _, outcome, _ = run
+    given = cloth_words(outcome.found, sought=False)
+    assert "jersey: 200 g/m²" in given and "not recovered" in given
+    sought = cloth_words(replace(outcome.found, fabric_losses={"jersey": 2e-6, "crisp": 8e-6}), sought=True)
+    assert "jersey, within 5 %" in sought and "jersey 1.00 mm, crisp 2.00 mm" in sought
+
+
+@pytest.mark.slow
 def test_the_report_says_what_was_found(run):
     folder, _, truth = run
     record = json.loads((folder / "out" / "report.json").read_text())
     assert record["distance"]["mean_mm"] < 0.5 * record["base_distance"]["mean_mm"]
     assert record["chamfer_floor"]["mean_mm"] < record["chamfer"]["mean_mm"]
-    assert record["fabric"] == "jersey" and record["search"]["steps"] <= 2
+    assert record["fabric"]["name"] == "jersey" and not record["fabric"]["sought"]
+    assert record["search"]["steps"] <= 2
     assert len(record["identifiability"]["slack_m"]) == sum(len(panel.edges) for panel in truth.panels)
     assert np.diff(record["identifiability"]["seen"]).min() >= 0.0
     page = (folder / "out" / "report.html").read_text(encoding="utf-8")

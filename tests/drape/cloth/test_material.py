@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from numpy.testing import assert_allclose
 
@@ -22,6 +24,12 @@ def test_soft_and_stiff_scale_membrane_and_bending_and_nothing_else():
             assert_allclose(getattr(scaled, field), factor * getattr(jersey, field), rtol=1e-15, atol=0.0)
         assert scaled.density_kg_m2 == jersey.density_kg_m2
         assert scaled.contact_j_m4 == jersey.contact_j_m4
+
+
+def test_limp_and_crisp_differ_in_bending_alone():
+    for name, factor in (("limp", 0.2), ("crisp", 5.0)):
+        assert_allclose(material(name).bending_j, factor * material().bending_j, rtol=1e-15, atol=0.0)
+        assert replace(material(name), bending_j=material().bending_j) == material()
 
 
 def test_unknown_name_is_refused():
