@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.arrays import Array, namespace
-from drape.cloth.push.field import largest, mixed, queries, ramp, surface, take
+from drape.cloth.push.field import Surface, largest, mixed, queries, ramp, surface, take
 from drape.cloth.push.out import AGREEMENT, BESIDE_M2, OTHER_LEAST, REGION_BIAS_M2, REGION_COUNT
 from drape.cloth.push.samples import CLUSTER_SIZE, REGION_SIZE, region_centres
 from drape.cloth.push.skin import Skin
@@ -93,8 +93,12 @@ def tangent_planes(points: Array, own: Array, other: Array) -> Planes:
     means = xp.stack([own, other], axis=2)  # (F, K, 2, n, 8)
     columns = xp.matrix_transpose(points)[:, :, None]
     found = surface(columns, xp.matrix_transpose(means))
-    share = ramp(found.beside_m2, *BESIDE_M2) * ramp(found.distance, *DEEP_M) * ramp(found.agreement, *AGREEMENT)
-    return Planes(found.normal, found.distance - dot_columns(found.normal, columns)[..., 0, :], share)
+    return Planes(found.normal, found.distance - dot_columns(found.normal, columns)[..., 0, :], plane_share(found))
+
+
+def plane_share(found: Surface) -> Array:
+    """How much of a tangent plane of ``found`` is there, in [0, 1]."""
+    return ramp(found.beside_m2, *BESIDE_M2) * ramp(found.distance, *DEEP_M) * ramp(found.agreement, *AGREEMENT)
 
 
 def felt(points: Array, near: Planes) -> tuple[Array, Array]:
