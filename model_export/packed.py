@@ -45,8 +45,11 @@ def _gather(table, dim, index):
     op = onnxscript.opset20
     if dim != 1 or len(table.shape) != 2:
         return op.Gather(table, index, axis=dim)
-    rows = op.Constant(value_ints=[int(table.shape[0]), 1])
-    return op.GatherElements(table, op.Expand(index, rows), axis=1)
+    if isinstance(table.shape[0], int):
+        shape = op.Constant(value_ints=[table.shape[0], 1])
+    else:
+        shape = op.Concat(op.Shape(table, start=0, end=1), op.Constant(value_ints=[1]), axis=0)
+    return op.GatherElements(table, op.Expand(index, shape), axis=1)
 
 
 def _softsign(x):
@@ -91,6 +94,8 @@ class PackedGraph(nn.Module):
     full_choice: Tensor
     chart_sums: Tensor
     axis_sums: Tensor
+    higher_first: Tensor
+    higher_second: Tensor
 
     def __init__(self, model: OneFit) -> None:
         super().__init__()
@@ -180,7 +185,8 @@ class PackedGraph(nn.Module):
         steps, low, step = _quantised(vertices, block_item, item_blocks)
         return (
             vertices, self._normals(tangents), steps, low, step, posed.jet,
-            posed.rotation, posed.centre.reshape(-1, 3), posed.bone_rotation, posed.bone_translation, *posed.passes,
+            posed.rotation, posed.centre.reshape(-1, 3), posed.bone_rotation, posed.bone_translation,
+            *(() if posed.skin is None else (posed.skin,)), *posed.passes,
         )  # fmt: skip
 
     def pose(
@@ -224,12 +230,13 @@ class PackedGraph(nn.Module):
         hidden = self.trunk(nn.functional.leaky_relu(x, SLOPE))
         jet = self.head(hidden) if base is None else base + self.head(hidden)
         passes = [jet]
+        columns = self._columns(charts.columns) if charts is not None else None
         skin = near = stretch = places = None
         if bodies.skins is not None:
             skin = posed_skins(bodies.skins, bone_rotation, bone_translation)
         for correction in self.corrections:
             assert charts is not None
-            jet = self._fitted(self._posed(frame, jet) @ charts.columns, charts, into, centre, self.fit_choice)
+            jet = self._fitted(self._posed(frame, jet) @ columns, charts, into, centre, self.fit_choice)
             stretch = self.strain.stretch(charts.tangent, charts.unit) if stretch is None else stretch
             inputs = [hidden, *self.strain(jet, stretch), jet]
             if felt is not None:
@@ -243,9 +250,9 @@ class PackedGraph(nn.Module):
             passes.append(jet)
         if self.closes:
             assert charts is not None
-            jet = self._fitted(self._posed(frame, jet) @ charts.columns, charts, into, centre, self.full_choice)
+            jet = self._fitted(self._posed(frame, jet) @ columns, charts, into, centre, self.full_choice)
         kept = tuple(passes) if self.closes and len(passes) > 1 else ()
-        return PosedPatches(self._posed(frame, jet), jet, rotation, centre, bone_rotation, bone_translation, kept)
+        return PosedPatches(self._posed(frame, jet), jet, rotation, centre, bone_rotation, bone_translation, skin, kept)
 
     def _posed(self, frame: Tensor, jet: Tensor) -> Tensor:
         """Posed jets (P, 3, 18) of ``jet`` (P, 27 or 45) in scaled frames (P, 3, 4)."""
@@ -261,6 +268,12 @@ class PackedGraph(nn.Module):
         local = into.mT @ ((places.transpose(0, 1) - centre) @ charts.fit)
         # Picked by a product: a Gather of columns takes three times as long.
         return torch.addmm(charts.rest @ choice, local.reshape(-1, 3 * FIT_COUNT), choice, beta=-1)
+
+    def _columns(self, stored: Tensor) -> Tensor:
+        """Columns (P, 18, 56) of the anchors from those up to the second order (P, 9, 56): w x x, w y y and w x y / w."""
+        weight = torch.clamp(stored[:, 3:4], min=1e-30)
+        higher = torch.index_select(stored, 1, self.higher_first) * torch.index_select(stored, 1, self.higher_second)
+        return torch.cat([stored, higher / weight], dim=1)
 
     def _blended(self, said: Tensor, charts: Tensor) -> Tensor:
         """Sums (3, n) over the four ``charts`` (4, ...) of each of n points, of what charts say (Q, 3, columns)."""

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from drape.cloth.push.field import mixed, queries, surface
 from drape.cloth.push.out import REGION_BIAS_M2, REGION_COUNT
-from drape.cloth.push.patches import GAP_M, UNIT_M, from_halves, mixed_others, plane_share, region_bias_of
+from drape.cloth.push.patches import GAP_M, UNIT_M, from_halves, mixed_others, plane_share
 from drape.cloth.push.samples import CLUSTER_SIZE, REGION_SIZE, region_centres
 from drape.cloth.push.skin import skin_table
 from drape.garment.agreement import STRAIN_POINTS, strain_points
@@ -69,6 +69,8 @@ class Contact(nn.Module):
     twice: Tensor
     axis_sums: Tensor
     axis_copies: Tensor
+    middle_terms: Tensor
+    middle_last: Tensor
 
     def __init__(self) -> None:
         super().__init__()
@@ -92,7 +94,8 @@ class Contact(nn.Module):
         Frames ``rotation`` (P, 3, 3), ``scale`` [m] (P, 1, 1) and ``centre`` [m] (P, 3, 1).
         """
         world = (rotation * scale) @ points.reshape(-1, 3, PLACES) + centre
-        means = near_means(world[:, :, :STRAIN_POINTS].mT, skin, lists, patch_body)
+        middle = torch.addmm(self.middle_last, world.reshape(-1, 3 * PLACES), self.middle_terms)
+        means = near_means(world[:, :, :STRAIN_POINTS].mT, middle, skin, lists, patch_body)
         found = surface(world, means)
         share = plane_share(found)
         unit = scale.reshape(-1, 1) * (-1.0 / UNIT_M)
@@ -117,18 +120,24 @@ def tables() -> dict[str, Tensor]:
         terms[first : first + count, axis] = basis.T[:count, None]
         first += count
     each = torch.eye(STRAIN_POINTS).repeat(1, 2)
+    own = torch.tensor([1.0 / STRAIN_POINTS] * STRAIN_POINTS + [0.0] * STRAIN_POINTS)[:, None]
     return {
         "point_terms": terms.reshape(jets.JET_COUNT, -1),
         "twice": torch.kron(torch.eye(3), each),
         "axis_sums": torch.eye(PLACES).repeat(3, 1),
         "axis_copies": torch.eye(PLACES).repeat(1, 3),
+        "middle_terms": torch.kron(torch.eye(3, 4), own),
+        "middle_last": torch.tensor([[0.0, 0.0, 0.0, 1.0]]),
     }
 
 
-def near_means(places: Tensor, skin: Tensor, lists: Felt, patch_body: Tensor) -> Tensor:
-    """Means (P, 8, 14) of the samples about ``places`` [m] (P, 7, 3): of the own part, then of others."""
+def near_means(places: Tensor, middle: Tensor, skin: Tensor, lists: Felt, patch_body: Tensor) -> Tensor:
+    """Means (P, 8, 14) of the samples about ``places`` [m] (P, 7, 3): of the own part, then of others.
+
+    ``middle`` (P, 4) is the mean place of each patch, and one.
+    """
     bodies, regions = skin.shape[0], skin.shape[1]
-    query = queries(places)
+    query = queries(places.mT).mT
     body = patch_body.to(torch.int64)
     clusters = skin.reshape(-1, 8 * CLUSTER_SIZE)
     first = body * (regions * (REGION_SIZE // CLUSTER_SIZE))
@@ -138,9 +147,8 @@ def near_means(places: Tensor, skin: Tensor, lists: Felt, patch_body: Tensor) ->
     region = region_centres(skin)
     rows = torch.cat([-2.0 * region, (region * region).sum(dim=-1, keepdim=True)], dim=-1).reshape(bodies, -1)
     seen = torch.index_select(rows, 0, body).reshape(-1, regions, 4)
-    centre = torch.cat([places.mean(dim=1), torch.ones_like(places[:, 0, :1])], dim=1)  # (P, 4)
-    squared = (seen @ centre[:, :, None]).reshape(-1, regions)
-    bias = region_bias_of(lists.region.reshape(-1, regions).to(places.dtype))
+    squared = (seen @ middle[:, :, None]).reshape(-1, regions)
+    bias = lists.region.reshape(-1, regions).to(places.dtype)
     top = torch.topk(REGION_BIAS_M2 * bias - squared, REGION_COUNT, dim=-1, sorted=False)[1]
     table = torch.index_select(skin.reshape(-1, 8 * REGION_SIZE), 0, (top + (regions * body)[:, None]).reshape(-1))
     # 0, 1, 2, ... counted out: the number of patches would be read off an index that a call of one garment lacks.

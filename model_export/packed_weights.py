@@ -32,6 +32,8 @@ _LEFT = (
 )  # fmt: skip
 # Rows of (x, x', y, y', z, z') that the four factors of a cross product take: u_yzx v_zxy - u_zxy v_yzx.
 _CROSS = (2, 4, 0, 5, 1, 3, 4, 0, 2, 3, 5, 1)
+# Rows of (place, 1, u, v, uu, uv, vv) whose products are the basis of orders 3 and 4.
+_HIGHER = (6, 6, 8, 8, 6, 6, 7, 7, 8), (4, 5, 4, 5, 6, 7, 7, 8, 8)
 
 
 def tables() -> dict[str, Tensor]:
@@ -66,6 +68,8 @@ def tables() -> dict[str, Tensor]:
         **_jet_tables(),
         "chart_sums": torch.kron(torch.eye(3), torch.ones(1, CHARTS_PER_VERTEX)),
         "axis_sums": torch.eye(JOINT_COUNT).repeat(3, 1),
+        "higher_first": torch.tensor(_HIGHER[0]),
+        "higher_second": torch.tensor(_HIGHER[1]),
     }
 
 

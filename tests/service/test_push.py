@@ -43,7 +43,7 @@ def test_graph_and_numpy_push_alike():
     body, whole = load_body(), garment("shorts")
     engine = Engine(exported()[1])
     by_graph, by_numpy = added(Pusher(engine, body), whole), added(Pusher(engine, body), whole)
-    by_numpy._session = None
+    by_numpy._push_in_graph = False
     assert by_graph.in_graph and not by_numpy.in_graph
     poses, _ = random_motion(2, spread_rad=0.35)
     for betas in (np.zeros(10), np.linspace(-1.0, 1.0, 10)):

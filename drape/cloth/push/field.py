@@ -39,16 +39,16 @@ class Surface:
 
 
 def queries(points: Array) -> Array:
-    """Rows (..., P, 8) whose product with a sample's row is -|x - b|^2 / h^2 less x . x, for ``points`` (..., P, 3)."""
+    """Columns (..., 8, P) whose product with a sample's row is -|x - b|^2 / h^2 less x . x, of ``points`` (..., 3, P)."""
     scale = 1.0 / (BANDWIDTH_M * BANDWIDTH_M)
-    turned = like(points, [[2.0 * scale * (row == column) for column in range(8)] for row in range(3)])
-    return points @ turned + like(points, [-scale * (column == 3) for column in range(8)])
+    turned = like(points, [[2.0 * scale * (row == column) for row in range(3)] for column in range(8)])
+    return turned @ points + like(points, [[-scale * (column == 3)] for column in range(8)])
 
 
 def mixed(query: Array, table: Array, bias: Array) -> Array:
     """Means (..., P, 8) of the samples' rows ``table`` (..., K, 8) (``drape.cloth.push.skin.sample_table``).
 
-    For ``queries`` (..., P, 8) with logits ``bias`` (..., K).
+    For ``queries``, points first (..., P, 8), with logits ``bias`` (..., K).
     """
     logits = query @ namespace(query).matrix_transpose(table) + bias[..., None, :]
     return softmax(logits) @ table
@@ -85,6 +85,14 @@ def take(rows: Array, index: Array, axis: int = 0) -> Array:
     """``rows`` at ``index`` (n,), none negative, along ``axis``: one operation of torch, not four."""
     xp = namespace(rows)
     return xp.index_select(rows, axis, index) if hasattr(xp, "index_select") else xp.take(rows, index, axis=axis)
+
+
+def columns(table: Array, index: Array) -> Array:
+    """``table`` (F, n, N) at ``index`` (m,) of its last axis: (F, n, m). As one matrix of few rows, which graphs are
+    fast with (``model_export.packed``)."""
+    xp = namespace(table)
+    flat = take(xp.reshape(table, (-1, table.shape[2])), index, axis=1)
+    return xp.reshape(flat, (table.shape[0], table.shape[1], -1))
 
 
 def largest(scores: Array, count: int) -> Array:

@@ -34,7 +34,7 @@ def sphere(count: int, radius: float) -> np.ndarray:
 
 def seen(points: np.ndarray, samples: np.ndarray, normals: np.ndarray) -> field.Surface:
     """The surface at ``points`` (P, 3) of samples (K, 3), none preferred."""
-    means = field.mixed(field.queries(points)[None], sample_table(samples, normals)[None], np.zeros((1, len(samples))))
+    means = field.mixed(field.queries(points.T).T[None], sample_table(samples, normals)[None], np.zeros((1, len(samples))))
     return field.surface(points.T, means[0].T)
 
 
@@ -123,7 +123,7 @@ def test_the_field_is_smooth_and_the_same_in_torch(rng):
     ahead, behind = (seen(points + sign * step, samples, samples / 0.06) for sign in (1.0, -1.0))
     x = torch.from_numpy(points).requires_grad_()
     table = torch.from_numpy(sample_table(samples, samples / 0.06))[None]
-    means = field.mixed(field.queries(x)[None], table, torch.zeros(1, 300, dtype=torch.float64))
+    means = field.mixed(field.queries(x.mT).mT[None], table, torch.zeros(1, 300, dtype=torch.float64))
     found = field.surface(x.mT, means[0].mT)
     numpy_found = seen(points, samples, samples / 0.06)
     assert_allclose(found.distance.detach(), numpy_found.distance, rtol=0, atol=1e-12)
