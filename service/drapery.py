@@ -260,7 +260,7 @@ class Drapery:
         roots = np.concatenate([m.trans + shape.root for shape, m in zip(shapes, motions, strict=True)])
         items = [(entry.garment.digest, frame) for entry in layers for frame in range(len(roots))]
         # Bodies with pose blend shapes have another skin than their bones carry.
-        skin = skin and self.engine.shares_skin and self.body.posedirs is None and motions[0].passes != 0
+        skin = skin and self.engine.shares_skin and self.body.posedirs is None
         results = self.packer.run(ScenePlan(shape, skin=skin, passes=motions[0].passes), bodies | codes, items)
         check_finite(self.engine, all(result.finite for result in results))
         frames = len(roots)

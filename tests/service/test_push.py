@@ -52,6 +52,9 @@ def test_graph_and_numpy_push_alike():
         assert way.max() > 1e-3, "must push for the test to mean something"
         assert_allclose(pushed, by_numpy.push("it", vertices, poses, betas, CLEARANCE_M)[0], rtol=0, atol=2e-5)
         assert_allclose(way, np.linalg.norm(pushed - vertices, axis=-1), rtol=0, atol=1e-5)
+        skin = by_graph._table(poses, betas)
+        given, _ = by_graph.push("it", vertices, poses, betas, CLEARANCE_M, skin=skin)
+        assert_allclose(given, pushed, rtol=0, atol=1e-6)
 
 
 def test_a_model_without_the_graph_and_a_body_with_corrections_take_numpy(tiny_folder):

@@ -21,6 +21,7 @@ from drape.geometry.rotations import dot_columns
 
 BANDWIDTH_M = 0.014  # h, about the spacing of the samples
 TINY = 1e-12
+LEAST_WEIGHT = 1e-37  # near the least float32: what weighs less is nowhere
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +53,30 @@ def mixed(query: Array, table: Array, bias: Array) -> Array:
     """
     logits = query @ namespace(query).matrix_transpose(table) + bias[..., None, :]
     return softmax(logits) @ table
+
+
+def looks(points: Array) -> Array:
+    """Columns (..., 10, P) whose product with a sample's column in ``seen`` is -|x - b|^2 / h^2 + bias, of ``points``
+    (..., 3, P)."""
+    xp = namespace(points)
+    scale = 1.0 / (BANDWIDTH_M * BANDWIDTH_M)
+    plain = queries(points)
+    square = dot_columns(points, points) * (-scale)
+    return xp.concat([plain, xp.ones_like(square), square], axis=-2)
+
+
+def seen(look: Array, table: Array, bias: Array) -> Array:
+    """``mixed`` for points that lie last: means (..., 8, P) for ``looks`` (..., 10, P), by sums of exponentials.
+
+    A softmax without the search for the largest logit, which costs more than all the rest: so there must be a sample
+    whose ``bias`` is near 0, and means fade to nothing farther than some 10 cm from all of them.
+    """
+    xp = namespace(look)
+    count = table.shape[-2]
+    logits = xp.broadcast_to(bias[..., None, :], (*table.shape[:-2], 1, count))
+    rows = xp.concat([xp.matrix_transpose(table), logits, xp.ones_like(logits)], axis=-2)  # (..., 10, K)
+    sums = rows @ xp.exp(xp.matrix_transpose(rows) @ look)
+    return sums[..., :8, :] / xp.clip(sums[..., 9:, :], min=LEAST_WEIGHT)
 
 
 def surface(points: Array, means: Array) -> Surface:

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.arrays import Array, namespace
-from drape.cloth.push.field import columns, largest, mixed, queries, ramp, surface, take
+from drape.cloth.push.field import columns, largest, looks, ramp, seen, surface, take
 from drape.cloth.push.samples import CLUSTER_SIZE, REGION_SIZE, Samples, region_centres, sample_table
 from drape.cloth.push.tables import BLOCK_SIZE, GROUP_SIZE, OTHER_STEPS
 from drape.geometry.rotations import dot_columns
@@ -161,27 +161,30 @@ def _means(start: Array, skin: Array, feed: PushFeed) -> tuple[Array, Array]:
     """Means (F, 8, 2 N) of the samples about the slots ``start`` (F, 3, N), of the own part and then of others; and 1
     where there are others (F, 1, N), else 0."""
     xp = namespace(start)
-    frames, slots = start.shape[0], start.shape[2]
-    groups, size = feed.region_bias.shape[0], GROUP_SIZE * BLOCK_SIZE
-    query = queries(start)
-    of_blocks = xp.permute_dims(xp.reshape(query, (frames, 8, GROUP_SIZE * groups, BLOCK_SIZE)), (0, 2, 3, 1))
-    own = xp.reshape(_own_part(of_blocks, skin, feed), (frames, slots, 8))
+    frames = start.shape[0]
+    look = looks(start)
+    own = _own_part(_apart(look, BLOCK_SIZE), skin, feed)
     table, bias, has_other = _other_parts(start, skin, feed)
-    of_groups = xp.reshape(of_blocks, (frames, groups, size, 8))
-    other = xp.reshape(mixed(of_groups, table, bias), (frames, slots, 8))
-    # The points last: what follows runs along them.
-    means = xp.permute_dims(xp.stack([own, other], axis=1), (0, 3, 1, 2))
-    has_other = xp.broadcast_to(has_other, (frames, groups, size))
-    return xp.reshape(means, (frames, 8, 2 * slots)), xp.reshape(has_other, (frames, 1, slots))
+    other = seen(_apart(look, GROUP_SIZE * BLOCK_SIZE), table, bias)
+    # The points last again: what follows runs along them.
+    means = [xp.reshape(xp.permute_dims(part, (0, 2, 1, 3)), (frames, 8, -1)) for part in (own, other)]
+    has_other = xp.broadcast_to(has_other, (*has_other.shape[:2], GROUP_SIZE * BLOCK_SIZE))
+    return xp.concat(means, axis=2), xp.reshape(has_other, (frames, 1, -1))
 
 
-def _own_part(query: Array, skin: Array, feed: PushFeed) -> Array:
-    """Means (F, C, 16, 8) of the skin under the blocks, for their queries (F, C, 16, 8)."""
-    xp = namespace(query)
-    frames, blocks, own = query.shape[0], query.shape[1], feed.own_bias.shape[2]
+def _apart(rows: Array, size: int) -> Array:
+    """``rows`` (F, n, N) of the slots as those of blocks or groups of ``size`` slots (F, N / size, n, size)."""
+    xp = namespace(rows)
+    return xp.permute_dims(xp.reshape(rows, (*rows.shape[:2], -1, size)), (0, 2, 1, 3))
+
+
+def _own_part(look: Array, skin: Array, feed: PushFeed) -> Array:
+    """Means (F, C, 8, 16) of the skin under the blocks, for their ``looks`` (F, C, 10, 16)."""
+    xp = namespace(look)
+    frames, own = look.shape[0], feed.own_bias.shape[2]
     clusters = xp.reshape(skin, (frames, -1, 8 * CLUSTER_SIZE))
-    table = xp.reshape(take(clusters, _flat(feed.own_cluster), axis=1), (frames, blocks, own, 8))
-    return mixed(query, table, xp.reshape(feed.own_bias, (blocks, own)))
+    table = xp.reshape(take(clusters, _flat(feed.own_cluster), axis=1), (frames, -1, own, 8))
+    return seen(look, table, xp.reshape(feed.own_bias, (-1, own)))
 
 
 def _other_parts(start: Array, skin: Array, feed: PushFeed) -> tuple[Array, Array, Array]:

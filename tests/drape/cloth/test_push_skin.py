@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial import KDTree
 
 from drape.body.assets import load_body
@@ -36,6 +36,16 @@ def seen(points: np.ndarray, samples: np.ndarray, normals: np.ndarray) -> field.
     """The surface at ``points`` (P, 3) of samples (K, 3), none preferred."""
     means = field.mixed(field.queries(points.T).T[None], sample_table(samples, normals)[None], np.zeros((1, len(samples))))
     return field.surface(points.T, means[0].T)
+
+
+def test_sums_of_exponentials_are_the_softmax_and_fade_far_away(rng):
+    points, samples = 0.05 * rng.normal(size=(20, 3)), 0.05 * rng.normal(size=(30, 3))
+    normals = rng.normal(size=samples.shape)
+    table, bias = sample_table(samples, normals)[None], -rng.random((1, 30))
+    softly = field.mixed(field.queries(points.T).T[None], table, bias)
+    sums = field.seen(field.looks(points.T)[None], table, bias)
+    assert_allclose(sums.swapaxes(1, 2), softly, rtol=1e-9, atol=1e-12)
+    assert_array_equal(field.seen(field.looks(1.0 + points.T)[None], table, bias), 0.0)
 
 
 def test_samples_lie_on_the_skin_with_its_normals_and_keep_their_distance(skin: Skin):
