@@ -270,7 +270,7 @@ class PackedGraph(nn.Module):
         return torch.addmm(charts.rest @ choice, local.reshape(-1, 3 * FIT_COUNT), choice, beta=-1)
 
     def _columns(self, stored: Tensor) -> Tensor:
-        """Columns (P, 18, 56) of the anchors from those up to the second order (P, 9, 56): w x x, w y y and w x y / w."""
+        """Columns (P, 18, 56) of the anchors from those up to the second order (P, 9, 56): (w a) (w b) / w is w a b."""
         weight = torch.clamp(stored[:, 3:4], min=1e-30)
         higher = torch.index_select(stored, 1, self.higher_first) * torch.index_select(stored, 1, self.higher_second)
         return torch.cat([stored, higher / weight], dim=1)

@@ -49,7 +49,8 @@ class Charts:
 class PosedPatches:
     """Posed jets (P, 3, 18), jets in the frames (P, 27 or 45), frames (P, 3, 3) and (P, 3, 1), bones of the bodies.
 
-    ``skin`` (B, R, 12, 8) of the bodies, where patches feel it. ``passes``: jets (P, 27) before the first correction and after each, where a closing fit follows them.
+    ``skin`` (B, R, 12, 8) of the bodies, where patches feel it.
+    ``passes``: jets (P, 27) before the first correction and after each, where a closing fit follows them.
     """
 
     coefficients: Tensor

@@ -46,7 +46,9 @@ def tables() -> dict[str, Tensor]:
     terms = tangent_terms().reshape(jets.JET_COUNT, STRAIN_POINTS, 3, 2)
     xyz = torch.ones(3)
     product, strain, stress = torch.tensor(PRODUCTS).T, torch.tensor(STRAINS).T, torch.tensor(STRESS)
-    first, second = (torch.nn.functional.one_hot(torch.tensor(side), 3).T.float() for side in zip(*MONOMIALS))
+    first, second = (
+        torch.nn.functional.one_hot(torch.tensor(side), 3).T.float() for side in zip(*MONOMIALS, strict=True)
+    )
     return {
         "direction_terms": torch.einsum("jpxk,dk->jdxp", terms, directions).reshape(jets.JET_COUNT, -1).contiguous(),
         "directions": _per_point(torch.einsum("dk,xy->kxdy", directions, torch.eye(3)).reshape(6, 9)),
@@ -54,7 +56,9 @@ def tables() -> dict[str, Tensor]:
         "second_factor": _per_point(second),
         "tangent_products": _per_point(torch.einsum("dm,x->dxm", product, xyz).reshape(9, 6)),
         "strain_sums": _per_point(SOFTENING * strain),
-        "strain_at_rest": torch.tensor([-0.5 * SOFTENING, -0.5 * SOFTENING, 0.0]).repeat_interleave(STRAIN_POINTS)[None],
+        "strain_at_rest": torch.tensor([-0.5 * SOFTENING, -0.5 * SOFTENING, 0.0]).repeat_interleave(STRAIN_POINTS)[
+            None
+        ],
         "stress_terms": _per_point(stress @ strain.T),
         "force_terms": _per_point(2.0 * torch.einsum("dm,x->mdx", product, xyz).reshape(6, 9)),
     }

@@ -225,7 +225,7 @@ class Engine:
     ) -> GraphSession:
         """A session of what ``outputs`` of ``graph`` need and nothing else (``service.subgraph``).
 
-        Of the packed graph, after ``passes`` corrections; all of them by default. Outputs that are ``given`` are inputs.
+        Of the packed graph, after ``passes`` corrections; all of them by default. ``given`` outputs are inputs.
         """
         name, spec = self.manifest.name, self.manifest.graphs[graph]
         passes = self.check_passes(passes)

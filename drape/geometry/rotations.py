@@ -172,7 +172,6 @@ def dot_columns(a: Array, b: Array) -> Array:
     """Scalar products (..., 1, N) of columns (..., n, N), n small: its rows are added, N numbers at a time."""
     product = a * b
     if product.ndim <= 3:  # few wide matrices: one product adds the rows
-        xp = namespace(product)
         return like(product, [[1.0] * product.shape[-2]]) @ product
     total = product[..., :1, :]
     for row in range(1, product.shape[-2]):

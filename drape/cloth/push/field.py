@@ -40,7 +40,10 @@ class Surface:
 
 
 def queries(points: Array) -> Array:
-    """Columns (..., 8, P) whose product with a sample's row is -|x - b|^2 / h^2 less x . x, of ``points`` (..., 3, P)."""
+    """Columns (..., 8, P) whose product with a sample's row is -|x - b|^2 / h^2 less x . x.
+
+    Of ``points`` (..., 3, P).
+    """
     scale = 1.0 / (BANDWIDTH_M * BANDWIDTH_M)
     turned = like(points, [[2.0 * scale * (row == column) for row in range(3)] for column in range(8)])
     return turned @ points + like(points, [[-scale * (column == 3)] for column in range(8)])

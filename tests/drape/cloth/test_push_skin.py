@@ -34,7 +34,9 @@ def sphere(count: int, radius: float) -> np.ndarray:
 
 def seen(points: np.ndarray, samples: np.ndarray, normals: np.ndarray) -> field.Surface:
     """The surface at ``points`` (P, 3) of samples (K, 3), none preferred."""
-    means = field.mixed(field.queries(points.T).T[None], sample_table(samples, normals)[None], np.zeros((1, len(samples))))
+    means = field.mixed(
+        field.queries(points.T).T[None], sample_table(samples, normals)[None], np.zeros((1, len(samples)))
+    )
     return field.surface(points.T, means[0].T)
 
 
