@@ -16,6 +16,8 @@ What ``body_feed`` and the readable ``DrapeGraph`` compute, arranged for speed; 
 
 from __future__ import annotations
 
+from typing import Any
+
 import onnxscript
 import torch
 from torch import Tensor, nn
@@ -42,7 +44,7 @@ def _gather(table, dim, index):
 
     Columns of a matrix with few rows as GatherElements, which walks a row at once: 4.5 times as fast on a processor.
     """
-    op = onnxscript.opset20
+    op: Any = onnxscript.opset20
     if dim != 1 or len(table.shape) != 2:
         return op.Gather(table, index, axis=dim)
     if isinstance(table.shape[0], int):
@@ -235,7 +237,7 @@ class PackedGraph(nn.Module):
         if bodies.skins is not None:
             skin = posed_skins(bodies.skins, bone_rotation, bone_translation)
         for correction in self.corrections:
-            assert charts is not None
+            assert charts is not None and columns is not None
             jet = self._fitted(self._posed(frame, jet) @ columns, charts, into, centre, self.fit_choice)
             stretch = self.strain.stretch(charts.tangent, charts.unit) if stretch is None else stretch
             inputs = [hidden, *self.strain(jet, stretch), jet]
@@ -249,7 +251,7 @@ class PackedGraph(nn.Module):
             jet = jet + correction(torch.cat(inputs, dim=-1))
             passes.append(jet)
         if self.closes:
-            assert charts is not None
+            assert charts is not None and columns is not None
             jet = self._fitted(self._posed(frame, jet) @ columns, charts, into, centre, self.full_choice)
         kept = tuple(passes) if self.closes and len(passes) > 1 else ()
         return PosedPatches(self._posed(frame, jet), jet, rotation, centre, bone_rotation, bone_translation, skin, kept)
