@@ -41,7 +41,7 @@ from drape.garment.cache import Garment
 from drape.packing import PackedBody, pack_body
 from drape.push_packing import SkinShapes
 from service.engine import PACKED, Engine
-from service.packing import STORED_INDEX, Packer, ScenePlan
+from service.packing import SHAPE_INDEX, STORED_INDEX, Packer, ScenePlan
 from service.push import Pusher
 from training.model import OneFit
 
@@ -131,17 +131,19 @@ def pushed_rows(bench: Bench, packer: Packer, key: str, garment: Garment) -> lis
     every = poses(64)
     rows = []
     for passes in (None, *reversed(range(bench.engine.pass_count))):
-        plan, turn = ScenePlan(passes=passes), iter(range(sys.maxsize))
+        plan = ScenePlan(skin=bench.engine.shares_skin, passes=passes)
+        turn = iter(range(sys.maxsize))
 
-        def drape(plan: ScenePlan = plan, turn: Iterator[int] = turn) -> tuple[np.ndarray, np.ndarray]:
+        def drape(plan: ScenePlan = plan, turn: Iterator[int] = turn) -> tuple[np.ndarray, np.ndarray, Any]:
             row = next(turn) % 64
             pose = every[row : row + 1]
-            return packer.run(plan, bench.shape.rows(pose), [(key, 0)])[0].arrays["vertices"], pose
+            found = packer.run(plan, bench.shape.rows(pose), [(key, 0)])[0].arrays
+            return found["vertices"], pose, found["skin"][None] if plan.skin else None
 
-        vertices, pose = drape()
+        vertices, pose, skin = drape()
 
-        def push(vertices: np.ndarray = vertices, pose: np.ndarray = pose) -> None:
-            pusher.push(key, vertices[None], pose, betas, CLEARANCE_M)
+        def push(vertices: np.ndarray = vertices, pose: np.ndarray = pose, skin: Any = skin) -> None:
+            pusher.push(key, vertices[None], pose, betas, CLEARANCE_M, skin=skin)
 
         both = timed(lambda drape=drape, push=push: push(*drape()), seconds=bench.seconds)
         alone = timed(push, seconds=bench.seconds / 2)
@@ -162,7 +164,7 @@ def stages(bench: Bench, packer: Packer, key: str, pose: np.ndarray, whole: Timi
     ends = {"bones": ("bone_rotation", "bone_translation"), "patches": ("jet", "frame_rotation", "frame_centre")}
     done, last = {"pose": timed(lambda: bench.shape.rows(pose), seconds=bench.seconds / 4).p50_ms}, 0.0
     for stage, outputs in (ends | {"vertices": ("vertices",)}).items():
-        session = bench.engine.open_cut(PACKED, outputs, direct=STORED_INDEX)
+        session = bench.engine.open_cut(PACKED, outputs, direct=(*STORED_INDEX, *SHAPE_INDEX))
         values = {name: bench.engine.value(np.ascontiguousarray(feed[name])) for name in session.inputs}
 
         def call(session=session, outputs=outputs, values=values) -> None:

@@ -26,12 +26,13 @@ from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_quaternion
 
 COLUMNS = 3 + jets.HEIGHT_COUNT  # rest place, basis
+LOWER_COLUMNS = 3 + jets.IN_PLANE_COUNT  # rest place, basis up to the second order
 CHARTS_PER_TILE = 32  # of a patch's last tile half is empty on average
 VERTICES_PER_BLOCK = 64
 KINDS = {
     "felt_cluster": np.int32,
     "felt_other": np.uint8,
-    "felt_region": np.uint8,
+    "felt_region": np.float16,
 }  # of stored arrays; the others are float32
 TANGENTS = "tile_tangents"  # the one stored array that only normals need
 
@@ -226,8 +227,9 @@ def _anchor_constants(feed: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     row = np.where(_held(feed)[..., None], row, 0.0)
     rest_place = row[..., 1:4] / feed["patch_scale"][:, None, None]
     unit = feed["patch_orthonormal"]
+    lower = row[..., 4 : 4 + jets.IN_PLANE_COUNT]  # the higher orders are products of these
     return {
-        "anchor_columns": np.concatenate([rest_place, row[..., 4:]], axis=-1).swapaxes(1, 2),
+        "anchor_columns": np.concatenate([rest_place, lower], axis=-1).swapaxes(1, 2),
         "anchor_fit": feed["patch_fit"].swapaxes(1, 2),
         "anchor_rest": feed["patch_rest"].swapaxes(1, 2).reshape(count, -1),
         "strain_tangent": feed["patch_tangent"].transpose(0, 3, 2, 1).reshape(count, -1),
@@ -244,7 +246,7 @@ def _felt_constants(feed: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         "felt_cluster": feed["patch_cluster"],
         "felt_bias": feed["patch_cluster_bias"],
         "felt_other": in_halves(feed["patch_other"]).reshape(count, parts, -1),
-        "felt_region": feed["patch_other"].max(axis=2).reshape(count, parts, POSED_REGIONS),
+        "felt_region": feed["patch_region_bias"].reshape(count, parts, POSED_REGIONS),
     }
 
 

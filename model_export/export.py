@@ -51,7 +51,9 @@ OPSET = 20
 SAMPLE = {"frames": 3, "patches": 7, "vertices": 11, "points": 13, "clients": 5, "anchors": 17, "regions": 19}
 LIMIT = {"frames": 65536, "patches": 65536, "vertices": 1 << 22, "points": 65536, "clients": 65536, "anchors": 1 << 20}
 MOST = 1 << 22
-INDEX_TYPES = {"int32": torch.int32, "int64": torch.int64, "uint8": torch.uint8}
+ZERO_TYPES = {
+    "int16": torch.int16, "int32": torch.int32, "int64": torch.int64, "uint8": torch.uint8, "float16": torch.float16,
+}  # fmt: skip
 
 
 def load_model(path: Path) -> tuple[OneFit, dict[str, Any]]:
@@ -181,8 +183,8 @@ def write_graph(
     for spec in inputs:
         shape = tuple(sample[axis] if isinstance(axis, str) else axis for axis in spec.shape)
         # Index inputs must be valid indices of the sample; zeros always are.
-        index = INDEX_TYPES.get(spec.dtype)
-        samples[spec.name] = torch.rand(shape) if index is None else torch.zeros(shape, dtype=index)
+        kind = ZERO_TYPES.get(spec.dtype)
+        samples[spec.name] = torch.rand(shape) if kind is None else torch.zeros(shape, dtype=kind)
         dynamic[spec.name] = {i: axes[axis] for i, axis in enumerate(spec.shape) if isinstance(axis, str)}
     with warnings.catch_warnings(), torch.no_grad():
         warnings.simplefilter("ignore")  # the exporter's own deprecation notices

@@ -69,7 +69,7 @@ class LayerGraph(nn.Module):
         region: Tensor,
         cloth_member: Tensor,
         cloth_rows: Tensor,
-    ) -> tuple[Tensor, Tensor, Tensor]:
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         push = PushFeed(
             block_vertex=push_block_vertex, vertex_slot=push_vertex_slot, own_cluster=push_own_cluster,
             own_bias=push_own_bias, other=push_other, region_bias=push_region_bias,
@@ -79,7 +79,7 @@ class LayerGraph(nn.Module):
         feed = LayerFeed(push, region, cloth_member, cloth_rows)  # pyright: ignore[reportArgumentType]
         skin = skin_table(skin_rows, skin_bones, bone_rotation, bone_translation)
         found = push_over_in_parts(vertices, under, skin, feed, clearance)
-        return found.vertices, found.coefficients, found.left_m
+        return found.vertices, found.coefficients, found.left_m, skin
 
 
 def layer_case(

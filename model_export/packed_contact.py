@@ -5,22 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from drape.cloth.push.field import mixed, queries
+from drape.cloth.push.field import mixed, queries, surface
 from drape.cloth.push.out import REGION_BIAS_M2, REGION_COUNT
-from drape.cloth.push.patches import (
-    Planes,
-    felt,
-    from_halves,
-    mixed_others,
-    region_bias_of,
-    tangent_planes,
-)
+from drape.cloth.push.patches import GAP_M, UNIT_M, from_halves, mixed_others, plane_share
 from drape.cloth.push.samples import CLUSTER_SIZE, REGION_SIZE, region_centres
 from drape.cloth.push.skin import skin_table
+from drape.garment.agreement import STRAIN_POINTS, strain_points
 from drape.geometry import jets
-from training.agreement import softened
+from model_export.packed_strain import softsign
+
+PLACES = 2 * STRAIN_POINTS  # of a patch: each point before its own part of the body, then before others
 
 
 @dataclass(frozen=True)
@@ -48,11 +44,100 @@ def posed_skins(skins: Skins, rotation: Tensor, translation: Tensor) -> Tensor:
     return skin_table(torch.index_select(skins.rows, 0, skins.shape), skins.bones, rotation, translation)
 
 
-def near_planes(points: Tensor, skin: Tensor, lists: Felt, patch_body: Tensor) -> Planes:
-    """Planes near ``points`` [m] (P, 3, 7) on the bodies ``patch_body`` (P,), which have ``skin`` (B, R, 12, 8)."""
+@dataclass(frozen=True)
+class Near:
+    """Tangent planes near the patches, in their own frames; numbers lie by axis, then part of the body, then point.
+
+    A point at ``missing`` = ``offset`` + sum over axes of ``normal`` x place [patch scales] lacks that many centimetres
+    to where it feels the plane; ``share`` (P, 14) is how much the plane is there, ``pull`` (P, 14) the same times what
+    makes unit normals of ``normal`` (P, 42) again.
+    """
+
+    normal: Tensor
+    offset: Tensor
+    share: Tensor
+    pull: Tensor
+
+
+class Contact(nn.Module):
+    """What patches feel of the body, ``drape.cloth.push.patches`` in their own frames: there a pass is a few products.
+
+    The planes are looked up in the world, once; jets move points along the axes of their patch.
+    """
+
+    point_terms: Tensor
+    twice: Tensor
+    axis_sums: Tensor
+    axis_copies: Tensor
+    middle_terms: Tensor
+    middle_last: Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        for name, value in tables().items():
+            self.register_buffer(name, value)
+
+    def places(self, lists: Felt) -> Tensor:
+        """Rest places (P, 42) of the points, for both parts of the body."""
+        return lists.place.reshape(-1, 3 * STRAIN_POINTS) @ self.twice
+
+    def points(self, jet: Tensor, places: Tensor) -> Tensor:
+        """The points (P, 42) [patch scales] of ``jet`` (P, 27)."""
+        return torch.addmm(places, jet, self.point_terms)
+
+    def near(
+        self, points: Tensor, skin: Tensor, lists: Felt, patch_body: Tensor, rotation: Tensor, scale: Tensor,
+        centre: Tensor,
+    ) -> Near:  # fmt: skip
+        """Planes near ``points`` (P, 42) of patches on the bodies ``patch_body`` (P,), of ``skin`` (B, R, 12, 8).
+
+        Frames ``rotation`` (P, 3, 3), ``scale`` [m] (P, 1, 1) and ``centre`` [m] (P, 3, 1).
+        """
+        world = (rotation * scale) @ points.reshape(-1, 3, PLACES) + centre
+        middle = torch.addmm(self.middle_last, world.reshape(-1, 3 * PLACES), self.middle_terms)
+        means = near_means(world[:, :, :STRAIN_POINTS].mT, middle, skin, lists, patch_body)
+        found = surface(world, means)
+        share = plane_share(found)
+        unit = scale.reshape(-1, 1) * (-1.0 / UNIT_M)
+        normal = (rotation.mT @ found.normal).reshape(-1, 3 * PLACES) * unit
+        offset = (GAP_M - found.distance) * (1.0 / UNIT_M) - (normal * points) @ self.axis_sums
+        return Near(normal, offset, share, share / unit)
+
+    def forward(self, points: Tensor, near: Near) -> list[Tensor]:
+        """Closeness (P, 14) and softened force on the jets (P, 27) as ``training.model`` gives them to corrections."""
+        missing = torch.addmm(near.offset, near.normal * points, self.axis_sums)
+        pull = (near.pull * torch.relu(missing)) @ self.axis_copies
+        # A quarter of the force, softened, which takes four times its argument.
+        return [near.share * torch.tanh(missing), softsign((pull * near.normal) @ self.point_terms.mT)]
+
+
+def tables() -> dict[str, Tensor]:
+    """Buffers of ``Contact``."""
+    basis = torch.from_numpy(jets.basis(strain_points(), jets.HEIGHT_ORDER)).float()  # (7, 15)
+    terms = torch.zeros(jets.JET_COUNT, 3, 2, STRAIN_POINTS)
+    first = 0
+    for axis, count in enumerate((jets.IN_PLANE_COUNT, jets.IN_PLANE_COUNT, jets.HEIGHT_COUNT)):
+        terms[first : first + count, axis] = basis.T[:count, None]
+        first += count
+    each = torch.eye(STRAIN_POINTS).repeat(1, 2)
+    own = torch.tensor([1.0 / STRAIN_POINTS] * STRAIN_POINTS + [0.0] * STRAIN_POINTS)[:, None]
+    return {
+        "point_terms": terms.reshape(jets.JET_COUNT, -1),
+        "twice": torch.kron(torch.eye(3), each),
+        "axis_sums": torch.eye(PLACES).repeat(3, 1),
+        "axis_copies": torch.eye(PLACES).repeat(1, 3),
+        "middle_terms": torch.kron(torch.eye(3, 4), own),
+        "middle_last": torch.tensor([[0.0, 0.0, 0.0, 1.0]]),
+    }
+
+
+def near_means(places: Tensor, middle: Tensor, skin: Tensor, lists: Felt, patch_body: Tensor) -> Tensor:
+    """Means (P, 8, 14) of the samples about ``places`` [m] (P, 7, 3): of the own part, then of others.
+
+    ``middle`` (P, 4) is the mean place of each patch, and one.
+    """
     bodies, regions = skin.shape[0], skin.shape[1]
-    places = points.mT  # (P, 7, 3)
-    query = queries(places)
+    query = queries(places.mT).mT
     body = patch_body.to(torch.int64)
     clusters = skin.reshape(-1, 8 * CLUSTER_SIZE)
     first = body * (regions * (REGION_SIZE // CLUSTER_SIZE))
@@ -62,9 +147,8 @@ def near_planes(points: Tensor, skin: Tensor, lists: Felt, patch_body: Tensor) -
     region = region_centres(skin)
     rows = torch.cat([-2.0 * region, (region * region).sum(dim=-1, keepdim=True)], dim=-1).reshape(bodies, -1)
     seen = torch.index_select(rows, 0, body).reshape(-1, regions, 4)
-    centre = torch.cat([places.mean(dim=1), torch.ones_like(places[:, 0, :1])], dim=1)  # (P, 4)
-    squared = (seen @ centre[:, :, None]).reshape(-1, regions)
-    bias = region_bias_of(lists.region.reshape(-1, regions).to(places.dtype))
+    squared = (seen @ middle[:, :, None]).reshape(-1, regions)
+    bias = lists.region.reshape(-1, regions).to(places.dtype)
     top = torch.topk(REGION_BIAS_M2 * bias - squared, REGION_COUNT, dim=-1, sorted=False)[1]
     table = torch.index_select(skin.reshape(-1, 8 * REGION_SIZE), 0, (top + (regions * body)[:, None]).reshape(-1))
     # 0, 1, 2, ... counted out: the number of patches would be read off an index that a call of one garment lacks.
@@ -73,15 +157,4 @@ def near_planes(points: Tensor, skin: Tensor, lists: Felt, patch_body: Tensor) -
     other = torch.index_select(lists.other.reshape(-1, REGION_SIZE // 2), 0, row).to(places.dtype)
     count = REGION_COUNT * REGION_SIZE
     other_means = mixed_others(query, table.reshape(-1, count, 8), from_halves(other).reshape(-1, count))
-    return tangent_planes(places[None], own_means[None], other_means[None])
-
-
-def felt_inputs(points: Tensor, near: Planes, rotation: Tensor, terms: Tensor) -> list[Tensor]:
-    """Closeness (P, 14) and force on the jets (P, 27) as ``training.model.OneFit`` gives them to its corrections.
-
-    ``points`` (P, 3, 7) [m], frames ``rotation`` (P, 3, 3), ``terms`` (7, 15) the basis at the points.
-    """
-    closeness, push = felt(points.mT[None], near)
-    along = rotation.mT @ (push[0].mT @ terms)  # (P, 3, 15)
-    plane = along[:, :2, : jets.IN_PLANE_COUNT].reshape(-1, 2 * jets.IN_PLANE_COUNT)
-    return [closeness[0], softened(torch.cat([plane, along[:, 2]], dim=-1) / 4.0)]
+    return torch.cat([own_means, other_means], dim=1).mT

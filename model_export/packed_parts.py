@@ -36,7 +36,7 @@ class Patches:
 class Charts:
     """Inputs of ``PackedGraph`` by which charts agree, gathered for its patches."""
 
-    columns: Tensor  # (P, 18, 56)
+    columns: Tensor  # (P, 9, 56)
     fit: Tensor  # (P, 56, 21)
     rest: Tensor  # (P, 63): 21 of each coordinate
     tangent: Tensor  # (P, 42): by u at x, y, z of seven points, then by v
@@ -49,6 +49,7 @@ class Charts:
 class PosedPatches:
     """Posed jets (P, 3, 18), jets in the frames (P, 27 or 45), frames (P, 3, 3) and (P, 3, 1), bones of the bodies.
 
+    ``skin`` (B, R, 12, 8) of the bodies, where patches feel it.
     ``passes``: jets (P, 27) before the first correction and after each, where a closing fit follows them.
     """
 
@@ -58,4 +59,5 @@ class PosedPatches:
     centre: Tensor
     bone_rotation: Tensor
     bone_translation: Tensor
+    skin: Tensor | None = None
     passes: tuple[Tensor, ...] = ()

@@ -10,7 +10,7 @@ from drape.feeds import BETA_COUNT
 from drape.garment.agreement import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.geometry import jets
-from drape.packing import CHARTS_PER_TILE, COLUMNS, VERTICES_PER_BLOCK, pass_name
+from drape.packing import CHARTS_PER_TILE, COLUMNS, LOWER_COLUMNS, VERTICES_PER_BLOCK, pass_name
 from training.agreement import TANGENT_COUNT
 from training.model import OneFit
 
@@ -23,7 +23,7 @@ SAMPLE = {
 PART_SIZE = POSED_REGIONS * REGION_SIZE  # samples that are posed together
 
 AGREEMENT_INPUTS: tuple[TensorSpec, ...] = (
-    TensorSpec("anchor_columns", ("stored_patches", COLUMNS, MEMBERS), "float32", "1"),
+    TensorSpec("anchor_columns", ("stored_patches", LOWER_COLUMNS, MEMBERS), "float32", "1"),
     TensorSpec("anchor_fit", ("stored_patches", MEMBERS, FIT_COUNT), "float32", "1"),
     TensorSpec("anchor_rest", ("stored_patches", 3 * FIT_COUNT), "float32", "patch scales"),
     TensorSpec("strain_tangent", ("stored_patches", TANGENT_COUNT), "float32", "1"),
@@ -42,7 +42,10 @@ CONTACT_INPUTS: tuple[TensorSpec, ...] = (
     TensorSpec("felt_cluster", ("stored_patches", OWN_CLUSTERS), "int32", "cluster of samples"),
     TensorSpec("felt_bias", ("stored_patches", OWN_CLUSTERS * CLUSTER_SIZE), "float32", "1"),
     TensorSpec("felt_other", ("stored_patches", "parts", PART_SIZE // 2), "uint8", "1 / 15, two each"),
-    TensorSpec("felt_region", ("stored_patches", "parts", POSED_REGIONS), "uint8", "1 / 15"),
+    TensorSpec("felt_region", ("stored_patches", "parts", POSED_REGIONS), "float16", "1"),
+)
+SKIN_OUTPUT = TensorSpec(
+    "skin", ("bodies", "regions", REGION_SIZE, 8), "float32", "m and 1, relative to the root joint"
 )
 
 
@@ -59,6 +62,7 @@ def packed_outputs(model: OneFit) -> tuple[TensorSpec, ...]:
         TensorSpec("frame_centre", ("patches", 3), "float32", "m, relative to the root joint"),
         TensorSpec("bone_rotation", ("bodies", JOINT_COUNT, 3, 3), "float32", "1"),
         TensorSpec("bone_translation", ("bodies", JOINT_COUNT, 3), "float32", "m, relative to the root joint"),
+        *((SKIN_OUTPUT,) if model.config.feels_body else ()),
         *pass_outputs(model),
     )
 

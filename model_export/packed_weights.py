@@ -9,11 +9,10 @@ import torch
 from torch import Tensor, nn
 
 from drape.body.skeleton import JOINT_COUNT, PARENTS
-from drape.garment.agreement import FIT_COUNT, STRAIN_POINTS, strain_points
+from drape.garment.agreement import FIT_COUNT
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.geometry import jets
 from drape.packing import COLUMNS
-from training.agreement import tangent_terms
 from training.layers import SLOPE
 
 # Entries of q q^T (wxyz, row by row) in each entry of the rotation matrix less the identity, and in |q|^2.
@@ -33,6 +32,8 @@ _LEFT = (
 )  # fmt: skip
 # Rows of (x, x', y, y', z, z') that the four factors of a cross product take: u_yzx v_zxy - u_zxy v_yzx.
 _CROSS = (2, 4, 0, 5, 1, 3, 4, 0, 2, 3, 5, 1)
+# Rows of (place, 1, u, v, uu, uv, vv) whose products are the basis of orders 3 and 4.
+_HIGHER = (6, 6, 8, 8, 6, 6, 7, 7, 8), (4, 5, 4, 5, 6, 7, 7, 8, 8)
 
 
 def tables() -> dict[str, Tensor]:
@@ -65,8 +66,10 @@ def tables() -> dict[str, Tensor]:
         "parents": torch.tensor([max(parent, 0) for parent in PARENTS]),
         "without_root": torch.tensor([JOINT_COUNT, *range(1, JOINT_COUNT)]),
         **_jet_tables(),
-        "ones": torch.ones(1, CHARTS_PER_VERTEX),
-        "felt_terms": torch.from_numpy(jets.basis(strain_points(), jets.HEIGHT_ORDER)).float(),
+        "chart_sums": torch.kron(torch.eye(3), torch.ones(1, CHARTS_PER_VERTEX)),
+        "axis_sums": torch.eye(JOINT_COUNT).repeat(3, 1),
+        "higher_first": torch.tensor(_HIGHER[0]),
+        "higher_second": torch.tensor(_HIGHER[1]),
     }
 
 
@@ -90,9 +93,8 @@ def _jet_tables() -> dict[str, Tensor]:
     """Jets (P, 27) @ ``placed`` + ``frame_only`` is (P, 4 * 18), which multiplies [scaled rotation, centre].
 
     Its rows are p, q, h and one: columns 0-2 pass the rest place (an identity), 3-17 are the jets; the last row's
-    entry 3 adds the centre. ``placed_full`` does the same for full jets (P, 45). ``fit_columns`` and ``full_columns``
-    are the jets and the full jets among the 3 x 21 fitted numbers; ``strain_terms`` as
-    ``training.agreement.tangent_terms``, derivative by derivative, axis by axis.
+    entry 3 adds the centre. ``placed_full`` does the same for full jets (P, 45). ``fit_choice`` (63, 27) and
+    ``full_choice`` (63, 45) pick the jets and the full jets among the 3 x 21 fitted numbers.
     """
     placed, frame_only = torch.zeros(jets.JET_COUNT, 4 * COLUMNS), torch.zeros(1, 4 * COLUMNS)
     placed[torch.arange(jets.JET_COUNT), torch.tensor(_jet_columns(jets.IN_PLANE_COUNT))] = 1.0
@@ -103,14 +105,14 @@ def _jet_tables() -> dict[str, Tensor]:
     frame_only[0, 3 * COLUMNS + 3] = 1.0
     plane = range(jets.HEIGHT_COUNT, FIT_COUNT)
     columns = [*plane, *(FIT_COUNT + i for i in plane), *(2 * FIT_COUNT + i for i in range(jets.HEIGHT_COUNT))]
-    terms = tangent_terms().reshape(jets.JET_COUNT, STRAIN_POINTS, 3, 2)
+    full_columns = [FIT_COUNT * axis + i for axis in range(3) for i in range(jets.HEIGHT_COUNT)]
+    every = torch.eye(3 * FIT_COUNT)
     return {
         "placed": placed,
         "placed_full": full,
         "frame_only": frame_only,
-        "fit_columns": torch.tensor(columns),
-        "full_columns": torch.tensor([FIT_COUNT * axis + i for axis in range(3) for i in range(jets.HEIGHT_COUNT)]),
-        "strain_terms": terms.permute(0, 3, 2, 1).reshape(jets.JET_COUNT, -1).contiguous(),
+        "fit_choice": every[:, columns].contiguous(),
+        "full_choice": every[:, full_columns].contiguous(),
     }
 
 

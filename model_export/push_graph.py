@@ -33,6 +33,7 @@ OUTPUTS: tuple[TensorSpec, ...] = (
     TensorSpec("pushed", ("frames", "vertices", 3), "float32", "m"),
     TensorSpec("jet_push", ("frames", "patches", 3, TERMS), "float32", "m, in the axes of the vertices"),
     TensorSpec("left", ("frames",), "float32", "m, what the jets lack"),
+    TensorSpec("skin", ("frames", "regions", REGION_SIZE, 8), "float32", "m and 1, as the bones"),
 )
 OWN = OWN_CLUSTERS * CLUSTER_SIZE
 
@@ -61,7 +62,7 @@ def push_inputs() -> tuple[TensorSpec, ...]:
 
 
 class PushGraph(nn.Module):
-    """``drape.cloth.push.out.push_out`` with the skin posed by its bones."""
+    """``drape.cloth.push.out.push_out`` with the skin posed by its bones, or given: it is an output too."""
 
     def forward(
         self,
@@ -82,7 +83,7 @@ class PushGraph(nn.Module):
         push_tile_basis: Tensor,
         push_tile_patch: Tensor,
         push_slot_charts: Tensor,
-    ) -> tuple[Tensor, Tensor, Tensor]:
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         feed = PushFeed(
             block_vertex=push_block_vertex, vertex_slot=push_vertex_slot, own_cluster=push_own_cluster,
             own_bias=push_own_bias, other=push_other, region_bias=push_region_bias,
@@ -91,7 +92,7 @@ class PushGraph(nn.Module):
         )  # fmt: skip
         skin = skin_table(skin_rows, skin_bones, bone_rotation, bone_translation)
         found = push_in_parts(vertices, skin, feed, clearance)
-        return found.vertices, found.coefficients, found.left_m
+        return found.vertices, found.coefficients, found.left_m, skin
 
 
 def push_parity_error(file: Path, garment: Garment, *, frames: int = 3) -> float:

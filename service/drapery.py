@@ -18,7 +18,7 @@ from drape.feeds import BodyFeed, body_feed, kinematics
 from drape.geometry import jets
 from drape.packing import pack_body
 from service.dynamics import Memory, Moment, advance, nothing
-from service.engine import JETS, Engine, check_finite
+from service.engine import JETS, SKIN, Engine, check_finite
 from service.garments import Entry, Outfit, Registry, Scene
 from service.motions import Motions
 from service.packing import OUTPUTS_OF, Packer, ScenePlan, Shape
@@ -205,7 +205,7 @@ class Drapery:
 
         The vertices of an outfit's garments follow each other as its layers do.
         """
-        drapes, roots, memories = self._drape(scene.layers, motions, "vertices")
+        drapes, roots, memories = self._drape(scene.layers, motions, "vertices", skin=any(m.push for m in motions))
         layers, count = [drape["vertices"] for drape in drapes], len(roots)
         share, furthest = np.zeros(count), np.zeros(count)
         start = 0
@@ -213,7 +213,7 @@ class Drapery:
             rows = slice(start, start + len(motion.poses))
             start = rows.stop
             if motion.push:
-                way = self._push(scene.layers, layers, rows, motion)
+                way = self._push(scene.layers, layers, rows, motion, drapes[0].get(SKIN))
                 share[rows], furthest[rows] = (way > MOVED_M).mean(axis=1), way.max(axis=1)
         vertices = layers[0] if len(layers) == 1 else np.concatenate(layers, axis=1)
         return Draped(vertices, roots, any(m.push for m in motions), share, furthest, memories)
@@ -221,7 +221,7 @@ class Drapery:
     def compute_jets(self, scene: Scene, motions: Sequence[PoseInput]) -> DrapedJets:
         """``compute`` as posed patches; those of an outfit's garments follow each other. Vertices only to push them."""
         pushes = any(motion.push for motion in motions)
-        layers, roots, memories = self._drape(scene.layers, motions, "both" if pushes else "jets")
+        layers, roots, memories = self._drape(scene.layers, motions, "both" if pushes else "jets", skin=pushes)
         jet = [jets.full(layer["jet"]) for layer in layers]
         count, start = len(roots), 0
         share, furthest, left = np.zeros(count), np.zeros(count), np.zeros(count)
@@ -240,10 +240,11 @@ class Drapery:
         return DrapedJets(whole, rotation, centre, left, roots, pushes, share, furthest, memories)
 
     def _drape(
-        self, layers: Sequence[Entry], motions: Sequence[PoseInput], shape: Shape
+        self, layers: Sequence[Entry], motions: Sequence[PoseInput], shape: Shape, *, skin: bool
     ) -> tuple[list[dict[str, np.ndarray]], np.ndarray, tuple[Memory | None, ...]]:
         """Of each layer the outputs of ``shape`` for all frames (F, ...) by name, by the packed graph where it is.
 
+        With ``skin`` the first layer's hold the posed skin too, where that graph poses it for the push-out.
         Relative to the roots [m] (F, 3), which come second; third, what each input's body leaves behind.
         """
         codes, memories = self._follow(motions)
@@ -258,11 +259,15 @@ class Drapery:
         bodies = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
         roots = np.concatenate([m.trans + shape.root for shape, m in zip(shapes, motions, strict=True)])
         items = [(entry.garment.digest, frame) for entry in layers for frame in range(len(roots))]
-        results = self.packer.run(ScenePlan(shape, passes=motions[0].passes), bodies | codes, items)
+        # Bodies with pose blend shapes have another skin than their bones carry.
+        skin = skin and self.engine.shares_skin and self.body.posedirs is None
+        results = self.packer.run(ScenePlan(shape, skin=skin, passes=motions[0].passes), bodies | codes, items)
         check_finite(self.engine, all(result.finite for result in results))
         frames = len(roots)
         parts = [results[i * frames : (i + 1) * frames] for i in range(len(layers))]
         stacked = [{name: np.stack([result.arrays[name] for result in part]) for name in outputs} for part in parts]
+        if skin:
+            stacked[0][SKIN] = np.stack([result.arrays[SKIN] for result in parts[0]])
         return stacked, roots, memories
 
     def _follow(self, motions: Sequence[PoseInput]) -> tuple[dict[str, np.ndarray], tuple[Memory | None, ...]]:
@@ -294,16 +299,22 @@ class Drapery:
                 codes[i][frame] = np.float32(motions[i].motion) * memory.code
         return {"dynamic_code": np.concatenate(codes)}, tuple(memories)
 
-    def _push(self, layers: Sequence[Entry], drapes: list[np.ndarray], rows: slice, motion: PoseInput) -> np.ndarray:
-        """Moves the frames ``rows`` of ``drapes`` out of the body and of the layers below; ways [m] (F, sum of V)."""
+    def _push(
+        self, layers: Sequence[Entry], drapes: list[np.ndarray], rows: slice, motion: PoseInput, skin: np.ndarray | None
+    ) -> np.ndarray:
+        """Moves the frames ``rows`` of ``drapes`` out of the body and of the layers below; ways [m] (F, sum of V).
+
+        ``skin`` of all frames, where the drape has it.
+        """
+        posed = None if skin is None else skin[rows]
         keys, pushed, ways = [entry.garment.digest for entry in layers], [], []
         for layer, key in enumerate(keys):
             vertices, place = drapes[layer][rows], (motion.poses, motion.betas, self.settings.clearance_m)
             if layer == 0:
-                moved, way = self.pusher.push(key, vertices, *place)
+                moved, way = self.pusher.push(key, vertices, *place, skin=posed)
             else:
                 under = np.concatenate(pushed, axis=1)
-                moved, way = self.pusher.push_over(keys[: layer + 1], vertices, under, *place)
+                moved, way = self.pusher.push_over(keys[: layer + 1], vertices, under, *place, skin=posed)
             drapes[layer][rows] = moved
             pushed.append(moved)
             ways.append(way)
@@ -314,13 +325,15 @@ class Drapery:
     ) -> list[PushedJets]:
         """The push-out of the frames ``rows`` of every layer, out of the body and of the layers below, in its jets."""
         keys, pushed = [entry.garment.digest for entry in layers], []
+        skin = drapes[0].get(SKIN)
+        given = None if skin is None else skin[rows]
         for layer, drape in enumerate(drapes):
             under = np.concatenate([part.vertices for part in pushed], axis=1) if pushed else None
             posed = PosedJets(drape["jet"][rows], drape["frame_rotation"][rows])
             vertices, clearance_m = drape["vertices"][rows], self.settings.clearance_m
             pushed.append(
                 self.pusher.push_jets(
-                    keys[: layer + 1], vertices, under, posed, motion.poses, motion.betas, clearance_m
+                    keys[: layer + 1], vertices, under, posed, motion.poses, motion.betas, clearance_m, skin=given
                 )
             )
         return pushed

@@ -27,6 +27,7 @@ DISTRIBUTIONS = ("onnxruntime", "onnxruntime-gpu")
 ENCODER, DRAPE, PACKED, DYNAMIC = "garment_encoder", "drape", "packed", "dynamic_encoder"
 PUSH, PUSH_OVER = "push_out", "push_over"
 FIRST = "patch_first"  # output of the encoder that the packed graph reads
+SKIN = "skin"  # output of the graphs that pose it
 JETS = ("jet", "frame_rotation", "frame_centre")  # outputs of the graphs that drape
 REQUIRED_OUTPUTS = {ENCODER: {"patch_embedding"}, DRAPE: {"vertices"}, DYNAMIC: {"dynamic_code", "next_state"}}
 # ONNX Runtime's names for element types.
@@ -34,6 +35,7 @@ _TYPES = {
     "float32": "tensor(float)",
     "float64": "tensor(double)",
     "float16": "tensor(float16)",
+    "int16": "tensor(int16)",
     "int64": "tensor(int64)",
     "int32": "tensor(int32)",
     "uint16": "tensor(uint16)",
@@ -189,6 +191,12 @@ class Engine:
         """Whether the model has the graph that pushes garments out of those below them."""
         return PUSH_OVER in self.manifest.graphs
 
+    @property
+    def shares_skin(self) -> bool:
+        """Whether the packed graph says the posed skin that it feels, and the push-outs' can take it."""
+        graphs = [self.manifest.graphs.get(name) for name in (PACKED, PUSH, PUSH_OVER)]
+        return all(graph is not None and SKIN in {tensor.name for tensor in graph.outputs} for graph in graphs)
+
     def tells_jet_push(self, graph: str) -> bool:
         """Whether the push-out's ``graph`` is there and says what of it jets can carry."""
         spec = self.manifest.graphs.get(graph)
@@ -207,19 +215,26 @@ class Engine:
         return self._run(ENCODER, {"patch_features": features}, [FIRST])[0]
 
     def open_cut(
-        self, graph: str, outputs: Sequence[str], *, direct: Collection[str] = (), passes: int | None = None
+        self,
+        graph: str,
+        outputs: Sequence[str],
+        *,
+        direct: Collection[str] = (),
+        passes: int | None = None,
+        given: Collection[str] = (),
     ) -> GraphSession:
         """A session of what ``outputs`` of ``graph`` need and nothing else (``service.subgraph``).
 
-        Of the packed graph, after ``passes`` corrections; all of them by default.
+        Of the packed graph, after ``passes`` corrections; all of them by default. ``given`` outputs are inputs.
         """
         name, spec = self.manifest.name, self.manifest.graphs[graph]
         passes = self.check_passes(passes)
         instead = None if passes is None else {pass_name(self.pass_count): pass_name(passes)}
-        model = cut(self._files[graph], outputs, direct=direct, instead=instead)
+        model = cut(self._files[graph], outputs, direct=direct, instead=instead, given=given)
         session = _session(f"{name}/{spec.file}", model, self._weights, self._provider, self._threads)
         found = {t.name: t.type for t in session.get_inputs()}
-        _compare(name, graph, "inputs", {t.name: t.dtype for t in spec.inputs if t.name in found}, found)
+        taken = (*spec.inputs, *(t for t in spec.outputs if t.name in given))
+        _compare(name, graph, "inputs", {t.name: t.dtype for t in taken if t.name in found}, found)
         found = {t.name: t.type for t in session.get_outputs()}
         _compare(name, graph, "outputs", {t.name: t.dtype for t in spec.outputs if t.name in found}, found)
         return GraphSession(session)

@@ -30,7 +30,7 @@ from drape.packing import (
     pack_tangents,
 )
 from drape.push_packing import SkinShapes
-from service.engine import JETS, PACKED, Engine, GraphSession
+from service.engine import JETS, PACKED, SKIN, Engine, GraphSession
 
 Shape = Literal["vertices", "steps", "jets", "both"]
 OUTPUTS_OF: dict[Shape, tuple[str, ...]] = {
@@ -42,7 +42,9 @@ OUTPUTS_OF: dict[Shape, tuple[str, ...]] = {
 NORMALS, BONES = "normals", ("bone_rotation", "bone_translation")
 PER_VERTEX = ("vertices", "steps", NORMALS)
 PER_PATCH = JETS
+PER_BODY = (*BONES, SKIN)
 STORED_INDEX = ("patch_stored", "tile_stored")  # of no use where one garment is all there is
+SHAPE_INDEX = ("body_shape",)  # nor this where all bodies have one shape
 TILES_PER_CALL = 2048  # about 10 MB of columns: what a core's share of the last cache holds
 KEPT_BYTES = 32 << 20  # of index tensors
 
@@ -52,7 +54,7 @@ Item = tuple[str, int]  # garment, row of its body
 @dataclass(frozen=True)
 class ScenePlan:
     """What a scene asks for: vertices, their 16-bit steps in the item's box, posed jets, or jets and vertices;
-    normals; bones.
+    normals; bones; the samples of the posed skin, as the push-out takes them.
 
     ``passes``: how many of the network's corrections run, all of them by default.
     """
@@ -60,6 +62,7 @@ class ScenePlan:
     shape: Shape = "vertices"
     normals: bool = False
     bones: bool = False
+    skin: bool = False
     passes: int | None = None
 
     def __post_init__(self) -> None:
@@ -78,7 +81,8 @@ class ScenePlan:
     @property
     def outputs(self) -> tuple[str, ...]:
         """Outputs of the packed graph that the plan fetches."""
-        return (*OUTPUTS_OF[self.shape], *((NORMALS,) if self.normals else ()), *(BONES if self.bones else ()))
+        more = (*((NORMALS,) if self.normals else ()), *(BONES if self.bones else ()), *((SKIN,) if self.skin else ()))
+        return (*OUTPUTS_OF[self.shape], *more)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +182,7 @@ class Packer:
         self._body = body if engine.feels_body else None
         self._skins = SkinShapes(body) if engine.feels_body else None
         self._store = Store()
-        self._sessions: dict[tuple[ScenePlan, bool], GraphSession] = {}
+        self._sessions: dict[tuple[ScenePlan, tuple[str, ...]], GraphSession] = {}
         self._kept: OrderedDict[tuple[Item, ...], tuple[Composition, dict[str, Any]]] = OrderedDict()
         self._kept_bytes, self._limit = 0, kept_bytes
         self._tiles_per_call = tiles_per_call
@@ -250,9 +254,11 @@ class Packer:
 
     def _run_part(self, plan: ScenePlan, bodies: dict[str, np.ndarray], items: tuple[Item, ...]) -> list[Result]:
         alone = len(items) == 1
-        session = self._session(plan, alone)
+        direct = STORED_INDEX if alone else ()
         if self._skins is not None:
             bodies = bodies | self._skins.feed(bodies["betas"])
+            direct += SHAPE_INDEX if len(bodies["skin_rows"]) == 1 else ()
+        session = self._session(plan, direct)
         composition, indices = self._composed(items, alone)
         stored = self._store.packed(items[0][0]).stored if alone else self._store.arrays()
         feed: dict[str, Any] = {}
@@ -266,11 +272,12 @@ class Packer:
         outputs = dict(zip(plan.outputs, session.run(plan.outputs, feed), strict=True))
         return _apart(outputs, composition, [row for _, row in items])
 
-    def _session(self, plan: ScenePlan, alone: bool) -> GraphSession:
-        if (plan, alone) not in self._sessions:
-            direct = STORED_INDEX if alone else ()
-            self._sessions[plan, alone] = self._engine.open_cut(PACKED, plan.outputs, direct=direct, passes=plan.passes)
-        return self._sessions[plan, alone]
+    def _session(self, plan: ScenePlan, direct: tuple[str, ...]) -> GraphSession:
+        """The session of ``plan`` that reads what the indices ``direct`` pick from as it is."""
+        if (plan, direct) not in self._sessions:
+            made = self._engine.open_cut(PACKED, plan.outputs, direct=direct, passes=plan.passes)
+            self._sessions[plan, direct] = made
+        return self._sessions[plan, direct]
 
     def _composed(self, items: tuple[Item, ...], alone: bool) -> tuple[Composition, dict[str, Any]]:
         """Index tensors of ``items``, the latest used of them kept as far as memory allows."""
@@ -311,7 +318,7 @@ def _apart(outputs: dict[str, np.ndarray], composition: Composition, rows: list[
             elif name in PER_PATCH:
                 arrays[name] = values[composition.patches[item]]
             else:
-                arrays[name] = values[row if name in BONES else item]
+                arrays[name] = values[row if name in PER_BODY else item]
         checked = [arrays[name] for name in ("vertices", "box_low", *PER_PATCH) if name in arrays]
         results.append(Result(arrays, all(bool(np.isfinite(array).all()) for array in checked)))
     return results

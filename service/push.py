@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 
 from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_COUNT
 from drape.cloth.push.layers import cloth_samples
 from drape.cloth.push.out import PushFeed, push_in_parts, push_out
 from drape.cloth.push.samples import sample_table
@@ -21,7 +22,7 @@ from drape.cloth.push.skin import SkinOnBones, body_skin, skin_table
 from drape.errors import NotFound
 from drape.layer_packing import LayerFeed, Sheet, layer_arrays, pack_layer, push_over, push_over_in_parts
 from drape.push_packing import feed_arrays, pack_push, pushed_jets
-from service.engine import PUSH, PUSH_OVER, Engine, GraphSession
+from service.engine import PUSH, PUSH_OVER, SKIN, Engine, GraphSession
 
 MOVED_M = 1e-4  # a vertex pushed less than this counts as left alone
 OUTPUT = "pushed"
@@ -75,18 +76,17 @@ class Pusher:
         self._layers: OrderedDict[tuple[str, ...], tuple[LayerFeed, dict[str, np.ndarray]]] = OrderedDict()
         self._looking, self._making = threading.Lock(), threading.Lock()
         self._shapes: OrderedDict[bytes, SkinOnBones] = OrderedDict()
-        self._session: GraphSession | None = None
-        self._over: GraphSession | None = None
-        self._jets: dict[str, GraphSession] = {}
-        if engine.pushes and body.posedirs is None:
-            self._session = engine.open_cut(PUSH, [OUTPUT])
-        if engine.pushes_over and body.posedirs is None:
-            self._over = engine.open_cut(PUSH_OVER, [OUTPUT])
+        self._opened: dict[tuple[str, tuple[str, ...], bool], GraphSession] = {}
+        self._push_in_graph = engine.pushes and body.posedirs is None
+        self._over_in_graph = engine.pushes_over and body.posedirs is None
+        for graph, there in ((PUSH, self._push_in_graph), (PUSH_OVER, self._over_in_graph)):
+            if there:  # now, not in the first frame
+                self._graph(graph, (OUTPUT,), given=engine.shares_skin)
 
     @property
     def in_graph(self) -> bool:
         """Whether the graph does it."""
-        return self._session is not None
+        return self._push_in_graph
 
     def add(self, key: str, feed: dict[str, np.ndarray], vertices: np.ndarray, faces: np.ndarray) -> None:
         """Puts the garment ``key`` in store: its ``drape.feeds.garment_feed``, rest vertices [m] (V, 3) and faces."""
@@ -102,20 +102,29 @@ class Pusher:
             self._layer(tuple(keys[: count + 1]))
 
     def push(
-        self, key: str, vertices: np.ndarray, poses: np.ndarray, betas: np.ndarray, clearance_m: float
+        self,
+        key: str,
+        vertices: np.ndarray,
+        poses: np.ndarray,
+        betas: np.ndarray,
+        clearance_m: float,
+        *,
+        skin: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """``vertices`` [m] (F, V, 3) relative to the root, out of the body; and the way [m] (F, V) of each.
 
-        For ``poses`` (F, 24, 3) [rad] and one shape ``betas``; refuses (``NotFound``) a garment not in store.
+        For ``poses`` (F, 24, 3) [rad] and one shape ``betas``; refuses (``NotFound``) a garment not in store. ``skin``
+        (F, R, 12, 8): the samples of that body so posed, where the graph that draped has them.
         """
         stored = self._get(key)
         vertices = np.ascontiguousarray(vertices, dtype=np.float32)
         clearance = np.float32(clearance_m)
-        if self._session is None:
+        if not self._push_in_graph:
             formula = partial(_by_formula, feed=stored.push, clearance=clearance)
             pushed = self._by_numpy(formula, vertices, poses, betas)
         else:
-            (pushed,) = self._by_graph(self._session, stored.arrays, vertices, poses, betas, clearance)
+            arrays = stored.arrays | self._posed(poses, betas, skin)
+            (pushed,) = self._by_graph(PUSH, arrays, vertices, clearance)
         return pushed, np.linalg.norm(pushed - vertices, axis=-1)
 
     def push_over(
@@ -126,6 +135,8 @@ class Pusher:
         poses: np.ndarray,
         betas: np.ndarray,
         clearance_m: float,
+        *,
+        skin: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """``push`` for the last garment of ``keys``, out of the body and of the others, which lie at ``under``.
 
@@ -134,11 +145,12 @@ class Pusher:
         feed, arrays = self._layer(tuple(keys))
         vertices, under = (np.ascontiguousarray(x, dtype=np.float32) for x in (vertices, under))
         clearance = np.float32(clearance_m)
-        if self._over is None:
+        if not self._over_in_graph:
             formula = partial(_over_by_formula, under=under, feed=feed, clearance=clearance)
             pushed = self._by_numpy(formula, vertices, poses, betas)
         else:
-            (pushed,) = self._by_graph(self._over, arrays | {"under": under}, vertices, poses, betas, clearance)
+            arrays = arrays | {"under": under} | self._posed(poses, betas, skin)
+            (pushed,) = self._by_graph(PUSH_OVER, arrays, vertices, clearance)
         return pushed, np.linalg.norm(pushed - vertices, axis=-1)
 
     def push_jets(
@@ -150,6 +162,8 @@ class Pusher:
         poses: np.ndarray,
         betas: np.ndarray,
         clearance_m: float,
+        *,
+        skin: np.ndarray | None = None,
     ) -> PushedJets:
         """``push``, or ``push_over`` where ``keys`` are several, that also fits the push-out into the jets ``posed``
         of the drape's ``vertices``; ``under`` is None where one key is all."""
@@ -160,9 +174,10 @@ class Pusher:
         if under is not None:
             under = np.ascontiguousarray(under, dtype=np.float32)
             arrays = arrays | {"under": under}
-        session = self._jet_session(PUSH if under is None else PUSH_OVER)
-        if session is not None:
-            found = self._by_graph(session, arrays, vertices, poses, betas, clearance, outputs=JET_OUTPUTS)
+        graph = PUSH if under is None else PUSH_OVER
+        if self._body.posedirs is None and self._engine.tells_jet_push(graph):
+            arrays = arrays | self._posed(poses, betas, skin)
+            found = self._by_graph(graph, arrays, vertices, clearance, outputs=JET_OUTPUTS)
         else:
             parts = []
             for frame in range(len(poses)):
@@ -180,14 +195,6 @@ class Pusher:
         moved, coefficients, left = found
         jet = pushed_jets(posed.jet, posed.rotation, stored.feed["patch_scale"], coefficients)
         return PushedJets(jet, left, moved, np.linalg.norm(moved - vertices, axis=-1))
-
-    def _jet_session(self, graph: str) -> GraphSession | None:
-        """The session of ``graph`` that says what jets can carry, opened once; None where numpy has to."""
-        if self._body.posedirs is not None or not self._engine.tells_jet_push(graph):
-            return None
-        if graph not in self._jets:
-            self._jets[graph] = self._engine.open_cut(graph, JET_OUTPUTS)
-        return self._jets[graph]
 
     def _get(self, key: str) -> _Stored:
         if key not in self._stored:
@@ -222,26 +229,36 @@ class Pusher:
 
     def _by_graph(
         self,
-        session: GraphSession,
-        constants: dict[str, np.ndarray],
+        graph: str,
+        arrays: dict[str, np.ndarray],
         vertices: np.ndarray,
-        poses: np.ndarray,
-        betas: np.ndarray,
         clearance: np.float32,
         *,
-        outputs: Sequence[str] = (OUTPUT,),
+        outputs: tuple[str, ...] = (OUTPUT,),
     ) -> list[np.ndarray]:
-        rotations, translations = self._bones(poses, betas)
-        skin = self._on_bones(betas)
-        arrays = constants | {
-            "vertices": vertices,
-            "bone_rotation": rotations,
-            "bone_translation": translations,
-            "clearance": np.full(1, clearance),
-            "skin_rows": skin.rows,
-            "skin_bones": skin.bones,
-        }
+        """``outputs`` of ``graph`` for ``arrays``, which may hold the posed skin in place of what poses it."""
+        session = self._graph(graph, outputs, given=SKIN in arrays)
+        arrays = arrays | {"vertices": vertices, "clearance": np.full(1, clearance)}
         return session.run(outputs, {name: self._engine.value(arrays[name]) for name in session.inputs})
+
+    def _graph(self, graph: str, outputs: tuple[str, ...], *, given: bool) -> GraphSession:
+        """The session of ``outputs`` of ``graph``, with the posed skin ``given`` or not, opened once."""
+        label = graph, outputs, given
+        if label not in self._opened:
+            self._opened[label] = self._engine.open_cut(graph, outputs, given=(SKIN,) if given else ())
+        return self._opened[label]
+
+    def _posed(self, poses: np.ndarray, betas: np.ndarray, skin: np.ndarray | None) -> dict[str, np.ndarray]:
+        """The posed ``skin`` as an input of the graphs, or else what they pose it by."""
+        if skin is not None:
+            # Of these two the graphs read only how many frames and parts there are.
+            still = np.zeros((len(skin), JOINT_COUNT, 3), dtype=np.float32)
+            bones = self._on_bones(np.zeros(self._body.shape_count)).bones
+            return {SKIN: skin, "bone_translation": still, "skin_bones": bones}
+        rotations, translations = self._bones(poses, betas)
+        on_bones = self._on_bones(betas)
+        bones = {"bone_rotation": rotations, "bone_translation": translations}
+        return bones | {"skin_rows": on_bones.rows, "skin_bones": on_bones.bones}
 
     def _by_numpy(self, formula: Formula, vertices: np.ndarray, poses: np.ndarray, betas: np.ndarray) -> np.ndarray:
         pushed = np.empty_like(vertices)

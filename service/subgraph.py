@@ -50,12 +50,14 @@ def cut(
     *,
     direct: Collection[str] = (),
     instead: Mapping[str, str] | None = None,
+    given: Collection[str] = (),
 ) -> bytes:
     """``model`` with only ``outputs`` (in this order) and what they need of its inputs, nodes and initialisers.
 
     ``direct`` names index inputs whose Gathers (on axis 0) are left out: what they pick from is used
     whole, as if the index were 0, 1, 2, ... ``instead``: values that are read in place of others, by the
-    names of these; each must be computed before what reads it. Raises ``ArtifactError`` for an output or
+    names of these; each must be computed before what reads it. ``given``: outputs of the model that become inputs, with
+    what only makes them left out. Raises ``ArtifactError`` for an output or
     a value that the model does not have, bytes that are no ONNX model, and nodes that hold graphs of their own.
     """
     try:
@@ -63,7 +65,7 @@ def cut(
         place = next(i for i, field in enumerate(fields) if field.number == MODEL_GRAPH)
         graph = fields[place].value
         assert isinstance(graph, bytes)
-        made = _cut_graph(list(_fields(graph)), outputs, set(direct), dict(instead or {}))
+        made = _cut_graph(list(_fields(graph)), outputs, set(direct), dict(instead or {}), set(given))
     except (IndexError, StopIteration, AssertionError, UnicodeDecodeError) as error:
         raise ArtifactError(
             "model", expected="an ONNX model", got="bytes of another kind", cure="Export the model again."
@@ -73,14 +75,16 @@ def cut(
     return b"".join(parts)
 
 
-def _cut_graph(fields: list[_Field], outputs: Sequence[str], direct: set[str], instead: dict[str, str]) -> bytes:
+def _cut_graph(
+    fields: list[_Field], outputs: Sequence[str], direct: set[str], instead: dict[str, str], given: set[str]
+) -> bytes:
     nodes = [_node(field) for field in fields if field.number == GRAPH_NODE]
     renamed = {
         node.outputs[0]: node.inputs[0]
         for node in nodes
         if node.operator == "Gather" and node.inputs[1] in direct and _axis(node) == 0
     }
-    nodes = [node for node in nodes if node.outputs[0] not in renamed]
+    nodes = [node for node in nodes if node.outputs[0] not in renamed and given.isdisjoint(node.outputs)]
     computed = {name for node in nodes for name in node.outputs}
     unknown = (instead.keys() | set(instead.values())) - computed
     if unknown:
@@ -94,12 +98,13 @@ def _cut_graph(fields: list[_Field], outputs: Sequence[str], direct: set[str], i
             kept.append(node)
             needed.update(renamed.get(name, name) for name in node.inputs)
     declared = {_name(field, VALUE_NAME): field for field in fields if field.number == GRAPH_OUTPUT}
-    missing = [name for name in outputs if name not in declared]
+    missing = [name for name in (*outputs, *sorted(given)) if name not in declared]
     if missing:
         raise ArtifactError(
             "model outputs", expected=", ".join(missing), got=", ".join(declared), cure="Export the model again."
         )
     result = [_written(GRAPH_NODE, _rewritten(node, renamed)) for node in reversed(kept)]
+    result += [_written(GRAPH_INPUT, _content(declared[name])) for name in sorted(given & needed)]
     for field in fields:
         if field.number in (GRAPH_INPUT, GRAPH_INITIALIZER):
             if _name(field, VALUE_NAME if field.number == GRAPH_INPUT else TENSOR_NAME) in needed:
@@ -157,6 +162,11 @@ def _rewritten(node: _Node, renamed: dict[str, str]) -> bytes:
 def _name(field: _Field, number: int) -> str:
     assert isinstance(field.value, bytes)
     return next((part.text() for part in _fields(field.value) if part.number == number), "")
+
+
+def _content(field: _Field) -> bytes:
+    assert isinstance(field.value, bytes)
+    return field.value
 
 
 def _fields(data: bytes) -> Iterator[_Field]:

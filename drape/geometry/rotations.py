@@ -162,14 +162,17 @@ def cross(a: Array, b: Array) -> Array:
 
 def cross_columns(a: Array, b: Array) -> Array:
     """Cross products (..., 3, N) of columns, coordinates first: N numbers at a time, and not three."""
-    x, y, z = (a[..., i : i + 1, :] for i in range(3))
-    u, v, w = (b[..., i : i + 1, :] for i in range(3))
-    return namespace(a).concat([y * w - z * v, z * u - x * w, x * v - y * u], axis=-2)
+    xp = namespace(a)
+    # Coordinates once more, so that yzx and zxy are three rows that follow each other.
+    a, b = (xp.concat([x, x[..., :2, :]], axis=-2) for x in (a, b))
+    return a[..., 1:4, :] * b[..., 2:5, :] - a[..., 2:5, :] * b[..., 1:4, :]
 
 
 def dot_columns(a: Array, b: Array) -> Array:
     """Scalar products (..., 1, N) of columns (..., n, N), n small: its rows are added, N numbers at a time."""
     product = a * b
+    if product.ndim <= 3:  # few wide matrices: one product adds the rows
+        return like(product, [[1.0] * product.shape[-2]]) @ product
     total = product[..., :1, :]
     for row in range(1, product.shape[-2]):
         total = total + product[..., row : row + 1, :]

@@ -214,7 +214,7 @@ def test_graph_and_numpy_push_over_alike():
     engine = Engine(exported()[1])
     assert engine.pushes_over
     by_graph, by_numpy = (added(Pusher(engine, body), inner, outer) for _ in range(2))
-    by_numpy._over = None
+    by_numpy._over_in_graph = False
     keys, betas = (inner.digest, outer.digest), np.linspace(-1.0, 1.0, 10)
     under, vertices = drawn(inner, POSES, betas), drawn(outer, POSES, betas)
     pushed, way = by_graph.push_over(keys, vertices, under, POSES, betas, 0.0025)

@@ -17,14 +17,16 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.artifacts import load_manifest
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
+from drape.cloth.push.skin import body_skin, skin_table
 from drape.errors import ArtifactError, InputError, NotFound
 from drape.feeds import body_feed, garment_feed
 from drape.garment.cache import save_garment
 from drape.packing import TANGENTS, pack_body, pass_name
 from model_export.graph import DrapeGraph, drape_inputs
+from model_export.parity import hard_poses
 from service.drapery import Drapery, PoseInput
 from service.engine import PACKED, Engine
-from service.packing import STORED_INDEX, Packer, ScenePlan
+from service.packing import SHAPE_INDEX, STORED_INDEX, Packer, ScenePlan
 from service.subgraph import cut
 from tests.fixtures.packed import KINDS, exported, garment
 from tests.fixtures.poses import random_motion
@@ -163,14 +165,14 @@ def test_parts_of_a_batch_and_threads_change_no_bit(bodies):
 
 def kernels(plan: ScenePlan, alone: bool, folder: Path) -> list[str]:
     """Names of the nodes that ONNX Runtime ran for ``plan``, from its own profile."""
-    data = cut((exported()[1] / "packed.onnx").read_bytes(), plan.outputs, direct=STORED_INDEX if alone else ())
+    data = cut((exported()[1] / "packed.onnx").read_bytes(), plan.outputs, direct=direct_of(alone))
     options = onnxruntime.SessionOptions()
     options.enable_profiling, options.profile_file_prefix = True, str(folder / "profile")
     options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL  # names stay
     options.add_session_config_entry(WEIGHTS_FOLDER, str(exported()[1]))
     session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
     packer = make_packer()
-    packer._sessions[plan, alone] = _Recorded(session)  # type: ignore[assignment]
+    packer._sessions[plan, direct_of(alone)] = _Recorded(session)  # type: ignore[assignment]
     rows = pack_body(load_body()).rows(np.zeros((1, 24, 3)))
     packer.run(plan, rows, [("tank", 0)] if alone else [("tank", 0), ("shorts", 0)])
     events = json.loads(Path(session.end_profiling()).read_text())
@@ -198,7 +200,7 @@ def test_nothing_that_a_plan_does_not_ask_for_is_computed(plan: ScenePlan, alone
         if needed.intersection(node.output):
             ancestors.add(node.name)
             needed.update(node.input)
-    gathers = {n.name for n in graph.node if n.op_type == "Gather" and n.input[1] in STORED_INDEX} if alone else set()
+    gathers = {n.name for n in graph.node if n.op_type == "Gather" and n.input[1] in direct_of(alone)}
     assert sorted(ran) == sorted(ancestors - gathers)
     assert len(ran) < len(graph.node)
     # Spelled out: without normals no tangents, with jets no vertices, in one garment's call no copy of its constants.
@@ -210,7 +212,32 @@ def test_nothing_that_a_plan_does_not_ask_for_is_computed(plan: ScenePlan, alone
 
 
 def make_inputs(plan: ScenePlan, alone: bool) -> tuple[str, ...]:
-    return Engine(exported()[1]).open_cut(PACKED, plan.outputs, direct=STORED_INDEX if alone else ()).inputs
+    return Engine(exported()[1]).open_cut(PACKED, plan.outputs, direct=direct_of(alone)).inputs
+
+
+def direct_of(alone: bool) -> tuple[str, ...]:
+    """The indices that a call does without: of one garment, where all bodies have one shape."""
+    return (*(STORED_INDEX if alone else ()), *SHAPE_INDEX)
+
+
+def test_the_posed_skin_is_that_of_the_bones_and_bodies_may_differ_in_shape():
+    body, poses = load_body(), hard_poses(3, seed=2)
+    betas = [np.zeros(10), np.linspace(-1.0, 1.0, 10), np.zeros(10)]
+    rows = [pack_body(body, shape).rows(poses[i : i + 1]) for i, shape in enumerate(betas)]
+    joined = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
+    packer = make_packer()
+    items = [("tank", 0), ("shorts", 1), ("tank", 2)]
+    together = packer.run(ScenePlan(skin=True), joined, items)
+    for i, (result, shape) in enumerate(zip(together, betas, strict=True)):
+        alone = packer.run(ScenePlan(skin=True), rows[i], [(items[i][0], 0)])[0]
+        for name, value in result.arrays.items():
+            assert_array_equal(value, alone.arrays[name])
+        rotations, translations = body.bones(poses[i : i + 1], None, shape)
+        on_bones = body_skin(body).on_bones(body, shape)
+        relative = translations - body.rest_joints(shape)[0]
+        want = skin_table(on_bones.rows, on_bones.bones, rotations.astype(np.float32), relative.astype(np.float32))
+        assert_allclose(result.arrays["skin"][..., :4], want[0, ..., :4], rtol=0, atol=2e-6)
+        assert_allclose(result.arrays["skin"], want[0], rtol=0, atol=5e-4)  # normals of folds are short cross products
 
 
 def test_onnxruntime_itself_would_run_everything():
@@ -282,7 +309,7 @@ def test_what_is_not_finite_is_told_of_its_own_item(bodies):
 def test_warm_up_opens_the_sessions_of_a_plan(bodies):
     packer = make_packer()
     packer.warm_up(ScenePlan("jets"), bodies)
-    assert set(packer._sessions) == {(ScenePlan("jets"), True), (ScenePlan("jets"), False)}
+    assert set(packer._sessions) == {(ScenePlan("jets"), direct_of(alone)) for alone in (True, False)}
     Packer(Engine(exported()[1]), load_body()).warm_up(ScenePlan(), bodies)  # nothing in store, nothing to run
 
 

@@ -43,7 +43,7 @@ def test_graph_and_numpy_push_alike():
     body, whole = load_body(), garment("shorts")
     engine = Engine(exported()[1])
     by_graph, by_numpy = added(Pusher(engine, body), whole), added(Pusher(engine, body), whole)
-    by_numpy._session = None
+    by_numpy._push_in_graph = False
     assert by_graph.in_graph and not by_numpy.in_graph
     poses, _ = random_motion(2, spread_rad=0.35)
     for betas in (np.zeros(10), np.linspace(-1.0, 1.0, 10)):
@@ -52,6 +52,9 @@ def test_graph_and_numpy_push_alike():
         assert way.max() > 1e-3, "must push for the test to mean something"
         assert_allclose(pushed, by_numpy.push("it", vertices, poses, betas, CLEARANCE_M)[0], rtol=0, atol=2e-5)
         assert_allclose(way, np.linalg.norm(pushed - vertices, axis=-1), rtol=0, atol=1e-5)
+        skin = by_graph._table(poses, betas)
+        given, _ = by_graph.push("it", vertices, poses, betas, CLEARANCE_M, skin=skin)
+        assert_allclose(given, pushed, rtol=0, atol=1e-6)
 
 
 def test_a_model_without_the_graph_and_a_body_with_corrections_take_numpy(tiny_folder):

@@ -39,6 +39,9 @@ def model() -> onnx.ModelProto:
     return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 20)], ir_version=10)
 
 
+TWICE = model()
+TWICE.graph.node.append(helper.make_node("Add", ["double", "double"], ["fourfold"]))
+TWICE.graph.output.append(helper.make_tensor_value_info("fourfold", FLOAT, ["m", 3]))
 TABLE = np.arange(12, dtype=np.float32).reshape(4, 3)
 FEED = {"table": TABLE, "index": np.array([2, 0, 2], np.int32), "second": np.ones(2, np.float32)}
 
@@ -100,6 +103,17 @@ def test_a_value_is_read_instead_of_another_and_what_only_made_that_is_gone():
         cut(whole, ["turned"], instead={"big": "scaled"})
     with pytest.raises(ArtifactError, match="model values: expected table"):
         cut(whole, ["turned"], instead={"table": "double"})
+
+
+def test_an_output_that_is_given_becomes_an_input():
+    data = cut(TWICE.SerializeToString(), ["fourfold"], given=["double"])
+    made = onnx.load_from_string(data)
+    onnx.checker.check_model(made)
+    assert [tensor.name for tensor in made.graph.input] == ["double"]
+    assert [node.op_type for node in made.graph.node] == ["Add"]
+    assert_array_equal(run(data, ["fourfold"], {"double": TABLE})[0], 2.0 * TABLE)
+    with pytest.raises(ArtifactError, match="model outputs: expected rows"):
+        cut(TWICE.SerializeToString(), ["fourfold"], given=["rows"])
 
 
 def test_an_unknown_output_is_refused():

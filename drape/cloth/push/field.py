@@ -21,6 +21,7 @@ from drape.geometry.rotations import dot_columns
 
 BANDWIDTH_M = 0.014  # h, about the spacing of the samples
 TINY = 1e-12
+LEAST_WEIGHT = 1e-37  # near the least float32: what weighs less is nowhere
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,19 +40,46 @@ class Surface:
 
 
 def queries(points: Array) -> Array:
-    """Rows (..., P, 8) whose product with a sample's row is -|x - b|^2 / h^2 less x . x, for ``points`` (..., P, 3)."""
+    """Columns (..., 8, P) whose product with a sample's row is -|x - b|^2 / h^2 less x . x.
+
+    Of ``points`` (..., 3, P).
+    """
     scale = 1.0 / (BANDWIDTH_M * BANDWIDTH_M)
-    turned = like(points, [[2.0 * scale * (row == column) for column in range(8)] for row in range(3)])
-    return points @ turned + like(points, [-scale * (column == 3) for column in range(8)])
+    turned = like(points, [[2.0 * scale * (row == column) for row in range(3)] for column in range(8)])
+    return turned @ points + like(points, [[-scale * (column == 3)] for column in range(8)])
 
 
 def mixed(query: Array, table: Array, bias: Array) -> Array:
     """Means (..., P, 8) of the samples' rows ``table`` (..., K, 8) (``drape.cloth.push.skin.sample_table``).
 
-    For ``queries`` (..., P, 8) with logits ``bias`` (..., K).
+    For ``queries``, points first (..., P, 8), with logits ``bias`` (..., K).
     """
     logits = query @ namespace(query).matrix_transpose(table) + bias[..., None, :]
     return softmax(logits) @ table
+
+
+def looks(points: Array) -> Array:
+    """Columns (..., 10, P) whose product with a sample's column in ``seen`` is -|x - b|^2 / h^2 + bias, of ``points``
+    (..., 3, P)."""
+    xp = namespace(points)
+    scale = 1.0 / (BANDWIDTH_M * BANDWIDTH_M)
+    plain = queries(points)
+    square = dot_columns(points, points) * (-scale)
+    return xp.concat([plain, xp.ones_like(square), square], axis=-2)
+
+
+def seen(look: Array, table: Array, bias: Array) -> Array:
+    """``mixed`` for points that lie last: means (..., 8, P) for ``looks`` (..., 10, P), by sums of exponentials.
+
+    A softmax without the search for the largest logit, which costs more than all the rest: so there must be a sample
+    whose ``bias`` is near 0, and means fade to nothing farther than some 10 cm from all of them.
+    """
+    xp = namespace(look)
+    count = table.shape[-2]
+    logits = xp.broadcast_to(bias[..., None, :], (*table.shape[:-2], 1, count))
+    rows = xp.concat([xp.matrix_transpose(table), logits, xp.ones_like(logits)], axis=-2)  # (..., 10, K)
+    sums = rows @ xp.exp(xp.matrix_transpose(rows) @ look)
+    return sums[..., :8, :] / xp.clip(sums[..., 9:, :], min=LEAST_WEIGHT)
 
 
 def surface(points: Array, means: Array) -> Surface:
@@ -85,6 +113,14 @@ def take(rows: Array, index: Array, axis: int = 0) -> Array:
     """``rows`` at ``index`` (n,), none negative, along ``axis``: one operation of torch, not four."""
     xp = namespace(rows)
     return xp.index_select(rows, axis, index) if hasattr(xp, "index_select") else xp.take(rows, index, axis=axis)
+
+
+def columns(table: Array, index: Array) -> Array:
+    """``table`` (F, n, N) at ``index`` (m,) of its last axis: (F, n, m). As one matrix of few rows, which graphs are
+    fast with (``model_export.packed``)."""
+    xp = namespace(table)
+    flat = take(xp.reshape(table, (-1, table.shape[2])), index, axis=1)
+    return xp.reshape(flat, (table.shape[0], table.shape[1], -1))
 
 
 def largest(scores: Array, count: int) -> Array:

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.arrays import Array, namespace
-from drape.cloth.push.field import largest, mixed, queries, ramp, surface, take
+from drape.cloth.push.field import columns, largest, looks, ramp, seen, surface, take
 from drape.cloth.push.samples import CLUSTER_SIZE, REGION_SIZE, Samples, region_centres, sample_table
 from drape.cloth.push.tables import BLOCK_SIZE, GROUP_SIZE, OTHER_STEPS
 from drape.geometry.rotations import dot_columns
@@ -88,27 +88,27 @@ def push_out(vertices: Array, skin: Array, feed: PushFeed, clearance_m: Array | 
 def push_in_parts(vertices: Array, skin: Array, feed: PushFeed, clearance_m: Array | float = CLEARANCE_M) -> Pushed:
     """``push_out``, and the push for a drape by jets. A graph that is cut to the vertices has none of the latter."""
     xp = namespace(vertices)
-    start = take(vertices, _flat(feed.block_vertex), axis=1)  # (F, N, 3)
-    query = queries(start)
-    own_means = _own_part(query, skin, feed)
-    other_means, has_other = _other_parts(start, query, skin, feed)
-    points = xp.matrix_transpose(start)[:, None]
-    both = surface(points, xp.matrix_transpose(xp.stack([own_means, other_means], axis=1)))
+    start = columns(xp.matrix_transpose(vertices), _flat(feed.block_vertex))  # (F, 3, N)
+    means, has_other = _means(start, skin, feed)
+    both = surface(xp.concat([start, start], axis=2), means)
     share = ramp(both.beside_m2, *BESIDE_M2) * ramp(both.distance, *DEPTH_M) * ramp(both.agreement, *AGREEMENT)
-    missing = clearance_m - both.distance  # (F, 2, N)
-    own_normal, other_normal = both.normal[:, 0], both.normal[:, 1]
-    own_share, other_share = share[:, :1], share[:, 1:] * has_other[:, None]
+    missing = clearance_m - both.distance  # (F, 2 N): to the own part, then to others
+    slots = start.shape[2]
+    own_normal, other_normal = both.normal[:, :, :slots], both.normal[:, :, slots:]
+    own_missing, other_missing = missing[:, None, :slots], missing[:, None, slots:]
+    own_share, other_share = share[:, None, :slots], share[:, None, slots:] * has_other
 
-    def out(moved: Array) -> Array:
-        """``moved`` (F, 3, N) and what is missing then, to first order."""
-        from_other = _way(missing[:, 1:] - dot_columns(moved, other_normal), other_share)
-        moved = moved + from_other * other_normal
-        return moved + _way(missing[:, :1] - dot_columns(moved, own_normal), own_share) * own_normal
+    def out(moved: Array | None) -> Array:
+        """``moved`` (F, 3, N), None where nothing moved yet, and what is missing then, to first order."""
+        lacking = other_missing if moved is None else other_missing - dot_columns(moved, other_normal)
+        from_other = _way(lacking, other_share) * other_normal
+        moved = from_other if moved is None else moved + from_other
+        return moved + _way(own_missing - dot_columns(moved, own_normal), own_share) * own_normal
 
-    coefficients = fit(out(xp.zeros_like(own_normal)), feed)
+    coefficients = fit(out(None), feed)
     carried = blended(coefficients, feed)
     moved = out(carried)
-    vertices = take(start + xp.matrix_transpose(moved), feed.vertex_slot, axis=1)
+    vertices = xp.matrix_transpose(columns(start + moved, feed.vertex_slot))
     for _ in range(JET_ROUNDS - 1):
         coefficients = coefficients + JET_OVER * fit(moved - carried, feed)
         carried = blended(coefficients, feed)
@@ -143,56 +143,70 @@ def fit(displacement: Array, feed: PushFeed) -> Array:
     xp = namespace(displacement)
     frames, (patches, members, _) = displacement.shape[0], feed.patch_fit.shape
     of_blocks = xp.mean(xp.reshape(displacement, (frames, 3, -1, BLOCK_SIZE)), axis=3)
-    of_patch = take(xp.matrix_transpose(of_blocks), _flat(feed.patch_block), axis=1)
-    of_patch = xp.matrix_transpose(xp.reshape(of_patch, (frames, patches, members, 3)))
-    return of_patch @ feed.patch_fit
+    of_patch = xp.reshape(columns(of_blocks, _flat(feed.patch_block)), (frames, 3, patches, members))
+    return xp.permute_dims(of_patch, (0, 2, 1, 3)) @ feed.patch_fit
 
 
 def blended(coefficients: Array, feed: PushFeed) -> Array:
     """The displacement (F, 3, N) of the slots that the patches' ``coefficients`` (F, K, 3, 10) say together."""
     xp = namespace(coefficients)
     frames, slots = coefficients.shape[0], feed.slot_charts.shape[1] * feed.slot_charts.shape[2]
-    tiles, _, columns = feed.tile_basis.shape
-    rows = xp.matrix_transpose(take(coefficients, feed.tile_patch, axis=1) @ feed.tile_basis)  # (F, Q, 64, 3)
-    rows = take(xp.reshape(rows, (frames, tiles * columns, 3)), _flat(feed.slot_charts), axis=1)
-    return xp.matrix_transpose(xp.sum(xp.reshape(rows, (frames, CHARTS_PER_VERTEX, slots, 3)), axis=1))
+    tiles, _, width = feed.tile_basis.shape
+    said = xp.permute_dims(take(coefficients, feed.tile_patch, axis=1) @ feed.tile_basis, (0, 2, 1, 3))
+    taken = columns(xp.reshape(said, (frames, 3, tiles * width)), _flat(feed.slot_charts))
+    return xp.sum(xp.reshape(taken, (frames, 3, CHARTS_PER_VERTEX, slots)), axis=2)
 
 
-def _own_part(query: Array, skin: Array, feed: PushFeed) -> Array:
-    """Means (F, N, 8) of the skin under the blocks."""
-    xp = namespace(query)
-    frames, slots = query.shape[0], query.shape[1]
-    groups, own = feed.own_bias.shape[0], feed.own_bias.shape[2]
+def _means(start: Array, skin: Array, feed: PushFeed) -> tuple[Array, Array]:
+    """Means (F, 8, 2 N) of the samples about the slots ``start`` (F, 3, N), of the own part and then of others; and 1
+    where there are others (F, 1, N), else 0."""
+    xp = namespace(start)
+    frames = start.shape[0]
+    look = looks(start)
+    own = _own_part(_apart(look, BLOCK_SIZE), skin, feed)
+    table, bias, has_other = _other_parts(start, skin, feed)
+    other = seen(_apart(look, GROUP_SIZE * BLOCK_SIZE), table, bias)
+    # The points last again: what follows runs along them.
+    means = [xp.reshape(xp.permute_dims(part, (0, 2, 1, 3)), (frames, 8, -1)) for part in (own, other)]
+    has_other = xp.broadcast_to(has_other, (*has_other.shape[:2], GROUP_SIZE * BLOCK_SIZE))
+    return xp.concat(means, axis=2), xp.reshape(has_other, (frames, 1, -1))
+
+
+def _apart(rows: Array, size: int) -> Array:
+    """``rows`` (F, n, N) of the slots as those of blocks or groups of ``size`` slots (F, N / size, n, size)."""
+    xp = namespace(rows)
+    return xp.permute_dims(xp.reshape(rows, (*rows.shape[:2], -1, size)), (0, 2, 1, 3))
+
+
+def _own_part(look: Array, skin: Array, feed: PushFeed) -> Array:
+    """Means (F, C, 8, 16) of the skin under the blocks, for their ``looks`` (F, C, 10, 16)."""
+    xp = namespace(look)
+    frames, own = look.shape[0], feed.own_bias.shape[2]
     clusters = xp.reshape(skin, (frames, -1, 8 * CLUSTER_SIZE))
-    taken = take(clusters, _flat(feed.own_cluster), axis=1)
-    table = xp.reshape(taken, (frames, groups, GROUP_SIZE, own, 8))
-    means = mixed(xp.reshape(query, (frames, groups, GROUP_SIZE, BLOCK_SIZE, 8)), table, feed.own_bias)
-    return xp.reshape(means, (frames, slots, 8))
+    table = xp.reshape(take(clusters, _flat(feed.own_cluster), axis=1), (frames, -1, own, 8))
+    return seen(look, table, xp.reshape(feed.own_bias, (-1, own)))
 
 
-def _other_parts(start: Array, query: Array, skin: Array, feed: PushFeed) -> tuple[Array, Array]:
-    """Means (F, N, 8) of the other parts nearest to each group, and 1 where there are any (F, N)."""
+def _other_parts(start: Array, skin: Array, feed: PushFeed) -> tuple[Array, Array, Array]:
+    """The 24 samples of other parts nearest to each group: rows (F, G, 24, 8), logits (F, G, 24), and 1 where there are
+    any (F, G, 1)."""
     xp = namespace(start)
     frames, regions = skin.shape[0], skin.shape[1]
-    slots, groups = start.shape[1], feed.region_bias.shape[0]
-    points = xp.reshape(start, (frames, groups, GROUP_SIZE * BLOCK_SIZE, 3))
+    groups = feed.region_bias.shape[0]
     region = region_centres(skin)
-    centre = xp.mean(points, axis=2)  # (F, G, 3)
-    squared = xp.sum(region * region, axis=-1)[:, None] - 2.0 * (centre @ xp.matrix_transpose(region))
+    centre = xp.mean(xp.reshape(start, (frames, 3, groups, GROUP_SIZE * BLOCK_SIZE)), axis=3)  # (F, 3, G)
+    along = xp.matrix_transpose(centre) @ xp.matrix_transpose(2.0 * region)
     far = REGION_BIAS_M2 * xp.reshape(feed.region_bias, (groups, regions))
-    top = largest(far - squared, REGION_COUNT)  # (F, G, n)
+    top = largest(far - xp.sum(region * region, axis=-1)[:, None] + along, REGION_COUNT)  # (F, G, n)
     frame = regions * xp.arange(frames, dtype=top.dtype)[:, None, None]
     group = regions * xp.arange(groups, dtype=top.dtype)[:, None]
     count = REGION_COUNT * REGION_SIZE
     rows = take(xp.reshape(skin, (-1, 8 * REGION_SIZE)), _flat(top + frame))
-    table = xp.reshape(rows, (frames, groups, count, 8))
     other = take(xp.reshape(feed.other, (-1, REGION_SIZE)), _flat(top + group))
     other = xp.reshape(xp.astype(other, start.dtype), (frames, groups, count))
     bias = xp.log(other * (1.0 / OTHER_STEPS) + OTHER_LEAST)
     has_other = xp.astype(xp.max(other, axis=-1, keepdims=True) >= HAS_OTHER, start.dtype)
-    means = mixed(xp.reshape(query, (frames, groups, GROUP_SIZE * BLOCK_SIZE, 8)), table, bias)
-    has_other = xp.broadcast_to(has_other, (frames, groups, GROUP_SIZE * BLOCK_SIZE))
-    return xp.reshape(means, (frames, slots, 8)), xp.reshape(has_other, (frames, slots))
+    return xp.reshape(rows, (frames, groups, count, 8)), bias, has_other
 
 
 def _flat(index: Array) -> Array:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.arrays import Array, namespace
-from drape.cloth.push.field import largest, mixed, queries, ramp, surface, take
+from drape.cloth.push.field import Surface, largest, mixed, queries, ramp, surface, take
 from drape.cloth.push.out import AGREEMENT, BESIDE_M2, OTHER_LEAST, REGION_BIAS_M2, REGION_COUNT
 from drape.cloth.push.samples import CLUSTER_SIZE, REGION_SIZE, region_centres
 from drape.cloth.push.skin import Skin
@@ -46,13 +46,16 @@ def patch_skin(centre: np.ndarray, facing: np.ndarray, skin: Skin) -> PatchSkin:
         own_cluster=lists.own_cluster.astype(np.int32),
         own_bias=lists.own_bias.astype(np.float32),
         other=other,
-        region_bias=region_bias_of(other.max(axis=2).astype(np.float32)),
+        region_bias=region_bias_of(other.max(axis=2)),
     )
 
 
-def region_bias_of(most: Array) -> Array:
-    """Logits of regions by the ``most`` that a sample of each is another part, in 15ths: far below 0 where none is."""
-    return namespace(most).log(most * (1.0 / OTHER_STEPS) + REGION_LEAST)
+def region_bias_of(most: np.ndarray) -> np.ndarray:
+    """Logits of regions by the ``most`` that a sample of each is another part, in 15ths: far below 0 where none is.
+
+    Two bytes hold each exactly: 16 values, rounded so here, once for all who choose regions by them.
+    """
+    return np.log(most / OTHER_STEPS + REGION_LEAST).astype(np.float16).astype(np.float32)
 
 
 def in_halves(other: np.ndarray) -> np.ndarray:
@@ -83,7 +86,8 @@ class Planes:
 
 def planes(points: Array, skin: Array, lists: PatchSkin) -> Planes:
     """The planes near ``points`` [m] (F, K, n, 3) of posed patches; ``skin`` (F, R, 12, 8) of ``skin_table``."""
-    query = queries(points)
+    xp = namespace(points)
+    query = xp.matrix_transpose(queries(xp.matrix_transpose(points)))
     return tangent_planes(points, _own(query, skin, lists), _other(points, query, skin, lists))
 
 
@@ -93,8 +97,12 @@ def tangent_planes(points: Array, own: Array, other: Array) -> Planes:
     means = xp.stack([own, other], axis=2)  # (F, K, 2, n, 8)
     columns = xp.matrix_transpose(points)[:, :, None]
     found = surface(columns, xp.matrix_transpose(means))
-    share = ramp(found.beside_m2, *BESIDE_M2) * ramp(found.distance, *DEEP_M) * ramp(found.agreement, *AGREEMENT)
-    return Planes(found.normal, found.distance - dot_columns(found.normal, columns)[..., 0, :], share)
+    return Planes(found.normal, found.distance - dot_columns(found.normal, columns)[..., 0, :], plane_share(found))
+
+
+def plane_share(found: Surface) -> Array:
+    """How much of a tangent plane of ``found`` is there, in [0, 1]."""
+    return ramp(found.beside_m2, *BESIDE_M2) * ramp(found.distance, *DEEP_M) * ramp(found.agreement, *AGREEMENT)
 
 
 def felt(points: Array, near: Planes) -> tuple[Array, Array]:

@@ -106,17 +106,18 @@ def skin_table(rows: Array, bones: Array, rotations: Array, translations: Array)
     """
     xp = namespace(rows)
     stacked = xp.concat([rotations, translations[..., None]], axis=-1)  # (F, 24, 3, 4)
-    frames, (parts, count) = stacked.shape[0], bones.shape
-    taken = take(xp.reshape(stacked, (frames, JOINT_COUNT, 12)), xp.reshape(bones, (-1,)), axis=1)
-    by_axis = xp.permute_dims(xp.reshape(taken, (frames, parts, count, 3, 4)), (0, 1, 3, 2, 4))
+    parts, count = bones.shape
+    by_axis = xp.reshape(xp.permute_dims(stacked, (0, 2, 1, 3)), (-1, JOINT_COUNT, 4))
+    taken = take(by_axis, xp.reshape(bones, (-1,)), axis=1)
     # Three rows times many columns: the shape that products of small matrices are fast in.
     width, size = 4 * count, POSED_REGIONS * REGION_SIZE
-    posed = xp.reshape(by_axis, (frames, parts, 3, width)) @ xp.reshape(
-        rows, (*rows.shape[:-4], parts, width, 3 * size)
-    )
-    point, first, second = (posed[..., k * size : (k + 1) * size] for k in range(3))
+    of_parts = xp.permute_dims(xp.reshape(taken, (-1, 3, parts, width)), (0, 2, 1, 3))
+    posed = of_parts @ xp.reshape(rows, (-1, parts, width, 3 * size))
+    # All samples of a kind side by side: three rows of thousands, which is what all that follows runs along.
+    kinds = xp.permute_dims(xp.reshape(posed, (-1, parts, 3, 3, size)), (0, 3, 2, 1, 4))
+    point, first, second = (xp.reshape(kinds[:, k], (-1, 3, parts * size)) for k in range(3))
     table = table_of_columns(point, unit_cross(first, second))
-    return xp.reshape(table, (frames, POSED_REGIONS * parts, REGION_SIZE, 8))
+    return xp.reshape(table, (-1, POSED_REGIONS * parts, REGION_SIZE, 8))
 
 
 Made = TypeVar("Made", "Skin", "ShapedSkin")

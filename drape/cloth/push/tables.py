@@ -75,7 +75,8 @@ def push_tables(vertices: np.ndarray, skin: Samples, *, hidden: np.ndarray | Non
         block_vertex=members.astype(np.int32),
         vertex_slot=slot.astype(np.int32),
         own_cluster=lists.own_cluster.astype(np.int32),
-        own_bias=lists.own_bias.astype(np.float32),
+        # Only their differences count; the largest is 0, as ``field.seen`` needs it.
+        own_bias=(lists.own_bias - lists.own_bias.max(axis=1, keepdims=True)).astype(np.float32),
         other=np.rint(OTHER_STEPS * by_group).astype(np.uint8),
         region_bias=np.log(1e-6 + by_region).astype(np.float32),
     )

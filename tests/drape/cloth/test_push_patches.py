@@ -130,7 +130,8 @@ def test_two_samples_fit_in_a_byte():
 
 def test_regions_without_another_part_lie_far_below():
     bias = region_bias_of(np.array([0.0, 1.0, OTHER_STEPS]))
-    assert_allclose(np.exp(bias), [1e-6, 1.0 / OTHER_STEPS, 1.0], rtol=0, atol=2e-6)
+    assert_allclose(np.exp(bias), [1e-6, 1.0 / OTHER_STEPS, 1.0], rtol=5e-3)
+    assert_array_equal(bias, bias.astype(np.float16))  # as the packed graph stores them
 
 
 def test_skins_of_any_shape_are_those_of_their_bones():

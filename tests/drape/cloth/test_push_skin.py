@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial import KDTree
 
 from drape.body.assets import load_body
@@ -34,8 +34,20 @@ def sphere(count: int, radius: float) -> np.ndarray:
 
 def seen(points: np.ndarray, samples: np.ndarray, normals: np.ndarray) -> field.Surface:
     """The surface at ``points`` (P, 3) of samples (K, 3), none preferred."""
-    means = field.mixed(field.queries(points)[None], sample_table(samples, normals)[None], np.zeros((1, len(samples))))
+    means = field.mixed(
+        field.queries(points.T).T[None], sample_table(samples, normals)[None], np.zeros((1, len(samples)))
+    )
     return field.surface(points.T, means[0].T)
+
+
+def test_sums_of_exponentials_are_the_softmax_and_fade_far_away(rng):
+    points, samples = 0.05 * rng.normal(size=(20, 3)), 0.05 * rng.normal(size=(30, 3))
+    normals = rng.normal(size=samples.shape)
+    table, bias = sample_table(samples, normals)[None], -rng.random((1, 30))
+    softly = field.mixed(field.queries(points.T).T[None], table, bias)
+    sums = field.seen(field.looks(points.T)[None], table, bias)
+    assert_allclose(sums.swapaxes(1, 2), softly, rtol=1e-9, atol=1e-12)
+    assert_array_equal(field.seen(field.looks(1.0 + points.T)[None], table, bias), 0.0)
 
 
 def test_samples_lie_on_the_skin_with_its_normals_and_keep_their_distance(skin: Skin):
@@ -123,7 +135,7 @@ def test_the_field_is_smooth_and_the_same_in_torch(rng):
     ahead, behind = (seen(points + sign * step, samples, samples / 0.06) for sign in (1.0, -1.0))
     x = torch.from_numpy(points).requires_grad_()
     table = torch.from_numpy(sample_table(samples, samples / 0.06))[None]
-    means = field.mixed(field.queries(x)[None], table, torch.zeros(1, 300, dtype=torch.float64))
+    means = field.mixed(field.queries(x.mT).mT[None], table, torch.zeros(1, 300, dtype=torch.float64))
     found = field.surface(x.mT, means[0].mT)
     numpy_found = seen(points, samples, samples / 0.06)
     assert_allclose(found.distance.detach(), numpy_found.distance, rtol=0, atol=1e-12)

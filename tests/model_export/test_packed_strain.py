@@ -1,0 +1,39 @@
+"""Strain and force by squared lengths equal those by tangents, and the force is the energy's gradient."""
+
+from __future__ import annotations
+
+import torch
+from torch.testing import assert_close
+
+from drape.garment.agreement import STRAIN_POINTS
+from drape.geometry import jets
+from model_export.packed_strain import Strain
+from training.agreement import TRACE_SHARE, GatheredAgreement, softened, strain_and_force, tangent_terms
+
+PATCHES = 9
+
+
+def charts(generator: torch.Generator) -> GatheredAgreement:
+    tangent = torch.randn(PATCHES, STRAIN_POINTS, 3, 2, generator=generator, dtype=torch.float64)
+    lower = torch.linalg.cholesky(tangent.mT @ tangent)
+    none = torch.zeros(0)
+    return GatheredAgreement(none, none, none, none, none, tangent, torch.linalg.inv(lower).mT)
+
+
+def test_it_is_the_strain_and_force_of_training_and_the_gradient_of_the_energy():
+    generator = torch.Generator().manual_seed(0)
+    rest, graph = charts(generator), Strain().double()
+    jet = 0.1 * torch.randn(PATCHES, jets.JET_COUNT, generator=generator, dtype=torch.float64)
+    jet.requires_grad_(True)
+    unit = rest.orthonormal
+    stored = torch.stack([unit[..., 0, 0], unit[..., 0, 1], unit[..., 1, 1]], dim=1)
+    stretch = graph.stretch(rest.tangent.permute(0, 3, 2, 1).reshape(PATCHES, -1), stored)
+    strain, force = strain_and_force(jet[None], rest, tangent_terms().double())
+    e11, e22, e12 = strain[0].reshape(PATCHES, 3, STRAIN_POINTS).unbind(1)
+    energy = 0.5 * (e11**2 + e22**2 + 0.5 * e12**2 + TRACE_SHARE * (e11 + e22) ** 2)
+    assert_close(torch.autograd.grad(energy.sum(), jet)[0], force[0].detach(), rtol=1e-9, atol=1e-12)
+    with torch.no_grad():
+        got = graph(jet, stretch)
+    assert_close(got[0], softened(strain[0]).detach(), rtol=0, atol=1e-6)
+    assert_close(got[1], softened(force[0]).detach(), rtol=0, atol=1e-6)
+    assert float(got[1].abs().max()) > 0.1
