@@ -175,7 +175,7 @@ def test_the_garment_is_taken_to_other_bodies_and_poses(run, monkeypatch):
     monkeypatch.setattr("recovery.run.retarget.POSES", (str(folder / "turned.json"),))
     draped, body = outcome.anew, load_body()
     parts = ["trunk", "trunk", "left_arm", "right_arm"]
-    taller, posed = retargeted(truth, draped, body, body, COARSE, parts)
+    taller, posed = retargeted(truth, draped, body, body, COARSE, parts, cloth=outcome.found.fitted.cloth)
     assert taller.lost == posed.lost == ()
     for worn in (taller, posed):
         assert worn.figures["converged"] and worn.figures["clearance_mm"] > 0.0 and not worn.refusal
