@@ -10,7 +10,8 @@ to 10 % off (``benchmarks.recovery.off``). The templates are sized to the shippe
 
 PYTHON is an interpreter that has the package newton (Apache-2.0; not a dependency). --targets keeps the drapes.
 
-Of the closing steps of Gauss and Newton one is taken: with ten the pattern makes up for what the simulators differ by.
+Of the closing steps of Gauss and Newton four are taken a round: with ten the pattern makes up for what the simulators
+differ by.
 """
 
 from __future__ import annotations
@@ -234,7 +235,7 @@ def main() -> int:
     parser.add_argument("--edge-length", type=float, default=0.035, help="of the recovery's mesh [m]")
     parser.add_argument("--grid", type=float, default=0.01, help="spacing of the body's distance [m]")
     parser.add_argument("--adam", type=int, default=default.iterations, help="steps of Adam")
-    parser.add_argument("--closing", type=int, default=1, help="steps of Gauss and Newton after it")
+    parser.add_argument("--closing", type=int, default=4, help="steps of Gauss and Newton after it")
     parser.add_argument("--seams", type=float, default=0.01, help="weight of the seams' lengths")
     parser.add_argument("--targets", type=Path, help="keeps Newton's drapes in this folder")
     parser.add_argument("--picture", type=Path, help="PNG of targets and recoveries")

@@ -31,7 +31,7 @@ CRUMB_SHARE = 0.02  # of the area: smaller pieces are left out with a note
 FAR_M = 0.12  # median distance from the skin: the loosest garment hangs nearer
 DEEP_M, DEEP_SHARE = 0.02, 0.2  # the target goes through the body where more than this share lies deeper than that
 SMALL_HOLE_M = 0.2  # a border of less length is mentioned as a hole
-# How many openings of each kind go round each part of the body; drapes of the bases have them (tested).
+# How many openings of each kind go round each part of the body; tested for the skirt's drape.
 OPENINGS = {
     "tshirt": {TRUNK: 2, "left_arm": 1, "right_arm": 1},
     "trousers": {TRUNK: 1, "left_leg": 1, "right_leg": 1},
