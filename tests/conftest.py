@@ -28,6 +28,7 @@ FOLDER_BUDGET_S = {
     "recovery": 100,
     "benchmarks": 40,
 }
+LONGEST_FIRST = ("training", "recovery", "service", "model_export", "benchmarks", "clients", "drape", "architecture")
 CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 # Examples are drawn from a fixed seed: a red run on one machine is red on the next.
@@ -66,6 +67,12 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_unconfigure(config: pytest.Config) -> None:
     if not hasattr(config, "workerinput"):
         shutil.rmtree(os.environ[RUN_FOLDER], ignore_errors=True)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Folders with the longest tests first: of two processes neither is then left with a long file at the end."""
+    places = {name: place for place, name in enumerate(LONGEST_FIRST)}
+    items.sort(key=lambda item: places.get(item.path.relative_to(ROOT).parts[1], len(places)))
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

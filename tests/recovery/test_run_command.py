@@ -19,6 +19,7 @@ from drape.garment.cache import load_garment
 from drape.garment.mesh_io import read_mesh
 from recovery.drape.output import obj_text, panel_texture, write
 from recovery.drape.pipeline import DrapeOptions, drape_pattern
+from recovery.fit import pipeline
 from recovery.fit.chamfer import chamfer, drawn, surface_chamfer, surface_distance
 from recovery.fit.compare import pattern_error
 from recovery.pattern.bases import tshirt
@@ -95,6 +96,7 @@ def run(tmp_path_factory):
         patch.setattr(
             command, "run_job", lambda *given, **more: outcomes.append(run_job(*given, **more)) or outcomes[0]
         )
+        patch.setattr(pipeline, "ROUNDS", 1)  # tests of the pipeline have more
         code = command.main(
             [str(path), "--base", "tshirt", "--set", "length_m=0.66", "--out", str(folder / "out"), *coarse]
         )

@@ -36,12 +36,7 @@ from training.model import OneFit
 pytestmark = pytest.mark.slow
 BODIES = 64
 WEIGHTS_FOLDER = "session.model_external_initializers_file_folder_path"  # of models that come as bytes
-PLANS = [
-    ScenePlan(),
-    ScenePlan(normals=True),
-    ScenePlan("steps"),
-    ScenePlan("jets", bones=True),
-]
+PLANS = [ScenePlan(), ScenePlan(normals=True), ScenePlan("steps"), ScenePlan("jets", bones=True)]
 
 
 @pytest.fixture(scope="module")
