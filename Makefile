@@ -65,12 +65,14 @@ page: $(WEB)/dist/.stamp
 serve: $(VENV)/.serve-stamp $(if $(filter 0,$(PAGE)),,page)
 	exec $(BIN)/python -m service --host $(HOST) --port $(PORT) $(ARGS)
 
-# The page and the browser are wanted here, not required: without them the browser tests skip and say why.
+# The page and the browser are wanted here, not required: without them the browser tests skip and say why. Checks run beside
+# the tests, since most of them use one core, and are printed after them.
 test: setup
 	@scripts/build_page $(WEB) --optional
 	@scripts/find_chromium
-	@$(MAKE) --no-print-directory check
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations=15 $(ARGS)
+	@tests=0; checked=0; $(MAKE) --no-print-directory check > $(VENV)/check.log 2>&1 & checks=$$!; \
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations=15 $(ARGS) \
+	|| tests=$$?; wait $$checks || checked=$$?; cat $(VENV)/check.log; [ $$tests = 0 ] && [ $$checked = 0 ]
 
 test-quick: setup
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder --durations=15 -m "not slow" $(ARGS)
