@@ -23,6 +23,12 @@ class Chamfer(NamedTuple):
     squared_cm2: float
     mean_mm: float
 
+    @classmethod
+    def of(cls, forth: np.ndarray, back: np.ndarray) -> Chamfer:
+        """From the distances [m] of the points of each set to the nearest of the other."""
+        squared = float((forth**2).mean() + (back**2).mean())
+        return cls(1e4 * squared, 0.5e3 * float(forth.mean() + back.mean()))
+
 
 class SurfaceDistance(NamedTuple):
     """Distances [mm] from points to triangles, both directions together: mean, root mean square, 95 %, largest."""
@@ -37,8 +43,12 @@ def drawn(vertices: np.ndarray, faces: np.ndarray, count: int, seed: int) -> np.
     """Points [m] (``count``, 3) drawn evenly by area from the triangles; ``seed`` decides which."""
     rng = np.random.default_rng(seed)
     areas = meshes.face_areas(vertices, faces)
-    corners = vertices[faces[rng.choice(len(faces), size=count, p=areas / areas.sum())]]
-    root, share = np.sqrt(rng.random(count)), rng.random(count)
+    return within(vertices[faces[rng.choice(len(faces), size=count, p=areas / areas.sum())]], rng)
+
+
+def within(corners: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A point (N, 3) drawn evenly from each of the triangles ``corners`` (N, 3, 3)."""
+    root, share = np.sqrt(rng.random(len(corners))), rng.random(len(corners))
     weights = np.stack([1.0 - root, root * (1.0 - share), root * share], axis=1)
     return np.einsum("nk,nkc->nc", weights, corners)
 
@@ -46,8 +56,7 @@ def drawn(vertices: np.ndarray, faces: np.ndarray, count: int, seed: int) -> np.
 def chamfer(first: np.ndarray, second: np.ndarray) -> Chamfer:
     """The Chamfer distance of two sets of points [m] (N, 3) and (M, 3)."""
     forth, back = (np.asarray(KDTree(there).query(here)[0]) for here, there in ((first, second), (second, first)))
-    squared = float((forth**2).mean() + (back**2).mean())
-    return Chamfer(1e4 * squared, 0.5e3 * float(forth.mean() + back.mean()))
+    return Chamfer.of(forth, back)
 
 
 def surface_chamfer(

@@ -9,6 +9,7 @@ from scipy.spatial import KDTree
 
 from drape.errors import MeshError
 from drape.geometry import meshes
+from recovery.fit.chamfer import Chamfer, within
 
 SAMPLE_COUNT = 100_000
 SMALLEST_M2 = 1e-9
@@ -36,12 +37,10 @@ def sample_surface(
     if not areas.sum() > SMALLEST_M2:
         raise MeshError("surface", expected="triangles that have area", got="none", cure="Pass a mesh in metres.")
     chosen = np.repeat(np.arange(len(faces)), rng.multinomial(count, areas / areas.sum()))
-    root, along = np.sqrt(rng.random(count)), rng.random(count)
-    weights = np.stack([1.0 - root, root * (1.0 - along), root * along], axis=1)
     corners = vertices[faces[chosen]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.einsum("nk,nkc->nc", weights, corners), normals
+    return within(corners, rng), normals
 
 
 def surface_error(
@@ -65,9 +64,10 @@ def surface_error(
     to_found, at_found = KDTree(points).query(true_points)
     cosines = [(normals * true_normals[at_true]).sum(axis=1), (true_normals * normals[at_found]).sum(axis=1)]
     angles = [np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))) for cosine in cosines]
+    distance = Chamfer.of(to_true, to_found)
     return SurfaceError(
-        chamfer_cm2=1e4 * float((to_true**2).mean() + (to_found**2).mean()),
-        mean_mm=1e3 * 0.5 * float(to_true.mean() + to_found.mean()),
+        chamfer_cm2=distance.squared_cm2,
+        mean_mm=distance.mean_mm,
         normal=1.0 - 0.5 * float(cosines[0].mean() + cosines[1].mean()),
         normal_deg=0.5 * float(angles[0].mean() + angles[1].mean()),
     )

@@ -261,7 +261,7 @@ def test_of_the_shipped_model_hard_poses_come_within_a_tenth_of_a_millimetre(shi
             rounding = np.linalg.norm(layout.positions(sent) - layout.positions(exact), axis=1)
             assert np.percentile(rounding, 99) < QUANTISED_M and rounding.max() < 3.0 * QUANTISED_M
             gap = np.linalg.norm(layout.positions(sent) - pushed.vertices[row], axis=1)
-            assert np.median(gap) < QUANTISED_M and np.percentile(gap, 99) < 1.5e-3  # where it pushes
+            assert np.median(gap) < QUANTISED_M and np.percentile(gap, 99) < 1e-3
             assert jets.left_m[row] <= pushed.push_max_m[row]
         assert_array_equal(bare.rotation, jets.rotation)
         assert (bare.left_m == 0.0).all()
