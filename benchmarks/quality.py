@@ -3,6 +3,7 @@
     python -m benchmarks.quality
     python -m benchmarks.quality --garments tshirt dress --motions walk squat --frames 6
     python -m benchmarks.quality --garments $DRAPE_DATA/garments --motions $DRAPE_DATA/motions --save
+    python -m benchmarks.quality --patches 2 --out fine.json
 
 A garment is a name under assets/garments, a cache file, a mesh, or a folder of either; a
 motion is a name under assets/motions, a file, or a folder. Everything is measured at rest
@@ -13,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +32,9 @@ from drape.catalog import find_garments, find_motions, is_shipped, open_garment
 from drape.cloth.contact import BodyContact
 from drape.cloth.material import material
 from drape.errors import InputError
+from drape.garment.cache import Garment
+from drape.garment.fitting import patch_fields, rest_garment
+from drape.garment.partition import patch_count_for
 from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
 
@@ -80,6 +85,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--set", choices=SETS, help="what the garments are (default: shipped ones trained, files unseen)"
     )
+    parser.add_argument("--patches", type=float, help="cover garments anew, by this many over the usual number")
     parser.add_argument("--material", default="jersey", help="cloth (drape.cloth.material)")
     parser.add_argument("--steps", type=int, help=f"most physics steps (default {STEPS}, quick {QUICK_STEPS})")
     parser.add_argument(
@@ -115,6 +121,13 @@ def open_bench(options: argparse.Namespace, body: BodyModel) -> Bench:
     )
 
 
+def covered(garment: Garment, body: BodyModel, share: float) -> Garment:
+    """``garment`` covered anew, as intake does it, by ``share`` of the usual number of patches."""
+    rest = rest_garment(garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64), body)
+    count = round(share * patch_count_for(float(rest.areas.sum())))
+    return replace(garment, **patch_fields(rest, count=count, unfold=True))
+
+
 def print_table(rows: list[dict[str, Any]]) -> None:
     """The rows under short heads."""
     named = [{HEADS.get(key, key): value for key, value in row.items()} for row in rows]
@@ -132,6 +145,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     for path in find_garments(options.garments):  # one after the other, so that only one is in memory
         try:
             garment = open_garment(path, body)
+            garment = covered(garment, body, options.patches) if options.patches else garment
         except InputError as error:
             # One bad file of a folder must not cost the table; it is named below and in the record.
             refused[error.name] = str(error)
@@ -163,6 +177,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
         model=options.model,
         model_digest=bench.network.manifest.digest,
         refused=refused,
+        patch_share=options.patches or 1.0,
     )
 
 

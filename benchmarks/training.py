@@ -4,7 +4,7 @@ Rows: one process with one thread, one process with all threads, and one process
 the same configuration and the same number of frames per step in all. The stages are read with a profiler in a
 pass of their own, after the timed one.
 
-    python -m benchmarks.training [--garment tshirt] [--batch 4] [--steps 60] [--device cpu] [--save]
+    python -m benchmarks.training [--garment tshirt] [--batch 4] [--steps 60] [--bf16] [--device cpu] [--save]
 """
 
 from __future__ import annotations
@@ -91,6 +91,7 @@ def measure(trainer: Trainer, steps: int) -> dict[str, Any]:
         "processes": parallel.world_size(),
         "threads": torch.get_num_threads(),
         "batch": trainer.config.batch_size,
+        "bf16": trainer.config.autocast,
         "vertices": len(trainer.wardrobe.garments[0].rest.vertices),
         "patches": len(trainer.wardrobe.garments[0].partitions[0].patches.scale),
         "frames_per_s": float(np.median(rates)),
@@ -104,18 +105,18 @@ def _wait(device: torch.device) -> None:
         torch.cuda.synchronize(device)
 
 
-def configuration(garment: str, batch: int) -> TrainConfig:
+def configuration(garment: str, batch: int, *, bf16: bool = False) -> TrainConfig:
     """The shipped model's configuration on one garment with two partitions."""
     config = PRESETS["shipped"]()
     data = replace(config.data, garments=(garment,), partitions=2, variants=0)
-    return replace(config, data=data, batch_size=batch)
+    return replace(config, data=data, batch_size=batch, autocast=bf16)
 
 
 def parallel_row(options: argparse.Namespace, processes: int) -> dict[str, Any]:
     """The row of ``processes`` processes under torchrun, which run this module as workers."""
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)]
     command += ["-m", "benchmarks.training", "--worker", "--garment", options.garment, "--device", options.device]
-    command += ["--batch", str(options.batch), "--steps", str(options.steps)]
+    command += ["--batch", str(options.batch), "--steps", str(options.steps), *(["--bf16"] if options.bf16 else [])]
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     done = subprocess.run(command, capture_output=True, text=True, cwd=common.ROOT, env=environment, check=False)
     if done.returncode:
@@ -127,7 +128,8 @@ def worker(options: argparse.Namespace) -> None:
     """One process of a parallel row; the first prints the row."""
     torch.set_num_threads(1)
     parallel.start(torch.device(options.device))
-    row = measure(make_trainer(configuration(options.garment, options.batch), options.device), options.steps)
+    config = configuration(options.garment, options.batch, bf16=options.bf16)
+    row = measure(make_trainer(config, options.device), options.steps)
     if parallel.rank() == 0:
         print(json.dumps(row), flush=True)
     parallel.stop()
@@ -139,6 +141,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any] | None:
     parser.add_argument("--garment", default="tshirt")
     parser.add_argument("--batch", type=int, default=4, help="frames per step and process")
     parser.add_argument("--steps", type=int, help="timed steps (default 100, quick 20)")
+    parser.add_argument("--bf16", action="store_true", help="matrices in bfloat16, as of training.run")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     common.add_options(parser)
@@ -147,7 +150,8 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any] | None:
     if options.worker:
         worker(options)
         return None
-    trainer = make_trainer(configuration(options.garment, options.batch), options.device)
+    config = configuration(options.garment, options.batch, bf16=options.bf16)
+    trainer = make_trainer(config, options.device)
     rows = []
     for threads in sorted({1, options.threads}):
         torch.set_num_threads(threads)

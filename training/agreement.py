@@ -169,16 +169,25 @@ def strain_and_force(jet: Tensor, charts: ChartAgreement, terms: Tensor) -> tupl
     |E|^2 / 2 + 0.15 tr(E)^2 summed over the points: which way, and by how much, each coefficient would relax the
     patch. ``terms``: ``tangent_terms``.
     """
-    moved = (jet @ terms).unflatten(-1, charts.tangent.shape[1:])
-    tangent = (charts.tangent + moved) @ charts.orthonormal
-    u, v = tangent[..., 0], tangent[..., 1]
-    e11, e22 = 0.5 * ((u * u).sum(-1) - 1.0), 0.5 * ((v * v).sum(-1) - 1.0)
-    e12 = 0.5 * (u * v).sum(-1)
+    frames, patches = jet.shape[:2]
+    points = charts.tangent.shape[1]
+    # Patches of all frames last: sums over coordinates then add long rows, and the 2 x 2 products are a few of them.
+    rest = charts.tangent.permute(2, 3, 1, 0).unsqueeze(3)  # (3, 2, 7, 1, K)
+    unit = charts.orthonormal.permute(2, 3, 1, 0).unsqueeze(3)
+    moved = terms.T @ jet.reshape(-1, jet.shape[-1]).T
+    tangent = moved.reshape(points, 3, 2, frames, patches).permute(1, 2, 0, 3, 4) + rest
+    along, across = tangent[:, 0], tangent[:, 1]
+    u = along * unit[0, 0] + across * unit[1, 0]
+    v = along * unit[0, 1] + across * unit[1, 1]
+    e11, e22 = 0.5 * ((u * u).sum(0) - 1.0), 0.5 * ((v * v).sum(0) - 1.0)
+    e12 = 0.5 * (u * v).sum(0)
     trace = TRACE_SHARE * (e11 + e22)
-    along_u = (e11 + trace)[..., None] * u + e12[..., None] * v
-    along_v = e12[..., None] * u + (e22 + trace)[..., None] * v
-    pull = torch.stack([along_u, along_v], dim=-1) @ charts.orthonormal.mT
-    return torch.cat([e11, e22, 2.0 * e12], dim=-1), pull.flatten(-3) @ terms.T
+    along_u = (e11 + trace) * u + e12 * v
+    along_v = (e22 + trace) * v + e12 * u
+    pull = torch.stack([along_u * unit[k, 0] + along_v * unit[k, 1] for k in range(2)], dim=1)  # (3, 2, 7, F, K)
+    force = terms @ pull.permute(2, 0, 1, 3, 4).reshape(terms.shape[1], -1)
+    strain = torch.cat([e11, e22, 2.0 * e12])
+    return strain.permute(1, 2, 0), force.reshape(-1, frames, patches).permute(1, 2, 0)
 
 
 def softened(x: Tensor) -> Tensor:

@@ -42,7 +42,11 @@ def config_from(data: dict[str, Any]) -> TrainConfig:
 
     data = dict(data)
     data.pop("compile", None)  # checkpoints from before it was dropped have it
-    model, inputs = model_config_from(data.pop("model")), DataConfig(**_tuples(data.pop("data")))
+    model, drawn = model_config_from(data.pop("model")), _tuples(data.pop("data"))
+    if "patch_jitter" in drawn:  # as above: patch counts varied by this share
+        share = drawn.pop("patch_jitter")
+        drawn["patch_range"] = (1.0 - share, 1.0 + share)
+    inputs = DataConfig(**drawn)
     motion = MotionConfig(**_tuples(data.pop("motion", {})))  # checkpoints from before it was there have none
     return TrainConfig(model=model, data=inputs, motion=motion, **_tuples(data))
 

@@ -58,9 +58,9 @@ class ModelConfig:
 class DataConfig:
     """What is trained on. ``garments``: names of designs; ``partitions``: random partitions kept of each;
     ``variants``: random neighbours of each design, drawn anew in every process, with ``variant_partitions`` each;
-    ``own_share``: chance of a named design itself; ``patch_jitter``: patch counts vary by this share;
-    ``fresh_steps``: steps after which one partition is replaced by one never seen; ``even_share``: poses drawn evenly
-    over kinds of poses instead of as often as they occur; ``held_out``: clips never trained on.
+    ``own_share``: chance of a named design itself; ``patch_range``: patch counts over the rule's, evenly in the
+    logarithm; ``fresh_steps``: steps after which one partition is replaced by one never seen; ``even_share``: poses
+    drawn evenly over kinds of poses instead of as often as they occur; ``held_out``: clips never trained on.
     """
 
     garments: tuple[str, ...] = ("tshirt", "longsleeve", "tank", "trousers", "shorts", "dress", "skirt")
@@ -69,7 +69,7 @@ class DataConfig:
     variant_partitions: int = 2
     own_share: float = 0.5
     fresh_steps: int = 300
-    patch_jitter: float = 0.25
+    patch_range: tuple[float, float] = (0.75, 2.2)
     mix_share: float = 0.35
     mirror_share: float = 0.5
     shape_share: float = 0.3
@@ -112,7 +112,7 @@ class TrainConfig:
     must agree from the start learn slower. ``contact_knee_j_m2``: contact energy per area of a frame above
     which it counts by its logarithm.
     ``full_share``: steps that take all passes of corrections; the others take any number, so that the model
-    drapes with fewer as well.
+    drapes with fewer as well. ``autocast``: the matrices of the network in bfloat16.
     """
 
     model: ModelConfig = field(default_factory=ModelConfig)

@@ -65,10 +65,12 @@ class BodyBatch:
     collider_normals: np.ndarray  # (F, C, 3)
 
 
-def draw_partition(rest: RestGarment, skin: Skin, *, seed: int, jitter: float, device: torch.device) -> Partition:
-    """A random partition; its patch count differs from the rule's by up to ``jitter``."""
+def draw_partition(
+    rest: RestGarment, skin: Skin, *, seed: int, span: tuple[float, float], device: torch.device
+) -> Partition:
+    """A random partition; its patch count over the rule's lies in ``span``, evenly in the logarithm."""
     rng = np.random.default_rng(seed)
-    count = round(patch_count_for(float(rest.areas.sum())) * float(rng.uniform(1.0 - jitter, 1.0 + jitter)))
+    count = round(patch_count_for(float(rest.areas.sum())) * float(np.exp(rng.uniform(*np.log(span)))))
     return partition_tensors(patch_fields(rest, count=count, seed=seed), skin, device=device)
 
 

@@ -60,12 +60,12 @@ def disagreement(posed: Posed, partition: Partition, sample: Tensor, *, less: Po
     patch = partition.chart_patch[sample]
     row = partition.chart_row[sample]
     weight = partition.chart_weight[sample]
-    gathered = torch.index_select(coefficients.flatten(2), 1, patch.reshape(-1)).reshape(
-        coefficients.shape[0], *patch.shape, -1, 3
-    )
-    said = (row[None, ..., None, :] @ gathered)[..., 0, :]  # (F, n, 4, 3)
-    mean = (weight[None, ..., None] * said).sum(dim=2, keepdim=True)
-    return (weight[None, ..., None] * (said - mean).square()).sum(dim=(2, 3)).mean()
+    # Frames beside coordinates: one row of a chart times the numbers of all frames is a product worth its call.
+    columns = coefficients.permute(1, 2, 3, 0).flatten(2)  # (K, 19, 3 F)
+    gathered = torch.index_select(columns.flatten(1), 0, patch.reshape(-1)).unflatten(1, columns.shape[1:])
+    said = (row.reshape(-1, 1, row.shape[-1]) @ gathered).reshape(*patch.shape, -1)  # (n, 4, 3 F)
+    mean = (weight[..., None] * said).sum(dim=1, keepdim=True)
+    return (weight[..., None] * (said - mean).square()).sum() / coefficients.shape[0] / len(sample)
 
 
 def held_up(posed: Posed, partition: Partition, garment: TrainingGarment) -> Tensor:

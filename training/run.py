@@ -112,6 +112,8 @@ def main() -> int:
     parser.add_argument("--minutes", type=float)
     parser.add_argument("--motions", type=Path, nargs="*", help="folders of motion files; default DRAPE_DATA/motions")
     parser.add_argument("--threads", type=int, help="of torch; one is steadier beside other programs")
+    parser.add_argument("--batch", type=int, help="frames, of a dynamic model windows, per step of each process")
+    parser.add_argument("--bf16", action="store_true", help="matrices in bfloat16 (docs/training.md says when it pays)")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     arguments = parser.parse_args()
     try:
@@ -142,6 +144,10 @@ def _run(arguments: argparse.Namespace) -> None:
         config = replace(config, minutes=arguments.minutes)
     if arguments.threads is not None:
         config = replace(config, threads=arguments.threads)
+    if arguments.batch is not None:
+        config = replace(config, batch_size=arguments.batch)
+    if arguments.bf16:
+        config = replace(config, autocast=True)
     torch.set_num_threads(config.threads)
     folders = arguments.motions or [f for f in [data_folder("motions")] if f is not None] or [sample_motions()]
     device = torch.device(arguments.device)

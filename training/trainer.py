@@ -63,7 +63,7 @@ class BaseTrainer:
         if weights is not None:
             take_weights(self.model, weights)  # with the statistics they were trained on
         parallel.share(self.model)  # statistics are of this process's garments: all take those of the first
-        self.optimiser = torch.optim.Adam(self._learning(), lr=config.learning_rate)
+        self.optimiser = torch.optim.Adam(self._learning(), lr=config.learning_rate, fused=True)
         self.step_count = 0
         self.frame_count = 0
         self.elapsed_s = 0.0

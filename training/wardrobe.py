@@ -75,7 +75,7 @@ class Wardrobe:
         return TrainingGarment(label, rest, cloth, [self._partition(rest, s) for s in seeds], weights, seeds, band)
 
     def _partition(self, rest: RestGarment, seed: int) -> Partition:
-        return draw_partition(rest, self._skin, seed=seed, jitter=self.config.patch_jitter, device=self.device)
+        return draw_partition(rest, self._skin, seed=seed, span=self.config.patch_range, device=self.device)
 
     def draw(self, rng: np.random.Generator) -> tuple[TrainingGarment, Partition]:
         """A garment and one of its partitions: a named design with chance ``own_share``, else any."""

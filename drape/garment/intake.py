@@ -1,6 +1,6 @@
 """Takes in a garment: a mesh file modelled on any avatar becomes a garment at rest on the standard body.
 
-    python -m drape.garment.intake FILE [--avatar AVATAR] [--out DIR] [--repair] [--unit m] [--up y]
+    python -m drape.garment.intake FILE [--avatar AVATAR] [--out DIR] [--repair] [--unit m] [--up y] [--patches 2]
 
 Steps: read, check, move to the standard body in T-pose, subdivide, push clear of the body, fit
 patches, store. The cache file's name carries a digest of everything that went in, so taking
@@ -30,10 +30,12 @@ from drape.garment.cache import FORMAT_VERSION, GARMENTS_DIR, Garment, load_garm
 from drape.garment.clearance import CLEARANCE_M, clear_body
 from drape.garment.mesh_checks import Unit, Up, check_mesh
 from drape.garment.mesh_io import GarmentMesh, read_mesh
+from drape.garment.partition import patch_count_for
 from drape.garment.rest_pose import refine, to_standard
 from drape.geometry import meshes
 
 INTAKE_VERSION = 2  # raised when a change here changes the garments that come out
+PATCH_SHARE_RANGE = (0.75, 2.2)  # what the network is trained on
 FINE_VERTEX_MINIMUM, FINE_VERTEX_LIMIT = 4_000, 40_000
 FINE_EDGE_M = 0.021  # each round halves the edges: the mean ends near 15 mm
 REFUSED_EXIT_CODE = 2
@@ -45,12 +47,27 @@ Orient = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class IntakeOptions:
-    """``unit`` and ``up`` of the file ("auto": by its place on the avatar); ``repair`` drops bad faces."""
+    """``unit`` and ``up`` of the file ("auto": by its place on the avatar); ``repair`` drops bad faces.
+
+    ``patches``: how many, over the number of ``patch_count_for``: more drape closer to physics, and slower
+    (docs/quality.md measures the trade). Raises ``InputError`` outside ``PATCH_SHARE_RANGE``.
+    """
 
     unit: Unit = "auto"
     up: Up = "auto"
     repair: bool = False
     clearance_m: float = CLEARANCE_M
+    patches: float = 1.0
+
+    def __post_init__(self) -> None:
+        low, high = PATCH_SHARE_RANGE
+        if not low <= self.patches <= high:
+            raise InputError(
+                "patches",
+                expected=f"a number from {low:g} to {high:g}, over the usual number",
+                got=f"{self.patches:g}",
+                cure="Take 1, or 2 for an accurate drape.",
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,11 +159,14 @@ def garment_digest(payload: bytes, avatar: Any, body: BodyModel, options: Intake
     """Hex digest of everything a garment depends on."""
     if isinstance(avatar, Path):
         avatar = hashlib.sha256(avatar.read_bytes()).hexdigest()
+    chosen = asdict(options)
+    if chosen["patches"] == 1.0:
+        del chosen["patches"]  # garments taken in before there was a choice keep their digest
     header = {
         "name": name,
         "avatar": avatar,
         "body": body.digest,
-        "options": asdict(options),
+        "options": chosen,
         "versions": [FORMAT_VERSION, INTAKE_VERSION],
     }
     return hashlib.sha256(json.dumps(header, sort_keys=True).encode() + b"\0" + payload).hexdigest()
@@ -215,7 +235,7 @@ def intake(
         "notes": list(rest.mesh.notes),
         "intake": {key: round(float(value), 4) for key, value in rest.figures.items()},
     }
-    garment = _fit(rest, name, body, digest, manifest, orient)
+    garment = _fit(rest, name, body, digest, manifest, orient, options.patches)
     error = garment.manifest["fit"]
     say(f"fitted    {garment.patch_count} patches on {len(garment.vertices):,} vertices")
     say(f"fit error {error['point_rmse_m']:.2e} m point RMSE, {error['normal_error_deg']:.2f} deg normal error")
@@ -239,11 +259,18 @@ def describe_rest(rest: RestMesh) -> list[str]:
 
 
 def _fit(
-    rest: RestMesh, name: str, body: BodyModel, digest: str, manifest: dict[str, Any], orient: Orient | None
+    rest: RestMesh,
+    name: str,
+    body: BodyModel,
+    digest: str,
+    manifest: dict[str, Any],
+    orient: Orient | None,
+    patches: float,
 ) -> Garment:
     from drape.garment.fitting import fit_garment
 
     mesh = rest.mesh
+    by_rule = patch_count_for(float(meshes.face_areas(rest.vertices, rest.fine_faces).sum()))
     garment = fit_garment(
         name=name,
         vertices=rest.vertices,
@@ -258,6 +285,7 @@ def _fit(
         digest=digest,
         manifest=manifest,
         orient=orient,
+        count=None if patches == 1.0 else round(patches * by_rule),
     )
     return with_unused(garment, rest.faces, rest.kept)
 
@@ -275,6 +303,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--unit", default="auto", help="auto, m, cm, dm, mm or inch")
     parser.add_argument("--up", default="auto", help="auto, y or z")
     parser.add_argument("--repair", action="store_true", help="drop degenerate and duplicated faces")
+    parser.add_argument(
+        "--patches", type=float, default=1.0, help="over the usual number: 2 drapes closer to physics, and slower"
+    )
     given = parser.parse_args(arguments)
     try:
         intake(
@@ -282,7 +313,7 @@ def main(arguments: list[str] | None = None) -> int:
             name=given.name,
             avatar=given.avatar,
             body=load_body(given.body) if given.body else None,
-            options=IntakeOptions(unit=given.unit, up=given.up, repair=given.repair),
+            options=IntakeOptions(unit=given.unit, up=given.up, repair=given.repair, patches=given.patches),
             folder=given.out,
             report=print,
         )

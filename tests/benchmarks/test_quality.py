@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 
 from benchmarks import quality
 from benchmarks.physics_cache import CACHE_DIR
 from benchmarks.quality_measures import METHODS
 from drape.artifacts import DEFAULT_MODEL, MODELS_DIR
+from drape.body.assets import load_body
+from drape.catalog import find_garments, open_garment
 from drape.errors import InputError
 from drape.garment.cache import GARMENTS_DIR
 
@@ -41,6 +44,14 @@ def test_the_quick_table_is_ordered_as_physics_demands(tmp_path):
     assert rows["physics"]["energy_j"] < rows["skinning_push"]["energy_j"]
     assert rows["physics"]["edge_pct"] < rows["skinning"]["edge_pct"]
     assert rows["skinning_push"]["colliding_vertex_pct"] < 0.1
+
+
+def test_a_garment_can_be_measured_with_more_patches():
+    body = load_body()
+    tank = open_garment(find_garments(["tank"])[0], body)
+    finer = quality.covered(tank, body, 1.5)
+    assert finer.patch_count == pytest.approx(1.5 * tank.patch_count, abs=1)
+    assert np.array_equal(finer.vertices, tank.vertices)
 
 
 def test_options_of_the_quick_form_yield_to_explicit_ones():

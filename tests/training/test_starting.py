@@ -162,9 +162,11 @@ def test_the_command_line_fine_tunes(tiny: tuple[OneFit, Path], tmp_path: Path, 
     _, folder = tiny
     options = ["--finetune", str(folder), "--garment", TANK, "--motions", str(sample_motions())]
     options += ["--out", str(tmp_path / "out"), "--minutes", "0.005", "--threads", "1", "--device", "cpu"]
+    options += ["--batch", "2", "--bf16"]
     monkeypatch.setattr("sys.argv", ["run", *options])
     assert run.main() == 0
     payload, config = checkpoint.load(tmp_path / "out" / "checkpoint.pt")
+    assert config.batch_size == 2 and config.autocast
     assert payload["step"] >= 1 and config.data.garments == (TANK,) and config.model == TINY
 
 

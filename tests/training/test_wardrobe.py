@@ -9,10 +9,13 @@ import pytest
 import torch
 import trimesh
 
+from drape.cloth.push.skin import body_skin
 from drape.errors import InputError
 from drape.garment.cache import GARMENTS_DIR
+from drape.garment.partition import patch_count_for
 from drape.geometry.closest import signed_distance
 from tests.training.training_setup import CPU, TINY_RUN, body
+from training.data import draw_partition
 from training.wardrobe import Wardrobe
 
 DATA = replace(TINY_RUN.data, partitions=2, variants=1, variant_partitions=1)
@@ -48,6 +51,14 @@ def test_a_fresh_partition_differs_and_its_seed_brings_the_old_one_back(wardrobe
     for garment, row in zip(wardrobe.garments, before, strict=True):
         for partition, centre in zip(garment.partitions, row, strict=True):
             assert torch.equal(partition.patches.centre, centre)
+
+
+def test_patch_counts_lie_in_the_span(wardrobe: Wardrobe):
+    rest = wardrobe.garments[0].rest
+    by_rule = patch_count_for(float(rest.areas.sum()))
+    for span in ((1.5, 1.5), (0.75, 2.2)):
+        partition = draw_partition(rest, body_skin(body()), seed=5, span=span, device=CPU)
+        assert span[0] - 0.02 <= len(partition.patches.scale) / by_rule <= span[1] + 0.02
 
 
 @pytest.mark.parametrize(("share", "wanted"), [(1.0, 1.0), (0.0, 0.5)])

@@ -65,7 +65,7 @@ def garment() -> TrainingGarment:
     rest = tube()
     cloth = ClothMesh.from_rest(rest.vertices, rest.faces).like(torch.zeros(1))
     weights = torch.from_numpy(rest.hang.weights.astype(np.float32))
-    partition = draw_partition(rest, body_skin(body()), seed=3, jitter=0.0, device=CPU)
+    partition = draw_partition(rest, body_skin(body()), seed=3, span=(1.0, 1.0), device=CPU)
     return TrainingGarment("tube", rest, cloth, [partition], weights)
 
 

@@ -95,8 +95,16 @@ class ShapedSkin:
 
     def table(self, rotations: np.ndarray, translations: np.ndarray, betas: np.ndarray) -> np.ndarray:
         """``skin_table`` (F, R, 12, 8) float32 of F bodies of shapes ``betas`` (F, >= shapes)."""
-        rows = self.of(betas) if betas.any() else self.rows[0]
-        return skin_table(rows, self.bones, rotations.astype(np.float32), translations.astype(np.float32))
+        rotations, translations = rotations.astype(np.float32), translations.astype(np.float32)
+        shaped = betas.any(axis=1)
+        plain = skin_table(self.rows[0], self.bones, rotations[~shaped], translations[~shaped])
+        if not shaped.any():
+            return plain
+        # Rows of a shape are ten times what a frame needs: only of those that have one.
+        found = np.empty((len(shaped), *plain.shape[1:]), dtype=plain.dtype)
+        found[~shaped] = plain
+        found[shaped] = skin_table(self.of(betas[shaped]), self.bones, rotations[shaped], translations[shaped])
+        return found
 
 
 def skin_table(rows: Array, bones: Array, rotations: Array, translations: Array) -> Array:

@@ -14,7 +14,7 @@ from drape.body.assets import load_body
 from drape.cloth.push import field
 from drape.cloth.push.blocks import blocks
 from drape.cloth.push.samples import CLUSTER_SIZE, REGION_SIZE, sample_table
-from drape.cloth.push.skin import Skin, body_skin, skin_samples, skin_table
+from drape.cloth.push.skin import Skin, body_skin, shaped_skin, skin_samples, skin_table
 from drape.errors import BodyError, InputError
 from drape.geometry import closest, meshes
 
@@ -86,6 +86,19 @@ def test_bones_pose_samples_as_body_vertices_do(skin: Skin, rng):
     assert np.quantile(away, 0.99) < 1e-5
     assert_allclose(table[..., 3], (table[..., :3] ** 2).sum(axis=-1), rtol=1e-12, atol=0)
     assert_allclose(table[..., 7], (table[..., :3] * table[..., 4:7]).sum(axis=-1), rtol=0, atol=1e-12)
+
+
+def test_a_table_of_bodies_of_many_shapes_is_that_of_each_alone(rng):
+    body = load_body()
+    shaped = shaped_skin(body)
+    betas = rng.normal(size=(4, body.shape_count))
+    betas[[0, 2]] = 0.0
+    rotations, translations = body.bones(0.3 * rng.normal(size=(4, 24, 3)))
+    table = shaped.table(rotations, translations, betas)
+    for n in range(4):
+        alone = shaped.table(rotations[n : n + 1], translations[n : n + 1], betas[n : n + 1])
+        assert_allclose(table[n : n + 1], alone, rtol=1e-4, atol=1e-5)
+    assert not np.allclose(table[1], shaped.table(rotations[1:2], translations[1:2], betas[:1])[0], atol=1e-4)
 
 
 def test_pose_blend_shapes_and_other_bodies_are_refused(skin: Skin):

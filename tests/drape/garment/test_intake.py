@@ -85,9 +85,22 @@ def test_digest_follows_everything_that_matters(garment, folder: Path, monkeypat
 
     assert digest() == garment.digest
     changes = [{"payload": payload + b"\n"}, {"avatar": STANDARD}, {"options": IntakeOptions(unit="m")}, {"name": "b"}]
-    assert len({digest(**change) for change in [{}, *changes]}) == 5
+    changes += [{"options": IntakeOptions(patches=2.0)}]
+    assert len({digest(**change) for change in [{}, *changes]}) == 6
     monkeypatch.setattr(intake_module, "INTAKE_VERSION", -1)
     assert digest() != garment.digest
+
+
+def test_a_garment_has_as_many_patches_as_are_asked_for(garment, folder: Path):
+    finer = intake(folder / "female_shirt.obj", avatar=FEMALE, body=BODY, options=IntakeOptions(patches=2.0))
+    assert finer.patch_count == 2 * garment.patch_count
+    assert finer.manifest["fit"]["point_rmse_m"] < garment.manifest["fit"]["point_rmse_m"]
+
+
+@pytest.mark.parametrize("patches", [0.5, 3.0, float("nan")])
+def test_more_or_fewer_patches_than_the_network_knows_are_refused(patches: float):
+    with pytest.raises(InputError, match="patches: expected a number from"):
+        IntakeOptions(patches=patches)
 
 
 def test_unit_and_axis_do_not_matter():
