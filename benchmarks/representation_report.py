@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from benchmarks.common import cells, provenance
+from drape.geometry.jets import FULL_COUNT
 
 FORM_NAMES = {
     "skinning": "skinning",
@@ -74,6 +75,27 @@ def agreement_table(record: Record) -> str:
         cells += [f"{row[key]:.1f}" for key in ("chart_gap_p99_mm", "chart_normal_p99_deg")]
         lines.append(f"| {' | '.join([*cells, format(row['gain'], '.3f')])} |")
     return "\n".join(lines)
+
+
+def bound_table(record: Record) -> str:
+    """How little strain patches can have over the physics optimum, free and made to agree."""
+    lines = [
+        "| garment | patches | charts | penalty [J/m2 per m2] | gap p99 [mm] | normals p99 [deg] "
+        "| edge over physics [pp] | area over physics [pp] | gain |",
+        "|---" * 9 + "|",
+    ]
+    physics = {row["garment"]: row for row in record["rows"] if row["method"] == "physics"}
+    for row in record["rows"]:
+        agreed = row["method"] == "through" and row["numbers"] == FULL_COUNT
+        if row["method"] != "rigid_2" and not agreed:
+            continue
+        best, weight = physics[row["garment"]], row.get("disagreement_weight")
+        charts = "blended, fitted to the blend, blended" if agreed else "blended"
+        line = [row["garment"], _count(row["patches"]), charts, f"{weight:.0e}".replace("e+0", "e") if weight else "-"]
+        line += cells(row, {"chart_gap_p99_mm": ".1f", "chart_normal_p99_deg": ".0f"})
+        line += [f"{row[key] - best[key]:.2f}" for key in ("edge_pct", "area_pct")]
+        lines.append(f"| {' | '.join([*line, format(row['gain'], '.3f')])} |")
+    return "\n".join([*lines, "", provenance(record)])
 
 
 def loss_table(record: Record) -> str:

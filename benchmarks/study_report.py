@@ -51,6 +51,15 @@ def throughput_table(record: Record) -> str:
     return _with_source(record, heads, (cells(row, forms) for row in record["rows"]))
 
 
+def int8_table(record: Record) -> str:
+    """One line per garment and form of the packed graph."""
+    heads = ["garment", "packed graph", "one frame, p50 [ms]", "least", "of ten in a call [ms]", "energy [J]", "edge %"]
+    heads += ["area %", "jitter", "apart, mean [mm]", "p99 [mm]"]
+    forms = {"garment": "s", "form": "s", "p50_ms": ".2f", "min_ms": ".2f", "batch_ms": ".2f", "energy_j": ".3f"}
+    forms |= {"edge_pct": ".2f", "area_pct": ".2f", "jitter": ".3f", "apart_mm": ".2f", "apart_p99_mm": ".1f"}
+    return _with_source(record, heads, (cells(row, forms) for row in record["rows"]))
+
+
 def stop_table(record: Record) -> str:
     """One line per garment and clip: the hem after an abrupt stop."""
     rows = [row for row in record["rows"] if row["kind"] == "stop"]

@@ -6,7 +6,8 @@ without a checkpoint writes the measured quality into the manifest of a folder t
 
     python -m model_export --push-out assets/models/NAME
 
-the graph of the push-out, which is the same for every network.
+the graph of the push-out, which is the same for every network. On processors the packed graph is served in int8; what
+its numbers reach is seen on the shipped garments and clips (--no-int8 leaves it out).
 """
 
 from __future__ import annotations
@@ -18,7 +19,17 @@ from pathlib import Path
 
 from drape.errors import DrapeError
 from drape.garment.cache import GARMENTS_DIR, load_garment
-from model_export.export import add_push_out, command_line, commit, export, load_model, static_training, write_quality
+from model_export.export import (
+    add_int8,
+    add_push_out,
+    command_line,
+    commit,
+    export,
+    load_model,
+    static_training,
+    write_quality,
+)
+from model_export.rounded import on_shipped
 
 
 def main() -> int:
@@ -28,6 +39,7 @@ def main() -> int:
     parser.add_argument("target", type=Path)
     parser.add_argument("--quality", type=Path, help="JSON of benchmarks.quality whose rows go into the manifest")
     parser.add_argument("--push-out", action="store_true", help="write the push-out into a folder that stands")
+    parser.add_argument("--no-int8", action="store_true", help="no packed graph in int8")
     parser.add_argument("--garment", type=Path, help="garment cache for the parity check; default the shipped T-shirt")
     arguments = parser.parse_args()
     try:
@@ -55,6 +67,8 @@ def main() -> int:
             | static_training(model, arguments.target),
             quality=rows,
         )
+        if "packed" in manifest.graphs and not arguments.no_int8:
+            manifest = add_int8(arguments.target, on_shipped(model))
     except DrapeError as error:
         print(error, file=sys.stderr)
         return 2

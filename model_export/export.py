@@ -7,7 +7,7 @@ import shutil
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from functools import lru_cache
 from pathlib import Path
@@ -42,6 +42,7 @@ from model_export.packed_specs import first_outputs, packed_inputs
 from model_export.parity import TOLERANCE_M, parity_error, sequence_error
 from model_export.push_graph import OUTPUTS, PushGraph, push_inputs, push_parity_error
 from model_export.push_graph import SAMPLE as PUSH_SAMPLE
+from model_export.rounded import ROUNDED, Wide, round_matrices
 from model_export.shared_weights import forget_origin, share_weights
 from training import checkpoint
 from training.model import OneFit
@@ -263,6 +264,25 @@ def add_push_out(folder: Path, garment: Garment) -> Manifest:
         graphs, weights = share_weights(staged, manifest.graphs | specs, kept)
         worst = max(error, manifest.parity_error_m)
         changed = replace(manifest, graphs=graphs, weights=weights, parity_error_m=worst)
+        _write_manifest(staged, changed)
+    return changed
+
+
+def add_int8(folder: Path, layers: Mapping[str, Wide]) -> Manifest:
+    """Writes the packed graph with ``layers`` in int8 into a model folder that stands, as a graph beside the others."""
+    manifest = load_manifest(folder)
+    with staged_folder(folder) as staged:
+        shutil.copytree(folder, staged, dirs_exist_ok=True)
+        packed_spec = manifest.graphs["packed"]
+        proto = onnx.load(str(staged / packed_spec.file))
+        round_matrices(proto, layers)
+        onnx.checker.check_model(proto)
+        path = staged / f"{ROUNDED}.onnx"
+        onnx.save(proto, str(path))
+        spec = replace(packed_spec, file=path.name, sha256=file_digest(path))
+        kept = read_parameters(folder, manifest.weights) if manifest.weights is not None else None
+        graphs, weights = share_weights(staged, manifest.graphs | {ROUNDED: spec}, kept)
+        changed = replace(manifest, graphs=graphs, weights=weights)
         _write_manifest(staged, changed)
     return changed
 

@@ -106,7 +106,8 @@ class Drapery:
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self.body: BodyModel = load_body(settings.body)
-        self.engine = Engine(settings.models_dir / settings.model, provider=settings.provider, threads=settings.threads)
+        folder = settings.models_dir / settings.model
+        self.engine = Engine(folder, provider=settings.provider, threads=settings.threads, int8=settings.int8)
         self.engine.check_body(self.body)
         self.engine.check_passes(settings.passes)
         self.pusher = Pusher(self.engine, self.body)

@@ -25,6 +25,7 @@ Provider = Literal["cpu", "cuda"]
 PROVIDER_NAMES: dict[Provider, str] = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
 DISTRIBUTIONS = ("onnxruntime", "onnxruntime-gpu")
 ENCODER, DRAPE, PACKED, DYNAMIC = "garment_encoder", "drape", "packed", "dynamic_encoder"
+ROUNDED = "packed_int8"  # in place of the packed graph, on processors
 PUSH, PUSH_OVER = "push_out", "push_over"
 FIRST = "patch_first"  # output of the encoder that the packed graph reads
 SKIN = "skin"  # output of the graphs that pose it
@@ -79,9 +80,10 @@ class Engine:
     """An opened model, static or dynamic. Each of its graphs is safe to run from one thread at a time.
 
     Of a ``dynamic`` model the drape graph also takes ``dynamic_code`` (F, ``code_size``), zeros for bodies at rest.
+    On the CPU the packed graph is the one in int8 where the model has it, unless ``int8`` is False.
     """
 
-    def __init__(self, folder: Path, *, provider: Provider = "cpu", threads: int = 1) -> None:
+    def __init__(self, folder: Path, *, provider: Provider = "cpu", threads: int = 1, int8: bool = True) -> None:
         check_distributions()
         self.manifest: Manifest = load_manifest(folder)
         self.dynamic = self.manifest.dynamic
@@ -100,7 +102,8 @@ class Engine:
         self._provider: Provider = provider
         self._threads = threads
         # Read now: a folder replaced later must not mix its graphs with those of this one.
-        cuttable = [name for name in (PACKED, PUSH, PUSH_OVER) if name in self.manifest.graphs]
+        self.int8 = int8 and provider == "cpu" and self.packs and ROUNDED in self.manifest.graphs
+        cuttable = [self._chosen(name) for name in (PACKED, PUSH, PUSH_OVER) if name in self.manifest.graphs]
         self._files = {name: (folder / self.manifest.graphs[name].file).read_bytes() for name in cuttable}
         weights = self.manifest.weights
         self._weights = {weights.file: (folder / weights.file).read_bytes()} if weights else {}
@@ -108,6 +111,10 @@ class Engine:
             name: _open(folder, name, self.manifest.graphs[name], self._weights, provider, threads) for name in graphs
         }
         self.provider: str = self._sessions[DRAPE].get_providers()[0]
+
+    def _chosen(self, graph: str) -> str:
+        """The graph that computes ``graph``."""
+        return ROUNDED if graph == PACKED and self.int8 else graph
 
     def check_body(self, body: BodyModel) -> None:
         """Refuses a body that the model was not trained on."""
@@ -227,6 +234,7 @@ class Engine:
 
         Of the packed graph, after ``passes`` corrections; all of them by default. ``given`` outputs are inputs.
         """
+        graph = self._chosen(graph)
         name, spec = self.manifest.name, self.manifest.graphs[graph]
         passes = self.check_passes(passes)
         instead = None if passes is None else {pass_name(self.pass_count): pass_name(passes)}

@@ -53,6 +53,7 @@ async def health(state: StateHere) -> schemas.Health:
         model_digest=drapery.engine.manifest.digest,
         dynamic=drapery.engine.dynamic,
         provider=drapery.engine.provider,
+        int8=drapery.engine.int8,
         body=drapery.body.name,
         garments=len(drapery.garments.entries()),
         passes=drapery.engine.pass_count,

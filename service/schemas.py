@@ -107,6 +107,7 @@ class Health(BaseModel):
     model_digest: str
     dynamic: bool
     provider: str
+    int8: bool = Field(description="Whether the widest matrices of the network are multiplied in int8.")
     body: str
     garments: int
     passes: int = Field(description="Corrections of the network of which a request may choose how many; 0: no choice.")

@@ -39,6 +39,7 @@ class Settings(BaseSettings):
     motions_dir: Path = ROOT / "assets/motions"
     page_dir: Path = ROOT / "clients/web/dist"
 
+    int8: bool = True
     passes: int | None = Field(default=None, ge=0)
     push_out: bool = True
     clearance_m: float = Field(default=0.0025, gt=0.0, le=0.05)

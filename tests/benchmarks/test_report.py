@@ -80,6 +80,12 @@ def test_the_table_of_forms_leaves_agreement_out_and_that_of_agreement_the_forms
     assert lines[0] == "| sash | - | - | skinning | 0.100 / 0.250 | 3.00 | 2.00 | 0.00 | -0.300 |"
     assert [line.split(" | ")[2] for line in lines] == ["-", "27", "27"]
     assert source.startswith("Measured on a machine")
+    physics = {"garment": "sash", "method": "physics", **energies, "edge_pct": 1.5, "area_pct": 1.0, "gain": 1.0}
+    bound = representation_report.bound_table({**RECORD, "rows": [*rows, physics]})
+    _, _, *lines, _, source = bound.split("\n")
+    assert lines[0] == "| sash | 110 | blended | - | 3.2 | 12 | 1.50 | 1.00 | 0.910 |"
+    assert lines[2] == "| sash | 110 | blended, fitted to the blend, blended | 4e3 | 3.2 | 12 | 1.50 | 1.00 | 0.910 |"
+    assert source.startswith("Measured on a machine")
     _, _, *lines = representation_report.agreement_table(record).split("\n")
     assert lines == [
         "| sash | energy alone | - | - | 3.2 | 12.0 | 0.910 |",

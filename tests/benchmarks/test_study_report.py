@@ -24,6 +24,10 @@ RESOLUTION = [
 THROUGHPUT = [
     {"processes": 2, "threads": 1, "batch": 4, "frames_per_s": 88.4, "spread": 3.0, "network_ms": 4.0, "other_ms": 1.5},
 ]
+INT8 = [
+    {"garment": "cape", "form": "int8", "p50_ms": 4.5, "min_ms": 4.0, "batch_ms": 3.5, "energy_j": 0.125,
+     "edge_pct": 4.0, "area_pct": 3.0, "jitter": 1.125, "apart_mm": 0.5, "apart_p99_mm": 2.0},
+]  # fmt: skip
 DYNAMICS = [
     {"kind": "potential", "garment": "cape", "clip": "turn", "own_dynamic_j": 0.5, "own_static_j": 0.25,
      "given_dynamic_j": 0.5, "given_static_j": 0.75},
@@ -42,6 +46,11 @@ DYNAMICS = [
             "| cape | tuned | 1,000 | 1.5 | 2.00 | 3.00 | 0.25 | 0.125 | 0.938 |",
         ),
         (study_report.throughput_table, THROUGHPUT, "| 2 | 1 | 4 | 88 | 3 | 4.00 | 1.50 |"),
+        (
+            study_report.int8_table,
+            INT8,
+            "| cape | int8 | 4.50 | 4.00 | 3.50 | 0.125 | 4.00 | 3.00 | 1.125 | 0.50 | 2.0 |",
+        ),
         (study_report.resolution_table, RESOLUTION, "| 1,000 | 1,012 | 110 | 0.50 | 1.25 | 2.00 | 4.00 | 1.50 |"),
     ],
 )
