@@ -161,6 +161,7 @@ class SirenDistance:
         with temporary.open("wb") as file:
             np.savez(
                 file,
+                allow_pickle=False,
                 digest=np.array(digest),
                 low=self.low,
                 high=self.high,

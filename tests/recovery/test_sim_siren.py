@@ -6,6 +6,7 @@ import json
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import igl
 import numpy as np
@@ -95,7 +96,7 @@ def test_the_gradient_has_derivatives_backward_and_forward(rng):
     assert torch.autograd.gradcheck(lambda p: found(p)[1], leaf)
     assert torch.autograd.gradgradcheck(lambda p: found(p)[0], leaf)
     along = torch.from_numpy(rng.normal(size=points.shape))
-    _, forward = torch.func.jvp(lambda p: found(p)[1], (points,), (along,))
+    forward = torch.func.jvp(lambda p: found(p)[1], (points,), (along,))[1]
     h = 1e-6
     differences = (found(points + h * along)[1] - found(points - h * along)[1]) / (2.0 * h)
     assert_allclose(forward, differences, rtol=0, atol=1e-6 * float(forward.abs().max()))
@@ -217,9 +218,10 @@ def test_options_and_bodies_that_cannot_be_are_refused():
     vertices, faces = ball()
     with pytest.raises(MeshError, match="closed surface"):
         SirenDistance.from_mesh(vertices, faces[1:], SMALL)
-    for wrong in ({"steps": 0}, {"rate": float("nan")}, {"margin_m": -1.0}, {"width": 5000}):
+    wrong: list[dict[str, Any]] = [{"steps": 0}, {"rate": float("nan")}, {"margin_m": -1.0}, {"width": 5000}]
+    for numbers in wrong:
         with pytest.raises(InputError, match="siren options"):
-            SirenOptions(**wrong)
+            SirenOptions(**numbers)
 
 
 # --- the option ------------------------------------------------------------------------------------------------------
