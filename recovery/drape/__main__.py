@@ -23,6 +23,7 @@ from recovery.drape.pipeline import Draped, DrapeOptions, Hold, drape_pattern
 from recovery.drape.placement import Axes
 from recovery.drape.posing import read_pose
 from recovery.drape.settle import TOLERANCE_N
+from recovery.drape.skin import add_distance_options, distance_options
 from recovery.pattern.garmentcode import read_pattern
 
 REFUSED_EXIT_CODE = 2
@@ -47,6 +48,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--axes", type=Axes, choices=list(Axes), default=default.axes, help="of the file's placements")
     parser.add_argument("--hold", type=Hold, choices=list(Hold), default=default.hold, help="auto: a belt at the waist")
     parser.add_argument("--grid", type=float, default=default.grid_m, help="spacing of the body's distance [m]")
+    add_distance_options(parser)
     parser.add_argument(
         "--iterations", type=int, default=default.iteration_limit, help="of Newton; 0 for a quick look, not at rest"
     )
@@ -72,6 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             hold=given.hold,
             grid_m=given.grid,
             iteration_limit=given.iterations,
+            **distance_options(given),
         )
         draped = drape_pattern(pattern, body, options, pose=pose, report=print)
         texture = panel_texture(draped.mesh)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,9 +22,11 @@ from recovery.drape.relax import Relaxation
 from recovery.drape.repair import uncrossed
 from recovery.drape.settle import ITERATION_LIMIT, Drape, settle
 from recovery.drape.sewing import Sewn, in_numpy, sew
+from recovery.drape.skin import SIREN_FOLDER, DistanceKind, skin_distance
 from recovery.pattern.mesh import PatternMesh, mesh_pattern
 from recovery.pattern.model import Pattern
-from recovery.sim.sdf import GridDistance
+from recovery.sim.sdf import SignedDistance
+from recovery.sim.siren import DEFAULT_SIREN, SirenOptions
 
 Report = Callable[[str], None]
 
@@ -38,8 +41,9 @@ class Hold(StrEnum):
 
 @dataclass(frozen=True)
 class DrapeOptions:
-    """``edge_length_m`` of the cloth's mesh, ``fabric`` by name, ``scale`` of the pattern, ``grid_m`` of the body.
+    """``edge_length_m`` of the cloth's mesh, ``fabric`` by name, ``scale`` of the pattern.
 
+    The body's ``distance`` is a grid of ``grid_m``, or a network trained as ``siren`` says, kept in ``siren_folder``.
     ``iteration_limit`` is that of Newton; 0 leaves the garment where the quasi-static steps end.
     """
 
@@ -50,12 +54,27 @@ class DrapeOptions:
     hold: Hold = Hold.AUTO
     grid_m: float = 0.01
     iteration_limit: int = ITERATION_LIMIT
+    distance: DistanceKind = DistanceKind.GRID
+    siren: SirenOptions = DEFAULT_SIREN
+    siren_folder: Path = SIREN_FOLDER
 
     def __post_init__(self) -> None:
         if self.iteration_limit < 0:
             raise InputError(
                 "iterations", expected="a number from 0", got=f"{self.iteration_limit}", cure="Leave it at its default."
             )
+
+    def skin(self, vertices: np.ndarray, faces: np.ndarray, report: Report | None = None) -> SignedDistance:
+        """The signed distance of a body's surface, ``vertices`` [m] (V, 3) and ``faces`` (F, 3), that these ask for."""
+        return skin_distance(
+            vertices,
+            faces,
+            self.distance,
+            grid_m=self.grid_m,
+            siren=self.siren,
+            folder=self.siren_folder,
+            report=report,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +106,7 @@ def drape_pattern(
     *,
     pose: np.ndarray | None = None,
     cloth: OrthotropicMaterial | None = None,
-    skin: GridDistance | None = None,
+    skin: SignedDistance | None = None,
     report: Report | None = None,
 ) -> Draped:
     """``pattern`` sewn round ``body`` and at rest on it, in the T-pose and then in ``pose`` (24, 3).
@@ -103,7 +122,7 @@ def drape_pattern(
         say(f"repaired  {note}")
     mesh = mesh_pattern(pattern if options.scale == 1.0 else scaled(pattern, options.scale), options.edge_length_m)
     say(f"meshed    {mesh.node_count} nodes, {len(mesh.faces)} triangles, {len(pattern.stitches)} seams")
-    skin = skin or GridDistance.from_mesh(body.v_template, body.faces, spacing_m=options.grid_m)
+    skin = skin or options.skin(body.v_template, body.faces, say)
     distance = in_numpy(skin)
     placed = place(mesh, body, distance, axes=options.axes)
     say(
@@ -133,7 +152,7 @@ def drape_pattern(
     say(describe_drape("draped", figures["rest"]))
     posed = None
     if pose is not None:
-        posed, figures["posed"] = drape_in_pose(mesh, rest, body, pose, options, cloth=cloth)
+        posed, figures["posed"] = drape_in_pose(mesh, rest, body, pose, options, cloth=cloth, report=report)
         say(describe_drape("posed", figures["posed"]))
     return Draped(mesh, placed, sewn, rest, posed, figures)
 
@@ -146,6 +165,7 @@ def drape_in_pose(
     options: DrapeOptions = DrapeOptions(),
     *,
     cloth: OrthotropicMaterial | None = None,
+    report: Report | None = None,
 ) -> tuple[Drape, dict[str, Any]]:
     """The garment of ``mesh``, at ``rest`` in the T-pose, at rest on ``body`` in ``pose`` (24, 3); and its figures.
 
@@ -153,13 +173,13 @@ def drape_in_pose(
     """
     pose = np.asarray(pose, dtype=np.float64).reshape(JOINT_COUNT, 3)
     moved = to_pose(mesh, rest.nodes, body, pose)
-    skin = GridDistance.from_mesh(body.posed_vertices(pose[None])[0], body.faces, spacing_m=options.grid_m)
+    skin = options.skin(body.posed_vertices(pose[None])[0], body.faces, report)
     cloth = cloth or OrthotropicMaterial.from_isotropic(material(options.fabric))
     posed = settle(mesh, moved, skin, cloth, held=rest.held, iteration_limit=options.iteration_limit)
     return posed, drape_figures(mesh, posed, skin)
 
 
-def drape_figures(mesh: PatternMesh, drape: Drape, skin: GridDistance) -> dict[str, Any]:
+def drape_figures(mesh: PatternMesh, drape: Drape, skin: SignedDistance) -> dict[str, Any]:
     """What tells whether a drape can be trusted: force left, strain, distance of nodes and of the edges' middles."""
     distance = in_numpy(skin)
     edges = meshes.unique_edges(mesh.faces)

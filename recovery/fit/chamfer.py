@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
-from drape.geometry import closest, meshes
+from drape.geometry import closest
+from drape.geometry.drawing import drawn
 
 POINT_COUNT = 100_000
 
@@ -37,20 +38,6 @@ class SurfaceDistance(NamedTuple):
     rms_mm: float
     p95_mm: float
     largest_mm: float
-
-
-def drawn(vertices: np.ndarray, faces: np.ndarray, count: int, seed: int) -> np.ndarray:
-    """Points [m] (``count``, 3) drawn evenly by area from the triangles; ``seed`` decides which."""
-    rng = np.random.default_rng(seed)
-    areas = meshes.face_areas(vertices, faces)
-    return within(vertices[faces[rng.choice(len(faces), size=count, p=areas / areas.sum())]], rng)
-
-
-def within(corners: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A point (N, 3) drawn evenly from each of the triangles ``corners`` (N, 3, 3)."""
-    root, share = np.sqrt(rng.random(len(corners))), rng.random(len(corners))
-    weights = np.stack([1.0 - root, root * (1.0 - share), root * share], axis=1)
-    return np.einsum("nk,nkc->nc", weights, corners)
 
 
 def chamfer(first: np.ndarray, second: np.ndarray) -> Chamfer:

@@ -25,7 +25,7 @@ from recovery.fit.optimise import DEFAULT_OPTIONS, FitOptions, Fitted, PatternSe
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.model import Pattern
 from recovery.pattern.symmetry import Symmetries, find_symmetries, free_controls, symmetrised
-from recovery.sim.sdf import GridDistance
+from recovery.sim.sdf import SignedDistance
 
 DEFAULT_DRAPE = DrapeOptions()
 GRADINGS = 2
@@ -104,7 +104,7 @@ def recover_pattern(
     for line in symmetries.describe(base):
         say(f"symmetry  {line}")
     joints = body.joints_template if pose is None else posed_joints(body, pose)
-    bare = GridDistance.from_mesh(body.v_template, body.faces, spacing_m=drape.grid_m)
+    bare = drape.skin(body.v_template, body.faces, say)
     first = drape_pattern(base, body, drape, pose=pose, skin=bare)
     graded, start = ungraded(base), first
 
@@ -124,7 +124,7 @@ def recover_pattern(
     target = Target.from_mesh(vertices, faces, contours_there, folds=weights.folds)
     skin = bare
     if pose is not None:
-        skin = GridDistance.from_mesh(body.posed_vertices(pose[None])[0], body.faces, spacing_m=drape.grid_m)
+        skin = drape.skin(body.posed_vertices(pose[None])[0], body.faces, say)
     cloth, losses = named(drape.fabric), {}
     if fabrics:
         task = _Task(target, contours_there, joints, skin, symmetries, graded.pattern, weights)
@@ -202,7 +202,7 @@ class _Task:
     target: Target
     contours: list[Contour]
     joints: np.ndarray
-    skin: GridDistance
+    skin: SignedDistance
     symmetries: Symmetries
     graded: Pattern
     weights: Weights
@@ -242,7 +242,7 @@ class _Task:
 
 
 def _drape(
-    pattern: Pattern, body: BodyModel, drape: DrapeOptions, pose: np.ndarray | None, skin: GridDistance
+    pattern: Pattern, body: BodyModel, drape: DrapeOptions, pose: np.ndarray | None, skin: SignedDistance
 ) -> Draped:
     """What the graded ``pattern`` drapes to. Raises ``InputError`` where that is not at rest."""
     start = drape_pattern(pattern, body, drape, pose=pose, skin=skin)

@@ -9,7 +9,8 @@ from scipy.spatial import KDTree
 
 from drape.errors import MeshError
 from drape.geometry import meshes
-from recovery.fit.chamfer import Chamfer, within
+from drape.geometry.drawing import within
+from recovery.fit.chamfer import Chamfer
 
 SAMPLE_COUNT = 100_000
 SMALLEST_M2 = 1e-9

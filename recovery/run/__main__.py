@@ -23,6 +23,7 @@ from drape.garment.mesh_checks import UNITS_M, UP_AXES
 from recovery.drape.output import write
 from recovery.drape.pipeline import DrapeOptions
 from recovery.drape.posing import read_pose
+from recovery.drape.skin import add_distance_options, distance_options
 from recovery.fit.objective import DEFAULT_WEIGHTS
 from recovery.fit.optimise import FitOptions
 from recovery.run.job import Job, run_job
@@ -62,6 +63,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     )
     parser.add_argument("--edge-length", type=float, default=EDGE_LENGTH_M, help="of the garment's mesh [m]")
     parser.add_argument("--grid", type=float, default=0.02, help="spacing of the body's distance [m]")
+    add_distance_options(parser)
     parser.add_argument("--adam", type=int, default=fit.iterations, help="steps of Adam")
     parser.add_argument("--closing", type=int, default=fit.closing, help="steps of Gauss and Newton after it")
     parser.add_argument(
@@ -90,6 +92,7 @@ def job_of(given: argparse.Namespace) -> Job:
             edge_length_m=given.edge_length,
             fabric=DEFAULT_MATERIAL if given.fabric == CHOOSE_FABRIC else given.fabric,
             grid_m=given.grid,
+            **distance_options(given),
         ),
         find_fabric=given.fabric == CHOOSE_FABRIC,
         fit=FitOptions(iterations=given.adam, closing=given.closing),

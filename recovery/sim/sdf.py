@@ -84,14 +84,7 @@ class GridDistance:
         cls, vertices: np.ndarray, faces: np.ndarray, *, spacing_m: float = 0.01, margin_m: float = 0.05
     ) -> GridDistance:
         """Distances to a closed mesh, sampled in its box and ``margin_m`` around it."""
-        faces = meshes.check_faces(faces, len(vertices))
-        if len(faces) == 0 or meshes.boundary_loops(faces):
-            raise MeshError(
-                "body",
-                expected="a closed surface",
-                got=f"{len(meshes.boundary_loops(faces))} open boundaries" if len(faces) else "no triangles",
-                cure="Close its holes: what is inside must be defined.",
-            )
+        faces = check_closed(vertices, faces)
         if not (0.0 < spacing_m < np.inf and 0.0 <= margin_m < np.inf):
             raise InputError(
                 "spacing_m and margin_m", expected="lengths > 0", got=f"{spacing_m}, {margin_m}", cure="Pass metres."
@@ -125,13 +118,33 @@ class GridDistance:
         gradient = torch.stack(
             [_contract(zy, slope[:, 0]), _contract(zdy, weight[:, 0]), _contract(dzy, weight[:, 0])], dim=1
         )
-        off = (scaled - inside) * self.spacing_m
-        far = (off != 0.0).any(dim=1)
-        if not far.any():
-            return value, gradient / self.spacing_m
-        length = torch.sqrt(torch.where(far, (off * off).sum(dim=1), 1.0))
-        gradient = torch.where(off != 0.0, off / length[:, None], gradient / self.spacing_m)
-        return value + torch.where(far, length, 0.0), gradient
+        return extended(value, gradient / self.spacing_m, (scaled - inside) * self.spacing_m)
+
+
+def check_closed(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """``faces`` as integers (F, 3); refuses a mesh that is open or empty: what is inside must be defined."""
+    faces = meshes.check_faces(faces, len(vertices))
+    if len(faces) == 0 or meshes.boundary_loops(faces):
+        raise MeshError(
+            "body",
+            expected="a closed surface",
+            got=f"{len(meshes.boundary_loops(faces))} open boundaries" if len(faces) else "no triangles",
+            cure="Close its holes: what is inside must be defined.",
+        )
+    return faces
+
+
+def extended(value: Tensor, gradient: Tensor, off: Tensor) -> tuple[Tensor, Tensor]:
+    """A distance [m] (N,) with its gradient (N, 3) at the nearest point of its box, carried on beyond the box.
+
+    ``off`` [m] (N, 3) is what leads from there to where it is asked for; its length is added.
+    """
+    far = (off != 0.0).any(dim=1)
+    if not far.any():
+        return value, gradient
+    length = torch.sqrt(torch.where(far, (off * off).sum(dim=1), 1.0))
+    gradient = torch.where(off != 0.0, off / length[:, None], gradient)
+    return value + torch.where(far, length, 0.0), gradient
 
 
 def _contract(taps: Tensor, weight: Tensor) -> Tensor:

@@ -17,10 +17,11 @@ from drape.body.assets import load_body
 from drape.errors import InputError
 from drape.garment.cache import load_garment
 from drape.garment.mesh_io import read_mesh
+from drape.geometry.drawing import drawn
 from recovery.drape.output import obj_text, panel_texture, write
 from recovery.drape.pipeline import DrapeOptions, drape_pattern
 from recovery.fit import pipeline
-from recovery.fit.chamfer import chamfer, drawn, surface_chamfer, surface_distance
+from recovery.fit.chamfer import chamfer, surface_chamfer, surface_distance
 from recovery.fit.compare import pattern_error
 from recovery.pattern.bases import tshirt
 from recovery.pattern.garmentcode import read_pattern
