@@ -145,6 +145,7 @@ def measured(tmp_path_factory):
         return made, {row["method"]: row for row in measure(tube(), made, trained=False)}
 
 
+@pytest.mark.slow
 def test_every_method_is_told_its_distance_and_the_two_starts_how_they_ended(measured):
     _, rows = measured
     for method in METHODS:
@@ -154,11 +155,6 @@ def test_every_method_is_told_its_distance_and_the_two_starts_how_they_ended(mea
     assert {method for method in METHODS if "reference_floor_mm" in rows[method]} == {STARTS[1]}
     # The reference began at the optimum, so that both say the same of it.
     assert rows["physics"]["reference_start_mm"] == rows["physics"]["reference_mm"]
-
-
-def test_without_the_option_no_row_has_the_columns(tmp_path):
-    rows = measure(tube(), bench(tmp_path), trained=False)
-    assert not [key for row in rows for key in row if key.startswith("reference")]
 
 
 def test_the_option_takes_a_number_of_poses():
