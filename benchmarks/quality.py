@@ -4,10 +4,12 @@
     python -m benchmarks.quality --garments tshirt dress --motions walk squat --frames 6
     python -m benchmarks.quality --garments $DRAPE_DATA/garments --motions $DRAPE_DATA/motions --save
     python -m benchmarks.quality --patches 2 --out fine.json
+    python -m benchmarks.quality --garments tshirt --reference --out reference.json
 
 A garment is a name under assets/garments, a cache file, a mesh, or a folder of either; a
 motion is a name under assets/motions, a file, or a folder. Everything is measured at rest
-(motion knob 0) on the garment's subdivided mesh; jitter on continuous windows of the motions.
+(motion knob 0) on the garment's subdivided mesh; jitter on continuous windows of the motions. ``--reference`` adds the
+distance to the drape of a second simulator (benchmarks.quality_reference), minutes per garment.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks import common, physics
+from benchmarks import common, physics, quality_reference
 from benchmarks.network import Network
 from benchmarks.physics_cache import CACHE_DIR
 from benchmarks.quality_jitter import typical_windows
@@ -39,7 +41,7 @@ from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
 
 SETS = ("trained", "unseen")
-FRAMES, QUICK_FRAMES = 12, 2
+FRAMES, QUICK_FRAMES, REFERENCE_FRAMES = 12, 2, 3
 STEPS, QUICK_STEPS = 2000, 150
 COLUMNS = {
     "garment": "s",
@@ -60,6 +62,7 @@ COLUMNS = {
     "membrane_j": ".4f",
     "gain": ".3f",
 }
+REFERENCE_COLUMNS = {"reference_mm": ".1f", "reference_p95_mm": ".1f", "reference_surface_mm": ".1f"}
 # The table's head, where the key is longer than its numbers; the record keeps the keys.
 HEADS = {
     "edge_over_physics_pp": "edge_over",
@@ -71,6 +74,9 @@ HEADS = {
     "chart_normal_p99_deg": "normal_deg",
     "jitter_ratio": "jitter",
     "jitter_worst": "worst",
+    "reference_mm": "ref_mm",
+    "reference_p95_mm": "ref_p95",
+    "reference_surface_mm": "ref_surface",
 }
 
 
@@ -89,7 +95,15 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--material", default="jersey", help="cloth (drape.cloth.material)")
     parser.add_argument("--steps", type=int, help=f"most physics steps (default {STEPS}, quick {QUICK_STEPS})")
     parser.add_argument(
-        "--no-physics-cache", action="store_true", help="minimise again instead of taking stored optima, store none"
+        "--no-physics-cache",
+        action="store_true",
+        help="minimise and simulate again instead of taking stored drapes, store none",
+    )
+    parser.add_argument(
+        "--reference", action="store_true", help="also simulate the first poses: columns reference_mm, slow"
+    )
+    parser.add_argument(
+        "--reference-frames", type=int, help=f"poses of --reference (default {REFERENCE_FRAMES}, or all if fewer)"
     )
     common.add_options(parser)
     options = parser.parse_args(arguments)
@@ -97,7 +111,22 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
         options.garments = options.garments or ["tshirt"]
     options.frames = options.frames or (QUICK_FRAMES if options.quick else FRAMES)
     options.steps = options.steps or (QUICK_STEPS if options.quick else STEPS)
+    options.reference_frames = reference_frames(options.reference, options.reference_frames, options.frames)
     return options
+
+
+def reference_frames(wanted: bool, given: int | None, frames: int) -> int:
+    """How many of the ``frames`` poses are simulated: none unless ``wanted``."""
+    if given is None:
+        return min(REFERENCE_FRAMES, frames) if wanted else 0
+    if not wanted or not 1 <= given <= frames:
+        raise InputError(
+            "--reference-frames",
+            expected=f"1 to {frames}, beside --reference",
+            got=str(given) if wanted else f"{given} without --reference",
+            cure="Add --reference, or take more --frames.",
+        )
+    return given
 
 
 def open_bench(options: argparse.Namespace, body: BodyModel) -> Bench:
@@ -118,6 +147,8 @@ def open_bench(options: argparse.Namespace, body: BodyModel) -> Bench:
         step_limit=options.steps,
         windows=windows[:1] if options.quick else windows,
         physics_folder=None if options.no_physics_cache else CACHE_DIR,
+        reference_frames=options.reference_frames,
+        reference_folder=None if options.no_physics_cache else quality_reference.CACHE_DIR,
     )
 
 
@@ -131,7 +162,8 @@ def covered(garment: Garment, body: BodyModel, share: float) -> Garment:
 def print_table(rows: list[dict[str, Any]]) -> None:
     """The rows under short heads."""
     named = [{HEADS.get(key, key): value for key, value in row.items()} for row in rows]
-    common.print_table(named, {HEADS.get(key, key): form for key, form in COLUMNS.items()})
+    columns = COLUMNS | {key: form for key, form in REFERENCE_COLUMNS.items() if any(key in row for row in rows)}
+    common.print_table(named, {HEADS.get(key, key): form for key, form in columns.items()})
 
 
 def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
@@ -163,6 +195,13 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
             f"physics {row['garment']}: residual {row['residual_n']:.3f} N of {row['weight_n']:.2f} N weight, "
             f"energy changed by {row['change']:.1e} of its gain in the last {physics.CHECK_STEPS} steps"
         )
+    for row in (row for row in rows if "reference_at_rest_pct" in row):
+        print(
+            f"simulated {row['garment']} from {row['method']}: {row['reference_start_mm']:.1f} mm away after "
+            f"{row['reference_steps']:.0f} steps, {row['reference_seconds']:.0f} s; {row['reference_at_rest_pct']:.0f} "
+            f"% of the poses at rest, {row['reference_speed_mm_s']:.1f} mm/s at most, "
+            f"{row['reference_balanced_pct']:.0f} % of the vertices balanced, {row['reference_residual_n']:.3f} N left"
+        )
     if not bench.windows:
         print("no jitter: no clip has a second without a glitch")
     for message in refused.values():
@@ -173,6 +212,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
         options,
         summary=summary(rows),
         frames=list(bench.poses.labels),
+        reference_frames=options.reference_frames,
         windows=[window.label for window in bench.windows],
         model=options.model,
         model_digest=bench.network.manifest.digest,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from benchmarks import physics
 from benchmarks.network import Draped, Network
 from benchmarks.physics_cache import cache_key, cached
 from benchmarks.quality_jitter import Window, jitter
+from benchmarks.quality_reference import Bodies, reference_figures
 from drape.body.model import BodyModel
 from drape.cloth import metrics
 from drape.cloth.contact import BodyContact, push_out
@@ -34,7 +36,9 @@ METHODS = ("skinning", "skinning_push", "network", "network_push", "physics")
 class Bench:
     """What all garments share: the posed bodies, the contact surface, the drape network and the cloth.
 
-    ``windows`` are what jitter is measured on; ``physics_folder`` keeps optima between runs, None does not.
+    ``windows`` are what jitter is measured on; ``physics_folder`` keeps optima between runs, None does not. The
+    simulator of ``quality_reference`` drapes the first ``reference_frames`` poses over ``reference_bodies`` and keeps
+    them in ``reference_folder``.
     """
 
     body: BodyModel
@@ -47,6 +51,13 @@ class Bench:
     step_limit: int
     windows: Sequence[Window] = ()
     physics_folder: Path | None = None
+    reference_frames: int = 0
+    reference_folder: Path | None = None
+
+    @cached_property
+    def reference_bodies(self) -> Bodies:
+        """Signed distances of the poses; garments share them."""
+        return Bodies(self.body_vertices, self.body.faces)
 
 
 def measure(garment: Garment, bench: Bench, *, trained: bool) -> list[dict[str, Any]]:
@@ -89,6 +100,18 @@ def measure(garment: Garment, bench: Bench, *, trained: bool) -> list[dict[str, 
         "seconds": optimum.seconds,
         "cached": was_cached,
     }
+    if bench.reference_frames:
+        figures = reference_figures(
+            positions,
+            rest,
+            faces,
+            bench.material,
+            bench.reference_bodies,
+            frames=bench.reference_frames,
+            folder=bench.reference_folder,
+        )
+        for method, columns in figures.items():
+            rows[method] |= columns
     rest_crossings = float(intersection_count(rest, faces))
     return [rows[method] | {"self_intersections_rest": rest_crossings} for method in METHODS]
 

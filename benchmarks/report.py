@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import latency_report, recovery_report, representation_report, study_report
-from benchmarks.common import RESULTS_DIR, ROOT, cells, provenance
+from benchmarks.common import RESULTS_DIR, ROOT, cells, markdown_table, provenance
 
 QUALITY_COLUMNS = {
     "edge_pct": ".2f",
@@ -31,19 +31,58 @@ NETWORK_COLUMNS = {
     "jitter_ratio": ".2f",
     "jitter_worst": ".2f",
 }
+# Of benchmarks.quality --reference; the long table has them where they were measured.
+REFERENCE_COLUMNS = {"reference_mm": ".1f", "reference_p95_mm": ".1f", "reference_surface_mm": ".1f"}
+REFERENCE_HEADS = ("to the reference, mean [mm]", "p95 [mm]", "to its surface [mm]")
+END_COLUMNS = {
+    "reference_start_mm": ".1f",
+    "reference_start_surface_mm": ".1f",
+    "reference_steps": ".0f",
+    "reference_at_rest_pct": ".0f",
+    "reference_speed_mm_s": ".1f",
+    "reference_balanced_pct": ".0f",
+    "reference_residual_n": ".2f",
+}
 CROSSING_METHODS = ("skinning", "network", "physics")
 
 
 def quality_table(record: dict[str, Any]) -> str:
     """Every garment and method of ``benchmarks.quality``."""
-    lines = [
-        "| garment | method | edge % | area % | colliding % (vertex) | colliding % (triangle) | self-intersections "
-        "| energy [J] | gain |",
-        "|---|---|---|---|---|---|---|---|---|",
+    heads = [
+        *("garment", "method", "edge %", "area %", "colliding % (vertex)", "colliding % (triangle)"),
+        *("self-intersections", "energy [J]", "gain"),
     ]
+    columns = QUALITY_COLUMNS
+    if any("reference_mm" in row for row in record["rows"]):
+        heads, columns = [*heads, *REFERENCE_HEADS], columns | REFERENCE_COLUMNS
+    lines = [[row["garment"], row["method"], *cells(row, columns)] for row in record["rows"]]
+    return f"{markdown_table(heads, lines)}\n\n{provenance(record)}"
+
+
+def reference_table(record: dict[str, Any]) -> str:
+    """How far every method is from the second simulator's drape, and the floor: its two ends from each other."""
+    lines = []
     for row in record["rows"]:
-        lines.append(f"| {' | '.join([row['garment'], row['method'], *cells(row, QUALITY_COLUMNS)])} |")
-    return "\n".join([*lines, "", provenance(record)])
+        lines.append([row["garment"], row["method"], *cells(row, REFERENCE_COLUMNS)])
+        if "reference_floor_mm" in row:
+            floor = {key.replace("reference", "reference_floor"): form for key, form in REFERENCE_COLUMNS.items()}
+            lines.append([row["garment"], f"simulated from {row['method']}: the floor", *cells(row, floor)])
+    return f"{markdown_table(['garment', 'drape', *REFERENCE_HEADS], lines)}\n\n{provenance(record)}"
+
+
+def reference_end_table(record: dict[str, Any]) -> str:
+    """How the second simulator came to rest from each of its starts."""
+    heads = (
+        *("garment", "from", "ends at, mean [mm]", "at, to the surface [mm]", "steps", "poses at rest %"),
+        *("fastest pose [mm/s]", "vertices balanced %", "force left [N]", "weight [N]"),
+    )
+    weights = {row["garment"]: cells(row, {"weight_n": ".2f"}) for row in record["rows"] if row.get("weight_n")}
+    lines = [
+        [row["garment"], row["method"], *cells(row, END_COLUMNS), *weights[row["garment"]]]
+        for row in record["rows"]
+        if "reference_start_mm" in row
+    ]
+    return markdown_table(heads, lines)
 
 
 def network_table(record: dict[str, Any]) -> str:
@@ -95,6 +134,8 @@ TABLES: tuple[tuple[str, str, str, Callable[[dict[str, Any]], str]], ...] = (
     ("quality", "docs/quality.md", "quality_network", network_table),
     ("quality_unseen", "docs/quality.md", "quality_unseen", quality_table),
     ("quality_unseen", "docs/quality.md", "quality_unseen_network", network_table),
+    ("quality_reference", "docs/quality.md", "quality_reference", reference_table),
+    ("quality_reference", "docs/quality.md", "quality_reference_ends", reference_end_table),
     ("latency", "docs/performance.md", "latency_single", latency_report.single_table),
     ("latency", "docs/performance.md", "latency_stages", latency_report.stage_table),
     ("latency", "docs/performance.md", "latency_batches", latency_report.batch_table),

@@ -254,50 +254,69 @@ def hinge_weight(length: Array, first_area: Array, second_area: Array) -> Array:
     return length * length / (first_area + second_area)
 
 
-def bending_energy(position: Array, weight: Array, bending_j: Array | float) -> Array:
-    """Energy [J] (H,) of every hinge."""
+def bending_energy(position: Array, weight: Array, bending_j: Array | float, rest: Array | float = 0.0) -> Array:
+    """Energy [J] (H,) of every hinge; ``rest`` [rad] () or (H,) is the angle without stress."""
     xp = namespace(position)
     # 4 (1 - cos(t / 2)) = 8 sin(t / 4)^2, which keeps its digits near the plane.
-    return 8.0 * bending_j * weight * xp.sin(0.25 * hinge_angle(position)) ** 2
+    return 8.0 * bending_j * weight * xp.sin(0.25 * (hinge_angle(position) - rest)) ** 2
 
 
-def bending_gradient(position: Array, weight: Array, bending_j: Array | float) -> Array:
+def bending_gradient(position: Array, weight: Array, bending_j: Array | float, rest: Array | float = 0.0) -> Array:
     """Derivative [N] (4, 3, H) of the energy by the corners: minus the force."""
     xp = namespace(position)
     hinge = _hinge(position)
-    return 2.0 * bending_j * weight * xp.sin(0.5 * hinge.angle) * hinge.gradient
+    return 2.0 * bending_j * weight * xp.sin(0.5 * (hinge.angle - rest)) * hinge.gradient
 
 
-def bending_work(position: Array, weight: Array, bending_j: Array | float, direction: Array) -> Array:
+def bending_work(
+    position: Array, weight: Array, bending_j: Array | float, direction: Array, rest: Array | float = 0.0
+) -> Array:
     """Gradient times ``direction`` (4, 3, H), summed per hinge (H,)."""
     xp = namespace(position)
-    return xp.sum(bending_gradient(position, weight, bending_j) * direction, axis=(0, 1))
+    return xp.sum(bending_gradient(position, weight, bending_j, rest) * direction, axis=(0, 1))
 
 
-def bending_hessian(position: Array, weight: Array, bending_j: Array | float, *, definite: bool) -> Array:
+def bending_hessian(
+    position: Array, weight: Array, bending_j: Array | float, rest: Array | float = 0.0, *, definite: bool
+) -> Array:
     """Second derivative [N/m] (12, 12, H); ``definite`` leaves out the curvature of the angle."""
     xp = namespace(position)
     hinge = _hinge(position)
     g = xp.reshape(hinge.gradient, (12, -1))
     scale = bending_j * weight
-    linear = (scale * xp.cos(0.5 * hinge.angle) * g)[:, None] * g[None]
+    linear = (scale * _turn_stiffness(hinge, rest, definite) * g)[:, None] * g[None]
     if definite:
         return linear
-    return linear + 2.0 * scale * xp.sin(0.5 * hinge.angle) * _angle_hessian(hinge)
+    return linear + 2.0 * scale * xp.sin(0.5 * (hinge.angle - rest)) * _angle_hessian(hinge)
 
 
 def bending_bilinear(
-    position: Array, weight: Array, bending_j: Array | float, left: Array, right: Array, *, definite: bool
+    position: Array,
+    weight: Array,
+    bending_j: Array | float,
+    left: Array,
+    right: Array,
+    rest: Array | float = 0.0,
+    *,
+    definite: bool,
 ) -> Array:
     """``left``^T Hessian ``right`` per hinge (H,) for directions (4, 3, H)."""
     xp = namespace(position)
     if definite:
         hinge = _hinge(position)
         turns = xp.sum(hinge.gradient * left, axis=(0, 1)) * xp.sum(hinge.gradient * right, axis=(0, 1))
-        return bending_j * weight * xp.cos(0.5 * hinge.angle) * turns
-    hessian = bending_hessian(position, weight, bending_j, definite=False)
+        return bending_j * weight * _turn_stiffness(hinge, rest, definite) * turns
+    hessian = bending_hessian(position, weight, bending_j, rest, definite=False)
     left, right = xp.reshape(left, (12, 1, -1)), xp.reshape(right, (1, 12, -1))
     return xp.sum(left * hessian * right, axis=(0, 1))
+
+
+def _turn_stiffness(hinge: _Hinge, rest: Array | float, definite: bool) -> Array:
+    """Second derivative (H,) of 4 (1 - cos(t / 2)) by t, the turn from rest; never negative if ``definite``."""
+    xp = namespace(hinge.angle)
+    curvature = xp.cos(0.5 * (hinge.angle - rest))
+    # Beyond half a turn from rest, which only a hinge with an angle at rest can reach, the energy is concave.
+    return xp.where(curvature > 0.0, curvature, 0.0 * curvature) if definite else curvature
 
 
 def _angle_hessian(hinge: _Hinge) -> Array:

@@ -14,14 +14,14 @@ from recovery.sim.model import ClothModel, Parameters, Rest
 def energy(model: ClothModel, rest: Rest, parameters: Parameters, x: Tensor) -> Tensor:
     """Elastic energy [J] () at nodes ``x`` (V, 3)."""
     membrane = orthotropic.membrane_energy(model.triangles(x), rest.shape, parameters.stretch)
-    bending = orthotropic.bending_energy(model.hinges(x), rest.hinge_weight, parameters.bending_j)
+    bending = orthotropic.bending_energy(model.hinges(x), rest.hinge_weight, parameters.bending_j, model.rest_angle)
     return membrane.sum() + bending.sum()
 
 
 def forces(model: ClothModel, rest: Rest, parameters: Parameters, x: Tensor) -> Tensor:
     """Elastic forces [N] (V, 3): minus the derivative of ``energy``, assembled by the static map; no gradient."""
     membrane = orthotropic.membrane_gradient(model.triangles(x), rest.shape, parameters.stretch)
-    bending = orthotropic.bending_gradient(model.hinges(x), rest.hinge_weight, parameters.bending_j)
+    bending = orthotropic.bending_gradient(model.hinges(x), rest.hinge_weight, parameters.bending_j, model.rest_angle)
     return -torch.from_numpy(model.assembly.gradient([membrane.detach().numpy(), bending.detach().numpy()]))
 
 
@@ -41,7 +41,9 @@ def hessian(
     semidefinite: the geometric stiffness keeps the tensile stress only, hinges the square of their turn.
     """
     membrane = orthotropic.membrane_hessian(model.triangles(x), rest.shape, parameters.stretch, definite=definite)
-    bending = orthotropic.bending_hessian(model.hinges(x), rest.hinge_weight, parameters.bending_j, definite=definite)
+    bending = orthotropic.bending_hessian(
+        model.hinges(x), rest.hinge_weight, parameters.bending_j, model.rest_angle, definite=definite
+    )
     blocks = np.zeros((model.node_count, 3, 3)) if blocks is None else blocks
     return model.assembly.matrix([membrane.detach().numpy(), bending.detach().numpy()], blocks=blocks, scale=scale)
 
@@ -50,7 +52,7 @@ def work(model: ClothModel, rest: Rest, parameters: Parameters, x: Tensor, direc
     """Derivative of ``energy`` along ``direction`` (V, 3); differentiable once more."""
     membrane = orthotropic.membrane_work(model.triangles(x), rest.shape, parameters.stretch, model.triangles(direction))
     bending = orthotropic.bending_work(
-        model.hinges(x), rest.hinge_weight, parameters.bending_j, model.hinges(direction)
+        model.hinges(x), rest.hinge_weight, parameters.bending_j, model.hinges(direction), model.rest_angle
     )
     return membrane.sum() + bending.sum()
 
@@ -73,6 +75,7 @@ def bilinear(
         parameters.bending_j,
         model.hinges(left),
         model.hinges(right),
+        model.rest_angle,
         definite=definite,
     )
     return membrane.sum() + bending.sum()

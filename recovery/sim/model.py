@@ -52,7 +52,8 @@ class ClothModel:
 
     ``faces`` (F, 3) are nodes of the sewn mesh, ``panel_faces`` (F, 3) the same triangles as vertices of
     the panels; a node on a seam has several. ``fixed`` lists nodes that do not move. Without
-    ``panel_faces`` the cloth is one panel.
+    ``panel_faces`` the cloth is one panel. ``rest_shape`` [m] (V, 3) gives every hinge the angle that it has there,
+    as in a garment modelled in three dimensions; without it the cloth is flat at rest.
     """
 
     def __init__(
@@ -62,6 +63,7 @@ class ClothModel:
         panel_faces: np.ndarray | None = None,
         fixed: np.ndarray | None = None,
         gravity_m_s2: float = 9.81,
+        rest_shape: np.ndarray | None = None,
     ) -> None:
         self.faces = meshes.check_faces(faces, int(np.max(faces, initial=-1)) + 1)
         panel_faces = self.faces if panel_faces is None else panel_faces
@@ -109,6 +111,13 @@ class ClothModel:
             self.fixed[fixed] = True
         self.gravity = torch.tensor([0.0, -gravity_m_s2, 0.0], dtype=torch.float64)
         self.hinge_nodes = hinges = meshes.hinges(self.faces)
+        self.rest_angle: Tensor | float = 0.0
+        if rest_shape is not None:
+            shape = np.asarray(rest_shape, dtype=np.float64)
+            check_shape("rest_shape", shape, (self.node_count, 3), error=MeshError)
+            check_finite("rest_shape", shape, error=MeshError)
+            corners = orthotropic.corners(shape.T, np.ascontiguousarray(hinges.T).reshape(-1), 4)
+            self.rest_angle = torch.from_numpy(orthotropic.hinge_angle(corners))
         sides = meshes.hinge_faces(self.faces)
         self.assembly = StaticAssembly([self.faces.T, hinges.T], self.node_count, fixed=self.fixed)
         self.free = torch.from_numpy(~self.fixed).to(torch.float64)[:, None]

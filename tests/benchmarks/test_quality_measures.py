@@ -34,6 +34,8 @@ def test_every_method_has_a_row_with_the_figures_that_apply_to_it(measured):
         "seconds": {"physics"},
     }.items():
         assert {method for method in METHODS if key in rows[method]} == methods
+    # Only the option --reference runs the second simulator.
+    assert not [key for row in rows.values() for key in row if key.startswith("reference")]
 
 
 def test_figures_are_those_of_the_drapes(measured):

@@ -59,6 +59,30 @@ def test_the_long_table_has_a_line_per_row_and_says_where_it_comes_from():
     assert "a machine, commit abc: `python -m benchmarks.quality`" in table
 
 
+def test_distances_to_the_reference_stand_where_they_were_measured():
+    assert "reference" not in report.quality_table(RECORD)
+    found = {"reference_mm": 15.25, "reference_p95_mm": 31.7, "reference_surface_mm": 9.12}
+    ends = {"reference_start_mm": 12.6, "reference_at_rest_pct": 50.0, "reference_residual_n": 0.25}
+    floor = {"reference_floor_mm": 11.8, "reference_floor_p95_mm": 21.2, "reference_floor_surface_mm": 4.1}
+    extra = {"network_push": ends | floor, "physics": ends | {"weight_n": 1.5}}
+    rows = [row | found | extra.get(row["method"], {}) for row in RECORD["rows"]]
+    record = RECORD | {"rows": rows}
+    heads, rule, first, *_ = report.quality_table(record).split("\n")
+    assert heads.count("|") == rule.count("|") == first.count("|")
+    assert first.endswith("| 15.2 | 31.7 | 9.1 |")
+    _, _, *lines, _, source = report.reference_table(record).split("\n")
+    assert lines[0] == "| sash | skinning_push | 15.2 | 31.7 | 9.1 |"
+    assert lines[2] == "| sash | simulated from network_push: the floor | 11.8 | 21.2 | 4.1 |"
+    assert len(lines) == 4
+    assert source.startswith("Measured on a machine")
+    heads, rule, *lines = report.reference_end_table(record).split("\n")
+    assert heads.count("|") == rule.count("|") == lines[0].count("|")
+    assert lines == [
+        "| sash | network_push | 12.6 | - | - | 50 | - | - | 0.25 | 1.50 |",
+        "| sash | physics | 12.6 | - | - | 50 | - | - | 0.25 | 1.50 |",
+    ]
+
+
 def test_every_form_and_every_loss_has_a_name_in_the_documents():
     assert set(REPRESENTATIONS) < set(representation_report.FORM_NAMES)
     assert representation.AGREEING in representation_report.AGREEMENT_NAMES

@@ -65,6 +65,38 @@ def test_the_definite_system_is_definite_for_crumpled_cloth():
         assert exact[0] < -1.0
 
 
+def test_a_garment_modelled_in_space_is_at_rest_in_its_own_shape_and_its_forces_are_derivatives():
+    _, panels, nodes = sewn_tube()
+    shaped = nodes + np.random.default_rng(2).normal(size=nodes.shape) * 0.004
+    model, _, _ = sewn_tube(rest_shape=shaped)
+    parameters = model.parameters(panels, WOVEN)._replace(stretch=torch.zeros(4, dtype=torch.float64))
+    rest = model.rest(parameters.panels)
+    flat, _, _ = sewn_tube()
+    assert float(elastic.forces(flat, rest, parameters, torch.from_numpy(shaped)).abs().max()) > 1e-4
+    assert_allclose(elastic.forces(model, rest, parameters, torch.from_numpy(shaped)), 0.0, rtol=0, atol=1e-14)
+    x = crumpled(model, nodes).x
+    leaf = x.clone().requires_grad_(True)
+    (slope,) = torch.autograd.grad(elastic.energy(model, rest, parameters, leaf), leaf)
+    scale = float(slope.abs().max())
+    assert_allclose(elastic.forces(model, rest, parameters, x), -slope, rtol=0, atol=1e-11 * scale)
+    direction = torch.from_numpy(np.random.default_rng(4).normal(size=nodes.shape))
+    step = 1e-7
+    change = elastic.forces(model, rest, parameters, x + step * direction) - elastic.forces(
+        model, rest, parameters, x - step * direction
+    )
+    product = elastic.hessian(model, rest, parameters, x, definite=False) @ direction.numpy().reshape(-1)
+    assert_allclose(-change.numpy().reshape(-1) / (2 * step), product, rtol=0, atol=1e-6 * np.abs(product).max())
+    assert_allclose(elastic.work(model, rest, parameters, x, direction), float((slope * direction).sum()), rtol=1e-9)
+    parameters = model.parameters(panels, WOVEN)
+    for definite in (False, True):
+        matrix = elastic.hessian(model, rest, parameters, x, definite=definite)
+        pair = elastic.bilinear(model, rest, parameters, x, direction, direction, definite=definite)
+        flattened = direction.numpy().reshape(-1)
+        assert_allclose(pair, flattened @ (matrix @ flattened), rtol=1e-9)
+    values = np.linalg.eigvalsh(matrix.toarray())
+    assert values[0] > -1e-12 * values[-1]
+
+
 def test_rest_has_no_force_and_any_shape_no_net_force_or_torque():
     panel, faces = strip(5, 4, length_m=0.2, width_m=0.1)
     flat = ClothModel(faces)
@@ -182,6 +214,9 @@ def test_meshes_that_are_no_garment_are_refused():
             ClothModel(wrong, panel_faces=panel_faces)
     with pytest.raises(InputError, match="fixed"):
         ClothModel(faces, fixed=np.array([99]))
+    for shape, said in ((np.zeros((2, 3)), "rest_shape"), (np.full((len(panel), 3), np.nan), "rest_shape")):
+        with pytest.raises(MeshError, match=said):
+            ClothModel(faces, rest_shape=shape)
     model = ClothModel(faces, fixed=np.array([0]))
     with pytest.raises(MeshError, match="collapsed"):
         model.parameters(panel * [1.0, 0.0], WOVEN)
