@@ -14,6 +14,8 @@ Times are those of the processor, so that other work on the machine does not cou
 panels, *drapes* those from the shape of a pattern nearby. *surface* is how far the found pattern's drape is from the
 target; flattened patterns are draped from scratch for it, the others on the mesh they were searched on.
 
+Interrupted, the record holds what was finished.
+
     python -m benchmarks.recovery_rivals [--quick] [--seeds 2] [--garments skirt tshirt] [--picture FILE.png] [--save]
 """
 
@@ -21,6 +23,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +40,7 @@ from drape.body.model import BodyModel
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.fit.compare import pattern_error
 from recovery.fit.objective import Objective, Target, polyline_chamfer
-from recovery.fit.optimise import FitOptions
+from recovery.fit.optimise import FitOptions, PatternSearch
 from recovery.fit.pipeline import GRADINGS, ROUNDS, Recovered, recover_pattern
 from recovery.pattern import geometry
 from recovery.pattern.coordinates import control_points, with_controls
@@ -48,6 +51,7 @@ from recovery.pattern.symmetry import find_symmetries, procrustes, symmetrised
 TIMES = (1.0, 4.0)  # ours, that the search without gradients gets
 SIGMA_MM = 1.0  # its first step in every free number; grading leaves 0.3 to 4 mm
 MAGNIFIED = 10.0  # the picture's distances from the truth
+STYLES = ("C1--", "C3:", "C2-.", "C0-")
 SAMPLES = np.linspace(0.0, 1.0, 17)  # of an edge in the picture
 COLUMNS = {
     "garment": "s",
@@ -130,8 +134,8 @@ def border_of(mesh: PatternMesh, number: int) -> np.ndarray:
 
 def recover(
     target: Draped, truth: Pattern, base: Pattern, body: BodyModel, drape: DrapeOptions, fit: FitOptions
-) -> tuple[Recovered, list[dict[str, Any]], list[float]]:
-    """Ours; the rows *base*, *graded*, *recovered*; and the seconds that grading and everything took."""
+) -> tuple[Recovered, list[dict[str, Any]], tuple[float, float]]:
+    """Ours; the rows *base*, *graded*, *recovered*; and the seconds of grading and of everything."""
     began, graded_s = time.process_time(), 0.0
 
     def note(line: str) -> None:
@@ -169,15 +173,14 @@ def recover(
             "first_controls_mm": 1e3 * float(pattern_error(found.rounds[0].fitted.pattern, truth).controls_m.mean()),
         },
     ]
-    return found, rows, [graded_s, total_s]
+    return found, rows, (graded_s, total_s)
 
 
 def evolve_pattern(
-    found: Recovered, truth: Pattern, seed: int, seconds: list[float]
+    search: PatternSearch, nodes: np.ndarray, truth: Pattern, seed: int, budgets: list[float], **clock: Any
 ) -> tuple[Pattern, list[dict[str, Any]]]:
-    """CMA-ES from the graded pattern of ``found`` on its first round's loss; the last pattern and a row a budget."""
-    search = found.rounds[0].search
-    near, least = found.rounds[0].start.nodes, np.inf
+    """CMA-ES on the loss of ``search`` from the drape ``nodes`` (N, 3); the last pattern, a row for each budget [s]."""
+    near, least = nodes, np.inf
 
     def loss(values_mm: np.ndarray) -> float | None:
         """The loss [mm^2]; every drape is sought from that of the best pattern so far."""
@@ -189,20 +192,17 @@ def evolve_pattern(
             least, near = judged
         return 1e6 * judged[0]
 
-    graded_s, total_s = seconds
-    budgets = [times * total_s - graded_s for times in TIMES]
-    rows, pattern = [], found.graded.pattern
-    for times, best in zip(TIMES, evolve(loss, np.zeros(search.count), SIGMA_MM, budgets, seed=seed), strict=True):
+    rows, pattern = [], search.mesh.pattern
+    for best in evolve(loss, np.zeros(search.count), SIGMA_MM, budgets, seed=seed, **clock):
         values = 1e-3 * best.values
         pattern = with_controls(search.mesh.pattern, search.mesh.controls, search.free.positions(values))
         end = search.evaluate(values, near)
         rows.append(
             {
-                "method": "cma" if times == 1.0 else f"cma, {times:g} times",
                 **errors(pattern, truth),
                 "surface_mm": None if end is None else 1e3 * float(np.sqrt(0.5 * end.terms[1])),
-                "minutes": (graded_s + best.spent) / 60.0,
-                "restarts": 1 + GRADINGS,
+                "loss_mm2": best.loss,
+                "minutes": best.spent / 60.0,
                 "drapes": best.evaluations,
                 "failed": best.failed,
                 "stopped": list(best.stopped),
@@ -212,29 +212,24 @@ def evolve_pattern(
 
 
 def run(
-    garments: list[str], seeds: int, drape: DrapeOptions, fit: FitOptions, picture: Path | None = None
-) -> list[dict[str, Any]]:
-    """All rows: for each garment both flattenings, for each of its bases the searches."""
+    garments: list[str], seeds: int, drape: DrapeOptions, fit: FitOptions
+) -> Iterator[tuple[str, Pattern, list[dict[str, Any]], dict[str, Pattern]]]:
+    """Garment, truth, new rows and new patterns by name: of both flattenings first, then of every base."""
     body = load_body()
-    rows: list[dict[str, Any]] = []
-    shown: dict[str, tuple[Pattern, dict[str, Pattern]]] = {}
     for garment in garments:
         truth, target = target_of(garment, drape)
-        patterns: dict[str, Pattern] = {}
-        for method in Method:
-            patterns[method.upper()], row = flatten_target(target, truth, off(truth, 0), method, body, drape)
-            rows.append({"garment": garment, **row})
+        pieces = [(method, *flatten_target(target, truth, off(truth, 0), method, body, drape)) for method in Method]
+        rows = [{"garment": garment, **row} for _, _, row in pieces]
+        yield garment, truth, rows, {method.upper(): pattern for method, pattern, _ in pieces}
         for seed in range(seeds):
-            found, own, seconds = recover(target, truth, off(truth, seed), body, drape, fit)
-            pattern, evolved = evolve_pattern(found, truth, seed, seconds)
-            rows += [{"garment": garment, "seed": seed, **row} for row in [*own, *evolved]]
-            for row in rows[-len(own) - len(evolved) :]:
-                print(f"{garment} {seed} {row['method']}: control points {row['controls_mm']:.2f} mm", flush=True)
-            last = {"CMA-ES, 4 times our time": pattern, "recovered": found.fitted.pattern}
-        shown[garment] = truth, {**patterns, **last} if seeds else patterns
-    if picture is not None:
-        draw(picture, shown)
-    return rows
+            found, own, (graded_s, total_s) = recover(target, truth, off(truth, seed), body, drape, fit)
+            first, budgets = found.rounds[0], [times * total_s - graded_s for times in TIMES]
+            pattern, evolved = evolve_pattern(first.search, first.start.nodes, truth, seed, budgets)
+            for times, row in zip(TIMES, evolved, strict=True):
+                row |= {"method": "cma" if times == 1.0 else f"cma, {times:g} times", "restarts": 1 + GRADINGS}
+                row["minutes"] += graded_s / 60.0
+            rows = [{"garment": garment, "seed": seed, **row} for row in [*own, *evolved]]
+            yield garment, truth, rows, {"CMA-ES": pattern, "recovered": found.fitted.pattern}
 
 
 def draw(path: Path, shown: dict[str, tuple[Pattern, dict[str, Pattern]]]) -> None:
@@ -255,7 +250,7 @@ def draw(path: Path, shown: dict[str, tuple[Pattern, dict[str, Pattern]]]) -> No
         true = truth.panels[number]
         axis.fill(*outline(true).T, color="0.9")
         axis.plot(*outline(true).T, color="black", linewidth=2.5, label="truth")
-        for (name, pattern), style in zip(patterns.items(), ("C1--", "C3:", "C2-.", "C0-"), strict=True):
+        for (name, pattern), style in zip(patterns.items(), STYLES, strict=False):
             own = pattern.panels[number]
             turn, _ = procrustes(own.vertices, true.vertices, reflect=False)
             laid = (outline(own) - own.vertices.mean(axis=0)) @ turn + true.vertices.mean(axis=0)
@@ -293,9 +288,22 @@ def main() -> int:
     garments, seeds = (options.garments[:1], 1) if options.quick else (options.garments, options.seeds)
     drape = DrapeOptions(edge_length_m=edge, grid_m=options.grid)
     fit = FitOptions(iterations=0, closing=options.closing)
-    rows = run(garments, seeds, drape, fit, options.picture)
+    rows: list[dict[str, Any]] = []
+    shown: dict[str, tuple[Pattern, dict[str, Pattern]]] = {}
+    complete = False
+    try:
+        for garment, truth, new, patterns in run(garments, seeds, drape, fit):
+            rows += new
+            shown[garment] = truth, {**shown.get(garment, (truth, {}))[1], **patterns}
+            common.print_table(new, COLUMNS)
+            print(flush=True)
+        complete = True
+    except KeyboardInterrupt:
+        print("interrupted: the record holds what was finished")
+    if options.picture is not None:
+        draw(options.picture, shown)
     common.print_table(rows, COLUMNS)
-    common.finish("recovery_rivals", rows, options)
+    common.finish("recovery_rivals", rows, options, complete=complete)
     return 0
 
 
