@@ -75,5 +75,5 @@ def evolve(
         known = [value for value in losses if value is not None]
         worst = FAILED * (max(known) if known else best.loss)
         search.tell(candidates, [worst if value is None else value for value in losses])
-    best = best._replace(stopped=tuple(search.stop()))
+    best = best._replace(stopped=tuple(search.stop() or ()))
     return found + [best] * (len(budgets) - len(found))

@@ -52,7 +52,7 @@ def lay_out(vertices: np.ndarray, faces: np.ndarray, method: Method) -> np.ndarr
     first = vertices[loop[0]]
     ends = np.array([loop[0], loop[np.linalg.norm(vertices[loop] - first, axis=1).argmax()]], dtype=np.int64)
     away = float(np.linalg.norm(vertices[ends[1]] - first))
-    flat, _ = igl.lscm(vertices, faces, ends, np.array([(0.0, 0.0), (away, 0.0)]))
+    flat = np.asarray(igl.lscm(vertices, faces, ends, np.array([(0.0, 0.0), (away, 0.0)]))[0])
     flat = flat * np.sqrt(meshes.face_areas(vertices, faces).sum() / signed_areas(flat, faces).sum())
     return flat if method is Method.LSCM else _arap(vertices, faces, flat, away)
 
@@ -65,7 +65,7 @@ def _arap(vertices: np.ndarray, faces: np.ndarray, start: np.ndarray, size: floa
     flat = np.ascontiguousarray(start)
     for _ in range(ROUNDS):
         before = flat
-        flat = igl.arap_solve(np.ascontiguousarray(start[:1]), data, flat)
+        flat = np.asarray(igl.arap_solve(np.ascontiguousarray(start[:1]), data, flat))
         if np.abs(flat - before).max() <= SETTLED * size:
             break
     return flat

@@ -24,6 +24,7 @@ from tests.recovery.pattern_setup import default_measurements, rectangle, tube
 from tests.recovery.test_fit_optimise import search
 
 COLUMNS, ROWS = 13, 9
+START_LOSS = 111.0  # of the bowl
 
 
 def grid(width: float, height: float) -> tuple[np.ndarray, np.ndarray]:
@@ -120,18 +121,18 @@ def evolved(seed: int, budgets: list[float]):
 
 
 def test_evolution_finds_the_bottom_of_a_bowl_and_the_same_one_again():
-    np.random.seed(7)  # noqa: NPY002 - the package would draw from and seed this one
+    np.random.seed(7)  # noqa: NPY002 - the package would draw from this one, and seed it
+    drawn = np.random.random(3)  # noqa: NPY002
+    np.random.seed(7)  # noqa: NPY002
     early, late = evolved(3, [100, 700])
+    assert np.array_equal(np.random.random(3), drawn)  # noqa: NPY002
     assert (early.evaluations, early.spent, late.evaluations) == (100, 100.0, 700)
-    assert late.loss < 1e-6 * bowl(np.zeros(3)) and late.loss < early.loss < bowl(np.zeros(3))
+    assert late.loss < 1e-6 * START_LOSS and late.loss < early.loss < START_LOSS
     assert_allclose(late.values, 1.0, atol=1e-2)
     assert late.failed > 0 and late.loss == bowl(late.values)
     again = evolved(3, [100, 700])[1]
     assert np.array_equal(again.values, late.values) and again.loss == late.loss
     assert not np.array_equal(evolved(4, [100])[0].values, early.values)
-    state = np.random.get_state()[1]  # noqa: NPY002
-    np.random.seed(7)  # noqa: NPY002
-    assert np.array_equal(state, np.random.get_state()[1])  # noqa: NPY002
 
 
 def test_a_search_that_ends_by_itself_says_why_for_every_budget_left():
@@ -162,11 +163,11 @@ def test_evolution_of_a_drape_comes_nearer_with_every_budget():
     full = finder.evaluate(np.zeros(finder.count), nodes)
     assert full is not None and full.terms[0] == started[0] and finder.forward.drapes == before + 1
     taken = iter(range(1, 10**6))
-    pattern, rows = evolve_pattern(finder, nodes, truth, 0, [30.0, 120.0], clock=lambda: float(next(taken)))
+    pattern, rows = evolve_pattern(finder, nodes, truth, 0, [20.0, 70.0], clock=lambda: float(next(taken)))
     first, second = rows
-    assert (first["drapes"], second["drapes"]) == (29, 119)  # the clock was read once before the first
+    assert (first["drapes"], second["drapes"]) == (20, 70)
     assert second["loss_mm2"] < first["loss_mm2"] < 1e6 * started[0]
-    assert second["surface_mm"] < 0.5 * 1e3 * np.sqrt(0.5 * float(full.terms[1]))
+    assert second["surface_mm"] < 0.7 * 1e3 * np.sqrt(0.5 * float(full.terms[1]))
     assert second["controls_mm"] == errors(pattern, truth)["controls_mm"]
 
 
@@ -176,11 +177,12 @@ def test_borders_are_compared_where_their_corners_are_laid():
     assert max(own["controls_mm"], own["areas_pct"], own["border_mm"], own["turning_deg"]) < 1e-5
     panel = rectangle()
     turn = np.array([(0.6, 0.8), (-0.8, 0.6)])
-    for scale, expected in ((1.0, 0.0), (1.1, 1.0)):
+    for scale in (1.0, 1.1):
         line = scale * geometry.outline(panel) @ turn + 5.0
         found = border_mm(line, scale * panel.vertices @ turn + 5.0, geometry.outline(panel), panel.vertices)
-        # A side that is off by d = 20 or 30 mm: about the mean square of both, less what corners save.
-        assert found == pytest.approx(expected * np.sqrt((0.6 * 20.0**2 + 0.4 * 30.0**2) / 1.0), rel=0.05, abs=1e-6)
+        # Ten percent more: 60 % of the outline is off by 20 mm, 40 % by 30 mm, corners somewhat less.
+        expected = 0.0 if scale == 1.0 else np.sqrt(0.6 * 20.0**2 + 0.4 * 30.0**2)
+        assert found == pytest.approx(expected, rel=0.05, abs=1e-6)
     mesh = mesh_pattern(truth, 0.05)
     for number, each in enumerate(truth.panels):
         corners = np.array([each.vertices[edge.start] for edge in each.edges])
