@@ -3,7 +3,8 @@
 The target is draped by our own simulator from a known pattern, so that every control point has an error. A base is that
 pattern with its panels 5 to 10 % off in width and height: the truth is within its reach, and whether the search gets
 there is measured. The target's triangles are those of the same mesher at the same length, unless another is asked for;
-its fabric may be another than the base's.
+its fabric may be another than the base's. Flattening and a search without gradients on the same task:
+``benchmarks.recovery_rivals``.
 
     python -m benchmarks.recovery [--quick] [--seeds 5] [--edge-length 0.05] [--picture FILE.png] [--save]
     python -m benchmarks.recovery --target-edge-length 0.02 --meshes 0.05 0.03 0.022

@@ -1,4 +1,4 @@
-"""Table of a record of ``benchmarks.recovery_targets`` beside table 2 of Yu, Cordier and Seo (2024)."""
+"""Tables of ``recovery_targets``, beside table 2 of Yu, Cordier and Seo (2024), and of ``recovery_rivals``."""
 
 from __future__ import annotations
 
@@ -52,4 +52,38 @@ def table(record: dict[str, Any]) -> str:
             ours = format(row[name], form)
             pairs.append(f"{f'**{ours}**' if row[name] <= theirs else ours} / {theirs:g}")
         lines.append([f"{row['garment']}, {row['seed']}", *pairs, f"{ahead(row)} of 4", *cells(row, MORE)])
+    return f"{markdown_table(heads, lines)}\n\n{provenance(record)}"
+
+
+RIVALS = {
+    "controls_mm": ("control points [mm]", ".2f"),
+    "controls_max_mm": ("largest", ".2f"),
+    "areas_pct": ("areas [%]", ".2f"),
+    "border_mm": ("outlines [mm]", ".2f"),
+    "turning_deg": ("turning [deg]", ".2f"),
+    "surface_mm": ("surfaces apart [mm]", ".2f"),
+    "minutes": ("minutes", ".2f"),
+    "restarts": ("drapes from flat panels", "d"),
+    "drapes": ("drapes from a shape nearby", "d"),
+}
+RIVAL_NAMES = {
+    "lscm": "flattened by LSCM",
+    "arap": "flattened by ARAP",
+    "base": "base",
+    "graded": "graded twice",
+    "recovered": "**recovered**",
+    "cma": "CMA-ES, our time",
+    "cma, 4 times": "CMA-ES, four times our time",
+}
+
+
+def rivals_table(record: dict[str, Any]) -> str:
+    """A line for every garment and method, the values of the bases one after the other."""
+    lines = []
+    for garment, method in dict.fromkeys((row["garment"], row["method"]) for row in record["rows"]):
+        rows = [row for row in record["rows"] if (row["garment"], row["method"]) == (garment, method)]
+        found = [cells(row, {name: form for name, (_, form) in RIVALS.items()}) for row in rows]
+        values = [" / ".join(cell) if set(cell) != {"-"} else "-" for cell in zip(*found, strict=True)]
+        lines.append([garment, RIVAL_NAMES[method], *values])
+    heads = ["target", "", *(head for head, _ in RIVALS.values())]
     return f"{markdown_table(heads, lines)}\n\n{provenance(record)}"

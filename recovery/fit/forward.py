@@ -24,6 +24,7 @@ class RestDrape:
     """The garment of ``mesh`` at rest on ``body``; ``held`` nodes stay where they are.
 
     Without friction, so the shape depends on the panels and not on the way there, as long as it stays in one basin.
+    ``drapes`` counts how often it was asked for one.
     """
 
     def __init__(
@@ -41,6 +42,7 @@ class RestDrape:
         self.cloth = cloth
         self.parameters = self.model.parameters(mesh.rest, cloth)
         self.tolerance_n, self.iteration_limit = tolerance_n, iteration_limit
+        self.drapes = 0
 
     def __call__(self, rest: Tensor, near: np.ndarray, cloth: ClothTensors | None = None) -> tuple[Tensor, Report]:
         """Nodes [m] (N, 3) for panel vertices ``rest`` [m] (P, 2), sought from ``near`` (N, 3), and how that ended.
@@ -48,6 +50,7 @@ class RestDrape:
         ``cloth`` stands in for the material's constants. Differentiable by it and by ``rest`` if the report says that
         it converged.
         """
+        self.drapes += 1
         x = torch.from_numpy(np.ascontiguousarray(near))
         state, report = equilibrium(
             self.model,

@@ -26,7 +26,7 @@ from drape.errors import ArtifactError, InputError
 from recovery.fit.cloth import ClothTensors, FreeCloth
 from recovery.fit.curvature import gauss_newton_matrix
 from recovery.fit.forward import RestDrape
-from recovery.fit.objective import Objective
+from recovery.fit.objective import Objective, Terms
 from recovery.pattern.coordinates import with_controls
 from recovery.pattern.mesh import PatternMesh
 from recovery.pattern.model import Pattern
@@ -145,6 +145,21 @@ class PatternSearch:
         None where a panel is folded over or the drape does not come to rest.
         """
         z = torch.tensor(values, dtype=torch.float64, requires_grad=True)
+        if (judged := self._judged(z, near)) is None:
+            return None
+        x, loss, terms = judged
+        (gradient,) = torch.autograd.grad(loss, z)
+        found = torch.stack([loss, *terms[1:]]).detach().numpy()
+        return Evaluation(values, x.detach().numpy(), found, gradient.numpy())
+
+    def loss(self, values: np.ndarray, near: np.ndarray) -> tuple[float, np.ndarray] | None:
+        """The loss [m^2] at ``values`` (Z,) and the drape's nodes [m] (N, 3): ``evaluate`` without the gradient."""
+        with torch.no_grad():
+            judged = self._judged(torch.tensor(values, dtype=torch.float64), near)
+        return None if judged is None else (float(judged[1]), judged[0].numpy())
+
+    def _judged(self, z: torch.Tensor, near: np.ndarray) -> tuple[torch.Tensor, torch.Tensor, Terms] | None:
+        """Nodes [m] (N, 3), the loss [m^2] and its parts; None as for ``evaluate``."""
         rest, cloth = self._parts(z)
         if len(self.mesh.folded(rest.detach().numpy())):
             return None
@@ -152,10 +167,7 @@ class PatternSearch:
         if not report.converged:
             return None
         terms = self.objective(x, rest)
-        loss = terms.total * self._doubt(z)
-        (gradient,) = torch.autograd.grad(loss, z)
-        found = torch.stack([loss, *terms[1:]]).detach().numpy()
-        return Evaluation(values, x.detach().numpy(), found, gradient.numpy())
+        return x, terms.total * self._doubt(z), terms
 
     def _doubt(self, values: torch.Tensor) -> torch.Tensor:
         """What the loss is multiplied by at ``values`` (Z,): 1 at what is held likely."""
