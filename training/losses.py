@@ -68,6 +68,12 @@ def disagreement(posed: Posed, partition: Partition, sample: Tensor, *, less: Po
     return (weight[..., None] * (said - mean).square()).sum() / coefficients.shape[0] / len(sample)
 
 
+def second_difference(vertices: Tensor) -> Tensor:
+    """Mean squared second difference [m^2] of ``vertices`` (3 n, V, 3), frames by threes."""
+    before, at, after = vertices.unflatten(0, (-1, 3)).unbind(dim=1)
+    return (before - 2.0 * at + after).square().sum(dim=-1).mean()
+
+
 def held_up(posed: Posed, partition: Partition, garment: TrainingGarment) -> Tensor:
     """Energy [J] (F,) of the garment's waistband (``drape.cloth.waistband``), zero without one."""
     if garment.band is None:

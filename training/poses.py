@@ -90,6 +90,16 @@ class PoseBank:
         return poses
 
 
+def rows_of_three(poses: np.ndarray, step_rad: float, rng: np.random.Generator) -> np.ndarray:
+    """Poses (3 n, 24, 3): one step before each of ``poses`` (n, 24, 3), itself, and one step on, in a random direction.
+
+    A step is normal in every component of every joint but the root, with the standard deviation ``step_rad`` [rad].
+    """
+    step = step_rad * rng.normal(size=poses.shape)
+    step[:, 0] = 0.0  # turning as a whole is not what a drape jumps at
+    return np.stack([poses - step, poses, poses + step], axis=1).reshape(-1, *poses.shape[1:])
+
+
 def pose_kinds(poses: np.ndarray) -> list[np.ndarray]:
     """Poses (n, 24, 3) sorted into up to 128 kinds by the rotations of the body's joints (k-means, a fixed seed)."""
     features = rotvec_to_matrix(poses[:, BODY_JOINTS])[..., :2].reshape(len(poses), -1).astype(np.float32)

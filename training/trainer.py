@@ -18,7 +18,7 @@ from training import losses, parallel
 from training.config import TrainConfig
 from training.data import BodyBatch, BodySource, Partition, TrainingGarment
 from training.model import OneFit, Posed
-from training.poses import PoseBank, draw_betas
+from training.poses import PoseBank, draw_betas, rows_of_three
 from training.wardrobe import Wardrobe
 
 SAMPLE_VERTICES = 384  # per step, for the disagreement of charts
@@ -229,18 +229,27 @@ class Trainer(BaseTrainer):
             return None
         return int(rng.integers(self.config.model.corrections + 1))
 
-    def _draw(self) -> tuple[TrainingGarment, Partition, BodyBatch]:
-        """A garment, one of its partitions and a batch of posed bodies."""
+    def _smooth(self) -> bool:
+        """Whether this step's poses come three in a row; the same in all processes."""
+        rng = np.random.default_rng((self.config.seed, self.step_count, 1))
+        return bool(rng.random() < self.config.smooth_share)
+
+    def _draw(self, *, in_a_row: bool = False) -> tuple[TrainingGarment, Partition, BodyBatch]:
+        """A garment, one of its partitions and a batch of posed bodies, ``in_a_row`` by threes."""
         config = self.config
         garment, partition = self.wardrobe.draw(self.rng)
-        poses = self.bank.draw(config.batch_size, self.rng)
-        betas = draw_betas(config.batch_size, self.body.shape_count, config.data, self.rng)
+        count = max(1, config.batch_size // 3) if in_a_row else config.batch_size
+        poses = self.bank.draw(count, self.rng)
+        betas = draw_betas(count, self.body.shape_count, config.data, self.rng)
+        if in_a_row:
+            poses, betas = rows_of_three(poses, config.smooth_step_rad, self.rng), np.repeat(betas, 3, axis=0)
         return garment, partition, self.source.pose(poses, betas)
 
     def objective(self) -> Objective:
         """The loss of a batch that is drawn now."""
         config = self.config
-        garment, partition, batch = self._draw()
+        smooth = self._smooth()
+        garment, partition, batch = self._draw(in_a_row=smooth)
         posed, vertices = self._drape(batch, garment, partition, passes=self._passes())
         parts = self._energy(vertices, garment, self._planes(vertices, batch))
         parts["waistband"] = losses.held_up(posed, partition, garment) / float(garment.rest.areas.sum())
@@ -250,7 +259,12 @@ class Trainer(BaseTrainer):
         # Charts that must agree from the start learn slower.
         share = config.early_agreement + (1.0 - config.early_agreement) * self.progress()
         agree = config.disagreement_weight * share * charts
-        return Objective(energy + agree, {name: value.mean() for name, value in parts.items()}, charts)
+        means = {name: value.mean() for name, value in parts.items()}
+        if not smooth:
+            return Objective(energy + agree, means, charts)
+        bend = losses.second_difference(vertices)
+        means["second_difference_mm"] = 1e3 * bend.sqrt()
+        return Objective(energy + agree + config.smooth_weight * bend, means, charts)
 
 
 def _plain(state: Mapping[str, Any]) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import torch
 from numpy.testing import assert_allclose
 
@@ -95,6 +96,16 @@ def test_charts_that_agree_have_no_disagreement_and_a_moved_patch_has():
     lift = 0.1 * float(partition.patches.scale[0])
     weight = torch.where(partition.chart_patch == 0, partition.chart_weight, torch.zeros(())).sum(dim=1)
     assert_allclose(got, float((weight * (1 - weight)).mean()) * lift**2, rtol=1e-3, atol=0)
+
+
+def test_the_second_difference_is_what_a_straight_way_lacks():
+    rng = np.random.default_rng(0)
+    at, step = torch.from_numpy(rng.normal(size=(2, 5, 3))), torch.from_numpy(rng.normal(size=(2, 5, 3)))
+    off = torch.tensor([0.0, 3e-3, 4e-3], dtype=torch.float64)
+    straight = torch.stack([at - step, at, at + step], dim=1).flatten(0, 1)
+    bent = torch.stack([at - step, at + off, at + step], dim=1).flatten(0, 1)
+    assert losses.second_difference(straight) < 1e-28
+    assert float(losses.second_difference(bent)) == pytest.approx((2 * 5e-3) ** 2)
 
 
 def test_a_garment_that_is_held_up_pays_for_where_its_band_went():

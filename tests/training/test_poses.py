@@ -14,7 +14,7 @@ from drape.geometry.rotations import rotvec_to_matrix
 from drape.motion.clip import MotionClip
 from tests.training.training_setup import body
 from training.config import DataConfig
-from training.poses import LEGS, MIRROR, PoseBank, draw_betas, mirrored, pose_bodies, read_clips
+from training.poses import LEGS, MIRROR, PoseBank, draw_betas, mirrored, pose_bodies, read_clips, rows_of_three
 from training.run import sample_motions
 
 PLAIN = DataConfig(mix_share=0.0, mirror_share=0.0)
@@ -31,6 +31,15 @@ def test_mirroring_reflects_the_posed_skeleton():
     _, other = forward_kinematics(rotvec_to_matrix(mirrored(poses)), np.broadcast_to(joints, (4, 24, 3)), PARENTS)
     assert_allclose(other[:, list(MIRROR)] * [-1.0, 1.0, 1.0], place, rtol=0, atol=1e-9)
     assert_allclose(mirrored(mirrored(poses)), poses, rtol=0, atol=0)
+
+
+def test_rows_of_three_lie_on_a_straight_way_and_keep_the_root():
+    poses = np.random.default_rng(0).normal(size=(400, 24, 3))
+    before, at, after = rows_of_three(poses, 0.01, np.random.default_rng(1)).reshape(-1, 3, 24, 3).swapaxes(0, 1)
+    assert_allclose(at, poses, atol=0)
+    assert_allclose(before + after, 2.0 * at, atol=1e-12)
+    assert_allclose(after[:, 0], at[:, 0], atol=0)
+    assert (after - at)[:, 1:].std() == pytest.approx(0.01, rel=0.02)
 
 
 def test_left_and_right_are_each_others_mirror():

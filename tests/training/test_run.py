@@ -41,6 +41,25 @@ def test_training_lowers_the_energy(trainer: Trainer):
     assert loss_on_the_same_poses(trainer) < 0.8 * first
 
 
+def test_smooth_steps_come_as_often_as_asked_and_pay_for_the_second_difference(trainer: Trainer, monkeypatch):
+    state, found = copy.deepcopy(trainer.state()), []
+    for share, weight in ((1.0, 0.0), (1.0, 1e7), (0.0, 0.0)):
+        monkeypatch.setattr(trainer, "config", replace(TINY_RUN, smooth_share=share, smooth_weight=weight))
+        trainer.restore(copy.deepcopy(state))
+        found.append(trainer.objective())
+    bend = float(found[0].parts["second_difference_mm"]) * 1e-3
+    assert bend > 0.0
+    assert float(found[1].loss - found[0].loss) == pytest.approx(1e7 * bend**2, rel=1e-3)
+    assert "second_difference_mm" not in found[2].parts
+
+    monkeypatch.setattr(trainer, "config", replace(TINY_RUN, smooth_share=0.25))
+    often = []
+    for trainer.step_count in range(400):
+        often.append(trainer._smooth())
+    assert np.mean(often) == pytest.approx(0.25, abs=0.07)
+    trainer.restore(state)
+
+
 def test_a_resumed_run_continues_bit_for_bit(trainer: Trainer, tmp_path):
     checkpoint.save(tmp_path / "checkpoint.pt", trainer.state(), TINY_RUN)
     straight = [trainer.step()["loss"] for _ in range(3)]
