@@ -23,20 +23,17 @@ from onnx import helper, numpy_helper
 from torch import nn
 
 from drape.body.assets import load_body
-from drape.body.skeleton import JOINT_COUNT
 from drape.catalog import find_garments, find_motions, open_garment
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment
 from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
-from model_export.packed_weights import surroundings_layer
 from training.data import BodySource
 from training.evaluate import posed_patches
 from training.model import OneFit
 
 ROUNDED = "packed_int8"  # its name in a model folder
 STEPS, WEIGHT_STEPS, MIDDLE = 127, 63, 128
-SURROUNDINGS = "surroundings"
 MARGIN = 1.25  # over the largest number seen
 POSES = 24
 
@@ -50,13 +47,13 @@ class Wide:
 
 
 def wide_layers(model: OneFit) -> dict[str, nn.Linear]:
-    """The layers that most of a frame's multiplications are in."""
-    trunk = [layer for layer in model.decoder.trunk if isinstance(layer, nn.Linear)]
+    """The first layer of every correction, which most of a frame's multiplications are in.
+
+    Not the decoder's: what a correction rounds the next one sees and mends, and the last ones change little, while the
+    decoder's rounding was felt as jitter (docs/log.md).
+    """
     firsts = [next(layer for layer in one.children() if isinstance(layer, nn.Linear)) for one in model.corrections]
-    around = model.decoder.from_surroundings
-    named = {SURROUNDINGS: around} if around is not None else {}
-    named |= {f"trunk_{i}": layer for i, layer in enumerate(trunk)}
-    return named | {f"correction_{i}": layer for i, layer in enumerate(firsts)}
+    return {f"correction_{i}": layer for i, layer in enumerate(firsts)}
 
 
 def calibrated(model: OneFit, garments: Sequence[Garment], source: BodySource, poses: np.ndarray) -> dict[str, Wide]:
@@ -65,19 +62,10 @@ def calibrated(model: OneFit, garments: Sequence[Garment], source: BodySource, p
     with _watched(layers) as seen:
         for garment in garments:
             posed_patches(model, garment, source, poses)
-    return {name: _wide(name, layer, MARGIN * seen[name]) for name, layer in layers.items()}
-
-
-def _wide(name: str, layer: nn.Linear, most: torch.Tensor) -> Wide:
-    """``layer`` as the packed graph has it."""
-    if name != SURROUNDINGS:
-        return Wide(layer.weight.detach().numpy().T.copy(), most.numpy())
-    made = surroundings_layer(layer)
-    assert made is not None
-    offsets, gravity, base = most.split([3 * JOINT_COUNT, 3, len(most) - 3 * JOINT_COUNT - 3])
-    ones = torch.ones(3)  # the other rows of the rotation, which the layer does not read
-    places = offsets.reshape(JOINT_COUNT, 3).T.reshape(-1)
-    return Wide(made.detach().numpy(), torch.cat([places, ones, gravity, ones, base]).numpy())
+    return {
+        name: Wide(layer.weight.detach().numpy().T.copy(), MARGIN * seen[name].numpy())
+        for name, layer in layers.items()
+    }
 
 
 def on_shipped(model: OneFit) -> dict[str, Wide]:
