@@ -36,7 +36,6 @@ from drape.cloth.material import material
 from drape.errors import InputError
 from drape.garment.cache import Garment
 from drape.garment.fitting import patch_fields, rest_garment
-from drape.garment.partition import patch_count_for
 from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
 
@@ -155,8 +154,7 @@ def open_bench(options: argparse.Namespace, body: BodyModel) -> Bench:
 def covered(garment: Garment, body: BodyModel, share: float) -> Garment:
     """``garment`` covered anew, as intake does it, by ``share`` of the usual number of patches."""
     rest = rest_garment(garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64), body)
-    count = round(share * patch_count_for(float(rest.areas.sum())))
-    return replace(garment, **patch_fields(rest, count=count, unfold=True))
+    return replace(garment, **patch_fields(rest, share=share, unfold=True))
 
 
 def print_table(rows: list[dict[str, Any]]) -> None:

@@ -260,12 +260,7 @@ def add_push_out(folder: Path, garment: Garment) -> Manifest:
                 got=f"{error:.3g} m",
                 cure="Do not ship this graph; find the operator that differs.",
             )
-        kept = read_parameters(folder, manifest.weights) if manifest.weights is not None else None
-        graphs, weights = share_weights(staged, manifest.graphs | specs, kept)
-        worst = max(error, manifest.parity_error_m)
-        changed = replace(manifest, graphs=graphs, weights=weights, parity_error_m=worst)
-        _write_manifest(staged, changed)
-    return changed
+        return _with_graphs(staged, replace(manifest, parity_error_m=max(error, manifest.parity_error_m)), specs)
 
 
 def add_int8(folder: Path, layers: Mapping[str, Wide]) -> Manifest:
@@ -280,10 +275,15 @@ def add_int8(folder: Path, layers: Mapping[str, Wide]) -> Manifest:
         path = staged / f"{ROUNDED}.onnx"
         onnx.save(proto, str(path))
         spec = replace(packed_spec, file=path.name, sha256=file_digest(path))
-        kept = read_parameters(folder, manifest.weights) if manifest.weights is not None else None
-        graphs, weights = share_weights(staged, manifest.graphs | {ROUNDED: spec}, kept)
-        changed = replace(manifest, graphs=graphs, weights=weights)
-        _write_manifest(staged, changed)
+        return _with_graphs(staged, manifest, {ROUNDED: spec})
+
+
+def _with_graphs(folder: Path, manifest: Manifest, specs: dict[str, GraphSpec]) -> Manifest:
+    """``manifest`` with the graphs ``specs`` besides, whose files lie in ``folder``, written there."""
+    kept = read_parameters(folder, manifest.weights) if manifest.weights is not None else None
+    graphs, weights = share_weights(folder, manifest.graphs | specs, kept)
+    changed = replace(manifest, graphs=graphs, weights=weights)
+    _write_manifest(folder, changed)
     return changed
 
 

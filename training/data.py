@@ -18,7 +18,6 @@ from drape.cloth.push.tables import outward_directions
 from drape.feeds import BETA_COUNT
 from drape.garment.agreement import agreement, strain_places
 from drape.garment.fitting import RestGarment, patch_fields
-from drape.garment.partition import patch_count_for
 from drape.geometry import jets
 from drape.geometry.rotations import matrix_to_quaternion, rotvec_to_matrix
 from training.agreement import SparseAgreement
@@ -69,9 +68,8 @@ def draw_partition(
     rest: RestGarment, skin: Skin, *, seed: int, span: tuple[float, float], device: torch.device
 ) -> Partition:
     """A random partition; its patch count over the rule's lies in ``span``, evenly in the logarithm."""
-    rng = np.random.default_rng(seed)
-    count = round(patch_count_for(float(rest.areas.sum())) * float(np.exp(rng.uniform(*np.log(span)))))
-    return partition_tensors(patch_fields(rest, count=count, seed=seed), skin, device=device)
+    share = float(np.exp(np.random.default_rng(seed).uniform(*np.log(span))))
+    return partition_tensors(patch_fields(rest, share=share, seed=seed), skin, device=device)
 
 
 def partition_tensors(fields: dict[str, np.ndarray], skin: Skin, *, device: torch.device) -> Partition:

@@ -73,19 +73,21 @@ def patch_fields(
     rest: RestGarment,
     *,
     count: int | None = None,
+    share: float = 1.0,
     seed: int = DEFAULT_SEED,
     orient: charts.Orient | None = None,
     density: np.ndarray | None = None,
     unfold: bool = False,
 ) -> dict[str, np.ndarray]:
-    """The patch and chart fields of ``Garment`` for one partition of ``rest`` into ``count`` patches.
+    """The patch and chart fields of ``Garment`` for one partition of ``rest`` into ``count`` patches, by default
+    ``share`` times those of ``patch_count_for``.
 
     ``density`` (N,) makes patches smaller where it is high, each with a scale of its own
     (``drape.garment.density``); ``unfold`` lays charts flat that fold over (``drape.garment.unfold``). What the
     network reads of a patch is that of the projection either way: training draws partitions without unfolding.
     """
     area = float(rest.areas.sum())
-    count = min(patch_count_for(area) if count is None else count, len(rest.vertices))
+    count = min(patch_count_for(area, share) if count is None else count, len(rest.vertices))
     mass = rest.areas if density is None else rest.areas * density
     label = partition(rest.vertices, rest.faces, mass, count, seed=seed, graph=rest.graph)
     centre, seeds = charts.cluster_centres(label, rest.vertices, rest.areas)
@@ -202,6 +204,7 @@ def fit_garment(
     manifest: dict[str, Any],
     orient: charts.Orient | None = None,
     count: int | None = None,
+    share: float = 1.0,
     seed: int = DEFAULT_SEED,
 ) -> Garment:
     """The finished garment of a rest mesh on ``body``: patches, charts, skin weights, fit error in the manifest.
@@ -210,7 +213,7 @@ def fit_garment(
     subdivision; ``faces`` index the former, ``fine_faces`` all.
     """
     rest = rest_garment(vertices, fine_faces, body)
-    fields = patch_fields(rest, count=count, seed=seed, orient=orient, unfold=True)
+    fields = patch_fields(rest, count=count, share=share, seed=seed, orient=orient, unfold=True)
     garment = Garment(
         name=name,
         digest=digest,

@@ -30,7 +30,6 @@ from drape.garment.cache import FORMAT_VERSION, GARMENTS_DIR, Garment, load_garm
 from drape.garment.clearance import CLEARANCE_M, clear_body
 from drape.garment.mesh_checks import Unit, Up, check_mesh
 from drape.garment.mesh_io import GarmentMesh, read_mesh
-from drape.garment.partition import patch_count_for
 from drape.garment.rest_pose import refine, to_standard
 from drape.geometry import meshes
 
@@ -270,7 +269,6 @@ def _fit(
     from drape.garment.fitting import fit_garment
 
     mesh = rest.mesh
-    by_rule = patch_count_for(float(meshes.face_areas(rest.vertices, rest.fine_faces).sum()))
     garment = fit_garment(
         name=name,
         vertices=rest.vertices,
@@ -285,7 +283,7 @@ def _fit(
         digest=digest,
         manifest=manifest,
         orient=orient,
-        count=None if patches == 1.0 else round(patches * by_rule),
+        share=patches,
     )
     return with_unused(garment, rest.faces, rest.kept)
 

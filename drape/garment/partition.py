@@ -21,10 +21,10 @@ PATCH_AREA_M2 = 0.008  # OneFit, appendix A.2
 PATCH_COUNT_RANGE = (100, 400)
 
 
-def patch_count_for(area_m2: float) -> int:
-    """K = clamp(area / 0.008, 100, 400) (OneFit, appendix A.2)."""
+def patch_count_for(area_m2: float, share: float = 1.0) -> int:
+    """K = clamp(area / 0.008, 100, 400) (OneFit, appendix A.2), or ``share`` times as many."""
     low, high = PATCH_COUNT_RANGE
-    return int(np.clip(area_m2 / PATCH_AREA_M2, low, high))
+    return round(share * int(np.clip(area_m2 / PATCH_AREA_M2, low, high)))
 
 
 def vertex_graph(vertices: np.ndarray, faces: np.ndarray) -> scipy.sparse.csr_matrix:
