@@ -239,7 +239,9 @@ class Engine:
         passes = self.check_passes(passes)
         instead = None if passes is None else {pass_name(self.pass_count): pass_name(passes)}
         model = cut(self._files[graph], outputs, direct=direct, instead=instead, given=given)
-        session = _session(f"{name}/{spec.file}", model, self._weights, self._provider, self._threads)
+        # Operations of the push-outs are too small to be shared: two threads take longer than one.
+        threads = 1 if graph in (PUSH, PUSH_OVER) else self._threads
+        session = _session(f"{name}/{spec.file}", model, self._weights, self._provider, threads)
         found = {t.name: t.type for t in session.get_inputs()}
         taken = (*spec.inputs, *(t for t in spec.outputs if t.name in given))
         _compare(name, graph, "inputs", {t.name: t.dtype for t in taken if t.name in found}, found)
@@ -345,8 +347,10 @@ def _session(
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
-    # Spinning threads burn a core at 90 frames a second and gain 0.2 ms.
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    # Threads that sleep between operations of microseconds lose more than they gain (docs/performance.md), and those
+    # that spin between frames burn a core: so they spin while a graph runs.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "1")
+    options.add_session_config_entry("session.force_spinning_stop", "1")
     options.log_severity_level = 3
     if weights:
         sizes = [len(content) for content in weights.values()]
