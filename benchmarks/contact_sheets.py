@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.render import CLOTH, SKIN, Surface, render, save_png, sheet
 from clients.client import DrapeClient
 from drape.body.assets import load_body
-from drape.errors import DrapeError
+from drape.commands import refusing
 from drape.motion.clip import MotionClip
 from drape.motion.readers import read_motion
 
@@ -85,6 +85,7 @@ def _heading_deg(skin: np.ndarray) -> float:
     return float(np.degrees(np.arctan2(-across[2], across[0])))
 
 
+@refusing
 def main() -> int:
     """Command line entry."""
     parser = argparse.ArgumentParser(description="Contact sheets of draped garments, through a running service.")
@@ -94,20 +95,16 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("docs/images"))
     parser.add_argument("--line-up", action="store_true", help="one picture, each garment on another frame")
     options = parser.parse_args()
-    try:
-        with DrapeClient(options.url) as client:
-            clip = clip_of(client, options.motion)
-            if options.line_up:
-                save_png(options.out / "hero.png", line_up(client, options.garments, clip), colours=255)
-                return 0
-            for wanted in options.garments:
-                garment = client.upload_garment(wanted) if Path(wanted).suffix else wanted
-                path = options.out / f"drape_{Path(wanted).stem}.png"
-                save_png(path, draw(client, garment, clip))
-                print(f"{path}  {path.stat().st_size // 1024} KB")
-    except DrapeError as error:
-        print(error, file=sys.stderr)
-        return 2
+    with DrapeClient(options.url) as client:
+        clip = clip_of(client, options.motion)
+        if options.line_up:
+            save_png(options.out / "hero.png", line_up(client, options.garments, clip), colours=255)
+            return 0
+        for wanted in options.garments:
+            garment = client.upload_garment(wanted) if Path(wanted).suffix else wanted
+            path = options.out / f"drape_{Path(wanted).stem}.png"
+            save_png(path, draw(client, garment, clip))
+            print(f"{path}  {path.stat().st_size // 1024} KB")
     return 0
 
 

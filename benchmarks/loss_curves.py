@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.common import ROOT
-from drape.errors import DrapeError, InputError
+from drape.commands import refusing
+from drape.errors import InputError
 
 PARTS = {
     "membrane": "membrane [J/m2]",
@@ -76,17 +77,14 @@ def plot(runs: Sequence[Path], out: Path) -> None:
     pyplot.close(figure)
 
 
+@refusing
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line entry."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.loss_curves", description="Curves of training runs.")
     parser.add_argument("runs", nargs="+", type=Path, help="folders of training.run")
     parser.add_argument("--out", type=Path, default=OUT)
     given = parser.parse_args(arguments)
-    try:
-        plot(given.runs, given.out)
-    except DrapeError as error:
-        print(error, file=sys.stderr)
-        return 2
+    plot(given.runs, given.out)
     return 0
 
 

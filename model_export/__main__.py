@@ -17,7 +17,7 @@ import json
 import sys
 from pathlib import Path
 
-from drape.errors import DrapeError
+from drape.commands import refusing
 from drape.garment.cache import GARMENTS_DIR, load_garment
 from model_export.export import (
     add_int8,
@@ -32,6 +32,7 @@ from model_export.export import (
 from model_export.rounded import on_shipped
 
 
+@refusing
 def main() -> int:
     """Command line entry."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
@@ -42,36 +43,30 @@ def main() -> int:
     parser.add_argument("--no-int8", action="store_true", help="no packed graph in int8")
     parser.add_argument("--garment", type=Path, help="garment cache for the parity check; default the shipped T-shirt")
     arguments = parser.parse_args()
-    try:
-        rows = json.loads(arguments.quality.read_text())["rows"] if arguments.quality else None
-        if arguments.checkpoint is None and not arguments.push_out:
-            if rows is None:
-                parser.error("give a checkpoint to export, or --quality or --push-out for a folder that stands")
-            write_quality(arguments.target, rows)
-            print(f"{arguments.target}: {len(rows)} rows of quality")
-            return 0
-        path = arguments.garment or next(iter(sorted(GARMENTS_DIR.glob("tshirt-*.npz"))), None)
-        if path is None:
-            parser.error("no shipped garment found: run python -m training.garment_design first, or give --garment")
-        if arguments.checkpoint is None:
-            manifest = add_push_out(arguments.target, load_garment(path))
-            print(f"{arguments.target}: push-out written, digest {manifest.digest[:16]}")
-            return 0
-        model, training = load_model(arguments.checkpoint)
-        manifest = export(
-            model,
-            arguments.target,
-            garment=load_garment(path),
-            training=training
-            | {"commit": commit(), "command": command_line()}
-            | static_training(model, arguments.target),
-            quality=rows,
-        )
-        if "packed" in manifest.graphs and not arguments.no_int8:
-            manifest = add_int8(arguments.target, on_shipped(model))
-    except DrapeError as error:
-        print(error, file=sys.stderr)
-        return 2
+    rows = json.loads(arguments.quality.read_text())["rows"] if arguments.quality else None
+    if arguments.checkpoint is None and not arguments.push_out:
+        if rows is None:
+            parser.error("give a checkpoint to export, or --quality or --push-out for a folder that stands")
+        write_quality(arguments.target, rows)
+        print(f"{arguments.target}: {len(rows)} rows of quality")
+        return 0
+    path = arguments.garment or next(iter(sorted(GARMENTS_DIR.glob("tshirt-*.npz"))), None)
+    if path is None:
+        parser.error("no shipped garment found: run python -m training.garment_design first, or give --garment")
+    if arguments.checkpoint is None:
+        manifest = add_push_out(arguments.target, load_garment(path))
+        print(f"{arguments.target}: push-out written, digest {manifest.digest[:16]}")
+        return 0
+    model, training = load_model(arguments.checkpoint)
+    manifest = export(
+        model,
+        arguments.target,
+        garment=load_garment(path),
+        training=training | {"commit": commit(), "command": command_line()} | static_training(model, arguments.target),
+        quality=rows,
+    )
+    if "packed" in manifest.graphs and not arguments.no_int8:
+        manifest = add_int8(arguments.target, on_shipped(model))
     print(f"{arguments.target}: parity {manifest.parity_error_m:.2e} m, digest {manifest.digest[:16]}")
     return 0
 

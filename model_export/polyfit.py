@@ -15,7 +15,8 @@ import numpy as np
 import torch
 
 from drape.artifacts import MODELS_DIR, Manifest, TensorSpec, staged_folder
-from drape.errors import ArtifactError, DrapeError
+from drape.commands import refusing
+from drape.errors import ArtifactError
 from drape.garment.canonical import Transform, canonical
 from model_export.export import commit, write_graph
 from model_export.parity import session
@@ -84,17 +85,14 @@ def _only(start: str | None, checkpoint: Path) -> str:
     return " ".join(name for name in (start, checkpoint.stem) if name)
 
 
+@refusing
 def main() -> int:
     """Command line entry."""
     parser = argparse.ArgumentParser(prog="python -m model_export.polyfit", description="Exports PolyFit.")
     parser.add_argument("checkpoint", type=Path, nargs="?", default=Path("runs/polyfit/finetuned.pt"))
     parser.add_argument("target", type=Path, nargs="?", default=MODELS_DIR / "polyfit")
     options = parser.parse_args()
-    try:
-        manifest = export_polyfit(options.checkpoint, options.target)
-    except DrapeError as error:
-        print(error, file=sys.stderr)
-        return 2
+    manifest = export_polyfit(options.checkpoint, options.target)
     print(f"{options.target}: parity {manifest.parity_error_m:.2e}, digest {manifest.digest[:16]}")
     return 0
 

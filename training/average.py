@@ -18,7 +18,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from drape.errors import DrapeError, InputError
+from drape.commands import refusing
+from drape.errors import InputError
 from training import checkpoint
 
 
@@ -55,6 +56,7 @@ def average(first: Path, second: Path, out: Path, *, share: float = 0.5) -> None
     checkpoint.save(out, {"model": weights, **kept}, config)
 
 
+@refusing
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line entry."""
     parser = argparse.ArgumentParser(prog="python -m training.average", description="A model between two.")
@@ -63,11 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--share", type=float, default=0.5, help="of the way to the second")
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args(arguments)
-    try:
-        average(given.first, given.second, given.out, share=given.share)
-    except DrapeError as error:
-        print(error, file=sys.stderr)
-        return 2
+    average(given.first, given.second, given.out, share=given.share)
     return 0
 
 

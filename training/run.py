@@ -24,8 +24,9 @@ from typing import Any
 import torch
 from torch.utils.tensorboard import SummaryWriter
 
+from drape.commands import refusing
 from drape.data_paths import data_folder
-from drape.errors import DrapeError, InputError
+from drape.errors import InputError
 from drape.motion.clip import MotionClip
 from training import checkpoint, parallel
 from training.config import PRESETS, TrainConfig
@@ -99,6 +100,7 @@ def train(trainer: BaseTrainer, out: Path) -> None:
         writer.close()
 
 
+@refusing
 def main() -> int:
     """Command line entry."""
     parser = argparse.ArgumentParser(description="Trains the draping network.")
@@ -116,11 +118,7 @@ def main() -> int:
     parser.add_argument("--bf16", action="store_true", help="matrices in bfloat16 (docs/training.md says when it pays)")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     arguments = parser.parse_args()
-    try:
-        _run(arguments)
-    except DrapeError as error:
-        print(error, file=sys.stderr)
-        return 2
+    _run(arguments)
     return 0
 
 

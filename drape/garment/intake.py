@@ -24,7 +24,8 @@ import numpy as np
 
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
-from drape.errors import DrapeError, InputError
+from drape.commands import refusing
+from drape.errors import InputError
 from drape.garment import avatars
 from drape.garment.cache import FORMAT_VERSION, GARMENTS_DIR, Garment, load_garment, save_garment
 from drape.garment.clearance import CLEARANCE_M, clear_body
@@ -37,7 +38,6 @@ INTAKE_VERSION = 2  # raised when a change here changes the garments that come o
 PATCH_SHARE_RANGE = (0.75, 2.2)  # what the network is trained on
 FINE_VERTEX_MINIMUM, FINE_VERTEX_LIMIT = 4_000, 40_000
 FINE_EDGE_M = 0.021  # each round halves the edges: the mean ends near 15 mm
-REFUSED_EXIT_CODE = 2
 _VERTEX_ARRAYS = ("vertices", "chart_patch", "chart_uv", "chart_weight", "chart_residual", "skin_weights", "shapedirs")
 
 Report = Callable[[str], None]
@@ -288,6 +288,7 @@ def _fit(
     return with_unused(garment, rest.faces, rest.kept)
 
 
+@refusing
 def main(arguments: list[str] | None = None) -> int:
     """Command line entry; 0 when the garment was taken in, 2 when it was refused."""
     parser = argparse.ArgumentParser(prog="python -m drape.garment.intake", description=(__doc__ or "").split("\n")[0])
@@ -305,19 +306,15 @@ def main(arguments: list[str] | None = None) -> int:
         "--patches", type=float, default=1.0, help="over the usual number: 2 drapes closer to physics, and slower"
     )
     given = parser.parse_args(arguments)
-    try:
-        intake(
-            given.file,
-            name=given.name,
-            avatar=given.avatar,
-            body=load_body(given.body) if given.body else None,
-            options=IntakeOptions(unit=given.unit, up=given.up, repair=given.repair, patches=given.patches),
-            folder=given.out,
-            report=print,
-        )
-    except DrapeError as error:
-        print(error, file=sys.stderr)
-        return REFUSED_EXIT_CODE
+    intake(
+        given.file,
+        name=given.name,
+        avatar=given.avatar,
+        body=load_body(given.body) if given.body else None,
+        options=IntakeOptions(unit=given.unit, up=given.up, repair=given.repair, patches=given.patches),
+        folder=given.out,
+        report=print,
+    )
     return 0
 
 

@@ -70,15 +70,20 @@ def check_mesh(
     check_edges(mesh)
     mesh = place(mesh, avatar, unit=unit, up=up, named=named)
     mesh = orient_outward(mesh, avatar)
+    check_area(mesh, "garment area")
+    return mesh.noted(*describe(mesh))
+
+
+def check_area(mesh: GarmentMesh, name: str) -> None:
+    """Refuses a mesh too small for a garment, whose unit then is not the metre; ``name`` is the field refused."""
     area = float(meshes.face_areas(mesh.vertices, mesh.faces).sum())
     if area < AREA_MINIMUM:
         raise MeshError(
-            "garment area",
+            name,
             expected=f"at least {AREA_MINIMUM} m^2",
             got=f"{area:.4f} m^2",
-            cure="Check the unit of the file.",
+            cure="Check the unit of the file (--unit).",
         )
-    return mesh.noted(*describe(mesh))
 
 
 def check_arrays(mesh: GarmentMesh) -> None:

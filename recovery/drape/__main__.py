@@ -16,7 +16,7 @@ from pathlib import Path
 
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.cloth.material import DEFAULT_MATERIAL
-from drape.errors import DrapeError
+from drape.commands import refusing
 from drape.garment.intake import garment_name, intake
 from recovery.drape.output import glb_bytes, obj_text, panel_texture, write
 from recovery.drape.pipeline import Draped, DrapeOptions, Hold, drape_pattern
@@ -26,7 +26,6 @@ from recovery.drape.settle import TOLERANCE_N
 from recovery.drape.skin import add_distance_options, distance_options
 from recovery.pattern.garmentcode import read_pattern
 
-REFUSED_EXIT_CODE = 2
 NOT_AT_REST_EXIT_CODE = 3
 
 
@@ -57,42 +56,39 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
+@refusing
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; 2 and one sentence on what is wrong, 3 and one on what is not at rest."""
     given = parse(arguments)
     started = time.perf_counter()
-    try:
-        pattern = read_pattern(given.pattern, units_in_meter=given.units_in_meter)
-        name = garment_name(given.name or pattern.name)
-        body = load_body(given.body)
-        pose = None if given.pose is None else read_pose(given.pose)
-        options = DrapeOptions(
-            edge_length_m=given.edge_length,
-            fabric=given.fabric,
-            scale=given.scale,
-            axes=given.axes,
-            hold=given.hold,
-            grid_m=given.grid,
-            iteration_limit=given.iterations,
-            **distance_options(given),
-        )
-        draped = drape_pattern(pattern, body, options, pose=pose, report=print)
-        texture = panel_texture(draped.mesh)
-        rest = obj_text(draped.mesh, draped.rest.nodes, texture)
-        files = [
-            write(given.out / f"{name}.obj", obj_text(draped.mesh, draped.nodes, texture)),
-            write(given.out / f"{name}.glb", glb_bytes(draped.mesh, draped.nodes, texture)),
-            write(given.out / f"{name}_rest.obj", rest),
-        ]
-        if not given.no_garment:
-            # The cache holds the rest garment: it is the T-pose that a pose is skinned from.
-            intake(rest.encode(), name=name, kind="obj", avatar="standard", body=body, folder=given.out, report=print)
-        seconds = round(time.perf_counter() - started, 1)
-        record = {"pattern": pattern.name, "body": body.name, "fabric": given.fabric, "scale": given.scale}
-        files.append(write(given.out / f"{name}.json", {**record, **draped.figures, "seconds": seconds}))
-    except DrapeError as error:
-        print(error, file=sys.stderr)
-        return REFUSED_EXIT_CODE
+    pattern = read_pattern(given.pattern, units_in_meter=given.units_in_meter)
+    name = garment_name(given.name or pattern.name)
+    body = load_body(given.body)
+    pose = None if given.pose is None else read_pose(given.pose)
+    options = DrapeOptions(
+        edge_length_m=given.edge_length,
+        fabric=given.fabric,
+        scale=given.scale,
+        axes=given.axes,
+        hold=given.hold,
+        grid_m=given.grid,
+        iteration_limit=given.iterations,
+        **distance_options(given),
+    )
+    draped = drape_pattern(pattern, body, options, pose=pose, report=print)
+    texture = panel_texture(draped.mesh)
+    rest = obj_text(draped.mesh, draped.rest.nodes, texture)
+    files = [
+        write(given.out / f"{name}.obj", obj_text(draped.mesh, draped.nodes, texture)),
+        write(given.out / f"{name}.glb", glb_bytes(draped.mesh, draped.nodes, texture)),
+        write(given.out / f"{name}_rest.obj", rest),
+    ]
+    if not given.no_garment:
+        # The cache holds the rest garment: it is the T-pose that a pose is skinned from.
+        intake(rest.encode(), name=name, kind="obj", avatar="standard", body=body, folder=given.out, report=print)
+    seconds = round(time.perf_counter() - started, 1)
+    record = {"pattern": pattern.name, "body": body.name, "fabric": given.fabric, "scale": given.scale}
+    files.append(write(given.out / f"{name}.json", {**record, **draped.figures, "seconds": seconds}))
     for path in files:
         print(path)
     if not draped.at_rest:

@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from drape.body.assets import DEFAULT_BODY, load_body
-from drape.errors import DrapeError
+from drape.commands import refusing
 from recovery.pattern import geometry
 from recovery.pattern.bases import BASES, base_pattern
 from recovery.pattern.export import FORMATS, export_pattern
@@ -93,31 +93,28 @@ def show(options: argparse.Namespace) -> None:
         print(path)
 
 
+@refusing
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command; 2 and one sentence on what is wrong."""
     options = parse(arguments)
-    try:
-        if options.command == "show":
-            show(options)
-            return 0
-        if options.command == "draft":
-            pattern = base_pattern(options.base, measure(load_body(options.body)), options.set)
-        else:
-            pattern = read_pattern(options.pattern, units_in_meter=options.units_in_meter)
-        pattern = replace(pattern, name=options.name or pattern.name)
-        for path in export_pattern(
-            pattern,
-            options.out,
-            options.format,
-            allowance_m=options.allowance,
-            page=options.page,
-            dxf_unit_mm=options.dxf_unit_mm,
-            dxf_dialect=options.dxf_dialect,
-        ):
-            print(path)
-    except DrapeError as error:
-        print(error, file=sys.stderr)
-        return 2
+    if options.command == "show":
+        show(options)
+        return 0
+    if options.command == "draft":
+        pattern = base_pattern(options.base, measure(load_body(options.body)), options.set)
+    else:
+        pattern = read_pattern(options.pattern, units_in_meter=options.units_in_meter)
+    pattern = replace(pattern, name=options.name or pattern.name)
+    for path in export_pattern(
+        pattern,
+        options.out,
+        options.format,
+        allowance_m=options.allowance,
+        page=options.page,
+        dxf_unit_mm=options.dxf_unit_mm,
+        dxf_dialect=options.dxf_dialect,
+    ):
+        print(path)
     return 0
 
 

@@ -18,7 +18,8 @@ import numpy as np
 
 from drape.body.assets import DEFAULT_BODY
 from drape.cloth.material import DEFAULT_MATERIAL, FABRICS
-from drape.errors import DrapeError, InputError
+from drape.commands import refusing
+from drape.errors import InputError
 from drape.garment.mesh_checks import UNITS_M, UP_AXES
 from recovery.drape.output import write
 from recovery.drape.pipeline import DrapeOptions
@@ -28,7 +29,6 @@ from recovery.fit.objective import DEFAULT_WEIGHTS
 from recovery.fit.optimise import FitOptions
 from recovery.run.job import Job, run_job
 
-REFUSED_EXIT_CODE = 2
 NOT_AT_REST_EXIT_CODE = 3
 CHOOSE_FABRIC = "auto"
 EDGE_LENGTH_M = 0.05
@@ -112,14 +112,11 @@ def read_betas(text: str) -> np.ndarray:
         ) from error
 
 
+@refusing
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; 2 and one sentence on what is wrong, 3 where the garment is not at rest."""
     given = parse(arguments)
-    try:
-        outcome = run_job(job_of(given), progress=True)
-    except DrapeError as error:
-        print(error, file=sys.stderr)
-        return REFUSED_EXIT_CODE
+    outcome = run_job(job_of(given), progress=True)
     from recovery.run.story import page_of, record_of  # matplotlib takes a second to load
 
     for path in [

@@ -14,9 +14,9 @@ import numpy as np
 from drape.errors import InputError, MeshError
 from drape.garment.avatars import Avatar
 from drape.garment.mesh_checks import (
-    AREA_MINIMUM,
     Unit,
     Up,
+    check_area,
     check_arrays,
     check_edges,
     check_faces,
@@ -104,14 +104,7 @@ def placed_target(mesh: GarmentMesh, skin: Avatar, *, unit: Unit = "auto", up: U
         mesh = replace(mesh, uv_faces=np.zeros((0, 3), dtype=np.int64))
     mesh = orient_outward(place(mesh, skin, unit=unit, up=up), skin)
     check_near(mesh, skin)
-    area = float(meshes.face_areas(mesh.vertices, mesh.faces).sum())
-    if area < AREA_MINIMUM:
-        raise MeshError(
-            "target",
-            expected=f"at least {AREA_MINIMUM} m^2 of cloth",
-            got=f"{area:.4f} m^2",
-            cure="Check the unit of the file (--unit).",
-        )
+    check_area(mesh, "target area")
     return mesh
 
 

@@ -139,7 +139,7 @@ def test_a_target_in_no_known_unit_is_refused():
 
 def test_too_little_cloth_is_refused():
     ring = skirt_tube(radius=0.16, top=0.12, bottom=0.105)
-    with pytest.raises(MeshError, match=r"0\.02 m\^2 of cloth"):
+    with pytest.raises(MeshError, match=r"target area: expected at least 0\.02 m\^2"):
         placed_target(ring, read_wearer("anny_default").skin, unit="m", up="y")
 
 

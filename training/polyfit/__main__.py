@@ -17,7 +17,8 @@ from pathlib import Path
 import torch
 
 from drape.body.assets import load_body
-from drape.errors import DrapeError, NotFound
+from drape.commands import refusing
+from drape.errors import NotFound
 from training.polyfit.config import PolyFitConfig, suite
 from training.polyfit.families import Patches
 from training.polyfit.garment_patches import designed_garments, draw_garment_patches, held_out_garments
@@ -92,6 +93,7 @@ def training_patches(out: Path, config: PolyFitConfig) -> Patches:
     return patches
 
 
+@refusing
 def main(arguments: list[str] | None = None) -> int:
     """Command line entry."""
     configs = suite()
@@ -102,11 +104,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--threads", type=int, default=1)
     options = parser.parse_args(arguments)
     torch.set_num_threads(options.threads)
-    try:
-        run_suite(options.out, suite(share=options.steps_share), only=options.only)
-    except DrapeError as error:
-        print(error, file=sys.stderr)
-        return 2
+    run_suite(options.out, suite(share=options.steps_share), only=options.only)
     return 0
 
 
