@@ -39,6 +39,7 @@ from drape.motion.clip import MotionClip
 from drape.motion.readers import read_motion
 from service.dynamics import Moment, advance, nothing
 from service.engine import Engine
+from service.runtime import Device
 
 FPS = 30.0
 HOLD_S = 3.0
@@ -181,7 +182,7 @@ def _inertia(vertices: np.ndarray, history: np.ndarray, what: Subject, cloth_mat
 
 def open_engine(folder: Path, body: BodyModel, *, threads: int) -> Engine:
     """The dynamic model in ``folder``; a static one is refused."""
-    engine = Engine(folder, threads=threads)
+    engine = Engine(folder, device=Device(threads=threads))
     check_body(f"model {folder.name}", engine.manifest.body_digest, body)
     if not engine.dynamic:
         raise NotDynamic(

@@ -32,6 +32,7 @@ from drape.motion.readers import read_motion
 from drape.packing import pack_body
 from service.engine import Engine
 from service.packing import Packer, ScenePlan
+from service.runtime import Device
 
 FORMS = {"float32": False, "int8": True}
 FRAMES_PER_CALL = 10
@@ -123,7 +124,9 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     common.add_options(parser)
     options = parser.parse_args(arguments)
     body, clips = load_body(), [read_motion(path) for path in find_motions(options.motions)]
-    engines = {form: Engine(options.model, threads=options.threads, int8=int8) for form, int8 in FORMS.items()}
+    engines = {
+        form: Engine(options.model, device=Device(threads=options.threads), int8=int8) for form, int8 in FORMS.items()
+    }
     packers = {form: Packer(engine, body) for form, engine in engines.items() if form == "float32" or engine.int8}
     frames, rounds = (2, 10) if options.quick else (options.frames, 120)
     poses = hard_poses(clips, body, frames)

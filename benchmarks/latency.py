@@ -43,6 +43,7 @@ from drape.push_packing import SkinShapes
 from service.engine import PACKED, Engine
 from service.packing import SHAPE_INDEX, STORED_INDEX, Packer, ScenePlan
 from service.push import Pusher
+from service.runtime import Device
 from training.model import OneFit
 
 COLUMNS = {
@@ -240,7 +241,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     options = parser.parse_args(arguments)
     torch.set_num_threads(options.threads)
     load = os.getloadavg()[0]
-    engine, body = Engine(options.model, threads=options.threads), load_body()
+    engine, body = Engine(options.model, device=Device(threads=options.threads)), load_body()
     seconds = 0.3 if options.quick else 3.0
     bench = Bench(engine, network_of(options.model), body, pack_body(body), seconds, options.threads)
     rows = [row for name in SINGLE for row in single_rows(bench, name, options)]

@@ -41,6 +41,7 @@ from model_export.export import add_push_out
 from service.engine import PUSH_OVER, Engine
 from service.packing import Packer, ScenePlan
 from service.push import Pusher
+from service.runtime import Device
 
 OUTFITS = ("trousers+tshirt", "trousers+longsleeve", "tank+longsleeve", "shorts+tshirt")
 FRAMES, QUICK_FRAMES = 8, 1
@@ -207,7 +208,7 @@ def open_engine(model: Path, folder: Path, threads: int) -> Engine:
         shutil.copytree(model, copy)
         add_push_out(copy, load_garment(next(iter(sorted(GARMENTS_DIR.glob("shorts-*.npz"))))))
         model = copy
-    return Engine(model, threads=threads)
+    return Engine(model, device=Device(threads=threads))
 
 
 def open_outfit(text: str, body: BodyModel) -> tuple[Garment, Garment]:

@@ -35,6 +35,7 @@ from drape.motion.readers import read_motion
 from drape.packing import pack_body
 from service.engine import Engine
 from service.packing import Packer, ScenePlan
+from service.runtime import Device
 
 REFERENCE = 20_000
 SIZES = (1_000, 5_000, 20_000, 80_000)
@@ -169,7 +170,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     same = f"{sizes[1]:,}"
     made[f"{same}, diagonals flipped"] = made[same][0], flipped(*made[same])
     reference = f"{REFERENCE if REFERENCE in sizes else sizes[-1]:,}"
-    engine = Engine(options.model, threads=options.threads)
+    engine = Engine(options.model, device=Device(threads=options.threads))
     network = Network(options.model, body, threads=options.threads)
     poses = held_out(options.motions, body, frames)
     rows = rows_of(made, network, Packer(engine, body), poses.poses, reference=reference, seconds=seconds)

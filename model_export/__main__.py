@@ -7,7 +7,8 @@ without a checkpoint writes the measured quality into the manifest of a folder t
     python -m model_export --push-out assets/models/NAME
 
 the graph of the push-out, which is the same for every network. On processors the packed graph is served in int8; what
-its numbers reach is seen on the shipped garments and clips (--no-int8 leaves it out).
+its numbers reach is seen on the shipped garments and clips (--no-int8 leaves it out). On GPUs it is served with the
+network's matrices in float16 (--no-half leaves it out).
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from pathlib import Path
 from drape.commands import refusing
 from drape.garment.cache import GARMENTS_DIR, load_garment
 from model_export.export import (
+    add_half,
     add_int8,
     add_push_out,
     command_line,
@@ -41,6 +43,7 @@ def main() -> int:
     parser.add_argument("--quality", type=Path, help="JSON of benchmarks.quality whose rows go into the manifest")
     parser.add_argument("--push-out", action="store_true", help="write the push-out into a folder that stands")
     parser.add_argument("--no-int8", action="store_true", help="no packed graph in int8")
+    parser.add_argument("--no-half", action="store_true", help="no packed graph in float16")
     parser.add_argument("--garment", type=Path, help="garment cache for the parity check; default the shipped T-shirt")
     arguments = parser.parse_args()
     rows = json.loads(arguments.quality.read_text())["rows"] if arguments.quality else None
@@ -67,6 +70,8 @@ def main() -> int:
     )
     if "packed" in manifest.graphs and not arguments.no_int8:
         manifest = add_int8(arguments.target, on_shipped(model))
+    if "packed" in manifest.graphs and not arguments.no_half:
+        manifest = add_half(arguments.target, model, load_garment(path))
     print(f"{arguments.target}: parity {manifest.parity_error_m:.2e} m, digest {manifest.digest[:16]}")
     return 0
 

@@ -34,6 +34,7 @@ from model_export.graph import (
     encoder_inputs,
     encoder_outputs,
 )
+from model_export.half import HALF, LARGEST_ERROR_M, LEAST, halve_matrices
 from model_export.layer_graph import SAMPLE as LAYER_SAMPLE
 from model_export.layer_graph import LayerGraph, layer_inputs, layer_parity_error
 from model_export.packed import FirstGraph, PackedGraph
@@ -265,17 +266,49 @@ def add_push_out(folder: Path, garment: Garment) -> Manifest:
 
 def add_int8(folder: Path, layers: Mapping[str, Wide]) -> Manifest:
     """Writes the packed graph with ``layers`` in int8 into a model folder that stands, as a graph beside the others."""
+    return _add_packed(folder, ROUNDED, lambda proto: round_matrices(proto, layers))
+
+
+def add_half(folder: Path, model: OneFit, garment: Garment, *, least: int = LEAST) -> Manifest:
+    """Writes the packed graph with matrices of ``least`` numbers or more in float16, likewise.
+
+    Refuses (``ArtifactError``) where ``garment`` is then draped elsewhere by more than ``LARGEST_ERROR_M``.
+    """
+
+    def check(staged: Path, manifest: Manifest) -> None:
+        encoder = staged / manifest.graphs["garment_encoder"].file
+        error = packed_parity_error(model, encoder, staged / f"{HALF}.onnx", garment)
+        if not error <= LARGEST_ERROR_M:
+            raise ArtifactError(
+                "packed graph in float16",
+                expected=f"at most {LARGEST_ERROR_M} m from torch in float32",
+                got=f"{error:.3g} m",
+                cure="Export without it (--no-half).",
+            )
+
+    return _add_packed(folder, HALF, lambda proto: halve_matrices(proto, least=least), check)
+
+
+def _add_packed(
+    folder: Path,
+    name: str,
+    change: Callable[[onnx.ModelProto], object],
+    check: Callable[[Path, Manifest], None] = lambda staged, manifest: None,
+) -> Manifest:
+    """Writes the packed graph after ``change`` into ``folder`` as the graph ``name``, if it passes ``check``."""
     manifest = load_manifest(folder)
     with staged_folder(folder) as staged:
         shutil.copytree(folder, staged, dirs_exist_ok=True)
         packed_spec = manifest.graphs["packed"]
         proto = onnx.load(str(staged / packed_spec.file))
-        round_matrices(proto, layers)
+        change(proto)
         onnx.checker.check_model(proto)
-        path = staged / f"{ROUNDED}.onnx"
+        path = staged / f"{name}.onnx"
         onnx.save(proto, str(path))
         spec = replace(packed_spec, file=path.name, sha256=file_digest(path))
-        return _with_graphs(staged, manifest, {ROUNDED: spec})
+        written = _with_graphs(staged, manifest, {name: spec})
+        check(staged, written)
+        return written
 
 
 def _with_graphs(folder: Path, manifest: Manifest, specs: dict[str, GraphSpec]) -> Manifest:

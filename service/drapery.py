@@ -107,7 +107,9 @@ class Drapery:
         self.settings = settings
         self.body: BodyModel = load_body(settings.body)
         folder = settings.models_dir / settings.model
-        self.engine = Engine(folder, provider=settings.provider, threads=settings.threads, int8=settings.int8)
+        self.engine = Engine(
+            folder, device=settings.device, int8=settings.int8, half=settings.half, bound=settings.buckets
+        )
         self.engine.check_body(self.body)
         self.engine.check_passes(settings.passes)
         self.pusher = Pusher(self.engine, self.body)
@@ -122,14 +124,29 @@ class Drapery:
         self._executor.shutdown(wait=True, cancel_futures=True)
 
     def warm_up(self) -> None:
-        """One frame of one garment, so that the first request does not pay for lazy set-up."""
+        """One frame of one garment, so that the first request does not pay for lazy set-up; where shapes have buckets,
+        one frame and a chunk of every garment, in each way that frames are asked for."""
+        count = self.body.shape_count
         entries = self.garments.entries()
-        if entries:
-            rest = PoseInput(np.zeros((1, 24, 3)), np.zeros((1, 3)), np.zeros(self.body.shape_count), push=True)
-            self.compute(entries[0], [rest])
+        for entry in entries if self.engine.bound else entries[:1]:
+            for frames in (1, self.settings.chunk_frames) if self.engine.bound else (1,):
+                rest = PoseInput(np.zeros((frames, 24, 3)), np.zeros((frames, 3)), np.zeros(count), push=True)
+                self.compute(entry, [rest])
+                if self.engine.bound and self.engine.tells_jets:
+                    self.compute_jets(entry, [rest])
         if self.engine.dynamic:
             still = nothing(self.engine)
             self.engine.advance(np.zeros((1, 24, 12)), still.state[None], np.array([1.0 / 30.0]))
+
+    @property
+    def device_bytes(self) -> int:
+        """Memory of the garments' constants and of buckets where the graphs compute."""
+        return self.pusher.held_bytes + (self.packer.held_bytes if self.packer else 0)
+
+    @property
+    def buckets(self) -> int:
+        """Sets of shapes with memory of their own, none where calls take it anew."""
+        return self.pusher.buckets + (self.packer.buckets if self.packer else 0)
 
     def check_body_id(self, name: str) -> None:
         """Refuses a body that this service has not loaded."""

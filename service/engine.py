@@ -1,31 +1,27 @@
-"""The only file that touches ONNX Runtime: opens a model folder, checks it, runs its graphs."""
+"""Opens a model folder, checks it, runs its graphs (``service.runtime``, ``service.binding``)."""
 
 from __future__ import annotations
 
-import importlib.metadata
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from drape.artifacts import GraphSpec, Manifest, load_manifest
 from drape.body.model import BodyModel
-from drape.errors import ArtifactError, InputError, Unavailable
+from drape.errors import ArtifactError, InputError
 from drape.packing import pass_name
+from service.binding import BoundSession
+from service.runtime import Device, Session, check_distributions, nodes_elsewhere, open_session
 from service.subgraph import cut
 
 if TYPE_CHECKING:
     import onnxruntime
 
-Provider = Literal["cpu", "cuda"]
-
-PROVIDER_NAMES: dict[Provider, str] = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
-DISTRIBUTIONS = ("onnxruntime", "onnxruntime-gpu")
 ENCODER, DRAPE, PACKED, DYNAMIC = "garment_encoder", "drape", "packed", "dynamic_encoder"
-ROUNDED = "packed_int8"  # in place of the packed graph, on processors
+ROUNDED, HALF = "packed_int8", "packed_half"  # in place of the packed graph, on processors and on GPUs
 PUSH, PUSH_OVER = "push_out", "push_over"
 FIRST = "patch_first"  # output of the encoder that the packed graph reads
 SKIN = "skin"  # output of the graphs that pose it
@@ -44,47 +40,27 @@ _TYPES = {
 }
 
 
-def check_distributions() -> str:
-    """The one ONNX Runtime distribution that is installed; refuses none and two.
-
-    Both put their files in the same folder: the last one installed wins, and
-    removing one breaks the other (microsoft/onnxruntime#10685).
-    """
-    found = {name: version for name in DISTRIBUTIONS if (version := _version(name))}
-    if len(found) == 2:
-        listed = " and ".join(f"{name} {version}" for name, version in found.items())
-        raise Unavailable(
-            "onnxruntime",
-            expected="one of onnxruntime and onnxruntime-gpu",
-            got=f"both: {listed}",
-            cure="Uninstall both, then install one: pip install '.[cpu]' or pip install '.[gpu]'.",
-        )
-    if not found:
-        raise Unavailable(
-            "onnxruntime",
-            expected="one of onnxruntime and onnxruntime-gpu",
-            got="none installed",
-            cure="Install one: pip install '.[cpu]' or pip install '.[gpu]'.",
-        )
-    return next(iter(found))
-
-
-def _version(name: str) -> str | None:
-    try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return None
-
-
 class Engine:
     """An opened model, static or dynamic. Each of its graphs is safe to run from one thread at a time.
 
     Of a ``dynamic`` model the drape graph also takes ``dynamic_code`` (F, ``code_size``), zeros for bodies at rest.
-    On the CPU the packed graph is the one in int8 where the model has it, unless ``int8`` is False.
+    Where the model has them, the packed graph is the one in ``int8`` on a CPU, and the one with weights of 16 bits
+    (``half``) on a GPU. ``bound``: parts of graphs run in buckets (``service.binding``), by default on a GPU.
     """
 
-    def __init__(self, folder: Path, *, provider: Provider = "cpu", threads: int = 1, int8: bool = True) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        device: Device | None = None,
+        int8: bool = True,
+        half: bool | None = None,
+        bound: bool | None = None,
+    ) -> None:
         check_distributions()
+        self._device = device or Device()
+        on_gpu = self._device.provider == "cuda"
+        self.bound = on_gpu if bound is None else bound
         self.manifest: Manifest = load_manifest(folder)
         self.dynamic = self.manifest.dynamic
         graphs = (ENCODER, DRAPE, DYNAMIC) if self.dynamic else (ENCODER, DRAPE)
@@ -99,22 +75,29 @@ class Engine:
         self.state_size = self.manifest.state_size
         self.code_size = _code_size(folder.name, self.manifest)
         self.feels_body = "body_skin" in {tensor.name for tensor in self.manifest.graphs[DRAPE].inputs}
-        self._provider: Provider = provider
-        self._threads = threads
         # Read now: a folder replaced later must not mix its graphs with those of this one.
-        self.int8 = int8 and provider == "cpu" and self.packs and ROUNDED in self.manifest.graphs
+        self.int8 = int8 and not on_gpu and self.packs and ROUNDED in self.manifest.graphs
+        self.half = (on_gpu if half is None else half) and self.packs and HALF in self.manifest.graphs
+        self._elsewhere = 0
         cuttable = [self._chosen(name) for name in (PACKED, PUSH, PUSH_OVER) if name in self.manifest.graphs]
         self._files = {name: (folder / self.manifest.graphs[name].file).read_bytes() for name in cuttable}
         weights = self.manifest.weights
         self._weights = {weights.file: (folder / weights.file).read_bytes()} if weights else {}
         self._sessions = {
-            name: _open(folder, name, self.manifest.graphs[name], self._weights, provider, threads) for name in graphs
+            name: _open(folder, name, self.manifest.graphs[name], self._weights, self._device) for name in graphs
         }
         self.provider: str = self._sessions[DRAPE].get_providers()[0]
 
     def _chosen(self, graph: str) -> str:
         """The graph that computes ``graph``."""
-        return ROUNDED if graph == PACKED and self.int8 else graph
+        if graph != PACKED:
+            return graph
+        return HALF if self.half else ROUNDED if self.int8 else PACKED
+
+    @property
+    def elsewhere(self) -> int:
+        """Nodes of the parts opened so far that do not run on the provider; on a GPU each waits for a copy."""
+        return self._elsewhere
 
     def check_body(self, body: BodyModel) -> None:
         """Refuses a body that the model was not trained on."""
@@ -229,7 +212,7 @@ class Engine:
         direct: Collection[str] = (),
         passes: int | None = None,
         given: Collection[str] = (),
-    ) -> GraphSession:
+    ) -> Session:
         """A session of what ``outputs`` of ``graph`` need and nothing else (``service.subgraph``).
 
         Of the packed graph, after ``passes`` corrections; all of them by default. ``given`` outputs are inputs.
@@ -240,21 +223,19 @@ class Engine:
         instead = None if passes is None else {pass_name(self.pass_count): pass_name(passes)}
         model = cut(self._files[graph], outputs, direct=direct, instead=instead, given=given)
         # Operations of the push-outs are too small to be shared: two threads take longer than one.
-        threads = 1 if graph in (PUSH, PUSH_OVER) else self._threads
-        session = _session(f"{name}/{spec.file}", model, self._weights, self._provider, threads)
+        device = replace(self._device, threads=1) if graph in (PUSH, PUSH_OVER) else self._device
+        session = open_session(f"{name}/{spec.file}", model, self._weights, device, capture=device.captures)
+        self._elsewhere += nodes_elsewhere(session, device)
         found = {t.name: t.type for t in session.get_inputs()}
         taken = (*spec.inputs, *(t for t in spec.outputs if t.name in given))
         _compare(name, graph, "inputs", {t.name: t.dtype for t in taken if t.name in found}, found)
         found = {t.name: t.type for t in session.get_outputs()}
         _compare(name, graph, "outputs", {t.name: t.dtype for t in spec.outputs if t.name in found}, found)
-        return GraphSession(session)
+        return BoundSession(session, device, taken, spec.outputs) if self.bound else Session(session, device)
 
     def value(self, array: np.ndarray) -> onnxruntime.OrtValue:
         """``array`` where the graphs compute; on the CPU it shares the array's memory."""
-        import onnxruntime
-
-        device = "cuda" if self._provider == "cuda" else "cpu"
-        return onnxruntime.OrtValue.ortvalue_from_numpy(array, device)
+        return self._device.value(array)
 
     def _run(self, graph: str, feed: dict[str, np.ndarray], outputs: list[str]) -> list[Any]:
         wanted = [tensor.name for tensor in self.manifest.graphs[graph].inputs]
@@ -289,26 +270,11 @@ def check_finite(engine: Engine, finite: bool) -> None:
         )
 
 
-@dataclass(frozen=True)
-class GraphSession:
-    """A session of part of a graph: the names of its ``inputs``, and values that stay where it computes."""
-
-    _session: onnxruntime.InferenceSession
-
-    @cached_property
-    def inputs(self) -> tuple[str, ...]:
-        return tuple(tensor.name for tensor in self._session.get_inputs())
-
-    def run(self, outputs: Sequence[str], feed: dict[str, onnxruntime.OrtValue]) -> list[np.ndarray]:
-        """``outputs`` for ``feed``."""
-        return [value.numpy() for value in self._session.run_with_ort_values(list(outputs), feed)]
-
-
 def _open(
-    folder: Path, name: str, spec: GraphSpec, weights: dict[str, bytes], provider: Provider, threads: int
+    folder: Path, name: str, spec: GraphSpec, weights: dict[str, bytes], device: Device
 ) -> onnxruntime.InferenceSession:
     """A session of one graph whose tensors are those of the manifest, on the provider that was asked for."""
-    session = _session(f"{folder.name}/{spec.file}", str(folder / spec.file), weights, provider, threads)
+    session = open_session(f"{folder.name}/{spec.file}", str(folder / spec.file), weights, device)
     _compare(
         folder.name,
         name,
@@ -330,49 +296,6 @@ def _open(
             expected=", ".join(sorted(missing)),
             got="none",
             cure="Export the model again.",
-        )
-    return session
-
-
-def _session(
-    label: str, model: str | bytes, weights: dict[str, bytes], provider: Provider, threads: int
-) -> onnxruntime.InferenceSession:
-    """A session of the file or the bytes ``model``, on the provider that was asked for.
-
-    ``weights``: files of tensors outside the model, by the name that it has for them. From memory and not from the
-    folder: parts of the packed graph are opened long after the rest, when another model may lie there.
-    """
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.inter_op_num_threads = 1
-    # Threads that sleep between operations of microseconds lose more than they gain (docs/performance.md), and those
-    # that spin between frames burn a core: so they spin while a graph runs.
-    options.add_session_config_entry("session.intra_op.allow_spinning", "1")
-    options.add_session_config_entry("session.force_spinning_stop", "1")
-    options.log_severity_level = 3
-    if weights:
-        sizes = [len(content) for content in weights.values()]
-        options.add_external_initializers_from_files_in_memory(list(weights), list(weights.values()), sizes)
-    # Only what was asked for; ONNX Runtime adds the CPU by itself where a node needs it.
-    try:
-        session = onnxruntime.InferenceSession(model, options, providers=[PROVIDER_NAMES[provider]])
-    except Exception as error:  # the runtime raises a class of its own for each kind of damage
-        raise ArtifactError(
-            label,
-            expected="a graph that ONNX Runtime opens",
-            got=str(error).splitlines()[0],
-            cure="Export the model again.",
-        ) from error
-    # ONNX Runtime falls back to the CPU without a word (only a log line), so what counts is what it says it uses.
-    used = session.get_providers()
-    if PROVIDER_NAMES[provider] not in used:
-        raise Unavailable(
-            "DRAPE_PROVIDER",
-            expected=f"{PROVIDER_NAMES[provider]} to open",
-            got=f"only {', '.join(used)}",
-            cure="Install the gpu extra and a driver that fits it, or set DRAPE_PROVIDER=cpu.",
         )
     return session
 

@@ -11,11 +11,12 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from drape.body.model import BodyModel
+from drape.buckets import filled, filled_rows
 from drape.errors import InputError, NotFound
 from drape.feeds import garment_feed
 from drape.garment.cache import Garment
@@ -30,7 +31,11 @@ from drape.packing import (
     pack_tangents,
 )
 from drape.push_packing import SkinShapes
-from service.engine import JETS, PACKED, SKIN, Engine, GraphSession
+from service.engine import JETS, PACKED, SKIN, Engine
+from service.runtime import Session
+
+if TYPE_CHECKING:
+    from service.runtime import Value
 
 Shape = Literal["vertices", "steps", "jets", "both"]
 OUTPUTS_OF: dict[Shape, tuple[str, ...]] = {
@@ -44,8 +49,10 @@ PER_VERTEX = ("vertices", "steps", NORMALS)
 PER_PATCH = JETS
 PER_BODY = (*BONES, SKIN)
 STORED_INDEX = ("patch_stored", "tile_stored")  # of no use where one garment is all there is
+SKIN_CONSTANTS = ("skin_rows", "skin_bones")  # of a shape
 SHAPE_INDEX = ("body_shape",)  # nor this where all bodies have one shape
 TILES_PER_CALL = 2048  # about 10 MB of columns: what a core's share of the last cache holds
+TILES_PER_BUCKET = 65536  # of devices with memory of their own
 KEPT_BYTES = 32 << 20  # of index tensors
 
 Item = tuple[str, int]  # garment, row of its body
@@ -176,16 +183,16 @@ class Packer:
     """Runs plans on the packed graph of an engine's model; safe to call from one thread at a time."""
 
     def __init__(
-        self, engine: Engine, body: BodyModel, *, kept_bytes: int = KEPT_BYTES, tiles_per_call: int = TILES_PER_CALL
+        self, engine: Engine, body: BodyModel, *, kept_bytes: int = KEPT_BYTES, tiles_per_call: int | None = None
     ) -> None:
         self._engine = engine
         self._body = body if engine.feels_body else None
         self._skins = SkinShapes(body) if engine.feels_body else None
         self._store = Store()
-        self._sessions: dict[tuple[ScenePlan, tuple[str, ...]], GraphSession] = {}
-        self._kept: OrderedDict[tuple[Item, ...], tuple[Composition, dict[str, Any]]] = OrderedDict()
+        self._sessions: dict[tuple[ScenePlan, tuple[str, ...]], Session] = {}
+        self._kept: OrderedDict[tuple[Item, ...], tuple[Composition, dict[str, Value]]] = OrderedDict()
         self._kept_bytes, self._limit = 0, kept_bytes
-        self._tiles_per_call = tiles_per_call
+        self._tiles_per_call = tiles_per_call or (TILES_PER_BUCKET if engine.bound else TILES_PER_CALL)
         self._values: dict[str, Any] = {}
 
     @property
@@ -197,6 +204,16 @@ class Packer:
     def kept_bytes(self) -> int:
         """Memory of the index tensors that are kept."""
         return self._kept_bytes
+
+    @property
+    def held_bytes(self) -> int:
+        """Memory where the graphs compute: constants of the garments, and what sessions hold between calls."""
+        return self._store.bytes + sum(session.bytes for session in self._sessions.values())
+
+    @property
+    def buckets(self) -> int:
+        """Sets of shapes that sessions hold memory for."""
+        return sum(session.buckets for session in self._sessions.values())
 
     def add(self, key: str, garment: Garment) -> None:
         """Encodes ``garment`` and puts it in store under ``key``."""
@@ -253,39 +270,50 @@ class Packer:
         return parts
 
     def _run_part(self, plan: ScenePlan, bodies: dict[str, np.ndarray], items: tuple[Item, ...]) -> list[Result]:
-        alone = len(items) == 1
+        first = items[0][0]
+        # Of a batch of one the constants are the graph's inputs; where they would lie on a device twice, none are.
+        alone = len(items) == 1 and not self._engine.bound
         direct = STORED_INDEX if alone else ()
+        if self._engine.bound and len(items) > 1:
+            bodies = filled_rows(bodies)
         if self._skins is not None:
             bodies = bodies | self._skins.feed(bodies["betas"])
             direct += SHAPE_INDEX if len(bodies["skin_rows"]) == 1 else ()
         session = self._session(plan, direct)
         composition, indices = self._composed(items, alone)
-        stored = self._store.packed(items[0][0]).stored if alone else self._store.arrays()
-        feed: dict[str, Any] = {}
+        stored = self._store.packed(first).stored if alone else self._store.arrays()
+        feed: dict[str, Value] = {}
         for name in session.inputs:
             if name in bodies:
-                feed[name] = self._engine.value(bodies[name])
+                feed[name] = bodies[name]
             elif name in indices:
                 feed[name] = indices[name]
             else:
-                feed[name] = self._constant(name, stored[name], items[0][0] if alone else "")
-        outputs = dict(zip(plan.outputs, session.run(plan.outputs, feed), strict=True))
+                feed[name] = self._constant(name, stored[name], first if alone else "")
+        still = (*SKIN_CONSTANTS, *indices)
+        outputs = dict(zip(plan.outputs, session.run(plan.outputs, feed, still=still), strict=True))
         return _apart(outputs, composition, [row for _, row in items])
 
-    def _session(self, plan: ScenePlan, direct: tuple[str, ...]) -> GraphSession:
+    def _session(self, plan: ScenePlan, direct: tuple[str, ...]) -> Session:
         """The session of ``plan`` that reads what the indices ``direct`` pick from as it is."""
         if (plan, direct) not in self._sessions:
             made = self._engine.open_cut(PACKED, plan.outputs, direct=direct, passes=plan.passes)
             self._sessions[plan, direct] = made
         return self._sessions[plan, direct]
 
-    def _composed(self, items: tuple[Item, ...], alone: bool) -> tuple[Composition, dict[str, Any]]:
+    def _composed(self, items: tuple[Item, ...], alone: bool) -> tuple[Composition, dict[str, Value]]:
         """Index tensors of ``items``, the latest used of them kept as far as memory allows."""
         kept = self._kept.pop(items, None)
         if kept is None:
             places = [Place(0, 0)] if alone else [self._store.place(key) for key, _ in items]
             made = compose([(self._store.packed(key), p, row) for (key, row), p in zip(items, places, strict=True)])
-            kept = made, {name: self._engine.value(array) for name, array in made.arrays.items()}
+            indices: dict[str, Value] = {}
+            if self._engine.bound:  # written into the bucket that the batch falls into
+                made = filled(made) if len(items) > 1 else made
+                indices.update(made.arrays)
+            else:
+                indices.update({name: self._engine.value(array) for name, array in made.arrays.items()})
+            kept = made, indices
             self._kept_bytes += made.bytes
         self._kept[items] = kept
         while self._kept_bytes > self._limit and self._kept:
@@ -301,6 +329,8 @@ class Packer:
         return self._values[label]
 
     def _forget(self) -> None:
+        for session in self._sessions.values():
+            session.forget()
         self._kept.clear()
         self._values.clear()
         self._kept_bytes = 0

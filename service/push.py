@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,10 +23,17 @@ from drape.cloth.push.skin import SkinOnBones, body_skin, skin_table
 from drape.errors import NotFound
 from drape.layer_packing import LayerFeed, Sheet, layer_arrays, pack_layer, push_over, push_over_in_parts
 from drape.push_packing import feed_arrays, pack_push, pushed_jets
-from service.engine import PUSH, PUSH_OVER, SKIN, Engine, GraphSession
+from service.engine import PUSH, PUSH_OVER, SKIN, Engine
+from service.runtime import Session
+
+if TYPE_CHECKING:
+    import onnxruntime
+
+    from service.runtime import Value
 
 MOVED_M = 1e-4  # a vertex pushed less than this counts as left alone
 OUTPUT = "pushed"
+SKIN_CONSTANTS = ("skin_rows", "skin_bones")  # of a shape
 JET_OUTPUTS = (OUTPUT, "jet_push", "left")
 KEPT_SHAPES = 64  # a megabyte each
 KEPT_OUTFITS = 32  # some five megabytes per layer over others
@@ -41,7 +49,7 @@ class _Stored:
     vertices: np.ndarray
     faces: np.ndarray
     push: PushFeed
-    arrays: dict[str, np.ndarray]
+    arrays: dict[str, onnxruntime.OrtValue]
     sheet: Sheet | None = None
 
 
@@ -73,10 +81,10 @@ class Pusher:
         self._engine, self._body = engine, body
         self._skin = body_skin(body)
         self._stored: dict[str, _Stored] = {}
-        self._layers: OrderedDict[tuple[str, ...], tuple[LayerFeed, dict[str, np.ndarray]]] = OrderedDict()
+        self._layers: OrderedDict[tuple[str, ...], tuple[LayerFeed, dict[str, onnxruntime.OrtValue]]] = OrderedDict()
         self._looking, self._making = threading.Lock(), threading.Lock()
         self._shapes: OrderedDict[bytes, SkinOnBones] = OrderedDict()
-        self._opened: dict[tuple[str, tuple[str, ...], bool], GraphSession] = {}
+        self._opened: dict[tuple[str, tuple[str, ...], bool], Session] = {}
         self._push_in_graph = engine.pushes and body.posedirs is None
         self._over_in_graph = engine.pushes_over and body.posedirs is None
         for graph, there in ((PUSH, self._push_in_graph), (PUSH_OVER, self._over_in_graph)):
@@ -88,10 +96,21 @@ class Pusher:
         """Whether the graph does it."""
         return self._push_in_graph
 
+    @property
+    def held_bytes(self) -> int:
+        """Memory where the graphs compute: constants of the garments, and what sessions hold between calls."""
+        constants = sum(value.tensor_size_in_bytes() for one in self._stored.values() for value in one.arrays.values())
+        return constants + sum(session.bytes for session in self._opened.values())
+
+    @property
+    def buckets(self) -> int:
+        """Sets of shapes that sessions hold memory for."""
+        return sum(session.buckets for session in self._opened.values())
+
     def add(self, key: str, feed: dict[str, np.ndarray], vertices: np.ndarray, faces: np.ndarray) -> None:
         """Puts the garment ``key`` in store: its ``drape.feeds.garment_feed``, rest vertices [m] (V, 3) and faces."""
         push = pack_push(feed, vertices, self._skin)
-        self._stored[key] = _Stored(feed, vertices, faces, push, feed_arrays(push))
+        self._stored[key] = _Stored(feed, vertices, faces, push, self._values(feed_arrays(push)))
 
     def prepare(self, keys: Sequence[str]) -> None:
         """Makes the constants of every garment of an outfit over those before it, where they are missing.
@@ -203,7 +222,7 @@ class Pusher:
             )
         return self._stored[key]
 
-    def _layer(self, keys: tuple[str, ...]) -> tuple[LayerFeed, dict[str, np.ndarray]]:
+    def _layer(self, keys: tuple[str, ...]) -> tuple[LayerFeed, dict[str, onnxruntime.OrtValue]]:
         """Constants of the last of ``keys`` over the others; the latest used are kept."""
         *inner, outer = (self._get(key) for key in keys)
         kept = self._found(keys)
@@ -213,14 +232,14 @@ class Pusher:
             kept = self._found(keys)
             if kept is None:
                 made = pack_layer(outer.feed, outer.vertices, self._skin, [_sheet(stored) for stored in inner])
-                kept = made, layer_arrays(made)
+                kept = made, self._values(layer_arrays(made))
                 with self._looking:
                     self._layers[keys] = kept
                     if len(self._layers) > KEPT_OUTFITS:
                         self._layers.popitem(last=False)
         return kept
 
-    def _found(self, keys: tuple[str, ...]) -> tuple[LayerFeed, dict[str, np.ndarray]] | None:
+    def _found(self, keys: tuple[str, ...]) -> tuple[LayerFeed, dict[str, onnxruntime.OrtValue]] | None:
         with self._looking:
             kept = self._layers.get(keys)
             if kept is not None:
@@ -230,7 +249,7 @@ class Pusher:
     def _by_graph(
         self,
         graph: str,
-        arrays: dict[str, np.ndarray],
+        arrays: Mapping[str, Value],
         vertices: np.ndarray,
         clearance: np.float32,
         *,
@@ -238,10 +257,14 @@ class Pusher:
     ) -> list[np.ndarray]:
         """``outputs`` of ``graph`` for ``arrays``, which may hold the posed skin in place of what poses it."""
         session = self._graph(graph, outputs, given=SKIN in arrays)
-        arrays = arrays | {"vertices": vertices, "clearance": np.full(1, clearance)}
-        return session.run(outputs, {name: self._engine.value(arrays[name]) for name in session.inputs})
+        given = {**arrays, "vertices": vertices, "clearance": np.full(1, clearance)}
+        return session.run(outputs, {name: given[name] for name in session.inputs}, still=SKIN_CONSTANTS)
 
-    def _graph(self, graph: str, outputs: tuple[str, ...], *, given: bool) -> GraphSession:
+    def _values(self, arrays: dict[str, np.ndarray]) -> dict[str, onnxruntime.OrtValue]:
+        """Constants where the graphs compute, handed over once."""
+        return {name: self._engine.value(array) for name, array in arrays.items()}
+
+    def _graph(self, graph: str, outputs: tuple[str, ...], *, given: bool) -> Session:
         """The session of ``outputs`` of ``graph``, with the posed skin ``given`` or not, opened once."""
         label = graph, outputs, given
         if label not in self._opened:

@@ -108,6 +108,10 @@ class Health(BaseModel):
     dynamic: bool
     provider: str
     int8: bool = Field(description="Whether the widest matrices of the network are multiplied in int8.")
+    half: bool = Field(description="Whether the network's matrices are multiplied in float16.")
+    elsewhere: int = Field(description="Operations that do not run on the provider; on a GPU each waits for a copy.")
+    device_bytes: int = Field(description="Memory of the garments' constants and of buckets where the graphs compute.")
+    buckets: int = Field(description="Sets of shapes with memory of their own; on a GPU each a captured graph.")
     body: str
     garments: int
     passes: int = Field(description="Corrections of the network of which a request may choose how many; 0: no choice.")

@@ -15,6 +15,7 @@ from drape.artifacts import DEFAULT_MODEL, MODELS_DIR
 from drape.body.assets import DEFAULT_BODY
 from drape.errors import InputError
 from drape.garment.cache import GARMENTS_DIR
+from service.runtime import Device
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -32,6 +33,9 @@ class Settings(BaseSettings):
     body: str = DEFAULT_BODY
     provider: Literal["cpu", "cuda"] = "cpu"
     threads: int = Field(default=1, ge=1, le=64)
+    gpu_memory_mb: int = Field(default=4096, ge=64)
+    buckets: bool | None = None
+    capture: bool = True
     chunk_frames: int = Field(default=8, ge=1, le=256)
 
     shipped_garments_dir: Path = GARMENTS_DIR
@@ -40,6 +44,7 @@ class Settings(BaseSettings):
     page_dir: Path = ROOT / "clients/web/dist"
 
     int8: bool = True
+    half: bool | None = None
     passes: int | None = Field(default=None, ge=0)
     push_out: bool = True
     clearance_m: float = Field(default=0.0025, gt=0.0, le=0.05)
@@ -65,6 +70,11 @@ class Settings(BaseSettings):
     stream_send_s: float = Field(default=1.0, gt=0.0)
     stream_message_bytes: int = Field(default=65536, ge=1024)
     allowed_origins: tuple[str, ...] = ()
+
+    @property
+    def device(self) -> Device:
+        """Where the graphs compute."""
+        return Device(self.provider, self.threads, self.gpu_memory_mb, self.capture)
 
 
 def load_settings(**overrides: object) -> Settings:

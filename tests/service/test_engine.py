@@ -18,7 +18,8 @@ from drape.body.model import BodyModel
 from drape.errors import ArtifactError, Unavailable
 from drape.feeds import body_feed, garment_feed
 from drape.garment.cache import Garment
-from service.engine import DRAPE, ENCODER, Engine, check_distributions
+from service.engine import DRAPE, ENCODER, Engine
+from service.runtime import Device, check_distributions
 from tests.fixtures.tiny_model import ENCODER_MATRIX, TINY
 
 
@@ -85,7 +86,7 @@ def test_it_computes_what_its_graphs_say(folder: Path, body: BodyModel, tube: Ga
 @pytest.mark.skipif(shutil.which("nvidia-smi") is not None, reason="CUDA may open here")
 def test_cuda_that_does_not_open_is_refused(folder: Path):
     with pytest.raises(Unavailable, match=r"^DRAPE_PROVIDER: expected CUDAExecutionProvider .*DRAPE_PROVIDER=cpu"):
-        Engine(folder, provider="cuda")
+        Engine(folder, device=Device("cuda"))
 
 
 def test_another_body_is_refused(folder: Path, body: BodyModel):

@@ -27,6 +27,7 @@ from model_export.parity import hard_poses
 from service.drapery import Drapery, PoseInput
 from service.engine import PACKED, Engine
 from service.packing import SHAPE_INDEX, STORED_INDEX, Packer, ScenePlan
+from service.runtime import Device
 from service.subgraph import cut
 from tests.fixtures.packed import KINDS, exported, garment
 from tests.fixtures.poses import random_motion
@@ -51,7 +52,7 @@ def bodies() -> dict[str, np.ndarray]:
 
 
 def make_packer(threads: int = 1, **options: int) -> Packer:
-    packer = Packer(Engine(exported()[1], threads=threads), load_body(), **options)
+    packer = Packer(Engine(exported()[1], device=Device(threads=threads)), load_body(), **options)
     for kind in KINDS:
         packer.add(kind, garment(kind))
     return packer
@@ -181,8 +182,9 @@ class _Recorded:
         self._session = session
         self.inputs = tuple(tensor.name for tensor in session.get_inputs())
 
-    def run(self, outputs, feed) -> list[np.ndarray]:
-        return [value.numpy() for value in self._session.run_with_ort_values(list(outputs), feed)]
+    def run(self, outputs, feed, *, still=()) -> list[np.ndarray]:
+        values = {n: Device().value(v) if isinstance(v, np.ndarray) else v for n, v in feed.items()}
+        return [value.numpy() for value in self._session.run_with_ort_values(list(outputs), values)]
 
 
 @pytest.mark.parametrize("alone", [True, False])

@@ -1,0 +1,174 @@
+"""ONNX Runtime as the service uses it: which distribution is there, sessions on a provider, values on its device."""
+
+from __future__ import annotations
+
+import importlib.metadata
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from drape.errors import ArtifactError, Unavailable
+
+if TYPE_CHECKING:
+    import onnxruntime
+
+    Value = np.ndarray | onnxruntime.OrtValue
+
+Provider = Literal["cpu", "cuda"]
+
+PROVIDER_NAMES: dict[Provider, str] = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider"}
+DISTRIBUTIONS = ("onnxruntime", "onnxruntime-gpu")
+
+
+@dataclass(frozen=True)
+class Device:
+    """Where graphs compute, and with what: ``threads`` of a CPU; of a GPU the memory that a session's workspace may
+    take [MB], and whether calls of one set of shapes are captured as a CUDA graph."""
+
+    provider: Provider = "cpu"
+    threads: int = 1
+    memory_mb: int = 4096
+    capture: bool = True
+
+    @property
+    def captures(self) -> bool:
+        return self.provider == "cuda" and self.capture
+
+    def value(self, array: np.ndarray) -> onnxruntime.OrtValue:
+        """``array`` where the graphs compute; on the CPU it shares the array's memory."""
+        import onnxruntime
+
+        return onnxruntime.OrtValue.ortvalue_from_numpy(array, self.provider)
+
+    def empty(self, shape: Sequence[int], dtype: np.dtype) -> onnxruntime.OrtValue:
+        """Memory for an array where the graphs compute."""
+        import onnxruntime
+
+        return onnxruntime.OrtValue.ortvalue_from_shape_and_type(list(shape), dtype.type, self.provider)
+
+    def options(self, *, capture: bool) -> dict[str, str]:
+        """The provider's options. TF32 is off: it rounds the products of coordinates to ten bits."""
+        if self.provider == "cpu":
+            return {}
+        return {
+            "use_tf32": "0",
+            "gpu_mem_limit": str(self.memory_mb << 20),
+            "arena_extend_strategy": "kSameAsRequested",
+            "enable_cuda_graph": "1" if capture else "0",
+        }
+
+
+class Session:
+    """An opened part of a graph. It takes memory for every call anew, which costs nothing on a CPU."""
+
+    def __init__(self, opened: onnxruntime.InferenceSession, device: Device) -> None:
+        self.inputs = tuple(tensor.name for tensor in opened.get_inputs())
+        self._opened, self._device = opened, device
+
+    @property
+    def bytes(self) -> int:
+        """Memory that it holds between calls, besides its weights and workspace."""
+        return 0
+
+    @property
+    def buckets(self) -> int:
+        """Sets of shapes that it holds memory for."""
+        return 0
+
+    def run(
+        self, outputs: Sequence[str], feed: Mapping[str, Value], *, still: Collection[str] = ()
+    ) -> list[np.ndarray]:
+        """``outputs`` for ``feed``, numpy arrays or values where the graph computes.
+
+        Arrays named in ``still`` are never written to by their owner.
+        """
+        values = {name: self._device.value(v) if isinstance(v, np.ndarray) else v for name, v in feed.items()}
+        return [value.numpy() for value in self._opened.run_with_ort_values(list(outputs), values)]
+
+    def forget(self) -> None:
+        """Drops what it holds: values that were fed are about to go."""
+
+
+def check_distributions() -> str:
+    """The one ONNX Runtime distribution that is installed; refuses none and two.
+
+    Both put their files in the same folder: the last one installed wins, and
+    removing one breaks the other (microsoft/onnxruntime#10685).
+    """
+    found = {name: version for name in DISTRIBUTIONS if (version := _version(name))}
+    if len(found) == 2:
+        listed = " and ".join(f"{name} {version}" for name, version in found.items())
+        raise Unavailable(
+            "onnxruntime",
+            expected="one of onnxruntime and onnxruntime-gpu",
+            got=f"both: {listed}",
+            cure="Uninstall both, then install one: pip install '.[cpu]' or pip install '.[gpu]'.",
+        )
+    if not found:
+        raise Unavailable(
+            "onnxruntime",
+            expected="one of onnxruntime and onnxruntime-gpu",
+            got="none installed",
+            cure="Install one: pip install '.[cpu]' or pip install '.[gpu]'.",
+        )
+    return next(iter(found))
+
+
+def _version(name: str) -> str | None:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def open_session(
+    label: str, model: str | bytes, weights: dict[str, bytes], device: Device, *, capture: bool = False
+) -> onnxruntime.InferenceSession:
+    """A session of the file or the bytes ``model``, on the provider that was asked for; ``capture``: ready for it.
+
+    ``weights``: files of tensors outside the model, by the name that it has for them. From memory and not from the
+    folder: parts of the packed graph are opened long after the rest, when another model may lie there.
+    """
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = device.threads
+    options.inter_op_num_threads = 1
+    # Threads that sleep between operations of microseconds lose more than they gain (docs/performance.md), and those
+    # that spin between frames burn a core: so they spin while a graph runs.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "1")
+    options.add_session_config_entry("session.force_spinning_stop", "1")
+    options.add_session_config_entry("session.record_ep_graph_assignment_info", "1")
+    options.log_severity_level = 3
+    if weights:
+        sizes = [len(content) for content in weights.values()]
+        options.add_external_initializers_from_files_in_memory(list(weights), list(weights.values()), sizes)
+    name = PROVIDER_NAMES[device.provider]
+    # Only what was asked for; ONNX Runtime adds the CPU by itself where a node needs it.
+    try:
+        session = onnxruntime.InferenceSession(model, options, providers=[(name, device.options(capture=capture))])
+    except Exception as error:  # the runtime raises a class of its own for each kind of damage
+        raise ArtifactError(
+            label,
+            expected="a graph that ONNX Runtime opens" + (" and can capture" if capture else ""),
+            got=str(error).splitlines()[0],
+            cure="Export the model again" + (", or set DRAPE_CAPTURE=false." if capture else "."),
+        ) from error
+    # ONNX Runtime falls back to the CPU without a word (only a log line), so what counts is what it says it uses.
+    used = session.get_providers()
+    if name not in used:
+        raise Unavailable(
+            "DRAPE_PROVIDER",
+            expected=f"{name} to open",
+            got=f"only {', '.join(used)}",
+            cure="Install the gpu extra and a driver that fits it, or set DRAPE_PROVIDER=cpu.",
+        )
+    return session
+
+
+def nodes_elsewhere(session: Any, device: Device) -> int:
+    """Nodes of ``session`` that do not run on the provider that was asked for: on a GPU each waits for a copy."""
+    parts = session.get_provider_graph_assignment_info()
+    return sum(len(part.get_nodes()) for part in parts if part.ep_name != PROVIDER_NAMES[device.provider])
