@@ -43,7 +43,7 @@ from drape.push_packing import SkinShapes
 from service.engine import PACKED, Engine
 from service.packing import SHAPE_INDEX, STORED_INDEX, Packer, ScenePlan
 from service.push import Pusher
-from service.runtime import Device
+from service.runtime import PROVIDER_NAMES, Device
 from training.model import OneFit
 
 COLUMNS = {
@@ -63,15 +63,16 @@ class Bench:
     """What all measurements share."""
 
     engine: Engine
+    halved: Engine
     model: OneFit
     body: BodyModel
     shape: PackedBody
     seconds: float
     threads: int
 
-    def packer(self, garments: dict[str, Garment]) -> Packer:
-        """A packer with ``garments`` in store."""
-        packer = Packer(self.engine, self.body)
+    def packer(self, garments: dict[str, Garment], *, half: bool = False) -> Packer:
+        """A packer with ``garments`` in store, of the network in float16 where ``half`` is asked for."""
+        packer = Packer(self.halved if half else self.engine, self.body)
         for key, garment in garments.items():
             packer.add(key, garment)
         return packer
@@ -105,6 +106,9 @@ def single_rows(bench: Bench, name: str, options: argparse.Namespace) -> list[di
     for plan in (ScenePlan(normals=True), ScenePlan("steps"), ScenePlan("jets")):
         label = "_normals" if plan.normals else f"_{plan.shape}"
         rows.append({"name": f"onnx{label}", **bench.clock(packer, [name], plan).row()})
+    if bench.halved.half:
+        by_half = bench.packer({name: garment}, half=True)
+        rows.append({"name": "onnx_fp16", **bench.clock(by_half, [name], ScenePlan()).row()})
     rows.append({"name": "onnx_readable", **readable(bench, garment, pose).row()})
     rows += latency_rivals.torch_rows(
         bench.model, garment, bench.body, pose, seconds=bench.seconds, compiled=not options.quick
@@ -237,13 +241,15 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.latency", description="Latency and throughput.")
     parser.add_argument("--model", type=Path, default=MODELS_DIR / "onefit", help="a model folder; default the shipped")
     parser.add_argument("--newton", help="an interpreter that has the package newton")
+    parser.add_argument("--provider", choices=list(PROVIDER_NAMES), default="cpu")
     common.add_options(parser)
     options = parser.parse_args(arguments)
     torch.set_num_threads(options.threads)
     load = os.getloadavg()[0]
-    engine, body = Engine(options.model, device=Device(threads=options.threads)), load_body()
+    device, body = Device(options.provider, options.threads), load_body()
+    engine, halved = (Engine(options.model, device=device, half=half) for half in (False, True))
     seconds = 0.3 if options.quick else 3.0
-    bench = Bench(engine, network_of(options.model), body, pack_body(body), seconds, options.threads)
+    bench = Bench(engine, halved, network_of(options.model), body, pack_body(body), seconds, options.threads)
     rows = [row for name in SINGLE for row in single_rows(bench, name, options)]
     rows += batch_rows(bench, BATCHES[:4:3] if options.quick else BATCHES)
     rows += growth_rows(bench, quick=options.quick)
@@ -252,7 +258,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     if load > 0.5:
         print(f"the machine was busy: load {load:.1f} when this began; such times are provisional")
     return common.finish(
-        "latency", rows, options, device="cpu", provider=engine.provider, load_before=load,
+        "latency", rows, options, device=options.provider, provider=engine.provider, load_before=load,
         model=options.model.name,
     )  # fmt: skip
 
