@@ -6,6 +6,7 @@ up for that with the pattern. So each round meshes what the one before found ane
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -36,12 +37,18 @@ TRIED = FitOptions(iterations=0, closing=3)  # of the search with each fabric: i
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """One search: what its pattern draped to at the ``start``, pairs of contours, and what was ``fitted`` with what."""
+    """One search: what its pattern draped to at the ``start``, pairs of contours, and what was ``fitted`` with what.
+
+    It took ``seconds`` by the clock and ``processor_s`` of the processor, over all threads; its mesh and the drape at
+    its start count with it, for the first round all that goes before: base, grading, choice of the fabric.
+    """
 
     start: Draped
     matches: list[Match]
     search: PatternSearch
     fitted: Fitted
+    seconds: float
+    processor_s: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +102,7 @@ def recover_pattern(
     contours have no counterpart or a drape does not come to rest.
     """
     say = report or (lambda line: None)
+    began = time.perf_counter(), time.process_time()
     lengths = list(meshes_m) if meshes_m is not None else [drape.edge_length_m] * ROUNDS
     if not lengths:
         raise InputError("meshes_m", expected="an edge length or more", got="none", cure="Leave it at its default.")
@@ -167,7 +175,9 @@ def recover_pattern(
         steps = fit if number == 0 else replace(fit, iterations=0, closing=max(fit.closing, 1))
         file = None if state_file is None else state_file.with_stem(state_file.stem + (f"_{number}" if number else ""))
         fitted = search.run(start.nodes, steps, state_file=file, progress=progress)
-        rounds.append(Round(start, matches, search, fitted))
+        ended = time.perf_counter(), time.process_time()
+        rounds.append(Round(start, matches, search, fitted, ended[0] - began[0], ended[1] - began[1]))
+        began = ended
         apart = [1e3 * float(np.sqrt(0.5 * terms)) for terms in (fitted.history[0, 1], _least(rounds[-1])[1])]
         say(f"round {number + 1}   {start.mesh.node_count} nodes: surfaces {apart[0]:.2f} to {apart[1]:.2f} mm apart")
         # The base's seams were scaled by it; what the target tells of them is kept from here on.
