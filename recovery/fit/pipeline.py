@@ -17,6 +17,7 @@ from drape.body.model import BodyModel
 from drape.cloth.orthotropic import OrthotropicMaterial
 from drape.errors import InputError
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
+from recovery.fit.belt import held_as_target
 from recovery.fit.cloth import Fabric, FreeCloth, named, nearest_fabric
 from recovery.fit.contours import Contour, Match, match_contours, open_contours
 from recovery.fit.forward import RestDrape
@@ -141,7 +142,7 @@ def recover_pattern(
             # From scratch: what hangs from a belt closes round the body elsewhere in another fabric.
             options = replace(drape, fabric=name, edge_length_m=lengths[0])
             starts.setdefault(name, drape_pattern(graded.pattern, body, options, pose=pose, skin=bare))
-        losses = {name: task.tried(one, base, named(name)) for name, one in starts.items()}
+        losses = {name: task.tried(task.held(one, named(name)), base, named(name)) for name, one in starts.items()}
         name = min(losses, key=lambda one: losses[one])
         told = ", ".join(f"{one} {1e3 * np.sqrt(0.5 * loss):.2f}" for one, loss in losses.items())
         say(f"fabric    {name}; left to the target [mm]: {told}")
@@ -156,12 +157,13 @@ def recover_pattern(
     )
     task = _Task(target, contours_there, joints, skin, symmetries, graded.pattern, weights)
     likely = cloth
+    start = task.held(start, cloth)
     rounds: list[Round] = []
     pattern, ratios = graded.pattern, base
     for number, length in enumerate(lengths):
         if number:
             options = replace(drape, edge_length_m=length)
-            start = drape_pattern(pattern, body, options, pose=pose, cloth=cloth, skin=bare)
+            start = task.held(drape_pattern(pattern, body, options, pose=pose, cloth=cloth, skin=bare), cloth)
             if not start.at_rest or not _would_change(rounds, start, free_cloth=free_cloth):
                 say(f"round {number + 1}   left: {'it would find the same' if start.at_rest else 'no drape at rest'}")
                 break
@@ -216,6 +218,10 @@ class _Task:
     symmetries: Symmetries
     graded: Pattern
     weights: Weights
+
+    def held(self, draped: Draped, cloth: OrthotropicMaterial) -> Draped:
+        """``draped`` with its belt where the target's is."""
+        return held_as_target(draped, _matched(draped, self.contours, self.joints)[0], self.contours, self.skin, cloth)
 
     def search(
         self,

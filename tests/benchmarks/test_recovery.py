@@ -44,6 +44,7 @@ def test_spread_is_mean_and_deviation_over_the_seeds():
     assert first["surface_mm_sd"] == pytest.approx(0.0) and np.isnan(second["mean_mm_sd"])
 
 
+@pytest.mark.slow
 def test_errors_and_times_of_every_round_make_a_table():
     body, truth = load_body(), skirt(default_measurements())
     drape = DrapeOptions(edge_length_m=0.1, grid_m=0.02)
