@@ -33,8 +33,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, help="write the record to this file")
 
 
-def finish(bench: str, rows: list[dict[str, Any]], options: argparse.Namespace, **extra: Any) -> dict[str, Any]:
-    """Prints the record as the last line, writes it where the options ask, and returns it."""
+def finish(
+    bench: str, rows: list[dict[str, Any]], options: argparse.Namespace, *, module: str | None = None, **extra: Any
+) -> dict[str, Any]:
+    """Prints the record as the last line, writes it where the options ask, and returns it.
+
+    ``module`` of this package ran, where the record has another name than it.
+    """
     record = finite(
         {
             "bench": bench,
@@ -43,7 +48,7 @@ def finish(bench: str, rows: list[dict[str, Any]], options: argparse.Namespace, 
             "machine": machine(),
             "threads": options.threads,
             "commit": commit(),
-            "command": command(bench, sys.argv[1:]),
+            "command": command(module or bench, sys.argv[1:]),
         }
     )
     targets = [RESULTS_DIR / f"{bench}.json"] if options.save else []

@@ -8,6 +8,7 @@ its fabric may be another than the base's. Flattening and a search without gradi
 
     python -m benchmarks.recovery [--quick] [--seeds 5] [--edge-length 0.05] [--picture FILE.png] [--save]
     python -m benchmarks.recovery --target-edge-length 0.02 --meshes 0.05 0.03 0.022
+    python -m benchmarks.recovery --target-edge-length 0.016 --meshes 0.05 0.03 0.017 --first-seed 1 --seeds 1 --save
     python -m benchmarks.recovery --fabrics crisp limp --free-cloth
     python -m benchmarks.recovery --ablation --garments skirt --seeds 5 --save
 """
@@ -68,6 +69,20 @@ COLUMNS = {
     "surface_mm": ".3f",
     "minutes": ".2f",
 }
+ROUND_COLUMNS = {
+    "garment": "s",
+    "seed": "d",
+    "round": "d",
+    "nodes": "d",
+    "mean_mm": ".2f",
+    "max_mm": ".2f",
+    "area_err": ".2f",
+    "surface_mm": ".3f",
+    "steps": "d",
+    "drapes": "d",
+    "minutes": ".2f",
+    "processor_minutes": ".2f",
+}
 PAIR_COLUMNS = {
     "garment": "s",
     "fabrics": "s",
@@ -111,11 +126,13 @@ def recover(
 ) -> tuple[Recovered, dict[str, Any]]:
     """One recovery by ``recover_pattern`` with ``options``, and its errors."""
     base = off(truth, seed)
-    started = time.perf_counter()
+    started = time.perf_counter(), time.process_time()
     found = recover_pattern(
         target.nodes, target.mesh.faces, base, load_body(), drape=drape, fit=fit, progress=True, **options
     )
-    minutes = (time.perf_counter() - started) / 60.0
+    minutes, processor = (
+        (now - then) / 60.0 for now, then in zip((time.perf_counter(), time.process_time()), started, strict=True)
+    )
     before, graded, end = (pattern_error(one, truth) for one in (base, found.graded.pattern, found.fitted.pattern))
     areas, history = 100.0 * np.abs(end.areas), found.fitted.history
     return found, {
@@ -136,7 +153,30 @@ def recover(
         "nearest": found.fabric.describe(),
         "target_at_rest": target.at_rest,
         "minutes": minutes,
+        "processor_minutes": processor,
     }
+
+
+def by_round(found: Recovered, truth: Pattern) -> list[dict[str, Any]]:
+    """Errors and times of every round of a recovery; the pattern of a round is the best of it."""
+    lines = []
+    for number, one in enumerate(found.rounds, start=1):
+        error, history = pattern_error(one.fitted.pattern, truth), one.fitted.history
+        lines.append(
+            {
+                "round": number,
+                "nodes": one.start.mesh.node_count,
+                "mean_mm": 1e3 * float(error.controls_m.mean()),
+                "max_mm": 1e3 * float(error.controls_m.max()),
+                "area_err": 100.0 * float(np.abs(error.areas).mean()),
+                "surface_mm": 1e3 * float(np.sqrt(0.5 * history[history[:, 0].argmin(), 1])),
+                "steps": len(history) - 1,
+                "drapes": one.search.forward.drapes,
+                "minutes": one.seconds / 60.0,
+                "processor_minutes": one.processor_s / 60.0,
+            }
+        )
+    return lines
 
 
 def triangles(draped: Draped) -> set[tuple[int, ...]]:
@@ -253,6 +293,7 @@ def main() -> int:
     cloth = {"fabrics": tuple(FABRICS), "free_cloth": True} if options.free_cloth or options.ablation else {}
     fabrics = options.fabrics or [ABLATION_FABRIC if options.ablation else DEFAULT_MATERIAL]
     rows: list[dict[str, Any]] = []
+    rounds_of: list[dict[str, Any]] = []
     found: dict[tuple[str, str, int], Recovered] = {}
     for garment in options.garments:
         for fabric in fabrics:
@@ -265,6 +306,7 @@ def main() -> int:
                     one, row = recover(truth, target, seed, drape, fit, **own)
                     rows.append({"garment": garment, "fabric": fabric, "variant": variant, **row})
                     found[garment, fabric, seed] = one
+                    rounds_of += [{"garment": garment, "seed": seed, **line} for line in by_round(one, truth)]
                     if options.picture is not None and len(rows) == 1:
                         stages = {"base": off(truth, seed), "graded": one.graded.pattern}
                         stages["recovered"] = one.fitted.pattern
@@ -272,6 +314,9 @@ def main() -> int:
                         draw(options.picture, truth, stages, history)
     common.print_table(rows, COLUMNS)
     extra: dict[str, Any] = {}
+    if options.meshes:
+        extra["by_round"] = rounds_of
+        common.print_table(rounds_of, ROUND_COLUMNS)
     if len(fabrics) > 1:
         extra["pairs"] = compare(found)
         common.print_table(extra["pairs"], PAIR_COLUMNS)
@@ -279,9 +324,11 @@ def main() -> int:
         extra["spread"] = spread(rows)
         common.print_table(extra["spread"], SPREAD_COLUMNS)
     name = "recovery_ablation" if options.ablation else "recovery_fabrics" if len(fabrics) > 1 else "recovery"
-    if options.target_edge_length is not None and not options.ablation:
+    if options.meshes and not options.ablation:
+        name += "_rounds"
+    elif options.target_edge_length is not None and not options.ablation:
         name += "_other_mesh"
-    common.finish(name, rows, options, **extra)
+    common.finish(name, rows, options, module="recovery", **extra)
     return 0
 
 

@@ -87,3 +87,33 @@ def rivals_table(record: dict[str, Any]) -> str:
         lines.append([garment, RIVAL_NAMES[method], *values])
     heads = ["target", "", *(head for head, _ in RIVALS.values())]
     return f"{markdown_table(heads, lines)}\n\n{provenance(record)}"
+
+
+ROUNDS = {
+    "nodes": ("nodes", "d"),
+    "mean_mm": ("control points: mean [mm]", ".2f"),
+    "max_mm": ("largest [mm]", ".2f"),
+    "area_err": ("areas [%]", ".2f"),
+    "surface_mm": ("surfaces apart [mm]", ".2f"),
+    "steps": ("steps", "d"),
+    "drapes": ("drapes", "d"),
+    "minutes": ("minutes", ".2f"),
+    "processor_minutes": ("of the processor", ".2f"),
+}
+
+
+def rounds_table(record: dict[str, Any]) -> str:
+    """A line for every round of every recovery, and one for its whole time."""
+    lines = []
+    for row in record["rows"]:
+        name = f"{row['garment']}, {row['seed']}"
+        start = {"mean_mm": row["graded_mm"]}
+        lines.append([f"{name}: graded twice", *cells(start, {key: form for key, (_, form) in ROUNDS.items()})])
+        for one in record["by_round"]:
+            if (one["garment"], one["seed"]) == (row["garment"], row["seed"]):
+                own = cells(one, {key: form for key, (_, form) in ROUNDS.items()})
+                lines.append([f"{name}: round {one['round']}", *own])
+        whole = {"minutes": row["minutes"], "processor_minutes": row["processor_minutes"]}
+        lines.append([f"{name}: **whole**", *cells(whole, {key: form for key, (_, form) in ROUNDS.items()})])
+    heads = ["target, base", *(head for head, _ in ROUNDS.values())]
+    return f"{markdown_table(heads, lines)}\n\n{provenance(record)}"

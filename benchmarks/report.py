@@ -159,6 +159,7 @@ TABLES: tuple[tuple[str, str, str, Callable[[dict[str, Any]], str]], ...] = (
     ("push_out", "docs/push_out.md", "push_out", study_report.push_table),
     ("resolution", "docs/quality.md", "resolution", study_report.resolution_table),
     ("recovery_targets", "docs/recovery_fit.md", "recovery_targets", recovery_report.table),
+    ("recovery_rounds", "docs/recovery_fit.md", "recovery_rounds", recovery_report.rounds_table),
     ("recovery_rivals", "docs/recovery_fit.md", "recovery_rivals", recovery_report.rivals_table),
     ("loss_ablation", "docs/losses.md", "loss_ablation", representation_report.loss_table),
 )

@@ -204,11 +204,19 @@ def on_line(points: Tensor, line: Tensor) -> tuple[Tensor, Tensor, Tensor, Tenso
     shares = torch.cat([length, length]) / (2.0 * length.sum())
     share = 0.5 - 0.5 / 3.0**0.5  # Gauss's points of a segment
     samples = torch.cat([points + share * (following - points), following + share * (points - following)])
+    best, t = nearest_on_line(samples, line)
+    return samples, shares, best, t
+
+
+def nearest_on_line(points: Tensor, line: Tensor) -> tuple[Tensor, Tensor]:
+    """For each of ``points`` (n, 3) the number (n,) of the nearest segment of the closed polyline ``line`` (m, 3).
+
+    And the place (n,) on it, from 0 to 1. Not differentiated.
+    """
     with torch.no_grad():
         along = torch.roll(line, -1, dims=0) - line
         squared = torch.clamp((along * along).sum(dim=1), min=1e-30)
-        t = torch.clamp(((samples[:, None] - line[None]) * along[None]).sum(dim=2) / squared, 0.0, 1.0)
-        off = samples[:, None] - line[None] - t[..., None] * along[None]
+        t = torch.clamp(((points[:, None] - line[None]) * along[None]).sum(dim=2) / squared, 0.0, 1.0)
+        off = points[:, None] - line[None] - t[..., None] * along[None]
         best = (off * off).sum(dim=2).argmin(dim=1)
-        t = t[torch.arange(len(samples)), best]
-    return samples, shares, best, t
+        return best, t[torch.arange(len(points)), best]

@@ -6,6 +6,7 @@ up for that with the pattern. So each round meshes what the one before found ane
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from drape.body.model import BodyModel
 from drape.cloth.orthotropic import OrthotropicMaterial
 from drape.errors import InputError
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
+from recovery.fit.belt import held_as_target
 from recovery.fit.cloth import Fabric, FreeCloth, named, nearest_fabric
 from recovery.fit.contours import Contour, Match, match_contours, open_contours
 from recovery.fit.forward import RestDrape
@@ -36,12 +38,18 @@ TRIED = FitOptions(iterations=0, closing=3)  # of the search with each fabric: i
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """One search: what its pattern draped to at the ``start``, pairs of contours, and what was ``fitted`` with what."""
+    """One search: what its pattern draped to at the ``start``, pairs of contours, and what was ``fitted`` with what.
+
+    It took ``seconds`` by the clock and ``processor_s`` of the processor, over all threads; its mesh and the drape at
+    its start count with it, for the first round all that goes before: base, grading, choice of the fabric.
+    """
 
     start: Draped
     matches: list[Match]
     search: PatternSearch
     fitted: Fitted
+    seconds: float
+    processor_s: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +103,7 @@ def recover_pattern(
     contours have no counterpart or a drape does not come to rest.
     """
     say = report or (lambda line: None)
+    began = time.perf_counter(), time.process_time()
     lengths = list(meshes_m) if meshes_m is not None else [drape.edge_length_m] * ROUNDS
     if not lengths:
         raise InputError("meshes_m", expected="an edge length or more", got="none", cure="Leave it at its default.")
@@ -133,7 +142,7 @@ def recover_pattern(
             # From scratch: what hangs from a belt closes round the body elsewhere in another fabric.
             options = replace(drape, fabric=name, edge_length_m=lengths[0])
             starts.setdefault(name, drape_pattern(graded.pattern, body, options, pose=pose, skin=bare))
-        losses = {name: task.tried(one, base, named(name)) for name, one in starts.items()}
+        losses = {name: task.tried(task.held(one, named(name)), base, named(name)) for name, one in starts.items()}
         name = min(losses, key=lambda one: losses[one])
         told = ", ".join(f"{one} {1e3 * np.sqrt(0.5 * loss):.2f}" for one, loss in losses.items())
         say(f"fabric    {name}; left to the target [mm]: {told}")
@@ -148,12 +157,13 @@ def recover_pattern(
     )
     task = _Task(target, contours_there, joints, skin, symmetries, graded.pattern, weights)
     likely = cloth
+    start = task.held(start, cloth)
     rounds: list[Round] = []
     pattern, ratios = graded.pattern, base
     for number, length in enumerate(lengths):
         if number:
             options = replace(drape, edge_length_m=length)
-            start = drape_pattern(pattern, body, options, pose=pose, cloth=cloth, skin=bare)
+            start = task.held(drape_pattern(pattern, body, options, pose=pose, cloth=cloth, skin=bare), cloth)
             if not start.at_rest or not _would_change(rounds, start, free_cloth=free_cloth):
                 say(f"round {number + 1}   left: {'it would find the same' if start.at_rest else 'no drape at rest'}")
                 break
@@ -167,7 +177,9 @@ def recover_pattern(
         steps = fit if number == 0 else replace(fit, iterations=0, closing=max(fit.closing, 1))
         file = None if state_file is None else state_file.with_stem(state_file.stem + (f"_{number}" if number else ""))
         fitted = search.run(start.nodes, steps, state_file=file, progress=progress)
-        rounds.append(Round(start, matches, search, fitted))
+        ended = time.perf_counter(), time.process_time()
+        rounds.append(Round(start, matches, search, fitted, ended[0] - began[0], ended[1] - began[1]))
+        began = ended
         apart = [1e3 * float(np.sqrt(0.5 * terms)) for terms in (fitted.history[0, 1], _least(rounds[-1])[1])]
         say(f"round {number + 1}   {start.mesh.node_count} nodes: surfaces {apart[0]:.2f} to {apart[1]:.2f} mm apart")
         # The base's seams were scaled by it; what the target tells of them is kept from here on.
@@ -206,6 +218,10 @@ class _Task:
     symmetries: Symmetries
     graded: Pattern
     weights: Weights
+
+    def held(self, draped: Draped, cloth: OrthotropicMaterial) -> Draped:
+        """``draped`` with its belt where the target's is."""
+        return held_as_target(draped, _matched(draped, self.contours, self.joints)[0], self.contours, self.skin, cloth)
 
     def search(
         self,

@@ -62,6 +62,9 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
         help="of the target; auto: the nearest of the named ones is looked for, then its constants",
     )
     parser.add_argument("--edge-length", type=float, default=EDGE_LENGTH_M, help="of the garment's mesh [m]")
+    parser.add_argument(
+        "--meshes", type=float, nargs="+", metavar="M", help="edge lengths [m] of the rounds (default: three equal)"
+    )
     parser.add_argument("--grid", type=float, default=0.02, help="spacing of the body's distance [m]")
     add_distance_options(parser)
     parser.add_argument("--adam", type=int, default=fit.iterations, help="steps of Adam")
@@ -95,6 +98,7 @@ def job_of(given: argparse.Namespace) -> Job:
             **distance_options(given),
         ),
         find_fabric=given.fabric == CHOOSE_FABRIC,
+        meshes_m=given.meshes,
         fit=FitOptions(iterations=given.adam, closing=given.closing),
         weights=DEFAULT_WEIGHTS._replace(seams=given.seam_weight),
         retarget=not given.no_retarget,

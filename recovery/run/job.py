@@ -41,6 +41,7 @@ class Job:
     """What is asked for; ``body`` is a name, a file, or ``fit``; ``base`` a base pattern's name or a JSON file.
 
     ``settings`` of a base are texts NAME=NUMBER, lengths in metres; ``find_fabric``: the cloth is unknown as well.
+    ``meshes_m`` are the edge lengths [m] of the rounds, by default three times that of ``drape``.
     """
 
     target: Path
@@ -58,6 +59,7 @@ class Job:
     fit: FitOptions = field(default_factory=FitOptions)
     weights: Weights = DEFAULT_WEIGHTS
     find_fabric: bool = False
+    meshes_m: Sequence[float] | None = None
     retarget: bool = True
     garment: bool = True
 
@@ -159,6 +161,7 @@ def run_job(job: Job, *, progress: bool = False, say: Say = print) -> Outcome:
         fit=job.fit,
         weights=job.weights,
         pose=wearer.pose,
+        meshes_m=job.meshes_m,
         fabrics=tuple(FABRICS) if job.find_fabric else (),
         free_cloth=job.find_fabric,
         state_file=job.out / f"{name}.search.npz",

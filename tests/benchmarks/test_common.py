@@ -22,6 +22,8 @@ def test_the_last_line_is_the_record_and_names_machine_commit_and_command(capsys
     assert printed == record == json.loads(target.read_text())
     assert printed["rows"] == [{"garment": "tshirt", "edge_pct": 1.23457, "gain": None}]
     assert printed["command"].startswith("python -m benchmarks.quality")
+    named = common.finish("quality_hard", [], options(), module="quality")
+    assert named["bench"] == "quality_hard" and named["command"].split()[2] == "benchmarks.quality"
     assert {"bench", "machine", "commit", "threads", "model"} <= set(printed)
 
 

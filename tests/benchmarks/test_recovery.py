@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from benchmarks.recovery import LEAST_OFF, MOST_OFF, VARIANTS, lengths, off, spread
+from benchmarks.recovery import LEAST_OFF, MOST_OFF, VARIANTS, by_round, lengths, off, spread
+from benchmarks.recovery_report import rounds_table
+from drape.body.assets import load_body
+from recovery.drape.pipeline import DrapeOptions, drape_pattern
+from recovery.fit.optimise import FitOptions
 from recovery.fit.pipeline import recover_pattern
 from recovery.pattern.bases import skirt
 from tests.recovery.pattern_setup import default_measurements
@@ -38,3 +42,23 @@ def test_spread_is_mean_and_deviation_over_the_seeds():
     assert (first["variant"], first["seeds"], second["seeds"]) == ("all", 2, 1)
     assert_allclose([first["mean_mm"], first["mean_mm_sd"], first["area_err"]], [2.0, np.sqrt(2.0), 4.0])
     assert first["surface_mm_sd"] == pytest.approx(0.0) and np.isnan(second["mean_mm_sd"])
+
+
+@pytest.mark.slow
+def test_errors_and_times_of_every_round_make_a_table():
+    body, truth = load_body(), skirt(default_measurements())
+    drape = DrapeOptions(edge_length_m=0.1, grid_m=0.02)
+    target = drape_pattern(truth, body, drape)
+    fit = FitOptions(iterations=0, closing=1)
+    found = recover_pattern(
+        target.nodes, target.mesh.faces, off(truth, 0), body, drape=drape, fit=fit, meshes_m=(0.1, 0.08)
+    )
+    first, second = by_round(found, truth)
+    assert second["nodes"] > first["nodes"] and first["minutes"] > 0.0 and first["processor_minutes"] > 0.0
+    assert first["steps"] == second["steps"] == 1 and min(first["drapes"], second["drapes"]) >= 2
+    assert first["surface_mm"] < 3.0 and first["mean_mm"] < first["max_mm"] < 10.0
+    lines = [{"garment": "skirt", "seed": 0, **line} for line in (first, second)]
+    row = {"garment": "skirt", "seed": 0, "graded_mm": 1.5, "minutes": 0.25, "processor_minutes": 0.125}
+    text = rounds_table({"rows": [row], "by_round": lines, "machine": "M", "commit": "c", "command": "python"})
+    assert "| skirt, 0: graded twice | - | 1.50 |" in text and "| 0.25 | 0.12 |" in text
+    assert f"| skirt, 0: round 2 | {second['nodes']} |" in text

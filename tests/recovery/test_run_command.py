@@ -20,7 +20,6 @@ from drape.garment.mesh_io import read_mesh
 from drape.geometry.drawing import drawn
 from recovery.drape.output import obj_text, panel_texture, write
 from recovery.drape.pipeline import DrapeOptions, drape_pattern
-from recovery.fit import pipeline
 from recovery.fit.chamfer import chamfer, surface_chamfer, surface_distance
 from recovery.fit.compare import pattern_error
 from recovery.pattern.bases import tshirt
@@ -92,16 +91,16 @@ def run(tmp_path_factory):
     draped = drape_pattern(truth, load_body(), COARSE)
     path = write(folder / "target.obj", obj_text(draped.mesh, draped.nodes, panel_texture(draped.mesh)))
     coarse = ["--edge-length", "0.05", "--grid", "0.02", "--adam", "0", "--closing", "2", "--no-retarget"]
+    coarse += ["--meshes", "0.05"]  # one round; tests of the pipeline have more
     outcomes = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             command, "run_job", lambda *given, **more: outcomes.append(run_job(*given, **more)) or outcomes[0]
         )
-        patch.setattr(pipeline, "ROUNDS", 1)  # tests of the pipeline have more
         code = command.main(
             [str(path), "--base", "tshirt", "--set", "length_m=0.66", "--out", str(folder / "out"), *coarse]
         )
-    assert code == 0
+    assert code == 0 and len(outcomes[0].found.rounds) == 1
     return folder, outcomes[0], truth
 
 
