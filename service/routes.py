@@ -137,6 +137,7 @@ async def upload(
 ) -> schemas.JobInfo:
     """Takes a garment file in: the raw bytes as body, or JSON (name, format, data_base64, avatar). Poll the job."""
     check_origin(request.headers, state.drapery.settings)
+    _check_query(request, ("name", "avatar", "format"))
     body = await request.body()
     told: str | dict[str, Any] | None = avatar
     content_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
@@ -165,6 +166,13 @@ async def job(job_id: str, state: StateHere) -> schemas.JobInfo:
     return _job_info(state.uploads.get(job_id))
 
 
+def _check_query(request: Request, known: tuple[str, ...]) -> None:
+    """Refuses a parameter that is not ``known``, as an unknown field of JSON is: a typing mistake is not ignored."""
+    for name in request.query_params:
+        if name not in known:
+            raise InputError(name, expected="no such parameter", got="one", cure=f"Known are {', '.join(known)}.")
+
+
 def _upload_request(body: bytes) -> schemas.UploadRequest:
     from pydantic import ValidationError
 
@@ -185,7 +193,7 @@ def _name_and_format(name: str | None, file_format: str | None, content_type: st
         raise InputError(
             "format",
             expected=f"one of {', '.join(FORMATS)}",
-            got=chosen or "nothing",
+            got=chosen or (f"the name {name}" if name else "nothing"),
             cure="Give ?name=shirt.obj, or ?format=obj.",
         )
     if not stem:

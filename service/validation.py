@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -36,7 +37,7 @@ def validation_refusal(errors: Sequence[Any]) -> InputError:
     name = field + "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location[1:])
     levels = _LEVELS.get(field)
     if levels is None or first["type"] in ("missing", "extra_forbidden"):
-        expected = {"missing": "a value", "extra_forbidden": "no such field"}.get(first["type"]) or str(first["msg"])
+        expected = {"missing": "a value", "extra_forbidden": "no such field"}.get(first["type"]) or _wanted(first)
         got = {"missing": "nothing", "extra_forbidden": "one"}.get(first["type"], _shown(first))
         return InputError(name, expected=expected, got=got + more, cure="See /docs for the request's fields.")
     depth = sum(isinstance(part, int) for part in location[1:])
@@ -49,6 +50,11 @@ def validation_refusal(errors: Sequence[Any]) -> InputError:
     else:
         got = _shown(first)
     return MotionError(name, expected=expected, got=got + more, cure=_CURES[field])
+
+
+def _wanted(error: Any) -> str:
+    """What pydantic's sentence asks for: "String should have at least 1 character" after "expected" is none."""
+    return re.sub(r"^[A-Z][a-z]+ should (be |have )?", "", str(error["msg"]))
 
 
 def _shown(error: Any) -> str:
