@@ -299,8 +299,12 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--body", default=None, help="standard body: a shipped name or an SMPL file")
     parser.add_argument("--out", type=Path, default=OWN_GARMENTS_DIR, help="folder of the cache file (%(default)s)")
-    parser.add_argument("--unit", default="auto", choices=get_args(Unit), help="of the file; auto: by its place on the avatar")
-    parser.add_argument("--up", default="auto", choices=get_args(Up), help="axis of the file; auto: by its place on the avatar")
+    parser.add_argument(
+        "--unit", default="auto", choices=get_args(Unit), help="of the file; auto: by its place on the avatar"
+    )
+    parser.add_argument(
+        "--up", default="auto", choices=get_args(Up), help="axis of the file; auto: by its place on the avatar"
+    )
     parser.add_argument("--repair", action="store_true", help="drop degenerate and duplicated faces")
     parser.add_argument(
         "--patches", type=float, default=1.0, help="over the usual number: 2 drapes closer to physics, and slower"
