@@ -111,7 +111,7 @@ def cut_words(edges_in_body_pct: float, edge_length_m: float) -> list[str]:
     if edges_in_body_pct <= CUT_PCT:
         return []
     return [
-        f"{edges_in_body_pct:.0f} % of the edges of the sewn garment cut the body, which shows through in the pictures: "
+        f"{edges_in_body_pct:.0f} % of the edges of the sewn garment cut the body, which shows through in pictures: "
         f"edges of {100 * edge_length_m:.0f} cm are too long for cloth this tight. Find the pattern with shorter ones "
         f"(--edge-length {0.6 * edge_length_m:.2g}), or look at the sleeves."
     ]
