@@ -91,7 +91,7 @@ def test_what_is_no_json_object_is_refused(api: httpx.Client, content: bytes, co
 def test_unknown_names_and_paths_are_not_found(api: httpx.Client):
     refused(api.get("/garments/cape"), 404, "garment")
     refused(api.get("/garments/cape/mesh"), 404, "garment")
-    refused(api.get("/motions/swim"), 404, "motion", "GET /motions")
+    refused(api.get("/motions/swim"), 404, "motion: expected one of: reach, ", "GET /motions")
     refused(api.get("/bodies/atlas"), 404, "body: expected anny_default, got atlas")
     refused(api.get("/bodies/atlas/mesh"), 404, "body")
     refused(api.post("/bodies/atlas/posed", json={"poses": REST}), 404, "body")
