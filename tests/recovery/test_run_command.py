@@ -75,7 +75,7 @@ def test_a_page_holds_its_pictures_and_escapes_its_words():
 
 
 def test_a_garment_that_goes_through_the_body_is_said_to():
-    assert cut_words(6.1, 0.05) == []
+    assert cut_words(12.0, 0.05) == []
     (sentence,) = cut_words(19.0, 0.05)
     assert sentence.startswith("19 % of the edges") and "edges of 5 cm" in sentence and "--edge-length 0.03" in sentence
 
