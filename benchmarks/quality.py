@@ -184,6 +184,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
             # One bad file of a folder must not cost the table; it is named below and in the record.
             refused[error.name] = str(error)
             continue
+        print(f"{garment.name}: drapes and the physics optimum, minutes where it is not stored", flush=True)
         trained = options.set == "trained" if options.set else is_shipped(path)
         rows += measure(garment, bench, trained=trained)
         stored = ", stored" if rows[-1]["cached"] else ""

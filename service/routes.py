@@ -25,6 +25,7 @@ from service.motions import floor_m
 from service.origins import check_origin
 from service.poses import motion_arrays, shape_array
 from service.state import StateHere
+from service.validation import check_query, validation_refusal
 from service.version import product_version
 
 router = APIRouter()
@@ -137,7 +138,7 @@ async def upload(
 ) -> schemas.JobInfo:
     """Takes a garment file in: the raw bytes as body, or JSON (name, format, data_base64, avatar). Poll the job."""
     check_origin(request.headers, state.drapery.settings)
-    _check_query(request, ("name", "avatar", "format"))
+    check_query(request.query_params, ("name", "avatar", "format"))
     body = await request.body()
     told: str | dict[str, Any] | None = avatar
     content_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
@@ -166,17 +167,8 @@ async def job(job_id: str, state: StateHere) -> schemas.JobInfo:
     return _job_info(state.uploads.get(job_id))
 
 
-def _check_query(request: Request, known: tuple[str, ...]) -> None:
-    """Refuses a parameter that is not ``known``, as an unknown field of JSON is: a typing mistake is not ignored."""
-    for name in request.query_params:
-        if name not in known:
-            raise InputError(name, expected="no such parameter", got="one", cure=f"Known are {', '.join(known)}.")
-
-
 def _upload_request(body: bytes) -> schemas.UploadRequest:
     from pydantic import ValidationError
-
-    from service.validation import validation_refusal
 
     try:
         return schemas.UploadRequest.model_validate_json(body)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from drape.errors import InputError, MotionError
@@ -50,6 +50,13 @@ def validation_refusal(errors: Sequence[Any]) -> InputError:
     else:
         got = _shown(first)
     return MotionError(name, expected=expected, got=got + more, cure=_CURES[field])
+
+
+def check_query(names: Iterable[str], known: tuple[str, ...]) -> None:
+    """Refuses a parameter that is not ``known``, as an unknown field of JSON is: a typing mistake is not ignored."""
+    for name in names:
+        if name not in known:
+            raise InputError(name, expected="no such parameter", got="one", cure=f"Known are {', '.join(known)}.")
 
 
 def _wanted(error: Any) -> str:
