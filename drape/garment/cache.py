@@ -9,6 +9,7 @@ included, lies as one JSON object in the bytes of the array ``header``. Its name
 from __future__ import annotations
 
 import argparse
+import contextlib
 import io
 import json
 import os
@@ -126,8 +127,11 @@ def save_garment(garment: Garment, folder: Path) -> Path:
         temporary.write_bytes(buffer.getvalue())
         os.replace(temporary, path)
     except OSError as error:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        got = str(error.strerror or error)
         raise Unavailable(
-            str(folder), expected="a folder that can be written", got=str(error.strerror), cure="Choose another folder."
+            str(folder), expected="a folder that can be written", got=got, cure="Choose another folder."
         ) from error
     return path
 

@@ -65,9 +65,10 @@ def test_crash_while_writing_leaves_the_old_file(stored, monkeypatch):
         raise OSError("power cut")
 
     monkeypatch.setattr(cache.os, "replace", crash)
-    with pytest.raises(OSError, match="power cut"):
+    with pytest.raises(Unavailable, match="power cut"):
         save_garment(dataclasses.replace(barrel_garment(), manifest={"again": 1}), stored.parent)
     same_garment(load_garment(stored), barrel_garment())
+    assert list(stored.parent.iterdir()) == [stored]
 
 
 def test_file_holds_plain_arrays_only(stored):
