@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import common
-from drape.artifacts import DEFAULT_MODEL, MODELS_DIR
+from drape.artifacts import DEFAULT_MODEL, model_folder
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.catalog import check_body, find_garments, find_motions, open_garment
@@ -198,7 +198,9 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.dynamics", description="Swinging, coming to rest and incremental potential."
     )
-    parser.add_argument("--model", default=DEFAULT_MODEL, help=f"name under assets/models (default {DEFAULT_MODEL})")
+    parser.add_argument(
+        "--model", default=DEFAULT_MODEL, help=f"name under assets/models, or a folder (default {DEFAULT_MODEL})"
+    )
     parser.add_argument("--garments", nargs="+", default=["dress", "tshirt"], help="names, files or folders")
     parser.add_argument("--motions", nargs="+", default=[], help="names, files or folders (default: the shipped ones)")
     parser.add_argument("--frames", type=int, default=POTENTIAL_FRAMES, help="of each clip, for the potential")
@@ -229,7 +231,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     """Prints the tables and the record, and returns the record."""
     options = parse(arguments)
     body = load_body()
-    engine = open_engine(MODELS_DIR / options.model, body, threads=options.threads)
+    engine = open_engine(model_folder(options.model), body, threads=options.threads)
     clips = [read_motion(path) for path in find_motions(options.motions)]
     rows: list[dict[str, Any]] = []
     for path in find_garments(options.garments):

@@ -11,6 +11,7 @@ jumpsuit: 2.40 % as it is, 1.98 % fine-tuned for an hour, 1.85 % from scratch in
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,6 +26,7 @@ from drape.body.assets import load_body
 from drape.catalog import find_garments, open_garment
 from drape.cloth import metrics
 from drape.cloth.contact import BodyContact
+from drape.commands import ended
 from drape.data_paths import data_folder
 from drape.garment.cache import Garment
 from drape.motion.clip import MotionClip
@@ -143,4 +145,4 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(ended(main))

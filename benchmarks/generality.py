@@ -11,6 +11,7 @@ garment or six) and figures 5 and 6 (trained on one garment, draping like and un
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -28,6 +29,7 @@ from drape.cloth import metrics
 from drape.cloth.contact import BodyContact, push_out
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import material
+from drape.commands import ended
 from drape.data_paths import data_folder
 from drape.garment.cache import Garment
 from drape.geometry.skinning import skin_points
@@ -143,4 +145,4 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(ended(main))

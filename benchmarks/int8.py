@@ -9,6 +9,7 @@ windows of the clips: energy, strain and third differences of what each makes, a
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,6 +26,7 @@ from drape.cloth import metrics
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import material
+from drape.commands import ended
 from drape.garment.cache import Garment
 from drape.geometry.skinning import skin_points
 from drape.motion.hard_poses import hard_poses
@@ -139,4 +141,4 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(ended(main))

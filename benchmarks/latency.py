@@ -36,6 +36,7 @@ from drape.artifacts import MODELS_DIR
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.cloth.push.out import CLEARANCE_M
+from drape.commands import ended
 from drape.feeds import body_feed, garment_feed
 from drape.garment.cache import Garment
 from drape.packing import PackedBody, pack_body
@@ -268,4 +269,4 @@ def _stages_text(stage_ms: dict[str, float] | None) -> str | None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(ended(main))

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,6 +35,7 @@ from drape.catalog import find_garments, open_garment
 from drape.cloth import metrics
 from drape.cloth.contact import plane_distance
 from drape.cloth.material import material
+from drape.commands import ended
 from drape.data_paths import data_folder
 from drape.errors import ArtifactError
 from drape.garment.disagreement import disagreement
@@ -330,4 +332,4 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(ended(main))

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -25,11 +26,12 @@ from benchmarks import common
 from benchmarks.latency_setup import timed
 from benchmarks.quality_jitter import Window, typical_windows
 from benchmarks.render import CLOTH, SKIN, Surface, render, save_png, sheet
-from drape.artifacts import DEFAULT_MODEL, MODELS_DIR, load_manifest
+from drape.artifacts import DEFAULT_MODEL, load_manifest, model_folder
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, find_motions, open_garment
 from drape.cloth import metrics
+from drape.commands import ended
 from drape.errors import InputError
 from drape.feeds import garment_feed
 from drape.garment.cache import GARMENTS_DIR, Garment, load_garment
@@ -193,7 +195,9 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--motions", nargs="+", default=[], help="names, files or folders (default: the shipped ones)")
     parser.add_argument("--frames", type=int, help=f"poses (default {FRAMES}, quick {QUICK_FRAMES})")
     parser.add_argument("--picture", type=Path, help="draw every outfit, without layers above and with them below")
-    parser.add_argument("--model", default=DEFAULT_MODEL, help=f"name under assets/models (default {DEFAULT_MODEL})")
+    parser.add_argument(
+        "--model", default=DEFAULT_MODEL, help=f"name under assets/models, or a folder (default {DEFAULT_MODEL})"
+    )
     common.add_options(parser)
     options = parser.parse_args(arguments)
     options.outfits = options.outfits or (OUTFITS[2:3] if options.quick else OUTFITS)
@@ -230,7 +234,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     rows: list[dict[str, Any]] = []
     drawn: list[list[np.ndarray]] = []
     with tempfile.TemporaryDirectory(prefix="outfits-") as folder:
-        engine = open_engine(MODELS_DIR / options.model, Path(folder), options.threads)
+        engine = open_engine(model_folder(options.model), Path(folder), options.threads)
         for text in options.outfits:
             worn = Worn(engine, body, *open_outfit(text, body))
             found = measure(worn, body, poses.poses, windows[0] if windows else None)
@@ -251,10 +255,10 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
             frames=list(poses.labels),
             window=windows[0].label if windows else None,
             model=options.model,
-            model_digest=load_manifest(MODELS_DIR / options.model).digest,
+            model_digest=load_manifest(model_folder(options.model)).digest,
             clearance_m=CLEARANCE_M,
         )
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(ended(main))

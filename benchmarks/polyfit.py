@@ -12,6 +12,7 @@ within a table, not with the paper's column. docs/polyfit.md says what each tabl
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,6 +24,7 @@ from torch import nn
 
 from benchmarks import common, polyfit_tables
 from drape.body.assets import load_body
+from drape.commands import ended
 from drape.garment.canonical import polyfit_orient
 from drape.garment.charts import pca_orient
 from drape.garment.fitting import patch_fields
@@ -257,4 +259,4 @@ def frames_with_mean(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(ended(main))

@@ -11,6 +11,7 @@ processor's time, which other work on the machine moves little.
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 import time
 import warnings
@@ -30,7 +31,7 @@ from benchmarks.kd_tree_push import Collider
 from benchmarks.latency_setup import timed
 from benchmarks.network import Network
 from benchmarks.quality_jitter import Window, typical_windows
-from drape.artifacts import DEFAULT_MODEL, MODELS_DIR
+from drape.artifacts import DEFAULT_MODEL, model_folder
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, find_motions, is_shipped, open_garment
@@ -41,6 +42,7 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.material import material
 from drape.cloth.push.out import CLEARANCE_M, push_out_of_bodies
 from drape.cloth.push.skin import body_skin
+from drape.commands import ended
 from drape.feeds import garment_feed
 from drape.garment.cache import Garment
 from drape.geometry.skinning import skin_points
@@ -90,7 +92,9 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--garments", nargs="+", default=[], help="names, files or folders (default: the shipped ones)")
     parser.add_argument("--motions", nargs="+", default=[], help="names, files or folders (default: the shipped ones)")
     parser.add_argument("--frames", type=int, help=f"poses (default {FRAMES}, quick {QUICK_FRAMES})")
-    parser.add_argument("--model", default=DEFAULT_MODEL, help=f"name under assets/models (default {DEFAULT_MODEL})")
+    parser.add_argument(
+        "--model", default=DEFAULT_MODEL, help=f"name under assets/models, or a folder (default {DEFAULT_MODEL})"
+    )
     common.add_options(parser)
     options = parser.parse_args(arguments)
     if options.quick:
@@ -254,7 +258,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     clips = [read_motion(path) for path in find_motions(options.motions)]
     poses = hard_poses(clips, body, options.frames)
     windows = [] if options.quick else typical_windows(clips)
-    network = Network(MODELS_DIR / options.model, body, threads=options.threads)
+    network = Network(model_folder(options.model), body, threads=options.threads)
     setting = Setting(
         body=body,
         contact=BodyContact(body.faces, body.vertex_count),
@@ -287,4 +291,4 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(ended(main))

@@ -15,6 +15,7 @@ distance to the drape of a second simulator (benchmarks.quality_reference), minu
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -27,12 +28,13 @@ from benchmarks.network import Network
 from benchmarks.physics_cache import CACHE_DIR
 from benchmarks.quality_jitter import typical_windows
 from benchmarks.quality_measures import Bench, measure, summary
-from drape.artifacts import DEFAULT_MODEL, MODELS_DIR
+from drape.artifacts import DEFAULT_MODEL, model_folder
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, find_motions, is_shipped, open_garment
 from drape.cloth.contact import BodyContact
 from drape.cloth.material import material
+from drape.commands import ended
 from drape.errors import InputError
 from drape.garment.cache import Garment
 from drape.garment.fitting import patch_fields, rest_garment
@@ -86,7 +88,9 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--garments", nargs="+", default=[], help="names, files or folders (default: the shipped ones)")
     parser.add_argument("--motions", nargs="+", default=[], help="names, files or folders (default: the shipped ones)")
     parser.add_argument("--frames", type=int, help=f"poses (default {FRAMES}, quick {QUICK_FRAMES})")
-    parser.add_argument("--model", default=DEFAULT_MODEL, help=f"name under assets/models (default {DEFAULT_MODEL})")
+    parser.add_argument(
+        "--model", default=DEFAULT_MODEL, help=f"name under assets/models, or a folder (default {DEFAULT_MODEL})"
+    )
     parser.add_argument(
         "--set", choices=SETS, help="what the garments are (default: shipped ones trained, files unseen)"
     )
@@ -141,7 +145,7 @@ def open_bench(options: argparse.Namespace, body: BodyModel) -> Bench:
         contact=contact,
         body_vertices=body_vertices,
         body_normals=np.asarray(contact.normals(body_vertices)),
-        network=Network(MODELS_DIR / options.model, body, threads=options.threads),
+        network=Network(model_folder(options.model), body, threads=options.threads),
         material=material(options.material),
         step_limit=options.steps,
         windows=windows[:1] if options.quick else windows,
@@ -180,6 +184,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
             # One bad file of a folder must not cost the table; it is named below and in the record.
             refused[error.name] = str(error)
             continue
+        print(f"{garment.name}: drapes and the physics optimum, minutes where it is not stored", flush=True)
         trained = options.set == "trained" if options.set else is_shipped(path)
         rows += measure(garment, bench, trained=trained)
         stored = ", stored" if rows[-1]["cached"] else ""
@@ -220,4 +225,4 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(ended(main))

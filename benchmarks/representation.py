@@ -18,6 +18,7 @@ form, and ends the scale of the gain.
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -44,11 +45,12 @@ from benchmarks.representation_drape import (
 from benchmarks.representation_minimise import STEP_LIMIT
 from benchmarks.representation_plot import plot
 from benchmarks.representation_space import REPRESENTATIONS, Charts, PatchSpace, VertexSpace, charts, repartitioned
-from drape.artifacts import DEFAULT_MODEL, MODELS_DIR
+from drape.artifacts import DEFAULT_MODEL, model_folder
 from drape.body.assets import load_body
 from drape.catalog import find_garments, find_motions, open_garment
 from drape.cloth import metrics
 from drape.cloth.material import material
+from drape.commands import ended
 from drape.errors import InputError
 from drape.garment.partition import patch_count_for
 from drape.geometry import jets
@@ -271,7 +273,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     options.body, options.poses = body, poses.poses
     options.network = None
     if options.model != "none":
-        options.network = Network(MODELS_DIR / options.model, body, threads=options.threads)
+        options.network = Network(model_folder(options.model), body, threads=options.threads)
     options.physics_folder = None if options.no_physics_cache else CACHE_DIR
     rows: list[dict[str, Any]] = []
     for path in find_garments(options.garments):
@@ -291,4 +293,4 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(ended(main))

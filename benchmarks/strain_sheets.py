@@ -10,6 +10,7 @@ together, full colour at 20 % of area.
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from benchmarks.render import SKIN, Surface, render, save_png, sheet
 from drape.body.assets import load_body
 from drape.catalog import find_garments, open_garment
 from drape.cloth.energies import ClothMesh
+from drape.commands import ended
 from drape.garment.cache import Garment
 from drape.geometry import meshes
 
@@ -75,4 +77,4 @@ def main(arguments: Sequence[str] | None = None) -> list[Path]:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(ended(main))

@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks import common
 from benchmarks.dynamics import FPS, Subject, drape, open_engine, stopped, subject
 from benchmarks.render import SKIN, Surface, render, save_png, sheet
-from drape.artifacts import DEFAULT_MODEL, MODELS_DIR
+from drape.artifacts import DEFAULT_MODEL, model_folder
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, find_motions, open_garment
@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> Path:
     parser.add_argument("--out", type=Path, help="default docs/images/swing_GARMENT.png")
     options = parser.parse_args(arguments)
     body = load_body()
-    engine = open_engine(MODELS_DIR / options.model, body, threads=1)
+    engine = open_engine(model_folder(options.model), body, threads=1)
     (path,) = find_garments([options.garment])
     what = subject(engine, open_garment(path, body), body)
     rows = [strip(engine, body, what, read_motion(clip)) for clip in find_motions(options.motions)]

@@ -26,6 +26,7 @@ import numpy as np
 import torch
 
 from benchmarks import common
+from drape.commands import ended
 from drape.data_paths import data_folder
 from training import parallel
 from training.config import PRESETS, TrainConfig
@@ -164,4 +165,4 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any] | None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(ended(main))

@@ -12,6 +12,7 @@ frame, ``decode`` makes vertices of it with numpy.
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -26,6 +27,7 @@ from drape import wire
 from drape.body.model import BodyModel
 from drape.catalog import find_motions
 from drape.cloth import metrics
+from drape.commands import ended
 from drape.geometry import jets
 from drape.jet_layout import JetLayout, unpack_layout
 from drape.motion.hard_poses import hard_poses
@@ -157,4 +159,4 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(ended(main))

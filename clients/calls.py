@@ -174,9 +174,11 @@ def drape(
     trans: np.ndarray | None,
     betas: np.ndarray | None,
     push_out: bool | None,
+    knob: float | None = None,
+    passes: int | None = None,
 ) -> Call[np.ndarray]:
     """World vertices [m] (F, V, 3) float32."""
-    document = _motion_document(motion, trans, betas, None) | worn(garment) | {"push_out": push_out}
+    document = _motion_document(motion, trans, betas, None) | worn(garment) | chosen(push_out, knob, passes)
     return Call("POST", "/drape", _read_vertices, headers={"Accept": BINARY}, json=document)
 
 
@@ -187,9 +189,11 @@ def drape_outfit(
     trans: np.ndarray | None,
     betas: np.ndarray | None,
     push_out: bool | None,
+    knob: float | None = None,
+    passes: int | None = None,
 ) -> Call[list[np.ndarray]]:
     """World vertices [m] (F, V, 3) float32 of each of ``garments``."""
-    document = _motion_document(motion, trans, betas, None) | worn(garments) | {"push_out": push_out}
+    document = _motion_document(motion, trans, betas, None) | worn(garments) | chosen(push_out, knob, passes)
     return Call("POST", "/drape", _read_layers, headers={"Accept": BINARY}, json=document)
 
 
@@ -200,16 +204,24 @@ def drape_jets(
     trans: np.ndarray | None,
     betas: np.ndarray | None,
     push_out: bool | None,
+    knob: float | None = None,
+    passes: int | None = None,
 ) -> Call[list[JetFrame]]:
     """Posed patches of one garment, or of several over each other, frame by frame."""
     document = _motion_document(motion, trans, betas, None) | worn(garment)
-    document |= {"push_out": push_out, "geometry": "jets"}
+    document |= chosen(push_out, knob, passes) | {"geometry": "jets"}
     return Call("POST", "/drape", _read_jets, headers={"Accept": BINARY}, json=document)
 
 
 def worn(garment: str | Sequence[str]) -> dict[str, Any]:
     """How a request names one garment, or several over each other."""
     return {"garment": garment} if isinstance(garment, str) else {"garments": list(garment)}
+
+
+def chosen(push_out: bool | None, knob: float | None, passes: int | None) -> dict[str, Any]:
+    """How a request says what is left to its choice; the service's own for None, and older services know the first."""
+    more = {"motion": knob, "passes": passes}
+    return {"push_out": push_out} | {name: value for name, value in more.items() if value is not None}
 
 
 def drape_glb(
@@ -220,10 +232,14 @@ def drape_glb(
     betas: np.ndarray | None,
     fps: float | None,
     push_out: bool | None,
+    knob: float | None = None,
+    passes: int | None = None,
     body: bool,
 ) -> Call[bytes]:
     """The bytes of an animated GLB."""
-    document = _motion_document(motion, trans, betas, fps) | worn(garment) | {"push_out": push_out, "body": body}
+    document = (
+        _motion_document(motion, trans, betas, fps) | worn(garment) | chosen(push_out, knob, passes) | {"body": body}
+    )
     return Call("POST", "/drape", _read_bytes, headers={"Accept": GLB}, json=document)
 
 

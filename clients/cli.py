@@ -78,6 +78,8 @@ def _parser() -> argparse.ArgumentParser:
     drape.add_argument("--fps", type=float, default=30.0, help="frames per second of the result (30)")
     drape.add_argument("--betas", help="body shape, comma-separated")
     drape.add_argument("--body", action="store_true", help="include the body in the GLB")
+    drape.add_argument("--knob", type=float, help="how much the cloth follows the motion, 0 to 1 (the service's: 1)")
+    drape.add_argument("--passes", type=int, help="corrections of the network, fewer are faster (the service's: all)")
     drape.add_argument("--push-out", action=argparse.BooleanOptionalAction, help="push vertices out of the body")
     drape.set_defaults(run=_drape)
     return parser
@@ -109,6 +111,7 @@ def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
         )
     betas = _numbers(options.betas)
     clip = _clip(client, options, betas).resampled(options.fps)
+    choices = {"push_out": options.push_out, "knob": options.knob, "passes": options.passes}
     worn: list[str] = []
     for garment in options.garment:
         if Path(garment).suffix.lower() in SUFFIXES:
@@ -117,10 +120,10 @@ def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
         worn.append(garment)
     if suffix == ".glb":
         garments = worn[0] if len(worn) == 1 else worn
-        content = client.drape_glb(garments, clip, betas=betas, push_out=options.push_out, body=options.body)
+        content = client.drape_glb(garments, clip, betas=betas, body=options.body, **choices)
     else:
         buffer = io.BytesIO()
-        layers = client.drape_outfit(worn, clip, betas=betas, push_out=options.push_out)
+        layers = client.drape_outfit(worn, clip, betas=betas, **choices)
         np.save(buffer, np.concatenate(layers, axis=1), allow_pickle=False)
         content = buffer.getvalue()
     write_atomic(options.out, content)

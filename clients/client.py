@@ -110,9 +110,17 @@ class DrapeClient:
         trans: np.ndarray | None = None,
         betas: np.ndarray | None = None,
         push_out: bool | None = None,
+        knob: float | None = None,
+        passes: int | None = None,
     ) -> np.ndarray:
-        """World vertices [m] (F, V, 3) float32 of ``garment`` over a clip or poses (F, 24, 3) [rad]."""
-        return self._send(calls.drape(garment, motion, trans=trans, betas=betas, push_out=push_out))
+        """World vertices [m] (F, V, 3) float32 of ``garment`` over a clip or poses (F, 24, 3) [rad].
+
+        ``knob`` (0 to 1) is how much the cloth follows the motion, ``passes`` how many corrections of the network run;
+        the service's own where left out.
+        """
+        return self._send(
+            calls.drape(garment, motion, trans=trans, betas=betas, push_out=push_out, knob=knob, passes=passes)
+        )
 
     def drape_outfit(
         self,
@@ -122,9 +130,13 @@ class DrapeClient:
         trans: np.ndarray | None = None,
         betas: np.ndarray | None = None,
         push_out: bool | None = None,
+        knob: float | None = None,
+        passes: int | None = None,
     ) -> list[np.ndarray]:
         """``drape`` of several garments worn over each other, the innermost first; vertices of each."""
-        return self._send(calls.drape_outfit(garments, motion, trans=trans, betas=betas, push_out=push_out))
+        return self._send(
+            calls.drape_outfit(garments, motion, trans=trans, betas=betas, push_out=push_out, knob=knob, passes=passes)
+        )
 
     def drape_jets(
         self,
@@ -134,12 +146,16 @@ class DrapeClient:
         trans: np.ndarray | None = None,
         betas: np.ndarray | None = None,
         push_out: bool | None = None,
+        knob: float | None = None,
+        passes: int | None = None,
     ) -> list[JetFrame]:
         """``drape`` as posed patches, a frame each: ``jet_layout(garment).vertices(frame)`` [m] (V, 3).
 
         Of several garments over each other ``frame.layers(counts)`` parts the patches.
         """
-        return self._send(calls.drape_jets(garment, motion, trans=trans, betas=betas, push_out=push_out))
+        return self._send(
+            calls.drape_jets(garment, motion, trans=trans, betas=betas, push_out=push_out, knob=knob, passes=passes)
+        )
 
     def drape_glb(
         self,
@@ -150,11 +166,23 @@ class DrapeClient:
         betas: np.ndarray | None = None,
         fps: float | None = None,
         push_out: bool | None = None,
+        knob: float | None = None,
+        passes: int | None = None,
         body: bool = False,
     ) -> bytes:
         """An animated GLB of a garment, or of several over each other; with the body beside them if ``body``."""
         return self._send(
-            calls.drape_glb(garment, motion, trans=trans, betas=betas, fps=fps, push_out=push_out, body=body)
+            calls.drape_glb(
+                garment,
+                motion,
+                trans=trans,
+                betas=betas,
+                fps=fps,
+                push_out=push_out,
+                knob=knob,
+                passes=passes,
+                body=body,
+            )
         )
 
     def posed_body(
@@ -245,9 +273,17 @@ class AsyncDrapeClient:
         trans: np.ndarray | None = None,
         betas: np.ndarray | None = None,
         push_out: bool | None = None,
+        knob: float | None = None,
+        passes: int | None = None,
     ) -> np.ndarray:
-        """World vertices [m] (F, V, 3) float32 of ``garment`` over a clip or poses (F, 24, 3) [rad]."""
-        return await self._send(calls.drape(garment, motion, trans=trans, betas=betas, push_out=push_out))
+        """World vertices [m] (F, V, 3) float32 of ``garment`` over a clip or poses (F, 24, 3) [rad].
+
+        ``knob`` (0 to 1) is how much the cloth follows the motion, ``passes`` how many corrections of the network run;
+        the service's own where left out.
+        """
+        return await self._send(
+            calls.drape(garment, motion, trans=trans, betas=betas, push_out=push_out, knob=knob, passes=passes)
+        )
 
     async def drape_outfit(
         self,
@@ -257,9 +293,13 @@ class AsyncDrapeClient:
         trans: np.ndarray | None = None,
         betas: np.ndarray | None = None,
         push_out: bool | None = None,
+        knob: float | None = None,
+        passes: int | None = None,
     ) -> list[np.ndarray]:
         """``drape`` of several garments worn over each other, the innermost first; vertices of each."""
-        call = calls.drape_outfit(garments, motion, trans=trans, betas=betas, push_out=push_out)
+        call = calls.drape_outfit(
+            garments, motion, trans=trans, betas=betas, push_out=push_out, knob=knob, passes=passes
+        )
         return await self._send(call)
 
     async def drape_jets(
@@ -270,12 +310,16 @@ class AsyncDrapeClient:
         trans: np.ndarray | None = None,
         betas: np.ndarray | None = None,
         push_out: bool | None = None,
+        knob: float | None = None,
+        passes: int | None = None,
     ) -> list[JetFrame]:
         """``drape`` as posed patches, a frame each: ``jet_layout(garment).vertices(frame)`` [m] (V, 3).
 
         Of several garments over each other ``frame.layers(counts)`` parts the patches.
         """
-        return await self._send(calls.drape_jets(garment, motion, trans=trans, betas=betas, push_out=push_out))
+        return await self._send(
+            calls.drape_jets(garment, motion, trans=trans, betas=betas, push_out=push_out, knob=knob, passes=passes)
+        )
 
     async def drape_glb(
         self,
@@ -286,10 +330,14 @@ class AsyncDrapeClient:
         betas: np.ndarray | None = None,
         fps: float | None = None,
         push_out: bool | None = None,
+        knob: float | None = None,
+        passes: int | None = None,
         body: bool = False,
     ) -> bytes:
         """An animated GLB of a garment, or of several over each other; with the body beside them if ``body``."""
-        call = calls.drape_glb(garment, motion, trans=trans, betas=betas, fps=fps, push_out=push_out, body=body)
+        call = calls.drape_glb(
+            garment, motion, trans=trans, betas=betas, fps=fps, push_out=push_out, knob=knob, passes=passes, body=body
+        )
         return await self._send(call)
 
     async def posed_body(

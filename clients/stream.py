@@ -26,7 +26,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidURI
 from websockets.typing import Subprotocol
 
-from clients.calls import DEFAULT_URL, ServiceError, problem_error, unreachable, worn
+from clients.calls import DEFAULT_URL, ServiceError, chosen, problem_error, unreachable, worn
 from drape import wire
 from drape.errors import DrapeError
 from drape.wire_jets import JetFrame, unpack_jets
@@ -68,6 +68,8 @@ class DrapeStream:
         *,
         betas: Sequence[float] | np.ndarray | None = None,
         push_out: bool | None = None,
+        knob: float | None = None,
+        passes: int | None = None,
         geometry: Geometry = "vertices",
     ) -> DrapeStream:
         """Connects and opens; raises the service's refusal."""
@@ -84,7 +86,9 @@ class DrapeStream:
             raise unreachable(address, error) from error
         stream = cls(connection, {})
         try:
-            stream.about = await stream.reopen(garment, betas=betas, push_out=push_out, geometry=geometry)
+            stream.about = await stream.reopen(
+                garment, betas=betas, push_out=push_out, knob=knob, passes=passes, geometry=geometry
+            )
         except BaseException:
             await connection.close()
             raise
@@ -106,15 +110,17 @@ class DrapeStream:
         *,
         betas: Sequence[float] | np.ndarray | None = None,
         push_out: bool | None = None,
+        knob: float | None = None,
+        passes: int | None = None,
         geometry: Geometry = "vertices",
     ) -> dict[str, Any]:
-        """Turns the stream to another garment, shape, push-out or geometry; frames of the old one are thrown away.
+        """Turns the stream to another garment, shape, push-out, knob, passes or geometry; old frames are thrown away.
 
         Several garments are worn over each other, the innermost first; ``layers`` parts their vertices. With jets
         frames come from ``receive_jets``.
         """
         shape = None if betas is None else [float(beta) for beta in betas]
-        request = {"type": "open", **worn(garment), "betas": shape, "push_out": push_out}
+        request = {"type": "open", **worn(garment), "betas": shape, **chosen(push_out, knob, passes)}
         if geometry != "vertices":  # a service from before jets knows no such field
             request["geometry"] = geometry
         await self._transmit(json.dumps(request))

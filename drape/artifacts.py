@@ -162,6 +162,14 @@ def file_digest(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
+def model_folder(name: str | Path) -> Path:
+    """The folder of a model: ``name`` itself where a model lies there, otherwise that of the name in ``MODELS_DIR``.
+
+    ``load_manifest`` refuses a name that neither has.
+    """
+    return Path(name) if (Path(name) / "manifest.json").is_file() else MODELS_DIR / name
+
+
 def load_manifest(folder: Path) -> Manifest:
     """The manifest of ``folder`` after checking that the files of graphs and weights are there and unchanged."""
     path = folder / "manifest.json"

@@ -61,6 +61,10 @@ def main() -> int:
         print(f"{arguments.target}: push-out written, digest {manifest.digest[:16]}")
         return 0
     model, training = load_model(arguments.checkpoint)
+    print(
+        f"writing {arguments.target}: its graphs and their comparison with torch take a minute or two of one core",
+        flush=True,
+    )
     manifest = export(
         model,
         arguments.target,

@@ -25,7 +25,9 @@ class Motions:
     def get(self, name: str) -> MotionClip:
         """The clip ``name``; refuses an unknown one."""
         if name not in self._clips:
-            raise NotFound("motion", expected=f"one of {self.ids()}", got=name, cure="GET /motions lists the clips.")
+            raise NotFound(
+                "motion", expected=f"one of: {', '.join(self.ids())}", got=name, cure="GET /motions lists the clips."
+            )
         return self._clips[name]
 
     def placed(self, name: str, body: BodyModel, betas: np.ndarray) -> MotionClip:

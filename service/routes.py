@@ -25,6 +25,7 @@ from service.motions import floor_m
 from service.origins import check_origin
 from service.poses import motion_arrays, shape_array
 from service.state import StateHere
+from service.validation import check_query, validation_refusal
 from service.version import product_version
 
 router = APIRouter()
@@ -137,6 +138,7 @@ async def upload(
 ) -> schemas.JobInfo:
     """Takes a garment file in: the raw bytes as body, or JSON (name, format, data_base64, avatar). Poll the job."""
     check_origin(request.headers, state.drapery.settings)
+    check_query(request.query_params, ("name", "avatar", "format"))
     body = await request.body()
     told: str | dict[str, Any] | None = avatar
     content_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
@@ -168,8 +170,6 @@ async def job(job_id: str, state: StateHere) -> schemas.JobInfo:
 def _upload_request(body: bytes) -> schemas.UploadRequest:
     from pydantic import ValidationError
 
-    from service.validation import validation_refusal
-
     try:
         return schemas.UploadRequest.model_validate_json(body)
     except ValidationError as error:
@@ -185,7 +185,7 @@ def _name_and_format(name: str | None, file_format: str | None, content_type: st
         raise InputError(
             "format",
             expected=f"one of {', '.join(FORMATS)}",
-            got=chosen or "nothing",
+            got=chosen or (f"the name {name}" if name else "nothing"),
             cure="Give ?name=shirt.obj, or ?format=obj.",
         )
     if not stem:

@@ -14,7 +14,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 from drape.artifacts import DEFAULT_MODEL, MODELS_DIR
 from drape.body.assets import DEFAULT_BODY
 from drape.errors import InputError
-from drape.garment.cache import GARMENTS_DIR
+from drape.garment.cache import GARMENTS_DIR, OWN_GARMENTS_DIR
 from service.runtime import Device
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -39,7 +39,7 @@ class Settings(BaseSettings):
     chunk_frames: int = Field(default=8, ge=1, le=256)
 
     shipped_garments_dir: Path = GARMENTS_DIR
-    garments_dir: Path = ROOT / "runs/garments"
+    garments_dir: Path = OWN_GARMENTS_DIR
     motions_dir: Path = ROOT / "assets/motions"
     page_dir: Path = ROOT / "clients/web/dist"
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from drape.errors import InputError, MotionError
@@ -36,7 +37,7 @@ def validation_refusal(errors: Sequence[Any]) -> InputError:
     name = field + "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location[1:])
     levels = _LEVELS.get(field)
     if levels is None or first["type"] in ("missing", "extra_forbidden"):
-        expected = {"missing": "a value", "extra_forbidden": "no such field"}.get(first["type"]) or str(first["msg"])
+        expected = {"missing": "a value", "extra_forbidden": "no such field"}.get(first["type"]) or _wanted(first)
         got = {"missing": "nothing", "extra_forbidden": "one"}.get(first["type"], _shown(first))
         return InputError(name, expected=expected, got=got + more, cure="See /docs for the request's fields.")
     depth = sum(isinstance(part, int) for part in location[1:])
@@ -49,6 +50,18 @@ def validation_refusal(errors: Sequence[Any]) -> InputError:
     else:
         got = _shown(first)
     return MotionError(name, expected=expected, got=got + more, cure=_CURES[field])
+
+
+def check_query(names: Iterable[str], known: tuple[str, ...]) -> None:
+    """Refuses a parameter that is not ``known``, as an unknown field of JSON is: a typing mistake is not ignored."""
+    for name in names:
+        if name not in known:
+            raise InputError(name, expected="no such parameter", got="one", cure=f"Known are {', '.join(known)}.")
+
+
+def _wanted(error: Any) -> str:
+    """What pydantic's sentence asks for: "String should have at least 1 character" after "expected" is none."""
+    return re.sub(r"^[A-Z][a-z]+ should (be |have )?", "", str(error["msg"]))
 
 
 def _shown(error: Any) -> str:

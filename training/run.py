@@ -109,9 +109,11 @@ def main() -> int:
     kind.add_argument("--finetune", type=Path, metavar="MODEL", help="model to go on with, maybe on --garment")
     kind.add_argument("--resume", type=Path, help="folder of an earlier run to go on with")
     parser.add_argument("--garment", nargs="+", help="garment files or names of designs, instead of the preset's")
-    parser.add_argument("--out", type=Path, default=Path("runs/shipped"))
+    parser.add_argument("--out", type=Path, default=Path("runs/shipped"), help="folder of a new run (%(default)s)")
     parser.add_argument("--from", type=Path, dest="start", help="static model to add dynamics to")
-    parser.add_argument("--minutes", type=float)
+    parser.add_argument(
+        "--minutes", type=float, help="of training in all, those before --resume included; default: the preset's"
+    )
     parser.add_argument("--motions", type=Path, nargs="*", help="folders of motion files; default DRAPE_DATA/motions")
     parser.add_argument("--threads", type=int, help="of torch; one is steadier beside other programs")
     parser.add_argument("--batch", type=int, help="frames, of a dynamic model windows, per step of each process")
@@ -124,6 +126,13 @@ def main() -> int:
 
 def _run(arguments: argparse.Namespace) -> None:
     state, weights = None, None
+    if not arguments.resume and (stored := arguments.out / "checkpoint.pt").is_file():
+        raise InputError(
+            "--out",
+            expected="a folder without an earlier run",
+            got=str(stored),
+            cure=f"Go on with it (--resume {arguments.out}), or name another folder.",
+        )
     if arguments.resume:
         if arguments.garment:
             raise InputError(
@@ -156,7 +165,13 @@ def _run(arguments: argparse.Namespace) -> None:
     print(f"{trainer.bank.frame_count} poses, {len(trainer.wardrobe.garments)} garments, {count} weights to learn")
     if state is not None:
         trainer.restore(state)
-    train(trainer, arguments.resume or arguments.out)
+    folder = arguments.resume or arguments.out
+    if trainer.elapsed_s >= 60.0 * config.minutes:
+        print(f"nothing left to do: the run has had its {config.minutes:g} minutes; --minutes says more")
+    train(trainer, folder)
+    if parallel.rank() == 0:
+        spent = trainer.elapsed_s / 60.0
+        print(f"stored    {folder / 'checkpoint.pt'}: step {trainer.step_count} after {spent:.1f} minutes in all")
     parallel.stop()
 
 

@@ -69,8 +69,8 @@ def _write_atomic(path: Path, payload: bytes) -> None:
 
 
 def list_bodies(folder: Path = BODIES_DIR) -> list[str]:
-    """Names of the bodies in ``folder``."""
-    return sorted(path.stem for path in folder.glob("*.json"))
+    """Names of the bodies in ``folder``; other files beside them, as the table of avatars, hold no digest."""
+    return sorted(path.stem for path in folder.glob("*.json") if "sha256" in json.loads(path.read_text("utf-8")))
 
 
 def load_body(source: str | Path = DEFAULT_BODY) -> BodyModel:
@@ -85,7 +85,7 @@ def load_body(source: str | Path = DEFAULT_BODY) -> BodyModel:
     if not path.is_file():
         raise NotFound(
             "body",
-            expected=f"one of {list_bodies()} or a file .npz or .pkl",
+            expected=f"one of {', '.join(list_bodies())}, or a file .npz or .pkl",
             got=str(source),
             cure="Check the name or the path.",
         )

@@ -230,7 +230,7 @@ def parse_avatar(
         name = text if text in table else text.rstrip("_")
         if name in table:
             return _entry(table[name], folder / TABLE_NAME)
-        known += sorted(table)
+        known += sorted(set(table) - set(known))
     raise NotFound(
         "avatar",
         expected="JSON, a mesh file, 'standard'"

@@ -8,6 +8,8 @@ included, lies as one JSON object in the bytes of the array ``header``. Its name
 
 from __future__ import annotations
 
+import argparse
+import contextlib
 import io
 import json
 import os
@@ -20,11 +22,13 @@ from typing import Any
 
 import numpy as np
 
-from drape.errors import ArtifactError
+from drape.commands import refusing
+from drape.errors import ArtifactError, NotFound, Unavailable
 from drape.geometry import jets
 
 FORMAT_VERSION = 1
 GARMENTS_DIR = Path(__file__).resolve().parents[2] / "assets" / "garments"
+OWN_GARMENTS_DIR = GARMENTS_DIR.parents[1] / "runs" / "garments"  # what users take in; the service reads it too
 CHARTS_PER_VERTEX = 4
 
 
@@ -108,16 +112,27 @@ _TEXT_FIELDS = ("name", "digest", "body_digest", "vertex_count", "material_names
 
 
 def save_garment(garment: Garment, folder: Path) -> Path:
-    """Writes the cache file into ``folder`` atomically and returns its path."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Writes the cache file into ``folder`` atomically and returns its path.
+
+    Raises ``Unavailable`` where the folder cannot be made or written.
+    """
     arrays = {f.name: getattr(garment, f.name) for f in fields(Garment) if f.name not in _TEXT_FIELDS}
     header = {key: getattr(garment, key) for key in _TEXT_FIELDS} | {"format_version": FORMAT_VERSION}
     buffer = io.BytesIO()
     np.savez_compressed(buffer, header=np.frombuffer(json.dumps(header).encode(), dtype=np.uint8), **arrays)
     path = folder / garment.file_name()
     temporary = path.with_name(path.name + f".{os.getpid()}.part")
-    temporary.write_bytes(buffer.getvalue())
-    os.replace(temporary, path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        temporary.write_bytes(buffer.getvalue())
+        os.replace(temporary, path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        got = str(error.strerror or error)
+        raise Unavailable(
+            str(folder), expected="a folder that can be written", got=got, cure="Choose another folder."
+        ) from error
     return path
 
 
@@ -158,16 +173,23 @@ def load_garment(path: Path) -> Garment:
         ) from error
 
 
-def main() -> None:
-    """Prints what a cache file holds."""
-    garment = load_garment(Path(sys.argv[1]))
+@refusing
+def main(arguments: list[str] | None = None) -> int:
+    """Prints what a cache file holds; 2 where it cannot be read."""
+    parser = argparse.ArgumentParser(prog="python -m drape.garment.cache", description="What a garment's file holds.")
+    parser.add_argument("file", type=Path, help="NAME-DIGEST.npz, as the intake stores it")
+    path = parser.parse_args(arguments).file
+    if not path.is_file():
+        raise NotFound("garment cache", expected="an existing file", got=str(path), cure="Check the path.")
+    garment = load_garment(path)
     print(f"{garment.name}  {garment.digest}")
     for f in fields(Garment):
         value = getattr(garment, f.name)
         if isinstance(value, np.ndarray):
             print(f"  {f.name:18s} {value.dtype!s:8s} {value.shape}")
     print(json.dumps(garment.manifest, indent=1))
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

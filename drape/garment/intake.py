@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from drape.body.model import BodyModel
 from drape.commands import refusing
 from drape.errors import InputError
 from drape.garment import avatars
-from drape.garment.cache import FORMAT_VERSION, GARMENTS_DIR, Garment, load_garment, save_garment
+from drape.garment.cache import FORMAT_VERSION, OWN_GARMENTS_DIR, Garment, load_garment, save_garment
 from drape.garment.clearance import CLEARANCE_M, clear_body
 from drape.garment.mesh_checks import Unit, Up, check_mesh
 from drape.garment.mesh_io import GarmentMesh, read_mesh
@@ -298,9 +298,13 @@ def main(arguments: list[str] | None = None) -> int:
         "--avatar", help="JSON, a mesh file, a name in avatars.json, or 'standard'; default: avatars.json beside FILE"
     )
     parser.add_argument("--body", default=None, help="standard body: a shipped name or an SMPL file")
-    parser.add_argument("--out", type=Path, default=GARMENTS_DIR, help="where the cache file goes")
-    parser.add_argument("--unit", default="auto", help="auto, m, cm, dm, mm or inch")
-    parser.add_argument("--up", default="auto", help="auto, y or z")
+    parser.add_argument("--out", type=Path, default=OWN_GARMENTS_DIR, help="folder of the cache file (%(default)s)")
+    parser.add_argument(
+        "--unit", default="auto", choices=get_args(Unit), help="of the file; auto: by its place on the avatar"
+    )
+    parser.add_argument(
+        "--up", default="auto", choices=get_args(Up), help="axis of the file; auto: by its place on the avatar"
+    )
     parser.add_argument("--repair", action="store_true", help="drop degenerate and duplicated faces")
     parser.add_argument(
         "--patches", type=float, default=1.0, help="over the usual number: 2 drapes closer to physics, and slower"

@@ -21,7 +21,7 @@ FLAGGED_SPEED = 0.5 * 60.0
 _KNOT_TOLERANCE = 1e-6
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class MotionClip:
     """Poses (F, 24, 3), axis-angle [rad] relative to the parent, and translations (F, 3) [m], y up.
 
@@ -51,6 +51,9 @@ class MotionClip:
         object.__setattr__(self, "trans", trans)
         object.__setattr__(self, "betas", betas)
         object.__setattr__(self, "fps", float(self.fps))
+
+    def __repr__(self) -> str:
+        return f"MotionClip({self.name!r}, {self.frame_count} frames at {self.fps:g} per second)"
 
     @property
     def frame_count(self) -> int:

@@ -19,6 +19,7 @@ SEAM_LIMIT = 0.02  # of length: more needs easing in or is a fault
 OTHER_FOLDS_MM = 2.0
 GOOD_RMS_MM, FAIR_RMS_MM = 2.0, 8.0
 UNSURE_M = 0.01
+CUT_PCT = 15.0  # of edges with their middle in the body; a T-shirt has 6 to 12 at edges of 5 cm, and none of it shows
 FAR_SHARE = 5.0  # the largest distance over the root mean square that is worth a sentence
 
 
@@ -94,6 +95,7 @@ def verdicts(outcome: Outcome) -> tuple[list[str], list[str]]:
             good.append("Sewn anew from flat panels, the garment comes to rest on the body.")
         else:
             look.append(f"Sewn anew, the garment is not at rest: {rest.residual_n:.1e} N are left at a node.")
+        look += cut_words(outcome.anew.figures["rest"]["edges_in_body_pct"], outcome.job.drape.edge_length_m)
     if outcome.anew_distance is not None and outcome.anew_distance.mean_mm > max(
         OTHER_FOLDS_MM, 2.0 * outcome.distance.mean_mm
     ):
@@ -102,6 +104,17 @@ def verdicts(outcome: Outcome) -> tuple[list[str], list[str]]:
             "folds."
         )
     return good, look
+
+
+def cut_words(edges_in_body_pct: float, edge_length_m: float) -> list[str]:
+    """A sentence where the drape goes through the body: contact is that of nodes, and edges are chords."""
+    if edges_in_body_pct <= CUT_PCT:
+        return []
+    return [
+        f"{edges_in_body_pct:.0f} % of the edges of the sewn garment cut the body, which shows through in pictures: "
+        f"edges of {100 * edge_length_m:.0f} cm are too long for cloth this tight. Find the pattern with shorter ones "
+        f"(--edge-length {0.6 * edge_length_m:.2g}), or look at the sleeves."
+    ]
 
 
 def _shape(page: Page, outcome: Outcome) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from clients import calls
 from clients.calls import ServiceError, problem_error
 from clients.client import AsyncDrapeClient, DrapeClient, check_deadline, finished
 from clients.stream import DrapeStream
@@ -149,6 +150,39 @@ def test_the_stream_client_gets_its_frames(live: str, body: BodyModel, tube: Gar
             assert (await stream.receive()).frame.pushed
 
     asyncio.run(whole())
+
+
+def test_knob_and_passes_reach_the_service(live: str):
+    """A static model has knob 0 and fixed passes: what it refuses, and by which name, tells what was sent."""
+    poses, trans = random_motion(2)
+    words = {"knob": (3.0, "motion: expected"), "passes": (1, "passes: expected")}
+
+    async def awaited(options: dict) -> None:
+        async with AsyncDrapeClient(live) as client:
+            await client.drape("tube", poses, **options)
+
+    async def streamed(options: dict) -> None:
+        async with await DrapeStream.open(live, "tube", **options):
+            pass
+
+    with DrapeClient(live) as client:
+        for name, (value, sentence) in words.items():
+            options = {name: value}
+            for call in (client.drape, client.drape_jets, client.drape_glb):
+                with pytest.raises(InputError, match=sentence):
+                    call("tube", poses, **options)
+            with pytest.raises(InputError, match=sentence):
+                client.drape_outfit(["tube"], poses, **options)
+            for run in (awaited, streamed):
+                with pytest.raises(InputError, match=sentence):
+                    asyncio.run(run(options))
+        still = client.drape("tube", poses, trans=trans, knob=0.0)
+        assert_array_equal(still, client.drape("tube", poses, trans=trans))  # a static model
+
+
+def test_a_call_leaves_to_the_service_what_was_not_chosen():
+    assert calls.chosen(None, None, None) == {"push_out": None}
+    assert calls.chosen(True, 0.0, 0) == {"push_out": True, "motion": 0.0, "passes": 0}
 
 
 def test_the_stream_client_hears_why_it_ended(live: str):

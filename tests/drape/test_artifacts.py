@@ -11,12 +11,15 @@ import pytest
 
 from drape import artifacts
 from drape.artifacts import (
+    DEFAULT_MODEL,
+    MODELS_DIR,
     GraphSpec,
     Manifest,
     TensorSpec,
     WeightsSpec,
     file_digest,
     load_manifest,
+    model_folder,
     publish_folder,
 )
 from drape.errors import ArtifactError, NotFound
@@ -117,6 +120,13 @@ def test_digest_changes_with_any_file_and_with_nothing_else(manifest):
 def test_file_digest_is_sha256(tmp_path):
     (tmp_path / "file").write_bytes(b"abc")
     assert file_digest(tmp_path / "file") == hashlib.sha256(b"abc").hexdigest()
+
+
+def test_a_model_is_a_folder_or_a_shipped_name(folder, monkeypatch):
+    assert model_folder(str(folder)) == folder
+    monkeypatch.chdir(folder.parent)
+    assert model_folder(folder.name).resolve() == folder.resolve()
+    assert load_manifest(model_folder(DEFAULT_MODEL)) and model_folder("absent") == MODELS_DIR / "absent"
 
 
 def test_missing_model_is_not_found_and_the_others_are_named(folder):

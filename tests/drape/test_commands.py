@@ -2,7 +2,7 @@
 
 import pytest
 
-from drape.commands import REFUSED_EXIT_CODE, refusing
+from drape.commands import REFUSED_EXIT_CODE, ended, refusing
 from drape.errors import InputError
 
 
@@ -28,3 +28,12 @@ def test_other_errors_pass() -> None:
 
     with pytest.raises(ValueError, match="a bug"):
         main()
+
+
+def test_a_record_is_no_status(capsys: pytest.CaptureFixture[str]) -> None:
+    def refused() -> dict[str, int]:
+        raise InputError("count", expected="at least 0", got="-1", cure="Count again.")
+
+    assert ended(lambda: {"rows": 3}) == 0
+    assert ended(refused) == REFUSED_EXIT_CODE
+    assert "Count again." in capsys.readouterr().err

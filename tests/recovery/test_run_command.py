@@ -29,7 +29,7 @@ from recovery.run.identify import shape_basis
 from recovery.run.job import describe_worn, lost_words, run_job
 from recovery.run.report import Page
 from recovery.run.retarget import _worn, lost_parts, retargeted
-from recovery.run.story import cloth_words, file_words
+from recovery.run.story import cloth_words, cut_words, file_words, verdicts
 from tests.recovery.pattern_setup import default_measurements
 
 SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
@@ -71,6 +71,12 @@ def test_a_page_holds_its_pictures_and_escapes_its_words():
     assert 'class="warn">look' in text and 'class="good">fine' in text
     assert base64.b64encode(b"\x89PNG").decode() in text
     assert "http" not in text and 'src="data:' in text
+
+
+def test_a_garment_that_goes_through_the_body_is_said_to():
+    assert cut_words(12.0, 0.05) == []
+    (sentence,) = cut_words(19.0, 0.05)
+    assert sentence.startswith("19 % of the edges") and "edges of 5 cm" in sentence and "--edge-length 0.03" in sentence
 
 
 def test_files_have_words():
@@ -133,7 +139,7 @@ def test_the_cloth_has_words(run):
 
 @pytest.mark.slow
 def test_the_report_says_what_was_found(run):
-    folder, _, truth = run
+    folder, outcome, truth = run
     record = json.loads((folder / "out" / "report.json").read_text())
     assert record["distance"]["mean_mm"] < 0.5 * record["base_distance"]["mean_mm"]
     assert record["chamfer_floor"]["mean_mm"] < record["chamfer"]["mean_mm"]
@@ -148,6 +154,11 @@ def test_the_report_says_what_was_found(run):
         assert np.asarray(Image.open(io.BytesIO(base64.b64decode(payload))).convert("RGB")).std() > 10.0
     for words in ("Before you cut", "What the target cannot tell", "floor", "jersey", "over the base"):
         assert words in page
+    anew = outcome.anew
+    for share, said in ((0.0, False), (19.0, True)):
+        figures = anew.figures | {"rest": anew.figures["rest"] | {"edges_in_body_pct": share}}
+        look = verdicts(replace(outcome, anew=replace(anew, figures=figures)))[1]
+        assert any("cut the body" in sentence for sentence in look) == said
 
 
 @pytest.mark.slow

@@ -58,11 +58,11 @@ def drape(api: httpx.Client, **fields: object) -> httpx.Response:
         ({"betas": [0.0] * 11}, 422, ["betas: expected at most 10 numbers, got 11"]),
         ({"betas": [float("nan")]}, 422, ["betas[0]: expected a finite number"]),
         ({"betas": [99.0]}, 422, ["betas[0]: expected at most 20, got 99"]),
-        ({"fps": 0}, 400, ["fps:", "greater than 0"]),
+        ({"fps": 0}, 400, ["fps: expected greater than 0, got 0."]),
         ({"garment": "cape"}, 404, ["garment: expected one of: tube, got cape.", "GET /garments"]),
-        ({"garment": ""}, 400, ["garment"]),
+        ({"garment": ""}, 400, ["garment: expected at least 1 character, got ''."]),
         ({"colour": "red"}, 400, ["colour: expected no such field"]),
-        ({"push_out": "maybe"}, 400, ["push_out"]),
+        ({"push_out": "maybe"}, 400, ["push_out: expected a valid boolean, unable"]),
         ({"poses": REST * 41}, 413, ["poses: expected at most 40 frames, got 41. Send the clip in pieces."]),
     ],
 )
@@ -91,13 +91,17 @@ def test_what_is_no_json_object_is_refused(api: httpx.Client, content: bytes, co
 def test_unknown_names_and_paths_are_not_found(api: httpx.Client):
     refused(api.get("/garments/cape"), 404, "garment")
     refused(api.get("/garments/cape/mesh"), 404, "garment")
-    refused(api.get("/motions/swim"), 404, "motion", "GET /motions")
+    refused(api.get("/motions/swim"), 404, "motion: expected one of: reach, ", "GET /motions")
     refused(api.get("/bodies/atlas"), 404, "body: expected anny_default, got atlas")
     refused(api.get("/bodies/atlas/mesh"), 404, "body")
     refused(api.post("/bodies/atlas/posed", json={"poses": REST}), 404, "body")
     refused(api.get("/jobs/none"), 404, "job")
     refused(api.get("/nothing"), 404, "GET /nothing")
     refused(api.delete("/health"), 405, "DELETE /health")
+    for path in ("/drape", "/bodies/anny_default/posed"):
+        response = api.get(path)
+        refused(response, 405, f"expected a method that this path has, got GET {path}.")
+        assert response.headers["Allow"] == "POST"
     refused(api.get("/bodies/anny_default?betas=1,x"), 400, "betas: expected comma-separated numbers")
 
 

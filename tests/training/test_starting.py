@@ -158,7 +158,7 @@ def test_of_a_dynamic_model_the_static_drape_is_fine_tuned(tmp_path: Path):
 
 
 @pytest.mark.slow
-def test_the_command_line_fine_tunes(tiny: tuple[OneFit, Path], tmp_path: Path, monkeypatch):
+def test_the_command_line_fine_tunes(tiny: tuple[OneFit, Path], tmp_path: Path, monkeypatch, capsys):
     _, folder = tiny
     options = ["--finetune", str(folder), "--garment", TANK, "--motions", str(sample_motions())]
     options += ["--out", str(tmp_path / "out"), "--minutes", "0.005", "--threads", "1", "--device", "cpu"]
@@ -168,6 +168,13 @@ def test_the_command_line_fine_tunes(tiny: tuple[OneFit, Path], tmp_path: Path, 
     payload, config = checkpoint.load(tmp_path / "out" / "checkpoint.pt")
     assert config.batch_size == 2 and config.autocast
     assert payload["step"] >= 1 and config.data.garments == (TANK,) and config.model == TINY
+    assert f"stored    {tmp_path / 'out' / 'checkpoint.pt'}: step {payload['step']} after" in capsys.readouterr().out
+    assert run.main() == 2  # a second run there would write over the first
+    assert "--out: expected a folder without an earlier run" in capsys.readouterr().err
+    monkeypatch.setattr("sys.argv", ["run", "--resume", str(tmp_path / "out"), "--motions", str(sample_motions())])
+    assert run.main() == 0
+    assert "nothing left to do: the run has had its 0.005 minutes" in capsys.readouterr().out
+    assert checkpoint.load(tmp_path / "out" / "checkpoint.pt")[0]["step"] == payload["step"]
 
 
 @pytest.mark.parametrize(

@@ -133,6 +133,9 @@ def test_avatar_is_told_as_text_file_or_dictionary(tmp_path: Path, monkeypatch: 
     for wrong in ("{", "[1]", "nobody", str(tmp_path / "absent.obj")):
         with pytest.raises(DrapeError):
             parse_avatar(wrong)
+    (tmp_path / "avatars.json").write_text(json.dumps({"female": FEMALE, "own": FEMALE}))
+    with pytest.raises(NotFound, match="or one of female, own, male, got"):  # each name once
+        parse_avatar("nobody", beside=tmp_path / "shirt.obj")
 
 
 def test_a_client_of_the_service_names_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from drape.errors import ArtifactError
+from drape.errors import ArtifactError, Unavailable
 from drape.garment import cache
 from drape.garment.cache import Garment, load_garment, save_garment
 from tests.drape.garment.rest_garments import barrel_garment
@@ -65,9 +65,10 @@ def test_crash_while_writing_leaves_the_old_file(stored, monkeypatch):
         raise OSError("power cut")
 
     monkeypatch.setattr(cache.os, "replace", crash)
-    with pytest.raises(OSError, match="power cut"):
+    with pytest.raises(Unavailable, match="power cut"):
         save_garment(dataclasses.replace(barrel_garment(), manifest={"again": 1}), stored.parent)
     same_garment(load_garment(stored), barrel_garment())
+    assert list(stored.parent.iterdir()) == [stored]
 
 
 def test_file_holds_plain_arrays_only(stored):
@@ -157,9 +158,22 @@ def test_heaviest_bone_has_the_largest_weight():
     assert_array_equal(garment.patch_weights[rows, heaviest], garment.patch_weights.max(axis=1))
 
 
-def test_inspection_prints_every_array_and_the_manifest(stored, capsys, monkeypatch):
-    monkeypatch.setattr(cache.sys, "argv", ["cache", str(stored)])
-    cache.main()
+def test_inspection_prints_every_array_and_the_manifest(stored, capsys):
+    assert cache.main([str(stored)]) == 0
     printed = capsys.readouterr().out
     assert all(f"  {name} " in printed for name in ARRAYS)
     assert '"point_rmse_m"' in printed
+
+
+def test_inspection_refuses_with_a_sentence(tmp_path, capsys):
+    (tmp_path / "text.npz").write_text("hello")
+    for name, word in (("absent.npz", "an existing file"), ("text.npz", "a garment npz")):
+        assert cache.main([str(tmp_path / name)]) == 2
+        assert word in capsys.readouterr().err
+
+
+def test_a_folder_that_cannot_be_written_is_refused(tmp_path):
+    (tmp_path / "file").write_text("not a folder")
+    for folder in (tmp_path / "file", tmp_path / "file" / "inside"):
+        with pytest.raises(Unavailable, match="a folder that can be written"):
+            save_garment(barrel_garment(), folder)

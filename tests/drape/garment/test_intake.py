@@ -13,7 +13,7 @@ from drape.body.assets import load_body
 from drape.errors import InputError, MeshError
 from drape.garment import intake as intake_module
 from drape.garment.avatars import STANDARD, phenotype_avatar
-from drape.garment.cache import load_garment
+from drape.garment.cache import OWN_GARMENTS_DIR, load_garment
 from drape.garment.clearance import CLEARANCE_M
 from drape.garment.intake import IntakeOptions, garment_name, intake, main, rest_mesh, with_unused, without_unused
 from drape.garment.mesh_io import plain_mesh
@@ -175,6 +175,19 @@ def test_command_line_prints_steps_and_refuses_with_two(
         assert main([str(tmp_path / words[0]), *words[1:], "--out", str(out)]) == 2
         assert "expected" in capsys.readouterr().err
     assert list(out.iterdir()) == stored
+    for words in (["--unit", "foot"], ["--up", "x"]):
+        with pytest.raises(SystemExit, match="2"):
+            main([str(folder / "female_shirt.obj"), *words])
+        assert "choose from" in capsys.readouterr().err
+
+
+def test_without_out_a_garment_goes_where_the_service_looks(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    went: list[Path] = []
+    monkeypatch.setattr("drape.garment.intake.intake", lambda source, **options: went.append(options["folder"]))
+    assert main([str(folder / "female_shirt.obj")]) == 0
+    assert went == [OWN_GARMENTS_DIR]
 
 
 @pytest.mark.parametrize(

@@ -192,3 +192,10 @@ def test_failed_save_leaves_nothing(rng, tmp_path, monkeypatch):
     with pytest.raises(OSError, match="disk full"):
         make_clip(rng).save(tmp_path / "clip.npz")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_clip_is_shown_in_a_line():
+    assert (
+        repr(MotionClip(np.zeros((3, 24, 3)), np.zeros((3, 3)), 30.0, "wave"))
+        == "MotionClip('wave', 3 frames at 30 per second)"
+    )
