@@ -186,7 +186,7 @@ def finetune() -> TrainConfig:
 
 def go_on() -> TrainConfig:
     """What goes on training a static model on the shipped preset's garments, and makes it move more smoothly."""
-    return replace(shipped(), learning_rate=5e-4, early_agreement=1.0, smooth_share=0.25)
+    return replace(shipped(), learning_rate=3e-4, early_agreement=1.0, smooth_share=0.4, smooth_weight=2e5)
 
 
 PRESETS = {"shipped": shipped, "smoke": smoke, "paper": paper, "dynamic": dynamic}

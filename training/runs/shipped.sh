@@ -1,7 +1,7 @@
 #!/bin/sh
 # Rebuilds the shipped model and exports it, on two CPU cores: the static drape from nothing (100 minutes) and on from there
-# with jumps paid for (100), the mean of both, and what motion adds (112). The weights shipped saw the same in parts (the
-# manifest's "training"), with half of the patch counts' range until the last of them.
+# with jumps paid for (100), seven tenths of the way between the two, and what motion adds (112). The weights shipped saw the
+# same in parts (the manifest's "training"), with half of the patch counts' range until the last two of them.
 #
 # Poses: DRAPE_DATA/motions holds clips of the CMU Graphics Lab Motion Capture Database as ASF/AMC or AMASS
 # files (docs/data.md says which and where from). "The data used in this project was obtained from
@@ -13,7 +13,7 @@ python -m torch.distributed.run --standalone --nproc-per-node 2 -m training.run 
 python -m torch.distributed.run --standalone --nproc-per-node 2 -m training.run \
     --finetune runs/shipped/checkpoint.pt --bf16 --batch 8 --threads 1 --minutes 100 --out runs/longer "$@"
 mkdir -p runs/between
-python -m training.average runs/shipped/checkpoint.pt runs/longer/checkpoint.pt --out runs/between/checkpoint.pt
+python -m training.average runs/shipped/checkpoint.pt runs/longer/checkpoint.pt --share 0.7 --out runs/between/checkpoint.pt
 python -m training.run --preset dynamic --from runs/between/checkpoint.pt --threads 1 --minutes 112 --out runs/moving \
     --garment dress skirt dress skirt tshirt longsleeve tank trousers shorts
 python -m model_export runs/moving/checkpoint.pt assets/models/onefit
