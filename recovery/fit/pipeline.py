@@ -31,6 +31,7 @@ from recovery.sim.sdf import SignedDistance
 
 DEFAULT_DRAPE = DrapeOptions()
 GRADINGS = 2
+LENGTHS_TRIED = (1.0, 0.93, 1.07, 0.87)  # of the edge length asked for
 ROUNDS = 3
 SETTLED_M = 1e-4  # of every control point in a round: where the mesh stays as well, the next would find the same
 TRIED = FitOptions(iterations=0, closing=3)  # of the search with each fabric: its signature is mixed with the size's
@@ -260,17 +261,23 @@ class _Task:
 def _drape(
     pattern: Pattern, body: BodyModel, drape: DrapeOptions, pose: np.ndarray | None, skin: SignedDistance
 ) -> Draped:
-    """What the graded ``pattern`` drapes to. Raises ``InputError`` where that is not at rest."""
-    start = drape_pattern(pattern, body, drape, pose=pose, skin=skin)
-    if not start.at_rest:
-        drapes = [one for one in (start.rest, start.posed) if one is not None]
-        raise InputError(
-            "graded pattern",
-            expected="a drape at rest to start from",
-            got=f"{max(one.report.residual_n for one in drapes):.1e} N left at a node",
-            cure="Take another mesh (edge_length_m), more iterations, or a base nearer to the target.",
-        )
-    return start
+    """What the graded ``pattern`` drapes to, on a mesh a little finer or coarser where Newton sticks on its own.
+
+    Raises ``InputError`` where none comes to rest.
+    """
+    left: list[float] = []
+    for share in LENGTHS_TRIED:
+        length = share * drape.edge_length_m
+        start = drape_pattern(pattern, body, replace(drape, edge_length_m=length), pose=pose, skin=skin)
+        if start.at_rest:
+            return start
+        left.append(max(one.report.residual_n for one in (start.rest, start.posed) if one is not None))
+    raise InputError(
+        "graded pattern",
+        expected="a drape at rest to start from",
+        got=f"{min(left):.1e} N left at a node, on the best of {len(left)} meshes",
+        cure="Take another mesh (edge_length_m), more iterations, or a base nearer to the target.",
+    )
 
 
 def posed_joints(body: BodyModel, pose: np.ndarray) -> np.ndarray:

@@ -27,11 +27,12 @@ from recovery.drape.posing import read_pose
 from recovery.drape.skin import add_distance_options, distance_options
 from recovery.fit.objective import DEFAULT_WEIGHTS
 from recovery.fit.optimise import FitOptions
-from recovery.run.job import Job, run_job
+from recovery.run.job import FIT_INSIDE, Job, run_job
 
 NOT_AT_REST_EXIT_CODE = 3
 CHOOSE_FABRIC = "auto"
 EDGE_LENGTH_M = 0.05
+SCAN_REACH_M = 0.3  # its base is of another cut, its body is not the wearer's: the pattern has to make up for both
 SEAM_WEIGHT = 0.1  # for cutting: recovery.fit alone lets seams give way a hundred times more easily
 
 
@@ -72,6 +73,13 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument(
         "--seam-weight", type=float, default=SEAM_WEIGHT, help="of the loss: seams keep the ratios of the base"
     )
+    parser.add_argument(
+        "--reach",
+        type=float,
+        metavar="M",
+        help="the loss doubles where corners are this far [m] from the graded base, all of them together (default "
+        f"{DEFAULT_WEIGHTS.reach_m:g}, for a scan without a body {SCAN_REACH_M:g})",
+    )
     parser.add_argument("--no-retarget", action="store_true", help="leave out other bodies and poses")
     parser.add_argument("--no-garment", action="store_true", help="write no garment cache")
     return parser.parse_args(arguments)
@@ -100,10 +108,19 @@ def job_of(given: argparse.Namespace) -> Job:
         find_fabric=given.fabric == CHOOSE_FABRIC,
         meshes_m=given.meshes,
         fit=FitOptions(iterations=given.adam, closing=given.closing),
-        weights=DEFAULT_WEIGHTS._replace(seams=given.seam_weight),
+        weights=DEFAULT_WEIGHTS._replace(seams=given.seam_weight, reach_m=reach_of(given)),
         retarget=not given.no_retarget,
         garment=not given.no_garment,
     )
+
+
+def reach_of(given: argparse.Namespace) -> float:
+    """``Weights.reach_m`` [m]; refuses (``InputError``) one that is not positive."""
+    if given.reach is None:
+        return SCAN_REACH_M if given.body == FIT_INSIDE else DEFAULT_WEIGHTS.reach_m
+    if not given.reach > 0.0:
+        raise InputError("--reach", expected="more than 0", got=f"{given.reach:g}", cure="Leave it at its default.")
+    return given.reach
 
 
 def read_betas(text: str) -> np.ndarray:

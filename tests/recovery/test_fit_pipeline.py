@@ -12,6 +12,7 @@ from drape.body.assets import load_body
 from drape.errors import InputError
 from recovery.drape.pipeline import DrapeOptions, drape_pattern
 from recovery.drape.placement import scaled
+from recovery.fit import pipeline
 from recovery.fit.cloth import named
 from recovery.fit.compare import pattern_error
 from recovery.fit.optimise import FitOptions
@@ -87,3 +88,22 @@ def test_what_cannot_be_searched_is_refused():
         recover_pattern(*target, drape=coarse, meshes_m=())
     with pytest.raises(InputError, match="at rest to start from"):
         recover_pattern(*target, drape=replace(coarse, iteration_limit=0))
+
+
+def test_a_graded_pattern_that_sticks_on_one_mesh_is_draped_on_the_next(monkeypatch: pytest.MonkeyPatch):
+    body, pattern = load_body(), skirt(default_measurements())
+    very_coarse = DrapeOptions(edge_length_m=0.12, grid_m=0.04)
+    skin = very_coarse.skin(body.posed_vertices(np.zeros((1, 24, 3)))[0], body.faces)
+    lengths = []
+
+    def stopped_at_first(pattern, body, drape, **given):
+        lengths.append(drape.edge_length_m)
+        first = len(lengths) == 1
+        return drape_pattern(pattern, body, replace(drape, iteration_limit=0) if first else drape, **given)
+
+    monkeypatch.setattr(pipeline, "drape_pattern", stopped_at_first)
+    assert pipeline._drape(pattern, body, very_coarse, None, skin).at_rest
+    assert_allclose(lengths, [0.12, 0.93 * 0.12])
+    monkeypatch.undo()
+    with pytest.raises(InputError, match=r"graded pattern: .* N left at a node, on the best of 4 meshes"):
+        pipeline._drape(pattern, body, replace(very_coarse, iteration_limit=0), None, skin)

@@ -55,6 +55,17 @@ def test_parallel_squares_are_their_distance_apart():
     assert_allclose(chamfer(first, second), (1e4 * 2e-6, 1.0), rtol=1e-6)
 
 
+# --- options ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_scan_without_a_body_may_go_farther_from_its_base():
+    words = ["t.obj", "--base", "tshirt", "--out", "out"]
+    for more, reach in (([], 0.045), (["--body", "fit"], 0.3), (["--body", "fit", "--reach", "0.1"], 0.1)):
+        assert command.job_of(command.parse([*words, *more])).weights.reach_m == reach
+    with pytest.raises(InputError, match="--reach: expected more than 0"):
+        command.job_of(command.parse([*words, "--reach", "0"]))
+
+
 # --- words -----------------------------------------------------------------------------------------------------------
 
 
