@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from benchmarks import latency_report, recovery_report, representation_report, study_report
+from benchmarks import latency_report, polyfit_report, recovery_report, representation_report, study_report
 from benchmarks.common import RESULTS_DIR, ROOT, cells, markdown_table, provenance
 
 QUALITY_COLUMNS = {
@@ -161,6 +161,10 @@ TABLES: tuple[tuple[str, str, str, Callable[[dict[str, Any]], str]], ...] = (
     ("recovery_targets", "docs/recovery_fit.md", "recovery_targets", recovery_report.table),
     ("recovery_rounds", "docs/recovery_fit.md", "recovery_rounds", recovery_report.rounds_table),
     ("recovery_rivals", "docs/recovery_fit.md", "recovery_rivals", recovery_report.rivals_table),
+    ("polyfit", "docs/polyfit.md", "polyfit_fits", polyfit_report.fits_table),
+    ("polyfit", "docs/polyfit.md", "polyfit_garments", polyfit_report.garments_table),
+    ("polyfit", "docs/decisions/0005-polyfit.md", "polyfit_frames", polyfit_report.frames_table),
+    ("polyfit", "docs/decisions/0005-polyfit.md", "polyfit_density", polyfit_report.density_table),
     ("loss_ablation", "docs/losses.md", "loss_ablation", representation_report.loss_table),
 )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from benchmarks import loss_ablation, report, representation, representation_report
+from benchmarks.common import ROOT
 from benchmarks.representation_space import REPRESENTATIONS
 
 ROW = {
@@ -126,3 +127,9 @@ def test_the_table_of_losses_has_dashes_for_what_is_not_published():
     heads, rule, *lines = table.split("\n")[:4]
     assert heads.count("|") == rule.count("|") == lines[0].count("|")
     assert lines[1].startswith("| without metric (L_inext) | 3.00 | 2.00 | 0.500 | - | 12.8 | - | 0.100 | 0.0100 |")
+
+
+def test_every_table_has_its_place_in_its_document():
+    for _, document, name, _ in report.TABLES:
+        text = (ROOT / document).read_text(encoding="utf-8")
+        assert text.count(f"<!-- {name}:begin -->") == text.count(f"<!-- {name}:end -->") == 1, f"{document} {name}"
