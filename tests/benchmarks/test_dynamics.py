@@ -118,12 +118,18 @@ def test_the_potential_of_a_body_in_free_fall_is_inertias(engine: Engine, tube: 
     assert_allclose(row["given_static_j"] - row["energy_static_j"], given, rtol=1e-3, atol=1e-9)
 
 
-def test_the_whole_prints_a_record(models: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys):
-    monkeypatch.setattr(subject, "MODELS_DIR", models)
+def test_the_whole_prints_a_record(models: Path, tmp_path: Path, capsys):
     save_garment(tube_garment(load_body()), tmp_path)
     clip().save(tmp_path / "swaying.npz")
     garment = next(tmp_path.glob("tube*.npz"))
-    options = ["--model", TINY_DYNAMIC, "--garments", str(garment), "--motions", str(tmp_path / "swaying.npz")]
+    options = [
+        "--model",
+        str(models / TINY_DYNAMIC),
+        "--garments",
+        str(garment),
+        "--motions",
+        str(tmp_path / "swaying.npz"),
+    ]
     record = subject.main([*options, "--frames", "8", "--threads", "1"])
     printed = capsys.readouterr().out.splitlines()
     assert json.loads(printed[-1]) == record

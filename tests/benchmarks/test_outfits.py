@@ -34,11 +34,10 @@ def test_what_shows_is_counted_within_reach_and_not_beside():
 
 
 @pytest.mark.slow
-def test_the_quick_run_measures_both_ways(monkeypatch, tmp_path):
+def test_the_quick_run_measures_both_ways(tmp_path):
     folder = exported()[1]
-    monkeypatch.setattr(outfits, "MODELS_DIR", folder.parent)
     drawn = tmp_path / "outfit.png"
-    chosen = ["--model", folder.name, "--outfits", "tank+shorts", "--picture", str(drawn)]
+    chosen = ["--model", str(folder), "--outfits", "tank+shorts", "--picture", str(drawn)]
     record = outfits.main(["--quick", "--threads", "1", *chosen])
     assert drawn.read_bytes()[1:4] == b"PNG"
     alone, over = record["rows"]

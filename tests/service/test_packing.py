@@ -186,6 +186,9 @@ class _Recorded:
         values = {n: Device().value(v) if isinstance(v, np.ndarray) else v for n, v in feed.items()}
         return [value.numpy() for value in self._session.run_with_ort_values(list(outputs), values)]
 
+    def forget(self) -> None:
+        """Holds nothing."""
+
 
 @pytest.mark.parametrize("alone", [True, False])
 @pytest.mark.parametrize("plan", PLANS, ids=["vertices", "normals", "steps", "jets"])
