@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -346,8 +347,6 @@ def test_a_model_without_the_packed_graph_is_refused(tiny_folder: Path, body: Bo
 
 
 def test_a_manifest_with_other_tensors_is_refused(tmp_path: Path):
-    import shutil
-
     folder = Path(shutil.copytree(exported()[1], tmp_path / "small"))
     manifest = load_manifest(folder)
     spec = manifest.graphs[PACKED]
@@ -362,8 +361,6 @@ def test_a_manifest_with_other_tensors_is_refused(tmp_path: Path):
 
 def test_the_service_drapes_through_it_with_the_same_numbers(make_settings, tmp_path: Path):
     """A clip and two clients by the packed graph, and by a service whose model has none."""
-    import shutil
-
     models = tmp_path / "models"
     shutil.copytree(exported()[1], models / "small")
     shutil.copytree(exported()[1], models / "plain")
@@ -388,8 +385,6 @@ def test_the_service_drapes_through_it_with_the_same_numbers(make_settings, tmp_
 
 
 def test_the_service_refuses_what_is_not_finite(make_settings, tmp_path: Path):
-    import shutil
-
     shutil.copytree(exported()[1], tmp_path / "small")
     save_garment(garment("tank"), tmp_path / "shirts")
     drapery = Drapery(make_settings(models_dir=tmp_path, model="small", shipped_garments_dir=tmp_path / "shirts"))
