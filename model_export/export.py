@@ -41,7 +41,7 @@ from model_export.layer_graph import LayerGraph, layer_inputs, layer_parity_erro
 from model_export.packed import FirstGraph, PackedGraph
 from model_export.packed_parity import packed_parity_error
 from model_export.packed_specs import first_outputs, packed_inputs
-from model_export.parity import TOLERANCE_M, parity_error, sequence_error
+from model_export.parity import TOLERANCE_M, check_parity, parity_error, sequence_error
 from model_export.push_graph import OUTPUTS, PushGraph, push_inputs, push_parity_error
 from model_export.push_graph import SAMPLE as PUSH_SAMPLE
 from model_export.rounded import ROUNDED, Wide, round_matrices
@@ -95,13 +95,7 @@ def export(
             error = max(error, sequence_error(model, staged, graphs, garment))
         error = max(error, push_parity_error(staged / graphs["push_out"].file, garment))
         error = max(error, layer_parity_error(staged / graphs["push_over"].file, garment))
-        if not error <= TOLERANCE_M:
-            raise ArtifactError(
-                "parity",
-                expected=f"at most {TOLERANCE_M} m between torch and onnxruntime",
-                got=f"{error:.3g} m",
-                cure="Do not ship this export; find the operator that differs.",
-            )
+        check_parity("parity", error, TOLERANCE_M, "between torch and onnxruntime")
         manifest = Manifest(
             name=target.name,
             graphs=graphs,
@@ -256,13 +250,8 @@ def add_push_out(folder: Path, garment: Garment) -> Manifest:
         specs = {name: write(staged / f"{name}.onnx") for name, write in PUSHES.items()}
         files = {name: staged / spec.file for name, spec in specs.items()}
         error = max(push_parity_error(files["push_out"], garment), layer_parity_error(files["push_over"], garment))
-        if not error <= TOLERANCE_M:
-            raise ArtifactError(
-                "push_out parity",
-                expected=f"at most {TOLERANCE_M} m between numpy and onnxruntime",
-                got=f"{error:.3g} m",
-                cure="Do not ship this graph; find the operator that differs.",
-            )
+        cure = "Do not ship this graph; find the operator that differs."
+        check_parity("push_out parity", error, TOLERANCE_M, "between numpy and onnxruntime", cure=cure)
         return _with_graphs(staged, replace(manifest, parity_error_m=max(error, manifest.parity_error_m)), specs)
 
 
@@ -280,13 +269,8 @@ def add_half(folder: Path, model: OneFit, garment: Garment, *, least: int = LEAS
     def check(staged: Path, manifest: Manifest) -> None:
         encoder = staged / manifest.graphs["garment_encoder"].file
         error = packed_parity_error(model, encoder, staged / f"{HALF}.onnx", garment)
-        if not error <= LARGEST_ERROR_M:
-            raise ArtifactError(
-                "packed graph in float16",
-                expected=f"at most {LARGEST_ERROR_M} m from torch in float32",
-                got=f"{error:.3g} m",
-                cure="Export without it (--no-half).",
-            )
+        cure = "Export without it (--no-half)."
+        check_parity("packed graph in float16", error, LARGEST_ERROR_M, "from torch in float32", cure=cure)
 
     return _add_packed(folder, HALF, lambda proto: halve_matrices(proto, least=least), check)
 

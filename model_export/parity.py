@@ -12,6 +12,7 @@ from drape.artifacts import GraphSpec
 from drape.body.assets import load_body
 from drape.body.features import motion_features
 from drape.body.model import BodyModel
+from drape.errors import ArtifactError
 from drape.feeds import body_feed, garment_feed, kinematics
 from drape.garment.cache import Garment
 from model_export.graph import DrapeGraph, DynamicGraph, EncoderGraph, drape_inputs, dynamic_inputs
@@ -19,6 +20,13 @@ from training.model import OneFit
 
 TOLERANCE_M = 1e-4
 SEQUENCE_FRAMES = 30
+FIND = "Do not ship this export; find the operator that differs."
+
+
+def check_parity(name: str, error: float, largest: float, between: str, *, unit: str = " m", cure: str = FIND) -> None:
+    """Refuses (``ArtifactError``) an ``error`` of ``name`` above ``largest``, and one that is no number."""
+    if not error <= largest:
+        raise ArtifactError(name, expected=f"at most {largest}{unit} {between}", got=f"{error:.3g}{unit}", cure=cure)
 
 
 def hard_poses(count: int, *, seed: int = 0) -> np.ndarray:

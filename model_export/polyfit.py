@@ -19,7 +19,7 @@ from drape.commands import refusing
 from drape.errors import ArtifactError
 from drape.garment.canonical import Transform, canonical
 from model_export.export import commit, write_graph
-from model_export.parity import session
+from model_export.parity import check_parity, session
 from training.polyfit.families import FAMILIES, draw_patches
 from training.polyfit.network import Qstn
 from training.polyfit.train import load, load_model
@@ -61,13 +61,7 @@ def export_polyfit(checkpoint: Path, target: Path) -> Manifest:
     with staged_folder(target) as staged:
         graph = write_graph(model, staged / "polyfit.onnx", INPUTS, OUTPUTS)
         error = parity_error(model, staged / graph.file)
-        if not error <= TOLERANCE:
-            raise ArtifactError(
-                "parity",
-                expected=f"at most {TOLERANCE} on a quaternion's component",
-                got=f"{error:.3g}",
-                cure="Do not ship this export; find the operator that differs.",
-            )
+        check_parity("parity", error, TOLERANCE, "on a quaternion's component", unit="")
         manifest = Manifest(
             name=target.name, graphs={GRAPH: graph}, body="", body_digest="", embedding_size=0, parity_error_m=error,
             training={

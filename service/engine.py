@@ -25,6 +25,7 @@ ROUNDED, HALF = "packed_int8", "packed_half"  # in place of the packed graph, on
 PUSH, PUSH_OVER = "push_out", "push_over"
 FIRST = "patch_first"  # output of the encoder that the packed graph reads
 SKIN = "skin"  # output of the graphs that pose it
+SKIN_CONSTANTS = ("skin_rows", "skin_bones")  # inputs of those, of a body's shape
 JETS = ("jet", "frame_rotation", "frame_centre")  # outputs of the graphs that drape
 REQUIRED_OUTPUTS = {ENCODER: {"patch_embedding"}, DRAPE: {"vertices"}, DYNAMIC: {"dynamic_code", "next_state"}}
 # ONNX Runtime's names for element types.
@@ -78,7 +79,7 @@ class Engine:
         # Read now: a folder replaced later must not mix its graphs with those of this one.
         self.int8 = int8 and not on_gpu and self.packs and ROUNDED in self.manifest.graphs
         self.half = (on_gpu if half is None else half) and self.packs and HALF in self.manifest.graphs
-        self._elsewhere = 0
+        self.elsewhere = 0  # nodes of parts opened so far that do not run on the provider; each waits for a copy
         cuttable = [self._chosen(name) for name in (PACKED, PUSH, PUSH_OVER) if name in self.manifest.graphs]
         self._files = {name: (folder / self.manifest.graphs[name].file).read_bytes() for name in cuttable}
         weights = self.manifest.weights
@@ -93,11 +94,6 @@ class Engine:
         if graph != PACKED:
             return graph
         return HALF if self.half else ROUNDED if self.int8 else PACKED
-
-    @property
-    def elsewhere(self) -> int:
-        """Nodes of the parts opened so far that do not run on the provider; on a GPU each waits for a copy."""
-        return self._elsewhere
 
     def check_body(self, body: BodyModel) -> None:
         """Refuses a body that the model was not trained on."""
@@ -225,7 +221,7 @@ class Engine:
         # Operations of the push-outs are too small to be shared: two threads take longer than one.
         device = replace(self._device, threads=1) if graph in (PUSH, PUSH_OVER) else self._device
         session = open_session(f"{name}/{spec.file}", model, self._weights, device, capture=device.captures)
-        self._elsewhere += nodes_elsewhere(session, device)
+        self.elsewhere += nodes_elsewhere(session, device)
         found = {t.name: t.type for t in session.get_inputs()}
         taken = (*spec.inputs, *(t for t in spec.outputs if t.name in given))
         _compare(name, graph, "inputs", {t.name: t.dtype for t in taken if t.name in found}, found)

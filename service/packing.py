@@ -31,7 +31,7 @@ from drape.packing import (
     pack_tangents,
 )
 from drape.push_packing import SkinShapes
-from service.engine import JETS, PACKED, SKIN, Engine
+from service.engine import JETS, PACKED, SKIN, SKIN_CONSTANTS, Engine
 from service.runtime import Session
 
 if TYPE_CHECKING:
@@ -49,7 +49,6 @@ PER_VERTEX = ("vertices", "steps", NORMALS)
 PER_PATCH = JETS
 PER_BODY = (*BONES, SKIN)
 STORED_INDEX = ("patch_stored", "tile_stored")  # of no use where one garment is all there is
-SKIN_CONSTANTS = ("skin_rows", "skin_bones")  # of a shape
 SHAPE_INDEX = ("body_shape",)  # nor this where all bodies have one shape
 TILES_PER_CALL = 2048  # about 10 MB of columns: what a core's share of the last cache holds
 TILES_PER_BUCKET = 65536  # of devices with memory of their own

@@ -23,7 +23,7 @@ from drape.cloth.push.skin import SkinOnBones, body_skin, skin_table
 from drape.errors import NotFound
 from drape.layer_packing import LayerFeed, Sheet, layer_arrays, pack_layer, push_over, push_over_in_parts
 from drape.push_packing import feed_arrays, pack_push, pushed_jets
-from service.engine import PUSH, PUSH_OVER, SKIN, Engine
+from service.engine import PUSH, PUSH_OVER, SKIN, SKIN_CONSTANTS, Engine
 from service.runtime import Session
 
 if TYPE_CHECKING:
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
 MOVED_M = 1e-4  # a vertex pushed less than this counts as left alone
 OUTPUT = "pushed"
-SKIN_CONSTANTS = ("skin_rows", "skin_bones")  # of a shape
 JET_OUTPUTS = (OUTPUT, "jet_push", "left")
 KEPT_SHAPES = 64  # a megabyte each
 KEPT_OUTFITS = 32  # some five megabytes per layer over others
