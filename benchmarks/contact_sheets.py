@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.render import CLOTH, SKIN, Surface, render, save_png, sheet
 from clients.client import DrapeClient
 from drape.body.assets import load_body
-from drape.commands import refusing
+from drape.errors import refusing
 from drape.motion.clip import MotionClip
 from drape.motion.readers import read_motion
 

@@ -32,9 +32,9 @@ from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material, material
 from drape.errors import ArtifactError, DrapeError
-from drape.feeds import body_feed, garment_feed, kinematics
 from drape.garment.cache import Garment
 from drape.geometry import meshes
+from drape.graph.feeds import body_feed, garment_feed, kinematics
 from drape.motion.clip import MotionClip
 from drape.motion.readers import read_motion
 from service.dynamics import Moment, advance, nothing

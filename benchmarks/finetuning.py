@@ -26,8 +26,8 @@ from drape.body.assets import load_body
 from drape.catalog import find_garments, open_garment
 from drape.cloth import metrics
 from drape.cloth.contact import BodyContact
-from drape.commands import ended
-from drape.data_paths import data_folder
+from drape.errors import ended
+from drape.files.data import data_folder
 from drape.garment.cache import Garment
 from drape.motion.clip import MotionClip
 from drape.motion.hard_poses import HardPoses, hard_poses

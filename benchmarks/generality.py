@@ -29,8 +29,8 @@ from drape.cloth import metrics
 from drape.cloth.contact import BodyContact, push_out
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import material
-from drape.commands import ended
-from drape.data_paths import data_folder
+from drape.errors import ended
+from drape.files.data import data_folder
 from drape.garment.cache import Garment
 from drape.geometry.skinning import skin_points
 from drape.motion.hard_poses import HardPoses, hard_poses

@@ -26,12 +26,12 @@ from drape.cloth import metrics
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import material
-from drape.commands import ended
+from drape.errors import ended
 from drape.garment.cache import Garment
 from drape.geometry.skinning import skin_points
+from drape.graph.packing import pack_body
 from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
-from drape.packing import pack_body
 from service.engine import Engine
 from service.packing import Packer, ScenePlan
 from service.runtime import Device

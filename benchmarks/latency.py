@@ -35,12 +35,12 @@ from benchmarks.latency_setup import (
 from drape.artifacts import MODELS_DIR
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
-from drape.cloth.push.out import CLEARANCE_M
-from drape.commands import ended
-from drape.feeds import body_feed, garment_feed
+from drape.errors import ended
 from drape.garment.cache import Garment
-from drape.packing import PackedBody, pack_body
-from drape.push_packing import SkinShapes
+from drape.graph.feeds import body_feed, garment_feed
+from drape.graph.packing import PackedBody, pack_body
+from drape.graph.push_feed import SkinShapes
+from drape.push.projection import CLEARANCE_M
 from service.engine import PACKED, Engine
 from service.packing import SHAPE_INDEX, STORED_INDEX, Packer, ScenePlan
 from service.push import Pusher

@@ -21,13 +21,13 @@ from benchmarks.latency_setup import timed
 from drape.body.model import BodyModel
 from drape.cloth.material import material
 from drape.cloth.metrics import area_strain_pct, edge_strain_pct
-from drape.feeds import garment_feed
 from drape.garment.agreement import FIT_COUNT, MEMBERS
 from drape.garment.cache import Garment
 from drape.geometry import jets
 from drape.geometry.skinning import skin_points
-from drape.packing import COLUMNS, PackedGarment, Place, compose, pack_body, pack_garment
-from drape.push_packing import SkinShapes
+from drape.graph.feeds import garment_feed
+from drape.graph.packing import COLUMNS, PackedGarment, Place, compose, pack_body, pack_garment
+from drape.graph.push_feed import SkinShapes
 from model_export.packed import FirstGraph, PackedGraph
 from model_export.packed_contact import Felt, Skins
 from model_export.packed_parts import Bodies, Charts, Patches

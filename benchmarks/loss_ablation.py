@@ -35,9 +35,8 @@ from drape.catalog import find_garments, open_garment
 from drape.cloth import metrics
 from drape.cloth.contact import plane_distance
 from drape.cloth.material import material
-from drape.commands import ended
-from drape.data_paths import data_folder
-from drape.errors import ArtifactError
+from drape.errors import ArtifactError, ended
+from drape.files.data import data_folder
 from drape.garment.disagreement import disagreement
 from drape.geometry.meshes import edge_lengths, unique_edges
 from drape.motion.hard_poses import HardPoses, hard_poses

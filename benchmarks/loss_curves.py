@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.common import ROOT
-from drape.commands import refusing
-from drape.errors import InputError
+from drape.errors import InputError, refusing
 
 PARTS = {
     "membrane": "membrane [J/m2]",

@@ -11,8 +11,8 @@ import onnxruntime
 from drape.artifacts import load_manifest
 from drape.body.model import BodyModel
 from drape.catalog import check_body
-from drape.feeds import body_feed, garment_feed
 from drape.garment.cache import Garment
+from drape.graph.feeds import body_feed, garment_feed
 
 FRAMES_PER_CALL = 8  # the vertex stage holds some megabytes per frame
 

@@ -31,14 +31,13 @@ from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, find_motions, open_garment
 from drape.cloth import metrics
-from drape.commands import ended
-from drape.errors import InputError
-from drape.feeds import garment_feed
+from drape.errors import InputError, ended
 from drape.garment.cache import GARMENTS_DIR, Garment, load_garment
 from drape.geometry import closest
+from drape.graph.feeds import garment_feed
+from drape.graph.packing import pack_body
 from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
-from drape.packing import pack_body
 from model_export.export import add_push_out
 from service.engine import PUSH_OVER, Engine
 from service.packing import Packer, ScenePlan

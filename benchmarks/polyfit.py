@@ -24,7 +24,7 @@ from torch import nn
 
 from benchmarks import common, polyfit_tables
 from drape.body.assets import load_body
-from drape.commands import ended
+from drape.errors import ended
 from drape.garment.canonical import polyfit_orient
 from drape.garment.charts import pca_orient
 from drape.garment.fitting import patch_fields

@@ -40,15 +40,15 @@ from drape.cloth.contact import BodyContact
 from drape.cloth.contact import push_out as nearest_vertex_push_out
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import material
-from drape.cloth.push.out import CLEARANCE_M, push_out_of_bodies
-from drape.cloth.push.skin import body_skin
-from drape.commands import ended
-from drape.feeds import garment_feed
+from drape.errors import ended
 from drape.garment.cache import Garment
 from drape.geometry.skinning import skin_points
+from drape.graph.feeds import garment_feed
+from drape.graph.push_feed import feed_arrays, pack_push, push_feed
 from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
-from drape.push_packing import feed_arrays, pack_push, push_feed
+from drape.push.projection import CLEARANCE_M, push_out_of_bodies
+from drape.push.skin import body_skin
 from model_export.export import write_push_out
 from service.subgraph import cut
 

@@ -13,8 +13,8 @@ from torch import Tensor, nn
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import BONE_ENDS, JOINT_COUNT
-from drape.cloth.push.skin import Skin
 from drape.geometry import closest, meshes
+from drape.push.skin import Skin
 
 CELLS = 32  # of a grid along each axis: 1 to 2.5 cm
 MARGIN_M = 0.05

@@ -34,8 +34,7 @@ from drape.body.model import BodyModel
 from drape.catalog import find_garments, find_motions, is_shipped, open_garment
 from drape.cloth.contact import BodyContact
 from drape.cloth.material import material
-from drape.commands import ended
-from drape.errors import InputError
+from drape.errors import InputError, ended
 from drape.garment.cache import Garment
 from drape.garment.fitting import patch_fields, rest_garment
 from drape.motion.hard_poses import hard_poses

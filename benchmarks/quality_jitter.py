@@ -11,12 +11,12 @@ from benchmarks.network import Network
 from drape.body.model import BodyModel
 from drape.cloth.contact import BodyContact, push_out
 from drape.cloth.metrics import third_difference_square
-from drape.cloth.push.out import push_out_of_bodies
-from drape.cloth.push.skin import body_skin
 from drape.garment.cache import Garment
 from drape.geometry.skinning import skin_points
+from drape.graph.push_feed import push_feed
 from drape.motion.clip import MotionClip, clean_windows, joint_steps
-from drape.push_packing import push_feed
+from drape.push.projection import push_out_of_bodies
+from drape.push.skin import body_skin
 
 FPS = 60.0
 WINDOW = 60  # frames

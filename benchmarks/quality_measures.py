@@ -21,13 +21,13 @@ from drape.cloth.contact import BodyContact, push_out
 from drape.cloth.energies import ClothMesh
 from drape.cloth.intersections import intersection_count
 from drape.cloth.material import Material
-from drape.cloth.push.out import push_out_of_bodies
-from drape.cloth.push.skin import body_skin
 from drape.garment.cache import Garment
 from drape.garment.disagreement import disagreement
 from drape.geometry.skinning import skin_points
+from drape.graph.push_feed import push_feed
 from drape.motion.hard_poses import HardPoses
-from drape.push_packing import push_feed
+from drape.push.projection import push_out_of_bodies
+from drape.push.skin import body_skin
 
 METHODS = ("skinning", "skinning_push", "network", "network_push", "physics")
 

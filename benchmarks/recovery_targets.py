@@ -38,7 +38,7 @@ from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.cloth.material import material
 from drape.cloth.orthotropic import OrthotropicMaterial
-from drape.data_paths import HOW_TO_SET_DATA, data_folder
+from drape.files.data import HOW_TO_SET_DATA, data_folder
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.drape.placement import scaled
 from recovery.fit.compare import pattern_error

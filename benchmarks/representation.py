@@ -50,8 +50,7 @@ from drape.body.assets import load_body
 from drape.catalog import find_garments, find_motions, open_garment
 from drape.cloth import metrics
 from drape.cloth.material import material
-from drape.commands import ended
-from drape.errors import InputError
+from drape.errors import InputError, ended
 from drape.garment.partition import patch_count_for
 from drape.geometry import jets
 from drape.motion.hard_poses import hard_poses

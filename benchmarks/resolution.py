@@ -27,14 +27,14 @@ from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, find_motions, open_garment
 from drape.cloth import metrics
-from drape.commands import ended
+from drape.errors import ended
 from drape.garment.cache import Garment
 from drape.garment.fitting import fit_garment
 from drape.geometry import meshes
 from drape.geometry.closest import closest_point
+from drape.graph.packing import pack_body
 from drape.motion.hard_poses import HardPoses, hard_poses
 from drape.motion.readers import read_motion
-from drape.packing import pack_body
 from service.engine import Engine
 from service.packing import Packer, ScenePlan
 from service.runtime import Device

@@ -23,7 +23,7 @@ from benchmarks.render import SKIN, Surface, render, save_png, sheet
 from drape.body.assets import load_body
 from drape.catalog import find_garments, open_garment
 from drape.cloth.energies import ClothMesh
-from drape.commands import ended
+from drape.errors import ended
 from drape.garment.cache import Garment
 from drape.geometry import meshes
 

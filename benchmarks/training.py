@@ -26,8 +26,8 @@ import numpy as np
 import torch
 
 from benchmarks import common
-from drape.commands import ended
-from drape.data_paths import data_folder
+from drape.errors import ended
+from drape.files.data import data_folder
 from training import parallel
 from training.config import PRESETS, TrainConfig
 from training.poses import PoseBank, read_clips

@@ -23,16 +23,16 @@ from typing import Any
 import numpy as np
 
 from benchmarks import common
-from drape import wire
 from drape.body.model import BodyModel
 from drape.catalog import find_motions
 from drape.cloth import metrics
-from drape.commands import ended
+from drape.errors import ended
 from drape.geometry import jets
-from drape.jet_layout import JetLayout, unpack_layout
 from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
-from drape.wire_jets import JetFrame, pack_jets, unpack_jets
+from drape.wire import messages as wire
+from drape.wire.jets import JetFrame, pack_jets, unpack_jets
+from drape.wire.layout import JetLayout, unpack_layout
 from service.drapery import Drapery, PoseInput
 from service.garments import Entry
 from service.settings import Settings

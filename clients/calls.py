@@ -13,18 +13,18 @@ import httpx
 import numpy as np
 
 from drape import errors
-from drape.avatar_table import entry_for
 from drape.errors import DrapeError, InputError, MotionError, Unavailable
-from drape.jet_layout import JetLayout, unpack_layout
+from drape.files.avatar_table import entry_for
+from drape.files.formats import MESH_SUFFIXES
 from drape.motion.clip import MotionClip
 from drape.motion.grounding import placed_on_ground
-from drape.wire_jets import JetFrame, split_jets
+from drape.wire.jets import JetFrame, split_jets
+from drape.wire.layout import JetLayout, unpack_layout
 
 Answer = TypeVar("Answer")
 Motion = MotionClip | np.ndarray
 
 BINARY, GLB = "application/octet-stream", "model/gltf-binary"
-SUFFIXES = (".obj", ".glb", ".ply", ".stl")
 DEFAULT_URL = "http://127.0.0.1:8000"
 DEFAULT_FPS = 30.0
 
@@ -142,10 +142,10 @@ def _says_itself(entry: Any) -> bool:
 
 def upload(path: Path, avatar: str | dict[str, Any] | None, name: str | None) -> Call[dict[str, Any]]:
     """Sends a garment file; the answer is the job."""
-    if path.suffix.lower() not in SUFFIXES:
+    if path.suffix.lower() not in MESH_SUFFIXES:
         raise InputError(
             path.name,
-            expected=f"one of {', '.join(SUFFIXES)}",
+            expected=f"one of {', '.join(MESH_SUFFIXES)}",
             got=path.suffix or "no suffix",
             cure="Export the mesh so.",
         )

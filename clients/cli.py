@@ -17,13 +17,13 @@ from pathlib import Path
 
 import numpy as np
 
-from clients.calls import DEFAULT_URL, SUFFIXES
+from clients.calls import DEFAULT_URL
 from clients.client import DrapeClient
 from drape.errors import DrapeError, InputError
+from drape.files.formats import MESH_SUFFIXES
 from drape.motion.clip import MotionClip
-from drape.motion.readers import read_motion
+from drape.motion.readers import MOTION_SUFFIXES, read_motion
 
-MOTION_SUFFIXES = (".npz", ".bvh", ".amc", ".asf")
 OUT_SUFFIXES = (".glb", ".npy")
 
 
@@ -114,7 +114,7 @@ def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
     choices = {"push_out": options.push_out, "knob": options.knob, "passes": options.passes}
     worn: list[str] = []
     for garment in options.garment:
-        if Path(garment).suffix.lower() in SUFFIXES:
+        if Path(garment).suffix.lower() in MESH_SUFFIXES:
             garment = client.upload_garment(garment, options.avatar)
             print(f"taken in as {garment}")
         worn.append(garment)
@@ -132,7 +132,7 @@ def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
 
 def _clip(client: DrapeClient, options: argparse.Namespace, betas: np.ndarray | None) -> MotionClip:
     motion = options.motion
-    if Path(motion).suffix.lower() not in MOTION_SUFFIXES:
+    if Path(motion).suffix.lower() not in (*MOTION_SUFFIXES, ".asf"):
         return client.motion(motion, betas)
     if not Path(motion).is_file():
         cure = "Check the path."

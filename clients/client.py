@@ -20,9 +20,9 @@ import numpy as np
 from clients import calls
 from clients.calls import DEFAULT_URL, Answer, Call, Motion
 from drape.errors import DrapeError, Unavailable
-from drape.jet_layout import JetLayout
 from drape.motion.clip import MotionClip
-from drape.wire_jets import JetFrame
+from drape.wire.jets import JetFrame
+from drape.wire.layout import JetLayout
 
 # A clip of a thousand frames takes a while on a small machine; connecting does not.
 TIMEOUT = httpx.Timeout(300.0, connect=5.0)

@@ -27,9 +27,9 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidURI
 from websockets.typing import Subprotocol
 
 from clients.calls import DEFAULT_URL, ServiceError, chosen, problem_error, unreachable, worn
-from drape import wire
 from drape.errors import DrapeError
-from drape.wire_jets import JetFrame, unpack_jets
+from drape.wire import messages as wire
+from drape.wire.jets import JetFrame, unpack_jets
 
 MESSAGE_LIMIT_BYTES = 16 * 2**20
 OPEN_S = 10.0

@@ -7,11 +7,12 @@ from pathlib import Path
 
 from drape.body.model import BodyModel
 from drape.errors import ArtifactError, NotFound
+from drape.files.formats import MESH_SUFFIXES
 from drape.garment.cache import GARMENTS_DIR, Garment, load_garment
+from drape.motion.readers import MOTION_SUFFIXES
 
 MOTIONS_DIR = GARMENTS_DIR.parent / "motions"
-GARMENT_SUFFIXES = (".npz", ".obj", ".glb", ".gltf", ".ply", ".stl")
-MOTION_SUFFIXES = (".npz", ".bvh", ".amc")
+GARMENT_SUFFIXES = (".npz", *MESH_SUFFIXES)
 
 
 def find_garments(names: Sequence[str]) -> list[Path]:

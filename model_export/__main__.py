@@ -18,7 +18,7 @@ import json
 import sys
 from pathlib import Path
 
-from drape.commands import refusing
+from drape.errors import refusing
 from drape.garment.cache import GARMENTS_DIR, load_garment
 from model_export.export import (
     add_half,

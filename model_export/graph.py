@@ -6,10 +6,10 @@ import torch
 from torch import Tensor, nn
 
 from drape.artifacts import TensorSpec
-from drape.cloth.push.patches import PatchSkin
-from drape.cloth.push.samples import CLUSTER_SIZE, REGION_SIZE
-from drape.cloth.push.tables import OWN_CLUSTERS
 from drape.garment.agreement import FIT_COUNT, MEMBERS, STRAIN_POINTS
+from drape.push.proximity import PatchSkin
+from drape.push.samples import CLUSTER_SIZE, REGION_SIZE
+from drape.push.tables import OWN_CLUSTERS
 from training.agreement import GatheredAgreement
 from training.model import BodyTensors, OneFit, PatchTensors, paper_vertices, vertex_positions
 

@@ -12,14 +12,22 @@ from torch import Tensor, nn
 
 from drape.artifacts import TensorSpec
 from drape.body.assets import load_body
-from drape.cloth.push.layers import MEMBERS
-from drape.cloth.push.out import CLEARANCE_M, PushFeed
-from drape.cloth.push.samples import CLUSTER_SIZE, POSED_REGIONS
-from drape.cloth.push.skin import body_skin, skin_table
-from drape.feeds import garment_feed
 from drape.garment.cache import Garment
 from drape.geometry.skinning import skin_points
-from drape.layer_packing import PART_CLUSTERS, LayerFeed, layer_arrays, pack_layer, push_over, push_over_in_parts, sheet
+from drape.graph.feeds import garment_feed
+from drape.graph.layer_feed import (
+    PART_CLUSTERS,
+    LayerFeed,
+    layer_arrays,
+    pack_layer,
+    push_over,
+    push_over_in_parts,
+    sheet,
+)
+from drape.push.layers import MEMBERS
+from drape.push.projection import CLEARANCE_M, PushFeed
+from drape.push.samples import CLUSTER_SIZE, POSED_REGIONS
+from drape.push.skin import body_skin, skin_table
 from model_export.parity import hard_poses, session
 from model_export.push_graph import SAMPLE as PUSH_SAMPLE
 from model_export.push_graph import push_inputs
@@ -44,7 +52,7 @@ def layer_inputs() -> tuple[TensorSpec, ...]:
 
 
 class LayerGraph(nn.Module):
-    """``drape.layer_packing.push_over`` with the skin posed by its bones."""
+    """``drape.graph.layer_feed.push_over`` with the skin posed by its bones."""
 
     def forward(
         self,

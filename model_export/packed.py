@@ -29,8 +29,8 @@ from drape.garment.agreement import FIT_COUNT, MEMBERS
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.garment.features import REACH_M
 from drape.geometry import jets
-from drape.packing import CHARTS_PER_TILE, COLUMNS, VERTICES_PER_BLOCK
-from drape.wire import STEP_COUNT
+from drape.graph.packing import CHARTS_PER_TILE, COLUMNS, VERTICES_PER_BLOCK
+from drape.wire.messages import STEP_COUNT
 from model_export import packed_weights as constants
 from model_export.packed_contact import Contact, Felt, Skins, posed_skins
 from model_export.packed_parts import Bodies, Charts, Patches, PosedPatches
@@ -74,7 +74,7 @@ class FirstGraph(nn.Module):
 
 
 class PackedGraph(nn.Module):
-    """Bodies, stored garments and the index tensors of ``drape.packing`` -> all of ``packed_specs.packed_outputs``.
+    """Bodies, stored garments and index tensors of ``drape.graph.packing`` -> all of ``packed_specs.packed_outputs``.
 
     Only for vector jets: the paper's variant skins vertices, which is another vertex stage.
     """

@@ -1,4 +1,4 @@
-"""What the patches of the packed graph feel of their bodies: ``drape.cloth.push.patches`` with bodies mixed."""
+"""What the patches of the packed graph feel of their bodies: ``drape.push.proximity`` with bodies mixed."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from drape.cloth.push.field import mixed, queries, surface
-from drape.cloth.push.out import REGION_BIAS_M2, REGION_COUNT
-from drape.cloth.push.patches import GAP_M, UNIT_M, from_halves, mixed_others, plane_share
-from drape.cloth.push.samples import CLUSTER_SIZE, REGION_SIZE, region_centres
-from drape.cloth.push.skin import skin_table
 from drape.garment.agreement import STRAIN_POINTS, strain_points
 from drape.geometry import jets
+from drape.push.field import mixed, queries, surface
+from drape.push.projection import REGION_BIAS_M2, REGION_COUNT
+from drape.push.proximity import GAP_M, UNIT_M, from_halves, mixed_others, plane_share
+from drape.push.samples import CLUSTER_SIZE, REGION_SIZE, region_centres
+from drape.push.skin import skin_table
 from model_export.packed_strain import softsign
 
 PLACES = 2 * STRAIN_POINTS  # of a patch: each point before its own part of the body, then before others
@@ -60,7 +60,7 @@ class Near:
 
 
 class Contact(nn.Module):
-    """What patches feel of the body, ``drape.cloth.push.patches`` in their own frames: there a pass is a few products.
+    """What patches feel of the body, ``drape.push.proximity`` in their own frames: there a pass is a few products.
 
     The planes are looked up in the world, once; jets move points along the axes of their patch.
     """

@@ -8,11 +8,11 @@ import numpy as np
 import torch
 
 from drape.body.assets import load_body
-from drape.feeds import body_feed, garment_feed
 from drape.garment.cache import Garment
 from drape.garment.tangents import tangent_columns
-from drape.packing import TANGENTS, Place, compose, pack_body, pack_garment, pack_tangents
-from drape.push_packing import SkinShapes
+from drape.graph.feeds import body_feed, garment_feed
+from drape.graph.packing import TANGENTS, Place, compose, pack_body, pack_garment, pack_tangents
+from drape.graph.push_feed import SkinShapes
 from model_export.graph import DrapeGraph, EncoderGraph, drape_inputs
 from model_export.parity import hard_poses, session
 from training.model import OneFit

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from drape.artifacts import TensorSpec
 from drape.body.skeleton import JOINT_COUNT
-from drape.cloth.push.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE
-from drape.cloth.push.tables import OWN_CLUSTERS
-from drape.feeds import BETA_COUNT
 from drape.garment.agreement import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.geometry import jets
-from drape.packing import CHARTS_PER_TILE, COLUMNS, LOWER_COLUMNS, VERTICES_PER_BLOCK, pass_name
+from drape.graph.feeds import BETA_COUNT
+from drape.graph.packing import CHARTS_PER_TILE, COLUMNS, LOWER_COLUMNS, VERTICES_PER_BLOCK, pass_name
+from drape.push.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE
+from drape.push.tables import OWN_CLUSTERS
 from training.agreement import TANGENT_COUNT
 from training.model import OneFit
 

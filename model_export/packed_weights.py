@@ -12,7 +12,7 @@ from drape.body.skeleton import JOINT_COUNT, PARENTS
 from drape.garment.agreement import FIT_COUNT
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.geometry import jets
-from drape.packing import COLUMNS
+from drape.graph.packing import COLUMNS
 from training.layers import SLOPE
 
 # Entries of q q^T (wxyz, row by row) in each entry of the rotation matrix less the identity, and in |q|^2.

@@ -13,8 +13,8 @@ from drape.body.assets import load_body
 from drape.body.features import motion_features
 from drape.body.model import BodyModel
 from drape.errors import ArtifactError
-from drape.feeds import body_feed, garment_feed, kinematics
 from drape.garment.cache import Garment
+from drape.graph.feeds import body_feed, garment_feed, kinematics
 from model_export.graph import DrapeGraph, DynamicGraph, EncoderGraph, drape_inputs, dynamic_inputs
 from training.model import OneFit
 

@@ -15,8 +15,7 @@ import numpy as np
 import torch
 
 from drape.artifacts import MODELS_DIR, Manifest, TensorSpec, staged_folder
-from drape.commands import refusing
-from drape.errors import ArtifactError
+from drape.errors import ArtifactError, refusing
 from drape.garment.canonical import Transform, canonical
 from model_export.export import commit, write_graph
 from model_export.parity import check_parity, session

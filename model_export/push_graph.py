@@ -14,14 +14,14 @@ from torch import Tensor, nn
 from drape.artifacts import TensorSpec
 from drape.body.assets import load_body
 from drape.body.skeleton import JOINT_COUNT
-from drape.cloth.push.out import CLEARANCE_M, PushFeed, push_in_parts, push_out
-from drape.cloth.push.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE
-from drape.cloth.push.skin import body_skin, skin_table
-from drape.cloth.push.tables import BLOCK_SIZE, GROUP_SIZE, OWN_CLUSTERS
-from drape.feeds import garment_feed
 from drape.garment.cache import CHARTS_PER_VERTEX, Garment
 from drape.geometry.skinning import skin_points
-from drape.push_packing import TERMS, TILE_WIDTH, feed_arrays, pack_push
+from drape.graph.feeds import garment_feed
+from drape.graph.push_feed import TERMS, TILE_WIDTH, feed_arrays, pack_push
+from drape.push.projection import CLEARANCE_M, PushFeed, push_in_parts, push_out
+from drape.push.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE
+from drape.push.skin import body_skin, skin_table
+from drape.push.tables import BLOCK_SIZE, GROUP_SIZE, OWN_CLUSTERS
 from model_export.parity import hard_poses, session
 
 # As in export.SAMPLE: odd, and unlike each other and every fixed axis.
@@ -62,7 +62,7 @@ def push_inputs() -> tuple[TensorSpec, ...]:
 
 
 class PushGraph(nn.Module):
-    """``drape.cloth.push.out.push_out`` with the skin posed by its bones, or given: it is an output too."""
+    """``drape.push.projection.push_out`` with the skin posed by its bones, or given: it is an output too."""
 
     def forward(
         self,

@@ -1,4 +1,4 @@
-"""Writes clients/web/src/wire.js from drape/wire.py, wire_jets.py and jet_layout.py.
+"""Writes clients/web/src/wire.js from drape/wire/ and the table of drape/files/formats.py.
 
 ``--check`` only compares and fails where they differ.
 """
@@ -12,20 +12,25 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from drape import jet_layout, wire, wire_jets  # noqa: E402
+from drape.files.formats import MESH_SUFFIXES  # noqa: E402
 from drape.geometry import jets  # noqa: E402
+from drape.wire import jets as wire_jets  # noqa: E402
+from drape.wire import layout as jet_layout  # noqa: E402
+from drape.wire import messages as wire  # noqa: E402
 
 TARGET = ROOT / "clients/web/src/wire.js"
 SIZES = {"u8": 1, "u16": 2, "u32": 4, "f32": 4, "f64": 8}
 
 TEMPLATE = """\
-// Generated from drape/wire.py, wire_jets.py and jet_layout.py by scripts/sync_wire.py. Do not edit.
+// Generated from drape/wire/ and drape/files/formats.py by scripts/sync_wire.py. Do not edit.
 
 export const WIRE_VERSION = {version};
 export const SUBPROTOCOL = "{subprotocol}";
 export const MAGIC = {magic};
 export const KIND = {{ POSE: {pose}, ACK: {ack}, FRAME: {frame}, JETS: {jets}, LAYOUT: {layout} }};
 export const FLAG_PUSHED = {flag_pushed};
+// Suffixes of garment files, as the file chooser takes them.
+export const MESH_SUFFIXES = "{suffixes}";
 export const BYTES = {{
   POSE: {pose_bytes}, ACK: {ack_bytes},
   FRAME_HEADER: {frame_bytes}, JETS_HEADER: {jets_bytes}, LAYOUT_HEADER: {layout_bytes},
@@ -200,6 +205,7 @@ def generate() -> str:
         patch_numbers=jet_layout.PATCH_NUMBERS,
         chart_numbers=jet_layout.CHART_NUMBERS,
         flag_pushed=wire.FLAG_PUSHED,
+        suffixes=",".join(MESH_SUFFIXES),
         pose_bytes=wire.POSE_BYTES,
         ack_bytes=wire.ACK_BYTES,
         frame_bytes=wire.FRAME_HEADER_BYTES,

@@ -6,9 +6,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from drape.avatar_table import SHIPPED_FOLDER, avatar_table, entry_for
-from drape.data_paths import data_folder
 from drape.errors import BodyError, NotFound
+from drape.files.avatar_table import SHIPPED_FOLDER, avatar_table, entry_for
+from drape.files.data import data_folder
 from drape.garment.avatars import STANDARD
 
 

@@ -14,9 +14,9 @@ import numpy as np
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.errors import InputError, NotFound
-from drape.feeds import BodyFeed, body_feed, kinematics
 from drape.geometry import jets
-from drape.packing import pack_body
+from drape.graph.feeds import BodyFeed, body_feed, kinematics
+from drape.graph.packing import pack_body
 from service.dynamics import Memory, Moment, advance, nothing
 from service.engine import JETS, SKIN, Engine, check_finite
 from service.garments import Entry, Outfit, Registry, Scene

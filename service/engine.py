@@ -12,7 +12,7 @@ import numpy as np
 from drape.artifacts import GraphSpec, Manifest, load_manifest
 from drape.body.model import BodyModel
 from drape.errors import ArtifactError, InputError
-from drape.packing import pass_name
+from drape.graph.packing import pass_name
 from service.binding import BoundSession
 from service.runtime import Device, Session, check_distributions, nodes_elsewhere, open_session
 from service.subgraph import cut

@@ -15,11 +15,11 @@ import numpy as np
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
 from drape.errors import ArtifactError, DrapeError, InputError, NotFound
-from drape.feeds import garment_feed
 from drape.garment.cache import CHARTS_PER_VERTEX, Garment, load_garment
 from drape.geometry.jets import JET_COUNT
-from drape.jet_layout import JetLayout, pack_layout
-from drape.layer_packing import check_layers
+from drape.graph.feeds import garment_feed
+from drape.graph.layer_feed import check_layers
+from drape.wire.layout import JetLayout, pack_layout
 from service.engine import Engine
 from service.errors import TooLarge
 from service.packing import Packer
@@ -56,7 +56,7 @@ class Entry:
 
     @cached_property
     def jet_layout(self) -> bytes:
-        """The LAYOUT message (``drape.jet_layout``): what a client needs to make vertices of its jets."""
+        """The LAYOUT message (``drape.wire.layout``): what a client needs to make vertices of its jets."""
         garment, rows = self.garment, slice(0, self.garment.vertex_count)
         if garment.patch_count > PATCH_LIMIT:
             raise TooLarge(

@@ -7,7 +7,7 @@ import asyncio
 import numpy as np
 from fastapi import APIRouter, Request, Response
 
-from drape.wire_jets import message_bytes
+from drape.wire.jets import message_bytes
 from service import negotiation
 from service.drapery import DrapedJets, Drapery
 from service.garments import Outfit, Scene, layer_list

@@ -21,7 +21,6 @@ from service.drapery import Drapery
 from service.garments import slug
 from service.settings import ROOT, Settings
 
-FORMATS = ("obj", "glb", "ply", "stl")
 KEPT_JOBS = 256
 log = logging.getLogger("drape.service")
 

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from drape.body.model import BodyModel
-from drape.buckets import filled, filled_rows
 from drape.errors import InputError, NotFound
-from drape.feeds import garment_feed
 from drape.garment.cache import Garment
 from drape.garment.tangents import tangent_columns
-from drape.packing import (
+from drape.graph.buckets import filled, filled_rows
+from drape.graph.feeds import garment_feed
+from drape.graph.packing import (
     TANGENTS,
     Composition,
     PackedGarment,
@@ -30,7 +30,7 @@ from drape.packing import (
     pack_garment,
     pack_tangents,
 )
-from drape.push_packing import SkinShapes
+from drape.graph.push_feed import SkinShapes
 from service.engine import JETS, PACKED, SKIN, SKIN_CONSTANTS, Engine
 from service.runtime import Session
 
@@ -232,7 +232,7 @@ class Packer:
             self.run(plan, bodies, [(keys[0], 0), (keys[0], 0)])
 
     def run(self, plan: ScenePlan, bodies: dict[str, np.ndarray], items: Sequence[Item]) -> list[Result]:
-        """Results of ``items``, in their order. ``bodies`` are ``drape.packing.PackedBody.rows``, joined over clients.
+        """Results of ``items``, in their order. ``bodies`` are ``PackedBody.rows``, joined over clients.
 
         Refuses a garment that is not in store and a row that ``bodies`` do not have. Of a dynamic model ``bodies``
         may hold ``dynamic_code`` (B, C); without it all are at rest.

@@ -16,13 +16,13 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
-from drape.cloth.push.layers import cloth_samples
-from drape.cloth.push.out import PushFeed, push_in_parts, push_out
-from drape.cloth.push.samples import sample_table
-from drape.cloth.push.skin import SkinOnBones, body_skin, skin_table
 from drape.errors import NotFound
-from drape.layer_packing import LayerFeed, Sheet, layer_arrays, pack_layer, push_over, push_over_in_parts
-from drape.push_packing import feed_arrays, pack_push, pushed_jets
+from drape.graph.layer_feed import LayerFeed, Sheet, layer_arrays, pack_layer, push_over, push_over_in_parts
+from drape.graph.push_feed import feed_arrays, pack_push, pushed_jets
+from drape.push.layers import cloth_samples
+from drape.push.projection import PushFeed, push_in_parts, push_out
+from drape.push.samples import sample_table
+from drape.push.skin import SkinOnBones, body_skin, skin_table
 from service.engine import PUSH, PUSH_OVER, SKIN, SKIN_CONSTANTS, Engine
 from service.runtime import Session
 
@@ -42,7 +42,7 @@ Formula = Callable[[np.ndarray, slice, np.ndarray], np.ndarray]  # vertices, fra
 
 @dataclass(eq=False)
 class _Stored:
-    """A garment in store: its ``drape.feeds.garment_feed``, rest mesh and constants, and what lies over it needs."""
+    """A garment in store: its ``garment_feed``, rest mesh and constants, and what lies over it needs."""
 
     feed: dict[str, np.ndarray]
     vertices: np.ndarray
@@ -107,7 +107,7 @@ class Pusher:
         return sum(session.buckets for session in self._opened.values())
 
     def add(self, key: str, feed: dict[str, np.ndarray], vertices: np.ndarray, faces: np.ndarray) -> None:
-        """Puts the garment ``key`` in store: its ``drape.feeds.garment_feed``, rest vertices [m] (V, 3) and faces."""
+        """Puts the garment ``key`` in store: its ``garment_feed``, rest vertices [m] (V, 3) and faces."""
         push = pack_push(feed, vertices, self._skin)
         self._stored[key] = _Stored(feed, vertices, faces, push, self._values(feed_arrays(push)))
 

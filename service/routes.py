@@ -14,12 +14,13 @@ from fastapi import APIRouter, Query, Request, Response
 
 from drape.body.model import BodyModel
 from drape.errors import InputError, MeshError
+from drape.files.formats import MESH_CONTENT_TYPES, MESH_NAMES, listed
 from service import glb, negotiation, schemas
 from service.avatars import upload_avatar
 from service.drapery import Draped, DrapedJets, Drapery, PoseInput
 from service.garments import Entry, Outfit, Scene, layer_list
 from service.jets import check_jets_size, jets_response
-from service.jobs import FORMATS, Job
+from service.jobs import Job
 from service.limits import check_answer
 from service.motions import floor_m
 from service.origins import check_origin
@@ -30,14 +31,6 @@ from service.version import product_version
 
 router = APIRouter()
 NUMBER_TEXT_BYTES = 20  # of one coordinate in JSON
-_BY_CONTENT_TYPE = {
-    "model/obj": "obj",
-    "model/gltf-binary": "glb",
-    "model/stl": "stl",
-    "model/ply": "ply",
-    "application/x-ply": "ply",
-    "application/sla": "stl",
-}
 
 
 Betas = Annotated[str | None, Query(max_length=1000, description="Shape coefficients, comma-separated.")]
@@ -133,7 +126,7 @@ async def upload(
         str | None, Query(max_length=10_000, description="Phenotype or SMPL parameters as JSON, or a name.")
     ] = None,
     format: Annotated[
-        str | None, Query(max_length=10, description="obj, glb, ply or stl, where the name does not say it.")
+        str | None, Query(max_length=10, description=f"{listed().lower()}, where the name does not say it.")
     ] = None,
 ) -> schemas.JobInfo:
     """Takes a garment file in: the raw bytes as body, or JSON (name, format, data_base64, avatar). Poll the job."""
@@ -178,13 +171,13 @@ def _upload_request(body: bytes) -> schemas.UploadRequest:
 
 def _name_and_format(name: str | None, file_format: str | None, content_type: str) -> tuple[str, str]:
     stem, dot, suffix = (name or "").rpartition(".")
-    if not dot or suffix.lower() not in FORMATS:
+    if not dot or suffix.lower() not in MESH_NAMES:
         stem, suffix = name or "", ""
-    chosen = (file_format or suffix or _BY_CONTENT_TYPE.get(content_type, "")).lower()
-    if chosen not in FORMATS:
+    chosen = (file_format or suffix or MESH_CONTENT_TYPES.get(content_type, "")).lower()
+    if chosen not in MESH_NAMES:
         raise InputError(
             "format",
-            expected=f"one of {', '.join(FORMATS)}",
+            expected=f"one of {', '.join(MESH_NAMES)}",
             got=chosen or (f"the name {name}" if name else "nothing"),
             cure="Give ?name=shirt.obj, or ?format=obj.",
         )

@@ -8,7 +8,8 @@ from annotated_types import Len
 from pydantic import BaseModel, ConfigDict, Field
 
 from drape.body.skeleton import JOINT_COUNT
-from drape.feeds import BETA_COUNT
+from drape.files.formats import MESH_NAMES
+from drape.graph.feeds import BETA_COUNT
 
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Vector = Annotated[list[Number], Len(3, 3)]
@@ -78,7 +79,7 @@ class UploadRequest(Request):
     """A garment file inside JSON, for clients that cannot send raw bytes."""
 
     name: Identifier
-    format: Literal["obj", "glb", "ply", "stl"]
+    format: Literal[MESH_NAMES]  # pyright: ignore[reportInvalidTypeForm]
     data_base64: str
     avatar: str | dict[str, Any] | None = None
 

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from drape.errors import DrapeError, InputError
-from drape.wire import Frame, Pose, pack_frame
-from drape.wire_jets import JetFrame, pack_jets
+from drape.wire.jets import JetFrame, pack_jets
+from drape.wire.messages import Frame, Pose, pack_frame
 from service.drapery import Draped, DrapedJets, Drapery, Geometry, PoseInput
 from service.dynamics import Memory
 from service.errors import Busy, InternalError

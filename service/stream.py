@@ -12,8 +12,8 @@ from typing import Any
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from pydantic import ValidationError
 
-from drape import wire
 from drape.errors import DrapeError, InputError
+from drape.wire import messages as wire
 from service.errors import InternalError, TooSlow, close_reason, error_message, problem_response, rule_for
 from service.garments import Outfit, layer_list
 from service.origins import check_origin

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from drape.data_paths import HOW_TO_SET_DATA, data_folder
+from drape.files.data import HOW_TO_SET_DATA, data_folder
 from tests.fixtures.run_folder import RUN_FOLDER
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -18,8 +18,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from drape.commands import refusing
-from drape.errors import InputError
+from drape.errors import InputError, refusing
 from training import checkpoint
 
 

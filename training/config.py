@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 from drape.body.features import DYNAMIC_PER_JOINT, STATIC_PER_JOINT
 from drape.body.skeleton import JOINT_COUNT
-from drape.feeds import BETA_COUNT
+from drape.graph.feeds import BETA_COUNT
 
 PAPER_DECODER, PAPER_HEADS = (512, 512, 512, 256), (128, 64)  # appendix A.3
 
@@ -25,7 +25,7 @@ class ModelConfig:
     that disagree. ``corrections``: passes in which charts are brought to agree, feel their strain and are corrected,
     by networks of ``correction_hidden`` units. ``closing_fit``: at the end charts are fitted to their blend once more,
     with the height's order in the plane as well (docs/decisions/0008-representation.md). ``feels_body``: corrections
-    also see how near the posed body is to each patch and which way it pushes (drape.cloth.push.patches).
+    also see how near the posed body is to each patch and which way it pushes (drape.push.proximity).
     ``state_decay_s`` is the time constant of the recurrent state, ``state_rest_s`` the time after which
     a still body's is zero (training.recurrent).
     """

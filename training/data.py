@@ -12,14 +12,14 @@ from torch import Tensor
 from drape.body.features import static_features
 from drape.body.model import BodyModel
 from drape.cloth.energies import ClothMesh
-from drape.cloth.push.patches import PatchSkin, patch_skin
-from drape.cloth.push.skin import Skin, shaped_skin
-from drape.cloth.push.tables import outward_directions
-from drape.feeds import BETA_COUNT
 from drape.garment.agreement import agreement, strain_places
 from drape.garment.fitting import RestGarment, patch_fields
 from drape.geometry import jets
 from drape.geometry.rotations import matrix_to_quaternion, rotvec_to_matrix
+from drape.graph.feeds import BETA_COUNT
+from drape.push.proximity import PatchSkin, patch_skin
+from drape.push.skin import Skin, shaped_skin
+from drape.push.tables import outward_directions
 from training.agreement import SparseAgreement
 from training.collider import Collider
 from training.model import BodyTensors, PatchTensors

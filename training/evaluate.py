@@ -23,22 +23,22 @@ import torch
 
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
-from drape.catalog import MOTION_SUFFIXES, find_garments, find_motions, open_garment
+from drape.catalog import find_garments, find_motions, open_garment
 from drape.cloth import metrics
 from drape.cloth.contact import BodyContact, push_out
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import material
-from drape.cloth.push.out import push_out_of_bodies
-from drape.cloth.push.skin import body_skin
-from drape.data_paths import data_folder
 from drape.errors import ArtifactError
+from drape.files.data import data_folder
 from drape.garment.cache import Garment
 from drape.garment.disagreement import disagreement
 from drape.geometry.skinning import skin_points
+from drape.graph.push_feed import push_feed
 from drape.motion.clip import MotionClip
 from drape.motion.hard_poses import HardPoses, hard_poses
-from drape.motion.readers import read_motion
-from drape.push_packing import push_feed
+from drape.motion.readers import MOTION_SUFFIXES, read_motion
+from drape.push.projection import push_out_of_bodies
+from drape.push.skin import body_skin
 from training import checkpoint
 from training.config import TrainConfig
 from training.data import BodySource, partition_tensors

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from drape.cloth.push.patches import PatchSkin, Planes, felt, planes
 from drape.garment.agreement import strain_points
 from drape.garment.features import saturated
 from drape.geometry import jets
 from drape.geometry.skinning import blend_frames, skin_points
+from drape.push.proximity import PatchSkin, Planes, felt, planes
 from training.agreement import ChartAgreement, agreed_jets, closing_jets, softened, strain_and_force, tangent_terms
 from training.config import ModelConfig
 from training.layers import Correction, Decoder, GarmentEncoder, StaticEncoder
@@ -21,7 +21,7 @@ from training.recurrent import DynamicEncoder
 
 @dataclass(frozen=True)
 class PatchTensors:
-    """Constants of one partition of a garment (names as in ``drape.feeds.garment_feed``)."""
+    """Constants of one partition of a garment (names as in ``drape.graph.feeds.garment_feed``)."""
 
     centre: Tensor  # (K, 3)
     rotation: Tensor  # (K, 3, 3)
@@ -35,7 +35,7 @@ class PatchTensors:
 
 @dataclass(frozen=True)
 class BodyTensors:
-    """F posed bodies (names as in ``drape.feeds.body_feed``), relative to the root joint's rest place."""
+    """F posed bodies (names as in ``drape.graph.feeds.body_feed``), relative to the root joint's rest place."""
 
     features: Tensor  # (F, 226)
     rotation: Tensor  # (F, 24, 3, 3)
@@ -43,7 +43,7 @@ class BodyTensors:
     quaternion: Tensor  # (F, 24, 4)
     betas: Tensor  # (F, 10)
     joints: Tensor | None = None  # (F, 24, 3); needed by networks with surroundings
-    skin: Tensor | None = None  # (F, R, 12, 8) of drape.cloth.push.skin.skin_table; needed by those that feel the body
+    skin: Tensor | None = None  # (F, R, 12, 8) of drape.push.skin.skin_table; needed by those that feel the body
 
 
 @dataclass(frozen=True)

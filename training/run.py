@@ -24,9 +24,8 @@ from typing import Any
 import torch
 from torch.utils.tensorboard import SummaryWriter
 
-from drape.commands import refusing
-from drape.data_paths import data_folder
-from drape.errors import InputError
+from drape.errors import InputError, refusing
+from drape.files.data import data_folder
 from drape.motion.clip import MotionClip
 from training import checkpoint, parallel
 from training.config import PRESETS, TrainConfig

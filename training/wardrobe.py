@@ -11,10 +11,10 @@ import torch
 from drape.body.model import BodyModel
 from drape.catalog import open_garment
 from drape.cloth.energies import ClothMesh
-from drape.cloth.push.skin import body_skin
 from drape.cloth.waistband import waistband
 from drape.errors import InputError
 from drape.garment.fitting import RestGarment, rest_garment
+from drape.push.skin import body_skin
 from training.config import DataConfig
 from training.data import Partition, TrainingGarment, draw_partition
 from training.garment_design import DESIGNS, build, varied

@@ -18,15 +18,15 @@ from typing import Any
 
 import numpy as np
 
-from drape.avatar_table import SHIPPED_FOLDER, TABLE_NAME, avatar_table, entry_for
 from drape.body.assets import BODIES_DIR
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
 from drape.errors import ArtifactError, BodyError, NotFound
+from drape.files.avatar_table import SHIPPED_FOLDER, TABLE_NAME, avatar_table, entry_for
+from drape.files.formats import MESH_SUFFIXES
 
 AVATARS_FILE = BODIES_DIR / "avatars.npz"
 STANDARD = "standard"
-MESH_SUFFIXES = (".obj", ".glb", ".ply", ".stl")
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +169,7 @@ def _numbers(name: str, value: Any, count: int | None) -> np.ndarray:
 
 def mesh_avatar(path: Path, body: BodyModel) -> Avatar:
     """The avatar in a mesh file: vertex by vertex for MakeHuman's base mesh, else fitted to its surface."""
-    from drape.garment.mesh_io import AVATAR_VERTEX_LIMIT, read_mesh
+    from drape.garment.files.mesh import AVATAR_VERTEX_LIMIT, read_mesh
     from drape.garment.registration import body_units, register
 
     mesh = read_mesh(path, vertex_limit=AVATAR_VERTEX_LIMIT)
@@ -241,7 +241,7 @@ def parse_avatar(
 
 
 def _table_folders(beside: Path | None) -> list[Path]:
-    from drape.data_paths import data_folder
+    from drape.files.data import data_folder
 
     shared = data_folder("garments")
     return [folder for folder in (beside.parent if beside else None, shared, SHIPPED_FOLDER) if folder is not None]

@@ -22,8 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from drape.commands import refusing
-from drape.errors import ArtifactError, NotFound, Unavailable
+from drape.errors import ArtifactError, NotFound, Unavailable, refusing
 from drape.geometry import jets
 
 FORMAT_VERSION = 1

@@ -24,13 +24,12 @@ import numpy as np
 
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
-from drape.commands import refusing
-from drape.errors import InputError
+from drape.errors import InputError, refusing
 from drape.garment import avatars
 from drape.garment.cache import FORMAT_VERSION, OWN_GARMENTS_DIR, Garment, load_garment, save_garment
 from drape.garment.clearance import CLEARANCE_M, clear_body
+from drape.garment.files.mesh import GarmentMesh, read_mesh
 from drape.garment.mesh_checks import Unit, Up, check_mesh
-from drape.garment.mesh_io import GarmentMesh, read_mesh
 from drape.garment.rest_pose import refine, to_standard
 from drape.geometry import meshes
 

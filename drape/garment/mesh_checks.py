@@ -18,7 +18,7 @@ from scipy.spatial import KDTree
 from drape.arrays import check_finite
 from drape.errors import MeshError
 from drape.garment.avatars import Avatar
-from drape.garment.mesh_io import VERTEX_LIMIT, GarmentMesh, check_count
+from drape.garment.files.mesh import VERTEX_LIMIT, GarmentMesh, check_count
 from drape.geometry import meshes
 from drape.geometry.closest import closest_point
 

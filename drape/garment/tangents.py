@@ -1,10 +1,10 @@
 """Rows that give a garment's surface tangents, and so its normals, from posed jets without its triangles.
 
 A draped vertex is ``sum_k w_k C_k [y_k / s_k, basis(u_k, v_k)]`` over its charts, C (3, 18) the posed
-jets of a patch (``drape.packing``). Along a direction e of the rest surface its derivative has the same form, with the
-derivatives of the columns. Those of rest place and jets are analytic; those of the weights, and of parameters that are
-no projection (charts laid flat), are least squares over the neighbours on the mesh (Meyer et al. 2003 give other
-choices; this one is exact for linear functions). The normal is the cross product of two such tangents.
+jets of a patch (``drape.graph.packing``). Along a direction e of the rest surface its derivative has the same form,
+with the derivatives of the columns. Those of rest place and jets are analytic; those of the weights, and of
+parameters that are no projection (charts laid flat), are least squares over the neighbours on the mesh (Meyer et al.
+2003 give other choices; this one is exact for linear functions). The normal is the cross product of two such tangents.
 """
 
 from __future__ import annotations

@@ -12,6 +12,7 @@ from drape.motion.bvh import read_bvh
 from drape.motion.clip import MotionClip
 
 _READERS: dict[str, Callable[[Path], MotionClip]] = {".npz": read_amass, ".bvh": read_bvh, ".amc": read_amc}
+MOTION_SUFFIXES = tuple(_READERS)
 
 
 def read_motion(path: Path) -> MotionClip:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.cloth.material import DEFAULT_MATERIAL
-from drape.commands import refusing
+from drape.errors import refusing
 from drape.garment.intake import garment_name, intake
 from recovery.drape.output import glb_bytes, obj_text, panel_texture, write
 from recovery.drape.pipeline import Draped, DrapeOptions, Hold, drape_pattern

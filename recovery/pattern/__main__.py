@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from drape.body.assets import DEFAULT_BODY, load_body
-from drape.commands import refusing
+from drape.errors import refusing
 from recovery.pattern import geometry
 from recovery.pattern.bases import BASES, base_pattern
 from recovery.pattern.export import FORMATS, export_pattern

@@ -18,8 +18,7 @@ import numpy as np
 
 from drape.body.assets import DEFAULT_BODY
 from drape.cloth.material import DEFAULT_MATERIAL, FABRICS
-from drape.commands import refusing
-from drape.errors import InputError
+from drape.errors import InputError, refusing
 from drape.garment.mesh_checks import UNITS_M, UP_AXES
 from recovery.drape.output import write
 from recovery.drape.pipeline import DrapeOptions

@@ -11,9 +11,9 @@ import numpy as np
 
 from drape.cloth.material import FABRICS
 from drape.errors import InputError
+from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake import garment_name, intake
 from drape.garment.mesh_checks import Unit, Up
-from drape.garment.mesh_io import GarmentMesh
 from recovery.drape.output import glb_bytes, obj_text, panel_texture, write
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.fit.chamfer import Chamfer, SurfaceDistance, surface_chamfer, surface_distance

@@ -13,6 +13,7 @@ import numpy as np
 
 from drape.errors import InputError, MeshError
 from drape.garment.avatars import Avatar
+from drape.garment.files.mesh import GarmentMesh, read_mesh, weld
 from drape.garment.mesh_checks import (
     Unit,
     Up,
@@ -23,7 +24,6 @@ from drape.garment.mesh_checks import (
     orient_outward,
     place,
 )
-from drape.garment.mesh_io import GarmentMesh, read_mesh, weld
 from drape.geometry import closest, meshes
 from recovery.fit.contours import TRUNK, bone_chains, open_contours, place_of
 

@@ -11,9 +11,10 @@ from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
 from drape.errors import BodyError, MeshError
-from drape.garment.avatars import MESH_SUFFIXES, Avatar
+from drape.files.formats import MESH_SUFFIXES
+from drape.garment.avatars import Avatar
+from drape.garment.files.mesh import AVATAR_VERTEX_LIMIT, GarmentMesh, read_mesh, weld
 from drape.garment.mesh_checks import UNITS_M
-from drape.garment.mesh_io import AVATAR_VERTEX_LIMIT, GarmentMesh, read_mesh, weld
 from drape.garment.registration import body_units, fit_body
 from drape.geometry import meshes
 from recovery.pattern.model import Pattern

@@ -15,7 +15,7 @@ from benchmarks import latency, latency_report, latency_rivals
 from benchmarks.latency_setup import network_of, poses, shipped, timed, with_patches, with_vertices
 from drape.artifacts import MODELS_DIR
 from drape.body.assets import load_body
-from drape.packing import pack_body
+from drape.graph.packing import pack_body
 from service.engine import Engine
 from service.packing import Packer, ScenePlan
 from tests.fixtures.packed import exported, lively

@@ -20,11 +20,11 @@ from benchmarks.representation_space import (
     embedding,
 )
 from drape.body.assets import load_body
-from drape.cloth.push.skin import body_skin
 from drape.garment.disagreement import chart_normals, disagreement
 from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.geometry.skinning import skin_points
+from drape.push.skin import body_skin
 from tests.benchmarks.representation_setup import bench, found, garment
 
 FORMS = list(REPRESENTATIONS.values())

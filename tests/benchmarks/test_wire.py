@@ -7,7 +7,7 @@ import json
 import pytest
 
 from benchmarks import wire as bench
-from drape.wire_jets import message_bytes
+from drape.wire.jets import message_bytes
 
 
 @pytest.mark.slow

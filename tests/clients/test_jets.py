@@ -13,10 +13,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from clients.client import AsyncDrapeClient, DrapeClient
 from clients.stream import DrapeStream, ReceivedJets
-from drape import wire
 from drape.errors import InputError
-from drape.jet_layout import JetLayout, pack_layout
-from drape.wire_jets import JetFrame, pack_jets, unpack_jets
+from drape.wire import messages as wire
+from drape.wire.jets import JetFrame, pack_jets, unpack_jets
+from drape.wire.layout import JetLayout, pack_layout
 from tests.architecture.repository import ROOT
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import outfit_settings, outfit_url

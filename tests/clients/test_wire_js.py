@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from drape import wire
+from drape.wire import messages as wire
 from tests.architecture.repository import ROOT
 
 WIRE_JS = ROOT / "clients/web/src/wire.js"

@@ -14,8 +14,8 @@ from drape.artifacts import load_manifest
 from drape.body.assets import load_body
 from drape.body.features import motion_features
 from drape.errors import ArtifactError
-from drape.feeds import body_feed, garment_feed, kinematics
 from drape.garment.cache import Garment
+from drape.graph.feeds import body_feed, garment_feed, kinematics
 from model_export import export as exporting
 from model_export.export import static_training
 from model_export.graph import DrapeGraph, drape_inputs, drape_outputs

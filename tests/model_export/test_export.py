@@ -14,9 +14,9 @@ from numpy.testing import assert_allclose
 from drape.artifacts import load_manifest
 from drape.body.assets import load_body
 from drape.errors import ArtifactError
-from drape.feeds import body_feed, garment_feed
 from drape.garment.cache import GARMENTS_DIR, load_garment
 from drape.geometry import jets
+from drape.graph.feeds import body_feed, garment_feed
 from model_export import export as exporting
 from model_export.graph import DrapeGraph, drape_inputs
 from model_export.parity import hard_poses, session

@@ -15,7 +15,7 @@ from onnx import TensorProto, helper, numpy_helper
 from drape.artifacts import load_manifest
 from drape.body.assets import load_body
 from drape.errors import ArtifactError
-from drape.packing import pack_body
+from drape.graph.packing import pack_body
 from model_export import export as exporting
 from model_export.export import add_half
 from model_export.half import HALF, LEAST, halve_matrices

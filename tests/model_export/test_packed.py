@@ -11,12 +11,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.body.assets import load_body
 from drape.errors import ArtifactError
-from drape.feeds import body_feed, garment_feed
 from drape.garment.tangents import tangent_columns
 from drape.geometry import meshes
-from drape.packing import TANGENTS, Composition, Place, compose, pack_body, pack_garment, pack_tangents
-from drape.push_packing import SkinShapes
-from drape.wire import quantise
+from drape.graph.feeds import body_feed, garment_feed
+from drape.graph.packing import TANGENTS, Composition, Place, compose, pack_body, pack_garment, pack_tangents
+from drape.graph.push_feed import SkinShapes
+from drape.wire.messages import quantise
 from model_export import packed_weights
 from model_export.graph import DrapeGraph, EncoderGraph, drape_inputs
 from model_export.packed import FirstGraph, PackedGraph

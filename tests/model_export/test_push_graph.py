@@ -8,11 +8,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.body.assets import load_body
-from drape.cloth.push.out import push_out
-from drape.cloth.push.skin import body_skin, skin_table
-from drape.feeds import garment_feed
 from drape.geometry.skinning import skin_points
-from drape.push_packing import feed_arrays, pack_push
+from drape.graph.feeds import garment_feed
+from drape.graph.push_feed import feed_arrays, pack_push
+from drape.push.projection import push_out
+from drape.push.skin import body_skin, skin_table
 from model_export.export import write_push_out
 from model_export.parity import hard_poses, session
 from model_export.push_graph import push_inputs, push_parity_error

@@ -16,7 +16,7 @@ from onnx import TensorProto, helper, numpy_helper
 from drape.artifacts import load_manifest
 from drape.body.assets import load_body
 from drape.errors import ArtifactError
-from drape.packing import pack_body
+from drape.graph.packing import pack_body
 from model_export.export import add_int8
 from model_export.rounded import (
     MARGIN,

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from drape.body.assets import load_body
 from drape.errors import InputError, MotionError, NotFound
 from drape.garment.cache import load_garment
-from drape.garment.mesh_io import read_mesh
+from drape.garment.files.mesh import read_mesh
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.motion.samples import walk
 from recovery.drape.__main__ import main

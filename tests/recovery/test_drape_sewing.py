@@ -11,8 +11,8 @@ import torch
 from numpy.testing import assert_allclose
 
 from drape.body.assets import load_body
-from drape.data_paths import data_folder
 from drape.errors import InputError
+from drape.files.data import data_folder
 from recovery.drape.placement import CLEARANCE_M, Axes, best_lift, check_placed, cleared, place, scaled
 from recovery.drape.relax import Distance
 from recovery.drape.repair import uncrossed

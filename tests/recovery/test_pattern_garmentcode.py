@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from drape.data_paths import data_folder
 from drape.errors import InputError, NotFound
+from drape.files.data import data_folder
 from recovery.pattern import garmentcode, geometry
 from recovery.pattern.model import EdgeKind, EdgeRef, Pattern
 from tests.recovery.pattern_setup import assert_same_pattern, curved, rectangle, tube

@@ -10,8 +10,8 @@ import torch
 from numpy.testing import assert_allclose
 
 from drape.cloth.orthotropic import OrthotropicMaterial
-from drape.data_paths import data_folder
 from drape.errors import InputError, MeshError
+from drape.files.data import data_folder
 from drape.geometry import meshes
 from recovery.pattern import geometry
 from recovery.pattern.coordinates import (

@@ -16,7 +16,7 @@ from PIL import Image
 from drape.body.assets import load_body
 from drape.errors import InputError
 from drape.garment.cache import load_garment
-from drape.garment.mesh_io import read_mesh
+from drape.garment.files.mesh import read_mesh
 from drape.geometry.drawing import drawn
 from recovery.drape.output import obj_text, panel_texture, write
 from recovery.drape.pipeline import DrapeOptions, drape_pattern

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 from drape.body.assets import load_body
 from drape.errors import BodyError, InputError, MeshError
-from drape.garment.mesh_io import GarmentMesh, plain_mesh
+from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.geometry import meshes
 from recovery.pattern.bases import base_pattern
 from recovery.run.job import Job, prepare, read_base

@@ -12,11 +12,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.artifacts import TensorSpec
 from drape.body.assets import load_body
-from drape.cloth.push.out import CLEARANCE_M
 from drape.errors import ArtifactError
-from drape.feeds import garment_feed
 from drape.garment.cache import save_garment
-from drape.packing import pack_body
+from drape.graph.feeds import garment_feed
+from drape.graph.packing import pack_body
+from drape.push.projection import CLEARANCE_M
 from service.binding import BoundSession
 from service.drapery import Drapery, PoseInput
 from service.engine import PACKED, Engine

@@ -15,7 +15,7 @@ from drape.artifacts import load_manifest
 from drape.body.assets import load_body
 from drape.errors import ArtifactError
 from drape.garment.cache import save_garment
-from drape.packing import pack_body
+from drape.graph.packing import pack_body
 from service import drapery as drapery_module
 from service.drapery import Drapery, PoseInput
 from service.engine import DYNAMIC, PACKED, Engine

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from drape import wire
 from drape.body.features import Kinematics
 from drape.body.model import BodyModel
-from drape.feeds import kinematics
 from drape.garment.cache import Garment
+from drape.graph.feeds import kinematics
+from drape.wire import messages as wire
 from service.app import create_app
 from service.drapery import Drapery, PoseInput
 from service.dynamics import JUMP_M_S, STEP_LIMIT_S, Memory, Moment, advance, nothing

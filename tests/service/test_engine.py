@@ -16,8 +16,8 @@ from onnx import helper
 from drape.artifacts import Manifest, TensorSpec, file_digest, load_manifest
 from drape.body.model import BodyModel
 from drape.errors import ArtifactError, Unavailable
-from drape.feeds import body_feed, garment_feed
 from drape.garment.cache import Garment
+from drape.graph.feeds import body_feed, garment_feed
 from service.engine import DRAPE, ENCODER, Engine
 from service.runtime import Device, check_distributions
 from tests.fixtures.tiny_model import ENCODER_MATRIX, TINY

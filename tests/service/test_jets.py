@@ -14,15 +14,15 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
-from drape import wire
 from drape.cloth import metrics
-from drape.cloth.push.out import CLEARANCE_M, blended, push_in_parts
 from drape.errors import InputError
 from drape.garment.cache import Garment, save_garment
-from drape.jet_layout import JetLayout, unpack_layout
 from drape.motion.hard_poses import hard_poses
 from drape.motion.samples import SAMPLES
-from drape.wire_jets import JetFrame, message_bytes, pack_jets, split_jets, unpack_jets
+from drape.push.projection import CLEARANCE_M, blended, push_in_parts
+from drape.wire import messages as wire
+from drape.wire.jets import JetFrame, message_bytes, pack_jets, split_jets, unpack_jets
+from drape.wire.layout import JetLayout, unpack_layout
 from service.drapery import Drapery, PoseInput
 from service.errors import TooLarge
 from service.settings import Settings

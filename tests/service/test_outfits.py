@@ -14,12 +14,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
-from drape import wire
 from drape.body.assets import load_body
 from drape.cloth import metrics
 from drape.errors import InputError, NotFound
-from drape.feeds import garment_feed
 from drape.garment.cache import Garment
+from drape.graph.feeds import garment_feed
+from drape.wire import messages as wire
 from service.drapery import Drapery, PoseInput
 from service.engine import Engine
 from service.errors import TooLarge

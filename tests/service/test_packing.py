@@ -18,11 +18,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.artifacts import load_manifest
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
-from drape.cloth.push.skin import body_skin, skin_table
 from drape.errors import ArtifactError, InputError, NotFound
-from drape.feeds import body_feed, garment_feed
 from drape.garment.cache import save_garment
-from drape.packing import TANGENTS, pack_body, pass_name
+from drape.graph.feeds import body_feed, garment_feed
+from drape.graph.packing import TANGENTS, pack_body, pass_name
+from drape.push.skin import body_skin, skin_table
 from model_export.graph import DrapeGraph, drape_inputs
 from model_export.parity import hard_poses
 from service.drapery import Drapery, PoseInput

@@ -9,13 +9,13 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.body.assets import load_body
-from drape.cloth.push.out import CLEARANCE_M
 from drape.errors import NotFound
-from drape.feeds import garment_feed
 from drape.garment.cache import Garment
 from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.geometry.skinning import skin_points
+from drape.graph.feeds import garment_feed
+from drape.push.projection import CLEARANCE_M
 from service.engine import Engine
 from service.push import PosedJets, Pusher
 from tests.fixtures.packed import exported, garment

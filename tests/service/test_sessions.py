@@ -9,8 +9,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from drape import wire
 from drape.errors import InputError
+from drape.wire import messages as wire
 from service.drapery import Drapery
 from service.sessions import Session, Streams
 from service.settings import Settings

@@ -20,9 +20,9 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.typing import Subprotocol
 
-from drape import wire
 from drape.body.model import BodyModel
 from drape.garment.cache import Garment
+from drape.wire import messages as wire
 from service.app import create_app
 from service.settings import Settings
 from tests.fixtures.poses import random_motion

@@ -11,12 +11,12 @@ import torch
 from numpy.testing import assert_allclose
 
 from drape.catalog import find_garments, open_garment
-from drape.data_paths import DATA_VARIABLE
 from drape.errors import ArtifactError
-from drape.feeds import body_feed
+from drape.files.data import DATA_VARIABLE
 from drape.garment.cache import save_garment
 from drape.garment.disagreement import chart_positions
 from drape.geometry.skinning import skin_points
+from drape.graph.feeds import body_feed
 from drape.motion.clip import MotionClip
 from drape.motion.hard_poses import HardPoses
 from tests.fixtures.tiny_model import expected_vertices, tube_garment

@@ -9,9 +9,9 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from drape.feeds import body_feed
 from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_matrix
+from drape.graph.feeds import body_feed
 from tests.training.training_setup import TINY, bank, body, garment, source
 from training import losses
 from training.agreement import agreed_jets, closing_jets

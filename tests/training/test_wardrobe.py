@@ -9,11 +9,11 @@ import pytest
 import torch
 import trimesh
 
-from drape.cloth.push.skin import body_skin
 from drape.errors import InputError
 from drape.garment.cache import GARMENTS_DIR
 from drape.garment.partition import patch_count_for
 from drape.geometry.closest import signed_distance
+from drape.push.skin import body_skin
 from tests.training.training_setup import CPU, TINY_RUN, body
 from training.data import draw_partition
 from training.wardrobe import Wardrobe

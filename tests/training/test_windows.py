@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.body.features import motion_features
 from drape.errors import MotionError
-from drape.feeds import kinematics
+from drape.graph.feeds import kinematics
 from drape.motion.clip import MotionClip
 from tests.fixtures.poses import smooth_motion
 from tests.training.training_setup import body

@@ -11,8 +11,8 @@ import torch
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.cloth.energies import ClothMesh
-from drape.cloth.push.skin import body_skin
 from drape.garment.fitting import RestGarment, rest_garment
+from drape.push.skin import body_skin
 from tests.fixtures.networks import TINY
 from training.config import DataConfig, MotionConfig, TrainConfig
 from training.data import BodySource, TrainingGarment, draw_partition

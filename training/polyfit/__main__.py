@@ -17,8 +17,7 @@ from pathlib import Path
 import torch
 
 from drape.body.assets import load_body
-from drape.commands import refusing
-from drape.errors import NotFound
+from drape.errors import NotFound, refusing
 from training.polyfit.config import PolyFitConfig, suite
 from training.polyfit.families import Patches
 from training.polyfit.garment_patches import designed_garments, draw_garment_patches, held_out_garments

@@ -14,8 +14,9 @@ import numpy as np
 import torch
 
 from drape.body.model import BodyModel
-from drape.data_paths import data_folder
 from drape.errors import InputError
+from drape.files.data import data_folder
+from drape.files.formats import MESH_SUFFIXES
 from drape.garment.fitting import RestGarment, rest_garment
 from drape.garment.intake import intake
 from drape.garment.partition import partition, patch_count_for
@@ -23,7 +24,6 @@ from drape.garment.skin import Hang
 from training.garment_design import SHIPPED, build, varied
 from training.polyfit.families import Patches
 
-MESH_SUFFIXES = (".obj", ".glb", ".gltf", ".ply", ".stl")
 HELD_OUT_SEED = 90_000
 COUNT_RANGE = (0.7, 1.3)  # patch counts vary by these factors, so that sizes do
 

@@ -1,5 +1,5 @@
 // Vertices of a garment from its posed patches: the sum over a vertex's charts of weight times
-// centre + rotation (rest place + scale jet(u, v)), as drape/jet_layout.py says.
+// centre + rotation (rest place + scale jet(u, v)), as drape/wire/layout.py says.
 import { JET_NUMBERS } from "./wire.js";
 
 const TERMS = JET_NUMBERS / 3;

@@ -4,7 +4,7 @@ import { JetSurface } from "./jets.js";
 import { Stream } from "./stream.js";
 import { Viewer } from "./viewer.js";
 import { Wardrobe } from "./wardrobe.js";
-import { unpackLayout } from "./wire.js";
+import { MESH_SUFFIXES, unpackLayout } from "./wire.js";
 
 const SHAPE_COUNT = 3;
 const SEND_RATE = 60; // poses per second at most
@@ -248,6 +248,7 @@ function wireControls() {
   element("jets").addEventListener("change", chooseGarments);
   element("body").addEventListener("change", () => viewer.setBodyShown(element("body").checked));
   element("wire").addEventListener("change", () => viewer.setTriangles(element("wire").checked));
+  element("file").accept = MESH_SUFFIXES;
   element("upload").addEventListener("click", upload);
   element("save").addEventListener("click", save);
   element("play").addEventListener("click", () => {

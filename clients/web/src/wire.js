@@ -1,10 +1,12 @@
-// Generated from drape/wire.py, wire_jets.py and jet_layout.py by scripts/sync_wire.py. Do not edit.
+// Generated from drape/wire/ and drape/files/formats.py by scripts/sync_wire.py. Do not edit.
 
 export const WIRE_VERSION = 1;
 export const SUBPROTOCOL = "drape.v1";
 export const MAGIC = 0x45505244;
 export const KIND = { POSE: 1, ACK: 2, FRAME: 3, JETS: 4, LAYOUT: 5 };
 export const FLAG_PUSHED = 1;
+// Suffixes of garment files, as the file chooser takes them.
+export const MESH_SUFFIXES = ".obj,.glb,.ply,.stl";
 export const BYTES = {
   POSE: 336, ACK: 16,
   FRAME_HEADER: 96, JETS_HEADER: 460, LAYOUT_HEADER: 24,

@@ -15,8 +15,8 @@ from drape.garment import intake as intake_module
 from drape.garment.avatars import STANDARD, phenotype_avatar
 from drape.garment.cache import OWN_GARMENTS_DIR, load_garment
 from drape.garment.clearance import CLEARANCE_M
+from drape.garment.files.mesh import plain_mesh
 from drape.garment.intake import IntakeOptions, garment_name, intake, main, rest_mesh, with_unused, without_unused
-from drape.garment.mesh_io import plain_mesh
 from drape.geometry.closest import signed_distance
 from tests.drape.garment.garment_files import obj_text, shirt
 

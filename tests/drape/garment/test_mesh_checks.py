@@ -12,8 +12,8 @@ from drape.body.assets import load_body
 from drape.errors import MeshError
 from drape.garment import mesh_checks
 from drape.garment.avatars import Avatar, phenotype_avatar, standard_avatar
+from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.mesh_checks import check_mesh, orient_outward
-from drape.garment.mesh_io import GarmentMesh, plain_mesh
 from drape.geometry import meshes
 from tests.drape.garment.garment_files import shirt
 

@@ -1,0 +1,45 @@
+"""The rule by which a garment's file name tells its avatar: ``avatars.json`` maps beginnings of names to avatars.
+
+An entry is a phenotype or SMPL parameters (an object), ``standard``, or a mesh file beside the
+table. Intake, service and clients ask the same rule; the shipped table knows ``female`` and
+``male``, anny's neutral young adults.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from drape.errors import BodyError
+
+TABLE_NAME = "avatars.json"
+SHIPPED_FOLDER = Path(__file__).resolve().parents[2] / "assets" / "bodies"
+
+
+def avatar_table(folder: Path) -> dict[str, Any]:
+    """The ``avatars.json`` of ``folder``: beginnings of file names -> avatar; empty where there is none."""
+    path = folder / TABLE_NAME
+    if not path.is_file():
+        return {}
+    try:
+        table = json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise BodyError(TABLE_NAME, expected="JSON", got=str(error), cure="Repair the file.") from error
+    if not isinstance(table, dict) or not all(isinstance(entry, (dict, str)) for entry in table.values()):
+        raise BodyError(
+            TABLE_NAME, expected="names with their avatars", got=type(table).__name__, cure="See docs/garments.md."
+        )
+    return table
+
+
+def entry_for(name: str, folders: list[Path]) -> tuple[str, Any, Path] | None:
+    """Key, entry and folder of the avatar of a file called ``name``: the longest fitting key of the first table
+    that has one."""
+    for folder in folders:
+        table = avatar_table(folder)
+        fitting = [key for key in table if name.startswith(key)]
+        if fitting:
+            key = max(fitting, key=len)
+            return key, table[key], folder
+    return None

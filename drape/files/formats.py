@@ -1,0 +1,59 @@
+"""The formats of garment files: the one table that readers, intake, service, clients and page go by.
+
+A new format is a row here and a reader in ``drape.garment.files``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+HEAD_BYTES = 2048  # of a file; what tells a format by its content
+
+
+@dataclass(frozen=True)
+class MeshFormat:
+    """One format: its ``name``, which is the suffix of its files too, the media types that HTTP knows it by, the reader
+    as ``module.function`` in ``drape.garment.files``, and whether a payload is of this format by its bytes."""
+
+    name: str
+    content_types: tuple[str, ...]
+    reader: str
+    fits: Callable[[bytes], bool]
+
+    @property
+    def suffix(self) -> str:
+        return f".{self.name}"
+
+
+def _is_stl(payload: bytes) -> bool:
+    binary = len(payload) >= 84 and len(payload) == 84 + 50 * int.from_bytes(payload[80:84], "little")
+    return binary or (payload[:512].lstrip()[:6] == b"solid " and b"facet" in payload[:HEAD_BYTES])
+
+
+# OBJ has no mark of its own, so it comes first and is taken where no other fits.
+MESH_FORMATS: tuple[MeshFormat, ...] = (
+    MeshFormat("obj", ("model/obj",), "obj.read_obj", lambda payload: False),
+    MeshFormat("glb", ("model/gltf-binary",), "glb.read_glb", lambda payload: payload[:4] == b"glTF"),
+    MeshFormat(
+        "ply",
+        ("model/ply", "application/x-ply"),
+        "ply_stl.read_ply",
+        lambda payload: payload[:512].lstrip()[:4] in (b"ply\n", b"ply\r"),
+    ),
+    MeshFormat("stl", ("model/stl", "application/sla"), "ply_stl.read_stl", _is_stl),
+)
+MESH_NAMES: tuple[str, ...] = tuple(one.name for one in MESH_FORMATS)
+MESH_SUFFIXES: tuple[str, ...] = tuple(one.suffix for one in MESH_FORMATS)
+MESH_CONTENT_TYPES: dict[str, str] = {kind: one.name for one in MESH_FORMATS for kind in one.content_types}
+
+
+def listed(last: str = "or") -> str:
+    """The names for a sentence: ``OBJ, GLB, PLY or STL``."""
+    *first, final = (name.upper() for name in MESH_NAMES)
+    return f"{', '.join(first)} {last} {final}"
+
+
+def sniff(payload: bytes) -> MeshFormat:
+    """The format of a mesh by its bytes; the first of the table where nothing else fits."""
+    return next((one for one in MESH_FORMATS if one.fits(payload)), MESH_FORMATS[0])

@@ -1,0 +1,1 @@
+"""Readers of garment files, one per format of ``drape.files.formats``."""

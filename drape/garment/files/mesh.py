@@ -1,0 +1,122 @@
+"""Reads a mesh file as its maker left it: vertex order, uv and materials kept, nothing trusted.
+
+OBJ and GLB are parsed here: no library keeps OBJ's vertex order, and a GLB of 360 bytes can
+make one allocate a gigabyte. PLY and ASCII STL go through trimesh after their declared counts
+were compared with the bytes that came. What the mesh means (unit, up axis, faults) is decided
+in ``drape.garment.mesh_checks``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+
+from drape.errors import MeshError, NotFound
+from drape.files.formats import MESH_FORMATS, listed, sniff
+
+BYTES_LIMIT = 96 * 2**20
+VERTEX_LIMIT = 200_000
+AVATAR_VERTEX_LIMIT = 400_000
+
+
+@dataclass(frozen=True, eq=False)
+class GarmentMesh:
+    """A triangle mesh: ``vertices`` (V, 3), ``faces`` (F, 3), ``uv`` (T, 2) and ``uv_faces`` (F, 3) or both empty.
+
+    ``material_names`` and ``face_material`` (F,) are the file's; ``notes`` say what was
+    done to it on the way. Texture coordinates have their origin at the lower left.
+    """
+
+    name: str
+    vertices: np.ndarray
+    faces: np.ndarray
+    uv: np.ndarray
+    uv_faces: np.ndarray
+    material_names: tuple[str, ...]
+    face_material: np.ndarray
+    notes: tuple[str, ...] = ()
+
+    def noted(self, *notes: str) -> GarmentMesh:
+        return replace(self, notes=self.notes + notes)
+
+    def take_faces(self, keep: np.ndarray) -> GarmentMesh:
+        """The same mesh with only the faces of ``keep``."""
+        uv_faces = self.uv_faces[keep] if len(self.uv_faces) else self.uv_faces
+        return replace(self, faces=self.faces[keep], uv_faces=uv_faces, face_material=self.face_material[keep])
+
+
+def plain_mesh(
+    name: str, vertices: np.ndarray, faces: np.ndarray | list[list[int]], *, notes: tuple[str, ...] = ()
+) -> GarmentMesh:
+    """A mesh without uv and with one material."""
+    faces = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
+    return GarmentMesh(
+        name=name,
+        vertices=np.asarray(vertices, dtype=np.float64).reshape(-1, 3),
+        faces=faces,
+        uv=np.zeros((0, 2)),
+        uv_faces=np.zeros((0, 3), dtype=np.int64),
+        material_names=("default",),
+        face_material=np.zeros(len(faces), dtype=np.int64),
+        notes=notes,
+    )
+
+
+def weld(mesh: GarmentMesh) -> GarmentMesh:
+    """``mesh`` with vertices at exactly the same place made one; order of first appearance."""
+    _, first, inverse = np.unique(mesh.vertices, axis=0, return_index=True, return_inverse=True)
+    if len(first) == len(mesh.vertices):
+        return mesh
+    rank = np.argsort(np.argsort(first))
+    welded = replace(mesh, vertices=mesh.vertices[np.sort(first)], faces=rank[inverse.reshape(-1)][mesh.faces])
+    return welded.noted(f"{len(mesh.vertices)} vertices welded into {len(first)}")
+
+
+def read_mesh(
+    source: Path | bytes, *, name: str | None = None, kind: str | None = None, vertex_limit: int = VERTEX_LIMIT
+) -> GarmentMesh:
+    """The mesh in a file or in its bytes; ``kind`` (obj, ...) is taken from the suffix or the first bytes.
+
+    Raises ``MeshError`` (or ``NotFound`` for an absent file) with what was expected and what cures it.
+    """
+    if isinstance(source, (bytes, bytearray, memoryview)):
+        payload, name = bytes(source), name or "garment"
+    else:
+        path = Path(source)
+        if not path.is_file():
+            raise NotFound("garment", expected="an existing file", got=path.name, cure="Check the path.")
+        if path.stat().st_size > BYTES_LIMIT:
+            raise _too_large(path.name, path.stat().st_size)
+        payload, name = path.read_bytes(), name or path.stem
+        kind = kind or path.suffix.lower().lstrip(".")
+    if len(payload) > BYTES_LIMIT:
+        raise _too_large(name, len(payload))
+    kind = sniff(payload).name if kind is None else kind.lower().lstrip(".")
+    found = next((one for one in MESH_FORMATS if one.name == kind), None)
+    if found is None:
+        raise MeshError(f"mesh {name}", expected=listed(), got=f".{kind}", cure="Export the mesh as one of these.")
+    if not payload.strip():
+        raise MeshError(f"mesh {name}", expected="a mesh", got="an empty file", cure="Export it again.")
+    module, _, function = found.reader.partition(".")
+    read = getattr(import_module(f"{__package__}.{module}"), function)
+    return read(payload, name=name, vertex_limit=vertex_limit)
+
+
+def _too_large(name: str, size: int) -> MeshError:
+    return MeshError(
+        f"mesh {name}",
+        expected=f"at most {BYTES_LIMIT >> 20} MiB",
+        got=f"{size / 2**20:.0f} MiB",
+        cure="Decimate the mesh.",
+    )
+
+
+def check_count(name: str, count: int, limit: int) -> None:
+    """Refuses a mesh that declares more vertices than ``limit``."""
+    if count > limit:
+        raise MeshError(
+            f"mesh {name}", expected=f"at most {limit:,} vertices", got=f"{count:,}", cure="Decimate the mesh."
+        )

@@ -1,0 +1,175 @@
+"""Reads Wavefront OBJ: no library keeps its vertex order."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from drape.errors import MeshError
+from drape.garment.files.mesh import VERTEX_LIMIT, GarmentMesh, check_count
+
+# Statements that say nothing of the surface.
+_SILENT = frozenset(
+    "vn o g s mtllib l p vp cstype deg curv curv2 surf parm end bevel lod".split()  # noqa: SIM905
+)
+_INTEGER = re.compile(r"[+-]?\d+\Z")
+
+
+def read_obj(payload: bytes, *, name: str, vertex_limit: int = VERTEX_LIMIT) -> GarmentMesh:
+    """The mesh of a Wavefront OBJ; vertices and texture coordinates in the file's order, polygons as triangle fans."""
+    return _ObjReader(name, vertex_limit).read(payload)
+
+
+class _ObjReader:
+    """The state of one pass over an OBJ file."""
+
+    def __init__(self, name: str, vertex_limit: int) -> None:
+        self.name, self.vertex_limit = name, vertex_limit
+        self.vertices: list[tuple[float, ...]] = []
+        self.uv: list[tuple[float, ...]] = []
+        self.normal_count = 0
+        self.faces: list[tuple[int, int, int]] = []
+        self.uv_faces: list[tuple[int, int, int]] = []
+        self.lines: list[int] = []
+        self.materials: dict[str, int] = {}
+        self.face_material: list[int] = []
+        self.material = -1
+        self.polygon_count = 0
+        self.skipped: set[str] = set()
+
+    def fault(self, line: int, expected: str, got: str, cure: str = "Export the mesh again.") -> MeshError:
+        return MeshError(f"mesh {self.name} line {line}", expected=expected, got=got[:80], cure=cure)
+
+    def read(self, payload: bytes) -> GarmentMesh:
+        if b"\0" in payload:
+            raise MeshError(
+                f"mesh {self.name}",
+                expected="a text file (OBJ)",
+                got="binary data",
+                cure="Name the file by its format.",
+            )
+        pending = ""
+        for number, raw in enumerate(payload.decode("utf-8", errors="replace").splitlines(), start=1):
+            text = pending + raw.split("#", 1)[0].strip()
+            pending = ""
+            if text.endswith("\\"):
+                pending = text[:-1] + " "
+                continue
+            words = text.split()
+            if words:
+                self.statement(number, words, text)
+        return self.finish()
+
+    def statement(self, number: int, words: list[str], text: str) -> None:
+        keyword, rest = words[0], words[1:]
+        if keyword == "v":
+            self.vertices.append(self.floats(number, rest, 3))
+            check_count(self.name, len(self.vertices), self.vertex_limit)
+        elif keyword == "vt":
+            values = self.floats(number, rest, 1)
+            self.uv.append((values[0], values[1] if len(values) > 1 else 0.0))
+            check_count(self.name, len(self.uv), 3 * self.vertex_limit)
+        elif keyword == "vn":
+            self.normal_count += 1
+        elif keyword == "f":
+            self.polygon(number, rest)
+        elif keyword == "usemtl":
+            label = text[len("usemtl") :].strip() or "default"
+            self.material = self.materials.setdefault(label, len(self.materials))
+        elif keyword in _SILENT:
+            self.skipped.add(keyword)
+        else:
+            raise self.fault(
+                number, "an OBJ statement (v, vt, vn, f, usemtl, ...)", repr(keyword), "Is this an OBJ file?"
+            )
+
+    def floats(self, number: int, words: list[str], count: int) -> tuple[float, ...]:
+        try:
+            # float() takes 1_000; OBJ does not.
+            values = tuple(float(word) if "_" not in word else float("x") for word in words[: max(count, 3)])
+        except ValueError:
+            values = ()
+        if len(values) < count or not np.isfinite(values).all():
+            raise self.fault(
+                number, f"{count} finite numbers", " ".join(words) or "nothing", "Repair or remove the line."
+            )
+        return values
+
+    def polygon(self, number: int, words: list[str]) -> None:
+        if len(words) < 3:
+            raise self.fault(number, "at least 3 corners", str(len(words)), "Remove the face.")
+        if len(words) > 256:
+            raise self.fault(number, "at most 256 corners", str(len(words)), "Triangulate the face.")
+        corners = [self.corner(number, word) for word in words]
+        if self.material < 0:
+            self.material = self.materials.setdefault("default", len(self.materials))
+        self.polygon_count += len(corners) > 3
+        for i in range(1, len(corners) - 1):
+            a, b, c = corners[0], corners[i], corners[i + 1]
+            self.faces.append((a[0], b[0], c[0]))
+            self.uv_faces.append((a[1], b[1], c[1]))
+            self.face_material.append(self.material)
+            self.lines.append(number)
+        check_count(self.name, len(self.faces) // 4, self.vertex_limit)
+
+    def corner(self, number: int, word: str) -> tuple[int, int]:
+        """Zero-based vertex and texture index of ``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn``; -1 for no texture."""
+        parts = word.split("/")
+        if len(parts) > 3 or any(part and not _INTEGER.match(part) for part in parts) or not parts[0]:
+            raise self.fault(number, "corners like 1, 1/2, 1//3 or 1/2/3", repr(word))
+        counts = (len(self.vertices), len(self.uv), self.normal_count)
+        found = []
+        for part, count, what in zip(parts, counts, ("vertex", "texture coordinate", "normal"), strict=False):
+            index = int(part) if part else None
+            if index == 0 or (index is not None and index < -count):
+                raise self.fault(
+                    number, f"a {what} index from 1, or from -{count} to -1", str(index), "Repair the face."
+                )
+            # Positive indices may point ahead: they are checked when all vertices are known.
+            found.append(-1 if index is None else index - 1 if index > 0 else count + index)
+        return found[0], found[1] if len(found) > 1 else -1
+
+    def finish(self) -> GarmentMesh:
+        if not self.vertices or not self.faces:
+            missing = "faces" if self.vertices else "vertices"
+            raise MeshError(
+                f"mesh {self.name}",
+                expected="vertices and faces",
+                got=f"no {missing}",
+                cure="Export the garment's surface.",
+            )
+        faces, uv_faces = np.array(self.faces, dtype=np.int64), np.array(self.uv_faces, dtype=np.int64)
+        for table, count, what in (
+            (faces, len(self.vertices), "vertex"),
+            (uv_faces, len(self.uv), "texture coordinate"),
+        ):
+            beyond = np.flatnonzero((table >= count).any(axis=1))
+            if len(beyond):
+                row = int(beyond[0])
+                raise self.fault(
+                    self.lines[row], f"a {what} index up to {count}", str(int(table[row].max()) + 1), "Repair the face."
+                )
+        notes = []
+        if self.polygon_count:
+            notes.append(f"{self.polygon_count} polygons triangulated")
+        uv = np.array(self.uv, dtype=np.float64).reshape(-1, 2)
+        bare = (uv_faces < 0).any(axis=1)
+        if bare.all():
+            uv, uv_faces = np.zeros((0, 2)), np.zeros((0, 3), dtype=np.int64)
+        elif bare.any():
+            uv_faces[bare] = len(uv)
+            uv = np.vstack([uv, [[0.0, 0.0]]])
+            notes.append(f"{int(bare.sum())} faces without texture coordinates take (0, 0)")
+        if self.skipped & {"l", "p", "curv", "surf"}:
+            notes.append("lines, points and curves left out")
+        return GarmentMesh(
+            name=self.name,
+            vertices=np.array(self.vertices, dtype=np.float64)[:, :3],
+            faces=faces,
+            uv=uv,
+            uv_faces=uv_faces,
+            material_names=tuple(self.materials),
+            face_material=np.array(self.face_material, dtype=np.int64),
+            notes=tuple(notes),
+        )

@@ -1,0 +1,93 @@
+"""Reads PLY and STL, through trimesh where it must be, after comparing declared counts with the bytes."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+
+from drape.errors import MeshError
+from drape.garment.files.mesh import VERTEX_LIMIT, GarmentMesh, check_count, plain_mesh, weld
+
+_PLY_SIZES = {
+    "char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2,
+    "int": 4, "uint": 4, "int32": 4, "uint32": 4, "float": 4, "float32": 4, "double": 8, "float64": 8,
+}  # fmt: skip
+
+
+def read_ply(payload: bytes, *, name: str, vertex_limit: int = VERTEX_LIMIT) -> GarmentMesh:
+    """The mesh of a PLY file, by trimesh, once the header's counts fit the bytes."""
+    end = payload[:65536].find(b"end_header")
+    if end < 0 or payload[:3] != b"ply":
+        raise MeshError(
+            f"mesh {name}", expected="a PLY header", got="none in the first 64 KiB", cure="Export it again."
+        )
+    header = payload[:end].decode("ascii", errors="replace").splitlines()
+    ascii_file = any(line.split()[:2] == ["format", "ascii"] for line in header if line.strip())
+    needed, count, names = 0, 0, set()
+    for words in (line.split() for line in header):
+        if words[:1] == ["element"]:
+            if len(words) != 3 or not words[2].isdigit():
+                raise MeshError(
+                    f"mesh {name}", expected="element NAME COUNT", got=" ".join(words)[:60], cure="Export it again."
+                )
+            count = int(words[2])
+            names.add(words[1])
+            check_count(f"{name} ({words[1]})", count // (1 if words[1] == "vertex" else 4), vertex_limit)
+        elif words[:1] == ["property"] and len(words) >= 3:
+            # A list costs at least its own count; text at least two characters per value.
+            needed += count * (2 if ascii_file else _PLY_SIZES.get(words[2] if words[1] == "list" else words[1], 1))
+    if not {"vertex", "face"} <= names:
+        raise MeshError(
+            f"mesh {name}",
+            expected="elements vertex and face",
+            got=", ".join(sorted(names)) or "none",
+            cure="Export a mesh.",
+        )
+    held = len(payload) - end
+    if needed > held:
+        raise MeshError(
+            f"mesh {name}",
+            expected=f"at least {needed:,} bytes of data",
+            got=f"{held:,}",
+            cure="The file is cut off: export it again.",
+        )
+    return _by_trimesh(payload, "ply", name)
+
+
+def read_stl(payload: bytes, *, name: str, vertex_limit: int = VERTEX_LIMIT) -> GarmentMesh:
+    """The mesh of an STL file; equal corners become one vertex, in the order of their first appearance."""
+    declared = int.from_bytes(payload[80:84], "little") if len(payload) >= 84 else -1
+    if declared >= 0 and len(payload) == 84 + 50 * declared:
+        check_count(name, declared // 2, vertex_limit)
+        record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+        corners = np.frombuffer(payload, dtype=record, offset=84)["corners"].reshape(-1, 3).astype(np.float64)
+    elif payload.lstrip()[:5] == b"solid" and b"facet" in payload:
+        check_count(name, payload.count(b"vertex") // 6, vertex_limit)
+        mesh = _by_trimesh(payload, "stl_ascii", name)
+        corners = mesh.vertices[mesh.faces.reshape(-1)]
+    else:
+        raise MeshError(
+            f"mesh {name}",
+            expected="an STL whose size fits its count of triangles",
+            got=f"{len(payload):,} bytes for {declared:,}",
+            cure="Export it again.",
+        )
+    return weld(plain_mesh(name, corners, np.arange(len(corners))))
+
+
+def _by_trimesh(payload: bytes, kind: str, name: str) -> GarmentMesh:
+    import trimesh
+
+    try:
+        loaded = trimesh.load_mesh(io.BytesIO(payload), file_type=kind, process=False, maintain_order=True)
+        vertices, faces = np.asarray(loaded.vertices, dtype=np.float64), np.asarray(loaded.faces, dtype=np.int64)
+    except Exception as error:
+        # A broken file can raise anything inside the library.
+        raise MeshError(
+            f"mesh {name}",
+            expected=f"a readable {kind[:3].upper()}",
+            got=f"{type(error).__name__}: {error}"[:120],
+            cure="Export it again.",
+        ) from error
+    return plain_mesh(name, vertices, faces)

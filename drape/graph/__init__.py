@@ -1,0 +1,1 @@
+"""What the graphs take: bodies, garments and outfits laid out as their inputs."""

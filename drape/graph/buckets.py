@@ -1,0 +1,47 @@
+"""Batches filled up to sizes of a ladder, so that a device sees few sets of shapes whatever clients ask for.
+
+What is filled in repeats the first patch, tile, block, item and body: it computes and is not read. An item's numbers do
+not depend on what else is in its batch (``drape.graph.packing``), so they do not depend on this either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from drape.graph.packing import Composition
+
+SMALLEST = 8
+# Axis of each index tensor along which it is filled; ``item_blocks`` along both of its axes.
+AXES = {
+    "patch_stored": (0,), "patch_body": (0,), "patch_bone": (0,), "member_anchor": (0,), "tile_stored": (0,),
+    "tile_patch": (0,), "vertex_charts": (1,), "anchor_charts": (1,), "block_item": (0,), "item_blocks": (0, 1),
+}  # fmt: skip
+
+
+def rung(count: int) -> int:
+    """The least of 8, 12, 16, 24, 32, 48, ... that is not below ``count``: at most half as much again."""
+    size = SMALLEST
+    while size < count:
+        size = 3 * size // 2 if size & (size - 1) == 0 else 4 * size // 3
+    return size
+
+
+def filled(composition: Composition) -> Composition:
+    """``composition`` with its patches, tiles, blocks, anchor blocks, items and blocks of an item on the ladder."""
+    arrays = {name: _filled(array, AXES[name]) for name, array in composition.arrays.items()}
+    return Composition(arrays, composition.patches, composition.vertices)
+
+
+def filled_rows(bodies: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Rows of ``bodies`` on the ladder."""
+    return {name: _filled(rows, (0,)) for name, rows in bodies.items()}
+
+
+def _filled(array: np.ndarray, axes: tuple[int, ...]) -> np.ndarray:
+    for axis in axes:
+        missing = rung(array.shape[axis]) - array.shape[axis]
+        if missing:
+            array = np.concatenate([array, np.repeat(array.take([0], axis=axis), missing, axis=axis)], axis=axis)
+    return np.ascontiguousarray(array)

@@ -1,0 +1,151 @@
+"""What a garment worn over others needs for its push-out, laid out as ``drape.push`` and its graph take it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drape.arrays import Array, namespace
+from drape.body.model import BodyModel
+from drape.errors import ArtifactError, InputError
+from drape.garment.cache import Garment
+from drape.graph.feeds import garment_feed
+from drape.graph.push_feed import feed_arrays, pack_push
+from drape.push.field import take
+from drape.push.layers import ClothSamples, cloth_samples, covered, joined
+from drape.push.projection import CLEARANCE_M, Pushed, PushFeed, push_in_parts
+from drape.push.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE, Samples, table_of_columns, unit_cross
+from drape.push.skin import body_skin
+
+PART_CLUSTERS = POSED_REGIONS * REGION_SIZE // CLUSTER_SIZE
+REGION_ROW = 8 * REGION_SIZE
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """An inner garment as a collider: delivered rest ``vertices`` [m] (V, 3), ``faces`` (F, 3), and its samples."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    samples: ClothSamples
+
+
+@dataclass(frozen=True, eq=False)
+class LayerFeed:
+    """Constants of a garment over others: ``push`` for the regions ``region`` (P, 4) of samples that no cloth hides.
+
+    Regions count through those of the body, then of each sheet; ``cloth_member`` (Q, 12, 24) and ``cloth_rows``
+    (Q, 12, 24, 12) are ``ClothSamples.member`` and ``rows`` of all sheets, members counted through their vertices.
+    """
+
+    push: PushFeed
+    region: np.ndarray
+    cloth_member: np.ndarray
+    cloth_rows: np.ndarray
+
+
+def sheet(garment: Garment) -> Sheet:
+    """The delivered mesh of ``garment`` as what others lie over."""
+    vertices, faces = garment.vertices[: garment.vertex_count].astype(np.float64), garment.faces.astype(np.int64)
+    return Sheet(vertices, faces, cloth_samples(vertices, faces))
+
+
+def pack_layer(feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples, sheets: Sequence[Sheet]) -> LayerFeed:
+    """The constants of the garment with the ``garment_feed`` ``feed`` over ``sheets``, innermost first.
+
+    ``vertices`` [m] (V, 3) are its rest vertices, as many as ``feed`` has.
+    """
+    surfaces = [skin, *(item.samples for item in sheets)]
+    hidden = [np.zeros(surface.count, dtype=bool) for surface in surfaces]
+    for layer, surface in enumerate(surfaces):
+        for over in sheets[layer:]:
+            hidden[layer] |= covered(surface, over.vertices, over.faces)
+    by_region = np.concatenate(hidden).reshape(-1, REGION_SIZE)
+    region = np.flatnonzero(~by_region.all(axis=1))
+    region = np.concatenate([region, np.repeat(region[-1:], -len(region) % POSED_REGIONS)])
+    seen = joined(surfaces).of_regions(region)
+    first = np.cumsum([0, *(len(item.vertices) for item in sheets)])[:-1]
+    member = np.concatenate([item.samples.member + start for item, start in zip(sheets, first, strict=True)])
+    rows = np.concatenate([item.samples.rows for item in sheets])
+    return LayerFeed(
+        pack_push(feed, vertices, seen, hidden=by_region[region].reshape(-1)),
+        region.reshape(-1, POSED_REGIONS).astype(np.int32),
+        member.reshape(-1, PART_CLUSTERS, member.shape[1]).astype(np.int32),
+        rows.reshape(-1, PART_CLUSTERS, *rows.shape[1:]),
+    )
+
+
+def layer_feed(outer: Garment, inner: Sequence[Garment], body: BodyModel) -> LayerFeed:
+    """The constants of the delivered mesh of ``outer`` over the garments ``inner``, innermost first, on ``body``.
+
+    Refuses (``ArtifactError``) garments of another body, (``InputError``) no inner garment or one garment twice.
+    """
+    check_layers([*inner, outer])
+    for garment in (*inner, outer):
+        if garment.body_digest != body.digest:
+            raise ArtifactError(
+                f"garment {garment.name} body_digest",
+                expected=f"{body.digest} ({body.name}), as of all layers",
+                got=garment.body_digest,
+                cure="Run the intake again for this body.",
+            )
+    sheets = [sheet(garment) for garment in inner]
+    return pack_layer(garment_feed(outer), outer.vertices[: outer.vertex_count], body_skin(body), sheets)
+
+
+def check_layers(garments: Sequence[Garment]) -> None:
+    """Refuses an outfit of fewer than two garments, and one that has a garment twice."""
+    if len(garments) < 2:
+        raise InputError(
+            "outfit", expected="two garments or more", got=str(len(garments)), cure="Name the inner ones first."
+        )
+    seen: dict[str, str] = {}
+    for garment in garments:
+        if garment.digest in seen:
+            raise InputError(
+                "outfit",
+                expected="each garment once",
+                got=f"{garment.name} twice",
+                cure="Take a garment in under another size to wear two of it.",
+            )
+        seen[garment.digest] = garment.name
+
+
+def layer_arrays(feed: LayerFeed) -> dict[str, np.ndarray]:
+    """The arrays of ``feed`` by the names of the graph's inputs."""
+    names = ("region", "cloth_member", "cloth_rows")
+    return feed_arrays(feed.push) | {name: getattr(feed, name) for name in names}
+
+
+def push_over(
+    vertices: Array, under: Array, skin: Array, feed: LayerFeed, clearance_m: Array | float = CLEARANCE_M
+) -> Array:
+    """``push_over_in_parts`` without its parts: vertices [m] (F, V, 3)."""
+    return push_over_in_parts(vertices, under, skin, feed, clearance_m).vertices
+
+
+def push_over_in_parts(
+    vertices: Array, under: Array, skin: Array, feed: LayerFeed, clearance_m: Array | float = CLEARANCE_M
+) -> Pushed:
+    """``vertices`` [m] (F, V, 3) out of the bodies and of the garments below, draped to ``under`` (F, U, 3).
+
+    ``skin`` (F, R, 12, 8) are the bodies' samples (``drape.push.skin.skin_table``).
+    """
+    xp = namespace(vertices)
+    frames = vertices.shape[0]
+    rows = xp.concat([xp.reshape(skin, (frames, -1, REGION_ROW)), cloth_table(under, feed)], axis=1)
+    seen = take(rows, xp.reshape(feed.region, (-1,)), axis=1)
+    return push_in_parts(vertices, xp.reshape(seen, (frames, -1, REGION_SIZE, 8)), feed.push, clearance_m)
+
+
+def cloth_table(under: Array, feed: LayerFeed) -> Array:
+    """The regions (F, 4 Q, 96) of ``sample_table`` on the garments draped to ``under`` [m] (F, U, 3)."""
+    xp = namespace(under)
+    frames, (parts, clusters, count) = under.shape[0], feed.cloth_member.shape
+    taken = take(under, xp.reshape(feed.cloth_member, (-1,)), axis=1)
+    taken = xp.matrix_transpose(xp.reshape(taken, (frames, parts, clusters, count, 3)))
+    posed = taken @ feed.cloth_rows  # (F, Q, 12, 3, 12)
+    point, first, second = (posed[..., k * CLUSTER_SIZE : (k + 1) * CLUSTER_SIZE] for k in range(3))
+    return xp.reshape(table_of_columns(point, unit_cross(first, second)), (frames, POSED_REGIONS * parts, REGION_ROW))

@@ -1,0 +1,328 @@
+"""How garments lie in memory for the packed drape graph: charts in tiles, vertices in blocks, and index tensors.
+
+A chart entry (vertex, patch, weight, rest place y, parameters u, v) contributes ``C @ column`` to its vertex, where C
+(3, 18) are the posed jets of the patch and the column is ``w [y / s, basis(u, v)]``. Columns of one patch
+lie side by side in tiles of ``CHARTS_PER_TILE``, the rest of its last tile is zero, so the vertex stage
+is one product of a fixed shape per tile and a sum of ``CHARTS_PER_VERTEX`` columns per vertex. Vertices of a
+garment are padded to whole blocks by repeating its first one, so that boxes can be taken block by block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_COUNT
+from drape.errors import ArtifactError
+from drape.garment.agreement import MEMBERS
+from drape.garment.cache import CHARTS_PER_VERTEX
+from drape.geometry import jets
+from drape.geometry.rotations import rotvec_to_quaternion
+from drape.graph.feeds import BETA_COUNT
+from drape.push.proximity import in_halves
+from drape.push.samples import POSED_REGIONS
+
+COLUMNS = 3 + jets.HEIGHT_COUNT  # rest place, basis
+LOWER_COLUMNS = 3 + jets.IN_PLANE_COUNT  # rest place, basis up to the second order
+CHARTS_PER_TILE = 32  # of a patch's last tile half is empty on average
+VERTICES_PER_BLOCK = 64
+KINDS = {
+    "felt_cluster": np.int32,
+    "felt_other": np.uint8,
+    "felt_region": np.float16,
+}  # of stored arrays; the others are float32
+TANGENTS = "tile_tangents"  # the one stored array that only normals need
+
+
+def pass_name(index: int) -> str:
+    """Output of the packed graph that holds the jets after ``index`` corrections, before the closing fit."""
+    return f"pass_{index}"
+
+
+@dataclass(frozen=True, eq=False)
+class PackedBody:
+    """A body of one shape: rest joints [m] (24, 3), ``betas`` (10,) as the graph takes them, rest place of the root
+    joint [m] (3,) in float64, to which the graph's outputs are relative.
+    """
+
+    joint_rest: np.ndarray
+    betas: np.ndarray
+    root: np.ndarray
+
+    def rows(self, poses: np.ndarray) -> dict[str, np.ndarray]:
+        """Inputs of the packed graph for ``poses`` (F, 24, 3) [rad], float32."""
+        quaternion = np.empty((len(poses), JOINT_COUNT + 1, 4), dtype=np.float32)
+        quaternion[:, :JOINT_COUNT] = rotvec_to_quaternion(poses)
+        quaternion[:, JOINT_COUNT] = (1.0, 0.0, 0.0, 0.0)  # the ancestor of joints that have none
+        return {
+            "joint_quaternion": quaternion,
+            "joint_rest": np.broadcast_to(self.joint_rest, (len(poses), *self.joint_rest.shape)),
+            "betas": np.broadcast_to(self.betas, (len(poses), *self.betas.shape)),
+        }
+
+
+def pack_body(body: BodyModel, betas: np.ndarray | None = None) -> PackedBody:
+    """``body`` in the shape ``betas``."""
+    rest = body.rest_joints(betas)
+    shape = np.zeros(BETA_COUNT)
+    if betas is not None:
+        shape[: body.shape_count] = body.check_betas(betas)[:BETA_COUNT]
+    return PackedBody(rest.astype(np.float32), shape.astype(np.float32), rest[0])
+
+
+@dataclass(frozen=True, eq=False)
+class PackedGarment:
+    """Constants of one garment as the packed graph takes them.
+
+    ``stored``: inputs of the graph by name, rows of which are patches (K) or tiles (Q); ``heaviest`` (K,) bone of
+    each patch; ``tile_patch`` (Q,); ``vertex_charts`` (4, blocks, 64) columns of its own tiles; ``anchor_charts``
+    (4, blocks, 64) rows among the K x 56 of its anchor columns, ``member_anchor`` (K, 56) its anchors.
+    """
+
+    stored: dict[str, np.ndarray]
+    heaviest: np.ndarray
+    tile_patch: np.ndarray
+    vertex_charts: np.ndarray
+    anchor_charts: np.ndarray
+    member_anchor: np.ndarray
+    vertex_count: int
+
+    @property
+    def patch_count(self) -> int:
+        return len(self.heaviest)
+
+    @property
+    def tile_count(self) -> int:
+        return len(self.tile_patch)
+
+    @property
+    def block_count(self) -> int:
+        return self.vertex_charts.shape[1]
+
+    @property
+    def bytes(self) -> int:
+        """Memory of all arrays."""
+        indices = [self.heaviest, self.tile_patch, self.vertex_charts, self.anchor_charts, self.member_anchor]
+        arrays = [*self.stored.values(), *indices]
+        return sum(array.nbytes for array in arrays)
+
+
+@dataclass(frozen=True, eq=False)
+class Tiling:
+    """Where chart entries lie: ``patch`` (Q,) of each tile, ``column`` (V, 4) of each entry in the packed columns, of
+    which a tile has ``width``."""
+
+    patch: np.ndarray
+    column: np.ndarray
+    width: int
+
+    def lay(self, values: np.ndarray) -> np.ndarray:
+        """``values`` (V, 4, n) of the chart entries as tiles (Q, n, width) float32; zero where no entry lies."""
+        tiles = np.zeros((len(self.patch) * self.width, values.shape[-1]), dtype=np.float32)
+        tiles[self.column.reshape(-1)] = values.reshape(-1, values.shape[-1])
+        laid = tiles.reshape(len(self.patch), self.width, -1).transpose(0, 2, 1)
+        return np.ascontiguousarray(laid)
+
+
+def tile_charts(chart_patch: np.ndarray, patch_count: int, *, width: int = CHARTS_PER_TILE) -> Tiling:
+    """Tiles of ``width`` columns of the entries ``chart_patch`` (V, 4), all of them in [0, ``patch_count``)."""
+    if chart_patch.ndim != 2 or chart_patch.shape[1] != CHARTS_PER_VERTEX or not len(chart_patch):
+        raise ArtifactError(
+            "chart_patch",
+            expected=f"shape (vertices, {CHARTS_PER_VERTEX})",
+            got=str(chart_patch.shape),
+            cure="Run the intake again.",
+        )
+    if chart_patch.min() < 0 or chart_patch.max() >= patch_count:
+        raise ArtifactError(
+            "chart_patch",
+            expected=f"indices in [0, {patch_count})",
+            got=f"[{chart_patch.min()}, {chart_patch.max()}]",
+            cure="Run the intake again.",
+        )
+    flat = chart_patch.reshape(-1)
+    order = np.argsort(flat, kind="stable")
+    sizes = np.bincount(flat, minlength=patch_count)
+    tiles = -(-sizes // width)
+    start = (np.cumsum(tiles) - tiles) * width  # first column of each patch
+    rank = np.arange(len(flat)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    column = np.empty(len(flat), dtype=np.int64)
+    column[order] = start[flat[order]] + rank
+    return Tiling(np.repeat(np.arange(patch_count), tiles).astype(np.int32), column.reshape(chart_patch.shape), width)
+
+
+def pack_tangents(chart_patch: np.ndarray, patch_count: int, columns: np.ndarray) -> np.ndarray:
+    """``tile_tangents`` (Q, 18, 64) of a garment, from the columns (V, 4, 18, 2) of ``drape.garment.tangents``."""
+    tiling = tile_charts(chart_patch, patch_count)
+    return np.concatenate([tiling.lay(columns[..., 0]), tiling.lay(columns[..., 1])], axis=2)
+
+
+def pack_garment(feed: dict[str, np.ndarray], patch_first: np.ndarray) -> PackedGarment:
+    """The garment whose ``drape.graph.feeds.garment_feed`` is ``feed``, laid out for the packed graph.
+
+    ``patch_first`` (K, n) comes from the model.
+    """
+    count = len(feed["patch_scale"])
+    if patch_first.ndim != 2 or len(patch_first) != count:
+        raise ArtifactError(
+            "patch_first",
+            expected=f"{count} rows, one per patch",
+            got=f"shape {patch_first.shape}",
+            cure="Encode this garment's own patch features.",
+        )
+    heaviest = feed["patch_heaviest"]
+    if heaviest.size and (heaviest.min() < 0 or heaviest.max() >= JOINT_COUNT):
+        raise ArtifactError(
+            "patch_heaviest",
+            expected=f"bones in [0, {JOINT_COUNT})",
+            got=f"[{heaviest.min()}, {heaviest.max()}]",
+            cure="Run the intake again.",
+        )
+    tiling = tile_charts(feed["chart_patch"], count)
+    scale = feed["patch_scale"][feed["chart_patch"]].astype(np.float64)[..., None]
+    entries = np.concatenate([feed["chart_local"] / scale, feed["chart_basis"]], axis=-1)
+    columns = feed["chart_weight"].astype(np.float64)[..., None] * entries
+    stored = {
+        "patch_first": patch_first,
+        "patch_weights": feed["patch_weights"],
+        "patch_rotation": feed["patch_rotation"],
+        "patch_scale": feed["patch_scale"][:, None],
+        "patch_centre": np.concatenate([feed["patch_centre"], np.ones((count, 1))], axis=1),
+        "patch_shapedirs": np.pad(feed["patch_shapedirs"], ((0, 0), (0, 1), (0, 0))),
+        "tile_positions": tiling.lay(columns),
+        **_anchor_constants(feed),
+        **(_felt_constants(feed) if "patch_place" in feed else {}),
+    }
+    return PackedGarment(
+        stored={key: np.ascontiguousarray(value, dtype=KINDS.get(key, np.float32)) for key, value in stored.items()},
+        heaviest=heaviest.astype(np.int32),
+        tile_patch=tiling.patch,
+        vertex_charts=_small(_blocks(tiling.column)),
+        anchor_charts=_small(_blocks(_anchor_rows(feed))),
+        member_anchor=_small(feed["patch_member"]),
+        vertex_count=len(columns),
+    )
+
+
+def _small(index: np.ndarray) -> np.ndarray:
+    """``index`` in two bytes each where they hold it: a call's own are made of it."""
+    return index.astype(np.uint16 if index.max(initial=0) <= np.iinfo(np.uint16).max else np.int32)
+
+
+def _blocks(index: np.ndarray) -> np.ndarray:
+    """``index`` (n, 4) as (4, blocks, 64), the last block filled up with the first row."""
+    blocks = -(-len(index) // VERTICES_PER_BLOCK)
+    filled = np.empty((blocks * VERTICES_PER_BLOCK, CHARTS_PER_VERTEX), dtype=np.int32)
+    filled[: len(index)], filled[len(index) :] = index, index[0]
+    return np.ascontiguousarray(filled.T).reshape(CHARTS_PER_VERTEX, blocks, VERTICES_PER_BLOCK)
+
+
+def _anchor_constants(feed: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """What ``drape.garment.agreement`` says of each patch, as columns like those of the tiles."""
+    count = len(feed["patch_scale"])
+    row = feed["anchor_row"][feed["patch_member"], feed["patch_slot"]].astype(np.float64)  # (K, 56, 19)
+    row = np.where(_held(feed)[..., None], row, 0.0)
+    rest_place = row[..., 1:4] / feed["patch_scale"][:, None, None]
+    unit = feed["patch_orthonormal"]
+    lower = row[..., 4 : 4 + jets.IN_PLANE_COUNT]  # the higher orders are products of these
+    return {
+        "anchor_columns": np.concatenate([rest_place, lower], axis=-1).swapaxes(1, 2),
+        "anchor_fit": feed["patch_fit"].swapaxes(1, 2),
+        "anchor_rest": feed["patch_rest"].swapaxes(1, 2).reshape(count, -1),
+        "strain_tangent": feed["patch_tangent"].transpose(0, 3, 2, 1).reshape(count, -1),
+        "strain_unit": np.stack([unit[..., 0, 0], unit[..., 0, 1], unit[..., 1, 1]], axis=1),
+    }
+
+
+def _felt_constants(feed: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Where each patch feels the body at rest, and the skin near it there."""
+    count, regions = feed["patch_other"].shape[:2]
+    parts = regions // POSED_REGIONS
+    return {
+        "felt_place": (feed["patch_place"] / feed["patch_scale"][:, None, None]).swapaxes(1, 2),
+        "felt_cluster": feed["patch_cluster"],
+        "felt_bias": feed["patch_cluster_bias"],
+        "felt_other": in_halves(feed["patch_other"]).reshape(count, parts, -1),
+        "felt_region": feed["patch_region_bias"].reshape(count, parts, POSED_REGIONS),
+    }
+
+
+def _held(feed: dict[str, np.ndarray]) -> np.ndarray:
+    """Places (K, 56) that hold an anchor: the fit is zero in the others."""
+    return np.any(feed["patch_fit"] != 0.0, axis=1)
+
+
+def _anchor_rows(feed: dict[str, np.ndarray]) -> np.ndarray:
+    """Where each chart (A, 4) of the anchors lies among the K x 56 anchor columns; charts of no weight have zeros."""
+    held = _held(feed)
+    empty = MEMBERS - 1  # the last place of a patch is always empty
+    rows = feed["anchor_patch"] * MEMBERS + empty
+    patch, place = np.nonzero(held)
+    rows[feed["patch_member"][held], feed["patch_slot"][held]] = patch * MEMBERS + place
+    return rows
+
+
+@dataclass(frozen=True)
+class Place:
+    """First rows of a garment in the store."""
+
+    patch: int
+    tile: int
+
+
+@dataclass(frozen=True, eq=False)
+class Composition:
+    """Index tensors of a list of (garment, body) items, and where each item's rows lie in the outputs."""
+
+    arrays: dict[str, np.ndarray]
+    patches: tuple[slice, ...]
+    vertices: tuple[slice, ...]
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the index tensors."""
+        return sum(array.nbytes for array in self.arrays.values())
+
+
+def compose(items: Sequence[tuple[PackedGarment, Place, int]]) -> Composition:
+    """Index tensors of ``items``: garment, its place in the store, row of its body."""
+    patch_stored, patch_body, patch_bone, tile_stored, tile_patch, charts, block_item = ([] for _ in range(7))
+    anchor_charts, member_anchor = [], []
+    patches, vertices = [], []
+    patch = tile = block = anchor_block = 0
+    firsts = []
+    for item, (garment, place, body) in enumerate(items):
+        patch_stored.append(np.arange(place.patch, place.patch + garment.patch_count, dtype=np.int32))
+        patch_body.append(np.full(garment.patch_count, body, dtype=np.int32))
+        patch_bone.append(garment.heaviest + np.int32(JOINT_COUNT * body))
+        tile_stored.append(np.arange(place.tile, place.tile + garment.tile_count, dtype=np.int32))
+        tile_patch.append(garment.tile_patch + np.int32(patch))
+        charts.append(garment.vertex_charts + np.int32(CHARTS_PER_TILE * tile))
+        block_item.append(np.full(garment.block_count, item, dtype=np.int32))
+        anchor_charts.append(garment.anchor_charts + np.int32(MEMBERS * patch))
+        member_anchor.append(garment.member_anchor + np.int32(VERTICES_PER_BLOCK * anchor_block))
+        anchor_block += garment.anchor_charts.shape[1]
+        patches.append(slice(patch, patch + garment.patch_count))
+        vertices.append(slice(VERTICES_PER_BLOCK * block, VERTICES_PER_BLOCK * block + garment.vertex_count))
+        firsts.append(block)
+        patch, tile, block = patch + garment.patch_count, tile + garment.tile_count, block + garment.block_count
+    widest = max(garment.block_count for garment, _, _ in items)
+    counts = np.array([garment.block_count for garment, _, _ in items])[:, None]
+    offsets = np.arange(widest)[None]
+    item_blocks = np.array(firsts)[:, None] + np.where(offsets < counts, offsets, 0)
+    arrays = {
+        "patch_stored": np.concatenate(patch_stored),
+        "patch_body": np.concatenate(patch_body),
+        "patch_bone": np.concatenate(patch_bone),
+        "tile_stored": np.concatenate(tile_stored),
+        "tile_patch": np.concatenate(tile_patch),
+        "vertex_charts": np.concatenate(charts, axis=1),
+        "anchor_charts": np.concatenate(anchor_charts, axis=1),
+        "member_anchor": np.concatenate(member_anchor),
+        "block_item": np.concatenate(block_item),
+        "item_blocks": item_blocks.astype(np.int32),
+    }
+    return Composition(arrays, tuple(patches), tuple(vertices))

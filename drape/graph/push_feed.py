@@ -1,0 +1,151 @@
+"""A garment's constants for the push-out, laid out as ``drape.push.projection`` and its graph take them."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import fields
+
+import numpy as np
+
+from drape.arrays import Array, namespace
+from drape.body.model import BodyModel
+from drape.errors import ArtifactError
+from drape.garment.cache import Garment
+from drape.geometry import jets
+from drape.graph.feeds import garment_feed
+from drape.graph.packing import tile_charts
+from drape.push.projection import CHARTS_PER_VERTEX, PushFeed
+from drape.push.samples import POSED_REGIONS, REGION_SIZE, Samples
+from drape.push.skin import body_skin, shaped_skin
+from drape.push.tables import GROUP_SIZE, PushTables, push_tables
+
+KEPT_SHAPES = 64
+RIDGE = 1e-3  # of the mean square of a patch's basis: few vertices do not determine a polynomial
+TILE_WIDTH = 64  # columns of ten numbers: wider tiles than those of the drape are faster and still small
+TERMS = jets.coefficient_count(3)  # of a patch's polynomial
+
+
+def pack_push(
+    feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples, *, hidden: np.ndarray | None = None
+) -> PushFeed:
+    """The push-out's constants for the garment whose ``drape.graph.feeds.garment_feed`` is ``feed``, as numpy arrays.
+
+    ``vertices`` [m] (V, 3) are its rest vertices, as many as ``feed`` has. Refuses (``ArtifactError``) other counts.
+    """
+    count = len(feed["chart_patch"])
+    if len(vertices) != count:
+        raise ArtifactError(
+            "vertices",
+            expected=f"{count}, as in the feed",
+            got=str(len(vertices)),
+            cure="Pass the feed's own vertices.",
+        )
+    tables = push_tables(vertices, skin, hidden=hidden)
+    return PushFeed(**_of_tables(tables), **_of_charts(feed, tables))
+
+
+class SkinShapes:
+    """The skin of ``body`` in the shapes that come along, the latest used of them kept (a megabyte each)."""
+
+    def __init__(self, body: BodyModel) -> None:
+        self._skin = shaped_skin(body)
+        self._kept: OrderedDict[bytes, np.ndarray] = OrderedDict()
+
+    def feed(self, betas: np.ndarray) -> dict[str, np.ndarray]:
+        """``skin_rows`` (U, P, n, 4, 144), ``skin_bones`` (P, n) and ``body_shape`` (B,) for ``betas`` (B, 10)."""
+        keys = [row.tobytes() for row in np.ascontiguousarray(betas, dtype=np.float32)]
+        shapes = {key: i for i, key in enumerate(dict.fromkeys(keys))}
+        rows = [self._rows(key) for key in shapes]
+        return {
+            "skin_rows": rows[0][None] if len(rows) == 1 else np.stack(rows),
+            "skin_bones": self._skin.bones,
+            "body_shape": np.array([shapes[key] for key in keys], dtype=np.int32),
+        }
+
+    def _rows(self, key: bytes) -> np.ndarray:
+        if key not in self._kept:
+            self._kept[key] = np.ascontiguousarray(self._skin.of(np.frombuffer(key, dtype=np.float32)[None])[0])
+            if len(self._kept) > KEPT_SHAPES:
+                self._kept.popitem(last=False)
+        self._kept.move_to_end(key)
+        return self._kept[key]
+
+
+def push_feed(garment: Garment, body: BodyModel) -> PushFeed:
+    """The constants of all vertices of the subdivided mesh of ``garment`` on ``body``."""
+    return pack_push(garment_feed(garment, fine=True), garment.vertices, body_skin(body))
+
+
+def pushed_jets(jet: Array, rotation: Array, scale: Array, coefficients: Array) -> Array:
+    """Jets (F, K, 45) in their frames that hold the push-out: what a stream of jets carries of it.
+
+    ``jet`` (F, K, 27 or 45) and frames ``rotation`` (F, K, 3, 3) are a drape's, ``scale`` [m] (K,) the patches',
+    ``coefficients`` (F, K, 3, 10) those of ``drape.push.projection.Pushed``. A cubic is part of a full jet of order 4,
+    so vertices of these jets are exactly those of ``jet`` and the blend of ``coefficients``.
+    """
+    xp = namespace(jet)
+    local = (xp.matrix_transpose(rotation) @ coefficients) / scale[:, None, None]
+    missing = xp.zeros_like(jet[..., None, : jets.HEIGHT_COUNT - TERMS])
+    padded = xp.concat([local, xp.concat([missing] * 3, axis=-2)], axis=-1)
+    return jets.full(jet) + xp.reshape(padded, (*jet.shape[:-1], jets.FULL_COUNT))
+
+
+def feed_arrays(feed: PushFeed) -> dict[str, np.ndarray]:
+    """The arrays of ``feed`` by the names of the graph's inputs."""
+    return {f"push_{item.name}": getattr(feed, item.name) for item in fields(PushFeed)}
+
+
+def _of_tables(tables: PushTables) -> dict[str, np.ndarray]:
+    groups = len(tables.region_bias)
+    return {
+        "block_vertex": tables.block_vertex.reshape(groups, -1),
+        "vertex_slot": tables.vertex_slot,
+        "own_cluster": tables.own_cluster.reshape(groups, GROUP_SIZE, -1),
+        "own_bias": tables.own_bias.reshape(groups, GROUP_SIZE, -1),
+        "other": tables.other.reshape(groups, -1, POSED_REGIONS * REGION_SIZE),
+        "region_bias": tables.region_bias.reshape(groups, -1, POSED_REGIONS),
+    }
+
+
+def _of_charts(feed: dict[str, np.ndarray], tables: PushTables) -> dict[str, np.ndarray]:
+    patches = len(feed["patch_scale"])
+    tiling = tile_charts(feed["chart_patch"], patches, width=TILE_WIDTH)
+    weight = feed["chart_weight"].astype(np.float64)[..., None]
+    basis = feed["chart_basis"].astype(np.float64)[..., :TERMS]
+    charts = tiling.column[tables.block_vertex.reshape(-1)].astype(np.int32)
+    members = tables.block_vertex
+    block, fit = _fits(feed["chart_patch"][members], weight[members], basis[members], patches)
+    return {
+        "patch_block": block,
+        "patch_fit": fit,
+        "tile_basis": tiling.lay(weight * basis),
+        "tile_patch": tiling.patch,
+        "slot_charts": np.ascontiguousarray(charts.T).reshape(CHARTS_PER_VERTEX, len(tables.region_bias), -1),
+    }
+
+
+def _fits(
+    chart_patch: np.ndarray, weight: np.ndarray, basis: np.ndarray, patches: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Blocks (K, B) of each patch, and the weights (K, B, 10) of the least squares over their mean places.
+
+    From the charts (C, 16, 4), (C, 16, 4, 1), (C, 16, 4, 10) of the blocks' vertices.
+    """
+    count = len(chart_patch)
+    key = (chart_patch * count + np.arange(count)[:, None, None]).reshape(-1)  # patch and block
+    pair, inverse = np.unique(key, return_inverse=True)
+    share = np.bincount(inverse, weight.reshape(-1))
+    moments = [np.bincount(inverse, (weight * basis)[..., term].reshape(-1)) for term in range(TERMS)]
+    pair, share, moments = pair[share > 0.0], share[share > 0.0], np.stack(moments, axis=1)[share > 0.0]
+    place = moments / share[:, None]
+    patch = pair // count
+    normal = np.zeros((patches, TERMS, TERMS))
+    np.add.at(normal, patch, share[:, None, None] * place[:, :, None] * place[:, None, :])
+    ridge = RIDGE * np.trace(normal, axis1=1, axis2=2) / TERMS + 1e-12
+    inverses = np.linalg.inv(normal + ridge[:, None, None] * np.eye(TERMS))
+    weights = np.einsum("nij,nj->ni", inverses[patch], share[:, None] * place)
+    rank = np.arange(len(pair)) - np.searchsorted(patch, patch)
+    block = np.zeros((patches, int(rank.max()) + 1), dtype=np.int32)
+    fit = np.zeros((*block.shape, TERMS), dtype=np.float32)
+    block[patch, rank], fit[patch, rank] = pair % count, weights
+    return block, fit

@@ -1,0 +1,1 @@
+"""What goes over the line: binary messages, posed jets, and what makes vertices of them."""

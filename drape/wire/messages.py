@@ -1,0 +1,239 @@
+"""The binary messages of the stream, defined once; ``scripts/sync_wire.py`` writes the browser's copy.
+
+All numbers are little endian. Every message begins with the same 16 bytes (magic,
+version, kind, flags, sequence, count). The client sends POSE and ACK, the service FRAME.
+Vertices travel as 16-bit steps inside the frame's own bounding box, relative to the
+root joint: half a step of a 2 m box is 0.015 mm. A client that asked for jets gets JETS in place of FRAME
+(``drape.wire.jets``) and once per garment a LAYOUT (``drape.wire.layout``). ``docs/wire.md`` has the conversation.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from drape.errors import InputError
+from drape.geometry import jets
+
+WIRE_VERSION = 1
+SUBPROTOCOL = f"drape.v{WIRE_VERSION}"
+MAGIC = 0x45505244  # "DRPE" in file order
+POSE, ACK, FRAME, JETS, LAYOUT = 1, 2, 3, 4, 5
+FLAG_PUSHED = 1  # the vertices were pushed out of the body
+STEP_COUNT = 65535
+POSE_SIZE = 72
+
+# name, type, count; each layout starts with PREFIX. Types: u8 u16 u32 f32 f64.
+Layout = tuple[tuple[str, str, int], ...]
+PREFIX: Layout = (
+    ("magic", "u32", 1),
+    ("version", "u8", 1),
+    ("kind", "u8", 1),
+    ("flags", "u16", 1),
+    ("sequence", "u32", 1),
+    ("count", "u32", 1),
+)
+LAYOUTS: dict[str, Layout] = {
+    "POSE": (*PREFIX, ("client_time_s", "f64", 1), ("trans", "f64", 3), ("pose", "f32", POSE_SIZE)),
+    "ACK": PREFIX,
+    "FRAME": (
+        *PREFIX,
+        ("client_time_s", "f64", 1),
+        ("server_time_s", "f64", 1),
+        ("root", "f64", 3),
+        ("box_low", "f32", 3),
+        ("box_step", "f32", 3),
+        ("dropped", "u32", 1),
+        ("residence_us", "u32", 1),
+        ("pushed_share", "f32", 1),
+        ("push_max_m", "f32", 1),
+    ),
+    "JETS": (
+        *PREFIX,
+        ("client_time_s", "f64", 1),
+        ("server_time_s", "f64", 1),
+        ("root", "f64", 3),
+        ("dropped", "u32", 1),
+        ("residence_us", "u32", 1),
+        ("pushed_share", "f32", 1),
+        ("push_max_m", "f32", 1),
+        ("left_m", "f32", 1),
+        ("centre_low", "f32", 3),
+        ("centre_step", "f32", 3),
+        ("jet_low", "f32", jets.FULL_COUNT),
+        ("jet_step", "f32", jets.FULL_COUNT),
+    ),
+    "LAYOUT": (*PREFIX, ("vertices", "u32", 1), ("charts", "u32", 1)),
+}
+_CODES = {"u8": "B", "u16": "H", "u32": "I", "f32": "f", "f64": "d"}
+
+
+def record(layout: Layout) -> struct.Struct:
+    """The fields of ``layout`` as bytes."""
+    return struct.Struct("<" + "".join(f"{count}{_CODES[kind]}" for _, kind, count in layout))
+
+
+_POSE, _ACK, _FRAME = (record(LAYOUTS[name]) for name in ("POSE", "ACK", "FRAME"))
+POSE_BYTES, ACK_BYTES, FRAME_HEADER_BYTES = _POSE.size, _ACK.size, _FRAME.size
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """One pose to drape: ``pose`` (24, 3) [rad], ``trans`` (3,) [m], the client's clock [s]."""
+
+    sequence: int
+    client_time_s: float
+    trans: np.ndarray
+    pose: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One draped frame. ``sequence`` and ``client_time_s`` are those of its pose.
+
+    ``positions`` (V, 3) float32 [m] relative to ``root`` (3,) float64 [m]; ``dropped`` counts the
+    session's poses that a newer one replaced; ``residence_us`` is the time between the arrival of
+    the pose and the sending of the frame; the push numbers are those of the push-out.
+    """
+
+    sequence: int
+    client_time_s: float
+    server_time_s: float
+    root: np.ndarray
+    positions: np.ndarray
+    dropped: int = 0
+    residence_us: int = 0
+    pushed: bool = False
+    pushed_share: float = 0.0
+    push_max_m: float = 0.0
+    box_step: np.ndarray = field(default_factory=lambda: np.zeros(3, np.float32))
+
+    def vertices(self) -> np.ndarray:
+        """World positions [m] (V, 3), float64."""
+        return self.positions + self.root
+
+
+def pack_pose(pose: Pose) -> bytes:
+    """The POSE message."""
+    prefix = (MAGIC, WIRE_VERSION, POSE, 0, pose.sequence, 1)
+    return _POSE.pack(*prefix, pose.client_time_s, *np.ravel(pose.trans), *np.ravel(pose.pose))
+
+
+def unpack_pose(message: bytes) -> Pose:
+    """The pose in ``message``; refuses another size, version or kind, and numbers that are not finite."""
+    check_prefix("pose message", message, POSE, POSE_BYTES)
+    values = _POSE.unpack(message)
+    numbers = np.asarray(values[6:], dtype=np.float64)
+    if not np.isfinite(numbers).all():
+        index = int(np.argmin(np.isfinite(numbers)))
+        raise InputError(
+            "pose message",
+            expected="finite numbers",
+            got=f"{numbers[index]} in {_name_of('POSE', index)}",
+            cure="Send only finite rotations, translations and times.",
+        )
+    return Pose(sequence=values[4], client_time_s=values[6], trans=numbers[1:4], pose=numbers[4:].reshape(24, 3))
+
+
+def pack_ack(sequence: int) -> bytes:
+    """The ACK message: the client has taken the frame ``sequence``."""
+    return _ACK.pack(MAGIC, WIRE_VERSION, ACK, 0, sequence, 0)
+
+
+def unpack_ack(message: bytes) -> int:
+    """The acknowledged sequence number."""
+    check_prefix("ack message", message, ACK, ACK_BYTES)
+    return _ACK.unpack(message)[4]
+
+
+def message_kind(message: bytes) -> int:
+    """The kind byte of a message; refuses what is too short or not ours."""
+    if len(message) < ACK_BYTES:
+        raise InputError(
+            "message", expected=f"at least {ACK_BYTES} bytes", got=f"{len(message)} bytes", cure="See docs/wire.md."
+        )
+    return message[5]
+
+
+def quantise(positions: np.ndarray, count: int = STEP_COUNT) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Steps (V, n) uint16 from 0 to ``count``, low corner (n,) and step size (n,) of the columns of ``positions``."""
+    low = positions.min(axis=0).astype(np.float32)
+    extent = positions.max(axis=0).astype(np.float32) - low
+    step = np.maximum(extent / np.float32(count), np.float32(1e-9))  # a flat box must not divide by zero
+    steps = np.rint((positions.astype(np.float32) - low) / step)
+    return np.clip(steps, 0, count).astype(np.uint16), low, step
+
+
+def dequantise(steps: np.ndarray, low: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """The quantised columns (V, n), float32."""
+    return low + step * steps.astype(np.float32)
+
+
+def pack_frame(frame: Frame) -> bytes:
+    """The FRAME message: header, then 3 uint16 per vertex, padded to a multiple of 4 bytes."""
+    steps, low, step = quantise(frame.positions)
+    header = _FRAME.pack(
+        MAGIC, WIRE_VERSION, FRAME, FLAG_PUSHED if frame.pushed else 0, frame.sequence, len(steps),
+        frame.client_time_s, frame.server_time_s, *frame.root, *low, *step,
+        frame.dropped, min(frame.residence_us, 0xFFFFFFFF), frame.pushed_share, frame.push_max_m,
+    )  # fmt: skip
+    payload = steps.astype("<u2").tobytes()
+    return header + payload + b"\0" * (-len(payload) % 4)
+
+
+def unpack_frame(message: bytes) -> Frame:
+    """The frame in ``message``."""
+    check_prefix("frame message", message, FRAME, least=FRAME_HEADER_BYTES)
+    values = _FRAME.unpack_from(message)
+    count = values[5]
+    size = FRAME_HEADER_BYTES + count * 6 + (-(count * 6) % 4)
+    if len(message) != size:
+        raise InputError(
+            "frame message",
+            expected=f"{size} bytes for {count} vertices",
+            got=f"{len(message)} bytes",
+            cure="See docs/wire.md.",
+        )
+    steps = np.frombuffer(message, dtype="<u2", count=count * 3, offset=FRAME_HEADER_BYTES).reshape(count, 3)
+    low, step = np.array(values[11:14], np.float32), np.array(values[14:17], np.float32)
+    return Frame(
+        sequence=values[4],
+        client_time_s=values[6],
+        server_time_s=values[7],
+        root=np.array(values[8:11]),
+        positions=dequantise(steps, low, step),
+        dropped=values[17],
+        residence_us=values[18],
+        pushed=bool(values[3] & FLAG_PUSHED),
+        pushed_share=values[19],
+        push_max_m=values[20],
+        box_step=step,
+    )
+
+
+def check_prefix(name: str, message: bytes, kind: int, size: int | None = None, *, least: int = ACK_BYTES) -> None:
+    """Refuses a ``message`` that has not ``size`` bytes, or ``least`` of them, or another magic, version or kind."""
+    if (size is not None and len(message) != size) or len(message) < least:
+        wanted = f"{size} bytes" if size is not None else f"at least {least} bytes"
+        raise InputError(name, expected=wanted, got=f"{len(message)} bytes", cure="See docs/wire.md for the layout.")
+    magic, version, got_kind, *_ = _ACK.unpack_from(message)
+    if magic != MAGIC or version != WIRE_VERSION:
+        raise InputError(
+            name,
+            expected=f"magic {MAGIC:#x} and version {WIRE_VERSION}",
+            got=f"magic {magic:#x} and version {version}",
+            cure="Use a client of the same release as the service.",
+        )
+    if got_kind != kind:
+        raise InputError(name, expected=f"kind {kind}", got=f"kind {got_kind}", cure="See docs/wire.md for the kinds.")
+
+
+def _name_of(layout: str, index: int) -> str:
+    """The field that holds the number ``index`` after the prefix."""
+    for name, _, count in LAYOUTS[layout][len(PREFIX) :]:
+        if index < count:
+            return f"{name}[{index}]" if count > 1 else name
+        index -= count
+    raise AssertionError("the index lies outside the layout")

@@ -1,0 +1,38 @@
+"""Exit statuses of commands."""
+
+import pytest
+
+from drape.errors import REFUSED_EXIT_CODE, InputError, ended, refusing
+
+
+def test_a_refusal_becomes_its_sentence_and_a_status(capsys: pytest.CaptureFixture[str]) -> None:
+    @refusing
+    def main(count: int) -> int:
+        if count < 0:
+            raise InputError("count", expected="at least 0", got=str(count), cure="Count again.")
+        return count
+
+    assert main(0) == 0 and main(3) == 3
+    assert capsys.readouterr().err == ""
+    assert main(-1) == REFUSED_EXIT_CODE
+    shown = capsys.readouterr()
+    assert "count" in shown.err and "Count again." in shown.err and len(shown.err.splitlines()) == 1
+    assert shown.out == ""
+
+
+def test_other_errors_pass() -> None:
+    @refusing
+    def main() -> int:
+        raise ValueError("a bug")
+
+    with pytest.raises(ValueError, match="a bug"):
+        main()
+
+
+def test_a_record_is_no_status(capsys: pytest.CaptureFixture[str]) -> None:
+    def refused() -> dict[str, int]:
+        raise InputError("count", expected="at least 0", got="-1", cure="Count again.")
+
+    assert ended(lambda: {"rows": 3}) == 0
+    assert ended(refused) == REFUSED_EXIT_CODE
+    assert "Count again." in capsys.readouterr().err
