@@ -1,1 +1,1 @@
-"""benchmarks"""
+"""Measurements of the product, by subject, and repeats of the papers' tables: ``python -m benchmarks.NAME``."""

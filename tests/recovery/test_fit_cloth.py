@@ -9,10 +9,10 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
+from benchmarks.recovery.compare import pattern_error
 from drape.cloth.material import FABRICS
 from drape.errors import InputError
 from recovery.fit.cloth import LOG_M, FreeCloth, logarithms, named, nearest_fabric
-from recovery.fit.compare import pattern_error
 from recovery.fit.contours import open_contours
 from recovery.fit.objective import Objective, Target, Weights
 from recovery.fit.optimise import FitOptions, PatternSearch

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from benchmarks.recovery.compare import pattern_error
 from drape.body.assets import load_body
 from drape.errors import InputError
 from recovery.drape.pipeline import DrapeOptions, drape_pattern
 from recovery.drape.placement import scaled
 from recovery.fit import pipeline
 from recovery.fit.cloth import named
-from recovery.fit.compare import pattern_error
 from recovery.fit.optimise import FitOptions
 from recovery.fit.pipeline import recover_pattern
 from recovery.pattern.bases import skirt, tshirt

@@ -13,6 +13,7 @@ import pytest
 from numpy.testing import assert_allclose
 from PIL import Image
 
+from benchmarks.recovery.compare import pattern_error
 from drape.body.assets import load_body
 from drape.errors import InputError
 from drape.garment.cache import load_garment
@@ -21,7 +22,6 @@ from drape.geometry.drawing import drawn
 from recovery.drape.output import obj_text, panel_texture, write
 from recovery.drape.pipeline import DrapeOptions, drape_pattern
 from recovery.fit.chamfer import chamfer, surface_chamfer, surface_distance
-from recovery.fit.compare import pattern_error
 from recovery.pattern.bases import tshirt
 from recovery.pattern.garmentcode import read_pattern
 from recovery.run import __main__ as command

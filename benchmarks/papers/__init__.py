@@ -1,0 +1,1 @@
+"""Repeats of the papers' tables and figures, and what only they need."""

@@ -1,0 +1,112 @@
+"""Contact sheets of draped garments, made through a running service.
+
+    make serve                                                        # in another terminal
+    python -m benchmarks.quality.contact_sheets --garments tshirt dress --motion walk --out docs/images
+
+Garments are ids of the service or files, which are taken in first; the motion is a sample
+clip's name or a motion file. A sheet has six frames, front above and side below.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.shared.render import CLOTH, SKIN, Surface, render, save_png, sheet
+from clients.client import DrapeClient
+from drape.body.assets import load_body
+from drape.errors import refusing
+from drape.motion.clip import MotionClip
+from drape.motion.readers import read_motion
+
+FRAMES = 6
+VIEWS_DEG = (0.0, 90.0)
+SIZE = (380, 250)
+EXTENT_M = 2.3
+COLOURS = (CLOTH, (0.78, 0.30, 0.32), (0.25, 0.55, 0.42), (0.55, 0.42, 0.70), (0.80, 0.60, 0.25), (0.20, 0.50, 0.62))
+
+
+def clip_of(client: DrapeClient, motion: str) -> MotionClip:
+    """A sample clip of the service by name, or a motion file placed on the ground."""
+    path = Path(motion)
+    return client.placed(read_motion(path)) if path.suffix else client.motion(motion)
+
+
+def frames_of(clip: MotionClip, count: int) -> MotionClip:
+    """``count`` frames spread evenly over the clip, away from its ends."""
+    index = np.linspace(0, clip.frame_count - 1, count + 2).astype(int)[1:-1]
+    return MotionClip(clip.poses[index], clip.trans[index], clip.fps, clip.name)
+
+
+def draw(client: DrapeClient, garment: str, clip: MotionClip) -> np.ndarray:
+    """The sheet of one garment: views below each other, frames beside each other."""
+    body = load_body()
+    chosen = frames_of(clip, FRAMES)
+    cloth = client.drape(garment, chosen)
+    skin = client.posed_body(body.name, chosen)
+    faces = np.asarray(client.mesh(garment)["faces"])
+    rows = []
+    for azimuth in VIEWS_DEG:
+        row = []
+        for frame in range(FRAMES):
+            heading = _heading_deg(skin[frame])
+            centre = np.array([*chosen.trans[frame, :1], 1.05, *chosen.trans[frame, 2:]])
+            surfaces = [Surface(skin[frame], body.faces, SKIN), Surface(cloth[frame], faces, CLOTH)]
+            row.append(render(surfaces, size=SIZE, azimuth_deg=azimuth + heading, centre=centre, extent_m=EXTENT_M))
+        rows.append(row)
+    return sheet(rows)
+
+
+def line_up(client: DrapeClient, garments: list[str], clip: MotionClip) -> np.ndarray:
+    """One row: each garment on another frame of the clip, seen from the front and a little from the side."""
+    body = load_body()
+    chosen = frames_of(clip, len(garments))
+    skin = client.posed_body(body.name, chosen)
+    row = []
+    for frame, garment in enumerate(garments):
+        cloth = client.drape(garment, chosen)[frame]
+        faces = np.asarray(client.mesh(garment)["faces"])
+        centre = 0.5 * (skin[frame].min(axis=0) + skin[frame].max(axis=0))
+        colour = COLOURS[frame % len(COLOURS)]
+        surfaces = [Surface(skin[frame], body.faces, SKIN), Surface(cloth, faces, colour)]
+        azimuth = _heading_deg(skin[frame]) + (25.0 if frame % 2 else -25.0)
+        row.append(render(surfaces, size=(520, 300), azimuth_deg=azimuth, centre=centre, extent_m=2.4))
+    return sheet([row])
+
+
+def _heading_deg(skin: np.ndarray) -> float:
+    """The angle about the vertical from which the body is seen from the front."""
+    body = load_body()
+    left, right = (skin[body.weights[:, joint] > 0.9].mean(axis=0) for joint in (1, 2))
+    across = left - right
+    return float(np.degrees(np.arctan2(-across[2], across[0])))
+
+
+@refusing
+def main() -> int:
+    """Command line entry."""
+    parser = argparse.ArgumentParser(description="Contact sheets of draped garments, through a running service.")
+    parser.add_argument("--url", default="http://127.0.0.1:8000")
+    parser.add_argument("--garments", nargs="+", required=True, help="ids of the service, or garment files")
+    parser.add_argument("--motion", default="walk", help="a sample clip's name, or a motion file")
+    parser.add_argument("--out", type=Path, default=Path("docs/images"))
+    parser.add_argument("--line-up", action="store_true", help="one picture, each garment on another frame")
+    options = parser.parse_args()
+    with DrapeClient(options.url) as client:
+        clip = clip_of(client, options.motion)
+        if options.line_up:
+            save_png(options.out / "hero.png", line_up(client, options.garments, clip), colours=255)
+            return 0
+        for wanted in options.garments:
+            garment = client.upload_garment(wanted) if Path(wanted).suffix else wanted
+            path = options.out / f"drape_{Path(wanted).stem}.png"
+            save_png(path, draw(client, garment, clip))
+            print(f"{path}  {path.stat().st_size // 1024} KB")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

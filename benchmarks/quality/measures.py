@@ -1,0 +1,185 @@
+"""One garment measured: five drapes of the same poses, and the numbers by which docs/quality.md compares them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.quality.intersections import intersection_count
+from benchmarks.quality.jitter import Window, jitter
+from benchmarks.quality.reference import Bodies, reference_figures
+from benchmarks.shared import physics
+from benchmarks.shared.network import Draped, Network
+from benchmarks.shared.physics_cache import cache_key, cached
+from drape.body.model import BodyModel
+from drape.cloth import metrics
+from drape.cloth.contact import BodyContact, push_out
+from drape.cloth.energies import ClothMesh
+from drape.cloth.material import Material
+from drape.garment.cache import Garment
+from drape.garment.disagreement import disagreement
+from drape.geometry.skinning import skin_points
+from drape.graph.push_feed import push_feed
+from drape.motion.hard_poses import HardPoses
+from drape.push.projection import push_out_of_bodies
+from drape.push.skin import body_skin
+
+METHODS = ("skinning", "skinning_push", "network", "network_push", "physics")
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """What all garments share: the posed bodies, the contact surface, the drape network and the cloth.
+
+    ``windows`` are what jitter is measured on; ``physics_folder`` keeps optima between runs, None does not. The
+    simulator of ``quality_reference`` drapes the first ``reference_frames`` poses over ``reference_bodies`` and keeps
+    them in ``reference_folder``.
+    """
+
+    body: BodyModel
+    poses: HardPoses
+    contact: BodyContact
+    body_vertices: np.ndarray
+    body_normals: np.ndarray
+    network: Network
+    material: Material
+    step_limit: int
+    windows: Sequence[Window] = ()
+    physics_folder: Path | None = None
+    reference_frames: int = 0
+    reference_folder: Path | None = None
+
+    @cached_property
+    def reference_bodies(self) -> Bodies:
+        """Signed distances of the poses; garments share them."""
+        return Bodies(self.body_vertices, self.body.faces)
+
+
+def measure(garment: Garment, bench: Bench, *, trained: bool) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:
+    """One row per method, without what does not apply to it; and world vertices [m] (F, V, 3) by method."""
+    rest, faces = garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64)
+    cloth = ClothMesh.from_rest(rest, faces)
+    positions, draped, optimum, was_cached = drapes(garment, bench, cloth)
+    height = metrics.mean_height(positions["skinning"], cloth)
+    rows: dict[str, dict[str, Any]] = {}
+    for method in METHODS:
+        vertices = positions[method]
+        parts = metrics.static_parts(
+            vertices, cloth, bench.material, bench.contact, bench.body_vertices, height_m=height
+        )
+        rows[method] = {
+            "garment": garment.name,
+            "set": "trained" if trained else "unseen",
+            "method": method,
+            "edge_pct": float(metrics.edge_strain_pct(vertices, rest, faces).mean()),
+            "area_pct": float(metrics.area_strain_pct(vertices, rest, faces).mean()),
+            "colliding_vertex_pct": float(
+                metrics.colliding_vertex_pct(vertices, bench.body_vertices, bench.body_normals).mean()
+            ),
+            "colliding_triangle_pct": float(
+                metrics.colliding_triangle_pct(vertices, bench.body_vertices, bench.body.faces).mean()
+            ),
+            "self_intersections": float(intersection_count(vertices, faces).mean()),
+            "energy_j": float(np.stack(list(parts.values())).sum(axis=0).mean()),
+            **{f"{part}_j": float(value.mean()) for part, value in parts.items()},
+        }
+    rows["network"] |= chart_figures(garment, draped)
+    for method, found in jitter(garment, bench.network, bench.body, bench.contact, bench.windows).items():
+        rows[method] |= {"jitter_ratio": found.ratio, "jitter_worst": found.worst, "jitter_by_clip": found.by_clip}
+    add_comparisons(rows)
+    rows["physics"] |= {
+        "residual_n": float(optimum.residual_n.mean()),
+        "weight_n": float(bench.material.gravity_m_s2 * cloth.vertex_mass(bench.material).sum()),
+        "change": float(optimum.change.max()),
+        "steps": float(optimum.steps.mean()),
+        "seconds": optimum.seconds,
+        "cached": was_cached,
+    }
+    if bench.reference_frames:
+        figures = reference_figures(
+            positions,
+            rest,
+            faces,
+            bench.material,
+            bench.reference_bodies,
+            frames=bench.reference_frames,
+            folder=bench.reference_folder,
+        )
+        for method, columns in figures.items():
+            rows[method] |= columns
+    rest_crossings = float(intersection_count(rest, faces))
+    return [rows[method] | {"self_intersections_rest": rest_crossings} for method in METHODS], positions
+
+
+def drapes(
+    garment: Garment, bench: Bench, cloth: ClothMesh
+) -> tuple[dict[str, np.ndarray], Draped, physics.Optimum, bool]:
+    """World vertices [m] (F, V, 3) by method, the network's charts, the optimum, and whether that was stored."""
+    poses = bench.poses.poses
+    rest = garment.vertices.astype(np.float64)
+    rotations, translations = bench.body.bones(poses)
+    skinned = skin_points(
+        np.broadcast_to(rest, (len(poses), *rest.shape)),
+        garment.skin_weights.astype(np.float64),
+        rotations,
+        translations,
+    )
+    draped = bench.network.drape(garment, poses)
+    pushed = push_out(skinned, bench.body_vertices, bench.body_normals)
+
+    def minimise() -> physics.Optimum:
+        return physics.minimise(
+            cloth, bench.material, pushed, bench.contact, bench.body_vertices, step_limit=bench.step_limit
+        )
+
+    key = cache_key(garment, bench.body, poses, bench.material, bench.step_limit, physics.TOLERANCE)
+    optimum, was_cached = cached(key, minimise, bench.physics_folder)
+    positions = {
+        "skinning": skinned,
+        "skinning_push": pushed,
+        "network": draped.vertices,
+        "network_push": push_out_of_bodies(
+            draped.vertices, bench.body_vertices, body_skin(bench.body), push_feed(garment, bench.body)
+        ),
+        "physics": optimum.vertices,
+    }
+    return positions, draped, optimum, was_cached
+
+
+def chart_figures(garment: Garment, draped: Draped) -> dict[str, float]:
+    """How much overlapping charts disagree before blending: 99th percentiles over all entries and vertices."""
+    found = disagreement(garment, draped.jet, draped.rotation, draped.centre)
+    return {
+        "chart_gap_p99_mm": 1e3 * float(np.percentile(found.gap_m, 99.0)),
+        "chart_normal_p99_deg": float(np.degrees(np.percentile(found.normal_rad, 99.0))),
+    }
+
+
+def add_comparisons(rows: dict[str, dict[str, Any]]) -> None:
+    """Adds to each method's row its gain, and its strain over the physics optimum in percentage points."""
+    best, skin = rows["physics"], rows["skinning_push"]["energy_j"]
+    for row in rows.values():
+        row["gain"] = metrics.gain(skin, row["energy_j"], best["energy_j"])
+        row["edge_over_physics_pp"] = row["edge_pct"] - best["edge_pct"]
+        row["area_over_physics_pp"] = row["area_pct"] - best["area_pct"]
+
+
+def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Means over the garments of each set, one row per method; the gain is that of the mean energies."""
+    found = []
+    for kind in dict.fromkeys(row["set"] for row in rows):
+        means = {}
+        for method in METHODS:
+            own = [row for row in rows if row["set"] == kind and row["method"] == method]
+            numbers = [key for key, value in own[0].items() if isinstance(value, float)]
+            means[method] = {"garment": "all", "set": kind, "method": method} | {
+                key: float(np.mean([row[key] for row in own])) for key in numbers
+            }
+        add_comparisons(means)
+        found += means.values()
+    return found

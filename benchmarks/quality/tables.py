@@ -1,0 +1,131 @@
+"""Tables of the records of ``benchmarks.quality`` and of the other measurements of its package."""
+
+from __future__ import annotations
+
+from benchmarks.shared.markdown import Record, cells, heads, rows_table, table
+
+QUALITY = {
+    "garment": ("garment", "s"), "method": ("method", "s"), "edge_pct": ("edge %", ".2f"),
+    "area_pct": ("area %", ".2f"), "colliding_vertex_pct": ("colliding % (vertex)", ".2f"),
+    "colliding_triangle_pct": ("colliding % (triangle)", ".2f"), "self_intersections": ("self-intersections", ".1f"),
+    "energy_j": ("energy [J]", ".2f"), "gain": ("gain", ".2f"),
+}  # fmt: skip
+NETWORK = {
+    "gain": ("gain", ".2f"), "edge_over_physics_pp": ("edge over physics [pp]", ".1f"),
+    "area_over_physics_pp": ("area over physics [pp]", ".1f"), "chart_gap_p99_mm": ("chart gap p99 [mm]", ".1f"),
+    "chart_normal_p99_deg": ("chart normal p99 [deg]", ".1f"), "jitter_ratio": ("jitter", ".2f"),
+    "jitter_worst": ("in the worst clip", ".2f"),
+}  # fmt: skip
+PUSHED = {"jitter_ratio": ("with push-out", ".2f")}
+CROSSINGS = {"self_intersections": ("", ".1f")}
+# Of benchmarks.quality --reference; the long table has them where they were measured.
+REFERENCE = {
+    "reference_mm": ("to the reference, mean [mm]", ".1f"),
+    "reference_p95_mm": ("p95 [mm]", ".1f"),
+    "reference_surface_mm": ("to its surface [mm]", ".1f"),
+}
+ENDS = {
+    "garment": ("garment", "s"), "method": ("from", "s"), "reference_start_mm": ("ends at, mean [mm]", ".1f"),
+    "reference_start_surface_mm": ("at, to the surface [mm]", ".1f"), "reference_steps": ("steps", ".0f"),
+    "reference_at_rest_pct": ("poses at rest %", ".0f"), "reference_speed_mm_s": ("fastest pose [mm/s]", ".1f"),
+    "reference_balanced_pct": ("vertices balanced %", ".0f"), "reference_residual_n": ("force left [N]", ".2f"),
+    "weight_n": ("weight [N]", ".2f"),
+}  # fmt: skip
+STOP = {
+    "garment": ("garment", "s"), "clip": ("clip", "s"), "swings": ("swings through", "d"),
+    "millimetre_s": ("within 1 mm after [s]", ".2f"), "rest_s": ("every bit still after [s]", ".2f"),
+    "peak_mm": ("hem: largest [mm]", ".1f"),
+}  # fmt: skip
+POTENTIAL = {
+    "garment": ("garment", "s"), "clip": ("clip", "s"),
+    "given_dynamic_j": ("after the same frames: moving [J]", ".4f"), "given_static_j": ("static", ".4f"),
+    "own_dynamic_j": ("each after its own: moving", ".4f"), "own_static_j": ("static", ".4f"),
+}  # fmt: skip
+PUSH = {
+    "colliding_triangle_pct": ("colliding triangles %", ".3f"), "edge_pct": ("edge %", ".2f"),
+    "edge_added_pp": ("added [pp]", ".2f"), "energy_j": ("energy [J]", ".3f"), "jitter_ratio": ("jitter", ".2f"),
+    "p50_ms": ("p50 [ms]", ".2f"), "processor_ms": ("processor [ms]", ".2f"),
+}  # fmt: skip
+
+
+def quality_table(record: Record) -> str:
+    """Every garment and method of ``benchmarks.quality``."""
+    more = REFERENCE if any("reference_mm" in row for row in record["rows"]) else {}
+    return rows_table(QUALITY | more, record["rows"], record)
+
+
+def reference_table(record: Record) -> str:
+    """How far every method is from the second simulator's drape, and the floor: its two ends from each other."""
+    lines = []
+    for row in record["rows"]:
+        lines.append([row["garment"], row["method"], *cells(row, REFERENCE)])
+        if "reference_floor_mm" in row:
+            floor = {key.replace("reference", "reference_floor"): column for key, column in REFERENCE.items()}
+            lines.append([row["garment"], f"simulated from {row['method']}: the floor", *cells(row, floor)])
+    return table(["garment", "drape", *heads(REFERENCE)], lines, record)
+
+
+def reference_end_table(record: Record) -> str:
+    """How the second simulator came to rest from each of its starts."""
+    weights = {row["garment"]: row["weight_n"] for row in record["rows"] if row.get("weight_n")}
+    ended = [row for row in record["rows"] if "reference_start_mm" in row]
+    return rows_table(ENDS, [row | {"weight_n": weights[row["garment"]]} for row in ended])
+
+
+def network_table(record: Record) -> str:
+    """The network beside its bounds: one line per garment, and their means; the figures that have targets."""
+    lines, every = [], [*record["rows"], *record["summary"]]
+    for garment, kind in dict.fromkeys((row["garment"], row.get("set", "")) for row in every):
+        rows = {row["method"]: row for row in every if (row["garment"], row.get("set", "")) == (garment, kind)}
+        crossings = [cell for method in ("skinning", "network", "physics") for cell in cells(rows[method], CROSSINGS)]
+        name = f"{garment} {kind}".strip() if garment == "all" else garment
+        lines.append([name, *cells(rows["network"], NETWORK), *cells(rows["network_push"], PUSHED), *crossings])
+    counted = ["self-intersections: skinning", "network", "physics"]
+    return table(["garment", *heads(NETWORK), *heads(PUSHED), *counted], lines)
+
+
+def gain_table(record: Record) -> str:
+    """The short form for the README: one line per garment."""
+    lines = []
+    for garment in dict.fromkeys(row["garment"] for row in record["rows"]):
+        rows = {row["method"]: row for row in record["rows"] if row["garment"] == garment}
+        strains = [f"{rows[method]['edge_pct']:.2f}" for method in ("skinning_push", "network_push", "physics")]
+        lines.append([garment, *strains, f"{rows['network_push']['gain']:.2f}"])
+    titles = ["garment", "edge strain %: skinning + push-out", "network + push-out", "physics", "gain"]
+    return table(titles, lines, record)
+
+
+def stop_table(record: Record) -> str:
+    """One line per garment and clip: the hem after an abrupt stop."""
+    rows = [row for row in record["rows"] if row["kind"] == "stop"]
+    times = {key: (f"after {key}", ".1f") for key in rows[0] if key[0].isdigit()}
+    return rows_table(STOP | times, rows, record)
+
+
+def potential_table(record: Record) -> str:
+    """One line per garment and clip: the incremental potential of the moving and of the static drape."""
+    return rows_table(POTENTIAL, [row for row in record["rows"] if row["kind"] == "potential"])
+
+
+def push_table(record: Record) -> str:
+    """One line per set of garments and way out of the body."""
+    lines = (
+        [f"{row['garment']}, {row['set']}", row["method"].replace("_", " "), *cells(row, PUSH)]
+        for row in record["summary"]
+    )
+    return table(["garments", "way", *heads(PUSH)], lines, record)
+
+
+TABLES = (
+    ("quality", "docs/quality.md", "quality", quality_table),
+    ("quality", "README.md", "gain", gain_table),
+    ("quality", "docs/quality.md", "quality_network", network_table),
+    ("quality_unseen", "docs/quality.md", "quality_unseen", quality_table),
+    ("quality_unseen", "docs/quality.md", "quality_unseen_network", network_table),
+    ("quality_fine", "docs/quality.md", "quality_fine", network_table),
+    ("quality_reference", "docs/quality.md", "quality_reference", reference_table),
+    ("quality_reference", "docs/quality.md", "quality_reference_ends", reference_end_table),
+    ("dynamics", "docs/training.md", "dynamics_stop", stop_table),
+    ("dynamics", "docs/training.md", "dynamics_potential", potential_table),
+    ("push_out", "docs/push_out.md", "push_out", push_table),
+)

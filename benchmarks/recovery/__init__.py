@@ -1,0 +1,1 @@
+"""How near a recovered pattern is to the one that was draped."""

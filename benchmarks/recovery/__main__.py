@@ -1,0 +1,326 @@
+"""Recovery of own patterns: a base that is off by 5 to 10 % finds back the pattern that a target was draped from.
+
+The target is draped by our own simulator from a known pattern, so that every control point has an error. A base is that
+pattern with its panels 5 to 10 % off in width and height: the truth is within its reach, and whether the search gets
+there is measured. The target's triangles are those of the same mesher at the same length, unless another is asked for;
+its fabric may be another than the base's.
+
+    python -m benchmarks.recovery [--quick] [--seeds 5] [--edge-length 0.05] [--picture FILE.png] [--save]
+    python -m benchmarks.recovery --target-edge-length 0.02 --meshes 0.05 0.03 0.022
+    python -m benchmarks.recovery --target-edge-length 0.016 --meshes 0.05 0.03 0.017 --first-seed 1 --seeds 1 --save
+    python -m benchmarks.recovery --fabrics crisp limp --free-cloth
+    python -m benchmarks.recovery --ablation --garments skirt --seeds 5 --save
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from benchmarks.recovery.compare import pattern_error
+from benchmarks.recovery.disturbed import off
+from benchmarks.shared import common
+from drape.body.assets import load_body
+from drape.cloth.material import DEFAULT_MATERIAL, FABRICS
+from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
+from recovery.fit.objective import Weights
+from recovery.fit.optimise import FitOptions
+from recovery.fit.pipeline import ROUNDS, Recovered, recover_pattern
+from recovery.pattern import geometry
+from recovery.pattern.bases import skirt, tshirt
+from recovery.pattern.measurements import measure
+from recovery.pattern.model import Pattern
+from recovery.pattern.symmetry import find_symmetries, procrustes
+
+GARMENTS = {"tshirt": tshirt, "skirt": skirt}
+# What is left out, as in table 3 of Yu, Cordier and Seo (2024); their full model, and two things that are ours.
+VARIANTS: dict[str, dict[str, Any]] = {
+    "all": {},
+    "no contours": {"weights": Weights(contours=0.0)},
+    "no curvature weights": {"weights": Weights(folds=0.0)},
+    "no seams": {"weights": Weights(seams=0.0)},
+    "no grading": {"grading": False},
+    "no material": {"fabrics": (), "free_cloth": False},
+    "no reach": {"weights": Weights(reach_m=float("inf"))},
+    "one mesh": {"rounds": 1},
+}
+ABLATION_FABRIC = "crisp"  # of its targets, so that the material has something to tell
+COLUMNS = {
+    "garment": "s",
+    "fabric": "s",
+    "variant": "s",
+    "seed": "d",
+    "nodes": "d",
+    "base_mm": ".1f",
+    "graded_mm": ".2f",
+    "first_mm": ".2f",
+    "mean_mm": ".2f",
+    "max_mm": ".2f",
+    "area_err": ".2f",
+    "area_max": ".2f",
+    "surface_mm": ".3f",
+    "minutes": ".2f",
+}
+ROUND_COLUMNS = {
+    "garment": "s",
+    "seed": "d",
+    "round": "d",
+    "nodes": "d",
+    "mean_mm": ".2f",
+    "max_mm": ".2f",
+    "area_err": ".2f",
+    "surface_mm": ".3f",
+    "steps": "d",
+    "drapes": "d",
+    "minutes": ".2f",
+    "processor_minutes": ".2f",
+}
+PAIR_COLUMNS = {
+    "garment": "s",
+    "fabrics": "s",
+    "seed": "d",
+    "mean_mm": ".2f",
+    "area_mean_pct": ".2f",
+    "area_max_pct": ".2f",
+    "edge_mean_pct": ".2f",
+    "edge_max_pct": ".2f",
+}
+SPREAD_COLUMNS = {
+    "garment": "s",
+    "variant": "s",
+    "seeds": "d",
+    "mean_mm": ".2f",
+    "mean_mm_sd": ".2f",
+    "area_err": ".2f",
+    "area_err_sd": ".2f",
+    "surface_mm": ".3f",
+    "surface_mm_sd": ".3f",
+}
+
+
+def target_of(garment: str, drape: DrapeOptions) -> tuple[Pattern, Draped]:
+    """The true pattern of a garment, and what it drapes to."""
+    body = load_body()
+    truth = GARMENTS[garment](measure(body))
+    return truth, drape_pattern(truth, body, drape)
+
+
+def recover(
+    truth: Pattern, target: Draped, seed: int, drape: DrapeOptions, fit: FitOptions, **options: Any
+) -> tuple[Recovered, dict[str, Any]]:
+    """One recovery by ``recover_pattern`` with ``options``, and its errors."""
+    base = off(truth, seed)
+    started = time.perf_counter(), time.process_time()
+    found = recover_pattern(
+        target.nodes, target.mesh.faces, base, load_body(), drape=drape, fit=fit, progress=True, **options
+    )
+    minutes, processor = (
+        (now - then) / 60.0 for now, then in zip((time.perf_counter(), time.process_time()), started, strict=True)
+    )
+    before, graded, end = (pattern_error(one, truth) for one in (base, found.graded.pattern, found.fitted.pattern))
+    areas, history = 100.0 * np.abs(end.areas), found.fitted.history
+    return found, {
+        "seed": seed,
+        "nodes": found.start.mesh.node_count,
+        "target_nodes": target.mesh.node_count,
+        "same_mesh": triangles(found.start) == triangles(target),
+        "base_mm": 1e3 * float(before.controls_m.mean()),
+        "graded_mm": 1e3 * float(graded.controls_m.mean()),
+        "first_mm": 1e3 * float(pattern_error(found.rounds[0].fitted.pattern, truth).controls_m.mean()),
+        "mean_mm": 1e3 * float(end.controls_m.mean()),
+        "max_mm": 1e3 * float(end.controls_m.max()),
+        "area_err": float(areas.mean()),
+        "area_max": float(areas.max()),
+        "surface_mm": 1e3 * float(np.sqrt(0.5 * history[history[:, 0].argmin(), 1])),
+        "steps": sum(len(one.fitted.history) - 1 for one in found.rounds),
+        "rounds": len(found.rounds),
+        "nearest": found.fabric.describe(),
+        "target_at_rest": target.at_rest,
+        "minutes": minutes,
+        "processor_minutes": processor,
+    }
+
+
+def by_round(found: Recovered, truth: Pattern) -> list[dict[str, Any]]:
+    """Errors and times of every round of a recovery; the pattern of a round is the best of it."""
+    lines = []
+    for number, one in enumerate(found.rounds, start=1):
+        error, history = pattern_error(one.fitted.pattern, truth), one.fitted.history
+        lines.append(
+            {
+                "round": number,
+                "nodes": one.start.mesh.node_count,
+                "mean_mm": 1e3 * float(error.controls_m.mean()),
+                "max_mm": 1e3 * float(error.controls_m.max()),
+                "area_err": 100.0 * float(np.abs(error.areas).mean()),
+                "surface_mm": 1e3 * float(np.sqrt(0.5 * history[history[:, 0].argmin(), 1])),
+                "steps": len(history) - 1,
+                "drapes": one.search.forward.drapes,
+                "minutes": one.seconds / 60.0,
+                "processor_minutes": one.processor_s / 60.0,
+            }
+        )
+    return lines
+
+
+def triangles(draped: Draped) -> set[tuple[int, ...]]:
+    """The nodes of every triangle."""
+    return {tuple(row) for row in np.sort(draped.mesh.faces, axis=1).tolist()}
+
+
+def compare(found: dict[tuple[str, str, int], Recovered]) -> list[dict[str, Any]]:
+    """How far patterns recovered from targets of different fabrics are from each other (figure 5 of the paper)."""
+    pairs = []
+    for (garment, fabric, seed), one in found.items():
+        for (other_garment, other_fabric, other_seed), other in found.items():
+            if (garment, seed) == (other_garment, other_seed) and fabric < other_fabric:
+                error = pattern_error(one.fitted.pattern, other.fitted.pattern)
+                edges = [lengths(of.fitted.pattern) for of in (one, other)]
+                off_pct = 100.0 * np.abs(edges[0] / edges[1] - 1.0)
+                pairs.append(
+                    {
+                        "garment": garment,
+                        "fabrics": f"{fabric}, {other_fabric}",
+                        "seed": seed,
+                        "mean_mm": 1e3 * float(error.controls_m.mean()),
+                        "area_mean_pct": 100.0 * float(np.abs(error.areas).mean()),
+                        "area_max_pct": 100.0 * float(np.abs(error.areas).max()),
+                        "edge_mean_pct": float(off_pct.mean()),
+                        "edge_max_pct": float(off_pct.max()),
+                    }
+                )
+    return pairs
+
+
+def lengths(pattern: Pattern) -> np.ndarray:
+    """Lengths [m] of all edges of all panels."""
+    return np.array([geometry.edge_length(panel, edge) for panel in pattern.panels for edge in range(len(panel.edges))])
+
+
+def spread(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Mean and standard deviation over the seeds, by garment and variant."""
+    found = []
+    for garment, variant in dict.fromkeys((row["garment"], row["variant"]) for row in rows):
+        mine = [row for row in rows if (row["garment"], row["variant"]) == (garment, variant)]
+        line: dict[str, Any] = {"garment": garment, "variant": variant, "seeds": len(mine)}
+        for key in ("mean_mm", "area_err", "surface_mm"):
+            values = np.array([row[key] for row in mine])
+            line[key] = float(values.mean())
+            line[f"{key}_sd"] = float(values.std(ddof=1)) if len(values) > 1 else float("nan")
+        found.append(line)
+    return found
+
+
+def draw(path: Path, truth: Pattern, patterns: dict[str, Pattern], history: np.ndarray) -> None:
+    """Outlines of ``patterns`` laid on those of ``truth``, panel by panel, and the distance of the surfaces by step."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    # Panels that mirror each other look the same; one of each is drawn.
+    tied = {symmetry.second for symmetry in find_symmetries(truth).between}
+    shown = [number for number in range(len(truth.panels)) if number not in tied]
+    figure, axes = pyplot.subplots(1, len(shown) + 1, figsize=(3.2 * (len(shown) + 1), 4.2), layout="constrained")
+    for axis, number in zip(axes, shown, strict=False):
+        panel = truth.panels[number]
+        here = panel.vertices.mean(axis=0)
+        axis.fill(*(geometry.outline(panel) - here).T, color="0.9")
+        axis.plot(*_closed(geometry.outline(panel) - here).T, color="black", linewidth=2.5, label="truth")
+        for (name, pattern), style in zip(patterns.items(), ("C3:", "C1--", "C0-"), strict=True):
+            own = pattern.panels[number]
+            matrix, _ = procrustes(own.vertices, panel.vertices, reflect=False)
+            line = (geometry.outline(own) - own.vertices.mean(axis=0)) @ matrix
+            axis.plot(*_closed(line).T, style, linewidth=1.3, label=name)
+        axis.set_title(panel.name)
+        axis.set_aspect("equal")
+        axis.axis("off")
+    axes[0].legend(loc="lower center", fontsize=8)
+    axes[-1].semilogy(1e3 * np.sqrt(0.5 * history[:, 1]), marker=".", label="surfaces")
+    axes[-1].semilogy(1e3 * np.sqrt(0.5 * history[:, 2]), marker=".", label="contours")
+    axes[-1].set_xlabel("step")
+    axes[-1].set_title("distance to the target [mm]")
+    axes[-1].legend(fontsize=8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=90)
+    pyplot.close(figure)
+
+
+def _closed(line: np.ndarray) -> np.ndarray:
+    return np.concatenate([line, line[:1]])
+
+
+def main() -> int:
+    """Command line entry."""
+    default = FitOptions()
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    common.add_options(parser)
+    parser.add_argument("--garments", nargs="+", choices=sorted(GARMENTS), default=["tshirt"])
+    parser.add_argument("--seeds", type=int, default=5, help="how many disturbed bases")
+    parser.add_argument("--first-seed", type=int, default=0, help="number of the first of them")
+    parser.add_argument("--edge-length", type=float, default=0.05, help="of the mesh [m]")
+    parser.add_argument("--target-edge-length", type=float, help="of the target's mesh [m] (default: the same)")
+    parser.add_argument("--meshes", type=float, nargs="+", help="edge lengths [m] of the rounds (default: three equal)")
+    parser.add_argument("--grid", type=float, default=0.02, help="spacing of the body's distance [m]")
+    parser.add_argument("--adam", type=int, default=default.iterations, help="steps of Adam")
+    parser.add_argument("--closing", type=int, default=default.closing, help="steps of Gauss and Newton after it")
+    parser.add_argument("--fabrics", nargs="+", choices=sorted(FABRICS), help="of the targets; the base has jersey's")
+    parser.add_argument("--free-cloth", action="store_true", help="choose the fabric and free its constants")
+    parser.add_argument("--ablation", action="store_true", help="leave out one thing at a time, as in table 3")
+    parser.add_argument("--picture", type=Path, help="PNG of the first recovery: panels over the true ones")
+    options = parser.parse_args()
+    torch.set_num_threads(options.threads)
+    drape = DrapeOptions(edge_length_m=options.edge_length, grid_m=options.grid)
+    fit = FitOptions(iterations=options.adam, closing=options.closing)
+    seeds = 1 if options.quick else options.seeds
+    meshes = options.meshes or [options.edge_length] * ROUNDS
+    cloth = {"fabrics": tuple(FABRICS), "free_cloth": True} if options.free_cloth or options.ablation else {}
+    fabrics = options.fabrics or [ABLATION_FABRIC if options.ablation else DEFAULT_MATERIAL]
+    rows: list[dict[str, Any]] = []
+    rounds_of: list[dict[str, Any]] = []
+    found: dict[tuple[str, str, int], Recovered] = {}
+    for garment in options.garments:
+        for fabric in fabrics:
+            there = replace(drape, fabric=fabric, edge_length_m=options.target_edge_length or options.edge_length)
+            truth, target = target_of(garment, there)
+            for variant in VARIANTS if options.ablation else ["all"]:
+                own = {"rounds": len(meshes), **cloth, **VARIANTS[variant]}
+                own["meshes_m"] = meshes[: own.pop("rounds")]
+                for seed in range(options.first_seed, options.first_seed + seeds):
+                    one, row = recover(truth, target, seed, drape, fit, **own)
+                    rows.append({"garment": garment, "fabric": fabric, "variant": variant, **row})
+                    found[garment, fabric, seed] = one
+                    rounds_of += [{"garment": garment, "seed": seed, **line} for line in by_round(one, truth)]
+                    if options.picture is not None and len(rows) == 1:
+                        stages = {"base": off(truth, seed), "graded": one.graded.pattern}
+                        stages["recovered"] = one.fitted.pattern
+                        history = np.concatenate([each.fitted.history for each in one.rounds])
+                        draw(options.picture, truth, stages, history)
+    common.print_table(rows, COLUMNS)
+    extra: dict[str, Any] = {}
+    if options.meshes:
+        extra["by_round"] = rounds_of
+        common.print_table(rounds_of, ROUND_COLUMNS)
+    if len(fabrics) > 1:
+        extra["pairs"] = compare(found)
+        common.print_table(extra["pairs"], PAIR_COLUMNS)
+    if options.ablation:
+        extra["spread"] = spread(rows)
+        common.print_table(extra["spread"], SPREAD_COLUMNS)
+    name = "recovery_ablation" if options.ablation else "recovery_fabrics" if len(fabrics) > 1 else "recovery"
+    if options.meshes and not options.ablation:
+        name += "_rounds"
+    elif options.target_edge_length is not None and not options.ablation:
+        name += "_other_mesh"
+    common.finish(name, rows, options, **extra)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

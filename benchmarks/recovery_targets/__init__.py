@@ -1,0 +1,1 @@
+"""The command ``python -m benchmarks.recovery_targets``: ``benchmarks.recovery.targets``."""

@@ -1,0 +1,1 @@
+"""What benchmarks share: options and records, the served network, physics optima, pictures."""

@@ -1,0 +1,93 @@
+"""Physics optima and other drapes on disk, so that evaluating several models makes each once.
+
+A file is named by the hash of all that its numbers depend on: rest mesh, skin weights, poses,
+material, body, step limit, and the source of the minimiser, the energies and the contact. So a
+change of any of them misses, and nothing is ever stale; the folder can be deleted at any time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import zipfile
+import zlib
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, fields
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from benchmarks.shared import common, physics
+from benchmarks.shared.physics import Optimum
+from drape.body import model
+from drape.cloth import contact, energies
+from drape.cloth.material import Material
+from drape.garment.cache import Garment
+from drape.geometry import meshes, rigid, rotations, skinning
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+T = TypeVar("T", bound="DataclassInstance")
+CACHE_DIR = common.ROOT / "runs" / "physics_cache"  # ignored by git
+SOURCES: tuple[ModuleType, ...] = (physics, energies, contact, model, meshes, rigid, rotations, skinning)
+
+
+def cache_key(
+    garment: Garment, body: model.BodyModel, poses: np.ndarray, material: Material, step_limit: int, tolerance: float
+) -> str:
+    """Hash of what an optimum depends on, hexadecimal; its start follows from garment, body and poses."""
+    settings = [body.digest, asdict(material), step_limit, tolerance]
+    return key_of(settings, (garment.vertices, garment.fine_faces, garment.skin_weights, poses), SOURCES)
+
+
+def key_of(settings: list[Any], arrays: Iterable[np.ndarray], sources: Iterable[ModuleType]) -> str:
+    """Hash, hexadecimal, of ``settings`` that JSON can hold, of ``arrays``, and of the text of the modules."""
+    digest = hashlib.sha256()
+    digest.update(json.dumps(settings, sort_keys=True).encode())
+    for array in arrays:
+        digest.update(f"{array.dtype.str}{array.shape}".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    for module in sources:
+        digest.update(Path(str(module.__file__)).read_bytes())
+    return digest.hexdigest()
+
+
+def cached(key: str, make: Callable[[], T], folder: Path | None, *, kind: type[T] = Optimum) -> tuple[T, bool]:
+    """The ``kind`` stored under ``key`` in ``folder`` and True, or that of ``make``, which is stored, and False.
+
+    A ``kind`` is a dataclass of arrays and of ``seconds``. ``folder`` None neither reads nor writes. A file that cannot
+    be read is made again.
+    """
+    if folder is None:
+        return make(), False
+    path = folder / f"{key}.npz"
+    stored = _read(path, kind)
+    if stored is not None:
+        return stored, True
+    made = make()
+    _write(path, made)
+    return made, False
+
+
+def _read(path: Path, kind: type[T]) -> T | None:
+    if not path.is_file():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            found = {item.name: stored[item.name] for item in fields(kind)}
+            return kind(**found | {"seconds": float(found["seconds"])})
+    except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        print(f"{path.parent.name}: {path.name} cannot be read ({error}); making it again", flush=True)
+        return None
+
+
+def _write(path: Path, made: DataclassInstance) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f"{path.name}.{os.getpid()}.part")
+    with open(temporary, "wb") as stream:
+        np.savez_compressed(stream, **{item.name: getattr(made, item.name) for item in fields(made)})
+    os.replace(temporary, path)

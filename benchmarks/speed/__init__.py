@@ -1,0 +1,1 @@
+"""What a frame costs: latency and throughput, the wire, the differentiable simulator."""

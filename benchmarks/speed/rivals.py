@@ -1,0 +1,235 @@
+"""What stands beside the packed graph in ``benchmarks.latency``: torch, skinning with push-out, physics, the floor."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse
+import torch
+from torch import Tensor, nn
+
+from benchmarks.shared.common import ROOT
+from benchmarks.shared.kd_tree_push import Collider
+from benchmarks.speed.setup import timed
+from drape.body.model import BodyModel
+from drape.cloth.material import material
+from drape.cloth.metrics import area_strain_pct, edge_strain_pct
+from drape.garment.agreement import FIT_COUNT, MEMBERS
+from drape.garment.cache import Garment
+from drape.geometry import jets
+from drape.geometry.skinning import skin_points
+from drape.graph.feeds import garment_feed
+from drape.graph.packing import COLUMNS, PackedGarment, Place, compose, pack_body, pack_garment
+from drape.graph.push_feed import SkinShapes
+from model_export.packed import FirstGraph, PackedGraph
+from model_export.packed_contact import Felt, Skins
+from model_export.packed_parts import Bodies, Charts, Patches
+from training.agreement import TANGENT_COUNT
+from training.model import OneFit
+
+COMPILE_LIMIT_S = 240
+NEWTON_ITERATIONS = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 15, 20, 30, 50)
+NEWTON_LIMIT_S = 900
+CLEARANCE_M = 0.002
+
+
+class EagerDrape(nn.Module):
+    """One body and one garment through ``PackedGraph`` in torch: the same constants computed before, vertices only."""
+
+    def __init__(self, model: OneFit, garment: Garment, body: BodyModel) -> None:
+        super().__init__()
+        self.graph = PackedGraph(model).eval()
+        with torch.no_grad():
+            first = FirstGraph(model)(torch.from_numpy(garment.patch_features))[1].numpy()
+        packed = pack_garment(garment_feed(garment, body=body), first)
+        arrays = {name: torch.from_numpy(value.copy()) for name, value in packed.stored.items()}
+        arrays |= {k: torch.from_numpy(v) for k, v in compose([(packed, Place(0, 0), 0)]).arrays.items()}
+        self.columns = arrays.pop("tile_positions")
+        self.patches = Patches(
+            *(arrays[f"patch_{name}"] for name in ("first", "weights", "rotation", "scale", "centre", "shapedirs"))
+        )
+        stored = ("anchor_columns", "anchor_fit", "anchor_rest", "strain_tangent", "strain_unit")
+        charts = Charts(*(arrays[name] for name in (*stored, "anchor_charts", "member_anchor")))
+        self.charts = charts if model.agrees else None
+        self.skins = self.felt = None
+        if model.config.feels_body:
+            shape = SkinShapes(body).feed(pack_body(body).betas[None])
+            self.skins = Skins(*(torch.from_numpy(shape[k]) for k in ("skin_rows", "skin_bones", "body_shape")))
+            self.felt = Felt(*(arrays[f"felt_{name}"] for name in ("place", "cluster", "bias", "other", "region")))
+        self.index = arrays
+
+    def forward(self, joint_quaternion: Tensor, joint_rest: Tensor, betas: Tensor) -> Tensor:
+        """Vertices (blocks, 64, 3) [m]."""
+        bodies, index = Bodies(joint_quaternion, joint_rest, betas, None, self.skins), self.index
+        posed = self.graph.pose(
+            bodies, self.patches, None, index["patch_body"], index["patch_bone"], self.charts, self.felt
+        )
+        coefficients = torch.index_select(posed.coefficients, 0, index["tile_patch"])
+        return self.graph.blend(coefficients, self.columns, index["vertex_charts"])
+
+
+def torch_rows(
+    model: OneFit, garment: Garment, body: BodyModel, pose: np.ndarray, *, seconds: float, compiled: bool
+) -> list[dict[str, Any]]:
+    """The same model in eager torch, and compiled where ``compiled`` and the machine has a compiler."""
+    shape = pack_body(body)
+    eager = EagerDrape(model, garment, body)
+
+    def call(module: Callable[..., Tensor]) -> Tensor:
+        with torch.inference_mode():
+            return module(**{k: torch.from_numpy(np.array(v)) for k, v in shape.rows(pose).items()})
+
+    rows = [{"name": "torch_eager", **timed(lambda: call(eager), seconds=seconds).row()}]
+    if not compiled:
+        return [*rows, {"name": "torch_compile", "skipped": "quick form"}]
+    try:
+        module = torch.compile(eager)
+        with _limit(COMPILE_LIMIT_S):
+            want, got = call(eager), call(module)
+        assert float((want - got).abs().max()) < 1e-4
+        rows.append({"name": "torch_compile", **timed(lambda: call(module), seconds=seconds).row()})
+    except Exception as error:  # inductor has a class of its own for each kind of failure
+        rows.append({"name": "torch_compile", "skipped": f"{type(error).__name__}: {str(error).splitlines()[0][:120]}"})
+    return rows
+
+
+class _limit:
+    """Raises TimeoutError in the block after some seconds (main thread only)."""
+
+    def __init__(self, seconds: int) -> None:
+        self._seconds = seconds
+
+    def __enter__(self) -> None:
+        def ring(*_: object) -> None:
+            raise TimeoutError(f"not done after {self._seconds} s")
+
+        self._before = signal.signal(signal.SIGALRM, ring)
+        signal.alarm(self._seconds)
+
+    def __exit__(self, *_: object) -> None:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, self._before)
+
+
+class SkinningPush:
+    """Linear blend skinning of a garment's vertices, and the service's push-out (SciPy k-d tree)."""
+
+    def __init__(self, garment: Garment, body: BodyModel) -> None:
+        self.body, self.collider = body, Collider(body)
+        self.rest = garment.vertices[: garment.vertex_count].astype(np.float64)
+        self.weights = scipy.sparse.csr_matrix(garment.skin_weights[: garment.vertex_count].astype(np.float64))
+        self.betas = np.zeros(body.shape_count)
+
+    def skin(self, pose: np.ndarray) -> np.ndarray:
+        """Skinned vertices [m] (1, V, 3) of one ``pose`` (1, 24, 3)."""
+        rotations, translations = self.body.bones(pose)
+        translations = translations - self.body.joints_template[0]
+        return skin_points(self.rest, self.weights, rotations[0], translations[0])[None].astype(np.float32)
+
+    def push(self, vertices: np.ndarray, pose: np.ndarray) -> np.ndarray:
+        """``vertices`` (1, V, 3) out of the body."""
+        return self.collider.push(vertices, pose, self.betas, CLEARANCE_M)[0]
+
+
+def multiply_adds(model: OneFit, garment: PackedGarment) -> float:
+    """Multiply-adds of one frame of one garment: network, frames, agreement of charts, strain, and vertex stage."""
+    graph = PackedGraph(model)
+    linear = [
+        m for part in (graph.trunk, graph.head, graph.corrections) for m in part.modules() if isinstance(m, nn.Linear)
+    ]
+    per_patch = sum(m.weight.numel() for m in linear) + 24 * 16 + 24 * 9 + 3 * 4 * COLUMNS
+    per_patch += graph.from_surroundings.numel() if graph.from_surroundings is not None else 0
+    passes = len(graph.corrections)
+    agreed = (3 * 4 * MEMBERS if graph.based else 0) + passes * 3 * COLUMNS * MEMBERS
+    agreed += (passes + graph.based) * (3 * FIT_COUNT * MEMBERS + 9 * FIT_COUNT)
+    agreed += graph.closes * (3 * COLUMNS * MEMBERS + 3 * FIT_COUNT * MEMBERS + 9 * FIT_COUNT)
+    per_patch += agreed + passes * 2 * jets.JET_COUNT * TANGENT_COUNT
+    per_body = sum(p.numel() for p in [*graph.body.parameters(), graph.from_body.weight])
+    return per_body + per_patch * garment.patch_count + 3 * garment.stored["tile_positions"].size
+
+
+def floor_row(model: OneFit, garment: PackedGarment, *, threads: int) -> dict[str, Any]:
+    """The larger of multiply-adds over the measured matrix rate and bytes over the measured copy rate."""
+    torch.set_num_threads(threads)
+    a, b = torch.rand(1024, 1024), torch.rand(1024, 1024)
+    gemm = 1024**3 / (1e-3 * timed(lambda: a @ b, seconds=1.0).p50_ms)
+    source = torch.rand(1 << 24)
+    target = torch.empty_like(source)
+    copy = 2 * source.nbytes / (1e-3 * timed(lambda: target.copy_(source), seconds=1.0).p50_ms)
+    graph = PackedGraph(model)
+    weights = sum(p.numel() * 4 for p in graph.parameters())
+    moved = weights + garment.bytes + 12 * garment.vertex_count
+    compute, memory = 1e3 * multiply_adds(model, garment) / gemm, 1e3 * moved / copy
+    return {
+        "name": "floor",
+        "p50_ms": max(compute, memory),
+        "stage_ms": {"compute": compute, "memory": memory},
+        "gemm_gflops": 2e-9 * gemm,
+        "copy_gb_s": 1e-9 * copy,
+    }
+
+
+def newton_row(
+    python: str | None, garment: Garment, body: BodyModel, pose: np.ndarray, vertices: np.ndarray
+) -> dict[str, Any]:
+    """Newton's VBD solver on one frame: the fewest iterations whose edge strain is not above that of ``vertices``.
+
+    It starts from skinning with push-out, knows the posed body and the same cloth, and runs in the interpreter
+    ``python``, which has the package ``newton`` (Apache-2.0; not a dependency).
+    """
+    if python is None:
+        return {"name": "newton_vbd", "skipped": "no interpreter with newton: give --newton PYTHON"}
+    skinning = SkinningPush(garment, body)
+    start = skinning.push(skinning.skin(pose), pose)[0]
+    rest = garment.vertices[: garment.vertex_count].astype(np.float64)
+    cloth = material()
+    with tempfile.TemporaryDirectory() as folder:
+        path, out = Path(folder) / "scene.npz", Path(folder) / "out.npz"
+        np.savez(
+            path, rest=rest, faces=garment.faces, start=start, body_faces=body.faces, iterations=NEWTON_ITERATIONS,
+            body_vertices=skinning.collider.posed(pose, skinning.betas)[0], membrane=cloth.mu_n_per_m,
+            area=cloth.lambda_n_per_m, bending=cloth.bending_j, density=cloth.density_kg_m2,
+        )  # fmt: skip
+        command = [python, str(ROOT / "benchmarks/speed/newton_vbd.py"), str(path), str(out)]
+        began = time.perf_counter()
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=NEWTON_LIMIT_S, check=False)
+        except (OSError, subprocess.TimeoutExpired) as error:
+            return {"name": "newton_vbd", "skipped": type(error).__name__}
+        if done.returncode:
+            lines = done.stderr.strip().splitlines() or ["no message"]
+            return {"name": "newton_vbd", "skipped": lines[-1][:160]}
+        with np.load(out) as found:
+            runs = {name: found[name] for name in found.files}
+    strain = edge_strain_pct(runs["vertices"], rest, garment.faces)
+    area = area_strain_pct(np.concatenate([runs["vertices"], vertices[None]]), rest, garment.faces)
+    wanted = float(edge_strain_pct(vertices[None].astype(np.float64), rest, garment.faces)[0])
+    enough = np.nonzero(strain <= wanted)[0]
+    chosen = int(enough[0]) if len(enough) else len(strain) - 1
+    p50, p95, p99 = (float(value) for value in np.percentile(runs["step_ms"][chosen], [50, 95, 99]))
+    return {
+        "name": "newton_vbd",
+        "p50_ms": p50,
+        "p95_ms": p95,
+        "p99_ms": p99,
+        "min_ms": float(runs["step_ms"][chosen].min()),
+        "collide_ms": float(np.median(runs["collide_ms"][chosen])),
+        "iterations": int(runs["iterations"][chosen]),
+        "edge_pct": float(strain[chosen]),
+        "area_pct": float(area[chosen]),
+        "network_edge_pct": wanted,
+        "network_area_pct": float(area[-1]),
+        "reached": bool(len(enough)),
+        "by_iterations": {
+            str(count): {"p50_ms": float(np.median(times)), "edge_pct": float(edge), "area_pct": float(face)}
+            for count, times, edge, face in zip(runs["iterations"], runs["step_ms"], strain, area, strict=False)
+        },
+        "wall_s": time.perf_counter() - began,
+    }

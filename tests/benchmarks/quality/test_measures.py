@@ -1,0 +1,100 @@
+"""The rows of one garment, on a model whose drape is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from benchmarks.quality.intersections import intersection_count
+from benchmarks.quality.measures import METHODS, add_comparisons, measure, summary
+from drape.cloth import metrics
+from drape.garment.disagreement import disagreement
+from drape.geometry.skinning import skin_points
+from tests.benchmarks.quality.quality_setup import bench, body, tube
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    made = bench(tmp_path_factory.mktemp("optima"))
+    return made, {row["method"]: row for row in measure(tube(), made, trained=False)[0]}
+
+
+def test_every_method_has_a_row_with_the_figures_that_apply_to_it(measured):
+    _, rows = measured
+    assert tuple(rows) == METHODS
+    assert {row["set"] for row in rows.values()} == {"unseen"}
+    for key, methods in {
+        "self_intersections": set(METHODS),
+        "edge_over_physics_pp": set(METHODS),
+        "area_over_physics_pp": set(METHODS),
+        "jitter_ratio": set(METHODS) - {"physics"},
+        "chart_gap_p99_mm": {"network"},
+        "chart_normal_p99_deg": {"network"},
+        "seconds": {"physics"},
+    }.items():
+        assert {method for method in METHODS if key in rows[method]} == methods
+    # Only the option --reference runs the second simulator.
+    assert not [key for row in rows.values() for key in row if key.startswith("reference")]
+
+
+def test_figures_are_those_of_the_drapes(measured):
+    made, rows = measured
+    poses, rest, faces = made.poses.poses, tube().vertices.astype(np.float64), tube().fine_faces
+    still = np.broadcast_to(rest, (len(poses), *rest.shape))
+    skinned = skin_points(still, tube().skin_weights, *body().bones(poses))
+    edge = metrics.edge_strain_pct(skinned, rest, faces).mean()
+    assert_allclose(rows["skinning"]["edge_pct"], edge, rtol=1e-9, atol=0.0)
+    assert rows["skinning"]["self_intersections"] == intersection_count(skinned, faces).mean()
+    assert rows["skinning"]["self_intersections_rest"] == 0.0
+    draped = made.network.drape(tube(), poses)
+    charts = disagreement(tube(), draped.jet, draped.rotation, draped.centre)
+    network = rows["network"]
+    assert_allclose(network["chart_gap_p99_mm"], 1e3 * np.percentile(charts.gap_m, 99.0), rtol=1e-9, atol=0.0)
+    assert rows["physics"]["edge_over_physics_pp"] == 0.0
+    over = rows["network"]["area_pct"] - rows["physics"]["area_pct"]
+    assert_allclose(network["area_over_physics_pp"], over, rtol=1e-12, atol=0.0)
+
+
+def test_a_second_model_finds_the_optimum_stored(measured, monkeypatch):
+    made, rows = measured
+    assert not rows["physics"]["cached"]
+    monkeypatch.setattr("benchmarks.shared.physics.minimise", lambda *a, **k: pytest.fail("minimised again"))
+    again = {row["method"]: row for row in measure(tube(), made, trained=True)[0]}
+    assert again["physics"]["cached"]
+    assert again["physics"]["set"] == "trained"
+    assert again["physics"]["energy_j"] == rows["physics"]["energy_j"]
+    assert again["physics"]["seconds"] == rows["physics"]["seconds"]
+
+
+def rows_of(kind: str, garment: str, energies: dict[str, float], edge_pct: float) -> list[dict]:
+    rows = {
+        method: {
+            "garment": garment,
+            "set": kind,
+            "method": method,
+            "energy_j": energies.get(method, 0.5),
+            "edge_pct": 1.0 if method == "physics" else edge_pct,
+            "area_pct": 2.0,
+        }
+        for method in METHODS
+    }
+    add_comparisons(rows)
+    return list(rows.values())
+
+
+def test_summary_takes_each_set_alone_and_the_gain_of_the_mean_energies():
+    first = {"skinning": 2.0, "skinning_push": 2.0, "network": 1.0, "network_push": 1.5}
+    second = {"skinning": 3.0, "skinning_push": 4.0, "network": 2.0, "network_push": 1.5}
+    rows = [
+        *rows_of("trained", "a", first, 4.0),
+        *rows_of("trained", "b", second, 6.0),
+        *rows_of("unseen", "c", first, 9.0),
+    ]
+    found = {(row["set"], row["method"]): row for row in summary(rows)}
+    assert len(found) == 2 * len(METHODS)
+    gains = [found["trained", method]["gain"] for method in ("skinning_push", "network", "physics")]
+    assert_allclose(gains, [0.0, 0.6, 1.0], rtol=1e-12, atol=0.0)
+    assert_allclose(found["trained", "network"]["edge_over_physics_pp"], 4.0, rtol=1e-12, atol=0.0)
+    assert_allclose(found["unseen", "network"]["gain"], 1.0 / 1.5, rtol=1e-12, atol=0.0)
+    assert_allclose(found["unseen", "network"]["edge_over_physics_pp"], 8.0, rtol=1e-12, atol=0.0)

@@ -1,0 +1,69 @@
+"""The quality table: what it takes, what it refuses, and that its columns mean what they say."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from benchmarks.quality import __main__ as quality
+from benchmarks.quality.measures import METHODS
+from benchmarks.shared.physics_cache import CACHE_DIR
+from drape.artifacts import DEFAULT_MODEL, MODELS_DIR
+from drape.body.assets import load_body
+from drape.catalog import find_garments, open_garment
+from drape.errors import InputError
+from drape.garment.cache import GARMENTS_DIR
+
+
+def test_unusable_garments_are_named(tmp_path, monkeypatch):
+    (tmp_path / "shirt.obj").write_text("v 0 0 0\n")
+    monkeypatch.setattr(quality, "measure", lambda garment, bench: pytest.fail("measured a broken garment"))
+    with pytest.raises(InputError, match="at least one usable"):
+        quality.main(["--quick", "--garments", str(tmp_path)])
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (MODELS_DIR / DEFAULT_MODEL).is_dir(), reason="no model is shipped: export one")
+def test_the_quick_table_is_ordered_as_physics_demands(tmp_path):
+    if not any(GARMENTS_DIR.glob("shorts-*.npz")):
+        pytest.skip("no shipped shorts: run the intake")
+    stored = tmp_path / "quality.json"
+    record = quality.main(
+        f"--quick --garments shorts --threads 1 --no-physics-cache --out {stored} --sheets {tmp_path / 'sheets'}".split()
+    )
+    assert (tmp_path / "sheets" / "strain_shorts.png").read_bytes()[1:4] == b"PNG"
+    assert json.loads(stored.read_text()) == record
+    rows = {row["method"]: row for row in record["rows"]}
+    assert tuple(rows) == METHODS
+    assert {row["set"] for row in record["rows"]} == {"trained"}
+    assert rows["network"]["chart_gap_p99_mm"] > 0.0
+    assert record["graph"] == "packed_int8"  # what is served
+    assert record["windows"][0].startswith("reach:")
+    assert rows["physics"]["gain"] == 1.0
+    assert rows["skinning_push"]["gain"] == 0.0
+    assert rows["physics"]["energy_j"] < rows["skinning_push"]["energy_j"]
+    assert rows["physics"]["edge_pct"] < rows["skinning"]["edge_pct"]
+    assert rows["skinning_push"]["colliding_vertex_pct"] < 0.1
+
+
+def test_a_garment_can_be_measured_with_more_patches():
+    body = load_body()
+    tank = open_garment(find_garments(["tank"])[0], body)
+    finer = quality.covered(tank, body, 1.5)
+    assert finer.patch_count == pytest.approx(1.5 * tank.patch_count, abs=1)
+    assert np.array_equal(finer.vertices, tank.vertices)
+
+
+def test_options_of_the_quick_form_yield_to_explicit_ones():
+    quick = quality.parse(["--quick"])
+    assert (quick.garments, quick.frames, quick.steps) == (["tshirt"], quality.QUICK_FRAMES, quality.QUICK_STEPS)
+    assert (quick.set, quick.no_physics_cache) == (None, False)
+    given = quality.parse(["--quick", "--garments", "dress", "--frames", "3", "--steps", "20"])
+    assert (given.garments, given.frames, given.steps) == (["dress"], 3, 20)
+    assert quality.parse([]).frames == quality.FRAMES
+
+
+def test_optima_are_kept_in_an_ignored_folder():
+    assert CACHE_DIR.parts[-2:] == ("runs", "physics_cache")

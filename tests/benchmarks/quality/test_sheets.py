@@ -1,0 +1,26 @@
+"""Strain as colour, and a sheet of a real garment."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from benchmarks.quality.sheets import METHODS, PRESSED, SIZE, STRETCHED, UNCHANGED, strain_colours, strain_sheet
+from tests.benchmarks.quality.quality_setup import bench, tube
+
+FACES = np.array([[0, 1, 2]])
+REST = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+
+@pytest.mark.parametrize(
+    ("stretch", "colour"),
+    [(1.0, UNCHANGED), (1.5, STRETCHED), (0.5, PRESSED), (1.1, 0.5 * (UNCHANGED + STRETCHED))],
+)
+def test_colour_follows_the_change_of_area(stretch: float, colour: np.ndarray):
+    assert_allclose(strain_colours(REST * [stretch, 1.0, 1.0], REST, FACES)[0], colour, rtol=0, atol=1e-12)
+
+
+def test_a_sheet_has_a_row_per_method_and_a_column_per_pose(tmp_path):
+    positions = {method: np.stack([tube().vertices, 1.2 * tube().vertices]) for method in METHODS}
+    assert strain_sheet(tube(), bench(tmp_path), positions).shape == (SIZE[0] * len(METHODS), SIZE[1] * 2, 3)

@@ -1,0 +1,28 @@
+"""The rival push-out: the whole body posed, and two passes by parts."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+from benchmarks.shared.kd_tree_push import Collider
+from drape.body.assets import load_body
+from drape.cloth.contact import push_out
+from tests.fixtures.poses import random_motion
+
+
+def test_collider_is_the_body():
+    body, (poses, _), betas = load_body(), random_motion(2), np.linspace(-1, 1, 10)
+    expected = body.posed_vertices(poses, None, betas) - body.rest_joints(betas)[0]
+    assert_allclose(Collider(body).posed(poses, betas), expected, rtol=0, atol=1e-6)
+
+
+def test_two_passes_by_parts_are_the_two_passes_of_the_core(rng):
+    body, (poses, _), betas = load_body(), random_motion(2, spread_rad=0.35), np.zeros(10)
+    collider = Collider(body)
+    posed = collider.posed(poses, betas)
+    near = posed[:, rng.choice(body.vertex_count, 500)] + rng.normal(0.0, 0.01, size=(2, 500, 3)).astype(np.float32)
+    whole = push_out(near, posed, collider.normals(posed), 0.002, colliders=collider.vertices, passes=2)
+    pushed, way = collider.push(near, poses, betas, 0.002)
+    assert_allclose(pushed, whole, rtol=0, atol=1e-6)
+    assert (way > 0.0).any() and (way == 0.0).any()

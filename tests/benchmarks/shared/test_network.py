@@ -1,0 +1,53 @@
+"""A model folder as a function."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from benchmarks.shared import network as subject
+from drape.artifacts import DEFAULT_MODEL, MODELS_DIR, load_manifest
+from drape.errors import ArtifactError
+from drape.garment.disagreement import chart_positions
+from tests.benchmarks.quality.quality_setup import bending, body, network, tube
+from tests.fixtures.packed import exported, exported_dynamic, garment
+from tests.fixtures.tiny_model import write_tiny_model
+
+
+def test_the_charts_that_come_with_the_vertices_blend_into_them_however_many_calls_they_take():
+    poses = bending(subject.FRAMES_PER_CALL + 3)
+    draped = network().drape(tube(), poses)
+    said = chart_positions(tube(), draped.jet, draped.rotation, draped.centre)
+    blended = np.einsum("vk,fvka->fva", tube().chart_weight, said) + draped.root
+    assert draped.vertices.shape == (len(poses), *tube().vertices.shape)
+    assert_allclose(draped.vertices, blended, rtol=0.0, atol=5e-6)
+
+
+def test_all_of_the_subdivided_mesh_is_draped():
+    assert network().drape(garment("shorts"), bending(1)).vertices.shape[1] == len(garment("shorts").vertices)
+
+
+def test_a_dynamic_model_is_measured_at_rest():
+    static, dynamic = (subject.Network(made()[1], body(), threads=1) for made in (exported, exported_dynamic))
+    vertices = (made.drape(tube(), bending(2)).vertices for made in (dynamic, static))
+    assert_allclose(*vertices, rtol=0.0, atol=2e-6)
+
+
+def test_the_graph_is_the_one_that_is_served_unless_float32_is_asked_for():
+    folder, poses = MODELS_DIR / DEFAULT_MODEL, bending(1)
+    served, exact = (subject.Network(folder, body(), threads=1, precision=p) for p in ("int8", "float32"))
+    digest = load_manifest(folder).digest
+    assert served.record() == {"graph": "packed_int8", "model_digest": digest}
+    assert exact.record() == {"graph": "packed", "model_digest": digest}
+    one, other = (made.drape(garment("tank"), poses).vertices for made in (served, exact))
+    assert 0.0 < np.linalg.norm(one - other, axis=-1).mean() < 2e-3
+    assert_array_equal(served.drape(garment("tank"), poses).vertices, one)
+
+
+def test_a_model_of_another_body_is_refused(tmp_path):
+    folder = write_tiny_model(tmp_path, replace(body(), digest="0" * 64))
+    with pytest.raises(ArtifactError, match="tiny body_digest"):
+        subject.Network(folder, body(), threads=1)

@@ -1,0 +1,39 @@
+"""The throughput benchmark: real steps, stages that add up, one record."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from benchmarks.training import __main__ as training
+
+
+@pytest.fixture(scope="module")
+def record() -> dict:
+    threads = torch.get_num_threads()
+    try:
+        record = training.main(["--quick", "--threads", "1", "--garment", "shorts", "--batch", "2", "--steps", "5"])
+    finally:
+        torch.set_num_threads(threads)
+    assert record is not None
+    return record
+
+
+@pytest.mark.slow
+def test_a_row_has_a_rate_and_its_stages_add_up_to_a_step(record: dict):
+    (row,) = record["rows"]
+    stages = {key: value for key, value in row.items() if key.endswith("_ms")}
+    assert set(stages) == {f"{name}_ms" for name in (*training.STAGES, "other")}
+    assert row["frames_per_s"] > 0.0
+    assert min(stages.values()) >= 0.0
+    # Of one step the profiled pass is slower than the timed one, never many times.
+    assert 0.3 < sum(stages.values()) * row["frames_per_s"] / 1e3 < 5.0
+    for name in ("pose", "network", "energy", "contact", "backward", "optimiser"):
+        assert stages[f"{name}_ms"] > 0.0
+
+
+@pytest.mark.slow
+def test_the_record_names_what_was_measured(record: dict):
+    assert record["bench"] == "training"
+    assert record["garment"] == "shorts"
+    assert record["rows"][0]["batch"] == 2
