@@ -59,8 +59,8 @@ def command(bench: str, arguments: list[str]) -> str:
     """The command line that runs: the module as it was named, else that of ``bench``; the folder of private data under
     its variable's name, other absolute paths cut to their end."""
     data, spec = data_folder(), sys.modules["__main__"].__spec__
-    named = spec is not None and spec.name.startswith("benchmarks.")
-    words = [f"python -m {spec.name.removesuffix('.__main__') if named else f'benchmarks.{bench}'}"]
+    running = spec.name if spec is not None and spec.name.startswith("benchmarks.") else f"benchmarks.{bench}"
+    words = [f"python -m {running.removesuffix('.__main__')}"]
     for word in arguments:
         path = Path(word).resolve()
         if data is not None and path.is_relative_to(data.resolve()):

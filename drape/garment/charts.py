@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,9 +9,6 @@ import scipy.sparse
 from scipy.sparse.csgraph import dijkstra
 
 from drape.garment.cache import CHARTS_PER_VERTEX
-from drape.geometry.rotations import matrix_to_quaternion, quaternion_to_matrix
-
-Orient = Callable[[np.ndarray], np.ndarray]  # points (n, 3) -> rotation as a quaternion wxyz (4,)
 
 
 @dataclass(frozen=True)
@@ -73,20 +69,16 @@ def cover(graph: scipy.sparse.csr_matrix, seeds: np.ndarray, *, spacing_m: float
 
 def patch_frames(
     label: np.ndarray,
-    vertices: np.ndarray,
     normals: np.ndarray,
     area: np.ndarray,
     bone_direction: np.ndarray,
-    *,
-    orient: Orient | None = None,
 ) -> np.ndarray:
     """Frames (K, 3, 3), columns u axis, v axis, normal.
 
     The normal is the mean normal of the cluster and the u axis the blended bone
     direction ``bone_direction`` (K, 3) laid into the tangent plane: both vary smoothly
     over the body and carry no arbitrary sign, which is what lets one network serve
-    partitions it has never seen. ``orient`` replaces the normal by another choice,
-    for example PolyFit's.
+    partitions it has never seen.
     """
     count = len(bone_direction)
     weighted = area[:, None] * normals
@@ -94,10 +86,6 @@ def patch_frames(
     length = np.linalg.norm(mean, axis=1, keepdims=True)
     mass = np.bincount(label, area, count)[:, None]
     normal = np.where(length > 1e-3 * mass, mean / np.maximum(length, 1e-12), [[0.0, 0.0, 1.0]])
-    if orient is not None:
-        for k in range(count):
-            chosen = quaternion_to_matrix(orient(vertices[label == k]))[:, 2]
-            normal[k] = chosen if chosen @ normal[k] >= 0 else -chosen
     along = bone_direction - np.sum(bone_direction * normal, axis=1, keepdims=True) * normal
     weak = np.linalg.norm(along, axis=1, keepdims=True) < 1e-2
     fallback = np.array([0.0, 0.0, 1.0]) - normal[:, 2:3] * normal  # towards the front of the body
@@ -107,13 +95,3 @@ def patch_frames(
     along = np.where(weak, fallback, along)
     u = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     return np.stack([u, np.cross(normal, u), normal], axis=-1)
-
-
-def pca_orient(points: np.ndarray) -> np.ndarray:
-    """The quaternion wxyz whose third axis is the direction of least spread: the paper's initial choice."""
-    # The zero rows give clusters of one or two points three axes, and change no other.
-    spread = np.concatenate([points - points.mean(axis=0), np.zeros((max(0, 3 - len(points)), 3))])
-    _, _, axes = np.linalg.svd(spread, full_matrices=False)
-    if np.linalg.det(axes) < 0:
-        axes = np.stack([axes[0], -axes[1], axes[2]])
-    return matrix_to_quaternion(axes.T)

@@ -75,31 +75,24 @@ def patch_fields(
     count: int | None = None,
     share: float = 1.0,
     seed: int = DEFAULT_SEED,
-    orient: charts.Orient | None = None,
-    density: np.ndarray | None = None,
     unfold: bool = False,
 ) -> dict[str, np.ndarray]:
     """The patch and chart fields of ``Garment`` for one partition of ``rest`` into ``count`` patches, by default
     ``share`` times those of ``patch_count_for``.
 
-    ``density`` (N,) makes patches smaller where it is high, each with a scale of its own
-    (``drape.garment.density``); ``unfold`` lays charts flat that fold over (``drape.garment.unfold``). What the
+    ``unfold`` lays charts flat that fold over (``drape.garment.unfold``). What the
     network reads of a patch is that of the projection either way: training draws partitions without unfolding.
     """
     area = float(rest.areas.sum())
     count = min(patch_count_for(area, share) if count is None else count, len(rest.vertices))
-    mass = rest.areas if density is None else rest.areas * density
-    label = partition(rest.vertices, rest.faces, mass, count, seed=seed, graph=rest.graph)
+    label = partition(rest.vertices, rest.faces, rest.areas, count, seed=seed, graph=rest.graph)
     centre, seeds = charts.cluster_centres(label, rest.vertices, rest.areas)
     count = len(centre)
     weights = _cluster_mean(label, rest.areas, rest.hang.weights, count)
     moves = rest.hang.shapedirs.reshape(len(label), -1)
     shapedirs = _cluster_mean(label, rest.areas, moves, count).reshape(count, 3, -1)
-    rotation = charts.patch_frames(
-        label, rest.vertices, rest.normals, rest.areas, weights @ rest.body.bone_directions, orient=orient
-    )
-    own_area = np.full(count, area / count) if density is None else np.bincount(label, rest.areas, count)
-    scale = CHART_RADIUS * np.sqrt(own_area)
+    rotation = charts.patch_frames(label, rest.normals, rest.areas, weights @ rest.body.bone_directions)
+    scale = np.full(count, CHART_RADIUS * np.sqrt(area / count))
     cover = charts.cover(rest.graph, seeds, spacing_m=float(np.sqrt(area / count)))
     local = np.einsum("vkba,vkb->vka", rotation[cover.patch], rest.vertices[:, None] - centre[cover.patch])
     uv, height = local[..., :2] / scale[cover.patch][..., None], local[..., 2] / scale[cover.patch]
@@ -202,7 +195,6 @@ def fit_garment(
     body: BodyModel,
     digest: str,
     manifest: dict[str, Any],
-    orient: charts.Orient | None = None,
     count: int | None = None,
     share: float = 1.0,
     seed: int = DEFAULT_SEED,
@@ -213,7 +205,7 @@ def fit_garment(
     subdivision; ``faces`` index the former, ``fine_faces`` all.
     """
     rest = rest_garment(vertices, fine_faces, body)
-    fields = patch_fields(rest, count=count, share=share, seed=seed, orient=orient, unfold=True)
+    fields = patch_fields(rest, count=count, share=share, seed=seed, unfold=True)
     garment = Garment(
         name=name,
         digest=digest,

@@ -40,7 +40,6 @@ FINE_EDGE_M = 0.021  # each round halves the edges: the mean ends near 15 mm
 _VERTEX_ARRAYS = ("vertices", "chart_patch", "chart_uv", "chart_weight", "chart_residual", "skin_weights", "shapedirs")
 
 Report = Callable[[str], None]
-Orient = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -189,15 +188,13 @@ def intake(
     body: BodyModel | None = None,
     options: IntakeOptions = IntakeOptions(),
     folder: Path | None = None,
-    orient: Orient | None = None,
     report: Report | None = None,
 ) -> Garment:
     """The garment in a mesh file (or its bytes, of ``kind``), at rest on ``body``.
 
     ``avatar`` says what it was modelled on (``drape.garment.avatars``); None asks the table
     beside the file and then takes the standard body, if the garment lies on it. With ``folder``
-    the result is stored there, and found there the next time. ``orient`` chooses patch planes
-    (default: their mean normals). Raises ``InputError``; nothing is written then.
+    the result is stored there, and found there the next time. Raises ``InputError``; nothing is written then.
     """
     say = report or (lambda line: None)
     body = load_body() if body is None else body
@@ -233,7 +230,7 @@ def intake(
         "notes": list(rest.mesh.notes),
         "intake": {key: round(float(value), 4) for key, value in rest.figures.items()},
     }
-    garment = _fit(rest, name, body, digest, manifest, orient, options.patches)
+    garment = _fit(rest, name, body, digest, manifest, options.patches)
     error = garment.manifest["fit"]
     say(f"fitted    {garment.patch_count} patches on {len(garment.vertices):,} vertices")
     say(f"fit error {error['point_rmse_m']:.2e} m point RMSE, {error['normal_error_deg']:.2f} deg normal error")
@@ -262,7 +259,6 @@ def _fit(
     body: BodyModel,
     digest: str,
     manifest: dict[str, Any],
-    orient: Orient | None,
     patches: float,
 ) -> Garment:
     from drape.garment.fitting import fit_garment
@@ -281,7 +277,6 @@ def _fit(
         body=body,
         digest=digest,
         manifest=manifest,
-        orient=orient,
         share=patches,
     )
     return with_unused(garment, rest.faces, rest.kept)

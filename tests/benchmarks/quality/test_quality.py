@@ -30,9 +30,8 @@ def test_the_quick_table_is_ordered_as_physics_demands(tmp_path):
     if not any(GARMENTS_DIR.glob("shorts-*.npz")):
         pytest.skip("no shipped shorts: run the intake")
     stored = tmp_path / "quality.json"
-    record = quality.main(
-        f"--quick --garments shorts --threads 1 --no-physics-cache --out {stored} --sheets {tmp_path / 'sheets'}".split()
-    )
+    asked = "--quick --garments shorts --threads 1 --no-physics-cache"
+    record = quality.main(f"{asked} --out {stored} --sheets {tmp_path / 'sheets'}".split())
     assert (tmp_path / "sheets" / "strain_shorts.png").read_bytes()[1:4] == b"PNG"
     assert json.loads(stored.read_text()) == record
     rows = {row["method"]: row for row in record["rows"]}

@@ -173,13 +173,6 @@ def test_patch_count_is_that_of_the_area_unless_given_and_never_above_the_vertic
     assert len(patch_fields(small)["patch_centre"]) == 16
 
 
-def test_other_frames_can_be_asked_for():
-    fields = patch_fields(barrel(), count=PATCH_COUNT, orient=charts.pca_orient)
-    default = patch_fields(barrel(), count=PATCH_COUNT)
-    assert_array_equal(fields["patch_centre"], default["patch_centre"])
-    assert np.abs(fields["patch_rotation"] - default["patch_rotation"]).max() > 1e-3
-
-
 def test_patches_move_with_garment_and_body(rng):
     """Turning garment, body and weights together turns centres and frames and leaves everything in them."""
     # Creased, since on an even tube many vertices lie equally far from two patches and rounding decides.
