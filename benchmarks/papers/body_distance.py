@@ -3,7 +3,7 @@
 Beside them stand the numbers of Yu, Cordier and Seo (2024): a network that is 0.2 mm off on average and takes 5.4 ms
 for 3,000 points on a GPU, and 108 ms with a tree of points.
 
-    python -m benchmarks.papers.body_distance [--quick] [--siren-folder DIR] [--picture FILE] [--save]
+    python -m benchmarks.papers.body_distance [--quick] [--siren-folder DIR] [--save]
 
 Points are drawn evenly by area and moved along the normal by at most 3 cm to either side. Times are the processor's,
 the least of some repetitions, of distance and gradient together. The network is trained once, about five minutes of
@@ -43,19 +43,10 @@ SEED = 100
 BARE = ("head", "wrist", "hand", "ankle", "foot")  # parts of the body that cloth seldom lies on
 PAPER = {"mean_mm": 0.2, "ms_gpu": 5.4, "tree_ms": 108.0, "points": QUERY}
 COLUMNS = {
-    "distance": "s",
-    "skin_mm": ".3f",
-    "skin_p99_mm": ".2f",
-    "near_mm": ".3f",
-    "near_p99_mm": ".2f",
-    "limbs_mm": ".3f",
-    "limbs_p99_mm": ".2f",
-    "angle_deg": ".2f",
-    "limbs_angle_deg": ".2f",
-    "query_ms": ".2f",
-    "megabytes": ".2f",
-    "prepared_s": ".1f",
-}
+    "distance": "s", "skin_mm": ".3f", "skin_p99_mm": ".2f", "near_mm": ".3f", "near_p99_mm": ".2f",
+    "limbs_mm": ".3f", "limbs_p99_mm": ".2f", "angle_deg": ".2f", "limbs_angle_deg": ".2f", "query_ms": ".2f",
+    "megabytes": ".2f", "prepared_s": ".1f",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,46 +141,12 @@ def rows_of(
     return rows, network
 
 
-def draw(body: BodyModel, found: dict[str, SignedDistance], path: Path) -> None:
-    """Writes a picture: for each of ``found`` its error [mm] on the skin seen from the front, and in a slice."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    vertices, faces = body.v_template, body.faces
-    corners = vertices[faces]
-    middles = corners.mean(axis=1)
-    seen = middles[np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0.0]
-    low, high = vertices.min(axis=0) - BAND_M, vertices.max(axis=0) + BAND_M
-    across, up = np.meshgrid(np.linspace(-0.5, 0.5, 200), np.linspace(0.5 * (low[1] + high[1]) - 0.2, high[1], 200))
-    slice_points = np.stack([across.ravel(), up.ravel(), np.full(across.size, middles[:, 2].mean())], axis=1)
-    exact = closest.signed_distance(slice_points, vertices, faces)
-    figure, axes = pyplot.subplots(2, len(found), figsize=(6 * len(found), 9), squeeze=False)
-    for (name, one), (above, below) in zip(found.items(), axes.T, strict=True):
-        off = 1e3 * _asked(one, seen)[0]
-        shown = above.scatter(seen[:, 0], seen[:, 1], c=off, s=2, cmap="coolwarm", vmin=-2.0, vmax=2.0)
-        figure.colorbar(shown, ax=above, label="on the skin [mm]")
-        off = (1e3 * (_asked(one, slice_points)[0] - exact)).reshape(across.shape)
-        shown = below.pcolormesh(across, up, off, cmap="coolwarm", vmin=-5.0, vmax=5.0)
-        figure.colorbar(shown, ax=below, label="in a slice [mm]")
-        below.contour(across, up, exact.reshape(across.shape), [0.0], colors="black")
-        above.set_title(f"error of the distance: {name}")
-        for ax in (above, below):
-            ax.set_aspect("equal")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.tight_layout()
-    figure.savefig(path, dpi=70)
-    pyplot.close(figure)
-
-
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     common.add_options(parser)
     parser.add_argument("--body", default=DEFAULT_BODY, help="name or file of a body")
     parser.add_argument("--siren-folder", type=Path, default=SIREN_FOLDER, help="where the trained network is kept")
-    parser.add_argument("--picture", type=Path, help="write a picture of the errors of a 20 mm grid and of the network")
     return parser.parse_args(arguments)
 
 
@@ -203,9 +160,6 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     rows, network = rows_of(body, grids, siren, options.siren_folder, count)
     print()
     common.print_table(rows, COLUMNS)
-    if options.picture:
-        grid = GridDistance.from_mesh(body.v_template, body.faces, spacing_m=0.02)
-        draw(body, {"grid 20 mm": grid, rows[-1]["distance"]: network}, options.picture)
     print(f"paper: {PAPER['mean_mm']} mm on average, {PAPER['ms_gpu']} ms for {QUERY:,} points on a GPU")
     return common.finish(
         "body_distance",

@@ -65,22 +65,11 @@ PUBLISHED: dict[str, tuple[float | None, float, float]] = {
     "no_collision": (8.004, 13.373, 0.387),
 }
 COLUMNS = {
-    "loss": "s",
-    "steps": "d",
-    "edge_pct": ".2f",
-    "area_pct": ".2f",
-    "colliding_vertex_pct": ".3f",
-    "published_edge_pct": ".1f",
-    "published_area_pct": ".1f",
-    "published_colliding_pct": ".3f",
-    "energy_j": ".4f",
-    "membrane_j": ".4f",
-    "bending_j": ".4f",
-    "contact_j": ".4f",
-    "share": ".3f",
-    "chart_gap_p99_mm": ".2f",
+    "loss": "s", "steps": "d", "edge_pct": ".2f", "area_pct": ".2f", "colliding_vertex_pct": ".3f",
+    "published_edge_pct": ".1f", "published_area_pct": ".1f", "published_colliding_pct": ".3f", "energy_j": ".4f",
+    "membrane_j": ".4f", "bending_j": ".4f", "contact_j": ".4f", "share": ".3f", "chart_gap_p99_mm": ".2f",
     "chart_normal_p99_deg": ".1f",
-}
+}  # fmt: skip
 
 
 @dataclass(frozen=True)

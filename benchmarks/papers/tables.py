@@ -5,30 +5,19 @@ from __future__ import annotations
 from benchmarks.shared.markdown import Record, rows_table
 
 FORM_NAMES = {
-    "skinning": "skinning",
-    "skinning_push": "skinning + push-out",
-    "paper": "paper: height jet, translation, scale; vertices skinned",
-    "paper_turning": "+ free rotation",
-    "skinned_2": "in-plane order 2, vertices skinned",
-    "rigid_1": "in-plane order 1, frames skinned rigidly",
-    "rigid_2": "in-plane order 2, frames skinned rigidly",
-    "rigid_3": "in-plane order 3, frames skinned rigidly",
-    "physics": "physics optimum of benchmarks.quality",
-    "free": "every vertex free",
-}
+    "skinning": "skinning", "skinning_push": "skinning + push-out",
+    "paper": "paper: height jet, translation, scale; vertices skinned", "paper_turning": "+ free rotation",
+    "skinned_2": "in-plane order 2, vertices skinned", "rigid_1": "in-plane order 1, frames skinned rigidly",
+    "rigid_2": "in-plane order 2, frames skinned rigidly", "rigid_3": "in-plane order 3, frames skinned rigidly",
+    "physics": "physics optimum of benchmarks.quality", "free": "every vertex free",
+}  # fmt: skip
 LOSS_NAMES = {
-    "skinning": "skinning",
-    "skinning_push": "skinning + push-out",
-    "paper": "equation 10, all terms",
-    "no_collision": "without collision (L_col)",
-    "no_metric": "without metric (L_inext)",
-    "no_edges": "without edges (L_mesh_inext)",
-    "no_boundary": "without boundary",
-    "no_gravity": "without gravity",
-    "house": "energy of training.run",
-    "house_metric": "energy + metric",
+    "skinning": "skinning", "skinning_push": "skinning + push-out", "paper": "equation 10, all terms",
+    "no_collision": "without collision (L_col)", "no_metric": "without metric (L_inext)",
+    "no_edges": "without edges (L_mesh_inext)", "no_boundary": "without boundary", "no_gravity": "without gravity",
+    "house": "energy of training.run", "house_metric": "energy + metric",
     "house_jet_bending": "energy, bending from jets",
-}
+}  # fmt: skip
 FORMS = {
     "garment": ("garment", "s"), "patches": ("patches", "d"), "numbers": ("numbers each", "d"), "form": ("form", "s"),
     "energies": ("membrane / total [J]", "s"), "edge_pct": ("edge %", ".2f"), "area_pct": ("area %", ".2f"),

@@ -29,12 +29,10 @@ import torch
 from benchmarks.quality import reference as quality_reference
 from benchmarks.quality.jitter import typical_windows
 from benchmarks.quality.measures import Bench, measure, summary
-from benchmarks.quality.sheets import strain_sheet
 from benchmarks.shared import common, physics
 from benchmarks.shared.network import Network, add_precision
 from benchmarks.shared.physics_cache import CACHE_DIR
-from benchmarks.shared.render import save_png
-from drape.artifacts import DEFAULT_MODEL, model_folder
+from drape.artifacts import model_folder
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, find_motions, is_shipped, open_garment
@@ -50,52 +48,27 @@ SETS = ("trained", "unseen")
 FRAMES, QUICK_FRAMES, REFERENCE_FRAMES = 12, 2, 3
 STEPS, QUICK_STEPS = 2000, 150
 COLUMNS = {
-    "garment": "s",
-    "set": "s",
-    "method": "s",
-    "edge_pct": ".2f",
-    "area_pct": ".2f",
-    "edge_over_physics_pp": ".2f",
-    "area_over_physics_pp": ".2f",
-    "colliding_vertex_pct": ".3f",
-    "colliding_triangle_pct": ".3f",
-    "self_intersections": ".1f",
-    "chart_gap_p99_mm": ".2f",
-    "chart_normal_p99_deg": ".2f",
-    "jitter_ratio": ".2f",
-    "jitter_worst": ".2f",
-    "energy_j": ".4f",
-    "membrane_j": ".4f",
-    "gain": ".3f",
-}
+    "garment": "s", "set": "s", "method": "s", "edge_pct": ".2f", "area_pct": ".2f", "edge_over_physics_pp": ".2f",
+    "area_over_physics_pp": ".2f", "colliding_vertex_pct": ".3f", "colliding_triangle_pct": ".3f",
+    "self_intersections": ".1f", "chart_gap_p99_mm": ".2f", "chart_normal_p99_deg": ".2f", "jitter_ratio": ".2f",
+    "jitter_worst": ".2f", "energy_j": ".4f", "membrane_j": ".4f", "gain": ".3f",
+}  # fmt: skip
 REFERENCE_COLUMNS = {"reference_mm": ".1f", "reference_p95_mm": ".1f", "reference_surface_mm": ".1f"}
 # The table's head, where the key is longer than its numbers; the record keeps the keys.
 HEADS = {
-    "edge_over_physics_pp": "edge_over",
-    "area_over_physics_pp": "area_over",
-    "colliding_vertex_pct": "vertex_pct",
-    "colliding_triangle_pct": "triangle_pct",
-    "self_intersections": "self",
-    "chart_gap_p99_mm": "gap_mm",
-    "chart_normal_p99_deg": "normal_deg",
-    "jitter_ratio": "jitter",
-    "jitter_worst": "worst",
-    "reference_mm": "ref_mm",
-    "reference_p95_mm": "ref_p95",
-    "reference_surface_mm": "ref_surface",
-}
+    "edge_over_physics_pp": "edge_over", "area_over_physics_pp": "area_over", "colliding_vertex_pct": "vertex_pct",
+    "colliding_triangle_pct": "triangle_pct", "self_intersections": "self", "chart_gap_p99_mm": "gap_mm",
+    "chart_normal_p99_deg": "normal_deg", "jitter_ratio": "jitter", "jitter_worst": "worst", "reference_mm": "ref_mm",
+    "reference_p95_mm": "ref_p95", "reference_surface_mm": "ref_surface",
+}  # fmt: skip
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.quality", description="Quality of skinning, network and physics, side by side."
     )
-    parser.add_argument("--garments", nargs="+", default=[], help="names, files or folders (default: the shipped ones)")
-    parser.add_argument("--motions", nargs="+", default=[], help="names, files or folders (default: the shipped ones)")
+    common.add_inputs(parser)
     parser.add_argument("--frames", type=int, help=f"poses (default {FRAMES}, quick {QUICK_FRAMES})")
-    parser.add_argument(
-        "--model", default=DEFAULT_MODEL, help=f"name under assets/models, or a folder (default {DEFAULT_MODEL})"
-    )
     parser.add_argument(
         "--set", choices=SETS, help="what the garments are (default: shipped ones trained, files unseen)"
     )
@@ -161,6 +134,7 @@ def open_bench(options: argparse.Namespace, body: BodyModel) -> Bench:
         physics_folder=None if options.no_physics_cache else CACHE_DIR,
         reference_frames=options.reference_frames,
         reference_folder=None if options.no_physics_cache else quality_reference.CACHE_DIR,
+        sheets=options.sheets,
     )
 
 
@@ -195,10 +169,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
             continue
         print(f"{garment.name}: drapes and the physics optimum, minutes where it is not stored", flush=True)
         trained = options.set == "trained" if options.set else is_shipped(path)
-        found, positions = measure(garment, bench, trained=trained)
-        rows += found
-        if options.sheets:
-            save_png(options.sheets / f"strain_{garment.name}.png", strain_sheet(garment, bench, positions))
+        rows += measure(garment, bench, trained=trained)
         stored = ", stored" if rows[-1]["cached"] else ""
         print(f"{garment.name}: physics {rows[-1]['steps']:.0f} steps, {rows[-1]['seconds']:.0f} s{stored}", flush=True)
     if not rows:

@@ -13,9 +13,11 @@ import numpy as np
 from benchmarks.quality.intersections import intersection_count
 from benchmarks.quality.jitter import Window, jitter
 from benchmarks.quality.reference import Bodies, reference_figures
+from benchmarks.quality.sheets import strain_sheet
 from benchmarks.shared import physics
 from benchmarks.shared.network import Draped, Network
 from benchmarks.shared.physics_cache import cache_key, cached
+from benchmarks.shared.render import save_png
 from drape.body.model import BodyModel
 from drape.cloth import metrics
 from drape.cloth.contact import BodyContact, push_out
@@ -38,7 +40,7 @@ class Bench:
 
     ``windows`` are what jitter is measured on; ``physics_folder`` keeps optima between runs, None does not. The
     simulator of ``quality_reference`` drapes the first ``reference_frames`` poses over ``reference_bodies`` and keeps
-    them in ``reference_folder``.
+    them in ``reference_folder``. Sheets of strain go to ``sheets``.
     """
 
     body: BodyModel
@@ -53,6 +55,7 @@ class Bench:
     physics_folder: Path | None = None
     reference_frames: int = 0
     reference_folder: Path | None = None
+    sheets: Path | None = None
 
     @cached_property
     def reference_bodies(self) -> Bodies:
@@ -60,8 +63,8 @@ class Bench:
         return Bodies(self.body_vertices, self.body.faces)
 
 
-def measure(garment: Garment, bench: Bench, *, trained: bool) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:
-    """One row per method, without what does not apply to it; and world vertices [m] (F, V, 3) by method."""
+def measure(garment: Garment, bench: Bench, *, trained: bool) -> list[dict[str, Any]]:
+    """One row per method; what does not apply to a method is not in its row."""
     rest, faces = garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64)
     cloth = ClothMesh.from_rest(rest, faces)
     positions, draped, optimum, was_cached = drapes(garment, bench, cloth)
@@ -112,8 +115,11 @@ def measure(garment: Garment, bench: Bench, *, trained: bool) -> tuple[list[dict
         )
         for method, columns in figures.items():
             rows[method] |= columns
+    if bench.sheets:
+        sheet = strain_sheet(garment, positions, bench.body_vertices, bench.body.faces)
+        save_png(bench.sheets / f"strain_{garment.name}.png", sheet)
     rest_crossings = float(intersection_count(rest, faces))
-    return [rows[method] | {"self_intersections_rest": rest_crossings} for method in METHODS], positions
+    return [rows[method] | {"self_intersections_rest": rest_crossings} for method in METHODS]
 
 
 def drapes(

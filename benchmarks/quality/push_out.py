@@ -24,7 +24,7 @@ from benchmarks.shared import common
 from benchmarks.shared.kd_tree_push import Collider
 from benchmarks.shared.network import Network, add_precision
 from benchmarks.speed.setup import timed
-from drape.artifacts import DEFAULT_MODEL, model_folder
+from drape.artifacts import model_folder
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, find_motions, is_shipped, open_garment
@@ -72,12 +72,8 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.quality.push_out", description="Push-outs, side by side."
     )
-    parser.add_argument("--garments", nargs="+", default=[], help="names, files or folders (default: the shipped ones)")
-    parser.add_argument("--motions", nargs="+", default=[], help="names, files or folders (default: the shipped ones)")
+    common.add_inputs(parser)
     parser.add_argument("--frames", type=int, help=f"poses (default {FRAMES}, quick {QUICK_FRAMES})")
-    parser.add_argument(
-        "--model", default=DEFAULT_MODEL, help=f"name under assets/models, or a folder (default {DEFAULT_MODEL})"
-    )
     add_precision(parser)
     common.add_options(parser)
     options = parser.parse_args(arguments)

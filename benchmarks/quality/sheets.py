@@ -6,7 +6,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from benchmarks.quality.measures import Bench
 from benchmarks.shared.render import SKIN, Surface, render, sheet
 from drape.garment.cache import Garment
 from drape.geometry import meshes
@@ -25,16 +24,18 @@ def strain_colours(vertices: np.ndarray, rest: np.ndarray, faces: np.ndarray) ->
     return (1.0 - share) * UNCHANGED + share * np.where(change[:, None] > 0.0, STRETCHED, PRESSED)
 
 
-def strain_sheet(garment: Garment, bench: Bench, positions: Mapping[str, np.ndarray]) -> np.ndarray:
-    """The sheet of one garment, whose ``positions`` [m] (F, V, 3) by method are those of ``measures.measure``."""
+def strain_sheet(
+    garment: Garment, positions: Mapping[str, np.ndarray], skin: np.ndarray, skin_faces: np.ndarray
+) -> np.ndarray:
+    """The sheet of one garment: ``positions`` [m] (F, V, 3) by method on the bodies ``skin`` [m] (F, Vb, 3)."""
     rest, faces = garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64)
     rows = []
     for method in METHODS:
         row = []
         for frame, vertices in enumerate(positions[method][:COLUMNS]):
             cloth = Surface(vertices, faces, strain_colours(vertices, rest, faces))
-            skin = Surface(bench.body_vertices[frame], bench.body.faces, SKIN)
+            body = Surface(skin[frame], skin_faces, SKIN)
             centre = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
-            row.append(render([skin, cloth], size=SIZE, azimuth_deg=20.0, centre=centre, extent_m=EXTENT_M))
+            row.append(render([body, cloth], size=SIZE, azimuth_deg=20.0, centre=centre, extent_m=EXTENT_M))
         rows.append(row)
     return sheet(rows)

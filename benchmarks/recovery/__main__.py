@@ -52,56 +52,22 @@ VARIANTS: dict[str, dict[str, Any]] = {
 }
 ABLATION_FABRIC = "crisp"  # of its targets, so that the material has something to tell
 COLUMNS = {
-    "garment": "s",
-    "fabric": "s",
-    "variant": "s",
-    "seed": "d",
-    "nodes": "d",
-    "base_mm": ".1f",
-    "graded_mm": ".2f",
-    "first_mm": ".2f",
-    "mean_mm": ".2f",
-    "max_mm": ".2f",
-    "area_err": ".2f",
-    "area_max": ".2f",
-    "surface_mm": ".3f",
+    "garment": "s", "fabric": "s", "variant": "s", "seed": "d", "nodes": "d", "base_mm": ".1f", "graded_mm": ".2f",
+    "first_mm": ".2f", "mean_mm": ".2f", "max_mm": ".2f", "area_err": ".2f", "area_max": ".2f", "surface_mm": ".3f",
     "minutes": ".2f",
-}
+}  # fmt: skip
 ROUND_COLUMNS = {
-    "garment": "s",
-    "seed": "d",
-    "round": "d",
-    "nodes": "d",
-    "mean_mm": ".2f",
-    "max_mm": ".2f",
-    "area_err": ".2f",
-    "surface_mm": ".3f",
-    "steps": "d",
-    "drapes": "d",
-    "minutes": ".2f",
-    "processor_minutes": ".2f",
-}
+    "garment": "s", "seed": "d", "round": "d", "nodes": "d", "mean_mm": ".2f", "max_mm": ".2f", "area_err": ".2f",
+    "surface_mm": ".3f", "steps": "d", "drapes": "d", "minutes": ".2f", "processor_minutes": ".2f",
+}  # fmt: skip
 PAIR_COLUMNS = {
-    "garment": "s",
-    "fabrics": "s",
-    "seed": "d",
-    "mean_mm": ".2f",
-    "area_mean_pct": ".2f",
-    "area_max_pct": ".2f",
-    "edge_mean_pct": ".2f",
-    "edge_max_pct": ".2f",
-}
+    "garment": "s", "fabrics": "s", "seed": "d", "mean_mm": ".2f", "area_mean_pct": ".2f", "area_max_pct": ".2f",
+    "edge_mean_pct": ".2f", "edge_max_pct": ".2f",
+}  # fmt: skip
 SPREAD_COLUMNS = {
-    "garment": "s",
-    "variant": "s",
-    "seeds": "d",
-    "mean_mm": ".2f",
-    "mean_mm_sd": ".2f",
-    "area_err": ".2f",
-    "area_err_sd": ".2f",
-    "surface_mm": ".3f",
-    "surface_mm_sd": ".3f",
-}
+    "garment": "s", "variant": "s", "seeds": "d", "mean_mm": ".2f", "mean_mm_sd": ".2f", "area_err": ".2f",
+    "area_err_sd": ".2f", "surface_mm": ".3f", "surface_mm_sd": ".3f",
+}  # fmt: skip
 
 
 def target_of(garment: str, drape: DrapeOptions) -> tuple[Pattern, Draped]:

@@ -18,6 +18,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from drape.artifacts import DEFAULT_MODEL
 from drape.files.data import DATA_VARIABLE, data_folder
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -30,6 +31,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--threads", type=int, default=os.cpu_count(), help="CPU threads (default: all)")
     parser.add_argument("--save", action="store_true", help="keep the record as benchmarks/results/NAME.json")
     parser.add_argument("--out", type=Path, help="write the record to this file")
+
+
+def add_inputs(parser: argparse.ArgumentParser) -> None:
+    """Adds ``--garments``, ``--motions`` and ``--model``."""
+    parser.add_argument("--garments", nargs="+", default=[], help="names, files or folders (default: the shipped ones)")
+    parser.add_argument("--motions", nargs="+", default=[], help="names, files or folders (default: the shipped ones)")
+    parser.add_argument(
+        "--model", default=DEFAULT_MODEL, help=f"name under assets/models, or a folder (default {DEFAULT_MODEL})"
+    )
 
 
 def finish(bench: str, rows: list[dict[str, Any]], options: argparse.Namespace, **extra: Any) -> dict[str, Any]:

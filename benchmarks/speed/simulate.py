@@ -29,15 +29,9 @@ RADIUS_M, EDGE_M, SPACING_M = 0.2, 1.0, 0.02
 DT_S = 0.05  # the paper's
 CLOTH = OrthotropicMaterial(h00=60.0, h01=11.0, h11=45.0, h22=24.0, bending_j=1.5e-4, density_kg_m2=0.18)
 COLUMNS = {
-    "vertices": ",d",
-    "steps": "d",
-    "forward_s": ".3f",
-    "backward_s": ".3f",
-    "step_ms": ".1f",
-    "newton_step_ms": ".1f",
-    "newton_iterations": "d",
-    "model_s": ".3f",
-}
+    "vertices": ",d", "steps": "d", "forward_s": ".3f", "backward_s": ".3f", "step_ms": ".1f",
+    "newton_step_ms": ".1f", "newton_iterations": "d", "model_s": ".3f",
+}  # fmt: skip
 
 
 def square(side: int) -> tuple[np.ndarray, np.ndarray]:

@@ -13,6 +13,7 @@ from tests.architecture.repository import PACKAGES, ROOT, repository_files
 
 DOCUMENTS = [path for path in repository_files() if path.suffix == ".md"]
 COMMAND = re.compile(r"python -m ([A-Za-z_][\w.]*)")
+OF_A_COMMIT = re.compile(r"commit [0-9a-f]{7,}")
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)(?:\s+\"[^\"]*\")?\)")
 CODE = re.compile(r"```[a-z]*\n(.*?)```|`([^`\n]+)`", re.DOTALL)
 MAKE_TARGET = re.compile(r"^(?:[A-Z_]+=\S+ )*make ([a-z][a-z-]*)", re.MULTILINE)
@@ -32,8 +33,10 @@ def is_command(name: str) -> bool:
 
 
 def our_commands(document: Path) -> set[str]:
-    """The modules of ours that ``document`` runs with ``python -m``."""
-    names = {name.rstrip(".") for name in COMMAND.findall(document.read_text(encoding="utf-8"))}
+    """The modules of ours that ``document`` runs with ``python -m``; one on a line that names its commit is of then."""
+    lines = document.read_text(encoding="utf-8").splitlines()
+    now = "\n".join(line for line in lines if not OF_A_COMMIT.search(line))
+    names = {name.rstrip(".") for name in COMMAND.findall(now)}
     return {name for name in names if name.partition(".")[0] in PACKAGES}
 
 

@@ -7,16 +7,11 @@ from collections.abc import Sequence
 from benchmarks.shared.markdown import Record, provenance, rows_table, table
 
 MODELS = {
-    "gaussian": "Gaussians alone",
-    "families": "the four families",
-    "finetuned": "fine-tuned on garment patches",
-    "pca": "principal axes, no network",
-    "adapted": "fine-tuned on the patches measured, as in the paper",
-    "mean normal": "mean normal, no network",
-    "best by search": "best frame by search, a bound",
-    "pointnet": "PointNet, regresses the jet",
-    "dgcnn": "DGCNN, regresses the jet",
-}
+    "gaussian": "Gaussians alone", "families": "the four families", "finetuned": "fine-tuned on garment patches",
+    "pca": "principal axes, no network", "adapted": "fine-tuned on the patches measured, as in the paper",
+    "mean normal": "mean normal, no network", "best by search": "best frame by search, a bound",
+    "pointnet": "PointNet, regresses the jet", "dgcnn": "DGCNN, regresses the jet",
+}  # fmt: skip
 FIT = {
     "name": ("model", "s"), "height_rmse": ("height RMSE", ".4f"), "height_rmse_p99": ("its p99", ".3f"),
     "normal_deg": ("normals [deg]", ".2f"), "folded_patch_pct": ("fold over %", ".1f"),

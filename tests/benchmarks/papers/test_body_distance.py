@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import torch
 from numpy.testing import assert_allclose
-from PIL import Image
 
 from benchmarks.papers import body_distance
-from benchmarks.papers.body_distance import PAPER, Probe, draw, errors, rows_of
+from benchmarks.papers.body_distance import PAPER, Probe, errors, rows_of
 from drape.body.assets import load_body
 from recovery.sim.siren import SirenOptions
 
@@ -41,8 +40,4 @@ def test_a_finer_grid_is_nearer_and_larger(tmp_path, monkeypatch):
     assert fine["near_mm"] < coarse["near_mm"] and fine["limbs_mm"] < fine["near_mm"]
     assert 4.0 < fine["megabytes"] / coarse["megabytes"] < 9.0
     assert siren["prepared_s"] == network.trained_s > 0.0 and len(list(tmp_path.iterdir())) == 1
-    picture = tmp_path / "pictures" / "errors.png"
-    draw(load_body(), {"network": network}, picture)
-    with Image.open(picture) as image:
-        assert image.width > 300 and len(np.unique(np.asarray(image.convert("RGB")).reshape(-1, 3), axis=0)) > 50
     assert fine["near_mm"] < siren["near_mm"] < 300.0 and PAPER["mean_mm"] < siren["near_mm"]

@@ -17,7 +17,7 @@ from tests.benchmarks.quality.quality_setup import bench, body, tube
 @pytest.fixture(scope="module")
 def measured(tmp_path_factory):
     made = bench(tmp_path_factory.mktemp("optima"))
-    return made, {row["method"]: row for row in measure(tube(), made, trained=False)[0]}
+    return made, {row["method"]: row for row in measure(tube(), made, trained=False)}
 
 
 def test_every_method_has_a_row_with_the_figures_that_apply_to_it(measured):
@@ -60,7 +60,7 @@ def test_a_second_model_finds_the_optimum_stored(measured, monkeypatch):
     made, rows = measured
     assert not rows["physics"]["cached"]
     monkeypatch.setattr("benchmarks.shared.physics.minimise", lambda *a, **k: pytest.fail("minimised again"))
-    again = {row["method"]: row for row in measure(tube(), made, trained=True)[0]}
+    again = {row["method"]: row for row in measure(tube(), made, trained=True)}
     assert again["physics"]["cached"]
     assert again["physics"]["set"] == "trained"
     assert again["physics"]["energy_j"] == rows["physics"]["energy_j"]

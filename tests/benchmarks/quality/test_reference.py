@@ -143,7 +143,7 @@ def measured(tmp_path_factory):
     )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(quality_reference, "GRID_M", 0.03)
-        return made, {row["method"]: row for row in measure(tube(), made, trained=False)[0]}
+        return made, {row["method"]: row for row in measure(tube(), made, trained=False)}
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from benchmarks.quality.sheets import METHODS, PRESSED, SIZE, STRETCHED, UNCHANGED, strain_colours, strain_sheet
-from tests.benchmarks.quality.quality_setup import bench, tube
+from tests.benchmarks.quality.quality_setup import bending, body, tube
 
 FACES = np.array([[0, 1, 2]])
 REST = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -21,6 +21,8 @@ def test_colour_follows_the_change_of_area(stretch: float, colour: np.ndarray):
     assert_allclose(strain_colours(REST * [stretch, 1.0, 1.0], REST, FACES)[0], colour, rtol=0, atol=1e-12)
 
 
-def test_a_sheet_has_a_row_per_method_and_a_column_per_pose(tmp_path):
+def test_a_sheet_has_a_row_per_method_and_a_column_per_pose():
     positions = {method: np.stack([tube().vertices, 1.2 * tube().vertices]) for method in METHODS}
-    assert strain_sheet(tube(), bench(tmp_path), positions).shape == (SIZE[0] * len(METHODS), SIZE[1] * 2, 3)
+    skin = body().posed_vertices(bending(2))
+    drawn = strain_sheet(tube(), positions, skin, body().faces)
+    assert drawn.shape == (SIZE[0] * len(METHODS), SIZE[1] * 2, 3)
