@@ -49,7 +49,7 @@ from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
 from drape.push.projection import CLEARANCE_M, push_out_of_bodies
 from drape.push.skin import body_skin
-from model_export.export import write_push_out
+from model_export.push.graph import write_push
 from service.subgraph import cut
 
 NEAREST_CLEARANCE_M = 0.002  # of the baseline (docs/quality.md)
@@ -208,8 +208,7 @@ def times(
         assert program is not None
         program.save(str(path))
         calls[name] = _call(path, arrays, threads)
-    path = folder / "push_out.onnx"
-    write_push_out(path)
+    path = folder / write_push("push_out", folder).file
     path.write_bytes(cut(path.read_bytes(), ["pushed"]))  # as the service runs it for vertices
     bones = body_skin(body).on_bones(body)
     constants = feed_arrays(pack_push(garment_feed(garment), rest, body_skin(body)))

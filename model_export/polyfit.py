@@ -13,11 +13,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from torch import Tensor, nn
 
 from drape.artifacts import MODELS_DIR, Manifest, TensorSpec, staged_folder
 from drape.errors import ArtifactError, refusing
 from drape.garment.canonical import Transform, canonical
-from model_export.export import commit, write_graph
+from model_export.export import commit
+from model_export.onnx_file import write_graph
 from model_export.parity import check_parity, session
 from training.polyfit.families import FAMILIES, draw_patches
 from training.polyfit.network import Qstn
@@ -28,6 +30,17 @@ INPUTS = (TensorSpec("points", ("patches", "points", 3), "float32", "patch sizes
 OUTPUTS = (TensorSpec("quaternion", ("patches", 4), "float32", "wxyz"),)
 TOLERANCE = 1e-5  # on a quaternion's component
 CHECKED_SHAPES = ((1, 4), (3, 64), (170, 91))
+
+
+class OrientGraph(nn.Module):
+    """Points of patches -> quaternions."""
+
+    def __init__(self, model: Qstn) -> None:
+        super().__init__()
+        self.model = model
+
+    def forward(self, tensors: dict[str, Tensor]) -> Tensor:
+        return self.model(tensors["points"])
 
 
 def runtime_transform(file: Path) -> Transform:
@@ -58,7 +71,7 @@ def export_polyfit(checkpoint: Path, target: Path) -> Manifest:
         )  # fmt: skip
     state, config = load(checkpoint)
     with staged_folder(target) as staged:
-        graph = write_graph(model, staged / "polyfit.onnx", INPUTS, OUTPUTS)
+        graph = write_graph(OrientGraph(model), staged / "polyfit.onnx", INPUTS, OUTPUTS)
         error = parity_error(model, staged / graph.file)
         check_parity("parity", error, TOLERANCE, "on a quaternion's component", unit="")
         manifest = Manifest(
