@@ -20,18 +20,9 @@ from pathlib import Path
 
 from drape.errors import refusing
 from drape.garment.cache import GARMENTS_DIR, load_garment
-from model_export.export import (
-    add_half,
-    add_int8,
-    add_push_out,
-    command_line,
-    commit,
-    export,
-    load_model,
-    static_training,
-    write_quality,
-)
-from model_export.rounded import on_shipped
+from model_export.export import command_line, commit, export, load_model, static_training
+from model_export.folder import add_half, add_int8, add_push_out, write_quality
+from model_export.precision.int8 import on_shipped
 
 
 @refusing

@@ -15,7 +15,7 @@ from drape.body.model import BodyModel
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment
 from drape.graph.feeds import body_feed, garment_feed, kinematics
-from model_export.graph import DrapeGraph, DynamicGraph, EncoderGraph, drape_inputs, dynamic_inputs
+from model_export.graph import DrapeGraph, DynamicGraph, EncoderGraph, drape_inputs
 from training.model import OneFit
 
 TOLERANCE_M = 1e-4
@@ -54,7 +54,7 @@ def parity_error(
     encode, run = session(encoder), session(drape)
     features = garment.patch_features
     with torch.no_grad():
-        embedding = EncoderGraph(model)(torch.from_numpy(features)).numpy()
+        embedding = EncoderGraph(model)({"patch_features": torch.from_numpy(features)}).numpy()
     stored = encode.run(None, {"patch_features": features})[0]
     names = [spec.name for spec in drape_inputs(model)]
     worst = 0.0
@@ -66,7 +66,7 @@ def parity_error(
         # Of a dynamic model: any code of the size that motion makes.
         arrays["dynamic_code"] = rng.normal(0.0, 0.3, size=(count, model.config.body_code_size)).astype(np.float32)
         with torch.no_grad():
-            expected = DrapeGraph(model)(**{name: torch.from_numpy(arrays[name]) for name in names})[0].numpy()
+            expected = DrapeGraph(model)({name: torch.from_numpy(arrays[name]) for name in names})[0].numpy()
         got = run.run(["vertices"], {name: arrays[name] for name in names} | {"patch_embedding": stored})[0]
         worst = max(worst, float(np.linalg.norm(got - expected, axis=-1).max()))
     return worst
@@ -89,9 +89,9 @@ def sequence_error(
     features = motion_features(at[2:], at[1:-1], at[:-2], dt_s[1:], dt_s[:-1]).astype(np.float32)
     constants = garment_feed(garment, body=body)
     with torch.no_grad():
-        embedding = EncoderGraph(model)(torch.from_numpy(garment.patch_features)).numpy()
+        embedding = EncoderGraph(model)({"patch_features": torch.from_numpy(garment.patch_features)}).numpy()
     advance, run = session(folder / graphs["dynamic_encoder"].file), session(folder / graphs["drape"].file)
-    names, motion_names = ([spec.name for spec in specs] for specs in (drape_inputs(model), dynamic_inputs(model)))
+    names = [spec.name for spec in drape_inputs(model)]
     states = [np.zeros((1, model.config.state_size), dtype=np.float32)] * 2
     encode, worst = DynamicGraph(model), 0.0
     for frame in range(SEQUENCE_FRAMES - 2):
@@ -100,9 +100,9 @@ def sequence_error(
         arrays |= constants | {"patch_embedding": embedding}
         with torch.no_grad():
             inputs = {**moved, "state": states[0]}
-            code, states[0] = (x.numpy() for x in encode(*(torch.from_numpy(inputs[name]) for name in motion_names)))
+            code, states[0] = (x.numpy() for x in encode({name: torch.from_numpy(x) for name, x in inputs.items()}))
             tensors = {name: torch.from_numpy((arrays | {"dynamic_code": code})[name]) for name in names}
-            expected = DrapeGraph(model)(**tensors)[0].numpy()
+            expected = DrapeGraph(model)(tensors)[0].numpy()
         code, states[1] = map(np.asarray, advance.run(["dynamic_code", "next_state"], {**moved, "state": states[1]}))
         got = run.run(["vertices"], {name: (arrays | {"dynamic_code": code})[name] for name in names})[0]
         worst = max(worst, float(np.linalg.norm(got - expected, axis=-1).max()))

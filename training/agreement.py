@@ -6,6 +6,7 @@ is what training runs.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -14,8 +15,9 @@ import scipy.sparse
 import torch
 from torch import Tensor
 
-from drape.garment.agreement import FIT_COUNT, Agreement, strain_points
+from drape.garment.agreement import FIT_COUNT, strain_points
 from drape.geometry import jets
+from drape.graph.inputs import AgreementTensors
 from training.sparse import SparsePair, product
 
 TANGENT_COUNT = 6 * len(strain_points())
@@ -50,16 +52,8 @@ class ChartAgreement(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class GatheredAgreement:
+class GatheredAgreement(AgreementTensors):
     """Tables as the drape graph takes them."""
-
-    anchor_patch: Tensor  # (A, 4) int64
-    anchor_row: Tensor  # (A, 4, 19): weight x [1, rest place, basis]
-    member: Tensor  # (K, 56) int64
-    fit: Tensor  # (K, 21, 56)
-    rest: Tensor
-    tangent: Tensor
-    orthonormal: Tensor
 
     def anchors(self, coefficients: Tensor) -> Tensor:
         rows, count = coefficients.shape[2], self.anchor_patch.shape[0]
@@ -86,22 +80,22 @@ class SparseAgreement:
     orthonormal: Tensor
 
     @classmethod
-    def of(cls, tables: Agreement, blend: scipy.sparse.csr_matrix, *, device: torch.device) -> SparseAgreement:
-        """From ``tables`` and the blend (V, 19 K) of the same partition."""
-        count = len(tables.member)
-        rows = scipy.sparse.csr_matrix(blend[tables.anchor])
-        per_patch = (1, 3, jets.HEIGHT_COUNT)
-        framed = (np.arange(count)[:, None] * sum(per_patch) + np.arange(4)).ravel()
+    def of(cls, feed: Mapping[str, np.ndarray], *, device: torch.device) -> SparseAgreement:
+        """From the ``drape.graph.feeds.atlas_feed`` of a partition."""
+        tables = AgreementTensors.from_flat(feed)
+        count, anchors = len(tables.member), len(tables.anchor_patch)
+        rows = blend_matrix(tables.anchor_patch, tables.anchor_row, count)
+        framed = (np.arange(count)[:, None] * tables.anchor_row.shape[2] + np.arange(4)).ravel()
         row = np.broadcast_to(np.arange(count * FIT_COUNT).reshape(count, FIT_COUNT, 1), tables.fit.shape)
         column = np.broadcast_to(tables.member[:, None], tables.fit.shape)
         fit = scipy.sparse.csr_matrix(
-            (tables.fit.ravel(), (row.ravel(), column.ravel())), shape=(count * FIT_COUNT, len(tables.anchor))
+            (tables.fit.ravel(), (row.ravel(), column.ravel())), shape=(count * FIT_COUNT, anchors)
         )
         fit.sum_duplicates()
         fit.eliminate_zeros()
 
         def tensor(values: np.ndarray) -> Tensor:
-            return torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32)).to(device)
+            return torch.from_numpy(values).to(device)
 
         return cls(
             rigid=SparsePair.from_scipy(scipy.sparse.csr_matrix(rows[:, framed]), device=device),
@@ -119,6 +113,18 @@ class SparseAgreement:
     def fitted(self, anchors: Tensor, centre: Tensor) -> Tensor:
         fitted = framewise(self.fit, anchors).unflatten(1, (centre.shape[1], FIT_COUNT))
         return fitted - self.fit_total * centre[:, :, None]
+
+
+def blend_matrix(patch: np.ndarray, row: np.ndarray, count: int) -> scipy.sparse.csr_matrix:
+    """The blend of ``count`` patches into n points, (n, m ``count``), from the ``patch`` (n, 4) of each chart and its
+    weighted ``row`` (n, 4, m)."""
+    terms = row.shape[2]
+    column = patch[..., None] * terms + np.arange(terms)
+    point = np.broadcast_to(np.arange(len(patch))[:, None, None], column.shape)
+    found = scipy.sparse.csr_matrix((row.ravel(), (point.ravel(), column.ravel())), shape=(len(patch), count * terms))
+    found.sum_duplicates()
+    found.eliminate_zeros()
+    return found
 
 
 def framewise(pair: SparsePair, values: Tensor) -> Tensor:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 from drape.body.features import DYNAMIC_PER_JOINT, STATIC_PER_JOINT
 from drape.body.skeleton import JOINT_COUNT
-from drape.graph.feeds import BETA_COUNT
+from drape.graph.inputs import AGREES, BETA_COUNT, DYNAMIC, FEELS, PAPER, PARTS, SURROUNDINGS
 
 PAPER_DECODER, PAPER_HEADS = (512, 512, 512, 256), (128, 64)  # appendix A.3
 
@@ -52,6 +52,33 @@ class ModelConfig:
     correction_hidden: int = 256
     closing_fit: bool = True
     feels_body: bool = True
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the network needs the tables of ``drape.garment.agreement``."""
+        return self.agreed_base or self.corrections > 0 or self.closing_fit
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Those of ``drape.graph.inputs.PARTS`` that the network has."""
+        there = {
+            PAPER: self.variant == "paper",
+            SURROUNDINGS: self.surroundings,
+            DYNAMIC: self.dynamic,
+            AGREES: self.agrees,
+            FEELS: self.feels_body,
+        }
+        return tuple(part for part in PARTS if there[part])
+
+    @property
+    def axes(self) -> dict[str, int]:
+        """Lengths of the named axes of inputs that the sizes of the network set."""
+        return {
+            "embedding": self.embedding_size,
+            "code": self.body_code_size,
+            "width": self.decoder_sizes[0],
+            "state": self.state_size,
+        }
 
 
 @dataclass(frozen=True)

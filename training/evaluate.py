@@ -14,7 +14,6 @@ import argparse
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -87,8 +86,7 @@ def posed_patches(
 
     ``passes`` of the corrections are taken, all by default.
     """
-    found = {item.name: getattr(garment, item.name) for item in fields(garment)}
-    partition = partition_tensors(found, body_skin(source.body), device=CPU)
+    partition = partition_tensors(garment, body_skin(source.body), device=CPU)
     body = source.pose(poses, np.zeros((len(poses), source.body.shape_count))).tensors
     with torch.no_grad():
         embedding = model.garment(partition.features)

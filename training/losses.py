@@ -12,28 +12,11 @@ from drape.cloth import energies
 from drape.cloth.contact import plane_distance
 from drape.cloth.material import Material
 from drape.cloth.waistband import band_energy
+from drape.graph.inputs import BodyTensors
 from training.agreement import framewise
 from training.collider import nearest_collider
 from training.data import BodyBatch, Partition, TrainingGarment
-from training.model import BodyTensors, Posed, paper_vertices, posed_coefficients
-
-
-@dataclass(frozen=True)
-class LossParts:
-    """Energies [J] per frame, mean over the batch, and the disagreement [m^2] of charts."""
-
-    membrane: Tensor
-    bending: Tensor
-    gravity: Tensor
-    contact: Tensor
-    disagreement: Tensor
-
-    def energy(self) -> Tensor:
-        """Total energy [J] per frame."""
-        return self.membrane + self.bending + self.gravity + self.contact
-
-    def as_floats(self) -> dict[str, float]:
-        return {name: float(value.detach()) for name, value in vars(self).items()}
+from training.model import Posed, paper_vertices, posed_coefficients
 
 
 def vertices_from(coefficients: Tensor, partition: Partition) -> Tensor:

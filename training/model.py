@@ -12,38 +12,12 @@ from drape.garment.agreement import strain_points
 from drape.garment.features import saturated
 from drape.geometry import jets
 from drape.geometry.skinning import blend_frames, skin_points
-from drape.push.proximity import PatchSkin, Planes, felt, planes
+from drape.graph.inputs import BodyTensors, ChartTensors, PatchTensors
+from drape.push.proximity import Planes, felt, planes
 from training.agreement import ChartAgreement, agreed_jets, closing_jets, softened, strain_and_force, tangent_terms
 from training.config import ModelConfig
 from training.layers import Correction, Decoder, GarmentEncoder, StaticEncoder
 from training.recurrent import DynamicEncoder
-
-
-@dataclass(frozen=True)
-class PatchTensors:
-    """Constants of one partition of a garment (names as in ``drape.graph.feeds.garment_feed``)."""
-
-    centre: Tensor  # (K, 3)
-    rotation: Tensor  # (K, 3, 3)
-    scale: Tensor  # (K,)
-    weights: Tensor  # (K, 24)
-    heaviest: Tensor  # (K,) int64
-    shapedirs: Tensor  # (K, 3, 10)
-    place: Tensor | None = None  # (K, 7, 3) [m], of the strain points at rest in the patch frame
-    skin: PatchSkin | None = None
-
-
-@dataclass(frozen=True)
-class BodyTensors:
-    """F posed bodies (names as in ``drape.graph.feeds.body_feed``), relative to the root joint's rest place."""
-
-    features: Tensor  # (F, 226)
-    rotation: Tensor  # (F, 24, 3, 3)
-    translation: Tensor  # (F, 24, 3)
-    quaternion: Tensor  # (F, 24, 4)
-    betas: Tensor  # (F, 10)
-    joints: Tensor | None = None  # (F, 24, 3); needed by networks with surroundings
-    skin: Tensor | None = None  # (F, R, 12, 8) of drape.push.skin.skin_table; needed by those that feel the body
 
 
 @dataclass(frozen=True)
@@ -82,7 +56,7 @@ class OneFit(nn.Module):
             heads = {"height": jets.HEIGHT_COUNT, "translation": 3, "scale": 1}
         else:
             raise ValueError(f"variant: expected 'vector' or 'paper', got {config.variant!r}. Choose one of them.")
-        if self.agrees and (config.variant != "vector" or not config.surroundings):
+        if config.agrees and (config.variant != "vector" or not config.surroundings):
             raise ValueError(
                 f"agreed_base, corrections and closing_fit: expected none with variant {config.variant!r} and "
                 f"surroundings {config.surroundings}, got {config.agreed_base}, {config.corrections} and "
@@ -94,11 +68,6 @@ class OneFit(nn.Module):
         terms = jets.basis(strain_points(), jets.HEIGHT_ORDER).T  # (15, 7)
         self.register_buffer("felt_terms", torch.from_numpy(terms.copy()).float(), persistent=False)
         self.autocast = False  # of the networks alone: places in space need float32
-
-    @property
-    def agrees(self) -> bool:
-        """Whether ``forward`` needs the tables of ``training.agreement``."""
-        return self.config.agreed_base or self.config.corrections > 0 or self.config.closing_fit
 
     def _felt(self, rotation: Tensor, points: Tensor, near: Planes) -> list[Tensor]:
         """Closeness (F, K, 14) of the posed body to ``points`` of the patches, and its force on the jets (F, K, 27)."""
@@ -250,20 +219,14 @@ def posed_coefficients(posed: Posed, scale: Tensor) -> Tensor:
     return torch.cat([posed.centre[..., None, :], posed.rotation.mT, turned], dim=-2)
 
 
-def vertex_positions(
-    posed: Posed,
-    patches: PatchTensors,
-    chart_patch: Tensor,
-    chart_weight: Tensor,
-    chart_basis: Tensor,
-    chart_local: Tensor,
-) -> Tensor:
+def vertex_positions(posed: Posed, patches: PatchTensors, charts: ChartTensors) -> Tensor:
     """Vertices [m] (F, V, 3): the readable form, which export writes to ONNX and the fast path is tested against."""
     coefficients = posed_coefficients(posed, patches.scale)
-    frames, count = coefficients.shape[0], chart_patch.shape[0]
-    gathered = torch.index_select(coefficients.flatten(2), 1, chart_patch.reshape(-1)).reshape(frames, count, -1, 19, 3)
-    ones = torch.ones_like(chart_local[..., :1])
-    row = chart_weight[..., None] * torch.cat([ones, chart_local, chart_basis], dim=-1)  # (V, 4, 19)
+    frames, count = coefficients.shape[0], charts.patch.shape[0]
+    gathered = torch.index_select(coefficients.flatten(2), 1, charts.patch.reshape(-1))
+    gathered = gathered.reshape(frames, count, -1, 19, 3)
+    ones = torch.ones_like(charts.local[..., :1])
+    row = charts.weight[..., None] * torch.cat([ones, charts.local, charts.basis], dim=-1)  # (V, 4, 19)
     return (row.reshape(1, count, 1, -1) @ gathered.reshape(frames, count, -1, 3))[..., 0, :]
 
 

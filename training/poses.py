@@ -7,10 +7,8 @@ from pathlib import Path
 import numpy as np
 from scipy.cluster.vq import kmeans2
 
-from drape.body.model import BodyModel
-from drape.body.skeleton import JOINT_NAMES, PARENTS
+from drape.body.skeleton import JOINT_NAMES
 from drape.errors import MotionError
-from drape.geometry import rigid
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.motion.clip import MotionClip, flagged_steps
 from drape.motion.readers import read_motion
@@ -112,16 +110,3 @@ def draw_betas(count: int, shape_count: int, config: DataConfig, rng: np.random.
     """Body shapes (count, shape_count): most of them the standard body, the others normal."""
     betas = rng.normal(0.0, config.shape_deviation, size=(count, shape_count))
     return betas * (rng.random((count, 1)) < config.shape_share)
-
-
-def pose_bodies(body: BodyModel, poses: np.ndarray, betas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Bones of n bodies of their own shapes: rotations (n, 24, 3, 3), translations (n, 24, 3) relative to the root."""
-    joints = body.joints_template + np.einsum("jcs,ns->njc", body.joint_shapedirs, betas)
-    rotations, translations = rigid.bone_transforms(rotvec_to_matrix(poses), joints, PARENTS)
-    return rotations, translations - joints[:, :1]
-
-
-def posed_joints(body: BodyModel, rotations: np.ndarray, translations: np.ndarray, betas: np.ndarray) -> np.ndarray:
-    """Joints [m] (n, 24, 3) of ``pose_bodies``' bones, relative to the root joint."""
-    joints = body.joints_template + np.einsum("jcs,ns->njc", body.joint_shapedirs, betas)
-    return (rotations @ joints[..., None])[..., 0] + translations

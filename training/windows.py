@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drape.body.features import Kinematics, motion_features, static_features
+from drape.body.features import Kinematics, motion_features
 from drape.body.model import BodyModel
 from drape.errors import MotionError
-from drape.geometry.rotations import rotvec_to_matrix
+from drape.graph.feeds import kinematics
 from drape.motion.clip import MotionClip, clean_starts, flagged_steps
 from training.config import DataConfig, MotionConfig
-from training.poses import mirrored, pose_bodies, posed_joints
+from training.poses import mirrored
 
 HISTORY = 2  # frames before the first that has motion features, and before the first that has inertia
 DRAWS = 50  # with the times wished for, before every frame of a clip is taken
@@ -30,13 +30,9 @@ class Windows:
     def kinematics(self, body: BodyModel, betas: np.ndarray) -> Kinematics:
         """Where the bodies of the shapes ``betas`` (B, S) are, (B, N, ...)."""
         shape = self.poses.shape[:2]
-        poses = self.poses.reshape(-1, *self.poses.shape[2:])
-        shapes = np.repeat(betas, shape[1], axis=0)
-        rotations, translations = pose_bodies(body, poses, shapes)
-        static = static_features(rotvec_to_matrix(poses), rotations)
-        joints = posed_joints(body, rotations, translations, shapes)
-        each = [array.reshape(*shape, *array.shape[1:]) for array in (static, joints, rotations)]
-        return Kinematics(each[0], each[1] + self.trans[:, :, None], each[2])
+        poses, trans = self.poses.reshape(-1, *self.poses.shape[2:]), self.trans.reshape(-1, 3)
+        at = kinematics(body, poses, trans, np.repeat(betas, shape[1], axis=0))
+        return Kinematics(*(array.reshape(*shape, *array.shape[1:]) for array in (at.static, at.joints, at.rotations)))
 
     def features(self, body: BodyModel, betas: np.ndarray) -> np.ndarray:
         """Motion features (B, N-2, 24, 12) of all frames but the first two."""

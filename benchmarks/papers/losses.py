@@ -20,8 +20,9 @@ from drape.cloth.material import Material
 from drape.garment.charts import Cover
 from drape.garment.fitting import RestGarment, fit_jets
 from drape.geometry import jets, meshes
+from drape.graph.inputs import BodyTensors
 from training.data import Partition
-from training.model import BodyTensors, Posed
+from training.model import Posed
 
 STRETCH_DEPTH_M, STRETCH_EPOCHS = 0.01, 100.0  # of k_ext, under equation 3
 HINGE_POISSON = -1.0 / 3.0  # with it a plate bends as hinges on equilateral triangles do, in all directions

@@ -38,7 +38,7 @@ from drape.graph.feeds import garment_feed
 from drape.graph.packing import pack_body
 from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
-from model_export.export import add_push_out
+from model_export.folder import add_push_out
 from service.engine import PUSH_OVER, Engine
 from service.packing import Packer, ScenePlan
 from service.push import Pusher

@@ -26,11 +26,10 @@ from drape.garment.cache import Garment
 from drape.geometry import jets
 from drape.geometry.skinning import skin_points
 from drape.graph.feeds import garment_feed
-from drape.graph.packing import COLUMNS, PackedGarment, Place, compose, pack_body, pack_garment
+from drape.graph.packed import COLUMNS, Indices, PackedBodies, ShapedSkins, StoredPatches
+from drape.graph.packing import PackedGarment, Place, compose, pack_body, pack_garment
 from drape.graph.push_feed import SkinShapes
-from model_export.packed import FirstGraph, PackedGraph
-from model_export.packed_contact import Felt, Skins
-from model_export.packed_parts import Bodies, Charts, Patches
+from model_export.packed.graph import FirstGraph, PackedGraph
 from training.agreement import TANGENT_COUNT
 from training.model import OneFit
 
@@ -47,32 +46,22 @@ class EagerDrape(nn.Module):
         super().__init__()
         self.graph = PackedGraph(model).eval()
         with torch.no_grad():
-            first = FirstGraph(model)(torch.from_numpy(garment.patch_features))[1].numpy()
-        packed = pack_garment(garment_feed(garment, body=body), first)
-        arrays = {name: torch.from_numpy(value.copy()) for name, value in packed.stored.items()}
-        arrays |= {k: torch.from_numpy(v) for k, v in compose([(packed, Place(0, 0), 0)]).arrays.items()}
-        self.columns = arrays.pop("tile_positions")
-        self.patches = Patches(
-            *(arrays[f"patch_{name}"] for name in ("first", "weights", "rotation", "scale", "centre", "shapedirs"))
-        )
-        stored = ("anchor_columns", "anchor_fit", "anchor_rest", "strain_tangent", "strain_unit")
-        charts = Charts(*(arrays[name] for name in (*stored, "anchor_charts", "member_anchor")))
-        self.charts = charts if model.agrees else None
-        self.skins = self.felt = None
-        if model.config.feels_body:
-            shape = SkinShapes(body).feed(pack_body(body).betas[None])
-            self.skins = Skins(*(torch.from_numpy(shape[k]) for k in ("skin_rows", "skin_bones", "body_shape")))
-            self.felt = Felt(*(arrays[f"felt_{name}"] for name in ("place", "cluster", "bias", "other", "region")))
-        self.index = arrays
+            first = FirstGraph(model)({"patch_features": torch.from_numpy(garment.patch_features)})[1].numpy()
+        packed = pack_garment(garment_feed(garment, body=body if model.config.feels_body else None), first)
+        shape = SkinShapes(body).feed(pack_body(body).betas[None])
+        constants = packed.stored | compose([(packed, Place(0, 0), 0)]).arrays | shape
+        arrays = {name: torch.from_numpy(value.copy()) for name, value in constants.items()}
+        self.columns = arrays["tile_positions"]
+        self.patches, self.index = StoredPatches.from_flat(arrays), Indices.from_flat(arrays)
+        self.skins = ShapedSkins.from_flat(arrays) if model.config.feels_body else None
 
     def forward(self, joint_quaternion: Tensor, joint_rest: Tensor, betas: Tensor) -> Tensor:
         """Vertices (blocks, 64, 3) [m]."""
-        bodies, index = Bodies(joint_quaternion, joint_rest, betas, None, self.skins), self.index
         posed = self.graph.pose(
-            bodies, self.patches, None, index["patch_body"], index["patch_bone"], self.charts, self.felt
+            PackedBodies(joint_quaternion, joint_rest, betas, skins=self.skins), self.patches, self.index
         )
-        coefficients = torch.index_select(posed.coefficients, 0, index["tile_patch"])
-        return self.graph.blend(coefficients, self.columns, index["vertex_charts"])
+        coefficients = torch.index_select(posed.coefficients, 0, self.index.tile_patch)
+        return self.graph.charts.blend(coefficients, self.columns, self.index.vertex_charts)
 
 
 def torch_rows(

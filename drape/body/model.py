@@ -85,9 +85,12 @@ class BodyModel:
         return self.v_template + self.shapedirs @ self.check_betas(betas)
 
     def rest_joints(self, betas: np.ndarray | None = None) -> np.ndarray:
-        """Rest joints [m] (24, 3) of the shape ``betas``."""
+        """Rest joints [m] (24, 3) of the shape ``betas`` (S,), or (F, 24, 3) of shapes (F, S)."""
         if betas is None:
             return self.joints_template
+        if np.ndim(betas) == 2:
+            check_shape("betas", betas, (None, self.shape_count), error=BodyError)
+            return self.joints_template + np.einsum("jcs,fs->fjc", self.joint_shapedirs, betas)
         return self.joints_template + self.joint_shapedirs @ self.check_betas(betas)
 
     def bones(

@@ -32,16 +32,8 @@ CHARTS_PER_VERTEX = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Garment:
-    """A garment at rest on the standard body in T-pose; lengths in metres, body frame.
-
-    Vertices come in two sets that share their beginning: the first ``vertex_count`` rows
-    of every per-vertex array are the delivered vertices in their order; the rows after
-    them were added by subdivision and serve fit, training and measurement.
-
-    ``vertices`` (N, 3) rest positions; ``faces`` (F, 3) delivered triangles; ``fine_faces``
-    (G, 3) triangles of the subdivided mesh. ``uv`` (T, 2) with ``uv_faces`` (F, 3), both empty
-    when the file had none; ``material_names`` and ``face_material`` (F,).
+class Atlas:
+    """One partition of a garment at rest: its patches, and the charts by which they cover its N vertices.
 
     Patches: ``patch_rotation`` (K, 3, 3), columns = u axis, v axis, normal; ``patch_centre``
     (K, 3); ``patch_scale`` (K,) [m per unit of u, v]; ``patch_jet`` (K, 27) rest vector jet;
@@ -51,21 +43,8 @@ class Garment:
 
     Charts: ``chart_patch`` (N, 4), ``chart_uv`` (N, 4, 2), ``chart_weight`` (N, 4), rows summing to
     one, ``chart_residual`` (N, 4, 3) [m] what the rest jet leaves over, in the patch frame.
-
-    ``skin_weights`` (N, 24) and ``shapedirs`` (N, 3, S) serve plain skinning.
     """
 
-    name: str
-    digest: str
-    body_digest: str
-    vertex_count: int
-    vertices: np.ndarray
-    faces: np.ndarray
-    fine_faces: np.ndarray
-    uv: np.ndarray
-    uv_faces: np.ndarray
-    material_names: tuple[str, ...]
-    face_material: np.ndarray
     patch_rotation: np.ndarray
     patch_centre: np.ndarray
     patch_scale: np.ndarray
@@ -78,9 +57,6 @@ class Garment:
     chart_uv: np.ndarray
     chart_weight: np.ndarray
     chart_residual: np.ndarray
-    skin_weights: np.ndarray
-    shapedirs: np.ndarray
-    manifest: dict[str, Any] = field(default_factory=dict)
 
     @property
     def patch_count(self) -> int:
@@ -96,6 +72,37 @@ class Garment:
         jet = self.patch_jet[self.chart_patch].astype(np.float64)
         scale = self.patch_scale[self.chart_patch].astype(np.float64)[..., None]
         return scale * jets.evaluate(jet, self.chart_uv.astype(np.float64)) + self.chart_residual
+
+
+@dataclass(frozen=True, eq=False)
+class Garment(Atlas):
+    """A garment at rest on the standard body in T-pose; lengths in metres, body frame.
+
+    Vertices come in two sets that share their beginning: the first ``vertex_count`` rows
+    of every per-vertex array are the delivered vertices in their order; the rows after
+    them were added by subdivision and serve fit, training and measurement.
+
+    ``vertices`` (N, 3) rest positions; ``faces`` (F, 3) delivered triangles; ``fine_faces``
+    (G, 3) triangles of the subdivided mesh. ``uv`` (T, 2) with ``uv_faces`` (F, 3), both empty
+    when the file had none; ``material_names`` and ``face_material`` (F,).
+
+    ``skin_weights`` (N, 24) and ``shapedirs`` (N, 3, S) serve plain skinning.
+    """
+
+    name: str
+    digest: str
+    body_digest: str
+    vertex_count: int
+    vertices: np.ndarray
+    faces: np.ndarray
+    fine_faces: np.ndarray
+    uv: np.ndarray
+    uv_faces: np.ndarray
+    material_names: tuple[str, ...]
+    face_material: np.ndarray
+    skin_weights: np.ndarray
+    shapedirs: np.ndarray
+    manifest: dict[str, Any] = field(default_factory=dict)
 
     def reconstruct(self) -> np.ndarray:
         """Rest vertices [m] (N, 3) blended from the charts; equals ``vertices`` to rounding."""

@@ -10,14 +10,15 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from drape.graph.inputs import PARTS
+from drape.graph.packed import Indices
 from drape.graph.packing import Composition
 
 SMALLEST = 8
-# Axis of each index tensor along which it is filled; ``item_blocks`` along both of its axes.
+# Axes of each index tensor along which it is filled: those whose length depends on the batch.
 AXES = {
-    "patch_stored": (0,), "patch_body": (0,), "patch_bone": (0,), "member_anchor": (0,), "tile_stored": (0,),
-    "tile_patch": (0,), "vertex_charts": (1,), "anchor_charts": (1,), "block_item": (0,), "item_blocks": (0, 1),
-}  # fmt: skip
+    spec.name: tuple(i for i, axis in enumerate(spec.shape) if isinstance(axis, str)) for spec in Indices.specs(PARTS)
+}
 
 
 def rung(count: int) -> int:

@@ -12,12 +12,13 @@ from drape.body.model import BodyModel
 from drape.errors import ArtifactError, InputError
 from drape.garment.cache import Garment
 from drape.graph.feeds import garment_feed
-from drape.graph.push_feed import feed_arrays, pack_push
+from drape.graph.push_feed import pack_push
 from drape.push.field import take
-from drape.push.layers import ClothSamples, cloth_samples, covered, joined
+from drape.push.layers import MEMBERS, ClothSamples, cloth_samples, covered, joined
 from drape.push.projection import CLEARANCE_M, Pushed, PushFeed, push_in_parts
 from drape.push.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE, Samples, table_of_columns, unit_cross
 from drape.push.skin import body_skin
+from drape.tensors import Tensors, group, tensor
 
 PART_CLUSTERS = POSED_REGIONS * REGION_SIZE // CLUSTER_SIZE
 REGION_ROW = 8 * REGION_SIZE
@@ -33,17 +34,19 @@ class Sheet:
 
 
 @dataclass(frozen=True, eq=False)
-class LayerFeed:
+class LayerFeed(Tensors):
     """Constants of a garment over others: ``push`` for the regions ``region`` (P, 4) of samples that no cloth hides.
 
     Regions count through those of the body, then of each sheet; ``cloth_member`` (Q, 12, 24) and ``cloth_rows``
     (Q, 12, 24, 12) are ``ClothSamples.member`` and ``rows`` of all sheets, members counted through their vertices.
     """
 
-    push: PushFeed
-    region: np.ndarray
-    cloth_member: np.ndarray
-    cloth_rows: np.ndarray
+    push: PushFeed = group(PushFeed, parts="all_parts")
+    region: Array = tensor("region", "all_parts", POSED_REGIONS, dtype="int32", unit="region of samples")
+    cloth_member: Array = tensor(
+        "cloth_member", "cloth_parts", PART_CLUSTERS, MEMBERS, dtype="int32", unit="vertex of under"
+    )
+    cloth_rows: Array = tensor("cloth_rows", "cloth_parts", PART_CLUSTERS, MEMBERS, 3 * CLUSTER_SIZE)
 
 
 def sheet(garment: Garment) -> Sheet:
@@ -115,8 +118,7 @@ def check_layers(garments: Sequence[Garment]) -> None:
 
 def layer_arrays(feed: LayerFeed) -> dict[str, np.ndarray]:
     """The arrays of ``feed`` by the names of the graph's inputs."""
-    names = ("region", "cloth_member", "cloth_rows")
-    return feed_arrays(feed.push) | {name: getattr(feed, name) for name in names}
+    return feed.flat()
 
 
 def push_over(

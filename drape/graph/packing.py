@@ -21,19 +21,21 @@ from drape.garment.agreement import MEMBERS
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_quaternion
-from drape.graph.feeds import BETA_COUNT
+from drape.graph.feeds import shape_numbers
+from drape.graph.inputs import PARTS
+from drape.graph.packed import (
+    CHARTS_PER_TILE,
+    VERTICES_PER_BLOCK,
+    Indices,
+    StoredCharts,
+    StoredFelt,
+    StoredPatches,
+    StoredTiles,
+)
 from drape.push.proximity import in_halves
 from drape.push.samples import POSED_REGIONS
 
-COLUMNS = 3 + jets.HEIGHT_COUNT  # rest place, basis
-LOWER_COLUMNS = 3 + jets.IN_PLANE_COUNT  # rest place, basis up to the second order
-CHARTS_PER_TILE = 32  # of a patch's last tile half is empty on average
-VERTICES_PER_BLOCK = 64
-KINDS = {
-    "felt_cluster": np.int32,
-    "felt_other": np.uint8,
-    "felt_region": np.float16,
-}  # of stored arrays; the others are float32
+KINDS = {spec.name: spec.dtype for kind in (StoredPatches, StoredTiles) for spec in kind.specs(PARTS)}
 TANGENTS = "tile_tangents"  # the one stored array that only normals need
 
 
@@ -67,10 +69,7 @@ class PackedBody:
 def pack_body(body: BodyModel, betas: np.ndarray | None = None) -> PackedBody:
     """``body`` in the shape ``betas``."""
     rest = body.rest_joints(betas)
-    shape = np.zeros(BETA_COUNT)
-    if betas is not None:
-        shape[: body.shape_count] = body.check_betas(betas)[:BETA_COUNT]
-    return PackedBody(rest.astype(np.float32), shape.astype(np.float32), rest[0])
+    return PackedBody(rest.astype(np.float32), shape_numbers(body, betas).astype(np.float32), rest[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,19 +184,19 @@ def pack_garment(feed: dict[str, np.ndarray], patch_first: np.ndarray) -> Packed
     scale = feed["patch_scale"][feed["chart_patch"]].astype(np.float64)[..., None]
     entries = np.concatenate([feed["chart_local"] / scale, feed["chart_basis"]], axis=-1)
     columns = feed["chart_weight"].astype(np.float64)[..., None] * entries
-    stored = {
-        "patch_first": patch_first,
-        "patch_weights": feed["patch_weights"],
-        "patch_rotation": feed["patch_rotation"],
-        "patch_scale": feed["patch_scale"][:, None],
-        "patch_centre": np.concatenate([feed["patch_centre"], np.ones((count, 1))], axis=1),
-        "patch_shapedirs": np.pad(feed["patch_shapedirs"], ((0, 0), (0, 1), (0, 0))),
-        "tile_positions": tiling.lay(columns),
-        **_anchor_constants(feed),
-        **(_felt_constants(feed) if "patch_place" in feed else {}),
-    }
+    patches = StoredPatches(
+        first=patch_first,
+        weights=feed["patch_weights"],
+        rotation=feed["patch_rotation"],
+        scale=feed["patch_scale"][:, None],
+        centre=np.concatenate([feed["patch_centre"], np.ones((count, 1))], axis=1),
+        shapedirs=np.pad(feed["patch_shapedirs"], ((0, 0), (0, 1), (0, 0))),
+        charts=_charts(feed),
+        felt=_felt(feed) if "patch_place" in feed else None,
+    )
+    stored = patches.flat() | {"tile_positions": tiling.lay(columns)}
     return PackedGarment(
-        stored={key: np.ascontiguousarray(value, dtype=KINDS.get(key, np.float32)) for key, value in stored.items()},
+        stored={key: np.ascontiguousarray(value, dtype=KINDS[key]) for key, value in stored.items()},
         heaviest=heaviest.astype(np.int32),
         tile_patch=tiling.patch,
         vertex_charts=_small(_blocks(tiling.column)),
@@ -220,7 +219,7 @@ def _blocks(index: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(filled.T).reshape(CHARTS_PER_VERTEX, blocks, VERTICES_PER_BLOCK)
 
 
-def _anchor_constants(feed: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _charts(feed: dict[str, np.ndarray]) -> StoredCharts:
     """What ``drape.garment.agreement`` says of each patch, as columns like those of the tiles."""
     count = len(feed["patch_scale"])
     row = feed["anchor_row"][feed["patch_member"], feed["patch_slot"]].astype(np.float64)  # (K, 56, 19)
@@ -228,26 +227,26 @@ def _anchor_constants(feed: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     rest_place = row[..., 1:4] / feed["patch_scale"][:, None, None]
     unit = feed["patch_orthonormal"]
     lower = row[..., 4 : 4 + jets.IN_PLANE_COUNT]  # the higher orders are products of these
-    return {
-        "anchor_columns": np.concatenate([rest_place, lower], axis=-1).swapaxes(1, 2),
-        "anchor_fit": feed["patch_fit"].swapaxes(1, 2),
-        "anchor_rest": feed["patch_rest"].swapaxes(1, 2).reshape(count, -1),
-        "strain_tangent": feed["patch_tangent"].transpose(0, 3, 2, 1).reshape(count, -1),
-        "strain_unit": np.stack([unit[..., 0, 0], unit[..., 0, 1], unit[..., 1, 1]], axis=1),
-    }
+    return StoredCharts(
+        columns=np.concatenate([rest_place, lower], axis=-1).swapaxes(1, 2),
+        fit=feed["patch_fit"].swapaxes(1, 2),
+        rest=feed["patch_rest"].swapaxes(1, 2).reshape(count, -1),
+        tangent=feed["patch_tangent"].transpose(0, 3, 2, 1).reshape(count, -1),
+        unit=np.stack([unit[..., 0, 0], unit[..., 0, 1], unit[..., 1, 1]], axis=1),
+    )
 
 
-def _felt_constants(feed: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _felt(feed: dict[str, np.ndarray]) -> StoredFelt:
     """Where each patch feels the body at rest, and the skin near it there."""
     count, regions = feed["patch_other"].shape[:2]
     parts = regions // POSED_REGIONS
-    return {
-        "felt_place": (feed["patch_place"] / feed["patch_scale"][:, None, None]).swapaxes(1, 2),
-        "felt_cluster": feed["patch_cluster"],
-        "felt_bias": feed["patch_cluster_bias"],
-        "felt_other": in_halves(feed["patch_other"]).reshape(count, parts, -1),
-        "felt_region": feed["patch_region_bias"].reshape(count, parts, POSED_REGIONS),
-    }
+    return StoredFelt(
+        place=(feed["patch_place"] / feed["patch_scale"][:, None, None]).swapaxes(1, 2),
+        cluster=feed["patch_cluster"],
+        bias=feed["patch_cluster_bias"],
+        other=in_halves(feed["patch_other"]).reshape(count, parts, -1),
+        region=feed["patch_region_bias"].reshape(count, parts, POSED_REGIONS),
+    )
 
 
 def _held(feed: dict[str, np.ndarray]) -> np.ndarray:
@@ -313,16 +312,16 @@ def compose(items: Sequence[tuple[PackedGarment, Place, int]]) -> Composition:
     counts = np.array([garment.block_count for garment, _, _ in items])[:, None]
     offsets = np.arange(widest)[None]
     item_blocks = np.array(firsts)[:, None] + np.where(offsets < counts, offsets, 0)
-    arrays = {
-        "patch_stored": np.concatenate(patch_stored),
-        "patch_body": np.concatenate(patch_body),
-        "patch_bone": np.concatenate(patch_bone),
-        "tile_stored": np.concatenate(tile_stored),
-        "tile_patch": np.concatenate(tile_patch),
-        "vertex_charts": np.concatenate(charts, axis=1),
-        "anchor_charts": np.concatenate(anchor_charts, axis=1),
-        "member_anchor": np.concatenate(member_anchor),
-        "block_item": np.concatenate(block_item),
-        "item_blocks": item_blocks.astype(np.int32),
-    }
-    return Composition(arrays, tuple(patches), tuple(vertices))
+    indices = Indices(
+        stored=np.concatenate(patch_stored),
+        body=np.concatenate(patch_body),
+        bone=np.concatenate(patch_bone),
+        tile_stored=np.concatenate(tile_stored),
+        tile_patch=np.concatenate(tile_patch),
+        vertex_charts=np.concatenate(charts, axis=1),
+        block_item=np.concatenate(block_item),
+        item_blocks=item_blocks.astype(np.int32),
+        anchor_charts=np.concatenate(anchor_charts, axis=1),
+        member_anchor=np.concatenate(member_anchor),
+    )
+    return Composition(indices.flat(), tuple(patches), tuple(vertices))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from dataclasses import fields
 
 import numpy as np
 
@@ -14,15 +13,13 @@ from drape.garment.cache import Garment
 from drape.geometry import jets
 from drape.graph.feeds import garment_feed
 from drape.graph.packing import tile_charts
-from drape.push.projection import CHARTS_PER_VERTEX, PushFeed
+from drape.push.projection import CHARTS_PER_VERTEX, TERMS, TILE_WIDTH, PushFeed
 from drape.push.samples import POSED_REGIONS, REGION_SIZE, Samples
 from drape.push.skin import body_skin, shaped_skin
 from drape.push.tables import GROUP_SIZE, PushTables, push_tables
 
 KEPT_SHAPES = 64
 RIDGE = 1e-3  # of the mean square of a patch's basis: few vertices do not determine a polynomial
-TILE_WIDTH = 64  # columns of ten numbers: wider tiles than those of the drape are faster and still small
-TERMS = jets.coefficient_count(3)  # of a patch's polynomial
 
 
 def pack_push(
@@ -92,7 +89,7 @@ def pushed_jets(jet: Array, rotation: Array, scale: Array, coefficients: Array) 
 
 def feed_arrays(feed: PushFeed) -> dict[str, np.ndarray]:
     """The arrays of ``feed`` by the names of the graph's inputs."""
-    return {f"push_{item.name}": getattr(feed, item.name) for item in fields(PushFeed)}
+    return feed.flat()
 
 
 def _of_tables(tables: PushTables) -> dict[str, np.ndarray]:

@@ -117,7 +117,7 @@ def take(rows: Array, index: Array, axis: int = 0) -> Array:
 
 def columns(table: Array, index: Array) -> Array:
     """``table`` (F, n, N) at ``index`` (m,) of its last axis: (F, n, m). As one matrix of few rows, which graphs are
-    fast with (``model_export.packed``)."""
+    fast with (``model_export.packed.contact``)."""
     xp = namespace(table)
     flat = take(xp.reshape(table, (-1, table.shape[2])), index, axis=1)
     return xp.reshape(flat, (table.shape[0], table.shape[1], -1))

@@ -22,10 +22,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.arrays import Array, namespace
+from drape.geometry import jets
 from drape.geometry.rotations import dot_columns
 from drape.push.field import columns, largest, looks, ramp, seen, surface, take
-from drape.push.samples import CLUSTER_SIZE, REGION_SIZE, Samples, region_centres, sample_table
-from drape.push.tables import BLOCK_SIZE, GROUP_SIZE, OTHER_STEPS
+from drape.push.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE, Samples, region_centres, sample_table
+from drape.push.tables import BLOCK_SIZE, GROUP_SIZE, OTHER_STEPS, OWN_CLUSTERS
+from drape.tensors import Tensors, tensor
 
 CLEARANCE_M = 0.0025
 REGION_COUNT = 2  # of other parts that a group of blocks is tested against
@@ -38,11 +40,13 @@ OTHER_LEAST = 1e-3  # what a sample counts that is no other part, beside ones th
 CHARTS_PER_VERTEX = 4
 JET_ROUNDS = 4  # of fits, where charts carry all of the push
 JET_OVER = 2.0  # a fit of what is missing is taken this many times: it spreads a push and so falls short of it
+TILE_WIDTH = 64  # columns of ten numbers: wider tiles than those of the drape are faster and still small
+TERMS = jets.coefficient_count(3)  # of a patch's polynomial
 REGION_BIAS_M2 = 0.002  # squared distance [m^2] that one logit of a region outweighs
 
 
 @dataclass(frozen=True, eq=False)
-class PushFeed:
+class PushFeed(Tensors):
     """Constants of a garment as ``push_out`` takes them: ``drape.graph.push_feed.pack_push`` makes them.
 
     G groups of 2 blocks of 16 vertices, N = 32 G slots; K patches, Q tiles of 64 charts (``drape.graph.packing``).
@@ -53,17 +57,21 @@ class PushFeed:
     ``tile_patch`` (Q,), ``slot_charts`` (4, G, 32) columns of the tiles.
     """
 
-    block_vertex: Array
-    vertex_slot: Array
-    own_cluster: Array
-    own_bias: Array
-    other: Array
-    region_bias: Array
-    patch_block: Array
-    patch_fit: Array
-    tile_basis: Array
-    tile_patch: Array
-    slot_charts: Array
+    block_vertex: Array = tensor("push_block_vertex", "groups", GROUP_SIZE * BLOCK_SIZE, dtype="int32", unit="vertex")
+    vertex_slot: Array = tensor("push_vertex_slot", "vertices", dtype="int32", unit="slot")
+    own_cluster: Array = tensor(
+        "push_own_cluster", "groups", GROUP_SIZE, OWN_CLUSTERS, dtype="int32", unit="cluster of samples"
+    )
+    own_bias: Array = tensor("push_own_bias", "groups", GROUP_SIZE, OWN_CLUSTERS * CLUSTER_SIZE)
+    other: Array = tensor("push_other", "groups", "parts", POSED_REGIONS * REGION_SIZE, dtype="uint8", unit="1 / 255")
+    region_bias: Array = tensor("push_region_bias", "groups", "parts", POSED_REGIONS)
+    patch_block: Array = tensor("push_patch_block", "patches", "patch_blocks", dtype="int32", unit="block")
+    patch_fit: Array = tensor("push_patch_fit", "patches", "patch_blocks", TERMS)
+    tile_basis: Array = tensor("push_tile_basis", "tiles", TERMS, TILE_WIDTH)
+    tile_patch: Array = tensor("push_tile_patch", "tiles", dtype="int32", unit="patch")
+    slot_charts: Array = tensor(
+        "push_slot_charts", CHARTS_PER_VERTEX, "groups", GROUP_SIZE * BLOCK_SIZE, dtype="int32", unit="column"
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,8 @@ from drape.push.field import Surface, largest, mixed, queries, ramp, surface, ta
 from drape.push.projection import AGREEMENT, BESIDE_M2, OTHER_LEAST, REGION_BIAS_M2, REGION_COUNT
 from drape.push.samples import CLUSTER_SIZE, REGION_SIZE, region_centres
 from drape.push.skin import Skin
-from drape.push.tables import skin_lists
+from drape.push.tables import OWN_CLUSTERS, skin_lists
+from drape.tensors import Tensors, tensor
 
 GAP_M = 0.006  # a patch feels the body from this distance on; the contact energy begins at 4 mm
 UNIT_M = 0.01
@@ -27,15 +28,15 @@ REGION_LEAST = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class PatchSkin:
+class PatchSkin(Tensors):
     """Skin near K patches: ``own_cluster`` (K, 10) clusters of samples under each, ``own_bias`` (K, 40) their logits;
     ``other`` (K, R, 12) uint8, how much a sample is another part than the patch's own, in 15ths; ``region_bias`` (K, R)
     of regions (``region_bias_of``)."""
 
-    own_cluster: Array
-    own_bias: Array
-    other: Array
-    region_bias: Array
+    own_cluster: Array = tensor("patch_cluster", "patches", OWN_CLUSTERS, dtype="int64", unit="cluster of samples")
+    own_bias: Array = tensor("patch_cluster_bias", "patches", OWN_CLUSTERS * CLUSTER_SIZE)
+    other: Array = tensor("patch_other", "patches", "regions", REGION_SIZE, dtype="uint8", unit="1 / 15")
+    region_bias: Array = tensor("patch_region_bias", "patches", "regions")
 
 
 def patch_skin(centre: np.ndarray, facing: np.ndarray, skin: Skin) -> PatchSkin:
@@ -43,7 +44,7 @@ def patch_skin(centre: np.ndarray, facing: np.ndarray, skin: Skin) -> PatchSkin:
     lists = skin_lists(np.asarray(centre, dtype=np.float64), np.asarray(facing, dtype=np.float64), skin)
     other = np.rint(OTHER_STEPS * lists.other.reshape(len(centre), -1, REGION_SIZE)).astype(np.uint8)
     return PatchSkin(
-        own_cluster=lists.own_cluster.astype(np.int32),
+        own_cluster=lists.own_cluster.astype(np.int64),
         own_bias=lists.own_bias.astype(np.float32),
         other=other,
         region_bias=region_bias_of(other.max(axis=2)),

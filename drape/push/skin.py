@@ -31,6 +31,7 @@ from drape.push.samples import (
     table_of_columns,
     unit_cross,
 )
+from drape.tensors import Tensors, tensor
 
 SPACING_LIMITS_M = (0.012, 0.020)
 SPACING_PER_RADIUS = 0.55  # a limb has eleven samples around it, whatever its thickness, within the limits
@@ -68,15 +69,15 @@ class Skin(Samples):
 
 
 @dataclass(frozen=True, eq=False)
-class SkinOnBones:
+class SkinOnBones(Tensors):
     """Samples as products with bone transforms, in P parts of 4 regions, for one shape of a linearly skinned body.
 
     ``rows`` (P, n, 4, 144): 48 points, 48 first and 48 second tangents of a part as sums over its n ``bones`` (P, n),
     x y z 1 each.
     """
 
-    rows: np.ndarray
-    bones: np.ndarray
+    rows: Array = tensor("skin_rows", "parts", "part_bones", 4, 3 * POSED_REGIONS * REGION_SIZE, unit="m or 1")
+    bones: Array = tensor("skin_bones", "parts", "part_bones", dtype="int32", unit="bone index")
 
 
 class ShapedSkin:

@@ -86,7 +86,7 @@ def test_a_recurrence_that_differs_is_refused(model, garment, folder, tmp_path, 
     monkeypatch.setattr(exporting, "write_graphs", lambda model, staged: graphs)
     monkeypatch.setattr(exporting, "share_weights", lambda staged, graphs, parameters: (graphs, None))
     monkeypatch.setattr(exporting, "parity_error", lambda *_: 0.0)
-    for other_parity in ("packed_parity_error", "push_parity_error", "layer_parity_error"):
+    for other_parity in ("packed_parity_error", "push_parity_error"):
         monkeypatch.setattr(exporting, other_parity, lambda *_: 0.0)
     monkeypatch.setattr(exporting, "sequence_error", lambda *_: 1.0)
     with pytest.raises(ArtifactError, match="parity"):

@@ -19,6 +19,7 @@ from drape.geometry import jets
 from drape.graph.feeds import body_feed, garment_feed
 from model_export import export as exporting
 from model_export.graph import DrapeGraph, drape_inputs
+from model_export.onnx_file import _check_symbolic
 from model_export.parity import hard_poses, session
 from tests.fixtures import packed
 from tests.fixtures.networks import TINY
@@ -90,7 +91,7 @@ def test_any_number_of_frames_vertices_and_patches_runs(exported, garment, frame
     names = [spec.name for spec in drape_inputs(model)]
     got = session(folder / "drape.onnx").run(None, {name: arrays[name] for name in names})
     with torch.no_grad():
-        expected = DrapeGraph(model)(**{name: torch.from_numpy(arrays[name]) for name in names})
+        expected = DrapeGraph(model)({name: torch.from_numpy(arrays[name]) for name in names})
     for have, want in zip((np.asarray(array) for array in got), expected, strict=True):
         assert have.shape == tuple(want.shape)
         # Fits of the fourth order make some ten times more of what is rounded.
@@ -130,7 +131,7 @@ def test_a_baked_in_axis_is_refused(published):
     proto.graph.input[0].type.tensor_type.shape.dim[0].dim_value = 3
     graph = manifest.graphs["drape"]
     with pytest.raises(ArtifactError, match="body_features"):
-        exporting._check_symbolic(proto, graph.inputs, graph.outputs, "drape.onnx")
+        _check_symbolic(proto, graph.inputs, graph.outputs, "drape.onnx")
 
 
 def test_quality_is_written_into_a_standing_folder(published, tmp_path, monkeypatch):

@@ -16,9 +16,9 @@ from drape.artifacts import load_manifest
 from drape.body.assets import load_body
 from drape.errors import ArtifactError
 from drape.graph.packing import pack_body
-from model_export import export as exporting
-from model_export.export import add_half
-from model_export.half import HALF, LEAST, halve_matrices
+from model_export import folder as changing
+from model_export.folder import add_half
+from model_export.precision.half import HALF, LEAST, halve_matrices
 from service.engine import PACKED, Engine
 from service.packing import Packer, ScenePlan
 from tests.fixtures.packed import exported, garment
@@ -75,7 +75,7 @@ def test_a_model_folder_gets_the_graph_and_its_weights_only_once(tmp_path: Path,
     shutil.copytree(folder, tmp_path / "model")
     with pytest.raises(ArtifactError, match=f"expected a Gemm with {LEAST} weights"):
         add_half(tmp_path / "model", model, garment("tank"))
-    monkeypatch.setattr(exporting, "LARGEST_ERROR_M", 1e-7)
+    monkeypatch.setattr(changing, "LARGEST_ERROR_M", 1e-7)
     with pytest.raises(ArtifactError, match="packed graph in float16: expected at most 1e-07 m"):
         add_half(tmp_path / "model", model, garment("tank"), least=256)
     assert load_manifest(tmp_path / "model") == before

@@ -17,11 +17,10 @@ from drape.graph.feeds import body_feed, garment_feed
 from drape.graph.packing import TANGENTS, Composition, Place, compose, pack_body, pack_garment, pack_tangents
 from drape.graph.push_feed import SkinShapes
 from drape.wire.messages import quantise
-from model_export import packed_weights
 from model_export.graph import DrapeGraph, EncoderGraph, drape_inputs
-from model_export.packed import FirstGraph, PackedGraph
-from model_export.packed_parity import packed_parity_error
-from model_export.packed_specs import packed_inputs, packed_outputs
+from model_export.packed.bodies import ancestor_jumps
+from model_export.packed.graph import FirstGraph, PackedGraph, packed_inputs, packed_outputs
+from model_export.packed.parity import packed_parity_error
 from model_export.parity import hard_poses
 from tests.fixtures.packed import KINDS, SMALL, exported, garment, lively
 from training.config import as_published
@@ -35,7 +34,7 @@ BETAS = np.random.default_rng(5).normal(size=load_body().shape_count)
 
 def first_of(model: OneFit, kind: str) -> tuple[np.ndarray, np.ndarray]:
     with torch.no_grad():
-        embedding, first = FirstGraph(model)(torch.from_numpy(garment(kind).patch_features))
+        embedding, first = FirstGraph(model)({"patch_features": torch.from_numpy(garment(kind).patch_features)})
     return embedding.numpy(), first.numpy()
 
 
@@ -57,7 +56,7 @@ def run_packed(model: OneFit, **more: np.ndarray) -> tuple[dict[str, np.ndarray]
     arrays = bodies | stored | composition.arrays | more
     with torch.no_grad():
         graph = PackedGraph(model)
-        out = graph(**{s.name: torch.from_numpy(np.array(arrays[s.name])) for s in packed_inputs(model)})
+        out = graph({s.name: torch.from_numpy(np.array(arrays[s.name])) for s in packed_inputs(model)})
     return {spec.name: value.numpy() for spec, value in zip(packed_outputs(model), out, strict=True)}, composition
 
 
@@ -66,7 +65,7 @@ def readable(model: OneFit, kind: str, row: int) -> list[np.ndarray]:
     feed = body_feed(load_body(), hard_poses(FRAMES, seed=1)[row : row + 1], np.zeros((1, 3)), BETAS, skin=True)
     arrays = feed.arrays | garment_feed(garment(kind), body=load_body()) | {"patch_embedding": first_of(model, kind)[0]}
     with torch.no_grad():
-        out = DrapeGraph(model)(**{s.name: torch.from_numpy(arrays[s.name]) for s in drape_inputs(model)})
+        out = DrapeGraph(model)({s.name: torch.from_numpy(arrays[s.name]) for s in drape_inputs(model)})
     return [value[0].numpy() for value in out]
 
 
@@ -165,14 +164,14 @@ def test_first_half_is_the_decoders_own():
     embedding, first = first_of(model, "tank")
     features = torch.from_numpy(garment("tank").patch_features)
     with torch.no_grad():
-        assert_array_equal(embedding, EncoderGraph(model)(features).numpy())
+        assert_array_equal(embedding, EncoderGraph(model)({"patch_features": features}).numpy())
         decoder = model.decoder
         assert isinstance(decoder, Decoder)
         assert_array_equal(first, decoder.from_patch(torch.from_numpy(embedding)).numpy())
 
 
 def test_jumps_reach_the_root_of_every_joint():
-    jumps = packed_weights.ancestor_jumps()
+    jumps = ancestor_jumps()
     assert len(jumps) == 4  # nine joints from the root to a hand
     assert all(int(jump[24]) == 24 for jump in jumps)
 

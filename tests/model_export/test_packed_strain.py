@@ -7,7 +7,7 @@ from torch.testing import assert_close
 
 from drape.garment.agreement import STRAIN_POINTS
 from drape.geometry import jets
-from model_export.packed_strain import Strain
+from model_export.packed.strain import Strain
 from training.agreement import TRACE_SHARE, GatheredAgreement, softened, strain_and_force, tangent_terms
 
 PATCHES = 9

@@ -99,7 +99,7 @@ def test_all_passes_are_the_default_and_fewer_are_the_readable_network_with_fewe
             arrays = {**one, **garment_feed(garment(kind), body=body), "patch_embedding": embedding}
             with torch.no_grad():
                 taken = {spec.name: torch.from_numpy(arrays[spec.name]) for spec in drape_inputs(model)}
-                want = with_passes(readable, passes)(**taken)[0].numpy()[0]
+                want = with_passes(readable, passes)(taken)[0].numpy()[0]
             got = result.arrays["vertices"]
             assert_allclose(got, want, rtol=0, atol=1e-5)
             assert np.abs(got - before).max() > 1e-3, "must differ for the test to mean something"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -29,7 +29,7 @@ from training.agreement import (
     tangent_terms,
 )
 from training.config import ModelConfig, paper
-from training.data import Partition, partition_tensors
+from training.data import Partition, on_device, partition_tensors
 from training.model import OneFit, Posed, pose_frames, posed_coefficients
 
 
@@ -40,16 +40,12 @@ def garment() -> Garment:
 
 @cache
 def partition() -> Partition:
-    found = {item.name: getattr(garment(), item.name) for item in fields(garment())}
-    return partition_tensors(found, body_skin(body()), device=CPU)
+    return partition_tensors(garment(), body_skin(body()), device=CPU)
 
 
 @cache
 def gathered() -> GatheredAgreement:
-    feed = {name: torch.from_numpy(value) for name, value in garment_feed(garment()).items()}
-    names = ("anchor_patch", "anchor_row", "patch_member", "patch_fit", "patch_rest", "patch_tangent")
-    patch, row, member, fit, rest, tangent = (feed[name] for name in names)
-    return GatheredAgreement(patch, row, member, fit, rest, tangent, feed["patch_orthonormal"])
+    return GatheredAgreement.from_flat(on_device(garment_feed(garment()), CPU))
 
 
 def posed(count: int = 2, size: float = 0.05) -> Posed:

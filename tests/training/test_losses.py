@@ -18,7 +18,6 @@ from training import losses
 from training.collider import Collider, incidence, nearest_collider, vertex_normals
 from training.data import BodyBatch
 from training.model import Posed, pose_frames, posed_coefficients
-from training.poses import pose_bodies
 
 
 def bodies(count: int = 2):
@@ -155,8 +154,8 @@ def test_the_collider_is_the_posed_body_without_head_hands_and_toes():
     poses = 0.3 * np.random.default_rng(2).normal(size=(2, 24, 3))
     betas = np.zeros((2, model.shape_count))
     betas[1] = np.random.default_rng(3).normal(size=model.shape_count)
-    rotations, translations = pose_bodies(model, poses, betas)
-    posed = collider.posed(rotations, translations, betas)
+    rotations, translations = model.bones(poses, None, betas)
+    posed = collider.posed(rotations, translations - model.rest_joints(betas)[:, :1], betas)
     whole = [model.posed_vertices(pose[None], betas=beta)[0] for pose, beta in zip(poses, betas, strict=True)]
     expected = [v[collider.index] - model.rest_joints(beta)[0] for v, beta in zip(whole, betas, strict=True)]
     assert_allclose(posed, np.stack(expected), rtol=0, atol=2e-6)

@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.graph.feeds import body_feed
+from drape.graph.inputs import ChartTensors
 from tests.training.training_setup import TINY, bank, body, garment, source
 from training import losses
 from training.agreement import agreed_jets, closing_jets
@@ -44,14 +45,8 @@ def test_sparse_blend_equals_the_readable_form_forward_and_backward():
     scale = partition.patches.scale
     fast = losses.vertices_from(posed_coefficients(replace(state, jet=jet_fast), scale), partition)
     row = partition.chart_row
-    slow = vertex_positions(
-        replace(state, jet=jet_slow),
-        partition.patches,
-        partition.chart_patch,
-        partition.chart_weight,
-        row[..., 4:],
-        row[..., 1:4],
-    )
+    charts = ChartTensors(partition.chart_patch, partition.chart_weight, row[..., 4:], row[..., 1:4])
+    slow = vertex_positions(replace(state, jet=jet_slow), partition.patches, charts)
     assert_allclose(fast.detach(), slow.detach(), rtol=0, atol=2e-6)
     cotangent = torch.randn(fast.shape, generator=torch.Generator().manual_seed(2))
     (fast * cotangent).sum().backward()

@@ -14,7 +14,7 @@ from drape.geometry.rotations import rotvec_to_matrix
 from drape.motion.clip import MotionClip
 from tests.training.training_setup import body
 from training.config import DataConfig
-from training.poses import LEGS, MIRROR, PoseBank, draw_betas, mirrored, pose_bodies, read_clips, rows_of_three
+from training.poses import LEGS, MIRROR, PoseBank, draw_betas, mirrored, read_clips, rows_of_three
 from training.run import sample_motions
 
 PLAIN = DataConfig(mix_share=0.0, mirror_share=0.0)
@@ -82,13 +82,3 @@ def test_shapes_are_drawn_for_the_share_that_asks():
     moved = (betas != 0).any(axis=1)
     assert 0.2 < moved.mean() < 0.3
     assert_allclose(betas[moved].std(), 0.5, rtol=0.05, atol=0)
-
-
-def test_bones_of_many_shapes_equal_those_of_each():
-    rng = np.random.default_rng(1)
-    poses, betas = rng.normal(0.0, 0.3, size=(3, 24, 3)), rng.normal(size=(3, body().shape_count))
-    rotations, translations = pose_bodies(body(), poses, betas)
-    for n in range(3):
-        rotation, translation = body().bones(poses[n : n + 1], None, betas[n])
-        assert_allclose(rotations[n], rotation[0], rtol=0, atol=1e-9)
-        assert_allclose(translations[n], translation[0] - body().rest_joints(betas[n])[0], rtol=0, atol=1e-9)

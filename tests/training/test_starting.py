@@ -66,7 +66,7 @@ def test_the_shipped_model_gives_a_network_that_computes_its_graph():
 
     features = np.random.default_rng(0).normal(size=(5, config.patch_feature_count)).astype(np.float32)
     with torch.no_grad():
-        got = EncoderGraph(model.eval())(torch.from_numpy(features)).numpy()
+        got = EncoderGraph(model.eval())({"patch_features": torch.from_numpy(features)}).numpy()
     encoder = session(MODELS_DIR / "onefit" / "garment_encoder.onnx")
     want = np.asarray(encoder.run(["patch_embedding"], {"patch_features": features})[0])
     assert_allclose(got, want, rtol=0, atol=1e-4)

@@ -18,6 +18,7 @@ from benchmarks.papers.representation_space import (
     embedding,
 )
 from drape.body.assets import load_body
+from drape.garment.cache import Atlas
 from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.geometry.skinning import skin_points
@@ -52,7 +53,7 @@ def test_a_rigid_form_is_the_product_s_drape():
     from training.losses import vertices_from
     from training.model import Posed, posed_coefficients
 
-    partition = partition_tensors(fields(), body_skin(load_body()), device=torch.device("cpu"))
+    partition = partition_tensors(Atlas(**fields()), body_skin(load_body()), device=torch.device("cpu"))
     for space, (rotation, centre) in zip(
         frame_spaces(bench(), REPRESENTATIONS["rigid_2"], found()), posed_frames(bench(), found()), strict=True
     ):

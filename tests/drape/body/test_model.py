@@ -197,3 +197,19 @@ def test_translations_of_another_shape_are_refused(small, poses, bad):
 def test_translations_that_are_not_finite_are_refused(small, poses):
     with pytest.raises(MotionError, match="trans: expected finite"):
         small.bones(poses, np.full((3, 3), np.nan))
+
+
+def test_bodies_of_many_shapes_are_posed_as_each_by_itself(poses, rng):
+    body = default_body()
+    shapes = rng.normal(size=(len(poses), body.shape_count))
+    rotations, translations = body.bones(poses, None, shapes)
+    for n, shape in enumerate(shapes):
+        rotation, translation = body.bones(poses[n : n + 1], None, shape)
+        assert_allclose(rotations[n], rotation[0], rtol=0.0, atol=EXACT)
+        assert_allclose(translations[n], translation[0], rtol=0.0, atol=EXACT)
+        assert_allclose(body.rest_joints(shapes)[n], body.rest_joints(shape), rtol=0.0, atol=EXACT)
+
+
+def test_shapes_of_another_count_are_refused(small):
+    with pytest.raises(BodyError, match="betas: expected shape"):
+        small.rest_joints(np.zeros((3, small.shape_count + 1)))

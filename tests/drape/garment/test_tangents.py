@@ -12,7 +12,7 @@ from drape.garment.cache import GARMENTS_DIR, Garment, load_garment
 from drape.garment.tangents import tangent_columns
 from drape.geometry import jets, meshes
 from drape.geometry.rotations import rotvec_to_matrix
-from drape.graph.packing import COLUMNS
+from drape.graph.packed import COLUMNS
 from tests.fixtures.tiny_model import tube_garment
 
 

@@ -13,17 +13,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.body.assets import load_body
 from drape.errors import ArtifactError
 from drape.graph.feeds import body_feed, garment_feed
-from drape.graph.packing import (
-    CHARTS_PER_TILE,
-    COLUMNS,
-    VERTICES_PER_BLOCK,
-    PackedGarment,
-    Place,
-    compose,
-    pack_body,
-    pack_garment,
-    tile_charts,
-)
+from drape.graph.packed import CHARTS_PER_TILE, COLUMNS, VERTICES_PER_BLOCK
+from drape.graph.packing import PackedGarment, Place, compose, pack_body, pack_garment, tile_charts
 from tests.fixtures.poses import random_motion
 from tests.fixtures.tiny_model import tube_garment
 

@@ -20,7 +20,7 @@ from drape.geometry import closest, jets, meshes
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.geometry.skinning import skin_points
 from drape.graph.feeds import garment_feed
-from drape.graph.push_feed import feed_arrays, pack_push, push_feed, pushed_jets
+from drape.graph.push_feed import pack_push, push_feed, pushed_jets
 from drape.push import projection
 from drape.push.projection import (
     CLEARANCE_M,
@@ -131,9 +131,7 @@ def test_numpy_and_torch_agree_and_frames_are_independent(rng):
     together = push_out(vertices, table, feed)
     alone = np.concatenate([push_out(vertices[i : i + 1], table[i : i + 1], feed) for i in range(3)])
     assert_allclose(alone, together, rtol=0, atol=1e-12)
-    arrays = {name.removeprefix("push_"): array for name, array in feed_arrays(feed).items()}
-    doubled = {name: array.astype(np.float64) if array.dtype == np.float32 else array for name, array in arrays.items()}
-    tensors = PushFeed(**{name: torch.from_numpy(array) for name, array in doubled.items()})
+    tensors = feed.each(lambda a: torch.from_numpy(a.astype(np.float64) if a.dtype == np.float32 else a))
     in_torch = push_out(torch.from_numpy(vertices), torch.from_numpy(table), tensors, CLEARANCE_M)
     assert_allclose(in_torch.numpy(), together, rtol=0, atol=1e-9)
 

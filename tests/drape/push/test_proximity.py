@@ -101,12 +101,7 @@ def test_other_parts_are_felt_when_an_arm_comes_down_and_not_before():
 
 def test_torch_and_numpy_feel_the_same():
     points, skin, own = posed("tank", ARMS_DOWN)
-    tensors = PatchSkin(
-        *(
-            torch.from_numpy(np.array(value))
-            for value in (own.own_cluster.astype(np.int64), own.own_bias, own.other, own.region_bias)
-        )
-    )
+    tensors = own.each(lambda value: torch.from_numpy(np.array(value)))
     here = felt(points, planes(points, skin, own))
     there = felt(torch.from_numpy(points), planes(torch.from_numpy(points), torch.from_numpy(skin), tensors))
     for one, other in zip(here, there, strict=True):

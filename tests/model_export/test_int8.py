@@ -17,8 +17,8 @@ from drape.artifacts import load_manifest
 from drape.body.assets import load_body
 from drape.errors import ArtifactError
 from drape.graph.packing import pack_body
-from model_export.export import add_int8
-from model_export.rounded import (
+from model_export.folder import add_int8
+from model_export.precision.int8 import (
     MARGIN,
     MIDDLE,
     STEPS,

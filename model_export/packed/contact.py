@@ -9,37 +9,19 @@ from torch import Tensor, nn
 
 from drape.garment.agreement import STRAIN_POINTS, strain_points
 from drape.geometry import jets
+from drape.graph.packed import ShapedSkins, StoredFelt
 from drape.push.field import mixed, queries, surface
 from drape.push.projection import REGION_BIAS_M2, REGION_COUNT
 from drape.push.proximity import GAP_M, UNIT_M, from_halves, mixed_others, plane_share
 from drape.push.samples import CLUSTER_SIZE, REGION_SIZE, region_centres
 from drape.push.skin import skin_table
-from model_export.packed_strain import softsign
+from model_export.packed.bodies import Frames
+from model_export.packed.operators import softsign
 
 PLACES = 2 * STRAIN_POINTS  # of a patch: each point before its own part of the body, then before others
 
 
-@dataclass(frozen=True)
-class Skins:
-    """Inputs of ``PackedGraph`` by which its bodies have a skin: of U shapes, and the shape of each body."""
-
-    rows: Tensor  # (U, parts, n, 4, 144)
-    bones: Tensor
-    shape: Tensor
-
-
-@dataclass(frozen=True)
-class Felt:
-    """Inputs of ``PackedGraph`` by which patches feel it, gathered for its patches."""
-
-    place: Tensor  # (P, 3, 7) [patch scales]
-    cluster: Tensor  # (P, 10)
-    bias: Tensor  # (P, 40)
-    other: Tensor  # (P, parts, 24)
-    region: Tensor  # (P, parts, 4)
-
-
-def posed_skins(skins: Skins, rotation: Tensor, translation: Tensor) -> Tensor:
+def posed_skins(skins: ShapedSkins, rotation: Tensor, translation: Tensor) -> Tensor:
     """Tables (B, R, 12, 8) of the skins of bodies with these bones."""
     return skin_table(torch.index_select(skins.rows, 0, skins.shape), skins.bones, rotation, translation)
 
@@ -77,7 +59,7 @@ class Contact(nn.Module):
         for name, value in tables().items():
             self.register_buffer(name, value)
 
-    def places(self, lists: Felt) -> Tensor:
+    def places(self, lists: StoredFelt) -> Tensor:
         """Rest places (P, 42) of the points, for both parts of the body."""
         return lists.place.reshape(-1, 3 * STRAIN_POINTS) @ self.twice
 
@@ -85,21 +67,15 @@ class Contact(nn.Module):
         """The points (P, 42) [patch scales] of ``jet`` (P, 27)."""
         return torch.addmm(places, jet, self.point_terms)
 
-    def near(
-        self, points: Tensor, skin: Tensor, lists: Felt, patch_body: Tensor, rotation: Tensor, scale: Tensor,
-        centre: Tensor,
-    ) -> Near:  # fmt: skip
-        """Planes near ``points`` (P, 42) of patches on the bodies ``patch_body`` (P,), of ``skin`` (B, R, 12, 8).
-
-        Frames ``rotation`` (P, 3, 3), ``scale`` [m] (P, 1, 1) and ``centre`` [m] (P, 3, 1).
-        """
-        world = (rotation * scale) @ points.reshape(-1, 3, PLACES) + centre
+    def near(self, points: Tensor, skin: Tensor, lists: StoredFelt, patch_body: Tensor, frames: Frames) -> Near:
+        """Planes near ``points`` (P, 42) of patches on the bodies ``patch_body`` (P,), of ``skin`` (B, R, 12, 8)."""
+        world = (frames.rotation * frames.scale) @ points.reshape(-1, 3, PLACES) + frames.centre
         middle = torch.addmm(self.middle_last, world.reshape(-1, 3 * PLACES), self.middle_terms)
         means = near_means(world[:, :, :STRAIN_POINTS].mT, middle, skin, lists, patch_body)
         found = surface(world, means)
         share = plane_share(found)
-        unit = scale.reshape(-1, 1) * (-1.0 / UNIT_M)
-        normal = (rotation.mT @ found.normal).reshape(-1, 3 * PLACES) * unit
+        unit = frames.scale.reshape(-1, 1) * (-1.0 / UNIT_M)
+        normal = (frames.rotation.mT @ found.normal).reshape(-1, 3 * PLACES) * unit
         offset = (GAP_M - found.distance) * (1.0 / UNIT_M) - (normal * points) @ self.axis_sums
         return Near(normal, offset, share, share / unit)
 
@@ -131,7 +107,7 @@ def tables() -> dict[str, Tensor]:
     }
 
 
-def near_means(places: Tensor, middle: Tensor, skin: Tensor, lists: Felt, patch_body: Tensor) -> Tensor:
+def near_means(places: Tensor, middle: Tensor, skin: Tensor, lists: StoredFelt, patch_body: Tensor) -> Tensor:
     """Means (P, 8, 14) of the samples about ``places`` [m] (P, 7, 3): of the own part, then of others.
 
     ``middle`` (P, 4) is the mean place of each patch, and one.

@@ -51,14 +51,14 @@ def packed_parity_error(model: OneFit, encoder: Path, packed: Path, garment: Gar
     got = _run(packed, bodies | stored | composition.arrays | code)
 
     with torch.no_grad():
-        embedding = EncoderGraph(model)(torch.from_numpy(garment.patch_features)).numpy()
+        embedding = EncoderGraph(model)({"patch_features": torch.from_numpy(garment.patch_features)}).numpy()
     worst = 0.0
     for place, (g, frame) in zip(composition.vertices, items, strict=True):
         feed = body_feed(body, poses[frame : frame + 1], np.zeros((1, 3)), betas[shape_of[frame]], skin=True)
         arrays = feed.arrays | feeds[g] | {"patch_embedding": embedding}
         arrays |= {name: value[frame : frame + 1] for name, value in code.items()}
         with torch.no_grad():
-            expected = DrapeGraph(model)(**{name: torch.from_numpy(arrays[name]) for name in names})[0].numpy()
+            expected = DrapeGraph(model)({name: torch.from_numpy(arrays[name]) for name in names})[0].numpy()
         worst = max(worst, float(np.linalg.norm(got.reshape(-1, 3)[place] - expected[0], axis=-1).max()))
     return worst
 

@@ -18,6 +18,7 @@ from torch import Tensor, nn
 
 from drape.garment.agreement import STRAIN_POINTS
 from drape.geometry import jets
+from model_export.packed.operators import softsign
 from training.agreement import TRACE_SHARE, tangent_terms
 
 SOFTENING = 4.0  # of training.agreement.softened: 4 x / (1 + |4 x|)
@@ -41,7 +42,7 @@ class Stretch:
 
 
 def tables() -> dict[str, Tensor]:
-    """Buffers of ``PackedGraph`` for strain; numbers of a point lie together by kind, points last."""
+    """Buffers of ``Strain``; numbers of a point lie together by kind, points last."""
     directions = torch.tensor(DIRECTIONS)
     terms = tangent_terms().reshape(jets.JET_COUNT, STRAIN_POINTS, 3, 2)
     xyz = torch.ones(3)
@@ -99,14 +100,3 @@ class Strain(nn.Module):
         strain = torch.addmm(self.strain_at_rest, terms, self.strain_sums)  # times the softening, as all that follows
         along = (rest.monomials * (strain @ self.stress_terms)) @ self.force_terms
         return softsign(strain), softsign((along * tangent) @ self.direction_terms.mT)
-
-
-@torch.library.custom_op("drape::softsign", mutates_args=())
-def softsign(x: Tensor) -> Tensor:
-    """``x / (1 + |x|)``: one operation of the graph, where torch's own is written as three."""
-    return nn.functional.softsign(x)
-
-
-@softsign.register_fake
-def _(x: Tensor) -> Tensor:
-    return torch.empty_like(x)

@@ -1,0 +1,88 @@
+"""What the readable drape graph takes, each input declared once: posed bodies, patches, charts and how charts agree.
+
+Training, export and tests hold these groups; ``drape.graph.feeds`` makes their arrays by name. What the packed graph
+takes stands in ``drape.graph.packed``, what the push-out takes in ``drape.graph.push_feed`` and ``layer_feed``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from drape.arrays import Array
+from drape.body.features import DYNAMIC_PER_JOINT, feature_count
+from drape.body.skeleton import JOINT_COUNT
+from drape.garment.agreement import FIT_COUNT, MEMBERS, STRAIN_POINTS
+from drape.garment.cache import CHARTS_PER_VERTEX
+from drape.geometry import jets
+from drape.push.proximity import PatchSkin
+from drape.push.samples import REGION_SIZE
+from drape.tensors import Tensors, group, tensor
+
+BETA_COUNT = 10
+ROOT = "m, relative to the root joint"
+# Parts of a network that need inputs of their own, in the order in which a graph has them.
+PAPER, SURROUNDINGS, DYNAMIC, AGREES, FEELS = PARTS = ("paper", "surroundings", "dynamic", "agrees", "feels")
+
+
+@dataclass(frozen=True, eq=False)
+class BodyTensors(Tensors):
+    """F posed bodies, relative to the root joint's rest place (``drape.graph.feeds.body_feed``).
+
+    ``skin`` is the table of ``drape.push.skin.skin_table``: posed, since this graph is the one to read.
+    """
+
+    features: Array = tensor("body_features", "frames", feature_count() + BETA_COUNT)
+    rotation: Array = tensor("bone_rotation", "frames", JOINT_COUNT, 3, 3)
+    translation: Array = tensor("bone_translation", "frames", JOINT_COUNT, 3, unit="m")
+    quaternion: Array = tensor("bone_quaternion", "frames", JOINT_COUNT, 4)
+    betas: Array = tensor("betas", "frames", BETA_COUNT, unit="standard deviations")
+    joints: Array | None = tensor("body_joints", "frames", JOINT_COUNT, 3, unit=ROOT, part=SURROUNDINGS)
+    skin: Array | None = tensor(
+        "body_skin", "frames", "regions", REGION_SIZE, 8, unit="m and 1, relative to the root joint", part=FEELS
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class PatchTensors(Tensors):
+    """Constants of the K patches of a garment. ``place``: of the strain points at rest in the patch frame."""
+
+    centre: Array = tensor("patch_centre", "patches", 3, unit="m")
+    rotation: Array = tensor("patch_rotation", "patches", 3, 3)
+    scale: Array = tensor("patch_scale", "patches", unit="m")
+    weights: Array = tensor("patch_weights", "patches", JOINT_COUNT)
+    heaviest: Array = tensor("patch_heaviest", "patches", dtype="int64", unit="bone index")
+    shapedirs: Array = tensor("patch_shapedirs", "patches", 3, BETA_COUNT, unit="m")
+    place: Array | None = tensor("patch_place", "patches", STRAIN_POINTS, 3, unit="m", part=FEELS)
+    skin: PatchSkin | None = group(PatchSkin, part=FEELS)
+
+
+@dataclass(frozen=True, eq=False)
+class ChartTensors(Tensors):
+    """The charts of V vertices: patch, weight in the blend, basis of the height's order, rest place in its frame."""
+
+    patch: Array = tensor("chart_patch", "vertices", CHARTS_PER_VERTEX, dtype="int64", unit="patch index")
+    weight: Array = tensor("chart_weight", "vertices", CHARTS_PER_VERTEX)
+    basis: Array = tensor("chart_basis", "vertices", CHARTS_PER_VERTEX, jets.HEIGHT_COUNT)
+    local: Array = tensor("chart_local", "vertices", CHARTS_PER_VERTEX, 3, unit="m")
+
+
+@dataclass(frozen=True, eq=False)
+class AgreementTensors(Tensors):
+    """The tables of ``drape.garment.agreement``; ``anchor_row``: blend weights times [1, rest place, basis]."""
+
+    anchor_patch: Array = tensor("anchor_patch", "anchors", CHARTS_PER_VERTEX, dtype="int64", unit="patch index")
+    anchor_row: Array = tensor("anchor_row", "anchors", CHARTS_PER_VERTEX, 4 + jets.HEIGHT_COUNT, unit="1 and m")
+    member: Array = tensor("patch_member", "patches", MEMBERS, dtype="int64", unit="anchor index")
+    fit: Array = tensor("patch_fit", "patches", FIT_COUNT, MEMBERS)
+    rest: Array = tensor("patch_rest", "patches", FIT_COUNT, 3, unit="patch scales")
+    tangent: Array = tensor("patch_tangent", "patches", STRAIN_POINTS, 3, 2)
+    orthonormal: Array = tensor("patch_orthonormal", "patches", STRAIN_POINTS, 2, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class MotionTensors(Tensors):
+    """What the recurrent encoder takes of every client: motion (``drape.body.features``), its state, the time step."""
+
+    features: Array = tensor("motion_features", "clients", JOINT_COUNT, DYNAMIC_PER_JOINT, unit="1/s and m/s^2")
+    state: Array = tensor("state", "clients", "state")
+    dt_s: Array = tensor("dt_s", "clients", unit="s")

@@ -1,0 +1,1 @@
+"""The packed graph: what the readable one computes, arranged for speed."""

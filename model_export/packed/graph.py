@@ -1,0 +1,233 @@
+"""The packed drape graph: any mix of garments, clients and frames in one call, and nothing computed twice.
+
+What ``body_feed`` and the readable ``DrapeGraph`` compute, arranged for speed; ``model_export.packed.parity`` compares
+the two.
+
+- Patches of all items lie one after the other. ``patch_body`` names the body of each, ``patch_stored`` its row among
+  the constants of the garments in store, which are handed over once.
+- The garment half of the decoder's first layer is a constant of the garment (``patch_first``).
+- A body comes as 24 quaternions and rest joints; its bones and features are a few small products here, and some
+  three hundred calls in numpy.
+- Network and frame give the posed jets, a 3 x 18 matrix per patch. A vertex is the sum over its four charts of
+  such a matrix times a constant column, so charts are sorted by patch into tiles of ``CHARTS_PER_TILE`` columns:
+  the vertex stage is one small product of a fixed shape per tile and a sum of four rows.
+- Outputs are independent branches: ``service.subgraph`` cuts the graph of a scene out of this one. The jets after each
+  pass are outputs too: with those of an early pass in place of the last one's, what is cut out ends there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from drape.artifacts import GraphSpec, TensorSpec
+from drape.body.skeleton import JOINT_COUNT
+from drape.errors import ArtifactError
+from drape.garment.features import REACH_M
+from drape.geometry import jets
+from drape.graph.inputs import ROOT
+from drape.graph.packed import VERTICES_PER_BLOCK, Indices, PackedBodies, PackedTensors, StoredPatches
+from drape.graph.packing import pass_name
+from drape.push.samples import REGION_SIZE
+from drape.wire.messages import STEP_COUNT
+from model_export.onnx_file import write_graph
+from model_export.packed import layers
+from model_export.packed.bodies import Bones, Frames, Kinematics
+from model_export.packed.charts import Charts
+from model_export.packed.contact import Contact, posed_skins
+from model_export.packed.operators import TRANSLATIONS, rows
+from model_export.packed.strain import Strain
+from training.layers import SLOPE
+from training.model import OneFit
+
+SKIN_OUTPUT = TensorSpec(
+    "skin", ("bodies", "regions", REGION_SIZE, 8), "float32", "m and 1, relative to the root joint"
+)
+
+
+def packed_inputs(model: OneFit) -> tuple[TensorSpec, ...]:
+    """Inputs of the packed graph of ``model``, in order."""
+    return PackedTensors.specs(model.config.parts, **model.config.axes)
+
+
+def packed_outputs(model: OneFit) -> tuple[TensorSpec, ...]:
+    """Outputs of the packed graph of ``model``, in order."""
+    passes = model.config.corrections + 1 if model.config.closing_fit and model.config.corrections else 0
+    return (
+        TensorSpec("vertices", ("blocks", VERTICES_PER_BLOCK, 3), "float32", ROOT),
+        TensorSpec("normals", ("blocks", VERTICES_PER_BLOCK, 3), "float32", "1"),
+        TensorSpec("steps", ("blocks", VERTICES_PER_BLOCK, 3), "uint16", "box_step"),
+        TensorSpec("box_low", ("items", 3), "float32", ROOT),
+        TensorSpec("box_step", ("items", 3), "float32", "m"),
+        TensorSpec("jet", ("patches", model.jet_count), "float32", "patch scales"),
+        TensorSpec("frame_rotation", ("patches", 3, 3), "float32", "1"),
+        TensorSpec("frame_centre", ("patches", 3), "float32", ROOT),
+        TensorSpec("bone_rotation", ("bodies", JOINT_COUNT, 3, 3), "float32", "1"),
+        TensorSpec("bone_translation", ("bodies", JOINT_COUNT, 3), "float32", ROOT),
+        *((SKIN_OUTPUT,) if model.config.feels_body else ()),
+        # Jets before the first correction and after each; none where no closing fit takes them.
+        *(TensorSpec(pass_name(i), ("patches", jets.JET_COUNT), "float32", "patch scales") for i in range(passes)),
+    )
+
+
+def first_outputs(model: OneFit) -> tuple[TensorSpec, ...]:
+    """Outputs of the garment encoder where the model has a packed graph."""
+    return (
+        TensorSpec("patch_embedding", ("patches", model.config.embedding_size), "float32", "1"),
+        TensorSpec("patch_first", ("patches", model.config.decoder_sizes[0]), "float32", "1"),
+    )
+
+
+def write_packed(model: OneFit, path: Path) -> GraphSpec:
+    """Writes the packed graph of ``model`` (vector jets only)."""
+    graph = PackedGraph(model).eval()
+    return write_graph(graph, path, packed_inputs(model), packed_outputs(model), translations=TRANSLATIONS)
+
+
+@dataclass(frozen=True)
+class PosedPatches:
+    """Posed jets (P, 3, 18), jets in the frames (P, 27 or 45), the frames, and the bones of the bodies.
+
+    ``skin`` (B, R, 12, 8) of the bodies, where patches feel it.
+    ``passes``: jets (P, 27) before the first correction and after each, where a closing fit follows them.
+    """
+
+    coefficients: Tensor
+    jet: Tensor
+    frames: Frames
+    bones: Bones
+    skin: Tensor | None = None
+    passes: tuple[Tensor, ...] = ()
+
+
+class FirstGraph(nn.Module):
+    """Patch features -> patch embedding, and the garment half of the decoder's first layer; run once per garment."""
+
+    def __init__(self, model: OneFit) -> None:
+        super().__init__()
+        self.garment, self.from_patch = model.garment, model.decoder.from_patch
+
+    def forward(self, tensors: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+        embedding = self.garment(tensors["patch_features"])
+        return embedding, self.from_patch(embedding)
+
+
+class PackedGraph(nn.Module):
+    """``drape.graph.packed.PackedTensors`` by name -> all of ``packed_outputs``.
+
+    Only for vector jets: the paper's variant skins vertices, which is another vertex stage.
+    """
+
+    axis_sums: Tensor
+
+    def __init__(self, model: OneFit) -> None:
+        super().__init__()
+        if model.config.variant != "vector":
+            raise ArtifactError(
+                "variant",
+                expected="'vector'",
+                got=repr(model.config.variant),
+                cure="Only vector jets are packed; serve this model with its drape graph.",
+            )
+        decoder = model.decoder
+        self.body = model.body
+        self.from_body = decoder.from_body
+        self.trunk = decoder.trunk
+        self.from_surroundings = layers.surroundings_layer(decoder.from_surroundings)
+        self.head = layers.merged_heads(decoder.heads, model.config.output_gain)
+        self.kinematics, self.charts, self.strain, self.contact = Kinematics(), Charts(), Strain(), Contact()
+        self.based, self.closes = model.config.agreed_base, model.config.closing_fit
+        self.corrections = nn.ModuleList(
+            layers.correction_layers(correction, model.config.output_gain) for correction in model.corrections
+        )
+        self.register_buffer("axis_sums", torch.eye(JOINT_COUNT).repeat(3, 1))
+
+    def forward(self, tensors: dict[str, Tensor]) -> tuple[Tensor, ...]:
+        given = PackedTensors.from_flat(tensors)
+        index, tiles = given.index, given.tiles
+        posed = self.pose(given.bodies, given.patches.each(lambda table: rows(table, index.stored)), index)
+        coefficients = rows(posed.coefficients, index.tile_patch)  # (Q, 3, 18)
+        vertices = self.charts.blend(coefficients, rows(tiles.positions, index.tile_stored), index.vertex_charts)
+        tangents = rows(tiles.tangents, index.tile_stored)
+        tangents = self.charts.blend(coefficients, tangents, index.vertex_charts, count=2)
+        steps, low, step = _quantised(vertices, index)
+        return (
+            vertices, self.charts.normals(tangents), steps, low, step, posed.jet,
+            posed.frames.rotation, posed.frames.centre.reshape(-1, 3), posed.bones.rotation, posed.bones.translation,
+            *(() if posed.skin is None else (posed.skin,)), *posed.passes,
+        )  # fmt: skip
+
+    def pose(self, bodies: PackedBodies, patches: StoredPatches, index: Indices) -> PosedPatches:
+        """Posed jets of ``patches``, those of the items in order."""
+        bones, features = self.kinematics(bodies)
+        code = self.body(features)
+        if bodies.dynamic_code is not None:
+            code = code + bodies.dynamic_code
+        frames = self.kinematics.frames(bodies, bones, patches, index)
+        charts, stored = self.charts, patches.charts
+        base = None
+        if self.based:
+            assert stored is not None
+            base = charts.agreed(frames.out @ stored.columns[:, :4], stored, index, frames)
+        x = patches.first + rows(self.from_body(code), index.body)
+        if self.from_surroundings is not None:
+            x = self._with_surroundings(x, rows(bones.joints.mT, index.body), frames, base)
+        hidden = self.trunk(nn.functional.leaky_relu(x, SLOPE))
+        jet = self.head(hidden) if base is None else base + self.head(hidden)
+        passes = [jet]
+        columns = charts.columns(stored.columns) if stored is not None else None
+        skin = near = stretch = places = None
+        if bodies.skins is not None:
+            skin = posed_skins(bodies.skins, bones.rotation, bones.translation)
+        for correction in self.corrections:
+            assert stored is not None and columns is not None
+            jet = charts.agreed(charts.posed(frames, jet) @ columns, stored, index, frames)
+            stretch = self.strain.stretch(stored.tangent, stored.unit) if stretch is None else stretch
+            inputs = [hidden, *self.strain(jet, stretch), jet]
+            if patches.felt is not None:
+                assert skin is not None
+                places = self.contact.places(patches.felt) if places is None else places
+                points = self.contact.points(jet, places)
+                if near is None:
+                    near = self.contact.near(points, skin, patches.felt, index.body, frames)
+                inputs += self.contact(points, near)
+            jet = jet + correction(torch.cat(inputs, dim=-1))
+            passes.append(jet)
+        if self.closes:
+            assert stored is not None and columns is not None
+            jet = charts.closed(charts.posed(frames, jet) @ columns, stored, index, frames)
+        kept = tuple(passes) if self.closes and len(passes) > 1 else ()
+        return PosedPatches(charts.posed(frames, jet), jet, frames, bones, skin, kept)
+
+    def _with_surroundings(self, x: Tensor, joints: Tensor, frames: Frames, base: Tensor | None) -> Tensor:
+        """``x`` plus the layer on ``training.model.patch_surroundings`` of posed joints (P, 3, 24), and on ``base``."""
+        assert self.from_surroundings is not None
+        offset = frames.rotation.mT @ (joints - frames.centre)
+        # A maximum and not a sum: the exporter's optimiser takes "+ 1e-12" for "+ 0" and drops the guard.
+        squared = ((offset * offset).reshape(-1, 3 * JOINT_COUNT) @ self.axis_sums).reshape(-1, 1, JOINT_COUNT)
+        reach = torch.sqrt(torch.clamp(squared, min=1e-12))
+        saturated = (offset * (torch.tanh(reach * (1.0 / REACH_M)) / reach)).reshape(-1, 3 * JOINT_COUNT)
+        parts = [saturated, frames.rotation.reshape(-1, 9), *([] if base is None else [base])]
+        return torch.addmm(x, torch.cat(parts, dim=-1), self.from_surroundings)
+
+
+def _quantised(vertices: Tensor, index: Indices) -> tuple[Tensor, Tensor, Tensor]:
+    """``drape.wire.quantise`` of every item: steps (blocks, 64, 3), low corners and steps [m] (I, 3).
+
+    A vertex that is not finite makes the low corner of its item NaN.
+    """
+    item_blocks, block_item = index.item_blocks, index.block_item
+    per_item = item_blocks.shape[1]
+
+    def of_items(values: Tensor) -> Tensor:
+        return rows(values, item_blocks.reshape(-1)).reshape(-1, per_item, 3)
+
+    low = of_items(vertices.amin(dim=1)).amin(dim=1)
+    high = of_items(vertices.amax(dim=1)).amax(dim=1)
+    step = torch.clamp((high - low) / STEP_COUNT, min=1e-9)
+    places = (vertices - rows(low, block_item)[:, None]) / rows(step, block_item)[:, None]
+    steps = torch.clamp(torch.round(places), 0, STEP_COUNT).to(torch.uint16)
+    return steps, low + 0.0 * of_items(vertices.sum(dim=1)).sum(dim=1), step

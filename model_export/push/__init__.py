@@ -1,0 +1,1 @@
+"""The push-out as graphs of their own."""

@@ -1,0 +1,110 @@
+"""The push-out as graphs of their own: draped vertices and bones in, vertices out of the body, or of garments below.
+
+They have no weights: skin, garments and clearance are inputs, so one file serves every network, garment, body and
+shape, and takes what the drape graph gives, what the packed graph gives, and plain skinning where a network fails.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+from torch import Tensor, nn
+
+from drape.arrays import Array
+from drape.artifacts import GraphSpec, TensorSpec
+from drape.body.skeleton import JOINT_COUNT
+from drape.graph.layer_feed import LayerFeed, push_over_in_parts
+from drape.push.projection import TERMS, Pushed, PushFeed, push_in_parts
+from drape.push.samples import REGION_SIZE
+from drape.push.skin import SkinOnBones, skin_table
+from drape.tensors import Tensors, group, tensor
+from model_export.onnx_file import write_graph
+from model_export.packed.operators import TRANSLATIONS
+
+OUTPUTS: tuple[TensorSpec, ...] = (
+    TensorSpec("pushed", ("frames", "vertices", 3), "float32", "m"),
+    TensorSpec("jet_push", ("frames", "patches", 3, TERMS), "float32", "m, in the axes of the vertices"),
+    TensorSpec("left", ("frames",), "float32", "m, what the jets lack"),
+    TensorSpec("skin", ("frames", "regions", REGION_SIZE, 8), "float32", "m and 1, as the bones"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Drapes(Tensors):
+    """F drapes over bodies; names that start with "push" are constants of a garment, with "skin" of a body."""
+
+    vertices: Array = tensor("vertices", "frames", "vertices", 3, unit="m")
+    rotation: Array = tensor("bone_rotation", "frames", JOINT_COUNT, 3, 3)
+    translation: Array = tensor("bone_translation", "frames", JOINT_COUNT, 3, unit="m, relative as vertices are")
+    clearance: Array = tensor("clearance", 1, unit="m")
+    skin: SkinOnBones = group(SkinOnBones)
+
+    def samples(self) -> Array:
+        """The posed skin (F, R, 12, 8)."""
+        return skin_table(self.skin.rows, self.skin.bones, self.rotation, self.translation)
+
+
+@dataclass(frozen=True, eq=False)
+class PushTensors(Drapes):
+    """Inputs of the push-out."""
+
+    feed: PushFeed = group(PushFeed)
+
+
+@dataclass(frozen=True, eq=False)
+class LayerTensors(Drapes):
+    """Inputs of the push-out of a garment over others, which come as their draped vertices."""
+
+    feed: LayerFeed = group(LayerFeed)
+    under: Array = tensor("under", "frames", "under_vertices", 3, unit="m")
+
+
+class PushGraph(nn.Module):
+    """``drape.push.projection.push_out`` with the skin posed by its bones, or given: it is an output too."""
+
+    inputs = PushTensors.specs()
+
+    def forward(self, tensors: dict[str, Tensor]) -> tuple[Tensor, ...]:
+        drapes = PushTensors.from_flat(tensors)
+        skin = drapes.samples()
+        return *_parts(push_in_parts(drapes.vertices, skin, drapes.feed, drapes.clearance)), skin
+
+
+class LayerGraph(nn.Module):
+    """``drape.graph.layer_feed.push_over``, likewise."""
+
+    inputs = LayerTensors.specs()
+
+    def forward(self, tensors: dict[str, Tensor]) -> tuple[Tensor, ...]:
+        drapes = LayerTensors.from_flat(tensors)
+        skin = drapes.samples()
+        found = push_over_in_parts(drapes.vertices, drapes.under, skin, drapes.feed, drapes.clearance)
+        return *_parts(found), skin
+
+
+def _parts(found: Pushed) -> tuple[Tensor, Tensor, Tensor]:
+    return found.vertices, found.coefficients, found.left_m
+
+
+PUSHES: dict[str, Callable[[], PushGraph | LayerGraph]] = {"push_out": PushGraph, "push_over": LayerGraph}
+
+
+def write_push(name: str, folder: Path) -> GraphSpec:
+    """Writes the graph ``name`` of ``PUSHES``, which is the same for every model: exported once, then copied."""
+    content, spec = _exported(name)
+    path = folder / f"{name}.onnx"
+    path.write_bytes(content)
+    return replace(spec, file=path.name)
+
+
+@cache
+def _exported(name: str) -> tuple[bytes, GraphSpec]:
+    graph = PUSHES[name]()
+    with tempfile.TemporaryDirectory(prefix="push-out-") as folder:
+        path = Path(folder) / "push.onnx"
+        spec = write_graph(graph, path, graph.inputs, OUTPUTS, translations=TRANSLATIONS)
+        return path.read_bytes(), spec
