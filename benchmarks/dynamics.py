@@ -34,12 +34,14 @@ from drape.cloth.material import Material, material
 from drape.errors import ArtifactError, DrapeError
 from drape.garment.cache import Garment
 from drape.geometry import meshes
-from drape.graph.feeds import body_feed, garment_feed, kinematics
+from drape.graph.feeds import kinematics
+from drape.graph.packing import pack_body
 from drape.motion.clip import MotionClip
 from drape.motion.readers import read_motion
-from service.dynamics import Moment, advance, nothing
 from service.engine import Engine
+from service.packing import Packer, ScenePlan
 from service.runtime import Device
+from service.stages.motion import Memory, Moment, advance
 
 FPS = 30.0
 HOLD_S = 3.0
@@ -61,10 +63,10 @@ class NotDynamic(ArtifactError):
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """One garment on the body, as the drape graph and the energies take it."""
+    """One garment on the body, its subdivided mesh in the store of the packed graph."""
 
     garment: Garment
-    feed: dict[str, np.ndarray]
+    packer: Packer
     cloth: ClothMesh
     hem: np.ndarray  # vertices
 
@@ -72,8 +74,9 @@ class Subject:
 def subject(engine: Engine, garment: Garment, body: BodyModel) -> Subject:
     """``garment`` ready for draping on ``body`` and measuring on its subdivided mesh."""
     rest, faces = garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64)
-    feed = {**garment_feed(garment, fine=True, body=body), "patch_embedding": engine.embed(garment.patch_features)}
-    return Subject(garment, feed, ClothMesh.from_rest(rest, faces), hem_vertices(rest, faces))
+    packer = Packer(engine, body)
+    packer.add(garment.name, replace(garment, vertex_count=len(garment.vertices), faces=garment.fine_faces))
+    return Subject(garment, packer, ClothMesh.from_rest(rest, faces), hem_vertices(rest, faces))
 
 
 def hem_vertices(rest: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -93,14 +96,14 @@ def stopped(clip: MotionClip, *, fps: float = FPS, hold_s: float = HOLD_S) -> tu
 
 def drape(engine: Engine, body: BodyModel, what: Subject, clip: MotionClip, *, motion: float) -> np.ndarray:
     """Vertices [m] (F, V, 3) float32 relative to the root joint, frame by frame as a stream would get them."""
-    feed, at = body_feed(body, clip.poses, clip.trans, skin=engine.feels_body), kinematics(body, clip.poses, clip.trans)
-    memory, frames = nothing(engine), []
+    rows, at = pack_body(body).rows(clip.poses), kinematics(body, clip.poses, clip.trans)
+    memory, frames = Memory.empty(engine), []
     for i in range(clip.frame_count):
         if motion > 0.0:
             (memory,) = advance(engine, [memory], [Moment(i / clip.fps, at[i])])
         code = np.float32(motion) * memory.code[None]
-        arrays = {key: value[i : i + 1] for key, value in feed.arrays.items()}
-        frames.append(engine.drape({**arrays, **what.feed, "dynamic_code": code})[0])
+        arrays = {key: value[i : i + 1] for key, value in rows.items()} | {"dynamic_code": code}
+        frames.append(what.packer.run(ScenePlan(), arrays, [(what.garment.name, 0)])[0].arrays["vertices"])
     return np.stack(frames)
 
 
@@ -151,13 +154,12 @@ def potential_row(
     paced = clip.resampled(FPS)
     count = min(frames, paced.frame_count)
     part = paced.window((paced.frame_count - count) // 2, count)
-    feed = body_feed(body, part.poses, part.trans, skin=engine.feels_body)
-    way = (feed.root - feed.root[0])[:, None]
+    way = (part.trans - part.trans[0])[:, None]
     world = {
         motion: drape(engine, body, what, part, motion=knob).astype(np.float64) + way
         for motion, knob in (("dynamic", 1.0), ("static", 0.0))
     }
-    skin = body.posed_vertices(part.poses, part.trans) - feed.root[0]
+    skin = body.posed_vertices(part.poses, part.trans) - part.trans[0] - pack_body(body).root
     height = metrics.mean_height(world["static"], what.cloth)
     row: dict[str, Any] = {"garment": what.garment.name, "clip": clip.name, "frames": count - 2}
     for motion, vertices in world.items():

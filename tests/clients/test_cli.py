@@ -76,7 +76,7 @@ def test_what_is_there_is_listed(live: str, capsys: pytest.CaptureFixture[str]):
     assert main(["--url", live, "garments"]) == 0
     assert "tube" in capsys.readouterr().out
     assert main(["health", "--url", live]) == 0
-    assert json.loads(capsys.readouterr().out)["model"] == "small"
+    assert json.loads(capsys.readouterr().out)["model"] == "tiny"
 
 
 @pytest.mark.parametrize(

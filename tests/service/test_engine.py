@@ -147,7 +147,7 @@ def test_a_file_that_is_no_graph_is_refused(folder: Path):
 def test_a_manifest_with_other_tensors_is_refused_by_name(folder: Path):
     inputs = load_manifest(folder).graphs[ENCODER].inputs
     respecify(folder, ENCODER, inputs=(dataclasses.replace(inputs[0], name="features"),))
-    with pytest.raises(ArtifactError, match="small garment_encoder inputs"):
+    with pytest.raises(ArtifactError, match="tiny garment_encoder inputs"):
         Engine(folder)
     respecify(folder, ENCODER, inputs=(dataclasses.replace(inputs[0], dtype="float64"),))
     with pytest.raises(ArtifactError, match="patch_features: expected float64"):
@@ -164,7 +164,7 @@ def test_passes_that_cannot_be_chosen_are_refused(folder: Path):
     respecify(folder, PACKED, outputs=tuple(tensor for tensor in spec.outputs if not tensor.name.startswith("pass_")))
     engine = Engine(folder)
     assert engine.check_passes(0) is None  # there are none
-    with pytest.raises(InputError, match="passes: expected none: the passes of model small are fixed, got 1"):
+    with pytest.raises(InputError, match="passes: expected none: the passes of model tiny are fixed, got 1"):
         engine.check_passes(1)
 
 

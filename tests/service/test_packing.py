@@ -361,6 +361,6 @@ def test_the_service_refuses_what_is_not_finite(make_settings):
     for stage in drapery.stages:
         stage.add(broken, garment_feed(broken, body=drapery.body))
     rest = PoseInput(np.zeros((1, 24, 3)), np.zeros((1, 3)), np.zeros(drapery.body.shape_count), np.zeros(1))
-    with pytest.raises(ArtifactError, match="small vertices: expected finite numbers"):
+    with pytest.raises(ArtifactError, match="tiny vertices: expected finite numbers"):
         run(plan, [rest])
     drapery.close()

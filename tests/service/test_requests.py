@@ -158,7 +158,7 @@ def test_the_page_that_is_not_built_says_how_to_build_it(make_settings: Callable
 def test_answers_of_a_whole_service(api: httpx.Client, body, tube):
     health = api.get("/health").json()
     assert health["status"] == "ok"
-    assert (health["model"], health["body"], health["garments"]) == ("small", body.name, 1)
+    assert (health["model"], health["body"], health["garments"]) == ("tiny", body.name, 1)
     assert (health["passes"], health["layers"]) == (1, 4)
     assert health["provider"] == "CPUExecutionProvider"
     assert health["int8"] is False  # the tiny model has no such graph

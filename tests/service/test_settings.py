@@ -60,7 +60,7 @@ def test_a_taken_port_and_a_foreign_address_are_refused():
 
 
 def start(tiny_folder: Path, *arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    known = {"DRAPE_MODEL": "small", "DRAPE_MODELS_DIR": str(tiny_folder / "models")}
+    known = {"DRAPE_MODEL": "tiny", "DRAPE_MODELS_DIR": str(tiny_folder / "models")}
     return subprocess.run(
         [sys.executable, "-m", "service", *arguments],
         cwd=ROOT,
