@@ -20,9 +20,11 @@ from drape.motion.clip import MotionClip
 from drape.motion.grounding import placed_on_ground
 from drape.wire.jets import JetFrame, split_jets
 from drape.wire.layout import JetLayout, unpack_layout
+from drape.wire.options import options_document
 
 Answer = TypeVar("Answer")
 Motion = MotionClip | np.ndarray
+Options = Mapping[str, Any]
 
 BINARY, GLB = "application/octet-stream", "model/gltf-binary"
 DEFAULT_URL = "http://127.0.0.1:8000"
@@ -31,6 +33,15 @@ DEFAULT_FPS = 30.0
 
 class ServiceError(DrapeError):
     """A refusal of the service of a kind that this client does not know."""
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """Of a body in motion what a clip does not say: translations [m] (F, 3) in place of its own, shape, frame rate."""
+
+    trans: np.ndarray | None = None
+    betas: np.ndarray | None = None
+    fps: float | None = None
 
 
 @dataclass(frozen=True)
@@ -167,50 +178,35 @@ def upload(path: Path, avatar: str | dict[str, Any] | None, name: str | None) ->
     )
 
 
-def drape(
-    garment: str,
-    motion: Motion,
-    *,
-    trans: np.ndarray | None,
-    betas: np.ndarray | None,
-    push_out: bool | None,
-    knob: float | None = None,
-    passes: int | None = None,
-) -> Call[np.ndarray]:
-    """World vertices [m] (F, V, 3) float32."""
-    document = _motion_document(motion, trans, betas, None) | worn(garment) | chosen(push_out, knob, passes)
-    return Call("POST", "/drape", _read_vertices, headers={"Accept": BINARY}, json=document)
+def drape(garment: str, motion: Motion, body: Body, options: Options) -> Call[np.ndarray]:
+    """World vertices [m] (F, V, 3) float32; ``options`` by the names of ``drape.wire.options.DrapeOptions``."""
+    return Call(
+        "POST", "/drape", _read_vertices, headers={"Accept": BINARY}, json=_asked(garment, motion, body, options)
+    )
 
 
-def drape_outfit(
-    garments: Sequence[str],
-    motion: Motion,
-    *,
-    trans: np.ndarray | None,
-    betas: np.ndarray | None,
-    push_out: bool | None,
-    knob: float | None = None,
-    passes: int | None = None,
-) -> Call[list[np.ndarray]]:
+def drape_outfit(garments: Sequence[str], motion: Motion, body: Body, options: Options) -> Call[list[np.ndarray]]:
     """World vertices [m] (F, V, 3) float32 of each of ``garments``."""
-    document = _motion_document(motion, trans, betas, None) | worn(garments) | chosen(push_out, knob, passes)
-    return Call("POST", "/drape", _read_layers, headers={"Accept": BINARY}, json=document)
+    asked = _asked(garments, motion, body, options)
+    return Call("POST", "/drape", _read_layers, headers={"Accept": BINARY}, json=asked)
 
 
-def drape_jets(
-    garment: str | Sequence[str],
-    motion: Motion,
-    *,
-    trans: np.ndarray | None,
-    betas: np.ndarray | None,
-    push_out: bool | None,
-    knob: float | None = None,
-    passes: int | None = None,
-) -> Call[list[JetFrame]]:
+def drape_jets(garment: str | Sequence[str], motion: Motion, body: Body, options: Options) -> Call[list[JetFrame]]:
     """Posed patches of one garment, or of several over each other, frame by frame."""
-    document = _motion_document(motion, trans, betas, None) | worn(garment)
-    document |= chosen(push_out, knob, passes) | {"geometry": "jets"}
-    return Call("POST", "/drape", _read_jets, headers={"Accept": BINARY}, json=document)
+    asked = _asked(garment, motion, body, {**options, "geometry": "jets"})
+    return Call("POST", "/drape", _read_jets, headers={"Accept": BINARY}, json=asked)
+
+
+def drape_glb(
+    garment: str | Sequence[str], motion: Motion, body: Body, options: Options, *, with_body: bool = False
+) -> Call[bytes]:
+    """The bytes of an animated GLB."""
+    asked = _asked(garment, motion, body, options) | {"body": with_body}
+    return Call("POST", "/drape", _read_bytes, headers={"Accept": GLB}, json=asked)
+
+
+def _asked(garment: str | Sequence[str], motion: Motion, body: Body, options: Options) -> dict[str, Any]:
+    return _motion_document(motion, body) | worn(garment) | options_document(options)
 
 
 def worn(garment: str | Sequence[str]) -> dict[str, Any]:
@@ -218,50 +214,24 @@ def worn(garment: str | Sequence[str]) -> dict[str, Any]:
     return {"garment": garment} if isinstance(garment, str) else {"garments": list(garment)}
 
 
-def chosen(push_out: bool | None, knob: float | None, passes: int | None) -> dict[str, Any]:
-    """How a request says what is left to its choice; the service's own for None, and older services know the first."""
-    more = {"motion": knob, "passes": passes}
-    return {"push_out": push_out} | {name: value for name, value in more.items() if value is not None}
-
-
-def drape_glb(
-    garment: str | Sequence[str],
-    motion: Motion,
-    *,
-    trans: np.ndarray | None,
-    betas: np.ndarray | None,
-    fps: float | None,
-    push_out: bool | None,
-    knob: float | None = None,
-    passes: int | None = None,
-    body: bool,
-) -> Call[bytes]:
-    """The bytes of an animated GLB."""
-    document = (
-        _motion_document(motion, trans, betas, fps) | worn(garment) | chosen(push_out, knob, passes) | {"body": body}
-    )
-    return Call("POST", "/drape", _read_bytes, headers={"Accept": GLB}, json=document)
-
-
-def posed_body(body: str, motion: Motion, *, trans: np.ndarray | None, betas: np.ndarray | None) -> Call[np.ndarray]:
-    """World vertices [m] (F, Vb, 3) float32 of the body."""
-    document = _motion_document(motion, trans, betas, None)
-    return Call("POST", f"/bodies/{_quoted(body)}/posed", _read_vertices, headers={"Accept": BINARY}, json=document)
+def posed_body(name: str, motion: Motion, body: Body) -> Call[np.ndarray]:
+    """World vertices [m] (F, Vb, 3) float32 of the body ``name``."""
+    document = _motion_document(motion, body)
+    return Call("POST", f"/bodies/{_quoted(name)}/posed", _read_vertices, headers={"Accept": BINARY}, json=document)
 
 
 def _quoted(name: str) -> str:
     return quote(name, safe="")
 
 
-def _motion_document(
-    motion: Motion, trans: np.ndarray | None, betas: np.ndarray | None, fps: float | None
-) -> dict[str, Any]:
+def _motion_document(motion: Motion, body: Body) -> dict[str, Any]:
     """The JSON of a clip or of poses (F, 24, 3); NaN is refused here, for JSON cannot carry it."""
+    fps, betas = body.fps, body.betas
     if isinstance(motion, MotionClip):
-        poses, places = motion.poses, motion.trans if trans is None else trans
+        poses, places = motion.poses, motion.trans if body.trans is None else body.trans
         fps = motion.fps if fps is None else fps
     else:
-        poses, places = np.asarray(motion), trans
+        poses, places = np.asarray(motion), body.trans
     document: dict[str, Any] = {"fps": DEFAULT_FPS if fps is None else float(fps)}
     for key, array in (("poses", poses), ("trans", places), ("betas", betas)):
         if array is None:

@@ -14,8 +14,10 @@ import os
 import sys
 import tempfile
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
+from pydantic.fields import FieldInfo
 
 from clients.calls import DEFAULT_URL
 from clients.client import DrapeClient
@@ -23,6 +25,7 @@ from drape.errors import DrapeError, InputError
 from drape.files.formats import MESH_SUFFIXES
 from drape.motion.clip import MotionClip
 from drape.motion.readers import MOTION_SUFFIXES, read_motion
+from drape.wire.options import DrapeOptions
 
 OUT_SUFFIXES = (".glb", ".npy")
 
@@ -78,11 +81,20 @@ def _parser() -> argparse.ArgumentParser:
     drape.add_argument("--fps", type=float, default=30.0, help="frames per second of the result (30)")
     drape.add_argument("--betas", help="body shape, comma-separated")
     drape.add_argument("--body", action="store_true", help="include the body in the GLB")
-    drape.add_argument("--knob", type=float, help="how much the cloth follows the motion, 0 to 1 (the service's: 1)")
-    drape.add_argument("--passes", type=int, help="corrections of the network, fewer are faster (the service's: all)")
-    drape.add_argument("--push-out", action=argparse.BooleanOptionalAction, help="push vertices out of the body")
+    for name, field in _options().items():
+        flag = "--" + name.replace("_", "-")
+        kind = next(kind for kind in get_args(field.annotation) if kind is not type(None))
+        if kind is bool:
+            drape.add_argument(flag, action=argparse.BooleanOptionalAction, help=field.description)
+        else:
+            drape.add_argument(flag, type=kind, help=field.description)
     drape.set_defaults(run=_drape)
     return parser
+
+
+def _options() -> dict[str, FieldInfo]:
+    """The options of a drape that are flags: all but what comes, which the name of the file says."""
+    return {name: field for name, field in DrapeOptions.model_fields.items() if name != "geometry"}
 
 
 def _health(client: DrapeClient, options: argparse.Namespace) -> None:
@@ -111,7 +123,7 @@ def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
         )
     betas = _numbers(options.betas)
     clip = _clip(client, options, betas).resampled(options.fps)
-    choices = {"push_out": options.push_out, "knob": options.knob, "passes": options.passes}
+    choices = {name: getattr(options, name) for name in _options()}
     worn: list[str] = []
     for garment in options.garment:
         if Path(garment).suffix.lower() in MESH_SUFFIXES:

@@ -18,7 +18,7 @@ import httpx
 import numpy as np
 
 from clients import calls
-from clients.calls import DEFAULT_URL, Answer, Call, Motion
+from clients.calls import DEFAULT_URL, Answer, Body, Call, Motion
 from drape.errors import DrapeError, Unavailable
 from drape.motion.clip import MotionClip
 from drape.wire.jets import JetFrame
@@ -109,18 +109,13 @@ class DrapeClient:
         *,
         trans: np.ndarray | None = None,
         betas: np.ndarray | None = None,
-        push_out: bool | None = None,
-        knob: float | None = None,
-        passes: int | None = None,
+        **options: Any,
     ) -> np.ndarray:
         """World vertices [m] (F, V, 3) float32 of ``garment`` over a clip or poses (F, 24, 3) [rad].
 
-        ``knob`` (0 to 1) is how much the cloth follows the motion, ``passes`` how many corrections of the network run;
-        the service's own where left out.
+        ``options`` are those of ``drape.wire.options.DrapeOptions``; the service's own where left out.
         """
-        return self._send(
-            calls.drape(garment, motion, trans=trans, betas=betas, push_out=push_out, knob=knob, passes=passes)
-        )
+        return self._send(calls.drape(garment, motion, Body(trans, betas), options))
 
     def drape_outfit(
         self,
@@ -129,14 +124,10 @@ class DrapeClient:
         *,
         trans: np.ndarray | None = None,
         betas: np.ndarray | None = None,
-        push_out: bool | None = None,
-        knob: float | None = None,
-        passes: int | None = None,
+        **options: Any,
     ) -> list[np.ndarray]:
         """``drape`` of several garments worn over each other, the innermost first; vertices of each."""
-        return self._send(
-            calls.drape_outfit(garments, motion, trans=trans, betas=betas, push_out=push_out, knob=knob, passes=passes)
-        )
+        return self._send(calls.drape_outfit(garments, motion, Body(trans, betas), options))
 
     def drape_jets(
         self,
@@ -145,17 +136,13 @@ class DrapeClient:
         *,
         trans: np.ndarray | None = None,
         betas: np.ndarray | None = None,
-        push_out: bool | None = None,
-        knob: float | None = None,
-        passes: int | None = None,
+        **options: Any,
     ) -> list[JetFrame]:
         """``drape`` as posed patches, a frame each: ``jet_layout(garment).vertices(frame)`` [m] (V, 3).
 
         Of several garments over each other ``frame.layers(counts)`` parts the patches.
         """
-        return self._send(
-            calls.drape_jets(garment, motion, trans=trans, betas=betas, push_out=push_out, knob=knob, passes=passes)
-        )
+        return self._send(calls.drape_jets(garment, motion, Body(trans, betas), options))
 
     def drape_glb(
         self,
@@ -165,31 +152,17 @@ class DrapeClient:
         trans: np.ndarray | None = None,
         betas: np.ndarray | None = None,
         fps: float | None = None,
-        push_out: bool | None = None,
-        knob: float | None = None,
-        passes: int | None = None,
         body: bool = False,
+        **options: Any,
     ) -> bytes:
         """An animated GLB of a garment, or of several over each other; with the body beside them if ``body``."""
-        return self._send(
-            calls.drape_glb(
-                garment,
-                motion,
-                trans=trans,
-                betas=betas,
-                fps=fps,
-                push_out=push_out,
-                knob=knob,
-                passes=passes,
-                body=body,
-            )
-        )
+        return self._send(calls.drape_glb(garment, motion, Body(trans, betas, fps), options, with_body=body))
 
     def posed_body(
         self, body: str, motion: Motion, *, trans: np.ndarray | None = None, betas: np.ndarray | None = None
     ) -> np.ndarray:
         """World vertices [m] (F, Vb, 3) float32 of the posed body."""
-        return self._send(calls.posed_body(body, motion, trans=trans, betas=betas))
+        return self._send(calls.posed_body(body, motion, Body(trans, betas)))
 
 
 class AsyncDrapeClient:
@@ -272,18 +245,13 @@ class AsyncDrapeClient:
         *,
         trans: np.ndarray | None = None,
         betas: np.ndarray | None = None,
-        push_out: bool | None = None,
-        knob: float | None = None,
-        passes: int | None = None,
+        **options: Any,
     ) -> np.ndarray:
         """World vertices [m] (F, V, 3) float32 of ``garment`` over a clip or poses (F, 24, 3) [rad].
 
-        ``knob`` (0 to 1) is how much the cloth follows the motion, ``passes`` how many corrections of the network run;
-        the service's own where left out.
+        ``options`` are those of ``drape.wire.options.DrapeOptions``; the service's own where left out.
         """
-        return await self._send(
-            calls.drape(garment, motion, trans=trans, betas=betas, push_out=push_out, knob=knob, passes=passes)
-        )
+        return await self._send(calls.drape(garment, motion, Body(trans, betas), options))
 
     async def drape_outfit(
         self,
@@ -292,15 +260,10 @@ class AsyncDrapeClient:
         *,
         trans: np.ndarray | None = None,
         betas: np.ndarray | None = None,
-        push_out: bool | None = None,
-        knob: float | None = None,
-        passes: int | None = None,
+        **options: Any,
     ) -> list[np.ndarray]:
         """``drape`` of several garments worn over each other, the innermost first; vertices of each."""
-        call = calls.drape_outfit(
-            garments, motion, trans=trans, betas=betas, push_out=push_out, knob=knob, passes=passes
-        )
-        return await self._send(call)
+        return await self._send(calls.drape_outfit(garments, motion, Body(trans, betas), options))
 
     async def drape_jets(
         self,
@@ -309,17 +272,13 @@ class AsyncDrapeClient:
         *,
         trans: np.ndarray | None = None,
         betas: np.ndarray | None = None,
-        push_out: bool | None = None,
-        knob: float | None = None,
-        passes: int | None = None,
+        **options: Any,
     ) -> list[JetFrame]:
         """``drape`` as posed patches, a frame each: ``jet_layout(garment).vertices(frame)`` [m] (V, 3).
 
         Of several garments over each other ``frame.layers(counts)`` parts the patches.
         """
-        return await self._send(
-            calls.drape_jets(garment, motion, trans=trans, betas=betas, push_out=push_out, knob=knob, passes=passes)
-        )
+        return await self._send(calls.drape_jets(garment, motion, Body(trans, betas), options))
 
     async def drape_glb(
         self,
@@ -329,22 +288,17 @@ class AsyncDrapeClient:
         trans: np.ndarray | None = None,
         betas: np.ndarray | None = None,
         fps: float | None = None,
-        push_out: bool | None = None,
-        knob: float | None = None,
-        passes: int | None = None,
         body: bool = False,
+        **options: Any,
     ) -> bytes:
         """An animated GLB of a garment, or of several over each other; with the body beside them if ``body``."""
-        call = calls.drape_glb(
-            garment, motion, trans=trans, betas=betas, fps=fps, push_out=push_out, knob=knob, passes=passes, body=body
-        )
-        return await self._send(call)
+        return await self._send(calls.drape_glb(garment, motion, Body(trans, betas, fps), options, with_body=body))
 
     async def posed_body(
         self, body: str, motion: Motion, *, trans: np.ndarray | None = None, betas: np.ndarray | None = None
     ) -> np.ndarray:
         """World vertices [m] (F, Vb, 3) float32 of the posed body."""
-        return await self._send(calls.posed_body(body, motion, trans=trans, betas=betas))
+        return await self._send(calls.posed_body(body, motion, Body(trans, betas)))
 
 
 def finished(job: dict[str, Any]) -> str | None:

@@ -19,21 +19,21 @@ import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidURI
 from websockets.typing import Subprotocol
 
-from clients.calls import DEFAULT_URL, ServiceError, chosen, problem_error, unreachable, worn
+from clients.calls import DEFAULT_URL, ServiceError, problem_error, unreachable, worn
 from drape.errors import DrapeError
 from drape.wire import messages as wire
 from drape.wire.jets import JetFrame, unpack_jets
+from drape.wire.options import options_document
 
 MESSAGE_LIMIT_BYTES = 16 * 2**20
 OPEN_S = 10.0
-Geometry = Literal["vertices", "jets"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,12 +67,9 @@ class DrapeStream:
         garment: str | Sequence[str] = "",
         *,
         betas: Sequence[float] | np.ndarray | None = None,
-        push_out: bool | None = None,
-        knob: float | None = None,
-        passes: int | None = None,
-        geometry: Geometry = "vertices",
+        **options: Any,
     ) -> DrapeStream:
-        """Connects and opens; raises the service's refusal."""
+        """Connects and opens, with ``options`` of ``drape.wire.options.DrapeOptions``; raises the service's refusal."""
         address = url.rstrip("/").replace("http", "ws", 1) + "/stream"
         try:
             connection = await connect(
@@ -86,9 +83,7 @@ class DrapeStream:
             raise unreachable(address, error) from error
         stream = cls(connection, {})
         try:
-            stream.about = await stream.reopen(
-                garment, betas=betas, push_out=push_out, knob=knob, passes=passes, geometry=geometry
-            )
+            stream.about = await stream.reopen(garment, betas=betas, **options)
         except BaseException:
             await connection.close()
             raise
@@ -109,20 +104,15 @@ class DrapeStream:
         garment: str | Sequence[str],
         *,
         betas: Sequence[float] | np.ndarray | None = None,
-        push_out: bool | None = None,
-        knob: float | None = None,
-        passes: int | None = None,
-        geometry: Geometry = "vertices",
+        **options: Any,
     ) -> dict[str, Any]:
-        """Turns the stream to another garment, shape, push-out, knob, passes or geometry; old frames are thrown away.
+        """Turns the stream to another garment, shape or ``options``; old frames are thrown away.
 
         Several garments are worn over each other, the innermost first; ``layers`` parts their vertices. With jets
         frames come from ``receive_jets``.
         """
         shape = None if betas is None else [float(beta) for beta in betas]
-        request = {"type": "open", **worn(garment), "betas": shape, **chosen(push_out, knob, passes)}
-        if geometry != "vertices":  # a service from before jets knows no such field
-            request["geometry"] = geometry
+        request = {"type": "open", **worn(garment), "betas": shape, **options_document(options)}
         await self._transmit(json.dumps(request))
         while True:
             message = await self._message()

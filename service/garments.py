@@ -1,4 +1,4 @@
-"""The garments that can be draped: shipped and uploaded caches, each with its embedding and graph inputs."""
+"""The garments that can be draped: shipped and uploaded caches, taken in by every stage."""
 
 from __future__ import annotations
 
@@ -20,11 +20,9 @@ from drape.geometry.jets import JET_COUNT
 from drape.graph.feeds import garment_feed
 from drape.graph.layer_feed import check_layers
 from drape.wire.layout import JetLayout, pack_layout
-from service.engine import Engine
 from service.errors import TooLarge
-from service.packing import Packer
-from service.push import Pusher
 from service.settings import Settings
+from service.stages.batch import Stage
 
 PATCH_LIMIT = 65536  # what a chart of a LAYOUT can name
 Source = Literal["shipped", "user"]
@@ -34,12 +32,11 @@ log = logging.getLogger("drape.service")
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """A garment in service. ``feed`` holds its constant graph inputs, the embedding included."""
+    """A garment in service."""
 
     id: str
     garment: Garment
     source: Source
-    feed: dict[str, np.ndarray]
 
     @property
     def layers(self) -> tuple[Entry, ...]:
@@ -101,16 +98,8 @@ Scene = Entry | Outfit
 class Registry:
     """Garments by id. Shipped caches must load; of the uploaded ones a bad file is set aside and named in /health."""
 
-    def __init__(
-        self,
-        engine: Engine,
-        body: BodyModel,
-        settings: Settings,
-        packer: Packer | None = None,
-        pusher: Pusher | None = None,
-    ) -> None:
-        self._engine, self._body, self._settings = engine, body, settings
-        self._packer, self._pusher = packer, pusher
+    def __init__(self, body: BodyModel, settings: Settings, stages: Sequence[Stage] = ()) -> None:
+        self._body, self._settings, self._stages = body, settings, stages
         self._entries: dict[str, Entry] = {}
         self.refused: list[str] = []
         for path in sorted(settings.shipped_garments_dir.glob("*.npz")):
@@ -162,25 +151,22 @@ class Registry:
         check_layers([entry.garment for entry in entries])
         return Outfit(entries)
 
-    def prepare(self, path: Path) -> tuple[Garment, dict[str, np.ndarray]]:
-        """A checked garment and its graph inputs; what takes time, and safe on the worker thread."""
+    def prepare(self, path: Path) -> Garment:
+        """A checked garment that every stage has taken in; what takes time, and safe on the worker thread."""
         garment = load_garment(path)
         check_garment(garment, self._body, max_vertices=self._settings.max_vertices)
-        if self._packer is not None:
-            self._packer.add(garment.digest, garment)
-        feed = garment_feed(garment, body=self._body if self._engine.feels_body else None)
-        if self._pusher is not None:
-            self._pusher.add(garment.digest, feed, garment.vertices[: garment.vertex_count], garment.faces)
-        return garment, {**feed, "patch_embedding": self._engine.embed(garment.patch_features)}
+        feed = garment_feed(garment, body=self._body)
+        for stage in self._stages:
+            stage.add(garment, feed)
+        return garment
 
-    def add(self, prepared: tuple[Garment, dict[str, np.ndarray]], source: Source) -> Entry:
+    def add(self, garment: Garment, source: Source) -> Entry:
         """Puts a prepared garment in service under its name, or name and digest where the name is taken."""
-        garment, feed = prepared
         name = slug(garment.name)
         taken = self._entries.get(name)
         if taken is not None and taken.garment.digest != garment.digest:
             name = f"{name}-{garment.digest[:8]}"
-        entry = Entry(name, garment, source if taken is None or name != taken.id else taken.source, feed)
+        entry = Entry(name, garment, source if taken is None or name != taken.id else taken.source)
         self._entries[name] = entry
         return entry
 

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import asyncio
-
-import numpy as np
 from fastapi import APIRouter, Request, Response
 
 from drape.wire.jets import message_bytes
 from service import negotiation
-from service.drapery import DrapedJets, Drapery
+from service.drapery import Drapery
 from service.garments import Outfit, Scene, layer_list
 from service.limits import check_answer
-from service.sessions import packed_frame
+from service.stages.batch import Batch
 from service.state import StateHere
 
 router = APIRouter()
@@ -33,21 +30,15 @@ def check_jets_size(frames: int, scene: Scene, drapery: Drapery) -> None:
     check_answer(frames * message_bytes(patches), f"{frames} frames of {patches} patches", drapery.settings)
 
 
-async def jets_response(draped: DrapedJets, scene: Scene, times_s: np.ndarray, headers: dict[str, str]) -> Response:
-    """The clip as one JETS message per frame; sequence and client time are the frame's number and time [s] (F,)."""
+def jets_response(draped: Batch, headers: dict[str, str]) -> Response:
+    """The clip as one JETS message per frame; sequence and client time are the frame's number and time [s]."""
+    scene = draped.plan.scene
     headers = headers | {
-        "X-Drape-Frames": str(len(draped.jet)),
+        "X-Drape-Frames": str(len(draped.messages)),
         "X-Drape-Patches": str(scene.patch_count),
-        "X-Drape-Left-M": f"{draped.left_m.max():.6f}",
+        "X-Drape-Left-M": f"{draped.quality.left_m.max():.6f}",
     }
     if isinstance(scene, Outfit):
         worn = layer_list(scene, patches=True)
         headers["X-Drape-Garments"] = ",".join(f"{layer['id']}:{layer['patches']}" for layer in worn)
-    content = await asyncio.to_thread(_messages, draped, times_s)
-    return Response(content, media_type=negotiation.BINARY, headers=headers)
-
-
-def _messages(draped: DrapedJets, times_s: np.ndarray) -> bytes:
-    frames = range(len(draped.jet))
-    pushed = draped.pushed
-    return b"".join(packed_frame(draped, i, sequence=i, client_time_s=float(times_s[i]), pushed=pushed) for i in frames)
+    return Response(b"".join(draped.messages), media_type=negotiation.BINARY, headers=headers)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -32,7 +32,6 @@ from drape.graph.packing import (
 )
 from drape.graph.push_feed import SkinShapes
 from service.engine import JETS, PACKED, SKIN, SKIN_CONSTANTS, Engine
-from service.runtime import Session
 
 if TYPE_CHECKING:
     from service.runtime import Value
@@ -119,12 +118,12 @@ class Store:
     def __contains__(self, key: str) -> bool:
         return key in self._garments
 
-    def add(self, key: str, garment: Garment, patch_first: np.ndarray, body: BodyModel | None = None) -> None:
-        """Puts ``garment`` under ``key``, in place of what was there; ``patch_first`` (K, n) is the encoder's.
+    def add(self, key: str, garment: Garment, feed: dict[str, np.ndarray], patch_first: np.ndarray) -> None:
+        """Puts ``garment`` with its ``garment_feed`` under ``key``, in place of what was there.
 
-        With ``body``, what its patches feel of it.
+        ``patch_first`` (K, n) is the encoder's.
         """
-        self._garments[key] = _Stored(garment, pack_garment(garment_feed(garment, body=body), patch_first))
+        self._garments[key] = _Stored(garment, pack_garment(feed, patch_first))
         self._lay_out()
 
     def remove(self, key: str) -> None:
@@ -184,11 +183,10 @@ class Packer:
     def __init__(
         self, engine: Engine, body: BodyModel, *, kept_bytes: int = KEPT_BYTES, tiles_per_call: int | None = None
     ) -> None:
-        self._engine = engine
-        self._body = body if engine.feels_body else None
-        self._skins = SkinShapes(body) if engine.feels_body else None
+        self._engine, self._body = engine, body
+        # Of bodies with pose blend shapes the graph reads only how many parts and bones there are.
+        self._skins = SkinShapes(replace(body, posedirs=None)) if engine.feels_body else None
         self._store = Store()
-        self._sessions: dict[tuple[ScenePlan, tuple[str, ...]], Session] = {}
         self._kept: OrderedDict[tuple[Item, ...], tuple[Composition, dict[str, Value]]] = OrderedDict()
         self._kept_bytes, self._limit = 0, kept_bytes
         self._tiles_per_call = tiles_per_call or (TILES_PER_BUCKET if engine.bound else TILES_PER_CALL)
@@ -204,19 +202,11 @@ class Packer:
         """Memory of the index tensors that are kept."""
         return self._kept_bytes
 
-    @property
-    def held_bytes(self) -> int:
-        """Memory where the graphs compute: constants of the garments, and what sessions hold between calls."""
-        return self._store.bytes + sum(session.bytes for session in self._sessions.values())
-
-    @property
-    def buckets(self) -> int:
-        """Sets of shapes that sessions hold memory for."""
-        return sum(session.buckets for session in self._sessions.values())
-
-    def add(self, key: str, garment: Garment) -> None:
-        """Encodes ``garment`` and puts it in store under ``key``."""
-        self._store.add(key, garment, self._engine.first(garment.patch_features), self._body)
+    def add(self, key: str, garment: Garment, feed: dict[str, np.ndarray] | None = None) -> None:
+        """Encodes ``garment`` and puts it in store under ``key``; ``feed`` is its ``garment_feed`` on this body."""
+        if feed is None:
+            feed = garment_feed(garment, body=self._body if self._engine.feels_body else None)
+        self._store.add(key, garment, feed, self._engine.first(garment.patch_features))
         self._forget()
 
     def remove(self, key: str) -> None:
@@ -235,7 +225,8 @@ class Packer:
         """Results of ``items``, in their order. ``bodies`` are ``PackedBody.rows``, joined over clients.
 
         Refuses a garment that is not in store and a row that ``bodies`` do not have. Of a dynamic model ``bodies``
-        may hold ``dynamic_code`` (B, C); without it all are at rest.
+        may hold ``dynamic_code`` (B, C); without it all are at rest. A posed ``skin`` (B, R, 12, 8) in ``bodies`` is
+        felt in place of the one that the bones carry: of bodies with pose blend shapes.
         """
         count = min(len(rows) for rows in bodies.values())
         if self._engine.dynamic:
@@ -275,10 +266,11 @@ class Packer:
         direct = STORED_INDEX if alone else ()
         if self._engine.bound and len(items) > 1:
             bodies = filled_rows(bodies)
+        given = (SKIN,) if SKIN in bodies else ()
         if self._skins is not None:
             bodies = bodies | self._skins.feed(bodies["betas"])
             direct += SHAPE_INDEX if len(bodies["skin_rows"]) == 1 else ()
-        session = self._session(plan, direct)
+        session = self._engine.open_cut(PACKED, plan.outputs, direct=direct, passes=plan.passes, given=given)
         composition, indices = self._composed(items, alone)
         stored = self._store.packed(first).stored if alone else self._store.arrays()
         feed: dict[str, Value] = {}
@@ -292,13 +284,6 @@ class Packer:
         still = (*SKIN_CONSTANTS, *indices)
         outputs = dict(zip(plan.outputs, session.run(plan.outputs, feed, still=still), strict=True))
         return _apart(outputs, composition, [row for _, row in items])
-
-    def _session(self, plan: ScenePlan, direct: tuple[str, ...]) -> Session:
-        """The session of ``plan`` that reads what the indices ``direct`` pick from as it is."""
-        if (plan, direct) not in self._sessions:
-            made = self._engine.open_cut(PACKED, plan.outputs, direct=direct, passes=plan.passes)
-            self._sessions[plan, direct] = made
-        return self._sessions[plan, direct]
 
     def _composed(self, items: tuple[Item, ...], alone: bool) -> tuple[Composition, dict[str, Value]]:
         """Index tensors of ``items``, the latest used of them kept as far as memory allows."""
@@ -328,8 +313,7 @@ class Packer:
         return self._values[label]
 
     def _forget(self) -> None:
-        for session in self._sessions.values():
-            session.forget()
+        self._engine.forget(PACKED)
         self._kept.clear()
         self._values.clear()
         self._kept_bytes = 0

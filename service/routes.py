@@ -6,7 +6,6 @@ import asyncio
 import base64
 import binascii
 import json
-from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from drape.errors import InputError, MeshError
 from drape.files.formats import MESH_CONTENT_TYPES, MESH_NAMES, listed
 from service import glb, negotiation, schemas
 from service.avatars import upload_avatar
-from service.drapery import Draped, DrapedJets, Drapery, PoseInput
+from service.drapery import Drapery
 from service.garments import Entry, Outfit, Scene, layer_list
 from service.jets import check_jets_size, jets_response
 from service.jobs import Job
@@ -25,6 +24,7 @@ from service.limits import check_answer
 from service.motions import floor_m
 from service.origins import check_origin
 from service.poses import motion_arrays, shape_array
+from service.stages.batch import Batch, PoseInput
 from service.state import StateHere
 from service.validation import check_query, validation_refusal
 from service.version import product_version
@@ -49,9 +49,9 @@ async def health(state: StateHere) -> schemas.Health:
         provider=drapery.engine.provider,
         int8=drapery.engine.int8,
         half=drapery.engine.half,
-        elsewhere=drapery.engine.elsewhere,
+        elsewhere=drapery.engine.nodes_off_provider,
         device_bytes=drapery.device_bytes,
-        buckets=drapery.buckets,
+        buckets=drapery.engine.buckets,
         body=drapery.body.name,
         garments=len(drapery.garments.entries()),
         passes=drapery.engine.pass_count,
@@ -133,11 +133,11 @@ async def upload(
     check_origin(request.headers, state.drapery.settings)
     check_query(request.query_params, ("name", "avatar", "format"))
     body = await request.body()
-    told: str | dict[str, Any] | None = avatar
+    modelled_on: str | dict[str, Any] | None = avatar
     content_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if content_type == negotiation.JSON:
         sent = _upload_request(body)
-        name, format, told = sent.name, sent.format, sent.avatar
+        name, format, modelled_on = sent.name, sent.format, sent.avatar
         try:
             body = base64.b64decode(sent.data_base64, validate=True)
         except binascii.Error as error:
@@ -149,7 +149,8 @@ async def upload(
         raise MeshError(
             "request body", expected="the bytes of a mesh file", got="nothing", cure="Send the file as the body."
         )
-    job = state.uploads.submit(stem, file_format, body, upload_avatar(told, stem, state.drapery.settings.garments_dir))
+    known = upload_avatar(modelled_on, stem, state.drapery.settings.garments_dir)
+    job = state.uploads.submit(stem, file_format, body, known)
     response.headers["Location"] = f"/jobs/{job.id}"
     return _job_info(job)
 
@@ -201,31 +202,30 @@ async def drape_clip(asked: schemas.DrapeRequest, request: Request, state: State
     "jets" the answer holds a JETS message per frame (docs/wire.md), binary only.
     """
     drapery = state.drapery
-    jets = drapery.check_geometry(asked.geometry) == "jets"
+    jets = asked.geometry == "jets"
     kind = negotiation.choose(request.headers.get("accept"), (negotiation.BINARY,)) if jets else _kind(request)
-    entry = drapery.garments.scene(asked.garment, asked.garments)
-    push = drapery.settings.push_out if asked.push_out is None else asked.push_out
-    knob = drapery.motion_knob(asked.motion)
-    passes = drapery.passes(asked.passes)
-    times_s = np.arange(len(asked.poses)) / asked.fps
-    motion = replace(_motion(asked, drapery, push=push), motion=knob, times_s=times_s, passes=passes)
-    said = {"X-Drape-Motion": f"{knob:g}"} | ({} if asked.passes is None else {"X-Drape-Passes": str(asked.passes)})
+    scene = drapery.garments.scene(asked.garment, asked.garments)
+    plan = drapery.plan(scene, asked, messages=jets)
+    clip = _clip(asked, drapery)
     if jets:
-        check_jets_size(len(motion.poses), entry, drapery)
-        with state.slot():
-            clip = await drapery.drape_jets(entry, motion)
-            return await jets_response(clip, entry, times_s, _quality_headers(clip, drapery) | said)
-    _check_size(kind, len(motion.poses), entry.vertex_count, drapery)
+        check_jets_size(len(clip.poses), scene, drapery)
+    else:
+        _check_size(kind, len(clip.poses), scene.vertex_count, drapery)
     with state.slot():
-        draped = await drapery.drape(entry, motion)
-        headers = _quality_headers(draped, drapery) | said
-        worn = layer_list(entry) if isinstance(entry, Outfit) else None
+        draped = await drapery.drape(plan, clip)
+        headers = _quality_headers(draped, drapery) | {"X-Drape-Motion": f"{plan.options.knob:g}"}
+        if asked.passes is not None:
+            headers["X-Drape-Passes"] = str(asked.passes)
+        if jets:
+            return jets_response(draped, headers)
+        worn = layer_list(scene) if isinstance(scene, Outfit) else None
         if worn is not None:
             headers["X-Drape-Garments"] = ",".join(f"{layer['id']}:{layer['vertices']}" for layer in worn)
+        world = draped.world()
         if kind == negotiation.GLB:
-            content = await asyncio.to_thread(_garment_file, entry, draped, asked, motion, drapery)
-            return Response(content, media_type=kind, headers=_shape_headers(draped.vertices) | headers)
-        return await _vertices_response(draped.world(), asked.fps, kind, headers, worn)
+            content = await asyncio.to_thread(_garment_file, plan.scene, world, asked, clip, drapery)
+            return Response(content, media_type=kind, headers=_shape_headers(world) | headers)
+        return await _vertices_response(world, asked.fps, kind, headers, worn)
 
 
 @router.post("/bodies/{body_id}/posed", response_model=schemas.VerticesDocument)
@@ -234,23 +234,23 @@ async def posed_body(body_id: str, asked: schemas.PosedRequest, request: Request
     drapery = state.drapery
     drapery.check_body_id(body_id)
     kind = _kind(request)
-    motion = _motion(asked, drapery, push=False)
+    clip = _clip(asked, drapery)
     if kind == negotiation.GLB:
         file = glb.GlbFile()
-        glb.add_body(file, drapery.body, motion.betas, motion.poses, motion.trans, asked.fps)
+        glb.add_body(file, drapery.body, clip.betas, clip.poses, clip.trans, asked.fps)
         return Response(file.to_bytes(), media_type=kind)
-    _check_size(kind, len(motion.poses), drapery.body.vertex_count, drapery)
+    _check_size(kind, len(clip.poses), drapery.body.vertex_count, drapery)
     with state.slot():
-        return await _vertices_response(await drapery.pose_body(motion), asked.fps, kind, {})
+        return await _vertices_response(await drapery.pose_body(clip), asked.fps, kind, {})
 
 
 def _kind(request: Request) -> str:
     return negotiation.choose(request.headers.get("accept"), (negotiation.BINARY, negotiation.GLB, negotiation.JSON))
 
 
-def _motion(asked: schemas.PosedRequest, drapery: Drapery, *, push: bool) -> PoseInput:
+def _clip(asked: schemas.PosedRequest, drapery: Drapery) -> PoseInput:
     poses, trans = motion_arrays(asked.poses, asked.trans, max_frames=drapery.settings.max_frames)
-    return PoseInput(poses, trans, shape_array(asked.betas, drapery.body), push)
+    return PoseInput(poses, trans, shape_array(asked.betas, drapery.body), np.arange(len(poses)) / asked.fps)
 
 
 def _check_size(kind: str, frames: int, vertices: int, drapery: Drapery) -> None:
@@ -259,17 +259,16 @@ def _check_size(kind: str, frames: int, vertices: int, drapery: Drapery) -> None
 
 
 def _garment_file(
-    entry: Scene, draped: Draped, asked: schemas.DrapeRequest, motion: PoseInput, drapery: Drapery
+    scene: Scene, world: np.ndarray, asked: schemas.DrapeRequest, clip: PoseInput, drapery: Drapery
 ) -> bytes:
-    file = glb.GlbFile()
-    world, start = draped.world(), 0
-    for layer, worn in enumerate(entry.layers):
+    file, start = glb.GlbFile(), 0
+    for layer, worn in enumerate(scene.layers):
         colour = glb.GARMENT_COLOURS[layer % len(glb.GARMENT_COLOURS)]
         own = world[:, start : start + worn.vertex_count]
         glb.add_garment(file, worn.garment, own, asked.fps, colour)
         start += worn.vertex_count
     if asked.body:
-        glb.add_body(file, drapery.body, motion.betas, motion.poses, motion.trans, asked.fps)
+        glb.add_body(file, drapery.body, clip.betas, clip.poses, clip.trans, asked.fps)
     return file.to_bytes()
 
 
@@ -294,12 +293,12 @@ def _shape_headers(vertices: np.ndarray) -> dict[str, str]:
     return {"X-Drape-Frames": str(len(vertices)), "X-Drape-Vertices": str(vertices.shape[1])}
 
 
-def _quality_headers(draped: Draped | DrapedJets, drapery: Drapery) -> dict[str, str]:
+def _quality_headers(draped: Batch, drapery: Drapery) -> dict[str, str]:
     return {
         "X-Drape-Model": drapery.engine.manifest.digest[:16],
-        "X-Drape-Push-Out": str(int(draped.pushed)),
-        "X-Drape-Pushed-Share": f"{draped.pushed_share.mean():.6f}",
-        "X-Drape-Push-Max-M": f"{draped.push_max_m.max():.6f}",
+        "X-Drape-Push-Out": str(int(bool(draped.plan.options.push_out))),
+        "X-Drape-Pushed-Share": f"{draped.quality.pushed_share.mean():.6f}",
+        "X-Drape-Push-Max-M": f"{draped.quality.push_max_m.max():.6f}",
     }
 
 

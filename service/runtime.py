@@ -124,9 +124,9 @@ def _version(name: str) -> str | None:
 
 
 def open_session(
-    label: str, model: str | bytes, weights: dict[str, bytes], device: Device, *, capture: bool = False
+    label: str, model: bytes, weights: dict[str, bytes], device: Device, *, capture: bool = False
 ) -> onnxruntime.InferenceSession:
-    """A session of the file or the bytes ``model``, on the provider that was asked for; ``capture``: ready for it.
+    """A session of the bytes ``model``, on the provider that was asked for; ``capture``: ready for it.
 
     ``weights``: files of tensors outside the model, by the name that it has for them. From memory and not from the
     folder: parts of the packed graph are opened long after the rest, when another model may lie there.
@@ -168,7 +168,7 @@ def open_session(
     return session
 
 
-def nodes_elsewhere(session: Any, device: Device) -> int:
+def nodes_off_provider(session: Any, device: Device) -> int:
     """Nodes of ``session`` that do not run on the provider that was asked for: on a GPU each waits for a copy."""
     parts = session.get_provider_graph_assignment_info()
     return sum(len(part.get_nodes()) for part in parts if part.ep_name != PROVIDER_NAMES[device.provider])

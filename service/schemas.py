@@ -10,38 +10,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from drape.body.skeleton import JOINT_COUNT
 from drape.files.formats import MESH_NAMES
 from drape.graph.feeds import BETA_COUNT
+from drape.wire.options import DrapeOptions, Identifier, Worn
 
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Vector = Annotated[list[Number], Len(3, 3)]
 PoseRows = Annotated[list[Vector], Len(JOINT_COUNT, JOINT_COUNT)]
-Knob = Annotated[
-    float | None,
-    Field(
-        ge=0.0,
-        le=1.0,
-        allow_inf_nan=False,
-        description="How much the cloth follows motion: 0 as if at rest, 1 (default) in full. A static model has 0.",
-    ),
-]
-Passes = Annotated[
-    int | None,
-    Field(
-        ge=0,
-        le=64,
-        strict=True,
-        description="How many corrections of the network run: fewer are faster; the service's setting if left out.",
-    ),
-]
-Geometry = Annotated[
-    Literal["vertices", "jets"],
-    Field(description="What comes: vertices, or the posed jets of the patches, for GET /garments/{id}/jets."),
-]
-Identifier = Annotated[str, Field(min_length=1, max_length=120)]
-
-Layers = Annotated[
-    list[Identifier] | None,
-    Field(min_length=1, description="Instead of garment: several worn over each other, the innermost first."),
-]
 
 
 class Request(BaseModel):
@@ -61,17 +34,9 @@ class PosedRequest(Request):
     fps: Annotated[float, Field(gt=0.0, le=1000.0, allow_inf_nan=False)] = 30.0
 
 
-class DrapeRequest(PosedRequest):
+class DrapeRequest(DrapeOptions, Worn, PosedRequest):
     """A garment, or several over each other, on a body in motion."""
 
-    garment: Identifier | None = None
-    garments: Layers = None
-    push_out: bool | None = Field(
-        default=None, description="Push vertices out of the body; the service's setting if left out."
-    )
-    motion: Knob = None
-    passes: Passes = None
-    geometry: Geometry = "vertices"
     body: bool = Field(default=False, description="In a GLB, include the body as a second, skinned mesh.")
 
 
@@ -84,17 +49,11 @@ class UploadRequest(Request):
     avatar: str | dict[str, Any] | None = None
 
 
-class OpenRequest(Request):
+class OpenRequest(DrapeOptions, Worn, Request):
     """The first message of a stream."""
 
     type: Literal["open"]
-    garment: Identifier | None = None
-    garments: Layers = None
     betas: Annotated[list[Number], Len(0, BETA_COUNT)] | None = None
-    push_out: bool | None = None
-    motion: Knob = None
-    passes: Passes = None
-    geometry: Geometry = "vertices"
 
 
 class Health(BaseModel):

@@ -113,35 +113,31 @@ async def _open_session(text: str, state: State, session: Session | None) -> Ses
     except ValidationError as error:
         raise validation_refusal(error.errors()) from error
     drapery = state.drapery
-    entry = drapery.garments.scene(asked.garment, asked.garments)
+    plan = drapery.plan(drapery.garments.scene(asked.garment, asked.garments), asked, messages=True)
     betas = shape_array(asked.betas, drapery.body)
-    push = drapery.settings.push_out if asked.push_out is None else asked.push_out
-    motion = drapery.motion_knob(asked.motion)
-    passes = drapery.passes(asked.passes)
-    geometry = drapery.check_geometry(asked.geometry)
-    if push:
-        await drapery.prepare(entry)
+    await drapery.prepare(plan)
     if session is None:
-        return Session(entry, betas, push, drapery.settings.stream_credit, motion, passes=passes, geometry=geometry)
-    session.reopen(entry, betas, push, motion, passes, geometry)
+        return Session(plan, betas, drapery.settings.stream_credit)
+    session.reopen(plan, betas)
     return session
 
 
 def _opened(session: Session, state: State) -> str:
-    entry, jets = session.entry, session.geometry == "jets"
-    worn = {"garments": layer_list(entry, patches=jets)} if isinstance(entry, Outfit) else {"garment": entry.id}
+    scene, options = session.plan.scene, session.plan.options
+    jets = options.geometry == "jets"
+    worn = {"garments": layer_list(scene, patches=jets)} if isinstance(scene, Outfit) else {"garment": scene.id}
     if jets:  # an answer about vertices is what it was before there were jets
-        worn |= {"geometry": "jets", "patches": entry.patch_count}
+        worn |= {"geometry": "jets", "patches": scene.patch_count}
     return json.dumps(
         {
             "type": "opened",
             **worn,
-            "vertices": entry.vertex_count,
+            "vertices": scene.vertex_count,
             "model": state.drapery.engine.manifest.digest,
             "body": state.drapery.body.name,
             "credit": session.credit,
-            "push_out": session.push,
-            "motion": session.motion,
+            "push_out": options.push_out,
+            "motion": options.knob,
         }
     )
 

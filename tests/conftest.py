@@ -58,15 +58,21 @@ def skip_reason(item: pytest.Item) -> str | None:
     return None
 
 
+_made: list[str] = []
+
+
 def pytest_configure(config: pytest.Config) -> None:
-    """Makes a folder that all processes of the run share; those that pytest-xdist starts inherit its name."""
-    if not hasattr(config, "workerinput"):
-        os.environ[RUN_FOLDER] = tempfile.mkdtemp(prefix="drape-tests-")
+    """Makes a folder that all processes of the run share; those that pytest-xdist starts inherit its name.
+
+    One that the environment names already is kept: exported models in it are taken as they are by the next run.
+    """
+    if RUN_FOLDER not in os.environ:
+        _made.append(os.environ.setdefault(RUN_FOLDER, tempfile.mkdtemp(prefix="drape-tests-")))
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
-    if not hasattr(config, "workerinput"):
-        shutil.rmtree(os.environ[RUN_FOLDER], ignore_errors=True)
+    for folder in _made:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -39,10 +39,10 @@ from drape.graph.feeds import kinematics
 from drape.graph.packing import pack_body
 from drape.motion.clip import MotionClip
 from drape.motion.readers import read_motion
-from service.dynamics import Moment, advance, nothing
 from service.engine import Engine
 from service.packing import Packer, ScenePlan
 from service.runtime import Device
+from service.stages.motion import Memory, Moment, advance
 
 FPS = 30.0
 HOLD_S = 3.0
@@ -98,7 +98,7 @@ def stopped(clip: MotionClip, *, fps: float = FPS, hold_s: float = HOLD_S) -> tu
 def drape(engine: Engine, body: BodyModel, what: Subject, clip: MotionClip, *, motion: float) -> np.ndarray:
     """Vertices [m] (F, V, 3) float32 relative to the root joint, frame by frame as a stream would get them."""
     rows, at = pack_body(body).rows(clip.poses), kinematics(body, clip.poses, clip.trans)
-    memory, frames = nothing(engine), []
+    memory, frames = Memory.empty(engine), []
     for i in range(clip.frame_count):
         if motion > 0.0:
             (memory,) = advance(engine, [memory], [Moment(i / clip.fps, at[i])])

@@ -65,7 +65,7 @@ class Worn:
         self.inner, self.outer = inner, outer
         self._keys = [inner.digest, outer.digest]
         self._packer, self._pusher = Packer(engine, body), Pusher(engine, body)
-        self._shape, self._betas = pack_body(body), np.zeros(body.shape_count)
+        self._shape = pack_body(body)
         for garment in (inner, outer):
             self._packer.add(garment.digest, garment)
             rest = garment.vertices[: garment.vertex_count]
@@ -79,42 +79,45 @@ class Worn:
         """Where the root joint is [m] (3,), to which all vertices are relative."""
         return self._shape.root
 
-    def drapes(self, poses: np.ndarray, keys: Sequence[str] | None = None) -> list[np.ndarray]:
-        """The network's vertices [m] (F, V, 3) of each garment."""
+    def drapes(self, poses: np.ndarray, keys: Sequence[str] | None = None) -> tuple[list[np.ndarray], np.ndarray]:
+        """The network's vertices [m] (F, V, 3) of each garment, and the samples (F, R, 12, 8) of the posed skin."""
         keys, count = self._keys if keys is None else keys, len(poses)
         items = [(key, frame) for key in keys for frame in range(count)]
-        found = [r.arrays["vertices"] for r in self._packer.run(ScenePlan(), self._shape.rows(poses), items)]
-        return [np.stack(found[i * count : (i + 1) * count]) for i in range(len(keys))]
+        found = [r.arrays for r in self._packer.run(ScenePlan(skin=True), self._shape.rows(poses), items)]
+        layers = [found[i : i + count] for i in range(0, len(found), count)]
+        skin = np.stack([one["skin"] for one in layers[0]])
+        return [np.stack([one["vertices"] for one in layer]) for layer in layers], skin
 
-    def alone(self, layer: int, vertices: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    def alone(self, layer: int, vertices: np.ndarray, skin: np.ndarray) -> np.ndarray:
         """``vertices`` of a layer pushed out of the body."""
-        return self._pusher.push(self._keys[layer], vertices, poses, self._betas, CLEARANCE_M)[0]
+        return self._pusher.push(self._keys[layer : layer + 1], vertices, skin).vertices
 
-    def over(self, vertices: np.ndarray, under: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    def over(self, vertices: np.ndarray, under: np.ndarray, skin: np.ndarray) -> np.ndarray:
         """``vertices`` of the outer garment pushed out of the body and of the inner one at ``under``."""
-        return self._pusher.push_over(self._keys, vertices, under, poses, self._betas, CLEARANCE_M)[0]
+        return self._pusher.push(self._keys, vertices, skin, under=under).vertices
 
     def two_singles(self, pose: np.ndarray) -> None:
         """One frame of each garment by itself, as two requests."""
         for layer, key in enumerate(self._keys):
-            self.alone(layer, self.drapes(pose, [key])[0], pose)
+            (vertices,), skin = self.drapes(pose, [key])
+            self.alone(layer, vertices, skin)
 
     def outfit(self, pose: np.ndarray) -> None:
         """One frame of both over each other, as one request."""
-        inner, outer = self.drapes(pose)
-        self.over(outer, self.alone(0, inner, pose), pose)
+        (inner, outer), skin = self.drapes(pose)
+        self.over(outer, self.alone(0, inner, skin), skin)
 
 
 def measure(worn: Worn, body: BodyModel, poses: np.ndarray, window: Window | None) -> list[dict[str, Any]]:
     """The two rows of an outfit, less their times."""
     inner_faces, faces = worn.inner.faces.astype(np.int64), worn.outer.faces.astype(np.int64)
     rest = worn.outer.vertices[: worn.outer.vertex_count].astype(np.float64)
-    below, drapes = worn.drapes(poses)
-    under = worn.alone(0, below, poses)
+    (below, drapes), skin = worn.drapes(poses)
+    under = worn.alone(0, below, skin)
     posed = body.posed_vertices(poses) - worn.root
     rows: list[dict[str, Any]] = []
     for method in ("alone", "over"):
-        found = worn.alone(1, drapes, poses) if method == "alone" else worn.over(drapes, under, poses)
+        found = worn.alone(1, drapes, skin) if method == "alone" else worn.over(drapes, under, skin)
         through = metrics.through_pct(found, under, inner_faces)
         row = {
             "method": method,
@@ -135,10 +138,10 @@ def measure(worn: Worn, body: BodyModel, poses: np.ndarray, window: Window | Non
 
 def picture(worn: Worn, body: BodyModel, pose: np.ndarray) -> list[np.ndarray]:
     """The outfit in ``pose`` (1, 24, 3): with the outer garment pushed out of the body only, and over the inner one."""
-    below, drapes = worn.drapes(pose)
-    under, skin = worn.alone(0, below, pose)[0], body.posed_vertices(pose)[0] - worn.root
+    (below, drapes), samples = worn.drapes(pose)
+    under, skin = worn.alone(0, below, samples)[0], body.posed_vertices(pose)[0] - worn.root
     shown = []
-    for outer in (worn.alone(1, drapes, pose)[0], worn.over(drapes, under[None], pose)[0]):
+    for outer in (worn.alone(1, drapes, samples)[0], worn.over(drapes, under[None], samples)[0]):
         surfaces = [
             Surface(skin, body.faces, SKIN),
             Surface(under, worn.inner.faces, INNER),
@@ -159,10 +162,10 @@ def inner_out_pct(inner: np.ndarray, outer: np.ndarray, outer_faces: np.ndarray)
 
 
 def _jitter(worn: Worn, method: str, poses: np.ndarray) -> float:
-    below, drapes = worn.drapes(poses)
-    found = worn.alone(1, drapes, poses)
+    (below, drapes), skin = worn.drapes(poses)
+    found = worn.alone(1, drapes, skin)
     if method == "over":
-        found = worn.over(drapes, worn.alone(0, below, poses), poses)
+        found = worn.over(drapes, worn.alone(0, below, skin), skin)
     base = metrics.third_difference_square(drapes)
     return float(np.sqrt(metrics.third_difference_square(found) / base))
 

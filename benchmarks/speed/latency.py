@@ -41,7 +41,6 @@ from drape.garment.cache import Garment
 from drape.graph.feeds import garment_feed
 from drape.graph.packing import PackedBody, pack_body
 from drape.graph.push_feed import SkinShapes
-from drape.push.projection import CLEARANCE_M
 from service.engine import PACKED, Engine
 from service.packing import SHAPE_INDEX, STORED_INDEX, Packer, ScenePlan
 from service.push import Pusher
@@ -132,24 +131,23 @@ def single_rows(bench: Bench, name: str, options: argparse.Namespace) -> list[di
 
 def pushed_rows(bench: Bench, packer: Packer, key: str, garment: Garment) -> list[dict[str, Any]]:
     """One frame with its push-out, by passes of the network: all, then fewer; ``push_out_ms`` the push-out's part."""
-    pusher, betas = Pusher(bench.engine, bench.body), np.zeros(bench.body.shape_count)
+    pusher = Pusher(bench.engine, bench.body)
     pusher.add(key, garment_feed(garment), garment.vertices[: garment.vertex_count], garment.faces)
     every = poses(64)
     rows = []
     for passes in (None, *reversed(range(bench.engine.pass_count))):
-        plan = ScenePlan(skin=bench.engine.shares_skin, passes=passes)
+        plan = ScenePlan(skin=True, passes=passes)
         turn = iter(range(sys.maxsize))
 
-        def drape(plan: ScenePlan = plan, turn: Iterator[int] = turn) -> tuple[np.ndarray, np.ndarray, Any]:
+        def drape(plan: ScenePlan = plan, turn: Iterator[int] = turn) -> tuple[np.ndarray, np.ndarray]:
             row = next(turn) % 64
-            pose = every[row : row + 1]
-            found = packer.run(plan, bench.shape.rows(pose), [(key, 0)])[0].arrays
-            return found["vertices"], pose, found["skin"][None] if plan.skin else None
+            found = packer.run(plan, bench.shape.rows(every[row : row + 1]), [(key, 0)])[0].arrays
+            return found["vertices"][None], found["skin"][None]
 
-        vertices, pose, skin = drape()
+        vertices, skin = drape()
 
-        def push(vertices: np.ndarray = vertices, pose: np.ndarray = pose, skin: Any = skin) -> None:
-            pusher.push(key, vertices[None], pose, betas, CLEARANCE_M, skin=skin)
+        def push(vertices: np.ndarray = vertices, skin: np.ndarray = skin) -> None:
+            pusher.push([key], vertices, skin)
 
         both = timed(lambda drape=drape, push=push: push(*drape()), seconds=bench.seconds)
         alone = timed(push, seconds=bench.seconds / 2)

@@ -33,9 +33,12 @@ from drape.motion.readers import read_motion
 from drape.wire import messages as wire
 from drape.wire.jets import JetFrame, pack_jets, unpack_jets
 from drape.wire.layout import JetLayout, unpack_layout
-from service.drapery import Drapery, PoseInput
+from drape.wire.options import DrapeOptions
+from service.drapery import Drapery
 from service.garments import Entry
 from service.settings import Settings
+from service.stages import run
+from service.stages.batch import PoseInput
 
 FRAMES, QUICK_FRAMES = 12, 3
 OFF_M = 1e-4
@@ -50,13 +53,17 @@ COLUMNS = {
 
 def frames_of(drapery: Drapery, entry: Entry, poses: np.ndarray) -> tuple[list[JetFrame], list[wire.Frame]]:
     """Every pose (F, 24, 3) draped and pushed out, as jets and as vertices."""
-    motion = PoseInput(poses, np.zeros((len(poses), 3)), np.zeros(drapery.body.shape_count), push=True)
-    posed, draped = drapery.compute_jets(entry, [motion]), drapery.compute(entry, [motion])
-    of_jets, of_vertices = [], []
+    trans = np.zeros((len(poses), 3))
+    clip = PoseInput(poses, trans, np.zeros(drapery.body.shape_count), np.zeros(len(poses)))
+    posed, draped = (
+        run(drapery.plan(entry, DrapeOptions(push_out=True, motion=0.0, geometry=geometry)), [clip])
+        for geometry in ("jets", "vertices")
+    )
+    of_jets, of_vertices, jets, vertices = [], [], posed.jets, draped.vertices
     for i in range(len(poses)):
-        patches = {"jet": posed.jet[i], "rotation": posed.rotation[i], "centre": posed.centre[i]}
-        of_jets.append(JetFrame(i, 0.0, 0.0, posed.root[i], **patches, left_m=float(posed.left_m[i])))
-        of_vertices.append(wire.Frame(i, 0.0, 0.0, draped.root[i], draped.vertices[i]))
+        patches = {"jet": jets.jet[i], "rotation": jets.rotation[i], "centre": jets.centre[i]}
+        of_jets.append(JetFrame(i, 0.0, 0.0, posed.root[i], **patches, left_m=float(posed.quality.left_m[i])))
+        of_vertices.append(wire.Frame(i, 0.0, 0.0, draped.root[i], vertices[i]))
     return of_jets, of_vertices
 
 

@@ -28,6 +28,7 @@ from drape.push.samples import (
     at_rest,
     place,
     ring_operator,
+    sample_table,
     table_of_columns,
     unit_cross,
 )
@@ -127,6 +128,17 @@ def skin_table(rows: Array, bones: Array, rotations: Array, translations: Array)
     point, first, second = (xp.reshape(kinds[:, k], (-1, 3, parts * size)) for k in range(3))
     table = table_of_columns(point, unit_cross(first, second))
     return xp.reshape(table, (-1, POSED_REGIONS * parts, REGION_SIZE, 8))
+
+
+def posed_table(body: BodyModel, poses: np.ndarray, betas: np.ndarray) -> np.ndarray:
+    """The table (F, R, 12, 8) float32 of ``sample_table`` for ``poses`` (F, 24, 3) [rad] and one shape ``betas``.
+
+    Relative to the root, and of the posed vertices: of bodies with pose blend shapes too.
+    """
+    skin = body_skin(body)
+    posed = body.posed_vertices(poses, None, betas) - body.rest_joints(betas)[0]
+    table = sample_table(*skin.posed(posed)).astype(np.float32)
+    return table.reshape(len(poses), skin.region_count, -1, table.shape[-1])
 
 
 Made = TypeVar("Made", "Skin", "ShapedSkin")

@@ -68,7 +68,7 @@ def test_a_file_of_motion_becomes_vertices(live: str, tmp_path: Path):
         expected = client.drape("tube", recorded, betas=np.array([0.5]), push_out=False)
     np.testing.assert_array_equal(np.load(out), expected)
     assert np.abs(placed - expected).max() > 0.01
-    for option in (["--knob", "3"], ["--passes", "1"]):  # the model of the tests has no choice of passes
+    for option in (["--knob", "3"], ["--passes", "2"]):  # the model of the tests has one
         assert main([*base, *option]) == 2
 
 

@@ -16,12 +16,14 @@ from drape.body.features import motion_features
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment
 from drape.graph.feeds import body_feed, garment_feed, kinematics
+from drape.graph.packing import pack_body
 from model_export import export as exporting
 from model_export.export import static_training
 from model_export.graph import DrapeGraph, drape_inputs, drape_outputs
 from model_export.parity import session
-from service.dynamics import Moment, advance, nothing
 from service.engine import Engine
+from service.packing import Packer, ScenePlan
+from service.stages.motion import Memory, Moment, advance
 from tests.fixtures.packed import MOVING, exported, exported_dynamic
 from tests.fixtures.packed import garment as fixture_garment
 from tests.fixtures.poses import smooth_motion
@@ -104,10 +106,15 @@ def test_at_rest_it_is_the_static_model_bit_for_bit(model, garment, folder, tmp_
     names = [spec.name for spec in drape_inputs(static)]
     want = session(tmp_path / "drape.onnx").run(["vertices"], {name: arrays[name] for name in names})[0]
     arrays["dynamic_code"] = np.zeros((3, MOVING.body_code_size), np.float32)
-    engine = Engine(folder)
-    assert_array_equal(engine.drape(arrays), want)
+    assert_array_equal(readable(folder, arrays), want)
     arrays["dynamic_code"] += 1.0
-    assert np.abs(engine.drape(arrays) - want).max() > 1e-3
+    assert np.abs(readable(folder, arrays) - want).max() > 1e-3
+
+
+def readable(folder: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """Vertices [m] (F, V, 3) of the readable graph in ``folder``."""
+    opened = session(folder / "drape.onnx")
+    return opened.run(["vertices"], {tensor.name: arrays[tensor.name] for tensor in opened.get_inputs()})[0]
 
 
 def test_clients_do_not_depend_on_their_company(folder, rng):
@@ -128,13 +135,13 @@ def test_a_body_that_stops_rests_within_two_seconds_and_then_for_ever(folder, ga
     moving = 15
     poses, trans = smooth_motion(np.arange(moving) / fps)
     at = kinematics(body, poses, trans)
-    constants = garment_feed(garment, body=load_body()) | {"patch_embedding": engine.embed(garment.patch_features)}
-    last = body_feed(body, poses[-1:], trans[-1:], skin=True).arrays
+    packer, last = Packer(engine, body), pack_body(body).rows(poses[-1:])
+    packer.add("it", garment)
 
     def drape(code: np.ndarray) -> np.ndarray:
-        return engine.drape({**last, **constants, "dynamic_code": code[None]})
+        return packer.run(ScenePlan(), last | {"dynamic_code": code[None]}, [("it", 0)])[0].arrays["vertices"]
 
-    memory = nothing(engine)
+    memory = Memory.empty(engine)
     static = drape(memory.code)
     for i in range(moving):
         (memory,) = advance(engine, [memory], [Moment(i / fps, at[i])])

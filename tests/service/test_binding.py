@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -14,18 +13,20 @@ from drape.artifacts import TensorSpec
 from drape.body.assets import load_body
 from drape.errors import ArtifactError
 from drape.garment.cache import save_garment
-from drape.graph.feeds import garment_feed
 from drape.graph.packing import pack_body
-from drape.push.projection import CLEARANCE_M
+from drape.push.skin import posed_table
+from drape.wire.options import DrapeOptions
 from service.binding import BoundSession
-from service.drapery import Drapery, PoseInput
+from service.drapery import Drapery
 from service.engine import PACKED, Engine
 from service.packing import Packer, ScenePlan
 from service.push import PosedJets, Pusher
-from service.runtime import Device, nodes_elsewhere, open_session
+from service.runtime import Device, nodes_off_provider, open_session
+from service.stages import run
+from service.stages.batch import PoseInput
 from tests.fixtures.packed import KINDS, exported, garment
 from tests.fixtures.poses import random_motion
-from tests.service.test_push import drawn
+from tests.service.test_push import added, drawn
 
 PLANS = [ScenePlan(normals=True, skin=True), ScenePlan("steps"), ScenePlan("jets", bones=True), ScenePlan(passes=1)]
 BODIES = 12
@@ -67,19 +68,19 @@ def test_buckets_change_no_bit_of_any_plan_alone_and_in_any_mix(bodies: dict[str
                 assert set(got.arrays) == set(want.arrays)
                 for name, array in want.arrays.items():
                     assert_array_equal(got.arrays[name], array)
-    assert plain.buckets == 0
-    assert bound.buckets > 0 and bound.held_bytes > bound.store.bytes == plain.held_bytes
+    assert plain._engine.buckets == plain._engine.held_bytes == 0
+    assert bound._engine.buckets > 0 and bound._engine.held_bytes > 0
 
 
 @pytest.mark.slow
 def test_a_bucket_is_taken_again_and_answers_do_not_share_its_memory(bodies: dict[str, np.ndarray]):
     packer, plan = made(Engine(exported()[1], bound=True)), ScenePlan()
     first = packer.run(plan, bodies, [("tank", 0), ("shorts", 1)])
-    kept, buckets = [result.arrays["vertices"].copy() for result in first], packer.buckets
+    kept, buckets = [result.arrays["vertices"].copy() for result in first], packer._engine.buckets
     assert buckets == 1
     packer.run(plan, bodies, [("tank", 2), ("shorts", 3)])
     packer.run(plan, bodies, [("shorts", 5), ("tank", 4)])  # other constants, shapes of the same rungs
-    assert packer.buckets == buckets
+    assert packer._engine.buckets == buckets
     for result, before in zip(first, kept, strict=True):
         assert_array_equal(result.arrays["vertices"], before)
     again = packer.run(plan, bodies, [("tank", 0), ("shorts", 1)])
@@ -93,7 +94,7 @@ def test_garments_that_come_and_go_leave_no_stale_constants(bodies: dict[str, np
     packer.add("a", garment("tank"))
     before = packer.run(ScenePlan(), bodies, [("a", 3)])[0].arrays["vertices"]
     packer.add("b", garment("shorts"))
-    assert packer.buckets == 0
+    assert packer._engine.buckets == 0
     assert_array_equal(packer.run(ScenePlan(), bodies, [("a", 3)])[0].arrays["vertices"], before)
     packer.remove("a")
     alone = Packer(Engine(exported()[1]), load_body())
@@ -107,39 +108,32 @@ def test_the_push_out_in_buckets_is_the_same():
     body, whole = load_body(), garment("shorts")
     poses, _ = random_motion(2, spread_rad=0.35)
     found = []
+    vertices, skin = drawn(whole, poses, np.zeros(10)), posed_table(body, poses, np.zeros(10))
+    turned = np.broadcast_to(np.eye(3, dtype=np.float32), (2, whole.patch_count, 3, 3))
+    posed = PosedJets(np.zeros((2, whole.patch_count, 27), dtype=np.float32), turned)
     for bound in (False, True):
-        pusher = Pusher(Engine(exported()[1], bound=bound), body)
-        pusher.add("it", garment_feed(whole), whole.vertices[: whole.vertex_count], whole.faces)
-        vertices, betas = drawn(whole, poses, np.zeros(10)), np.zeros(10)
-        one = pusher.push("it", vertices[:1], poses[:1], betas, CLEARANCE_M)[0]
-        pushed, way = pusher.push("it", vertices, poses, betas, CLEARANCE_M)
-        assert_array_equal(one[0], pushed[0])
-        assert way.max() > 1e-3, "must push for the test to mean something"
-        patches = len(whole.patch_scale)
-        turned = np.broadcast_to(np.eye(3, dtype=np.float32), (2, patches, 3, 3))
-        posed = PosedJets(np.zeros((2, patches, 27), dtype=np.float32), turned)
-        by_jets = pusher.push_jets(["it"], vertices, None, posed, poses, betas, CLEARANCE_M)
-        found.append((pushed, by_jets.jet, by_jets.left_m))
+        pusher = added(Pusher(Engine(exported()[1], bound=bound), body), whole)
+        one = pusher.push([whole.digest], vertices[:1], skin[:1])
+        got, by_jets = (pusher.push([whole.digest], vertices, skin, posed=jets) for jets in (None, posed))
+        assert_array_equal(one.vertices[0], got.vertices[0])
+        assert got.way_m.max() > 1e-3, "must push for the test to mean something"
+        found.append((got.vertices, by_jets.jet, by_jets.left_m))
     for plain, bound in zip(*found, strict=True):
         assert_array_equal(bound, plain)
 
 
 @pytest.mark.slow
 def test_a_service_in_buckets_is_warm_and_answers_alike(make_settings, tmp_path: Path):
-    shutil.copytree(exported()[1], tmp_path / "models" / "small")
     for kind in ("tank", "shorts"):
-        save_garment(garment(kind), tmp_path / "shirts")
+        save_garment(garment(kind), tmp_path)
     poses, trans = random_motion(3, seed=8)
-    motion, found = PoseInput(poses, trans, np.zeros(10), push=True), []
+    clip, found = PoseInput(poses, trans, np.zeros(10), np.zeros(3)), []
     for buckets in (None, True):
-        settings = make_settings(
-            models_dir=tmp_path / "models", model="small", shipped_garments_dir=tmp_path / "shirts", buckets=buckets,
-            chunk_frames=3,
-        )  # fmt: skip
-        drapery = Drapery(settings)
-        ready = drapery.buckets
-        found.append([drapery.compute(drapery.garments.get(kind), [motion]) for kind in ("tank", "shorts")])
-        assert drapery.buckets == ready  # all that a clip takes was there before the first request
+        drapery = Drapery(make_settings(shipped_garments_dir=tmp_path, buckets=buckets, chunk_frames=3))
+        ready = drapery.engine.buckets
+        plans = [drapery.plan(drapery.garments.get(kind), DrapeOptions(push_out=True)) for kind in ("tank", "shorts")]
+        found.append([run(plan, [clip]) for plan in plans])
+        assert drapery.engine.buckets == ready  # all that a clip takes was there before the first request
         assert (ready > 0) is bool(buckets)
         assert drapery.device_bytes > 0
         drapery.close()
@@ -213,8 +207,8 @@ def test_inputs_that_do_not_agree_are_refused():
 
 def test_nodes_that_run_elsewhere_are_counted():
     opened = doubling()
-    assert nodes_elsewhere(opened, Device()) == 0
-    assert nodes_elsewhere(opened, Device("cuda")) == 2
+    assert nodes_off_provider(opened, Device()) == 0
+    assert nodes_off_provider(opened, Device("cuda")) == 2
 
 
 # --- on a GPU ---

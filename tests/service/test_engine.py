@@ -8,19 +8,19 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import onnx
 import pytest
 from numpy.testing import assert_allclose
-from onnx import helper
 
 from drape.artifacts import Manifest, TensorSpec, file_digest, load_manifest
 from drape.body.model import BodyModel
-from drape.errors import ArtifactError, Unavailable
+from drape.errors import ArtifactError, InputError, Unavailable
 from drape.garment.cache import Garment
-from drape.graph.feeds import body_feed, garment_feed
-from service.engine import DRAPE, ENCODER, Engine
-from service.runtime import Device, check_distributions
-from tests.fixtures.tiny_model import ENCODER_MATRIX, TINY
+from drape.graph.packing import pack_body
+from service.engine import ENCODER, PACKED, PUSH, PUSH_OVER, Engine
+from service.packing import Packer, ScenePlan
+from service.runtime import Device, check_distributions, open_session
+from tests.fixtures.poses import random_motion
+from tests.fixtures.tiny_model import ROUNDING_M, TINY, expected_vertices
 
 
 @pytest.fixture
@@ -71,15 +71,35 @@ def test_one_onnxruntime_is_enough(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert check_distributions() == name
 
 
-def test_it_computes_what_its_graphs_say(folder: Path, body: BodyModel, tube: Garment):
+def test_the_readable_graph_is_never_opened(folder: Path, body: BodyModel, tube: Garment, monkeypatch):
+    """It stays in the folder as the reference of the export's check; a model without it is served."""
+    opened: list[str] = []
+
+    def recorded(label: str, *arguments: object, **options: object):
+        opened.append(label)
+        return open_session(label, *arguments, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("service.engine.open_session", recorded)
+    manifest = load_manifest(folder)
+    rewrite(folder, graphs={name: spec for name, spec in manifest.graphs.items() if name != "drape"})
     engine = Engine(folder)
     engine.check_body(body)
-    embedding = engine.embed(tube.patch_features)
-    assert_allclose(embedding, tube.patch_features @ ENCODER_MATRIX, rtol=1e-5, atol=1e-6)
-    feed = body_feed(body, np.zeros((2, 24, 3)), np.zeros((2, 3)))
-    vertices = engine.drape({**feed.arrays, **garment_feed(tube), "patch_embedding": 0.0 * embedding})
-    assert_allclose(vertices + feed.root[:, None], np.stack([tube.vertices] * 2), rtol=0, atol=2e-6)
+    packer = Packer(engine, body)
+    packer.add("tube", tube)
+    poses, rest = random_motion(2)[0], np.zeros((2, 3))
+    results = packer.run(ScenePlan(), pack_body(body).rows(poses), [("tube", 0), ("tube", 1)])
+    expected = expected_vertices(body, tube, poses, rest) - body.rest_joints(None)[0]
+    assert_allclose([r.arrays["vertices"] for r in results], expected, rtol=0, atol=ROUNDING_M)
+    assert opened == [f"{TINY}/garment_encoder.onnx", f"{TINY}/packed.onnx"]
     assert engine.provider == "CPUExecutionProvider"
+
+
+def test_a_part_of_a_graph_is_opened_once(folder: Path):
+    engine = Engine(folder)
+    part = engine.open_cut(PACKED, ["vertices"])
+    assert engine.open_cut(PACKED, ("vertices",), passes=engine.pass_count) is part  # all of them are the default
+    assert engine.open_cut(PACKED, ["vertices"], passes=0) is not part
+    assert engine.open_cut(PACKED, ["vertices"], given=["skin"]) is not part
 
 
 @pytest.mark.filterwarnings("ignore:Specified provider")
@@ -94,78 +114,62 @@ def test_another_body_is_refused(folder: Path, body: BodyModel):
         Engine(folder).check_body(dataclasses.replace(body, digest="0" * 64))
 
 
-def test_a_missing_graph_is_refused(folder: Path):
+@pytest.mark.parametrize("name", [ENCODER, PACKED, PUSH, PUSH_OVER])
+def test_a_missing_graph_is_refused(folder: Path, name: str):
     manifest = load_manifest(folder)
-    rewrite(folder, graphs={ENCODER: manifest.graphs[ENCODER]})
-    with pytest.raises(ArtifactError, match="graph 'drape'"):
+    rewrite(folder, graphs={key: spec for key, spec in manifest.graphs.items() if key != name})
+    with pytest.raises(ArtifactError, match=rf"graph '{name}'.*Export the model again\."):
+        Engine(folder)
+
+
+@pytest.mark.parametrize(("name", "output"), [(ENCODER, "patch_first"), (PACKED, "jet"), (PUSH, "skin")])
+def test_a_graph_without_what_is_read_of_it_is_refused(folder: Path, name: str, output: str):
+    spec = load_manifest(folder).graphs[name]
+    respecify(folder, name, outputs=tuple(tensor for tensor in spec.outputs if tensor.name != output))
+    with pytest.raises(ArtifactError, match=f"{TINY} {name} outputs: expected {output}"):
         Engine(folder)
 
 
 def test_a_changed_file_is_refused(folder: Path):
-    file = folder / "drape.onnx"
+    file = folder / "packed.onnx"
     file.write_bytes(file.read_bytes() + b"\0")
-    with pytest.raises(ArtifactError, match=r"drape\.onnx sha256"):
+    with pytest.raises(ArtifactError, match=r"packed\.onnx sha256"):
         Engine(folder)
 
 
 def test_a_file_that_is_no_graph_is_refused(folder: Path):
-    (folder / "drape.onnx").write_bytes(b"not a graph")
-    respecify(folder, DRAPE)
-    with pytest.raises(ArtifactError, match="a graph that ONNX Runtime opens"):
+    (folder / "garment_encoder.onnx").write_bytes(b"not a graph")
+    respecify(folder, ENCODER)
+    with pytest.raises(ArtifactError, match="model: expected an ONNX model"):
         Engine(folder)
 
 
 def test_a_manifest_with_other_tensors_is_refused_by_name(folder: Path):
-    inputs = load_manifest(folder).graphs[DRAPE].inputs
-    respecify(folder, DRAPE, inputs=inputs[1:])
-    with pytest.raises(ArtifactError, match="tiny drape inputs"):
+    inputs = load_manifest(folder).graphs[ENCODER].inputs
+    respecify(folder, ENCODER, inputs=(dataclasses.replace(inputs[0], name="features"),))
+    with pytest.raises(ArtifactError, match="tiny garment_encoder inputs"):
         Engine(folder)
-    respecify(folder, DRAPE, inputs=(*inputs[:-1], dataclasses.replace(inputs[-1], dtype="float64")))
-    with pytest.raises(ArtifactError, match="chart_local: expected float64"):
+    respecify(folder, ENCODER, inputs=(dataclasses.replace(inputs[0], dtype="float64"),))
+    with pytest.raises(ArtifactError, match="patch_features: expected float64"):
         Engine(folder)
-
-
-def test_a_graph_without_vertices_is_refused(folder: Path):
-    path = folder / "drape.onnx"
-    model = onnx.load(str(path))
-    for node in model.graph.node:
-        node.output[:] = ["points" if name == "vertices" else name for name in node.output]
-    for output in model.graph.output:
-        output.name = "points" if output.name == "vertices" else output.name
-    onnx.save(model, str(path))
-    outputs = tuple(
-        dataclasses.replace(t, name="points") if t.name == "vertices" else t
-        for t in load_manifest_unchecked(folder).graphs[DRAPE].outputs
-    )
-    respecify(folder, DRAPE, outputs=outputs)
-    with pytest.raises(ArtifactError, match="drape outputs: expected vertices"):
-        Engine(folder)
-
-
-def load_manifest_unchecked(folder: Path) -> Manifest:
-    return Manifest.from_json((folder / "manifest.json").read_text(), where="test")
 
 
 def test_features_of_another_length_are_refused(folder: Path):
     with pytest.raises(ArtifactError, match="patch_features: expected 154 numbers"):
-        Engine(folder).embed(np.zeros((12, 5)))
+        Engine(folder).first(np.zeros((12, 5)))
 
 
-def test_answers_that_are_not_finite_are_refused(folder: Path, body: BodyModel, tube: Garment):
-    path = folder / "drape.onnx"
-    model = onnx.load(str(path))
-    for node in model.graph.node:
-        node.output[:] = ["whole" if name == "vertices" else name for name in node.output]
-    model.graph.node.append(helper.make_node("Div", ["whole", "nought"], ["vertices"]))
-    model.graph.initializer.append(helper.make_tensor("nought", onnx.TensorProto.FLOAT, [1], [0.0]))
-    onnx.save(model, str(path))
-    respecify(folder, DRAPE)
+def test_passes_that_cannot_be_chosen_are_refused(folder: Path):
+    spec = load_manifest(folder).graphs[PACKED]
+    respecify(folder, PACKED, outputs=tuple(tensor for tensor in spec.outputs if not tensor.name.startswith("pass_")))
     engine = Engine(folder)
-    feed = body_feed(body, np.zeros((1, 24, 3)), np.zeros((1, 3)))
-    with pytest.raises(ArtifactError, match="vertices: expected finite"):
-        engine.drape({**feed.arrays, **garment_feed(tube), "patch_embedding": engine.embed(tube.patch_features)})
+    assert engine.check_passes(0) is None  # there are none
+    with pytest.raises(InputError, match="passes: expected none: the passes of model tiny are fixed, got 1"):
+        engine.check_passes(1)
 
 
 def test_specs_survive_their_json(folder: Path):
     manifest = load_manifest(folder)
-    assert manifest.graphs[DRAPE].inputs[0] == TensorSpec("body_features", ("frame", 226), "float32")
+    assert manifest.graphs[PACKED].inputs[0] == TensorSpec(
+        "joint_quaternion", ("bodies", 25, 4), "float32", "1, relative to the parent"
+    )

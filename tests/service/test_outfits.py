@@ -10,7 +10,7 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
@@ -18,19 +18,17 @@ from drape.body.assets import load_body
 from drape.cloth import metrics
 from drape.errors import InputError, NotFound
 from drape.garment.cache import Garment
-from drape.graph.feeds import garment_feed
 from drape.wire import messages as wire
-from service.drapery import Drapery, PoseInput
+from service.drapery import Drapery
 from service.engine import Engine
 from service.errors import TooLarge
 from service.garments import Outfit
 from service.push import KEPT_OUTFITS, Pusher
 from service.settings import Settings
-from tests.fixtures.packed import exported, garment
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import outfit_settings, outfit_url
 from tests.fixtures.tiny_model import TINY
-from tests.service.test_push import drawn
+from tests.service.test_push import added
 
 BINARY, GLB, JSON = "application/octet-stream", "model/gltf-binary", "application/json"
 __all__ = ["outfit_settings", "outfit_url"]  # fixtures
@@ -113,10 +111,12 @@ def test_outfits_that_make_no_sense_are_refused(client: httpx.Client, fields: di
     assert problem["type"] == f"urn:drape:{kind}" and word in problem["detail"]
 
 
-def test_a_model_without_passes_refuses_to_choose_them(client: httpx.Client, outfit_settings: Settings):
-    response = ask(client, garment="tube", passes=1)
-    assert response.status_code == 400 and "passes of model tiny are fixed" in response.json()["detail"]
-    assert ask(client, garment="tube", passes=0).status_code == 200  # there are none
+def test_passes_that_the_model_does_not_have_are_refused(client: httpx.Client, outfit_settings: Settings):
+    response = ask(client, garment="tube", passes=2)
+    assert response.status_code == 400 and "passes: expected 0 to 1" in response.json()["detail"]
+    fewer, every, left_out = (ask(client, garment="tube", passes=passes) for passes in (0, 1, None))
+    assert fewer.headers["X-Drape-Passes"] == "0" and "X-Drape-Passes" not in left_out.headers
+    assert every.content == left_out.content != fewer.content
     assert "passes" in ask(client, garment="tube", passes=-1).json()["name"]
     with pytest.raises(InputError, match="passes"):
         Drapery(outfit_settings.model_copy(update={"passes": 2}))
@@ -156,23 +156,11 @@ def test_a_stream_of_no_outfit_is_refused(outfit_url: str, garments: list[str]):
         assert said["type"] == "error" and said["kind"] in ("InputError", "TooLarge", "NotFound")
 
 
-def test_an_outfit_in_a_batch_is_what_it_is_alone(outfit_settings: Settings):
+def test_an_outfit_is_its_layers_in_their_order(outfit_settings: Settings):
     drapery = Drapery(outfit_settings)
     scene = drapery.garments.scene(None, ["coat", "tube", "cape"])
     assert isinstance(scene, Outfit) and scene == drapery.garments.scene(None, ["coat", "tube", "cape"])
     assert scene != drapery.garments.scene(None, ["tube", "coat", "cape"])
-    betas = np.linspace(-1.0, 1.0, drapery.body.shape_count)
-    motions = [
-        PoseInput(POSES[i : i + 1], np.zeros((1, 3)), shape, push=push)
-        for i, shape, push in ((0, betas, True), (1, 0.0 * betas, False), (1, betas, True))
-    ]
-    together = drapery.compute(scene, motions)
-    assert together.vertices.shape[1] == scene.vertex_count
-    for i, motion in enumerate(motions):
-        alone = drapery.compute(scene, [motion])
-        assert_allclose(alone.vertices[0], together.vertices[i], rtol=0, atol=1e-6)
-        assert_allclose(alone.push_max_m[0], together.push_max_m[i], rtol=0, atol=1e-6)
-        assert (alone.push_max_m[0] > 0.0) == motion.push
     drapery.close()
 
 
@@ -190,12 +178,6 @@ def test_what_a_registry_refuses(outfit_settings: Settings):
     drapery.close()
 
 
-def added(pusher: Pusher, *garments: Garment) -> Pusher:
-    for whole in garments:
-        pusher.add(whole.digest, garment_feed(whole), whole.vertices[: whole.vertex_count], whole.faces)
-    return pusher
-
-
 def test_constants_of_outfits_are_kept_and_bounded(tiny_folder: Path, tube: Garment, monkeypatch):
     pusher = added(Pusher(Engine(tiny_folder / "models" / TINY), load_body()), tube, replace(tube, digest="b"))
     first = pusher._layer((tube.digest, "b"))
@@ -206,18 +188,3 @@ def test_constants_of_outfits_are_kept_and_bounded(tiny_folder: Path, tube: Garm
     assert list(pusher._layers) == [("b", tube.digest)] and KEPT_OUTFITS > 1
     with pytest.raises(NotFound, match="hat"):
         pusher.prepare((tube.digest, "hat"))
-
-
-@pytest.mark.slow
-def test_graph_and_numpy_push_over_alike():
-    body, inner, outer = load_body(), garment("tank"), garment("shorts")
-    engine = Engine(exported()[1])
-    assert engine.pushes_over
-    by_graph, by_numpy = (added(Pusher(engine, body), inner, outer) for _ in range(2))
-    by_numpy._over_in_graph = False
-    keys, betas = (inner.digest, outer.digest), np.linspace(-1.0, 1.0, 10)
-    under, vertices = drawn(inner, POSES, betas), drawn(outer, POSES, betas)
-    pushed, way = by_graph.push_over(keys, vertices, under, POSES, betas, 0.0025)
-    assert way.max() > 1e-3, "must push for the test to mean something"
-    expected, _ = by_numpy.push_over(keys, vertices, under, POSES, betas, 0.0025)
-    assert_allclose(pushed, expected, rtol=0, atol=2e-5)

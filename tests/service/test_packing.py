@@ -17,22 +17,23 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.artifacts import load_manifest
 from drape.body.assets import load_body
-from drape.body.model import BodyModel
 from drape.errors import ArtifactError, InputError, NotFound
-from drape.garment.cache import save_garment
 from drape.graph.feeds import body_feed, garment_feed
 from drape.graph.packing import TANGENTS, pack_body, pass_name
 from drape.push.skin import body_skin, skin_table
+from drape.wire.options import DrapeOptions
 from model_export.graph import DrapeGraph, drape_inputs
 from model_export.parity import hard_poses
-from service.drapery import Drapery, PoseInput
+from service.drapery import Drapery
 from service.engine import PACKED, Engine
 from service.packing import SHAPE_INDEX, STORED_INDEX, Packer, ScenePlan
 from service.runtime import Device
+from service.stages import run
+from service.stages.batch import PoseInput
 from service.subgraph import cut
 from tests.fixtures.packed import KINDS, exported, garment
 from tests.fixtures.poses import random_motion
-from tests.fixtures.tiny_model import TINY, tube_garment
+from tests.fixtures.tiny_model import expected_vertices, tube_garment
 from training.model import OneFit
 
 pytestmark = pytest.mark.slow
@@ -65,16 +66,13 @@ def packer() -> Packer:
 
 
 def test_it_drapes_as_the_readable_graph(packer: Packer):
-    body, engine = load_body(), Engine(exported()[1])
+    body = load_body()
     poses, _ = random_motion(3, seed=2)
     betas = np.linspace(-1.0, 1.0, body.shape_count)
-    rows = pack_body(body, betas).rows(poses)
+    rows, root = pack_body(body, betas).rows(poses), body.rest_joints(betas)[0]
     items = [("shorts", 1), ("tank", 2), ("shorts", 0)]
-    feed = body_feed(body, poses, np.zeros((3, 3)), betas, skin=True)
     for (kind, row), result in zip(items, packer.run(ScenePlan(), rows, items), strict=True):
-        one = {name: value[row : row + 1] for name, value in feed.arrays.items()}
-        embedding = engine.embed(garment(kind).patch_features)
-        want = engine.drape({**one, **garment_feed(garment(kind), body=load_body()), "patch_embedding": embedding})[0]
+        want = expected_vertices(body, garment(kind), poses[row : row + 1], np.zeros((1, 3)), betas)[0] - root
         assert result.finite
         assert_allclose(result.arrays["vertices"], want, rtol=0, atol=1e-5)
 
@@ -95,7 +93,8 @@ def test_all_passes_are_the_default_and_fewer_are_the_readable_network_with_fewe
         found = packer.run(ScenePlan(passes=passes), rows, items)
         for (kind, row), result, before in zip(items, found, whole, strict=True):
             one = {name: value[row : row + 1] for name, value in feed.arrays.items()}
-            embedding = Engine(folder).embed(garment(kind).patch_features)
+            with torch.no_grad():
+                embedding = model.garment(torch.from_numpy(garment(kind).patch_features)).numpy()
             arrays = {**one, **garment_feed(garment(kind), body=body), "patch_embedding": embedding}
             with torch.no_grad():
                 taken = {spec.name: torch.from_numpy(arrays[spec.name]) for spec in drape_inputs(model)}
@@ -169,7 +168,9 @@ def kernels(plan: ScenePlan, alone: bool, folder: Path) -> list[str]:
     options.add_session_config_entry(WEIGHTS_FOLDER, str(exported()[1]))
     session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
     packer = make_packer()
-    packer._sessions[plan, direct_of(alone)] = _Recorded(session)  # type: ignore[assignment]
+    engine = packer._engine
+    key = PACKED, plan.outputs, direct_of(alone), plan.passes, ()
+    engine._opened[key] = _Recorded(session)  # type: ignore[assignment]
     rows = pack_body(load_body()).rows(np.zeros((1, 24, 3)))
     packer.run(plan, rows, [("tank", 0)] if alone else [("tank", 0), ("shorts", 0)])
     events = json.loads(Path(session.end_profiling()).read_text())
@@ -310,7 +311,8 @@ def test_what_is_not_finite_is_told_of_its_own_item(bodies):
 def test_warm_up_opens_the_sessions_of_a_plan(bodies):
     packer = make_packer()
     packer.warm_up(ScenePlan("jets"), bodies)
-    assert set(packer._sessions) == {(ScenePlan("jets"), direct_of(alone)) for alone in (True, False)}
+    opened = {key[1:3] for key in packer._engine._opened if key[0] == PACKED}
+    assert opened == {(ScenePlan("jets").outputs, direct_of(alone)) for alone in (True, False)}
     Packer(Engine(exported()[1]), load_body()).warm_up(ScenePlan(), bodies)  # nothing in store, nothing to run
 
 
@@ -338,14 +340,6 @@ def test_plans_that_make_no_sense_are_refused():
         ScenePlan("jets", normals=True)
 
 
-def test_a_model_without_the_packed_graph_is_refused(tiny_folder: Path, body: BodyModel):
-    engine = Engine(tiny_folder / "models" / TINY)
-    assert not engine.packs
-    assert Engine(exported()[1]).packs
-    with pytest.raises(ArtifactError, match="a graph 'packed' and an encoder with 'patch_first'"):
-        Packer(engine, load_body()).add("tube", tube_garment(body))
-
-
 def test_a_manifest_with_other_tensors_is_refused(tmp_path: Path):
     folder = Path(shutil.copytree(exported()[1], tmp_path / "small"))
     manifest = load_manifest(folder)
@@ -359,40 +353,14 @@ def test_a_manifest_with_other_tensors_is_refused(tmp_path: Path):
         packer.warm_up(ScenePlan(), pack_body(load_body()).rows(np.zeros((1, 24, 3))))
 
 
-def test_the_service_drapes_through_it_with_the_same_numbers(make_settings, tmp_path: Path):
-    """A clip and two clients by the packed graph, and by a service whose model has none."""
-    models = tmp_path / "models"
-    shutil.copytree(exported()[1], models / "small")
-    shutil.copytree(exported()[1], models / "plain")
-    manifest = load_manifest(models / "plain")
-    graphs = {key: spec for key, spec in manifest.graphs.items() if key != PACKED}
-    (models / "plain" / "manifest.json").write_text(replace(manifest, graphs=graphs).to_json())
-    shirts = tmp_path / "shirts"
-    for kind in KINDS:
-        save_garment(garment(kind), shirts)
-    poses, trans = random_motion(3, seed=8)
-    bent = np.linspace(-1.0, 1.0, load_body().shape_count)
-    inputs = [PoseInput(poses[:2], trans[:2], 0.0 * bent, push=False), PoseInput(poses[2:], trans[2:], bent, push=True)]
-    draped = []
-    for model in ("small", "plain"):
-        drapery = Drapery(make_settings(models_dir=models, model=model, shipped_garments_dir=shirts))
-        assert (drapery.packer is not None) == (model == "small")
-        draped.append(drapery.compute(drapery.garments.get("tank"), inputs))
-        drapery.close()
-    assert_allclose(draped[0].vertices, draped[1].vertices, rtol=0, atol=2e-5)
-    assert_allclose(draped[0].root, draped[1].root, rtol=0, atol=1e-12)
-    assert_array_equal(draped[0].pushed_share[:2], 0.0)
-
-
-def test_the_service_refuses_what_is_not_finite(make_settings, tmp_path: Path):
-    shutil.copytree(exported()[1], tmp_path / "small")
-    save_garment(garment("tank"), tmp_path / "shirts")
-    drapery = Drapery(make_settings(models_dir=tmp_path, model="small", shipped_garments_dir=tmp_path / "shirts"))
-    entry = drapery.garments.get("tank")
+def test_the_service_refuses_what_is_not_finite(make_settings):
+    drapery = Drapery(make_settings())
+    entry = drapery.garments.get("tube")
     broken = replace(entry.garment, patch_features=np.full_like(entry.garment.patch_features, np.nan))
-    assert drapery.packer is not None
-    drapery.packer.add(entry.garment.digest, broken)
-    rest = PoseInput(np.zeros((1, 24, 3)), np.zeros((1, 3)), np.zeros(load_body().shape_count), push=False)
-    with pytest.raises(ArtifactError, match="small vertices: expected finite numbers"):
-        drapery.compute(entry, [rest])
+    plan = drapery.plan(entry, DrapeOptions())
+    for stage in drapery.stages:
+        stage.add(broken, garment_feed(broken, body=drapery.body))
+    rest = PoseInput(np.zeros((1, 24, 3)), np.zeros((1, 3)), np.zeros(drapery.body.shape_count), np.zeros(1))
+    with pytest.raises(ArtifactError, match="tiny vertices: expected finite numbers"):
+        run(plan, [rest])
     drapery.close()

@@ -11,6 +11,7 @@ import pytest
 
 from drape.errors import InputError
 from drape.wire import messages as wire
+from drape.wire.options import DrapeOptions
 from service.drapery import Drapery
 from service.sessions import Session, Streams
 from service.settings import Settings
@@ -20,9 +21,9 @@ REST = np.zeros((24, 3))
 
 def test_one_bad_pose_does_not_fail_its_batch(make_settings: Callable[..., Settings]):
     drapery = Drapery(make_settings())
-    entry = drapery.garments.get("tube")
+    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions(push_out=False), messages=True)
     streams = Streams(drapery)
-    sessions = [Session(entry, np.zeros(10), push=False, credit=2) for _ in range(3)]
+    sessions = [Session(plan, np.zeros(10), credit=2) for _ in range(3)]
     poses = [REST, np.full((24, 3), np.nan), REST]
     for i, (session, pose) in enumerate(zip(sessions, poses, strict=True)):
         session.put(wire.Pose(i, 0.0, np.zeros(3), pose))
@@ -39,12 +40,13 @@ def test_one_bad_pose_does_not_fail_its_batch(make_settings: Callable[..., Setti
     drapery.close()
 
 
-def test_the_longest_waiting_garment_goes_first_with_all_that_wait_for_it(make_settings: Callable[..., Settings]):
+def test_the_longest_waiting_pose_goes_first_with_all_of_its_plan(make_settings: Callable[..., Settings]):
     drapery = Drapery(make_settings(chunk_frames=2))
     tube = drapery.garments.get("tube")
-    other = type(tube)("other", tube.garment, tube.source, tube.feed)
+    other = type(tube)("other", tube.garment, tube.source)
     streams = Streams(drapery)
-    sessions = [Session(entry, np.zeros(10), push=False, credit=1) for entry in (other, tube, other, other)]
+    plans = [drapery.plan(entry, DrapeOptions(), messages=True) for entry in (other, tube, other, other)]
+    sessions = [Session(plan, np.zeros(10), credit=1) for plan in plans]
     for session in (sessions[2], sessions[1], sessions[0], sessions[3]):
         session.put(wire.Pose(0, 0.0, np.zeros(3), REST))
         streams.add(session)
@@ -58,7 +60,7 @@ def test_the_longest_waiting_garment_goes_first_with_all_that_wait_for_it(make_s
 
 def test_an_acknowledgement_that_was_not_earned_is_refused(make_settings: Callable[..., Settings]):
     drapery = Drapery(make_settings())
-    session = Session(drapery.garments.get("tube"), np.zeros(10), push=False, credit=1)
+    session = Session(drapery.plan(drapery.garments.get("tube"), DrapeOptions()), np.zeros(10), credit=1)
     with pytest.raises(InputError, match="ack message"):
         session.acknowledge(0)
     drapery.close()

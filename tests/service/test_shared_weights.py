@@ -77,7 +77,7 @@ def test_a_folder_without_shared_weights_gives_the_same_bits(folder: Path):
     alone, shared = Engine(folder), Engine(MODELS_DIR / "onefit")
     assert load_manifest(folder).weights is None
     features = np.random.default_rng(4).normal(size=(5, int(manifest.graphs[ENCODER].inputs[0].shape[-1])))
-    same([alone.embed(features)], [shared.embed(features)])
+    same([alone.first(features)], [shared.first(features)])
     same(jets(alone), jets(shared))
 
 

@@ -1,18 +1,23 @@
-"""What the service remembers of a moving body, and how a frame moves it on.
+"""How a moving body swings its cloth: what is remembered of it, how a frame moves that on, and the code that it gives.
 
-The memory belongs to the client and not to a garment: all that hangs on a body swings with the
-same motion. It is never changed in place, so a frame that fails leaves the one before it.
+What is remembered belongs to the body and not to a garment: all that hangs on a body swings with the same motion.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from drape.body.features import Kinematics, motion_features
+from drape.body.model import BodyModel
+from drape.graph.feeds import kinematics
+from drape.wire.options import DrapeOptions
 from service.engine import Engine
+from service.settings import Settings
+from service.stages.batch import BODY, Batch, Plan, Stage
 
 STEP_LIMIT_S = 0.25
 """After a longer pause the cloth hangs still again, and motion is measured anew."""
@@ -38,10 +43,44 @@ class Memory:
     state: np.ndarray
     code: np.ndarray
 
+    @staticmethod
+    def empty(engine: Engine) -> Memory:
+        """The memory of a body that has not been seen yet: no motion, the static drape."""
+        return Memory((), np.zeros(engine.state_size, np.float32), np.zeros(engine.code_size, np.float32))
 
-def nothing(engine: Engine) -> Memory:
-    """The memory of a body that has not been seen yet: no motion, the static drape."""
-    return Memory((), np.zeros(engine.state_size, np.float32), np.zeros(engine.code_size, np.float32))
+
+class Motion(Stage):
+    """Gives every frame the code of its body's motion, times the knob."""
+
+    name = "motion"
+    key = (name, BODY)
+
+    def __init__(self, engine: Engine, body: BodyModel, settings: Settings) -> None:
+        super().__init__(engine, body, settings)
+        if engine.dynamic:  # so that the first request does not pay for lazy set-up
+            engine.advance(np.zeros((1, 24, 12)), Memory.empty(engine).state[None], np.array([1.0 / 30.0]))
+
+    def resolve(self, options: DrapeOptions) -> dict[str, Any]:
+        knob = 1.0 if options.knob is None else options.knob
+        return {"knob": knob if self.engine.dynamic else 0.0}
+
+    def wanted(self, plan: Plan) -> bool:
+        return bool(plan.options.knob)
+
+    def run(self, batch: Batch) -> Batch:
+        """Frame by frame, since each needs the state after the one before; the inputs of a frame go together."""
+        knob = np.float32(batch.plan.options.knob)
+        memories = [memory or Memory.empty(self.engine) for memory in batch.remembered(self.key)]
+        bodies = [kinematics(self.body, one.poses, one.trans, one.betas) for one in batch.inputs]
+        codes = [np.zeros((len(one.poses), self.engine.code_size), np.float32) for one in batch.inputs]
+        for frame in range(max(len(one.poses) for one in batch.inputs)):
+            rows = [i for i, one in enumerate(batch.inputs) if frame < len(one.poses)]
+            moments = [Moment(float(batch.inputs[i].times_s[frame]), bodies[i][frame]) for i in rows]
+            after = advance(self.engine, [memories[i] for i in rows], moments)
+            for i, memory in zip(rows, after, strict=True):
+                memories[i] = memory
+                codes[i][frame] = knob * memory.code
+        return replace(batch, codes=np.concatenate(codes)).remember(self.key, memories)
 
 
 def advance(engine: Engine, memories: Sequence[Memory], moments: Sequence[Moment]) -> list[Memory]:
@@ -75,7 +114,7 @@ def _seen(engine: Engine, memory: Memory, moment: Moment) -> Memory:
             fastest_m_s = np.linalg.norm(moment.at.joints - last.at.joints, axis=-1).max() / max(dt_s, SHORTEST_STEP_S)
             if fastest_m_s <= JUMP_M_S:
                 return replace(memory, moments=(moment, *memory.moments))
-    return replace(nothing(engine), moments=(moment,))
+    return replace(Memory.empty(engine), moments=(moment,))
 
 
 def _stacked(bodies: Sequence[Kinematics]) -> Kinematics:

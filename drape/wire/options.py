@@ -1,0 +1,68 @@
+"""What a client chooses of a drape, written once: REST, stream, Python client, command line and page read this.
+
+A new option is a field here and the stage of the service that reads it. Left out, or null, an option is the service's
+own setting; older clients keep working.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Identifier = Annotated[str, Field(min_length=1, max_length=120)]
+Geometry = Literal["vertices", "jets"]
+
+
+class Worn(BaseModel):
+    """What is draped: one garment, or several over each other."""
+
+    garment: Identifier | None = None
+    garments: list[Identifier] | None = Field(
+        default=None,
+        min_length=1,
+        description="Instead of garment: several worn over each other, the innermost first.",
+    )
+
+
+class DrapeOptions(BaseModel):
+    """How it is draped. Names are those of Python; an alias is the name on the wire."""
+
+    model_config = ConfigDict(frozen=True)
+
+    push_out: bool | None = Field(
+        default=None, description="Push vertices out of the body; the service's setting if left out."
+    )
+    knob: float | None = Field(
+        default=None,
+        alias="motion",
+        ge=0.0,
+        le=1.0,
+        allow_inf_nan=False,
+        description="How much the cloth follows motion: 0 as if at rest, 1 (default) in full. A static model has 0.",
+    )
+    passes: int | None = Field(
+        default=None,
+        ge=0,
+        le=64,
+        strict=True,
+        description="How many corrections of the network run: fewer are faster; the service's setting if left out.",
+    )
+    geometry: Geometry = Field(
+        default="vertices",
+        description="What comes: vertices, or the posed jets of the patches, for GET /garments/{id}/jets.",
+    )
+
+
+def options_document(options: Mapping[str, Any]) -> dict[str, Any]:
+    """How a request says the ``options`` that were chosen, by their names in Python; None is left to the service.
+
+    Raises ``TypeError`` for one that there is not, as Python does for an argument.
+    """
+    unknown = options.keys() - DrapeOptions.model_fields.keys()
+    if unknown:
+        known = ", ".join(DrapeOptions.model_fields)
+        raise TypeError(f"no such option: {', '.join(sorted(unknown))}; there are {known}")
+    names = {name: field.alias or name for name, field in DrapeOptions.model_fields.items()}
+    return {names[name]: value for name, value in options.items() if value is not None}

@@ -1,0 +1,65 @@
+"""The road of a frame: its stages in order, and which of them a plan takes.
+
+A new stage is a file here, a line in ``STAGES``, and a field of ``drape.wire.options`` where clients choose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from drape.body.model import BodyModel
+from drape.wire.options import DrapeOptions
+from service.engine import Engine
+from service.settings import Settings
+from service.stages.batch import BODY, Batch, Memories, Plan, PoseInput, Stage
+from service.stages.collision import Collision
+from service.stages.encode import Encode
+from service.stages.motion import Motion
+from service.stages.network import Network
+
+if TYPE_CHECKING:
+    from service.garments import Scene
+
+STAGES: tuple[type[Stage], ...] = (Motion, Network, Collision, Encode)
+
+
+def make_stages(engine: Engine, body: BodyModel, settings: Settings) -> tuple[Stage, ...]:
+    """All stages of a service, in order."""
+    return tuple(stage(engine, body, settings) for stage in STAGES)
+
+
+def make_plan(stages: Sequence[Stage], scene: Scene, options: DrapeOptions, *, messages: bool = False) -> Plan:
+    """What ``options`` come to for ``scene``: their values, the stages that they take, and what these need.
+
+    Refuses (``InputError``) what the model cannot do.
+    """
+    chosen = {name: getattr(options, name) for name in DrapeOptions.model_fields}
+    for stage in stages:
+        chosen |= stage.resolve(options)
+    plan = Plan(scene, DrapeOptions().model_copy(update=chosen), messages)
+    taken = tuple(stage for stage in stages if stage.wanted(plan))
+    needs = frozenset({plan.options.geometry}).union(*(stage.needs(plan) for stage in taken))
+    return replace(plan, stages=taken, needs=needs)
+
+
+def run(plan: Plan, inputs: Sequence[PoseInput]) -> Batch:
+    """All frames of ``inputs``, which may differ in shape, through the stages of ``plan``."""
+    batch = Batch.of(plan, inputs)
+    for stage in plan.stages:
+        batch = stage.run(batch)
+    return batch
+
+
+def carried(memories: Memories, before: Plan, after: Plan) -> Memories:
+    """What of ``memories`` still holds once the plan ``before`` has become ``after``: that of stages which go on, on
+    the same options, and of the body or of garments that are worn on."""
+    old = {stage.name: stage.depends_on(before) for stage in before.stages}
+    new = {stage.name: stage.depends_on(after) for stage in after.stages}
+    owners = {BODY, *after.keys}
+    return {
+        (stage, owner): memory
+        for (stage, owner), memory in memories.items()
+        if owner in owners and stage in new and old[stage] == new[stage]
+    }

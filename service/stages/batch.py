@@ -1,0 +1,242 @@
+"""What the stages hand on: a plan, the posed inputs of several clients and frames, and what has been made of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.garment.cache import Garment
+from drape.wire.options import DrapeOptions
+from service.engine import Engine
+from service.settings import Settings
+
+if TYPE_CHECKING:
+    from service.garments import Scene
+
+BODY = ""  # the owner of what is remembered of a body, where others are garments by their digest
+Memories = Mapping[tuple[str, str], Any]  # by stage and owner; values are never changed in place
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is draped and how, nothing left open: frames of equal plans are computed together.
+
+    ``stages`` are those that the plan takes, in their order, and ``needs`` what of "vertices", "jets" and "skin" they
+    and the answer read: the network makes nothing else. ``messages``: frames leave as messages of the wire.
+    """
+
+    scene: Scene
+    options: DrapeOptions
+    messages: bool = False
+    stages: tuple[Stage, ...] = ()
+    needs: frozenset[str] = frozenset()
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Digests of the garments, the innermost first."""
+        return tuple(entry.garment.digest for entry in self.scene.layers)
+
+
+@dataclass(frozen=True, eq=False)
+class PoseInput:
+    """Checked poses (F, 24, 3) [rad], translations (F, 3) [m] and the shape (S,) of one client's body.
+
+    ``times_s`` (F,): its clock; ``memories``: what the stages keep of the frames before. ``sequence`` is the first
+    frame's; ``dropped`` and ``arrived_s`` (monotonic, None where nobody waits) go into the header of its message.
+    """
+
+    poses: np.ndarray
+    trans: np.ndarray
+    betas: np.ndarray
+    times_s: np.ndarray
+    memories: Memories = field(default_factory=dict)
+    sequence: int = 0
+    dropped: int = 0
+    arrived_s: float | None = None
+
+    def part(self, rows: slice, memories: Memories) -> PoseInput:
+        """The frames ``rows``, after what ``memories`` hold."""
+        return replace(
+            self,
+            poses=self.poses[rows],
+            trans=self.trans[rows],
+            times_s=self.times_s[rows],
+            memories=memories,
+            sequence=self.sequence + rows.start,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Jets:
+    """Posed patches of F frames: ``jet`` (F, K, 45), ``rotation`` (F, K, 3, 3) and ``centre`` [m] (F, K, 3) float32."""
+
+    jet: np.ndarray
+    rotation: np.ndarray
+    centre: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """All frames of one garment relative to the roots: vertices [m] (F, V, 3) float32 or jets or both, as needed."""
+
+    vertices: np.ndarray | None = None
+    jets: Jets | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Quality:
+    """What the collision projection did to each frame (F,).
+
+    The share of vertices that it moved, the furthest way of one [m], and the longest way [m] that a vertex made of the
+    jets lacks to it.
+    """
+
+    pushed_share: np.ndarray
+    push_max_m: np.ndarray
+    left_m: np.ndarray
+
+    @staticmethod
+    def untouched(frames: int) -> Quality:
+        return Quality(*(np.zeros(frames) for _ in range(3)))
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Frames of several clients under one plan, one input's after the other, and what the stages have made so far.
+
+    ``memories`` of each input, after its frames; ``codes`` (F, C) of a moving body; ``skin`` (F, R, 12, 8) posed, where
+    a stage needs it; ``layers`` of the garments; ``root`` [m] (F, 3) float64; ``messages`` of the frames.
+    """
+
+    plan: Plan
+    inputs: tuple[PoseInput, ...]
+    memories: tuple[Memories, ...]
+    quality: Quality
+    codes: np.ndarray | None = None
+    skin: np.ndarray | None = None
+    layers: tuple[Layer, ...] = ()
+    root: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    messages: tuple[bytes, ...] = ()
+
+    @staticmethod
+    def of(plan: Plan, inputs: Sequence[PoseInput]) -> Batch:
+        """The batch before its first stage."""
+        frames = sum(len(one.poses) for one in inputs)
+        return Batch(plan, tuple(inputs), tuple(one.memories for one in inputs), Quality.untouched(frames))
+
+    @staticmethod
+    def of_parts(clip: PoseInput, parts: Sequence[Batch]) -> Batch:
+        """The batch of ``clip`` from those of its parts, one after the other."""
+        if len(parts) == 1:
+            return parts[0]
+        layers = [_whole(together) for together in zip(*(part.layers for part in parts), strict=True)]
+        return replace(
+            parts[-1],
+            inputs=(clip,),
+            quality=_whole([part.quality for part in parts]),
+            layers=tuple(layers),
+            root=np.concatenate([part.root for part in parts]),
+            messages=tuple(message for part in parts for message in part.messages),
+        )
+
+    def answer(self) -> Batch:
+        """The batch without what only stages read."""
+        return replace(self, codes=None, skin=None)
+
+    def rows(self) -> Iterator[tuple[PoseInput, slice]]:
+        """Each input with its rows of the frames."""
+        start = 0
+        for one in self.inputs:
+            yield one, slice(start, start + len(one.poses))
+            start += len(one.poses)
+
+    def remembered(self, key: tuple[str, str]) -> list[Any]:
+        """What each input's memories hold under ``key``, None where nothing."""
+        return [memories.get(key) for memories in self.memories]
+
+    def remember(self, key: tuple[str, str], values: Sequence[Any]) -> Batch:
+        """The batch with ``values``, one of each input, in the memories under ``key``."""
+        after = ({**memories, key: value} for memories, value in zip(self.memories, values, strict=True))
+        return replace(self, memories=tuple(after))
+
+    @property
+    def vertices(self) -> np.ndarray:
+        """Vertices [m] (F, V, 3) relative to the root, one layer's after the other."""
+        return joined([layer.vertices for layer in self.layers])
+
+    @property
+    def jets(self) -> Jets:
+        """Posed patches, one layer's after the other."""
+        jets = [layer.jets for layer in self.layers if layer.jets is not None]
+        return Jets(*(joined([getattr(one, name) for one in jets]) for name in ("jet", "rotation", "centre")))
+
+    def world(self) -> np.ndarray:
+        """World positions [m] (F, V, 3) float32."""
+        return (self.vertices + self.root[:, None, :]).astype(np.float32)
+
+
+def joined(parts: Sequence[np.ndarray | None], axis: int = 1) -> np.ndarray:
+    """``parts`` one after the other; one alone is itself."""
+    arrays = [part for part in parts if part is not None]
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays, axis=axis)
+
+
+def _whole(parts: Sequence[Any]) -> Any:
+    """``parts`` of one kind, with arrays of frames, one after the other."""
+    if parts[0] is None:
+        return None
+    if isinstance(parts[0], np.ndarray):
+        return np.concatenate(parts)
+    names = [item.name for item in fields(parts[0])]
+    return type(parts[0])(**{name: _whole([getattr(part, name) for part in parts]) for name in names})
+
+
+class Stage:
+    """One step on the road of a frame, made once per service; ``service.stages.STAGES`` names them in order.
+
+    A stage holds its constants of garments (``add``, ``prepare``) and keeps what it remembers of a stream or clip in
+    the batch's memories, under its name and the garment's digest or ``BODY``.
+    """
+
+    name: ClassVar[str]
+
+    def __init__(self, engine: Engine, body: BodyModel, settings: Settings) -> None:
+        self.engine, self.body, self.settings = engine, body, settings
+
+    def resolve(self, options: DrapeOptions) -> dict[str, Any]:
+        """Options that this stage reads, by name, with the values that hold where clients left them open.
+
+        Refuses (``InputError``) what the model cannot do.
+        """
+        return {}
+
+    def wanted(self, plan: Plan) -> bool:
+        """Whether frames of ``plan`` take this stage."""
+        return True
+
+    def needs(self, plan: Plan) -> frozenset[str]:
+        """What of "vertices", "jets" and "skin" it reads of the network's drape."""
+        return frozenset()
+
+    def depends_on(self, plan: Plan) -> object:
+        """What of the options its memories hold for: where it changes they are forgotten."""
+        return None
+
+    def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
+        """Takes in the constants of ``garment``, whose ``garment_feed`` is ``feed``."""
+
+    def prepare(self, plan: Plan) -> None:
+        """Makes what the frames of ``plan`` need and takes long; called from any thread."""
+
+    @property
+    def held_bytes(self) -> int:
+        """Memory of its constants where the graphs compute."""
+        return 0
+
+    def run(self, batch: Batch) -> Batch:
+        """``batch`` with what this stage makes of it."""
+        raise NotImplementedError

@@ -1,0 +1,73 @@
+"""The collision projection (the push-out): every garment out of the body and of the garments below it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.garment.cache import Garment
+from drape.wire.options import DrapeOptions
+from service.engine import SKIN, Engine
+from service.push import PosedJets, Pushed, Pusher
+from service.settings import Settings
+from service.stages.batch import Batch, Layer, Plan, Quality, Stage, joined
+
+MOVED_M = 1e-4  # a vertex pushed less than this counts as left alone
+
+
+class Collision(Stage):
+    """Pushes the layers, the innermost first, and in their jets where these are what is asked for."""
+
+    name = "collision"
+
+    def __init__(self, engine: Engine, body: BodyModel, settings: Settings) -> None:
+        super().__init__(engine, body, settings)
+        self.pusher = Pusher(engine, body, settings.clearance_m)
+
+    def resolve(self, options: DrapeOptions) -> dict[str, Any]:
+        return {"push_out": self.settings.push_out if options.push_out is None else options.push_out}
+
+    def wanted(self, plan: Plan) -> bool:
+        return bool(plan.options.push_out)
+
+    def needs(self, plan: Plan) -> frozenset[str]:
+        return frozenset({"vertices", SKIN})
+
+    def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
+        self.pusher.add(garment.digest, feed, garment.vertices[: garment.vertex_count], garment.faces)
+
+    def prepare(self, plan: Plan) -> None:
+        self.pusher.prepare(plan.keys)
+
+    @property
+    def held_bytes(self) -> int:
+        return self.pusher.held_bytes
+
+    def run(self, batch: Batch) -> Batch:
+        layers: list[Layer] = []
+        ways, left = [], []
+        for count in range(1, len(batch.layers) + 1):
+            under = joined([layer.vertices for layer in layers]) if layers else None
+            parts = [self._pushed(batch, count, under, rows) for _, rows in batch.rows()]
+            before = batch.layers[count - 1].jets
+            held = None if before is None else replace(before, jet=joined([part.jet for part in parts], axis=0))
+            layers.append(Layer(joined([part.vertices for part in parts], axis=0), held))
+            ways.append(joined([part.way_m for part in parts], axis=0))
+            if held is not None:
+                left.append(joined([part.left_m for part in parts], axis=0))
+        way = joined(ways)
+        share, furthest = (way > MOVED_M).mean(axis=1), way.max(axis=1)
+        quality = Quality(share, furthest, np.max(left, axis=0) if left else batch.quality.left_m)
+        return replace(batch, layers=tuple(layers), quality=quality)
+
+    def _pushed(self, batch: Batch, count: int, under: np.ndarray | None, rows: slice) -> Pushed:
+        """The frames ``rows`` of the layer ``count - 1``, one body's: as many frames as it has alone."""
+        layer = batch.layers[count - 1]
+        assert layer.vertices is not None and batch.skin is not None
+        posed = None if layer.jets is None else PosedJets(layer.jets.jet[rows], layer.jets.rotation[rows])
+        below = None if under is None else under[rows]
+        keys = batch.plan.keys[:count]
+        return self.pusher.push(keys, layer.vertices[rows], batch.skin[rows], under=below, posed=posed)

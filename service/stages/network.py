@@ -1,0 +1,90 @@
+"""The network's drape of every garment: poses and codes in, vertices or posed jets out, through the packed graph."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.garment.cache import Garment
+from drape.geometry import jets
+from drape.graph.packing import pack_body
+from drape.push.skin import posed_table
+from drape.wire.options import DrapeOptions
+from service.engine import JETS, SKIN, Engine, check_finite
+from service.packing import Packer, Result, ScenePlan, Shape
+from service.settings import Settings
+from service.stages.batch import Batch, Jets, Layer, Stage
+
+SHAPES: dict[frozenset[str], Shape] = {
+    frozenset({"vertices"}): "vertices",
+    frozenset({"jets"}): "jets",
+    frozenset({"vertices", "jets"}): "both",
+}
+
+
+class Network(Stage):
+    """Drapes all frames of all garments in one call of the packed graph, of no more than the plan needs.
+
+    The posed skin has one provider: that graph, by bones; or the body itself, where it has pose blend shapes.
+    """
+
+    name = "network"
+
+    def __init__(self, engine: Engine, body: BodyModel, settings: Settings) -> None:
+        super().__init__(engine, body, settings)
+        self.packer = Packer(engine, body)
+        self._skin_in_graph = engine.feels_body and body.posedirs is None
+
+    def resolve(self, options: DrapeOptions) -> dict[str, Any]:
+        asked = options.passes
+        return {"passes": self.engine.check_passes(self.settings.passes if asked is None else asked)}
+
+    def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
+        self.packer.add(garment.digest, garment, feed)
+
+    @property
+    def held_bytes(self) -> int:
+        return self.packer.store.bytes
+
+    def run(self, batch: Batch) -> Batch:
+        plan, needs = batch.plan, batch.plan.needs
+        shapes = [pack_body(self.body, one.betas) for one in batch.inputs]
+        parts = [shape.rows(one.poses) for shape, one in zip(shapes, batch.inputs, strict=True)]
+        bodies = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        root = np.concatenate([one.trans + shape.root for shape, one in zip(shapes, batch.inputs, strict=True)])
+        if batch.codes is not None:
+            bodies["dynamic_code"] = batch.codes
+        skin = None if self._skin_in_graph else self._posed_skin(batch)
+        if skin is not None and self.engine.feels_body:
+            bodies[SKIN] = skin
+        scene = ScenePlan(
+            SHAPES[needs & {"vertices", "jets"}], skin=SKIN in needs and skin is None, passes=plan.options.passes
+        )
+        frames = len(root)
+        items = [(key, frame) for key in plan.keys for frame in range(frames)]
+        results = self.packer.run(scene, bodies, items)
+        check_finite(self.engine, all(result.finite for result in results))
+        if scene.skin:
+            skin = _stacked(results[:frames], SKIN)
+        layers = [_layer(results[i : i + frames], needs) for i in range(0, len(items), frames)]
+        return replace(batch, root=root, skin=skin, layers=tuple(layers))
+
+    def _posed_skin(self, batch: Batch) -> np.ndarray:
+        return np.concatenate([posed_table(self.body, one.poses, one.betas) for one in batch.inputs])
+
+
+def _layer(results: list[Result], needs: frozenset[str]) -> Layer:
+    vertices = _stacked(results, "vertices") if "vertices" in needs else None
+    if "jets" not in needs:
+        return Layer(vertices)
+    jet, rotation, centre = (_stacked(results, name) for name in JETS)
+    return Layer(vertices, Jets(jets.full(jet), rotation, centre))
+
+
+def _stacked(results: list[Result], name: str) -> np.ndarray:
+    """The array ``name`` of all frames; of one frame it is not copied."""
+    arrays = [result.arrays[name] for result in results]
+    return arrays[0][None] if len(arrays) == 1 else np.stack(arrays)
