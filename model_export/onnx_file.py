@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -58,6 +59,7 @@ def write_graph(
         )  # fmt: skip
     assert program is not None
     proto = program.model_proto
+    _settle_lengths(proto.graph, inputs)
     _check_symbolic(proto, inputs, outputs, path.name)
     forget_origin(proto)
     onnx.checker.check_model(proto)
@@ -67,6 +69,25 @@ def write_graph(
 
 def _zeros(shape: tuple[int, ...], dtype: str) -> torch.Tensor:
     return torch.zeros(shape, dtype=getattr(torch, dtype))
+
+
+def _settle_lengths(graph: onnx.GraphProto, inputs: tuple[TensorSpec, ...]) -> None:
+    """Reads the length of every named axis off the smallest input that has it; the exporter takes any of them.
+
+    Vectors of indices apart: a graph that is cut out of this one may do without those, and without large inputs.
+    """
+    specs = {spec.name: spec for spec in inputs}
+    matrices = [spec for spec in inputs if len(spec.shape) > 1 or spec.dtype == "float32"]
+    matrices.sort(key=lambda spec: math.prod(SAMPLE[axis] if isinstance(axis, str) else axis for axis in spec.shape))
+    for node in graph.node:
+        if node.op_type != "Shape" or node.input[0] not in specs:
+            continue
+        read = {attribute.name: attribute for attribute in node.attribute}
+        axis = specs[node.input[0]].shape[read["start"].i]
+        assert isinstance(axis, str) and read["end"].i == read["start"].i + 1
+        source = next((spec for spec in matrices if axis in spec.shape), specs[node.input[0]])
+        place = source.shape.index(axis)
+        node.input[0], read["start"].i, read["end"].i = source.name, place, place + 1
 
 
 def _check_symbolic(

@@ -20,7 +20,6 @@ from drape.geometry import jets
 from drape.graph.inputs import AgreementTensors
 from training.sparse import SparsePair, product
 
-TANGENT_COUNT = 6 * len(strain_points())
 TRACE_SHARE = 0.3  # of the strain's trace in the force: Poisson's effect
 
 

@@ -21,7 +21,7 @@ from benchmarks.speed.setup import timed
 from drape.body.model import BodyModel
 from drape.cloth.material import material
 from drape.cloth.metrics import area_strain_pct, edge_strain_pct
-from drape.garment.agreement import FIT_COUNT, MEMBERS
+from drape.garment.agreement import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.garment.cache import Garment
 from drape.geometry import jets
 from drape.geometry.skinning import skin_points
@@ -30,7 +30,6 @@ from drape.graph.packed import COLUMNS, Indices, PackedBodies, ShapedSkins, Stor
 from drape.graph.packing import PackedGarment, Place, compose, pack_body, pack_garment
 from drape.graph.push_feed import SkinShapes
 from model_export.packed.graph import FirstGraph, PackedGraph
-from training.agreement import TANGENT_COUNT
 from training.model import OneFit
 
 COMPILE_LIMIT_S = 240
@@ -139,7 +138,7 @@ def multiply_adds(model: OneFit, garment: PackedGarment) -> float:
     agreed = (3 * 4 * MEMBERS if graph.based else 0) + passes * 3 * COLUMNS * MEMBERS
     agreed += (passes + graph.based) * (3 * FIT_COUNT * MEMBERS + 9 * FIT_COUNT)
     agreed += graph.closes * (3 * COLUMNS * MEMBERS + 3 * FIT_COUNT * MEMBERS + 9 * FIT_COUNT)
-    per_patch += agreed + passes * 2 * jets.JET_COUNT * TANGENT_COUNT
+    per_patch += agreed + passes * 2 * jets.JET_COUNT * 6 * STRAIN_POINTS
     per_body = sum(p.numel() for p in [*graph.body.parameters(), graph.from_body.weight])
     return per_body + per_patch * garment.patch_count + 3 * garment.stored["tile_positions"].size
 

@@ -51,5 +51,14 @@ def test_it_is_numpys_push_out_and_frames_are_independent(written, case: str):
         assert_array_equal(np.asarray(run.run(["pushed"], one)[0])[0], got[frame])
 
 
+@pytest.mark.parametrize("name", PUSHES)
+def test_lengths_are_read_off_small_inputs_that_a_cut_graph_keeps(written, name: str):
+    """The service gives the posed skin in place of its rows and of rotations."""
+    nodes = onnx.load(str(written[0] / f"{name}.onnx")).graph.node
+    read = {node.input[0] for node in nodes if node.op_type == "Shape"}
+    assert {"bone_translation", "skin_bones"} <= read
+    assert read.isdisjoint({"bone_rotation", "skin_rows", "push_other"})
+
+
 def test_parity_is_measured(written):
     assert 0.0 < push_parity_error(written[0], garment("tank")) < 2e-5
