@@ -1,10 +1,8 @@
-"""What the benchmark of dynamics reads off a motion that is known in closed form."""
+"""What the benchmark of dynamics reads off motions whose answer is known, on a small network of random weights."""
 
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,43 +11,28 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from benchmarks import dynamics as subject
-from benchmarks.network import Network
 from drape.body.assets import load_body
 from drape.cloth.contact import BodyContact
 from drape.cloth.material import material
 from drape.garment.cache import save_garment
 from drape.motion.clip import MotionClip
 from service.engine import Engine
+from tests.benchmarks.quality_setup import tube as tube_garment
+from tests.fixtures.packed import exported, exported_dynamic
 from tests.fixtures.poses import smooth_motion
-from tests.fixtures.tiny_model import (
-    COLUMNS,
-    STATE_DECAY_S,
-    TINY,
-    TINY_DYNAMIC,
-    expected_codes,
-    tube_garment,
-    write_tiny_model,
-)
+from tests.fixtures.tiny_model import COLUMNS, write_tiny_model
 
 FPS = subject.FPS
 
 
 @pytest.fixture(scope="module")
-def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("models")
-    write_tiny_model(folder, load_body())
-    write_tiny_model(folder, load_body(), dynamic=True)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def engine(models: Path) -> Engine:
-    return subject.open_engine(models / TINY_DYNAMIC, load_body(), threads=1)
+def engine() -> Engine:
+    return subject.open_engine(exported_dynamic()[1], load_body(), threads=1)
 
 
 @pytest.fixture(scope="module")
 def tube(engine: Engine) -> subject.Subject:
-    return subject.subject(engine, tube_garment(load_body()), load_body())
+    return subject.subject(engine, tube_garment(), load_body())
 
 
 def clip(frames: int = 40) -> MotionClip:
@@ -69,19 +52,15 @@ def test_the_hem_is_the_lower_border(tube: subject.Subject):
     assert_array_equal(tube.hem, np.arange(COLUMNS))  # the tube's lowest ring
 
 
-def test_the_hem_follows_the_code_and_does_not_rest_where_the_model_does_not(engine: Engine, tube: subject.Subject):
+def test_the_hem_is_told_as_far_as_it_is_from_the_static_drape(engine: Engine, tube: subject.Subject):
     row = subject.stop_row(engine, load_body(), tube, clip())
     held, stop = subject.stopped(clip())
-    times_s = np.arange(held.frame_count) / FPS
-    away = 1e3 * np.linalg.norm(expected_codes(load_body(), held.poses, held.trans, times_s)[stop:], axis=-1)
-    assert_allclose(row["peak_mm"], away.max(), rtol=1e-3, atol=1e-3)
+    moving, static = (subject.drape(engine, load_body(), tube, held, motion=knob)[stop:] for knob in (1.0, 0.0))
+    away = 1e3 * np.linalg.norm((moving - static)[:, tube.hem], axis=-1).mean(axis=1)
+    assert away[0] > 0.1
+    assert_allclose(row["peak_mm"], away.max(), rtol=1e-4, atol=0)
     for after_s in subject.AFTER_S:
-        assert_allclose(row[f"{after_s:g}s"], away[round(after_s * FPS)], rtol=1e-3, atol=2e-3)
-    assert away.max() > 5.0
-    # The tiny model's state dies away with one time constant, and never quite.
-    reached_s = STATE_DECAY_S * np.log(away[1] / 1.0) + 1 / FPS
-    assert row["millimetre_s"] == pytest.approx(reached_s, abs=2 / FPS)
-    assert row["rest_s"] is None and not row["rests_in_time"] and not row["bits_stay"]
+        assert_allclose(row[f"{after_s:g}s"], away[round(after_s * FPS)], rtol=1e-3, atol=1e-4)
 
 
 def test_a_clip_without_motion_rests_at_once(engine: Engine, tube: subject.Subject):
@@ -109,22 +88,15 @@ def test_the_potential_of_a_body_in_free_fall_is_inertias(engine: Engine, tube: 
     assert row["frames"] == frames - 2
     assert_allclose(row["inertia_static_j"], want, rtol=1e-3, atol=0)
     assert_allclose(row["own_static_j"] - row["energy_static_j"], want, rtol=1e-3, atol=0)
-    # The tiny model shifts the tube as a whole: the code's second difference comes on top.
-    codes = expected_codes(load_body(), pushed.poses, pushed.trans, np.arange(frames) / FPS)
-    second = np.diff(codes, n=2, axis=0) + acceleration / FPS**2
-    moved = 0.5 * mass * FPS**2 * (second**2).sum(axis=1).mean()
-    assert_allclose(row["inertia_dynamic_j"], moved, rtol=1e-3, atol=0)
-    given = 0.5 * mass * FPS**2 * ((acceleration / FPS**2 - 2.0 * codes[1:-1] + codes[:-2]) ** 2).sum(axis=1).mean()
-    assert_allclose(row["given_static_j"] - row["energy_static_j"], given, rtol=1e-3, atol=1e-9)
 
 
-def test_the_whole_prints_a_record(models: Path, tmp_path: Path, capsys):
-    save_garment(tube_garment(load_body()), tmp_path)
+def test_the_whole_prints_a_record(tmp_path: Path, capsys):
+    save_garment(tube_garment(), tmp_path)
     clip().save(tmp_path / "swaying.npz")
     garment = next(tmp_path.glob("tube*.npz"))
     options = [
         "--model",
-        str(models / TINY_DYNAMIC),
+        str(exported_dynamic()[1]),
         "--garments",
         str(garment),
         "--motions",
@@ -137,24 +109,12 @@ def test_the_whole_prints_a_record(models: Path, tmp_path: Path, capsys):
     assert printed[0].split()[:3] == ["garment", "clip", "peak_mm"]
 
 
-def test_a_static_model_is_refused_with_a_sentence(models: Path):
+def test_a_static_model_is_refused_with_a_sentence():
     with pytest.raises(subject.NotDynamic, match="expected a dynamic model, got a static one"):
-        subject.open_engine(models / TINY, load_body(), threads=1)
-    command = [sys.executable, "-m", "benchmarks.dynamics", "--model", "onefit"]
-    root = Path(__file__).resolve().parents[2]
-    if not Engine(root / "assets" / "models" / "onefit").dynamic:
-        done = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=120, check=False)
-        assert done.returncode == subject.STATIC_EXIT
-        assert done.stderr.startswith("model onefit: expected a dynamic model")
+        subject.open_engine(exported()[1], load_body(), threads=1)
 
 
 def test_a_model_of_another_body_is_refused(tmp_path: Path):
     folder = write_tiny_model(tmp_path, replace(load_body(), digest="0" * 64), dynamic=True)
     with pytest.raises(subject.ArtifactError, match="model tiny_dynamic body"):
         subject.open_engine(folder, load_body(), threads=1)
-
-
-def test_quality_measures_a_dynamic_model_at_rest(models: Path):
-    garment, poses = tube_garment(load_body()), smooth_motion(np.arange(3) * 0.3)[0]
-    static, dynamic = (Network(models / name, load_body(), threads=1) for name in (TINY, TINY_DYNAMIC))
-    assert_array_equal(dynamic.drape(garment, poses).vertices, static.drape(garment, poses).vertices)
