@@ -72,7 +72,7 @@ def test_a_shaken_body_shakes_every_drape_alike(measured):
     poses = np.zeros((12, 24, 3))
     poses[::2, 0, 1] = 0.02
     shaken = measured([Window(poses, "shake")])
-    assert_allclose([found.ratio for found in shaken.values()], 1.0, rtol=0.0, atol=2e-3)
+    assert_allclose([found.ratio for found in shaken.values()], 1.0, rtol=0.0, atol=2e-2)
 
 
 def test_without_windows_there_is_no_jitter(measured):

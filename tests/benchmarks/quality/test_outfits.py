@@ -11,6 +11,7 @@ from benchmarks.quality.outfits import inner_out_pct, open_engine, open_outfit
 from drape.body.assets import load_body
 from drape.errors import InputError
 from drape.geometry import meshes
+from service.engine import PUSH_OVER
 from tests.fixtures.packed import exported
 
 
@@ -58,4 +59,4 @@ def test_an_outfit_is_two_garments():
 @pytest.mark.slow
 def test_a_model_that_has_the_graphs_is_used_where_it_lies(tmp_path):
     engine = open_engine(exported()[1], tmp_path, 1)
-    assert engine.pushes_over and not any(tmp_path.iterdir())
+    assert PUSH_OVER in engine.manifest.graphs and not any(tmp_path.iterdir())
