@@ -41,7 +41,7 @@ _SILENT = frozenset(
         "lod",
     }
 )
-_INTEGER = re.compile(r"[+-]?\d+\Z")
+_INTEGER = re.compile(r"[+-]?\d{1,18}\Z")  # more digits are no index, and no int64
 
 
 @dataclass(frozen=True, eq=False)
