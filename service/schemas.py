@@ -11,8 +11,11 @@ from drape.body.skeleton import JOINT_COUNT
 from drape.feeds import BETA_COUNT
 
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
-Vector = Annotated[list[Number], Len(3, 3)]
-PoseRows = Annotated[list[Vector], Len(JOINT_COUNT, JOINT_COUNT)]
+# Every list stops at its first mistake: the answer tells one, and a million of them take seconds to write down.
+FIRST_ONLY = Field(fail_fast=True)
+Vector = Annotated[list[Number], Len(3, 3), FIRST_ONLY]
+PoseRows = Annotated[list[Vector], Len(JOINT_COUNT, JOINT_COUNT), FIRST_ONLY]
+Betas = Annotated[list[Number], Len(0, BETA_COUNT), FIRST_ONLY]
 Knob = Annotated[
     float | None,
     Field(
@@ -37,9 +40,11 @@ Geometry = Annotated[
 ]
 Identifier = Annotated[str, Field(min_length=1, max_length=120)]
 
+LAYER_LIMIT = 64  # far beyond what a service drapes, which says how many that is
+
 Layers = Annotated[
-    list[Identifier] | None,
-    Field(min_length=1, description="Instead of garment: several worn over each other, the innermost first."),
+    Annotated[list[Identifier], Len(1, LAYER_LIMIT), FIRST_ONLY] | None,
+    Field(description="Instead of garment: several worn over each other, the innermost first."),
 ]
 
 
@@ -52,11 +57,11 @@ class Request(BaseModel):
 class PosedRequest(Request):
     """A body in motion: rotation vectors [rad] relative to the parent, root translation [m], shape."""
 
-    poses: Annotated[list[PoseRows], Len(1)]
-    trans: list[Vector] | None = Field(default=None, description="Root translation [m] per frame; zeros if left out.")
-    betas: Annotated[list[Number], Len(0, BETA_COUNT)] | None = Field(
-        default=None, description="Body shape; zeros if left out."
+    poses: Annotated[list[PoseRows], Len(1), FIRST_ONLY]
+    trans: Annotated[list[Vector], FIRST_ONLY] | None = Field(
+        default=None, description="Root translation [m] per frame; zeros if left out."
     )
+    betas: Betas | None = Field(default=None, description="Body shape; zeros if left out.")
     fps: Annotated[float, Field(gt=0.0, le=1000.0, allow_inf_nan=False)] = 30.0
 
 
@@ -89,7 +94,7 @@ class OpenRequest(Request):
     type: Literal["open"]
     garment: Identifier | None = None
     garments: Layers = None
-    betas: Annotated[list[Number], Len(0, BETA_COUNT)] | None = None
+    betas: Betas | None = None
     push_out: bool | None = None
     motion: Knob = None
     passes: Passes = None
