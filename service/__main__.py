@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import gc
 import logging
 import sys
 
@@ -46,6 +47,9 @@ def _serve(overrides: dict[str, object]) -> int:
         loaded = f"{len(drapery.garments.entries())} garments, {drapery.engine.provider}"
         print(f"drape on http://{host}:{port} with model {settings.model}, {loaded}")
         sys.stdout.flush()
+        # Parsing sets off full collections, which hold the interpreter lock for 50 ms to look through what never goes.
+        gc.collect()
+        gc.freeze()
         server.run(sockets=[listener])
     return 0
 

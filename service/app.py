@@ -13,6 +13,7 @@ from service.drapery import Drapery
 from service.jobs import Uploads
 from service.limits import BodyLimit
 from service.page import Page
+from service.piecework import Piecework
 from service.sessions import Streams
 from service.settings import Settings, load_settings
 from service.state import State
@@ -26,7 +27,8 @@ def create_app(settings: Settings | None = None, *, drapery: Drapery | None = No
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         loaded = drapery or Drapery(settings)
-        state = State(loaded, Uploads(loaded), Streams(loaded))
+        piecework = Piecework()
+        state = State(loaded, Uploads(loaded, piecework), Streams(loaded), piecework)
         app.state.drape = state
         state.uploads.start()
         state.streams.start()
@@ -35,6 +37,7 @@ def create_app(settings: Settings | None = None, *, drapery: Drapery | None = No
         finally:
             await state.uploads.stop()
             await state.streams.stop()
+            piecework.close()
             loaded.close()
 
     app = FastAPI(title="drape", version=product_version(), lifespan=lifespan, description="Garments on moving bodies.")

@@ -10,10 +10,14 @@ from drape.errors import BodyError, NotFound
 from drape.files.avatar_table import SHIPPED_FOLDER, avatar_table, entry_for
 from drape.files.data import data_folder
 from drape.garment.avatars import STANDARD
+from service.errors import TooLarge
+
+MOST_CHARACTERS = 10_000  # SMPL parameters with every digit take 2,000
+EXAMPLE = 'Send for example {"gender": 1.0, "age": 0.667}'
 
 
 def upload_avatar(told: str | dict[str, Any] | None, name: str, garments_dir: Path) -> str | None:
-    """What the intake is given as ``--avatar``; None leaves it the standard body.
+    """What the intake is given as avatar; None leaves it the standard body.
 
     ``told`` is a phenotype or SMPL parameters as an object or JSON text, ``standard``, or a name of a table;
     a path is refused, for it would name a file of this machine. Untold, the longest entry with
@@ -24,9 +28,11 @@ def upload_avatar(told: str | dict[str, Any] | None, name: str, garments_dir: Pa
     if told is None:
         found = entry_for(name, folders)
         return None if found is None else _as_text(found[1], found[2])
-    if isinstance(told, dict):
-        return json.dumps(told)
-    text = told.strip()
+    text = json.dumps(told) if isinstance(told, dict) else told.strip()
+    if len(text) > MOST_CHARACTERS:
+        raise TooLarge(
+            "avatar", expected=f"at most {MOST_CHARACTERS} characters", got=str(len(text)), cure=f"{EXAMPLE}."
+        )
     if text == STANDARD:
         return text
     if text.startswith("{"):
@@ -41,19 +47,17 @@ def upload_avatar(told: str | dict[str, Any] | None, name: str, garments_dir: Pa
         "avatar",
         expected=f"a JSON object, {STANDARD!r}" + (f" or one of {', '.join(known)}" if known else ""),
         got=text[:120],
-        cure='Send for example {"gender": 1.0, "age": 0.667}; docs/data.md lists the entries.',
+        cure=f"{EXAMPLE}; docs/data.md lists the entries.",
     )
 
 
 def _check_object(text: str) -> None:
     try:
         fits = isinstance(json.loads(text), dict)
-    except (json.JSONDecodeError, RecursionError):
+    except (ValueError, RecursionError):  # not only JSONDecodeError: numbers may have too many digits
         fits = False
     if not fits:
-        raise BodyError(
-            "avatar", expected="a JSON object", got=text[:60], cure='Send for example {"gender": 1.0, "age": 0.667}.'
-        )
+        raise BodyError("avatar", expected="a JSON object", got=text[:60], cure=f"{EXAMPLE}.")
 
 
 def _as_text(entry: dict[str, Any] | str, folder: Path) -> str:

@@ -11,6 +11,7 @@ import shutil
 import signal
 import sys
 import uuid
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -19,6 +20,7 @@ from drape.errors import ArtifactError, DrapeError, InputError, MeshError, NotFo
 from service import errors
 from service.drapery import Drapery
 from service.garments import slug
+from service.piecework import Piecework
 from service.settings import ROOT, Settings
 
 KEPT_JOBS = 256
@@ -39,8 +41,8 @@ class Job:
 class Uploads:
     """A queue with one worker; files lie in a staging folder of this process until they are garments."""
 
-    def __init__(self, drapery: Drapery) -> None:
-        self._drapery, self._settings = drapery, drapery.settings
+    def __init__(self, drapery: Drapery, piecework: Piecework) -> None:
+        self._drapery, self._settings, self._piecework = drapery, drapery.settings, piecework
         self._jobs: dict[str, Job] = {}
         self._queue: asyncio.Queue[tuple[Job, Path, str | None]] = asyncio.Queue()
         self._staging = self._settings.garments_dir / f".staging-{os.getpid()}"
@@ -69,8 +71,8 @@ class Uploads:
             )
         return self._jobs[job_id]
 
-    def submit(self, name: str, file_format: str, payload: bytes, avatar: str | None) -> Job:
-        """Stores the file and queues it; refuses when too many wait."""
+    async def submit(self, name: str, file_format: str, pieces: Iterator[bytes], avatar: str | None) -> Job:
+        """Stores the file that ``pieces`` make and queues it; refuses when too many wait, and an empty one."""
         waiting = sum(job.state in ("queued", "running") for job in self._jobs.values())
         if waiting >= self._settings.intake_queue:
             raise errors.Busy(
@@ -80,11 +82,17 @@ class Uploads:
                 cure="Try again in a minute.",
             )
         job = Job(id=uuid.uuid4().hex[:12], name=slug(name))
-        folder = self._staging / job.id
-        folder.mkdir(parents=True)
-        file = folder / f"{job.name}.{file_format}"
-        file.write_bytes(payload)
-        self._jobs[job.id] = job
+        file = self._staging / job.id / f"{job.name}.{file_format}"
+        self._jobs[job.id] = job  # at once, so that files that are being stored count
+        try:
+            size = sum([length async for length in self._piecework.each(_stored(file, pieces))])
+            if not size:
+                cure = "Send the file as the body."
+                raise MeshError("request body", expected="the bytes of a mesh file", got="nothing", cure=cure)
+        except BaseException:
+            del self._jobs[job.id]
+            shutil.rmtree(file.parent, ignore_errors=True)
+            raise
         finished = [key for key, kept in self._jobs.items() if kept.state in ("done", "failed")]
         for key in finished[: max(0, len(self._jobs) - KEPT_JOBS)]:
             del self._jobs[key]
@@ -118,25 +126,32 @@ class Uploads:
         return registry.add(prepared, "user").id
 
 
+def _stored(file: Path, pieces: Iterator[bytes]) -> Iterator[int]:
+    """Writes ``pieces`` to ``file``, one a turn; gives their lengths."""
+    file.parent.mkdir(parents=True)
+    with file.open("wb") as target:
+        for piece in pieces:
+            yield target.write(piece)
+
+
 async def run_sandbox(file: Path, avatar: str | None, out: Path, settings: Settings) -> dict[str, Any]:
     """What the intake process reports; raises its refusal, or one for the limit that it ran into."""
     command = [sys.executable, "-m", "service.sandbox", str(file), "--out", str(out), "--body", settings.body]
     command += ["--memory-mb", str(settings.intake_memory_mb), "--cpu-s", str(settings.intake_cpu_s)]
-    command += ["--avatar", avatar] if avatar is not None else []
     # One thread each: their stacks and buffers count against the memory limit.
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
     process = await asyncio.create_subprocess_exec(
         *command,
         cwd=ROOT,
         env=environment,
-        stdin=asyncio.subprocess.DEVNULL,
+        stdin=asyncio.subprocess.PIPE,  # a command line takes no avatar above 128 KiB, and anybody may read it
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.DEVNULL,
         start_new_session=True,
     )
     label = f"upload {file.name}"
     try:
-        output, _ = await asyncio.wait_for(process.communicate(), settings.intake_wall_s)
+        output, _ = await asyncio.wait_for(process.communicate((avatar or "").encode()), settings.intake_wall_s)
     except TimeoutError:
         raise errors.TooLarge(
             label,

@@ -3,36 +3,38 @@
 from __future__ import annotations
 
 import asyncio
-import base64
-import binascii
-import json
-from typing import Annotated, Any
+from collections.abc import Iterator
+from functools import partial
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
 
 from drape.body.model import BodyModel
-from drape.errors import InputError, MeshError
+from drape.errors import InputError
 from drape.files.formats import MESH_CONTENT_TYPES, MESH_NAMES, listed
+from drape.garment.cache import Garment
 from service import glb, negotiation, schemas
-from service.avatars import upload_avatar
+from service.answers import binary_answer, json_answer
+from service.avatars import MOST_CHARACTERS, upload_avatar
 from service.drapery import Drapery
 from service.garments import Entry, Outfit, Scene, layer_list
 from service.jets import check_jets_size, jets_response
 from service.jobs import Job
+from service.json_body import body_schema, clip_marks, content_type, document_of, json_text, validated
 from service.limits import check_answer
 from service.motions import floor_m
 from service.origins import check_origin
 from service.poses import motion_arrays, shape_array
 from service.stages.batch import Batch, PoseInput
-from service.state import StateHere
-from service.validation import check_query, validation_refusal
+from service.state import State, StateHere
+from service.upload_body import read_upload
+from service.validation import check_query
 from service.version import product_version
 
 router = APIRouter()
 NUMBER_TEXT_BYTES = 20  # of one coordinate in JSON
-
-
+Asked = TypeVar("Asked", bound=schemas.PosedRequest)
 Betas = Annotated[str | None, Query(max_length=1000, description="Shape coefficients, comma-separated.")]
 
 
@@ -83,19 +85,23 @@ async def garment_mesh(garment_id: str, request: Request, state: StateHere) -> R
     garment = entry.garment
     kind = negotiation.choose(request.headers.get("accept"), (negotiation.JSON, negotiation.GLB))
     if kind == negotiation.GLB:
-        file = glb.GlbFile()
-        glb.add_garment(file, garment, garment.vertices[None, : garment.vertex_count], fps=1.0)
-        return Response(file.to_bytes(), media_type=glb.CONTENT_TYPE)
+        return Response(await asyncio.to_thread(_rest_file, garment), media_type=kind)
     document = {
         "id": entry.id,
-        "vertices": garment.vertices[: garment.vertex_count].astype(np.float32).tolist(),
-        "faces": garment.faces.tolist(),
-        "uv": garment.uv.astype(np.float32).tolist(),
-        "uv_faces": garment.uv_faces.tolist(),
-        "materials": list(garment.material_names),
-        "face_material": garment.face_material.tolist(),
+        "vertices": garment.vertices[: garment.vertex_count].astype(np.float32),
+        "faces": garment.faces,
+        "uv": garment.uv.astype(np.float32),
+        "uv_faces": garment.uv_faces,
+        "materials": garment.material_names,
+        "face_material": garment.face_material,
     }
-    return Response(await asyncio.to_thread(json.dumps, document), media_type=negotiation.JSON)
+    return json_answer(document, state.piecework)
+
+
+def _rest_file(garment: Garment) -> bytes:
+    file = glb.GlbFile()
+    glb.add_garment(file, garment, garment.vertices[None, : garment.vertex_count], fps=1.0)
+    return file.to_bytes()
 
 
 def _garment_info(entry: Entry) -> schemas.GarmentInfo:
@@ -123,7 +129,7 @@ async def upload(
     state: StateHere,
     name: Annotated[str | None, Query(max_length=120, description="File name or name of the garment.")] = None,
     avatar: Annotated[
-        str | None, Query(max_length=10_000, description="Phenotype or SMPL parameters as JSON, or a name.")
+        str | None, Query(max_length=MOST_CHARACTERS, description="Phenotype or SMPL parameters as JSON, or a name.")
     ] = None,
     format: Annotated[
         str | None, Query(max_length=10, description=f"{listed().lower()}, where the name does not say it.")
@@ -132,25 +138,15 @@ async def upload(
     """Takes a garment file in: the raw bytes as body, or JSON (name, format, data_base64, avatar). Poll the job."""
     check_origin(request.headers, state.drapery.settings)
     check_query(request.query_params, ("name", "avatar", "format"))
-    body = await request.body()
     modelled_on: str | dict[str, Any] | None = avatar
-    content_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-    if content_type == negotiation.JSON:
-        sent = _upload_request(body)
+    kind = content_type(request)
+    pieces: Iterator[bytes] = iter([piece async for piece in request.stream()])
+    if kind == negotiation.JSON:
+        sent, pieces = await state.piecework.run(read_upload, await asyncio.to_thread(b"".join, pieces))
         name, format, modelled_on = sent.name, sent.format, sent.avatar
-        try:
-            body = base64.b64decode(sent.data_base64, validate=True)
-        except binascii.Error as error:
-            raise InputError(
-                "data_base64", expected="base64", got=str(error), cure="Encode the file's bytes as standard base64."
-            ) from error
-    stem, file_format = _name_and_format(name, format, content_type)
-    if not body:
-        raise MeshError(
-            "request body", expected="the bytes of a mesh file", got="nothing", cure="Send the file as the body."
-        )
+    stem, file_format = _name_and_format(name, format, kind)
     known = upload_avatar(modelled_on, stem, state.drapery.settings.garments_dir)
-    job = state.uploads.submit(stem, file_format, body, known)
+    job = await state.uploads.submit(stem, file_format, pieces, known)
     response.headers["Location"] = f"/jobs/{job.id}"
     return _job_info(job)
 
@@ -159,15 +155,6 @@ async def upload(
 async def job(job_id: str, state: StateHere) -> schemas.JobInfo:
     """How far an upload is."""
     return _job_info(state.uploads.get(job_id))
-
-
-def _upload_request(body: bytes) -> schemas.UploadRequest:
-    from pydantic import ValidationError
-
-    try:
-        return schemas.UploadRequest.model_validate_json(body)
-    except ValidationError as error:
-        raise validation_refusal(error.errors()) from error
 
 
 def _name_and_format(name: str | None, file_format: str | None, content_type: str) -> tuple[str, str]:
@@ -194,19 +181,19 @@ def _job_info(job: Job) -> schemas.JobInfo:
 # --- draped clips and posed bodies ---
 
 
-@router.post("/drape", response_model=schemas.VerticesDocument)
-async def drape_clip(asked: schemas.DrapeRequest, request: Request, state: StateHere) -> Response:
+@router.post("/drape", response_model=schemas.VerticesDocument, openapi_extra=body_schema(schemas.DrapeRequest))
+async def drape_clip(request: Request, state: StateHere) -> Response:
     """The garment on the moving body, world frame [m]: binary float32 (frames, vertices, 3), GLB or JSON by Accept.
 
     The vertices of an outfit's garments follow each other; X-Drape-Garments says how many each has. With geometry
     "jets" the answer holds a JETS message per frame (docs/wire.md), binary only.
     """
     drapery = state.drapery
+    asked, clip = await _clip(schemas.DrapeRequest, request, state)
     jets = asked.geometry == "jets"
     kind = negotiation.choose(request.headers.get("accept"), (negotiation.BINARY,)) if jets else _kind(request)
     scene = drapery.garments.scene(asked.garment, asked.garments)
     plan = drapery.plan(scene, asked, messages=jets)
-    clip = _clip(asked, drapery)
     if jets:
         check_jets_size(len(clip.poses), scene, drapery)
     else:
@@ -221,36 +208,42 @@ async def drape_clip(asked: schemas.DrapeRequest, request: Request, state: State
         worn = layer_list(scene) if isinstance(scene, Outfit) else None
         if worn is not None:
             headers["X-Drape-Garments"] = ",".join(f"{layer['id']}:{layer['vertices']}" for layer in worn)
-        world = draped.world()
+        world = await asyncio.to_thread(draped.world)
         if kind == negotiation.GLB:
             content = await asyncio.to_thread(_garment_file, plan.scene, world, asked, clip, drapery)
             return Response(content, media_type=kind, headers=_shape_headers(world) | headers)
-        return await _vertices_response(world, asked.fps, kind, headers, worn)
+        return _vertices_answer(world, asked.fps, kind, state, headers=headers, worn=worn)
 
 
-@router.post("/bodies/{body_id}/posed", response_model=schemas.VerticesDocument)
-async def posed_body(body_id: str, asked: schemas.PosedRequest, request: Request, state: StateHere) -> Response:
+@router.post(
+    "/bodies/{body_id}/posed",
+    response_model=schemas.VerticesDocument,
+    openapi_extra=body_schema(schemas.PosedRequest),
+)
+async def posed_body(body_id: str, request: Request, state: StateHere) -> Response:
     """The posed body's vertices for the same input, in the same formats."""
     drapery = state.drapery
     drapery.check_body_id(body_id)
+    asked, clip = await _clip(schemas.PosedRequest, request, state)
     kind = _kind(request)
-    clip = _clip(asked, drapery)
     if kind == negotiation.GLB:
-        file = glb.GlbFile()
-        glb.add_body(file, drapery.body, clip.betas, clip.poses, clip.trans, asked.fps)
-        return Response(file.to_bytes(), media_type=kind)
+        return Response(await asyncio.to_thread(_body_file, drapery.body, clip, asked.fps), media_type=kind)
     _check_size(kind, len(clip.poses), drapery.body.vertex_count, drapery)
     with state.slot():
-        return await _vertices_response(await drapery.pose_body(clip), asked.fps, kind, {})
+        return _vertices_answer(await drapery.pose_body(clip), asked.fps, kind, state)
 
 
 def _kind(request: Request) -> str:
     return negotiation.choose(request.headers.get("accept"), (negotiation.BINARY, negotiation.GLB, negotiation.JSON))
 
 
-def _clip(asked: schemas.PosedRequest, drapery: Drapery) -> PoseInput:
-    poses, trans = motion_arrays(asked.poses, asked.trans, max_frames=drapery.settings.max_frames)
-    return PoseInput(poses, trans, shape_array(asked.betas, drapery.body), np.arange(len(poses)) / asked.fps)
+async def _clip(model: type[Asked], request: Request, state: State) -> tuple[Asked, PoseInput]:
+    """The body of ``request`` as a ``model``, and its checked motion."""
+    body, frames = state.drapery.body, state.drapery.settings.max_frames
+    text, run = await json_text(request), state.piecework.run
+    asked = await run(validated, model, await run(partial(document_of, text, most_marks=clip_marks(frames))))
+    poses, trans = await run(partial(motion_arrays, asked.poses, asked.trans, max_frames=frames))
+    return asked, PoseInput(poses, trans, shape_array(asked.betas, body), np.arange(len(poses)) / asked.fps)
 
 
 def _check_size(kind: str, frames: int, vertices: int, drapery: Drapery) -> None:
@@ -272,21 +265,28 @@ def _garment_file(
     return file.to_bytes()
 
 
-async def _vertices_response(
+def _body_file(body: BodyModel, clip: PoseInput, fps: float) -> bytes:
+    file = glb.GlbFile()
+    glb.add_body(file, body, clip.betas, clip.poses, clip.trans, fps)
+    return file.to_bytes()
+
+
+def _vertices_answer(
     vertices: np.ndarray,
     fps: float,
     kind: str,
-    headers: dict[str, str],
+    state: State,
+    *,
+    headers: dict[str, str] | None = None,
     worn: list[dict[str, str | int]] | None = None,
 ) -> Response:
-    headers = _shape_headers(vertices) | headers
+    headers = _shape_headers(vertices) | (headers or {})
     if kind == negotiation.BINARY:
-        return Response(vertices.astype("<f4").tobytes(), media_type=kind, headers=headers)
+        return binary_answer(vertices, state.piecework, headers)
     document: dict[str, Any] = {"fps": fps, "frames": len(vertices), "vertices": vertices.shape[1]}
     if worn is not None:
         document["garments"] = worn
-    content = await asyncio.to_thread(lambda: json.dumps(document | {"positions": vertices.tolist()}))
-    return Response(content, media_type=kind, headers=headers)
+    return json_answer(document | {"positions": vertices}, state.piecework, headers)
 
 
 def _shape_headers(vertices: np.ndarray) -> dict[str, str]:
@@ -350,11 +350,10 @@ async def body_mesh(
         file = glb.GlbFile()
         glb.add_body(file, drapery.body, shape)
         return Response(file.to_bytes(), media_type=kind)
-    faces = drapery.body.faces.tolist()
-    vertices = drapery.body.rest_vertices(shape).astype(np.float32).tolist()
+    faces = drapery.body.faces
+    vertices = drapery.body.rest_vertices(shape).astype(np.float32)
     document = {"id": drapery.body.name, "vertices": vertices, "faces": faces, "uv": [], "uv_faces": []}
-    document |= {"materials": ["body"], "face_material": [0] * len(faces)}
-    return Response(await asyncio.to_thread(json.dumps, document), media_type=kind)
+    return json_answer(document | {"materials": ["body"], "face_material": np.zeros(len(faces), int)}, state.piecework)
 
 
 def _numbers(name: str, text: str | None) -> list[float]:
@@ -381,5 +380,5 @@ async def motion(motion_id: str, state: StateHere, betas: Betas = None) -> Respo
     drapery = state.drapery
     clip = drapery.motions.placed(motion_id, drapery.body, shape_array(_numbers("betas", betas), drapery.body))
     document = {"id": motion_id, "name": clip.name, "frames": clip.frame_count, "fps": clip.fps}
-    document |= {"poses": np.round(clip.poses, 6).tolist(), "trans": np.round(clip.trans, 6).tolist()}
-    return Response(json.dumps(document), media_type=negotiation.JSON)
+    document |= {"poses": np.round(clip.poses, 6), "trans": np.round(clip.trans, 6)}
+    return json_answer(document, state.piecework)

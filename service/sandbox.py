@@ -1,7 +1,8 @@
 """One intake in a process with limits: ``python -m service.sandbox FILE --out DIR``; prints one line of JSON.
 
-A mesh file of a few hundred bytes can ask for gigabytes, so strangers' files are never parsed in the
-serving process. The line is ``{"file": NAME}`` or ``{"problem": {kind, name, expected, got, cure}}``.
+Standard input holds the avatar, or nothing where the standard body is meant. A mesh file of a few hundred bytes can ask
+for gigabytes, so strangers' files are never parsed in the serving process. The line is ``{"file": NAME}`` or
+``{"problem": {kind, name, expected, got, cure}}``.
 """
 
 from __future__ import annotations
@@ -39,14 +40,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("file", type=Path)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--avatar")
     parser.add_argument("--body", required=True)
     parser.add_argument("--memory-mb", type=int, required=True)
     parser.add_argument("--cpu-s", type=int, required=True)
     options = parser.parse_args()
     set_limits(memory_mb=options.memory_mb, cpu_s=options.cpu_s)
     try:
-        made = take_in(options.file, options.out, avatar=options.avatar, body=options.body)
+        made = take_in(options.file, options.out, avatar=sys.stdin.buffer.read().decode() or None, body=options.body)
     except DrapeError as error:
         return _refuse(options.out, error)
     except MemoryError:

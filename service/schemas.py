@@ -10,11 +10,12 @@ from pydantic import BaseModel, ConfigDict, Field
 from drape.body.skeleton import JOINT_COUNT
 from drape.files.formats import MESH_NAMES
 from drape.graph.feeds import BETA_COUNT
-from drape.wire.options import DrapeOptions, Identifier, Worn
+from drape.wire.options import FIRST_ONLY, DrapeOptions, Identifier, Worn
 
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
-Vector = Annotated[list[Number], Len(3, 3)]
-PoseRows = Annotated[list[Vector], Len(JOINT_COUNT, JOINT_COUNT)]
+Vector = Annotated[list[Number], Len(3, 3), FIRST_ONLY]
+PoseRows = Annotated[list[Vector], Len(JOINT_COUNT, JOINT_COUNT), FIRST_ONLY]
+Betas = Annotated[list[Number], Len(0, BETA_COUNT), FIRST_ONLY]
 
 
 class Request(BaseModel):
@@ -26,11 +27,11 @@ class Request(BaseModel):
 class PosedRequest(Request):
     """A body in motion: rotation vectors [rad] relative to the parent, root translation [m], shape."""
 
-    poses: Annotated[list[PoseRows], Len(1)]
-    trans: list[Vector] | None = Field(default=None, description="Root translation [m] per frame; zeros if left out.")
-    betas: Annotated[list[Number], Len(0, BETA_COUNT)] | None = Field(
-        default=None, description="Body shape; zeros if left out."
+    poses: Annotated[list[PoseRows], Len(1), FIRST_ONLY]
+    trans: Annotated[list[Vector], FIRST_ONLY] | None = Field(
+        default=None, description="Root translation [m] per frame; zeros if left out."
     )
+    betas: Betas | None = Field(default=None, description="Body shape; zeros if left out.")
     fps: Annotated[float, Field(gt=0.0, le=1000.0, allow_inf_nan=False)] = 30.0
 
 
@@ -53,7 +54,7 @@ class OpenRequest(DrapeOptions, Worn, Request):
     """The first message of a stream."""
 
     type: Literal["open"]
-    betas: Annotated[list[Number], Len(0, BETA_COUNT)] | None = None
+    betas: Betas | None = None
 
 
 class Health(BaseModel):

@@ -12,16 +12,18 @@ from fastapi import Depends, Request
 from service.drapery import Drapery
 from service.errors import Busy
 from service.jobs import Uploads
+from service.piecework import Piecework
 from service.sessions import Streams
 
 
 @dataclass(eq=False)
 class State:
-    """Body, model and garments; uploads; streams; and how many clips are being computed."""
+    """Body, model and garments; uploads; streams; the thread for JSON; and how many clips are being computed."""
 
     drapery: Drapery
     uploads: Uploads
     streams: Streams
+    piecework: Piecework
     clips: int = 0
 
     @contextmanager

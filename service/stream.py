@@ -10,18 +10,17 @@ import time
 from typing import Any
 
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
-from pydantic import ValidationError
 
 from drape.errors import DrapeError, InputError
 from drape.wire import messages as wire
 from service.errors import InternalError, TooSlow, close_reason, error_message, problem_response, rule_for
 from service.garments import Outfit, layer_list
+from service.json_body import document_of, validated
 from service.origins import check_origin
 from service.poses import check_poses, shape_array
 from service.schemas import OpenRequest
 from service.sessions import Session
 from service.state import State
-from service.validation import validation_refusal
 
 router = APIRouter()
 WATCH_S = 0.25
@@ -108,10 +107,7 @@ def _text_of(message: Any) -> str:
 
 async def _open_session(text: str, state: State, session: Session | None) -> Session:
     """The session that ``text`` asks for: a new one, or ``session`` turned to it."""
-    try:
-        asked = OpenRequest.model_validate_json(text)
-    except ValidationError as error:
-        raise validation_refusal(error.errors()) from error
+    asked = validated(OpenRequest, document_of(text.encode()))
     drapery = state.drapery
     plan = drapery.plan(drapery.garments.scene(asked.garment, asked.garments), asked, messages=True)
     betas = shape_array(asked.betas, drapery.body)

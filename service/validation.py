@@ -8,6 +8,8 @@ from typing import Any
 
 from drape.errors import InputError, MotionError
 
+SHOWN = 60  # characters of what came
+
 # What a field holds, by depth inside it: the list, its items, their items.
 _LEVELS: dict[str, tuple[str, ...]] = {
     "poses": ("a list of frames", "24 joints", "3 numbers [rad]", "a finite number [rad]"),
@@ -24,16 +26,11 @@ _CURES: dict[str, str] = {
 def validation_refusal(errors: Sequence[Any]) -> InputError:
     """The refusal for the first of pydantic's ``errors``."""
     first = errors[0]
-    location = [part for part in first["loc"] if part not in ("body", "query", "path", "header")]
+    location = [part for part in first["loc"] if part not in ("query", "path", "header")]
     more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
-    if first["type"] == "json_invalid" or not location:
-        if first["type"] == "json_invalid":
-            got = "text that is not JSON"
-        else:
-            got = "a body of another type" if isinstance(first.get("input"), bytes) else _shown(first)
-        cure = "Send JSON with Content-Type: application/json."
-        return InputError("request body", expected="a JSON object", got=got + more, cure=cure)
-    field = str(location[0])
+    if not location:
+        return not_json(_shown(first))
+    field = _shortened(str(location[0]))
     name = field + "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location[1:])
     levels = _LEVELS.get(field)
     if levels is None or first["type"] in ("missing", "extra_forbidden"):
@@ -50,6 +47,12 @@ def validation_refusal(errors: Sequence[Any]) -> InputError:
     else:
         got = _shown(first)
     return MotionError(name, expected=expected, got=got + more, cure=_CURES[field])
+
+
+def not_json(got: str) -> InputError:
+    """The refusal of a body that is no JSON object."""
+    cure = "Send JSON with Content-Type: application/json."
+    return InputError("request body", expected="a JSON object", got=got, cure=cure)
 
 
 def check_query(names: Iterable[str], known: tuple[str, ...]) -> None:
@@ -69,5 +72,8 @@ def _shown(error: Any) -> str:
     value = error.get("input")
     if isinstance(value, (dict, list)):
         return f"{'an object' if isinstance(value, dict) else 'a list'} of {len(value)}"
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
+    return _shortened(repr(value[:SHOWN] if isinstance(value, str) else value))
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= SHOWN else text[: SHOWN - 3] + "..."

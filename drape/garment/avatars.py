@@ -9,7 +9,6 @@ name in the ``avatars.json`` beside the garment. Phenotypes are evaluated from a
 from __future__ import annotations
 
 import json
-import math
 import zipfile
 from dataclasses import dataclass
 from functools import lru_cache
@@ -27,6 +26,7 @@ from drape.files.formats import MESH_SUFFIXES
 
 AVATARS_FILE = BODIES_DIR / "avatars.npz"
 STANDARD = "standard"
+NUMBER_LIMIT = 1e6  # beyond it SMPL parameters are a mistake, and squares overflow
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,13 +72,13 @@ class PhenotypeSpace:
         for label, anchors in zip(self.labels, self.anchors, strict=True):
             value = phenotype.get(label, 2.0 / 3.0 if label == "age" else 0.5)
             low, high = anchors[0], anchors[-1]
-            number = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+            number = isinstance(value, (int, float)) and not isinstance(value, bool)
             # People write anny's anchors with three digits: 0.667, 0.666.
             if not number or not low - 1e-3 <= value <= high + 1e-3:
                 raise BodyError(
                     f"phenotype {label}",
                     expected=f"a number from {low:.4g} to {high:.4g}" + (" (adults)" if label == "age" else ""),
-                    got=repr(value),
+                    got=repr(value)[:60],
                     cure="Give the avatar as a mesh file if it lies outside this range.",
                 )
             checked[label] = float(min(max(value, low), high))
@@ -158,12 +158,15 @@ def _numbers(name: str, value: Any, count: int | None) -> np.ndarray:
     wanted = "numbers" if count is None else f"{count} numbers"
     try:
         array = np.asarray(value, dtype=np.float64).reshape(-1)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise BodyError(name, expected=wanted, got=type(value).__name__, cure="Give a list of numbers.") from error
     if (count is not None and len(array) != count) or not np.isfinite(array).all():
         raise BodyError(
             name, expected=f"{wanted}, all finite", got=f"{len(array)} values", cure="Give a list of finite numbers."
         )
+    if (np.abs(array) > NUMBER_LIMIT).any():
+        got = f"{array[np.abs(array).argmax()]:g}"
+        raise BodyError(name, expected=f"numbers of at most {NUMBER_LIMIT:g}", got=got, cure="Check the units.")
     return array
 
 

@@ -9,8 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
+from annotated_types import Len
 from pydantic import BaseModel, ConfigDict, Field
 
+# Every list stops at its first mistake: the answer tells one, and a million of them take seconds to write down.
+FIRST_ONLY = Field(fail_fast=True)
+LAYER_LIMIT = 64  # far beyond what a service drapes, which says how many that is
 Identifier = Annotated[str, Field(min_length=1, max_length=120)]
 Geometry = Literal["vertices", "jets"]
 
@@ -19,9 +23,8 @@ class Worn(BaseModel):
     """What is draped: one garment, or several over each other."""
 
     garment: Identifier | None = None
-    garments: list[Identifier] | None = Field(
+    garments: Annotated[list[Identifier], Len(1, LAYER_LIMIT), FIRST_ONLY] | None = Field(
         default=None,
-        min_length=1,
         description="Instead of garment: several worn over each other, the innermost first.",
     )
 

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from service.app import create_app
 from service.drapery import Drapery
 from service.errors import Busy
+from service.json_body import clip_marks
 from service.sessions import Streams
 from service.settings import Settings
 from service.state import State
@@ -70,6 +71,34 @@ def test_what_is_wrong_is_named(api: httpx.Client, fields: dict, status: int, wo
     refused(drape(api, **fields), status, *words)
 
 
+def test_more_than_a_clip_can_hold_is_refused_before_it_is_parsed(api: httpx.Client, settings: Settings):
+    most = clip_marks(settings.max_frames)
+    for values in ("[]," * most, "[" * (most + 1)):
+        response = api.post("/drape", content="[" + values, headers={"Content-Type": "application/json"})
+        refused(response, 413, f"request body: expected at most {most} commas, colons and opening brackets, got")
+    longest = drape(api, poses=REST * settings.max_frames, trans=[[0, 0, 0]] * settings.max_frames)
+    assert longest.status_code == 200
+
+
+def test_of_many_mistakes_one_is_told(api: httpx.Client):
+    refused(drape(api, poses=[[]] * 3000), 422, "poses[0]: expected 24 joints, got 0. Send")
+    refused(drape(api, trans=[[]] * 3000), 422, "trans[0]: expected 3 numbers [m], got 0. Send")
+    refused(drape(api, garments=[""] * 50), 400, "garments[0]: expected at least 1 character, got ''. See")
+    refused(drape(api, garments=["a"] * 65), 400, "garments: expected at most 64 items")
+    refused(drape(api, **{f"k{i}": i for i in range(5000)}), 400, "k0: expected no such field, got one. See")
+    refused(drape(api, **{"k" * 5000: 1}), 400, f"{'k' * 57}...: expected no such field, got one.")
+    refused(drape(api, garment="g" * 5000), 400, f"garment: expected at most 120 characters, got '{'g' * 56}....")
+
+
+def test_the_reference_says_what_a_body_holds(api: httpx.Client):
+    paths = api.get("/openapi.json").json()["paths"]
+    for path, field in (("/drape", "garments"), ("/bodies/{body_id}/posed", "trans")):
+        body = paths[path]["post"]["requestBody"]
+        assert body["required"] and {"poses", "fps", field} <= set(
+            body["content"]["application/json"]["schema"]["properties"]
+        )
+
+
 def test_a_missing_field_is_named(api: httpx.Client):
     refused(api.post("/drape", json={"garment": "tube"}), 400, "poses: expected a value, got nothing")
 
@@ -79,8 +108,9 @@ def test_a_missing_field_is_named(api: httpx.Client):
     [
         (b'{"garment": "tube", "poses": [', "application/json", "text that is not JSON"),
         (b"[]", "application/json", "a list of 0"),
-        (b"", "application/json", "request body"),
-        (b"[" * 100_000, "application/json", "request"),
+        (b"", "application/json", "got nothing"),
+        (b"[" * 10_000, "application/json", "text that is not JSON"),
+        (b'{"poses": 1' + b"0" * 5000 + b"}", "application/json", "text that is not JSON"),
         (b"{}", "text/plain", "another type"),
     ],
 )
@@ -135,7 +165,7 @@ def test_too_large_an_answer_is_refused(make_settings: Callable[..., Settings]):
 
 def test_more_clips_than_places_are_refused(make_settings: Callable[..., Settings]):
     drapery = Drapery(make_settings(max_clips=1))
-    state = State(drapery, None, Streams(drapery))  # pyright: ignore[reportArgumentType]
+    state = State(drapery, None, Streams(drapery), None)  # pyright: ignore[reportArgumentType]
     with state.slot(), pytest.raises(Busy, match="fewer than 1 at a time"), state.slot():
         pass
     with state.slot():

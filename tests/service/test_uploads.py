@@ -112,6 +112,7 @@ def test_a_good_file_becomes_a_garment_that_can_be_draped(
         ({"name": "shirt.obj", "avatar": "/etc/passwd"}, b"x", 404, "avatar: expected a JSON object"),
         ({"name": "shirt.obj", "avatar": "body.obj"}, b"x", 404, "avatar"),
         ({"name": "shirt.obj", "avatar": "{not json"}, b"x", 422, "avatar: expected a JSON object"),
+        ({"name": "shirt.obj", "avatar": '{"age": 1' + "0" * 5000 + "}"}, b"x", 422, "avatar: expected a JSON object"),
     ],
 )
 def test_an_upload_that_cannot_work_is_refused_at_once(
@@ -132,6 +133,14 @@ def test_json_uploads_are_the_same(uploads: httpx.Client):
     assert finished(uploads, uploads.post("/garments", json=document))["state"] == "failed"
     response = uploads.post("/garments", json=document | {"data_base64": "not base64!"})
     assert response.status_code == 400 and "data_base64: expected base64" in response.json()["detail"]
+    response = uploads.post("/garments", json=document | {"data_base64": "QUJ€"})
+    assert (
+        response.status_code == 400 and "data_base64: expected base64, got 'ascii' codec" in response.json()["detail"]
+    )
+    response = uploads.post("/garments", json=document | {"data_base64": ""})
+    assert response.status_code == 422 and "bytes of a mesh file, got nothing" in response.json()["detail"]
+    response = uploads.post("/garments", json=document | {"avatar": {"name": "n" * 200_000}})
+    assert response.status_code == 413 and "avatar: expected at most 10000 characters" in response.json()["detail"]
     response = uploads.post("/garments", json=document | {"size": 3})
     assert response.status_code == 400 and "size: expected no such field" in response.json()["detail"]
     response = uploads.post("/garments", json=document | {"format": "fbx"})
@@ -167,6 +176,16 @@ def sandboxed(settings: Settings, content: bytes, name: str, folder: Path) -> di
     file = folder / name
     file.write_bytes(content)
     return asyncio.run(run_sandbox(file, "standard", folder / "out", settings))
+
+
+@pytest.mark.parametrize("avatar", ['{"betas": [1e308]}', '{"trans": [1e300, 0, 0]}', '{"ä": 1}' + 9000 * " "])
+def test_what_is_said_of_the_avatar_reaches_the_intake(
+    make_settings: Callable[..., Settings], tube: Garment, tmp_path: Path, avatar: str
+):
+    file = tmp_path / "tube.obj"
+    file.write_bytes(garment_obj(tube))
+    with pytest.raises(BodyError, match=r"avatar betas|avatar trans|phenotype ä"):
+        asyncio.run(run_sandbox(file, avatar, tmp_path / "out", make_settings()))
 
 
 def test_limits_end_the_process_with_a_sentence(make_settings: Callable[..., Settings], tube: Garment, tmp_path: Path):

@@ -61,7 +61,7 @@ class _GlbReader:
     def read(self) -> GarmentMesh:
         try:
             return self.scene()
-        except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+        except (KeyError, IndexError, TypeError, ValueError, OverflowError, AttributeError) as error:
             # Every index of the document is looked up unchecked above; here is the one place that says so.
             raise self.fault("a valid glTF document", f"{type(error).__name__}: {error}") from error
 

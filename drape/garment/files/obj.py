@@ -13,7 +13,7 @@ from drape.garment.files.mesh import VERTEX_LIMIT, GarmentMesh, check_count
 _SILENT = frozenset(
     "vn o g s mtllib l p vp cstype deg curv curv2 surf parm end bevel lod".split()  # noqa: SIM905
 )
-_INTEGER = re.compile(r"[+-]?\d+\Z")
+_INTEGER = re.compile(r"[+-]?\d{1,18}\Z")  # more digits are no index, and no int64
 
 
 def read_obj(payload: bytes, *, name: str, vertex_limit: int = VERTEX_LIMIT) -> GarmentMesh:

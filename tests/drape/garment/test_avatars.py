@@ -71,6 +71,7 @@ def test_phenotype_reproduces_the_avatar_in_the_data(prefix: str, data: Path):
         ({"weight": float("nan")}, "phenotype weight"),
         ({"weight": "heavy"}, "phenotype weight"),
         ({"weight": True}, "phenotype weight"),
+        ({"weight": 10**400}, "phenotype weight"),
         ({"haircolour": 0.5}, "phenotype haircolour"),
     ],
 )
@@ -96,6 +97,10 @@ def test_smpl_parameters_pose_the_standard_body(rng: np.random.Generator):
         {"pose": [0.0] * 71},
         {"pose": "T"},
         {"betas": [float("inf")]},
+        {"betas": [10**400]},
+        {"betas": [-1e308]},
+        {"trans": [1e300, 0, 0]},
+        {"pose": [1e300] * 72},
         {"betas": [0.0] * 30},
         {"trans": [0, 0]},
         {"betas": [], "gender": 1.0},

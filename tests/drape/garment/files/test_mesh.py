@@ -77,6 +77,8 @@ def test_obj_indices_may_point_ahead_and_faces_may_lack_uv():
         ("f 1/7 2/7 3/7", "a texture coordinate index up to 0"),
         ("f 1/1/1/1 2 3", "corners like"),
         ("f 1.5 2 3", "corners like"),
+        ("f 1 2 1" + 30 * "0", "corners like"),
+        ("f 1 2 1" + 5000 * "0", "corners like"),
         ("banana 1 2 3", "an OBJ statement"),
     ],
 )
@@ -173,6 +175,7 @@ def set_entry(*path):
         set_entry("accessors", 0, "count", 100_000_000),
         set_entry("accessors", 0, {"count": 100_000_000, "type": "VEC3", "componentType": 5126}),
         set_entry("accessors", 0, "count", -5),
+        set_entry("accessors", 0, "count", float("inf")),
         set_entry("accessors", 0, "componentType", 5130),
         set_entry("accessors", 0, "bufferView", 7),
         set_entry("accessors", 0, "sparse", {"count": 1}),

@@ -1,0 +1,79 @@
+"""JSON that clients send: counted before it is parsed, so that no body holds the interpreter lock for long.
+
+A parser makes an object of every bracket and comma and keeps the lock until it is through: a mebibyte of empty lists
+took seconds. What a request can rightly hold is known, so more is refused unparsed.
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+from fastapi import Request
+from pydantic import ValidationError
+from pydantic_core import from_json
+
+from drape.body.skeleton import JOINT_COUNT
+from service.errors import TooLarge
+from service.negotiation import JSON
+from service.schemas import Request as Schema
+from service.validation import not_json, validation_refusal
+
+MARKS = b",:[{"
+_OTHER_BYTES = bytes(byte for byte in range(256) if byte not in MARKS)
+FRAME_MARKS = 4 * JOINT_COUNT + 5  # of 24 x 3 numbers in poses and 3 in trans
+SMALL_MARKS = 10_000  # of a request without poses
+
+Asked = TypeVar("Asked", bound=Schema)
+
+
+def clip_marks(max_frames: int) -> int:
+    """Marks that a clip of ``max_frames`` may have, and a quarter more: that long it is refused by its frames."""
+    return 5 * max_frames * FRAME_MARKS // 4 + SMALL_MARKS
+
+
+def document_of(text: bytes, *, most_marks: int = SMALL_MARKS, otherwise: str = "text that is not JSON") -> Any:
+    """The parsed ``text``; refuses more than ``most_marks`` marks (``MARKS``), and what is no JSON as ``otherwise``."""
+    marks = len(text.translate(None, _OTHER_BYTES))
+    if marks > most_marks:
+        raise TooLarge(
+            "request body",
+            expected=f"at most {most_marks} commas, colons and opening brackets",
+            got=str(marks),
+            cure="Send less in one request.",
+        )
+    try:
+        return from_json(text, cache_strings="none")
+    except ValueError as error:
+        raise not_json(otherwise) from error
+
+
+def validated(model: type[Asked], document: Any) -> Asked:
+    """``document`` as a ``model``; refuses the first thing that is wrong with it."""
+    if isinstance(document, dict):
+        for unknown in [key for key in document if key not in model.model_fields][1:]:
+            del document[unknown]  # pydantic makes an error of each, and one is told
+    try:
+        return model.model_validate(document)
+    except ValidationError as error:
+        raise validation_refusal(error.errors(include_url=False)) from error
+
+
+async def json_text(request: Request) -> bytes:
+    """The body of ``request``; refuses one that does not say that it is JSON, and an empty one."""
+    kind = content_type(request)
+    body = await request.body()
+    if kind != JSON and not (kind.startswith("application/") and kind.endswith("+json")):
+        raise not_json("a body of another type")
+    if not body:
+        raise not_json("nothing")
+    return body
+
+
+def content_type(request: Request) -> str:
+    """The media type of the body without its parameters, in lower case; empty where none was said."""
+    return request.headers.get("content-type", "").partition(";")[0].strip().lower()
+
+
+def body_schema(model: type[Schema]) -> dict[str, Any]:
+    """What a route that reads ``model`` by itself says of its body in the OpenAPI document."""
+    return {"requestBody": {"content": {JSON: {"schema": model.model_json_schema()}}, "required": True}}

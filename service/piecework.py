@@ -1,0 +1,36 @@
+"""Work that holds the interpreter lock, done by one thread in pieces of about a millisecond.
+
+The event loop and the thread that drapes need the lock for every frame of every stream. Parsers and encoders of JSON
+hold it until they are through, so they get one thread together, never two at a time, and what is long is cut.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import TypeVar
+
+Result = TypeVar("Result")
+
+
+class Piecework:
+    """The thread; ``close`` ends it."""
+
+    def __init__(self) -> None:
+        self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="drape-pieces")
+
+    async def run(self, function: Callable[..., Result], *arguments: object) -> Result:
+        """``function(*arguments)`` as one piece."""
+        return await asyncio.get_running_loop().run_in_executor(self._executor, partial(function, *arguments))
+
+    async def each(self, pieces: Iterator[Result]) -> AsyncIterator[Result]:
+        """What ``pieces`` gives, one turn of the thread for each: other work comes between them."""
+        end = object()
+        while (piece := await self.run(next, pieces, end)) is not end:
+            yield piece  # pyright: ignore[reportReturnType]
+
+    def close(self) -> None:
+        """Ends the thread after the piece at hand."""
+        self._executor.shutdown(wait=True, cancel_futures=True)
