@@ -61,5 +61,5 @@ def carried(memories: Memories, before: Plan, after: Plan) -> Memories:
     return {
         (stage, owner): memory
         for (stage, owner), memory in memories.items()
-        if owner in owners and stage in new and old[stage] == new[stage]
+        if owner in owners and stage in old and stage in new and old[stage] == new[stage]
     }

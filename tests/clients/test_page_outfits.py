@@ -11,6 +11,7 @@ import pytest
 from drape.garment.cache import save_garment
 from service.app import create_app
 from service.drapery import Drapery
+from service.engine import PACKED
 from service.settings import Settings
 from tests.clients.browser import Page, open_page
 from tests.clients.test_page import set_control, share
@@ -89,14 +90,13 @@ def test_each_layer_has_its_own_colour(page: Page):
 
 
 def test_passes_are_chosen_and_the_service_runs_that_many(page: Page, drapery: Drapery):
-    assert drapery.packer is not None
     options = page.evaluate("Array.from(document.getElementById('passes').options, (option) => option.value)")
     assert options == ["", "3", "2", "1", "0"] and not page.evaluate("document.getElementById('passes-row').hidden")
     for passes in (0, 2):
         set_control(page, "passes", "value", str(passes), "change")
         assert last_opening(page)["passes"] == passes
         more_frames(page)
-        assert passes in {plan.passes for plan, _ in drapery.packer._sessions}
+        assert passes in {passes for graph, _, _, passes, _ in drapery.engine._opened if graph == PACKED}
     set_control(page, "passes", "value", "", "change")
     assert "passes" not in last_opening(page)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from drape.wire import messages as wire
+from drape.wire.options import DrapeOptions
 from tests.architecture.repository import ROOT
 
 WIRE_JS = ROOT / "clients/web/src/wire.js"
@@ -70,3 +72,10 @@ def test_javascript_reads_and_writes_what_python_does(tmp_path):
     assert header["root"] == [1.0, 2.0, 3.0]
     assert_allclose(np.reshape(got["positions"], (-1, 3)), read.positions, rtol=0, atol=1e-6)
     assert "too short" in got["short"] and "reload" in got["stale"]
+
+
+def test_controls_of_the_page_name_options_of_the_wire():
+    page = (ROOT / "clients/web/src/index.html").read_text()
+    named = set(re.findall(r'data-option="(\w+)"', page))
+    assert "push_out" in named
+    assert named <= {field.alias or name for name, field in DrapeOptions.model_fields.items()}

@@ -114,7 +114,8 @@ def test_at_rest_it_is_the_static_model_bit_for_bit(model, garment, folder, tmp_
 def readable(folder: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
     """Vertices [m] (F, V, 3) of the readable graph in ``folder``."""
     opened = session(folder / "drape.onnx")
-    return opened.run(["vertices"], {tensor.name: arrays[tensor.name] for tensor in opened.get_inputs()})[0]
+    feed = {tensor.name: arrays[tensor.name] for tensor in opened.get_inputs()}
+    return np.asarray(opened.run(["vertices"], feed)[0])
 
 
 def test_clients_do_not_depend_on_their_company(folder, rng):

@@ -231,4 +231,4 @@ def test_captured_graphs_drape_as_the_cpu(bodies: dict[str, np.ndarray]):
 def test_the_packed_graph_runs_where_it_is_asked_to():
     engine = Engine(exported()[1])
     engine.open_cut(PACKED, ["vertices"])
-    assert engine.elsewhere == 0
+    assert engine.nodes_off_provider == 0

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.body.model import BodyModel
 from drape.garment.cache import Garment
 from drape.geometry.closest import signed_distance
-from drape.wire.options import DrapeOptions
+from drape.wire.options import DrapeOptions, Geometry
 from service.drapery import Drapery
 from service.settings import Settings
 from service.stages import run
@@ -113,7 +113,7 @@ def test_push_out_brings_cloth_out_of_the_body_and_says_how_far(drapery: Drapery
 
 @pytest.mark.parametrize("worn", [["tube"], ["tube", "coat"]])
 @pytest.mark.parametrize("geometry", ["vertices", "jets"])
-def test_frames_do_not_depend_on_their_company(outfit_settings: Settings, worn: list[str], geometry: str):
+def test_frames_do_not_depend_on_their_company(outfit_settings: Settings, worn: list[str], geometry: Geometry):
     """Alone, or in a batch with other shapes: the same bits."""
     drapery = Drapery(outfit_settings)
     poses, trans = random_motion(6)

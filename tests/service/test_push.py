@@ -76,6 +76,7 @@ def test_the_graph_pushes_vertices_and_jets_as_the_formula(rng: np.random.Genera
     want = pushed_jets(posed.jet, posed.rotation, garment_feed(whole)["patch_scale"], expected.coefficients)
     assert got.jet is not None and np.abs(got.jet - jets.full(posed.jet)).max() > 0.01
     assert_allclose(got.jet, want, rtol=0, atol=5e-4)  # of a scale of 5 cm
+    assert got.left_m is not None
     assert_allclose(got.left_m, expected.left_m, rtol=0, atol=2e-5)
     assert (got.left_m < got.way_m.max(axis=1)).all() and (got.left_m > 0.0).all()
     one = pusher.push([whole.digest], vertices[1:], skin[1:])
@@ -94,6 +95,7 @@ def test_the_graph_pushes_layers_as_the_formula(rng: np.random.Generator):
     expected = push_over_in_parts(vertices, under, skin, layer_feed(outer, [inner], body), CLEARANCE)
     assert_allclose(got.vertices, expected.vertices, rtol=0, atol=2e-5)
     want = pushed_jets(posed.jet, posed.rotation, garment_feed(outer)["patch_scale"], expected.coefficients)
+    assert got.jet is not None and got.left_m is not None
     assert_allclose(got.jet, want, rtol=0, atol=5e-4)
     assert_allclose(got.left_m, expected.left_m, rtol=0, atol=2e-5)
     assert_array_equal(pusher.push(keys, vertices, skin, under=under).vertices, got.vertices)

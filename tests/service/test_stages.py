@@ -53,7 +53,7 @@ class Counting(Stage):
             assert layer.vertices is not None
             before = [memory or 0 for memory in batch.remembered((self.name, key))]
             worn = [n + np.arange(1, len(one.poses) + 1) for n, one in zip(before, batch.inputs, strict=True)]
-            lift = np.float32(STEP_M) * np.concatenate(worn)[:, None, None] * np.float32([0.0, 1.0, 0.0])
+            lift = np.float32(STEP_M) * np.concatenate(worn)[:, None, None] * np.array([0.0, 1.0, 0.0], np.float32)
             lifted = Layer(layer.vertices + lift, layer.jets)
             batch = replace(batch, layers=(*batch.layers[:i], lifted, *batch.layers[i + 1 :]))
             batch = batch.remember((self.name, key), [int(count[-1]) for count in worn])

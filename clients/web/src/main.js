@@ -63,9 +63,16 @@ const wardrobe = new Wardrobe(element("layers"), element("add"), {
 function scene() {
   const garments = wardrobe.chosen();
   const worn = garments.length === 1 ? { garment: garments[0] } : { garments };
-  const passes = element("passes").value;
-  const asked = { ...worn, betas: state.betas, push_out: element("push").checked };
-  return passes === "" ? asked : { ...asked, passes: Number(passes) };
+  return { ...worn, betas: state.betas, ...options() };
+}
+
+// Options (drape/wire/options.py) are the controls that name one; an empty one is left to the service.
+const optionControls = () => [...document.querySelectorAll("[data-option]")];
+
+function options() {
+  const chosen = optionControls().filter((control) => control.type === "checkbox" || control.value !== "");
+  const value = (control) => (control.type === "checkbox" ? control.checked : Number(control.value));
+  return Object.fromEntries(chosen.map((control) => [control.dataset.option, value(control)]));
 }
 
 function openStream() {
@@ -243,8 +250,7 @@ function showStats(now) {
 
 function wireControls() {
   element("clip").addEventListener("change", chooseClip);
-  element("push").addEventListener("change", openStream);
-  element("passes").addEventListener("change", openStream);
+  for (const control of optionControls()) control.addEventListener("change", openStream);
   element("jets").addEventListener("change", chooseGarments);
   element("body").addEventListener("change", () => viewer.setBodyShown(element("body").checked));
   element("wire").addEventListener("change", () => viewer.setTriangles(element("wire").checked));

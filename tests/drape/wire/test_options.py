@@ -28,7 +28,8 @@ def test_every_option_is_described_and_may_be_left_out():
 
 def test_equal_options_are_one_key():
     one, other = (DrapeOptions(passes=passes, motion=0.5) for passes in (2, 3))
-    assert hash(one) == hash(DrapeOptions(passes=2, motion=0.5)) and len({one, other, one.model_copy()}) == 2
+    assert hash(one) == hash(DrapeOptions(passes=2, motion=0.5))
+    assert one == one.model_copy() != other
     with pytest.raises(ValidationError, match="frozen"):
         one.passes = 1  # type: ignore[misc]
 
