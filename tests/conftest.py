@@ -21,12 +21,12 @@ ROOT = Path(__file__).resolve().parents[1]
 FOLDER_BUDGET_S = {
     "architecture": 60,
     "drape": 200,
-    "training": 150,
+    "training": 120,
     "model_export": 150,
     "service": 150,
     "clients": 90,
     "recovery": 100,
-    "benchmarks": 40,
+    "benchmarks": 70,
 }
 LONGEST_FIRST = ("training", "recovery", "service", "model_export", "benchmarks", "clients", "drape", "architecture")
 CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
