@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from drape.arrays import Array
+from drape.arrays.tensors import Tensors, group, tensor
 from drape.artifacts import TensorSpec
 from drape.body.skeleton import JOINT_COUNT
 from drape.graph.inputs import (
@@ -24,7 +25,6 @@ from drape.graph.inputs import (
     MotionTensors,
     PatchTensors,
 )
-from drape.tensors import Tensors, group, tensor
 from training.agreement import GatheredAgreement
 from training.model import OneFit, paper_vertices, vertex_positions
 

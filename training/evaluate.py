@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from drape.arrays.subnormals import flushed
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, find_motions, open_garment
@@ -159,6 +160,7 @@ def print_rows(rows: list[dict[str, Any]]) -> None:
         print(line)
 
 
+@flushed()
 def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     """Prints the table and one line of JSON, and returns what that holds."""
     parser = argparse.ArgumentParser(

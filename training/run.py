@@ -24,6 +24,7 @@ from typing import Any
 import torch
 from torch.utils.tensorboard import SummaryWriter
 
+from drape.arrays.subnormals import flushed
 from drape.errors import InputError, refusing
 from drape.files.data import data_folder
 from drape.motion.clip import MotionClip
@@ -119,7 +120,8 @@ def main() -> int:
     parser.add_argument("--bf16", action="store_true", help="matrices in bfloat16 (docs/training.md says when it pays)")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     arguments = parser.parse_args()
-    _run(arguments)
+    with flushed():  # from the start: the threads of torch, made at its first large operation, take it over
+        _run(arguments)
     return 0
 
 

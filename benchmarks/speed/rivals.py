@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from benchmarks.shared.common import ROOT
 from benchmarks.shared.kd_tree_push import Collider
 from benchmarks.speed.setup import timed
+from drape.arrays.subnormals import flushed
 from drape.body.model import BodyModel
 from drape.cloth.material import material
 from drape.cloth.metrics import area_strain_pct, edge_strain_pct
@@ -63,6 +64,7 @@ class EagerDrape(nn.Module):
         return self.graph.charts.blend(coefficients, self.columns, self.index.vertex_charts)
 
 
+@flushed()
 def torch_rows(
     model: OneFit, garment: Garment, body: BodyModel, pose: np.ndarray, *, seconds: float, compiled: bool
 ) -> list[dict[str, Any]]:

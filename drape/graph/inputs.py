@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from drape.arrays import Array
+from drape.arrays.tensors import Tensors, group, tensor
 from drape.body.features import DYNAMIC_PER_JOINT, feature_count
 from drape.body.skeleton import JOINT_COUNT
 from drape.garment.agreement import FIT_COUNT, MEMBERS, STRAIN_POINTS
@@ -16,7 +17,6 @@ from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.geometry import jets
 from drape.push.proximity import PatchSkin
 from drape.push.samples import REGION_SIZE
-from drape.tensors import Tensors, group, tensor
 
 BETA_COUNT = 10
 ROOT = "m, relative to the root joint"

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.arrays import Array, namespace
+from drape.arrays.tensors import Tensors, group, tensor
 from drape.body.model import BodyModel
 from drape.errors import ArtifactError, InputError
 from drape.garment.cache import Garment
@@ -18,7 +19,6 @@ from drape.push.layers import MEMBERS, ClothSamples, cloth_samples, covered, joi
 from drape.push.projection import CLEARANCE_M, Pushed, PushFeed, push_in_parts
 from drape.push.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE, Samples, table_of_columns, unit_cross
 from drape.push.skin import body_skin
-from drape.tensors import Tensors, group, tensor
 
 PART_CLUSTERS = POSED_REGIONS * REGION_SIZE // CLUSTER_SIZE
 REGION_ROW = 8 * REGION_SIZE

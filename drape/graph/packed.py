@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from drape.arrays import Array
+from drape.arrays.tensors import Tensors, group, tensor
 from drape.body.skeleton import JOINT_COUNT
 from drape.garment.agreement import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.garment.cache import CHARTS_PER_VERTEX
@@ -15,7 +16,6 @@ from drape.geometry import jets
 from drape.graph.inputs import AGREES, BETA_COUNT, DYNAMIC, FEELS
 from drape.push.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE
 from drape.push.tables import OWN_CLUSTERS
-from drape.tensors import Tensors, group, tensor
 
 COLUMNS = 3 + jets.HEIGHT_COUNT  # rest place, basis
 LOWER_COLUMNS = 3 + jets.IN_PLANE_COUNT  # rest place, basis up to the second order

@@ -22,12 +22,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.arrays import Array, namespace
+from drape.arrays.tensors import Tensors, tensor
 from drape.geometry import jets
 from drape.geometry.rotations import dot_columns
 from drape.push.field import columns, largest, looks, ramp, seen, surface, take
 from drape.push.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE, Samples, region_centres, sample_table
 from drape.push.tables import BLOCK_SIZE, GROUP_SIZE, OTHER_STEPS, OWN_CLUSTERS
-from drape.tensors import Tensors, tensor
 
 CLEARANCE_M = 0.0025
 REGION_COUNT = 2  # of other parts that a group of blocks is tested against

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.arrays import Array, namespace
+from drape.arrays.tensors import Tensors, tensor
 from drape.geometry.rotations import dot_columns
 from drape.push.field import Surface, largest, mixed, queries, ramp, surface, take
 from drape.push.projection import AGREEMENT, BESIDE_M2, OTHER_LEAST, REGION_BIAS_M2, REGION_COUNT
 from drape.push.samples import CLUSTER_SIZE, REGION_SIZE, region_centres
 from drape.push.skin import Skin
 from drape.push.tables import OWN_CLUSTERS, skin_lists
-from drape.tensors import Tensors, tensor
 
 GAP_M = 0.006  # a patch feels the body from this distance on; the contact energy begins at 4 mm
 UNIT_M = 0.01

@@ -15,6 +15,7 @@ from typing import TypeVar, cast
 import numpy as np
 
 from drape.arrays import Array, namespace
+from drape.arrays.tensors import Tensors, tensor
 from drape.body.model import BodyModel
 from drape.body.skeleton import BONE_ENDS, JOINT_COUNT, JOINT_NAMES
 from drape.cloth.contact import OPENING_M
@@ -32,7 +33,6 @@ from drape.push.samples import (
     table_of_columns,
     unit_cross,
 )
-from drape.tensors import Tensors, tensor
 
 SPACING_LIMITS_M = (0.012, 0.020)
 SPACING_PER_RADIUS = 0.55  # a limb has eleven samples around it, whatever its thickness, within the limits

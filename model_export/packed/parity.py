@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from drape.arrays.subnormals import flushed
 from drape.body.assets import load_body
 from drape.garment.cache import Garment
 from drape.garment.tangents import tangent_columns
@@ -20,6 +21,7 @@ from training.model import OneFit
 FRAMES = 5
 
 
+@flushed()
 def packed_parity_error(model: OneFit, encoder: Path, packed: Path, garment: Garment) -> float:
     """Largest vertex distance [m] of one batch: hard poses of two body shapes, the garment in three sizes of itself."""
     body = load_body()

@@ -15,13 +15,13 @@ from pathlib import Path
 from torch import Tensor, nn
 
 from drape.arrays import Array
+from drape.arrays.tensors import Tensors, group, tensor
 from drape.artifacts import GraphSpec, TensorSpec
 from drape.body.skeleton import JOINT_COUNT
 from drape.graph.layer_feed import LayerFeed, push_over_in_parts
 from drape.push.projection import TERMS, Pushed, PushFeed, push_in_parts
 from drape.push.samples import REGION_SIZE
 from drape.push.skin import SkinOnBones, skin_table
-from drape.tensors import Tensors, group, tensor
 from model_export.onnx_file import write_graph
 from model_export.packed.operators import TRANSLATIONS
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from drape.arrays.subnormals import flushed
 from drape.body.assets import load_body
 from drape.garment.cache import Garment
 from drape.geometry.skinning import skin_points
@@ -37,6 +38,7 @@ def layer_case(outer: Garment, inner: Garment, poses: np.ndarray, clearance_m: f
     return LayerTensors(**vars(drapes), feed=feed, under=under).flat(), expected
 
 
+@flushed()
 def push_parity_error(folder: Path, garment: Garment, *, frames: int = 3) -> float:
     """Largest vertex distance [m] between numpy and the graphs in ``folder``: of the garment, and of it worn over its
     like."""

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from drape.arrays import Array
-from drape.tensors import Tensors, group, tensor
+from drape.arrays.tensors import Tensors, group, tensor
 
 
 @dataclass(frozen=True, eq=False)
