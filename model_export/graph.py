@@ -25,7 +25,7 @@ from drape.graph.inputs import (
     MotionTensors,
     PatchTensors,
 )
-from training.agreement import GatheredAgreement
+from training.consensus import GatheredConsensus
 from training.model import OneFit, paper_vertices, vertex_positions
 
 
@@ -41,7 +41,7 @@ class DrapeTensors(Tensors):
     dynamic_code: Array | None = tensor(
         "dynamic_code", "frames", "code", unit="1, scaled by the motion knob", part=DYNAMIC
     )
-    agreement: GatheredAgreement | None = group(GatheredAgreement, part=AGREES)
+    consensus: GatheredConsensus | None = group(GatheredConsensus, part=AGREES)
 
 
 def drape_inputs(model: OneFit) -> tuple[TensorSpec, ...]:
@@ -115,7 +115,7 @@ class DrapeGraph(nn.Module):
 
     def forward(self, tensors: dict[str, Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         given = DrapeTensors.from_flat(tensors)
-        posed = self.model(given.body, given.patches, given.embedding, given.dynamic_code, charts=given.agreement)
+        posed = self.model(given.body, given.patches, given.embedding, given.dynamic_code, charts=given.consensus)
         vertices = vertex_positions(posed, given.patches, given.charts)
         if given.skin_weights is not None:
             vertices = paper_vertices(vertices, given.skin_weights, given.body)

@@ -55,7 +55,7 @@ class ModelConfig:
 
     @property
     def agrees(self) -> bool:
-        """Whether the network needs the tables of ``drape.garment.agreement``."""
+        """Whether the network needs the tables of ``drape.garment.consensus``."""
         return self.agreed_base or self.corrections > 0 or self.closing_fit
 
     @property

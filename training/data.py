@@ -16,8 +16,8 @@ from drape.garment.fitting import RestGarment, patch_fields
 from drape.graph.feeds import atlas_feed, body_feed
 from drape.graph.inputs import BodyTensors, PatchTensors
 from drape.push.skin import Skin
-from training.agreement import SparseAgreement, blend_matrix
 from training.collider import Collider
+from training.consensus import SparseConsensus, blend_matrix
 from training.sparse import SparsePair
 
 
@@ -31,7 +31,7 @@ class Partition:
     chart_patch: Tensor
     chart_weight: Tensor
     chart_row: Tensor  # (V, 4, 19): [1, rest position in the patch frame, basis]
-    agreement: SparseAgreement
+    consensus: SparseConsensus
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ def partition_tensors(atlas: Atlas, skin: Skin, *, device: torch.device) -> Part
         chart_patch=tensors["chart_patch"],
         chart_weight=tensors["chart_weight"],
         chart_row=tensors["row"],
-        agreement=SparseAgreement.of(feed, device=device),
+        consensus=SparseConsensus.of(feed, device=device),
     )
 
 

@@ -25,7 +25,7 @@ from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, find_motions, open_garment
 from drape.cloth import metrics
-from drape.cloth.contact import BodyContact, push_out
+from drape.cloth.contact import BodyContact, nearest_vertex_push
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import material
 from drape.errors import ArtifactError
@@ -91,7 +91,7 @@ def posed_patches(
     body = source.pose(poses, np.zeros((len(poses), source.body.shape_count))).tensors
     with torch.no_grad():
         embedding = model.garment(partition.features)
-        posed = model(body, partition.patches, embedding, charts=partition.agreement, passes=passes)
+        posed = model(body, partition.patches, embedding, charts=partition.consensus, passes=passes)
         vertices = vertices_from(posed_coefficients(posed, partition.patches.scale), partition)
         if model.config.variant == "paper":
             vertices = paper_vertices(vertices, torch.from_numpy(garment.skin_weights.astype(np.float32)), body)
@@ -117,7 +117,7 @@ def evaluate(
     normals = np.asarray(contact.normals(skin))
     positions = {
         "skinning": skinned,
-        "skinning_push": push_out(skinned, skin, normals),
+        "skinning_push": nearest_vertex_push(skinned, skin, normals),
         "network": draped,
         "network_push": push_out_of_bodies(draped, skin, body_skin(body), push_feed(garment, body)),
     }

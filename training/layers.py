@@ -8,10 +8,10 @@ import torch
 from torch import Tensor, nn
 
 from drape.body.skeleton import JOINT_COUNT
-from drape.garment.agreement import STRAIN_POINTS
+from drape.garment.consensus import STRAIN_POINTS
 from drape.geometry import jets
-from training.agreement import softened
 from training.config import ModelConfig
+from training.consensus import softened
 
 SLOPE = 0.01  # LeakyReLU, as in appendix A.3
 STRAIN_COUNT = 3 * STRAIN_POINTS
@@ -131,7 +131,7 @@ class Decoder(nn.Module):
 class Correction(nn.Sequential):
     """What a patch knows and feels -> change of its jets (F, K, 27).
 
-    Inputs: the decoder's code of the patch, strain and force of ``training.agreement``, and the jets themselves; then
+    Inputs: the decoder's code of the patch, strain and force of ``training.consensus``, and the jets themselves; then
     what it feels of the body, closeness and force, where the configuration has it.
     """
 

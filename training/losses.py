@@ -13,8 +13,8 @@ from drape.cloth.contact import plane_distance
 from drape.cloth.material import Material
 from drape.cloth.waistband import band_energy
 from drape.graph.inputs import BodyTensors
-from training.agreement import framewise
 from training.collider import nearest_collider
+from training.consensus import framewise
 from training.data import BodyBatch, Partition, TrainingGarment
 from training.model import Posed, paper_vertices, posed_coefficients
 

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from drape.garment.agreement import strain_points
+from drape.garment.consensus import strain_points
 from drape.garment.features import saturated
 from drape.geometry import jets
 from drape.geometry.skinning import blend_frames, skin_points
 from drape.graph.inputs import BodyTensors, ChartTensors, PatchTensors
-from drape.push.proximity import Planes, felt, planes
-from training.agreement import ChartAgreement, agreed_jets, closing_jets, softened, strain_and_force, tangent_terms
+from drape.push.proximity import Planes, body_proximity, planes
 from training.config import ModelConfig
+from training.consensus import ChartConsensus, agreed_jets, closing_jets, softened, strain_and_force, tangent_terms
 from training.layers import Correction, Decoder, GarmentEncoder, StaticEncoder
 from training.recurrent import DynamicEncoder
 
@@ -71,7 +71,7 @@ class OneFit(nn.Module):
 
     def _felt(self, rotation: Tensor, points: Tensor, near: Planes) -> list[Tensor]:
         """Closeness (F, K, 14) of the posed body to ``points`` of the patches, and its force on the jets (F, K, 27)."""
-        closeness, push = felt(points, near)
+        closeness, push = body_proximity(points, near)
         along = (push @ rotation).mT @ self.felt_terms.T  # (F, K, 3, 15)
         plane, height = along[..., : jets.IN_PLANE_COUNT], along[..., 2, :]
         return [closeness, softened(torch.cat([plane[..., 0, :], plane[..., 1, :], height], dim=-1) / 4.0)]
@@ -119,7 +119,7 @@ class OneFit(nn.Module):
         embedding: Tensor,
         dynamic_code: Tensor | None = None,
         *,
-        charts: ChartAgreement | None = None,
+        charts: ChartConsensus | None = None,
         passes: int | None = None,
     ) -> Posed:
         """Posed patches of F bodies.

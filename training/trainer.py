@@ -135,7 +135,7 @@ class BaseTrainer:
         config = self.config
         embedding = self.model.garment(partition.features)
         posed = self.model(
-            batch.tensors, partition.patches, embedding, dynamic_code, charts=partition.agreement, passes=passes
+            batch.tensors, partition.patches, embedding, dynamic_code, charts=partition.consensus, passes=passes
         )
         return posed, losses.garment_vertices(posed, partition, garment, batch.tensors, variant=config.model.variant)
 

@@ -66,7 +66,7 @@ class Wardrobe:
 
     def _dressed(self, label: str, rest: RestGarment, seeds: list[int]) -> TrainingGarment:
         cloth = ClothMesh.from_rest(rest.vertices, rest.faces).like(torch.zeros(1, device=self.device))
-        weights = torch.from_numpy(rest.hang.weights.astype(np.float32)).to(self.device)
+        weights = torch.from_numpy(rest.binding.weights.astype(np.float32)).to(self.device)
         found = waistband(rest.vertices, rest.faces, self._body)
         band = None
         if found is not None:

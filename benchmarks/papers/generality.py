@@ -26,7 +26,7 @@ from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, open_garment
 from drape.cloth import metrics
-from drape.cloth.contact import BodyContact, push_out
+from drape.cloth.contact import BodyContact, nearest_vertex_push
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import material
 from drape.errors import ended
@@ -77,7 +77,7 @@ def physics_energy(garment: Garment, body: BodyModel, poses: HardPoses, *, steps
     still = np.broadcast_to(rest, (len(poses.poses), *rest.shape))
     skinned = skin_points(still, garment.skin_weights.astype(np.float64), rotations, translations)
     skin = body.posed_vertices(poses.poses)
-    pushed = push_out(skinned, skin, np.asarray(contact.normals(skin)))
+    pushed = nearest_vertex_push(skinned, skin, np.asarray(contact.normals(skin)))
 
     def minimise() -> physics.Optimum:
         return physics.minimise(cloth, cloth_material, pushed, contact, skin, step_limit=steps)

@@ -130,7 +130,7 @@ def weight_gradients(rest: RestGarment) -> np.ndarray:
     area = np.cross(first, second)
     squared = np.maximum(np.sum(area * area, axis=1), 1e-30)[:, None]
     by_corner = [np.cross(second, area) / squared, np.cross(area, first) / squared]
-    weights = rest.hang.weights[rest.faces]
+    weights = rest.binding.weights[rest.faces]
     found = sum(
         (weights[:, k + 1] - weights[:, 0])[:, :, None] * gradient[:, None] for k, gradient in enumerate(by_corner)
     )

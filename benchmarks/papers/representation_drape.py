@@ -14,12 +14,12 @@ from benchmarks.papers.representation_minimise import Minimum, minimise
 from benchmarks.papers.representation_space import Charts, PatchSpace, Representation, VertexSpace, block_scaling
 from drape.body.model import BodyModel
 from drape.cloth import energies, metrics
-from drape.cloth.contact import BodyContact, push_out
+from drape.cloth.contact import BodyContact, nearest_vertex_push
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.garment.cache import Garment
 from drape.garment.fitting import RestGarment
-from drape.garment.skin import Hang
+from drape.garment.skin import BodyBinding
 from drape.geometry.rotations import matrix_to_quaternion
 from drape.geometry.skinning import blend_frames, skin_points
 
@@ -83,13 +83,13 @@ class Drapes:
 
 def open_bench(garment: Garment, body: BodyModel, poses: np.ndarray, cloth_material: Material) -> Bench:
     """The bench of ``garment`` on ``body`` in ``poses`` (F, 24, 3) [rad]."""
-    hang = Hang(garment.skin_weights.astype(np.float64), garment.shapedirs.astype(np.float64))
-    rest = RestGarment(garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64), hang, body)
+    binding = BodyBinding(garment.skin_weights.astype(np.float64), garment.shapedirs.astype(np.float64))
+    rest = RestGarment(garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64), binding, body)
     cloth = ClothMesh.from_rest(rest.vertices, rest.faces)
     contact = BodyContact(body.faces, body.vertex_count)
     rotations, translations = body.bones(poses)
     still = np.broadcast_to(rest.vertices, (len(poses), *rest.vertices.shape))
-    skinned = skin_points(still, rest.hang.weights, rotations, translations)
+    skinned = skin_points(still, rest.binding.weights, rotations, translations)
     skin = body.posed_vertices(poses)
     normals = np.asarray(contact.normals(skin))
     return Bench(
@@ -102,7 +102,7 @@ def open_bench(garment: Garment, body: BodyModel, poses: np.ndarray, cloth_mater
         body_vertices=skin,
         body_normals=normals,
         skinned=skinned,
-        pushed=push_out(skinned, skin, normals),
+        pushed=nearest_vertex_push(skinned, skin, normals),
         height_m=metrics.mean_height(skinned, cloth),
     )
 
@@ -113,7 +113,7 @@ def frame_spaces(bench: Bench, form: Representation, found: Charts) -> list[Patc
     if not form.skinned:
         return [PatchSpace(form, found, *frame, scaling) for frame in posed_frames(bench, found)]
     rotations, translations = bench.bones
-    weights = bench.rest.hang.weights
+    weights = bench.rest.binding.weights
     matrices = (weights @ rotations.reshape(bench.frame_count, -1, 9)).reshape(bench.frame_count, -1, 3, 3)
     skins = zip(matrices, weights @ translations, strict=True)
     return [PatchSpace(form, found, found.rotation, found.centre, scaling, skin=skin) for skin in skins]

@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.shared.network import Network
 from drape.body.model import BodyModel
-from drape.cloth.contact import BodyContact, push_out
+from drape.cloth.contact import BodyContact, nearest_vertex_push
 from drape.cloth.metrics import third_difference_square
 from drape.garment.cache import Garment
 from drape.geometry.skinning import skin_points
@@ -87,7 +87,7 @@ def jitter(
         normals = np.asarray(contact.normals(skin))
         drapes = {
             "skinning": skinned,
-            "skinning_push": push_out(skinned, skin, normals),
+            "skinning_push": nearest_vertex_push(skinned, skin, normals),
             "network": draped,
             "network_push": push_out_of_bodies(draped, skin, body_skin(body), feed),
         }

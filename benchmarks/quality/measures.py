@@ -20,7 +20,7 @@ from benchmarks.shared.physics_cache import cache_key, cached
 from benchmarks.shared.render import save_png
 from drape.body.model import BodyModel
 from drape.cloth import metrics
-from drape.cloth.contact import BodyContact, push_out
+from drape.cloth.contact import BodyContact, nearest_vertex_push
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.garment.cache import Garment
@@ -136,7 +136,7 @@ def drapes(
         translations,
     )
     draped = bench.network.drape(garment, poses)
-    pushed = push_out(skinned, bench.body_vertices, bench.body_normals)
+    pushed = nearest_vertex_push(skinned, bench.body_vertices, bench.body_normals)
 
     def minimise() -> physics.Optimum:
         return physics.minimise(

@@ -29,8 +29,7 @@ from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, find_motions, is_shipped, open_garment
 from drape.cloth import metrics
-from drape.cloth.contact import BodyContact
-from drape.cloth.contact import push_out as nearest_vertex_push_out
+from drape.cloth.contact import BodyContact, nearest_vertex_push
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import material
 from drape.errors import ended
@@ -89,7 +88,7 @@ def pushes(garment: Garment, body: BodyModel, contact: BodyContact) -> dict[str,
 
     def nearest(vertices: np.ndarray, poses: np.ndarray) -> np.ndarray:
         posed = body.posed_vertices(poses)
-        return nearest_vertex_push_out(vertices, posed, np.asarray(contact.normals(posed)), NEAREST_CLEARANCE_M)
+        return nearest_vertex_push(vertices, posed, np.asarray(contact.normals(posed)), NEAREST_CLEARANCE_M)
 
     return {
         "none": lambda vertices, poses: vertices,

@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse
 
 from drape.body.model import BodyModel
-from drape.cloth.contact import BodyContact, push_out
+from drape.cloth.contact import BodyContact, nearest_vertex_push
 from drape.geometry import skinning
 
 
@@ -48,14 +48,14 @@ class Collider:
         body_vertices = self.posed(poses, betas)
         normals = self.normals(body_vertices)
         colliders = self.vertices
-        pushed = push_out(vertices, body_vertices, normals, clearance_m, colliders=colliders, passes=1)
+        pushed = nearest_vertex_push(vertices, body_vertices, normals, clearance_m, colliders=colliders, passes=1)
         way = np.linalg.norm(pushed - vertices, axis=-1)
         # The second pass can only change what the first one moved: whatever stayed keeps its nearest vertex.
         for frame in range(len(vertices)):
             moved = np.flatnonzero(way[frame] > 0.0)
             if len(moved):
                 one = slice(frame, frame + 1)
-                pushed[frame, moved] = push_out(
+                pushed[frame, moved] = nearest_vertex_push(
                     pushed[one, moved], body_vertices[one], normals[one], clearance_m, colliders=colliders, passes=1
                 )[0]
         return pushed.astype(np.float32), np.linalg.norm(pushed - vertices, axis=-1)

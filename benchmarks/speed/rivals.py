@@ -22,8 +22,8 @@ from drape.arrays.subnormals import flushed
 from drape.body.model import BodyModel
 from drape.cloth.material import material
 from drape.cloth.metrics import area_strain_pct, edge_strain_pct
-from drape.garment.agreement import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.garment.cache import Garment
+from drape.garment.consensus import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.geometry import jets
 from drape.geometry.skinning import skin_points
 from drape.graph.feeds import garment_feed

@@ -98,7 +98,7 @@ def plane_distance(positions: Array, point: Array, normal: Array) -> Array:
     return xp.sum((positions - point) * normal, axis=-1)
 
 
-def push_out(
+def nearest_vertex_push(
     vertices: np.ndarray,
     body_vertices: np.ndarray,
     body_normals: np.ndarray,
@@ -109,8 +109,7 @@ def push_out(
 ) -> np.ndarray:
     """``vertices`` [m] (B, V, 3) with those nearer than ``clearance_m`` moved along the nearest body vertex's normal.
 
-    A second pass follows vertices whose nearest body vertex changed. The baseline
-    beside every quality number (DESIGN 5.4).
+    A second pass follows vertices whose nearest body vertex changed. The baseline beside every quality number.
     """
     pushed = np.array(vertices, dtype=np.float64)
     for _ in range(passes):

@@ -26,13 +26,13 @@ DEFAULT_SEED = 0
 class RestGarment:
     """A garment mesh at rest on the body with what does not depend on its partition.
 
-    ``vertices`` (N, 3) [m], ``faces`` (G, 3) of the subdivided mesh, ``hang`` its skin
+    ``vertices`` (N, 3) [m], ``faces`` (G, 3) of the subdivided mesh, ``binding`` its skin
     weights and shape movement.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
-    hang: skin.Hang
+    binding: skin.BodyBinding
     body: BodyModel
 
     @cached_property
@@ -66,7 +66,7 @@ class RestGarment:
 def rest_garment(vertices: np.ndarray, faces: np.ndarray, body: BodyModel) -> RestGarment:
     """The rest garment of ``vertices`` (N, 3) [m] on ``body`` in T-pose."""
     vertices = np.asarray(vertices, dtype=np.float64)
-    return RestGarment(vertices, faces, skin.hang(vertices, faces, body), body)
+    return RestGarment(vertices, faces, skin.bind_to_body(vertices, faces, body), body)
 
 
 def patch_fields(
@@ -88,8 +88,8 @@ def patch_fields(
     label = partition(rest.vertices, rest.faces, rest.areas, count, seed=seed, graph=rest.graph)
     centre, seeds = charts.cluster_centres(label, rest.vertices, rest.areas)
     count = len(centre)
-    weights = _cluster_mean(label, rest.areas, rest.hang.weights, count)
-    moves = rest.hang.shapedirs.reshape(len(label), -1)
+    weights = _cluster_mean(label, rest.areas, rest.binding.weights, count)
+    moves = rest.binding.shapedirs.reshape(len(label), -1)
     shapedirs = _cluster_mean(label, rest.areas, moves, count).reshape(count, 3, -1)
     rotation = charts.patch_frames(label, rest.normals, rest.areas, weights @ rest.body.bone_directions)
     scale = np.full(count, CHART_RADIUS * np.sqrt(area / count))
@@ -218,8 +218,8 @@ def fit_garment(
         uv_faces=np.asarray(uv_faces, dtype=np.int32).reshape(-1, 3),
         material_names=tuple(material_names),
         face_material=np.asarray(face_material, dtype=np.int32),
-        skin_weights=rest.hang.weights.astype(np.float32),
-        shapedirs=(SHAPE_STEP_M * np.rint(rest.hang.shapedirs / SHAPE_STEP_M)).astype(np.float32),
+        skin_weights=rest.binding.weights.astype(np.float32),
+        shapedirs=(SHAPE_STEP_M * np.rint(rest.binding.shapedirs / SHAPE_STEP_M)).astype(np.float32),
         manifest={},
         **fields,
     )

@@ -24,14 +24,16 @@ SMOOTHING_PASSES = 12
 
 
 @dataclass(frozen=True)
-class Hang:
+class BodyBinding:
     """Skin weights (N, 24) and shape movement [m per unit beta] (N, 3, S) of each vertex."""
 
     weights: np.ndarray
     shapedirs: np.ndarray
 
 
-def hang(vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, passes: int = SMOOTHING_PASSES) -> Hang:
+def bind_to_body(
+    vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, passes: int = SMOOTHING_PASSES
+) -> BodyBinding:
     """Weights and shape movement of garment ``vertices`` (N, 3) [m] at rest on ``body`` in T-pose."""
     kernel = body_kernel(vertices, body)
     smooth = smoothing_matrix(faces, len(vertices))
@@ -42,7 +44,7 @@ def hang(vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, passes: in
         shape = smooth @ shape
     weights = np.where(weights > 1e-3, weights, 0.0)
     weights /= weights.sum(axis=1, keepdims=True)
-    return Hang(weights, shape.reshape(len(vertices), 3, -1))
+    return BodyBinding(weights, shape.reshape(len(vertices), 3, -1))
 
 
 def body_kernel(vertices: np.ndarray, body: BodyModel) -> scipy.sparse.csr_matrix:

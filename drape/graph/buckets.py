@@ -21,7 +21,7 @@ AXES = {
 }
 
 
-def rung(count: int) -> int:
+def bucket_size(count: int) -> int:
     """The least of 8, 12, 16, 24, 32, 48, ... that is not below ``count``: at most half as much again."""
     size = SMALLEST
     while size < count:
@@ -42,7 +42,7 @@ def filled_rows(bodies: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 def _filled(array: np.ndarray, axes: tuple[int, ...]) -> np.ndarray:
     for axis in axes:
-        missing = rung(array.shape[axis]) - array.shape[axis]
+        missing = bucket_size(array.shape[axis]) - array.shape[axis]
         if missing:
             array = np.concatenate([array, np.repeat(array.take([0], axis=axis), missing, axis=axis)], axis=axis)
     return np.ascontiguousarray(array)

@@ -16,8 +16,8 @@ from drape.body.features import Kinematics, static_features
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
 from drape.errors import MotionError
-from drape.garment.agreement import agreement, strain_places
 from drape.garment.cache import Atlas, Garment
+from drape.garment.consensus import consensus, strain_places
 from drape.geometry import jets
 from drape.geometry.rotations import matrix_to_quaternion, rotvec_to_matrix
 from drape.graph.inputs import BETA_COUNT, PARTS, AgreementTensors, BodyTensors, ChartTensors, PatchTensors
@@ -95,7 +95,7 @@ def garment_feed(garment: Garment, *, fine: bool = False, body: BodyModel | None
 
 def atlas_feed(atlas: Atlas, *, count: int | None = None, skin: Skin | None = None) -> dict[str, np.ndarray]:
     """Constant graph inputs of a partition, its embedding excepted: ``PatchTensors``, ``ChartTensors`` of the first
-    ``count`` vertices, all by default, and ``AgreementTensors``, with ``patch_slot`` (K, 56) of ``Agreement`` besides.
+    ``count`` vertices, all by default, and ``AgreementTensors``, with ``patch_slot`` (K, 56) of ``Consensus`` besides.
 
     With the ``skin`` of the body that it was made for also what its patches feel of it. A graph names those it takes.
     """
@@ -129,7 +129,7 @@ def _skin_near(atlas: Atlas, skin: Skin) -> PatchSkin:
 
 def _agreement(atlas: Atlas, local: np.ndarray) -> dict[str, np.ndarray]:
     """Of the whole subdivided mesh: how charts agree does not depend on which vertices are delivered."""
-    tables = agreement(atlas.chart_patch, atlas.chart_uv, atlas.chart_weight, local, atlas.patch_jet, atlas.patch_scale)
+    tables = consensus(atlas.chart_patch, atlas.chart_uv, atlas.chart_weight, local, atlas.patch_jet, atlas.patch_scale)
     anchor = tables.anchor
     basis = jets.basis(atlas.chart_uv[anchor].astype(np.float64), jets.HEIGHT_ORDER)
     row = np.concatenate([np.ones((*basis.shape[:2], 1)), local[anchor], basis], axis=-1)

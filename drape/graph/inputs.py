@@ -12,8 +12,8 @@ from drape.arrays import Array
 from drape.arrays.tensors import Tensors, group, tensor
 from drape.body.features import DYNAMIC_PER_JOINT, feature_count
 from drape.body.skeleton import JOINT_COUNT
-from drape.garment.agreement import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.garment.cache import CHARTS_PER_VERTEX
+from drape.garment.consensus import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.geometry import jets
 from drape.push.proximity import PatchSkin
 from drape.push.samples import REGION_SIZE
@@ -68,7 +68,7 @@ class ChartTensors(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class AgreementTensors(Tensors):
-    """The tables of ``drape.garment.agreement``; ``anchor_row``: blend weights times [1, rest place, basis]."""
+    """The tables of ``drape.garment.consensus``; ``anchor_row``: blend weights times [1, rest place, basis]."""
 
     anchor_patch: Array = tensor("anchor_patch", "anchors", CHARTS_PER_VERTEX, dtype="int64", unit="patch index")
     anchor_row: Array = tensor("anchor_row", "anchors", CHARTS_PER_VERTEX, 4 + jets.HEIGHT_COUNT, unit="1 and m")

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from drape.arrays import Array
 from drape.arrays.tensors import Tensors, group, tensor
 from drape.body.skeleton import JOINT_COUNT
-from drape.garment.agreement import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.garment.cache import CHARTS_PER_VERTEX
+from drape.garment.consensus import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.geometry import jets
 from drape.graph.inputs import AGREES, BETA_COUNT, DYNAMIC, FEELS
 from drape.push.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE
@@ -60,7 +60,7 @@ class StoredCharts(Tensors):
 
 
 @dataclass(frozen=True, eq=False)
-class StoredFelt(Tensors):
+class StoredProximity(Tensors):
     """Where stored patches feel the body at rest, and the skin near it there (``drape.push.proximity``)."""
 
     place: Array = tensor("felt_place", "patches", 3, STRAIN_POINTS, unit="patch scales")
@@ -81,7 +81,7 @@ class StoredPatches(Tensors):
     centre: Array = tensor("patch_centre", "patches", 4, unit="m, homogeneous")
     shapedirs: Array = tensor("patch_shapedirs", "patches", 4, BETA_COUNT, unit="m, last row zero")
     charts: StoredCharts | None = group(StoredCharts, part=AGREES)
-    felt: StoredFelt | None = group(StoredFelt, part=FEELS)
+    proximity: StoredProximity | None = group(StoredProximity, part=FEELS)
 
 
 @dataclass(frozen=True, eq=False)

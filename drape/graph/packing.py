@@ -17,8 +17,8 @@ import numpy as np
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
 from drape.errors import ArtifactError
-from drape.garment.agreement import MEMBERS
 from drape.garment.cache import CHARTS_PER_VERTEX
+from drape.garment.consensus import MEMBERS
 from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_quaternion
 from drape.graph.feeds import shape_numbers
@@ -28,8 +28,8 @@ from drape.graph.packed import (
     VERTICES_PER_BLOCK,
     Indices,
     StoredCharts,
-    StoredFelt,
     StoredPatches,
+    StoredProximity,
     StoredTiles,
 )
 from drape.push.proximity import in_halves
@@ -192,7 +192,7 @@ def pack_garment(feed: dict[str, np.ndarray], patch_first: np.ndarray) -> Packed
         centre=np.concatenate([feed["patch_centre"], np.ones((count, 1))], axis=1),
         shapedirs=np.pad(feed["patch_shapedirs"], ((0, 0), (0, 1), (0, 0))),
         charts=_charts(feed),
-        felt=_felt(feed) if "patch_place" in feed else None,
+        proximity=_proximity(feed) if "patch_place" in feed else None,
     )
     stored = patches.flat() | {"tile_positions": tiling.lay(columns)}
     return PackedGarment(
@@ -220,7 +220,7 @@ def _blocks(index: np.ndarray) -> np.ndarray:
 
 
 def _charts(feed: dict[str, np.ndarray]) -> StoredCharts:
-    """What ``drape.garment.agreement`` says of each patch, as columns like those of the tiles."""
+    """What ``drape.garment.consensus`` says of each patch, as columns like those of the tiles."""
     count = len(feed["patch_scale"])
     row = feed["anchor_row"][feed["patch_member"], feed["patch_slot"]].astype(np.float64)  # (K, 56, 19)
     row = np.where(_held(feed)[..., None], row, 0.0)
@@ -236,11 +236,11 @@ def _charts(feed: dict[str, np.ndarray]) -> StoredCharts:
     )
 
 
-def _felt(feed: dict[str, np.ndarray]) -> StoredFelt:
+def _proximity(feed: dict[str, np.ndarray]) -> StoredProximity:
     """Where each patch feels the body at rest, and the skin near it there."""
     count, regions = feed["patch_other"].shape[:2]
     parts = regions // POSED_REGIONS
-    return StoredFelt(
+    return StoredProximity(
         place=(feed["patch_place"] / feed["patch_scale"][:, None, None]).swapaxes(1, 2),
         cluster=feed["patch_cluster"],
         bias=feed["patch_cluster_bias"],

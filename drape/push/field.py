@@ -8,7 +8,7 @@ mean point b,
 The first term is the implicit moving-least-squares surface (Kolluri 2008), which lies s^2 / 2R outside a
 surface of radius R for samples s away, the second the plane of mean point and mean normal (Alexa and Adamson
 2004), which lies as far inside: their mean has no error of second order, so that samples may be a quarter of a
-limb's radius apart. ``mixed`` is two matrix products and a softmax, attention of points to samples; ``surface``
+limb's radius apart. ``attend`` is two matrix products and a softmax, attention of points to samples; ``surface``
 reads distance and normal off the means, with coordinates first, so that every operation runs along the points.
 """
 
@@ -51,7 +51,7 @@ def queries(points: Array) -> Array:
     return turned @ points + like(points, [[-scale * (column == 3)] for column in range(8)])
 
 
-def mixed(query: Array, table: Array, bias: Array) -> Array:
+def attend(query: Array, table: Array, bias: Array) -> Array:
     """Means (..., P, 8) of the samples' rows ``table`` (..., K, 8) (``drape.push.skin.sample_table``).
 
     For ``queries``, points first (..., P, 8), with logits ``bias`` (..., K).
@@ -60,9 +60,9 @@ def mixed(query: Array, table: Array, bias: Array) -> Array:
     return softmax(logits) @ table
 
 
-def looks(points: Array) -> Array:
-    """Columns (..., 10, P) whose product with a sample's column in ``seen`` is -|x - b|^2 / h^2 + bias, of ``points``
-    (..., 3, P)."""
+def query_columns(points: Array) -> Array:
+    """Columns (..., 10, P) whose products with the samples' in ``attend_columns`` are the attention logits
+    -|x - b|^2 / h^2 + bias, of ``points`` (..., 3, P)."""
     xp = namespace(points)
     scale = 1.0 / (BANDWIDTH_M * BANDWIDTH_M)
     plain = queries(points)
@@ -70,18 +70,18 @@ def looks(points: Array) -> Array:
     return xp.concat([plain, xp.ones_like(square), square], axis=-2)
 
 
-def seen(look: Array, table: Array, bias: Array) -> Array:
-    """``mixed`` for points that lie last: means (..., 8, P) for ``looks`` (..., 10, P), by sums of exponentials.
+def attend_columns(query: Array, table: Array, bias: Array) -> Array:
+    """``attend`` for points that lie last: means (..., 8, P) for ``query_columns``, by sums of exponentials.
 
     A softmax without the search for the largest logit, which costs more than all the rest: so there must be a sample
     whose ``bias`` is near 0, and means fade to nothing farther than some 10 cm from all of them.
     """
-    xp = namespace(look)
+    xp = namespace(query)
     count = table.shape[-2]
     logits = xp.broadcast_to(bias[..., None, :], (*table.shape[:-2], 1, count))
     rows = xp.concat([xp.matrix_transpose(table), logits, xp.ones_like(logits)], axis=-2)  # (..., 10, K)
-    sums = rows @ xp.exp(xp.matrix_transpose(rows) @ look)
-    least = like(look, [[LEAST_WEIGHTS[row // 4]] for row in range(8)])
+    sums = rows @ xp.exp(xp.matrix_transpose(rows) @ query)
+    least = like(query, [[LEAST_WEIGHTS[row // 4]] for row in range(8)])
     return sums[..., :8, :] / xp.maximum(sums[..., 9:, :], least)
 
 

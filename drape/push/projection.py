@@ -25,7 +25,7 @@ from drape.arrays import Array, namespace
 from drape.arrays.tensors import Tensors, tensor
 from drape.geometry import jets
 from drape.geometry.rotations import dot_columns
-from drape.push.field import columns, largest, looks, ramp, seen, surface, take
+from drape.push.field import attend_columns, columns, largest, query_columns, ramp, surface, take
 from drape.push.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE, Samples, region_centres, sample_table
 from drape.push.tables import BLOCK_SIZE, GROUP_SIZE, OTHER_STEPS, OWN_CLUSTERS
 
@@ -170,10 +170,10 @@ def _means(start: Array, skin: Array, feed: PushFeed) -> tuple[Array, Array]:
     where there are others (F, 1, N), else 0."""
     xp = namespace(start)
     frames = start.shape[0]
-    look = looks(start)
-    own = _own_part(_apart(look, BLOCK_SIZE), skin, feed)
+    query = query_columns(start)
+    own = _own_part(_apart(query, BLOCK_SIZE), skin, feed)
     table, bias, has_other = _other_parts(start, skin, feed)
-    other = seen(_apart(look, GROUP_SIZE * BLOCK_SIZE), table, bias)
+    other = attend_columns(_apart(query, GROUP_SIZE * BLOCK_SIZE), table, bias)
     # The points last again: what follows runs along them.
     means = [xp.reshape(xp.permute_dims(part, (0, 2, 1, 3)), (frames, 8, -1)) for part in (own, other)]
     has_other = xp.broadcast_to(has_other, (*has_other.shape[:2], GROUP_SIZE * BLOCK_SIZE))
@@ -186,13 +186,13 @@ def _apart(rows: Array, size: int) -> Array:
     return xp.permute_dims(xp.reshape(rows, (*rows.shape[:2], -1, size)), (0, 2, 1, 3))
 
 
-def _own_part(look: Array, skin: Array, feed: PushFeed) -> Array:
-    """Means (F, C, 8, 16) of the skin under the blocks, for their ``looks`` (F, C, 10, 16)."""
-    xp = namespace(look)
-    frames, own = look.shape[0], feed.own_bias.shape[2]
+def _own_part(query: Array, skin: Array, feed: PushFeed) -> Array:
+    """Means (F, C, 8, 16) of the skin under the blocks, for their ``query_columns`` (F, C, 10, 16)."""
+    xp = namespace(query)
+    frames, own = query.shape[0], feed.own_bias.shape[2]
     clusters = xp.reshape(skin, (frames, -1, 8 * CLUSTER_SIZE))
     table = xp.reshape(take(clusters, _flat(feed.own_cluster), axis=1), (frames, -1, own, 8))
-    return seen(look, table, xp.reshape(feed.own_bias, (-1, own)))
+    return attend_columns(query, table, xp.reshape(feed.own_bias, (-1, own)))
 
 
 def _other_parts(start: Array, skin: Array, feed: PushFeed) -> tuple[Array, Array, Array]:

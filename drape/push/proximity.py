@@ -2,7 +2,7 @@
 
 The two surfaces of the push-out (``drape.push.projection``), own and other parts of the body, are read at the points
 of a patch instead of at the vertices of a block, so the cost does not grow with the mesh. Nothing is pushed: closeness
-and force at every point are what the network's corrections look at.
+and force at every point are what the network's corrections query at.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from drape.arrays import Array, namespace
 from drape.arrays.tensors import Tensors, tensor
 from drape.geometry.rotations import dot_columns
-from drape.push.field import Surface, largest, mixed, queries, ramp, surface, take
+from drape.push.field import Surface, attend, largest, queries, ramp, surface, take
 from drape.push.projection import AGREEMENT, BESIDE_M2, OTHER_LEAST, REGION_BIAS_M2, REGION_COUNT
 from drape.push.samples import CLUSTER_SIZE, REGION_SIZE, region_centres
 from drape.push.skin import Skin
@@ -106,7 +106,7 @@ def plane_share(found: Surface) -> Array:
     return ramp(found.beside_m2, *BESIDE_M2) * ramp(found.distance, *DEEP_M) * ramp(found.agreement, *AGREEMENT)
 
 
-def felt(points: Array, near: Planes) -> tuple[Array, Array]:
+def body_proximity(points: Array, near: Planes) -> tuple[Array, Array]:
     """What ``points`` [m] (F, K, n, 3) feel of the planes: closeness (F, K, 2 n) and force (F, K, n, 3).
 
     Closeness is tanh((gap - distance) / 1 cm) to the own part, then to others; the force the sum over both of
@@ -127,7 +127,7 @@ def _own(query: Array, skin: Array, lists: PatchSkin) -> Array:
     frames, patches = query.shape[0], query.shape[1]
     clusters = xp.reshape(skin, (frames, -1, 8 * CLUSTER_SIZE))
     taken = take(clusters, xp.reshape(lists.own_cluster, (-1,)), axis=1)
-    return mixed(query, xp.reshape(taken, (frames, patches, lists.own_bias.shape[1], 8)), lists.own_bias)
+    return attend(query, xp.reshape(taken, (frames, patches, lists.own_bias.shape[1], 8)), lists.own_bias)
 
 
 def _other(points: Array, query: Array, skin: Array, lists: PatchSkin) -> Array:
@@ -144,16 +144,16 @@ def _other(points: Array, query: Array, skin: Array, lists: PatchSkin) -> Array:
     table = take(xp.reshape(skin, (-1, 8 * REGION_SIZE)), xp.reshape(top + frame, (-1,)))
     other = take(xp.reshape(lists.other, (-1, REGION_SIZE)), xp.reshape(top + patch, (-1,)))
     count = REGION_COUNT * REGION_SIZE
-    return mixed_others(
+    return attend_others(
         query, xp.reshape(table, (frames, patches, count, 8)), xp.reshape(other, (frames, patches, count))
     )
 
 
-def mixed_others(query: Array, table: Array, other: Array) -> Array:
+def attend_others(query: Array, table: Array, other: Array) -> Array:
     """Means (..., n, 8) of samples ``table`` (..., c, 8) that are another part by ``other`` (..., c) 15ths."""
     xp = namespace(query)
     share = xp.astype(other, query.dtype)
-    means = mixed(query, table, xp.log(share * (1.0 / OTHER_STEPS) + OTHER_LEAST))
+    means = attend(query, table, xp.log(share * (1.0 / OTHER_STEPS) + OTHER_LEAST))
     there = xp.astype(xp.max(share, axis=-1, keepdims=True) >= 1.0, query.dtype)
     # Normals that are zero agree with nothing, which fades the surface out.
     return xp.concat([means[..., :4], means[..., 4:] * there[..., None]], axis=-1)

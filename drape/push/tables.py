@@ -13,7 +13,7 @@ from drape.push.blocks import blocks
 from drape.push.samples import CLUSTER_SIZE, REGION_SIZE, Samples
 
 BLOCK_SIZE = 16  # vertices that share a list of skin samples
-GROUP_SIZE = 2  # blocks that look for other parts of the body together
+GROUP_SIZE = 2  # blocks that query for other parts of the body together
 OWN_CLUSTERS = 10  # of skin samples under a block
 OTHER_STEPS = 255
 
@@ -75,7 +75,7 @@ def push_tables(vertices: np.ndarray, skin: Samples, *, hidden: np.ndarray | Non
         block_vertex=members.astype(np.int32),
         vertex_slot=slot.astype(np.int32),
         own_cluster=lists.own_cluster.astype(np.int32),
-        # Only their differences count; the largest is 0, as ``field.seen`` needs it.
+        # Only their differences count; the largest is 0, as ``field.attend_columns`` needs it.
         own_bias=(lists.own_bias - lists.own_bias.max(axis=1, keepdims=True)).astype(np.float32),
         other=np.rint(OTHER_STEPS * by_group).astype(np.uint8),
         region_bias=np.log(1e-6 + by_region).astype(np.float32),

@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from drape.garment.agreement import FIT_COUNT, MEMBERS
 from drape.garment.cache import CHARTS_PER_VERTEX
+from drape.garment.consensus import FIT_COUNT, MEMBERS
 from drape.geometry import jets
 from drape.graph.packed import CHARTS_PER_TILE, COLUMNS, VERTICES_PER_BLOCK, Indices, StoredCharts
 from model_export.packed.bodies import Frames
@@ -41,11 +41,11 @@ class Charts(nn.Module):
         return frames.out @ torch.addmm(self.frame_only, jet, placed).reshape(-1, 4, COLUMNS)
 
     def agreed(self, said: Tensor, stored: StoredCharts, index: Indices, frames: Frames) -> Tensor:
-        """``training.agreement.agreed_jets`` (P, 27) of what each chart says of its members (P, 3, 56)."""
+        """``training.consensus.agreed_jets`` (P, 27) of what each chart says of its members (P, 3, 56)."""
         return self._fitted(said, stored, index, frames, self.fit_choice)
 
     def closed(self, said: Tensor, stored: StoredCharts, index: Indices, frames: Frames) -> Tensor:
-        """``training.agreement.closing_jets`` (P, 45), likewise."""
+        """``training.consensus.closing_jets`` (P, 45), likewise."""
         return self._fitted(said, stored, index, frames, self.full_choice)
 
     def _fitted(self, said: Tensor, stored: StoredCharts, index: Indices, frames: Frames, choice: Tensor) -> Tensor:

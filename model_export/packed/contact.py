@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from drape.garment.agreement import STRAIN_POINTS, strain_points
+from drape.garment.consensus import STRAIN_POINTS, strain_points
 from drape.geometry import jets
-from drape.graph.packed import ShapedSkins, StoredFelt
-from drape.push.field import mixed, queries, surface
+from drape.graph.packed import ShapedSkins, StoredProximity
+from drape.push.field import attend, queries, surface
 from drape.push.projection import REGION_BIAS_M2, REGION_COUNT
-from drape.push.proximity import GAP_M, UNIT_M, from_halves, mixed_others, plane_share
+from drape.push.proximity import GAP_M, UNIT_M, attend_others, from_halves, plane_share
 from drape.push.samples import CLUSTER_SIZE, REGION_SIZE, region_centres
 from drape.push.skin import skin_table
 from model_export.packed.bodies import Frames
@@ -59,7 +59,7 @@ class Contact(nn.Module):
         for name, value in tables().items():
             self.register_buffer(name, value)
 
-    def places(self, lists: StoredFelt) -> Tensor:
+    def places(self, lists: StoredProximity) -> Tensor:
         """Rest places (P, 42) of the points, for both parts of the body."""
         return lists.place.reshape(-1, 3 * STRAIN_POINTS) @ self.twice
 
@@ -67,7 +67,7 @@ class Contact(nn.Module):
         """The points (P, 42) [patch scales] of ``jet`` (P, 27)."""
         return torch.addmm(places, jet, self.point_terms)
 
-    def near(self, points: Tensor, skin: Tensor, lists: StoredFelt, patch_body: Tensor, frames: Frames) -> Near:
+    def near(self, points: Tensor, skin: Tensor, lists: StoredProximity, patch_body: Tensor, frames: Frames) -> Near:
         """Planes near ``points`` (P, 42) of patches on the bodies ``patch_body`` (P,), of ``skin`` (B, R, 12, 8)."""
         world = (frames.rotation * frames.scale) @ points.reshape(-1, 3, PLACES) + frames.centre
         middle = torch.addmm(self.middle_last, world.reshape(-1, 3 * PLACES), self.middle_terms)
@@ -107,7 +107,7 @@ def tables() -> dict[str, Tensor]:
     }
 
 
-def near_means(places: Tensor, middle: Tensor, skin: Tensor, lists: StoredFelt, patch_body: Tensor) -> Tensor:
+def near_means(places: Tensor, middle: Tensor, skin: Tensor, lists: StoredProximity, patch_body: Tensor) -> Tensor:
     """Means (P, 8, 14) of the samples about ``places`` [m] (P, 7, 3): of the own part, then of others.
 
     ``middle`` (P, 4) is the mean place of each patch, and one.
@@ -118,7 +118,7 @@ def near_means(places: Tensor, middle: Tensor, skin: Tensor, lists: StoredFelt, 
     clusters = skin.reshape(-1, 8 * CLUSTER_SIZE)
     first = body * (regions * (REGION_SIZE // CLUSTER_SIZE))
     own = torch.index_select(clusters, 0, (lists.cluster.to(torch.int64) + first[:, None]).reshape(-1))
-    own_means = mixed(query, own.reshape(-1, lists.bias.shape[1], 8), lists.bias)
+    own_means = attend(query, own.reshape(-1, lists.bias.shape[1], 8), lists.bias)
 
     region = region_centres(skin)
     rows = torch.cat([-2.0 * region, (region * region).sum(dim=-1, keepdim=True)], dim=-1).reshape(bodies, -1)
@@ -132,5 +132,5 @@ def near_means(places: Tensor, middle: Tensor, skin: Tensor, lists: StoredFelt, 
     row = (top + patch[:, None]).reshape(-1)
     other = torch.index_select(lists.other.reshape(-1, REGION_SIZE // 2), 0, row).to(places.dtype)
     count = REGION_COUNT * REGION_SIZE
-    other_means = mixed_others(query, table.reshape(-1, count, 8), from_halves(other).reshape(-1, count))
+    other_means = attend_others(query, table.reshape(-1, count, 8), from_halves(other).reshape(-1, count))
     return torch.cat([own_means, other_means], dim=1).mT

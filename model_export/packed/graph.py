@@ -187,12 +187,12 @@ class PackedGraph(nn.Module):
             jet = charts.agreed(charts.posed(frames, jet) @ columns, stored, index, frames)
             stretch = self.strain.stretch(stored.tangent, stored.unit) if stretch is None else stretch
             inputs = [hidden, *self.strain(jet, stretch), jet]
-            if patches.felt is not None:
+            if patches.proximity is not None:
                 assert skin is not None
-                places = self.contact.places(patches.felt) if places is None else places
+                places = self.contact.places(patches.proximity) if places is None else places
                 points = self.contact.points(jet, places)
                 if near is None:
-                    near = self.contact.near(points, skin, patches.felt, index.body, frames)
+                    near = self.contact.near(points, skin, patches.proximity, index.body, frames)
                 inputs += self.contact(points, near)
             jet = jet + correction(torch.cat(inputs, dim=-1))
             passes.append(jet)

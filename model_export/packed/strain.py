@@ -2,11 +2,11 @@
 
 With the tangents t_u, t_v at a point and their sum as a third direction, squared lengths q are all that strain depends
 on, and it is linear in them: g_uv = (q_3 - q_1 - q_2) / 2. Unit vectors across come in as products of the upper
-triangle (a, b; 0, c) of ``drape.garment.agreement``, "monomials" a a, a b, a c, b b, b c, c c of each point:
+triangle (a, b; 0, c) of ``drape.garment.consensus``, "monomials" a a, a b, a c, b b, b c, c c of each point:
 
     E = F (m * G q) - 1/2,        -dW/dt = 2 t * G^T (m * F^T dW/dE)
 
-with constant matrices G and F, so the force takes the same way back. It equals ``training.agreement.strain_and_force``.
+with constant matrices G and F, so the force takes the same way back. It equals ``training.consensus.strain_and_force``.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from drape.garment.agreement import STRAIN_POINTS
+from drape.garment.consensus import STRAIN_POINTS
 from drape.geometry import jets
 from model_export.packed.operators import softsign
-from training.agreement import TRACE_SHARE, tangent_terms
+from training.consensus import TRACE_SHARE, tangent_terms
 
-SOFTENING = 4.0  # of training.agreement.softened: 4 x / (1 + |4 x|)
+SOFTENING = 4.0  # of training.consensus.softened: 4 x / (1 + |4 x|)
 DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0))  # of u and v in the three directions
 # Factors of (a, b, c) in each monomial, and of (q_1, q_2, q_3) in the product of tangents that it multiplies.
 MONOMIALS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))

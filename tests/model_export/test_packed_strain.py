@@ -5,19 +5,19 @@ from __future__ import annotations
 import torch
 from torch.testing import assert_close
 
-from drape.garment.agreement import STRAIN_POINTS
+from drape.garment.consensus import STRAIN_POINTS
 from drape.geometry import jets
 from model_export.packed.strain import Strain
-from training.agreement import TRACE_SHARE, GatheredAgreement, softened, strain_and_force, tangent_terms
+from training.consensus import TRACE_SHARE, GatheredConsensus, softened, strain_and_force, tangent_terms
 
 PATCHES = 9
 
 
-def charts(generator: torch.Generator) -> GatheredAgreement:
+def charts(generator: torch.Generator) -> GatheredConsensus:
     tangent = torch.randn(PATCHES, STRAIN_POINTS, 3, 2, generator=generator, dtype=torch.float64)
     lower = torch.linalg.cholesky(tangent.mT @ tangent)
     none = torch.zeros(0)
-    return GatheredAgreement(none, none, none, none, none, tangent, torch.linalg.inv(lower).mT)
+    return GatheredConsensus(none, none, none, none, none, tangent, torch.linalg.inv(lower).mT)
 
 
 def test_it_is_the_strain_and_force_of_training_and_the_gradient_of_the_energy():

@@ -15,8 +15,8 @@ from drape.graph.feeds import body_feed
 from drape.graph.inputs import ChartTensors
 from tests.training.training_setup import TINY, bank, body, garment, source
 from training import losses
-from training.agreement import agreed_jets, closing_jets
 from training.config import ModelConfig, as_published
+from training.consensus import agreed_jets, closing_jets
 from training.layers import SURROUNDINGS_COUNT, Decoder, GarmentEncoder, Standardise
 from training.model import OneFit, Posed, patch_surroundings, pose_frames, posed_coefficients, vertex_positions
 
@@ -106,7 +106,7 @@ def test_turning_the_body_about_the_vertical_turns_the_drape():
         outputs = []
         for set_of_poses in (poses, turned):
             state = model(
-                source().pose(set_of_poses, betas).tensors, partition.patches, embedding, charts=partition.agreement
+                source().pose(set_of_poses, betas).tensors, partition.patches, embedding, charts=partition.consensus
             )
             outputs.append(losses.vertices_from(posed_coefficients(state, partition.patches.scale), partition).numpy())
     assert np.abs(outputs[0]).max() > 0.1
@@ -144,11 +144,11 @@ def test_untrained_network_stays_near_plain_skinning():
     partition = garment().partitions[0]
     with torch.no_grad():
         embedding = model.garment(partition.features)
-        state = model(batch().tensors, partition.patches, embedding, charts=partition.agreement)
-        plain = model(batch().tensors, partition.patches, embedding, charts=partition.agreement, passes=0)
+        state = model(batch().tensors, partition.patches, embedding, charts=partition.consensus)
+        plain = model(batch().tensors, partition.patches, embedding, charts=partition.consensus, passes=0)
         rotation, centre = pose_frames(batch().tensors, partition.patches)
         frames = torch.cat([centre[..., None, :], rotation.mT], dim=-2)
-        charts, scale = partition.agreement, partition.patches.scale
+        charts, scale = partition.consensus, partition.patches.scale
         base = agreed_jets(charts.anchors(frames), charts, rotation, centre, scale)
         said = charts.anchors(posed_coefficients(Posed(rotation, centre, base), scale))
         base = closing_jets(said, charts, rotation, centre, scale)

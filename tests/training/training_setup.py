@@ -64,7 +64,7 @@ def tube() -> RestGarment:
 def garment() -> TrainingGarment:
     rest = tube()
     cloth = ClothMesh.from_rest(rest.vertices, rest.faces).like(torch.zeros(1))
-    weights = torch.from_numpy(rest.hang.weights.astype(np.float32))
+    weights = torch.from_numpy(rest.binding.weights.astype(np.float32))
     partition = draw_partition(rest, body_skin(body()), seed=3, span=(1.0, 1.0), device=CPU)
     return TrainingGarment("tube", rest, cloth, [partition], weights)
 

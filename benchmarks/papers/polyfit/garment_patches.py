@@ -21,7 +21,7 @@ from drape.files.formats import MESH_SUFFIXES
 from drape.garment.fitting import RestGarment, rest_garment
 from drape.garment.intake import intake
 from drape.garment.partition import partition, patch_count_for
-from drape.garment.skin import Hang
+from drape.garment.skin import BodyBinding
 from training.garment_design import SHIPPED, build, varied
 
 HELD_OUT_SEED = 90_000
@@ -63,9 +63,11 @@ def held_out_garments(body: BodyModel, *, folder: Path) -> tuple[list[NamedGarme
         except InputError as error:
             print(f"left out: {error}")  # one bad file must not cost the run
             continue
-        hang = Hang(garment.skin_weights.astype(np.float64), garment.shapedirs.astype(np.float64))
+        binding = BodyBinding(garment.skin_weights.astype(np.float64), garment.shapedirs.astype(np.float64))
         vertices = garment.vertices.astype(np.float64)
-        found.append(NamedGarment(garment.name, RestGarment(vertices, garment.fine_faces.astype(np.int64), hang, body)))
+        found.append(
+            NamedGarment(garment.name, RestGarment(vertices, garment.fine_faces.astype(np.int64), binding, body))
+        )
     return found, "garments never trained on"
 
 

@@ -123,7 +123,7 @@ def test_weight_gradients_say_how_weights_change_along_the_garment():
     along = rest.vertices[edges[:, 1]] - rest.vertices[edges[:, 0]]
     mean = 0.5 * (gradients[edges[:, 0]] + gradients[edges[:, 1]])
     predicted = np.einsum("ejc,ec->ej", mean, along)
-    changed = rest.hang.weights[edges[:, 1]] - rest.hang.weights[edges[:, 0]]
+    changed = rest.binding.weights[edges[:, 1]] - rest.binding.weights[edges[:, 0]]
     assert np.abs(changed).max() > 0.05
     assert np.abs(predicted - changed).max() < 0.2 * np.abs(changed).max()
     assert np.corrcoef(predicted.ravel(), changed.ravel())[0, 1] > 0.99
@@ -316,7 +316,7 @@ def test_a_skinned_chart_is_what_skinning_makes_of_it():
     poses = np.zeros((1, 24, 3))
     poses[0, (3, 6), 0] = 0.3
     batch = source().pose(poses, np.zeros((1, body().shape_count)))
-    weights = torch.from_numpy(rest.hang.weights.astype(np.float32))
+    weights = torch.from_numpy(rest.binding.weights.astype(np.float32))
     gradients = torch.from_numpy(paper.weight_gradients(rest).astype(np.float32))
     skin = paper.Skin.at(vertex, weights, gradients, batch.tensors)
     patches = partition.patches

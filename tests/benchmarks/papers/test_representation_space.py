@@ -97,7 +97,7 @@ def test_positions_are_the_blend_of_turned_polynomials(form):
     expected = np.einsum("vk,vka->va", weight, said)
     if form.skinned:
         rotations, translations = bench().bones
-        expected = skin_points(expected, bench().rest.hang.weights, rotations[1], translations[1])
+        expected = skin_points(expected, bench().rest.binding.weights, rotations[1], translations[1])
     assert_allclose(space.positions(z).numpy(), expected, rtol=0, atol=4e-6)
 
 

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 
 from benchmarks.shared.kd_tree_push import Collider
 from drape.body.assets import load_body
-from drape.cloth.contact import push_out
+from drape.cloth.contact import nearest_vertex_push
 from tests.fixtures.poses import random_motion
 
 
@@ -22,7 +22,7 @@ def test_two_passes_by_parts_are_the_two_passes_of_the_core(rng):
     collider = Collider(body)
     posed = collider.posed(poses, betas)
     near = posed[:, rng.choice(body.vertex_count, 500)] + rng.normal(0.0, 0.01, size=(2, 500, 3)).astype(np.float32)
-    whole = push_out(near, posed, collider.normals(posed), 0.002, colliders=collider.vertices, passes=2)
+    whole = nearest_vertex_push(near, posed, collider.normals(posed), 0.002, colliders=collider.vertices, passes=2)
     pushed, way = collider.push(near, poses, betas, 0.002)
     assert_allclose(pushed, whole, rtol=0, atol=1e-6)
     assert (way > 0.0).any() and (way == 0.0).any()

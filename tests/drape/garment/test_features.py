@@ -123,7 +123,7 @@ def closed_features(vertices, faces):
     jet = np.zeros((4, jets.JET_COUNT))
     return patch_features(
         centre=rest.vertices[seeds], rotation=np.tile(np.eye(3), (4, 1, 1)), scale=np.full(4, 0.1), jet=jet,
-        weights=rest.hang.weights[seeds], seeds=seeds, vertices=rest.vertices, faces=faces, graph=rest.graph,
+        weights=rest.binding.weights[seeds], seeds=seeds, vertices=rest.vertices, faces=faces, graph=rest.graph,
         body=rest.body,
     )  # fmt: skip
 

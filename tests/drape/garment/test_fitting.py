@@ -149,10 +149,10 @@ def test_fields_have_the_shapes_and_types_that_the_garment_states():
 def test_patches_hang_as_the_mean_of_their_vertices():
     fields = patch_fields(barrel(), count=PATCH_COUNT)
     assert_allclose(fields["patch_weights"].sum(axis=1), 1.0, rtol=0.0, atol=1e-6)
-    hang, one = barrel().hang, patch_fields(barrel(), count=1)
+    binding, one = barrel().binding, patch_fields(barrel(), count=1)
     area = barrel().areas / barrel().areas.sum()
-    assert_allclose(one["patch_weights"][0], area @ hang.weights, rtol=0.0, atol=1e-6)
-    assert_allclose(one["patch_shapedirs"][0], np.einsum("v,vab->ab", area, hang.shapedirs), rtol=0.0, atol=1e-6)
+    assert_allclose(one["patch_weights"][0], area @ binding.weights, rtol=0.0, atol=1e-6)
+    assert_allclose(one["patch_shapedirs"][0], np.einsum("v,vab->ab", area, binding.shapedirs), rtol=0.0, atol=1e-6)
 
 
 def test_neighbours_are_pairs_in_order_and_link_the_whole_piece():
@@ -177,15 +177,15 @@ def test_patches_move_with_garment_and_body(rng):
     """Turning garment, body and weights together turns centres and frames and leaves everything in them."""
     # Creased, since on an even tube many vertices lie equally far from two patches and rounding decides.
     creases = 0.002 * rng.normal(size=barrel().vertices.shape)
-    rest = RestGarment(barrel().vertices + creases, barrel().faces, barrel().hang, default_body())
+    rest = RestGarment(barrel().vertices + creases, barrel().faces, barrel().binding, default_body())
     turn, shift = random_rotation(rng), rng.normal(size=3)
     body = dataclasses.replace(
         rest.body,
         v_template=rest.body.v_template @ turn.T + shift,
         shapedirs=np.einsum("ab,vbs->vas", turn, rest.body.shapedirs),
     )
-    hang = dataclasses.replace(rest.hang, shapedirs=np.einsum("ab,vbs->vas", turn, rest.hang.shapedirs))
-    moved = RestGarment(rest.vertices @ turn.T + shift, rest.faces, hang, body)
+    binding = dataclasses.replace(rest.binding, shapedirs=np.einsum("ab,vbs->vas", turn, rest.binding.shapedirs))
+    moved = RestGarment(rest.vertices @ turn.T + shift, rest.faces, binding, body)
     want, got = (patch_fields(r, count=PATCH_COUNT) for r in (rest, moved))
     for key in ("chart_patch", "patch_neighbours"):
         assert_array_equal(got[key], want[key])
@@ -218,7 +218,7 @@ def test_garment_keeps_the_mesh_it_was_given():
     assert (garment.uv.shape, garment.uv_faces.shape) == ((0, 2), (0, 3))
     assert garment.material_names == ("cotton", "hem")
     assert (garment.name, garment.digest, garment.body_digest) == ("barrel", "d" * 64, default_body().digest)
-    assert_allclose(garment.skin_weights, barrel().hang.weights, rtol=0.0, atol=1e-7)
+    assert_allclose(garment.skin_weights, barrel().binding.weights, rtol=0.0, atol=1e-7)
 
 
 def test_texture_coordinates_are_kept():
@@ -253,4 +253,4 @@ def test_shape_movement_is_kept_in_steps_of_micrometres():
     steps = made.shapedirs.astype(np.float64) / fitting.SHAPE_STEP_M
     assert_array_equal(steps, np.rint(steps))
     rest = fitting.rest_garment(made.vertices, made.fine_faces, default_body())
-    assert_allclose(made.shapedirs, rest.hang.shapedirs, rtol=0.0, atol=0.6 * fitting.SHAPE_STEP_M)
+    assert_allclose(made.shapedirs, rest.binding.shapedirs, rtol=0.0, atol=0.6 * fitting.SHAPE_STEP_M)

@@ -37,10 +37,10 @@ def dressed_points(rng, count, gap_m):
 
 
 def test_weights_are_a_partition_of_unity():
-    hang = barrel().hang
-    assert (hang.weights >= 0.0).all()
-    assert_allclose(hang.weights.sum(axis=1), 1.0, rtol=0.0, atol=EXACT)
-    assert hang.shapedirs.shape == (len(barrel().vertices), 3, default_body().shape_count)
+    binding = barrel().binding
+    assert (binding.weights >= 0.0).all()
+    assert_allclose(binding.weights.sum(axis=1), 1.0, rtol=0.0, atol=EXACT)
+    assert binding.shapedirs.shape == (len(barrel().vertices), 3, default_body().shape_count)
 
 
 def test_next_to_the_skin_the_nearest_triangle_says_the_weights(rng):
@@ -87,10 +87,10 @@ def test_symmetric_garment_hangs_symmetrically():
     body, rest = default_body(), barrel()
     twin = nearest(rest.vertices, rest.vertices * [-1.0, 1.0, 1.0])
     # Triangles and their mirror images together: smoothing sees a symmetric net of edges.
-    hang = skin.hang(rest.vertices, np.concatenate([rest.faces, twin[rest.faces]]), body)
-    assert_allclose(hang.weights[twin][:, MIRRORED], hang.weights, rtol=0.0, atol=0.01)
-    mirrored = hang.shapedirs[twin] * np.array([-1.0, 1.0, 1.0])[:, None]
-    assert_allclose(mirrored, hang.shapedirs, rtol=0.0, atol=0.05 * np.abs(hang.shapedirs).max())
+    binding = skin.bind_to_body(rest.vertices, np.concatenate([rest.faces, twin[rest.faces]]), body)
+    assert_allclose(binding.weights[twin][:, MIRRORED], binding.weights, rtol=0.0, atol=0.01)
+    mirrored = binding.shapedirs[twin] * np.array([-1.0, 1.0, 1.0])[:, None]
+    assert_allclose(mirrored, binding.shapedirs, rtol=0.0, atol=0.05 * np.abs(binding.shapedirs).max())
 
 
 def test_body_samples_are_spread_evenly():
@@ -118,17 +118,17 @@ def test_smoothing_keeps_constants_and_lone_vertices_and_shrinks_waves():
 
 def test_passes_smooth_the_weights_over_the_mesh():
     rest = barrel()
-    sharp = skin.hang(rest.vertices, rest.faces, default_body(), passes=0)
+    sharp = skin.bind_to_body(rest.vertices, rest.faces, default_body(), passes=0)
     edges = np.sort(rest.faces[:, :2], axis=1)
 
-    def roughness(hang):
-        return np.abs(hang.weights[edges[:, 0]] - hang.weights[edges[:, 1]]).sum(axis=1).mean()
+    def roughness(binding):
+        return np.abs(binding.weights[edges[:, 0]] - binding.weights[edges[:, 1]]).sum(axis=1).mean()
 
-    assert roughness(rest.hang) < roughness(sharp)
+    assert roughness(rest.binding) < roughness(sharp)
 
 
 def test_weights_too_small_to_matter_are_dropped():
-    weights = barrel().hang.weights
+    weights = barrel().binding.weights
     assert weights[weights > 0.0].min() > 1e-3
 
 
@@ -137,5 +137,5 @@ def test_garment_follows_a_body_that_is_shifted():
     # Whole cells, so that the thinning picks the same vertices.
     shift = skin.SAMPLE_SPACING_M * np.array([0.0, 64.0, 0.0])
     moved = dataclasses.replace(body, v_template=body.v_template + shift)
-    got = skin.hang(rest.vertices + shift, rest.faces, moved)
-    assert_allclose(got.weights, rest.hang.weights, rtol=0.0, atol=1e-3)
+    got = skin.bind_to_body(rest.vertices + shift, rest.faces, moved)
+    assert_allclose(got.weights, rest.binding.weights, rtol=0.0, atol=1e-3)

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from drape.graph.buckets import AXES, filled, filled_rows, rung
+from drape.graph.buckets import AXES, bucket_size, filled, filled_rows
 from drape.graph.packing import Composition
 
 
 def test_rungs_rise_by_at_most_a_half_and_hold_what_is_asked():
-    rungs = sorted({rung(count) for count in range(1, 5000)})
+    rungs = sorted({bucket_size(count) for count in range(1, 5000)})
     assert rungs[:6] == [8, 12, 16, 24, 32, 48]
     for count in range(1, 5000):
-        assert count <= rung(count) <= max(8, 1.5 * count)
-        assert rung(rung(count)) == rung(count)
+        assert count <= bucket_size(count) <= max(8, 1.5 * count)
+        assert bucket_size(bucket_size(count)) == bucket_size(count)
 
 
 @pytest.fixture
@@ -36,7 +36,7 @@ def test_what_is_filled_in_repeats_the_first_and_the_rest_stays(composition: Com
         assert array.dtype == before.dtype and array.flags.c_contiguous
         assert_array_equal(array[tuple(slice(size) for size in before.shape)], before)
         for axis in AXES[name]:
-            assert array.shape[axis] == rung(before.shape[axis])
+            assert array.shape[axis] == bucket_size(before.shape[axis])
             first, more = (
                 array.take([0], axis=axis),
                 array.take(range(before.shape[axis], array.shape[axis]), axis=axis),

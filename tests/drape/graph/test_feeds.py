@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.body.features import feature_count
 from drape.body.skeleton import JOINT_COUNT
 from drape.errors import BodyError, MotionError
-from drape.garment.agreement import FIT_COUNT, MEMBERS, STRAIN_POINTS
+from drape.garment.consensus import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.geometry import jets
 from drape.geometry.rotations import matrix_to_rotvec, quaternion_to_matrix, rotvec_to_matrix
 from drape.geometry.skinning import skin_points

@@ -21,7 +21,7 @@ from drape.push.proximity import (
     UNIT_M,
     PatchSkin,
     Planes,
-    felt,
+    body_proximity,
     from_halves,
     in_halves,
     patch_skin,
@@ -74,7 +74,7 @@ def test_a_plane_is_felt_as_its_closed_form():
     points = np.stack([np.zeros(4), distance + 0.5, np.zeros(4)], axis=-1)[None, None]
     up = np.broadcast_to(np.array([0.0, 1.0, 0.0])[:, None], (1, 1, 2, 3, 4))
     share = np.stack([np.ones(4), np.full(4, 0.25)])[None, None]
-    closeness, force = felt(points, Planes(up, np.full((1, 1, 2, 4), -0.5), share))
+    closeness, force = body_proximity(points, Planes(up, np.full((1, 1, 2, 4), -0.5), share))
     missing = (GAP_M - distance) / UNIT_M
     assert_allclose(closeness[0, 0], np.concatenate([np.tanh(missing), 0.25 * np.tanh(missing)]), rtol=0, atol=1e-12)
     assert_allclose(force[0, 0, :, 1], 1.25 * np.maximum(missing, 0.0), rtol=0, atol=1e-12)
@@ -95,7 +95,7 @@ def test_the_own_plane_at_rest_is_the_skin():
 
 def test_other_parts_are_felt_when_an_arm_comes_down_and_not_before():
     far, near = (
-        felt(points, planes(points, skin, own))[0]
+        body_proximity(points, planes(points, skin, own))[0]
         for points, skin, own in (posed("tshirt", 0.0), posed("tshirt", ARMS_DOWN))
     )
     other = slice(7, 14)
@@ -112,13 +112,16 @@ def test_torch_and_numpy_feel_the_same():
     points, skin, own = posed("tank", ARMS_DOWN)
 
     def by_numpy(points: np.ndarray, skin: np.ndarray, bias: np.ndarray) -> tuple[np.ndarray, ...]:
-        return felt(points, planes(points, skin, replace(own, own_bias=bias)))
+        return body_proximity(points, planes(points, skin, replace(own, own_bias=bias)))
 
     def by_torch(*arrays: np.ndarray) -> list[np.ndarray]:
         points, skin, bias = (torch.from_numpy(array) for array in arrays)
         rest = (own.own_cluster.astype(np.int64), own.other, own.region_bias)
         cluster, other, region_bias = (torch.from_numpy(np.array(value)) for value in rest)
-        return [x.numpy() for x in felt(points, planes(points, skin, PatchSkin(cluster, bias, other, region_bias)))]
+        return [
+            x.numpy()
+            for x in body_proximity(points, planes(points, skin, PatchSkin(cluster, bias, other, region_bias)))
+        ]
 
     inputs = (points, skin, own.own_bias)
     exact, moved = moved_by_rounding(by_numpy, *inputs)

@@ -36,9 +36,9 @@ def sphere(count: int, radius: float) -> np.ndarray:
     return radius * np.stack([ring * np.cos(turn), ring * np.sin(turn), height], axis=1)
 
 
-def seen(points: np.ndarray, samples: np.ndarray, normals: np.ndarray) -> field.Surface:
+def attend_columns(points: np.ndarray, samples: np.ndarray, normals: np.ndarray) -> field.Surface:
     """The surface at ``points`` (P, 3) of samples (K, 3), none preferred."""
-    means = field.mixed(
+    means = field.attend(
         field.queries(points.T).T[None], sample_table(samples, normals)[None], np.zeros((1, len(samples)))
     )
     return field.surface(points.T, means[0].T)
@@ -48,10 +48,10 @@ def test_sums_of_exponentials_are_the_softmax_and_fade_far_away(rng):
     points, samples = 0.05 * rng.normal(size=(20, 3)), 0.05 * rng.normal(size=(30, 3))
     normals = rng.normal(size=samples.shape)
     table, bias = sample_table(samples, normals)[None], -rng.random((1, 30))
-    softly = field.mixed(field.queries(points.T).T[None], table, bias)
-    sums = field.seen(field.looks(points.T)[None], table, bias)
+    softly = field.attend(field.queries(points.T).T[None], table, bias)
+    sums = field.attend_columns(field.query_columns(points.T)[None], table, bias)
     assert_allclose(sums.swapaxes(1, 2), softly, rtol=1e-9, atol=1e-12)
-    assert_array_equal(field.seen(field.looks(1.0 + points.T)[None], table, bias), 0.0)
+    assert_array_equal(field.attend_columns(field.query_columns(1.0 + points.T)[None], table, bias), 0.0)
 
 
 @pytest.mark.parametrize("context", [nullcontext, flushed])
@@ -63,8 +63,8 @@ def test_means_fade_before_their_weights_are_subnormal(context, rng):
     up, bias = np.tile(np.eye(3, dtype=np.float32)[2], (40, 1)), np.zeros((1, 40), dtype=np.float32)
     table = sample_table(samples, up)[None]
     with context():
-        means = field.seen(field.looks(points)[None], table, bias)[0]
-    softly = field.mixed(field.queries(points.astype(np.float64)).T[None], table.astype(np.float64), bias)[0].T
+        means = field.attend_columns(field.query_columns(points)[None], table, bias)[0]
+    softly = field.attend(field.queries(points.astype(np.float64)).T[None], table.astype(np.float64), bias)[0].T
     counts = field.surface(points, means).agreement > AGREEMENT[0]
     assert 0.5 < counts.mean() < 0.9
     # A logit sums eight products as large as |x|^2 / h^2, and each rounds; so do weights, and means over the samples.
@@ -135,7 +135,7 @@ def test_pose_blend_shapes_and_other_bodies_are_refused(skin: Skin):
 def test_a_plane_is_exact(rng):
     samples = np.concatenate([rng.uniform(-0.05, 0.05, size=(60, 2)), np.zeros((60, 1))], axis=1)
     points = rng.uniform(-0.03, 0.03, size=(9, 3))
-    found = seen(points, samples, np.tile([0.0, 0.0, 1.0], (60, 1)))
+    found = attend_columns(points, samples, np.tile([0.0, 0.0, 1.0], (60, 1)))
     assert_allclose(found.distance, points[:, 2], rtol=0, atol=1e-12)
     assert_allclose(found.normal, np.tile([[0.0], [0.0], [1.0]], (1, 9)), rtol=0, atol=1e-12)
     assert_allclose(found.agreement, 1.0, rtol=0, atol=1e-9)
@@ -147,7 +147,7 @@ def test_a_sphere_has_no_error_of_second_order(radius: float):
     samples = sphere(round(4.0 * np.pi * radius**2 / spacing**2), radius)
     ways = sphere(200, 1.0)
     for height in (-0.006, 0.0, 0.006):
-        found = seen((radius + height) * ways, samples, samples / radius)
+        found = attend_columns((radius + height) * ways, samples, samples / radius)
         # One term alone is off by h^2 / 2R or more: 2.5 mm on the smaller sphere.
         assert np.abs(found.distance - height).max() < 0.12 * spacing**2 / radius
         assert ((found.normal.T * ways).sum(axis=1) > 0.97).all()
@@ -156,10 +156,10 @@ def test_a_sphere_has_no_error_of_second_order(radius: float):
 def test_beside_the_samples_and_between_two_faces_it_is_told(rng):
     disc = np.concatenate([rng.uniform(-0.02, 0.02, size=(80, 2)), np.zeros((80, 1))], axis=1)
     up = np.tile([0.0, 0.0, 1.0], (80, 1))
-    beside = seen(np.array([[0.07, 0.0, 0.01]]), disc, up)
+    beside = attend_columns(np.array([[0.07, 0.0, 0.01]]), disc, up)
     assert 0.04**2 < beside.beside_m2[0] < 0.06**2
     both = np.concatenate([disc, disc + np.array([0.0, 0.0, 0.01])])
-    between = seen(np.array([[0.0, 0.0, 0.005]]), both, np.concatenate([up, -up]))
+    between = attend_columns(np.array([[0.0, 0.0, 0.005]]), both, np.concatenate([up, -up]))
     assert between.agreement[0] < 0.1
 
 
@@ -167,12 +167,12 @@ def test_the_field_is_smooth_and_the_same_in_torch(rng):
     samples = sphere(300, 0.06)
     points = 0.065 * sphere(20, 1.0)
     step = 1e-6 * rng.normal(size=points.shape)
-    ahead, behind = (seen(points + sign * step, samples, samples / 0.06) for sign in (1.0, -1.0))
+    ahead, behind = (attend_columns(points + sign * step, samples, samples / 0.06) for sign in (1.0, -1.0))
     x = torch.from_numpy(points).requires_grad_()
     table = torch.from_numpy(sample_table(samples, samples / 0.06))[None]
-    means = field.mixed(field.queries(x.mT).mT[None], table, torch.zeros(1, 300, dtype=torch.float64))
+    means = field.attend(field.queries(x.mT).mT[None], table, torch.zeros(1, 300, dtype=torch.float64))
     found = field.surface(x.mT, means[0].mT)
-    numpy_found = seen(points, samples, samples / 0.06)
+    numpy_found = attend_columns(points, samples, samples / 0.06)
     assert_allclose(found.distance.detach(), numpy_found.distance, rtol=0, atol=1e-12)
     (slope,) = torch.autograd.grad(found.distance.sum(), x)
     assert_allclose((slope.numpy() * step).sum(axis=1), 0.5 * (ahead.distance - behind.distance), rtol=1e-5, atol=1e-12)

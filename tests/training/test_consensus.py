@@ -1,4 +1,4 @@
-"""Agreement and strain: the fast form against the readable one, closed forms, and the force as a gradient."""
+"""Consensus and strain: the fast form against the readable one, closed forms, and the force as a gradient."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from drape.geometry.rotations import rotvec_to_matrix
 from drape.graph.feeds import garment_feed
 from drape.push.skin import body_skin
 from tests.training.training_setup import CPU, TINY, body, source
-from training.agreement import (
+from training.config import ModelConfig, paper
+from training.consensus import (
     TRACE_SHARE,
-    GatheredAgreement,
+    GatheredConsensus,
     agreed_jets,
     closing_jets,
     softened,
     strain_and_force,
     tangent_terms,
 )
-from training.config import ModelConfig, paper
 from training.data import Partition, on_device, partition_tensors
 from training.model import OneFit, Posed, pose_frames, posed_coefficients
 
@@ -44,8 +44,8 @@ def partition() -> Partition:
 
 
 @cache
-def gathered() -> GatheredAgreement:
-    return GatheredAgreement.from_flat(on_device(garment_feed(garment()), CPU))
+def gathered() -> GatheredConsensus:
+    return GatheredConsensus.from_flat(on_device(garment_feed(garment()), CPU))
 
 
 def posed(count: int = 2, size: float = 0.05) -> Posed:
@@ -63,7 +63,7 @@ def frames(state: Posed) -> torch.Tensor:
 
 def test_sparse_form_equals_the_gathered_one_forward_and_backward():
     scale, results = partition().patches.scale, []
-    for charts in (partition().agreement, gathered()):
+    for charts in (partition().consensus, gathered()):
         state = posed()
         jet = state.jet.clone().requires_grad_()
         anchors = charts.anchors(posed_coefficients(replace(state, jet=jet), scale))
@@ -81,14 +81,14 @@ def test_charts_that_agree_stay_as_they_are():
     patches = partition().patches
     rotation = (turn @ patches.rotation)[None]
     centre = (patches.centre @ turn.T + torch.tensor([0.3, -0.2, 0.1]))[None]
-    charts = partition().agreement
+    charts = partition().consensus
     state = Posed(rotation, centre, torch.zeros(1, garment().patch_count, jets.JET_COUNT))
     agreed = agreed_jets(charts.anchors(frames(state)), charts, rotation, centre, patches.scale)
     assert float(agreed.abs().max()) < 1e-4
 
 
 def test_agreement_brings_charts_together():
-    state, scale, charts = posed(size=0.02), partition().patches.scale, partition().agreement
+    state, scale, charts = posed(size=0.02), partition().patches.scale, partition().consensus
     anchors = charts.anchors(posed_coefficients(state, scale))
     agreed = agreed_jets(anchors, charts, state.rotation, state.centre, scale)
     gaps = [
@@ -102,7 +102,7 @@ def test_closing_fit_brings_charts_nearer_than_the_jets_of_the_passes_can():
     """Order 4 in the plane follows what order 2 leaves; both forms of the tables give the same."""
     state, scale = posed(size=0.02), partition().patches.scale
     gaps, closed = [], []
-    for charts in (partition().agreement, gathered()):
+    for charts in (partition().consensus, gathered()):
         anchors = charts.anchors(posed_coefficients(state, scale))
         low = agreed_jets(anchors, charts, state.rotation, state.centre, scale)
         high = closing_jets(anchors, charts, state.rotation, state.centre, scale)
@@ -133,7 +133,7 @@ def test_network_closes_with_full_jets_or_not_as_it_is_told():
         model = OneFit(replace(TINY, closing_fit=closing)).eval()
         with torch.no_grad():
             embedding = model.garment(partition().features)
-            jet = model(bodies, partition().patches, embedding, charts=partition().agreement).jet
+            jet = model(bodies, partition().patches, embedding, charts=partition().consensus).jet
         assert jet.shape[-1] == model.jet_count == count
 
 
@@ -184,7 +184,7 @@ def test_passes_choose_how_many_corrections_are_taken():
     for correction in model.corrections:
         torch.nn.init.normal_(list(correction.parameters())[-2], std=0.3)
     bodies = source().pose(np.zeros((1, 24, 3)) + 0.1, np.zeros((1, body().shape_count))).tensors
-    charts, patches = partition().agreement, partition().patches
+    charts, patches = partition().consensus, partition().patches
     with torch.no_grad():
         embedding = model.garment(partition().features)
         got = [model(bodies, patches, embedding, charts=charts, passes=n).jet for n in (0, 1, 2, None)]
@@ -206,7 +206,7 @@ def test_autocast_stays_near_full_precision():
     for model.autocast in (False, True):
         with torch.no_grad():
             embedding = model.garment(partition().features)
-            jets_of.append(model(bodies, partition().patches, embedding, charts=partition().agreement).jet)
+            jets_of.append(model(bodies, partition().patches, embedding, charts=partition().consensus).jet)
     assert jets_of[1].dtype == torch.float32
     gap = float((jets_of[0] - jets_of[1]).abs().max())
     assert 0.0 < gap < 1e-3  # bfloat16 in the networks, whose outputs are small, and nowhere else

@@ -1,6 +1,6 @@
 """Brings overlapping charts to agree and tells how they are strained: what the network's corrections look at.
 
-Two forms of the same tables: ``GatheredAgreement`` reads as the formula and is what export writes, ``SparseAgreement``
+Two forms of the same tables: ``GatheredConsensus`` reads as the formula and is what export writes, ``SparseConsensus``
 is what training runs.
 """
 
@@ -15,7 +15,7 @@ import scipy.sparse
 import torch
 from torch import Tensor
 
-from drape.garment.agreement import FIT_COUNT, strain_points
+from drape.garment.consensus import FIT_COUNT, strain_points
 from drape.geometry import jets
 from drape.graph.inputs import AgreementTensors
 from training.sparse import SparsePair, product
@@ -23,8 +23,8 @@ from training.sparse import SparsePair, product
 TRACE_SHARE = 0.3  # of the strain's trace in the force: Poisson's effect
 
 
-class ChartAgreement(Protocol):
-    """What a posed garment needs to bring its charts to agree (names as in ``drape.garment.agreement``)."""
+class ChartConsensus(Protocol):
+    """What a posed garment needs to bring its charts to agree (names as in ``drape.garment.consensus``)."""
 
     @property
     def rest(self) -> Tensor:
@@ -51,7 +51,7 @@ class ChartAgreement(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class GatheredAgreement(AgreementTensors):
+class GatheredConsensus(AgreementTensors):
     """Tables as the drape graph takes them."""
 
     def anchors(self, coefficients: Tensor) -> Tensor:
@@ -67,8 +67,8 @@ class GatheredAgreement(AgreementTensors):
 
 
 @dataclass(frozen=True, eq=False)
-class SparseAgreement:
-    """Tables as sparse matrices, whose gradients do not scatter; equals ``GatheredAgreement``."""
+class SparseConsensus:
+    """Tables as sparse matrices, whose gradients do not scatter; equals ``GatheredConsensus``."""
 
     rigid: SparsePair  # (A, 4 K)
     blend: SparsePair  # (A, 19 K)
@@ -79,7 +79,7 @@ class SparseAgreement:
     orthonormal: Tensor
 
     @classmethod
-    def of(cls, feed: Mapping[str, np.ndarray], *, device: torch.device) -> SparseAgreement:
+    def of(cls, feed: Mapping[str, np.ndarray], *, device: torch.device) -> SparseConsensus:
         """From the ``drape.graph.feeds.atlas_feed`` of a partition."""
         tables = AgreementTensors.from_flat(feed)
         count, anchors = len(tables.member), len(tables.anchor_patch)
@@ -133,7 +133,7 @@ def framewise(pair: SparsePair, values: Tensor) -> Tensor:
     return flat.reshape(-1, 3, frames).permute(2, 0, 1)
 
 
-def agreed_jets(anchors: Tensor, charts: ChartAgreement, rotation: Tensor, centre: Tensor, scale: Tensor) -> Tensor:
+def agreed_jets(anchors: Tensor, charts: ChartConsensus, rotation: Tensor, centre: Tensor, scale: Tensor) -> Tensor:
     """Jets (F, K, 27), added to those at rest, of charts fitted to ``anchors`` [m] (F, A, 3).
 
     ``rotation`` (F, K, 3, 3) and ``centre`` (F, K, 3) [m] are the posed frames, ``scale`` (K,) [m] the patches'.
@@ -143,12 +143,12 @@ def agreed_jets(anchors: Tensor, charts: ChartAgreement, rotation: Tensor, centr
     return torch.cat([plane[..., 0], plane[..., 1], height], dim=-1)
 
 
-def closing_jets(anchors: Tensor, charts: ChartAgreement, rotation: Tensor, centre: Tensor, scale: Tensor) -> Tensor:
+def closing_jets(anchors: Tensor, charts: ChartConsensus, rotation: Tensor, centre: Tensor, scale: Tensor) -> Tensor:
     """As ``agreed_jets``, with the height's order in every direction: full jets (F, K, 45)."""
     return _moved(anchors, charts, rotation, centre, scale)[..., : jets.HEIGHT_COUNT, :].mT.flatten(-2)
 
 
-def _moved(anchors: Tensor, charts: ChartAgreement, rotation: Tensor, centre: Tensor, scale: Tensor) -> Tensor:
+def _moved(anchors: Tensor, charts: ChartConsensus, rotation: Tensor, centre: Tensor, scale: Tensor) -> Tensor:
     """Polynomials (F, K, 21, 3) of ``anchors`` in the posed frames, less those at rest [patch scales]."""
     return charts.fitted(anchors, centre) @ (rotation / scale[:, None, None]) - charts.rest
 
@@ -167,7 +167,7 @@ def tangent_terms() -> Tensor:
     return torch.from_numpy(terms.reshape(jets.JET_COUNT, -1)).float()
 
 
-def strain_and_force(jet: Tensor, charts: ChartAgreement, terms: Tensor) -> tuple[Tensor, Tensor]:
+def strain_and_force(jet: Tensor, charts: ChartConsensus, terms: Tensor) -> tuple[Tensor, Tensor]:
     """Green strain (F, K, 21) of posed charts at seven points each, and the force on their coefficients (F, K, 27).
 
     The strain is E11 at all points, then E22, then 2 E12, against the rest jet; the force the gradient of

@@ -1,4 +1,4 @@
-"""Tables of agreement: what a fit must reproduce, where anchors lie, and the unit vectors of strain."""
+"""Tables of the chart consensus: what a fit must reproduce, where anchors lie, and the unit vectors of strain."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.body.assets import load_body
 from drape.catalog import find_garments, open_garment
-from drape.garment import agreement as module
-from drape.garment.agreement import ANCHORS_PER_PATCH, FIT_COUNT, MEMBERS, Agreement, agreement, strain_points
+from drape.garment import consensus as module
 from drape.garment.cache import Garment
+from drape.garment.consensus import ANCHORS_PER_PATCH, FIT_COUNT, MEMBERS, Consensus, consensus, strain_points
 from drape.geometry import jets
 
 
@@ -22,9 +22,9 @@ def garment() -> Garment:
 
 
 @cache
-def tables() -> Agreement:
+def tables() -> Consensus:
     g = garment()
-    return agreement(g.chart_patch, g.chart_uv, g.chart_weight, g.chart_local(), g.patch_jet, g.patch_scale)
+    return consensus(g.chart_patch, g.chart_uv, g.chart_weight, g.chart_local(), g.patch_jet, g.patch_scale)
 
 
 def held() -> np.ndarray:
@@ -92,7 +92,7 @@ def test_tangents_are_derivatives_of_the_rest_jet():
 def test_crowded_charts_lose_their_faintest_anchors(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(module, "ANCHORS_PER_PATCH", 16)
     g = garment()
-    t = agreement(g.chart_patch, g.chart_uv, g.chart_weight, g.chart_local(), g.patch_jet, g.patch_scale)
+    t = consensus(g.chart_patch, g.chart_uv, g.chart_weight, g.chart_local(), g.patch_jet, g.patch_scale)
     sizes = np.any(t.fit != 0.0, axis=1).sum(axis=1)
     assert sizes.max() == MEMBERS - 1
     assert sizes.min() > 15  # still enough for the fifteen coefficients

@@ -27,7 +27,7 @@ STRAIN_POINTS = 1 + RING_COUNT
 
 
 @dataclass(frozen=True, eq=False)
-class Agreement:
+class Consensus:
     """Constants of K patches over A anchors, float64.
 
     ``anchor`` (A,) rows of the vertices. ``member`` (K, 56) the anchors of each chart, ``slot`` (K, 56) which of an
@@ -59,14 +59,14 @@ def strain_places(patch_jet: np.ndarray, patch_scale: np.ndarray) -> np.ndarray:
     return scale * jets.evaluate(patch_jet.astype(np.float64)[:, None], points)
 
 
-def agreement(
+def consensus(
     chart_patch: np.ndarray,
     chart_uv: np.ndarray,
     chart_weight: np.ndarray,
     chart_local: np.ndarray,
     patch_jet: np.ndarray,
     patch_scale: np.ndarray,
-) -> Agreement:
+) -> Consensus:
     """Tables of a garment from its charts (V, 4, ...) and patches (K, ...), as ``Garment`` holds them."""
     count = len(patch_scale)
     anchor = _anchors(chart_patch, chart_uv, chart_weight, count)
@@ -85,7 +85,7 @@ def agreement(
     by_u, by_v = jets.evaluate(jet, points, u_times=1), jets.evaluate(jet, points, v_times=1)
     tangent = np.stack([by_u, by_v], axis=-1)
     lower = np.linalg.cholesky(tangent.swapaxes(-1, -2) @ tangent)
-    return Agreement(anchor, member, slot, fit, rest, tangent, np.linalg.inv(lower).swapaxes(-1, -2))
+    return Consensus(anchor, member, slot, fit, rest, tangent, np.linalg.inv(lower).swapaxes(-1, -2))
 
 
 def _weighted_fit(basis: np.ndarray, weight: np.ndarray) -> np.ndarray:
