@@ -47,7 +47,7 @@ def upload_avatar(told: str | dict[str, Any] | None, name: str, garments_dir: Pa
         "avatar",
         expected=f"a JSON object, {STANDARD!r}" + (f" or one of {', '.join(known)}" if known else ""),
         got=text[:120],
-        cure=f"{EXAMPLE}; docs/data.md lists the entries.",
+        cure=f"{EXAMPLE}; docs/guide/data.md lists the entries.",
     )
 
 

@@ -17,7 +17,7 @@ router = APIRouter()
 
 @router.get("/garments/{garment_id}/jets", response_class=Response)
 async def garment_jets(garment_id: str, request: Request, state: StateHere) -> Response:
-    """What makes vertices of the garment's jets: a LAYOUT message (docs/wire.md), constant per garment."""
+    """What makes vertices of the garment's jets: a LAYOUT message (docs/reference/wire.md), constant per garment."""
     entry = state.drapery.garments.get(garment_id)
     kind = negotiation.choose(request.headers.get("accept"), (negotiation.BINARY,))
     headers = {"X-Drape-Vertices": str(entry.vertex_count), "X-Drape-Patches": str(entry.patch_count)}

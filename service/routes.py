@@ -186,7 +186,7 @@ async def drape_clip(request: Request, state: StateHere) -> Response:
     """The garment on the moving body, world frame [m]: binary float32 (frames, vertices, 3), GLB or JSON by Accept.
 
     The vertices of an outfit's garments follow each other; X-Drape-Garments says how many each has. With geometry
-    "jets" the answer holds a JETS message per frame (docs/wire.md), binary only.
+    "jets" the answer holds a JETS message per frame (docs/reference/wire.md), binary only.
     """
     drapery = state.drapery
     asked, clip = await _clip(schemas.DrapeRequest, request, state)

@@ -1,6 +1,6 @@
 """What can be set, through the environment with the prefix ``DRAPE_``; a bad value stops the start.
 
-Every field is described in docs/service.md.
+Every field is described in docs/guide/service.md.
 """
 
 from __future__ import annotations
@@ -85,5 +85,8 @@ def load_settings(**overrides: object) -> Settings:
         first = error.errors()[0]
         name = f"DRAPE_{'.'.join(str(part) for part in first['loc'])}".upper()
         raise InputError(
-            name, expected=first["msg"], got=repr(first.get("input")), cure="Correct or unset it; see docs/service.md."
+            name,
+            expected=first["msg"],
+            got=repr(first.get("input")),
+            cure="Correct or unset it; see docs/guide/service.md.",
         ) from error

@@ -4,7 +4,7 @@
     python -m training.evaluate runs/first/checkpoint.pt --garments tshirt jacket.obj --frames 12
 
 Poses are the hard ones of the clips that the run held out, or of the shipped clips where no
-motion folder is at hand. What the columns mean stands in docs/quality.md; ``python -m benchmarks.quality``
+motion folder is at hand. What the columns mean stands in docs/reference/quality.md; ``python -m benchmarks.quality``
 measures the exported model in full.
 """
 

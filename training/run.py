@@ -117,7 +117,9 @@ def main() -> int:
     parser.add_argument("--motions", type=Path, nargs="*", help="folders of motion files; default DRAPE_DATA/motions")
     parser.add_argument("--threads", type=int, help="of torch; one is steadier beside other programs")
     parser.add_argument("--batch", type=int, help="frames, of a dynamic model windows, per step of each process")
-    parser.add_argument("--bf16", action="store_true", help="matrices in bfloat16 (docs/training.md says when it pays)")
+    parser.add_argument(
+        "--bf16", action="store_true", help="matrices in bfloat16 (docs/guide/training.md says when it pays)"
+    )
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     arguments = parser.parse_args()
     with flushed():  # from the start: the threads of torch, made at its first large operation, take it over

@@ -71,7 +71,7 @@ def finetuning_table(record: Record) -> str:
 
 TABLES = (
     ("representation", "docs/decisions/0008-representation.md", "forms", form_table),
-    ("loss_ablation", "docs/losses.md", "loss_ablation", loss_table),
-    ("generality", "docs/training.md", "generality", generality_table),
-    ("finetuning", "docs/training.md", "finetuning", finetuning_table),
+    ("loss_ablation", "docs/studies/losses.md", "loss_ablation", loss_table),
+    ("generality", "docs/guide/training.md", "generality", generality_table),
+    ("finetuning", "docs/guide/training.md", "finetuning", finetuning_table),
 )

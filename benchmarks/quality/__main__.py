@@ -1,4 +1,4 @@
-"""How good the drape is: skinning, network and physics side by side, on hard poses (docs/quality.md).
+"""How good the drape is: skinning, network and physics side by side, on hard poses (docs/reference/quality.md).
 
     python -m benchmarks.quality
     python -m benchmarks.quality --garments tshirt dress --motions walk squat --frames 6

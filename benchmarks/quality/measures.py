@@ -1,4 +1,4 @@
-"""One garment measured: five drapes of the same poses, and the numbers by which docs/quality.md compares them."""
+"""One garment measured: five drapes of the same poses, and the numbers by which docs/reference/quality.md compares them."""
 
 from __future__ import annotations
 

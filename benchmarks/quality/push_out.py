@@ -43,7 +43,7 @@ from drape.push.projection import CLEARANCE_M, push_out_of_bodies
 from drape.push.skin import body_skin
 from service.push import Pusher
 
-NEAREST_CLEARANCE_M = 0.002  # of the baseline (docs/quality.md)
+NEAREST_CLEARANCE_M = 0.002  # of the baseline (docs/reference/quality.md)
 METHODS = ("none", "nearest_vertex", "own_and_other")
 FRAMES, QUICK_FRAMES = 4, 1
 SECONDS, QUICK_SECONDS = 4.0, 0.5

@@ -1,7 +1,7 @@
 """A second simulator beside the optimum: how far every drape is from where recovery.sim comes to rest [mm].
 
 The garment's triangles are laid flat, each in its own plane, and simulated by linearised implicit steps with damping
-and friction until nothing moves. From the energy of docs/quality.md it differs in its hinges, which
+and friction until nothing moves. From the energy of docs/reference/quality.md it differs in its hinges, which
 resist most where they are folded over; in contact, by the body's signed distance in place of tangent planes; in
 friction; and in the method, which is motion in time. Membrane, weight and the layer of contact are the same.
 

@@ -117,15 +117,15 @@ def push_table(record: Record) -> str:
 
 
 TABLES = (
-    ("quality", "docs/quality.md", "quality", quality_table),
+    ("quality", "docs/reference/quality.md", "quality", quality_table),
     ("quality", "README.md", "gain", gain_table),
-    ("quality", "docs/quality.md", "quality_network", network_table),
-    ("quality_unseen", "docs/quality.md", "quality_unseen", quality_table),
-    ("quality_unseen", "docs/quality.md", "quality_unseen_network", network_table),
-    ("quality_fine", "docs/quality.md", "quality_fine", network_table),
-    ("quality_reference", "docs/quality.md", "quality_reference", reference_table),
-    ("quality_reference", "docs/quality.md", "quality_reference_ends", reference_end_table),
-    ("dynamics", "docs/training.md", "dynamics_stop", stop_table),
-    ("dynamics", "docs/training.md", "dynamics_potential", potential_table),
-    ("push_out", "docs/push_out.md", "push_out", push_table),
+    ("quality", "docs/reference/quality.md", "quality_network", network_table),
+    ("quality_unseen", "docs/reference/quality.md", "quality_unseen", quality_table),
+    ("quality_unseen", "docs/reference/quality.md", "quality_unseen_network", network_table),
+    ("quality_fine", "docs/reference/quality.md", "quality_fine", network_table),
+    ("quality_reference", "docs/reference/quality.md", "quality_reference", reference_table),
+    ("quality_reference", "docs/reference/quality.md", "quality_reference_ends", reference_end_table),
+    ("dynamics", "docs/guide/training.md", "dynamics_stop", stop_table),
+    ("dynamics", "docs/guide/training.md", "dynamics_potential", potential_table),
+    ("push_out", "docs/explanation/push_out.md", "push_out", push_table),
 )

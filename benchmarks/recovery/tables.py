@@ -81,6 +81,6 @@ def rounds_table(record: Record) -> str:
 
 
 TABLES = (
-    ("recovery_targets", "docs/recovery_fit.md", "recovery_targets", targets_table),
-    ("recovery_rounds", "docs/recovery_fit.md", "recovery_rounds", rounds_table),
+    ("recovery_targets", "docs/explanation/recovery_fit.md", "recovery_targets", targets_table),
+    ("recovery_rounds", "docs/explanation/recovery_fit.md", "recovery_rounds", rounds_table),
 )

@@ -3,7 +3,7 @@
 Adam first, which forgets the large strains of the start quickly; then heavy-ball
 descent scaled by each vertex's stiffness, whose steps do not shrink, so that a small
 change of energy means an optimum and not a small step. Contact planes follow the
-nearest body vertices every few steps. How the method was chosen: docs/quality.md.
+nearest body vertices every few steps. How the method was chosen: docs/reference/quality.md.
 """
 
 from __future__ import annotations

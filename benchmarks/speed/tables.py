@@ -103,10 +103,10 @@ def plot(record: Record, path: Path) -> None:
 
 
 TABLES = (
-    ("latency", "docs/performance.md", "latency_single", single_table),
-    ("latency", "docs/performance.md", "latency_stages", stage_table),
-    ("latency", "docs/performance.md", "latency_batches", batch_table),
-    ("latency", "docs/performance.md", "latency_growth", growth_table),
+    ("latency", "docs/reference/performance.md", "latency_single", single_table),
+    ("latency", "docs/reference/performance.md", "latency_stages", stage_table),
+    ("latency", "docs/reference/performance.md", "latency_batches", batch_table),
+    ("latency", "docs/reference/performance.md", "latency_growth", growth_table),
 )
 
 

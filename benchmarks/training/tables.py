@@ -17,4 +17,4 @@ def throughput_table(record: Record) -> str:
     return rows_table(THROUGHPUT | columns, record["rows"], record)
 
 
-TABLES = (("training", "docs/training.md", "throughput", throughput_table),)
+TABLES = (("training", "docs/guide/training.md", "throughput", throughput_table),)

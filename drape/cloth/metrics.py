@@ -1,4 +1,4 @@
-"""The numbers by which a drape is judged; docs/quality.md defines them and says what peers do differently.
+"""The numbers by which a drape is judged; docs/reference/quality.md defines them and says what peers do differently.
 
 Each returns one value per frame, (...,) for positions (..., V, 3); percentages are
 unsigned means over the mesh, as in GAPS (Chen et al. 2024).

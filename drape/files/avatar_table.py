@@ -28,7 +28,10 @@ def avatar_table(folder: Path) -> dict[str, Any]:
         raise BodyError(TABLE_NAME, expected="JSON", got=str(error), cure="Repair the file.") from error
     if not isinstance(table, dict) or not all(isinstance(entry, (dict, str)) for entry in table.values()):
         raise BodyError(
-            TABLE_NAME, expected="names with their avatars", got=type(table).__name__, cure="See docs/garments.md."
+            TABLE_NAME,
+            expected="names with their avatars",
+            got=type(table).__name__,
+            cure="See docs/guide/garments.md.",
         )
     return table
 

@@ -1,4 +1,4 @@
-"""Where data that is not part of the repository lies: the folder named by DRAPE_DATA (docs/data.md)."""
+"""Where data that is not part of the repository lies: the folder named by DRAPE_DATA (docs/guide/data.md)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["DATA_VARIABLE", "HOW_TO_SET_DATA", "data_folder"]
 DATA_VARIABLE = "DRAPE_DATA"
 HOW_TO_SET_DATA = (
     f"Set {DATA_VARIABLE} to a folder of your own data, for example `export {DATA_VARIABLE}=$HOME/drape-data`; "
-    "docs/data.md says what goes there and where it can be had."
+    "docs/guide/data.md says what goes there and where it can be had."
 )
 
 

@@ -239,7 +239,7 @@ def parse_avatar(
         expected="JSON, a mesh file, 'standard'"
         + (f" or one of {', '.join(known)}" if known else f" or a name in {TABLE_NAME}"),
         got=repr(text),
-        cure="See docs/garments.md.",
+        cure="See docs/guide/garments.md.",
     )
 
 

@@ -1,6 +1,6 @@
 """Pushes a rest garment out of the body until every vertex is clear of it, and keeps its detail.
 
-A template that cuts into the body spoils everything after it (DESIGN.md finding 1, measured:
+A template that cuts into the body spoils everything after it (measured:
 28 % colliding vertices under motion before the push, 1.2 % after), so the end is a guarantee
 and not a penalty: ``clear_body`` returns only what it has measured to be clear.
 """

@@ -47,7 +47,7 @@ class IntakeOptions:
     """``unit`` and ``up`` of the file ("auto": by its place on the avatar); ``repair`` drops bad faces.
 
     ``patches``: how many, over the number of ``patch_count_for``: more drape closer to physics, and slower
-    (docs/quality.md measures the trade). Raises ``InputError`` outside ``PATCH_SHARE_RANGE``.
+    (docs/reference/quality.md measures the trade). Raises ``InputError`` outside ``PATCH_SHARE_RANGE``.
     """
 
     unit: Unit = "auto"

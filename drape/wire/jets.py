@@ -100,7 +100,7 @@ def unpack_jets(message: bytes) -> JetFrame:
             "jets message",
             expected=f"{message_bytes(count)} bytes for {count} patches",
             got=f"{len(message)} bytes",
-            cure="See docs/wire.md.",
+            cure="See docs/reference/wire.md.",
         )
     boxes = np.array(values[-6 - 2 * jets.FULL_COUNT :], np.float32)
     centre_low, centre_step, low, step = np.split(boxes, [3, 6, 6 + jets.FULL_COUNT])
@@ -117,7 +117,7 @@ def unpack_jets(message: bytes) -> JetFrame:
             "jets message",
             expected="unit quaternions",
             got=f"one of length {norm.min():.3f}",
-            cure="See docs/wire.md for the layout.",
+            cure="See docs/reference/wire.md for the layout.",
         )
     return JetFrame(
         sequence=values[4],

@@ -162,7 +162,7 @@ def unpack_layout(message: bytes) -> JetLayout:
             "layout message",
             expected=f"{size} bytes for {patches} patches and {vertices} vertices of {charts} charts",
             got=f"{len(message)} bytes",
-            cure="See docs/wire.md.",
+            cure="See docs/reference/wire.md.",
         )
     numbers = np.frombuffer(message, "<f4", floats, HEADER_BYTES)
     ends = np.cumsum([PATCH_NUMBERS * patches, 3 * vertices])

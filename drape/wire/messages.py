@@ -4,7 +4,7 @@ All numbers are little endian. Every message begins with the same 16 bytes (magi
 version, kind, flags, sequence, count). The client sends POSE and ACK, the service FRAME.
 Vertices travel as 16-bit steps inside the frame's own bounding box, relative to the
 root joint: half a step of a 2 m box is 0.015 mm. A client that asked for jets gets JETS in place of FRAME
-(``drape.wire.jets``) and once per garment a LAYOUT (``drape.wire.layout``). ``docs/wire.md`` has the conversation.
+(``drape.wire.jets``) and once per garment a LAYOUT (``drape.wire.layout``). ``docs/reference/wire.md`` has the conversation.
 """
 
 from __future__ import annotations
@@ -152,7 +152,10 @@ def message_kind(message: bytes) -> int:
     """The kind byte of a message; refuses what is too short or not ours."""
     if len(message) < ACK_BYTES:
         raise InputError(
-            "message", expected=f"at least {ACK_BYTES} bytes", got=f"{len(message)} bytes", cure="See docs/wire.md."
+            "message",
+            expected=f"at least {ACK_BYTES} bytes",
+            got=f"{len(message)} bytes",
+            cure="See docs/reference/wire.md.",
         )
     return message[5]
 
@@ -194,7 +197,7 @@ def unpack_frame(message: bytes) -> Frame:
             "frame message",
             expected=f"{size} bytes for {count} vertices",
             got=f"{len(message)} bytes",
-            cure="See docs/wire.md.",
+            cure="See docs/reference/wire.md.",
         )
     steps = np.frombuffer(message, dtype="<u2", count=count * 3, offset=FRAME_HEADER_BYTES).reshape(count, 3)
     low, step = np.array(values[11:14], np.float32), np.array(values[14:17], np.float32)
@@ -217,7 +220,9 @@ def check_prefix(name: str, message: bytes, kind: int, size: int | None = None, 
     """Refuses a ``message`` that has not ``size`` bytes, or ``least`` of them, or another magic, version or kind."""
     if (size is not None and len(message) != size) or len(message) < least:
         wanted = f"{size} bytes" if size is not None else f"at least {least} bytes"
-        raise InputError(name, expected=wanted, got=f"{len(message)} bytes", cure="See docs/wire.md for the layout.")
+        raise InputError(
+            name, expected=wanted, got=f"{len(message)} bytes", cure="See docs/reference/wire.md for the layout."
+        )
     magic, version, got_kind, *_ = _ACK.unpack_from(message)
     if magic != MAGIC or version != WIRE_VERSION:
         raise InputError(
@@ -227,7 +232,9 @@ def check_prefix(name: str, message: bytes, kind: int, size: int | None = None, 
             cure="Use a client of the same release as the service.",
         )
     if got_kind != kind:
-        raise InputError(name, expected=f"kind {kind}", got=f"kind {got_kind}", cure="See docs/wire.md for the kinds.")
+        raise InputError(
+            name, expected=f"kind {kind}", got=f"kind {got_kind}", cure="See docs/reference/wire.md for the kinds."
+        )
 
 
 def _name_of(layout: str, index: int) -> str:

@@ -1,1 +1,1 @@
-"""From sewing pattern to draped garment: panels placed, sewn, draped and taken in, docs/recovery.md."""
+"""From sewing pattern to draped garment: panels placed, sewn, draped and taken in, docs/explanation/recovery.md."""

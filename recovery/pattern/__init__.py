@@ -1,1 +1,1 @@
-"""Sewing patterns: panels, edges and stitches; reading, meshing and writing them, docs/patterns.md."""
+"""Sewing patterns: panels, edges and stitches; reading, meshing and writing them, docs/guide/patterns.md."""

@@ -1,1 +1,1 @@
-"""From a scan to a sewing pattern in one command: checks, recovery, report, retargeting, docs/recovery_run.md."""
+"""From a scan to a sewing pattern in one command: checks, recovery, report, retargeting, docs/guide/recovery_run.md."""

@@ -1,1 +1,1 @@
-"""Differentiable simulation of sewn garments over a body, float64, docs/recovery.md."""
+"""Differentiable simulation of sewn garments over a body, float64, docs/explanation/recovery.md."""

@@ -1,7 +1,7 @@
 """The signed distance of a closed mesh as a network of sines (Sitzmann et al. 2020), trained on that mesh.
 
 The way of Yu, Cordier and Seo (2024, section 3.4.4), who leave sizes and training open. ``GridDistance`` is more exact
-and ready in seconds (docs/recovery.md); this is for comparing with the paper.
+and ready in seconds (docs/explanation/recovery.md); this is for comparing with the paper.
 
 With u the point scaled to the body's box, h_0 = u and h_k = sin(W_k h_(k-1) + b_k), the distance is w . h_L + b.
 Sitzmann's factor omega is part of W_k. The gradient, w diag(cos) W_L ... diag(cos) W_1, is written out, so that

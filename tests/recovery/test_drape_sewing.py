@@ -128,7 +128,7 @@ def test_files_of_the_data_folder_stand_round_the_trunk():
     folder = data_folder("patterns")
     files = sorted(folder.glob("*.json")) if folder else []
     if not files:
-        pytest.skip("No patterns/*.json in DRAPE_DATA: docs/data.md says where to get them.")
+        pytest.skip("No patterns/*.json in DRAPE_DATA: docs/guide/data.md says where to get them.")
     body = load_body()
     size = default_measurements()
     for path in files:

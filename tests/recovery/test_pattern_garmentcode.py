@@ -296,7 +296,7 @@ def test_every_pattern_of_the_data_folder_goes_through():
     folder = data_folder("patterns")
     files = sorted(folder.glob("*.json")) if folder else []
     if not files:
-        pytest.skip("No patterns/*.json in DRAPE_DATA: docs/data.md says where to get them.")
+        pytest.skip("No patterns/*.json in DRAPE_DATA: docs/guide/data.md says where to get them.")
     for path in files:
         pattern = garmentcode.read_pattern(path)
         read_back = garmentcode.pattern_from_spec(json.loads(json.dumps(garmentcode.pattern_to_spec(pattern))))

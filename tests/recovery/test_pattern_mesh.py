@@ -371,7 +371,7 @@ def test_every_pattern_of_the_data_folder_is_sewn_into_a_garment():
     folder = data_folder("patterns")
     files = sorted(folder.glob("*.json")) if folder else []
     if not files:
-        pytest.skip("No patterns/*.json in DRAPE_DATA: docs/data.md says where to get them.")
+        pytest.skip("No patterns/*.json in DRAPE_DATA: docs/guide/data.md says where to get them.")
     openings = {"tee": 4, "dress_sleeveless": 4, "pants_straight_sides": 3, "skirt_4_panels": 2}
     for path in files:
         mesh = mesh_pattern(read_pattern(path), 0.03)

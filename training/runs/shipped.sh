@@ -4,7 +4,7 @@
 # same in parts (the manifest's "training"), with half of the patch counts' range until the last two of them.
 #
 # Poses: DRAPE_DATA/motions holds clips of the CMU Graphics Lab Motion Capture Database as ASF/AMC or AMASS
-# files (docs/data.md says which and where from). "The data used in this project was obtained from
+# files (docs/guide/data.md says which and where from). "The data used in this project was obtained from
 # mocap.cs.cmu.edu. The database was created with funding from NSF EIA-0196217."
 set -eu
 export OMP_NUM_THREADS=1

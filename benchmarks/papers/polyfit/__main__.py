@@ -6,7 +6,7 @@
 
 The paper measures on garments of CLOTH3D, which are not at hand: here it is garments that training never saw,
 those of DRAPE_DATA/garments or, without such a folder, variants of the shipped designs. Errors therefore compare
-within a table, not with the paper's column. docs/polyfit.md says what each table means.
+within a table, not with the paper's column. docs/studies/polyfit.md says what each table means.
 """
 
 from __future__ import annotations

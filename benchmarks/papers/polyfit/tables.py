@@ -56,6 +56,6 @@ def _of(record: Record, number: str) -> Sequence[Record]:
 
 
 TABLES = (
-    ("polyfit", "docs/polyfit.md", "polyfit_fits", fits_table),
-    ("polyfit", "docs/polyfit.md", "polyfit_garments", garments_table),
+    ("polyfit", "docs/studies/polyfit.md", "polyfit_fits", fits_table),
+    ("polyfit", "docs/studies/polyfit.md", "polyfit_garments", garments_table),
 )

@@ -281,7 +281,7 @@ def test_a_damaged_checkpoint_is_refused(tmp_path):
 @pytest.mark.slow
 def test_held_out_garments_are_those_of_the_data_folder(data, tmp_path, monkeypatch):
     if not (data / "garments").is_dir():
-        pytest.skip("DRAPE_DATA has no folder garments: docs/data.md says what goes there.")
+        pytest.skip("DRAPE_DATA has no folder garments: docs/guide/data.md says what goes there.")
     own = tmp_path / "data" / "garments"
     own.mkdir(parents=True)
     files = sorted(path for path in (data / "garments").iterdir() if path.is_file())

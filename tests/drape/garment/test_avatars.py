@@ -56,7 +56,7 @@ def test_phenotype_is_interpolated_linearly_between_anchors():
 def test_phenotype_reproduces_the_avatar_in_the_data(prefix: str, data: Path):
     path = data / "garments" / f"avatar_{prefix}.obj"
     if not path.is_file():
-        pytest.skip(f"No garments/avatar_{prefix}.obj in DRAPE_DATA: docs/data.md says where to get it.")
+        pytest.skip(f"No garments/avatar_{prefix}.obj in DRAPE_DATA: docs/guide/data.md says where to get it.")
     from_mesh = mesh_avatar(path, BODY)
     from_name = read_avatar(parse_avatar(prefix, beside=path), BODY)
     assert from_mesh.residual_mm == 0.0

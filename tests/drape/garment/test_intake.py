@@ -208,7 +208,7 @@ def test_a_name_without_letters_is_refused():
 def test_real_garment_comes_clear_with_little_strain(name: str, data: Path):
     path = data / "garments" / f"{name}.obj"
     if not path.is_file():
-        pytest.skip(f"No garments/{name}.obj in DRAPE_DATA: docs/data.md says where to get it.")
+        pytest.skip(f"No garments/{name}.obj in DRAPE_DATA: docs/guide/data.md says where to get it.")
     mesh = intake_module.read_mesh(path)
     meaning = intake_module.avatars.parse_avatar(None, beside=path)
     rest = rest_mesh(mesh, intake_module.avatars.read_avatar(meaning, BODY), BODY)

@@ -13,7 +13,7 @@ SUFFIXES = (".npz", ".bvh", ".amc")
 def test_every_clip_of_the_data_folder_is_read_and_mostly_clean(data):
     files = sorted(path for path in (data / "motions").rglob("*") if path.suffix.lower() in SUFFIXES)
     if not files:
-        pytest.skip("The folder named by DRAPE_DATA has no motions; docs/data.md says where they can be had.")
+        pytest.skip("The folder named by DRAPE_DATA has no motions; docs/guide/data.md says where they can be had.")
     for path in files:
         clip = read_motion(path)
         assert flagged_steps(clip).mean() < 0.2, path.name
