@@ -1,4 +1,4 @@
-"""How a dynamic model moves: what its hem does after an abrupt stop, and what its motion costs (docs/guide/training.md).
+"""How a dynamic model moves: what its hem does after an abrupt stop, and what motion costs (docs/guide/training.md).
 
     python -m benchmarks.quality.dynamics --model NAME [--garments dress skirt] [--motions FILE ...] [--save]
 

@@ -4,7 +4,8 @@ All numbers are little endian. Every message begins with the same 16 bytes (magi
 version, kind, flags, sequence, count). The client sends POSE and ACK, the service FRAME.
 Vertices travel as 16-bit steps inside the frame's own bounding box, relative to the
 root joint: half a step of a 2 m box is 0.015 mm. A client that asked for jets gets JETS in place of FRAME
-(``drape.wire.jets``) and once per garment a LAYOUT (``drape.wire.layout``). ``docs/reference/wire.md`` has the conversation.
+(``drape.wire.jets``) and once per garment a LAYOUT (``drape.wire.layout``). The conversation:
+docs/reference/wire.md.
 """
 
 from __future__ import annotations

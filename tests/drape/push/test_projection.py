@@ -27,6 +27,7 @@ from drape.push.projection import (
     blended,
     fitted,
     push_in_parts,
+    push_out,
     push_out_of_bodies,
 )
 from drape.push.skin import body_skin, skin_table
@@ -75,7 +76,7 @@ def stretches(kind: str, vertices: np.ndarray) -> np.ndarray:
 
 def test_a_clear_garment_is_left_where_it_is():
     vertices = garment("tank").vertices.astype(np.float64)[None]
-    pushed = nearest_vertex_push(vertices, table_of(np.zeros((1, 24, 3))), feed_of("tank"))
+    pushed = push_out(vertices, table_of(np.zeros((1, 24, 3))), feed_of("tank"))
     assert np.abs(pushed - vertices).max() < 1e-9
 
 
@@ -85,7 +86,7 @@ def test_cloth_drawn_into_the_body_comes_out_to_the_clearance():
     normals = meshes.face_normals(body.v_template, body.faces)[found.face]
     inside = (found.point - 0.006 * normals)[None]
     assert (depths(inside[0], body.v_template) < 0.0).mean() > 0.95
-    pushed = nearest_vertex_push(inside, table_of(np.zeros((1, 24, 3))), feed_of("tank"), CLEARANCE_M)[0]
+    pushed = push_out(inside, table_of(np.zeros((1, 24, 3))), feed_of("tank"), CLEARANCE_M)[0]
     after = depths(pushed, body.v_template)
     assert (after < 0.0).mean() < 0.005
     assert abs(float(np.median(after)) - CLEARANCE_M) < 0.0015
@@ -114,7 +115,7 @@ def test_it_moves_smoothly_with_the_body():
     turns = np.linspace(-1.30, -1.31, 5)
     poses = np.concatenate([bent("left_shoulder", (0.0, 0.0, turn)) for turn in turns])
     vertices = skinned("longsleeve", poses)
-    pushed = nearest_vertex_push(vertices, table_of(poses), feed_of("longsleeve"))
+    pushed = push_out(vertices, table_of(poses), feed_of("longsleeve"))
     step, plain = (np.linalg.norm(np.diff(x, axis=0), axis=-1) for x in (pushed, vertices))
     moved = np.linalg.norm(pushed - vertices, axis=-1)
     assert moved.max() > 0.01
@@ -126,11 +127,11 @@ def test_it_moves_smoothly_with_the_body():
 def test_numpy_and_torch_agree_and_frames_are_independent(rng):
     poses = rng.normal(0.0, 0.3, size=(3, 24, 3))
     vertices, table, feed = skinned("shorts", poses), table_of(poses), feed_of("shorts")
-    together = nearest_vertex_push(vertices, table, feed)
-    alone = np.concatenate([nearest_vertex_push(vertices[i : i + 1], table[i : i + 1], feed) for i in range(3)])
+    together = push_out(vertices, table, feed)
+    alone = np.concatenate([push_out(vertices[i : i + 1], table[i : i + 1], feed) for i in range(3)])
     assert_allclose(alone, together, rtol=0, atol=1e-12)
     tensors = feed.each(lambda a: torch.from_numpy(a.astype(np.float64) if a.dtype == np.float32 else a))
-    in_torch = nearest_vertex_push(torch.from_numpy(vertices), torch.from_numpy(table), tensors, CLEARANCE_M)
+    in_torch = push_out(torch.from_numpy(vertices), torch.from_numpy(table), tensors, CLEARANCE_M)
     assert_allclose(in_torch.numpy(), together, rtol=0, atol=1e-9)
 
 
@@ -172,7 +173,7 @@ def test_jets_carry_the_fitted_push_and_what_they_lack_is_told(rng, monkeypatch)
 
     vertices = skinned("trousers", poses) - np.array([0.0, 0.0, 0.015])  # drawn into the front of the legs
     pushed = push_in_parts(vertices, table_of(poses), feed)
-    assert_array_equal(pushed.vertices, nearest_vertex_push(vertices, table_of(poses), feed))
+    assert_array_equal(pushed.vertices, push_out(vertices, table_of(poses), feed))
     carried = blended(pushed.coefficients, feed)[0].T[feed.vertex_slot]
     assert np.abs(carried).max() > 0.003, "must push for the test to mean something"
     for count in (27, 45):
