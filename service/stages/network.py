@@ -57,7 +57,9 @@ class Network(Stage):
         root = np.concatenate([one.trans + shape.root for shape, one in zip(shapes, batch.inputs, strict=True)])
         if batch.codes is not None:
             bodies["dynamic_code"] = batch.codes
-        skin = None if self._skin_in_graph else self._posed_skin(batch)
+        skin = None
+        if not self._skin_in_graph and (self.engine.feels_body or SKIN in needs):
+            skin = np.concatenate([posed_table(self.body, one.poses, one.betas) for one in batch.inputs])
         if skin is not None and self.engine.feels_body:
             bodies[SKIN] = skin
         scene = ScenePlan(
@@ -71,9 +73,6 @@ class Network(Stage):
             skin = _stacked(results[:frames], SKIN)
         layers = [_layer(results[i : i + frames], needs) for i in range(0, len(items), frames)]
         return replace(batch, root=root, skin=skin, layers=tuple(layers))
-
-    def _posed_skin(self, batch: Batch) -> np.ndarray:
-        return np.concatenate([posed_table(self.body, one.poses, one.betas) for one in batch.inputs])
 
 
 def _layer(results: list[Result], needs: frozenset[str]) -> Layer:
