@@ -1,4 +1,4 @@
-"""WS /stream: one JSON message opens, binary poses come in, binary frames go out. docs/reference/wire.md is the contract."""
+"""WS /stream: one JSON message opens, binary poses come in, binary frames go out, as in docs/reference/wire.md."""
 
 from __future__ import annotations
 

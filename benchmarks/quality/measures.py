@@ -1,4 +1,4 @@
-"""One garment measured: five drapes of the same poses, and the numbers that compare them (docs/reference/quality.md)."""
+"""One garment measured: five drapes of the same poses, and numbers that compare them (docs/reference/quality.md)."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ def test_push_out_reaches_the_clearance_and_leaves_the_rest_alone(rng):
     sphere = BodyContact(faces, len(vertices))
     posed = np.stack([vertices, vertices])
     cloth = bumpy_cloth(rng)
-    pushed = contact.push_out(cloth, posed, sphere.normals(posed), 0.002)
+    pushed = contact.nearest_vertex_push(cloth, posed, sphere.normals(posed), 0.002)
     assert sphere.planes(pushed, posed).distance(pushed).min() >= 0.002 - 1e-5
     clear = sphere.planes(cloth, posed).distance(cloth) > 0.002
     assert clear.any() and not clear.all()
@@ -96,7 +96,7 @@ def test_push_out_keeps_its_argument(rng):
     vertices, faces = icosphere(2, radius_m=0.5)
     cloth = bumpy_cloth(rng, frames=1)
     before = cloth.copy()
-    contact.push_out(cloth, vertices[None], meshes.vertex_normals(vertices, faces)[None], 0.02)
+    contact.nearest_vertex_push(cloth, vertices[None], meshes.vertex_normals(vertices, faces)[None], 0.02)
     assert_allclose(cloth, before, rtol=0.0, atol=0.0)
 
 
