@@ -132,7 +132,7 @@ def measure(garment: Garment, setting: Setting, *, trained: bool) -> list[dict[s
 
 
 def times(garment: Garment, network: Network, body: BodyModel, *, seconds: float) -> dict[str, dict[str, Any]]:
-    """Milliseconds per method of one frame of the delivered vertices; the posed skin is given, as the network gives it."""
+    """Milliseconds per method of one frame of the delivered vertices; the posed skin is given, as by the network."""
     poses, betas = np.zeros((1, 24, 3)), np.zeros(body.shape_count)
     rest = garment.vertices[: garment.vertex_count].astype(np.float64)
     vertices = (rest - body.rest_joints()[0])[None].astype(np.float32)
