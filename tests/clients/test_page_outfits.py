@@ -1,4 +1,7 @@
-"""The page on the shipped model: garments over each other, fewer corrections, jets instead of vertices."""
+"""The page on the shipped model: garments over each other, fewer corrections, jets instead of vertices.
+
+The clip is one still pose, so that pictures do not depend on how fast a machine comes to them.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,10 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from scipy.ndimage import maximum_filter, minimum_filter
 
 from drape.garment.cache import save_garment
+from drape.motion.samples import stretch
 from service.app import create_app
 from service.drapery import Drapery
 from service.settings import Settings
@@ -18,6 +23,13 @@ from tests.fixtures.packed import garment
 from tests.fixtures.serving import serve
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
+
+STILL_FRAME = 89  # arms up; neither garment comes through the other at a grazing angle
+# What is sent is rounded by 0.2 mm at most (docs/wire.md), a twentieth of a pixel. So an edge stays within one pixel of
+# the page, which is blurred over two of the picture where a slow machine draws fewer of them, and over edges of 15 mm
+# normals turn, and light changes, by at most 0.03 of 255 levels.
+EDGE_PX = 2
+SHADE = 8
 
 # Keeps what the page asks the stream for.
 SPY = """(() => {
@@ -36,9 +48,12 @@ def drapery(make_settings, tmp_path_factory) -> Drapery:
     folder = tmp_path_factory.mktemp("three")
     for kind in ("shorts", "tank", "trousers"):
         save_garment(garment(kind), folder)
+    motions = tmp_path_factory.mktemp("motions")
+    stretch().window(STILL_FRAME, 1).save(motions / "still.npz")
     models = Settings().models_dir
     limits = {"max_layers": 2, "stream_ack_s": 30.0, "stream_send_s": 30.0}
-    return Drapery(make_settings(models_dir=models, model="onefit", shipped_garments_dir=folder, **limits))
+    folders = {"models_dir": models, "shipped_garments_dir": folder, "motions_dir": motions}
+    return Drapery(make_settings(model="onefit", **folders, **limits))
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +64,7 @@ def page(drapery: Drapery) -> Iterator[Page]:
     assert chromium is not None  # the marker has seen to it
     with (
         serve(create_app(drapery.settings, drapery=drapery), drapery.settings) as url,
-        open_page(chromium, url + "/?garment=trousers,tank&clip=reach") as page,
+        open_page(chromium, url + "/?garment=trousers,tank&clip=still") as page,
     ):
         page.wait_for("Number(document.body?.dataset.frames) >= 2")
         page.evaluate(SPY)
@@ -101,22 +116,37 @@ def test_passes_are_chosen_and_the_service_runs_that_many(page: Page, drapery: D
     assert "passes" not in last_opening(page)
 
 
+def outside(picture: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """How far [of 255] each pixel of ``picture`` lies outside of what ``other`` has within ``EDGE_PX`` of it."""
+    size = (2 * EDGE_PX + 1, 2 * EDGE_PX + 1, 1)
+    least, most = minimum_filter(other, size=size), maximum_filter(other, size=size)
+    return np.maximum(least - picture, picture - most).max(axis=-1)
+
+
+def drawn(page: Page, *, jets: bool) -> tuple[np.ndarray, float, int]:
+    """The picture above the numbers, kB of a frame, and how many pixels wide the page draws."""
+    set_control(page, "jets", "checked", jets, "change")
+    page.wait_for(f"document.getElementById('left-row').hidden === {json.dumps(not jets)}")
+    more_frames(page)
+    size = page.evaluate("Number.parseFloat(document.getElementById('bytes').textContent)")
+    return page.picture()[:400], size, page.evaluate("document.getElementById('view').width")
+
+
 def test_jets_are_drawn_like_vertices_and_are_fewer_bytes(page: Page):
-    page.evaluate("document.getElementById('play').click()")  # paused: both draw the same pose
-    more_frames(page)
-    number = "Number.parseFloat(document.getElementById('bytes').textContent)"
-    before, of_vertices = page.picture()[:400, 300:], page.evaluate(number)  # above the numbers at the bottom
-    set_control(page, "jets", "checked", True, "change")
-    page.wait_for("!document.getElementById('left-row').hidden")
-    more_frames(page)
+    """Without the push-out, of which jets carry a part, and without the body, which would show through at places."""
+    for control in ("push", "body"):
+        set_control(page, control, "checked", False, "change")
+    jets, of_jets, width = drawn(page, jets=True)
     assert last_opening(page)["geometry"] == "jets"
-    after, of_jets = page.picture()[:400, 300:], page.evaluate(number)
+    vertices, of_vertices, width_after = drawn(page, jets=False)
+    while width_after != width:  # a slow machine goes on with fewer pixels
+        (jets, _, width), (vertices, _, width_after) = drawn(page, jets=True), drawn(page, jets=False)
     assert of_jets < 0.6 * of_vertices
-    assert share(page.picture(), "g") > 0.005
-    assert (np.abs(after - before).max(axis=-1) > 40).mean() < 0.002
-    set_control(page, "jets", "checked", False, "change")
-    page.wait_for("document.getElementById('left-row').hidden")
-    page.evaluate("document.getElementById('play').click()")
+    assert share(jets, "g") > 0.005 and share(jets, "b") > 0.005
+    jets, vertices = jets[:, 300:], vertices[:, 300:]  # beside the panel
+    assert outside(jets, vertices).max() <= SHADE and outside(vertices, jets).max() <= SHADE
+    for control in ("push", "body"):
+        set_control(page, control, "checked", True, "change")
 
 
 def test_garments_are_taken_off_and_put_on(page: Page):

@@ -22,6 +22,7 @@ from model_export.graph import DrapeGraph, drape_inputs
 from model_export.parity import hard_poses, session
 from tests.fixtures import packed
 from tests.fixtures.networks import TINY
+from tests.fixtures.rounding import FIT_ROUNDING
 from training import checkpoint
 from training.config import TrainConfig, as_published
 from training.model import OneFit
@@ -93,9 +94,8 @@ def test_any_number_of_frames_vertices_and_patches_runs(exported, garment, frame
         expected = DrapeGraph(model)(**{name: torch.from_numpy(arrays[name]) for name in names})
     for have, want in zip((np.asarray(array) for array in got), expected, strict=True):
         assert have.shape == tuple(want.shape)
-        # Fits of the fourth order make some ten times more of what is rounded.
         of_jets = have.shape[-1] in (jets.JET_COUNT, jets.FULL_COUNT)
-        assert_allclose(have, want.numpy(), rtol=1e-4, atol=2e-4 if of_jets else 1e-5)
+        assert_allclose(have, want.numpy(), rtol=1e-4, atol=FIT_ROUNDING if of_jets else 1e-5)
 
 
 def test_a_frame_is_the_same_alone_and_in_a_batch(exported, garment):

@@ -24,6 +24,7 @@ from model_export.packed_parity import packed_parity_error
 from model_export.packed_specs import packed_inputs, packed_outputs
 from model_export.parity import hard_poses
 from tests.fixtures.packed import KINDS, SMALL, exported, garment, lively
+from tests.fixtures.rounding import FIT_MOVED, FIT_ROUNDING, moved_by_rounding
 from training.config import as_published
 from training.layers import Decoder
 from training.model import OneFit
@@ -61,10 +62,15 @@ def run_packed(model: OneFit, **more: np.ndarray) -> tuple[dict[str, np.ndarray]
     return {spec.name: value.numpy() for spec, value in zip(packed_outputs(model), out, strict=True)}, composition
 
 
+def feed_of(model: OneFit, kind: str, row: int) -> dict[str, np.ndarray]:
+    """What the readable graph takes for one item."""
+    feed = body_feed(load_body(), hard_poses(FRAMES, seed=1)[row : row + 1], np.zeros((1, 3)), BETAS, skin=True)
+    return feed.arrays | garment_feed(garment(kind), body=load_body()) | {"patch_embedding": first_of(model, kind)[0]}
+
+
 def readable(model: OneFit, kind: str, row: int) -> list[np.ndarray]:
     """Vertices, jets and frames of one item by the readable graph."""
-    feed = body_feed(load_body(), hard_poses(FRAMES, seed=1)[row : row + 1], np.zeros((1, 3)), BETAS, skin=True)
-    arrays = feed.arrays | garment_feed(garment(kind), body=load_body()) | {"patch_embedding": first_of(model, kind)[0]}
+    arrays = feed_of(model, kind, row)
     with torch.no_grad():
         out = DrapeGraph(model)(**{s.name: torch.from_numpy(arrays[s.name]) for s in drape_inputs(model)})
     return [value[0].numpy() for value in out]
@@ -90,10 +96,25 @@ def test_a_mixed_batch_equals_the_readable_graph_item_by_item(config):
         vertices, jet, rotation, centre = readable(model, kind, row)
         assert_allclose(out["vertices"].reshape(-1, 3)[composition.vertices[item]], vertices, rtol=0, atol=2e-6)
         here = composition.patches[item]
-        # Coefficients of the fourth order in every direction carry the rounding of the closing fit.
-        assert_allclose(out["jet"][here], jet, rtol=0, atol=2e-4 if config.closing_fit else 5e-5)
+        assert_allclose(out["jet"][here], jet, rtol=0, atol=FIT_ROUNDING if config.closing_fit else 5e-5)
         assert_allclose(out["frame_rotation"][here], rotation, rtol=0, atol=2e-6)
         assert_allclose(out["frame_centre"][here], centre, rtol=0, atol=2e-6)
+
+
+def test_rounding_moves_the_closing_fit_as_its_tolerance_says():
+    model = lively()
+    arrays = feed_of(model, "tank", 1)
+    model.double()
+    numbers = [s.name for s in drape_inputs(model) if arrays[s.name].dtype == np.float32]
+
+    def jets(*values: np.ndarray) -> list[np.ndarray]:
+        tensors = {s.name: torch.from_numpy(arrays[s.name]) for s in drape_inputs(model)}
+        tensors |= {name: torch.from_numpy(value) for name, value in zip(numbers, values, strict=True)}
+        with torch.no_grad():
+            return [DrapeGraph(model)(**tensors)[1].numpy()]
+
+    _, (moved,) = moved_by_rounding(jets, *(arrays[name] for name in numbers))
+    assert 0.3 * FIT_MOVED < moved < FIT_MOVED
 
 
 def test_bones_are_those_of_the_body():

@@ -139,13 +139,14 @@ def test_a_still_body_has_no_code_and_a_moving_one_is_followed():
 
 def test_bodies_do_not_see_each_other():
     torch.manual_seed(3)
-    encoder = DynamicEncoder(replace(TINY, state_size=12, motion_hidden=16))
+    encoder = DynamicEncoder(replace(TINY, state_size=12, motion_hidden=16)).double()
     features, state, dt = torch.randn(5, 24, 12), torch.rand(5, 12) - 0.5, torch.rand(5) * 0.05
+    features, state, dt = features.double(), state.double(), dt.double()
     code, after = encoder(features, state, dt)
     for i in range(5):
         alone = encoder(features[i : i + 1], state[i : i + 1], dt[i : i + 1])
-        assert_allclose(alone[0][0].detach(), code[i].detach(), rtol=1e-5, atol=1e-7)
-        assert_allclose(alone[1][0].detach(), after[i].detach(), rtol=1e-5, atol=1e-7)
+        assert_allclose(alone[0][0].detach(), code[i].detach(), rtol=0, atol=1e-12)
+        assert_allclose(alone[1][0].detach(), after[i].detach(), rtol=0, atol=1e-12)
 
 
 def test_motion_is_scaled_about_zero_and_bounded():
