@@ -21,7 +21,9 @@ from drape.geometry.rotations import dot_columns
 
 BANDWIDTH_M = 0.014  # h, about the spacing of the samples
 TINY = 1e-12
-LEAST_WEIGHT = 1e-37  # near the least float32: what weighs less is nowhere
+# Of all samples together, by which the mean point and the mean normal are divided at least. Normals fade while weights
+# times coordinates are still exact; in float32 they become subnormal numbers, or zero, from 1e-38 on.
+LEAST_WEIGHTS = (1e-37, 1e-30)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +81,8 @@ def seen(look: Array, table: Array, bias: Array) -> Array:
     logits = xp.broadcast_to(bias[..., None, :], (*table.shape[:-2], 1, count))
     rows = xp.concat([xp.matrix_transpose(table), logits, xp.ones_like(logits)], axis=-2)  # (..., 10, K)
     sums = rows @ xp.exp(xp.matrix_transpose(rows) @ look)
-    return sums[..., :8, :] / xp.clip(sums[..., 9:, :], min=LEAST_WEIGHT)
+    least = like(look, [[LEAST_WEIGHTS[row // 4]] for row in range(8)])
+    return sums[..., :8, :] / xp.maximum(sums[..., 9:, :], least)
 
 
 def surface(points: Array, means: Array) -> Surface:

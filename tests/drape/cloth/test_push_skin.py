@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -13,10 +14,13 @@ from scipy.spatial import KDTree
 from drape.body.assets import load_body
 from drape.cloth.push import field
 from drape.cloth.push.blocks import blocks
+from drape.cloth.push.out import AGREEMENT
 from drape.cloth.push.samples import CLUSTER_SIZE, REGION_SIZE, sample_table
 from drape.cloth.push.skin import Skin, body_skin, shaped_skin, skin_samples, skin_table
 from drape.errors import BodyError, InputError
 from drape.geometry import closest, meshes
+from drape.subnormals import flushed
+from tests.fixtures.rounding import HALF_ULP
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +52,24 @@ def test_sums_of_exponentials_are_the_softmax_and_fade_far_away(rng):
     sums = field.seen(field.looks(points.T)[None], table, bias)
     assert_allclose(sums.swapaxes(1, 2), softly, rtol=1e-9, atol=1e-12)
     assert_array_equal(field.seen(field.looks(1.0 + points.T)[None], table, bias), 0.0)
+
+
+@pytest.mark.parametrize("context", [nullcontext, flushed])
+def test_means_fade_before_their_weights_are_subnormal(context, rng):
+    """Where normals still count, the mean point is that of the softmax, however far the samples are."""
+    samples = (np.array([0.2, 0.3, -0.1]) + 0.01 * rng.normal(size=(40, 3))).astype(np.float32)
+    way = np.array([[0.6], [0.0], [0.8]])
+    points = (samples.mean(axis=0)[:, None] + np.linspace(0.05, 0.15, 2001) * way).astype(np.float32)
+    up, bias = np.tile(np.eye(3, dtype=np.float32)[2], (40, 1)), np.zeros((1, 40), dtype=np.float32)
+    table = sample_table(samples, up)[None]
+    with context():
+        means = field.seen(field.looks(points)[None], table, bias)[0]
+    softly = field.mixed(field.queries(points.astype(np.float64)).T[None], table.astype(np.float64), bias)[0].T
+    counts = field.surface(points, means).agreement > AGREEMENT[0]
+    assert 0.5 < counts.mean() < 0.9
+    # A logit sums eight products as large as |x|^2 / h^2, and each rounds; so do weights, and means over the samples.
+    rounding = 8.0 * HALF_ULP * float((points**2).sum(axis=0).max()) / field.BANDWIDTH_M**2
+    assert_allclose(means[:3, counts], softly[:3, counts], rtol=0, atol=rounding * np.ptp(samples, axis=0).max())
 
 
 def test_samples_lie_on_the_skin_with_its_normals_and_keep_their_distance(skin: Skin):
