@@ -13,7 +13,8 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ import torch
 
 from benchmarks import common, latency_rivals
 from benchmarks.latency_setup import (
+    WARM_CALLS,
     Timing,
     network_of,
     poses,
@@ -65,6 +67,7 @@ class Bench:
 
     engine: Engine
     halved: Engine
+    keeping: Engine  # subnormal numbers
     model: OneFit
     body: BodyModel
     shape: PackedBody
@@ -102,6 +105,7 @@ def single_rows(bench: Bench, name: str, options: argparse.Namespace) -> list[di
     rows: list[dict[str, Any]] = [
         {"name": "onnx", **whole.row(), "stage_ms": stages(bench, packer, name, pose, whole)},
         *pushed_rows(bench, packer, name, garment),
+        subnormal_row(bench, name, garment),
     ]
     rows[0]["push_out_ms"] = rows[1]["push_out_ms"]
     for plan in (ScenePlan(normals=True), ScenePlan("steps"), ScenePlan("jets")):
@@ -132,30 +136,68 @@ def single_rows(bench: Bench, name: str, options: argparse.Namespace) -> list[di
 
 def pushed_rows(bench: Bench, packer: Packer, key: str, garment: Garment) -> list[dict[str, Any]]:
     """One frame with its push-out, by passes of the network: all, then fewer; ``push_out_ms`` the push-out's part."""
-    pusher, betas = Pusher(bench.engine, bench.body), np.zeros(bench.body.shape_count)
-    pusher.add(key, garment_feed(garment), garment.vertices[: garment.vertex_count], garment.faces)
-    every = poses(64)
-    rows = []
+    push, rows = pushing(bench, key, garment), []
     for passes in (None, *reversed(range(bench.engine.pass_count))):
-        plan = ScenePlan(skin=bench.engine.shares_skin, passes=passes)
-        turn = iter(range(sys.maxsize))
-
-        def drape(plan: ScenePlan = plan, turn: Iterator[int] = turn) -> tuple[np.ndarray, np.ndarray, Any]:
-            row = next(turn) % 64
-            pose = every[row : row + 1]
-            found = packer.run(plan, bench.shape.rows(pose), [(key, 0)])[0].arrays
-            return found["vertices"], pose, found["skin"][None] if plan.skin else None
-
-        vertices, pose, skin = drape()
-
-        def push(vertices: np.ndarray = vertices, pose: np.ndarray = pose, skin: Any = skin) -> None:
-            pusher.push(key, vertices[None], pose, betas, CLEARANCE_M, skin=skin)
-
-        both = timed(lambda drape=drape, push=push: push(*drape()), seconds=bench.seconds)
-        alone = timed(push, seconds=bench.seconds / 2)
+        drape = draping(bench, packer, key, passes)
+        draped = drape()
+        both = timed(lambda drape=drape: push(*drape()), seconds=bench.seconds)
+        alone = timed(lambda draped=draped: push(*draped), seconds=bench.seconds / 2)
         count = bench.engine.pass_count if passes is None else passes
         rows.append({"name": "onnx_pushed", "passes": count, **both.row(), "push_out_ms": alone.p50_ms})
     return rows
+
+
+def subnormal_row(bench: Bench, key: str, garment: Garment) -> dict[str, Any]:
+    """The first of ``pushed_rows`` with subnormal numbers kept, call by call in turn with them taken as zero.
+
+    ``ratio``: how many times as long the median of the packed graph, of the push-out and of both then is.
+    """
+    sides = [replace(bench, engine=engine) for engine in (bench.engine, bench.keeping)]
+    calls = [(draping(one, one.packer({key: garment}), key, None), pushing(one, key, garment)) for one in sides]
+    taken: list[list[tuple[float, float]]] = []
+    end = time.perf_counter() + 2.0 * bench.seconds
+    while len(taken) < 10 + WARM_CALLS or time.perf_counter() < end:
+        row = []
+        for drape, push in calls:
+            start = time.perf_counter()
+            draped = drape()
+            between = time.perf_counter()
+            push(*draped)
+            row.append((between - start, time.perf_counter() - between))
+        taken.append(row)
+    times = 1e3 * np.array(taken[WARM_CALLS:])  # (calls, 2 sides, 2 stages)
+    whole = times.sum(axis=2)
+    flushed, kept = np.median(np.concatenate([times, whole[:, :, None]], axis=2), axis=0)
+    ratio = dict(zip(("packed", "push_out", "both"), (kept / flushed).tolist(), strict=True))
+    row = Timing.of(whole[:, 1].tolist()).row()
+    return {"name": "onnx_subnormals", **row, "push_out_ms": float(kept[1]), "ratio": ratio}
+
+
+Draped = tuple[np.ndarray, np.ndarray, np.ndarray | None]  # vertices, pose, posed skin
+
+
+def draping(bench: Bench, packer: Packer, key: str, passes: int | None) -> Callable[[], Draped]:
+    """Drapes ``key`` in another pose with every call, with so many passes of the network, None for all."""
+    plan, every, turn = ScenePlan(skin=bench.engine.shares_skin, passes=passes), poses(64), iter(range(sys.maxsize))
+
+    def drape() -> Draped:
+        row = next(turn) % 64
+        pose = every[row : row + 1]
+        found = packer.run(plan, bench.shape.rows(pose), [(key, 0)])[0].arrays
+        return found["vertices"], pose, found["skin"][None] if plan.skin else None
+
+    return drape
+
+
+def pushing(bench: Bench, key: str, garment: Garment) -> Callable[..., None]:
+    """Pushes what ``draping`` gives out of the body."""
+    pusher, betas = Pusher(bench.engine, bench.body), np.zeros(bench.body.shape_count)
+    pusher.add(key, garment_feed(garment), garment.vertices[: garment.vertex_count], garment.faces)
+
+    def push(vertices: np.ndarray, pose: np.ndarray, skin: np.ndarray | None) -> None:
+        pusher.push(key, vertices[None], pose, betas, CLEARANCE_M, skin=skin)
+
+    return push
 
 
 def stages(bench: Bench, packer: Packer, key: str, pose: np.ndarray, whole: Timing) -> dict[str, float]:
@@ -249,8 +291,9 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     load = os.getloadavg()[0]
     device, body = Device(options.provider, options.threads), load_body()
     engine, halved = (Engine(options.model, device=device, half=half) for half in (False, True))
+    keeping = Engine(options.model, device=replace(device, keep_subnormals=True))
     seconds = 0.3 if options.quick else 3.0
-    bench = Bench(engine, halved, network_of(options.model), body, pack_body(body), seconds, options.threads)
+    bench = Bench(engine, halved, keeping, network_of(options.model), body, pack_body(body), seconds, options.threads)
     rows = [row for name in SINGLE for row in single_rows(bench, name, options)]
     rows += batch_rows(bench, BATCHES[:4:3] if options.quick else BATCHES)
     rows += growth_rows(bench, quick=options.quick)

@@ -15,6 +15,7 @@ PLOT = ROOT / "docs" / "images" / "latency_growth.png"
 NAMES = {
     "onnx": "packed graph: vertices",
     "onnx_pushed": "packed graph and push-out",
+    "onnx_subnormals": "packed graph and push-out, subnormal numbers kept",
     "onnx_normals": "packed graph: vertices and normals",
     "onnx_steps": "packed graph: 16-bit steps",
     "onnx_jets": "packed graph: posed jets",
@@ -36,6 +37,8 @@ def single_table(record: Record) -> str:
         if row["batch"] != 1 or row["garment"] == "mixed" or "," in row["garment"] or "store" in row["garment"]:
             continue
         name = NAMES[row["name"]] + (f", {row['passes']} passes" if "passes" in row else "")
+        if "ratio" in row:
+            name += f" ({row['ratio']['both']:.2f} times as long)"
         if "iterations" in row:
             reached = "" if row["reached"] else ", strain not reached"
             name += f", {row['iterations']} iterations{reached}"

@@ -28,6 +28,7 @@ from drape.geometry import jets
 from drape.geometry.skinning import skin_points
 from drape.packing import COLUMNS, PackedGarment, Place, compose, pack_body, pack_garment
 from drape.push_packing import SkinShapes
+from drape.subnormals import flushed
 from model_export.packed import FirstGraph, PackedGraph
 from model_export.packed_contact import Felt, Skins
 from model_export.packed_parts import Bodies, Charts, Patches
@@ -75,6 +76,7 @@ class EagerDrape(nn.Module):
         return self.graph.blend(coefficients, self.columns, index["vertex_charts"])
 
 
+@flushed()
 def torch_rows(
     model: OneFit, garment: Garment, body: BodyModel, pose: np.ndarray, *, seconds: float, compiled: bool
 ) -> list[dict[str, Any]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -30,6 +30,12 @@ class Timing:
     p99_ms: float
     calls: int
 
+    @staticmethod
+    def of(taken: Sequence[float]) -> Timing:
+        """Of calls that took ``taken`` [ms]."""
+        p50, p95, p99 = np.percentile(taken, [50, 95, 99])
+        return Timing(float(min(taken)), float(p50), float(p95), float(p99), len(taken))
+
     def row(self) -> dict[str, float]:
         """The numbers as a row of the table has them."""
         return {"min_ms": self.min_ms, "p50_ms": self.p50_ms, "p95_ms": self.p95_ms, "p99_ms": self.p99_ms}
@@ -45,8 +51,7 @@ def timed(call: Callable[[], object], *, seconds: float, calls: int = 500) -> Ti
         start = time.perf_counter()
         call()
         taken.append(1e3 * (time.perf_counter() - start))
-    p50, p95, p99 = np.percentile(taken, [50, 95, 99])
-    return Timing(min(taken), float(p50), float(p95), float(p99), len(taken))
+    return Timing.of(taken)
 
 
 def network_of(folder: Path) -> OneFit:

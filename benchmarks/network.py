@@ -13,6 +13,7 @@ from drape.body.model import BodyModel
 from drape.catalog import check_body
 from drape.feeds import body_feed, garment_feed
 from drape.garment.cache import Garment
+from drape.subnormals import flushed
 
 FRAMES_PER_CALL = 8  # the vertex stage holds some megabytes per frame
 
@@ -41,10 +42,12 @@ class Network:
         check_body(f"model {folder.name}", self.manifest.body_digest, body)
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
-        self._sessions = {
-            key: onnxruntime.InferenceSession(str(folder / spec.file), options, providers=["CPUExecutionProvider"])
-            for key, spec in self.manifest.graphs.items()
-        }
+        options.add_session_config_entry("session.set_denormal_as_zero", "1")
+        with flushed():
+            self._sessions = {
+                key: onnxruntime.InferenceSession(str(folder / spec.file), options, providers=["CPUExecutionProvider"])
+                for key, spec in self.manifest.graphs.items()
+            }
 
     def drape(self, garment: Garment, poses: np.ndarray) -> Draped:
         """The garment's subdivided mesh and its charts at ``poses`` (F, 24, 3) [rad], without root translation."""
@@ -68,4 +71,5 @@ class Network:
 
     def _run(self, graph: str, arrays: dict[str, np.ndarray], outputs: list[str]) -> list[np.ndarray]:
         feed = {spec.name: arrays[spec.name] for spec in self.manifest.graphs[graph].inputs}
-        return [np.asarray(output) for output in self._sessions[graph].run(outputs, feed)]
+        with flushed():
+            return [np.asarray(output) for output in self._sessions[graph].run(outputs, feed)]

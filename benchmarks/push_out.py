@@ -49,6 +49,7 @@ from drape.geometry.skinning import skin_points
 from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
 from drape.push_packing import feed_arrays, pack_push, push_feed
+from drape.subnormals import flushed
 from model_export.export import write_push_out
 from service.subgraph import cut
 
@@ -186,6 +187,7 @@ def measure(garment: Garment, setting: Setting, *, trained: bool) -> list[dict[s
     return rows
 
 
+@flushed()
 def times(
     garment: Garment, body: BodyModel, folder: Path, *, threads: int, seconds: float, cells: int
 ) -> dict[str, dict[str, Any]]:
@@ -222,6 +224,7 @@ def _call(path: Path, arrays: dict[str, np.ndarray], threads: int) -> Callable[[
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    options.add_session_config_entry("session.set_denormal_as_zero", "1")
     options.log_severity_level = 3
     session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     feed = {tensor.name: np.ascontiguousarray(arrays[tensor.name]) for tensor in session.get_inputs()}

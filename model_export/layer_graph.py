@@ -20,6 +20,7 @@ from drape.feeds import garment_feed
 from drape.garment.cache import Garment
 from drape.geometry.skinning import skin_points
 from drape.layer_packing import PART_CLUSTERS, LayerFeed, layer_arrays, pack_layer, push_over, push_over_in_parts, sheet
+from drape.subnormals import flushed
 from model_export.parity import hard_poses, session
 from model_export.push_graph import SAMPLE as PUSH_SAMPLE
 from model_export.push_graph import push_inputs
@@ -111,6 +112,7 @@ def layer_case(
     return arrays, push_over(drawn[0], drawn[1], table, feed, np.float32(clearance_m))
 
 
+@flushed()
 def layer_parity_error(file: Path, garment: Garment, *, frames: int = 3) -> float:
     """Largest vertex distance [m] between numpy and onnxruntime, for a garment worn over its like in hard poses."""
     arrays, expected = layer_case(garment, garment, hard_poses(frames))

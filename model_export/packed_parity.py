@@ -13,6 +13,7 @@ from drape.garment.cache import Garment
 from drape.garment.tangents import tangent_columns
 from drape.packing import TANGENTS, Place, compose, pack_body, pack_garment, pack_tangents
 from drape.push_packing import SkinShapes
+from drape.subnormals import flushed
 from model_export.graph import DrapeGraph, EncoderGraph, drape_inputs
 from model_export.parity import hard_poses, session
 from training.model import OneFit
@@ -20,6 +21,7 @@ from training.model import OneFit
 FRAMES = 5
 
 
+@flushed()
 def packed_parity_error(model: OneFit, encoder: Path, packed: Path, garment: Garment) -> float:
     """Largest vertex distance [m] of one batch: hard poses of two body shapes, the garment in three sizes of itself."""
     body = load_body()

@@ -22,6 +22,7 @@ from drape.feeds import garment_feed
 from drape.garment.cache import CHARTS_PER_VERTEX, Garment
 from drape.geometry.skinning import skin_points
 from drape.push_packing import TERMS, TILE_WIDTH, feed_arrays, pack_push
+from drape.subnormals import flushed
 from model_export.parity import hard_poses, session
 
 # As in export.SAMPLE: odd, and unlike each other and every fixed axis.
@@ -95,6 +96,7 @@ class PushGraph(nn.Module):
         return found.vertices, found.coefficients, found.left_m, skin
 
 
+@flushed()
 def push_parity_error(file: Path, garment: Garment, *, frames: int = 3) -> float:
     """Largest vertex distance [m] between numpy and onnxruntime, for a skinned garment in hard poses."""
     body = load_body()

@@ -87,7 +87,8 @@ class BoundSession(Session):
             value.update_inplace(np.ascontiguousarray(array))
             if name in still:
                 bucket.held[name] = array
-        self._opened.run_with_iobinding(bucket.binding, bucket.options)
+        with self._device.computing():
+            self._opened.run_with_iobinding(bucket.binding, bucket.options)
         # On a CPU an array is the value's own memory, which the next call writes.
         copied = self._device.provider == "cpu"
         return [value.numpy().copy() if copied else value.numpy() for value in bucket.outputs.values()]

@@ -235,7 +235,8 @@ class Engine:
 
     def _run(self, graph: str, feed: dict[str, np.ndarray], outputs: list[str]) -> list[Any]:
         wanted = [tensor.name for tensor in self.manifest.graphs[graph].inputs]
-        return list(self._sessions[graph].run(outputs, {name: feed[name] for name in wanted}))
+        with self._device.computing():
+            return list(self._sessions[graph].run(outputs, {name: feed[name] for name in wanted}))
 
 
 def _code_size(model: str, manifest: Manifest) -> int:

@@ -23,6 +23,7 @@ from drape.cloth.push.skin import SkinOnBones, body_skin, skin_table
 from drape.errors import NotFound
 from drape.layer_packing import LayerFeed, Sheet, layer_arrays, pack_layer, push_over, push_over_in_parts
 from drape.push_packing import feed_arrays, pack_push, pushed_jets
+from drape.subnormals import flushed
 from service.engine import PUSH, PUSH_OVER, SKIN, SKIN_CONSTANTS, Engine
 from service.runtime import Session
 
@@ -171,6 +172,7 @@ class Pusher:
             (pushed,) = self._by_graph(PUSH_OVER, arrays, vertices, clearance)
         return pushed, np.linalg.norm(pushed - vertices, axis=-1)
 
+    @flushed()
     def push_jets(
         self,
         keys: Sequence[str],
@@ -282,6 +284,7 @@ class Pusher:
         bones = {"bone_rotation": rotations, "bone_translation": translations}
         return bones | {"skin_rows": on_bones.rows, "skin_bones": on_bones.bones}
 
+    @flushed()
     def _by_numpy(self, formula: Formula, vertices: np.ndarray, poses: np.ndarray, betas: np.ndarray) -> np.ndarray:
         pushed = np.empty_like(vertices)
         for frame in range(len(poses)):

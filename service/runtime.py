@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import importlib.metadata
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from drape.errors import ArtifactError, Unavailable
+from drape.subnormals import flushed
 
 if TYPE_CHECKING:
     import onnxruntime
@@ -25,16 +27,22 @@ DISTRIBUTIONS = ("onnxruntime", "onnxruntime-gpu")
 @dataclass(frozen=True)
 class Device:
     """Where graphs compute, and with what: ``threads`` of a CPU; of a GPU the memory that a session's workspace may
-    take [MB], and whether calls of one set of shapes are captured as a CUDA graph."""
+    take [MB], and whether calls of one set of shapes are captured as a CUDA graph. ``keep_subnormals``: slower on many
+    processors, for measuring how much."""
 
     provider: Provider = "cpu"
     threads: int = 1
     memory_mb: int = 4096
     capture: bool = True
+    keep_subnormals: bool = False
 
     @property
     def captures(self) -> bool:
         return self.provider == "cuda" and self.capture
+
+    def computing(self) -> AbstractContextManager[None]:
+        """What a thread opens and runs sessions within: the option of a session is for the threads of its own only."""
+        return nullcontext() if self.keep_subnormals else flushed()
 
     def value(self, array: np.ndarray) -> onnxruntime.OrtValue:
         """``array`` where the graphs compute; on the CPU it shares the array's memory."""
@@ -85,7 +93,9 @@ class Session:
         Arrays named in ``still`` are never written to by their owner.
         """
         values = {name: self._device.value(v) if isinstance(v, np.ndarray) else v for name, v in feed.items()}
-        return [value.numpy() for value in self._opened.run_with_ort_values(list(outputs), values)]
+        with self._device.computing():
+            found = self._opened.run_with_ort_values(list(outputs), values)
+        return [value.numpy() for value in found]
 
     def forget(self) -> None:
         """Drops what it holds: values that were fed are about to go."""
@@ -140,6 +150,7 @@ def open_session(
     # that spin between frames burn a core: so they spin while a graph runs.
     options.add_session_config_entry("session.intra_op.allow_spinning", "1")
     options.add_session_config_entry("session.force_spinning_stop", "1")
+    options.add_session_config_entry("session.set_denormal_as_zero", "0" if device.keep_subnormals else "1")
     options.add_session_config_entry("session.record_ep_graph_assignment_info", "1")
     options.log_severity_level = 3
     if weights:
@@ -148,7 +159,8 @@ def open_session(
     name = PROVIDER_NAMES[device.provider]
     # Only what was asked for; ONNX Runtime adds the CPU by itself where a node needs it.
     try:
-        session = onnxruntime.InferenceSession(model, options, providers=[(name, device.options(capture=capture))])
+        with device.computing():
+            session = onnxruntime.InferenceSession(model, options, providers=[(name, device.options(capture=capture))])
     except Exception as error:  # the runtime raises a class of its own for each kind of damage
         raise ArtifactError(
             label,

@@ -39,6 +39,7 @@ from drape.motion.clip import MotionClip
 from drape.motion.hard_poses import HardPoses, hard_poses
 from drape.motion.readers import read_motion
 from drape.push_packing import push_feed
+from drape.subnormals import flushed
 from training import checkpoint
 from training.config import TrainConfig
 from training.data import BodySource, partition_tensors
@@ -161,6 +162,7 @@ def print_rows(rows: list[dict[str, Any]]) -> None:
         print(line)
 
 
+@flushed()
 def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     """Prints the table and one line of JSON, and returns what that holds."""
     parser = argparse.ArgumentParser(

@@ -28,6 +28,7 @@ from drape.commands import refusing
 from drape.data_paths import data_folder
 from drape.errors import InputError
 from drape.motion.clip import MotionClip
+from drape.subnormals import flushed
 from training import checkpoint, parallel
 from training.config import PRESETS, TrainConfig
 from training.dynamics import DynamicTrainer
@@ -120,7 +121,8 @@ def main() -> int:
     parser.add_argument("--bf16", action="store_true", help="matrices in bfloat16 (docs/training.md says when it pays)")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     arguments = parser.parse_args()
-    _run(arguments)
+    with flushed():  # from the start: the threads of torch, made at its first large operation, take it over
+        _run(arguments)
     return 0
 
 

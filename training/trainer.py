@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from drape.body.assets import load_body
 from drape.cloth.material import material
 from drape.errors import ArtifactError
+from drape.subnormals import flushed
 from training import losses, parallel
 from training.config import TrainConfig
 from training.data import BodyBatch, BodySource, Partition, TrainingGarment
@@ -101,6 +102,7 @@ class BaseTrainer:
         )
         return self.rate_factor * warm * cosine
 
+    @flushed()
     def step(self, clock_s: float = 0.0) -> dict[str, float]:
         """One step at ``clock_s`` of the run; returns its loss parts, or {"skipped": 1} when it was not finite."""
         config = self.config

@@ -47,6 +47,9 @@ def test_rows_hold_together(record: dict):
     pushed = [row for row in record["rows"] if row["name"] == "onnx_pushed"]
     assert [row["passes"] for row in pushed] == [1, 0]
     assert all(row["min_ms"] > row["push_out_ms"] / 10 > 0.0 for row in pushed)
+    kept = rows["onnx_subnormals"]
+    assert kept["ratio"].keys() == {"packed", "push_out", "both"} and min(kept["ratio"].values()) > 0.0
+    assert kept["push_out_ms"] < kept["p99_ms"]
     ours = rows["onnx"]
     assert_allclose(sum(ours["stage_ms"].values()), ours["p50_ms"], rtol=1e-4)
     assert ours["push_out_ms"] > 0.0
@@ -62,6 +65,7 @@ def test_rows_hold_together(record: dict):
 def test_tables_and_plot_come_from_the_record(record: dict, tmp_path: Path):
     single = latency_report.single_table(record)
     assert "| shorts | packed graph: vertices | " in single and "| shorts | floor | " in single
+    assert "| shorts | packed graph and push-out, subnormal numbers kept (" in single
     assert "| shorts | Newton VBD | quick form | | |  |" in single
     assert latency_report.stage_table(record).count("\n") == 2
     assert latency_report.batch_table(record).count("| 8 | ") == 1

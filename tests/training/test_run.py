@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import subprocess
+import sys
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -58,6 +60,35 @@ def test_smooth_steps_come_as_often_as_asked_and_pay_for_the_second_difference(t
         often.append(trainer._smooth())
     assert np.mean(often) == pytest.approx(0.25, abs=0.07)
     trainer.restore(state)
+
+
+def test_a_step_takes_subnormal_numbers_as_zero(trainer: Trainer, monkeypatch):
+    objective, found = trainer.objective, []
+
+    def looking():
+        found.append(float(torch.tensor(1e-30) * 1e-10))
+        return objective()
+
+    state = copy.deepcopy(trainer.state())
+    monkeypatch.setattr(trainer, "objective", looking)
+    trainer.step()
+    trainer.restore(state)
+    assert found == [0.0] and float(torch.tensor(1e-30) * 1e-10) > 0.0
+
+
+def test_so_do_all_threads_of_torch_in_a_run():
+    script = """
+import sys, torch
+from training import run
+def look(arguments):
+    torch.set_num_threads(2)
+    print(int((torch.full((1_000_000,), 1e-30) * 1e-10 != 0.0).sum()))
+run._run = look
+sys.argv = ["run"]
+run.main()
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "0"
 
 
 def test_a_resumed_run_continues_bit_for_bit(trainer: Trainer, tmp_path):
