@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.arrays import check_finite, check_shape
-from drape.body.features import Kinematics, static_features
+from drape.body.features import Kinematics, feature_count, static_features
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
 from drape.errors import MotionError
@@ -51,7 +51,7 @@ def body_feed(
     # The root joint turns about itself, so without translation it stays at its rest place.
     relative = translations - joints[:, :1]
     shapes = np.broadcast_to(shape_numbers(body, betas), (count, BETA_COUNT))
-    static = static_features(rotvec_to_matrix(poses), rotations).reshape(count, -1)
+    static = static_features(rotvec_to_matrix(poses), rotations).reshape(count, feature_count())
     found = BodyTensors(
         features=np.concatenate([static, shapes], axis=1),
         rotation=rotations,
