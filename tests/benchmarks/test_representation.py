@@ -68,7 +68,7 @@ def test_record_and_picture_are_written(tmp_path):
     path = save_garment(bench().garment, tmp_path)
     asked = f"--garments {path} --motions turn --frames 1 --patches 14 --agree-at 14 --forms rigid_1 --agree 4e3"
     written = f"--no-physics-cache --model none --out {tmp_path / 'out.json'} --plot {tmp_path / 'plot.png'}"
-    record = representation.main(f"{asked} --steps 2 --threads 1 {written}".split())
+    record = representation.main(f"{asked} --steps 15 --threads 1 {written}".split())
     stored = json.loads((tmp_path / "out.json").read_text())
     assert stored == record
     assert [row["method"] for row in record["rows"]][-2:] == ["physics", "free"]

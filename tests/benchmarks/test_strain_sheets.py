@@ -24,7 +24,7 @@ def test_colour_follows_the_change_of_area(stretch: float, colour: np.ndarray):
 
 @pytest.mark.slow
 def test_a_sheet_has_a_row_per_method_and_a_column_per_pose(tmp_path):
-    arguments = ["--quick", "--garments", "shorts", "--frames", "1", "--steps", "5", "--threads", "1"]
+    arguments = ["--quick", "--garments", "shorts", "--frames", "1", "--steps", "80", "--threads", "1"]
     (path,) = strain_sheets.main([*arguments, "--no-physics-cache", "--images", str(tmp_path)])
     with Image.open(path) as picture:
         assert picture.size == (SIZE[1], SIZE[0] * len(METHODS))
