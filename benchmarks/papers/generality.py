@@ -80,7 +80,7 @@ def physics_energy(garment: Garment, body: BodyModel, poses: HardPoses, *, steps
     pushed = nearest_vertex_push(skinned, skin, np.asarray(contact.normals(skin)))
 
     def minimise() -> physics.Optimum:
-        return physics.minimise(cloth, cloth_material, pushed, contact, skin, step_limit=steps)
+        return physics.minimise(cloth, cloth_material, pushed, contact, skin, step_limit=steps, name=garment.name)
 
     key = cache_key(garment, body, poses.poses, cloth_material, steps, physics.TOLERANCE)
     optimum, _ = cached(key, minimise, CACHE_DIR)

@@ -96,7 +96,13 @@ def house_optimum(bench: Bench, options: argparse.Namespace) -> physics.Optimum:
 
     def run() -> physics.Optimum:
         return physics.minimise(
-            bench.cloth, bench.material, bench.pushed, bench.contact, bench.body_vertices, step_limit=limit
+            bench.cloth,
+            bench.material,
+            bench.pushed,
+            bench.contact,
+            bench.body_vertices,
+            step_limit=limit,
+            name=bench.garment.name,
         )
 
     limit = min(PHYSICS_STEPS, 4 * options.steps)

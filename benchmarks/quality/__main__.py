@@ -163,13 +163,14 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
         try:
             garment = open_garment(path, body)
             garment = covered(garment, body, options.patches) if options.patches else garment
+            print(f"{garment.name}: drapes and the physics optimum, minutes where it is not stored", flush=True)
+            trained = options.set == "trained" if options.set else is_shipped(path)
+            rows += measure(garment, bench, trained=trained)
         except InputError as error:
-            # One bad file of a folder must not cost the table; it is named below and in the record.
+            # One bad file of a folder, or one garment without an optimum, must not cost the table; it is named below
+            # and in the record.
             refused[error.name] = str(error)
             continue
-        print(f"{garment.name}: drapes and the physics optimum, minutes where it is not stored", flush=True)
-        trained = options.set == "trained" if options.set else is_shipped(path)
-        rows += measure(garment, bench, trained=trained)
         stored = ", stored" if rows[-1]["cached"] else ""
         print(f"{garment.name}: physics {rows[-1]['steps']:.0f} steps, {rows[-1]['seconds']:.0f} s{stored}", flush=True)
     if not rows:

@@ -140,7 +140,13 @@ def drapes(
 
     def minimise() -> physics.Optimum:
         return physics.minimise(
-            cloth, bench.material, pushed, bench.contact, bench.body_vertices, step_limit=bench.step_limit
+            cloth,
+            bench.material,
+            pushed,
+            bench.contact,
+            bench.body_vertices,
+            step_limit=bench.step_limit,
+            name=garment.name,
         )
 
     key = cache_key(garment, bench.body, poses, bench.material, bench.step_limit, physics.TOLERANCE)

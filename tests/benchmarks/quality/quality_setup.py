@@ -50,8 +50,8 @@ def bending(count: int, angle_rad: float = 0.7) -> np.ndarray:
     return poses
 
 
-def bench(cache_folder: Path, *, step_limit: int = 20) -> Bench:
-    """Two poses, one window of twelve frames, a physics run that only begins."""
+def bench(cache_folder: Path, *, step_limit: int = 60) -> Bench:
+    """Two poses, one window of twelve frames, a physics run just long enough to come to rest."""
     poses = bending(3)[1:]
     contact = BodyContact(body().faces, body().vertex_count)
     skin = body().posed_vertices(poses)

@@ -24,6 +24,14 @@ def test_unusable_garments_are_named(tmp_path, monkeypatch):
         quality.main(["--quick", "--garments", str(tmp_path)])
 
 
+@pytest.mark.skipif(not (MODELS_DIR / DEFAULT_MODEL).is_dir(), reason="no model is shipped: export one")
+def test_a_garment_without_an_optimum_is_named():
+    with pytest.raises(InputError, match="shorts: expected a physics optimum at rest"):
+        quality.main(
+            ["--quick", "--garments", "shorts", "--frames", "1", "--steps", "5", "--threads", "1", "--no-physics-cache"]
+        )
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(not (MODELS_DIR / DEFAULT_MODEL).is_dir(), reason="no model is shipped: export one")
 def test_the_quick_table_is_ordered_as_physics_demands(tmp_path):
