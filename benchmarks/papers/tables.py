@@ -5,14 +5,14 @@ from __future__ import annotations
 from benchmarks.shared.markdown import Record, rows_table
 
 FORM_NAMES = {
-    "skinning": "skinning", "skinning_push": "skinning + push-out",
+    "skinning": "skinning", "skinning_push": "skinning + nearest-vertex push",
     "paper": "paper: height jet, translation, scale; vertices skinned", "paper_turning": "+ free rotation",
     "skinned_2": "in-plane order 2, vertices skinned", "rigid_1": "in-plane order 1, frames skinned rigidly",
     "rigid_2": "in-plane order 2, frames skinned rigidly", "rigid_3": "in-plane order 3, frames skinned rigidly",
     "physics": "physics optimum of benchmarks.quality", "free": "every vertex free",
 }  # fmt: skip
 LOSS_NAMES = {
-    "skinning": "skinning", "skinning_push": "skinning + push-out", "paper": "equation 10, all terms",
+    "skinning": "skinning", "skinning_push": "skinning + nearest-vertex push", "paper": "equation 10, all terms",
     "no_collision": "without collision (L_col)", "no_metric": "without metric (L_inext)",
     "no_edges": "without edges (L_mesh_inext)", "no_boundary": "without boundary", "no_gravity": "without gravity",
     "house": "energy of training.run", "house_metric": "energy + metric",

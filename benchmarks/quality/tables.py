@@ -91,7 +91,7 @@ def gain_table(record: Record) -> str:
         rows = {row["method"]: row for row in record["rows"] if row["garment"] == garment}
         strains = [f"{rows[method]['edge_pct']:.2f}" for method in ("skinning_push", "network_push", "physics")]
         lines.append([garment, *strains, f"{rows['network_push']['gain']:.2f}"])
-    titles = ["garment", "edge strain %: skinning + push-out", "network + push-out", "physics", "gain"]
+    titles = ["garment", "edge strain %: skinning + nearest-vertex push", "network + push-out", "physics", "gain"]
     return table(titles, lines, record)
 
 

@@ -18,7 +18,7 @@ NAMES = {
     "onnx_normals": "packed graph: vertices and normals", "onnx_steps": "packed graph: 16-bit steps",
     "onnx_jets": "packed graph: posed jets", "onnx_fp16": "packed graph, matrices in float16",
     "onnx_readable": "graph that is not packed", "torch_eager": "torch, eager, same precomputation",
-    "torch_compile": "torch.compile, same precomputation", "skinning_push": "skinning and push-out (SciPy)",
+    "torch_compile": "torch.compile, same precomputation", "skinning_push": "skinning and nearest-vertex push (SciPy)",
     "newton_vbd": "Newton VBD", "floor": "floor",
 }  # fmt: skip
 TIMES = {"p50_ms": "p50 [ms]", "p95_ms": "p95", "p99_ms": "p99", "min_ms": "least"}
