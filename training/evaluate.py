@@ -101,7 +101,7 @@ def posed_patches(
 def evaluate(
     model: OneFit, garment: Garment, body: BodyModel, poses: HardPoses, *, passes: int | None = None
 ) -> list[dict[str, Any]]:
-    """One row per method: mean energies [J] by part, strains, and the share of the energy of skinning + nearest-vertex push.
+    """One row per method: mean energies [J] by part, strains, and the share of the baseline's energy.
 
     ``passes`` as of ``posed_patches``.
     """

@@ -110,7 +110,7 @@ def test_rounding_moves_the_closing_fit_as_its_tolerance_says():
         tensors = {s.name: torch.from_numpy(arrays[s.name]) for s in drape_inputs(model)}
         tensors |= {name: torch.from_numpy(value) for name, value in zip(numbers, values, strict=True)}
         with torch.no_grad():
-            return [DrapeGraph(model)(**tensors)[1].numpy()]
+            return [DrapeGraph(model)(tensors)[1].numpy()]
 
     _, (moved,) = moved_by_rounding(jets, *(arrays[name] for name in numbers))
     assert 0.3 * FIT_MOVED < moved < FIT_MOVED

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 import torch
@@ -10,7 +12,6 @@ from numpy.testing import assert_allclose
 from benchmarks.papers.representation_drape import frame_spaces, posed_frames
 from benchmarks.papers.representation_scaling import cotangent_laplacian
 from benchmarks.papers.representation_space import (
-    PARTITION,
     REPRESENTATIONS,
     PatchSpace,
     VertexSpace,
@@ -36,8 +37,8 @@ def drawn(space: PatchSpace, size: float, seed: int = 0) -> tuple[torch.Tensor, 
     return space.scaling.variables(numbers), numbers.double().numpy()
 
 
-def fields() -> dict[str, np.ndarray]:
-    return {name: getattr(garment(), name) for name in (*PARTITION, "patch_features", "patch_shapedirs")}
+def atlas() -> Atlas:
+    return Atlas(**{item.name: getattr(garment(), item.name) for item in fields(Atlas)})
 
 
 @pytest.mark.parametrize("form", SKINNED, ids=lambda f: f.name)
@@ -53,7 +54,7 @@ def test_a_rigid_form_is_the_product_s_drape():
     from training.losses import vertices_from
     from training.model import Posed, posed_coefficients
 
-    partition = partition_tensors(Atlas(**fields()), body_skin(load_body()), device=torch.device("cpu"))
+    partition = partition_tensors(atlas(), body_skin(load_body()), device=torch.device("cpu"))
     for space, (rotation, centre) in zip(
         frame_spaces(bench(), REPRESENTATIONS["rigid_2"], found()), posed_frames(bench(), found()), strict=True
     ):
@@ -68,7 +69,7 @@ def test_a_rigid_form_is_the_product_s_drape():
 def test_positions_are_the_blend_of_turned_polynomials(form):
     """Everything again in float64 from the patch fields: turn, polynomials, blend, then skinning."""
     got_fields: dict[str, np.ndarray] = {
-        k: v.astype(np.float64) if v.dtype.kind == "f" else v for k, v in fields().items()
+        k: v.astype(np.float64) if v.dtype.kind == "f" else v for k, v in vars(atlas()).items()
     }
     patch, uv, weight = got_fields["chart_patch"], got_fields["chart_uv"], got_fields["chart_weight"]
     scale = got_fields["patch_scale"][patch][..., None]

@@ -34,7 +34,7 @@ def plain_descent(
             first = torch.zeros_like(x)
         at = (x if step < physics.ADAM_STEPS else x + physics.MOMENTUM * first).requires_grad_()
         parts = energies.total(at, moving_cloth, material, distance=planes.distance(at))
-        (gradient,) = torch.autograd.grad(sum(part.sum() for part in parts.values()), at)
+        (gradient,) = torch.autograd.grad(torch.stack(list(parts.values())).sum(), at)
         x = x.detach()
         if step < physics.ADAM_STEPS:
             first, second = a * first + (1.0 - a) * gradient, b * second + (1.0 - b) * gradient.square()

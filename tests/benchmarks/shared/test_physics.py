@@ -17,7 +17,7 @@ from drape.cloth.material import material
 from drape.errors import MeshError
 from drape.geometry import meshes
 from drape.geometry.skinning import skin_points
-from tests.benchmarks.quality_setup import body as standard_body
+from tests.benchmarks.quality.quality_setup import body as standard_body
 from tests.benchmarks.shared.plain_descent import plain_descent
 from tests.drape.cloth.cloth_shapes import grid
 from tests.drape.geometry.geometry_shapes import icosphere

@@ -29,5 +29,5 @@ def test_folder_and_subfolder_are_found(tmp_path: Path, monkeypatch: pytest.Monk
 
 def test_mistyped_folder_is_refused_with_its_cure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv(DATA_VARIABLE, str(tmp_path / "nothing"))
-    with pytest.raises(NotFound, match=r"DRAPE_DATA: expected an existing folder.*docs/data\.md"):
+    with pytest.raises(NotFound, match=r"DRAPE_DATA: expected an existing folder.*docs/guide/data\.md"):
         data_folder()
