@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from pydantic_core import from_json
 
 from drape.body.skeleton import JOINT_COUNT
+from drape.wire.options import wire_names
 from service.errors import TooLarge
 from service.negotiation import JSON
 from service.schemas import Request as Schema
@@ -50,7 +51,8 @@ def document_of(text: bytes, *, most_marks: int = SMALL_MARKS, otherwise: str = 
 def validated(model: type[Asked], document: Any) -> Asked:
     """``document`` as a ``model``; refuses the first thing that is wrong with it."""
     if isinstance(document, dict):
-        for unknown in [key for key in document if key not in model.model_fields][1:]:
+        known = set(wire_names(model).values())
+        for unknown in [key for key in document if key not in known][1:]:
             del document[unknown]  # pydantic makes an error of each, and one is told
     try:
         return model.model_validate(document)

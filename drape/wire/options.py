@@ -58,6 +58,11 @@ class DrapeOptions(BaseModel):
     )
 
 
+def wire_names(model: type[BaseModel]) -> dict[str, str]:
+    """The names on the wire of the fields of ``model``, by their names in Python."""
+    return {name: field.alias or name for name, field in model.model_fields.items()}
+
+
 def options_document(options: Mapping[str, Any]) -> dict[str, Any]:
     """How a request says the ``options`` that were chosen, by their names in Python; None is left to the service.
 
@@ -67,5 +72,5 @@ def options_document(options: Mapping[str, Any]) -> dict[str, Any]:
     if unknown:
         known = ", ".join(DrapeOptions.model_fields)
         raise TypeError(f"no such option: {', '.join(sorted(unknown))}; there are {known}")
-    names = {name: field.alias or name for name, field in DrapeOptions.model_fields.items()}
+    names = wire_names(DrapeOptions)
     return {names[name]: value for name, value in options.items() if value is not None}

@@ -13,7 +13,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from drape.wire import messages as wire
-from drape.wire.options import DrapeOptions
+from drape.wire.options import DrapeOptions, wire_names
 from tests.architecture.repository import ROOT
 
 WIRE_JS = ROOT / "clients/web/src/wire.js"
@@ -78,4 +78,4 @@ def test_controls_of_the_page_name_options_of_the_wire():
     page = (ROOT / "clients/web/src/index.html").read_text()
     named = set(re.findall(r'data-option="(\w+)"', page))
     assert "push_out" in named
-    assert named <= {field.alias or name for name, field in DrapeOptions.model_fields.items()}
+    assert named <= set(wire_names(DrapeOptions).values())

@@ -63,6 +63,7 @@ def drape(api: httpx.Client, **fields: object) -> httpx.Response:
         ({"garment": "cape"}, 404, ["garment: expected one of: tube, got cape.", "GET /garments"]),
         ({"garment": ""}, 400, ["garment: expected at least 1 character, got ''."]),
         ({"colour": "red"}, 400, ["colour: expected no such field"]),
+        ({"motion": 0.5, "colour": "red"}, 400, ["colour: expected no such field"]),  # an alias is a known name
         ({"push_out": "maybe"}, 400, ["push_out: expected a valid boolean, unable"]),
         ({"poses": REST * 41}, 413, ["poses: expected at most 40 frames, got 41. Send the clip in pieces."]),
     ],

@@ -43,7 +43,7 @@ def test_rows_are_ordered_as_forms_contain_each_other(rows):
 
 def test_the_record_is_written(tmp_path):
     path = save_garment(bench().garment, tmp_path)
-    asked = f"--garments {path} --motions turn --frames 1 --patches 14 --forms rigid_1 --steps 2 --threads 1"
+    asked = f"--garments {path} --motions turn --frames 1 --patches 14 --forms rigid_1 --steps 15 --threads 1"
     record = representation.main(f"{asked} --no-physics-cache --out {tmp_path / 'out.json'}".split())
     assert json.loads((tmp_path / "out.json").read_text()) == record
     assert [row["method"] for row in record["rows"]][-2:] == ["physics", "free"]
