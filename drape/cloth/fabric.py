@@ -13,7 +13,7 @@ direction at the angle a to the warp is ``plate_rigidity``; of what a hinge must
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -89,6 +89,17 @@ class Fabric:
         return OrthotropicMaterial(
             self.weft_n_per_m, self.cross_n_per_m, self.warp_n_per_m, half, mean, self.density_kg_m2
         )
+
+    def softened(self, most_n_per_m: float) -> Fabric:
+        """The same cloth with warp and weft of at most ``most_n_per_m`` [N/m], cross in proportion; shear stays.
+
+        Triangles that lie across the yarns cannot bend without stretching them, so on a mesh an inextensible cloth
+        is stiffer than its rigidity (locking), the more the lighter it is. A membrane that its loads still do not
+        stretch visibly has less of that.
+        """
+        warp, weft = min(self.warp_n_per_m, most_n_per_m), min(self.weft_n_per_m, most_n_per_m)
+        share = float(np.sqrt(warp * weft / (self.warp_n_per_m * self.weft_n_per_m)))
+        return replace(self, warp_n_per_m=warp, weft_n_per_m=weft, cross_n_per_m=share * self.cross_n_per_m)
 
 
 def tensile_modulus(fabric: Fabric, angle_rad: float) -> float:

@@ -124,7 +124,10 @@ def _fabric(
 def _check(name: str, readings: KesReadings | FastReadings) -> None:
     for field, value in vars(readings).items():
         numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
-        least, most = (0.0 if field == "hysteresis" else np.nextafter(0.0, 1.0)), (2.0 if field == "linearity" else np.inf)
+        least, most = (
+            (0.0 if field == "hysteresis" else np.nextafter(0.0, 1.0)),
+            (2.0 if field == "linearity" else np.inf),
+        )
         if not ((numbers >= least).all() and (numbers < most).all()):
             raise InputError(
                 f"fabric {name}: {field}",
