@@ -38,16 +38,16 @@ class Look:
 
 
 LOOKS = {
-    "jersey": Look((0.62, 0.63, 0.66), relief="rib", spacing_m=0.0022, slope=0.10),
-    "rib": Look((0.88, 0.84, 0.74), relief="rib", spacing_m=0.0045, slope=0.35),
-    "ponte": Look((0.67, 0.52, 0.36), relief="rib", spacing_m=0.0022, slope=0.06),
-    "sweat": Look((0.20, 0.25, 0.42), relief="plain", spacing_m=0.0030, slope=0.14),
-    "denim": Look((0.18, 0.26, 0.42), relief="twill", spacing_m=0.0030, slope=0.22),
-    "twill": Look((0.62, 0.56, 0.42), relief="twill", spacing_m=0.0024, slope=0.12),
-    "poplin": Look((0.80, 0.86, 0.92), relief="plain", spacing_m=0.0016, slope=0.05),
+    "jersey": Look((0.62, 0.63, 0.66), relief="rib", spacing_m=0.0030, slope=0.07),
+    "rib": Look((0.88, 0.84, 0.74), relief="rib", spacing_m=0.0060, slope=0.30),
+    "ponte": Look((0.67, 0.52, 0.36), relief="rib", spacing_m=0.0030, slope=0.04),
+    "sweat": Look((0.20, 0.25, 0.42), relief="plain", spacing_m=0.0040, slope=0.08),
+    "denim": Look((0.18, 0.26, 0.42), relief="twill", spacing_m=0.0055, slope=0.12),
+    "twill": Look((0.62, 0.56, 0.42), relief="twill", spacing_m=0.0055, slope=0.06),
+    "poplin": Look((0.80, 0.86, 0.92), relief="plain", spacing_m=0.0030, slope=0.02),
     "satin": Look((0.55, 0.16, 0.22), gloss=0.55, sharpness=26.0, slope=0.0),
     "chiffon": Look((0.88, 0.66, 0.66), gloss=0.10, sharpness=12.0, slope=0.03, sheer=0.35),
-    "swim": Look((0.10, 0.38, 0.42), gloss=0.22, sharpness=16.0, relief="rib", spacing_m=0.0016, slope=0.04),
+    "swim": Look((0.10, 0.38, 0.42), gloss=0.22, sharpness=16.0, relief="rib", spacing_m=0.0030, slope=0.02),
 }
 
 
@@ -177,7 +177,7 @@ def _embossed(normal: np.ndarray, uv: np.ndarray, look: Look) -> np.ndarray:
 
 
 class _Buffer:
-    """For every pixel the nearest triangle (-1: none) and where in it; ``depth`` is linear on the screen, least is nearest."""
+    """For every pixel the nearest triangle (-1: none) and where in it; the least ``depth``, linear there, wins."""
 
     def __init__(self, screen: np.ndarray, depth: np.ndarray, faces: np.ndarray, size: tuple[int, int]) -> None:
         height, width = size
@@ -226,7 +226,7 @@ class _Sun:
         lit = np.zeros(len(points))
         for dx in range(-blur, blur + 1):
             for dy in range(-blur, blur + 1):
-                x, y = (np.clip(np.floor(cells + [dx, dy]).astype(int), 0, self.size - 1)).T
+                x, y = (np.clip(np.floor(cells + np.array([dx, dy])).astype(int), 0, self.size - 1)).T
                 lit += depth <= self.depth[y, x]
         return lit / (2 * blur + 1) ** 2
 
