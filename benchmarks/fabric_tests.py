@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from scipy.optimize import brentq
 from scipy.signal import find_peaks
 from scipy.spatial import Delaunay
 
@@ -179,7 +178,8 @@ def bending_length(fabric: Fabric, edge_m: float, *, angle_rad: float, expected_
 
 def stretch_under(modulus_n_per_m: float, load_n_per_m: float) -> float:
     """The stretch l > 1 at which ``modulus`` l (l^2 - 1) / 2 is the load per width."""
-    return float(brentq(lambda x: 0.5 * modulus_n_per_m * x * (x * x - 1.0) - load_n_per_m, 1.0, 100.0))
+    roots = np.roots([1.0, 0.0, -1.0, -2.0 * load_n_per_m / modulus_n_per_m])
+    return float(roots.real[np.abs(roots.imag) < 1e-9].max())
 
 
 def strip_stretch(fabric: Fabric, edge_m: float, *, angle_rad: float, load_n_per_m: float, seed: int = 0) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from drape.errors import InputError, NotFound
 
 KES = KesReadings((4.0, 8.0), (0.6, 1.0), (0.10, 0.05), (0.06, 0.0), 1.0, 12.0, 0.4)
 FAST = FastReadings((1.0, 2.0), 3.0, (20.0, 16.0), 200.0, 0.5)
-NUMBERS = {
+NUMBERS: dict[str, Any] = {
     **{"warp_n_per_m": 500.0, "weft_n_per_m": 400.0, "cross_n_per_m": 20.0, "shear_n_per_m": 100.0},
     **{"bending_warp_j": 1e-5, "bending_bias_j": 8e-6, "bending_weft_j": 9e-6, "density_kg_m2": 0.2},
 }
