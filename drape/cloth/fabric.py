@@ -3,9 +3,9 @@
 Warp is lengthwise (the wale of a knit), weft crosswise (its course). The membrane is the orthotropic
 St.Venant-Kirchhoff one of ``orthotropic``: with Green's strain G in warp and weft axes, per area [J/m^2]
 
-    e = 1/2 (warp Gpp^2 + 2 cross Gpt Gtp + weft Gtt^2 + shear Gpt^2),  p the warp, t the weft
+    e = 1/2 (warp Gpp^2 + 2 cross Gpp Gtt + weft Gtt^2 + shear Gpt^2),  p the warp, t the weft
 
-where "Gpt Gtp" stands for Gpp Gtt. So ``shear`` is four times the shear modulus of a textile laboratory,
+So ``shear`` is four times the shear modulus of a textile laboratory,
 which divides the force per width by the shear angle 2 Gpt. Bending is a plate whose rigidity along a
 direction at the angle a to the warp is ``plate_rigidity``; of what a hinge must have for it, see
 ``hinge_rigidity``.
