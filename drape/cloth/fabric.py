@@ -1,0 +1,159 @@
+"""A fabric: what it weighs and how it resists stretch, shear and bending along warp, weft and bias.
+
+Warp is lengthwise (the wale of a knit), weft crosswise (its course). The membrane is the orthotropic
+St.Venant-Kirchhoff one of ``orthotropic``: with Green's strain G in warp and weft axes, per area [J/m^2]
+
+    e = 1/2 (warp Gpp^2 + 2 cross Gpp Gtt + weft Gtt^2 + shear Gpt^2),  p the warp, t the weft
+
+So ``shear`` is four times the shear modulus of a textile laboratory,
+which divides the force per width by the shear angle 2 Gpt. Bending is a plate whose rigidity along a
+direction at the angle a to the warp is ``plate_rigidity``; of what a hinge must have for it, see
+``hinge_rigidity``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drape.arrays import Array, namespace
+from drape.cloth.orthotropic import OrthotropicMaterial
+from drape.errors import InputError
+
+POSITIVE = (
+    *("warp_n_per_m", "weft_n_per_m", "shear_n_per_m"),
+    *("bending_warp_j", "bending_bias_j", "bending_weft_j", "density_kg_m2", "thickness_m"),
+)
+
+
+@dataclass(frozen=True)
+class Fabric:
+    """Constants of a cloth, convex at rest or refused.
+
+    ``warp_n_per_m`` .. ``shear_n_per_m`` [N/m] as in the module's equation, ``bending_*_j`` plate rigidity
+    [J = N m] against bending along warp, bias (45 degrees) and weft, ``density_kg_m2`` mass per area,
+    ``thickness_m``, ``friction`` against skin, ``damping_s`` time [s] by which damping is proportional to
+    stiffness, ``source`` where the numbers come from.
+    """
+
+    name: str
+    warp_n_per_m: float
+    weft_n_per_m: float
+    cross_n_per_m: float
+    shear_n_per_m: float
+    bending_warp_j: float
+    bending_bias_j: float
+    bending_weft_j: float
+    density_kg_m2: float
+    thickness_m: float = 5e-4
+    friction: float = 0.35
+    damping_s: float = 0.02
+    source: str = "given as numbers"
+
+    def __post_init__(self) -> None:
+        for field in (*POSITIVE, "cross_n_per_m", "friction", "damping_s"):
+            value = getattr(self, field)
+            good = value > 0.0 if field in POSITIVE else field == "cross_n_per_m" or value >= 0.0
+            if not (good and np.isfinite(value)):
+                wanted = "a number > 0" if field in POSITIVE else "a finite number, friction and damping >= 0"
+                raise InputError(
+                    f"fabric {self.name}: {field}", expected=wanted, got=str(value), cure="Give a physical value."
+                )
+        limit = float(np.sqrt(self.warp_n_per_m * self.weft_n_per_m))
+        if abs(self.cross_n_per_m) >= limit:
+            raise InputError(
+                f"fabric {self.name}: cross_n_per_m",
+                expected=f"a size below sqrt(warp weft) = {limit:.4g} N/m, or some stretch would give energy back",
+                got=f"{self.cross_n_per_m:.4g} N/m",
+                cure=f"Take {0.1 * limit:.3g} N/m if it was not measured.",
+            )
+        least = float(hinge_rigidity(self, np.radians(np.arange(180.0))).min())
+        if least < 0.0:
+            mean = 0.5 * (self.bending_warp_j + self.bending_weft_j)
+            raise InputError(
+                f"fabric {self.name}: bending_bias_j",
+                expected="rigidities along warp, bias and weft of which hinges of a positive one can be made",
+                got=f"{self.bending_warp_j:.3g}, {self.bending_bias_j:.3g}, {self.bending_weft_j:.3g} J",
+                cure=f"Take {0.8 * mean:.3g} J for the bias; warp and weft may differ by nine times.",
+            )
+
+    @property
+    def membrane(self) -> OrthotropicMaterial:
+        """The constants for ``orthotropic``, whose panels have x along the weft and y along the warp.
+
+        ``bending_j`` is the mean over all directions, for whoever takes one number for every hinge.
+        """
+        mean = 0.25 * (self.bending_warp_j + self.bending_weft_j + 2.0 * self.bending_bias_j)
+        half = 0.5 * self.shear_n_per_m  # e has H22 Gpt^2 / 2 twice, once for each of the two equal components
+        return OrthotropicMaterial(
+            self.weft_n_per_m, self.cross_n_per_m, self.warp_n_per_m, half, mean, self.density_kg_m2
+        )
+
+    def softened(self, most_n_per_m: float) -> Fabric:
+        """The same cloth with warp and weft of at most ``most_n_per_m`` [N/m], cross in proportion; shear stays.
+
+        Triangles that lie across the yarns cannot bend without stretching them, so on a mesh an inextensible cloth
+        is stiffer than its rigidity (locking), the more the lighter it is. A membrane that its loads still do not
+        stretch visibly has less of that.
+        """
+        warp, weft = min(self.warp_n_per_m, most_n_per_m), min(self.weft_n_per_m, most_n_per_m)
+        share = float(np.sqrt(warp * weft / (self.warp_n_per_m * self.weft_n_per_m)))
+        return replace(self, warp_n_per_m=warp, weft_n_per_m=weft, cross_n_per_m=share * self.cross_n_per_m)
+
+
+def tensile_modulus(fabric: Fabric, angle_rad: float) -> float:
+    """E [N/m] of a strip cut at ``angle_rad`` to the warp and free to narrow: force per width E l (l^2 - 1) / 2.
+
+    l is the stretch. Exact at any stretch, because the second Piola-Kirchhoff stress of the strip is uniaxial
+    and linear in Green's strain.
+    """
+    stiffness = np.array(
+        [
+            [fabric.warp_n_per_m, fabric.cross_n_per_m, 0.0],
+            [fabric.cross_n_per_m, fabric.weft_n_per_m, 0.0],
+            [0.0, 0.0, 0.25 * fabric.shear_n_per_m],
+        ]
+    )
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    stress = np.array([c * c, s * s, c * s])
+    return float(1.0 / (stress @ np.linalg.solve(stiffness, stress)))
+
+
+# --- bending ---------------------------------------------------------------------------------------------------------
+
+
+def bending_angle(edge: Array) -> Array:
+    """Angle [rad] (H,) to the warp of the direction in which hinges bend, from rest edges (H, 2) on the panel.
+
+    A hinge bends across its edge: an edge along the weft (x) lets the cloth bend along the warp (y). The edge's
+    angle to the weft is therefore the direction's to the warp.
+    """
+    xp = namespace(edge)
+    return xp.atan2(edge[..., 1], edge[..., 0])
+
+
+def plate_rigidity(fabric: Fabric, angle_rad: Array) -> Array:
+    """B [J] against bending on a cylinder along ``angle_rad`` to the warp.
+
+    B = a0 + a2 cos 2a + a4 cos 4a through the three given directions: that of every orthotropic plate, whose
+    D11 cos^4 + 2 (D12 + 2 D66) cos^2 sin^2 + D22 sin^4 it equals.
+    """
+    return _harmonics(fabric, angle_rad, (1.0, 1.0, 1.0))
+
+
+def hinge_rigidity(fabric: Fabric, angle_rad: Array) -> Array:
+    """Rigidity [J] of a hinge that bends along ``angle_rad`` to the warp, for ``orthotropic.bending_energy``.
+
+    On a cylinder along d a mesh of equilateral triangles bends each hinge by an angle proportional to
+    2 cos 2(a - d) + 1, so that the plate feels the hinges around d with the square of that as weight: its
+    harmonics of order 2 and 4 arrive as 2/3 and 1/3. Hinges therefore get 3/2 and 3 times the plate's.
+    """
+    return _harmonics(fabric, angle_rad, (1.0, 1.5, 3.0))
+
+
+def _harmonics(fabric: Fabric, angle_rad: Array, gain: tuple[float, float, float]) -> Array:
+    xp = namespace(angle_rad)
+    warp, bias, weft = fabric.bending_warp_j, fabric.bending_bias_j, fabric.bending_weft_j
+    a0, a2, a4 = 0.25 * (warp + weft + 2.0 * bias), 0.5 * (warp - weft), 0.25 * (warp + weft - 2.0 * bias)
+    return gain[0] * a0 + gain[1] * a2 * xp.cos(2.0 * angle_rad) + gain[2] * a4 * xp.cos(4.0 * angle_rad)
