@@ -16,7 +16,7 @@ from drape.wire.options import DrapeOptions
 from service.engine import JETS, SKIN, Engine, check_finite
 from service.packing import Packer, Result, ScenePlan, Shape
 from service.settings import Settings
-from service.stages.batch import Batch, Jets, Layer, Stage
+from service.stages.batch import Batch, Jets, Layer, Plan, Stage
 
 SHAPES: dict[frozenset[str], Shape] = {
     frozenset({"vertices"}): "vertices",
@@ -45,6 +45,10 @@ class Network(Stage):
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
         self.packer.add(garment.digest, garment, feed)
 
+    def prepare(self, plan: Plan) -> None:
+        given = self.engine.feels_body and not self._skin_in_graph
+        self.packer.prepare(self._scene(plan), skin_given=given, shapes=plan.messages)
+
     @property
     def held_bytes(self) -> int:
         return self.packer.store.bytes
@@ -62,9 +66,7 @@ class Network(Stage):
             skin = np.concatenate([posed_table(self.body, one.poses, one.betas) for one in batch.inputs])
         if skin is not None and self.engine.feels_body:
             bodies[SKIN] = skin
-        scene = ScenePlan(
-            SHAPES[needs & {"vertices", "jets"}], skin=SKIN in needs and skin is None, passes=plan.options.passes
-        )
+        scene = self._scene(plan)
         frames = len(root)
         items = [(key, frame) for key in plan.keys for frame in range(frames)]
         results = self.packer.run(scene, bodies, items)
@@ -73,6 +75,11 @@ class Network(Stage):
             skin = _stacked(results[:frames], SKIN)
         layers = [_layer(results[i : i + frames], needs) for i in range(0, len(items), frames)]
         return replace(batch, root=root, skin=skin, layers=tuple(layers))
+
+    def _scene(self, plan: Plan) -> ScenePlan:
+        """What ``plan`` asks of the packed graph."""
+        skin = SKIN in plan.needs and self._skin_in_graph
+        return ScenePlan(SHAPES[plan.needs & {"vertices", "jets"}], skin=skin, passes=plan.options.passes)
 
 
 def _layer(results: list[Result], needs: frozenset[str]) -> Layer:
