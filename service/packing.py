@@ -236,7 +236,7 @@ class Packer:
 
         Refuses a garment that is not in store and a row that ``bodies`` do not have. Of a dynamic model ``bodies``
         may hold ``dynamic_code`` (B, C); without it all are at rest. A posed ``skin`` (B, R, 12, 8) in ``bodies`` is
-        felt in place of the one that the bones carry: of bodies with pose blend shapes.
+        taken for body proximity in place of the one that the bones carry: of bodies with pose blend shapes.
         """
         count = min(len(rows) for rows in bodies.values())
         if self._engine.dynamic:
