@@ -224,13 +224,6 @@ class Packer:
         for alone, one_shape in sorted(kinds):
             self._session(plan, alone=alone, one_shape=one_shape, skin_given=skin_given)
 
-    def warm_up(self, plan: ScenePlan, bodies: dict[str, np.ndarray]) -> None:
-        """Opens the sessions of ``plan`` and runs them once, on the first of ``bodies``."""
-        keys = list(self._store._garments)[:1]
-        if keys:
-            self.run(plan, bodies, [(keys[0], 0)])
-            self.run(plan, bodies, [(keys[0], 0), (keys[0], 0)])
-
     def run(self, plan: ScenePlan, bodies: dict[str, np.ndarray], items: Sequence[Item]) -> list[Result]:
         """Results of ``items``, in their order. ``bodies`` are ``PackedBody.rows``, joined over clients.
 
