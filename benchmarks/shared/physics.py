@@ -60,19 +60,19 @@ class Optimum:
 
 def corner_slopes(cloth: ClothMesh) -> np.ndarray:
     """1 / altitude [1/m] (3, F) of every triangle's corners at rest: the gradients of their barycentric coordinates."""
-    a, b, d = cloth.inverse_shape
-    return np.stack([np.hypot(a, b + d), np.hypot(a, b), d])
+    a, b, c, d = cloth.inverse_shape
+    return np.stack([np.hypot(a + b, c + d), np.hypot(a, c), np.hypot(b, d)])
 
 
 def vertex_stiffness(cloth: ClothMesh, material: Material) -> np.ndarray:
     """A bound [N/m] (V,) of the diagonal of the Hessian: membrane, hinges and half of the vertices' contact."""
-    membrane = (2.0 * material.mu_n_per_m + material.lambda_n_per_m) * cloth.face_area * corner_slopes(cloth) ** 2
+    membrane = max(material.warp_n_per_m, material.weft_n_per_m) * cloth.face_area * corner_slopes(cloth) ** 2
     total = np.bincount(cloth.face_index, weights=membrane.reshape(-1), minlength=cloth.vertex_count)
     # Per metre a wing turns its hinge by 1 / altitude of its triangle, an end of the edge by about the mean of both.
     area = cloth.face_area[meshes.hinge_faces(cloth.faces)].T
     slope = np.sqrt(cloth.hinge_weight * area.sum(axis=0)) / (2.0 * area)
     turn = np.stack([slope.mean(axis=0), slope.mean(axis=0), *slope])
-    hinge = material.bending_j * cloth.hinge_weight * turn**2
+    hinge = sum(abs(b) for b in material.bending) * cloth.hinge_weight * turn**2
     total += np.bincount(cloth.hinge_index, weights=hinge.reshape(-1), minlength=cloth.vertex_count)
     return total + material.contact_j_m4 * cloth.vertex_area
 

@@ -184,8 +184,8 @@ def newton_row(
         path, out = Path(folder) / "scene.npz", Path(folder) / "out.npz"
         np.savez(
             path, rest=rest, faces=garment.faces, start=start, body_faces=body.faces, iterations=NEWTON_ITERATIONS,
-            body_vertices=skinning.collider.posed(pose, skinning.betas)[0], membrane=cloth.mu_n_per_m,
-            area=cloth.lambda_n_per_m, bending=cloth.bending_j, density=cloth.density_kg_m2,
+            body_vertices=skinning.collider.posed(pose, skinning.betas)[0], membrane=0.25 * cloth.shear_n_per_m,
+            area=cloth.cross_n_per_m, bending=cloth.bending_j, density=cloth.density_kg_m2,
         )  # fmt: skip
         command = [python, str(ROOT / "benchmarks/speed/newton_vbd.py"), str(path), str(out)]
         began = time.perf_counter()

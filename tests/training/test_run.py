@@ -107,7 +107,7 @@ def test_a_step_that_is_not_finite_is_not_taken(trainer: Trainer):
     rate = trainer.rate_factor
     hidden = trainer.material
     try:
-        trainer.material = replace(hidden, mu_n_per_m=1e38)
+        trainer.material = replace(hidden, warp_n_per_m=1e38)
         assert trainer.step() == {"skipped": 1.0}
     finally:
         trainer.material = hidden
@@ -119,7 +119,7 @@ def test_a_step_that_is_not_finite_is_not_taken(trainer: Trainer):
 def test_a_run_that_never_is_finite_stops_with_a_sentence(trainer: Trainer, tmp_path):
     state, hidden, used = trainer.state(), trainer.material, trainer.elapsed_s
     try:
-        trainer.material = replace(hidden, mu_n_per_m=1e38)
+        trainer.material = replace(hidden, warp_n_per_m=1e38)
         with pytest.raises(InputError, match="Lower learning_rate"):
             train(trainer, tmp_path)
         assert trainer.rate_factor < 0.02
