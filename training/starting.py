@@ -57,7 +57,7 @@ def started(config: TrainConfig, start: Path | None) -> tuple[TrainConfig, Weigh
 
 def finetuned(model: Path, garments: list[str] | None) -> tuple[TrainConfig, Weights]:
     """The configuration that goes on training ``model`` on ``garments`` alone, or else on the shipped preset's, and its
-    weights.
+    weights. A model from before fabrics learns them from here on.
 
     Of a dynamic model it is the static drape that is trained; --preset dynamic adds motion to the result.
     """
@@ -65,7 +65,7 @@ def finetuned(model: Path, garments: list[str] | None) -> tuple[TrainConfig, Wei
     config = dressed(finetune(), garments) if garments else go_on()
     static = {name: value for name, value in weights.items() if not name.startswith("dynamic.")}
     data = replace(config.data, held_out=held_out)
-    return replace(config, model=replace(sizes, dynamic=False), data=data), static
+    return replace(config, model=replace(sizes, dynamic=False, fabric=sizes.variant == "vector"), data=data), static
 
 
 def dressed(config: TrainConfig, garments: list[str] | None) -> TrainConfig:

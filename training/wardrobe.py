@@ -10,10 +10,12 @@ import torch
 
 from drape.body.model import BodyModel
 from drape.catalog import open_garment
+from drape.cloth import rest_state
 from drape.cloth.energies import ClothMesh
 from drape.cloth.waistband import waistband
 from drape.errors import InputError
 from drape.garment.fitting import RestGarment, rest_garment
+from drape.geometry import meshes
 from drape.push.skin import body_skin
 from training.config import DataConfig
 from training.data import Partition, TrainingGarment, draw_partition
@@ -23,17 +25,25 @@ from training.garment_design import DESIGNS, build, varied
 class Wardrobe:
     """Garments with their partitions: of designs and their variants, or of garment files, meshes through intake.
 
-    ``process`` gives every process of a parallel run variants of its own.
+    With ``fabrics`` hinges are flat at rest and some variants are cut with another grain; without, cloth rests as it is
+    modelled, as of networks that know no fabric. ``process`` gives every process of a parallel run variants of its own.
 
     A partition is known by its seed, so that a checkpoint holds seeds and ``restore`` draws
     the same partitions again.
     """
 
     def __init__(
-        self, config: DataConfig, body: BodyModel, *, seed: int, device: torch.device, process: int = 0
+        self,
+        config: DataConfig,
+        body: BodyModel,
+        *,
+        seed: int,
+        device: torch.device,
+        process: int = 0,
+        fabrics: bool = True,
     ) -> None:
         self.config, self.device, self._skin = config, device, body_skin(body)
-        self._body = body
+        self._body, self._fabrics = body, fabrics
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(process,)))
         self.garments: list[TrainingGarment] = []
         self.own: list[int] = []  # places of the named designs themselves
@@ -44,7 +54,7 @@ class Wardrobe:
                 rest = rest_garment(vertices, faces, body)
                 count = config.partitions if label == name else config.variant_partitions
                 seeds = [int(rng.integers(2**31)) for _ in range(count)]
-                self.garments.append(self._dressed(label, rest, seeds))
+                self.garments.append(self._dressed(label, rest, seeds, self._warp(rest, rng, own=label == name)))
 
     def _meshes(
         self, name: str, body: BodyModel, rng: np.random.Generator
@@ -64,18 +74,30 @@ class Wardrobe:
         for i in range(self.config.variants):
             yield (f"{name}_{i}", *varied(DESIGNS[name], body, rng)[1:])
 
-    def _dressed(self, label: str, rest: RestGarment, seeds: list[int]) -> TrainingGarment:
-        cloth = ClothMesh.from_rest(rest.vertices, rest.faces).like(torch.zeros(1, device=self.device))
+    def _warp(self, rest: RestGarment, rng: np.random.Generator, *, own: bool) -> np.ndarray:
+        """Warp (F, 3): vertical, or of some variants turned in the cloth by any angle."""
+        upright = rest_state.grain_along(rest.vertices, rest.faces)
+        if own or not self._fabrics or rng.random() >= self.config.bias_share:
+            return upright
+        angle = rng.uniform(0.0, np.pi)
+        across = np.cross(meshes.face_normals(rest.vertices, rest.faces), upright)
+        return np.cos(angle) * upright + np.sin(angle) * across
+
+    def _dressed(self, label: str, rest: RestGarment, seeds: list[int], warp: np.ndarray) -> TrainingGarment:
+        state = (rest_state.flat if self._fabrics else rest_state.modelled)(rest.vertices, rest.faces, warp)
+        cloth = ClothMesh.of(state, rest.faces, len(rest.vertices)).like(torch.zeros(1, device=self.device))
         weights = torch.from_numpy(rest.binding.weights.astype(np.float32)).to(self.device)
         found = waistband(rest.vertices, rest.faces, self._body)
         band = None
         if found is not None:
             length = torch.from_numpy(found.length_m.astype(np.float32))
             band = torch.from_numpy(found.vertex).to(self.device), length.to(self.device)
-        return TrainingGarment(label, rest, cloth, [self._partition(rest, s) for s in seeds], weights, seeds, band)
+        partitions = [self._partition(rest, seed, warp) for seed in seeds]
+        return TrainingGarment(label, rest, cloth, partitions, weights, seeds, warp, band)
 
-    def _partition(self, rest: RestGarment, seed: int) -> Partition:
-        return draw_partition(rest, self._skin, seed=seed, span=self.config.patch_range, device=self.device)
+    def _partition(self, rest: RestGarment, seed: int, warp: np.ndarray) -> Partition:
+        span = self.config.patch_range
+        return draw_partition(rest, self._skin, seed=seed, span=span, device=self.device, warp=warp)
 
     def draw(self, rng: np.random.Generator) -> tuple[TrainingGarment, Partition]:
         """A garment and one of its partitions: a named design with chance ``own_share``, else any."""
@@ -90,7 +112,7 @@ class Wardrobe:
         self._replace(garment, int(rng.integers(len(garment.partitions))), int(rng.integers(2**31)))
 
     def _replace(self, garment: TrainingGarment, place: int, seed: int) -> None:
-        garment.partitions[place] = self._partition(garment.rest, seed)
+        garment.partitions[place] = self._partition(garment.rest, seed, garment.warp)
         garment.seeds[place] = seed
 
     def seeds(self) -> list[list[int]]:

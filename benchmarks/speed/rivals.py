@@ -24,6 +24,7 @@ from drape.cloth.material import material
 from drape.cloth.metrics import area_strain_pct, edge_strain_pct
 from drape.garment.cache import Garment
 from drape.garment.consensus import FIT_COUNT, MEMBERS, STRAIN_POINTS
+from drape.garment.fabric_features import encoder_features
 from drape.geometry import jets
 from drape.geometry.skinning import skin_points
 from drape.graph.feeds import garment_feed
@@ -46,7 +47,8 @@ class EagerDrape(nn.Module):
         super().__init__()
         self.graph = PackedGraph(model).eval()
         with torch.no_grad():
-            first = FirstGraph(model)({"patch_features": torch.from_numpy(garment.patch_features)})[1].numpy()
+            features = encoder_features(garment, model.config.encoder_feature_count)
+            first = FirstGraph(model)({"patch_features": torch.from_numpy(features)})[1].numpy()
         packed = pack_garment(garment_feed(garment, body=body if model.config.feels_body else None), first)
         shape = SkinShapes(body).feed(pack_body(body).betas[None])
         constants = packed.stored | compose([(packed, Place(0, 0), 0)]).arrays | shape

@@ -13,7 +13,10 @@ direction at the angle a to the warp is ``plate_rigidity``; of what a hinge must
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import hashlib
+import json
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -76,6 +79,12 @@ class Fabric:
                 got=f"{self.bending_warp_j:.3g}, {self.bending_bias_j:.3g}, {self.bending_weft_j:.3g} J",
                 cure=f"Take {0.8 * mean:.3g} J for the bias; warp and weft may differ by nine times.",
             )
+
+    @cached_property
+    def digest(self) -> str:
+        """Sixteen hex digits of everything that a drape can depend on: its numbers, not its name or source."""
+        numbers = {key: value for key, value in asdict(self).items() if key not in ("name", "source")}
+        return hashlib.sha256(json.dumps(numbers, sort_keys=True).encode()).hexdigest()[:16]
 
     def softened(self, most_n_per_m: float) -> Fabric:
         """The same cloth with warp and weft of at most ``most_n_per_m`` [N/m], cross in proportion; shear stays.
