@@ -28,7 +28,7 @@ def create_app(settings: Settings | None = None, *, drapery: Drapery | None = No
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         loaded = drapery or Drapery(settings)
         piecework = Piecework()
-        state = State(loaded, Uploads(loaded, piecework), Streams(loaded), piecework)
+        state = State(loaded, Uploads(loaded, piecework), Streams(loaded, piecework), piecework)
         app.state.drape = state
         state.uploads.start()
         state.streams.start()

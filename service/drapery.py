@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -23,6 +25,11 @@ from service.settings import Settings
 from service.stages import make_plan, make_stages, run
 from service.stages.batch import Batch, Memories, Plan, PoseInput
 
+STREAM_WAIT_S = 0.02
+"""What frames of a clip may keep a stream waiting at a time; a single frame is the least."""
+STREAM_PAUSE_S = 1.0
+"""Longer after the last frame of a stream clips are computed in whole chunks again."""
+
 Result = TypeVar("Result")
 log = logging.getLogger("drape.service")
 
@@ -31,7 +38,8 @@ class Drapery:
     """Everything a start loads: body, model, garments, clips; and the thread that computes.
 
     One thread: the graph uses its own threads, and numbers then do not depend on who else waits.
-    Clips are computed in chunks, so that a long one lets waiting stream frames through.
+    Clips are computed in chunks, so that a long one lets waiting stream frames through: of ``DRAPE_CHUNK_FRAMES``, and
+    of as many as take ``STREAM_WAIT_S`` while there are streams. No bit depends on it.
     """
 
     def __init__(self, settings: Settings, *, body: BodyModel | None = None) -> None:
@@ -46,6 +54,8 @@ class Drapery:
         self.garments = Registry(self.body, settings, self.stages)
         self.motions = Motions(settings.motions_dir)
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="drape")
+        self._clip_turn = asyncio.Lock()  # one chunk waits for the thread at a time, however many clips there are
+        self._streamed_s = -math.inf  # when a frame of a stream was last begun
         self.warm_up()
 
     def close(self) -> None:
@@ -53,8 +63,8 @@ class Drapery:
         self._executor.shutdown(wait=True, cancel_futures=True)
 
     def warm_up(self) -> None:
-        """One frame of one garment, so that the first request does not pay for lazy set-up; where shapes have buckets,
-        one frame and a chunk of every garment, in each way that frames are asked for."""
+        """One frame of one garment, with all that its streams need, so that the first request pays for no lazy set-up;
+        where shapes have buckets, one frame and a chunk of every garment, in each way that frames are asked for."""
         bound = self.engine.bound
         entries = self.garments.entries()
         for entry in entries if bound else entries[:1]:
@@ -63,7 +73,10 @@ class Drapery:
                     np.zeros((frames, 24, 3)), np.zeros((frames, 3)), np.zeros(self.body.shape_count), np.zeros(frames)
                 )
                 for geometry in ("vertices", "jets") if bound else ("vertices",):
-                    run(self.plan(entry, DrapeOptions(push_out=True, geometry=geometry)), [rest])
+                    plan = self.plan(entry, DrapeOptions(push_out=True, geometry=geometry), messages=True)
+                    for stage in plan.stages:
+                        stage.prepare(plan)
+                    run(plan, [rest])
 
     @property
     def device_bytes(self) -> int:
@@ -93,13 +106,35 @@ class Drapery:
     async def drape(self, plan: Plan, clip: PoseInput) -> Batch:
         """The draped clip, chunk by chunk."""
         await self.prepare(plan)
-        size, memories = self.settings.chunk_frames, clip.memories
-        parts: list[Batch] = []
-        for start in range(0, len(clip.poses), size):
-            part = clip.part(slice(start, start + size), memories)
-            parts.append((await self.in_thread(run, plan, [part])).answer())
-            memories = parts[-1].memories[0]
-        return Batch.of_parts(clip, parts)
+        memories = clip.memories
+
+        def compute(rows: slice) -> Batch:
+            nonlocal memories
+            part = run(plan, [clip.part(rows, memories)])
+            memories = part.memories[0]
+            return part.answer()
+
+        parts = await self._in_chunks(len(clip.poses), compute)
+        return await asyncio.to_thread(Batch.of_parts, clip, parts)
+
+    async def _in_chunks(self, frames: int, compute: Callable[[slice], Result]) -> list[Result]:
+        """``compute`` of all ``frames``, slice after slice, each on the worker thread in its turn."""
+        results: list[Result] = []
+        frame_s, start = math.inf, 0  # until the first has told how long one takes
+        while start < frames:
+            async with self._clip_turn:
+                rows = slice(start, min(frames, start + self._chunk_frames(frame_s)))
+                result, took_s = await self.in_thread(_timed, compute, rows)
+            results.append(result)
+            frame_s, start = took_s / (rows.stop - rows.start), rows.stop
+        return results
+
+    def _chunk_frames(self, frame_s: float) -> int:
+        """Frames of the next chunk, where one takes ``frame_s`` [s]; on a GPU always the size that has buckets."""
+        most = self.settings.chunk_frames
+        if self.engine.bound or time.monotonic() - self._streamed_s > STREAM_PAUSE_S:
+            return most
+        return min(most, max(1, int(STREAM_WAIT_S / frame_s)))
 
     def frames(self, plan: Plan, inputs: Sequence[PoseInput]) -> list[tuple[bytes | DrapeError, Memories]]:
         """The message of each of ``inputs``, which have one frame each, and what it leaves behind.
@@ -107,6 +142,7 @@ class Drapery:
         Where the batch fails each is tried alone, so that one cannot fail its mates; what was remembered before the
         one that fails stays.
         """
+        self._streamed_s = time.monotonic()
         try:
             batch = run(plan, inputs)
         except Exception as error:
@@ -119,9 +155,15 @@ class Drapery:
 
     async def pose_body(self, clip: PoseInput) -> np.ndarray:
         """World vertices [m] (F, Vb, 3) float32 of the body."""
-        size = self.settings.chunk_frames
-        parts = [slice(i, i + size) for i in range(0, len(clip.poses), size)]
-        return np.concatenate([await self.in_thread(self._posed, clip.part(part, {})) for part in parts])
 
-    def _posed(self, clip: PoseInput) -> np.ndarray:
-        return self.body.posed_vertices(clip.poses, clip.trans, clip.betas).astype(np.float32)
+        def compute(rows: slice) -> np.ndarray:
+            posed = self.body.posed_vertices(clip.poses[rows], clip.trans[rows], clip.betas)
+            return posed.astype(np.float32)
+
+        return await asyncio.to_thread(np.concatenate, await self._in_chunks(len(clip.poses), compute))
+
+
+def _timed(function: Callable[[slice], Result], rows: slice) -> tuple[Result, float]:
+    """``function(rows)``, and how long it took [s]."""
+    start_s = time.perf_counter()
+    return function(rows), time.perf_counter() - start_s

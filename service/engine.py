@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -52,8 +53,9 @@ _TYPES = {
 
 
 class Engine:
-    """An opened model, static or dynamic: every part of its graphs is opened once, and safe to run from one thread at
-    a time. Of a ``dynamic`` model the packed graph takes ``dynamic_code`` (B, ``code_size``), zeros for bodies at rest.
+    """An opened model, static or dynamic: every part of its graphs is opened once, by any thread, and safe to run from
+    one at a time. Of a ``dynamic`` model the packed graph takes ``dynamic_code`` (B, ``code_size``), zeros for bodies
+    at rest.
 
     Where the model has them, the packed graph is the one in ``int8`` on a CPU, and the one with weights of 16 bits
     (``half``) on a GPU. ``bound``: parts of graphs run in buckets (``service.binding``), by default on a GPU. Refuses
@@ -87,6 +89,7 @@ class Engine:
         weights = self.manifest.weights
         self._weights = {weights.file: (folder / weights.file).read_bytes()} if weights else {}
         self._opened: dict[tuple[Any, ...], Session] = {}
+        self._opening = threading.Lock()
         self.open_cut(ENCODER, [FIRST])
         if self.dynamic:
             self.open_cut(DYNAMIC, REQUIRED_OUTPUTS[DYNAMIC])
@@ -169,7 +172,9 @@ class Engine:
         passes = self.check_passes(passes)
         key = graph, tuple(outputs), tuple(direct), passes, tuple(given)
         if key not in self._opened:
-            self._opened[key] = self._open(self._chosen(graph), outputs, direct, passes, given)
+            with self._opening:
+                if key not in self._opened:
+                    self._opened[key] = self._open(self._chosen(graph), outputs, direct, passes, given)
         return self._opened[key]
 
     def _open(
@@ -199,16 +204,16 @@ class Engine:
     @property
     def held_bytes(self) -> int:
         """Memory where the graphs compute that sessions hold between calls, besides weights and workspace."""
-        return sum(session.bytes for session in self._opened.values())
+        return sum(session.bytes for session in tuple(self._opened.values()))
 
     @property
     def buckets(self) -> int:
         """Sets of shapes that sessions hold memory for."""
-        return sum(session.buckets for session in self._opened.values())
+        return sum(session.buckets for session in tuple(self._opened.values()))
 
     def forget(self, graph: str) -> None:
         """Makes the sessions of ``graph`` drop what they hold: constants that were fed are about to go."""
-        for (name, *_), session in self._opened.items():
+        for (name, *_), session in tuple(self._opened.items()):
             if name == graph:
                 session.forget()
 

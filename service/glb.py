@@ -22,7 +22,6 @@ from drape.garment.cache import Garment
 from drape.geometry import meshes
 from drape.geometry.rotations import rotvec_to_quaternion
 
-CONTENT_TYPE = "model/gltf-binary"
 GENERATOR = "drape"
 _COMPONENTS = {"uint8": 5121, "uint16": 5123, "uint32": 5125, "float32": 5126}
 _SHAPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}

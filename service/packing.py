@@ -35,7 +35,7 @@ from drape.graph.push_feed import SkinShapes
 from service.engine import JETS, PACKED, SKIN, SKIN_CONSTANTS, Engine
 
 if TYPE_CHECKING:
-    from service.runtime import Value
+    from service.runtime import Session, Value
 
 Shape = Literal["vertices", "steps", "jets", "both"]
 OUTPUTS_OF: dict[Shape, tuple[str, ...]] = {
@@ -272,19 +272,22 @@ class Packer:
         self._store.remove(key)
         self._forget()
 
-    def warm_up(self, plan: ScenePlan, bodies: dict[str, np.ndarray]) -> None:
-        """Opens the sessions of ``plan`` and runs them once, on the first of ``bodies``."""
-        keys = list(self._store._garments)[:1]
-        if keys:
-            self.run(plan, bodies, [(keys[0], 0)])
-            self.run(plan, bodies, [(keys[0], 0), (keys[0], 0)])
+    def prepare(self, plan: ScenePlan, *, skin_given: bool, shapes: bool) -> None:
+        """Opens what frames of ``plan`` run through, of bodies of one shape and, where asked, of several ``shapes``.
+
+        It takes a fifth of a second each, and may be called from any thread.
+        """
+        one_shape = self._skins is not None
+        kinds = {(not self._engine.bound, one_shape), (False, one_shape), *([(False, False)] if shapes else [])}
+        for alone, one_shape in sorted(kinds):
+            self._session(plan, alone=alone, one_shape=one_shape, skin_given=skin_given)
 
     def run(self, plan: ScenePlan, bodies: dict[str, np.ndarray], items: Sequence[Item]) -> list[Result]:
         """Results of ``items``, in their order. ``bodies`` are ``PackedBody.rows``, joined over clients.
 
         Refuses a garment that is not in store and a row that ``bodies`` do not have. Of a dynamic model ``bodies``
         may hold ``dynamic_code`` (B, C); without it all are at rest. A posed ``skin`` (B, R, 12, 8) in ``bodies`` is
-        felt in place of the one that the bones carry: of bodies with pose blend shapes.
+        taken for body proximity in place of the one that the bones carry: of bodies with pose blend shapes.
         """
         count = min(len(rows) for rows in bodies.values())
         if self._engine.dynamic:
@@ -321,14 +324,13 @@ class Packer:
         first = items[0][0]
         # Of a batch of one the constants are the graph's inputs; where they would lie on a device twice, none are.
         alone = len(items) == 1 and not self._engine.bound
-        direct = STORED_INDEX if alone else ()
         if self._engine.bound and len(items) > 1:
             bodies = filled_rows(bodies)
-        given = (SKIN,) if SKIN in bodies else ()
+        given = SKIN in bodies
         if self._skins is not None:
             bodies = bodies | self._skins.feed(bodies["betas"])
-            direct += SHAPE_INDEX if len(bodies["skin_rows"]) == 1 else ()
-        session = self._engine.open_cut(PACKED, plan.outputs, direct=direct, passes=plan.passes, given=given)
+        one_shape = self._skins is not None and len(bodies["skin_rows"]) == 1
+        session = self._session(plan, alone=alone, one_shape=one_shape, skin_given=given)
         composition, indices = self._composed(items, alone)
         stored = self._store.packed(first).stored if alone else self._store.arrays()
         feed: dict[str, Value] = {}
@@ -342,6 +344,12 @@ class Packer:
         still = (*SKIN_CONSTANTS, *indices)
         outputs = dict(zip(plan.outputs, session.run(plan.outputs, feed, still=still), strict=True))
         return _apart(outputs, composition, [row for _, row in items])
+
+    def _session(self, plan: ScenePlan, *, alone: bool, one_shape: bool, skin_given: bool) -> Session:
+        """What computes ``plan``: of one item ``alone``, of bodies of ``one_shape``, whose posed skin may be given."""
+        direct = (STORED_INDEX if alone else ()) + (SHAPE_INDEX if one_shape else ())
+        given = (SKIN,) if skin_given else ()
+        return self._engine.open_cut(PACKED, plan.outputs, direct=direct, passes=plan.passes, given=given)
 
     def _composed(self, items: tuple[Item, ...], alone: bool) -> tuple[Composition, dict[str, Value]]:
         """Index tensors of ``items``, the latest used of them kept as far as memory allows."""

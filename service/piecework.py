@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import partial
 from typing import TypeVar
 
@@ -20,16 +21,30 @@ class Piecework:
 
     def __init__(self) -> None:
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="drape-pieces")
+        self._free = asyncio.Event()
+        self._free.set()
 
     async def run(self, function: Callable[..., Result], *arguments: object) -> Result:
         """``function(*arguments)`` as one piece."""
         return await asyncio.get_running_loop().run_in_executor(self._executor, partial(function, *arguments))
 
     async def each(self, pieces: Iterator[Result]) -> AsyncIterator[Result]:
-        """What ``pieces`` gives, one turn of the thread for each: other work comes between them."""
+        """What ``pieces`` gives, one turn of the thread for each: other work comes between them, and frames first."""
         end = object()
-        while (piece := await self.run(next, pieces, end)) is not end:
+        while True:
+            await self._free.wait()
+            if (piece := await self.run(next, pieces, end)) is end:
+                return
             yield piece  # pyright: ignore[reportReturnType]
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """While a stream's frame is computed, which asks for the lock some fifty times: no piece of ``each`` begins."""
+        self._free.clear()
+        try:
+            yield
+        finally:
+            self._free.set()
 
     def close(self) -> None:
         """Ends the thread after the piece at hand."""

@@ -23,6 +23,8 @@ from service.engine import PUSH, PUSH_OVER, PUSHES, SKIN, SKIN_CONSTANTS, Engine
 if TYPE_CHECKING:
     import onnxruntime
 
+    from service.runtime import Session
+
     Constants = dict[str, onnxruntime.OrtValue]
 
 OUTPUT = "pushed"
@@ -78,7 +80,7 @@ class Pusher:
         self._layers: OrderedDict[tuple[str, ...], Constants] = OrderedDict()
         self._looking, self._making = threading.Lock(), threading.Lock()
         for graph in PUSHES:  # now, not in the first frame
-            engine.open_cut(graph, (OUTPUT,), given=(SKIN,))
+            self._session(graph, jets=False)
 
     @property
     def held_bytes(self) -> int:
@@ -90,13 +92,19 @@ class Pusher:
         constants = self._values(feed_arrays(pack_push(feed, vertices, self._skin)))
         self._stored[key] = _Stored(feed, vertices, faces, constants)
 
-    def prepare(self, keys: Sequence[str]) -> None:
-        """Makes the constants of every garment of an outfit over those before it, where they are missing.
+    def prepare(self, keys: Sequence[str], *, jets: bool = False) -> None:
+        """Makes the constants of every garment of an outfit over those before it, where they are missing, and opens
+        what pushes them, and their ``jets`` where asked.
 
         Takes a second per garment, and may be called from any thread.
         """
         for count in range(1, len(keys)):
             self._layer(tuple(keys[: count + 1]))
+        for graph in PUSHES[: len(keys)]:
+            self._session(graph, jets=jets)
+
+    def _session(self, graph: str, *, jets: bool) -> Session:
+        return self._engine.open_cut(graph, JET_OUTPUTS if jets else (OUTPUT,), given=(SKIN,))
 
     def push(
         self,
@@ -128,7 +136,7 @@ class Pusher:
         else:
             arrays |= {**self._layer(tuple(keys)), "under": np.ascontiguousarray(under, dtype=np.float32)}
         outputs = (OUTPUT,) if posed is None else JET_OUTPUTS
-        session = self._engine.open_cut(PUSH if under is None else PUSH_OVER, outputs, given=(SKIN,))
+        session = self._session(PUSH if under is None else PUSH_OVER, jets=posed is not None)
         found = session.run(outputs, {name: arrays[name] for name in session.inputs}, still=SKIN_CONSTANTS)
         way_m = np.linalg.norm(found[0] - vertices, axis=-1)
         if posed is None:

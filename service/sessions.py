@@ -20,6 +20,7 @@ from drape.errors import DrapeError, InputError
 from drape.wire.messages import Pose
 from service.drapery import Drapery
 from service.errors import Busy
+from service.piecework import Piecework
 from service.stages import carried
 from service.stages.batch import Memories, Plan, PoseInput
 
@@ -111,8 +112,8 @@ class Session:
 class Streams:
     """All sessions, and the task that computes their frames."""
 
-    def __init__(self, drapery: Drapery) -> None:
-        self._drapery = drapery
+    def __init__(self, drapery: Drapery, piecework: Piecework) -> None:
+        self._drapery, self._piecework = drapery, piecework
         self._sessions: set[Session] = set()
         self._wake = asyncio.Event()
         self._worker: asyncio.Task[None] | None = None
@@ -171,7 +172,8 @@ class Streams:
         plan = batch[0].plan
         generations = [session.generation for session in batch]
         inputs = [_pose_input(session, session.take()) for session in batch]
-        results = await self._drapery.in_thread(self._drapery.frames, plan, inputs)
+        with self._piecework.held():
+            results = await self._drapery.in_thread(self._drapery.frames, plan, inputs)
         for session, generation, (result, memories) in zip(batch, generations, results, strict=True):
             session.deliver(generation, result, memories)
 

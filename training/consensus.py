@@ -1,4 +1,4 @@
-"""Brings overlapping charts to agree and tells how they are strained: what the network's corrections look at.
+"""Chart consensus, and the strain of the charts that agree: what the network's corrections read.
 
 Two forms of the same tables: ``GatheredConsensus`` reads as the formula and is what export writes, ``SparseConsensus``
 is what training runs.

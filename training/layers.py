@@ -88,7 +88,7 @@ class StaticEncoder(nn.Module):
 class Decoder(nn.Module):
     """Body code (F, 256) and patch embedding (K, E) -> outputs (F, K, n), one head per kind of output.
 
-    The first layer acts on the concatenation of both and of what the posed patch sees around it;
+    The first layer acts on the concatenation of both and of the surroundings of the posed patch;
     written as a sum of products, its garment half is computed once per garment and its body half
     once per frame.
     """
@@ -128,10 +128,10 @@ class Decoder(nn.Module):
 
 
 class Correction(nn.Sequential):
-    """What a patch knows and feels -> change of its jets (F, K, 27).
+    """Code, strain and body proximity of a patch -> change of its jets (F, K, 27).
 
     Inputs: the decoder's code of the patch, strain and force of ``training.consensus``, and the jets themselves; then
-    what it feels of the body, closeness and force, where the configuration has it.
+    the body proximity, closeness and force, where the configuration has it.
     """
 
     def __init__(self, config: ModelConfig) -> None:

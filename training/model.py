@@ -33,9 +33,9 @@ class OneFit(nn.Module):
     """The network of OneFit (section 3, appendix A.3) with vector jets in rigidly skinned frames.
 
     Past the paper, in four steps (docs/architecture.md): charts start where the blend of the rigid ones is, the
-    decoder predicts a change of each, a few passes bring charts to agree and correct them by what they feel of
-    their strain, and a closing fit of higher order makes them say what the blend says. The passes are a learned
-    solver: each sees how far off the drape still is.
+    decoder predicts a change of each, a few passes bring charts to a consensus and correct them by their strain and
+    the proximity of the body, and a closing fit of higher order makes them say what the blend says. The passes are a
+    learned solver: each reads how far off the drape still is.
 
     Variant "paper" predicts a height jet, a translation and a scale of each patch in
     the rest pose; its vertices are skinned afterwards.
@@ -190,7 +190,7 @@ def pose_frames(body: BodyTensors, patches: PatchTensors) -> tuple[Tensor, Tenso
 
 
 def patch_surroundings(body: BodyTensors, rotation: Tensor, centre: Tensor) -> Tensor:
-    """What a posed patch sees around it (F, K, 75): the posed joints and gravity, in its own frame.
+    """Surroundings of a posed patch (F, K, 75): the posed joints and gravity, in its own frame.
 
     The code of the whole pose must be learned for every place of the body; seen from the patch,
     a bent elbow near cloth looks alike on all garments.

@@ -1,4 +1,4 @@
-"""What the network is told about the body: joint descriptors of a pose, for numpy or torch.
+"""Inputs of the network that describe the body: joint descriptors of a pose, for numpy or torch.
 
 Per joint, as in Neural Cloth Simulation (Bertiche et al. 2022): the 6D descriptor of its
 rotation relative to the parent, and the direction of gravity in the joint's frame.

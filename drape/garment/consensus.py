@@ -1,4 +1,4 @@
-"""Tables by which the overlapping charts of a garment are brought to agree, and to feel how they are strained.
+"""Chart consensus: tables by which overlapping charts are brought to agree, and those of their strain.
 
 A few vertices of every patch are its anchors. Where the blend of all charts puts the anchors, each
 chart is fitted anew by least squares, weighted by the roots of the blend's weights: between the weights
@@ -21,7 +21,7 @@ ANCHORS_PER_PATCH = 12  # within the patch itself; its chart reaches over three 
 MEMBERS = 56  # places for the anchors of a chart, of which at least the last stays empty; most charts have 48
 FIT_COUNT = jets.HEIGHT_COUNT + jets.IN_PLANE_COUNT  # rows of a fit: the height's order, then the in-plane order
 RIDGE = 1e-4  # of the mean diagonal of the normal equations
-# Strain is felt at the centre of a patch and on a ring round it [patch scales]; half a patch is about 0.42 wide.
+# Strain is measured at the centre of a patch and on a ring round it [patch scales]; half a patch is about 0.42 wide.
 RING, RING_COUNT = 0.4, 6
 STRAIN_POINTS = 1 + RING_COUNT
 
@@ -47,7 +47,7 @@ class Consensus:
 
 
 def strain_points() -> np.ndarray:
-    """Parameters (u, v) (7, 2) at which strain is felt."""
+    """Parameters (u, v) (7, 2) at which strain is measured."""
     angle = np.arange(RING_COUNT) * (2.0 * np.pi / RING_COUNT)
     return np.concatenate([np.zeros((1, 2)), RING * np.stack([np.cos(angle), np.sin(angle)], axis=1)])
 

@@ -237,7 +237,7 @@ def _charts(feed: dict[str, np.ndarray]) -> StoredCharts:
 
 
 def _proximity(feed: dict[str, np.ndarray]) -> StoredProximity:
-    """Where each patch feels the body at rest, and the skin near it there."""
+    """Points of each patch at which body proximity is read, and the skin near them at rest."""
     count, regions = feed["patch_other"].shape[:2]
     parts = regions // POSED_REGIONS
     return StoredProximity(

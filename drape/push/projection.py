@@ -1,4 +1,4 @@
-"""The push-out: cloth out of the parts of the body that it hangs on, and of those that come near in a pose.
+"""The collision projection (push-out): cloth out of its own part of the body, and of those that come near in a pose.
 
 A vertex knows from its rest place on which side of which limb it belongs. Pushing along the normal of whichever
 skin is nearest tears cloth that two parts press from both sides: between arm and trunk one vertex goes with the

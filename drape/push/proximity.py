@@ -1,8 +1,8 @@
-"""What patches of a garment feel of the body: how near it is at a few points of each, and which way it would push them.
+"""Body proximity of patches: how near the body is at a few points of each, and which way it would push them.
 
-The two surfaces of the push-out (``drape.push.projection``), own and other parts of the body, are read at the points
-of a patch instead of at the vertices of a block, so the cost does not grow with the mesh. Nothing is pushed: closeness
-and force at every point are what the network's corrections query at.
+The two surfaces of the collision projection (``drape.push.projection``), own and other parts of the body, are read at
+the points of a patch instead of at the vertices of a block, so the cost does not grow with the mesh. Nothing is pushed:
+closeness and force at every point are what the network's corrections read.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from drape.push.samples import CLUSTER_SIZE, REGION_SIZE, region_centres
 from drape.push.skin import Skin
 from drape.push.tables import OWN_CLUSTERS, skin_lists
 
-GAP_M = 0.006  # a patch feels the body from this distance on; the contact energy begins at 4 mm
+GAP_M = 0.006  # proximity begins at this distance; the contact energy at 4 mm
 UNIT_M = 0.01
-DEEP_M = (-0.060, -0.045)  # deeper inside is felt no more
+DEEP_M = (-0.060, -0.045)  # deeper inside there is no proximity
 OTHER_STEPS = 15  # half a byte: two samples lie in one where they are stored
 REGION_LEAST = 1e-6
 

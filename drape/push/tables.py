@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -44,11 +44,6 @@ class PushTables:
     own_bias: np.ndarray
     other: np.ndarray
     region_bias: np.ndarray
-
-    @property
-    def byte_count(self) -> int:
-        """Memory of all arrays [bytes]."""
-        return sum(getattr(self, item.name).nbytes for item in fields(self))
 
 
 def push_tables(vertices: np.ndarray, skin: Samples, *, hidden: np.ndarray | None = None) -> PushTables:

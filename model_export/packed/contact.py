@@ -1,4 +1,4 @@
-"""What the patches of the packed graph feel of their bodies: ``drape.push.proximity`` with bodies mixed."""
+"""Body proximity of the patches of the packed graph: ``drape.push.proximity`` with bodies mixed."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ class Collision(Stage):
         self.pusher.add(garment.digest, feed, garment.vertices[: garment.vertex_count], garment.faces)
 
     def prepare(self, plan: Plan) -> None:
-        self.pusher.prepare(plan.keys)
+        self.pusher.prepare(plan.keys, jets=plan.options.geometry == "jets")
 
     @property
     def held_bytes(self) -> int:

@@ -50,6 +50,10 @@ class Network(Stage):
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
         self.packer.add(garment.digest, garment, feed)
 
+    def prepare(self, plan: Plan) -> None:
+        given = self.engine.feels_body and not self._skin_in_graph
+        self.packer.prepare(self._scene(plan), skin_given=given, shapes=plan.messages)
+
     @property
     def held_bytes(self) -> int:
         return self.packer.store.bytes
@@ -67,9 +71,7 @@ class Network(Stage):
             skin = np.concatenate([posed_table(self.body, one.poses, one.betas) for one in batch.inputs])
         if skin is not None and self.engine.feels_body:
             bodies[SKIN] = skin
-        scene = ScenePlan(
-            SHAPES[needs & {"vertices", "jets"}], skin=SKIN in needs and skin is None, passes=plan.options.passes
-        )
+        scene = self._scene(plan)
         frames = len(root)
         items = [(key, frame) for key in self._dressed(plan) for frame in range(frames)]
         results = self.packer.run(scene, bodies, items)
@@ -84,6 +86,11 @@ class Network(Stage):
         fabrics = layer_fabrics(plan.options, len(plan.keys))
         keys = list(zip(plan.keys, fabrics, strict=True))
         return [key if fabric is None else self.packer.dressed(key, fabric) for key, fabric in keys]
+
+    def _scene(self, plan: Plan) -> ScenePlan:
+        """What ``plan`` asks of the packed graph."""
+        skin = SKIN in plan.needs and self._skin_in_graph
+        return ScenePlan(SHAPES[plan.needs & {"vertices", "jets"}], skin=skin, passes=plan.options.passes)
 
 
 def _layer(results: list[Result], needs: frozenset[str]) -> Layer:

@@ -70,3 +70,22 @@ def test_other_work_comes_between_pieces_and_two_are_never_done_at_once():
     assert most == 1
     assert done.count("a") == done.count("b") == 50
     assert {"a", "b"} == set(done[:10]) == set(done[45:55])
+
+
+def test_no_piece_begins_while_a_frame_is_computed():
+    piecework, done = Piecework(), []
+
+    async def held() -> None:
+        async def pieces() -> None:
+            async for piece in piecework.each(iter(range(9))):
+                done.append(piece)
+
+        with piecework.held():
+            task = asyncio.create_task(pieces())
+            await asyncio.sleep(0.05)
+            assert done == []
+        await task
+
+    asyncio.run(held())
+    piecework.close()
+    assert done == list(range(9))

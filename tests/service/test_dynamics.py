@@ -23,6 +23,7 @@ from service.app import create_app
 from service.drapery import Drapery
 from service.engine import Engine
 from service.packing import Packer, ScenePlan
+from service.piecework import Piecework
 from service.sessions import Session, Streams
 from service.settings import Settings
 from service.stages import run
@@ -297,7 +298,7 @@ def run_frames(streams: Streams, sessions: list[Session]) -> list[wire.Frame]:
 
 
 def open_sessions(drapery: Drapery, knobs: list[float]) -> tuple[Streams, list[Session]]:
-    streams = Streams(drapery)
+    streams = Streams(drapery, Piecework())
     sessions = [Session(plan_of(drapery, knob, messages=True), NO_SHAPE, credit=2) for knob in knobs]
     for session in sessions:
         streams.add(session)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import time
 from collections.abc import Callable, Iterator
 
 import httpx
@@ -12,6 +13,7 @@ import pytest
 
 from service.json_body import SMALL_MARKS, clip_marks
 from service.settings import Settings
+from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import serve_in_process
 from tests.fixtures.stream_gap import gaps_beside
 
@@ -90,3 +92,19 @@ def test_an_avatar_that_is_too_long_for_a_command_line(url: str):
     assert (
         answer.status_code == 413 and "avatar: expected at most 10000 characters, got 2000" in answer.json()["detail"]
     )
+
+
+def test_a_clip_lets_streams_through_however_long_its_chunks_may_be(make_settings: Callable[..., Settings]):
+    poses, _ = random_motion(256)
+    content = json.dumps({"garment": "tube", "poses": poses.tolist()}).encode()
+    headers = {"Content-Type": "application/json"}
+    with serve_in_process(make_settings(chunk_frames=256)) as url:
+        for _ in range(2):  # the second without lazy set-up
+            start_s = time.monotonic()
+            whole = httpx.post(url + "/drape", content=content, headers=headers, timeout=300.0)
+            whole_s = time.monotonic() - start_s
+        answer, gaps = gaps_beside(
+            url, lambda: httpx.post(url + "/drape", content=content, headers=headers, timeout=300.0)
+        )
+    assert gaps.beside_s < 0.5 * whole_s, (gaps, whole_s)
+    assert answer.content == whole.content, "bits must not depend on the chunks"

@@ -308,12 +308,11 @@ def test_what_is_not_finite_is_told_of_its_own_item(bodies):
         assert [result.finite for result in results] == [True, False, True]
 
 
-def test_warm_up_opens_the_sessions_of_a_plan(bodies):
+def test_prepare_opens_the_sessions_of_a_plan():
     packer = make_packer()
-    packer.warm_up(ScenePlan("jets"), bodies)
+    packer.prepare(ScenePlan("jets"), skin_given=False, shapes=False)
     opened = {key[1:3] for key in packer._engine._opened if key[0] == PACKED}
     assert opened == {(ScenePlan("jets").outputs, direct_of(alone)) for alone in (True, False)}
-    Packer(Engine(exported()[1]), load_body()).warm_up(ScenePlan(), bodies)  # nothing in store, nothing to run
 
 
 def test_no_items_give_no_results(packer: Packer, bodies):
@@ -350,7 +349,7 @@ def test_a_manifest_with_other_tensors_is_refused(tmp_path: Path):
     packer = Packer(Engine(folder), load_body())
     packer.add("tank", garment("tank"))
     with pytest.raises(ArtifactError, match="packed patch_first: expected float16 as in the manifest"):
-        packer.warm_up(ScenePlan(), pack_body(load_body()).rows(np.zeros((1, 24, 3))))
+        packer.prepare(ScenePlan(), skin_given=False, shapes=False)
 
 
 def test_the_service_refuses_what_is_not_finite(make_settings):

@@ -15,6 +15,7 @@ from service.app import create_app
 from service.drapery import Drapery
 from service.errors import Busy
 from service.json_body import clip_marks
+from service.piecework import Piecework
 from service.sessions import Streams
 from service.settings import Settings
 from service.state import State
@@ -166,7 +167,7 @@ def test_too_large_an_answer_is_refused(make_settings: Callable[..., Settings]):
 
 def test_more_clips_than_places_are_refused(make_settings: Callable[..., Settings]):
     drapery = Drapery(make_settings(max_clips=1))
-    state = State(drapery, None, Streams(drapery), None)  # pyright: ignore[reportArgumentType]
+    state = State(drapery, None, Streams(drapery, Piecework()), Piecework())  # pyright: ignore[reportArgumentType]
     with state.slot(), pytest.raises(Busy, match="fewer than 1 at a time"), state.slot():
         pass
     with state.slot():

@@ -13,6 +13,7 @@ from drape.errors import InputError
 from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
 from service.drapery import Drapery
+from service.piecework import Piecework
 from service.sessions import Session, Streams
 from service.settings import Settings
 
@@ -22,7 +23,7 @@ REST = np.zeros((24, 3))
 def test_one_bad_pose_does_not_fail_its_batch(make_settings: Callable[..., Settings]):
     drapery = Drapery(make_settings())
     plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions(push_out=False), messages=True)
-    streams = Streams(drapery)
+    streams = Streams(drapery, Piecework())
     sessions = [Session(plan, np.zeros(10), credit=2) for _ in range(3)]
     poses = [REST, np.full((24, 3), np.nan), REST]
     for i, (session, pose) in enumerate(zip(sessions, poses, strict=True)):
@@ -44,7 +45,7 @@ def test_the_longest_waiting_pose_goes_first_with_all_of_its_plan(make_settings:
     drapery = Drapery(make_settings(chunk_frames=2))
     tube = drapery.garments.get("tube")
     other = type(tube)("other", tube.garment, tube.source)
-    streams = Streams(drapery)
+    streams = Streams(drapery, Piecework())
     plans = [drapery.plan(entry, DrapeOptions(), messages=True) for entry in (other, tube, other, other)]
     sessions = [Session(plan, np.zeros(10), credit=1) for plan in plans]
     for session in (sessions[2], sessions[1], sessions[0], sessions[3]):

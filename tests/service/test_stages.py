@@ -110,6 +110,20 @@ def test_a_plan_takes_what_it_needs_and_nothing_else(
     assert (batch.layers[0].vertices is None) == ("vertices" not in needs)
 
 
+@pytest.mark.parametrize("worn", [["tube"], ["tube", "coat"]])
+@pytest.mark.parametrize("options", [{}, {"push_out": False}, {"geometry": "jets"}, {"passes": 0}])
+def test_frames_open_no_session_once_their_plan_is_prepared(outfit_settings: Settings, worn: list[str], options: dict):
+    drapery = Drapery(outfit_settings)
+    plan = drapery.plan(drapery.garments.scene(None, worn), DrapeOptions(**options), messages=True)
+    asyncio.run(drapery.prepare(plan))
+    opened = set(drapery.engine._opened)
+    one, other = CLIP.part(slice(0, 1), {}), replace(CLIP.part(slice(1, 2), {}), betas=np.ones(10))
+    for inputs in ([one], [CLIP], [one, other]):
+        run(plan, inputs)
+    assert set(drapery.engine._opened) == opened
+    drapery.close()
+
+
 def test_the_network_computes_no_vertex_for_jets_alone(make_settings: Callable[..., Settings]):
     drapery = Drapery(make_settings())
     run(drapery.plan(drapery.garments.get("tube"), DrapeOptions(geometry="jets", push_out=False)), [CLIP])
