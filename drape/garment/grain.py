@@ -11,9 +11,10 @@ from drape.errors import InputError
 from drape.geometry import meshes
 
 STRETCH_LIMIT = 1.15  # both singular values of uv -> cloth lie within this of the mesh's scale ...
-FLAT_SHARE = 0.9  # ... over this share of an island's area, and the island is a flattening
+FLAT_SHARE = 0.8  # ... over this share of its area, and an island is a flattening; sleeves of a worn shirt: 0.85
 TURNED = 0.2  # by how much more upright u must run than v, on the mean, for an island to be laid out on its side
 METRIC_LIMIT = 0.05  # uv whose scale is so near to one metre are in metres
+UNIT_LIMIT = 1.5  # cloth is worn at most this many times as large as its panels: the next unit is farther off
 SAME_UV = 1e-6  # of the uv's extent
 SMALLEST_AREA_SHARE = 1e-6  # of the mean triangle in uv; below it a triangle says nothing of the grain
 
@@ -69,11 +70,21 @@ def texture(uv: np.ndarray, uv_faces: np.ndarray, face_count: int) -> Texture | 
     return Texture(corners, np.unique(np.repeat(island, 4**rounds), return_inverse=True)[1].reshape(-1))
 
 
-def read_grain(vertices: np.ndarray, modelled: np.ndarray, faces: np.ndarray, painted: Texture | None) -> Grain:
+def read_grain(
+    vertices: np.ndarray,
+    modelled: np.ndarray,
+    faces: np.ndarray,
+    painted: Texture | None,
+    uv_unit_m: float | None = None,
+) -> Grain:
     """The grain of the cloth at rest, ``vertices`` [m] (N, 3), as ``painted`` on it.
 
     Whether uv are a flattening is asked of ``modelled`` [m] (N, 3), the cloth as delivered: island by island, with one
-    scale for all. The warp is uv's v, as patterns are laid out, or its u where an island lies on its side: a quarter
+    scale for all. Cloth that is worn stretches and shears, knits by more than the limit: with ``uv_unit_m``, metres of
+    cloth per unit of uv, uv are panels because they are said to be. Raises ``InputError`` where there are none or
+    their size is another.
+
+    The warp is uv's v, as patterns are laid out, or its u where an island lies on its side: a quarter
     turn that brings the warp nearer to the vertical. A panel cut on the bias stays so.
     """
     plain = grain_along(vertices, faces)
@@ -82,6 +93,8 @@ def read_grain(vertices: np.ndarray, modelled: np.ndarray, faces: np.ndarray, pa
         plain, np.zeros(len(faces), bool), np.zeros((len(faces), 2, 2)), np.zeros(len(hinges), bool), 0.0, 0.0
     )
     if painted is None:
+        if uv_unit_m is not None:
+            raise InputError("uv unit", expected="panels as uv", got="no uv", cure="Leave the unit of uv out.")
         return nothing
     edges = painted.corners[:, 1:] - painted.corners[:, :1]  # (G, 2, 2)
     double = edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]
@@ -94,9 +107,17 @@ def read_grain(vertices: np.ndarray, modelled: np.ndarray, faces: np.ndarray, pa
     slope = _slope(modelled, faces, inverse)
     scale = _median(np.sqrt(2.0 * area[told] / np.abs(double[told])), area[told])
     large, small = _singular_values(slope)
+    if uv_unit_m is not None and not 1.0 / UNIT_LIMIT < scale / uv_unit_m < UNIT_LIMIT:
+        raise InputError(
+            "uv unit",
+            expected=f"about {scale:.3g} metres of cloth per unit of uv, as the mesh shows",
+            got=f"{uv_unit_m:g}",
+            cure="Correct the unit, or leave it out: lengths are then those of the mesh.",
+        )
     true = told & (large < STRETCH_LIMIT * scale) & (small * STRETCH_LIMIT > scale)
     whole = np.bincount(painted.island, area)
     flat = np.bincount(painted.island, area * true) >= FLAT_SHARE * whole
+    flat |= uv_unit_m is not None
     good = told & flat[painted.island]
     upright = slope @ np.array(UP) / scale  # (G, 2): how steeply u and v climb
     mean = np.stack([np.bincount(painted.island, area * upright[:, k]) for k in (0, 1)], axis=1) / whole[:, None]
@@ -110,24 +131,8 @@ def read_grain(vertices: np.ndarray, modelled: np.ndarray, faces: np.ndarray, pa
 
 
 def panel_unit(grain: Grain, uv_unit_m: float | None) -> float | None:
-    """Metres per unit of uv where panels tell the rest lengths, or None.
-
-    ``uv_unit_m`` as given; left out, uv are in metres where their scale says so. Raises ``InputError`` where what is
-    given is not what the mesh shows.
-    """
-    if uv_unit_m is None:
-        return 1.0 if abs(grain.scale_m - 1.0) < METRIC_LIMIT else None
-    if grain.scale_m == 0.0:
-        got = "uv that are no flattening" if grain.panel_edges.any() else "no uv"
-        raise InputError("uv unit", expected="panels as uv", got=got, cure="Leave the unit of uv out.")
-    if not 1.0 / STRETCH_LIMIT < grain.scale_m / uv_unit_m < STRETCH_LIMIT:
-        raise InputError(
-            "uv unit",
-            expected=f"about {grain.scale_m:.3g} metres of cloth per unit of uv, as the mesh shows",
-            got=f"{uv_unit_m:g}",
-            cure="Correct the unit, or leave it out: lengths are then those of the mesh.",
-        )
-    return uv_unit_m
+    """Metres per unit of uv as given, or found where uv are in metres; None where panels tell no lengths."""
+    return 1.0 if uv_unit_m is None and abs(grain.scale_m - 1.0) < METRIC_LIMIT else uv_unit_m
 
 
 def _slope(vertices: np.ndarray, faces: np.ndarray, inverse: np.ndarray) -> np.ndarray:

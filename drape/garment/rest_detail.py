@@ -31,7 +31,7 @@ SMOOTHING_M = 0.05
 CREASE_RAD, LINE_M = np.radians(30.0), 0.08
 HEM_M = 0.04  # cloth between a crease and an open rim is doubled if both are so near
 HEM_STIFFENING = 2.0
-DOUBLED = re.compile(r"hem|cuff|collar|band|placket|facing|pocket", re.IGNORECASE)
+DOUBLED = re.compile(r"(?<![a-z])(hem|cuff|collar|(waist|neck|wrist)?band|placket|facing)", re.IGNORECASE)
 # Area by which a panel as wide as a hand spans must be distorted to lie flat, median over the cloth: real garments 1.01
 # to 1.11, balls of 15 and of 10 cm 1.27 and 1.78.
 PANEL_RADIUS_M, DISTORTION_LIMIT = 0.10, 1.2
@@ -90,7 +90,7 @@ def rest_of(cloth: Cloth, rest: Rest = "auto") -> tuple[RestState, Figures]:
     delivered. Where uv are panels of a known size, ``flat`` and ``auto`` have their lengths from them, unless the cloth
     is resized.
     """
-    grain = read_grain(cloth.vertices, cloth.modelled, cloth.faces, cloth.painted)
+    grain = read_grain(cloth.vertices, cloth.modelled, cloth.faces, cloth.painted, cloth.uv_unit_m)
     state = rest_state.modelled(cloth.vertices, cloth.faces, grain.warp)
     unit = panel_unit(grain, cloth.uv_unit_m)
     kept = np.ones(len(state.hinge_angle), dtype=bool)

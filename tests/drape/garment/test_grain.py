@@ -129,11 +129,16 @@ def test_uv_unit_is_found_in_metres_and_checked_where_it_is_given():
     assert panel_unit(grain, None) is None
     assert panel_unit(metres, None) == 1.0
     assert panel_unit(grain, 2.4) == 2.4
-    with pytest.raises(InputError, match=r"uv unit: expected about 2\.5 metres of cloth"):
-        panel_unit(grain, 1.0)
-    bare = read_grain(vertices, vertices, faces, None)
-    with pytest.raises(InputError, match="uv unit: expected panels as uv, got no uv"):
-        panel_unit(bare, 1.0)
-    stretched = read_grain(vertices, vertices, faces, texture(uv * [1.4, 1.0], uv_faces, len(faces)))
-    with pytest.raises(InputError, match="uv unit: expected panels as uv, got uv that are no flattening"):
-        panel_unit(stretched, 1.0)
+    with pytest.raises(InputError, match=r"uv unit: expected about 2\.5 metres of cloth .* got 1. Correct the unit"):
+        read_grain(vertices, vertices, faces, texture(uv, uv_faces, len(faces)), 1.0)
+    with pytest.raises(InputError, match=r"uv unit: expected panels as uv, got no uv. Leave"):
+        read_grain(vertices, vertices, faces, None, 1.0)
+
+
+def test_panels_that_are_worn_sheared_are_panels_where_their_unit_is_given():
+    vertices, faces, uv, uv_faces = unrolled()
+    worn = texture(uv @ [[1.0, 0.0], [0.6, 1.0]], uv_faces, len(faces))
+    assert not read_grain(vertices, vertices, faces, worn).from_uv.any()
+    grain = read_grain(vertices, vertices, faces, worn, 1.0)
+    assert grain.from_uv.all()
+    assert_allclose(grain.panel_edges, read_grain(vertices, vertices, faces, worn, 1.1).panel_edges, rtol=0.0, atol=0.0)

@@ -129,7 +129,7 @@ def test_a_folded_hem_keeps_its_fold_and_is_stiffer():
 def test_cloth_of_a_material_called_a_cuff_is_double():
     _, faces = tube(12, 5)
     material = np.repeat([0, 1, 2], 40)
-    doubled = doubled_faces(("cotton", "Left_Cuff", "buttons"), material, 4 * len(faces))
+    doubled = doubled_faces(("cotton", "Left_Cuff", "chemise"), material, 4 * len(faces))
     assert_array_equal(doubled, np.repeat(material == 1, 4))
     vertices, fine, _ = meshes.subdivide(*tube(12, 5))
     state, _ = rest_of(cloth_of(vertices, fine, doubled=doubled))
