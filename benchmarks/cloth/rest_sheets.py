@@ -35,11 +35,11 @@ from drape.geometry import meshes
 from drape.geometry.skinning import skin_points
 from drape.motion.readers import read_motion
 
-SIZE, DRAPE_SIZE = (300, 300), (420, 330)
+SIZE, DRAPE_SIZE = (250, 330), (400, 330)
 VIEWS_DEG = ((15.0, 20.0), (180.0, 8.0))
-PALE, BENT, DOUBLE = np.array([0.86, 0.86, 0.88]), np.array([0.85, 0.10, 0.05]), np.array([0.55, 0.70, 0.95])
-FULL_RAD = np.radians(60.0)  # an angle of full colour
-LOW_LIGHT = np.array([0.86, 0.42, 0.28])
+PALE, BENT, DOUBLE = np.array([0.92, 0.92, 0.92]), np.array([0.90, 0.05, 0.0]), np.array([0.30, 0.55, 1.0])
+FULL_RAD = np.radians(25.0)  # an angle of full colour
+FRONT_LIGHT, LOW_LIGHT = np.array([0.2, 0.3, 0.93]), np.array([0.86, 0.42, 0.28])
 LONG_M = 0.75  # drapes of garments taller than this are drawn whole
 # Upper bodies and a dress: nothing else stays up without a waistband. Clip and the share of it that has gone by.
 DRAPES = {
@@ -48,6 +48,7 @@ DRAPES = {
     "tshirt": ("squat", 0.5),
     "dress": ("walk", 0.23),
 }
+PICTURED = ("male_tshirt", "male_long_sleeve_shirt", "female_suit_jacket")  # whose angles the picture shows
 COLUMNS = {
     "garment": "s",
     "intake_s": ".1f",
@@ -99,12 +100,15 @@ def angle_colours(state: RestState, faces: np.ndarray) -> np.ndarray:
 def angle_sheet(garment: Garment) -> list[np.ndarray]:
     """One row: the garment at rest, coloured by its angles modelled, then auto, from two sides each."""
     rest, faces = garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64)
+    wide, tall, _ = np.ptp(rest, axis=0)
     return [
         render(
             [Surface(rest, faces, angle_colours(state, faces), smooth=False)],
             size=SIZE,
             azimuth_deg=azimuth,
             elevation_deg=elevation,
+            extent_m=1.1 * max(tall, wide * SIZE[0] / SIZE[1]),
+            light=FRONT_LIGHT,
         )
         for state in (rest_state.modelled(rest, faces), garment.rest_state())
         for azimuth, elevation in VIEWS_DEG
@@ -183,23 +187,28 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
         [] if options.garments or not folder else find_garments([str(folder)])
     )
     body = load_body()
-    rows, sheets, pairs = [], [], []
+    rows, pairs = [], []
+    angles: dict[str, list[np.ndarray]] = {}
     for path in paths[:1] if options.quick else paths:
         garment, row = row_of(path, body)
         rows.append(row)
-        sheets.append(angle_sheet(garment))
+        angles[garment.name] = angle_sheet(garment)
         if short_name(path) in DRAPES and not options.quick:
             name, share = DRAPES[short_name(path)]
             clip = read_motion(find_motions([name])[0])
             pose = np.asarray(clip.poses[int(share * clip.frame_count)], dtype=np.float64)
             pairs.append(drape_pair(garment, body, pose, options.fabric, options.steps))
     common.print_table(rows, COLUMNS)
+    sheets = list(angles.values())
     for start in range(0, len(sheets), 5):
         save_png(options.sheets / f"angles_{start // 5}.png", sheet(sheets[start : start + 5]), colours=256)
     if pairs:
         drapes = [pair.figures for pair in pairs]
         common.print_table(drapes, dict.fromkeys(drapes[0], ".2f") | {"garment": "s"})
-        save_png(options.sheets / "drapes.png", sheet([drape_row(pair, body) for pair in pairs]), colours=128)
+        drawn = [drape_row(pair, body) for pair in pairs]
+        save_png(options.sheets / "drapes.png", sheet(drawn), colours=128)
+        shown = [angles[name] for name in PICTURED if name in angles]
+        save_png(options.sheets / "rest_state.png", sheet(shown + drawn[:2]), colours=160)
     return common.finish("rest_sheets", rows, options, drapes=[pair.figures for pair in pairs], fabric=options.fabric)
 
 

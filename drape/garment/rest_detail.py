@@ -29,6 +29,7 @@ SMOOTHING_M = 0.05
 # Measured on the garments of docs/guide/garments.md: hems, cuffs and collars are lines of 8 to 23 cm at 30 degrees and
 # more; what crumples under a bust, at a crotch or in an armpit ends within 7 cm.
 CREASE_RAD, LINE_M = np.radians(30.0), 0.08
+FOLD_RAD = np.radians(90.0)  # no body is as sharp
 HEM_M = 0.04  # cloth between a crease and an open rim is doubled if both are so near
 HEM_STIFFENING = 2.0
 DOUBLED = re.compile(r"(?<![a-z])(hem|cuff|collar|(waist|neck|wrist)?band|placket|facing)", re.IGNORECASE)
@@ -117,14 +118,15 @@ def rest_of(cloth: Cloth, rest: Rest = "auto") -> tuple[RestState, Figures]:
 def creases(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Dihedral angles [rad] (H,) of the surface, and which hinges (H,) bool are creases.
 
-    A hinge is sharp if it turns by ``CREASE_RAD``, and by as much from the surface smoothed over ``SMOOTHING_M``; it is
-    a crease if the sharp hinges that it is connected with span ``LINE_M``.
+    A hinge is sharp if it turns by ``CREASE_RAD``, and by as much from the surface smoothed over ``SMOOTHING_M``, or if
+    it is folded over; it is a crease if the sharp hinges that it is connected with span ``LINE_M``.
     """
     angle = rest_state.dihedral_angles(vertices, faces)
     smooth = rest_state.dihedral_angles(smoother(vertices, faces, SMOOTHING_M)(vertices), faces)
     turn = angle - smooth
-    # Smoothing crushes a narrow fold, and what is next to it: a hinge that is flat itself is no crease.
-    sharp = np.minimum(np.abs(angle), np.abs(np.arctan2(np.sin(turn), np.cos(turn)))) > CREASE_RAD
+    # Smoothing crushes a narrow fold, and what is next to it: there only the angle itself counts.
+    turn = np.abs(np.arctan2(np.sin(turn), np.cos(turn)))
+    sharp = (np.minimum(np.abs(angle), turn) > CREASE_RAD) | (np.abs(angle) > FOLD_RAD)
     if not sharp.any():
         return angle, sharp
     first, second = meshes.hinges(faces)[sharp, :2].T
