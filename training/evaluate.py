@@ -24,11 +24,10 @@ from drape.arrays.subnormals import flushed
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, find_motions, open_garment
-from drape.cloth import metrics, rest_state
+from drape.cloth import metrics
 from drape.cloth.contact import BodyContact, nearest_vertex_push
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric import Fabric
-from drape.cloth.fabric_table import DEFAULT_FABRIC
 from drape.cloth.fabric_table import fabric as fabric_of
 from drape.cloth.material import Material, material
 from drape.errors import ArtifactError
@@ -96,9 +95,9 @@ def posed_patches(
     """World vertices [m] (F, V, 3) of the subdivided mesh at ``poses`` (F, 24, 3) [rad], and the posed patches.
 
     ``passes`` of the corrections are taken, all by default. ``fabric``: what it is made of, for networks that know
-    fabrics; those take jersey otherwise.
+    fabrics; those take the garment's own otherwise.
     """
-    made_of = (fabric or fabric_of(DEFAULT_FABRIC)) if model.config.fabric else None
+    made_of = (fabric or fabric_of(garment.fabric)) if model.config.fabric else None
     partition = partition_tensors(garment, body_skin(source.body), device=CPU, grain=rest_grain(garment))
     body = source.pose(poses, np.zeros((len(poses), source.body.shape_count))).tensors
     with torch.no_grad():
@@ -121,14 +120,15 @@ def evaluate(
 ) -> list[dict[str, Any]]:
     """One row per method: mean energies [J] by part, strains, and the share of the baseline's energy.
 
-    ``passes`` and ``fabric`` as of ``posed_patches``; of a network that knows fabrics hinges are flat at rest.
+    ``passes`` and ``fabric`` as of ``posed_patches``; of a network that knows fabrics cloth rests as the garment says.
     """
-    made_of = (fabric or fabric_of(DEFAULT_FABRIC)) if model.config.fabric else None
+    made_of = (fabric or fabric_of(garment.fabric)) if model.config.fabric else None
     cloth_material = material() if made_of is None else Material.of(made_of)
     contact = BodyContact(body.faces, body.vertex_count)
     rest, faces = garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64)
-    state = (rest_state.modelled if made_of is None else rest_state.flat)(rest, faces)
-    cloth = ClothMesh.of(state, faces, len(rest))
+    cloth = ClothMesh.from_rest(rest, faces)
+    if made_of is not None:
+        cloth = ClothMesh.of(garment.rest_state(), faces, len(rest))
     rotations, translations = body.bones(poses.poses)
     still = np.broadcast_to(rest, (len(poses.poses), *rest.shape))
     skinned = skin_points(still, garment.skin_weights.astype(np.float64), rotations, translations)
@@ -191,7 +191,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     parser.add_argument("--garments", nargs="+", default=[], help="names, files or folders (default: the shipped ones)")
     parser.add_argument("--motions", nargs="+", default=[], help="names, files or folders (default: held-out clips)")
     parser.add_argument("--frames", type=int, default=FRAMES, help=f"hard poses (default {FRAMES})")
-    parser.add_argument("--fabric", help="of a network that knows fabrics (default: jersey)")
+    parser.add_argument("--fabric", help="of a network that knows fabrics (default: each garment's own)")
     parser.add_argument("--passes", type=int, help="of the corrections (default: all)")
     parser.add_argument("--threads", type=int, help="of torch")
     options = parser.parse_args(arguments)

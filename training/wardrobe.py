@@ -12,8 +12,10 @@ from drape.body.model import BodyModel
 from drape.catalog import open_garment
 from drape.cloth import rest_state
 from drape.cloth.energies import ClothMesh
+from drape.cloth.rest_state import RestState
 from drape.cloth.waistband import waistband
 from drape.errors import InputError
+from drape.garment.fabric_features import warp_directions
 from drape.garment.fitting import RestGarment, rest_garment
 from drape.geometry import meshes
 from drape.push.skin import body_skin
@@ -48,20 +50,23 @@ class Wardrobe:
         self.garments: list[TrainingGarment] = []
         self.own: list[int] = []  # places of the named designs themselves
         for name in config.garments:
-            for label, vertices, faces in self._meshes(name, body, rng):
+            for label, vertices, faces, own in self._meshes(name, body, rng):
                 if label == name:
                     self.own.append(len(self.garments))
                 rest = rest_garment(vertices, faces, body)
                 count = config.partitions if label == name else config.variant_partitions
                 seeds = [int(rng.integers(2**31)) for _ in range(count)]
-                self.garments.append(self._dressed(label, rest, seeds, self._warp(rest, rng, own=label == name)))
+                self.garments.append(
+                    self._dressed(label, rest, seeds, self._cloth(rest, own, rng, turned=label != name))
+                )
 
     def _meshes(
         self, name: str, body: BodyModel, rng: np.random.Generator
-    ) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    ) -> Iterator[tuple[str, np.ndarray, np.ndarray, RestState | None]]:
+        """Label, vertices and faces of a garment and its neighbours, and how its cloth rests where it says so."""
         if Path(name).is_file():
             taken = open_garment(Path(name), body)
-            yield name, taken.vertices.astype(np.float64), taken.fine_faces.astype(np.int64)
+            yield name, taken.vertices.astype(np.float64), taken.fine_faces.astype(np.int64), taken.rest_state()
             return
         if name not in DESIGNS:
             raise InputError(
@@ -70,21 +75,30 @@ class Wardrobe:
                 got=name,
                 cure="Name a known design or a file that is there.",
             )
-        yield (name, *build(DESIGNS[name], body))
+        yield (name, *build(DESIGNS[name], body), None)
         for i in range(self.config.variants):
-            yield (f"{name}_{i}", *varied(DESIGNS[name], body, rng)[1:])
+            yield (f"{name}_{i}", *varied(DESIGNS[name], body, rng)[1:], None)
 
-    def _warp(self, rest: RestGarment, rng: np.random.Generator, *, own: bool) -> np.ndarray:
-        """Warp (F, 3): vertical, or of some variants turned in the cloth by any angle."""
-        upright = rest_state.grain_along(rest.vertices, rest.faces)
-        if own or not self._fabrics or rng.random() >= self.config.bias_share:
-            return upright
-        angle = rng.uniform(0.0, np.pi)
-        across = np.cross(meshes.face_normals(rest.vertices, rest.faces), upright)
-        return np.cos(angle) * upright + np.sin(angle) * across
+    def _cloth(
+        self, rest: RestGarment, own: RestState | None, rng: np.random.Generator, *, turned: bool
+    ) -> tuple[RestState, np.ndarray]:
+        """How the cloth rests, and its warp (F, 3): vertical unless it says so itself, or by chance where it may be
+        ``turned``."""
+        if not self._fabrics:
+            return rest_state.modelled(rest.vertices, rest.faces), rest_state.grain_along(rest.vertices, rest.faces)
+        if own is not None:
+            return own, warp_directions(own, rest.vertices, rest.faces)
+        warp = rest_state.grain_along(rest.vertices, rest.faces)
+        if turned and rng.random() < self.config.bias_share:
+            angle = rng.uniform(0.0, np.pi)
+            across = np.cross(meshes.face_normals(rest.vertices, rest.faces), warp)
+            warp = np.cos(angle) * warp + np.sin(angle) * across
+        return rest_state.flat(rest.vertices, rest.faces, warp), warp
 
-    def _dressed(self, label: str, rest: RestGarment, seeds: list[int], warp: np.ndarray) -> TrainingGarment:
-        state = (rest_state.flat if self._fabrics else rest_state.modelled)(rest.vertices, rest.faces, warp)
+    def _dressed(
+        self, label: str, rest: RestGarment, seeds: list[int], made: tuple[RestState, np.ndarray]
+    ) -> TrainingGarment:
+        state, warp = made
         cloth = ClothMesh.of(state, rest.faces, len(rest.vertices)).like(torch.zeros(1, device=self.device))
         weights = torch.from_numpy(rest.binding.weights.astype(np.float32)).to(self.device)
         found = waistband(rest.vertices, rest.faces, self._body)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from drape.cloth.fabric import Fabric
-from drape.cloth.fabric_table import DEFAULT_FABRIC
 from drape.cloth.fabric_table import fabric as fabric_of
-from drape.cloth.rest_state import RestState, grain_along
+from drape.cloth.rest_state import RestState
 from drape.errors import ArtifactError
 from drape.garment.cache import Atlas, Garment
+from drape.garment.grain import read_grain, texture
 from drape.geometry import meshes
 
 FABRIC_COUNT = 12
@@ -45,12 +45,16 @@ def patch_grain(atlas: Atlas, vertices: np.ndarray, faces: np.ndarray, warp: np.
 
 def rest_grain(garment: Garment) -> np.ndarray:
     """``patch_grain`` (K, 2) of a garment at rest."""
-    faces = garment.fine_faces.astype(np.int64)
-    return patch_grain(garment, garment.vertices, faces, grain_along(garment.vertices.astype(np.float64), faces))
+    vertices, faces = garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64)
+    if garment.rest_edges is not None:
+        warp = warp_directions(garment.rest_state(), vertices, faces)
+    else:  # as its rest state will have it, which takes longer to make
+        warp = read_grain(vertices, vertices, faces, texture(garment.uv, garment.uv_faces, len(faces))).warp
+    return patch_grain(garment, vertices, faces, warp)
 
 
 def encoder_features(garment: Garment, width: int, fabric: Fabric | None = None) -> np.ndarray:
-    """What a garment encoder of ``width`` features reads of ``garment`` made of ``fabric`` (K, width) float32.
+    """What a garment encoder of ``width`` features reads of ``garment`` made of ``fabric``, or of its own, (K, width).
 
     A network from before fabrics reads nothing of it. Raises ``ArtifactError`` for any other width.
     """
@@ -64,7 +68,7 @@ def encoder_features(garment: Garment, width: int, fabric: Fabric | None = None)
             got=str(features.shape[1]),
             cure="Run the intake of this release again.",
         )
-    made_of = fabric_of(DEFAULT_FABRIC) if fabric is None else fabric
+    made_of = fabric_of(garment.fabric) if fabric is None else fabric
     return np.concatenate([features, fabric_features(made_of, rest_grain(garment))], axis=1)
 
 

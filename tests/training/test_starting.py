@@ -202,3 +202,14 @@ def test_a_model_from_before_fabrics_drapes_as_it_did_until_it_learns_them():
     with torch.no_grad():
         found = new.garment(torch.cat([rows, made_of], dim=1))
         assert_allclose(found, old.garment(rows), rtol=1e-5, atol=1e-6)  # sums of other lengths round apart
+
+
+def test_a_static_model_takes_over_the_motion_of_an_exported_one(tiny: tuple[OneFit, Path]):
+    moving, folder, _ = exported_dynamic()
+    config, weights = started(dynamic(), tiny[1], folder)
+    assert weights is not None
+    assert (config.model.state_size, config.model.motion_hidden) == (MOVING.state_size, MOVING.motion_hidden)
+    wanted = {name: value for name, value in moving.state_dict().items() if name.startswith("dynamic.")}
+    assert all(torch.equal(weights[name], value) for name, value in wanted.items())
+    with pytest.raises(ArtifactError, match="expected a model that knows motion"):
+        started(dynamic(), tiny[1], exported()[1])
