@@ -15,7 +15,7 @@ from recovery.pattern.mesh import PatternMesh
 
 def placed(design: Design, mesh: PatternMesh, distance: Distance) -> np.ndarray:
     """Panel vertices [m] (P, 3) before sewing: wraps round their limbs, flat panels moved outward until clear."""
-    positions = cleared(mesh, mesh.placed(), distance, leave=design.level | set(design.wraps))[0]
+    positions = cleared(mesh, mesh.placed(), distance, leave=design.wraps)[0]
     for number, panel in enumerate(design.pattern.panels):
         if panel.name in design.wraps:
             mine = mesh.panel == number

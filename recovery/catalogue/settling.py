@@ -72,7 +72,7 @@ class Fall:
             after = linearised_step(self.model, state, self.parameters, dt_s=dt_s, contact=self.contact, pairs=pairs)
             move = after.x - state.x
             longest = float(move.norm(dim=1).max())
-            move = move * torch.clamp(LONGEST_MOVE_M / move.norm(dim=1, keepdim=True).clamp(min=1e-12), max=1.0)
+            move = min(1.0, LONGEST_MOVE_M / max(longest, 1e-12)) * move
             x, v = state.x + move, KEPT_SPEED * move / dt_s
             # What lands stays: the repulsion of one step must not throw a node off the skin in the next.
             distance, normal = self.contact.body(x)

@@ -24,9 +24,8 @@ class Design:
 
     ``edge_names`` names edges: those that begin with "hem" are turned up, those with "opening" are bound.
     ``seam_names`` has one name per stitch, ``eased`` says of a name by which share its second edge is longer than its
-    first, ``seam_angles`` [rad] by how much a seam is folded at rest. ``wraps`` are panels that start round a limb;
-    ``level`` panels start where they are placed even if the body passes through. ``ease_m`` says what was added to
-    which girth.
+    first, ``seam_angles`` [rad] by how much a seam is folded at rest. ``wraps`` are panels that start
+    bent; ``ease_m`` says what was added to which girth.
     """
 
     pattern: Pattern
@@ -36,7 +35,6 @@ class Design:
     wraps: Mapping[str, Wrap] = field(default_factory=dict)
     eased: Mapping[str, float] = field(default_factory=dict)
     seam_angles: Mapping[str, float] = field(default_factory=dict)
-    level: frozenset[str] = frozenset()
     ease_m: Mapping[str, float] = field(default_factory=dict)
 
     @property

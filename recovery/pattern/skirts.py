@@ -12,20 +12,18 @@ from recovery.pattern.darts import Dart, sew_darts, waist_pieces, waist_with_dar
 from recovery.pattern.design import Assembly, Design
 from recovery.pattern.drafting import BACK, FRONT, Drafted, Side, draft
 from recovery.pattern.measurements import BodyMeasurements
-from recovery.pattern.model import Placement
 from recovery.pattern.tops import FORWARD, STAND_OFF_M, UP
-from recovery.pattern.wrapping import Tube
+from recovery.pattern.wrapping import Flutes, Tube, draft_round
 
 KAPPA = 4.0 / 3.0 * (np.sqrt(2.0) - 1.0)  # handle of a Bezier quarter circle, 0.03 % off
 SMALLEST_DART_M = 0.004
-LYING = ((-90.0, 0.0, 0.0), (-90.0, 180.0, 0.0))  # front and back half of a disc round the waist, right side up
 
 
 @dataclass(frozen=True)
 class SkirtCut:
     """Lengths [m]: ``length_m`` from waistband to hem, ``drop_m`` of the band's upper edge below the waist.
 
-    ``flare_m`` is added to the half width of each panel from hip to hem.
+    ``flare_m`` is added to the half width of each panel from hip to hem; a circle starts in ``flutes``.
     """
 
     name: str
@@ -36,6 +34,7 @@ class SkirtCut:
     hip_ease_m: float = 0.06
     flare_m: float = 0.10
     band_m: float = 0.035
+    flutes: int = 9
 
 
 def a_line(body: BodyMeasurements, cut: SkirtCut) -> Design:
@@ -94,7 +93,7 @@ def a_line(body: BodyMeasurements, cut: SkirtCut) -> Design:
 
 
 def circle(body: BodyMeasurements, cut: SkirtCut) -> Design:
-    """A full circle: two half rings whose inner circle is the waist; sewn lying flat, it falls into its folds."""
+    """A full circle: two half rings whose inner circle is the waist, hung in flutes."""
     top = body.waist_y - cut.drop_m - cut.band_m
     inner = (body.girth_at(top) + cut.waist_ease_m) / (2.0 * np.pi)
     outer = inner + cut.length_m
@@ -107,7 +106,8 @@ def circle(body: BodyMeasurements, cut: SkirtCut) -> Design:
         )
     work = Assembly()
     panels = []
-    for label, turn in zip(("front", "back"), LYING, strict=True):
+    axis = (0.0, top, 0.5 * (body.front_z + body.back_z))
+    for label, turn in (("front", 0.0), ("back", np.pi)):
         sides = [
             Side("hem_left", (-outer, 0.0), ((-outer, -KAPPA * outer), (-KAPPA * outer, -outer))),
             Side("hem_right", (0.0, -outer), ((KAPPA * outer, -outer), (outer, -KAPPA * outer))),
@@ -116,20 +116,11 @@ def circle(body: BodyMeasurements, cut: SkirtCut) -> Design:
             Side("waist_left_0", (0.0, -inner), ((-KAPPA * inner, -inner), (-inner, -KAPPA * inner))),
             Side("side_left", (-inner, 0.0)),
         ]
-        drafted = draft(label, sides, rotation=FRONT, z=0.0)
-        panels.append(work.add(_lying(drafted, turn, top, 0.5 * (body.front_z + body.back_z))))
+        panels.append(work.add(*draft_round(label, sides, Flutes(axis, inner, outer, cut.flutes, turn))))
     front, back = panels
     for side, other in (("right", "left"), ("left", "right")):
         work.sew(f"side_{other}", front, f"side_{side}", back, f"side_{other}")
-    return _banded(work, body, cut, top, front, back, {"waist": cut.waist_ease_m}, level=frozenset({"front", "back"}))
-
-
-def _lying(drafted: Drafted, turn: tuple[float, float, float], y: float, z: float) -> Drafted:
-    """``drafted`` laid flat at height ``y``, the origin of its drawing on the body's axis."""
-    x, v, _ = drafted.panel.placement.translation_m
-    offset = Placement(turn).apply(np.array([[x, v]]))[0]
-    placement = Placement(turn, (float(offset[0]), y + float(offset[1]), z + float(offset[2])))
-    return Drafted(replace(drafted.panel, placement=placement), drafted.numbers)
+    return _banded(work, body, cut, top, front, back, {"waist": cut.waist_ease_m})
 
 
 def _banded(
@@ -140,7 +131,6 @@ def _banded(
     front: Drafted,
     back: Drafted,
     ease: dict[str, float],
-    level: frozenset[str] = frozenset(),
 ) -> Design:
     order = [(back, "waist_right"), (front, "waist_left"), (front, "waist_right"), (back, "waist_left")]
     edges = [piece for drafted, side in order for piece in waist_pieces(drafted, side)]
@@ -153,6 +143,5 @@ def _banded(
         tuple(work.seam_names),
         wraps=work.wraps,
         eased={"waistband_seam": 1.0 / (1.0 - BAND_SHORTER) - 1.0},
-        level=level,
         ease_m=ease,
     )

@@ -42,8 +42,8 @@ class SelfContact:
         self.thickness_m, self.stiffness = thickness_m, stiffness_n_per_m
         self.count = len(fixed)
         self._free = ~np.repeat(fixed, 3)
-        graph = meshes.adjacency(faces, self.count).astype(bool)
-        self._ring = (graph + scipy.sparse.eye_array(self.count, dtype=np.bool_, format="csr")).tocsr()
+        graph = meshes.adjacency(faces, self.count)
+        self._ring = (graph + scipy.sparse.identity(self.count, format="csr")).tocsr()
         self._ring.sort_indices()
         rows = np.repeat(np.arange(self.count), np.diff(self._ring.indptr))
         self._keys = rows * self.count + self._ring.indices
