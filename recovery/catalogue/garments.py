@@ -7,6 +7,7 @@ from collections.abc import Callable
 from recovery.pattern.design import Design
 from recovery.pattern.legs import LegCut, trousers
 from recovery.pattern.measurements import BodyMeasurements
+from recovery.pattern.shirts import shirt
 from recovery.pattern.skirts import SkirtCut, a_line, circle
 from recovery.pattern.tops import Sleeve, TopCut, top
 
@@ -56,6 +57,15 @@ CATALOGUE: dict[str, Callable[[BodyMeasurements], Design]] = {
             neck_shorter=0.08,
             hem_band_m=0.06,
             hem_shorter=0.22,
+        ),
+    ),
+    "shirt": lambda body: shirt(
+        body,
+        TopCut(
+            *("shirt", "poplin", 0.70, 0.14, Sleeve(0.55, 0.10, 0.27, 0.055, 0.15)),
+            neck_out_m=0.008,
+            neck_depth_m=0.075,
+            back_neck_depth_m=0.015,
         ),
     ),
     "trousers": lambda body: trousers(body, LegCut("trousers", "ponte", 0.13, 0.72, 0.66)),

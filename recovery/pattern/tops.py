@@ -6,13 +6,14 @@ upper arm makes them. Drawn for a body in the T-pose, as it stands in the catalo
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from scipy.optimize import brentq
 
 from drape.errors import InputError
 from recovery.pattern import geometry
-from recovery.pattern.bands import sew_band
+from recovery.pattern.bands import Edge, sew_band
 from recovery.pattern.design import Assembly, Design
 from recovery.pattern.drafting import BACK, FRONT, Drafted, Point, Side, draft
 from recovery.pattern.measurements import BodyMeasurements
@@ -71,8 +72,8 @@ class TopCut:
     gather: float = 0.0
 
 
-def top(body: BodyMeasurements, cut: TopCut) -> Design:
-    """The top that ``cut`` describes, for ``body``. Raises ``InputError`` where its lines do not meet."""
+def lines(body: BodyMeasurements, cut: TopCut) -> tuple[Point, Point, Point, Point]:
+    """Where neck, shoulder tip, armpit and hem lie on the wearer's left [m]; refuses lines that do not meet."""
     half = 0.25 * (body.chest_girth + cut.chest_ease_m)
     # Beside the neck the body falls away by about NECK_SLOPE.
     neck = (body.neck_half_width + cut.neck_out_m, body.neck_y - NECK_SLOPE * cut.neck_out_m)
@@ -86,6 +87,13 @@ def top(body: BodyMeasurements, cut: TopCut) -> Design:
             got=f"x {neck[0]:.3f}, {tip[0]:.3f}, {half:.3f} m; y {tip[1]:.3f}, {underarm[1]:.3f}, {hem[1]:.3f} m",
             cure="Add ease or length, or lessen neck_out_m, shoulder_out_m and armhole_drop_m.",
         )
+    return neck, tip, underarm, hem
+
+
+def top(body: BodyMeasurements, cut: TopCut) -> Design:
+    """The top that ``cut`` describes, for ``body``. Raises ``InputError`` where its lines do not meet."""
+    neck, tip, underarm, hem = lines(body, cut)
+    half = underarm[0]
     work = Assembly()
     eased: dict[str, float] = {}
     cut_y = underarm[1] - cut.skirt_m
@@ -96,7 +104,7 @@ def top(body: BodyMeasurements, cut: TopCut) -> Design:
         ("front", FRONT, cut.neck_depth_m, body.front_z + STAND_OFF_M),
         ("back", BACK, cut.back_neck_depth_m, body.back_z - STAND_OFF_M),
     ):
-        sides = _bodice(neck, tip, underarm, bottom, depth, 0.75 if label == "front" else 0.6, cut.armhole_inset, lower)
+        sides = bodice(neck, tip, underarm, bottom, depth, 0.75 if label == "front" else 0.6, cut.armhole_inset, lower)
         bodices[label] = work.add(draft(label, sides, rotation=face, z=z))
     front, back = bodices["front"], bodices["back"]
     for side, other in (("right", "left"), ("left", "right")):
@@ -104,17 +112,21 @@ def top(body: BodyMeasurements, cut: TopCut) -> Design:
         work.sew(f"side_{other}", front, f"side_{side}", back, f"side_{other}")
         work.sew(f"shoulder_{other}", front, f"shoulder_{side}", back, f"shoulder_{other}")
     if cut.sleeve is not None:
-        _set_sleeves(work, body, cut.sleeve, tip, front, back)
+        armholes = {
+            side: ((front, f"armhole_{other}"), (back, f"armhole_{side}"))
+            for side, other in (("left", "right"), ("right", "left"))
+        }
+        set_sleeves(work, body, cut.sleeve, tip, armholes)
         eased["armhole"] = -CAP_EASE / (1.0 + CAP_EASE)
         if cut.sleeve.cuff_m:
-            eased["cuff_seam"] = _ease(cut.sleeve.cuff_shorter)
+            eased["cuff_seam"] = band_ease(cut.sleeve.cuff_shorter)
     else:
         _name_openings(work, front, back)
     if cut.neck_band_m:
         edges = [(back, "neck_right"), (front, "neck_left"), (front, "neck_right"), (back, "neck_left")]
         tube = Tube((0.0, body.neck_y - 0.02, 0.3 * (body.front_z + body.back_z)), UP, FORWARD, 0.11)
         sew_band(work, "neckband", edges, tube, width_m=cut.neck_band_m, shorter=cut.neck_shorter, above=True)
-        eased["neckband_seam"] = _ease(cut.neck_shorter)
+        eased["neckband_seam"] = band_ease(cut.neck_shorter)
     else:
         for panel in (front, back):
             for side in ("neck_left", "neck_right"):
@@ -127,7 +139,7 @@ def top(body: BodyMeasurements, cut: TopCut) -> Design:
         # The strip starts at one side seam.
         edges = [(front, "hemline"), (back, "hemline")]
         sew_band(work, "hemband", edges, tube, width_m=cut.hem_band_m, shorter=cut.hem_shorter, above=False, free="hem")
-        eased["hemband_seam"] = _ease(cut.hem_shorter)
+        eased["hemband_seam"] = band_ease(cut.hem_shorter)
     ease = {"chest": cut.chest_ease_m} | ({"arm": cut.sleeve.arm_ease_m} if cut.sleeve else {})
     return Design(
         work.pattern(cut.name, cut.fabric),
@@ -140,12 +152,12 @@ def top(body: BodyMeasurements, cut: TopCut) -> Design:
     )
 
 
-def _ease(shorter: float) -> float:
+def band_ease(shorter: float) -> float:
     """By which share the edge is longer than the band that is ``shorter``."""
     return 1.0 / (1.0 - shorter) - 1.0
 
 
-def _bodice(
+def bodice(
     neck: Point, tip: Point, underarm: Point, hem: Point, depth: float, hollow: float, inset: float, lower: str
 ) -> list[Side]:
     """Front or back: ``hollow`` is how far towards the shoulder the armhole runs level; ``lower`` names the hem."""
@@ -179,12 +191,16 @@ def _name_openings(work: Assembly, front: Drafted, back: Drafted) -> None:
 # --- sleeves ---------------------------------------------------------------------------------------------------------
 
 
-def _set_sleeves(
-    work: Assembly, body: BodyMeasurements, sleeve: Sleeve, tip: Point, front: Drafted, back: Drafted
+def set_sleeves(
+    work: Assembly, body: BodyMeasurements, sleeve: Sleeve, tip: Point, armholes: Mapping[str, tuple[Edge, Edge]]
 ) -> None:
+    """Two one-piece sleeves, and their cuffs, for the ``armholes`` of the wearer's sides: edge in front, edge behind.
+
+    Raises ``InputError`` for a sleeve shorter than its cap or narrower than the arm.
+    """
     girth = body.arm_girth + sleeve.arm_ease_m
-    armholes = [(1.0 + CAP_EASE) * geometry.edge_length(p.panel, p.numbers["armhole_right"]) for p in (front, back)]
-    height, widths = cap(armholes, girth)
+    lengths = [geometry.edge_length(p.panel, p.numbers[side]) for p, side in armholes["left"]]
+    height, widths = cap([(1.0 + CAP_EASE) * length for length in lengths], girth)
     long = sleeve.length_m - sleeve.cuff_m
     if height > long - 0.02 or girth < 1.02 * body.arm_girth:
         raise InputError(
@@ -207,9 +223,8 @@ def _set_sleeves(
         axis = (-sign, 0.0, 0.0)
         tube = Tube((sign * tip[0], body.arm_y, body.arm_z), axis, UP, max(girth / 5.9, 0.068))
         piece = work.add(*draft_round(f"sleeve_{name}", sides, tube, flip=sign < 0.0))
-        other = "right" if name == "left" else "left"
-        work.sew("armhole", piece, "cap_back", back, f"armhole_{name}")
-        work.sew("armhole", piece, "cap_front", front, f"armhole_{other}")
+        work.sew("armhole", piece, "cap_front", *armholes[name][0])
+        work.sew("armhole", piece, "cap_back", *armholes[name][1])
         work.sew(f"underarm_{name}", piece, "under_front", piece, "under_back")
         if sleeve.cuff_m:
             end = Tube((sign * (tip[0] + sleeve.length_m), body.arm_y, body.arm_z), axis, UP, 0.06)

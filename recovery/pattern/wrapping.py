@@ -103,10 +103,41 @@ class Flutes:
 
 
 @dataclass(frozen=True)
+class Cone:
+    """A funnel that opens downward from a circle of ``radius_m`` [m], ``slant`` outward per metre of cloth.
+
+    Drawn as a ring round (0, ``ring_m``) [m] whose inner arc, through (0, 0), goes round that circle; ``axis`` and
+    ``front`` as of a tube.
+    """
+
+    origin: Vector
+    axis: Vector
+    front: Vector
+    radius_m: float
+    ring_m: float
+    slant: float
+
+    def place(self, points: np.ndarray) -> np.ndarray:
+        """World positions [m] (N, 3) of ``points`` (u, v) [m] (N, 2)."""
+        axis, front = np.array(self.axis), np.array(self.front)
+        off = points - np.array([0.0, self.ring_m])
+        down = np.hypot(off[:, :1], off[:, 1:]) - self.ring_m
+        angle = np.arctan2(off[:, :1], -off[:, 1:]) * self.ring_m / self.radius_m
+        round_it = np.sin(angle) * np.cross(axis, front) + np.cos(angle) * front
+        radius = self.radius_m + self.slant * down
+        return np.array(self.origin) - np.sqrt(1.0 - self.slant**2) * down * axis + radius * round_it
+
+    def tangent(self, point: np.ndarray) -> Placement:
+        """The flat placement beside the funnel at ``point`` (u, v)."""
+        tube = Tube(self.origin, self.axis, self.front, self.radius_m)
+        return tube.tangent(np.array([0.0, point[1]]))
+
+
+@dataclass(frozen=True)
 class Wrap:
     """A panel round a ``tube``; the origin of the panel's frame lies at ``offset`` = (u, v) [m] there."""
 
-    tube: Tube | Flutes
+    tube: Tube | Flutes | Cone
     offset: tuple[float, float]
 
     def place(self, points: np.ndarray) -> np.ndarray:
@@ -114,7 +145,9 @@ class Wrap:
         return self.tube.place(points + np.array(self.offset))
 
 
-def draft_round(name: str, sides: Sequence[Side], tube: Tube | Flutes, *, flip: bool = False) -> tuple[Drafted, Wrap]:
+def draft_round(
+    name: str, sides: Sequence[Side], tube: Tube | Flutes | Cone, *, flip: bool = False
+) -> tuple[Drafted, Wrap]:
     """The panel bounded by ``sides``, drawn in the tube's (u, v) as seen from outside; ``flip`` mirrors u."""
     drafted = draft(name, sides, rotation=FRONT, z=0.0, flip=flip)
     u, v, _ = drafted.panel.placement.translation_m
