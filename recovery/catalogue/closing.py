@@ -8,9 +8,11 @@ from drape.errors import InputError
 from drape.geometry import closest
 from recovery.drape.placement import cleared
 from recovery.drape.relax import Distance
-from recovery.drape.sewing import Sewn, sew
+from recovery.drape.sewing import SEWING_GAP_M, Sewn, sew
 from recovery.pattern.design import Design
 from recovery.pattern.mesh import PatternMesh
+
+OVER_GAP_M = 0.032  # that panels over others keep from the skin while they are sewn
 
 
 def placed(design: Design, mesh: PatternMesh, distance: Distance) -> np.ndarray:
@@ -25,7 +27,11 @@ def placed(design: Design, mesh: PatternMesh, distance: Distance) -> np.ndarray:
 
 def closed(design: Design, mesh: PatternMesh, distance: Distance) -> Sewn:
     """The sewn garment; raises ``InputError`` where a seam cannot close round the body."""
-    return sew(mesh, placed(design, mesh, distance), distance)
+    folded = [number for number, name in enumerate(design.seam_names) if name in design.seam_angles]
+    creases = np.unique(mesh.node_of_panel_vertex[mesh.seam_pairs[np.isin(mesh.seam_of_pair, folded)]])
+    over = [panel.name in design.over for panel in design.pattern.panels]
+    gaps = np.where(np.array(over)[mesh.panel], OVER_GAP_M, SEWING_GAP_M)
+    return sew(mesh, placed(design, mesh, distance), distance, gap_m=gaps, creases=creases)
 
 
 def carried(coarse: PatternMesh, nodes: np.ndarray, fine: PatternMesh) -> np.ndarray:

@@ -25,7 +25,7 @@ class Design:
     ``edge_names`` names edges: those that begin with "hem" are turned up, those with "opening" are bound.
     ``seam_names`` has one name per stitch, ``eased`` says of a name by which share its second edge is longer than its
     first, ``seam_angles`` [rad] by how much a seam is folded at rest. ``wraps`` are panels that start
-    bent; ``ease_m`` says what was added to which girth.
+    bent, ``over`` those that lie over others; ``ease_m`` says what was added to which girth.
     """
 
     pattern: Pattern
@@ -33,6 +33,7 @@ class Design:
     edge_names: Mapping[EdgeRef, str]
     seam_names: tuple[str, ...]
     wraps: Mapping[str, Wrap] = field(default_factory=dict)
+    over: frozenset[str] = frozenset()
     eased: Mapping[str, float] = field(default_factory=dict)
     seam_angles: Mapping[str, float] = field(default_factory=dict)
     ease_m: Mapping[str, float] = field(default_factory=dict)

@@ -16,7 +16,7 @@ from recovery.pattern.wrapping import Cone, Tube, Vector, draft_round
 
 NECK_LEAN_DEG = 24.0  # of the neckline's plane: lower in front
 STAND_RADIUS_M, FALL_RADIUS_M, FALL_SLANT = 0.088, 0.098, 0.75
-FOLD_RAD = -2.7  # of the fall over the stand, nearly flat on it; negative: away from the outside
+FOLD_RAD = -2.4  # of the fall over the stand, nearly flat on it; negative: away from the outside
 
 
 @dataclass(frozen=True)
@@ -81,6 +81,7 @@ def shirt(body: BodyMeasurements, cut: TopCut, collar: CollarCut = CollarCut()) 
         work.edge_names,
         tuple(work.seam_names),
         wraps=work.wraps,
+        over=frozenset({"collar_fall"}),
         eased=eased,
         seam_angles={"collar_fold": FOLD_RAD},
         ease_m=ease,
