@@ -16,7 +16,7 @@ from pathlib import Path
 
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.errors import refusing
-from recovery.catalogue.build import BuildOptions, body_distance, build, design
+from recovery.catalogue.build import QUICK, BuildOptions, body_distance, build, design
 from recovery.catalogue.files import write_garment
 from recovery.catalogue.garments import CATALOGUE
 from recovery.pattern.grade import STEPS
@@ -38,7 +38,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     builder.add_argument("--size", default="M", help=", ".join(STEPS))
     builder.add_argument("--body", default=DEFAULT_BODY, help="name or file of a body; it is size M")
     builder.add_argument("--edge-length", type=float, default=default.fine_m, help="of the finished mesh [m]")
-    builder.add_argument("--steps", type=int, default=default.fine_steps, help="on the finished mesh, at most")
+    builder.add_argument("--quick", action="store_true", help="a look on a coarse mesh, not at rest")
     commands.add_parser("list", help="names, fabrics and panels")
     return parser.parse_args(arguments)
 
@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"{name:14s} {made.fabric:14s} {len(made.pattern.panels):2d} panels; {ease}")
         return 0
     body = load_body(given.body)
-    options = BuildOptions(fine_m=given.edge_length, fine_steps=given.steps)
+    options = QUICK if given.quick else BuildOptions(fine_m=given.edge_length)
     made = {name: design(name, body, given.size) for name in given.names or CATALOGUE}
     skin = body_distance(body, options)
     moving = []

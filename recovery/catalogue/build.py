@@ -41,6 +41,9 @@ class BuildOptions:
     grid_m: float = 0.01
 
 
+QUICK = BuildOptions(coarse_m=0.06, fine_m=0.045, coarse_steps=12, fine_steps=4, grid_m=0.02)  # a look, not at rest
+
+
 @dataclass(frozen=True, eq=False)
 class SewnGarment:
     """``nodes`` [m] (N, 3) of ``mesh`` at rest on the body in its T-pose, and ``figures`` on how it went."""

@@ -30,7 +30,7 @@ CATALOGUE: dict[str, Callable[[BodyMeasurements], Design]] = {
             armhole_inset=0.04,
         ),
     ),
-    "skirt": lambda body: a_line(body, SkirtCut("skirt", "stretch_denim", 0.55, flare_m=0.12)),
+    "skirt": lambda body: a_line(body, SkirtCut("skirt", "stretch_denim", 0.55)),
     "circle_skirt": lambda body: circle(body, SkirtCut("circle_skirt", "satin", 0.58)),
     "dress": lambda body: top(
         body,

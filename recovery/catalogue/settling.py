@@ -98,7 +98,7 @@ def hinge_bending(design: Design, mesh: PatternMesh, model: ClothModel, fabric: 
         mine = np.flatnonzero(mesh.panel == number)
         near_hem[mine[_line_distance(mesh.rest[mine], line) < HEM_M]] = True
     turned = mesh.nodes_from(near_hem[:, None].astype(float))[:, 0] > 0.5
-    return rigidity * np.where(turned[model.hinge_nodes].all(axis=1), HEM_BENDING, 1.0)
+    return rigidity * np.where(turned[model.hinge_nodes[:, :2]].all(axis=1), HEM_BENDING, 1.0)
 
 
 def seam_angles(design: Design, mesh: PatternMesh, model: ClothModel) -> np.ndarray:

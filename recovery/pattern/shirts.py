@@ -9,7 +9,7 @@ import numpy as np
 from recovery.pattern import geometry
 from recovery.pattern.bands import sew_band
 from recovery.pattern.design import Assembly, Design
-from recovery.pattern.drafting import BACK, FRONT, Drafted, Point, Side, draft
+from recovery.pattern.drafting import BACK, FRONT, Drafted, Point, Side, draft, on_ring, ring_handles
 from recovery.pattern.measurements import BodyMeasurements
 from recovery.pattern.tops import CAP_EASE, STAND_OFF_M, TopCut, band_ease, bodice, lines, set_sleeves
 from recovery.pattern.wrapping import Cone, Tube, Vector, draft_round
@@ -117,34 +117,18 @@ def _collar(
     length = geometry.edge_length(stand.panel, stand.numbers[top])
     turn = collar.spread_m / collar.fall_m  # angle [rad] of the ring sector that the fall is
     ring = length / turn
-    outer = ring + collar.fall_m
+    half, outer = 0.5 * turn, ring + collar.fall_m
 
-    def at(radius: float, angle: float) -> Point:
-        return (radius * float(np.sin(angle)), ring - radius * float(np.cos(angle)))
+    def edge(longer: float, share: float) -> Point:
+        """A point of the outer edge, ``longer`` of the collar's point, at ``share`` of the half angle."""
+        return on_ring(ring, outer + longer * collar.point_m, share * half)
 
-    def arc(radius: float, start: float, end: float) -> tuple[Point, Point]:
-        """Bezier points of a circle's arc."""
-        reach = 4.0 / 3.0 * np.tan(0.25 * (end - start)) * radius
-        (ax, ay), (bx, by) = at(radius, start), at(radius, end)
-        return (
-            (float(ax + reach * np.cos(start)), float(ay + reach * np.sin(start))),
-            (float(bx - reach * np.cos(end)), float(by - reach * np.sin(end))),
-        )
-
-    half, long = 0.5 * turn, outer + collar.point_m
-    inner_start, inner_end = arc(ring, half, -half)
     sides = [
-        Side(
-            "hem_collar_left",
-            at(long, -half),
-            ((at(outer + 0.3 * collar.point_m, -0.75 * half)), at(outer, -0.35 * half)),
-        ),
-        Side(
-            "hem_collar_right", at(outer, 0.0), (at(outer, 0.35 * half), at(outer + 0.3 * collar.point_m, 0.75 * half))
-        ),
-        Side("opening_right", at(long, half)),
-        Side("fold", at(ring, half), (inner_start, inner_end)),
-        Side("opening_left", at(ring, -half)),
+        Side("hem_collar_left", edge(1.0, -1.0), (edge(0.3, -0.75), edge(0.0, -0.35))),
+        Side("hem_collar_right", edge(0.0, 0.0), (edge(0.0, 0.35), edge(0.3, 0.75))),
+        Side("opening_right", edge(1.0, 1.0)),
+        Side("fold", on_ring(ring, ring, half), ring_handles(ring, ring, half, -half)),
+        Side("opening_left", on_ring(ring, ring, -half)),
     ]
     origin = _vector(low + collar.stand_m * np.array(axis))
     cone = Cone(origin, axis, behind, FALL_RADIUS_M, ring, FALL_SLANT)
