@@ -13,10 +13,19 @@ from recovery.pattern.tops import Sleeve, TopCut, top
 
 NECK = {"neck_band_m": 0.022, "neck_out_m": 0.03, "neck_depth_m": 0.10, "neck_shorter": 0.08}
 
+
+def _to_wrist(body: BodyMeasurements, shoulder_out_m: float) -> float:
+    """Length [m] of a sleeve that ends before the hand."""
+    return body.wrist_x - 0.012 - body.shoulder_x - shoulder_out_m
+
+
 CATALOGUE: dict[str, Callable[[BodyMeasurements], Design]] = {
     "tshirt": lambda body: top(body, TopCut("tshirt", "jersey", 0.65, 0.10, Sleeve(0.225, 0.085, 0.36), **NECK)),
     "longsleeve": lambda body: top(
-        body, TopCut("longsleeve", "jersey", 0.65, 0.08, Sleeve(0.54, 0.065, body.wrist_girth + 0.06), **NECK)
+        body,
+        TopCut(
+            "longsleeve", "jersey", 0.65, 0.08, Sleeve(_to_wrist(body, 0.012), 0.065, body.wrist_girth + 0.06), **NECK
+        ),
     ),
     "tank": lambda body: top(
         body,
@@ -48,7 +57,7 @@ CATALOGUE: dict[str, Callable[[BodyMeasurements], Design]] = {
     "sweat": lambda body: top(
         body,
         TopCut(
-            *("sweat", "sweat", 0.66, 0.26, Sleeve(0.50, 0.14, 0.30, 0.06, 0.33)),
+            *("sweat", "sweat", 0.66, 0.26, Sleeve(_to_wrist(body, 0.065), 0.14, 0.30, 0.06, 0.33)),
             shoulder_out_m=0.065,
             shoulder_drop_m=0.05,
             armhole_drop_m=0.075,
@@ -62,7 +71,7 @@ CATALOGUE: dict[str, Callable[[BodyMeasurements], Design]] = {
     "shirt": lambda body: shirt(
         body,
         TopCut(
-            *("shirt", "poplin", 0.70, 0.14, Sleeve(0.55, 0.10, 0.27, 0.055, 0.15)),
+            *("shirt", "poplin", 0.70, 0.14, Sleeve(_to_wrist(body, 0.012), 0.10, 0.27, 0.055, 0.15)),
             neck_out_m=0.008,
             neck_depth_m=0.075,
             back_neck_depth_m=0.015,
