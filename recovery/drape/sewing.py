@@ -79,7 +79,7 @@ def sew(
             got=f"{100 * gaps.max():.1f} cm between them",
             cure="Check the placement of both panels and the axes they were placed in (--axes).",
         )
-    gaps_m = gap_m if isinstance(gap_m, float) else mesh.nodes_from(gap_m[:, None])[:, 0]
+    gaps_m = mesh.nodes_from(gap_m[:, None])[:, 0] if isinstance(gap_m, np.ndarray) else gap_m
     merged = sewn_relaxation(mesh, distance, gap_m=gaps_m, creases=creases)
     nodes = mesh.nodes_from(x)
     for _ in range(MERGED_ROUNDS):
