@@ -42,7 +42,7 @@ def render(
 ) -> np.ndarray:
     """An orthographic picture (height, width, 3) in [0, 1]; ``extent_m`` is the height of the view.
 
-    ``light`` (3,): where it comes from, in the camera's axes.
+    ``light`` (3,): where it comes from, in the camera's axes; from the side it shows folds.
     """
     height, width = size
     view = view_matrix(azimuth_deg, elevation_deg)
