@@ -20,6 +20,7 @@ from recovery.catalogue.build import QUICK, BuildOptions, body_distance, build, 
 from recovery.catalogue.files import write_garment
 from recovery.catalogue.garments import CATALOGUE
 from recovery.pattern.grade import STEPS
+from recovery.pattern.measurements import measure
 
 NOT_AT_REST_EXIT_CODE = 3
 
@@ -48,15 +49,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; 2 and one sentence on what is wrong, 3 where a garment is not at rest."""
     given = parse(arguments)
     if given.command == "list":
-        body = load_body()
+        measurements = measure(load_body())
         for name in CATALOGUE:
-            made = design(name, body)
+            made = design(name, measurements)
             ease = ", ".join(f"{where} {100 * much:+.0f} cm" for where, much in made.ease_m.items())
             print(f"{name:14s} {made.fabric:14s} {len(made.pattern.panels):2d} panels; {ease}")
         return 0
     body = load_body(given.body)
     options = QUICK if given.quick else BuildOptions(fine_m=given.edge_length)
-    made = {name: design(name, body, given.size) for name in given.names or CATALOGUE}
+    measurements = measure(body)
+    made = {name: design(name, measurements, given.size) for name in given.names or CATALOGUE}
     skin = body_distance(body, options)
     moving = []
     for name, one in made.items():

@@ -21,7 +21,7 @@ from recovery.drape.relax import Relaxation
 from recovery.drape.sewing import in_numpy
 from recovery.pattern.design import Design, check_laid_flat, check_seams
 from recovery.pattern.grade import graded
-from recovery.pattern.measurements import measure
+from recovery.pattern.measurements import BodyMeasurements
 from recovery.pattern.mesh import PatternMesh, mesh_pattern
 from recovery.sim.sdf import GridDistance, SignedDistance
 
@@ -64,14 +64,14 @@ def body_distance(body: BodyModel, options: BuildOptions = BuildOptions()) -> Gr
     return GridDistance.from_mesh(body.v_template, body.faces, spacing_m=options.grid_m)
 
 
-def design(name: str, body: BodyModel, size: str = "M") -> Design:
-    """The catalogue's garment ``name`` drafted in ``size`` for ``body``, which is size M.
+def design(name: str, body: BodyMeasurements, size: str = "M") -> Design:
+    """The catalogue's garment ``name`` drafted in ``size``; ``body`` are the measurements of size M.
 
     Raises ``NotFound`` for a garment or a size that is not there.
     """
     if name not in CATALOGUE:
         raise NotFound("garment", expected=f"one of {', '.join(CATALOGUE)}", got=name, cure="Check the name.")
-    return CATALOGUE[name](graded(measure(body), size))
+    return CATALOGUE[name](graded(body, size))
 
 
 def build(

@@ -30,7 +30,7 @@ from tests.recovery.pattern_setup import default_measurements
 def quick_tank() -> SewnGarment:
     """A tank on a coarse mesh, not yet at rest."""
     body = load_body()
-    return build(design("tank", body), body_distance(body, QUICK), QUICK)
+    return build(design("tank", default_measurements()), body_distance(body, QUICK), QUICK)
 
 
 # --- between meshes --------------------------------------------------------------------------------------------------
@@ -128,6 +128,6 @@ def test_the_command_lists_the_catalogue(capsys):
 
 def test_unknown_garments_and_sizes_are_refused(tmp_path, capsys):
     with pytest.raises(NotFound, match="garment: expected one of tshirt"):
-        design("cape", load_body())
+        design("cape", default_measurements())
     assert main(["build", "tank", "--size", "XXL", "--out", str(tmp_path)]) == 2
     assert "Beyond the grade" in capsys.readouterr().err
