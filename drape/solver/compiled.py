@@ -17,6 +17,11 @@ FAST = {"reassoc", "contract", "arcp", "nsz"}
 _SOURCES = hashlib.sha256(b"".join(p.read_bytes() for p in sorted(Path(__file__).parent.glob("*.py")))).hexdigest()
 
 
+def part(function: F) -> F:
+    """``function`` written into the kernels that call it: a call would count references to all arrays of a tuple."""
+    return njit(inline="always", error_model="numpy", fastmath=FAST)(function)
+
+
 def kernel(function: F) -> F:
     """``function`` compiled when it is first called, and stored until any file of this package changes.
 

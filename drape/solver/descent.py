@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drape.solver.compiled import kernel
+from drape.solver.compiled import kernel, part
 from drape.solver.elements import (
     add,
     add_to,
@@ -54,7 +54,7 @@ def quadratic_energy_and_gradient(x, problem, around, gradient):
     return total
 
 
-@kernel
+@part
 def _membrane_and_outside(x, problem, around, gradient):
     k, t = problem.constants, problem.triangles
     total = 0.0
@@ -77,7 +77,7 @@ def _membrane_and_outside(x, problem, around, gradient):
     return total
 
 
-@kernel
+@part
 def _hinge_energy(x, problem, gradient):
     k, hinges = problem.constants, problem.hinges
     total = 0.0
@@ -138,7 +138,7 @@ def quadratic_sweep(x, problem, around):
         x[v, 0], x[v, 1], x[v, 2] = own[0] + step[0], own[1] + step[1], own[2] + step[2]
 
 
-@kernel
+@part
 def _limited_step(gradient, hessian, k):
     step = scaled(-k.one, solved(shifted(hessian, k.least), gradient))
     length = np.sqrt(dot(step, step))
@@ -147,7 +147,7 @@ def _limited_step(gradient, hessian, k):
     return step
 
 
-@kernel
+@part
 def _membrane_block(x, v, problem, gradient, hessian):
     """``gradient`` and ``hessian`` of vertex v with its triangles': Gauss-Newton, and their stress where it pulls."""
     k, t = problem.constants, problem.triangles
@@ -173,7 +173,7 @@ def _membrane_block(x, v, problem, gradient, hessian):
     return gradient, hessian
 
 
-@kernel
+@part
 def _hinge_block(x, v, problem, gradient, hessian):
     """The same of v's hinges: Gauss-Newton of the angle, as stiff folded as flat, so that it bounds the curvature."""
     k, hinges = problem.constants, problem.hinges
@@ -188,7 +188,7 @@ def _hinge_block(x, v, problem, gradient, hessian):
     return gradient, hessian
 
 
-@kernel
+@part
 def _local_energy(x, own, v, problem, around):
     """Energy [J] of all that moves with vertex v, were it at ``own``."""
     k, t, hinges = problem.constants, problem.triangles, problem.hinges

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drape.solver.compiled import kernel
+from drape.solver.compiled import kernel, part
 
 # --- vectors ---------------------------------------------------------------------------------------------------------
 
@@ -47,7 +47,7 @@ def cross(a, b):
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@kernel
+@part
 def slopes(t, entry):
     s = t.slope
     return s[entry, 0], s[entry, 1], s[entry, 2], s[entry, 3], s[entry, 4]
@@ -171,7 +171,7 @@ def angle_gradient(vectors, k):
     )
 
 
-@kernel
+@part
 def outside(x, v, problem, around):
     """Energy [J], gradient [N] and symmetric Hessian [N/m] of weight, contact and springs at the point ``x`` of v."""
     k = problem.constants

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drape.cloth.energies import ClothMesh
-from drape.solver.compiled import kernel
+from drape.solver.compiled import kernel, part
 from drape.solver.elements import (
     add_to_block,
     angle_gradient,
@@ -72,7 +72,7 @@ def assemble(x, problem, around, pattern, exact, blocks):
     _outside_blocks(x, problem, around, pattern.diagonal, blocks)
 
 
-@kernel
+@part
 def _outside_blocks(x, problem, around, place, blocks):
     for v in range(len(x)):
         h = outside(at(x, v), v, problem, around)[2]
@@ -88,7 +88,7 @@ def _outside_blocks(x, problem, around, place, blocks):
         blocks[z, 2, 2] += h[5]
 
 
-@kernel
+@part
 def _membrane_blocks(x, problem, pattern, exact, blocks):
     k, t = problem.constants, problem.triangles
     slope = np.empty((3, 2), x.dtype)
@@ -120,7 +120,7 @@ def _membrane_blocks(x, problem, pattern, exact, blocks):
                 blocks[z, 2, 2] += pull
 
 
-@kernel
+@part
 def _hinge_blocks(x, problem, pattern, exact, blocks):
     """k (cos d g g^T + sin d G) of every hinge, d the turn from rest, g and G the derivatives of the angle."""
     k, hinges = problem.constants, problem.hinges

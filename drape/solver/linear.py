@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drape.solver.compiled import kernel
+from drape.solver.compiled import kernel, part
 
 
 class Charts(NamedTuple):
@@ -107,7 +107,7 @@ def galerkin(charts, pattern, blocks, out):
                             out[row + i, column + j] += w * blocks[z, i, j]
 
 
-@kernel
+@part
 def precondition(system, r, y):
     """y = M^-1 r: Gauss-Seidel plus what the charts solve; returns r . y."""
     gauss_seidel(system.pattern, system.blocks, system.inverse, r, y)
@@ -137,16 +137,24 @@ class System(NamedTuple):
 
 
 @kernel
+def _square(a):
+    total = 0.0
+    for v in range(len(a)):
+        total += a[v, 0] * a[v, 0] + a[v, 1] * a[v, 1] + a[v, 2] * a[v, 2]
+    return total
+
+
+@kernel
 def conjugate_gradients(system, force, share, limit, moved):
     """``moved`` (V, 3) with H moved near ``force``; returns the iterations, negative where H curved down.
 
-    Ends when the preconditioned residual has ``share`` of its first size, after ``limit`` iterations, or on a direction
+    Ends when the norm of the residual is ``share`` of that of ``force``, after ``limit`` iterations, or on a direction
     of negative curvature, which is left out unless it is the first (Steihaug 1983).
     """
     moved[:] = force[0, 0] - force[0, 0]
     r, y, w = force.copy(), np.zeros_like(force), np.zeros_like(force)
     before = precondition(system, r, y)
-    bound = share * share * before
+    bound = share * share * _square(force)
     p = y.copy()
     for n in range(limit):
         curved = multiply(system.pattern, system.blocks, p, w)
@@ -159,9 +167,9 @@ def conjugate_gradients(system, force, share, limit, moved):
             for i in range(3):
                 moved[v, i] += step * p[v, i]
                 r[v, i] -= step * w[v, i]
-        now = precondition(system, r, y)
-        if now <= bound:
+        if _square(r) <= bound:
             return n + 1
+        now = precondition(system, r, y)
         ratio = now / before
         before = now
         for v in range(len(r)):
