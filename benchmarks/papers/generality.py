@@ -80,7 +80,14 @@ def physics_energy(garment: Garment, body: BodyModel, poses: HardPoses, *, steps
     pushed = nearest_vertex_push(skinned, skin, np.asarray(contact.normals(skin)))
 
     task = physics.Task(
-        cloth, cloth_material, contact, skin, (pushed,), charts=physics.charts_of(garment), name=garment.name
+        cloth,
+        cloth_material,
+        contact,
+        skin,
+        (pushed,),
+        charts=physics.charts_of(garment),
+        held=physics.held_by_waist(garment, body, skinned),
+        name=garment.name,
     )
     key = cache_key(task, steps, physics.TOLERANCE)
     optimum, _ = cached(key, lambda: physics.minimise(task, step_limit=steps), CACHE_DIR)

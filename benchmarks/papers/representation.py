@@ -96,6 +96,7 @@ def house_optimum(bench: Bench, options: argparse.Namespace) -> physics.Optimum:
         bench.body_vertices,
         (bench.pushed,),
         charts=physics.charts_of(bench.garment),
+        held=physics.held_by_waist(bench.garment, options.body, bench.skinned),
         name=bench.garment.name,
     )
     limit = min(physics.STEPS, options.steps)

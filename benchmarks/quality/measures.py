@@ -145,6 +145,7 @@ def drapes(
         bench.body_vertices,
         (pushed, draped.vertices),
         charts=physics.charts_of(garment),
+        held=physics.held_by_waist(garment, bench.body, skinned),
         name=garment.name,
     )
     optimum, was_cached = cached(

@@ -57,6 +57,13 @@ class Cloth(NamedTuple):
         return float(self.problem.weight_n.sum())
 
 
+class Band(NamedTuple):
+    """What holds a waist over one body: the ``anchor`` (V, 3) [m] of every vertex and its spring (V,) [N/m] or zero."""
+
+    anchor: np.ndarray
+    n_per_m: np.ndarray
+
+
 class Nearest:
     """Nearest body vertices of moving points, asked for again only where a point has moved enough for another one."""
 
@@ -105,8 +112,10 @@ class Found(NamedTuple):
 class Descent:
     """One drape on its way down. ``best`` is what it has met of least energy."""
 
-    def __init__(self, cloth: Cloth, contact: BodyContact, posed: np.ndarray, start: np.ndarray) -> None:
-        self.cloth, self.problem = cloth, cloth.problem
+    def __init__(
+        self, cloth: Cloth, contact: BodyContact, posed: np.ndarray, start: np.ndarray, *, band: Band | None = None
+    ) -> None:
+        self.cloth, self.problem, self.band = cloth, cloth.problem, band
         self.nearest = Nearest(contact, posed, len(start))
         self.steps = 0
         self.exact = 0.0  # how much of the Hessian's indefinite part is in it
@@ -119,7 +128,8 @@ class Descent:
 
     def around(self, cell: np.ndarray) -> Surroundings:
         """The planes of the body vertices ``cell`` (V,)."""
-        return surroundings(self.problem, self.nearest.posed[cell], self.nearest.normals[cell])
+        planes = surroundings(self.problem, self.nearest.posed[cell], self.nearest.normals[cell])
+        return planes if self.band is None else planes._replace(band=self.band.anchor, band_n_per_m=self.band.n_per_m)
 
     def evaluate(self, x: np.ndarray, around: Surroundings) -> tuple[float, np.ndarray]:
         """Energy [J] and its gradient [N] (V, 3)."""
@@ -316,6 +326,7 @@ def minimum(
     *,
     step_limits: tuple[int, int],
     tolerance: float,
+    band: Band | None = None,
 ) -> Found:
     """The lowest drape over ``posed`` (Vb, 3) from ``starts`` (each V, 3), and never above the lowest of them.
 
@@ -324,7 +335,7 @@ def minimum(
     """
     rough, most = step_limits
     limit_n = tolerance * cloth.weight_n
-    descents = [Descent(cloth, contact, posed, start) for start in starts]
+    descents = [Descent(cloth, contact, posed, start, band=band) for start in starts]
     for one in descents:
         if np.isfinite(one.start_j):
             one.descend(min(rough, most), limit_n)

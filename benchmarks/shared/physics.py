@@ -12,11 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.shared.newton import Cloth, Found, minimum
+from benchmarks.shared.newton import Band, Cloth, Found, minimum
+from drape.body.model import BodyModel
 from drape.cloth import metrics
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
+from drape.cloth.waistband import STIFFNESS_N_M2, band_energy, waistband
 from drape.errors import MeshError
 from drape.garment.cache import Garment
 from drape.geometry import meshes
@@ -28,10 +30,27 @@ LEFT_LIMIT_J_M2 = 0.05  # skinning costs 1 to 5 J per m^2 of cloth
 
 
 @dataclass(frozen=True, eq=False)
+class Held:
+    """A waistband over the posed bodies: ``vertex``, ``length_m`` (n,), and ``anchor`` (F, n, 3), where it is held."""
+
+    vertex: np.ndarray
+    length_m: np.ndarray
+    anchor: np.ndarray
+
+    def over(self, frame: int, vertex_count: int) -> Band:
+        """The springs of one frame."""
+        band = Band(np.zeros((vertex_count, 3)), np.zeros(vertex_count))
+        band.anchor[self.vertex] = self.anchor[frame]
+        band.n_per_m[self.vertex] = STIFFNESS_N_M2 * self.length_m
+        return band
+
+
+@dataclass(frozen=True, eq=False)
 class Task:
     """What is draped: a ``cloth`` of ``material`` over the posed bodies (F, Vb, 3), from ``starts``.
 
-    A start is (F, V, 3) [m]. ``charts`` are the patches of the garment, where it has some; ``name`` is for refusals.
+    A start is (F, V, 3) [m]. ``charts`` are the patches of the garment, where it has some, ``held`` its waistband:
+    without friction trousers would slide off the hips. ``name`` is for refusals.
     """
 
     cloth: ClothMesh
@@ -40,6 +59,7 @@ class Task:
     body_vertices: np.ndarray
     starts: tuple[np.ndarray, ...]
     charts: Charts | None = None
+    held: Held | None = None
     name: str = "garment"
 
 
@@ -48,7 +68,8 @@ class Optimum:
     """What the minimiser reached, per frame.
 
     ``vertices`` [m] (F, V, 3); ``start_j``, ``energy_j`` (F,) the energy of the lowest start and of ``vertices`` [J],
-    never above the start's, relative to the height of the first start; ``residual_n`` (F,) the norm of the force that
+    never above the start's, relative to the height of the first start and with the
+    waistband's energy; ``residual_n`` (F,) the norm of the force that
     is left at the vertices [N]; ``converged`` (F,): it is at most the tolerance times the weight; ``steps`` (F,) of
     Newton; ``seconds`` for all frames.
     """
@@ -60,6 +81,12 @@ class Optimum:
     converged: np.ndarray
     steps: np.ndarray
     seconds: float
+
+
+def held_by_waist(garment: Garment, body: BodyModel, skinned: np.ndarray) -> Held | None:
+    """The waistband of ``garment``, anchored where ``skinned`` (F, V, 3) has it; None where it hangs from shoulders."""
+    band = waistband(garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64), body)
+    return None if band is None else Held(band.vertex, band.length_m, skinned[:, band.vertex])
 
 
 def charts_of(garment: Garment) -> Charts:
@@ -100,7 +127,15 @@ def minimise(task: Task, *, step_limit: int = STEPS, tolerance: float = TOLERANC
     for frame, posed in enumerate(task.body_vertices):
         own = [np.ascontiguousarray(start[frame]) for start in starts]
         ends.append(
-            minimum(cloth, task.contact, posed, own, step_limits=(ROUGH_STEPS, step_limit), tolerance=tolerance)
+            minimum(
+                cloth,
+                task.contact,
+                posed,
+                own,
+                step_limits=(ROUGH_STEPS, step_limit),
+                tolerance=tolerance,
+                band=task.held.over(frame, task.cloth.vertex_count) if task.held else None,
+            )
         )
     height_m = metrics.mean_height(starts[0], task.cloth)
 
@@ -108,7 +143,10 @@ def minimise(task: Task, *, step_limit: int = STEPS, tolerance: float = TOLERANC
         parts = metrics.static_parts(
             vertices, task.cloth, task.material, task.contact, task.body_vertices, height_m=height_m
         )
-        return np.stack([*parts.values()]).sum(axis=0)
+        total = np.stack([*parts.values()]).sum(axis=0)
+        if task.held is None:
+            return total
+        return total + band_energy(vertices[:, task.held.vertex] - task.held.anchor, task.held.length_m)
 
     vertices = np.stack([end.x for end in ends])
     optimum = Optimum(

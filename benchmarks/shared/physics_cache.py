@@ -22,7 +22,7 @@ import numpy as np
 
 from benchmarks.shared import common, newton, physics
 from benchmarks.shared.physics import Optimum, Task
-from drape.cloth import contact, energies
+from drape.cloth import contact, energies, waistband
 from drape.geometry import meshes
 from drape.solver import descent, elements, hessian, linear, problem
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 T = TypeVar("T", bound="DataclassInstance")
 CACHE_DIR = common.ROOT / "runs" / "physics_cache"  # ignored by git
 SOURCES: tuple[ModuleType, ...] = (
-    physics, newton, energies, contact, meshes, descent, elements, hessian, linear, problem,
+    physics, newton, energies, contact, waistband, meshes, descent, elements, hessian, linear, problem,
 )  # fmt: skip
 
 
@@ -41,7 +41,9 @@ def cache_key(task: Task, step_limit: int, tolerance: float) -> str:
     cloth = [value for item in fields(task.cloth) if isinstance(value := getattr(task.cloth, item.name), np.ndarray)]
     contact = [task.contact.faces, *([] if task.contact.vertices is None else [task.contact.vertices])]
     settings = [asdict(task.material), task.cloth.mean_edge_m, step_limit, tolerance]
-    return key_of(settings, (*cloth, *contact, task.body_vertices, *task.starts, *(task.charts or ())), SOURCES)
+    held = [] if task.held is None else list(vars(task.held).values())
+    arrays = (*cloth, *contact, task.body_vertices, *task.starts, *(task.charts or ()), *held)
+    return key_of(settings, arrays, SOURCES)
 
 
 def key_of(settings: list[Any], arrays: Iterable[np.ndarray], sources: Iterable[ModuleType]) -> str:

@@ -18,6 +18,7 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
 from drape.cloth.material import Material, material
 from drape.cloth.rest_state import flat
+from drape.cloth.waistband import SLACK_M, STIFFNESS_N_M2
 from drape.errors import MeshError
 from drape.geometry import meshes
 from drape.geometry.skinning import skin_points
@@ -88,6 +89,20 @@ def test_frames_do_not_see_each_other_and_give_the_same_bits_again(sphere):
     both = physics.minimise(task_of(sphere, cloth, material(), start))
     alone = physics.minimise(task_of(sphere, cloth, material(), start[1:]))
     assert_array_equal(both.vertices[1], alone.vertices[0])
+
+
+def test_a_waistband_holds_what_would_fall(sphere):
+    rest, faces = grid(6, 6, cell_m=0.01)
+    cloth = ClothMesh.from_rest(rest, faces)
+    start = rest[None] + AWAY
+    top = np.flatnonzero(rest[:, 1] > rest[:, 1].max() - 1e-9)
+    held = physics.Held(top, np.full(len(top), 0.01), start[:, top])
+    hung = physics.minimise(task_of(sphere, cloth, material(), start, held=held))
+    assert hung.converged[0]
+    assert hung.energy_j[0] <= hung.start_j[0]
+    way = np.linalg.norm(hung.vertices[0, top] - start[0, top], axis=1)
+    pull = STIFFNESS_N_M2 * held.length_m * np.maximum(way - SLACK_M, 0.0)
+    assert_allclose(pull.sum(), material().gravity_m_s2 * cloth.vertex_mass(material()).sum(), rtol=0.05, atol=0.0)
 
 
 def test_of_several_starts_the_lowest_counts(sphere):

@@ -101,6 +101,7 @@ def test_whatever_the_optimum_depends_on_changes_the_key():
         key(starts=(one.starts[0] + 1e-6,)),
         key(starts=(*one.starts, *one.starts)),
         key(charts=Charts(np.zeros((len(rest), 1), np.int32), np.ones((len(rest), 1)))),
+        key(held=physics.Held(np.arange(3), np.ones(3), np.zeros((2, 3, 3)))),
         key(step_limit=119),
         key(tolerance=0.02),
     ]
