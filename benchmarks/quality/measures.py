@@ -98,7 +98,7 @@ def measure(garment: Garment, bench: Bench, *, trained: bool) -> list[dict[str, 
     rows["physics"] |= {
         "residual_n": float(optimum.residual_n.mean()),
         "weight_n": float(bench.material.gravity_m_s2 * cloth.vertex_mass(bench.material).sum()),
-        "change": float(optimum.change.max()),
+        "converged_pct": 100.0 * float(optimum.converged.mean()),
         "steps": float(optimum.steps.mean()),
         "seconds": optimum.seconds,
         "cached": was_cached,
@@ -138,19 +138,21 @@ def drapes(
     draped = bench.network.drape(garment, poses)
     pushed = nearest_vertex_push(skinned, bench.body_vertices, bench.body_normals)
 
-    def minimise() -> physics.Optimum:
-        return physics.minimise(
-            cloth,
-            bench.material,
-            pushed,
-            bench.contact,
-            bench.body_vertices,
-            step_limit=bench.step_limit,
-            name=garment.name,
-        )
-
-    key = cache_key(garment, bench.body, poses, bench.material, bench.step_limit, physics.TOLERANCE)
-    optimum, was_cached = cached(key, minimise, bench.physics_folder)
+    task = physics.Task(
+        cloth,
+        bench.material,
+        bench.contact,
+        bench.body_vertices,
+        (pushed, draped.vertices),
+        charts=physics.charts_of(garment),
+        held=physics.held_by_waist(garment, bench.body, skinned),
+        name=garment.name,
+    )
+    optimum, was_cached = cached(
+        cache_key(task, bench.step_limit, physics.TOLERANCE),
+        lambda: physics.minimise(task, step_limit=bench.step_limit),
+        bench.physics_folder,
+    )
     positions = {
         "skinning": skinned,
         "skinning_push": pushed,
