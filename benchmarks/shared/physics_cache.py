@@ -1,6 +1,6 @@
 """Physics optima and other drapes on disk, so that evaluating several models makes each once.
 
-A file is named by the hash of all that its numbers depend on: rest mesh, skin weights, poses,
+A file is named by the hash of all that its numbers depend on: rest mesh, rest state, skin weights, poses,
 material, body, step limit, and the source of the minimiser, the energies and the contact. So a
 change of any of them misses, and nothing is ever stale; the folder can be deleted at any time.
 """
@@ -25,6 +25,7 @@ from benchmarks.shared.physics import Optimum
 from drape.body import model
 from drape.cloth import contact, energies
 from drape.cloth.material import Material
+from drape.cloth.rest_state import RestState
 from drape.garment.cache import Garment
 from drape.geometry import meshes, rigid, rotations, skinning
 
@@ -37,11 +38,22 @@ SOURCES: tuple[ModuleType, ...] = (physics, energies, contact, model, meshes, ri
 
 
 def cache_key(
-    garment: Garment, body: model.BodyModel, poses: np.ndarray, material: Material, step_limit: int, tolerance: float
+    garment: Garment,
+    body: model.BodyModel,
+    poses: np.ndarray,
+    material: Material,
+    step_limit: int,
+    tolerance: float,
+    rest: RestState | None = None,
 ) -> str:
-    """Hash of what an optimum depends on, hexadecimal; its start follows from garment, body and poses."""
+    """Hash of what an optimum depends on, hexadecimal; its start follows from garment, body and poses.
+
+    ``rest``: the cloth's state without stress, where it is not ``rest_state.modelled`` of the rest mesh.
+    """
     settings = [body.digest, asdict(material), step_limit, tolerance]
-    return key_of(settings, (garment.vertices, garment.fine_faces, garment.skin_weights, poses), SOURCES)
+    arrays = (garment.vertices, garment.fine_faces, garment.skin_weights, poses)
+    stated = (rest.edges, rest.hinge_angle, rest.stiffening) if rest is not None else ()
+    return key_of(settings, (*arrays, *stated), SOURCES)
 
 
 def key_of(settings: list[Any], arrays: Iterable[np.ndarray], sources: Iterable[ModuleType]) -> str:

@@ -28,6 +28,15 @@ ARGUMENTS = {
 }
 
 
+STATE = tube().rest_state()
+RESTS = (
+    STATE,
+    replace(STATE, edges=1.001 * STATE.edges),
+    replace(STATE, hinge_angle=STATE.hinge_angle + 0.1),
+    replace(STATE, stiffening=2.0 * STATE.stiffening),
+)
+
+
 def key(**changes) -> str:
     return cache_key(**{**ARGUMENTS, **changes})
 
@@ -97,6 +106,7 @@ def test_whatever_the_optimum_depends_on_changes_the_key():
         key(poses=bending(3)),
         key(material=material("soft")),
         key(step_limit=1999),
+        *(key(rest=rest) for rest in RESTS),
         key(tolerance=2e-4),
     ]
     assert len({key(), *changed}) == 1 + len(changed)
