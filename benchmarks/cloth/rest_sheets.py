@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.shared import common, physics
-from benchmarks.shared.render import SKIN, Surface, render, save_png, sheet
+from benchmarks.shared.render import PLAIN_CLOTH, RAKING_LIGHT, SKIN, Surface, render, save_png, sheet
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, find_motions, open_garment, short_name
@@ -39,7 +39,7 @@ SIZE, DRAPE_SIZE = (250, 330), (400, 330)
 VIEWS_DEG = ((15.0, 20.0), (180.0, 8.0))
 PALE, BENT, DOUBLE = np.array([0.92, 0.92, 0.92]), np.array([0.90, 0.05, 0.0]), np.array([0.30, 0.55, 1.0])
 FULL_RAD = np.radians(25.0)  # an angle of full colour
-FRONT_LIGHT, LOW_LIGHT = np.array([0.2, 0.3, 0.93]), np.array([0.86, 0.42, 0.28])
+FRONT_LIGHT = np.array([0.2, 0.3, 0.93])
 LONG_M = 0.75  # drapes of garments taller than this are drawn whole
 # Upper bodies and a dress: nothing else stays up without a waistband. Clip and the share of it that has gone by.
 DRAPES = {
@@ -156,13 +156,13 @@ def drape_row(pair: Pair, body: BodyModel) -> list[np.ndarray]:
     tall = float(np.ptp(pair.vertices[1][:, 1]))
     return [
         render(
-            [Surface(pair.skin, body.faces, SKIN), Surface(draped, faces, (0.80, 0.80, 0.82))],
+            [Surface(pair.skin, body.faces, SKIN), Surface(draped, faces, PLAIN_CLOTH)],
             size=DRAPE_SIZE,
             azimuth_deg=azimuth,
             elevation_deg=4.0,
             centre=centre,
             extent_m=1.1 * tall if tall > LONG_M else LONG_M,
-            light=LOW_LIGHT / np.linalg.norm(LOW_LIGHT),
+            light=RAKING_LIGHT,
         )
         for azimuth in (20.0, 165.0)
         for draped in pair.vertices

@@ -22,7 +22,8 @@ LARGEST_ERROR_M = 5e-4  # between vertices of both graphs: above, a model keeps 
 
 def halve_matrices(proto: onnx.ModelProto, *, least: int = LEAST) -> int:
     """Casts the inputs of every Gemm of ``proto`` whose matrix is a weight of at least ``least`` numbers to float16,
-    and its output back; returns how many. Those of ``WHOLE`` stay. Refuses (``ArtifactError``) a graph that has none."""
+    and its output back; returns how many. Those of ``WHOLE`` stay. Refuses (``ArtifactError``) a graph
+    that has none."""
     graph = proto.graph
     sizes = {
         tensor.name: int(np.prod(tensor.dims)) for tensor in graph.initializer if tensor.data_type == TensorProto.FLOAT
