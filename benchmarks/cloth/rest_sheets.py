@@ -136,7 +136,10 @@ def drape_pair(garment: Garment, body: BodyModel, pose: np.ndarray, fabric_name:
     found = []
     for state in (rest_state.modelled(rest, faces), garment.rest_state()):
         cloth = ClothMesh.of(state, faces, len(rest))
-        found.append(physics.minimise(cloth, material, start, contact, skin, step_limit=steps, name=garment.name))
+        held = physics.held_by_waist(garment, body, skinned)
+        charts = physics.charts_of(garment)
+        task = physics.Task(cloth, material, contact, skin, (start,), charts=charts, held=held, name=garment.name)
+        found.append(physics.minimise(task, step_limit=steps))
     drapes = np.concatenate([one.vertices for one in found])
     bend = [np.abs(rest_state.dihedral_angles(x, faces)) for x in drapes]
     figures = {
@@ -179,7 +182,7 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
         "--garments", nargs="+", help="names, files or folders (default: shipped, $DRAPE_DATA/garments)"
     )
     parser.add_argument("--fabric", default="poplin", help="of the drapes (default %(default)s)")
-    parser.add_argument("--steps", type=int, default=1200, help="of the minimiser (default %(default)s)")
+    parser.add_argument("--steps", type=int, default=physics.STEPS, help="of the minimiser (default %(default)s)")
     parser.add_argument("--sheets", type=Path, default=common.ROOT / "runs" / "rest_sheets", help="folder of pictures")
     options = parser.parse_args(arguments)
     folder = data_folder("garments")

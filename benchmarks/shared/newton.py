@@ -33,6 +33,7 @@ COARSE_AGE = 4  # steps that an inverse on the charts serves
 FENCE_M = 2e-4  # how far before its cell's border a vertex stands
 FENCE_STIFFNESS = 100.0  # in those of the contact
 STEP_UP_J = 1e-9  # what counts as a step of the energy
+SPOTRF, SPOTRI = scipy.linalg.lapack.get_lapack_funcs(("potrf", "potri"), dtype=np.float32)
 STALLS = 8  # steps without a lower energy, one after the other, before settling gives up
 
 
@@ -79,7 +80,7 @@ class Nearest:
         """Index (V,) of the body vertex nearest to each of ``x`` (V, 3)."""
         stale = np.flatnonzero(2.0 * np.linalg.norm(x - self._asked, axis=1) >= self._margin)
         if len(stale):
-            distance, found = self._tree.query(x[stale], k=2)
+            distance, found = (np.asarray(part) for part in self._tree.query(x[stale], k=2))
             self._asked[stale], self._margin[stale] = x[stale], distance[:, 1] - distance[:, 0]
             self._index[stale] = self._chosen[found[:, 0]]
         return self._index.copy()
@@ -240,11 +241,11 @@ class Descent:
         size = 3 * (int(self.cloth.charts.patch.max()) + 1)
         matrix = np.empty((size, size), np.float32)
         linear.galerkin(self.cloth.charts, self.cloth.pattern, blocks, matrix)
-        factor, failed = scipy.linalg.lapack.spotrf(matrix, lower=1)
+        factor, failed = SPOTRF(matrix, lower=1)
         if failed:
             self._coarse = np.zeros((0, 0), np.float32)
             return
-        lower = np.tril(scipy.linalg.lapack.spotri(factor, lower=1)[0])
+        lower = np.tril(SPOTRI(factor, lower=1)[0])
         self._coarse = np.ascontiguousarray(lower + np.tril(lower, -1).T)
 
     # --- fences ------------------------------------------------------------------------------------------------------
