@@ -79,7 +79,7 @@ class Nearest:
         """Index (V,) of the body vertex nearest to each of ``x`` (V, 3)."""
         stale = np.flatnonzero(2.0 * np.linalg.norm(x - self._asked, axis=1) >= self._margin)
         if len(stale):
-            distance, found = self._tree.query(x[stale], k=2)
+            distance, found = (np.asarray(part) for part in self._tree.query(x[stale], k=2))
             self._asked[stale], self._margin[stale] = x[stale], distance[:, 1] - distance[:, 0]
             self._index[stale] = self._chosen[found[:, 0]]
         return self._index.copy()
@@ -240,11 +240,12 @@ class Descent:
         size = 3 * (int(self.cloth.charts.patch.max()) + 1)
         matrix = np.empty((size, size), np.float32)
         linear.galerkin(self.cloth.charts, self.cloth.pattern, blocks, matrix)
-        factor, failed = scipy.linalg.lapack.spotrf(matrix, lower=1)
+        factorise, invert = scipy.linalg.get_lapack_funcs(("potrf", "potri"), (matrix,))
+        factor, failed = factorise(matrix, lower=1)
         if failed:
             self._coarse = np.zeros((0, 0), np.float32)
             return
-        lower = np.tril(scipy.linalg.lapack.spotri(factor, lower=1)[0])
+        lower = np.tril(invert(factor, lower=1)[0])
         self._coarse = np.ascontiguousarray(lower + np.tril(lower, -1).T)
 
     # --- fences ------------------------------------------------------------------------------------------------------
