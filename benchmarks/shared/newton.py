@@ -33,7 +33,6 @@ COARSE_AGE = 4  # steps that an inverse on the charts serves
 FENCE_M = 2e-4  # how far before its cell's border a vertex stands
 FENCE_STIFFNESS = 100.0  # in those of the contact
 STEP_UP_J = 1e-9  # what counts as a step of the energy
-SPOTRF, SPOTRI = scipy.linalg.lapack.get_lapack_funcs(("potrf", "potri"), dtype=np.float32)
 STALLS = 8  # steps without a lower energy, one after the other, before settling gives up
 
 
@@ -241,11 +240,12 @@ class Descent:
         size = 3 * (int(self.cloth.charts.patch.max()) + 1)
         matrix = np.empty((size, size), np.float32)
         linear.galerkin(self.cloth.charts, self.cloth.pattern, blocks, matrix)
-        factor, failed = SPOTRF(matrix, lower=1)
+        factorise, invert = scipy.linalg.get_lapack_funcs(("potrf", "potri"), (matrix,))
+        factor, failed = factorise(matrix, lower=1)
         if failed:
             self._coarse = np.zeros((0, 0), np.float32)
             return
-        lower = np.tril(SPOTRI(factor, lower=1)[0])
+        lower = np.tril(invert(factor, lower=1)[0])
         self._coarse = np.ascontiguousarray(lower + np.tril(lower, -1).T)
 
     # --- fences ------------------------------------------------------------------------------------------------------

@@ -61,12 +61,11 @@ def coarse_step(x: np.ndarray, level: Coarse, problem: Problem, around: Surround
     matrix, force = level.matrix.copy(), np.empty((count, 3), x.dtype)
     _add_contacts(x, problem, around, level.charts, matrix)
     restrict(level.charts, gradient, force)
-    factor, failed = scipy.linalg.lapack.get_lapack_funcs("potrf", (matrix,))(
-        matrix.reshape(3 * count, 3 * count), lower=1
-    )
+    factorise, solve = scipy.linalg.get_lapack_funcs(("potrf", "potrs"), (matrix,))
+    factor, failed = factorise(matrix.reshape(3 * count, 3 * count), lower=1)
     if failed:
         return
-    moved, _ = scipy.linalg.lapack.get_lapack_funcs("potrs", (matrix,))(factor, force.reshape(-1, 1), lower=1)
+    moved, _ = solve(factor, force.reshape(-1, 1), lower=1)
     step = (-SHARE * moved).reshape(count, 3)
     most = float(np.abs(step).max())
     if most > CLAMP_M:

@@ -19,7 +19,8 @@ _SOURCES = hashlib.sha256(b"".join(p.read_bytes() for p in sorted(Path(__file__)
 
 def part(function: F) -> F:
     """``function`` written into the kernels that call it: a call would count references to all arrays of a tuple."""
-    return njit(inline="always", error_model="numpy", fastmath=FAST)(function)
+    written: Any = njit(inline="always", error_model="numpy", fastmath=FAST)(function)
+    return written
 
 
 def kernel(function: F) -> F:

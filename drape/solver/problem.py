@@ -7,7 +7,7 @@ to which two springs per vertex may be added: to a target (inertia, mass over dt
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse
@@ -172,8 +172,8 @@ def flat_at_rest(problem: Problem) -> bool:
     return bool((np.abs(problem.hinges.sine) < 1e-6).all() and (problem.hinges.cosine > 0.0).all())
 
 
-def stencil(cloth: ClothMesh) -> scipy.sparse.csr_matrix:
-    """Symmetric matrix (V, V), one where two vertices share a triangle or a hinge, and on the diagonal."""
+def stencil(cloth: ClothMesh) -> Any:
+    """Sparse symmetric matrix (V, V) in rows, one where two vertices share an element, and on the diagonal."""
     count, corners = cloth.vertex_count, [cloth.faces, cloth.hinge_index.reshape(4, -1).T]
     rows = np.concatenate([np.repeat(c, c.shape[1], axis=1).reshape(-1) for c in corners] + [np.arange(count)])
     columns = np.concatenate([np.tile(c, (1, c.shape[1])).reshape(-1) for c in corners] + [np.arange(count)])
@@ -206,7 +206,8 @@ def _hinges(cloth: ClothMesh, material: Material, dtype: type[np.floating]) -> H
     rigidity = mean + second * cloth.hinge_turn[:, 0] + fourth * cloth.hinge_turn[:, 1]
     start, member = _members(corner, cloth.vertex_count)
     numbers = (rigidity * cloth.hinge_weight, cloth.hinge_cosine, cloth.hinge_sine)
-    return Hinges(corner, *(number.astype(dtype) for number in numbers), start, member)
+    stiffness, cosine, sine = (number.astype(dtype) for number in numbers)
+    return Hinges(corner, stiffness, cosine, sine, start, member)
 
 
 def _members(corner: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.ndarray]:
