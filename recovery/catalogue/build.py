@@ -15,7 +15,7 @@ from drape.errors import NotFound
 from drape.geometry import meshes
 from recovery.catalogue.closing import carried, closed
 from recovery.catalogue.garments import CATALOGUE
-from recovery.catalogue.settling import Fall
+from recovery.catalogue.settling import SETTLING, Fall
 from recovery.drape.pipeline import stretch_figures
 from recovery.drape.relax import Relaxation
 from recovery.drape.sewing import in_numpy
@@ -34,7 +34,7 @@ class BuildOptions:
 
     coarse_m: float = 0.025
     fine_m: float = 0.0115  # the mean edge of a mesh is 3 % longer
-    coarse_steps: int = 110
+    coarse_steps: int = 160
     fine_steps: int = 60
     coarse_still_m: float = 4e-4
     still_m: float = 3e-4
@@ -95,7 +95,7 @@ def build(
     say(f"fell      {first.steps} steps, the last by {1e3 * first.move_m:.2f} mm")
     fine = mesh_pattern(made.pattern, options.fine_m)
     start = carried(coarse, first.nodes, fine)
-    last = Fall(made, fine, cloth, skin).run(start, steps=options.fine_steps, still_m=options.still_m)
+    last = Fall(made, fine, cloth, skin).run(start, steps=options.fine_steps, still_m=options.still_m, kept=SETTLING)
     seconds = time.process_time() - started
     say(f"settled   {fine.node_count} nodes, {last.steps} steps, the last by {1e3 * last.move_m:.2f} mm")
     edges = meshes.unique_edges(fine.faces)

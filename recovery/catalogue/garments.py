@@ -71,7 +71,7 @@ CATALOGUE: dict[str, Callable[[BodyMeasurements], Design]] = {
     "shirt": lambda body: shirt(
         body,
         TopCut(
-            *("shirt", "poplin", 0.70, 0.14, Sleeve(_to_wrist(body, 0.012), 0.10, 0.27, 0.055, 0.15)),
+            *("shirt", "satin", 0.70, 0.14, Sleeve(_to_wrist(body, 0.012), 0.10, 0.27, 0.055, 0.15)),
             neck_out_m=0.008,
             neck_depth_m=0.075,
             back_neck_depth_m=0.015,

@@ -27,9 +27,9 @@ HEM_M = 0.02  # turned up this far
 HEM_BENDING = 2.0  # two layers that slide on each other
 SKIN_GAP_M = 0.0075  # beyond what intake keeps garments off the skin by
 DT_S = 0.033
-LAYERS_SHARE = 0.25  # of the mean edge: layers of cloth stay this far apart
-KEPT_SPEED = 0.9  # of one step's speed in the next: air and yarns
-LONGEST_MOVE_M = 0.012  # in one step: two layers that meet must not pass
+LAYERS_SHARE = 0.4  # of the mean edge: layers of cloth stay this far apart
+FALLING, SETTLING = 0.9, 0.5  # share of one step's speed that is kept in the next: air and yarns, and more of it
+MOVE_SHARE = 0.6  # of that distance in one step at most: two layers that meet must not pass
 
 
 @dataclass(frozen=True)
@@ -56,24 +56,26 @@ class Fall:
         edges = meshes.edge_lengths(mesh.rest, meshes.unique_edges(mesh.panel_faces))
         self.cloth = SelfContact(mesh.faces, self.model.fixed, thickness_m=LAYERS_SHARE * float(edges.mean()))
 
-    def run(self, nodes: np.ndarray, *, steps: int, still_m: float, dt_s: float = DT_S) -> Settled:
-        """From ``nodes`` at rest until no node moves more than ``still_m`` in a step, or for ``steps``."""
+    def run(self, nodes: np.ndarray, *, steps: int, still_m: float, kept: float = FALLING) -> Settled:
+        """From ``nodes`` at rest until no node moves more than ``still_m`` in a step, or for ``steps``.
+
+        ``kept`` is the share of a step's speed that the next begins with."""
         state = self.model.state(nodes)
         move = np.inf
         number = 0
         while number < steps and move > still_m:
             number += 1
-            state, move = self._step(state, dt_s)
+            state, move = self._step(state, kept)
         return Settled(state.x.numpy(), number, move)
 
-    def _step(self, state: ClothState, dt_s: float) -> tuple[ClothState, float]:
+    def _step(self, state: ClothState, kept: float) -> tuple[ClothState, float]:
         with torch.no_grad():
             pairs = self.cloth.springs(state.x.numpy())
-            after = linearised_step(self.model, state, self.parameters, dt_s=dt_s, contact=self.contact, pairs=pairs)
+            after = linearised_step(self.model, state, self.parameters, dt_s=DT_S, contact=self.contact, pairs=pairs)
             move = after.x - state.x
             longest = float(move.norm(dim=1).max())
-            move = min(1.0, LONGEST_MOVE_M / max(longest, 1e-12)) * move
-            x, v = state.x + move, KEPT_SPEED * move / dt_s
+            move = min(1.0, MOVE_SHARE * self.cloth.thickness_m / max(longest, 1e-12)) * move
+            x, v = state.x + move, kept * move / DT_S
             # What lands stays: the repulsion of one step must not throw a node off the skin in the next.
             distance, normal = self.contact.body(x)
             outward = torch.clamp((v * normal).sum(dim=1, keepdim=True), min=0.0)

@@ -36,7 +36,7 @@ class SelfContact:
     """
 
     def __init__(
-        self, faces: np.ndarray, fixed: np.ndarray, *, thickness_m: float = 0.003, stiffness_n_per_m: float = 30.0
+        self, faces: np.ndarray, fixed: np.ndarray, *, thickness_m: float = 0.003, stiffness_n_per_m: float = 100.0
     ) -> None:
         self.faces, self.edges = faces, meshes.unique_edges(faces)
         self.thickness_m, self.stiffness = thickness_m, stiffness_n_per_m
