@@ -2,8 +2,7 @@
 
     python -m benchmarks.recovery.catalogue DIR [--picture FILE.png]
 
-DIR is what ``python -m recovery.catalogue build --out DIR`` wrote. Detail is what of a surface is finer than 5 cm: the
-root mean square of x minus x smoothed along the surface by (I + l^2 L)^-1, whose half-way wavelength 2 pi l is 5 cm.
+DIR is what ``python -m recovery.catalogue build --out DIR`` wrote. Detail is that of ``drape.cloth.detail``.
 """
 
 from __future__ import annotations
@@ -19,21 +18,19 @@ from benchmarks.quality.intersections import intersecting_pairs
 from benchmarks.shared.render import SKIN, Surface, render, save_png, sheet
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
+from drape.cloth.detail import LowPass
+from drape.cloth.rest_state import flat
 from drape.garment.files.mesh import read_mesh
 from drape.garment.intake import intake
-from drape.garment.rest_pose import smoother
 
-DETAIL_M = 0.05
 GREY = (0.62, 0.66, 0.70)
 VIEWS_DEG = (0.0, 90.0, 180.0)
 RAKING = np.array([0.86, 0.38, 0.34])
 
 
 def detail_mm(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """RMS [mm] of what of the surface is finer than 5 cm."""
-    # The smoother's Laplacian is half of the plane's on a mesh whose vertices have six neighbours.
-    fine = vertices - smoother(vertices, faces, np.sqrt(2.0) * DETAIL_M / (2.0 * np.pi))(vertices)
-    return 1e3 * float(np.sqrt((fine**2).sum(axis=1).mean()))
+    """``drape.cloth.detail`` of a surface against its own metric [mm]."""
+    return float(LowPass.of(flat(vertices, faces), faces, len(vertices)).detail_mm(vertices))
 
 
 def colliding_triangles(vertices: np.ndarray, faces: np.ndarray, body: BodyModel) -> int:

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from drape.cloth.fabric import Fabric, bending_angle, hinge_rigidity
+from drape.cloth.material import Material
 from drape.geometry import meshes
 from recovery.pattern.design import Design
 from recovery.pattern.mesh import PatternMesh
@@ -48,7 +49,7 @@ class Fall:
         self.model = ClothModel(mesh.faces, panel_faces=mesh.panel_faces)
         self.model.rest_angle = torch.from_numpy(seam_angles(design, mesh, self.model))
         soft = fabric.softened(SOFTEST_N_PER_M)
-        parameters = self.model.parameters(mesh.rest, soft.membrane)
+        parameters = self.model.parameters(mesh.rest, Material.of(soft).woven)
         self.parameters: Parameters = parameters._replace(
             bending_j=torch.from_numpy(hinge_bending(design, mesh, self.model, fabric))
         )

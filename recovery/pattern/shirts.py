@@ -37,9 +37,13 @@ def shirt(body: BodyMeasurements, cut: TopCut, collar: CollarCut = CollarCut()) 
     """The shirt that ``cut`` and ``collar`` describe, for ``body``. Raises ``InputError`` as ``tops.top`` does."""
     neck, tip, underarm, hem = lines(body, cut)
     work = Assembly()
-    whole = bodice(neck, tip, underarm, hem, cut.back_neck_depth_m, 0.6, cut.armhole_inset, "hem")
+    whole = bodice(
+        neck, tip, underarm, hem, depth=cut.back_neck_depth_m, hollow=0.6, inset=cut.armhole_inset, lower="hem"
+    )
     back = work.add(draft("back", [*whole[:-1], _tail(hem, collar.tail_m)], rotation=BACK, z=body.back_z - STAND_OFF_M))
-    half = bodice(neck, tip, underarm, hem, cut.neck_depth_m, 0.75, cut.armhole_inset, "hem")[:4]
+    half = bodice(neck, tip, underarm, hem, depth=cut.neck_depth_m, hollow=0.75, inset=cut.armhole_inset, lower="hem")[
+        :4
+    ]
     low = (0.0, hem[1] - collar.tail_m)
     sides = [
         Side("hem", low, ((0.4 * hem[0], low[1]), (0.6 * hem[0], hem[1]))),

@@ -104,7 +104,16 @@ def top(body: BodyMeasurements, cut: TopCut) -> Design:
         ("front", FRONT, cut.neck_depth_m, body.front_z + STAND_OFF_M),
         ("back", BACK, cut.back_neck_depth_m, body.back_z - STAND_OFF_M),
     ):
-        sides = bodice(neck, tip, underarm, bottom, depth, 0.75 if label == "front" else 0.6, cut.armhole_inset, lower)
+        sides = bodice(
+            neck,
+            tip,
+            underarm,
+            bottom,
+            depth=depth,
+            hollow=0.75 if label == "front" else 0.6,
+            inset=cut.armhole_inset,
+            lower=lower,
+        )
         bodices[label] = work.add(draft(label, sides, rotation=face, z=z))
     front, back = bodices["front"], bodices["back"]
     for side, other in (("right", "left"), ("left", "right")):
@@ -132,7 +141,7 @@ def top(body: BodyMeasurements, cut: TopCut) -> Design:
             for side in ("neck_left", "neck_right"):
                 work.edge_names[panel.edge(side)] = "opening_neck"
     if cut.skirt_m:
-        _gathered_skirt(work, body, cut, half, cut_y, hem[1], front, back)
+        _gathered_skirt(work, body, cut, half, cut_y, hem[1], front=front, back=back)
         eased["waist_seam"] = cut.gather
     if cut.hem_band_m:
         tube = Tube((0.0, hem[1] - cut.hem_band_m, 0.0), UP, (1.0, 0.0, 0.0), 0.26)
@@ -158,7 +167,7 @@ def band_ease(shorter: float) -> float:
 
 
 def bodice(
-    neck: Point, tip: Point, underarm: Point, hem: Point, depth: float, hollow: float, inset: float, lower: str
+    neck: Point, tip: Point, underarm: Point, hem: Point, *, depth: float, hollow: float, inset: float, lower: str
 ) -> list[Side]:
     """Front or back: ``hollow`` is how far towards the shoulder the armhole runs level; ``lower`` names the hem."""
     middle = (0.0, neck[1] - depth)
@@ -294,6 +303,7 @@ def _gathered_skirt(
     half: float,
     top_y: float,
     hem_y: float,
+    *,
     front: Drafted,
     back: Drafted,
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from service.fabrics import check_known, layer_fabrics
 from service.settings import Settings
 from service.stages import run
 from service.stages.batch import PoseInput
+from service.stages.network import Network
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import outfit_settings
 from tests.fixtures.tiny_model import ROUNDING_M, TINY, expected_vertices
@@ -36,7 +38,12 @@ def drapery(make_settings: Callable[..., Settings]) -> Iterator[Drapery]:
     made.close()
 
 
-def draped(drapery: Drapery, **options: object) -> np.ndarray:
+def packer_of(drapery: Drapery) -> packing.Packer:
+    (network,) = (stage for stage in drapery.stages if isinstance(stage, Network))
+    return network.packer
+
+
+def draped(drapery: Drapery, **options: Any) -> np.ndarray:
     """The tube on the clip (F, V, 3) [m]."""
     plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions(push_out=False, **options))
     return run(plan, [CLIP]).world()
@@ -63,7 +70,7 @@ def test_a_fabric_changes_no_bit_of_the_others(drapery: Drapery):
 
 def test_no_more_fabrics_are_kept_than_allowed(drapery: Drapery, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(packing, "FABRICS_KEPT", 2)
-    packer = next(stage for stage in drapery.stages if stage.name == "network").packer
+    packer = packer_of(drapery)
     first = draped(drapery, fabric="rib")
     for name in ("swim", "twill", "poplin"):
         draped(drapery, fabric=name)
@@ -74,7 +81,7 @@ def test_no_more_fabrics_are_kept_than_allowed(drapery: Drapery, monkeypatch: py
 
 
 def test_a_garment_that_is_put_in_store_anew_takes_its_fabrics_with_it(drapery: Drapery):
-    packer = next(stage for stage in drapery.stages if stage.name == "network").packer
+    packer = packer_of(drapery)
     entry = drapery.garments.get("tube")
     before = draped(drapery, fabric="ponte")
     held = packer.store.bytes

@@ -30,7 +30,12 @@ class Scene(NamedTuple):
 
 
 def crumpled(
-    material: str = "isotropic", *, flat_rest: bool = False, dtype=np.float64, springs: bool = True, noise_m=0.001
+    material: str = "isotropic",
+    *,
+    flat_rest: bool = False,
+    dtype: type[np.floating] = np.float64,
+    springs: bool = True,
+    noise_m=0.001,
 ) -> Scene:
     """A bent and stretched grid, its grain turned by 0.4, half of it in contact, with all springs or none."""
     rng = np.random.default_rng(7)
