@@ -71,7 +71,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             moving.append(f"{called} by {garment.figures['last_move_mm']:.2f} mm")
     if moving:
         print(
-            f"not at rest: a node still moves in a step of {', '.join(moving)}. Give it more --steps.", file=sys.stderr
+            f"not at rest, the last step moved a node of {', '.join(moving)}. Leave out --quick, or take another size.",
+            file=sys.stderr,
         )
         return NOT_AT_REST_EXIT_CODE
     return 0

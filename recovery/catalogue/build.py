@@ -35,7 +35,7 @@ class BuildOptions:
     coarse_m: float = 0.025
     fine_m: float = 0.0115  # the mean edge of a mesh is 3 % longer
     coarse_steps: int = 160
-    fine_steps: int = 60
+    fine_steps: int = 120
     coarse_still_m: float = 4e-4
     still_m: float = 3e-4
     grid_m: float = 0.01

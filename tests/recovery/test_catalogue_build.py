@@ -117,7 +117,7 @@ def test_files_hold_seams_panels_hems_and_fabric_and_intake_takes_them(tmp_path)
 def test_the_command_writes_a_size_and_says_what_is_not_at_rest(tmp_path, capsys):
     code = main(["build", "tank", "--size", "L", "--out", str(tmp_path), "--quick"])
     assert code == 3
-    assert "not at rest: a node still moves in a step of tank_l by" in capsys.readouterr().err
+    assert "not at rest, the last step moved a node of tank_l by" in capsys.readouterr().err
     assert json.loads((tmp_path / "tank_l.json").read_text())["size"] == "L"
 
 
