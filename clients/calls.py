@@ -112,6 +112,10 @@ def garments() -> Call[list[dict[str, Any]]]:
     return Call("GET", "/garments", httpx.Response.json)
 
 
+def fabrics() -> Call[list[dict[str, Any]]]:
+    return Call("GET", "/fabrics", httpx.Response.json)
+
+
 def bodies() -> Call[list[dict[str, Any]]]:
     return Call("GET", "/bodies", httpx.Response.json)
 

@@ -84,7 +84,9 @@ def _parser() -> argparse.ArgumentParser:
     for name, field in _options().items():
         flag = "--" + name.replace("_", "-")
         kind = next(kind for kind in get_args(field.annotation) if kind is not type(None))
-        if kind is bool:
+        if name == "fabric":
+            drape.add_argument(flag, nargs="+", metavar="NAME", help="what it is made of: for all, or by layer")
+        elif kind is bool:
             drape.add_argument(flag, action=argparse.BooleanOptionalAction, help=field.description)
         else:
             drape.add_argument(flag, type=kind, help=field.description)
@@ -124,6 +126,8 @@ def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
     betas = _numbers(options.betas)
     clip = _clip(client, options, betas).resampled(options.fps)
     choices = {name: getattr(options, name) for name in _options()}
+    if choices["fabric"] is not None and len(choices["fabric"]) == 1:
+        (choices["fabric"],) = choices["fabric"]
     worn: list[str] = []
     for garment in options.garment:
         if Path(garment).suffix.lower() in MESH_SUFFIXES:

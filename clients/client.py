@@ -60,6 +60,10 @@ class DrapeClient:
         """The garments that can be draped; ``id`` names one."""
         return self._send(calls.garments())
 
+    def fabrics(self) -> list[dict[str, Any]]:
+        """The fabrics that a drape may name, with their numbers."""
+        return self._send(calls.fabrics())
+
     def bodies(self) -> list[dict[str, Any]]:
         """The bodies of the service."""
         return self._send(calls.bodies())
@@ -195,6 +199,10 @@ class AsyncDrapeClient:
     async def garments(self) -> list[dict[str, Any]]:
         """The garments that can be draped; ``id`` names one."""
         return await self._send(calls.garments())
+
+    async def fabrics(self) -> list[dict[str, Any]]:
+        """The fabrics that a drape may name, with their numbers."""
+        return await self._send(calls.fabrics())
 
     async def bodies(self) -> list[dict[str, Any]]:
         """The bodies of the service."""

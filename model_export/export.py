@@ -47,6 +47,7 @@ def load_model(path: Path) -> tuple[OneFit, dict[str, Any]]:
         "minutes": minutes,
         "garments": [Path(name).stem for name in config.data.garments],  # of files not the folder
         "held_out": list(config.data.held_out),
+        **({"held_out_fabrics": list(config.data.held_out_fabrics)} if config.model.fabric else {}),
     }
 
 

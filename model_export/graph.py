@@ -74,7 +74,7 @@ def dynamic_outputs(model: OneFit) -> tuple[TensorSpec, ...]:
 
 def encoder_inputs(model: OneFit) -> tuple[TensorSpec, ...]:
     """Inputs of the garment encoder graph."""
-    return (TensorSpec("patch_features", ("patches", model.config.patch_feature_count), "float32", "1"),)
+    return (TensorSpec("patch_features", ("patches", model.config.encoder_feature_count), "float32", "1"),)
 
 
 def encoder_outputs(model: OneFit) -> tuple[TensorSpec, ...]:

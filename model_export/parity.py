@@ -15,6 +15,7 @@ from drape.body.features import motion_features
 from drape.body.model import BodyModel
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment
+from drape.garment.fabric_features import encoder_features
 from drape.graph.feeds import body_feed, garment_feed, kinematics
 from model_export.graph import DrapeGraph, DynamicGraph, EncoderGraph, drape_inputs
 from training.model import OneFit
@@ -56,7 +57,7 @@ def parity_error(
     """Largest vertex distance [m] between torch and onnxruntime, over frame counts 1, 5, 16 and several shapes."""
     body = load_body() if body is None else body
     encode, run = session(encoder), session(drape)
-    features = garment.patch_features
+    features = encoder_features(garment, model.config.encoder_feature_count)
     with torch.no_grad():
         embedding = EncoderGraph(model)({"patch_features": torch.from_numpy(features)}).numpy()
     stored = encode.run(None, {"patch_features": features})[0]
@@ -94,7 +95,8 @@ def sequence_error(
     features = motion_features(at[2:], at[1:-1], at[:-2], dt_s[1:], dt_s[:-1]).astype(np.float32)
     constants = garment_feed(garment, body=body)
     with torch.no_grad():
-        embedding = EncoderGraph(model)({"patch_features": torch.from_numpy(garment.patch_features)}).numpy()
+        described = encoder_features(garment, model.config.encoder_feature_count)
+        embedding = EncoderGraph(model)({"patch_features": torch.from_numpy(described)}).numpy()
     advance, run = session(folder / graphs["dynamic_encoder"].file), session(folder / graphs["drape"].file)
     names = [spec.name for spec in drape_inputs(model)]
     states = [np.zeros((1, model.config.state_size), dtype=np.float32)] * 2

@@ -12,7 +12,10 @@ import numpy as np
 
 from drape.artifacts import Manifest, TensorSpec, load_manifest
 from drape.body.model import BodyModel
+from drape.cloth.fabric import Fabric
 from drape.errors import ArtifactError, InputError
+from drape.garment.cache import Garment
+from drape.garment.fabric_features import encoder_features
 from drape.graph.packing import pass_name
 from service.binding import BoundSession
 from service.runtime import PROVIDER_NAMES, Device, Session, check_distributions, nodes_off_provider, open_session
@@ -108,17 +111,10 @@ class Engine:
                 cure="Set DRAPE_BODY to the model's body, or export a model for this body.",
             )
 
-    def first(self, patch_features: np.ndarray) -> np.ndarray:
-        """What the packed graph reads of a garment's patches, (K, n) float32; constant per garment and model."""
-        features = np.ascontiguousarray(patch_features, dtype=np.float32)
+    def first(self, garment: Garment, fabric: Fabric | None = None) -> np.ndarray:
+        """What the packed graph reads of a garment's patches, (K, n) float32: constant per garment, fabric, model."""
         wanted = self.manifest.graphs[ENCODER].inputs[0].shape[-1]
-        if isinstance(wanted, int) and features.shape[-1] != wanted:
-            raise ArtifactError(
-                "garment patch_features",
-                expected=f"{wanted} numbers per patch (model {self.manifest.name})",
-                got=str(features.shape[-1]),
-                cure="Run the intake of this release again.",
-            )
+        features = encoder_features(garment, int(wanted), fabric)
         return self.open_cut(ENCODER, [FIRST]).run([FIRST], {"patch_features": features})[0]
 
     def advance(self, features: np.ndarray, state: np.ndarray, dt_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -135,6 +131,11 @@ class Engine:
                 cure="Use another model, or motion 0; this one fails on the motion.",
             )
         return code, after
+
+    @property
+    def knows_fabrics(self) -> bool:
+        """Whether the network drapes by what a garment is made of."""
+        return bool(self.manifest.network.get("fabric", False))
 
     @property
     def feels_body(self) -> bool:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from drape.body.model import BodyModel
+from drape.cloth.fabric import Fabric
 from drape.errors import InputError, NotFound
 from drape.garment.cache import Garment
 from drape.garment.tangents import tangent_columns
@@ -52,6 +53,8 @@ SHAPE_INDEX = ("body_shape",)  # nor this where all bodies have one shape
 TILES_PER_CALL = 2048  # about 10 MB of columns: what a core's share of the last cache holds
 TILES_PER_BUCKET = 65536  # of devices with memory of their own
 KEPT_BYTES = 32 << 20  # of index tensors
+FABRICS_KEPT = 64  # garments in fabrics that are not their own
+FIRST = "patch_first"  # what a fabric changes of the constants of a garment
 
 Item = tuple[str, int]  # garment, row of its body
 
@@ -103,8 +106,11 @@ class Result:
 
 @dataclass(eq=False)
 class _Stored:
+    """``of``: the garment whose tiles these are, where only the fabric differs."""
+
     garment: Garment
     packed: PackedGarment
+    of: str | None = None
 
 
 class Store:
@@ -123,14 +129,32 @@ class Store:
 
         ``patch_first`` (K, n) is the encoder's.
         """
+        self._undress(key)
         self._garments[key] = _Stored(garment, pack_garment(feed, patch_first))
         self._lay_out()
 
-    def remove(self, key: str) -> None:
-        """Forgets the garment ``key``."""
+    def garment(self, key: str) -> Garment:
+        """The garment ``key``; refuses one that is not in store."""
         self.packed(key)
+        return self._garments[key].garment
+
+    def dress(self, key: str, name: str, patch_first: np.ndarray) -> None:
+        """Puts the garment ``key`` in store once more, as ``name`` in another fabric: its tiles are shared."""
+        packed = self.packed(key)
+        packed = replace(packed, stored=packed.stored | {FIRST: patch_first})
+        self._garments[name] = _Stored(self._garments[key].garment, packed, key)
+        self._lay_out()
+
+    def remove(self, key: str) -> None:
+        """Forgets the garment ``key``, in all fabrics; or of one that ``dress`` put there this one."""
+        self.packed(key)
+        self._undress(key)
         del self._garments[key]
         self._lay_out()
+
+    def _undress(self, key: str) -> None:
+        for name in [name for name, stored in self._garments.items() if stored.of == key]:
+            del self._garments[name]
 
     def packed(self, key: str) -> PackedGarment:
         """The garment ``key``; refuses one that is not in store."""
@@ -153,6 +177,9 @@ class Store:
         missing = [stored for stored in self._garments.values() if TANGENTS not in stored.packed.stored]
         for stored in missing:
             garment = stored.garment
+            if stored.of is not None:  # after its garment, which has them by now
+                stored.packed.stored[TANGENTS] = self._garments[stored.of].packed.stored[TANGENTS]
+                continue
             charts = garment.chart_patch[: garment.vertex_count]
             stored.packed.stored[TANGENTS] = pack_tangents(charts, garment.patch_count, tangent_columns(garment))
         if missing:
@@ -162,19 +189,32 @@ class Store:
     @property
     def bytes(self) -> int:
         """Memory of everything in store."""
-        return sum(stored.packed.bytes for stored in self._garments.values())
+        whole = sum(stored.packed.bytes for stored in self._garments.values() if stored.of is None)
+        return whole + sum(stored.packed.stored[FIRST].nbytes for stored in self._garments.values() if stored.of)
 
     def _lay_out(self) -> None:
-        packed = [stored.packed for stored in self._garments.values()]
-        names = set.intersection(*(set(garment.stored) for garment in packed)) if packed else set()
-        self._arrays = {name: np.concatenate([garment.stored[name] for garment in packed]) for name in names}
+        every = list(self._garments.values())
+        whole = [stored for stored in every if stored.of is None]
+        names = set.intersection(*(set(stored.packed.stored) for stored in every)) if every else set()
+        self._arrays = {
+            name: np.concatenate([stored.packed.stored[name] for stored in (whole if _of_tiles(name) else every)])
+            for name in names
+        }
         patch = tile = 0
-        for key, garment in zip(self._garments, packed, strict=True):
-            self._places[key] = Place(patch, tile)
+        for key, stored in self._garments.items():
+            packed = stored.packed
+            first = tile if stored.of is None else self._places[stored.of].tile
+            self._places[key] = Place(patch, first)
             for name, array in self._arrays.items():
-                start = tile if name.startswith("tile") else patch
-                garment.stored[name] = array[start : start + len(garment.stored[name])]
-            patch, tile = patch + garment.patch_count, tile + garment.tile_count
+                start = first if _of_tiles(name) else patch
+                packed.stored[name] = array[start : start + len(packed.stored[name])]
+            patch += packed.patch_count
+            tile += packed.tile_count if stored.of is None else 0
+
+
+def _of_tiles(name: str) -> bool:
+    """Whether rows of the stored array ``name`` are tiles, not patches."""
+    return name.startswith("tile")
 
 
 class Packer:
@@ -189,6 +229,7 @@ class Packer:
         self._store = Store()
         self._kept: OrderedDict[tuple[Item, ...], tuple[Composition, dict[str, Value]]] = OrderedDict()
         self._kept_bytes, self._limit = 0, kept_bytes
+        self._worn: OrderedDict[str, None] = OrderedDict()  # garments in other fabrics than their own, latest last
         self._tiles_per_call = tiles_per_call or (TILES_PER_BUCKET if engine.bound else TILES_PER_CALL)
         self._values: dict[str, Any] = {}
 
@@ -206,8 +247,25 @@ class Packer:
         """Encodes ``garment`` and puts it in store under ``key``; ``feed`` is its ``garment_feed`` on this body."""
         if feed is None:
             feed = garment_feed(garment, body=self._body if self._engine.feels_body else None)
-        self._store.add(key, garment, feed, self._engine.first(garment.patch_features))
+        self._store.add(key, garment, feed, self._engine.first(garment))
         self._forget()
+
+    def dressed(self, key: str, fabric: Fabric) -> str:
+        """Where the garment ``key`` made of ``fabric`` lies in store; put there the first time, a millisecond or two.
+
+        Of ``FABRICS_KEPT`` at most the latest used are kept.
+        """
+        name = f"{key} of {fabric.digest}"
+        if name not in self._store:
+            for old in list(self._worn)[: len(self._worn) + 1 - FABRICS_KEPT]:
+                del self._worn[old]
+                if old in self._store:
+                    self._store.remove(old)
+            self._store.dress(key, name, self._engine.first(self._store.garment(key), fabric))
+            self._forget()
+        self._worn[name] = None
+        self._worn.move_to_end(name)
+        return name
 
     def remove(self, key: str) -> None:
         """Forgets the garment ``key``."""

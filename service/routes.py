@@ -11,6 +11,8 @@ import numpy as np
 from fastapi import APIRouter, Query, Request, Response
 
 from drape.body.model import BodyModel
+from drape.cloth.fabric import Fabric
+from drape.cloth.fabric_table import FABRICS
 from drape.errors import InputError
 from drape.files.formats import MESH_CONTENT_TYPES, MESH_NAMES, listed
 from drape.garment.cache import Garment
@@ -57,6 +59,7 @@ async def health(state: StateHere) -> schemas.Health:
         body=drapery.body.name,
         garments=len(drapery.garments.entries()),
         passes=drapery.engine.pass_count,
+        fabrics=drapery.engine.knows_fabrics,
         layers=drapery.settings.max_layers,
         sessions=state.streams.count,
         refused_garments=drapery.garments.refused,
@@ -115,6 +118,7 @@ def _garment_info(entry: Entry) -> schemas.GarmentInfo:
         patches=garment.patch_count,
         source=entry.source,
         materials=list(garment.material_names),
+        fabric=garment.fabric if isinstance(garment.fabric, str) else dict(garment.fabric),
         manifest=garment.manifest,
     )
 
@@ -302,7 +306,17 @@ def _quality_headers(draped: Batch, drapery: Drapery) -> dict[str, str]:
     }
 
 
-# --- bodies and clips ---
+# --- fabrics, bodies and clips ---
+
+
+@router.get("/fabrics")
+async def fabrics() -> list[schemas.FabricInfo]:
+    """The fabrics that a request may name; those of ``drape.cloth.fabric_table``."""
+    return [schemas.FabricInfo.model_validate({"id": name, **_public(cloth)}) for name, cloth in FABRICS.items()]
+
+
+def _public(cloth: Fabric) -> dict[str, Any]:
+    return {name: getattr(cloth, name) for name in schemas.FabricInfo.model_fields if name != "id"}
 
 
 @router.get("/bodies")

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from drape.body.skeleton import JOINT_COUNT
 from drape.files.formats import MESH_NAMES
 from drape.graph.feeds import BETA_COUNT
-from drape.wire.options import FIRST_ONLY, DrapeOptions, Identifier, Worn
+from drape.wire.options import FIRST_ONLY, DrapeOptions, FabricNumbers, Identifier, Worn
 
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Vector = Annotated[list[Number], Len(3, 3), FIRST_ONLY]
@@ -76,9 +76,19 @@ class Health(BaseModel):
     body: str
     garments: int
     passes: int = Field(description="Corrections of the network of which a request may choose how many; 0: no choice.")
+    fabrics: bool = Field(description="Whether the model drapes by what garments are made of.")
     layers: int = Field(description="Garments that an outfit may have.")
     sessions: int
     refused_garments: list[str] = Field(description="Stored garments that could not be loaded, with the reason.")
+
+
+class FabricInfo(FabricNumbers):
+    """A fabric that a request may name, its numbers and where they come from."""
+
+    id: str
+    thickness_m: float
+    friction: float
+    source: str
 
 
 class GarmentInfo(BaseModel):
@@ -92,6 +102,7 @@ class GarmentInfo(BaseModel):
     patches: int
     source: Literal["shipped", "user"]
     materials: list[str]
+    fabric: str | dict[str, Any] = Field(description="What it is made of where a request names nothing else.")
     manifest: dict[str, Any]
 
 

@@ -53,7 +53,7 @@ def config_from(data: dict[str, Any]) -> TrainConfig:
 
 def model_config_from(data: dict[str, Any]) -> ModelConfig:
     """The sizes of a network from their dictionary form."""
-    return ModelConfig(**_tuples(data))
+    return ModelConfig(**{"fabric": False, **_tuples(data)})  # networks from before fabrics do not name it
 
 
 def _tuples(values: dict[str, Any]) -> dict[str, Any]:

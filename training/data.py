@@ -11,7 +11,9 @@ from torch import Tensor
 
 from drape.body.model import BodyModel
 from drape.cloth.energies import ClothMesh
+from drape.cloth.fabric import Fabric
 from drape.garment.cache import Atlas
+from drape.garment.fabric_features import fabric_features, patch_grain
 from drape.garment.fitting import RestGarment, patch_fields
 from drape.graph.feeds import atlas_feed, body_feed
 from drape.graph.inputs import BodyTensors, PatchTensors
@@ -23,7 +25,10 @@ from training.sparse import SparsePair
 
 @dataclass(frozen=True, eq=False)
 class Partition:
-    """One partition of a garment on the device: patches, features, and the blend (V, 19 K) as a sparse matrix."""
+    """One partition of a garment on the device: patches, features, and the blend (V, 19 K) as a sparse matrix.
+
+    ``grain`` (K, 2) is that of ``drape.garment.fabric_features.patch_grain``.
+    """
 
     patches: PatchTensors
     features: Tensor
@@ -32,6 +37,14 @@ class Partition:
     chart_weight: Tensor
     chart_row: Tensor  # (V, 4, 19): [1, rest position in the patch frame, basis]
     consensus: SparseConsensus
+    grain: np.ndarray
+
+    def encoded(self, fabric: Fabric | None) -> Tensor:
+        """What the garment encoder takes (K, D) if the garment is made of ``fabric``; None: of a network without."""
+        if fabric is None:
+            return self.features
+        made_of = torch.from_numpy(fabric_features(fabric, self.grain)).to(self.features.device)
+        return torch.cat([self.features, made_of], dim=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +57,7 @@ class TrainingGarment:
     partitions: list[Partition]
     skin_weights: Tensor
     seeds: list[int] = field(default_factory=list)
+    warp: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))  # (F, 3) at rest
     band: tuple[Tensor, Tensor] | None = None  # vertices (n,) and lengths [m] (n,) of drape.cloth.waistband
 
 
@@ -57,15 +71,22 @@ class BodyBatch:
 
 
 def draw_partition(
-    rest: RestGarment, skin: Skin, *, seed: int, span: tuple[float, float], device: torch.device
+    rest: RestGarment, skin: Skin, *, seed: int, span: tuple[float, float], device: torch.device, warp: np.ndarray
 ) -> Partition:
-    """A random partition; its patch count over the rule's lies in ``span``, evenly in the logarithm."""
+    """A random partition; its patch count over the rule's lies in ``span``, evenly in the logarithm.
+
+    ``warp`` (F, 3) of the triangles at rest.
+    """
     share = float(np.exp(np.random.default_rng(seed).uniform(*np.log(span))))
-    return partition_tensors(Atlas(**patch_fields(rest, share=share, seed=seed)), skin, device=device)
+    atlas = Atlas(**patch_fields(rest, share=share, seed=seed))
+    return partition_tensors(atlas, skin, device=device, grain=patch_grain(atlas, rest.vertices, rest.faces, warp))
 
 
-def partition_tensors(atlas: Atlas, skin: Skin, *, device: torch.device) -> Partition:
-    """A partition of a garment as tensors; ``skin`` is that of the body it was made for."""
+def partition_tensors(atlas: Atlas, skin: Skin, *, device: torch.device, grain: np.ndarray | None = None) -> Partition:
+    """A partition of a garment as tensors; ``skin`` is that of the body it was made for.
+
+    Without its ``grain`` (K, 2) warp and weft of fabrics do not differ on it.
+    """
     feed = atlas_feed(atlas, skin=skin)
     row = np.concatenate(
         [np.ones_like(feed["chart_local"][..., :1]), feed["chart_local"], feed["chart_basis"]], axis=-1
@@ -80,6 +101,7 @@ def partition_tensors(atlas: Atlas, skin: Skin, *, device: torch.device) -> Part
         chart_weight=tensors["chart_weight"],
         chart_row=tensors["row"],
         consensus=SparseConsensus.of(feed, device=device),
+        grain=np.zeros((atlas.patch_count, 2)) if grain is None else grain,
     )
 
 

@@ -110,7 +110,9 @@ class DynamicTrainer(BaseTrainer):
     def _weight(self, inertia: Tensor, windows: Windows) -> Tensor:
         """How much a frame (B, T) counts whose static drape has the ``inertia`` [J/m^2]: less where that is jerked."""
         dt_s = self._tensor(windows.dt_s[:, -inertia.shape[1] :])
-        squared = 2.0 * inertia / (self.material.density_kg_m2 * dt_s.square())  # mean acceleration [m^2/s^4]
+        squared = (
+            2.0 * self._stretch_share * inertia / (self.material.density_kg_m2 * dt_s.square())
+        )  # mean acceleration [m^2/s^4]
         return torch.rsqrt(1.0 + squared / CALM_M_S2**2)
 
     def _inertia(
@@ -122,7 +124,7 @@ class DynamicTrainer(BaseTrainer):
         *,
         candidate: Tensor | None = None,
     ) -> Tensor:
-        """Inertia per area [J/m^2] (B, T) of ``vertices`` (B T, V, 3) after ``history`` (B 2, V, 3).
+        """Inertia, in units of ``_unit``, (B, T) of ``vertices`` (B T, V, 3) after ``history`` (B 2, V, 3).
 
         With a ``candidate`` (B T, V, 3) its own, had the cloth gone there in one frame instead.
         """
@@ -142,7 +144,7 @@ class DynamicTrainer(BaseTrainer):
             dt_s=dt_s[:, 1:],
             dt_before_s=dt_s[:, :-1],
         )
-        return energy / float(garment.rest.areas.sum())
+        return energy / self._unit(garment)
 
     def codes(self, windows: Windows, betas: np.ndarray, shown: int) -> Tensor:
         """Dynamic codes (B, shown, 256) of the last ``shown`` frames.

@@ -27,11 +27,14 @@ from drape.catalog import find_garments, find_motions, open_garment
 from drape.cloth import metrics
 from drape.cloth.contact import BodyContact, nearest_vertex_push
 from drape.cloth.energies import ClothMesh
-from drape.cloth.material import material
+from drape.cloth.fabric import Fabric
+from drape.cloth.fabric_table import fabric as fabric_of
+from drape.cloth.material import Material, material
 from drape.errors import ArtifactError
 from drape.files.data import data_folder
 from drape.garment.cache import Garment
 from drape.garment.disagreement import disagreement
+from drape.garment.fabric_features import rest_grain
 from drape.geometry.skinning import skin_points
 from drape.graph.push_feed import push_feed
 from drape.motion.clip import MotionClip
@@ -81,16 +84,24 @@ def held_out_clips(config: TrainConfig, motions: Sequence[str]) -> list[MotionCl
 
 
 def posed_patches(
-    model: OneFit, garment: Garment, source: BodySource, poses: np.ndarray, *, passes: int | None = None
+    model: OneFit,
+    garment: Garment,
+    source: BodySource,
+    poses: np.ndarray,
+    *,
+    passes: int | None = None,
+    fabric: Fabric | None = None,
 ) -> tuple[np.ndarray, Posed]:
     """World vertices [m] (F, V, 3) of the subdivided mesh at ``poses`` (F, 24, 3) [rad], and the posed patches.
 
-    ``passes`` of the corrections are taken, all by default.
+    ``passes`` of the corrections are taken, all by default. ``fabric``: what it is made of, for networks that know
+    fabrics; those take the garment's own otherwise.
     """
-    partition = partition_tensors(garment, body_skin(source.body), device=CPU)
+    made_of = (fabric or fabric_of(garment.fabric)) if model.config.fabric else None
+    partition = partition_tensors(garment, body_skin(source.body), device=CPU, grain=rest_grain(garment))
     body = source.pose(poses, np.zeros((len(poses), source.body.shape_count))).tensors
     with torch.no_grad():
-        embedding = model.garment(partition.features)
+        embedding = model.garment(partition.encoded(made_of))
         posed = model(body, partition.patches, embedding, charts=partition.consensus, passes=passes)
         vertices = vertices_from(posed_coefficients(posed, partition.patches.scale), partition)
         if model.config.variant == "paper":
@@ -99,20 +110,30 @@ def posed_patches(
 
 
 def evaluate(
-    model: OneFit, garment: Garment, body: BodyModel, poses: HardPoses, *, passes: int | None = None
+    model: OneFit,
+    garment: Garment,
+    body: BodyModel,
+    poses: HardPoses,
+    *,
+    passes: int | None = None,
+    fabric: Fabric | None = None,
 ) -> list[dict[str, Any]]:
     """One row per method: mean energies [J] by part, strains, and the share of the baseline's energy.
 
-    ``passes`` as of ``posed_patches``.
+    ``passes`` and ``fabric`` as of ``posed_patches``; of a network that knows fabrics cloth rests as the garment says.
     """
-    cloth_material, contact = material(), BodyContact(body.faces, body.vertex_count)
+    made_of = (fabric or fabric_of(garment.fabric)) if model.config.fabric else None
+    cloth_material = material() if made_of is None else Material.of(made_of)
+    contact = BodyContact(body.faces, body.vertex_count)
     rest, faces = garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64)
     cloth = ClothMesh.from_rest(rest, faces)
+    if made_of is not None:
+        cloth = ClothMesh.of(garment.rest_state(), faces, len(rest))
     rotations, translations = body.bones(poses.poses)
     still = np.broadcast_to(rest, (len(poses.poses), *rest.shape))
     skinned = skin_points(still, garment.skin_weights.astype(np.float64), rotations, translations)
     source = BodySource(body, device=CPU)
-    draped, posed = posed_patches(model, garment, source, poses.poses, passes=passes)
+    draped, posed = posed_patches(model, garment, source, poses.poses, passes=passes, fabric=made_of)
     skin = body.posed_vertices(poses.poses)
     normals = np.asarray(contact.normals(skin))
     positions = {
@@ -170,6 +191,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     parser.add_argument("--garments", nargs="+", default=[], help="names, files or folders (default: the shipped ones)")
     parser.add_argument("--motions", nargs="+", default=[], help="names, files or folders (default: held-out clips)")
     parser.add_argument("--frames", type=int, default=FRAMES, help=f"hard poses (default {FRAMES})")
+    parser.add_argument("--fabric", help="of a network that knows fabrics (default: each garment's own)")
     parser.add_argument("--passes", type=int, help="of the corrections (default: all)")
     parser.add_argument("--threads", type=int, help="of torch")
     options = parser.parse_args(arguments)
@@ -177,9 +199,10 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     torch.set_num_threads(options.threads or config.threads)
     body = load_body()
     poses = hard_poses(held_out_clips(config, options.motions), body, options.frames)
+    chosen = fabric_of(options.fabric) if options.fabric else None
     rows: list[dict[str, Any]] = []
     for path in find_garments(options.garments):
-        rows += evaluate(model, open_garment(path, body), body, poses, passes=options.passes)
+        rows += evaluate(model, open_garment(path, body), body, poses, passes=options.passes, fabric=chosen)
     print_rows(rows)
     record = {
         "evaluate": str(options.checkpoint.name),

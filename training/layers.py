@@ -41,10 +41,10 @@ class Standardise(nn.Module):
         self.register_buffer("inverse_deviation", torch.ones(count))
 
     def set_from(self, samples: Tensor) -> None:
-        """Statistics of ``samples`` (n, count); constant features pass unscaled."""
-        deviation = samples.std(dim=0)
-        self.mean.copy_(samples.mean(dim=0))
-        self.inverse_deviation.copy_(1.0 / torch.where(deviation < 1e-3, torch.ones_like(deviation), deviation))
+        """Statistics of ``samples`` (n, count or fewer, the first ones); constant features and others pass unscaled."""
+        deviation, count = samples.std(dim=0), samples.shape[1]
+        self.mean[:count] = samples.mean(dim=0)
+        self.inverse_deviation[:count] = 1.0 / torch.where(deviation < 1e-3, torch.ones_like(deviation), deviation)
 
     def forward(self, x: Tensor) -> Tensor:
         # A garment unlike any seen must not drive the network to places it never was.
@@ -56,13 +56,12 @@ class GarmentEncoder(nn.Module):
 
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
-        self.standardise = Standardise(config.patch_feature_count)
-        self.first = mlp(
-            [config.patch_feature_count, config.garment_hidden, config.garment_hidden], last_activation=True
-        )
+        count = config.encoder_feature_count
+        self.standardise = Standardise(count)
+        self.first = mlp([count, config.garment_hidden, config.garment_hidden], last_activation=True)
         self.second = mlp(
             [
-                config.garment_hidden + config.patch_feature_count,
+                config.garment_hidden + count,
                 config.garment_hidden,
                 config.garment_hidden,
                 config.embedding_size,

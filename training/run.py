@@ -1,7 +1,7 @@
 """Trains the draping network.
 
     python -m training.run --preset shipped --out runs/shipped [--minutes 95] [--motions DIR ...]
-    python -m training.run --preset dynamic --from runs/shipped/checkpoint.pt --out runs/dynamic
+    python -m training.run --preset dynamic --from runs/shipped/checkpoint.pt [--encoder onefit] --out runs/dynamic
     python -m training.run --finetune onefit --garment shirt.obj --out runs/shirt
     python -m training.run --garment shirt.obj --minutes 10 --out runs/scratch
     python -m training.run --resume runs/shipped
@@ -112,6 +112,9 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("runs/shipped"), help="folder of a new run (%(default)s)")
     parser.add_argument("--from", type=Path, dest="start", help="static model to add dynamics to")
     parser.add_argument(
+        "--encoder", type=Path, metavar="MODEL", help="with --from: begin with the motion of this exported model"
+    )
+    parser.add_argument(
         "--minutes", type=float, help="of training in all, those before --resume included; default: the preset's"
     )
     parser.add_argument("--motions", type=Path, nargs="*", help="folders of motion files; default DRAPE_DATA/motions")
@@ -148,7 +151,7 @@ def _run(arguments: argparse.Namespace) -> None:
     elif arguments.finetune:
         config, weights = finetuned(arguments.finetune, arguments.garment)
     else:
-        config, weights = started(PRESETS[arguments.preset](), arguments.start)
+        config, weights = started(PRESETS[arguments.preset](), arguments.start, arguments.encoder)
         config = dressed(config, arguments.garment)
     if arguments.minutes is not None:
         config = replace(config, minutes=arguments.minutes)

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from torch import Tensor
 
-from drape.artifacts import MODELS_DIR
+from drape.artifacts import MODELS_DIR, model_folder
 from drape.errors import InputError
 from training import checkpoint
 from training.config import ModelConfig, TrainConfig, finetune, go_on
-from training.exported import load_exported
+from training.exported import load_encoder, load_exported
 
 Weights = dict[str, Tensor]
 CHECKPOINT, MANIFEST = "checkpoint.pt", "manifest.json"
@@ -35,8 +35,11 @@ def read_model(model: Path) -> tuple[Weights, ModelConfig, tuple[str, ...]]:
     return payload["model"], found.model, found.data.held_out
 
 
-def started(config: TrainConfig, start: Path | None) -> tuple[TrainConfig, Weights | None]:
-    """``config`` on top of the model ``start``, and the weights there; a static preset takes none."""
+def started(config: TrainConfig, start: Path | None, encoder: Path | None = None) -> tuple[TrainConfig, Weights | None]:
+    """``config`` on top of the model ``start``, and the weights there; a static preset takes none.
+
+    ``encoder``: an exported model, or the name of one, whose recurrent encoder the run begins with.
+    """
     if config.model.dynamic != (start is not None):
         raise InputError(
             "--from",
@@ -52,12 +55,17 @@ def started(config: TrainConfig, start: Path | None) -> tuple[TrainConfig, Weigh
         sizes = {"motion_hidden": wanted.motion_hidden, "state_size": wanted.state_size}
         calming = {"state_decay_s": wanted.state_decay_s, "state_rest_s": wanted.state_rest_s}
         model = replace(model, dynamic=True, **sizes, **calming)
+    if encoder is not None:
+        moving, sizes = load_encoder(model_folder(encoder))
+        names = ("motion_hidden", "state_size", "state_decay_s", "state_rest_s")
+        model = replace(model, **{name: getattr(sizes, name) for name in names})
+        weights = weights | moving
     return replace(config, model=model, data=replace(config.data, held_out=held_out)), weights
 
 
 def finetuned(model: Path, garments: list[str] | None) -> tuple[TrainConfig, Weights]:
     """The configuration that goes on training ``model`` on ``garments`` alone, or else on the shipped preset's, and its
-    weights.
+    weights. A model from before fabrics learns them from here on.
 
     Of a dynamic model it is the static drape that is trained; --preset dynamic adds motion to the result.
     """
@@ -65,7 +73,7 @@ def finetuned(model: Path, garments: list[str] | None) -> tuple[TrainConfig, Wei
     config = dressed(finetune(), garments) if garments else go_on()
     static = {name: value for name, value in weights.items() if not name.startswith("dynamic.")}
     data = replace(config.data, held_out=held_out)
-    return replace(config, model=replace(sizes, dynamic=False), data=data), static
+    return replace(config, model=replace(sizes, dynamic=False, fabric=sizes.variant == "vector"), data=data), static
 
 
 def dressed(config: TrainConfig, garments: list[str] | None) -> TrainConfig:

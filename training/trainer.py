@@ -13,11 +13,13 @@ from torch import Tensor, nn
 
 from drape.arrays.subnormals import flushed
 from drape.body.assets import load_body
-from drape.cloth.material import material
+from drape.cloth.fabric import Fabric
+from drape.cloth.material import Material, material
 from drape.errors import ArtifactError
 from training import losses, parallel
 from training.config import TrainConfig
 from training.data import BodyBatch, BodySource, Partition, TrainingGarment
+from training.fabrics import FabricBank, stretch_share
 from training.model import OneFit, Posed
 from training.poses import PoseBank, draw_betas, rows_of_three
 from training.wardrobe import Wardrobe
@@ -55,7 +57,16 @@ class BaseTrainer:
         self.body = load_body()
         self.source = BodySource(self.body, device=device)
         self.material = material()
-        self.wardrobe = Wardrobe(config.data, self.body, seed=config.seed + 3, device=device, process=parallel.rank())
+        self.fabric: Fabric | None = None
+        self.fabrics = FabricBank(config.data.held_out_fabrics) if config.model.fabric else None
+        self.wardrobe = Wardrobe(
+            config.data,
+            self.body,
+            seed=config.seed + 3,
+            device=device,
+            process=parallel.rank(),
+            fabrics=config.model.fabric,
+        )
         self.model = OneFit(config.model).to(device)
         self.model.autocast = config.autocast
         if weights is not None:
@@ -85,6 +96,12 @@ class BaseTrainer:
         """The loss of a batch that is drawn now."""
         raise NotImplementedError
 
+    def _draw_fabric(self) -> None:
+        """What the garment of this step is made of."""
+        if self.fabrics is not None:
+            self.fabric = self.fabrics.draw(self.rng)
+            self.material = Material.of(self.fabric)
+
     def _learning(self) -> list[nn.Parameter]:
         """The weights that learn."""
         return list(self.model.parameters())
@@ -110,6 +127,7 @@ class BaseTrainer:
             self.wardrobe.refresh(self.rng)
         for group in self.optimiser.param_groups:
             group["lr"] = self.rate()
+        self._draw_fabric()
         self.optimiser.zero_grad(set_to_none=True)
         objective = self.objective()
         objective.loss.backward()
@@ -133,7 +151,7 @@ class BaseTrainer:
     ) -> tuple[Posed, Tensor]:
         """Posed patches of ``batch`` and vertices [m] (F, V, 3) relative to the root; ``passes`` as of ``OneFit``."""
         config = self.config
-        embedding = self.model.garment(partition.features)
+        embedding = self.model.garment(partition.encoded(self.fabric))
         posed = self.model(
             batch.tensors, partition.patches, embedding, dynamic_code, charts=partition.consensus, passes=passes
         )
@@ -144,9 +162,18 @@ class BaseTrainer:
         return losses.contact_planes(vertices, batch, share=self.config.data.contact_share, generator=self.generator)
 
     def _energy(self, vertices: Tensor, garment: TrainingGarment, planes: losses.ContactPlanes) -> dict[str, Tensor]:
-        """Energy per area [J/m^2] (F,) of the cloth, by part; so a dress does not outweigh a tank top."""
+        """Energy (F,) of the cloth by part, in units of ``_unit``."""
         parts = losses.energy_loss(vertices, garment, planes, self.material)
-        return {name: value / float(garment.rest.areas.sum()) for name, value in parts.items()}
+        return {name: value / self._unit(garment) for name, value in parts.items()}
+
+    def _unit(self, garment: TrainingGarment) -> float:
+        """Area [m^2], so that a dress does not outweigh a tank top, times the stretch of the fabric, so that a denim
+        does not outweigh a jersey."""
+        return float(garment.rest.areas.sum()) * self._stretch_share
+
+    @property
+    def _stretch_share(self) -> float:
+        return 1.0 if self.fabric is None else stretch_share(self.fabric)
 
     def _disagreement(self, posed: Posed, partition: Partition, *, less: Posed | None = None) -> Tensor:
         """Mean squared disagreement [m^2] of the charts of ``posed`` at some vertices drawn now."""
@@ -190,7 +217,7 @@ class BaseTrainer:
 def take_weights(model: OneFit, weights: Mapping[str, Tensor]) -> None:
     """Loads ``weights`` into ``model``; those of a static model leave its recurrent encoder as it is."""
     try:
-        missing, unknown = model.load_state_dict(dict(weights), strict=False)
+        missing, unknown = model.load_state_dict(_widened(weights, model), strict=False)
     except RuntimeError as error:
         missing, unknown = [], [" ".join(str(error).split())[:200]]
     strange = [*unknown, *(name for name in missing if not name.startswith("dynamic."))]
@@ -201,6 +228,22 @@ def take_weights(model: OneFit, weights: Mapping[str, Tensor]) -> None:
             got=", ".join(strange[:3]),
             cure="Take a checkpoint of the same architecture.",
         )
+
+
+def _widened(weights: Mapping[str, Tensor], model: OneFit) -> dict[str, Tensor]:
+    """``weights`` with columns of zeros for features of the garment encoder that their network did not have.
+
+    So the first drape is that of before, whatever the fabric.
+    """
+    found = dict(weights)
+    for name, made in model.garment.state_dict(prefix="garment.").items():
+        given = found.get(name)
+        if given is None or given.shape == made.shape or given.shape[:-1] != made.shape[:-1]:
+            continue
+        neutral = torch.ones_like(made) if name.endswith("inverse_deviation") else torch.zeros_like(made)
+        neutral[..., : given.shape[-1]] = given
+        found[name] = neutral
+    return found
 
 
 class Trainer(BaseTrainer):
@@ -227,8 +270,11 @@ class Trainer(BaseTrainer):
     def _passes(self) -> int | None:
         """Passes of corrections in this step: the same in all processes, whose gradients are averaged."""
         rng = np.random.default_rng((self.config.seed, self.step_count))
-        if rng.random() < self.config.full_share:
+        drawn = rng.random()
+        if drawn < self.config.full_share:
             return None
+        if drawn < self.config.full_share + self.config.bare_share:
+            return 0
         return int(rng.integers(self.config.model.corrections + 1))
 
     def _smooth(self) -> bool:
@@ -254,7 +300,7 @@ class Trainer(BaseTrainer):
         garment, partition, batch = self._draw(in_a_row=smooth)
         posed, vertices = self._drape(batch, garment, partition, passes=self._passes())
         parts = self._energy(vertices, garment, self._planes(vertices, batch))
-        parts["waistband"] = losses.held_up(posed, partition, garment) / float(garment.rest.areas.sum())
+        parts["waistband"] = losses.held_up(posed, partition, garment) / self._unit(garment)
         contact = losses.soften(parts["contact"], config.contact_knee_j_m2)
         energy = (parts["membrane"] + parts["bending"] + parts["gravity"] + contact + parts["waistband"]).mean()
         charts = self._disagreement(posed, partition)

@@ -10,10 +10,14 @@ import torch
 
 from drape.body.model import BodyModel
 from drape.catalog import open_garment
+from drape.cloth import rest_state
 from drape.cloth.energies import ClothMesh
+from drape.cloth.rest_state import RestState
 from drape.cloth.waistband import waistband
 from drape.errors import InputError
+from drape.garment.fabric_features import warp_directions
 from drape.garment.fitting import RestGarment, rest_garment
+from drape.geometry import meshes
 from drape.push.skin import body_skin
 from training.config import DataConfig
 from training.data import Partition, TrainingGarment, draw_partition
@@ -23,35 +27,46 @@ from training.garment_design import DESIGNS, build, varied
 class Wardrobe:
     """Garments with their partitions: of designs and their variants, or of garment files, meshes through intake.
 
-    ``process`` gives every process of a parallel run variants of its own.
+    With ``fabrics`` hinges are flat at rest and some variants are cut with another grain; without, cloth rests as it is
+    modelled, as of networks that know no fabric. ``process`` gives every process of a parallel run variants of its own.
 
     A partition is known by its seed, so that a checkpoint holds seeds and ``restore`` draws
     the same partitions again.
     """
 
     def __init__(
-        self, config: DataConfig, body: BodyModel, *, seed: int, device: torch.device, process: int = 0
+        self,
+        config: DataConfig,
+        body: BodyModel,
+        *,
+        seed: int,
+        device: torch.device,
+        process: int = 0,
+        fabrics: bool = True,
     ) -> None:
         self.config, self.device, self._skin = config, device, body_skin(body)
-        self._body = body
+        self._body, self._fabrics = body, fabrics
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(process,)))
         self.garments: list[TrainingGarment] = []
         self.own: list[int] = []  # places of the named designs themselves
         for name in config.garments:
-            for label, vertices, faces in self._meshes(name, body, rng):
+            for label, vertices, faces, own in self._meshes(name, body, rng):
                 if label == name:
                     self.own.append(len(self.garments))
                 rest = rest_garment(vertices, faces, body)
                 count = config.partitions if label == name else config.variant_partitions
                 seeds = [int(rng.integers(2**31)) for _ in range(count)]
-                self.garments.append(self._dressed(label, rest, seeds))
+                self.garments.append(
+                    self._dressed(label, rest, seeds, self._cloth(rest, own, rng, turned=label != name))
+                )
 
     def _meshes(
         self, name: str, body: BodyModel, rng: np.random.Generator
-    ) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    ) -> Iterator[tuple[str, np.ndarray, np.ndarray, RestState | None]]:
+        """Label, vertices and faces of a garment and its neighbours, and how its cloth rests where it says so."""
         if Path(name).is_file():
             taken = open_garment(Path(name), body)
-            yield name, taken.vertices.astype(np.float64), taken.fine_faces.astype(np.int64)
+            yield name, taken.vertices.astype(np.float64), taken.fine_faces.astype(np.int64), taken.rest_state()
             return
         if name not in DESIGNS:
             raise InputError(
@@ -60,22 +75,43 @@ class Wardrobe:
                 got=name,
                 cure="Name a known design or a file that is there.",
             )
-        yield (name, *build(DESIGNS[name], body))
+        yield (name, *build(DESIGNS[name], body), None)
         for i in range(self.config.variants):
-            yield (f"{name}_{i}", *varied(DESIGNS[name], body, rng)[1:])
+            yield (f"{name}_{i}", *varied(DESIGNS[name], body, rng)[1:], None)
 
-    def _dressed(self, label: str, rest: RestGarment, seeds: list[int]) -> TrainingGarment:
-        cloth = ClothMesh.from_rest(rest.vertices, rest.faces).like(torch.zeros(1, device=self.device))
+    def _cloth(
+        self, rest: RestGarment, own: RestState | None, rng: np.random.Generator, *, turned: bool
+    ) -> tuple[RestState, np.ndarray]:
+        """How the cloth rests, and its warp (F, 3): vertical unless it says so itself, or by chance where it may be
+        ``turned``."""
+        if not self._fabrics:
+            return rest_state.modelled(rest.vertices, rest.faces), rest_state.grain_along(rest.vertices, rest.faces)
+        if own is not None:
+            return own, warp_directions(own, rest.vertices, rest.faces)
+        warp = rest_state.grain_along(rest.vertices, rest.faces)
+        if turned and rng.random() < self.config.bias_share:
+            angle = rng.uniform(0.0, np.pi)
+            across = np.cross(meshes.face_normals(rest.vertices, rest.faces), warp)
+            warp = np.cos(angle) * warp + np.sin(angle) * across
+        return rest_state.flat(rest.vertices, rest.faces, warp), warp
+
+    def _dressed(
+        self, label: str, rest: RestGarment, seeds: list[int], made: tuple[RestState, np.ndarray]
+    ) -> TrainingGarment:
+        state, warp = made
+        cloth = ClothMesh.of(state, rest.faces, len(rest.vertices)).like(torch.zeros(1, device=self.device))
         weights = torch.from_numpy(rest.binding.weights.astype(np.float32)).to(self.device)
         found = waistband(rest.vertices, rest.faces, self._body)
         band = None
         if found is not None:
             length = torch.from_numpy(found.length_m.astype(np.float32))
             band = torch.from_numpy(found.vertex).to(self.device), length.to(self.device)
-        return TrainingGarment(label, rest, cloth, [self._partition(rest, s) for s in seeds], weights, seeds, band)
+        partitions = [self._partition(rest, seed, warp) for seed in seeds]
+        return TrainingGarment(label, rest, cloth, partitions, weights, seeds, warp, band)
 
-    def _partition(self, rest: RestGarment, seed: int) -> Partition:
-        return draw_partition(rest, self._skin, seed=seed, span=self.config.patch_range, device=self.device)
+    def _partition(self, rest: RestGarment, seed: int, warp: np.ndarray) -> Partition:
+        span = self.config.patch_range
+        return draw_partition(rest, self._skin, seed=seed, span=span, device=self.device, warp=warp)
 
     def draw(self, rng: np.random.Generator) -> tuple[TrainingGarment, Partition]:
         """A garment and one of its partitions: a named design with chance ``own_share``, else any."""
@@ -90,7 +126,7 @@ class Wardrobe:
         self._replace(garment, int(rng.integers(len(garment.partitions))), int(rng.integers(2**31)))
 
     def _replace(self, garment: TrainingGarment, place: int, seed: int) -> None:
-        garment.partitions[place] = self._partition(garment.rest, seed)
+        garment.partitions[place] = self._partition(garment.rest, seed, garment.warp)
         garment.seeds[place] = seed
 
     def seeds(self) -> list[list[int]]:

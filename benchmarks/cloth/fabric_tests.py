@@ -14,6 +14,7 @@ from scipy.signal import find_peaks
 from scipy.spatial import Delaunay
 
 from drape.cloth.fabric import Fabric, bending_angle, hinge_rigidity
+from drape.cloth.material import Material
 from recovery.sim.model import ClothModel, ClothState, Parameters
 from recovery.sim.newton import Report, equilibrium, newton_step
 
@@ -128,7 +129,7 @@ def simulated(fabric: Fabric, mesh: Mesh, *, angle_rad: float = 0.0) -> tuple[Cl
     model = ClothModel(mesh.faces, fixed=mesh.held, gravity_m_s2=GRAVITY_M_S2)
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     panels = mesh.points @ np.array([[s, c], [-c, s]])
-    parameters = model.parameters(panels, fabric.membrane)
+    parameters = model.parameters(panels, Material.of(fabric).woven)
     edge = panels[model.hinge_nodes[:, 1]] - panels[model.hinge_nodes[:, 0]]
     return model, parameters._replace(bending_j=torch.from_numpy(hinge_rigidity(fabric, bending_angle(edge))))
 

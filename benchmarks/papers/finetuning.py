@@ -21,7 +21,7 @@ import numpy as np
 import torch
 
 from benchmarks.papers.generality import physics_energy, train_for
-from benchmarks.shared import common
+from benchmarks.shared import common, physics
 from drape.body.assets import load_body
 from drape.catalog import find_garments, open_garment
 from drape.cloth import metrics
@@ -121,7 +121,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
         "--patience", type=int, default=PATIENCE, help="times as many steps of a second run from scratch"
     )
     parser.add_argument("--frames", type=int, help="hard poses (default 4, quick 1)")
-    parser.add_argument("--steps", type=int, help="most physics steps (default 2000, quick 100)")
+    parser.add_argument("--steps", type=int, help=f"most physics steps (default {physics.STEPS}, quick 30)")
     common.add_options(parser)
     options = parser.parse_args(arguments)
     torch.set_num_threads(options.threads)
@@ -135,7 +135,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
         garment = open_garment(path, body)
         rows += rows_of(
             path, garment, options.model, source, poses, clips, steps=steps, patience=options.patience,
-            physics_steps=options.steps or (100 if options.quick else 2000),
+            physics_steps=options.steps or (30 if options.quick else physics.STEPS),
         )  # fmt: skip
     common.print_table(rows, COLUMNS)
     means = {

@@ -79,11 +79,18 @@ def physics_energy(garment: Garment, body: BodyModel, poses: HardPoses, *, steps
     skin = body.posed_vertices(poses.poses)
     pushed = nearest_vertex_push(skinned, skin, np.asarray(contact.normals(skin)))
 
-    def minimise() -> physics.Optimum:
-        return physics.minimise(cloth, cloth_material, pushed, contact, skin, step_limit=steps, name=garment.name)
-
-    key = cache_key(garment, body, poses.poses, cloth_material, steps, physics.TOLERANCE)
-    optimum, _ = cached(key, minimise, CACHE_DIR)
+    task = physics.Task(
+        cloth,
+        cloth_material,
+        contact,
+        skin,
+        (pushed,),
+        charts=physics.charts_of(garment),
+        held=physics.held_by_waist(garment, body, skinned),
+        name=garment.name,
+    )
+    key = cache_key(task, steps, physics.TOLERANCE)
+    optimum, _ = cached(key, lambda: physics.minimise(task, step_limit=steps), CACHE_DIR)
     height = metrics.mean_height(skinned, cloth)
     parts = metrics.static_parts(optimum.vertices, cloth, cloth_material, contact, skin, height_m=height)
     return float(np.stack(list(parts.values())).sum(axis=0).mean())
@@ -111,12 +118,15 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     parser.add_argument("--seen", nargs="+", default=[], help="garments of the shipped ones (default: all six)")
     parser.add_argument("--unseen", nargs="+", default=[], help="garment files or folders")
     parser.add_argument("--frames", type=int, help="hard poses (default 4, quick 1)")
-    parser.add_argument("--steps", type=int, help="most physics steps (default 2000, quick 100)")
+    parser.add_argument("--steps", type=int, help=f"most physics steps (default {physics.STEPS}, quick 30)")
     common.add_options(parser)
     options = parser.parse_args(arguments)
     quick = options.quick
     options.minutes = options.minutes or (0.1 if quick else 8.0)
-    options.frames, options.steps = options.frames or (1 if quick else 4), options.steps or (100 if quick else 2000)
+    options.frames, options.steps = (
+        options.frames or (1 if quick else 4),
+        options.steps or (30 if quick else physics.STEPS),
+    )
     torch.set_num_threads(options.threads)
     body = load_body()
     config = PRESETS["shipped"]()

@@ -50,7 +50,7 @@ class BlockScaling:
 def stiffness(vertices: np.ndarray, cloth: ClothMesh, material: Material) -> tuple[Sparse, Sparse]:
     """Approximate Hessians (V, V) [N/m] of the energy in one coordinate, along the cloth and across it."""
     laplacian = cotangent_laplacian(vertices, cloth.faces)
-    stretch = (2.0 * material.mu_n_per_m + material.lambda_n_per_m) * laplacian
+    stretch = material.warp_n_per_m * laplacian
     bend = material.bending_j * (laplacian @ scipy.sparse.diags(1.0 / cloth.vertex_area) @ laplacian)
     held = scipy.sparse.diags(material.contact_j_m4 * cloth.vertex_area)
     return Sparse(ALONG * stretch + HELD_ALONG * held), Sparse(ACROSS * stretch + bend + HELD_ACROSS * held)

@@ -6,12 +6,15 @@
     python -m benchmarks.quality --patches 2 --out fine.json
     python -m benchmarks.quality --garments tshirt --reference --out reference.json
     python -m benchmarks.quality --precision float32 --sheets docs/images
+    python -m benchmarks.quality --garments tshirt --fabrics jersey poplin --passes 0 --out fabrics.json
 
 A garment is a name under assets/garments, a cache file, a mesh, or a folder of either; a
 motion is a name under assets/motions, a file, or a folder. Everything is measured at rest
 (motion knob 0) on the garment's subdivided mesh; jitter on continuous windows of the motions. ``--reference`` adds the
 distance to the drape of a second simulator (benchmarks.quality.reference), minutes per garment; ``--sheets`` draws what
 was measured. The network is the graph that the service runs on a CPU, in int8 unless ``--precision`` says otherwise.
+``--fabrics`` measures every garment in each of them, with its rest state; of a network that knows fabrics, jersey is
+what it is otherwise measured in. Of one that does not, it is the cloth of before fabrics (``--material``).
 """
 
 from __future__ import annotations
@@ -37,7 +40,8 @@ from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, find_motions, is_shipped, open_garment
 from drape.cloth.contact import BodyContact
-from drape.cloth.material import material
+from drape.cloth.fabric_table import DEFAULT_FABRIC, fabric
+from drape.cloth.material import DEFAULT_MATERIAL, material
 from drape.errors import InputError, ended
 from drape.garment.cache import Garment
 from drape.garment.fitting import patch_fields, rest_garment
@@ -46,12 +50,13 @@ from drape.motion.readers import read_motion
 
 SETS = ("trained", "unseen")
 FRAMES, QUICK_FRAMES, REFERENCE_FRAMES = 12, 2, 3
-STEPS, QUICK_STEPS = 2000, 150
+QUICK_STEPS = 30
 COLUMNS = {
-    "garment": "s", "set": "s", "method": "s", "edge_pct": ".2f", "area_pct": ".2f", "edge_over_physics_pp": ".2f",
-    "area_over_physics_pp": ".2f", "colliding_vertex_pct": ".3f", "colliding_triangle_pct": ".3f",
-    "self_intersections": ".1f", "chart_gap_p99_mm": ".2f", "chart_normal_p99_deg": ".2f", "jitter_ratio": ".2f",
-    "jitter_worst": ".2f", "energy_j": ".4f", "membrane_j": ".4f", "gain": ".3f",
+    "garment": "s", "set": "s", "fabric": "s", "method": "s", "edge_pct": ".2f", "area_pct": ".2f",
+    "edge_over_physics_pp": ".2f", "area_over_physics_pp": ".2f", "colliding_vertex_pct": ".3f",
+    "colliding_triangle_pct": ".3f", "self_intersections": ".1f", "chart_gap_p99_mm": ".2f",
+    "chart_normal_p99_deg": ".2f", "jitter_ratio": ".2f", "jitter_worst": ".2f", "detail_mm": ".3f",
+    "dihedral_deg": ".1f", "detail_share": ".2f", "energy_j": ".4f", "membrane_j": ".4f", "gain": ".3f",
 }  # fmt: skip
 REFERENCE_COLUMNS = {"reference_mm": ".1f", "reference_p95_mm": ".1f", "reference_surface_mm": ".1f"}
 # The table's head, where the key is longer than its numbers; the record keeps the keys.
@@ -73,8 +78,15 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
         "--set", choices=SETS, help="what the garments are (default: shipped ones trained, files unseen)"
     )
     parser.add_argument("--patches", type=float, help="cover garments anew, by this many over the usual number")
-    parser.add_argument("--material", default="jersey", help="cloth (drape.cloth.material)")
-    parser.add_argument("--steps", type=int, help=f"most physics steps (default {STEPS}, quick {QUICK_STEPS})")
+    cloth = parser.add_mutually_exclusive_group()
+    cloth.add_argument("--fabrics", nargs="+", metavar="NAME", help="measure in each (drape.cloth.fabric_table)")
+    cloth.add_argument(
+        "--material",
+        help=f"the cloth of before fabrics (drape.cloth.material; default {DEFAULT_MATERIAL}, where the network does "
+        "not know fabrics)",
+    )
+    parser.add_argument("--passes", type=int, help="corrections of the network that run (default: all)")
+    parser.add_argument("--steps", type=int, help=f"most physics steps (default {physics.STEPS}, quick {QUICK_STEPS})")
     parser.add_argument(
         "--no-physics-cache",
         action="store_true",
@@ -95,7 +107,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     if options.quick:
         options.garments = options.garments or ["tshirt"]
     options.frames = options.frames or (QUICK_FRAMES if options.quick else FRAMES)
-    options.steps = options.steps or (QUICK_STEPS if options.quick else STEPS)
+    options.steps = options.steps or (QUICK_STEPS if options.quick else physics.STEPS)
     options.reference_frames = reference_frames(options.reference, options.reference_frames, options.frames)
     return options
 
@@ -127,8 +139,14 @@ def open_bench(options: argparse.Namespace, body: BodyModel) -> Bench:
         contact=contact,
         body_vertices=body_vertices,
         body_normals=np.asarray(contact.normals(body_vertices)),
-        network=Network(model_folder(options.model), body, threads=options.threads, precision=options.precision),
-        material=material(options.material),
+        network=Network(
+            model_folder(options.model),
+            body,
+            threads=options.threads,
+            precision=options.precision,
+            passes=options.passes,
+        ),
+        material=material(options.material or DEFAULT_MATERIAL),
         step_limit=options.steps,
         windows=windows[:1] if options.quick else windows,
         physics_folder=None if options.no_physics_cache else CACHE_DIR,
@@ -136,6 +154,25 @@ def open_bench(options: argparse.Namespace, body: BodyModel) -> Bench:
         reference_folder=None if options.no_physics_cache else quality_reference.CACHE_DIR,
         sheets=options.sheets,
     )
+
+
+def in_fabrics(bench: Bench, options: argparse.Namespace) -> list[Bench]:
+    """``bench`` in each of ``--fabrics``, or in what the network drapes by default.
+
+    Refuses (``NotFound``) what is no fabric, and (``InputError``) ``--reference``, whose simulator has one cloth.
+    """
+    names = options.fabrics
+    if names is None:
+        names = [DEFAULT_FABRIC] if bench.network.engine.knows_fabrics and options.material is None else []
+    if names and options.reference:
+        raise InputError(
+            "--reference",
+            expected="one isotropic cloth, which its simulator has",
+            got=f"fabrics {', '.join(names)}",
+            cure=f"Leave out --fabrics, and add --material {DEFAULT_MATERIAL}.",
+        )
+    chosen = {made.name: made for made in map(fabric, names)}
+    return [bench.of_fabric(made) for made in chosen.values()] or [bench]
 
 
 def covered(garment: Garment, body: BodyModel, share: float) -> Garment:
@@ -147,8 +184,17 @@ def covered(garment: Garment, body: BodyModel, share: float) -> Garment:
 def print_table(rows: list[dict[str, Any]]) -> None:
     """The rows under short heads."""
     named = [{HEADS.get(key, key): value for key, value in row.items()} for row in rows]
-    columns = COLUMNS | {key: form for key, form in REFERENCE_COLUMNS.items() if any(key in row for row in rows)}
+    columns = {key: form for key, form in COLUMNS.items() if key != "fabric" or any(key in row for row in rows)}
+    columns |= {key: form for key, form in REFERENCE_COLUMNS.items() if any(key in row for row in rows)}
     common.print_table(named, {HEADS.get(key, key): form for key, form in columns.items()})
+
+
+def _named(row: dict[str, Any]) -> str:
+    return _in_fabric(row["garment"], row.get("fabric"))
+
+
+def _in_fabric(garment: str, fabric_name: str | None) -> str:
+    return f"{garment} of {fabric_name}" if fabric_name else garment
 
 
 def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
@@ -157,30 +203,36 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     torch.set_num_threads(options.threads)
     body = load_body()
     bench = open_bench(options, body)
+    benches = in_fabrics(bench, options)
     rows: list[dict[str, Any]] = []
     refused: dict[str, str] = {}
     for path in find_garments(options.garments):  # one after the other, so that only one is in memory
         try:
             garment = open_garment(path, body)
             garment = covered(garment, body, options.patches) if options.patches else garment
-            print(f"{garment.name}: drapes and the physics optimum, minutes where it is not stored", flush=True)
-            trained = options.set == "trained" if options.set else is_shipped(path)
-            rows += measure(garment, bench, trained=trained)
         except InputError as error:
-            # One bad file of a folder, or one garment without an optimum, must not cost the table; it is named below
-            # and in the record.
+            # One bad file of a folder must not cost the table; it is named below and in the record.
             refused[error.name] = str(error)
             continue
-        stored = ", stored" if rows[-1]["cached"] else ""
-        print(f"{garment.name}: physics {rows[-1]['steps']:.0f} steps, {rows[-1]['seconds']:.0f} s{stored}", flush=True)
+        print(f"{garment.name}: drapes and the physics optimum, minutes where it is not stored", flush=True)
+        trained = options.set == "trained" if options.set else is_shipped(path)
+        for made in benches:
+            try:
+                rows += measure(garment, made, trained=trained)
+            except InputError as error:  # nor one garment without an optimum
+                refused[_in_fabric(error.name, made.fabric.name if made.fabric else None)] = str(error)
+                continue
+            row = rows[-1]
+            stored = ", stored" if row["cached"] else ""
+            print(f"{_named(row)}: physics {row['steps']:.0f} steps, {row['seconds']:.0f} s{stored}", flush=True)
     if not rows:
         raise InputError("garments", expected="at least one usable", got=str(refused), cure="Check the files.")
     print()
     print_table([*rows, *summary(rows)])
     for row in (row for row in rows if row["method"] == "physics"):
         print(
-            f"physics {row['garment']}: residual {row['residual_n']:.3f} N of {row['weight_n']:.2f} N weight, "
-            f"energy changed by {row['change']:.1e} of its gain in the last {physics.CHECK_STEPS} steps"
+            f"physics {_named(row)}: residual {row['residual_n']:.3f} N of {row['weight_n']:.2f} N weight, "
+            f"{row['converged_pct']:.0f} % of the poses at rest ({100.0 * physics.TOLERANCE:g} % of the weight)"
         )
     for row in (row for row in rows if "reference_at_rest_pct" in row):
         print(
@@ -203,6 +255,9 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
         windows=[window.label for window in bench.windows],
         model=options.model,
         **bench.network.record(),
+        passes=bench.network.passes,
+        fabric=[made.fabric.name for made in benches if made.fabric],
+        knows_fabrics=bench.network.engine.knows_fabrics,
         refused=refused,
         patch_share=options.patches or 1.0,
     )

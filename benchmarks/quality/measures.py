@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.quality.intersections import intersection_count
 from benchmarks.quality.jitter import Window, jitter
 from benchmarks.quality.reference import Bodies, reference_figures
-from benchmarks.quality.sheets import strain_sheet
+from benchmarks.quality.sheets import Drapes, cloth_sheet, strain_sheet
 from benchmarks.shared import physics
 from benchmarks.shared.network import Draped, Network
 from benchmarks.shared.physics_cache import cache_key, cached
@@ -21,8 +21,12 @@ from benchmarks.shared.render import save_png
 from drape.body.model import BodyModel
 from drape.cloth import metrics
 from drape.cloth.contact import BodyContact, nearest_vertex_push
+from drape.cloth.detail import LowPass, dihedral_deg
 from drape.cloth.energies import ClothMesh
+from drape.cloth.fabric import Fabric
+from drape.cloth.fabric_table import DEFAULT_FABRIC
 from drape.cloth.material import Material
+from drape.cloth.rest_state import RestState, modelled
 from drape.garment.cache import Garment
 from drape.garment.disagreement import disagreement
 from drape.geometry.skinning import skin_points
@@ -40,7 +44,10 @@ class Bench:
 
     ``windows`` are what jitter is measured on; ``physics_folder`` keeps optima between runs, None does not. The
     simulator of ``quality_reference`` drapes the first ``reference_frames`` poses over ``reference_bodies`` and keeps
-    them in ``reference_folder``. Sheets of strain go to ``sheets``.
+    them in ``reference_folder``. Sheets of strain and of folds go to ``sheets``.
+
+    ``fabric``: what the garments are made of, in their own rest state; None for the cloth ``material`` of before
+    fabrics, whose rest is the mesh as modelled. ``of_fabric`` sets it with network and material.
     """
 
     body: BodyModel
@@ -56,6 +63,17 @@ class Bench:
     reference_frames: int = 0
     reference_folder: Path | None = None
     sheets: Path | None = None
+    fabric: Fabric | None = None
+
+    def of_fabric(self, fabric: Fabric) -> Bench:
+        """The same bench with all garments of ``fabric``."""
+        return replace(self, fabric=fabric, material=Material.of(fabric), network=self.network.made_of(fabric))
+
+    def rest_state(self, garment: Garment) -> RestState:
+        """The cloth of ``garment`` without stress."""
+        if self.fabric is not None:
+            return garment.rest_state()
+        return modelled(garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64))
 
     @cached_property
     def reference_bodies(self) -> Bodies:
@@ -66,7 +84,8 @@ class Bench:
 def measure(garment: Garment, bench: Bench, *, trained: bool) -> list[dict[str, Any]]:
     """One row per method; what does not apply to a method is not in its row."""
     rest, faces = garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64)
-    cloth = ClothMesh.from_rest(rest, faces)
+    state = bench.rest_state(garment)
+    cloth, low_pass = ClothMesh.of(state, faces, len(rest)), LowPass.of(state, faces, len(rest))
     positions, draped, optimum, was_cached = drapes(garment, bench, cloth)
     height = metrics.mean_height(positions["skinning"], cloth)
     rows: dict[str, dict[str, Any]] = {}
@@ -79,6 +98,7 @@ def measure(garment: Garment, bench: Bench, *, trained: bool) -> list[dict[str, 
             "garment": garment.name,
             "set": "trained" if trained else "unseen",
             "method": method,
+            **({} if bench.fabric is None else {"fabric": bench.fabric.name}),
             "edge_pct": float(metrics.edge_strain_pct(vertices, rest, faces).mean()),
             "area_pct": float(metrics.area_strain_pct(vertices, rest, faces).mean()),
             "colliding_vertex_pct": float(
@@ -88,6 +108,8 @@ def measure(garment: Garment, bench: Bench, *, trained: bool) -> list[dict[str, 
                 metrics.colliding_triangle_pct(vertices, bench.body_vertices, bench.body.faces).mean()
             ),
             "self_intersections": float(intersection_count(vertices, faces).mean()),
+            "detail_mm": float(low_pass.detail_mm(vertices).mean()),
+            "dihedral_deg": float(dihedral_deg(vertices, faces).mean()),
             "energy_j": float(np.stack(list(parts.values())).sum(axis=0).mean()),
             **{f"{part}_j": float(value.mean()) for part, value in parts.items()},
         }
@@ -98,7 +120,7 @@ def measure(garment: Garment, bench: Bench, *, trained: bool) -> list[dict[str, 
     rows["physics"] |= {
         "residual_n": float(optimum.residual_n.mean()),
         "weight_n": float(bench.material.gravity_m_s2 * cloth.vertex_mass(bench.material).sum()),
-        "change": float(optimum.change.max()),
+        "converged_pct": 100.0 * float(optimum.converged.mean()),
         "steps": float(optimum.steps.mean()),
         "seconds": optimum.seconds,
         "cached": was_cached,
@@ -116,10 +138,18 @@ def measure(garment: Garment, bench: Bench, *, trained: bool) -> list[dict[str, 
         for method, columns in figures.items():
             rows[method] |= columns
     if bench.sheets:
-        sheet = strain_sheet(garment, positions, bench.body_vertices, bench.body.faces)
-        save_png(bench.sheets / f"strain_{garment.name}.png", sheet)
+        drawn, name = Drapes(garment, positions, bench.body_vertices, bench.body.faces), sheet_name(garment, bench)
+        save_png(bench.sheets / f"strain_{name}.png", strain_sheet(drawn))
+        save_png(bench.sheets / f"cloth_{name}.png", cloth_sheet(drawn), colours=128)
     rest_crossings = float(intersection_count(rest, faces))
     return [rows[method] | {"self_intersections_rest": rest_crossings} for method in METHODS]
+
+
+def sheet_name(garment: Garment, bench: Bench) -> str:
+    """What the sheets of ``garment`` are called; a fabric other than the default stands behind it."""
+    if bench.fabric is None or bench.fabric.name == DEFAULT_FABRIC:
+        return garment.name
+    return f"{garment.name}_{bench.fabric.name}"
 
 
 def drapes(
@@ -138,19 +168,21 @@ def drapes(
     draped = bench.network.drape(garment, poses)
     pushed = nearest_vertex_push(skinned, bench.body_vertices, bench.body_normals)
 
-    def minimise() -> physics.Optimum:
-        return physics.minimise(
-            cloth,
-            bench.material,
-            pushed,
-            bench.contact,
-            bench.body_vertices,
-            step_limit=bench.step_limit,
-            name=garment.name,
-        )
-
-    key = cache_key(garment, bench.body, poses, bench.material, bench.step_limit, physics.TOLERANCE)
-    optimum, was_cached = cached(key, minimise, bench.physics_folder)
+    task = physics.Task(
+        cloth,
+        bench.material,
+        bench.contact,
+        bench.body_vertices,
+        (pushed, draped.vertices),
+        charts=physics.charts_of(garment),
+        held=physics.held_by_waist(garment, bench.body, skinned),
+        name=garment.name,
+    )
+    optimum, was_cached = cached(
+        cache_key(task, bench.step_limit, physics.TOLERANCE),
+        lambda: physics.minimise(task, step_limit=bench.step_limit),
+        bench.physics_folder,
+    )
     positions = {
         "skinning": skinned,
         "skinning_push": pushed,
@@ -173,25 +205,32 @@ def chart_figures(garment: Garment, draped: Draped) -> dict[str, float]:
 
 
 def add_comparisons(rows: dict[str, dict[str, Any]]) -> None:
-    """Adds to each method's row its gain, and its strain over the physics optimum in percentage points."""
+    """Adds to each method's row its gain, and its strain over the physics optimum in percentage points; to the
+    network's their share of the detail that physics has beyond skinning."""
     best, skin = rows["physics"], rows["skinning_push"]["energy_j"]
     for row in rows.values():
         row["gain"] = metrics.gain(skin, row["energy_j"], best["energy_j"])
         row["edge_over_physics_pp"] = row["edge_pct"] - best["edge_pct"]
         row["area_over_physics_pp"] = row["area_pct"] - best["area_pct"]
+    # As the gain, of what is to rise: NaN where physics has no more detail than skinning.
+    for method in ("network", "network_push"):
+        rows[method]["detail_share"] = metrics.gain(
+            -rows["skinning"]["detail_mm"], -rows[method]["detail_mm"], -best["detail_mm"]
+        )
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Means over the garments of each set, one row per method; the gain is that of the mean energies."""
+    """Means over the garments of each set and fabric, one row per method; gain and share are those of the means."""
     found = []
-    for kind in dict.fromkeys(row["set"] for row in rows):
+    for group in dict.fromkeys((row["set"], row.get("fabric")) for row in rows):
         means = {}
         for method in METHODS:
-            own = [row for row in rows if row["set"] == kind and row["method"] == method]
+            own = [row for row in rows if (row["set"], row.get("fabric")) == group and row["method"] == method]
             numbers = [key for key, value in own[0].items() if isinstance(value, float)]
-            means[method] = {"garment": "all", "set": kind, "method": method} | {
-                key: float(np.mean([row[key] for row in own])) for key in numbers
-            }
+            named = {key: own[0][key] for key in ("set", "method", "fabric") if key in own[0]}
+            means[method] = (
+                {"garment": "all"} | named | {key: float(np.mean([row[key] for row in own])) for key in numbers}
+            )
         add_comparisons(means)
         found += means.values()
     return found

@@ -28,7 +28,6 @@ from benchmarks.shared import common
 from benchmarks.shared.physics_cache import cached, key_of
 from drape.cloth import orthotropic
 from drape.cloth.material import Material
-from drape.cloth.orthotropic import OrthotropicMaterial
 from drape.errors import InputError
 from drape.geometry import closest, meshes
 from recovery.sim import assembly, contact, elastic, implicit, linearised, model, sdf, solver
@@ -104,7 +103,7 @@ class Simulated:
     def __init__(self, rest: np.ndarray, faces: np.ndarray, material: Material) -> None:
         panels, panel_faces = flat_triangles(rest, faces)
         self.model = ClothModel(faces, panel_faces=panel_faces, gravity_m_s2=material.gravity_m_s2, rest_shape=rest)
-        self.parameters: Parameters = self.model.parameters(panels, OrthotropicMaterial.from_isotropic(material))
+        self.parameters: Parameters = self.model.parameters(panels, material.woven)
         self.rest: Rest = self.model.rest(self.parameters.panels)
         self.material = material
         self.node_weight_n = material.gravity_m_s2 * material.density_kg_m2 * self.rest.node_area

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from benchmarks.shared.markdown import Record, cells, heads, rows_table, table
+from benchmarks.shared.markdown import Columns, Record, cells, heads, rows_table, table
 
 QUALITY = {
     "garment": ("garment", "s"), "method": ("method", "s"), "edge_pct": ("edge %", ".2f"),
@@ -18,6 +18,10 @@ NETWORK = {
 }  # fmt: skip
 PUSHED = {"jitter_ratio": ("with push-out", ".2f")}
 CROSSINGS = {"self_intersections": ("", ".1f")}
+# Records of before detail was measured, and of the one cloth of before fabrics, lack these columns.
+FABRIC = {"fabric": ("fabric", "s")}
+DETAIL = {"detail_mm": ("detail [mm]", ".2f"), "dihedral_deg": ("dihedral [deg]", ".1f")}
+SHARE = {"detail_share": ("detail share", ".2f")}
 # Of benchmarks.quality --reference; the long table has them where they were measured.
 REFERENCE = {
     "reference_mm": ("to the reference, mean [mm]", ".1f"),
@@ -50,8 +54,22 @@ PUSH = {
 
 def quality_table(record: Record) -> str:
     """Every garment and method of ``benchmarks.quality``."""
-    more = REFERENCE if any("reference_mm" in row for row in record["rows"]) else {}
-    return rows_table(QUALITY | more, record["rows"], record)
+    rows = record["rows"]
+    first = {"garment": QUALITY["garment"]} | _measured(rows, FABRIC)
+    return rows_table(first | QUALITY | _measured(rows, DETAIL, REFERENCE), rows, record)
+
+
+def _measured(rows: list[Record], *groups: Columns) -> dict[str, tuple[str, str]]:
+    """Those columns of ``groups`` that any of ``rows`` has."""
+    return {key: column for group in groups for key, column in group.items() if any(key in row for row in rows)}
+
+
+def _by_method(rows: list[Record]) -> dict[tuple[str, str, str], dict[str, Record]]:
+    """The rows of every garment, set and fabric by method."""
+    groups: dict[tuple[str, str, str], dict[str, Record]] = {}
+    for row in rows:
+        groups.setdefault((row["garment"], row.get("set", ""), row.get("fabric", "")), {})[row["method"]] = row
+    return groups
 
 
 def reference_table(record: Record) -> str:
@@ -74,25 +92,27 @@ def reference_end_table(record: Record) -> str:
 
 def network_table(record: Record) -> str:
     """The network beside its bounds: one line per garment, and their means; the figures that have targets."""
-    lines, every = [], [*record["rows"], *record["summary"]]
-    for garment, kind in dict.fromkeys((row["garment"], row.get("set", "")) for row in every):
-        rows = {row["method"]: row for row in every if (row["garment"], row.get("set", "")) == (garment, kind)}
+    every = [*record["rows"], *record["summary"]]
+    fabric, share = _measured(every, FABRIC), _measured(every, SHARE)
+    lines = []
+    for (garment, kind, _), rows in _by_method(every).items():
         crossings = [cell for method in ("skinning", "network", "physics") for cell in cells(rows[method], CROSSINGS)]
         name = f"{garment} {kind}".strip() if garment == "all" else garment
-        lines.append([name, *cells(rows["network"], NETWORK), *cells(rows["network_push"], PUSHED), *crossings])
+        own = cells(rows["network"], fabric | NETWORK | share)
+        lines.append([name, *own, *cells(rows["network_push"], PUSHED), *crossings])
     counted = ["self-intersections: skinning", "network", "physics"]
-    return table(["garment", *heads(NETWORK), *heads(PUSHED), *counted], lines)
+    return table(["garment", *heads(fabric | NETWORK | share), *heads(PUSHED), *counted], lines)
 
 
 def gain_table(record: Record) -> str:
     """The short form for the README: one line per garment."""
+    fabric = _measured(record["rows"], FABRIC)
     lines = []
-    for garment in dict.fromkeys(row["garment"] for row in record["rows"]):
-        rows = {row["method"]: row for row in record["rows"] if row["garment"] == garment}
+    for (garment, _, _), rows in _by_method(record["rows"]).items():
         strains = [f"{rows[method]['edge_pct']:.2f}" for method in ("skinning_push", "network_push", "physics")]
-        lines.append([garment, *strains, f"{rows['network_push']['gain']:.2f}"])
-    titles = ["garment", "edge strain %: skinning + nearest-vertex push", "network + push-out", "physics", "gain"]
-    return table(titles, lines, record)
+        lines.append([garment, *cells(rows["physics"], fabric), *strains, f"{rows['network_push']['gain']:.2f}"])
+    titles = ["edge strain %: skinning + nearest-vertex push", "network + push-out", "physics", "gain"]
+    return table(["garment", *heads(fabric), *titles], lines, record)
 
 
 def stop_table(record: Record) -> str:

@@ -41,7 +41,6 @@ from benchmarks.shared.render import SKIN, Surface, render, save_png, sheet
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.cloth.material import material
-from drape.cloth.orthotropic import OrthotropicMaterial
 from drape.files.data import HOW_TO_SET_DATA, data_folder
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.drape.placement import scaled
@@ -117,7 +116,7 @@ def newton_target(
     """
     truth = true_pattern(garment, body)
     own = drape_pattern(truth, body, DrapeOptions(edge_length_m=TARGET_EDGE_M, grid_m=grid_m, fabric=fabric))
-    cloth, preset = OrthotropicMaterial.from_isotropic(material(fabric)), material(fabric)
+    cloth, preset = material(fabric).woven, material(fabric)
     scene = {
         "nodes": own.sewn.nodes, "faces": own.mesh.faces, "panels": own.mesh.rest, "held": own.rest.held,
         "panel_faces": own.mesh.panel_faces, "body_vertices": body.v_template, "body_faces": body.faces,

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from drape.body.model import BodyModel
+from drape.cloth.fabric import Fabric
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment
 from drape.graph.packing import pack_body
@@ -18,7 +20,6 @@ from service.runtime import Device
 
 FRAMES_PER_CALL = 8  # the vertex stage holds some megabytes per frame
 PRECISIONS = ("int8", "float32")  # of the packed graph on a CPU; the first is served
-PLAN = ScenePlan("both")
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,18 +45,40 @@ def add_precision(parser: argparse.ArgumentParser) -> None:
 
 
 class Network:
-    """The packed graph of a model folder on the CPU, at rest (motion 0) and with all passes.
+    """The packed graph of a model folder on the CPU, at rest (motion 0), in the fabric of ``made_of``.
 
-    ``precision``: "int8" as served (``DRAPE_INT8``) where the model has that graph, or "float32". Refuses
-    (``ArtifactError``) a model of another body, and one without a packed graph.
+    ``precision``: "int8" as served (``DRAPE_INT8``) where the model has that graph, or "float32". ``passes``: how many
+    of the network's corrections run, None for all. Refuses (``ArtifactError``) a model of another body, and one without
+    a packed graph; and (``InputError``) passes that the model cannot do.
     """
 
-    def __init__(self, folder: Path, body: BodyModel, *, threads: int, precision: str = PRECISIONS[0]) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        body: BodyModel,
+        *,
+        threads: int,
+        precision: str = PRECISIONS[0],
+        passes: int | None = None,
+    ) -> None:
         self.engine = Engine(folder, device=Device(threads=threads), int8=precision == "int8")
         self.engine.check_body(body)
         self._packer = Packer(self.engine, body)
         self._shape = pack_body(body)
         self.manifest = self.engine.manifest
+        self._plan = ScenePlan("both", passes=self.engine.check_passes(passes))
+        self._fabric: Fabric | None = None
+
+    def made_of(self, fabric: Fabric | None) -> Network:
+        """The same network with garments of ``fabric``, where it knows fabrics; None: of its default."""
+        other = copy.copy(self)
+        other._fabric = fabric if self.engine.knows_fabrics else None
+        return other
+
+    @property
+    def passes(self) -> int:
+        """How many corrections run; 0 also where the model leaves no choice."""
+        return self.engine.pass_count if self._plan.passes is None else self._plan.passes
 
     @property
     def graph(self) -> str:
@@ -73,11 +96,12 @@ class Network:
         """
         fine = replace(garment, vertex_count=len(garment.vertices), faces=garment.fine_faces)
         self._packer.add(fine.name, fine)
+        key = fine.name if self._fabric is None else self._packer.dressed(fine.name, self._fabric)
         results = []
         for start in range(0, len(poses), FRAMES_PER_CALL):
             part = poses[start : start + FRAMES_PER_CALL]
-            items = [(fine.name, row) for row in range(len(part))]
-            results += self._packer.run(PLAN, self._shape.rows(part), items)
+            items = [(key, row) for row in range(len(part))]
+            results += self._packer.run(self._plan, self._shape.rows(part), items)
         self._packer.remove(fine.name)
         if not all(result.finite for result in results):
             raise ArtifactError(

@@ -1,8 +1,8 @@
 """Physics optima and other drapes on disk, so that evaluating several models makes each once.
 
-A file is named by the hash of all that its numbers depend on: rest mesh, skin weights, poses,
-material, body, step limit, and the source of the minimiser, the energies and the contact. So a
-change of any of them misses, and nothing is ever stale; the folder can be deleted at any time.
+A file is named by the hash of all that its numbers depend on: rest state, material, posed bodies, starts, charts, step
+limit, and the source of the minimiser, its kernels, the energies and the contact. So a change of any of them misses,
+and nothing is ever stale; the folder can be deleted at any time.
 """
 
 from __future__ import annotations
@@ -20,28 +20,30 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from benchmarks.shared import common, physics
-from benchmarks.shared.physics import Optimum
-from drape.body import model
-from drape.cloth import contact, energies
-from drape.cloth.material import Material
-from drape.garment.cache import Garment
-from drape.geometry import meshes, rigid, rotations, skinning
+from benchmarks.shared import common, newton, physics
+from benchmarks.shared.physics import Optimum, Task
+from drape.cloth import contact, energies, waistband
+from drape.geometry import meshes
+from drape.solver import descent, elements, hessian, linear, problem
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 T = TypeVar("T", bound="DataclassInstance")
 CACHE_DIR = common.ROOT / "runs" / "physics_cache"  # ignored by git
-SOURCES: tuple[ModuleType, ...] = (physics, energies, contact, model, meshes, rigid, rotations, skinning)
+SOURCES: tuple[ModuleType, ...] = (
+    physics, newton, energies, contact, waistband, meshes, descent, elements, hessian, linear, problem,
+)  # fmt: skip
 
 
-def cache_key(
-    garment: Garment, body: model.BodyModel, poses: np.ndarray, material: Material, step_limit: int, tolerance: float
-) -> str:
-    """Hash of what an optimum depends on, hexadecimal; its start follows from garment, body and poses."""
-    settings = [body.digest, asdict(material), step_limit, tolerance]
-    return key_of(settings, (garment.vertices, garment.fine_faces, garment.skin_weights, poses), SOURCES)
+def cache_key(task: Task, step_limit: int, tolerance: float) -> str:
+    """Hash, hexadecimal, of what an optimum depends on: rest state, fabric, bodies, starts, charts and the method."""
+    cloth = [value for item in fields(task.cloth) if isinstance(value := getattr(task.cloth, item.name), np.ndarray)]
+    contact = [task.contact.faces, *([] if task.contact.vertices is None else [task.contact.vertices])]
+    settings = [asdict(task.material), task.cloth.mean_edge_m, step_limit, tolerance]
+    held = [] if task.held is None else list(vars(task.held).values())
+    arrays = (*cloth, *contact, task.body_vertices, *task.starts, *(task.charts or ()), *held)
+    return key_of(settings, arrays, SOURCES)
 
 
 def key_of(settings: list[Any], arrays: Iterable[np.ndarray], sources: Iterable[ModuleType]) -> str:

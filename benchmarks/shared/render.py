@@ -8,7 +8,21 @@ import numpy as np
 
 from drape.geometry.raster import BACKGROUND, CLOTH, LIGHT, SKIN, Surface, render, view_matrix
 
-__all__ = ["BACKGROUND", "CLOTH", "LIGHT", "SKIN", "Surface", "render", "save_png", "sheet", "view_matrix"]
+__all__ = [
+    "BACKGROUND",
+    "CLOTH",
+    "LIGHT",
+    "PLAIN_CLOTH",
+    "RAKING_LIGHT",
+    "SKIN",
+    "Surface",
+    "render",
+    "save_png",
+    "sheet",
+    "view_matrix",
+]
+PLAIN_CLOTH = (0.80, 0.80, 0.82)  # undyed: shade alone tells its folds
+RAKING_LIGHT = np.array([0.86, 0.42, 0.28]) / np.linalg.norm([0.86, 0.42, 0.28])  # low from the side
 
 
 def sheet(rows: list[list[np.ndarray]]) -> np.ndarray:

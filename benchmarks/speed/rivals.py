@@ -24,6 +24,7 @@ from drape.cloth.material import material
 from drape.cloth.metrics import area_strain_pct, edge_strain_pct
 from drape.garment.cache import Garment
 from drape.garment.consensus import FIT_COUNT, MEMBERS, STRAIN_POINTS
+from drape.garment.fabric_features import encoder_features
 from drape.geometry import jets
 from drape.geometry.skinning import skin_points
 from drape.graph.feeds import garment_feed
@@ -46,7 +47,8 @@ class EagerDrape(nn.Module):
         super().__init__()
         self.graph = PackedGraph(model).eval()
         with torch.no_grad():
-            first = FirstGraph(model)({"patch_features": torch.from_numpy(garment.patch_features)})[1].numpy()
+            features = encoder_features(garment, model.config.encoder_feature_count)
+            first = FirstGraph(model)({"patch_features": torch.from_numpy(features)})[1].numpy()
         packed = pack_garment(garment_feed(garment, body=body if model.config.feels_body else None), first)
         shape = SkinShapes(body).feed(pack_body(body).betas[None])
         constants = packed.stored | compose([(packed, Place(0, 0), 0)]).arrays | shape
@@ -184,8 +186,8 @@ def newton_row(
         path, out = Path(folder) / "scene.npz", Path(folder) / "out.npz"
         np.savez(
             path, rest=rest, faces=garment.faces, start=start, body_faces=body.faces, iterations=NEWTON_ITERATIONS,
-            body_vertices=skinning.collider.posed(pose, skinning.betas)[0], membrane=cloth.mu_n_per_m,
-            area=cloth.lambda_n_per_m, bending=cloth.bending_j, density=cloth.density_kg_m2,
+            body_vertices=skinning.collider.posed(pose, skinning.betas)[0], membrane=0.25 * cloth.shear_n_per_m,
+            area=cloth.cross_n_per_m, bending=cloth.bending_j, density=cloth.density_kg_m2,
         )  # fmt: skip
         command = [python, str(ROOT / "benchmarks/speed/newton_vbd.py"), str(path), str(out)]
         began = time.perf_counter()

@@ -12,27 +12,27 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from drape.arrays import Array, check_finite, check_shape, device, namespace
+from drape.arrays import Array, device, namespace
 from drape.cloth.material import Material
-from drape.errors import InputError, MeshError
+from drape.cloth.rest_state import RestState, modelled
+from drape.errors import InputError
 from drape.geometry import meshes
 
 # Added to squared lengths in units of the mean edge: a collapsed triangle keeps a finite
 # gradient, a healthy one loses 1e-8 of its cosine.
 DEGENERATE = 1e-8
-SMALLEST_AREA_SHARE = 1e-9  # of the mean triangle; below it a rest shape has no inverse
 
 
 @dataclass(frozen=True, eq=False)
 class ClothMesh:
     """Constants of a rest mesh. Arrays are numpy's until ``like`` moves them.
 
-    ``face_index`` (3F,), ``hinge_index`` (4H,): vertices, all first corners before all
-    second ones. ``inverse_shape`` (3, F) [1/m]: entries 00, 01, 11 of the inverse of the rest
-    shape D (2 x 2, columns = the edges from the first corner in the triangle's own axes, the
-    first along the first edge, so entry 10 is zero). ``face_area`` (F,), ``vertex_area`` (V,)
-    [m^2]. ``hinge_cosine``, ``hinge_sine`` (H,) of the rest angle; ``hinge_weight`` (H,) =
-    l^2 / (A1 + A2), zero between needles. ``mean_edge_m`` makes lengths dimensionless.
+    ``face_index`` (3F,), ``hinge_index`` (4H,): vertices, all first corners before all second ones.
+    ``inverse_shape`` (4, F) [1/m]: entries 00, 10, 01, 11 of the inverse of the rest shape D (2 x 2: rows warp and
+    weft, columns the edges from the first corner). ``face_area`` (F,), ``vertex_area`` (V,) [m^2]. ``hinge_cosine``,
+    ``hinge_sine`` (H,) of the rest angle; ``hinge_weight`` (H,): l^2 / (A1 + A2) times the hinge's stiffening, zero
+    between needles; ``hinge_turn`` (H, 2): cos 2a and cos 4a, a the angle to the warp at which it bends.
+    ``mean_edge_m`` makes lengths dimensionless.
     """
 
     faces: np.ndarray
@@ -44,45 +44,44 @@ class ClothMesh:
     hinge_cosine: Array
     hinge_sine: Array
     hinge_weight: Array
+    hinge_turn: Array
     mean_edge_m: float
 
     @classmethod
     def from_rest(cls, vertices: np.ndarray, faces: np.ndarray) -> ClothMesh:
-        """The constants of the rest positions ``vertices`` [m] (V, 3)."""
-        rest = np.asarray(vertices, dtype=np.float64)
-        check_shape("vertices", rest, (None, 3), error=MeshError)
-        check_finite("vertices", rest, error=MeshError)
-        faces = meshes.check_faces(faces, len(rest))
-        area = meshes.face_areas(rest, faces)
-        if len(faces) == 0 or area.min() <= SMALLEST_AREA_SHARE * area.mean():
-            raise MeshError(
-                "faces",
-                expected="at least one triangle, all with an area",
-                got=f"{len(faces)} triangles" + (f", face {int(area.argmin())} of area zero" if len(faces) else ""),
-                cure="Remove degenerate triangles.",
-            )
-        first, second = meshes.corner_edges(rest, faces)
-        length = np.linalg.norm(first, axis=1)
-        along = (first * second).sum(axis=1) / length
-        height = 2.0 * area / length
-        hinges, sides = meshes.hinges(faces), meshes.hinge_faces(faces)
-        shared = np.linalg.norm(rest[hinges[:, 1]] - rest[hinges[:, 0]], axis=1)
-        mean_edge = float(meshes.edge_lengths(rest, meshes.unique_edges(faces)).mean())
-        hinge_index = np.ascontiguousarray(hinges.T).reshape(-1)
-        cosine, sine = _hinge_angles(_planes(rest), hinge_index, mean_edge)
-        norm = np.sqrt(cosine**2 + sine**2)
-        needle = norm < 0.5  # the guard ate the angle: such a hinge bends freely
-        norm = np.where(needle, 1.0, norm)
+        """The constants of the rest positions ``vertices`` [m] (V, 3), grain vertical (``rest_state.modelled``)."""
+        return cls.of(modelled(vertices, faces), faces, len(vertices))
+
+    @classmethod
+    def of(cls, rest: RestState, faces: np.ndarray, vertex_count: int) -> ClothMesh:
+        """The constants of the rest state ``rest`` of ``faces`` (F, 3)."""
+        faces = meshes.check_faces(faces, vertex_count)
+        area, sides = rest.face_area, meshes.hinge_faces(faces)
+        (a, b), (c, d) = np.moveaxis(rest.edges[:, 0], 1, 0), np.moveaxis(rest.edges[:, 1], 1, 0)
+        double = a * d - b * c  # D = [[a, c], [b, d]]
+        spread = np.zeros(vertex_count)
+        np.add.at(spread, faces.reshape(-1), np.repeat(area / 3.0, 3))
+        third = rest.edges[:, 1] - rest.edges[:, 0]
+        lengths = np.linalg.norm(np.concatenate([rest.edges[:, 0], rest.edges[:, 1], third]), axis=1)
+        hinges = meshes.hinges(faces)
+        shared = _shared_edges(rest.edges, faces, hinges, sides)  # (H, 2 sides, 2)
+        mean_edge = float(lengths.mean())
+        # The guard eats the angle of such a hinge: its cosine and sine would have less than half their size.
+        needle = (4.0 * area[sides].prod(axis=1) / mean_edge**4) ** 2 < DEGENERATE / 3.0
+        square = np.linalg.norm(shared, axis=2).mean(axis=1) ** 2
+        # A hinge bends across its edge (fabric.bending_angle): at the angle to the warp that its edge has to the weft.
+        turn = np.arctan2(shared[..., 0], shared[..., 1])
         return cls(
             faces=faces,
             face_index=np.ascontiguousarray(faces.T).reshape(-1),
-            inverse_shape=np.stack([1.0 / length, -along / (length * height), 1.0 / height]),
+            inverse_shape=np.stack([d, -b, -c, a]) / double,
             face_area=area,
-            vertex_area=meshes.vertex_areas(rest, faces),
-            hinge_index=hinge_index,
-            hinge_cosine=cosine / norm,
-            hinge_sine=sine / norm,
-            hinge_weight=np.where(needle, 0.0, shared**2 / area[sides].sum(axis=1)),
+            vertex_area=spread,
+            hinge_index=np.ascontiguousarray(hinges.T).reshape(-1),
+            hinge_cosine=np.cos(rest.hinge_angle),
+            hinge_sine=np.sin(rest.hinge_angle),
+            hinge_weight=np.where(needle, 0.0, rest.stiffening * square / area[sides].sum(axis=1)),
+            hinge_turn=np.stack([np.cos(n * turn).mean(axis=1) for n in (2.0, 4.0)], axis=1),
             mean_edge_m=mean_edge,
         )
 
@@ -107,11 +106,23 @@ class ClothMesh:
         return material.density_kg_m2 * self.vertex_area
 
 
+def _shared_edges(edges: np.ndarray, faces: np.ndarray, hinges: np.ndarray, sides: np.ndarray) -> np.ndarray:
+    """The edge i -> j of every hinge [m] (H, 2, 2) in the axes (warp, weft) of its first and second triangle."""
+    place = np.concatenate([np.zeros((len(edges), 1, 2)), edges], axis=1)  # (F, 3 corners, 2)
+    found = []
+    for side in range(2):
+        face = sides[:, side]
+        start, end = (place[face, (faces[face] == hinges[:, k, None]).argmax(axis=1)] for k in (0, 1))
+        found.append(end - start)
+    return np.stack(found, axis=1)
+
+
 def membrane(positions: Array, mesh: ClothMesh, material: Material) -> Array:
     """St.Venant-Kirchhoff membrane energy.
 
-    Per triangle F = [x1 - x0, x2 - x0] D^-1 (3 x 2), E = (F^T F - I) / 2,
-    energy = area (mu |E|^2 + lambda/2 tr(E)^2).
+    Per triangle F = [x1 - x0, x2 - x0] D^-1 (3 x 2), columns warp p and weft t, E = (F^T F - I) / 2,
+    energy = area/2 (warp Epp^2 + 2 cross Epp Ett + weft Ett^2 + shear Ept^2); of an isotropic cloth
+    area (mu |E|^2 + lambda/2 tr(E)^2).
     """
     return _membrane(_planes(positions), mesh, material)
 
@@ -119,6 +130,7 @@ def membrane(positions: Array, mesh: ClothMesh, material: Material) -> Array:
 def bending(positions: Array, mesh: ClothMesh, material: Material) -> Array:
     """Hinge energy: sum of k l^2 / (A1 + A2) (1 - cos(theta - theta0)), theta the signed dihedral angle.
 
+    k is the rigidity of hinges of that direction (``fabric.hinge_harmonics``), times the hinge's stiffening.
     For small changes k/2 l^2 / (A1 + A2) (theta - theta0)^2. On a mesh of
     equilateral triangles that is a plate of rigidity k [N m]: k/2 (curvature)^2 per
     area on a cylinder (Seung & Nelson 1988), and 1.15 k per hinge.
@@ -215,16 +227,15 @@ def _membrane(planes: Array, mesh: ClothMesh, material: Material) -> Array:
     xp = namespace(planes)
     x0, x1, x2 = _corners(planes, mesh.face_index, 3)
     e1, e2 = x1 - x0, x2 - x0
-    # F's columns: f1 = a e1 and f2 = b e1 + d e2, as D^-1 is upper triangular.
-    a, b, d = xp.unstack(mesh.inverse_shape, axis=0)
-    f1, f2 = a * e1, b * e1 + d * e2
-    e11 = 0.5 * (xp.sum(f1 * f1, axis=0) - 1.0)
-    e22 = 0.5 * (xp.sum(f2 * f2, axis=0) - 1.0)
-    e12 = 0.5 * xp.sum(f1 * f2, axis=0)
-    trace = e11 + e22
-    squared = e11 * e11 + e22 * e22 + 2.0 * (e12 * e12)
-    density = material.mu_n_per_m * squared + (0.5 * material.lambda_n_per_m) * (trace * trace)
-    return xp.sum(mesh.face_area * density, axis=-1)
+    a, b, c, d = xp.unstack(mesh.inverse_shape, axis=0)
+    along, across = a * e1 + b * e2, c * e1 + d * e2
+    warp_strain = 0.5 * (xp.sum(along * along, axis=0) - 1.0)
+    weft_strain = 0.5 * (xp.sum(across * across, axis=0) - 1.0)
+    shear_strain = 0.5 * xp.sum(along * across, axis=0)
+    warp, weft, cross, shear = material.membrane
+    density = warp_strain * (warp * warp_strain + (2.0 * cross) * weft_strain)
+    density = density + weft * (weft_strain * weft_strain) + shear * (shear_strain * shear_strain)
+    return xp.sum((0.5 * mesh.face_area) * density, axis=-1)
 
 
 def _hinge_angles(planes: Array, hinge_index: Array, mean_edge_m: float) -> tuple[Array, Array]:
@@ -247,7 +258,15 @@ def _bending(planes: Array, mesh: ClothMesh, material: Material) -> Array:
     xp = namespace(planes)
     cosine, sine = _hinge_angles(planes, mesh.hinge_index, mesh.mean_edge_m)
     fold = 1.0 - (cosine * mesh.hinge_cosine + sine * mesh.hinge_sine)
-    return material.bending_j * xp.sum(mesh.hinge_weight * fold, axis=-1)
+    weighted = mesh.hinge_weight * fold
+    turned = weighted @ mesh.hinge_turn  # (..., 2)
+    mean, second, fourth = (_scalar(b) for b in material.bending)
+    return mean * xp.sum(weighted, axis=-1) + second * turned[..., 0] + fourth * turned[..., 1]
+
+
+def _scalar(constant: float | Array) -> float | Array:
+    """A constant (..., 1) of as many cloths as (...), which is what is left of the hinges once they are summed."""
+    return constant if isinstance(constant, float | int) else constant[..., 0]
 
 
 def _cross(a: tuple[Array, ...], b: tuple[Array, ...]) -> tuple[Array, Array, Array]:

@@ -13,12 +13,14 @@ direction at the angle a to the warp is ``plate_rigidity``; of what a hinge must
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import hashlib
+import json
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from drape.arrays import Array, namespace
-from drape.cloth.orthotropic import OrthotropicMaterial
 from drape.errors import InputError
 
 POSITIVE = (
@@ -78,17 +80,11 @@ class Fabric:
                 cure=f"Take {0.8 * mean:.3g} J for the bias; warp and weft may differ by nine times.",
             )
 
-    @property
-    def membrane(self) -> OrthotropicMaterial:
-        """The constants for ``orthotropic``, whose panels have x along the weft and y along the warp.
-
-        ``bending_j`` is the mean over all directions, for whoever takes one number for every hinge.
-        """
-        mean = 0.25 * (self.bending_warp_j + self.bending_weft_j + 2.0 * self.bending_bias_j)
-        half = 0.5 * self.shear_n_per_m  # e has H22 Gpt^2 / 2 twice, once for each of the two equal components
-        return OrthotropicMaterial(
-            self.weft_n_per_m, self.cross_n_per_m, self.warp_n_per_m, half, mean, self.density_kg_m2
-        )
+    @cached_property
+    def digest(self) -> str:
+        """Sixteen hex digits of everything that a drape can depend on: its numbers, not its name or source."""
+        numbers = {key: value for key, value in asdict(self).items() if key not in ("name", "source")}
+        return hashlib.sha256(json.dumps(numbers, sort_keys=True).encode()).hexdigest()[:16]
 
     def softened(self, most_n_per_m: float) -> Fabric:
         """The same cloth with warp and weft of at most ``most_n_per_m`` [N/m], cross in proportion; shear stays.
@@ -139,21 +135,31 @@ def plate_rigidity(fabric: Fabric, angle_rad: Array) -> Array:
     B = a0 + a2 cos 2a + a4 cos 4a through the three given directions: that of every orthotropic plate, whose
     D11 cos^4 + 2 (D12 + 2 D66) cos^2 sin^2 + D22 sin^4 it equals.
     """
-    return _harmonics(fabric, angle_rad, (1.0, 1.0, 1.0))
+    return _rigidity(_plate_harmonics(fabric), angle_rad)
 
 
-def hinge_rigidity(fabric: Fabric, angle_rad: Array) -> Array:
-    """Rigidity [J] of a hinge that bends along ``angle_rad`` to the warp, for ``orthotropic.bending_energy``.
+def hinge_harmonics(fabric: Fabric) -> tuple[float, float, float]:
+    """(b, b2, b4) [J] of the rigidity b + b2 cos 2a + b4 cos 4a of hinges that bend at the angle a to the warp.
 
     On a cylinder along d a mesh of equilateral triangles bends each hinge by an angle proportional to
     2 cos 2(a - d) + 1, so that the plate feels the hinges around d with the square of that as weight: its
     harmonics of order 2 and 4 arrive as 2/3 and 1/3. Hinges therefore get 3/2 and 3 times the plate's.
     """
-    return _harmonics(fabric, angle_rad, (1.0, 1.5, 3.0))
+    mean, second, fourth = _plate_harmonics(fabric)
+    return mean, 1.5 * second, 3.0 * fourth
 
 
-def _harmonics(fabric: Fabric, angle_rad: Array, gain: tuple[float, float, float]) -> Array:
-    xp = namespace(angle_rad)
+def hinge_rigidity(fabric: Fabric, angle_rad: Array) -> Array:
+    """Rigidity [J] of a hinge that bends along ``angle_rad`` to the warp, for ``orthotropic.bending_energy``."""
+    return _rigidity(hinge_harmonics(fabric), angle_rad)
+
+
+def _plate_harmonics(fabric: Fabric) -> tuple[float, float, float]:
     warp, bias, weft = fabric.bending_warp_j, fabric.bending_bias_j, fabric.bending_weft_j
-    a0, a2, a4 = 0.25 * (warp + weft + 2.0 * bias), 0.5 * (warp - weft), 0.25 * (warp + weft - 2.0 * bias)
-    return gain[0] * a0 + gain[1] * a2 * xp.cos(2.0 * angle_rad) + gain[2] * a4 * xp.cos(4.0 * angle_rad)
+    return 0.25 * (warp + weft + 2.0 * bias), 0.5 * (warp - weft), 0.25 * (warp + weft - 2.0 * bias)
+
+
+def _rigidity(harmonics: tuple[float, float, float], angle_rad: Array) -> Array:
+    xp = namespace(angle_rad)
+    mean, second, fourth = harmonics
+    return mean + second * xp.cos(2.0 * angle_rad) + fourth * xp.cos(4.0 * angle_rad)

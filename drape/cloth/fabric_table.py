@@ -107,6 +107,7 @@ FABRICS: dict[str, Fabric] = {
     },
     "denim": from_fast("denim", _DENIM, source="FAST readings estimated by range"),
 }
+DEFAULT_FABRIC = "jersey"
 # The names of ``material``, for one release: none of them was a fabric, so each is the nearest one.
 ALIASES = {"soft": "jersey", "limp": "chiffon", "stiff": "denim", "crisp": "poplin"}
 

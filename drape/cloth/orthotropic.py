@@ -22,7 +22,6 @@ from typing import NamedTuple
 import numpy as np
 
 from drape.arrays import Array, like, namespace
-from drape.cloth.material import Material
 from drape.errors import InputError
 
 # Share of the mean of H00 and H11 below which a stress counts as slack in the definite Hessian; the
@@ -53,13 +52,6 @@ class OrthotropicMaterial:
                 got=str(self),
                 cure="Give a stiffness that resists every strain.",
             )
-
-    @classmethod
-    def from_isotropic(cls, material: Material) -> OrthotropicMaterial:
-        """The same cloth as ``material``, without contact and gravity."""
-        diagonal = material.lambda_n_per_m + 2.0 * material.mu_n_per_m
-        shear = 2.0 * material.mu_n_per_m
-        return cls(diagonal, material.lambda_n_per_m, diagonal, shear, material.bending_j, material.density_kg_m2)
 
     @property
     def stretch_n_per_m(self) -> np.ndarray:

@@ -16,19 +16,23 @@ import os
 import sys
 import zipfile
 import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from drape.cloth.rest_state import RestState
 from drape.errors import ArtifactError, NotFound, Unavailable, refusing
-from drape.geometry import jets
+from drape.geometry import jets, meshes
 
 FORMAT_VERSION = 1
 GARMENTS_DIR = Path(__file__).resolve().parents[2] / "assets" / "garments"
 OWN_GARMENTS_DIR = GARMENTS_DIR.parents[1] / "runs" / "garments"  # what users take in; the service reads it too
 CHARTS_PER_VERTEX = 4
+DEFAULT_FABRIC = "jersey"
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +91,10 @@ class Garment(Atlas):
     when the file had none; ``material_names`` and ``face_material`` (F,).
 
     ``skin_weights`` (N, 24) and ``shapedirs`` (N, 3, S) serve plain skinning.
+
+    ``rest_edges`` (G, 2, 2), ``rest_angle`` (H,) and ``rest_stiffening`` (H,): the ``RestState`` of ``fine_faces``,
+    None in garments taken in before there was one; ``rest_state`` gives it for all. ``fabric``: the cloth that it is
+    of, a name or the numbers of ``drape.cloth.fabric_table.fabric``.
     """
 
     name: str
@@ -103,6 +111,39 @@ class Garment(Atlas):
     skin_weights: np.ndarray
     shapedirs: np.ndarray
     manifest: dict[str, Any] = field(default_factory=dict)
+    rest_edges: np.ndarray | None = None
+    rest_angle: np.ndarray | None = None
+    rest_stiffening: np.ndarray | None = None
+    fabric: str | Mapping[str, Any] = DEFAULT_FABRIC
+
+    def rest_state(self) -> RestState:
+        """The cloth of ``fine_faces`` without stress; where none is stored, ``rest_detail.rest_of`` the rest mesh.
+
+        Raises ``ArtifactError`` where what is stored is not of that mesh.
+        """
+        return self._rest_state
+
+    @cached_property
+    def _rest_state(self) -> RestState:
+        # Here, since only simulation needs it: the service starts without.
+        from drape.garment.rest_detail import cloth_of, rest_of
+
+        stored = (self.rest_edges, self.rest_angle, self.rest_stiffening)
+        if all(array is None for array in stored):
+            painted, materials = (self.uv, self.uv_faces), (self.material_names, self.face_material)
+            return rest_of(cloth_of(self.vertices, self.fine_faces, painted, materials))[0]
+        hinge_count = len(meshes.hinges(self.fine_faces))
+        shapes = {"rest_edges": (len(self.fine_faces), 2, 2), "rest_angle": (hinge_count,)}
+        shapes["rest_stiffening"] = (hinge_count,)
+        for (name, shape), array in zip(shapes.items(), stored, strict=True):
+            if array is None or array.shape != shape:
+                raise ArtifactError(
+                    f"garment {self.name} {name}",
+                    expected=f"shape {shape}",
+                    got="nothing" if array is None else f"shape {array.shape}",
+                    cure="Run the intake again.",
+                )
+        return RestState(*(np.asarray(array, dtype=np.float64) for array in stored))
 
     def reconstruct(self) -> np.ndarray:
         """Rest vertices [m] (N, 3) blended from the charts; equals ``vertices`` to rounding."""
@@ -114,7 +155,7 @@ class Garment(Atlas):
         return f"{self.name}-{self.digest[:16]}.npz"
 
 
-_TEXT_FIELDS = ("name", "digest", "body_digest", "vertex_count", "material_names", "manifest")
+_TEXT_FIELDS = ("name", "digest", "body_digest", "vertex_count", "material_names", "manifest", "fabric")
 
 
 def save_garment(garment: Garment, folder: Path) -> Path:
@@ -123,6 +164,7 @@ def save_garment(garment: Garment, folder: Path) -> Path:
     Raises ``Unavailable`` where the folder cannot be made or written.
     """
     arrays = {f.name: getattr(garment, f.name) for f in fields(Garment) if f.name not in _TEXT_FIELDS}
+    arrays = {name: array for name, array in arrays.items() if array is not None}
     header = {key: getattr(garment, key) for key in _TEXT_FIELDS} | {"format_version": FORMAT_VERSION}
     buffer = io.BytesIO()
     np.savez_compressed(buffer, header=np.frombuffer(json.dumps(header).encode(), dtype=np.uint8), **arrays)

@@ -11,7 +11,7 @@ import scipy.sparse
 
 from drape.body.model import BodyModel
 from drape.garment import charts, features, skin
-from drape.garment.cache import Garment
+from drape.garment.cache import DEFAULT_FABRIC, Garment
 from drape.garment.partition import mesh_edges, partition, patch_count_for, vertex_graph
 from drape.garment.unfold import fit_planes, folded_charts, folded_triangles, without_folds
 from drape.geometry import jets
@@ -221,6 +221,7 @@ def fit_garment(
         skin_weights=rest.binding.weights.astype(np.float32),
         shapedirs=(SHAPE_STEP_M * np.rint(rest.binding.shapedirs / SHAPE_STEP_M)).astype(np.float32),
         manifest={},
+        fabric=DEFAULT_FABRIC,
         **fields,
     )
     figures = fit_error(rest, fields) | {"patch_count": garment.patch_count, "area_m2": float(rest.areas.sum())}

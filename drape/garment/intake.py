@@ -1,10 +1,11 @@
 """Takes in a garment: a mesh file modelled on any avatar becomes a garment at rest on the standard body.
 
     python -m drape.garment.intake FILE [--avatar AVATAR] [--out DIR] [--repair] [--unit m] [--up y] [--patches 2]
+        [--rest auto] [--fabric jersey]
 
 Steps: read, check, move to the standard body in T-pose, subdivide, push clear of the body, fit
-patches, store. The cache file's name carries a digest of everything that went in, so taking
-the same garment in again returns at once.
+patches, find the cloth's rest state, store. The cache file's name carries a digest of everything
+that went in, so taking the same garment in again returns at once.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import json
 import re
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
@@ -24,12 +25,22 @@ import numpy as np
 
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
+from drape.cloth.fabric_table import fabric
 from drape.errors import InputError, refusing
 from drape.garment import avatars
-from drape.garment.cache import FORMAT_VERSION, OWN_GARMENTS_DIR, Garment, load_garment, save_garment
+from drape.garment.cache import (
+    DEFAULT_FABRIC,
+    FORMAT_VERSION,
+    OWN_GARMENTS_DIR,
+    Garment,
+    load_garment,
+    save_garment,
+)
 from drape.garment.clearance import CLEARANCE_M, clear_body
 from drape.garment.files.mesh import GarmentMesh, read_mesh
+from drape.garment.grain import texture
 from drape.garment.mesh_checks import Unit, Up, check_mesh
+from drape.garment.rest_detail import Cloth, Rest, doubled_faces, rest_of, subdivided_like
 from drape.garment.rest_pose import refine, to_standard
 from drape.geometry import meshes
 
@@ -48,6 +59,10 @@ class IntakeOptions:
 
     ``patches``: how many, over the number of ``patch_count_for``: more drape closer to physics, and slower
     (docs/reference/quality.md measures the trade). Raises ``InputError`` outside ``PATCH_SHARE_RANGE``.
+
+    ``rest``: what the cloth remembers of its shape (``rest_detail.rest_of``); ``fabric``: what it is of, a name or
+    numbers of ``fabric_table.fabric``, which refuses others; ``uv_unit_m``: metres of cloth per unit of uv, where these
+    are its panels.
     """
 
     unit: Unit = "auto"
@@ -55,8 +70,19 @@ class IntakeOptions:
     repair: bool = False
     clearance_m: float = CLEARANCE_M
     patches: float = 1.0
+    rest: Rest = "auto"
+    fabric: str | Mapping[str, Any] = DEFAULT_FABRIC
+    uv_unit_m: float | None = None
 
     def __post_init__(self) -> None:
+        fabric(self.fabric)
+        if self.rest not in get_args(Rest):
+            expected = "one of " + ", ".join(get_args(Rest))
+            raise InputError("rest", expected=expected, got=str(self.rest), cure="Take auto.")
+        if self.uv_unit_m is not None and not 0.0 < self.uv_unit_m < np.inf:
+            raise InputError(
+                "uv unit", expected="metres > 0", got=f"{self.uv_unit_m:g}", cure="Leave it out if uv are no panels."
+            )
         low, high = PATCH_SHARE_RANGE
         if not low <= self.patches <= high:
             raise InputError(
@@ -67,12 +93,16 @@ class IntakeOptions:
             )
 
 
+_LATE_OPTIONS = ("patches", "rest", "fabric", "uv_unit_m")
+
+
 @dataclass(frozen=True, eq=False)
 class RestMesh:
     """A garment at rest, clear of the body: delivered vertices first, then those of the subdivision.
 
     ``mesh`` is the checked mesh without unused vertices, ``kept`` (V,) the row in it of every
-    delivered vertex and ``faces`` the delivered faces; ``figures`` are what intake prints.
+    delivered vertex and ``faces`` the delivered faces; ``resized``: it was moved from another body;
+    ``figures`` are what intake prints.
     """
 
     mesh: GarmentMesh
@@ -81,6 +111,7 @@ class RestMesh:
     vertices: np.ndarray
     fine_faces: np.ndarray
     loose: np.ndarray
+    resized: bool
     figures: dict[str, float]
 
 
@@ -114,7 +145,9 @@ def rest_mesh(
         "loose_share": float((moved.loose > 0.5).mean()),
         "fine_vertex_count": len(fine),
     }
-    return RestMesh(compact, kept, checked.faces, cleared.vertices, fine_faces, moved.loose[origin], figures)
+    return RestMesh(
+        compact, kept, checked.faces, cleared.vertices, fine_faces, moved.loose[origin], avatar.moved, figures
+    )
 
 
 def edge_strain(before: np.ndarray, after: np.ndarray, faces: np.ndarray) -> dict[str, float]:
@@ -157,8 +190,9 @@ def garment_digest(payload: bytes, avatar: Any, body: BodyModel, options: Intake
     if isinstance(avatar, Path):
         avatar = hashlib.sha256(avatar.read_bytes()).hexdigest()
     chosen = asdict(options)
-    if chosen["patches"] == 1.0:
-        del chosen["patches"]  # garments taken in before there was a choice keep their digest
+    for late in _LATE_OPTIONS:
+        if chosen[late] == getattr(IntakeOptions, late):
+            del chosen[late]  # garments taken in before there was a choice keep their digest
     header = {
         "name": name,
         "avatar": avatar,
@@ -230,10 +264,14 @@ def intake(
         "notes": list(rest.mesh.notes),
         "intake": {key: round(float(value), 4) for key, value in rest.figures.items()},
     }
-    garment = _fit(rest, name, body, digest, manifest, options.patches)
-    error = garment.manifest["fit"]
+    garment = with_rest_state(_fit(rest, name, body, digest, manifest, options.patches), rest, options)
+    error, cloth = garment.manifest["fit"], garment.manifest["rest"]
     say(f"fitted    {garment.patch_count} patches on {len(garment.vertices):,} vertices")
     say(f"fit error {error['point_rmse_m']:.2e} m point RMSE, {error['normal_error_deg']:.2f} deg normal error")
+    say(
+        f"cloth     rest {options.rest}: {100 * cloth['kept_share']:.1f} % of the hinges keep an angle, "
+        f"{100 * cloth['hem_share']:.1f} % lie double; grain {cloth['grain']}, lengths of the {cloth['lengths']}"
+    )
     say(f"took      {time.perf_counter() - started:.1f} s")
     if folder is not None:
         say(f"stored    {save_garment(garment, folder)}")
@@ -282,6 +320,38 @@ def _fit(
     return with_unused(garment, rest.faces, rest.kept)
 
 
+def with_rest_state(garment: Garment, rest: RestMesh, options: IntakeOptions) -> Garment:
+    """``garment``, taken in of ``rest``, with the rest state and the fabric of ``options``; figures in the manifest."""
+    compact = rest.mesh
+    row = np.concatenate([rest.kept, np.arange(len(compact.vertices), len(rest.vertices))])
+    faces = garment.fine_faces.astype(np.int64)
+    modelled = subdivided_like(compact.vertices, compact.faces, len(faces))[row]
+    painted = texture(compact.uv, compact.uv_faces, len(faces))
+    doubled = doubled_faces(compact.material_names, compact.face_material, len(faces))
+    points = garment.vertices.astype(np.float64)
+    cloth = Cloth(points, faces, modelled, painted, doubled, options.uv_unit_m, rest.resized)
+    state, figures = rest_of(cloth, options.rest)
+    arrays = {"rest_edges": state.edges, "rest_angle": state.hinge_angle, "rest_stiffening": state.stiffening}
+    return replace(
+        garment,
+        **{name: array.astype(np.float32) for name, array in arrays.items()},
+        fabric=options.fabric,
+        manifest=garment.manifest | {"rest": asdict(figures)},
+    )
+
+
+def read_fabric(text: str) -> str | dict[str, Any]:
+    """A fabric as a command line gives it: a name, or its numbers as JSON."""
+    if not text.lstrip().startswith("{"):
+        return text
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        raise InputError(
+            "fabric", expected="a name or a JSON object", got=str(error), cure="Correct the JSON."
+        ) from error
+
+
 @refusing
 def main(arguments: list[str] | None = None) -> int:
     """Command line entry; 0 when the garment was taken in, 2 when it was refused."""
@@ -303,13 +373,29 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--patches", type=float, default=1.0, help="over the usual number: 2 drapes closer to physics, and slower"
     )
+    parser.add_argument(
+        "--rest",
+        default="auto",
+        choices=get_args(Rest),
+        help="what the cloth remembers of its shape (%(default)s: creases)",
+    )
+    parser.add_argument("--fabric", default=DEFAULT_FABRIC, help="a name, or numbers as JSON (%(default)s)")
+    parser.add_argument("--uv-unit", type=float, help="metres of cloth per unit of uv, where uv are its panels")
     given = parser.parse_args(arguments)
     intake(
         given.file,
         name=given.name,
         avatar=given.avatar,
         body=load_body(given.body) if given.body else None,
-        options=IntakeOptions(unit=given.unit, up=given.up, repair=given.repair, patches=given.patches),
+        options=IntakeOptions(
+            unit=given.unit,
+            up=given.up,
+            repair=given.repair,
+            patches=given.patches,
+            rest=given.rest,
+            fabric=read_fabric(given.fabric),
+            uv_unit_m=given.uv_unit,
+        ),
         folder=given.out,
         report=print,
     )

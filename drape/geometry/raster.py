@@ -38,8 +38,12 @@ def render(
     elevation_deg: float = 8.0,
     centre: np.ndarray | None = None,
     extent_m: float | None = None,
+    light: np.ndarray = LIGHT,
 ) -> np.ndarray:
-    """An orthographic picture (height, width, 3) in [0, 1]; ``extent_m`` is the height of the view."""
+    """An orthographic picture (height, width, 3) in [0, 1]; ``extent_m`` is the height of the view.
+
+    ``light`` (3,): where it comes from, in the camera's axes; from the side it shows folds.
+    """
     height, width = size
     view = view_matrix(azimuth_deg, elevation_deg)
     everything = np.concatenate([s.vertices for s in surfaces])
@@ -51,7 +55,7 @@ def render(
     for surface in surfaces:
         camera = (surface.vertices - centre) @ view.T
         screen = np.stack([width / 2 + camera[:, 0] * scale, height / 2 - camera[:, 1] * scale], axis=1)
-        _raster(surface, camera, screen, (height, width), view, depth, image)
+        _raster(surface, camera, screen, (height, width), light, depth, image)
     return image.reshape(height, width, 3)
 
 
@@ -60,7 +64,7 @@ def _raster(
     camera: np.ndarray,
     screen: np.ndarray,
     size,
-    view: np.ndarray,
+    light: np.ndarray,
     depth: np.ndarray,
     image: np.ndarray,
 ) -> None:
@@ -105,6 +109,6 @@ def _raster(
             n = np.einsum("nk,nkc->nc", w, vertex_normal[faces[t]]) if surface.smooth else normal[t]
             n = n / (np.linalg.norm(n, axis=1, keepdims=True) + 1e-12)
             n = np.where(n[:, 2:3] < 0, -n, n)
-            shade = 0.28 + 0.72 * np.clip(n @ LIGHT, 0, 1)
+            shade = 0.28 + 0.72 * np.clip(n @ light, 0, 1)
             depth[pixel] = z
             image[pixel] = np.clip(colour[t] * shade[:, None], 0, 1)

@@ -29,6 +29,24 @@ class Worn(BaseModel):
     )
 
 
+class FabricNumbers(BaseModel):
+    """A fabric by its numbers: those of ``drape.cloth.fabric.Fabric``, which refuses what is no cloth."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    warp_n_per_m: float = Field(description="Stiffness against stretch along the warp [N/m].")
+    weft_n_per_m: float = Field(description="And along the weft [N/m].")
+    cross_n_per_m: float = Field(description="How much stretch of one pulls on the other [N/m].")
+    shear_n_per_m: float = Field(description="Stiffness against shear [N/m], four times a laboratory's modulus.")
+    bending_warp_j: float = Field(description="Rigidity of bending along the warp [N m].")
+    bending_bias_j: float = Field(description="At 45 degrees to it [N m].")
+    bending_weft_j: float = Field(description="And along the weft [N m].")
+    density_kg_m2: float = Field(description="Mass per area [kg/m2].")
+
+
+FabricChoice = Annotated[str, Field(min_length=1, max_length=40)] | FabricNumbers
+
+
 class DrapeOptions(BaseModel):
     """How it is draped. Names are those of Python; an alias is the name on the wire."""
 
@@ -51,6 +69,11 @@ class DrapeOptions(BaseModel):
         le=64,
         strict=True,
         description="How many corrections of the network run: fewer are faster; the service's setting if left out.",
+    )
+    fabric: FabricChoice | Annotated[tuple[FabricChoice | None, ...], Len(1, LAYER_LIMIT), FIRST_ONLY] | None = Field(
+        default=None,
+        description="What the garments are made of: a name of GET /fabrics, numbers, or a list of these by layer, the "
+        "innermost first (null: the garment's own). Left out: each garment's own.",
     )
     geometry: Geometry = Field(
         default="vertices",

@@ -10,6 +10,7 @@ import torch
 from drape.arrays.subnormals import flushed
 from drape.body.assets import load_body
 from drape.garment.cache import Garment
+from drape.garment.fabric_features import encoder_features
 from drape.garment.tangents import tangent_columns
 from drape.graph.feeds import body_feed, garment_feed
 from drape.graph.packing import TANGENTS, Place, compose, pack_body, pack_garment, pack_tangents
@@ -26,7 +27,8 @@ def packed_parity_error(model: OneFit, encoder: Path, packed: Path, garment: Gar
     """Largest vertex distance [m] of one batch: hard poses of two body shapes, the garment in three sizes of itself."""
     body = load_body()
     feeds = [_first_vertices(garment_feed(garment, body=body), share) for share in (1.0, 0.5, 0.01)]
-    first = np.asarray(session(encoder).run(["patch_first"], {"patch_features": garment.patch_features})[0])
+    features = encoder_features(garment, model.config.encoder_feature_count)
+    first = np.asarray(session(encoder).run(["patch_first"], {"patch_features": features})[0])
     columns = tangent_columns(garment)
     garments, places, patch, tile = [], [], 0, 0
     for feed in feeds:
@@ -53,7 +55,7 @@ def packed_parity_error(model: OneFit, encoder: Path, packed: Path, garment: Gar
     got = _run(packed, bodies | stored | composition.arrays | code)
 
     with torch.no_grad():
-        embedding = EncoderGraph(model)({"patch_features": torch.from_numpy(garment.patch_features)}).numpy()
+        embedding = EncoderGraph(model)({"patch_features": torch.from_numpy(features)}).numpy()
     worst = 0.0
     for place, (g, frame) in zip(composition.vertices, items, strict=True):
         feed = body_feed(body, poses[frame : frame + 1], np.zeros((1, 3)), betas[shape_of[frame]], skin=True)

@@ -24,6 +24,7 @@ from torch import nn
 
 from drape.body.assets import load_body
 from drape.catalog import find_garments, find_motions, open_garment
+from drape.cloth.fabric_table import fabric
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment
 from drape.motion.hard_poses import hard_poses
@@ -34,6 +35,7 @@ from training.model import OneFit
 
 ROUNDED = "packed_int8"  # its name in a model folder
 STEPS, WEIGHT_STEPS, MIDDLE = 127, 63, 128
+FABRICS = ("chiffon", "jersey", "denim")
 MARGIN = 1.25  # over the largest number seen
 POSES = 24
 
@@ -57,11 +59,15 @@ def wide_layers(model: OneFit) -> dict[str, nn.Linear]:
 
 
 def calibrated(model: OneFit, garments: Sequence[Garment], source: BodySource, poses: np.ndarray) -> dict[str, Wide]:
-    """What ``wide_layers`` see when ``garments`` are draped at ``poses`` (F, 24, 3) [rad], with a margin."""
+    """What ``wide_layers`` see when ``garments`` are draped at ``poses`` (F, 24, 3) [rad], with a margin.
+
+    Of networks that know fabrics in the softest, the stiffest and one between.
+    """
     layers = wide_layers(model)
     with _watched(layers) as seen:
         for garment in garments:
-            posed_patches(model, garment, source, poses)
+            for cloth in [fabric(name) for name in FABRICS] if model.config.fabric else [None]:
+                posed_patches(model, garment, source, poses, fabric=cloth)
     return {
         name: Wide(layer.weight.detach().numpy().T.copy(), MARGIN * seen[name].numpy())
         for name, layer in layers.items()

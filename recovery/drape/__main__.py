@@ -17,7 +17,7 @@ from pathlib import Path
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.cloth.material import DEFAULT_MATERIAL
 from drape.errors import refusing
-from drape.garment.intake import garment_name, intake
+from drape.garment.intake import IntakeOptions, garment_name, intake
 from recovery.drape.output import glb_bytes, obj_text, panel_texture, write
 from recovery.drape.pipeline import Draped, DrapeOptions, Hold, drape_pattern
 from recovery.drape.placement import Axes
@@ -85,7 +85,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ]
     if not given.no_garment:
         # The cache holds the rest garment: it is the T-pose that a pose is skinned from.
-        intake(rest.encode(), name=name, kind="obj", avatar="standard", body=body, folder=given.out, report=print)
+        intake(
+            rest.encode(),
+            name=name,
+            kind="obj",
+            avatar="standard",
+            body=body,
+            options=IntakeOptions(uv_unit_m=texture[1]),
+            folder=given.out,
+            report=print,
+        )
     seconds = round(time.perf_counter() - started, 1)
     record = {"pattern": pattern.name, "body": body.name, "fabric": given.fabric, "scale": given.scale}
     files.append(write(given.out / f"{name}.json", {**record, **draped.figures, "seconds": seconds}))

@@ -116,7 +116,7 @@ def drape_pattern(
     Raises ``InputError`` (or ``MeshError``) for a pattern that cannot be meshed, placed or closed round this body.
     """
     say = report or (lambda line: None)
-    cloth = cloth or OrthotropicMaterial.from_isotropic(material(options.fabric))
+    cloth = cloth or material(options.fabric).woven
     pattern, notes = uncrossed(pattern)
     for note in notes:
         say(f"repaired  {note}")
@@ -174,7 +174,7 @@ def drape_in_pose(
     pose = np.asarray(pose, dtype=np.float64).reshape(JOINT_COUNT, 3)
     moved = to_pose(mesh, rest.nodes, body, pose)
     skin = options.skin(body.posed_vertices(pose[None])[0], body.faces, report)
-    cloth = cloth or OrthotropicMaterial.from_isotropic(material(options.fabric))
+    cloth = cloth or material(options.fabric).woven
     posed = settle(mesh, moved, skin, cloth, held=rest.held, iteration_limit=options.iteration_limit)
     return posed, drape_figures(mesh, posed, skin)
 

@@ -6,6 +6,7 @@ Garment-Pattern-Generator those of SMPL's template, files of GarmentCode stand o
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -127,10 +128,17 @@ def best_lift(positions: np.ndarray, pairs: np.ndarray, distance: Distance) -> f
     return float(LEVELS_M[int(np.argmin(costs))])
 
 
-def cleared(mesh: PatternMesh, positions: np.ndarray, distance: Distance) -> tuple[np.ndarray, float]:
-    """``positions`` (P, 3) with every panel moved along its normal until it is clear, and the longest way [m]."""
+def cleared(
+    mesh: PatternMesh, positions: np.ndarray, distance: Distance, *, leave: Collection[str] = ()
+) -> tuple[np.ndarray, float]:
+    """``positions`` (P, 3) with every panel moved along its normal until it is clear, and the longest way [m].
+
+    Panels named in ``leave`` stay where they are.
+    """
     moved, longest = positions.copy(), 0.0
     for number, panel in enumerate(mesh.pattern.panels):
+        if panel.name in leave:
+            continue
         mine = mesh.panel == number
         normal = panel.placement.matrix()[:, 2]
         for way in np.arange(0.0, CLEAR_LIMIT_M, CLEAR_STEP_M):

@@ -32,7 +32,7 @@ class Relaxation:
     """Cloth of vertices x (V, 3) whose triangles ``faces`` (F, 3) have flat rest corners ``rest`` [m] (F, 3, 2).
 
     ``threads`` (S, 2) are pairs of vertices that can be pulled together. ``distance`` is the body, ``gap_m`` what cloth
-    keeps from it.
+    keeps from it, all of it or each vertex (V,). At the vertices ``creases`` it folds without resistance.
     """
 
     def __init__(
@@ -41,9 +41,11 @@ class Relaxation:
         rest: np.ndarray,
         distance: Distance,
         *,
-        gap_m: float,
+        gap_m: float | np.ndarray,
         threads: np.ndarray | None = None,
+        creases: np.ndarray | None = None,
     ) -> None:
+        self._creases = np.zeros(0, dtype=np.int64) if creases is None else creases
         self.faces, self.distance, self.gap_m = faces, distance, gap_m
         self.count = count = int(faces.max()) + 1
         first, second = rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0]
@@ -84,6 +86,7 @@ class Relaxation:
         inner = np.ones(self.count)
         for loop in meshes.boundary_loops(self.faces):
             inner[loop] = 0.0
+        inner[self._creases] = 0.0
         scale = scipy.sparse.diags(BENDING_LENGTH_M**2 * inner / np.maximum(area, 1e-30))
         return scipy.sparse.csr_matrix(membrane.T @ scale @ membrane)
 

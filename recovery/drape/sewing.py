@@ -40,19 +40,33 @@ def in_numpy(distance: SignedDistance) -> Distance:
     return query
 
 
-def sewn_relaxation(mesh: PatternMesh, distance: Distance, *, gap_m: float = SEWING_GAP_M) -> Relaxation:
+def sewn_relaxation(
+    mesh: PatternMesh,
+    distance: Distance,
+    *,
+    gap_m: float | np.ndarray = SEWING_GAP_M,
+    creases: np.ndarray | None = None,
+) -> Relaxation:
     """The relaxation of the garment's nodes, seams merged."""
-    return Relaxation(mesh.faces, mesh.rest[mesh.panel_faces], distance, gap_m=gap_m)
+    return Relaxation(mesh.faces, mesh.rest[mesh.panel_faces], distance, gap_m=gap_m, creases=creases)
 
 
-def sew(mesh: PatternMesh, placed: np.ndarray, distance: Distance) -> Sewn:
+def sew(
+    mesh: PatternMesh,
+    placed: np.ndarray,
+    distance: Distance,
+    *,
+    gap_m: float | np.ndarray = SEWING_GAP_M,
+    creases: np.ndarray | None = None,
+) -> Sewn:
     """Nodes of the sewn garment from ``placed`` panel vertices [m] (P, 3) that are clear of the body.
+
+    ``gap_m`` is what panel vertices, all or each (P,), keep from the skin meanwhile; ``creases`` are nodes of seams
+    that stay folded, a collar's for one.
 
     Raises ``InputError`` where a seam cannot close, or only by stretching the cloth beyond what any garment bears.
     """
-    panels = Relaxation(
-        mesh.panel_faces, mesh.rest[mesh.panel_faces], distance, gap_m=SEWING_GAP_M, threads=mesh.seam_pairs
-    )
+    panels = Relaxation(mesh.panel_faces, mesh.rest[mesh.panel_faces], distance, gap_m=gap_m, threads=mesh.seam_pairs)
     x, start = placed, panels.thread_lengths(placed)
     for number in range(CLOSING_ROUNDS + CLOSED_ROUNDS):
         x = panels.step(x, start * max(0.0, 1.0 - (number + 1) / CLOSING_ROUNDS))
@@ -65,7 +79,8 @@ def sew(mesh: PatternMesh, placed: np.ndarray, distance: Distance) -> Sewn:
             got=f"{100 * gaps.max():.1f} cm between them",
             cure="Check the placement of both panels and the axes they were placed in (--axes).",
         )
-    merged = sewn_relaxation(mesh, distance)
+    gaps_m = mesh.nodes_from(gap_m[:, None])[:, 0] if isinstance(gap_m, np.ndarray) else gap_m
+    merged = sewn_relaxation(mesh, distance, gap_m=gaps_m, creases=creases)
     nodes = mesh.nodes_from(x)
     for _ in range(MERGED_ROUNDS):
         nodes = merged.step(nodes)

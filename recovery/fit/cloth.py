@@ -94,7 +94,7 @@ class FreeCloth:
 
 def named(name: str) -> OrthotropicMaterial:
     """The fabric called ``name`` (``drape.cloth.material``). Raises ``NotFound``."""
-    return OrthotropicMaterial.from_isotropic(material(name))
+    return material(name).woven
 
 
 class Fabric(NamedTuple):

@@ -84,6 +84,21 @@ def mirror(sides: Sequence[Side]) -> list[Side]:
     return result
 
 
+def on_ring(centre_y: float, radius: float, angle: float) -> Point:
+    """The point of a circle round (0, ``centre_y``) at ``angle`` [rad] from straight below, to the right."""
+    return (radius * float(np.sin(angle)), centre_y - radius * float(np.cos(angle)))
+
+
+def ring_handles(centre_y: float, radius: float, start: float, end: float) -> tuple[Point, Point]:
+    """Bezier points of that circle's arc from angle ``start`` to ``end``; a quarter is 0.03 % off."""
+    reach = 4.0 / 3.0 * float(np.tan(0.25 * (end - start))) * radius
+    (ax, ay), (bx, by) = on_ring(centre_y, radius, start), on_ring(centre_y, radius, end)
+    return (
+        (ax + reach * float(np.cos(start)), ay + reach * float(np.sin(start))),
+        (bx - reach * float(np.cos(end)), by - reach * float(np.sin(end))),
+    )
+
+
 def sew(first: Drafted, first_side: str, second: Drafted, second_side: str) -> Stitch:
     """The stitch of two named sides, right side on right side."""
     return Stitch(first.edge(first_side), second.edge(second_side))

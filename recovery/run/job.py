@@ -12,7 +12,7 @@ import numpy as np
 from drape.cloth.material import FABRICS
 from drape.errors import InputError
 from drape.garment.files.mesh import GarmentMesh
-from drape.garment.intake import garment_name, intake
+from drape.garment.intake import IntakeOptions, garment_name, intake
 from drape.garment.mesh_checks import Unit, Up
 from recovery.drape.output import glb_bytes, obj_text, panel_texture, write
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
@@ -186,10 +186,11 @@ def run_job(job: Job, *, progress: bool = False, say: Say = print) -> Outcome:
     told = identifiability(found, max(LEAST_TOLERANCE_M, 1e-3 * distance.rms_mm))
     anew, anew_distance, worn = _sewn_anew(job, wearer, found, pattern, warnings, say)
     if anew is not None:
-        rest = obj_text(anew.mesh, anew.rest.nodes, panel_texture(anew.mesh))
+        sewn = panel_texture(anew.mesh)
+        rest = obj_text(anew.mesh, anew.rest.nodes, sewn)
         files.append(write(job.out / f"{name}_rest.obj", rest))
         if job.garment:
-            files.append(_cache(rest, name, job, wearer, say))
+            files.append(_cache(rest, name, job, wearer, IntakeOptions(uv_unit_m=sewn[1]), say))
     return Outcome(
         job=job,
         name=name,
@@ -257,10 +258,17 @@ def lost_words(lost: Sequence[str]) -> str:
     return f"{parts} {'is' if len(lost) == 1 else 'are'} not in the garment's opening"
 
 
-def _cache(rest: str, name: str, job: Job, wearer: Wearer, say: Say) -> Path:
+def _cache(rest: str, name: str, job: Job, wearer: Wearer, options: IntakeOptions, say: Say) -> Path:
     """Path of the garment cache of the T-pose's drape; a body of another shape is moved to the standard one."""
     avatar = {"betas": wearer.betas.tolist()} if wearer.betas.any() else "standard"
     garment = intake(
-        rest.encode(), name=name, kind="obj", avatar=avatar, body=wearer.standard, folder=job.out, report=say
+        rest.encode(),
+        name=name,
+        kind="obj",
+        avatar=avatar,
+        body=wearer.standard,
+        options=options,
+        folder=job.out,
+        report=say,
     )
     return job.out / f"{garment.name}-{garment.digest[:16]}.npz"

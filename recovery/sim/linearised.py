@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+import scipy.sparse
 import torch
 from torch import Tensor
 
@@ -12,13 +15,27 @@ from recovery.sim.model import ClothModel, ClothState, Parameters, Rest
 from recovery.sim.solver import Factor, LinearSolver, superlu
 
 
+class Springs(NamedTuple):
+    """Forces [N] (V, 3) and stiffness [N/m] (3V, 3V), zero at fixed nodes, of what acts between nodes besides cloth."""
+
+    force: Tensor
+    stiffness: scipy.sparse.csc_matrix
+
+
 class LinearisedStep:
     """(M + dt^2 K + dt D) dv = dt (f - dt K v - D v), K = -df/dx of elastic and repulsion, D the drag of friction."""
 
     def __init__(
-        self, model: ClothModel, contact: SkinContact | None, solver: LinearSolver, *, dt_s: float, definite: bool
+        self,
+        model: ClothModel,
+        contact: SkinContact | None,
+        solver: LinearSolver,
+        *,
+        dt_s: float,
+        definite: bool,
+        pairs: Springs | None = None,
     ) -> None:
-        self.model, self.contact, self.solver = model, contact, solver
+        self.model, self.contact, self.solver, self.pairs = model, contact, solver, pairs
         self.dt_s, self.definite = dt_s, definite
         self._factor: Factor | None = None
 
@@ -41,6 +58,9 @@ class LinearisedStep:
                 scale=dt * dt,
                 blocks=self._blocks(state, rest, mass).numpy(),
             )
+            if self.pairs is not None:
+                force = force + self.pairs.force
+                matrix = (matrix + dt * dt * self.pairs.stiffness).tocsc()
             moving = (self.free * state.v).reshape(-1).numpy()
             resisted = torch.from_numpy(matrix @ moving).reshape(-1, 3) - mass[:, None] * state.v
             rhs = self.free * (dt * force - resisted)
@@ -97,13 +117,16 @@ def linearised_step(
     contact: SkinContact | None = None,
     definite: bool = True,
     solver: LinearSolver = superlu,
+    pairs: Springs | None = None,
 ) -> ClothState:
     """The state ``dt_s`` [s] later after one linear solve (equation 1), then equation 4's correction.
+
+    ``pairs`` are springs between parts of the cloth, constant during the step, without a gradient.
 
     ``definite`` False takes the exact Jacobian, whose system can be indefinite where cloth is compressed.
     The factor is kept for the backward pass; differentiable once.
     """
-    step = LinearisedStep(model, contact, solver, dt_s=dt_s, definite=definite)
+    step = LinearisedStep(model, contact, solver, dt_s=dt_s, definite=definite, pairs=pairs)
     v = state.v + implicit.solution(step, state, parameters)
     after = ClothState(state.x + dt_s * v, v)
     return after if contact is None else contact.corrected(after, model.free)

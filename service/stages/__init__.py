@@ -39,6 +39,8 @@ def make_plan(stages: Sequence[Stage], scene: Scene, options: DrapeOptions, *, m
     for stage in stages:
         chosen |= stage.resolve(options)
     plan = Plan(scene, DrapeOptions().model_copy(update=chosen), messages)
+    for stage in stages:
+        stage.check(plan)
     taken = tuple(stage for stage in stages if stage.wanted(plan))
     needs = frozenset({plan.options.geometry}).union(*(stage.needs(plan) for stage in taken))
     return replace(plan, stages=taken, needs=needs)

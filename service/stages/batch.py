@@ -214,6 +214,9 @@ class Stage:
         """
         return {}
 
+    def check(self, plan: Plan) -> None:
+        """Refuses (``InputError``) a plan that this stage cannot follow."""
+
     def wanted(self, plan: Plan) -> bool:
         """Whether frames of ``plan`` take this stage."""
         return True

@@ -14,6 +14,7 @@ from drape.graph.packing import pack_body
 from drape.push.skin import posed_table
 from drape.wire.options import DrapeOptions
 from service.engine import JETS, SKIN, Engine, check_finite
+from service.fabrics import check_known, layer_fabrics
 from service.packing import Packer, Result, ScenePlan, Shape
 from service.settings import Settings
 from service.stages.batch import Batch, Jets, Layer, Plan, Stage
@@ -42,6 +43,10 @@ class Network(Stage):
         asked = options.passes
         return {"passes": self.engine.check_passes(self.settings.passes if asked is None else asked)}
 
+    def check(self, plan: Plan) -> None:
+        fabrics = layer_fabrics(plan.options, len(plan.keys))
+        check_known(fabrics, known=self.engine.knows_fabrics, model=self.engine.manifest.name)
+
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
         self.packer.add(garment.digest, garment, feed)
 
@@ -68,13 +73,19 @@ class Network(Stage):
             bodies[SKIN] = skin
         scene = self._scene(plan)
         frames = len(root)
-        items = [(key, frame) for key in plan.keys for frame in range(frames)]
+        items = [(key, frame) for key in self._dressed(plan) for frame in range(frames)]
         results = self.packer.run(scene, bodies, items)
         check_finite(self.engine, all(result.finite for result in results))
         if scene.skin:
             skin = _stacked(results[:frames], SKIN)
         layers = [_layer(results[i : i + frames], needs) for i in range(0, len(items), frames)]
         return replace(batch, root=root, skin=skin, layers=tuple(layers))
+
+    def _dressed(self, plan: Plan) -> list[str]:
+        """Where the garments of ``plan`` lie in the packer's store, in the fabrics that it names."""
+        fabrics = layer_fabrics(plan.options, len(plan.keys))
+        keys = list(zip(plan.keys, fabrics, strict=True))
+        return [key if fabric is None else self.packer.dressed(key, fabric) for key, fabric in keys]
 
     def _scene(self, plan: Plan) -> ScenePlan:
         """What ``plan`` asks of the packed graph."""

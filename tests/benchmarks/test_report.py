@@ -69,6 +69,21 @@ def test_the_networks_table_has_a_line_per_garment_and_set():
     assert [line.split(" | ")[0] for line in lines] == ["| sash", "| all trained", "| all unseen"]
 
 
+def test_detail_and_fabrics_stand_where_they_were_measured():
+    row = {"garment": "sash", "set": "unseen", "edge_pct": 1.0, "gain": 0.5, "self_intersections": 0.0}
+    rows = [row | {"method": method} for method in ("skinning", "skinning_push", "network", "network_push", "physics")]
+    figures = {"detail_mm": 1.26, "detail_share": 0.4}
+    measured = [one | figures | {"fabric": name} for name in ("rib", "satin") for one in rows]
+    for made in (quality.quality_table, quality.network_table, quality.gain_table):
+        before, now = (made({"rows": found, "summary": [], **WHERE}).split("\n") for found in (rows, measured))
+        assert "fabric" not in before[0] and "detail" not in before[0]
+        assert now[0].startswith("| garment | fabric |")
+        for name in ("rib", "satin"):
+            assert any(line.startswith(f"| sash | {name} |") for line in now)
+    assert "| 1.26 |" in quality.quality_table({"rows": measured, **WHERE})
+    assert "| 0.40 |" in quality.network_table({"rows": measured, "summary": []})
+
+
 def test_distances_to_the_reference_stand_where_they_were_measured():
     row = {"garment": "sash", "method": "physics", "edge_pct": 1.0}
     found = {"reference_mm": 15.25, "reference_p95_mm": 31.7, "reference_surface_mm": 9.12}

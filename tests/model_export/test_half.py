@@ -18,6 +18,7 @@ from drape.errors import ArtifactError
 from drape.graph.packing import pack_body
 from model_export import folder as changing
 from model_export.folder import add_half
+from model_export.precision import half as half_module
 from model_export.precision.half import HALF, LEAST, halve_matrices
 from service.engine import PACKED, Engine
 from service.packing import Packer, ScenePlan
@@ -67,6 +68,12 @@ def test_large_matrices_are_multiplied_in_sixteen_bits_and_small_ones_are_not(tu
 def test_a_graph_without_large_matrices_is_refused():
     with pytest.raises(ArtifactError, match="packed graph: expected a Gemm with 9000 weights or more"):
         halve_matrices(gemms(turned=False), least=9000)
+
+
+def test_a_matrix_that_needs_its_digits_keeps_them(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(half_module, "WHOLE", ("weight",))
+    with pytest.raises(ArtifactError, match="packed graph: expected a Gemm"):
+        halve_matrices(gemms(turned=False))
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ from model_export.packed.bodies import ancestor_jumps
 from model_export.packed.graph import FirstGraph, PackedGraph, packed_inputs, packed_outputs
 from model_export.packed.parity import packed_parity_error
 from model_export.parity import hard_poses
-from tests.fixtures.packed import KINDS, SMALL, exported, garment, lively
+from tests.fixtures.packed import KINDS, SMALL, described, exported, garment, lively
 from tests.fixtures.rounding import FIT_MOVED, FIT_ROUNDING, moved_by_rounding
 from training.config import as_published
 from training.layers import Decoder
@@ -35,7 +35,7 @@ BETAS = np.random.default_rng(5).normal(size=load_body().shape_count)
 
 def first_of(model: OneFit, kind: str) -> tuple[np.ndarray, np.ndarray]:
     with torch.no_grad():
-        embedding, first = FirstGraph(model)({"patch_features": torch.from_numpy(garment(kind).patch_features)})
+        embedding, first = FirstGraph(model)({"patch_features": torch.from_numpy(described(kind, model.config))})
     return embedding.numpy(), first.numpy()
 
 
@@ -183,7 +183,7 @@ def test_the_papers_variant_is_refused():
 def test_first_half_is_the_decoders_own():
     model = lively()
     embedding, first = first_of(model, "tank")
-    features = torch.from_numpy(garment("tank").patch_features)
+    features = torch.from_numpy(described("tank"))
     with torch.no_grad():
         assert_array_equal(embedding, EncoderGraph(model)({"patch_features": features}).numpy())
         decoder = model.decoder

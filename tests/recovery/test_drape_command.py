@@ -122,6 +122,13 @@ def test_a_pattern_becomes_a_garment_in_one_command(tmp_path, capsys):
     assert garment.vertex_count == len(draped.vertices) == record["nodes"]
     assert (garment.faces == draped.faces).all() and garment.body_digest == load_body().digest
     assert_allclose(garment.vertices[: garment.vertex_count], draped.vertices, atol=0.02)
+    # Its cloth has the panels' lengths, not those of the drape, which weight has stretched.
+    unit = float((out / "skirt.obj").read_text().splitlines()[0].split("vt is ")[1].split()[0])
+    panels = draped.uv[draped.uv_faces]
+    (a, b), (c, d) = ((panels[:, k] - panels[:, 0]).T for k in (1, 2))
+    cut = 0.5 * unit**2 * np.abs(a * d - b * c)
+    assert garment.manifest["rest"]["lengths"] == "panels"
+    assert_allclose(garment.rest_state().face_area.reshape(len(cut), -1).sum(axis=1), cut, rtol=1e-3)
     assert "at rest" in capsys.readouterr().out
 
 

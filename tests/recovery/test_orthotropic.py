@@ -155,7 +155,7 @@ def test_an_isotropic_cloth_has_the_energy_of_the_network(rng):
     positions = lifted(panel) + 1e-3 * rng.normal(size=(len(panel), 3))
     jersey = material("jersey")
     mesh = ClothMesh.from_rest(lifted(panel), faces)
-    woven = OrthotropicMaterial.from_isotropic(jersey)
+    woven = jersey.woven
     rest = orthotropic.rest_shape(panel.T[:, faces.T].transpose(1, 0, 2))
     found = orthotropic.membrane_energy(positions.T[:, faces.T].transpose(1, 0, 2), rest, woven.stretch_n_per_m)
     assert_allclose(found.sum(), energies.membrane(positions, mesh, jersey), rtol=1e-10)

@@ -10,14 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from drape.cloth import orthotropic
 from drape.cloth.material import material
-from drape.cloth.orthotropic import OrthotropicMaterial
 from drape.errors import InputError, MeshError
 from recovery.sim import elastic
 from recovery.sim.model import ClothModel
 from recovery.sim.solver import solve, superlu
 from tests.recovery.sim_setup import WOVEN, crumpled, lifted, sewn_tube, strip
 
-ISOTROPIC = OrthotropicMaterial.from_isotropic(material("jersey"))
+ISOTROPIC = material("jersey").woven
 
 
 def test_assembly_by_static_maps_equals_a_loop_over_elements():

@@ -10,9 +10,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.body.model import BodyModel
+from drape.cloth.fabric_table import fabric
 from drape.garment.cache import Garment
 from drape.geometry.closest import signed_distance
-from drape.wire.options import DrapeOptions, Geometry
+from drape.wire.options import DrapeOptions, FabricNumbers, Geometry
 from service.drapery import Drapery
 from service.settings import Settings
 from service.stages import run
@@ -144,3 +145,31 @@ def test_chunks_join_seamlessly(make_settings: Callable[..., Settings], api: htt
     draped = asyncio.run(drapery.drape(plan, clip))
     assert_array_equal(draped.world(), vertices_of(ask(api, poses=poses.tolist(), trans=trans.tolist(), push_out=True)))
     drapery.close()
+
+
+def test_a_request_names_a_fabric_of_the_table_or_gives_numbers(api: httpx.Client, body: BodyModel, tube: Garment):
+    poses, trans = random_motion(2)
+    fields = {"poses": poses.tolist(), "trans": trans.tolist(), "push_out": False}
+    listed = {row["id"]: row for row in api.get("/fabrics").json()}
+    assert api.get("/health").json()["fabrics"] is True
+    assert len(listed) >= 10 and listed["denim"]["source"]
+    numbers = {name: listed["denim"][name] for name in FabricNumbers.model_fields}
+    expected = expected_vertices(body, tube, poses, trans, fabric=fabric("denim"))
+    for chosen in ("denim", ["denim"], numbers):
+        assert_allclose(vertices_of(ask(api, **fields, fabric=chosen)), expected, rtol=0, atol=ROUNDING_M)
+
+
+@pytest.mark.parametrize(
+    ("chosen", "status", "said"),
+    [
+        ("chain mail", 404, "fabric: expected one of"),
+        (["denim", None], 400, "one for all, or 1"),
+        ({"warp_n_per_m": 1.0}, 400, "weft_n_per_m"),
+    ],
+)
+def test_what_is_no_fabric_is_refused_before_anything_is_draped(
+    api: httpx.Client, chosen: object, status: int, said: str
+):
+    response = ask(api, poses=np.zeros((1, 24, 3)).tolist(), fabric=chosen)
+    assert response.status_code == status
+    assert said in response.text

@@ -12,6 +12,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from drape.artifacts import Manifest, TensorSpec, file_digest, load_manifest
+from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.errors import ArtifactError, InputError, Unavailable
 from drape.garment.cache import Garment
@@ -20,7 +21,7 @@ from service.engine import ENCODER, PACKED, PUSH, PUSH_OVER, Engine
 from service.packing import Packer, ScenePlan
 from service.runtime import Device, check_distributions, open_session
 from tests.fixtures.poses import random_motion
-from tests.fixtures.tiny_model import ROUNDING_M, TINY, expected_vertices
+from tests.fixtures.tiny_model import ROUNDING_M, TINY, expected_vertices, tube_garment
 
 
 @pytest.fixture
@@ -155,8 +156,9 @@ def test_a_manifest_with_other_tensors_is_refused_by_name(folder: Path):
 
 
 def test_features_of_another_length_are_refused(folder: Path):
-    with pytest.raises(ArtifactError, match="patch_features: expected 154 numbers"):
-        Engine(folder).first(np.zeros((12, 5)))
+    garment = tube_garment(load_body())
+    with pytest.raises(ArtifactError, match="patch_features: expected 166 numbers"):
+        Engine(folder).first(dataclasses.replace(garment, patch_features=garment.patch_features[:, :5]))
 
 
 def test_passes_that_cannot_be_chosen_are_refused(folder: Path):

@@ -31,7 +31,7 @@ from service.runtime import Device
 from service.stages import run
 from service.stages.batch import PoseInput
 from service.subgraph import cut
-from tests.fixtures.packed import KINDS, exported, garment
+from tests.fixtures.packed import KINDS, described, exported, garment
 from tests.fixtures.poses import random_motion
 from tests.fixtures.tiny_model import expected_vertices, tube_garment
 from training.model import OneFit
@@ -94,7 +94,7 @@ def test_all_passes_are_the_default_and_fewer_are_the_readable_network_with_fewe
         for (kind, row), result, before in zip(items, found, whole, strict=True):
             one = {name: value[row : row + 1] for name, value in feed.arrays.items()}
             with torch.no_grad():
-                embedding = model.garment(torch.from_numpy(garment(kind).patch_features)).numpy()
+                embedding = model.garment(torch.from_numpy(described(kind))).numpy()
             arrays = {**one, **garment_feed(garment(kind), body=body), "patch_embedding": embedding}
             with torch.no_grad():
                 taken = {spec.name: torch.from_numpy(arrays[spec.name]) for spec in drape_inputs(model)}

@@ -18,7 +18,7 @@ from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.graph.feeds import garment_feed
 from drape.push.skin import body_skin
-from tests.training.training_setup import CPU, TINY, body, source
+from tests.training.training_setup import CPU, JERSEY, TINY, body, source
 from training.config import ModelConfig, paper
 from training.consensus import (
     TRACE_SHARE,
@@ -132,7 +132,7 @@ def test_network_closes_with_full_jets_or_not_as_it_is_told():
     for closing, count in ((True, jets.FULL_COUNT), (False, jets.JET_COUNT)):
         model = OneFit(replace(TINY, closing_fit=closing)).eval()
         with torch.no_grad():
-            embedding = model.garment(partition().features)
+            embedding = model.garment(partition().encoded(JERSEY))
             jet = model(bodies, partition().patches, embedding, charts=partition().consensus).jet
         assert jet.shape[-1] == model.jet_count == count
 
@@ -186,7 +186,7 @@ def test_passes_choose_how_many_corrections_are_taken():
     bodies = source().pose(np.zeros((1, 24, 3)) + 0.1, np.zeros((1, body().shape_count))).tensors
     charts, patches = partition().consensus, partition().patches
     with torch.no_grad():
-        embedding = model.garment(partition().features)
+        embedding = model.garment(partition().encoded(JERSEY))
         got = [model(bodies, patches, embedding, charts=charts, passes=n).jet for n in (0, 1, 2, None)]
     assert float((got[0] - got[1]).abs().max()) > 1e-4 and float((got[1] - got[2]).abs().max()) > 1e-4
     assert torch.equal(got[2], got[3])
@@ -205,7 +205,7 @@ def test_autocast_stays_near_full_precision():
     jets_of = []
     for model.autocast in (False, True):
         with torch.no_grad():
-            embedding = model.garment(partition().features)
+            embedding = model.garment(partition().encoded(JERSEY))
             jets_of.append(model(bodies, partition().patches, embedding, charts=partition().consensus).jet)
     assert jets_of[1].dtype == torch.float32
     gap = float((jets_of[0] - jets_of[1]).abs().max())

@@ -13,7 +13,7 @@ from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.graph.feeds import body_feed
 from drape.graph.inputs import ChartTensors
-from tests.training.training_setup import TINY, bank, body, garment, source
+from tests.training.training_setup import JERSEY, TINY, bank, body, garment, source
 from training import losses
 from training.config import ModelConfig, as_published
 from training.consensus import agreed_jets, closing_jets
@@ -102,7 +102,7 @@ def test_turning_the_body_about_the_vertical_turns_the_drape():
     turned[:, 0] = matrix_to_rotvec(turn @ rotvec_to_matrix(poses[:, 0]))
     betas = np.zeros((2, body().shape_count))
     with torch.no_grad():
-        embedding = model.garment(partition.features)
+        embedding = model.garment(partition.encoded(JERSEY))
         outputs = []
         for set_of_poses in (poses, turned):
             state = model(
@@ -143,7 +143,7 @@ def test_untrained_network_stays_near_plain_skinning():
     model = OneFit(ModelConfig()).eval()
     partition = garment().partitions[0]
     with torch.no_grad():
-        embedding = model.garment(partition.features)
+        embedding = model.garment(partition.encoded(JERSEY))
         state = model(batch().tensors, partition.patches, embedding, charts=partition.consensus)
         plain = model(batch().tensors, partition.patches, embedding, charts=partition.consensus, passes=0)
         rotation, centre = pose_frames(batch().tensors, partition.patches)
@@ -165,7 +165,7 @@ def test_paper_variant_moves_patches_by_translation_and_scale():
     partition = garment().partitions[0]
     bodies = batch()
     with torch.no_grad():
-        embedding = model.garment(partition.features)
+        embedding = model.garment(partition.encoded(None))
         out, _ = model.decoder(model.body(bodies.tensors.features), embedding)
         jet, _ = model.predict(bodies.tensors, embedding)
         state = model(bodies.tensors, partition.patches, embedding)
@@ -210,5 +210,5 @@ def test_standardise_has_unit_statistics_and_bounds_strangers():
 def test_garment_encoder_treats_patches_alone():
     torch.manual_seed(3)
     encoder = GarmentEncoder(TINY)
-    features = torch.randn(9, TINY.patch_feature_count)
+    features = torch.randn(9, TINY.encoder_feature_count)
     assert_allclose(encoder(features)[4:5].detach(), encoder(features[4:5]).detach(), rtol=1e-5, atol=1e-6)

@@ -102,12 +102,13 @@ def test_a_resumed_run_continues_bit_for_bit(trainer: Trainer, tmp_path):
     assert trainer.wardrobe.seeds() == drawn
 
 
-def test_a_step_that_is_not_finite_is_not_taken(trainer: Trainer):
+def test_a_step_that_is_not_finite_is_not_taken(trainer: Trainer, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(trainer, "fabrics", None)  # or the step draws another cloth
     before = {name: value.clone() for name, value in trainer.model.state_dict().items()}
     rate = trainer.rate_factor
     hidden = trainer.material
     try:
-        trainer.material = replace(hidden, mu_n_per_m=1e38)
+        trainer.material = replace(hidden, warp_n_per_m=1e38)
         assert trainer.step() == {"skipped": 1.0}
     finally:
         trainer.material = hidden
@@ -116,10 +117,11 @@ def test_a_step_that_is_not_finite_is_not_taken(trainer: Trainer):
     assert trainer.rate_factor == rate
 
 
-def test_a_run_that_never_is_finite_stops_with_a_sentence(trainer: Trainer, tmp_path):
+def test_a_run_that_never_is_finite_stops_with_a_sentence(trainer: Trainer, tmp_path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(trainer, "fabrics", None)  # or the step draws another cloth
     state, hidden, used = trainer.state(), trainer.material, trainer.elapsed_s
     try:
-        trainer.material = replace(hidden, mu_n_per_m=1e38)
+        trainer.material = replace(hidden, warp_n_per_m=1e38)
         with pytest.raises(InputError, match="Lower learning_rate"):
             train(trainer, tmp_path)
         assert trainer.rate_factor < 0.02

@@ -12,8 +12,10 @@ import torch
 from numpy.testing import assert_allclose
 
 from drape.artifacts import MODELS_DIR, load_manifest
+from drape.cloth.fabric_table import fabric
 from drape.errors import ArtifactError, InputError
 from drape.garment.cache import GARMENTS_DIR
+from drape.garment.fabric_features import fabric_features
 from tests.fixtures.packed import MOVING, SMALL, exported, exported_dynamic
 from tests.training.training_setup import CPU, TINY, TINY_RUN
 from training import checkpoint, run
@@ -23,6 +25,7 @@ from training.model import OneFit
 from training.poses import read_clips
 from training.run import make_trainer, sample_motions
 from training.starting import dressed, finetuned, read_model, started
+from training.trainer import take_weights
 
 TANK = str(next(GARMENTS_DIR.glob("tank-*.npz")))
 
@@ -64,7 +67,7 @@ def test_the_shipped_model_gives_a_network_that_computes_its_graph():
     from model_export.graph import EncoderGraph
     from model_export.parity import session
 
-    features = np.random.default_rng(0).normal(size=(5, config.patch_feature_count)).astype(np.float32)
+    features = np.random.default_rng(0).normal(size=(5, config.encoder_feature_count)).astype(np.float32)
     with torch.no_grad():
         got = EncoderGraph(model.eval())({"patch_features": torch.from_numpy(features)}).numpy()
     encoder = session(MODELS_DIR / "onefit" / "garment_encoder.onnx")
@@ -188,3 +191,25 @@ def test_options_that_do_not_fit_are_refused(options: list[str], message: str, m
     monkeypatch.setattr("sys.argv", ["run", *options])
     assert run.main() == 2
     assert message in capsys.readouterr().err
+
+
+def test_a_model_from_before_fabrics_drapes_as_it_did_until_it_learns_them():
+    old, new = OneFit(replace(TINY, fabric=False)).eval(), OneFit(TINY).eval()
+    rows = torch.randn(5, TINY.patch_feature_count, generator=torch.Generator().manual_seed(1))
+    old.garment.standardise.set_from(rows)
+    take_weights(new, old.state_dict())
+    made_of = torch.from_numpy(fabric_features(fabric("denim"), np.ones((5, 2))))
+    with torch.no_grad():
+        found = new.garment(torch.cat([rows, made_of], dim=1))
+        assert_allclose(found, old.garment(rows), rtol=1e-5, atol=1e-6)  # sums of other lengths round apart
+
+
+def test_a_static_model_takes_over_the_motion_of_an_exported_one(tiny: tuple[OneFit, Path]):
+    moving, folder, _ = exported_dynamic()
+    config, weights = started(dynamic(), tiny[1], folder)
+    assert weights is not None
+    assert (config.model.state_size, config.model.motion_hidden) == (MOVING.state_size, MOVING.motion_hidden)
+    wanted = {name: value for name, value in moving.state_dict().items() if name.startswith("dynamic.")}
+    assert all(torch.equal(weights[name], value) for name, value in wanted.items())
+    with pytest.raises(ArtifactError, match="expected a model that knows motion"):
+        started(dynamic(), tiny[1], exported()[1])

@@ -11,6 +11,8 @@ import torch
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.cloth.energies import ClothMesh
+from drape.cloth.fabric_table import fabric
+from drape.cloth.rest_state import grain_along
 from drape.garment.fitting import RestGarment, rest_garment
 from drape.push.skin import body_skin
 from tests.fixtures.networks import TINY
@@ -20,6 +22,7 @@ from training.poses import PoseBank
 from training.run import sample_motions
 
 CPU = torch.device("cpu")
+JERSEY = fabric("jersey")
 TINY_RUN = TrainConfig(
     model=TINY,
     data=DataConfig(garments=("shorts",), partitions=1, variants=0, fresh_steps=70),
@@ -65,7 +68,8 @@ def garment() -> TrainingGarment:
     rest = tube()
     cloth = ClothMesh.from_rest(rest.vertices, rest.faces).like(torch.zeros(1))
     weights = torch.from_numpy(rest.binding.weights.astype(np.float32))
-    partition = draw_partition(rest, body_skin(body()), seed=3, span=(1.0, 1.0), device=CPU)
+    upright = grain_along(rest.vertices, rest.faces)
+    partition = draw_partition(rest, body_skin(body()), seed=3, span=(1.0, 1.0), device=CPU, warp=upright)
     return TrainingGarment("tube", rest, cloth, [partition], weights)
 
 

@@ -12,7 +12,7 @@ const STATS_S = 0.5;
 const SLOW_RATE = 20; // drawings per second below which the picture becomes plainer
 const SLOW_WATCH_S = 1;
 const SAVED_FPS = 30;
-const wanted = new URLSearchParams(location.search); // garment=inner,outer, clip, passes, jets, quality=high
+const wanted = new URLSearchParams(location.search); // garment=inner,outer, clip, passes, fabric, jets, quality=high
 const element = (id) => document.getElementById(id);
 const state = { clip: null, timeS: 0, playing: true, betas: new Array(SHAPE_COUNT).fill(0), body: null };
 const counts = { frames: 0, since: performance.now(), shown: 0, dropped: 0, droppedBefore: 0, latest: null };
@@ -71,7 +71,10 @@ const optionControls = () => [...document.querySelectorAll("[data-option]")];
 
 function options() {
   const chosen = optionControls().filter((control) => control.type === "checkbox" || control.value !== "");
-  const value = (control) => (control.type === "checkbox" ? control.checked : Number(control.value));
+  const value = (control) => {
+    if (control.type === "checkbox") return control.checked;
+    return control.dataset.option === "fabric" ? control.value : Number(control.value);
+  };
   return Object.fromEntries(chosen.map((control) => [control.dataset.option, value(control)]));
 }
 
@@ -137,6 +140,15 @@ function listPasses(count) {
   element("passes-row").hidden = count === 0; // the model leaves no choice
   const asked = wanted.get("passes");
   if (asked !== null && fewer.includes(Number(asked))) element("passes").value = asked;
+}
+
+async function listFabrics(known) {
+  element("fabric-row").hidden = !known; // the model leaves no choice
+  if (!known) return;
+  const names = (await service.fabrics()).map(({ id }) => new Option(id.replace("_", " "), id));
+  element("fabric").replaceChildren(new Option("each garment's own", ""), ...names);
+  const asked = wanted.get("fabric");
+  if (names.some((name) => name.value === asked)) element("fabric").value = asked;
 }
 
 function makeSliders() {
@@ -268,6 +280,7 @@ const start = failing(async () => {
   element("about").textContent = `model ${health.model}, ${health.provider.replace("ExecutionProvider", "")}, body ${health.body}`;
   state.body = health.body;
   listPasses(health.passes);
+  await listFabrics(health.fabrics);
   element("jets").checked = wanted.has("jets");
   makeSliders();
   wireControls();

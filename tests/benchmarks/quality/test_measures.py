@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from benchmarks.quality.intersections import intersection_count
-from benchmarks.quality.measures import METHODS, add_comparisons, measure, summary
-from drape.cloth import metrics
+from benchmarks.quality.measures import METHODS, add_comparisons, measure, sheet_name, summary
+from drape.cloth import energies, metrics
+from drape.cloth.detail import LowPass, dihedral_deg
+from drape.cloth.energies import ClothMesh
+from drape.cloth.fabric_table import fabric
+from drape.cloth.material import Material
+from drape.cloth.rest_state import modelled
 from drape.garment.disagreement import disagreement
 from drape.geometry.skinning import skin_points
 from tests.benchmarks.quality.quality_setup import bench, body, tube
+
+DETAIL_MM = {"skinning": 1.0, "network": 1.5, "network_push": 0.5, "physics": 3.0}
 
 
 @pytest.fixture(scope="module")
@@ -27,6 +36,10 @@ def test_every_method_has_a_row_with_the_figures_that_apply_to_it(measured):
     for key, methods in {
         "self_intersections": set(METHODS),
         "edge_over_physics_pp": set(METHODS),
+        "detail_mm": set(METHODS),
+        "dihedral_deg": set(METHODS),
+        "detail_share": {"network", "network_push"},
+        "fabric": set(),
         "area_over_physics_pp": set(METHODS),
         "jitter_ratio": set(METHODS) - {"physics"},
         "chart_gap_p99_mm": {"network"},
@@ -47,6 +60,9 @@ def test_figures_are_those_of_the_drapes(measured):
     assert_allclose(rows["skinning"]["edge_pct"], edge, rtol=1e-9, atol=0.0)
     assert rows["skinning"]["self_intersections"] == intersection_count(skinned, faces).mean()
     assert rows["skinning"]["self_intersections_rest"] == 0.0
+    state = modelled(rest, faces)
+    assert rows["skinning"]["detail_mm"] == LowPass.of(state, faces, len(rest)).detail_mm(skinned).mean()
+    assert rows["skinning"]["dihedral_deg"] == dihedral_deg(skinned, faces).mean()
     draped = made.network.drape(tube(), poses)
     charts = disagreement(tube(), draped.jet, draped.rotation, draped.centre)
     network = rows["network"]
@@ -67,15 +83,39 @@ def test_a_second_model_finds_the_optimum_stored(measured, monkeypatch):
     assert again["physics"]["seconds"] == rows["physics"]["seconds"]
 
 
-def rows_of(kind: str, garment: str, energies: dict[str, float], edge_pct: float) -> list[dict]:
+def test_a_fabric_is_what_physics_and_the_energy_have_and_its_garment_rests_as_it_is_kept(measured, tmp_path):
+    made, rows = measured
+    rib = fabric("rib")
+    state = tube().rest_state()
+    bent = replace(state, hinge_angle=np.full_like(state.hinge_angle, 0.1))
+    garment = replace(tube(), rest_edges=bent.edges, rest_angle=bent.hinge_angle, rest_stiffening=bent.stiffening)
+    of_rib = replace(made, step_limit=120, physics_folder=tmp_path).of_fabric(rib)
+    found = {row["method"]: row for row in measure(garment, of_rib, trained=False)}
+    assert {row["fabric"] for row in found.values()} == {"rib"}
+    vertices, material = made.network.made_of(rib).drape(garment, made.poses.poses).vertices, Material.of(rib)
+    cloth = ClothMesh.of(bent, garment.fine_faces, len(garment.vertices))
+    bending = energies.bending(vertices, cloth, material).mean()
+    assert_allclose(found["network"]["bending_j"], bending, rtol=1e-9, atol=0.0)
+    assert found["physics"]["weight_n"] > 1.3 * rows["physics"]["weight_n"]
+    assert len(list(tmp_path.glob("*.npz"))) == 1
+
+
+def test_sheets_in_the_default_fabric_are_called_by_the_garment_alone(measured):
+    made, _ = measured
+    named = [sheet_name(tube(), one) for one in (made, made.of_fabric(fabric("jersey")), made.of_fabric(fabric("rib")))]
+    assert named == ["tube", "tube", "tube_rib"]
+
+
+def rows_of(kind: str, garment: str, energy_j: dict[str, float], edge_pct: float) -> list[dict]:
     rows = {
         method: {
             "garment": garment,
             "set": kind,
             "method": method,
-            "energy_j": energies.get(method, 0.5),
+            "energy_j": energy_j.get(method, 0.5),
             "edge_pct": 1.0 if method == "physics" else edge_pct,
             "area_pct": 2.0,
+            "detail_mm": DETAIL_MM.get(method, 1.0),
         }
         for method in METHODS
     }
@@ -93,8 +133,28 @@ def test_summary_takes_each_set_alone_and_the_gain_of_the_mean_energies():
     ]
     found = {(row["set"], row["method"]): row for row in summary(rows)}
     assert len(found) == 2 * len(METHODS)
+    assert_allclose(found["trained", "network"]["detail_share"], 0.25, rtol=1e-12, atol=0.0)
+    assert_allclose(found["trained", "network_push"]["detail_share"], -0.25, rtol=1e-12, atol=0.0)
     gains = [found["trained", method]["gain"] for method in ("skinning_push", "network", "physics")]
     assert_allclose(gains, [0.0, 0.6, 1.0], rtol=1e-12, atol=0.0)
     assert_allclose(found["trained", "network"]["edge_over_physics_pp"], 4.0, rtol=1e-12, atol=0.0)
     assert_allclose(found["unseen", "network"]["gain"], 1.0 / 1.5, rtol=1e-12, atol=0.0)
     assert_allclose(found["unseen", "network"]["edge_over_physics_pp"], 8.0, rtol=1e-12, atol=0.0)
+
+
+def test_fabrics_are_summed_up_one_by_one():
+    energy_j = {"skinning": 2.0, "skinning_push": 2.0, "network": 1.0, "network_push": 1.5}
+    rows = [
+        row | {"fabric": name}
+        for name, edge_pct in (("jersey", 4.0), ("denim", 6.0))
+        for row in rows_of("trained", "a", energy_j, edge_pct)
+    ]
+    found = {(row["fabric"], row["method"]): row for row in summary(rows)}
+    assert len(found) == 2 * len(METHODS)
+    assert [found[name, "network"]["edge_pct"] for name in ("jersey", "denim")] == [4.0, 6.0]
+
+
+def test_where_physics_has_no_more_detail_than_skinning_there_is_no_share():
+    rows = {row["method"]: row | {"detail_mm": 1.0} for row in rows_of("trained", "a", {}, 4.0)}
+    add_comparisons(rows)
+    assert np.isnan(rows["network"]["detail_share"])

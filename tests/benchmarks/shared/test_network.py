@@ -10,11 +10,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from benchmarks.shared import network as subject
 from drape.artifacts import DEFAULT_MODEL, MODELS_DIR, load_manifest
-from drape.errors import ArtifactError
+from drape.cloth.fabric_table import fabric
+from drape.errors import ArtifactError, InputError
 from drape.garment.disagreement import chart_positions
 from tests.benchmarks.quality.quality_setup import bending, body, network, tube
-from tests.fixtures.packed import exported, exported_dynamic, garment
-from tests.fixtures.tiny_model import write_tiny_model
+from tests.fixtures.packed import SMALL, exported, exported_dynamic, garment
+from tests.fixtures.tiny_model import ROUNDING_M, expected_vertices, write_tiny_model
 
 
 def test_the_charts_that_come_with_the_vertices_blend_into_them_however_many_calls_they_take():
@@ -45,6 +46,34 @@ def test_the_graph_is_the_one_that_is_served_unless_float32_is_asked_for():
     one, other = (made.drape(garment("tank"), poses).vertices for made in (served, exact))
     assert 0.0 < np.linalg.norm(one - other, axis=-1).mean() < 2e-3
     assert_array_equal(served.drape(garment("tank"), poses).vertices, one)
+
+
+def test_a_fabric_is_what_the_network_is_told_and_its_default_is_jersey():
+    made, poses = subject.Network(exported()[1], body(), threads=1), bending(1)
+    own, jersey, denim = (
+        one.drape(tube(), poses).vertices for one in (made, *(made.made_of(fabric(f)) for f in ("jersey", "denim")))
+    )
+    assert_array_equal(jersey, own)
+    wanted = expected_vertices(body(), tube(), poses, np.zeros((1, 3)), fabric=fabric("denim"))
+    assert_allclose(denim, wanted, rtol=0.0, atol=ROUNDING_M)
+    assert np.linalg.norm(denim - own, axis=-1).max() > 2.0 * ROUNDING_M
+
+
+def test_a_network_from_before_fabrics_drapes_the_same_in_all():
+    made = subject.Network(MODELS_DIR / DEFAULT_MODEL, body(), threads=1)
+    if made.engine.knows_fabrics:
+        pytest.skip("the shipped model knows fabrics")
+    found = made.made_of(fabric("denim")).drape(garment("tank"), bending(1)).vertices
+    assert_array_equal(found, made.drape(garment("tank"), bending(1)).vertices)
+
+
+def test_as_many_passes_run_as_are_asked_for():
+    whole, none = (subject.Network(exported()[1], body(), threads=1, passes=count) for count in (None, 0))
+    assert (whole.passes, none.passes) == (SMALL.corrections, 0)
+    drapes = [made.drape(tube(), bending(1)).vertices for made in (whole, none)]
+    assert np.linalg.norm(drapes[0] - drapes[1], axis=-1).max() > 1e-3
+    with pytest.raises(InputError, match=f"passes: expected 0 to {SMALL.corrections}"):
+        subject.Network(exported()[1], body(), threads=1, passes=9)
 
 
 def test_a_model_of_another_body_is_refused(tmp_path):

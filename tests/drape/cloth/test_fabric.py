@@ -11,6 +11,7 @@ import torch
 from drape.arrays import like
 from drape.cloth import orthotropic
 from drape.cloth.fabric import Fabric, bending_angle, hinge_rigidity, plate_rigidity, tensile_modulus
+from drape.cloth.material import Material
 from drape.errors import InputError
 from drape.geometry import meshes
 
@@ -84,7 +85,7 @@ def test_an_edge_along_the_weft_bends_along_the_warp():
 @pytest.mark.parametrize("which", ["warp", "weft", "shear"])
 def test_membrane_has_the_energy_of_the_equation(which: str):
     strain = {"warp": (0.0, 0.02, 0.0), "weft": (0.03, 0.0, 0.0), "shear": (0.0, 0.0, 0.01)}[which]
-    s = orthotropic.stress(np.array(strain), WOVEN.membrane.stretch_n_per_m)
+    s = orthotropic.stress(np.array(strain), Material.of(WOVEN).woven.stretch_n_per_m)
     found = 0.5 * (s[0] * strain[0] + s[1] * strain[1] + 2.0 * s[2] * strain[2])
     stiffness = {"warp": WOVEN.warp_n_per_m, "weft": WOVEN.weft_n_per_m, "shear": WOVEN.shear_n_per_m}[which]
     np.testing.assert_allclose(found, 0.5 * stiffness * max(strain) ** 2, rtol=1e-12, atol=0.0)

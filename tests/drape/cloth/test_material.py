@@ -14,13 +14,14 @@ from drape.errors import InputError, NotFound
 def test_default_is_the_jersey_of_the_design():
     jersey = material()
     assert jersey == Material()
-    assert (jersey.mu_n_per_m, jersey.lambda_n_per_m, jersey.contact_gap_m) == (11.1, 20.9, 0.004)
+    assert (jersey.shear_n_per_m, jersey.cross_n_per_m, jersey.contact_gap_m) == (4.0 * 11.1, 20.9, 0.004)
+    assert Material.isotropic(11.1, 20.9, 1.7e-4) == jersey
 
 
 def test_soft_and_stiff_scale_membrane_and_bending_and_nothing_else():
     for name, factor in (("soft", 1.0 / 3.0), ("stiff", 3.0)):
         scaled, jersey = material(name), material()
-        for field in ("mu_n_per_m", "lambda_n_per_m", "bending_j"):
+        for field in ("warp_n_per_m", "weft_n_per_m", "cross_n_per_m", "shear_n_per_m", "bending_j"):
             assert_allclose(getattr(scaled, field), factor * getattr(jersey, field), rtol=1e-15, atol=0.0)
         assert scaled.density_kg_m2 == jersey.density_kg_m2
         assert scaled.contact_j_m4 == jersey.contact_j_m4
@@ -40,11 +41,11 @@ def test_unknown_name_is_refused():
 @pytest.mark.parametrize(
     ("field", "value"),
     [
-        ("mu_n_per_m", 0.0),
+        ("warp_n_per_m", 0.0),
         ("density_kg_m2", 0.0),
         ("bending_j", -1.0),
         ("contact_j_m4", float("nan")),
-        ("lambda_n_per_m", float("inf")),
+        ("cross_n_per_m", float("inf")),
     ],
 )
 def test_unphysical_constants_are_refused(field, value):

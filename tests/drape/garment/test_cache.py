@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
+from drape.cloth import rest_state
 from drape.errors import ArtifactError, Unavailable
 from drape.garment import cache
 from drape.garment.cache import Garment, load_garment, save_garment
@@ -47,6 +48,47 @@ def header_of(path):
 
 def test_garment_is_read_as_it_was_written(stored):
     same_garment(load_garment(stored), barrel_garment())
+
+
+def with_rest(garment: Garment) -> Garment:
+    state = rest_state.flat(garment.vertices, garment.fine_faces)
+    arrays = {"rest_edges": state.edges, "rest_angle": state.hinge_angle, "rest_stiffening": 2.0 * state.stiffening}
+    arrays = {name: array.astype(np.float32) for name, array in arrays.items()}
+    return dataclasses.replace(garment, fabric={"name": "mine", "warp_n_per_m": 80.0}, **arrays)
+
+
+def test_rest_state_and_fabric_are_read_as_they_were_written(tmp_path):
+    garment = with_rest(barrel_garment())
+    read = load_garment(save_garment(garment, tmp_path))
+    same_garment(read, garment)
+    state = read.rest_state()
+    assert_array_equal(state.edges, garment.rest_edges)
+    assert_array_equal(state.stiffening, 2.0)
+    assert {state.edges.dtype, state.hinge_angle.dtype} == {np.dtype(np.float64)}
+
+
+def test_a_garment_of_before_has_the_rest_state_of_its_mesh(stored):
+    header = {key: value for key, value in header_of(stored).items() if key != "fabric"}
+    rewrite(stored, header=header)
+    read = load_garment(stored)
+    assert (read.rest_edges, read.fabric) == (None, "jersey")
+    expected = rest_state.flat(read.vertices, read.fine_faces)  # a tube has no crease
+    assert_array_equal(read.rest_state().edges, expected.edges)
+    assert_array_equal(read.rest_state().hinge_angle, 0.0)
+    assert read.rest_state() is read.rest_state()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"rest_edges": np.ones((3, 2, 2))}, "rest_edges: expected shape"),
+        ({"rest_angle": np.zeros(5)}, r"rest_angle: expected shape \(\d+,\), got shape \(5,\)"),
+        ({"rest_stiffening": None}, "rest_stiffening: expected shape .* got nothing"),
+    ],
+)
+def test_a_rest_state_of_another_mesh_is_refused(change, message):
+    with pytest.raises(ArtifactError, match=message):
+        dataclasses.replace(with_rest(barrel_garment()), **change).rest_state()
 
 
 def test_name_carries_garment_and_digest(stored):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +12,27 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.body.assets import load_body
-from drape.errors import InputError, MeshError
+from drape.cloth.rest_state import dihedral_angles
+from drape.errors import InputError, MeshError, NotFound
 from drape.garment import intake as intake_module
 from drape.garment.avatars import STANDARD, phenotype_avatar
 from drape.garment.cache import OWN_GARMENTS_DIR, load_garment
 from drape.garment.clearance import CLEARANCE_M
 from drape.garment.files.mesh import plain_mesh
-from drape.garment.intake import IntakeOptions, garment_name, intake, main, rest_mesh, with_unused, without_unused
+from drape.garment.intake import (
+    IntakeOptions,
+    garment_name,
+    intake,
+    main,
+    read_fabric,
+    rest_mesh,
+    with_rest_state,
+    with_unused,
+    without_unused,
+)
 from drape.garment.mesh_checks import UNITS_M
+from drape.garment.rest_detail import Cloth, Rest, rest_of
+from drape.geometry import meshes
 from drape.geometry.closest import signed_distance
 from tests.drape.garment.garment_files import obj_text, shirt
 
@@ -86,8 +101,9 @@ def test_digest_follows_everything_that_matters(garment, folder: Path, monkeypat
 
     assert digest() == garment.digest
     changes = [{"payload": payload + b"\n"}, {"avatar": STANDARD}, {"options": IntakeOptions(unit="m")}, {"name": "b"}]
-    changes += [{"options": IntakeOptions(patches=2.0)}]
-    assert len({digest(**change) for change in [{}, *changes]}) == 6
+    options = [IntakeOptions(patches=2.0), IntakeOptions(rest="flat"), IntakeOptions(fabric="denim")]
+    changes += [{"options": option} for option in (*options, IntakeOptions(uv_unit_m=2.0))]
+    assert len({digest(**change) for change in [{}, *changes]}) == 9
     monkeypatch.setattr(intake_module, "INTAKE_VERSION", -1)
     assert digest() != garment.digest
 
@@ -102,6 +118,55 @@ def test_a_garment_has_as_many_patches_as_are_asked_for(garment, folder: Path):
 def test_more_or_fewer_patches_than_the_network_knows_are_refused(patches: float):
     with pytest.raises(InputError, match="patches: expected a number from"):
         IntakeOptions(patches=patches)
+
+
+def test_a_digest_of_before_rest_states_stays():
+    options = asdict(IntakeOptions())
+    kept = {name: options[name] for name in ("unit", "up", "repair", "clearance_m")}
+    header = {"name": "a", "avatar": STANDARD, "body": BODY.digest, "options": kept, "versions": [1, 2]}
+    text = json.dumps(header, sort_keys=True).encode() + b"\0" + b"mesh"
+    assert intake_module.garment_digest(b"mesh", STANDARD, BODY, IntakeOptions(), "a") == sha256(text).hexdigest()
+
+
+def test_a_garment_carries_its_rest_state_and_fabric(garment):
+    assert garment.fabric == "jersey"
+    assert garment.rest_edges.dtype == garment.rest_angle.dtype == garment.rest_stiffening.dtype == np.float32
+    state = garment.rest_state()
+    assert_allclose(state.face_area, meshes.face_areas(garment.vertices, garment.fine_faces), rtol=1e-3, atol=1e-9)
+    assert len(state.hinge_angle) == len(meshes.hinges(garment.fine_faces))
+    assert (state.hinge_angle != 0.0).mean() == pytest.approx(garment.manifest["rest"]["kept_share"])
+
+
+def test_rest_and_fabric_are_as_asked_for(garment):
+    numbers = {"name": "mine", **{f"{way}_n_per_m": 500.0 for way in ("warp", "weft", "shear")}, "cross_n_per_m": 9.0}
+    numbers |= {f"bending_{way}_j": 1e-5 for way in ("warp", "bias", "weft")} | {"density_kg_m2": 0.2}
+    rest = rest_mesh(plain_mesh("shirt", VERTICES, FACES), AVATAR, BODY)
+    modelled = with_rest_state(garment, rest, IntakeOptions(rest="modelled", fabric=numbers))
+    worn = dihedral_angles(modelled.vertices.astype(np.float64), modelled.fine_faces)
+    assert_allclose(modelled.rest_state().hinge_angle, worn, rtol=0.0, atol=1e-6)
+    assert modelled.fabric == numbers
+    assert modelled.manifest["rest"]["kept_share"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"rest": "wet"}, InputError, "rest: expected one of auto, flat, modelled, got wet. Take auto."),
+        ({"fabric": "wool"}, NotFound, "fabric: expected one of .* got wool. Use one of these names"),
+        ({"fabric": {"warp_n_per_m": 3.0}}, InputError, "fabric: expected numbers for the fields .* Give the missing"),
+        ({"uv_unit_m": 0.0}, InputError, "uv unit: expected metres > 0, got 0. Leave it out"),
+    ],
+)
+def test_impossible_cloth_is_refused(options: dict, error: type[Exception], message: str):
+    with pytest.raises(error, match=message):
+        IntakeOptions(**options)
+
+
+def test_fabrics_are_read_from_the_command_line():
+    assert read_fabric("denim") == "denim"
+    assert read_fabric('{"warp_n_per_m": 3}') == {"warp_n_per_m": 3}
+    with pytest.raises(InputError, match=r"fabric: expected a name or a JSON object, .* Correct the JSON"):
+        read_fabric("{warp: 3}")
 
 
 def test_unit_and_axis_do_not_matter():
@@ -120,7 +185,15 @@ def test_garment_on_the_standard_body_is_unchanged_but_for_clearance():
     assert rest.figures["move_strain_mean_pct"] == 0.0
 
 
-def test_unused_vertices_keep_their_places(folder: Path, rng: np.random.Generator):
+def test_unused_vertices_keep_their_places(garment, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch):
+    cloths: list[Cloth] = []
+    taken_in = garment.rest_state()
+
+    def seen(cloth: Cloth, rest: Rest):
+        cloths.append(cloth)
+        return rest_of(cloth, rest)
+
+    monkeypatch.setattr(intake_module, "rest_of", seen)
     order = rng.permutation(len(VERTICES) + 3)
     place = np.argsort(order)
     vertices = np.concatenate([VERTICES, VERTICES[:2] + 0.3, [[0.0, 0.0, 0.0]]])[order]
@@ -138,6 +211,11 @@ def test_unused_vertices_keep_their_places(folder: Path, rng: np.random.Generato
     )
     same = with_unused(garment, garment.faces, np.arange(garment.vertex_count))
     assert same is garment
+    assert_allclose(garment.rest_state().face_area, taken_in.face_area, rtol=1e-3, atol=1e-9)
+    # The cloth as delivered has its vertices in the same order: its edges are about as long.
+    edges = meshes.unique_edges(cloths[0].faces)
+    before, after = (meshes.edge_lengths(points, edges) for points in (cloths[0].modelled, cloths[0].vertices))
+    assert np.quantile(np.abs(np.log(after / before)), 0.99) < 0.7
 
 
 def test_smpl_and_mesh_avatars_are_taken(folder: Path):
@@ -165,18 +243,23 @@ def test_command_line_prints_steps_and_refuses_with_two(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     out = tmp_path / "out"
-    assert main([str(folder / "female_shirt.obj"), "--out", str(out)]) == 0
+    cloth = ["--rest", "flat", "--fabric", "denim"]
+    assert main([str(folder / "female_shirt.obj"), "--out", str(out), *cloth]) == 0
     printed = capsys.readouterr().out
-    for word in ("avatar", "residual", "clearance", "strain", "RMSE", "normal error", "stored"):
+    for word in ("avatar", "residual", "clearance", "strain", "RMSE", "normal error", "keep an angle", "stored"):
         assert word in printed
     stored = list(out.iterdir())
-    assert len(stored) == 1 and load_garment(stored[0]).vertex_count == len(VERTICES)
+    assert len(stored) == 1
+    garment = load_garment(stored[0])
+    assert garment.vertex_count == len(VERTICES) and garment.fabric == "denim"
+    assert_array_equal(garment.rest_angle, 0.0)
     (tmp_path / "broken.obj").write_bytes(obj_text(VERTICES, FACES) + b"\nf 1 2 999999\n")
-    for words in (["broken.obj"], ["absent.obj"], ["broken.obj", "--avatar", "nobody"]):
+    refused = (["--avatar", "nobody"], ["--fabric", "wool"], ["--uv-unit", "-1"])
+    for words in (["broken.obj"], ["absent.obj"], *(["broken.obj", *option] for option in refused)):
         assert main([str(tmp_path / words[0]), *words[1:], "--out", str(out)]) == 2
         assert "expected" in capsys.readouterr().err
     assert list(out.iterdir()) == stored
-    for words in (["--unit", "foot"], ["--up", "x"]):
+    for words in (["--unit", "foot"], ["--up", "x"], ["--rest", "wet"]):
         with pytest.raises(SystemExit, match="2"):
             main([str(folder / "female_shirt.obj"), *words])
         assert "choose from" in capsys.readouterr().err

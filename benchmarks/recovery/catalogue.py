@@ -1,0 +1,110 @@
+"""The sewn catalogue, judged: collisions, self-intersections, detail before and after intake, intake's time, a picture.
+
+    python -m benchmarks.recovery.catalogue DIR [--picture FILE.png]
+
+DIR is what ``python -m recovery.catalogue build --out DIR`` wrote. Detail is that of ``drape.cloth.detail``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.quality.intersections import intersecting_pairs
+from benchmarks.shared.render import SKIN, Surface, render, save_png, sheet
+from drape.body.assets import load_body
+from drape.body.model import BodyModel
+from drape.cloth.detail import LowPass
+from drape.cloth.rest_state import flat
+from drape.garment.files.mesh import read_mesh
+from drape.garment.intake import intake
+
+GREY = (0.62, 0.66, 0.70)
+VIEWS_DEG = (0.0, 90.0, 180.0)
+RAKING = np.array([0.86, 0.38, 0.34])
+
+
+def detail_mm(vertices: np.ndarray, faces: np.ndarray) -> float:
+    """``drape.cloth.detail`` of a surface against its own metric [mm]."""
+    return float(LowPass.of(flat(vertices, faces), faces, len(vertices)).detail_mm(vertices))
+
+
+def colliding_triangles(vertices: np.ndarray, faces: np.ndarray, body: BodyModel) -> int:
+    """How many triangles of the cloth cross one of the body's."""
+    both = np.concatenate([faces, body.faces + len(vertices)])
+    pairs = intersecting_pairs(np.concatenate([vertices, body.v_template]), both)
+    mixed = (pairs[:, 0] < len(faces)) & (pairs[:, 1] >= len(faces))
+    return len(np.unique(pairs[mixed, 0]))
+
+
+def judge(path: Path, body: BodyModel) -> dict[str, float | int | str]:
+    """The row of one garment."""
+    mesh = read_mesh(path)
+    told = json.loads(path.with_suffix(".json").read_text())
+    started = time.process_time()
+    taken = intake(path, avatar="standard", body=body)
+    seconds = time.process_time() - started
+    before = detail_mm(mesh.vertices, mesh.faces)
+    after = detail_mm(np.asarray(taken.vertices[: taken.vertex_count], dtype=np.float64), mesh.faces)
+    return {
+        "garment": told["name"],
+        "fabric": told["fabric"],
+        "panels": len(told["panels"]),
+        "vertices": len(mesh.vertices),
+        "edge_mm": told["figures"]["edge_mean_mm"],
+        "sewn_s": told["figures"]["cpu_seconds"],
+        "last_mm": told["figures"]["last_move_mm"],
+        "stretch_pct": told["figures"]["stretch_median_pct"],
+        "colliding": colliding_triangles(mesh.vertices, mesh.faces, body),
+        "crossing": len(intersecting_pairs(mesh.vertices, mesh.faces)),
+        "detail_mm": round(before, 2),
+        "kept_pct": round(100.0 * after / before, 1),
+        "intake_s": round(seconds, 1),
+    }
+
+
+def pictures(path: Path, body: BodyModel, size: int) -> list[np.ndarray]:
+    """Front, side and back in raking light."""
+    mesh = read_mesh(path)
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    low[0], high[0] = max(low[0], -0.42), min(high[0], 0.42)  # of long sleeves the wrists may leave the picture
+    extent = 1.12 * float((high - low)[:2].max())
+    surfaces = [Surface(body.v_template, body.faces, SKIN), Surface(mesh.vertices, mesh.faces, GREY)]
+    return [
+        render(
+            surfaces,
+            size=(size, size),
+            azimuth_deg=azimuth,
+            elevation_deg=4.0,
+            centre=0.5 * (low + high),
+            extent_m=extent,
+            light=RAKING / np.linalg.norm(RAKING),
+        )
+        for azimuth in VIEWS_DEG
+    ]
+
+
+def main() -> None:
+    """Runs the command."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--picture", type=Path)
+    parser.add_argument("--size", type=int, default=230, help="of one view [pixels]")
+    given = parser.parse_args()
+    body = load_body()
+    paths = sorted(given.folder.glob("*.obj"))
+    if given.picture is not None:
+        views = [pictures(path, body, given.size) for path in paths]
+        blank = [np.ones_like(views[0][0])] * len(VIEWS_DEG)
+        views += [blank] * (-len(views) % 2)
+        save_png(given.picture, sheet([a + b for a, b in zip(views[::2], views[1::2], strict=True)]))
+    for path in paths:
+        print(json.dumps(judge(path, body)), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,103 @@
+"""What the garment encoder reads of a fabric: how it stretches, shears and bends in the axes of each patch."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drape.cloth.fabric import Fabric
+from drape.cloth.fabric_table import fabric as fabric_of
+from drape.cloth.rest_state import RestState
+from drape.errors import ArtifactError
+from drape.garment.cache import Atlas, Garment
+from drape.garment.grain import read_grain, texture
+from drape.geometry import meshes
+
+FABRIC_COUNT = 12
+STRETCH_N_PER_M, BENDING_J, DENSITY_KG_M2 = 300.0, 1e-5, 0.2  # about the middle of garments' cloth
+SHEAR_OF_ISOTROPIC = 4.0 / 3.0  # shear over stretch where Poisson's ratio is a third
+
+
+def warp_directions(rest: RestState, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Unit warp (F, 3) of every triangle where the mesh lies at ``vertices`` [m] (V, 3): first column of F = E D^-1."""
+    first, second = meshes.corner_edges(np.asarray(vertices, dtype=np.float64), faces)
+    (a, b), (c, d) = np.moveaxis(rest.edges[:, 0], 1, 0), np.moveaxis(rest.edges[:, 1], 1, 0)
+    along = (d[:, None] * first - b[:, None] * second) / (a * d - b * c)[:, None]
+    return along / np.linalg.norm(along, axis=1, keepdims=True)
+
+
+def patch_grain(atlas: Atlas, vertices: np.ndarray, faces: np.ndarray, warp: np.ndarray) -> np.ndarray:
+    """(cos 2a, sin 2a) (K, 2) float32, a the angle from a patch's u axis to the warp (F, 3) of its triangles.
+
+    The mean over the triangles of a patch, by area: shorter where the grain turns within it. A warp and its opposite
+    are the same.
+    """
+    area = meshes.face_areas(np.asarray(vertices, dtype=np.float64), faces)
+    turned = np.zeros((len(vertices), 3, 3))
+    np.add.at(turned, faces.reshape(-1), np.repeat(area[:, None, None] * warp[:, :, None] * warp[:, None], 3, axis=0))
+    total = np.zeros((atlas.patch_count, 3, 3))
+    weight = atlas.chart_weight.astype(np.float64)[..., None, None]
+    np.add.at(total, atlas.chart_patch, weight * turned[:, None])
+    frame = atlas.patch_rotation.astype(np.float64)
+    local = frame.transpose(0, 2, 1) @ total @ frame
+    uu, vv, uv = local[:, 0, 0], local[:, 1, 1], local[:, 0, 1]
+    return (np.stack([uu - vv, 2.0 * uv], axis=1) / np.maximum(uu + vv, 1e-12)[:, None]).astype(np.float32)
+
+
+def rest_grain(garment: Garment) -> np.ndarray:
+    """``patch_grain`` (K, 2) of a garment at rest."""
+    vertices, faces = garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64)
+    if garment.rest_edges is not None:
+        warp = warp_directions(garment.rest_state(), vertices, faces)
+    else:  # as its rest state will have it, which takes longer to make
+        warp = read_grain(vertices, vertices, faces, texture(garment.uv, garment.uv_faces, len(faces))).warp
+    return patch_grain(garment, vertices, faces, warp)
+
+
+def encoder_features(garment: Garment, width: int, fabric: Fabric | None = None) -> np.ndarray:
+    """What a garment encoder of ``width`` features reads of ``garment`` made of ``fabric``, or of its own, (K, width).
+
+    A network from before fabrics reads nothing of it. Raises ``ArtifactError`` for any other width.
+    """
+    features = np.ascontiguousarray(garment.patch_features, dtype=np.float32)
+    if features.shape[1] == width:
+        return features
+    if features.shape[1] + FABRIC_COUNT != width:
+        raise ArtifactError(
+            "garment patch_features",
+            expected=f"{width} numbers per patch, or {width - FABRIC_COUNT} besides those of a fabric",
+            got=str(features.shape[1]),
+            cure="Run the intake of this release again.",
+        )
+    made_of = fabric_of(garment.fabric) if fabric is None else fabric
+    return np.concatenate([features, fabric_features(made_of, rest_grain(garment))], axis=1)
+
+
+def fabric_features(fabric: Fabric, grain: np.ndarray) -> np.ndarray:
+    """Features (K, 12) float32 of ``fabric`` on patches with ``grain`` (K, 2) of ``patch_grain``.
+
+    Logarithms, so that each doubling counts alike; differences of warp and weft turn with twice the grain's angle and
+    those of the bias with four times, so that for a cloth that is alike all ways the grain says nothing.
+    """
+    two = np.asarray(grain, dtype=np.float64)
+    four = np.stack([two[:, 0] ** 2 - two[:, 1] ** 2, 2.0 * two[:, 0] * two[:, 1]], axis=1)
+    stretch = np.sqrt(fabric.warp_n_per_m * fabric.weft_n_per_m)
+    bending = np.sqrt(fabric.bending_warp_j * fabric.bending_weft_j)
+    shear = np.log(fabric.shear_n_per_m / (SHEAR_OF_ISOTROPIC * stretch))
+    bias = np.log(fabric.bending_bias_j / bending)
+    alike = np.array(
+        [
+            np.log(stretch / STRETCH_N_PER_M),
+            shear,
+            fabric.cross_n_per_m / stretch,
+            np.log(bending / BENDING_J),
+            bias,
+            np.log(fabric.density_kg_m2 / DENSITY_KG_M2),
+        ]
+    )
+    parts = [
+        np.broadcast_to(alike, (len(two), len(alike))),
+        0.5 * np.log(fabric.warp_n_per_m / fabric.weft_n_per_m) * two,
+        0.5 * np.log(fabric.bending_warp_j / fabric.bending_weft_j) * two,
+        0.5 * (shear + bias) * four,
+    ]
+    return np.concatenate(parts, axis=1).astype(np.float32)

@@ -1,0 +1,180 @@
+"""Grain and panels of a garment's cloth, read from texture coordinates that are a flattening of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drape.cloth.rest_state import UP, grain_along
+from drape.errors import InputError
+from drape.geometry import meshes
+
+STRETCH_LIMIT = 1.15  # both singular values of uv -> cloth lie within this of the mesh's scale ...
+FLAT_SHARE = 0.8  # ... over this share of its area, and an island is a flattening; sleeves of a worn shirt: 0.85
+TURNED = 0.2  # by how much more upright u must run than v, on the mean, for an island to be laid out on its side
+METRIC_LIMIT = 0.05  # uv whose scale is so near to one metre are in metres
+UNIT_LIMIT = 1.5  # cloth is worn at most this many times as large as its panels: the next unit is farther off
+SAME_UV = 1e-6  # of the uv's extent
+SMALLEST_AREA_SHARE = 1e-6  # of the mean triangle in uv; below it a triangle says nothing of the grain
+
+
+@dataclass(frozen=True, eq=False)
+class Texture:
+    """uv of every corner of G triangles (G, 3, 2), and the number (G,) of the island that each lies in."""
+
+    corners: np.ndarray
+    island: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Grain:
+    """What uv tell of the cloth, of G triangles and H hinges.
+
+    ``warp`` (G, 3): unit warp in the plane of every triangle, vertical (``grain_along``) where ``from_uv`` (G,) bool is
+    False. ``panel_edges`` (G, 2, 2): edges in uv from the first corner, along (warp, weft), in units of uv; ``seam``
+    (H,) bool: the panels end there. ``scale_m``: metres of cloth per unit of uv, zero where uv are no flattening;
+    ``share``: of the area, for which they are one.
+    """
+
+    warp: np.ndarray
+    from_uv: np.ndarray
+    panel_edges: np.ndarray
+    seam: np.ndarray
+    scale_m: float
+    share: float
+
+
+def texture(uv: np.ndarray, uv_faces: np.ndarray, face_count: int) -> Texture | None:
+    """``uv`` (T, 2) of ``uv_faces`` (F, 3), carried to the ``face_count`` triangles that subdivision made of them.
+
+    Linear in every delivered triangle, in the order of ``meshes.subdivide``. None without uv, or where the triangles
+    are no subdivision.
+    """
+    if not len(uv_faces):
+        return None
+    corners = np.asarray(uv, dtype=np.float64)[uv_faces]
+    rounds = 0
+    while len(corners) < face_count:
+        a, b, c = np.moveaxis(corners, 1, 0)
+        ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
+        split = [[a, ab, ca], [b, bc, ab], [c, ca, bc], [ab, bc, ca]]
+        corners = np.stack([np.stack(corner, axis=1) for corner in split], axis=1).reshape(-1, 3, 2)
+        rounds += 1
+    if len(corners) != face_count:
+        return None
+    # A GLB splits vertices at hard edges too: an island ends where uv do.
+    _, place = np.unique(uv, axis=0, return_inverse=True)
+    welded = place.reshape(-1)[uv_faces]
+    island = meshes.connected_components(welded, len(uv))[welded[:, 0]]
+    return Texture(corners, np.unique(np.repeat(island, 4**rounds), return_inverse=True)[1].reshape(-1))
+
+
+def read_grain(
+    vertices: np.ndarray,
+    modelled: np.ndarray,
+    faces: np.ndarray,
+    painted: Texture | None,
+    uv_unit_m: float | None = None,
+) -> Grain:
+    """The grain of the cloth at rest, ``vertices`` [m] (N, 3), as ``painted`` on it.
+
+    Whether uv are a flattening is asked of ``modelled`` [m] (N, 3), the cloth as delivered: island by island, with one
+    scale for all. Cloth that is worn stretches and shears, knits by more than the limit: with ``uv_unit_m``, metres of
+    cloth per unit of uv, uv are panels because they are said to be. Raises ``InputError`` where there are none or
+    their size is another.
+
+    The warp is uv's v, as patterns are laid out, or its u where an island lies on its side: a quarter
+    turn that brings the warp nearer to the vertical. A panel cut on the bias stays so.
+    """
+    plain = grain_along(vertices, faces)
+    hinges = meshes.hinge_faces(faces)
+    nothing = Grain(
+        plain, np.zeros(len(faces), bool), np.zeros((len(faces), 2, 2)), np.zeros(len(hinges), bool), 0.0, 0.0
+    )
+    if painted is None:
+        if uv_unit_m is not None:
+            raise InputError("uv unit", expected="panels as uv", got="no uv", cure="Leave the unit of uv out.")
+        return nothing
+    edges = painted.corners[:, 1:] - painted.corners[:, :1]  # (G, 2, 2)
+    double = edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]
+    told = np.abs(double) > SMALLEST_AREA_SHARE * np.abs(double).mean()
+    if not told.any():
+        return nothing
+    area = meshes.face_areas(modelled, faces)
+    inverse = np.zeros_like(edges)
+    inverse[told] = np.linalg.inv(edges[told])
+    slope = _slope(modelled, faces, inverse)
+    scale = _median(np.sqrt(2.0 * area[told] / np.abs(double[told])), area[told])
+    large, small = _singular_values(slope)
+    if uv_unit_m is not None and not 1.0 / UNIT_LIMIT < scale / uv_unit_m < UNIT_LIMIT:
+        raise InputError(
+            "uv unit",
+            expected=f"about {scale:.3g} metres of cloth per unit of uv, as the mesh shows",
+            got=f"{uv_unit_m:g}",
+            cure="Correct the unit, or leave it out: lengths are then those of the mesh.",
+        )
+    true = told & (large < STRETCH_LIMIT * scale) & (small * STRETCH_LIMIT > scale)
+    whole = np.bincount(painted.island, area)
+    flat = np.bincount(painted.island, area * true) >= FLAT_SHARE * whole
+    flat |= uv_unit_m is not None
+    good = told & flat[painted.island]
+    upright = slope @ np.array(UP) / scale  # (G, 2): how steeply u and v climb
+    mean = np.stack([np.bincount(painted.island, area * upright[:, k]) for k in (0, 1)], axis=1) / whole[:, None]
+    axis = np.where(np.abs(mean[:, 0]) > np.abs(mean[:, 1]) + TURNED, 0, 1)[painted.island]
+    turned = _polar(_slope(vertices, faces, inverse))
+    rows = np.arange(len(faces))
+    warp = np.where(good[:, None], turned[rows, axis], plain)
+    panel = np.stack([edges[rows, :, axis], edges[rows, :, 1 - axis]], axis=2)
+    share = float((area * flat[painted.island]).sum() / area.sum())
+    return Grain(warp, good, panel, _seams(painted, faces, good), scale if good.any() else 0.0, share)
+
+
+def panel_unit(grain: Grain, uv_unit_m: float | None) -> float | None:
+    """Metres per unit of uv as given, or found where uv are in metres; None where panels tell no lengths."""
+    return 1.0 if uv_unit_m is None and abs(grain.scale_m - 1.0) < METRIC_LIMIT else uv_unit_m
+
+
+def _slope(vertices: np.ndarray, faces: np.ndarray, inverse: np.ndarray) -> np.ndarray:
+    """Rows (G, 2, 3): the derivatives of the cloth's place along u and along v."""
+    return inverse @ np.stack(meshes.corner_edges(vertices, faces), axis=1)
+
+
+def _singular_values(slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The larger and the smaller one (G,) of ``slope`` (G, 2, 3)."""
+    a, b, c = _gram(slope)
+    middle, spread = 0.5 * (a + c), np.hypot(0.5 * (a - c), b)
+    return np.sqrt(middle + spread), np.sqrt(np.maximum(middle - spread, 0.0))
+
+
+def _polar(slope: np.ndarray) -> np.ndarray:
+    """The orthonormal rows (G, 2, 3) nearest to ``slope`` (Higham 1986): S^-1 slope, S the root of slope slope^T."""
+    a, b, c = _gram(slope)
+    root = np.sqrt(np.maximum(a * c - b * b, 0.0))
+    trace = np.sqrt(a + c + 2.0 * root)
+    scale = 1.0 / np.maximum(root * trace, 1e-30)
+    # S = (M + root I) / trace with det S = root, by Cayley and Hamilton.
+    inverse = np.stack([np.stack([c + root, -b], axis=1), np.stack([-b, a + root], axis=1)], axis=1)
+    return scale[:, None, None] * inverse @ slope
+
+
+def _gram(slope: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    u, v = slope[:, 0], slope[:, 1]
+    return (u * u).sum(axis=1), (u * v).sum(axis=1), (v * v).sum(axis=1)
+
+
+def _median(values: np.ndarray, weights: np.ndarray) -> float:
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
+
+
+def _seams(painted: Texture, faces: np.ndarray, good: np.ndarray) -> np.ndarray:
+    """Hinges (H,) bool between flattenings at which uv are split."""
+    ends, sides = meshes.hinges(faces)[:, :2], meshes.hinge_faces(faces)
+    tolerance = SAME_UV * np.ptp(painted.corners.reshape(-1, 2), axis=0).max()
+    split = np.zeros(len(ends), bool)
+    for k in (0, 1):
+        first, second = (painted.corners[side, (faces[side] == ends[:, k, None]).argmax(axis=1)] for side in sides.T)
+        split |= np.abs(first - second).max(axis=1) > tolerance
+    return split & good[sides].all(axis=1)

@@ -1,0 +1,214 @@
+"""The rest state of a garment's cloth: its smooth shape is forgotten, what was sewn or pressed into it stays.
+
+A mesh modelled on a body has the body's shape in it. Cloth has not: it is cut flat, and round only because it is worn.
+What a cloth does remember are lines: the fold of a hem, the edge of a collar, a pressed pleat, a seam. So an angle at
+rest is kept where it is sharp, against a copy of the surface that is smoothed over ``SMOOTHING_M``, and where the sharp
+hinges run on as a line; a sharp place of a few centimetres is a crumple of modelling. Everything else is flat at rest.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import scipy.sparse
+from scipy.sparse import csgraph
+
+from drape.cloth import rest_state
+from drape.cloth.rest_state import RestState
+from drape.errors import MeshError
+from drape.garment.grain import Grain, Texture, panel_unit, read_grain, texture
+from drape.garment.rest_pose import smoother, subdivide_smooth
+from drape.geometry import meshes
+
+Rest = Literal["auto", "flat", "modelled"]
+SMOOTHING_M = 0.05
+# Measured on the garments of docs/guide/garments.md: hems, cuffs and collars are lines of 8 to 23 cm at 30 degrees and
+# more; what crumples under a bust, at a crotch or in an armpit ends within 7 cm.
+CREASE_RAD, LINE_M = np.radians(30.0), 0.08
+FOLD_RAD = np.radians(90.0)  # no body is as sharp
+HEM_M = 0.04  # cloth between a crease and an open rim is doubled if both are so near
+HEM_STIFFENING = 2.0
+DOUBLED = re.compile(r"(?<![a-z])(hem|cuff|collar|(waist|neck|wrist)?band|placket|facing)", re.IGNORECASE)
+# Area by which a panel as wide as a hand spans must be distorted to lie flat, median over the cloth: real garments 1.01
+# to 1.11, balls of 15 and of 10 cm 1.27 and 1.78.
+PANEL_RADIUS_M, DISTORTION_LIMIT = 0.10, 1.2
+
+
+@dataclass(frozen=True, eq=False)
+class Cloth:
+    """What a rest state is made of.
+
+    ``vertices`` [m] (N, 3) at rest and ``faces`` (G, 3); ``modelled`` [m] (N, 3): the same cloth as it was delivered,
+    which says what is a crease; ``painted``: its uv, if it has some; ``doubled`` (G,) bool: triangles of a material
+    that is sewn double. ``uv_unit_m``: metres of cloth per unit of uv, where they are panels. ``resized``: the cloth
+    was moved to another body, and is no longer as large as its panels.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    modelled: np.ndarray
+    painted: Texture | None
+    doubled: np.ndarray
+    uv_unit_m: float | None = None
+    resized: bool = False
+
+
+@dataclass(frozen=True)
+class Figures:
+    """How a rest state came about: shares of hinges and of area in [0, 1], and where grain and lengths are from."""
+
+    kept_share: float
+    hem_share: float
+    grain: str
+    grain_share: float
+    lengths: str
+
+
+def doubled_faces(material_names: Sequence[str], face_material: np.ndarray, face_count: int) -> np.ndarray:
+    """Which of the ``face_count`` triangles that subdivision made are of a material called a hem, cuff, collar ..."""
+    named = np.array([bool(DOUBLED.search(name)) for name in material_names] or [False])
+    delivered = named[face_material] if len(named) > face_material.max(initial=0) else face_material < 0
+    rounds = face_count // max(len(delivered), 1)
+    return np.repeat(delivered, rounds) if rounds * len(delivered) == face_count else np.zeros(face_count, dtype=bool)
+
+
+def subdivided_like(vertices: np.ndarray, faces: np.ndarray, face_count: int) -> np.ndarray:
+    """``vertices`` [m] (V, 3) of ``faces`` (F, 3) and those of the smooth subdivision into ``face_count`` triangles."""
+    while len(faces) < face_count:
+        vertices, faces, _ = subdivide_smooth(vertices, faces)
+    return vertices
+
+
+def rest_of(cloth: Cloth, rest: Rest = "auto") -> tuple[RestState, Figures]:
+    """The rest state of ``cloth``, and how it came about.
+
+    ``modelled``: lengths and angles of the mesh. ``flat``: its lengths and no angle; raises ``MeshError`` for cloth
+    that does not lie flat. ``auto``: its lengths, angles only at creases, and at seams where uv are panels, as
+    delivered. Where uv are panels of a known size, ``flat`` and ``auto`` have their lengths from them, unless the cloth
+    is resized.
+    """
+    grain = read_grain(cloth.vertices, cloth.modelled, cloth.faces, cloth.painted, cloth.uv_unit_m)
+    state = rest_state.modelled(cloth.vertices, cloth.faces, grain.warp)
+    unit = panel_unit(grain, cloth.uv_unit_m)
+    kept = np.ones(len(state.hinge_angle), dtype=bool)
+    lengths = "mesh"
+    if rest != "modelled":
+        angle, crease = creases(cloth.modelled, cloth.faces)
+        kept = crease | grain.seam if rest == "auto" else np.zeros_like(crease)
+        stiffening = _stiffening(cloth, crease)
+        state = RestState(state.edges, np.where(kept, angle, 0.0), stiffening)
+        if rest == "flat" and not grain.from_uv.any():
+            _refuse_round(cloth)
+        if unit is not None and not cloth.resized:
+            state, lengths = _with_panels(state, grain, unit), "panels"
+    figures = Figures(
+        kept_share=float(kept.mean()) if len(kept) else 0.0,
+        hem_share=float((state.stiffening > 1.0).mean()) if len(kept) else 0.0,
+        grain="uv" if grain.from_uv.any() else "vertical",
+        grain_share=grain.share,
+        lengths=lengths,
+    )
+    return state, figures
+
+
+def creases(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Dihedral angles [rad] (H,) of the surface, and which hinges (H,) bool are creases.
+
+    A hinge is sharp if it turns by ``CREASE_RAD``, and by as much from the surface smoothed over ``SMOOTHING_M``, or if
+    it is folded over; it is a crease if the sharp hinges that it is connected with span ``LINE_M``.
+    """
+    angle = rest_state.dihedral_angles(vertices, faces)
+    smooth = rest_state.dihedral_angles(smoother(vertices, faces, SMOOTHING_M)(vertices), faces)
+    turn = angle - smooth
+    # Smoothing crushes a narrow fold, and what is next to it: there only the angle itself counts.
+    turn = np.abs(np.arctan2(np.sin(turn), np.cos(turn)))
+    sharp = (np.minimum(np.abs(angle), turn) > CREASE_RAD) | (np.abs(angle) > FOLD_RAD)
+    if not sharp.any():
+        return angle, sharp
+    first, second = meshes.hinges(faces)[sharp, :2].T
+    graph = scipy.sparse.coo_matrix((np.ones(len(first)), (first, second)), shape=(len(vertices),) * 2)
+    line = csgraph.connected_components(graph, directed=False)[1]
+    low, high = np.full((len(vertices), 3), np.inf), np.full((len(vertices), 3), -np.inf)
+    for end in (first, second):
+        np.minimum.at(low, line[end], vertices[end])
+        np.maximum.at(high, line[end], vertices[end])
+    sharp[sharp] = np.linalg.norm(high - low, axis=1)[line[first]] >= LINE_M
+    return angle, sharp
+
+
+def distortion(vertices: np.ndarray, faces: np.ndarray) -> float:
+    """Ratio of largest to smallest area where panels of ``PANEL_RADIUS_M`` are laid flat, median over the cloth.
+
+    A disc of total curvature W on a sphere, mapped with least distortion (stereographically), has (1 - W / 4 pi)^-2
+    from rim to centre. W is the angle defect, spread over the surface.
+    """
+    area = meshes.vertex_areas(vertices, faces)
+    defect = np.full(len(vertices), 2.0 * np.pi)
+    for k in range(3):
+        corner = faces[:, k]
+        e1, e2 = (vertices[faces[:, (k + n) % 3]] - vertices[corner] for n in (1, 2))
+        turn = np.arctan2(np.linalg.norm(np.cross(e1, e2), axis=1), (e1 * e2).sum(axis=1))
+        np.subtract.at(defect, corner, turn)
+    rims = meshes.boundary_loops(faces)
+    if rims:
+        defect[np.concatenate(rims)] = 0.0
+    spread = smoother(vertices, faces, 0.5 * PANEL_RADIUS_M)(np.column_stack([defect, area]))
+    curvature = np.abs(spread[:, 0]) / np.maximum(spread[:, 1], 1e-12) * np.pi * PANEL_RADIUS_M**2
+    order = np.argsort(curvature)
+    total = np.cumsum(area[order])
+    middle = float(curvature[order][np.searchsorted(total, 0.5 * total[-1])])
+    return (1.0 - min(middle / (4.0 * np.pi), 0.99)) ** -2.0
+
+
+def _refuse_round(cloth: Cloth) -> None:
+    found = distortion(cloth.modelled, cloth.faces)
+    if found > DISTORTION_LIMIT:
+        raise MeshError(
+            "rest",
+            expected=f"a garment that lies flat: panels of {200 * PANEL_RADIUS_M:.0f} cm with areas within "
+            f"{100 * (DISTORTION_LIMIT - 1.0):.0f} % of each other, for half the cloth",
+            got=f"{100 * (found - 1.0):.0f} %",
+            cure="Take rest auto or modelled, or give the garment uv that are its panels.",
+        )
+
+
+def _stiffening(cloth: Cloth, crease: np.ndarray) -> np.ndarray:
+    """Factors (H,): ``HEM_STIFFENING`` where cloth lies double, in a material so called or between crease and rim."""
+    sides, hinges = meshes.hinge_faces(cloth.faces), meshes.hinges(cloth.faces)
+    double = cloth.doubled[sides].all(axis=1)
+    rims = meshes.boundary_loops(cloth.faces)
+    if rims and crease.any():
+        edges = meshes.unique_edges(cloth.faces)
+        length = np.maximum(meshes.edge_lengths(cloth.modelled, edges), 1e-9)
+        graph = scipy.sparse.coo_matrix((length, edges.T), shape=(len(cloth.vertices),) * 2).tocsr()
+        away = [
+            csgraph.dijkstra(graph, directed=False, indices=np.unique(near), limit=HEM_M, min_only=True)
+            for near in (hinges[crease, :2], np.concatenate(rims))
+        ]
+        hem = away[0] + away[1] <= HEM_M
+        double |= hem[hinges[:, :2]].all(axis=1)
+    return np.where(double, HEM_STIFFENING, 1.0)
+
+
+def _with_panels(state: RestState, grain: Grain, unit_m: float) -> RestState:
+    """``state`` with the lengths of the panels where uv are a flattening."""
+    return replace(state, edges=np.where(grain.from_uv[:, None, None], unit_m * grain.panel_edges, state.edges))
+
+
+def cloth_of(
+    vertices: np.ndarray,
+    fine_faces: np.ndarray,
+    painted: tuple[np.ndarray, np.ndarray],
+    materials: tuple[Sequence[str], np.ndarray],
+) -> Cloth:
+    """The cloth of a garment at rest, of which no more is known than its rest mesh, so that lengths are that mesh's.
+
+    ``painted``: its uv (T, 2) and uv_faces (F, 3); ``materials``: names, and the number (F,) of each delivered face.
+    """
+    faces, points = np.asarray(fine_faces, dtype=np.int64), np.asarray(vertices, dtype=np.float64)
+    doubled = doubled_faces(*materials, len(faces))
+    return Cloth(points, faces, points, texture(*painted, len(faces)), doubled, resized=True)

@@ -1,0 +1,1 @@
+"""The local solver: energies of ``drape.cloth`` lowered vertex by vertex, with numba; no torch."""

@@ -1,0 +1,34 @@
+"""How kernels are compiled: once per type, kept on disk beside the source, the same bits on every call.
+
+Sums may be reordered and products contracted, but comparisons see NaN: "not lower" has to hold for it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+from numba import njit
+
+F = TypeVar("F", bound=Callable)
+FAST = {"reassoc", "contract", "arcp", "nsz"}
+_SOURCES = hashlib.sha256(b"".join(p.read_bytes() for p in sorted(Path(__file__).parent.glob("*.py")))).hexdigest()
+
+
+def part(function: F) -> F:
+    """``function`` written into the kernels that call it: a call would count references to all arrays of a tuple."""
+    written: Any = njit(inline="always", error_model="numpy", fastmath=FAST)(function)
+    return written
+
+
+def kernel(function: F) -> F:
+    """``function`` compiled when it is first called, and stored until any file of this package changes.
+
+    numba looks at the date of the kernel's own file alone, so that a changed formula would leave its callers as
+    they were; the stamp that it compares is therefore the hash of the package.
+    """
+    compiled: Any = njit(cache=True, error_model="numpy", nogil=True, fastmath=FAST)(function)
+    compiled._cache._cache_file._source_stamp = _SOURCES
+    return compiled

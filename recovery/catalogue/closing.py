@@ -1,0 +1,56 @@
+"""Brings a design's panels round the body, sews them on a coarse mesh, and carries the shape over to a fine one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drape.errors import InputError
+from drape.geometry import closest
+from recovery.drape.placement import cleared
+from recovery.drape.relax import Distance
+from recovery.drape.sewing import SEWING_GAP_M, Sewn, sew
+from recovery.pattern.design import Design
+from recovery.pattern.mesh import PatternMesh
+
+OVER_GAP_M = 0.032  # that panels over others keep from the skin while they are sewn
+
+
+def placed(design: Design, mesh: PatternMesh, distance: Distance) -> np.ndarray:
+    """Panel vertices [m] (P, 3) before sewing: wraps round their limbs, flat panels moved outward until clear."""
+    positions = cleared(mesh, mesh.placed(), distance, leave=design.wraps)[0]
+    for number, panel in enumerate(design.pattern.panels):
+        if panel.name in design.wraps:
+            mine = mesh.panel == number
+            positions[mine] = design.wraps[panel.name].place(mesh.rest[mine])
+    return positions
+
+
+def closed(design: Design, mesh: PatternMesh, distance: Distance) -> Sewn:
+    """The sewn garment; raises ``InputError`` where a seam cannot close round the body."""
+    folded = [number for number, name in enumerate(design.seam_names) if name in design.seam_angles]
+    creases = np.unique(mesh.node_of_panel_vertex[mesh.seam_pairs[np.isin(mesh.seam_of_pair, folded)]])
+    over = [panel.name in design.over for panel in design.pattern.panels]
+    gaps = np.where(np.array(over)[mesh.panel], OVER_GAP_M, SEWING_GAP_M)
+    return sew(mesh, placed(design, mesh, distance), distance, gap_m=gaps, creases=creases)
+
+
+def carried(coarse: PatternMesh, nodes: np.ndarray, fine: PatternMesh) -> np.ndarray:
+    """Nodes [m] (N, 3) of ``fine`` where the cloth of ``coarse`` at ``nodes`` has them, by place in the panels."""
+    if [p.name for p in coarse.pattern.panels] != [p.name for p in fine.pattern.panels]:
+        raise InputError(
+            "meshes",
+            expected="two meshes of one pattern",
+            got=f"{coarse.pattern.name} and {fine.pattern.name}",
+            cure="Mesh the same pattern twice.",
+        )
+    positions = np.zeros((len(fine.rest), 3))
+    flat = np.column_stack([coarse.rest, np.zeros(len(coarse.rest))])
+    for number in range(len(fine.pattern.panels)):
+        mine, faces = fine.panel == number, coarse.face_panel == number
+        points = np.column_stack([fine.rest[mine], np.zeros(mine.sum())])
+        triangles = coarse.panel_faces[faces]
+        found = closest.closest_point(points, flat, triangles)
+        # Points outside a coarse chord are carried on along the nearest triangle.
+        weights = closest.barycentric(points, flat[triangles[found.face]])
+        positions[mine] = np.einsum("nk,nkc->nc", weights, nodes[coarse.faces[faces][found.face]])
+    return fine.nodes_from(positions)

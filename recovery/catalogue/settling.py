@@ -1,0 +1,137 @@
+"""Lets a sewn garment fall and come to rest on a body: damped implicit steps, with friction, cloth that meets itself.
+
+Unlike ``recovery.drape.settle``, whose drape has no friction and is one that a loss can be taken at, this is the state
+that a garment is found in: it fell from where it was sewn, and friction keeps its folds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import torch
+
+from drape.cloth.fabric import Fabric, bending_angle, hinge_rigidity
+from drape.cloth.material import Material
+from drape.geometry import meshes
+from recovery.pattern.design import Design
+from recovery.pattern.mesh import PatternMesh
+from recovery.sim.contact import SkinContact
+from recovery.sim.linearised import linearised_step
+from recovery.sim.model import ClothModel, ClothState, Parameters
+from recovery.sim.sdf import SignedDistance
+from recovery.sim.self_contact import SelfContact
+
+SOFTEST_N_PER_M = 400.0  # woven cloth is softened to this: its weight stretches it by less than 0.5 %
+HEM_M = 0.02  # turned up this far
+HEM_BENDING = 2.0  # two layers that slide on each other
+SKIN_GAP_M = 0.0075  # beyond what intake keeps garments off the skin by
+DT_S = 0.033
+LAYERS_SHARE = 0.4  # of the mean edge: layers of cloth stay this far apart
+FALLING, SETTLING = 0.9, 0.5  # share of one step's speed that is kept in the next: air and yarns, and more of it
+MOVE_SHARE = 0.6  # of that distance in one step at most: two layers that meet must not pass
+
+
+@dataclass(frozen=True)
+class Settled:
+    """Nodes [m] (N, 3) at rest after ``steps``; ``move_m`` is the longest move of the last one."""
+
+    nodes: np.ndarray
+    steps: int
+    move_m: float
+
+
+class Fall:
+    """The garment ``design`` on ``mesh``, of ``fabric``, over the body ``skin``; nothing but the body holds it up."""
+
+    def __init__(self, design: Design, mesh: PatternMesh, fabric: Fabric, skin: SignedDistance) -> None:
+        self.model = ClothModel(mesh.faces, panel_faces=mesh.panel_faces)
+        self.model.rest_angle = torch.from_numpy(seam_angles(design, mesh, self.model))
+        soft = fabric.softened(SOFTEST_N_PER_M)
+        parameters = self.model.parameters(mesh.rest, Material.of(soft).woven)
+        self.parameters: Parameters = parameters._replace(
+            bending_j=torch.from_numpy(hinge_bending(design, mesh, self.model, fabric))
+        )
+        self.contact = SkinContact(skin, friction=fabric.friction, gap_m=SKIN_GAP_M)
+        edges = meshes.edge_lengths(mesh.rest, meshes.unique_edges(mesh.panel_faces))
+        self.cloth = SelfContact(mesh.faces, self.model.fixed, thickness_m=LAYERS_SHARE * float(edges.mean()))
+
+    def run(self, nodes: np.ndarray, *, steps: int, still_m: float, kept: float = FALLING) -> Settled:
+        """From ``nodes`` at rest until no node moves more than ``still_m`` in a step, or for ``steps``.
+
+        ``kept`` is the share of a step's speed that the next begins with."""
+        state = self.model.state(nodes)
+        move = np.inf
+        number = 0
+        while number < steps and move > still_m:
+            number += 1
+            state, move = self._step(state, kept)
+        return Settled(state.x.numpy(), number, move)
+
+    def _step(self, state: ClothState, kept: float) -> tuple[ClothState, float]:
+        with torch.no_grad():
+            pairs = self.cloth.springs(state.x.numpy())
+            after = linearised_step(self.model, state, self.parameters, dt_s=DT_S, contact=self.contact, pairs=pairs)
+            move = after.x - state.x
+            longest = float(move.norm(dim=1).max())
+            move = min(1.0, MOVE_SHARE * self.cloth.thickness_m / max(longest, 1e-12)) * move
+            x, v = state.x + move, kept * move / DT_S
+            # What lands stays: the repulsion of one step must not throw a node off the skin in the next.
+            distance, normal = self.contact.body(x)
+            outward = torch.clamp((v * normal).sum(dim=1, keepdim=True), min=0.0)
+            v = v - (distance < 1.2 * self.contact.gap_m)[:, None] * outward * normal
+            return ClothState(x, v), longest
+
+
+# --- what the maker adds to the cloth --------------------------------------------------------------------------------
+
+
+def hinge_bending(design: Design, mesh: PatternMesh, model: ClothModel, fabric: Fabric) -> np.ndarray:
+    """Rigidity [J] (H,) of the hinges by their direction to the grain; hems and bound openings count twice.
+
+    At a seam the mean of both panels.
+    """
+    edges = _hinge_edges(mesh, model)
+    rigidity = np.mean([hinge_rigidity(fabric, bending_angle(edge)) for edge in edges], axis=0)
+    near_hem = np.zeros(len(mesh.rest), dtype=bool)
+    for ref in design.hems:
+        line = mesh.rest[mesh.edge_vertices[ref]]
+        number = [panel.name for panel in mesh.pattern.panels].index(ref.panel)
+        mine = np.flatnonzero(mesh.panel == number)
+        near_hem[mine[_line_distance(mesh.rest[mine], line) < HEM_M]] = True
+    turned = mesh.nodes_from(near_hem[:, None].astype(float))[:, 0] > 0.5
+    return rigidity * np.where(turned[model.hinge_nodes[:, :2]].all(axis=1), HEM_BENDING, 1.0)
+
+
+def seam_angles(design: Design, mesh: PatternMesh, model: ClothModel) -> np.ndarray:
+    """Angle [rad] (H,) of every hinge at rest: 0 but where a seam is folded."""
+    angles = np.zeros(len(model.hinge_nodes))
+    for number, name in enumerate(design.seam_names):
+        if name in design.seam_angles:
+            on_seam = np.zeros(mesh.node_count, dtype=bool)
+            on_seam[mesh.node_of_panel_vertex[mesh.seam_pairs[mesh.seam_of_pair == number]]] = True
+            angles[on_seam[model.hinge_nodes[:, :2]].all(axis=1)] = design.seam_angles[name]
+    return angles
+
+
+def _hinge_edges(mesh: PatternMesh, model: ClothModel) -> list[np.ndarray]:
+    """Rest edges [m] (H, 2) of the hinges, as the panel on each side has them."""
+    sides = meshes.hinge_faces(mesh.faces)
+    found = []
+    for side in range(2):
+        faces, panel = mesh.faces[sides[:, side]], mesh.panel_faces[sides[:, side]]
+        ends = [(faces == model.hinge_nodes[:, k, None]).argmax(axis=1) for k in range(2)]
+        rows = np.arange(len(faces))
+        found.append(mesh.rest[panel[rows, ends[1]]] - mesh.rest[panel[rows, ends[0]]])
+    return found
+
+
+def _line_distance(points: np.ndarray, line: np.ndarray) -> np.ndarray:
+    """Distances [m] (N,) of ``points`` (N, 2) to the polyline ``line`` (M, 2)."""
+    nearest = np.full(len(points), np.inf)
+    for a, b in pairwise(line):
+        along = b - a
+        share = np.clip((points - a) @ along / max(float(along @ along), 1e-300), 0.0, 1.0)
+        nearest = np.minimum(nearest, np.linalg.norm(points - a - share[:, None] * along, axis=1))
+    return nearest

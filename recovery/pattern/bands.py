@@ -1,0 +1,55 @@
+"""Bands: straight strips sewn to an opening, at neck, waist, wrist and hem; closed by one seam."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from recovery.pattern import geometry
+from recovery.pattern.design import Assembly
+from recovery.pattern.drafting import Drafted, Side
+from recovery.pattern.wrapping import Tube, draft_round
+
+BAND_SHORTER = 0.02  # of a waistband: the waist is eased into it
+
+Edge = tuple[Drafted, str]
+
+
+def sew_band(
+    assembly: Assembly,
+    name: str,
+    to: Sequence[Edge],
+    tube: Tube,
+    *,
+    width_m: float,
+    shorter: float,
+    above: bool,
+    free: str = "opening",
+) -> Drafted:
+    """A strip of ``width_m`` sewn to the edges ``to``, listed as they follow each other along the tube's u.
+
+    It is ``shorter`` than they are by that share, and stands ``above`` them (a waistband) or hangs below (a cuff).
+    Its seam is named after it, its free edge ``free`` and its name.
+    """
+    lengths = [(1.0 - shorter) * geometry.edge_length(drafted.panel, drafted.numbers[side]) for drafted, side in to]
+    total = sum(lengths)
+    places = [-0.5 * total]
+    for length in lengths:
+        places.append(places[-1] + length)
+    sewn_v, free_v = (0.0, width_m) if above else (width_m, 0.0)
+    wide = 0.5 * total
+    if above:
+        sides = [Side(f"{name}_{i}", (places[i], sewn_v)) for i in range(len(lengths))]
+        sides += [
+            Side("end", (places[-1], sewn_v)),
+            Side(f"{free}_{name}", (wide, free_v)),
+            Side("start", (-wide, free_v)),
+        ]
+    else:
+        sides = [Side(f"{free}_{name}", (-wide, free_v)), Side("end", (wide, free_v))]
+        sides += [Side(f"{name}_{i}", (places[i + 1], sewn_v)) for i in reversed(range(len(lengths)))]
+        sides += [Side("start", (places[0], sewn_v))]
+    band = assembly.add(*draft_round(name, sides, tube))
+    for number, (drafted, side) in enumerate(to):
+        assembly.sew(f"{name}_seam", band, f"{name}_{number}", drafted, side)
+    assembly.sew(f"{name}_closing", band, "start", band, "end")
+    return band

@@ -1,0 +1,103 @@
+"""A garment as its maker means it: the pattern, names of its edges, what is gathered, how panels start."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from drape.errors import InputError
+from recovery.pattern import geometry
+from recovery.pattern.drafting import Drafted
+from recovery.pattern.model import EdgeRef, Panel, Pattern, Stitch
+from recovery.pattern.pieces import CLOTH_WIDTH_M
+from recovery.pattern.wrapping import Wrap
+
+SEAM_TOLERANCE = 0.02  # of the mean length; what is eased in or gathered on purpose is named
+EASE_SLACK = 0.03  # by which a named ease may be missed
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """``pattern`` with what a pattern alone does not say.
+
+    ``edge_names`` names edges: those that begin with "hem" are turned up, those with "opening" are bound.
+    ``seam_names`` has one name per stitch, ``eased`` says of a name by which share its second edge is longer than its
+    first, ``seam_angles`` [rad] by how much a seam is folded at rest. ``wraps`` are panels that start
+    bent, ``over`` those that lie over others; ``ease_m`` says what was added to which girth.
+    """
+
+    pattern: Pattern
+    fabric: str
+    edge_names: Mapping[EdgeRef, str]
+    seam_names: tuple[str, ...]
+    wraps: Mapping[str, Wrap] = field(default_factory=dict)
+    over: frozenset[str] = frozenset()
+    eased: Mapping[str, float] = field(default_factory=dict)
+    seam_angles: Mapping[str, float] = field(default_factory=dict)
+    ease_m: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def hems(self) -> tuple[EdgeRef, ...]:
+        """Edges that are turned up or bound: two layers of cloth."""
+        return tuple(ref for ref, name in self.edge_names.items() if name.startswith(("hem", "opening")))
+
+
+class Assembly:
+    """Panels, wraps, seams and names of a design that is being drafted."""
+
+    def __init__(self) -> None:
+        self.panels: list[Panel] = []
+        self.stitches: list[Stitch] = []
+        self.seam_names: list[str] = []
+        self.edge_names: dict[EdgeRef, str] = {}
+        self.wraps: dict[str, Wrap] = {}
+
+    def add(self, drafted: Drafted, wrap: Wrap | None = None) -> Drafted:
+        """``drafted``, kept; its edges are named as its sides are."""
+        self.panels.append(drafted.panel)
+        for side in drafted.numbers:
+            self.edge_names[drafted.edge(side)] = side
+        if wrap is not None:
+            self.wraps[drafted.panel.name] = wrap
+        return drafted
+
+    def sew(
+        self, name: str, first: Drafted, first_side: str, second: Drafted, second_side: str, *, over: bool = False
+    ) -> None:
+        """Sews two sides; ``over``: the outside of one continues in the inside of the other."""
+        self.stitches.append(Stitch(first.edge(first_side), second.edge(second_side), right_to_wrong=over))
+        self.seam_names.append(name)
+
+    def pattern(self, name: str, fabric: str) -> Pattern:
+        """All panels and stitches."""
+        return Pattern(name, tuple(self.panels), tuple(self.stitches), material=fabric)
+
+
+def check_seams(design: Design) -> None:
+    """Refuses a seam whose edges differ by more than 2 % of their length, or otherwise than its ease says."""
+    for seam, name in zip(geometry.seams(design.pattern), design.seam_names, strict=True):
+        wanted = design.eased.get(name, 0.0)
+        share = seam.second_m / seam.first_m - 1.0
+        slack = SEAM_TOLERANCE if name not in design.eased else EASE_SLACK
+        if abs(share - wanted) > slack:
+            raise InputError(
+                f"seam {name} of {design.pattern.name}",
+                expected=f"{seam.stitch.second} longer than {seam.stitch.first} by {100 * wanted:.0f} %",
+                got=f"{100 * share:.1f} %: {1e3 * seam.first_m:.0f} and {1e3 * seam.second_m:.0f} mm",
+                cure="Move the corners until both edges are as long, or name the ease of a gathered seam.",
+            )
+
+
+def check_laid_flat(design: Design) -> None:
+    """Refuses a panel that is wider than the cloth: it cannot be laid out on it along the grain."""
+    for panel in design.pattern.panels:
+        width = float(np.ptp(geometry.outline(panel)[:, 0]))
+        if width > CLOTH_WIDTH_M:
+            raise InputError(
+                f"panel {panel.name} of {design.pattern.name}",
+                expected=f"at most {CLOTH_WIDTH_M} m across the grain, the width of the cloth",
+                got=f"{width:.3f} m",
+                cure="Cut it in two and sew the halves, or make the garment shorter.",
+            )

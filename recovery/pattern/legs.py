@@ -1,0 +1,189 @@
+"""Trousers and shorts: four panels, a dart in each, and a waistband that the hips carry.
+
+The leg's middle lies under the middle of the front at the crotch; side seams of front and back are alike, and the
+back's crotch point is lowered until both inseams are as long.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from scipy.optimize import brentq
+
+from drape.errors import InputError
+from recovery.pattern import geometry
+from recovery.pattern.bands import BAND_SHORTER, sew_band
+from recovery.pattern.darts import Dart, sew_darts, waist_pieces, waist_with_darts
+from recovery.pattern.design import Assembly, Design
+from recovery.pattern.drafting import BACK, FRONT, Drafted, Point, Side, draft
+from recovery.pattern.measurements import BodyMeasurements
+from recovery.pattern.tops import FORWARD, STAND_OFF_M, UP
+from recovery.pattern.wrapping import Tube
+
+SHIFT_M = 0.01  # the back is wider by twice this, and so the side seam lies in the middle of the side
+EXTENSION = {"front": 0.05, "back": 0.105}  # of the crotch beyond the middle, shares of the hips
+INSET_M = {"front": 0.008, "back": 0.028}  # of the middle seam at the top
+BACK_RISE_M = 0.015  # the back's middle stands higher
+DART_SHARE = {"front": 0.15, "back": 0.35}
+DART_DEPTH_M = {"front": 0.08, "back": 0.11}
+SMALLEST_DART_M = 0.004
+ABOVE_ANKLE_M = 0.02
+
+
+@dataclass(frozen=True)
+class LegCut:
+    """Lengths [m]: ``rise_drop_m`` of the waistband's upper edge below the waist, ``inseam_m`` None to the ankles.
+
+    ``knee_girth_m`` and ``hem_girth_m`` of the cloth; shorts have no knee. ``waist_ease_m`` is negative where
+    the band is to sit tight.
+    """
+
+    name: str
+    fabric: str
+    hip_ease_m: float
+    hem_girth_m: float
+    knee_girth_m: float | None = None
+    inseam_m: float | None = None
+    rise_drop_m: float = 0.05
+    crotch_ease_m: float = 0.015
+    band_m: float = 0.04
+    waist_ease_m: float = 0.0
+
+
+def trousers(body: BodyMeasurements, cut: LegCut) -> Design:
+    """Trousers or shorts for ``body``. Raises ``InputError`` where a leg is narrower than the body's."""
+    top = body.waist_y - cut.rise_drop_m - cut.band_m
+    crotch = body.crotch_y - cut.crotch_ease_m
+    hem = body.ankle_y + ABOVE_ANKLE_M if cut.inseam_m is None else crotch - cut.inseam_m
+    _check(body, cut, hem)
+    quarter = 0.25 * (body.hip_girth + cut.hip_ease_m)
+    outer = {"front": quarter - SHIFT_M, "back": quarter + SHIFT_M}
+    reach = {label: share * body.hip_girth for label, share in EXTENSION.items()}
+    top_half = 0.5 * (body.girth_at(top) + cut.waist_ease_m)
+    # What hips have more than the waist, on one side of the body, is shared by the side seam and two darts.
+    excess = sum(outer.values()) - sum(INSET_M.values()) - top_half
+    darts = {label: max(0.0, share * excess) for label, share in DART_SHARE.items()}
+    side_inset = 0.5 * (excess - sum(darts.values()))
+    middle = 0.5 * (outer["front"] - reach["front"])  # of the leg, in front
+
+    def level(label: str, girth: float, y: float) -> tuple[Point, Point]:
+        """Inner and outer point of a leg of ``girth`` at height ``y``."""
+        half = 0.25 * girth
+        out = middle + half - 0.5 * SHIFT_M + (outer[label] - outer["front"])
+        width = 0.5 * girth + (SHIFT_M if label == "back" else -SHIFT_M)
+        return (out - width, y), (out, y)
+
+    knee_y = body.knee_y if cut.knee_girth_m is not None else None
+
+    def sides(label: str, low: float) -> list[Side]:
+        start, width = -reach[label], outer[label]
+        inner, outside = level(label, cut.hem_girth_m, hem)
+        hip = (width, body.hip_y)
+        raised = top + (BACK_RISE_M if label == "back" else 0.0)
+        if knee_y is None or cut.knee_girth_m is None:
+            lower = [Side("inseam", (start, low)), Side("hem", inner), Side("outseam", outside)]
+        else:
+            knees = level(label, cut.knee_girth_m, knee_y)
+            third = (low - knee_y) / 3.0
+            slope = [(k[0] - h[0]) / (knee_y - hem) for k, h in zip(knees, (inner, outside), strict=True)]
+            lower = [
+                Side(
+                    "inseam",
+                    (start, low),
+                    (
+                        (start + 0.62 * (knees[0][0] - start), low - third),
+                        (knees[0][0] + slope[0] * third, knee_y + third),
+                    ),
+                ),
+                Side("inseam_lower", knees[0]),
+                Side("hem", inner),
+                Side("outseam_lower", outside),
+                Side(
+                    "outseam",
+                    knees[1],
+                    ((knees[1][0] + slope[1] * third, knee_y + third), (width, body.hip_y - third)),
+                ),
+            ]
+        bend = (
+            (width, hip[1] + 0.35 * (top - hip[1])),
+            (width - 0.65 * side_inset, top - 0.3 * (top - hip[1])),
+        )
+        return [
+            *lower,
+            Side("hip", hip, bend),
+            *waist_with_darts(
+                "waist",
+                (width - side_inset, top),
+                (INSET_M[label], raised),
+                [Dart(0.5, darts[label], DART_DEPTH_M[label])] if darts[label] > SMALLEST_DART_M else [],
+            ),
+            Side("crotch", (INSET_M[label], raised), ((0.0, low + 0.5 * (raised - low)), (0.05 * start, low))),
+        ]
+
+    def inseam(label: str, low: float) -> float:
+        panel = draft(label, sides(label, low), rotation=FRONT, z=0.0)
+        return geometry.edge_length(panel.panel, panel.numbers["inseam"])
+
+    wanted = inseam("front", crotch)
+    low = {"front": crotch, "back": _root(lambda y: inseam("back", y) - wanted, crotch - 0.08, crotch + 0.03)}
+    work = Assembly()
+    panels: dict[tuple[str, str], Drafted] = {}
+    for label, face, z in (
+        ("front", FRONT, body.front_z + STAND_OFF_M),
+        ("back", BACK, body.back_z - STAND_OFF_M),
+    ):
+        outline = sides(label, low[label])
+        for side in ("left", "right"):
+            panels[side, label] = work.add(
+                draft(
+                    f"{label}_{side}",
+                    outline,
+                    rotation=face,
+                    z=z,
+                    flip=(side == "left") != (face == FRONT),
+                    apart_m=0.01 - min(point.start[0] for point in outline),  # the legs do not overlap
+                )
+            )
+    below = ("inseam", "outseam") if knee_y is None else ("inseam", "inseam_lower", "outseam", "outseam_lower")
+    for side in ("left", "right"):
+        for seam in (*below, "hip"):
+            work.sew(f"{seam}_{side}", panels[side, "front"], seam, panels[side, "back"], seam)
+    for panel in panels.values():
+        sew_darts(work, panel)
+    for label in ("front", "back"):
+        work.sew(f"crotch_{label}", panels["left", label], "crotch", panels["right", label], "crotch")
+    order = [("right", "back"), ("right", "front"), ("left", "front"), ("left", "back")]
+    tube = Tube((0.0, top + 0.01, 0.5 * (body.front_z + body.back_z)), UP, FORWARD, body.girth_at(top) / 5.0)
+    pieces = [piece for key in order for piece in waist_pieces(panels[key], "waist")]
+    sew_band(work, "waistband", pieces, tube, width_m=cut.band_m, shorter=BAND_SHORTER, above=True)
+    return Design(
+        work.pattern(cut.name, cut.fabric),
+        cut.fabric,
+        work.edge_names,
+        tuple(work.seam_names),
+        wraps=work.wraps,
+        eased={"waistband_seam": 1.0 / (1.0 - BAND_SHORTER) - 1.0},
+        ease_m={"hips": cut.hip_ease_m, "waist": cut.waist_ease_m},
+    )
+
+
+def _check(body: BodyMeasurements, cut: LegCut, hem: float) -> None:
+    thigh = body.hip_girth + cut.hip_ease_m
+    thigh = 0.5 * thigh + sum(EXTENSION.values()) * body.hip_girth
+    least = {"hip_ease_m": (thigh, body.thigh_girth)}
+    if hem < body.knee_y:
+        least["hem_girth_m"] = (cut.hem_girth_m, 1.8 * body.wrist_girth)  # a foot passes
+        if cut.knee_girth_m is not None:
+            least["knee_girth_m"] = (cut.knee_girth_m, body.calf_girth)
+    for name, (cloth, needed) in least.items():
+        if cloth < needed:
+            raise InputError(
+                f"{cut.name}: {name}",
+                expected=f"at least the body's {needed:.3f} m",
+                got=f"{cloth:.3f} m of cloth",
+                cure="Add ease, or draft a larger size.",
+            )
+
+
+def _root(function, low: float, high: float) -> float:
+    return float(brentq(function, low, high, xtol=1e-9))  # pyright: ignore[reportArgumentType]

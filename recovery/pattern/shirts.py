@@ -1,0 +1,145 @@
+"""A shirt: two fronts that meet buttoned, back, sleeves with cuffs, a collar of stand and fall."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from recovery.pattern import geometry
+from recovery.pattern.bands import sew_band
+from recovery.pattern.design import Assembly, Design
+from recovery.pattern.drafting import BACK, FRONT, Drafted, Point, Side, draft, on_ring, ring_handles
+from recovery.pattern.measurements import BodyMeasurements
+from recovery.pattern.tops import CAP_EASE, STAND_OFF_M, TopCut, band_ease, bodice, lines, set_sleeves
+from recovery.pattern.wrapping import Cone, Tube, Vector, draft_round
+
+NECK_LEAN_DEG = 24.0  # of the neckline's plane: lower in front
+STAND_RADIUS_M, FALL_RADIUS_M, FALL_SLANT = 0.088, 0.098, 0.75
+FOLD_RAD = -2.4  # of the fall over the stand, nearly flat on it; negative: away from the outside
+
+
+@dataclass(frozen=True)
+class CollarCut:
+    """Widths [m] of stand and fall; the fall's outer edge is ``spread_m`` longer than its fold, its points longer.
+
+    ``tail_m`` is how much lower the hem is in the middle than at the sides.
+    """
+
+    stand_m: float = 0.03
+    fall_m: float = 0.048
+    spread_m: float = 0.075
+    point_m: float = 0.022
+    tail_m: float = 0.05
+
+
+def shirt(body: BodyMeasurements, cut: TopCut, collar: CollarCut = CollarCut()) -> Design:
+    """The shirt that ``cut`` and ``collar`` describe, for ``body``. Raises ``InputError`` as ``tops.top`` does."""
+    neck, tip, underarm, hem = lines(body, cut)
+    work = Assembly()
+    whole = bodice(
+        neck, tip, underarm, hem, depth=cut.back_neck_depth_m, hollow=0.6, inset=cut.armhole_inset, lower="hem"
+    )
+    back = work.add(draft("back", [*whole[:-1], _tail(hem, collar.tail_m)], rotation=BACK, z=body.back_z - STAND_OFF_M))
+    half = bodice(neck, tip, underarm, hem, depth=cut.neck_depth_m, hollow=0.75, inset=cut.armhole_inset, lower="hem")[
+        :4
+    ]
+    low = (0.0, hem[1] - collar.tail_m)
+    sides = [
+        Side("hem", low, ((0.4 * hem[0], low[1]), (0.6 * hem[0], hem[1]))),
+        *(Side(side.name.removesuffix("_right"), side.start, side.handles) for side in half),
+        Side("centre", (0.0, neck[1] - cut.neck_depth_m)),
+    ]
+    fronts = {
+        side: work.add(
+            draft(
+                f"front_{side}",
+                sides,
+                rotation=FRONT,
+                z=body.front_z + STAND_OFF_M,
+                flip=side == "right",
+                apart_m=0.004,
+            )
+        )
+        for side in ("left", "right")
+    }
+    work.sew("buttons", fronts["left"], "centre", fronts["right"], "centre")
+    for side, front in fronts.items():
+        work.sew(f"side_{side}", front, "side", back, f"side_{side}")
+        work.sew(f"shoulder_{side}", front, "shoulder", back, f"shoulder_{side}")
+    eased = {"armhole": -CAP_EASE / (1.0 + CAP_EASE)}
+    if cut.sleeve is not None:
+        set_sleeves(
+            work,
+            body,
+            cut.sleeve,
+            tip,
+            {side: ((front, "armhole"), (back, f"armhole_{side}")) for side, front in fronts.items()},
+        )
+        eased["cuff_seam"] = band_ease(cut.sleeve.cuff_shorter)
+    _collar(work, body, cut, collar, fronts, back)
+    ease = {"chest": cut.chest_ease_m} | ({"arm": cut.sleeve.arm_ease_m} if cut.sleeve else {})
+    return Design(
+        work.pattern(cut.name, cut.fabric),
+        cut.fabric,
+        work.edge_names,
+        tuple(work.seam_names),
+        wraps=work.wraps,
+        over=frozenset({"collar_fall"}),
+        eased=eased,
+        seam_angles={"collar_fold": FOLD_RAD},
+        ease_m=ease,
+    )
+
+
+def _tail(hem: Point, tail: float) -> Side:
+    """The back's hem, lower in the middle: one curve from side to side, level where it begins and ends."""
+    return Side(
+        "hem",
+        (-hem[0], hem[1]),
+        ((-0.3 * hem[0], hem[1] - 4.0 / 3.0 * tail), (0.3 * hem[0], hem[1] - 4.0 / 3.0 * tail)),
+    )
+
+
+def _collar(
+    work: Assembly,
+    body: BodyMeasurements,
+    cut: TopCut,
+    collar: CollarCut,
+    fronts: dict[str, Drafted],
+    back: Drafted,
+) -> None:
+    """Stand and fall, from the middle of the front over the wearer's left round the neck."""
+    edges = [(fronts["left"], "neck"), (back, "neck_left"), (back, "neck_right"), (fronts["right"], "neck")]
+    lean = np.radians(NECK_LEAN_DEG)
+    axis: Vector = (0.0, float(np.cos(lean)), float(np.sin(lean)))
+    behind: Vector = (0.0, float(np.sin(lean)), -float(np.cos(lean)))
+    low = np.array([0.0, body.neck_y - 0.3 * (cut.neck_depth_m + cut.back_neck_depth_m) + 0.01, body.arm_z])
+    tube = Tube(_vector(low), axis, behind, STAND_RADIUS_M)
+    stand = sew_band(work, "collar_stand", edges, tube, width_m=collar.stand_m, shorter=0.0, above=True, free="fold")
+    top = "fold_collar_stand"
+    length = geometry.edge_length(stand.panel, stand.numbers[top])
+    turn = collar.spread_m / collar.fall_m  # angle [rad] of the ring sector that the fall is
+    ring = length / turn
+    half, outer = 0.5 * turn, ring + collar.fall_m
+
+    def edge(longer: float, share: float) -> Point:
+        """A point of the outer edge, ``longer`` of the collar's point, at ``share`` of the half angle."""
+        return on_ring(ring, outer + longer * collar.point_m, share * half)
+
+    sides = [
+        Side("hem_collar_left", edge(1.0, -1.0), (edge(0.3, -0.75), edge(0.0, -0.35))),
+        Side("hem_collar_right", edge(0.0, 0.0), (edge(0.0, 0.35), edge(0.3, 0.75))),
+        Side("opening_right", edge(1.0, 1.0)),
+        Side("fold", on_ring(ring, ring, half), ring_handles(ring, ring, half, -half)),
+        Side("opening_left", on_ring(ring, ring, -half)),
+    ]
+    origin = _vector(low + collar.stand_m * np.array(axis))
+    cone = Cone(origin, axis, behind, FALL_RADIUS_M, ring, FALL_SLANT)
+    fall = work.add(*draft_round("collar_fall", sides, cone))
+    work.sew("collar_fold", stand, top, fall, "fold", over=True)
+
+
+def _vector(values: np.ndarray) -> Vector:
+    x, y, z = values.tolist()
+    return (x, y, z)

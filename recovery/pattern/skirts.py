@@ -1,0 +1,124 @@
+"""Skirts with a waistband: an A-line of two panels, and a full circle of two halves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drape.errors import InputError
+from recovery.pattern.bands import BAND_SHORTER, sew_band
+from recovery.pattern.darts import waist_pieces
+from recovery.pattern.design import Assembly, Design
+from recovery.pattern.drafting import BACK, FRONT, Drafted, Side, draft, on_ring, ring_handles
+from recovery.pattern.measurements import BodyMeasurements
+from recovery.pattern.tops import FORWARD, STAND_OFF_M, UP
+from recovery.pattern.wrapping import Flutes, Tube, draft_round
+
+QUARTER = 0.5 * np.pi
+
+
+@dataclass(frozen=True)
+class SkirtCut:
+    """Lengths [m]: ``length_m`` from waistband to hem, ``drop_m`` of the band's upper edge below the waist.
+
+    ``flare_m`` is added to the half width of each panel from waist to hem at least; a circle starts in ``flutes``.
+    """
+
+    name: str
+    fabric: str
+    length_m: float
+    drop_m: float = 0.02
+    waist_ease_m: float = 0.0
+    hip_ease_m: float = 0.06
+    flare_m: float = 0.15
+    band_m: float = 0.035
+    flutes: int = 9
+
+
+def a_line(body: BodyMeasurements, cut: SkirtCut) -> Design:
+    """An A-line skirt of two ring sectors: flare is spread over the whole width, and gives the hips their room."""
+    top = body.waist_y - cut.drop_m - cut.band_m
+    waist = 0.25 * (body.girth_at(top) + cut.waist_ease_m)
+    hips = 0.25 * (body.hip_girth + cut.hip_ease_m)
+    drop = top - body.hip_y
+    if cut.hip_ease_m < 0.0 or cut.length_m < drop + 0.1:
+        raise InputError(
+            cut.name,
+            expected="ease at the hips, and a hem 10 cm below them",
+            got=f"{cut.hip_ease_m:.3f} m of ease, a hem {cut.length_m - drop:.3f} m below",
+            cure="Add ease or length.",
+        )
+    half = max((hips - waist) / drop, cut.flare_m / cut.length_m)  # of the sector's angle [rad]
+    inner = waist / half
+    centre, outer = top + inner, inner + cut.length_m
+    work = Assembly()
+    panels = []
+    for label, face, z in (("front", FRONT, body.front_z + STAND_OFF_M), ("back", BACK, body.back_z - STAND_OFF_M)):
+        sides = [
+            Side("hem", on_ring(centre, outer, -half), ring_handles(centre, outer, -half, half)),
+            Side("side_right", on_ring(centre, outer, half)),
+            Side("waist_right_0", on_ring(centre, inner, half), ring_handles(centre, inner, half, 0.0)),
+            Side("waist_left_0", on_ring(centre, inner, 0.0), ring_handles(centre, inner, 0.0, -half)),
+            Side("side_left", on_ring(centre, inner, -half)),
+        ]
+        panels.append(work.add(draft(label, sides, rotation=face, z=z)))
+    front, back = panels
+    for side, other in (("right", "left"), ("left", "right")):
+        work.sew(f"side_{other}", front, f"side_{side}", back, f"side_{other}")
+    return _banded(work, body, cut, top, front, back, {"hips": cut.hip_ease_m, "waist": cut.waist_ease_m})
+
+
+def circle(body: BodyMeasurements, cut: SkirtCut) -> Design:
+    """A full circle: two half rings whose inner circle is the waist, hung in flutes."""
+    top = body.waist_y - cut.drop_m - cut.band_m
+    inner = (body.girth_at(top) + cut.waist_ease_m) / (2.0 * np.pi)
+    outer = inner + cut.length_m
+    if not 0.2 <= cut.length_m <= 0.9:
+        raise InputError(
+            f"{cut.name}: length_m",
+            expected="0.2 to 0.9 m, so that half a circle can be cut from one width of cloth",
+            got=f"{cut.length_m:.3f} m",
+            cure="Take another length, or an A-line.",
+        )
+    work = Assembly()
+    panels = []
+    axis = (0.0, top, 0.5 * (body.front_z + body.back_z))
+    for label, turn in (("front", 0.0), ("back", np.pi)):
+        sides = [
+            Side("hem_left", on_ring(0.0, outer, -QUARTER), ring_handles(0.0, outer, -QUARTER, 0.0)),
+            Side("hem_right", on_ring(0.0, outer, 0.0), ring_handles(0.0, outer, 0.0, QUARTER)),
+            Side("side_right", on_ring(0.0, outer, QUARTER)),
+            Side("waist_right_0", on_ring(0.0, inner, QUARTER), ring_handles(0.0, inner, QUARTER, 0.0)),
+            Side("waist_left_0", on_ring(0.0, inner, 0.0), ring_handles(0.0, inner, 0.0, -QUARTER)),
+            Side("side_left", on_ring(0.0, inner, -QUARTER)),
+        ]
+        panels.append(work.add(*draft_round(label, sides, Flutes(axis, inner, outer, cut.flutes, turn))))
+    front, back = panels
+    for side, other in (("right", "left"), ("left", "right")):
+        work.sew(f"side_{other}", front, f"side_{side}", back, f"side_{other}")
+    return _banded(work, body, cut, top, front, back, {"waist": cut.waist_ease_m})
+
+
+def _banded(
+    work: Assembly,
+    body: BodyMeasurements,
+    cut: SkirtCut,
+    top: float,
+    front: Drafted,
+    back: Drafted,
+    ease: dict[str, float],
+) -> Design:
+    order = [(back, "waist_right"), (front, "waist_left"), (front, "waist_right"), (back, "waist_left")]
+    edges = [piece for drafted, side in order for piece in waist_pieces(drafted, side)]
+    tube = Tube((0.0, top + 0.01, 0.5 * (body.front_z + body.back_z)), UP, FORWARD, body.girth_at(top) / 5.0)
+    sew_band(work, "waistband", edges, tube, width_m=cut.band_m, shorter=BAND_SHORTER, above=True)
+    return Design(
+        work.pattern(cut.name, cut.fabric),
+        cut.fabric,
+        work.edge_names,
+        tuple(work.seam_names),
+        wraps=work.wraps,
+        eased={"waistband_seam": 1.0 / (1.0 - BAND_SHORTER) - 1.0},
+        ease_m=ease,
+    )

@@ -1,0 +1,325 @@
+"""Tops that hang from the shoulders: T-shirt, long sleeve, tank, sweat, dress. Front, back, one-piece sleeves, bands.
+
+Sleeves are drawn with the grain along the arm and one seam under it; their caps are as high as the given width at the
+upper arm makes them. Drawn for a body in the T-pose, as it stands in the catalogue.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from scipy.optimize import brentq
+
+from drape.errors import InputError
+from recovery.pattern import geometry
+from recovery.pattern.bands import Edge, sew_band
+from recovery.pattern.design import Assembly, Design
+from recovery.pattern.drafting import BACK, FRONT, Drafted, Point, Side, draft
+from recovery.pattern.measurements import BodyMeasurements
+from recovery.pattern.wrapping import Tube, draft_round
+
+STAND_OFF_M = 0.06  # front and back hang this far before and behind the body
+NECK_SLOPE = 0.6
+CAP_EASE = 0.015  # by which a cap is longer than its armhole
+UP: tuple[float, float, float] = (0.0, 1.0, 0.0)
+FORWARD: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Sleeve:
+    """``length_m`` from the shoulder's tip, band included; widths as ease over upper arm and wrist or as a hem girth.
+
+    ``cuff_m`` is the width of a band that is a share ``cuff_shorter`` shorter than the sleeve's hem.
+    """
+
+    length_m: float
+    arm_ease_m: float
+    hem_girth_m: float
+    cuff_m: float = 0.0
+    cuff_shorter: float = 0.0
+
+
+@dataclass(frozen=True)
+class TopCut:
+    """What makes one top differ from another, lengths [m].
+
+    ``length_m`` from the side of the neck to the hem, bands included; ``shoulder_out_m`` the tip beyond the joint,
+    ``shoulder_drop_m`` below the neck; ``armhole_drop_m`` below the armpit, ``armhole_inset`` how far it
+    hollows in over the width from shoulder to side; ``neck_out_m`` the neck's half width beyond
+    the body's. Bands of a width of 0 are left out. ``flare_m`` widens each panel's half at the hem; a ``skirt_m`` > 0
+    cuts the garment that far below the armpit and gathers the rest by ``gather``.
+    """
+
+    name: str
+    fabric: str
+    length_m: float
+    chest_ease_m: float
+    sleeve: Sleeve | None = None
+    shoulder_out_m: float = 0.012
+    shoulder_drop_m: float = 0.035
+    armhole_drop_m: float = 0.025
+    armhole_inset: float = 0.15
+    neck_out_m: float = 0.012
+    neck_depth_m: float = 0.09
+    back_neck_depth_m: float = 0.022
+    neck_band_m: float = 0.0
+    neck_shorter: float = 0.12
+    hem_band_m: float = 0.0
+    hem_shorter: float = 0.0
+    flare_m: float = 0.0
+    skirt_m: float = 0.0
+    gather: float = 0.0
+
+
+def lines(body: BodyMeasurements, cut: TopCut) -> tuple[Point, Point, Point, Point]:
+    """Where neck, shoulder tip, armpit and hem lie on the wearer's left [m]; refuses lines that do not meet."""
+    half = 0.25 * (body.chest_girth + cut.chest_ease_m)
+    # Beside the neck the body falls away by about NECK_SLOPE.
+    neck = (body.neck_half_width + cut.neck_out_m, body.neck_y - NECK_SLOPE * cut.neck_out_m)
+    tip = (body.shoulder_x + cut.shoulder_out_m, body.neck_y - cut.shoulder_drop_m)
+    underarm = (half, body.underarm_y - cut.armhole_drop_m)
+    hem = (half + cut.flare_m, body.neck_y - cut.length_m + cut.hem_band_m)
+    if cut.chest_ease_m < 0.0 or not (neck[0] < tip[0] < half and hem[1] < underarm[1] - 0.05 < tip[1] - 0.1):
+        raise InputError(
+            cut.name,
+            expected="ease, and neck, shoulder, side one outside the other, shoulder, armpit, hem one below the other",
+            got=f"x {neck[0]:.3f}, {tip[0]:.3f}, {half:.3f} m; y {tip[1]:.3f}, {underarm[1]:.3f}, {hem[1]:.3f} m",
+            cure="Add ease or length, or lessen neck_out_m, shoulder_out_m and armhole_drop_m.",
+        )
+    return neck, tip, underarm, hem
+
+
+def top(body: BodyMeasurements, cut: TopCut) -> Design:
+    """The top that ``cut`` describes, for ``body``. Raises ``InputError`` where its lines do not meet."""
+    neck, tip, underarm, hem = lines(body, cut)
+    half = underarm[0]
+    work = Assembly()
+    eased: dict[str, float] = {}
+    cut_y = underarm[1] - cut.skirt_m
+    bottom = (half, cut_y) if cut.skirt_m else hem
+    lower = "waistline" if cut.skirt_m else ("hemline" if cut.hem_band_m else "hem")
+    bodices = {}
+    for label, face, depth, z in (
+        ("front", FRONT, cut.neck_depth_m, body.front_z + STAND_OFF_M),
+        ("back", BACK, cut.back_neck_depth_m, body.back_z - STAND_OFF_M),
+    ):
+        sides = bodice(
+            neck,
+            tip,
+            underarm,
+            bottom,
+            depth=depth,
+            hollow=0.75 if label == "front" else 0.6,
+            inset=cut.armhole_inset,
+            lower=lower,
+        )
+        bodices[label] = work.add(draft(label, sides, rotation=face, z=z))
+    front, back = bodices["front"], bodices["back"]
+    for side, other in (("right", "left"), ("left", "right")):
+        # The wearer's left is on the viewer's right in front and on the viewer's left behind.
+        work.sew(f"side_{other}", front, f"side_{side}", back, f"side_{other}")
+        work.sew(f"shoulder_{other}", front, f"shoulder_{side}", back, f"shoulder_{other}")
+    if cut.sleeve is not None:
+        armholes = {
+            side: ((front, f"armhole_{other}"), (back, f"armhole_{side}"))
+            for side, other in (("left", "right"), ("right", "left"))
+        }
+        set_sleeves(work, body, cut.sleeve, tip, armholes)
+        eased["armhole"] = -CAP_EASE / (1.0 + CAP_EASE)
+        if cut.sleeve.cuff_m:
+            eased["cuff_seam"] = band_ease(cut.sleeve.cuff_shorter)
+    else:
+        _name_openings(work, front, back)
+    if cut.neck_band_m:
+        edges = [(back, "neck_right"), (front, "neck_left"), (front, "neck_right"), (back, "neck_left")]
+        tube = Tube((0.0, body.neck_y - 0.02, 0.3 * (body.front_z + body.back_z)), UP, FORWARD, 0.11)
+        sew_band(work, "neckband", edges, tube, width_m=cut.neck_band_m, shorter=cut.neck_shorter, above=True)
+        eased["neckband_seam"] = band_ease(cut.neck_shorter)
+    else:
+        for panel in (front, back):
+            for side in ("neck_left", "neck_right"):
+                work.edge_names[panel.edge(side)] = "opening_neck"
+    if cut.skirt_m:
+        _gathered_skirt(work, body, cut, half, cut_y, hem[1], front=front, back=back)
+        eased["waist_seam"] = cut.gather
+    if cut.hem_band_m:
+        tube = Tube((0.0, hem[1] - cut.hem_band_m, 0.0), UP, (1.0, 0.0, 0.0), 0.26)
+        # The strip starts at one side seam.
+        edges = [(front, "hemline"), (back, "hemline")]
+        sew_band(work, "hemband", edges, tube, width_m=cut.hem_band_m, shorter=cut.hem_shorter, above=False, free="hem")
+        eased["hemband_seam"] = band_ease(cut.hem_shorter)
+    ease = {"chest": cut.chest_ease_m} | ({"arm": cut.sleeve.arm_ease_m} if cut.sleeve else {})
+    return Design(
+        work.pattern(cut.name, cut.fabric),
+        cut.fabric,
+        work.edge_names,
+        tuple(work.seam_names),
+        wraps=work.wraps,
+        eased=eased,
+        ease_m=ease,
+    )
+
+
+def band_ease(shorter: float) -> float:
+    """By which share the edge is longer than the band that is ``shorter``."""
+    return 1.0 / (1.0 - shorter) - 1.0
+
+
+def bodice(
+    neck: Point, tip: Point, underarm: Point, hem: Point, *, depth: float, hollow: float, inset: float, lower: str
+) -> list[Side]:
+    """Front or back: ``hollow`` is how far towards the shoulder the armhole runs level; ``lower`` names the hem."""
+    middle = (0.0, neck[1] - depth)
+    level = (underarm[0] + hollow * (tip[0] - underarm[0]), underarm[1])
+    upright = (tip[0] - inset * (underarm[0] - tip[0]), tip[1] + 0.55 * (underarm[1] - tip[1]))
+    right = [
+        Side("side_right", hem),
+        Side("armhole_right", underarm, (level, upright)),
+        Side("shoulder_right", tip),
+        Side("neck_right", neck, ((neck[0], neck[1] - 0.6 * depth), (0.55 * neck[0], middle[1]))),
+    ]
+    left = [
+        Side("neck_left", middle, ((-0.55 * neck[0], middle[1]), (-neck[0], neck[1] - 0.6 * depth))),
+        Side("shoulder_left", (-neck[0], neck[1])),
+        Side("armhole_left", (-tip[0], tip[1]), ((-upright[0], upright[1]), (-level[0], level[1]))),
+        Side("side_left", (-underarm[0], underarm[1])),
+    ]
+    # A flared hem sags in the middle, so that it meets the side seams squarely.
+    sag = 0.5 * (hem[0] - underarm[0]) * hem[0] / max(underarm[1] - hem[1], 0.1)
+    bend = ((0.0, hem[1] - sag),) if sag > 1e-3 else ()
+    return [*right, *left, Side(lower, (-hem[0], hem[1]), bend)]
+
+
+def _name_openings(work: Assembly, front: Drafted, back: Drafted) -> None:
+    for panel in (front, back):
+        for side in ("armhole_left", "armhole_right"):
+            work.edge_names[panel.edge(side)] = "opening_" + side
+
+
+# --- sleeves ---------------------------------------------------------------------------------------------------------
+
+
+def set_sleeves(
+    work: Assembly, body: BodyMeasurements, sleeve: Sleeve, tip: Point, armholes: Mapping[str, tuple[Edge, Edge]]
+) -> None:
+    """Two one-piece sleeves, and their cuffs, for the ``armholes`` of the wearer's sides: edge in front, edge behind.
+
+    Raises ``InputError`` for a sleeve shorter than its cap or narrower than the arm.
+    """
+    girth = body.arm_girth + sleeve.arm_ease_m
+    lengths = [geometry.edge_length(p.panel, p.numbers[side]) for p, side in armholes["left"]]
+    height, widths = cap([(1.0 + CAP_EASE) * length for length in lengths], girth)
+    long = sleeve.length_m - sleeve.cuff_m
+    if height > long - 0.02 or girth < 1.02 * body.arm_girth:
+        raise InputError(
+            "sleeve",
+            expected=f"longer than its cap of {height:.3f} m, wider than the arm's {body.arm_girth:.3f} m",
+            got=f"{long:.3f} m, {girth:.3f} m",
+            cure="Lengthen the sleeve or add ease to the arm: a wider sleeve has a lower cap.",
+        )
+    hem = 0.5 * sleeve.hem_girth_m
+    cuffed = "cuffline" if sleeve.cuff_m else "hem"
+    fore, hind = widths
+    sides = [
+        Side(cuffed, (-hem, -long)),
+        Side("under_back", (hem, -long)),
+        _half_cap("cap_back", hind, height, 1.0),
+        _half_cap("cap_front", fore, height, -1.0),
+        Side("under_front", (-fore, -height)),
+    ]
+    for name, sign in (("left", 1.0), ("right", -1.0)):
+        axis = (-sign, 0.0, 0.0)
+        tube = Tube((sign * tip[0], body.arm_y, body.arm_z), axis, UP, max(girth / 5.9, 0.068))
+        piece = work.add(*draft_round(f"sleeve_{name}", sides, tube, flip=sign < 0.0))
+        work.sew("armhole", piece, "cap_front", *armholes[name][0])
+        work.sew("armhole", piece, "cap_back", *armholes[name][1])
+        work.sew(f"underarm_{name}", piece, "under_front", piece, "under_back")
+        if sleeve.cuff_m:
+            end = Tube((sign * (tip[0] + sleeve.length_m), body.arm_y, body.arm_z), axis, UP, 0.06)
+            sew_band(
+                work,
+                f"cuff_{name}",
+                [(piece, "cuffline")],
+                end,
+                width_m=sleeve.cuff_m,
+                shorter=sleeve.cuff_shorter,
+                above=False,
+                free="hem",
+            )
+            work.seam_names = [n.replace(f"cuff_{name}_seam", "cuff_seam") for n in work.seam_names]
+
+
+def _half_cap(name: str, width: float, height: float, sign: float) -> Side:
+    """Half a cap, down from the top (0, 0) for the front and up to it for the back."""
+    low, high = (sign * 0.55 * width, -height), (sign * 0.48 * width, 0.0)
+    if sign > 0.0:
+        return Side(name, (width, -height), (low, high))
+    return Side(name, (0.0, 0.0), (high, low))
+
+
+def cap(armholes: list[float], girth: float) -> tuple[float, tuple[float, float]]:
+    """Height [m] of the cap and the widths of its front and back half that fit ``armholes`` [m] and the ``girth``.
+
+    Raises ``InputError`` where the sleeve is wider than the armhole is long.
+    """
+
+    def length(width: float, height: float) -> float:
+        sides = [_half_cap("cap", width, height, 1.0), Side("back", (0.0, 0.0)), Side("low", (0.0, -height))]
+        probe = draft("cap", sides, rotation=FRONT, z=0.0)
+        return geometry.edge_length(probe.panel, 0)
+
+    def width(target: float, height: float) -> float:
+        return _root(lambda value: length(value, height) - target, 1e-3, 2.0 * target)
+
+    def excess(height: float) -> float:
+        return sum(width(target, height) for target in armholes) - girth
+
+    low, high = 0.01, 0.9 * min(armholes)
+    if excess(low) < 0.0 or excess(high) > 0.0:
+        raise InputError(
+            "sleeve",
+            expected=f"an upper arm of {sum(armholes) + excess(high) + girth - sum(armholes):.3f} to "
+            f"{excess(low) + girth:.3f} m for armholes of {sum(armholes):.3f} m",
+            got=f"{girth:.3f} m",
+            cure="Lower the armhole for a wider sleeve, or take ease from the arm.",
+        )
+    height = _root(excess, low, high)
+    fore, hind = (width(target, height) for target in armholes)
+    return height, (fore, hind)
+
+
+def _root(function, low: float, high: float) -> float:
+    return float(brentq(function, low, high, xtol=1e-9))  # pyright: ignore[reportArgumentType]
+
+
+# --- gathered skirt --------------------------------------------------------------------------------------------------
+
+
+def _gathered_skirt(
+    work: Assembly,
+    body: BodyMeasurements,
+    cut: TopCut,
+    half: float,
+    top_y: float,
+    hem_y: float,
+    *,
+    front: Drafted,
+    back: Drafted,
+) -> None:
+    wide = half * (1.0 + cut.gather)
+    pieces = {}
+    for label, face, z, bodice in (
+        ("front", FRONT, body.front_z + STAND_OFF_M, front),
+        ("back", BACK, body.back_z - STAND_OFF_M, back),
+    ):
+        sides = [
+            Side("hem", (-wide - cut.flare_m, hem_y)),
+            Side("skirt_side_right", (wide + cut.flare_m, hem_y)),
+            Side("waist", (wide, top_y - 0.01)),
+            Side("skirt_side_left", (-wide, top_y - 0.01)),
+        ]
+        pieces[label] = work.add(draft(f"skirt_{label}", sides, rotation=face, z=z))
+        work.sew("waist_seam", bodice, "waistline", pieces[label], "waist")
+    for side, other in (("right", "left"), ("left", "right")):
+        work.sew(f"skirt_side_{other}", pieces["front"], f"skirt_side_{side}", pieces["back"], f"skirt_side_{other}")

@@ -1,0 +1,40 @@
+"""Stored kernels are compiled again when any file of their package has changed, and not before."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+PACKAGE = """
+from pathlib import Path
+import drape.solver.compiled as original
+
+source = Path(original.__file__).read_text()
+module = type(original)("stored.compiled")
+module.__file__ = str(Path(__file__).parent / "compiled.py")
+exec(compile(source, module.__file__, "exec"), module.__dict__)
+kernel = module.kernel
+"""
+ELEMENT = "from stored import kernel\n\n@kernel\ndef element(x):\n    return {factor} * x\n"
+CALLER = (
+    "from stored import kernel\nfrom stored.element import element\n\n@kernel\ndef caller(x):\n    return element(x)\n"
+)
+RUN = "from stored.caller import caller; print(caller(2.0), sum(caller.stats.cache_hits.values()))"
+
+
+def run(folder: Path) -> list[str]:
+    command = [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(folder)!r}); {RUN}"]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+
+
+def test_a_changed_formula_reaches_its_callers(tmp_path):
+    package = tmp_path / "stored"
+    package.mkdir()
+    (package / "__init__.py").write_text(PACKAGE)
+    (package / "caller.py").write_text(CALLER)
+    (package / "element.py").write_text(ELEMENT.format(factor=3.0))
+    assert run(tmp_path) == ["6.0", "0"]
+    assert run(tmp_path) == ["6.0", "1"]
+    (package / "element.py").write_text(ELEMENT.format(factor=5.0))
+    assert run(tmp_path) == ["10.0", "0"]

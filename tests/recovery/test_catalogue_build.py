@@ -1,0 +1,133 @@
+"""From a design to files: what is carried over, what is folded and doubled, what the files say, and the command."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from drape.body.assets import load_body
+from drape.cloth.fabric_table import fabric
+from drape.errors import InputError, NotFound
+from drape.garment.files.mesh import read_mesh
+from drape.garment.intake import intake
+from recovery.catalogue.__main__ import main
+from recovery.catalogue.build import QUICK, SewnGarment, body_distance, build, design
+from recovery.catalogue.closing import carried
+from recovery.catalogue.files import panel_layout, write_garment
+from recovery.catalogue.garments import CATALOGUE
+from recovery.catalogue.settling import HEM_BENDING, hinge_bending, seam_angles
+from recovery.pattern.mesh import mesh_pattern
+from recovery.sim.model import ClothModel
+from tests.recovery.pattern_setup import default_measurements
+
+
+@lru_cache(maxsize=1)
+def quick_tank() -> SewnGarment:
+    """A tank on a coarse mesh, not yet at rest."""
+    body = load_body()
+    return build(design("tank", default_measurements()), body_distance(body, QUICK), QUICK)
+
+
+# --- between meshes --------------------------------------------------------------------------------------------------
+
+
+def test_a_shape_is_carried_to_a_finer_mesh_by_place_in_the_panels():
+    pattern = CATALOGUE["skirt"](default_measurements()).pattern
+    coarse, fine = mesh_pattern(pattern, 0.06), mesh_pattern(pattern, 0.03)
+    # Panels as placed are linear in their coordinates: away from seams nothing is lost.
+    placed = coarse.placed()
+    nodes = carried(coarse, coarse.nodes_from(placed), fine)
+    inner = np.setdiff1d(np.arange(fine.node_count), fine.node_of_panel_vertex[fine.seam_pairs])
+    far = fine.nodes_from(fine.placed())
+    gap = np.linalg.norm(nodes - far, axis=1)[inner]
+    assert np.quantile(gap, 0.5) < 1e-9
+
+
+def test_meshes_of_two_patterns_are_refused():
+    body = default_measurements()
+    coarse, fine = (mesh_pattern(CATALOGUE[name](body).pattern, 0.08) for name in ("skirt", "shorts"))
+    with pytest.raises(InputError, match="meshes: expected two meshes of one pattern"):
+        carried(coarse, coarse.nodes_from(coarse.placed()), fine)
+
+
+# --- what the maker adds ---------------------------------------------------------------------------------------------
+
+
+def test_hems_bend_twice_as_hard_and_the_collar_is_folded():
+    made = CATALOGUE["shirt"](default_measurements())
+    mesh = mesh_pattern(made.pattern, 0.02)
+    model = ClothModel(mesh.faces, panel_faces=mesh.panel_faces)
+    cloth = fabric(made.fabric)
+    plain = hinge_bending(replace(made, edge_names={}), mesh, model, cloth)
+    hemmed = hinge_bending(made, mesh, model, cloth) / plain
+    assert set(np.round(hemmed, 9)) == {1.0, HEM_BENDING}
+    assert 0.01 < (hemmed > 1.0).mean() < 0.3
+    angles = seam_angles(made, mesh, model)
+    folded = np.unique(model.hinge_nodes[angles != 0.0][:, :2])
+    fold = made.seam_names.index("collar_fold")
+    line = np.unique(mesh.node_of_panel_vertex[mesh.seam_pairs[mesh.seam_of_pair == fold]])
+    assert set(folded) == set(line)
+    assert set(angles) == {0.0, made.seam_angles["collar_fold"]}
+
+
+# --- the way to the files --------------------------------------------------------------------------------------------
+
+
+def test_a_garment_is_sewn_round_the_body_and_stays_outside_of_it():
+    garment = quick_tank()
+    assert garment.figures["seam_gap_mm"] < 5.0
+    assert garment.figures["clearance_mm"] > 4.0
+    assert garment.figures["stretch_median_pct"] < 10.0
+    body = load_body()
+    shoulders = body.joints_template[[16, 17], 1].mean()
+    assert garment.nodes[:, 1].max() > shoulders - 0.02  # it hangs where it should
+
+
+def test_files_hold_seams_panels_hems_and_fabric_and_intake_takes_them(tmp_path):
+    garment = quick_tank()
+    obj, glb, told = write_garment(garment, tmp_path, name="tank", size="M", body="anny_default")
+    read = read_mesh(obj)
+    assert_allclose(read.vertices, garment.nodes, atol=1e-8)
+    # Texture coordinates are metres: areas there are those of the panels.
+    assert_allclose(read.uv, panel_layout(garment.mesh), atol=1e-8)
+    edges = read.uv[read.uv_faces[:, 1]] - read.uv[read.uv_faces[:, 0]]
+    rest = garment.mesh.rest[garment.mesh.panel_faces]
+    assert_allclose(edges, rest[:, 1] - rest[:, 0], atol=1e-7)
+    assert len(read_mesh(glb).faces) == len(read.faces)
+    record = json.loads(told.read_text())
+    assert record["fabric"] == "rib" and record["hem_bending"] == 2.0 and record["uv_unit_m"] == 1.0
+    sides = next(seam for seam in record["seams"] if seam["name"] == "side_left")
+    assert set(sides["panels"]) == {"front", "back"} and sides["angle_rad"] == 0.0
+    first, second = (read.uv[np.array(side)] for side in sides["uv"])
+    assert_allclose(np.linalg.norm(np.diff(first, axis=0), axis=1), np.linalg.norm(np.diff(second, axis=0), axis=1))
+    kinds = {edge["name"]: edge["kind"] for edge in record["edges"]}
+    assert kinds == {"hem": "hem", **dict.fromkeys((n for n in kinds if n != "hem"), "opening")}
+    for edge in record["edges"]:
+        assert (garment.mesh.node_of_panel_vertex[edge["uv"]] == edge["vertices"]).all()
+    taken = intake(obj, avatar="standard")
+    assert taken.vertex_count == len(garment.nodes)
+    assert_allclose(taken.uv, read.uv, atol=1e-6)
+
+
+def test_the_command_writes_a_size_and_says_what_is_not_at_rest(tmp_path, capsys):
+    code = main(["build", "tank", "--size", "L", "--out", str(tmp_path), "--quick"])
+    assert code == 3
+    assert "not at rest, the last step moved a node of tank_l by" in capsys.readouterr().err
+    assert json.loads((tmp_path / "tank_l.json").read_text())["size"] == "L"
+
+
+def test_the_command_lists_the_catalogue(capsys):
+    assert main(["list"]) == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(CATALOGUE)
+
+
+def test_unknown_garments_and_sizes_are_refused(tmp_path, capsys):
+    with pytest.raises(NotFound, match="garment: expected one of tshirt"):
+        design("cape", default_measurements())
+    assert main(["build", "tank", "--size", "XXL", "--out", str(tmp_path)]) == 2
+    assert "Beyond the grade" in capsys.readouterr().err

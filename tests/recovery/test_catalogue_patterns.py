@@ -1,0 +1,160 @@
+"""The catalogue's patterns: seams that match, sizes that grow, refusals, and panels that start without stretch."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from drape.cloth.fabric_table import FABRICS
+from drape.errors import InputError, NotFound
+from drape.geometry import meshes
+from recovery.catalogue.garments import CATALOGUE
+from recovery.pattern import geometry
+from recovery.pattern.darts import Dart, waist_with_darts
+from recovery.pattern.design import check_laid_flat, check_seams
+from recovery.pattern.grade import GROWTH_M, graded
+from recovery.pattern.legs import LegCut, trousers
+from recovery.pattern.mesh import mesh_pattern
+from recovery.pattern.skirts import SkirtCut, a_line, circle
+from recovery.pattern.tops import Sleeve, TopCut, cap, lines, top
+from recovery.pattern.wrapping import Cone, Flutes, Tube
+from tests.recovery.pattern_setup import default_measurements
+
+OPENINGS = {
+    **dict.fromkeys(("tshirt", "longsleeve", "tank", "dress", "sweat"), 4),
+    **dict.fromkeys(("trousers", "slim_trousers", "shorts"), 3),
+    **dict.fromkeys(("skirt", "circle_skirt"), 2),
+    "shirt": 4,  # the collar's edge runs round the neck opening
+}
+
+
+# --- every garment of the catalogue ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_a_garment_sews_up_to_one_surface_with_its_openings(name):
+    made = CATALOGUE[name](default_measurements())
+    check_seams(made)
+    check_laid_flat(made)
+    assert made.fabric in FABRICS and made.pattern.name == name
+    assert len(made.seam_names) == len(made.pattern.stitches)
+    mesh = mesh_pattern(made.pattern, 0.05)
+    assert meshes.connected_components(mesh.faces, mesh.node_count).max() == 0
+    assert len(meshes.boundary_loops(mesh.faces)) == OPENINGS[name]
+    sewn = {ref for stitch in made.pattern.stitches for ref in (stitch.first, stitch.second)}
+    # What is not sewn is a hem or an opening, and named so.
+    free = [made.edge_names[ref] for ref in made.pattern.edge_refs() if ref not in sewn]
+    assert free and all(named.startswith(("hem", "opening")) for named in free)
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_sizes_grow_by_the_grade_and_their_seams_still_match(name):
+    body = default_measurements()
+    areas = []
+    for size in ("S", "XL"):
+        made = CATALOGUE[name](graded(body, size))
+        check_seams(made)
+        areas.append(sum(geometry.area(panel) for panel in made.pattern.panels))
+    assert (np.diff(areas) > 0.0).all()
+
+
+def test_the_grade_adds_four_centimetres_to_a_girth_and_nothing_to_m():
+    body = default_measurements()
+    assert graded(body, "M") is body
+    large = graded(body, "XL")
+    assert_allclose(large.chest_girth - body.chest_girth, 0.08)
+    assert_allclose(large.girth_at(0.0) - body.girth_at(0.0), 2 * GROWTH_M["waist_girth"])
+    assert graded(body, "S").hip_girth < body.hip_girth
+
+
+# --- refusals --------------------------------------------------------------------------------------------------------
+
+
+def test_a_size_beyond_the_grade_is_refused():
+    with pytest.raises(NotFound, match="size: expected one of S, M, L, XL, got XXL"):
+        graded(default_measurements(), "XXL")
+
+
+def test_seams_that_do_not_match_are_refused_unless_the_ease_is_named():
+    made = CATALOGUE["sweat"](default_measurements())
+    with pytest.raises(InputError, match="seam hemband_seam of sweat"):
+        check_seams(replace(made, eased={k: v for k, v in made.eased.items() if k != "hemband_seam"}))
+
+
+def test_a_panel_wider_than_the_cloth_is_refused():
+    made = circle(default_measurements(), SkirtCut("wide", "satin", 0.85))
+    with pytest.raises(InputError, match=r"panel front of wide: expected at most 1\.5 m across the grain"):
+        check_laid_flat(made)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda body: top(body, TopCut("t", "jersey", 0.66, -0.1)), "t: expected ease"),
+        (lambda body: lines(body, TopCut("t", "jersey", 0.2, 0.1)), "t: expected ease"),
+        (lambda body: top(body, TopCut("t", "jersey", 0.66, 0.1, Sleeve(0.05, 0.08, 0.36))), "sleeve: expected longer"),
+        (
+            lambda body: top(body, TopCut("t", "jersey", 0.66, 0.1, Sleeve(0.2, 0.30, 0.36))),
+            "sleeve: expected an upper",
+        ),
+        (lambda body: cap([0.2, 0.2], 0.6), "sleeve: expected an upper arm"),
+        (lambda body: trousers(body, LegCut("t", "twill", -0.4, 0.5, 0.5)), "t: hip_ease_m"),
+        (lambda body: trousers(body, LegCut("t", "twill", 0.05, 0.5, 0.3)), "t: knee_girth_m"),
+        (lambda body: trousers(body, LegCut("t", "twill", 0.05, 0.2, 0.5)), "t: hem_girth_m"),
+        (lambda body: a_line(body, SkirtCut("s", "twill", 0.2)), "s: expected ease at the hips"),
+        (lambda body: circle(body, SkirtCut("s", "satin", 1.2)), "s: length_m"),
+        (lambda body: waist_with_darts("w", (0.1, 0.0), (0.0, 0.0), [Dart(0.5, 0.09, 0.1)]), "dart 0 of w"),
+    ],
+)
+def test_cuts_that_no_garment_has_are_refused(make, message):
+    with pytest.raises(InputError, match=message):
+        make(default_measurements())
+
+
+# --- where panels start ----------------------------------------------------------------------------------------------
+
+
+def lengths(points: np.ndarray, place) -> np.ndarray:
+    """Lengths in the world over those on the table, of short steps from ``points`` in two directions."""
+    step = 1e-5
+    return np.array(
+        [
+            np.linalg.norm(place(points + step * way) - place(points), axis=1) / step
+            for way in (np.array([1.0, 0.0]), np.array([0.0, 1.0]))
+        ]
+    )
+
+
+def test_a_tube_keeps_lengths_and_turns_the_right_side_outward():
+    tube = Tube((0.1, 0.2, 0.3), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), 0.07)
+    points = np.random.default_rng(0).uniform(-0.15, 0.15, (50, 2))
+    assert_allclose(lengths(points, tube.place), 1.0, atol=1e-4)
+    world = tube.place(points)
+    assert_allclose(np.linalg.norm(world[:, 1:] - [0.2, 0.3], axis=1), 0.07)
+    flat = tube.tangent(points[0])
+    assert_allclose(flat.apply(np.zeros((1, 2)))[0], world[0], atol=1e-12)
+    assert flat.matrix()[:, 2] @ (world[0] - [world[0, 0], 0.2, 0.3]) > 0.069
+
+
+def test_flutes_keep_the_length_of_every_circle():
+    ring = Flutes((0.0, 1.0, 0.0), 0.13, 0.7, 9)
+    for radius in (0.13, 0.3, 0.7):
+        angle = np.linspace(-np.pi, np.pi, 4001)
+        points = radius * np.stack([np.sin(angle), -np.cos(angle)], axis=1)
+        world = ring.place(points)
+        length = np.linalg.norm(np.diff(world, axis=0), axis=1).sum()
+        assert_allclose(length, 2.0 * np.pi * radius, rtol=0.06)  # the unevenness of flutes adds a little
+    assert world[:, 1].max() < 0.6  # the hem hangs
+
+
+def test_a_cone_goes_round_its_circle_and_opens_downward():
+    cone = Cone((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), 0.1, 0.35, 0.7)
+    angle = np.linspace(-0.6, 0.6, 7)
+    inner, outer = (np.stack([r * np.sin(angle), 0.35 - r * np.cos(angle)], axis=1) for r in (0.35, 0.40))
+    assert_allclose(np.hypot(*cone.place(inner)[:, [0, 2]].T), 0.1, atol=1e-12)
+    assert_allclose(np.hypot(*cone.place(outer)[:, [0, 2]].T), 0.1 + 0.7 * 0.05, atol=1e-12)
+    assert_allclose(np.linalg.norm(cone.place(outer) - cone.place(inner), axis=1), 0.05)
+    assert (cone.place(outer)[:, 1] < 0.0).all()

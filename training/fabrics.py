@@ -1,0 +1,93 @@
+"""Fabrics to train on: those of the table a little changed, and any others within its range."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drape.cloth.fabric import Fabric
+from drape.cloth.fabric_table import FABRICS
+from drape.errors import InputError
+
+STRETCH_N_PER_M = 43.1  # of the cloth that losses were weighed with
+TABLE_SHARE = 0.5
+CHANGE = 0.15  # of a table's fabric, standard deviation of each logarithm
+APART = 0.7  # in the norm of the logarithms below: nearer ones count as the fabric that is held out
+LIKENESS = ("warp_n_per_m", "weft_n_per_m", "shear_n_per_m", "bending_warp_j", "bending_weft_j")
+TRIES = 1000
+
+
+def stretch_share(fabric: Fabric) -> float:
+    """Stiffness against stretch over that of the cloth that losses were weighed with."""
+    return float(np.sqrt(fabric.warp_n_per_m * fabric.weft_n_per_m)) / STRETCH_N_PER_M
+
+
+class FabricBank:
+    """Draws fabrics, never one that is ``held_out`` (names of the table) nor one like it."""
+
+    def __init__(self, held_out: tuple[str, ...] = ()) -> None:
+        unknown = sorted(set(held_out) - FABRICS.keys())
+        if unknown:
+            raise InputError(
+                "held_out_fabrics", expected=f"of {sorted(FABRICS)}", got=unknown[0], cure="Name fabrics of the table."
+            )
+        self.held_out = [FABRICS[name] for name in held_out]
+        self.known = [cloth for name, cloth in FABRICS.items() if name not in held_out]
+        rows = np.array([_logarithms(cloth) for cloth in self.known])
+        self._low, self._high = rows.min(axis=0), rows.max(axis=0)
+
+    def draw(self, rng: np.random.Generator) -> Fabric:
+        """A fabric that is convex at rest: of the table, a little changed, or log-uniform over its range."""
+        for _ in range(TRIES):
+            if rng.random() < TABLE_SHARE:
+                rows = _logarithms(self.known[int(rng.integers(len(self.known)))])
+                rows = rows + CHANGE * rng.normal(size=rows.shape)
+            else:
+                rows = rng.uniform(self._low, self._high)
+            try:
+                cloth = _made_of(rows)
+            except InputError:
+                continue
+            if not self.forbids(cloth):
+                return cloth
+        raise InputError(
+            "held_out_fabrics",
+            expected="fabrics that leave others to draw",
+            got=f"none in {TRIES} draws",
+            cure="Hold out fewer.",
+        )
+
+    def forbids(self, cloth: Fabric) -> bool:
+        """Whether ``cloth`` is like one that is held out."""
+        return any(likeness(cloth, other) < APART for other in self.held_out)
+
+
+def likeness(one: Fabric, other: Fabric) -> float:
+    """Norm of the differences of the logarithms of stretch, shear and bending."""
+    return float(np.linalg.norm([np.log(getattr(one, name) / getattr(other, name)) for name in LIKENESS]))
+
+
+def _logarithms(cloth: Fabric) -> np.ndarray:
+    """Logarithms (8,) of stretch, its warp over weft, shear over stretch, 1 + cross share, bending, its warp over weft,
+    bias over both, density: within ranges of quotients a draw is likely to be a cloth."""
+    stretch = np.sqrt(cloth.warp_n_per_m * cloth.weft_n_per_m)
+    bending = np.sqrt(cloth.bending_warp_j * cloth.bending_weft_j)
+    numbers = [
+        stretch,
+        cloth.warp_n_per_m / cloth.weft_n_per_m,
+        cloth.shear_n_per_m / stretch,
+        1.0 + cloth.cross_n_per_m / stretch,
+        bending,
+        cloth.bending_warp_j / cloth.bending_weft_j,
+        cloth.bending_bias_j / bending,
+        cloth.density_kg_m2,
+    ]
+    return np.log(numbers)
+
+
+def _made_of(rows: np.ndarray) -> Fabric:
+    """The fabric of these logarithms; raises ``InputError`` where it is none."""
+    stretch, pull, shear, cross, bending, bend, bias, density = np.exp(rows)
+    return Fabric(
+        *("drawn", stretch * np.sqrt(pull), stretch / np.sqrt(pull), (cross - 1.0) * stretch, shear * stretch),
+        *(bending * np.sqrt(bend), bending * bias, bending / np.sqrt(bend), density),
+    )
