@@ -24,9 +24,12 @@ _CURES: dict[str, str] = {
 
 
 def validation_refusal(errors: Sequence[Any]) -> InputError:
-    """The refusal for the first of pydantic's ``errors``."""
-    first = errors[0]
-    location = [part for part in first["loc"] if part not in ("query", "path", "header")]
+    """The refusal for the first of pydantic's ``errors``.
+
+    Of a field that may be one of several kinds every kind complains: the one that came furthest is meant.
+    """
+    first = max((one for one in errors if one["loc"][:1] == errors[0]["loc"][:1]), key=lambda one: len(one["loc"]))
+    location = _without_kinds([part for part in first["loc"] if part not in ("query", "path", "header")], first["type"])
     more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
     if not location:
         return not_json(_shown(first))
@@ -60,6 +63,16 @@ def check_query(names: Iterable[str], known: tuple[str, ...]) -> None:
     for name in names:
         if name not in known:
             raise InputError(name, expected="no such parameter", got="one", cure=f"Known are {', '.join(known)}.")
+
+
+def _without_kinds(location: list[int | str], complaint: str) -> list[int | str]:
+    """``location`` without the parts that name a kind of value, as a class or a type is written, and no field."""
+    fields = {0, len(location) - 1} if complaint in ("missing", "extra_forbidden") else {0}
+
+    def is_kind(part: int | str) -> bool:
+        return isinstance(part, str) and (not part.isidentifier() or part != part.lower())
+
+    return [part for i, part in enumerate(location) if i in fields or not is_kind(part)]
 
 
 def _wanted(error: Any) -> str:

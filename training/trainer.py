@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from drape.arrays.subnormals import flushed
 from drape.body.assets import load_body
-from drape.cloth.fabric import Fabric
+from drape.cloth.fabric_table import DEFAULT_FABRIC, fabric
 from drape.cloth.material import Material, material
 from drape.errors import ArtifactError
 from training import losses, parallel
@@ -56,9 +56,9 @@ class BaseTrainer:
         self._seed_draws(config.seed)
         self.body = load_body()
         self.source = BodySource(self.body, device=device)
-        self.material = material()
-        self.fabric: Fabric | None = None
         self.fabrics = FabricBank(config.data.held_out_fabrics) if config.model.fabric else None
+        self.fabric = fabric(DEFAULT_FABRIC) if config.model.fabric else None  # until a step draws one
+        self.material = material() if self.fabric is None else Material.of(self.fabric)
         self.wardrobe = Wardrobe(
             config.data,
             self.body,

@@ -86,9 +86,13 @@ def with_vertices(garment: Garment, count: int) -> Garment:
     """
     while garment.vertex_count < count:
         garment = _subdivided(garment)
-    chosen = np.sort(np.random.default_rng(0).permutation(garment.vertex_count)[:count])
-    rows = {f.name: getattr(garment, f.name)[chosen] for f in fields(Garment) if f.name in _PER_VERTEX}
-    return replace(garment, vertex_count=count, faces=garment.faces[:0], **rows)
+    # The others stay behind them, as vertices of a subdivision do: the whole mesh says how the grain runs.
+    shuffled = np.random.default_rng(0).permutation(garment.vertex_count)
+    finer = np.arange(garment.vertex_count, len(garment.vertices))
+    order = np.concatenate([np.sort(shuffled[:count]), np.sort(shuffled[count:]), finer])
+    rows = {f.name: getattr(garment, f.name)[order] for f in fields(Garment) if f.name in _PER_VERTEX}
+    fine_faces = np.argsort(order)[garment.fine_faces].astype(garment.fine_faces.dtype)
+    return replace(garment, vertex_count=count, faces=garment.faces[:0], fine_faces=fine_faces, **rows)
 
 
 _PER_VERTEX = ("vertices", "chart_patch", "chart_uv", "chart_weight", "chart_residual", "skin_weights", "shapedirs")
@@ -120,5 +124,5 @@ def _subdivided(garment: Garment) -> Garment:
 
 def with_patches(garment: Garment, count: int) -> Garment:
     """``garment`` covered anew by ``count`` patches."""
-    rest = rest_garment(garment.vertices[: garment.vertex_count], garment.faces, load_body())
+    rest = rest_garment(garment.vertices, garment.fine_faces, load_body())
     return replace(garment, **patch_fields(rest, count=count))

@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from drape.cloth.fabric_table import DEFAULT_FABRIC
 from drape.cloth.rest_state import RestState
 from drape.errors import ArtifactError, NotFound, Unavailable, refusing
 from drape.geometry import jets, meshes
@@ -32,7 +33,6 @@ FORMAT_VERSION = 1
 GARMENTS_DIR = Path(__file__).resolve().parents[2] / "assets" / "garments"
 OWN_GARMENTS_DIR = GARMENTS_DIR.parents[1] / "runs" / "garments"  # what users take in; the service reads it too
 CHARTS_PER_VERTEX = 4
-DEFAULT_FABRIC = "jersey"
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,9 @@ import numpy as np
 import scipy.sparse
 
 from drape.body.model import BodyModel
+from drape.cloth.fabric_table import DEFAULT_FABRIC
 from drape.garment import charts, features, skin
-from drape.garment.cache import DEFAULT_FABRIC, Garment
+from drape.garment.cache import Garment
 from drape.garment.partition import mesh_edges, partition, patch_count_for, vertex_graph
 from drape.garment.unfold import fit_planes, folded_charts, folded_triangles, without_folds
 from drape.geometry import jets

@@ -25,11 +25,10 @@ import numpy as np
 
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
-from drape.cloth.fabric_table import fabric
+from drape.cloth.fabric_table import DEFAULT_FABRIC, fabric
 from drape.errors import InputError, refusing
 from drape.garment import avatars
 from drape.garment.cache import (
-    DEFAULT_FABRIC,
     FORMAT_VERSION,
     OWN_GARMENTS_DIR,
     Garment,

@@ -39,7 +39,7 @@ from tests.fixtures.serving import outfit_settings, outfit_url
 __all__ = ["outfit_settings", "outfit_url"]  # fixtures
 BINARY, GLB, JSON = "application/octet-stream", "model/gltf-binary", "application/json"
 QUANTISED_M = 1e-4  # at the 99th percentile
-POSES, TRANS = random_motion(3, spread_rad=0.35)
+POSES, TRANS = random_motion(3, spread_rad=0.5)
 
 
 @pytest.fixture(scope="module")

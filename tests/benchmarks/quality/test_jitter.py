@@ -68,11 +68,12 @@ def test_a_shaken_body_shakes_every_drape_alike(measured):
     smooth = measured([Window(bending(12), "bend")])
     assert smooth["skinning"].ratio == 1.0
     assert smooth["network"].by_clip.keys() == {"bend"}
-    # The whole body shaken about the vertical: the same rigid motion for every method.
+    # The whole body shaken about the vertical: the same rigid motion for every method, of drapes whose widths differ
+    # by a few per cent.
     poses = np.zeros((12, 24, 3))
     poses[::2, 0, 1] = 0.02
     shaken = measured([Window(poses, "shake")])
-    assert_allclose([found.ratio for found in shaken.values()], 1.0, rtol=0.0, atol=2e-2)
+    assert_allclose([found.ratio for found in shaken.values()], 1.0, rtol=0.0, atol=5e-2)
 
 
 def test_without_windows_there_is_no_jitter(measured):
