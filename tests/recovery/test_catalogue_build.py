@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.body.assets import load_body
 from drape.cloth.fabric_table import fabric
 from drape.errors import InputError, NotFound
+from drape.garment.cache import load_garment
 from drape.garment.files.mesh import read_mesh
 from drape.garment.grain import texture
 from drape.garment.intake import intake
@@ -143,8 +144,11 @@ def test_intake_has_the_hinges_that_were_simulated(tmp_path):
 
 
 def test_the_command_writes_a_size_and_says_what_is_not_at_rest(tmp_path, capsys):
-    code = main(["build", "tank", "--size", "L", "--out", str(tmp_path), "--quick"])
+    taken = tmp_path / "garments"
+    code = main(["build", "tank", "--size", "L", "--out", str(tmp_path), "--quick", "--garments", str(taken)])
     assert code == 3
+    (cache,) = taken.iterdir()
+    assert load_garment(cache).manifest["rest"]["lengths"] == "panels"
     assert "not at rest, the last step moved a node of tank_l by" in capsys.readouterr().err
     assert json.loads((tmp_path / "tank_l.json").read_text())["size"] == "L"
 
