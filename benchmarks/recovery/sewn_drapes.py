@@ -48,7 +48,7 @@ COLUMNS = {
     **dict.fromkeys(("left_pct", "panel_pct", "rest_panel_pct", "colliding_pct", "crossings"), ".2f"),
     **dict.fromkeys(("detail_mm", "rest_detail_mm", "copied"), ".2f"),
 }
-SIZE, MARGIN = (300, 210), 1.12
+SIZE, MARGIN = (250, 176), 1.12
 DRAWN = 2  # poses beside the T-pose
 
 
