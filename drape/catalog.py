@@ -52,9 +52,10 @@ def short_name(path: Path) -> str:
     return stem if stem and len(digest) == 16 else path.stem
 
 
-def is_shipped(path: Path) -> bool:
-    """Whether the garment at ``path`` is one of those that come with the product, and so was trained on."""
-    return path.resolve().parent == GARMENTS_DIR
+def was_trained_on(garment: Garment, names: Sequence[str]) -> bool:
+    """Whether ``garment`` is among those that a model's training ``names``: designs, or files by what they hold."""
+    design = garment.manifest.get("design", {}).get("name")
+    return design in names or garment.file_name() in {Path(name).name for name in names}
 
 
 def open_garment(path: Path, body: BodyModel) -> Garment:

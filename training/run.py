@@ -3,6 +3,7 @@
     python -m training.run --preset shipped --out runs/shipped [--minutes 95] [--motions DIR ...]
     python -m training.run --preset dynamic --from runs/shipped/checkpoint.pt [--encoder onefit] --out runs/dynamic
     python -m training.run --finetune onefit --garment shirt.obj --out runs/shirt
+    python -m training.run --finetune onefit --beside runs/sewn_garments --out runs/sewn_too
     python -m training.run --garment shirt.obj --minutes 10 --out runs/scratch
     python -m training.run --resume runs/shipped
 
@@ -25,6 +26,7 @@ import torch
 from torch.utils.tensorboard import SummaryWriter
 
 from drape.arrays.subnormals import flushed
+from drape.catalog import find_garments
 from drape.errors import InputError, refusing
 from drape.files.data import data_folder
 from drape.motion.clip import MotionClip
@@ -109,6 +111,9 @@ def main() -> int:
     kind.add_argument("--finetune", type=Path, metavar="MODEL", help="model to go on with, maybe on --garment")
     kind.add_argument("--resume", type=Path, help="folder of an earlier run to go on with")
     parser.add_argument("--garment", nargs="+", help="garment files or names of designs, instead of the preset's")
+    parser.add_argument(
+        "--beside", nargs="+", metavar="FILE", help="garment files, or folders of them, trained on beside the others"
+    )
     parser.add_argument("--out", type=Path, default=Path("runs/shipped"), help="folder of a new run (%(default)s)")
     parser.add_argument("--from", type=Path, dest="start", help="static model to add dynamics to")
     parser.add_argument(
@@ -140,19 +145,20 @@ def _run(arguments: argparse.Namespace) -> None:
             cure=f"Go on with it (--resume {arguments.out}), or name another folder.",
         )
     if arguments.resume:
-        if arguments.garment:
-            raise InputError(
-                "--garment",
-                expected="nothing with --resume",
-                got=arguments.garment[0],
-                cure="A run keeps its garments.",
-            )
+        for option, named in (("--garment", arguments.garment), ("--beside", arguments.beside)):
+            if named:
+                raise InputError(
+                    option, expected="nothing with --resume", got=named[0], cure="A run keeps its garments."
+                )
         state, config = checkpoint.load(arguments.resume / "checkpoint.pt")
     elif arguments.finetune:
         config, weights = finetuned(arguments.finetune, arguments.garment)
     else:
         config, weights = started(PRESETS[arguments.preset](), arguments.start, arguments.encoder)
         config = dressed(config, arguments.garment)
+    if arguments.beside:
+        files = [str(path) for path in find_garments(arguments.beside)]
+        config = replace(config, data=replace(config.data, garments=(*config.data.garments, *files)))
     if arguments.minutes is not None:
         config = replace(config, minutes=arguments.minutes)
     if arguments.threads is not None:

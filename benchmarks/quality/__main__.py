@@ -38,7 +38,7 @@ from benchmarks.shared.physics_cache import CACHE_DIR
 from drape.artifacts import model_folder
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
-from drape.catalog import find_garments, find_motions, is_shipped, open_garment
+from drape.catalog import find_garments, find_motions, open_garment, was_trained_on
 from drape.cloth.contact import BodyContact
 from drape.cloth.fabric_table import DEFAULT_FABRIC, fabric
 from drape.cloth.material import DEFAULT_MATERIAL, material
@@ -204,6 +204,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     body = load_body()
     bench = open_bench(options, body)
     benches = in_fabrics(bench, options)
+    known = bench.network.manifest.training.get("garments", ())
     rows: list[dict[str, Any]] = []
     refused: dict[str, str] = {}
     for path in find_garments(options.garments):  # one after the other, so that only one is in memory
@@ -215,7 +216,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
             refused[error.name] = str(error)
             continue
         print(f"{garment.name}: drapes and the physics optimum, minutes where it is not stored", flush=True)
-        trained = options.set == "trained" if options.set else is_shipped(path)
+        trained = options.set == "trained" if options.set else was_trained_on(garment, known)
         for made in benches:
             try:
                 rows += measure(garment, made, trained=trained)

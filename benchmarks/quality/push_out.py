@@ -27,7 +27,7 @@ from benchmarks.speed.setup import timed
 from drape.artifacts import model_folder
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
-from drape.catalog import find_garments, find_motions, is_shipped, open_garment
+from drape.catalog import find_garments, find_motions, open_garment, was_trained_on
 from drape.cloth import metrics
 from drape.cloth.contact import BodyContact, nearest_vertex_push
 from drape.cloth.energies import ClothMesh
@@ -178,10 +178,11 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     network = Network(model_folder(options.model), body, threads=options.threads, precision=options.precision)
     window = windows[0] if windows else None
     setting = Setting(body, BodyContact(body.faces, body.vertex_count), network, poses.poses, window)
+    known = network.manifest.training.get("garments", ())
     rows: list[dict[str, Any]] = []
     for path in find_garments(options.garments):
         garment = open_garment(path, body)
-        measured = measure(garment, setting, trained=is_shipped(path))
+        measured = measure(garment, setting, trained=was_trained_on(garment, known))
         taken = times(garment, network, body, seconds=QUICK_SECONDS if options.quick else SECONDS)
         rows += [row | {"vertices": garment.vertex_count} | taken.get(row["method"], {}) for row in measured]
         print(f"{garment.name}: measured", flush=True)

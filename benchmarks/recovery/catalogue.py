@@ -25,7 +25,6 @@ from drape.garment.intake import intake
 
 GREY = (0.62, 0.66, 0.70)
 VIEWS_DEG = (0.0, 90.0, 180.0)
-RAKING = np.array([0.86, 0.38, 0.34])
 
 
 def detail_mm(vertices: np.ndarray, faces: np.ndarray) -> float:
@@ -68,7 +67,7 @@ def judge(path: Path, body: BodyModel) -> dict[str, float | int | str]:
 
 
 def pictures(path: Path, body: BodyModel, size: int) -> list[np.ndarray]:
-    """Front, side and back in raking light."""
+    """Front, side and back."""
     mesh = read_mesh(path)
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     low[0], high[0] = max(low[0], -0.42), min(high[0], 0.42)  # of long sleeves the wrists may leave the picture
@@ -82,7 +81,6 @@ def pictures(path: Path, body: BodyModel, size: int) -> list[np.ndarray]:
             elevation_deg=4.0,
             centre=0.5 * (low + high),
             extent_m=extent,
-            light=RAKING / np.linalg.norm(RAKING),
         )
         for azimuth in VIEWS_DEG
     ]

@@ -21,10 +21,14 @@ SMALLEST_AREA_SHARE = 1e-6  # of the mean triangle in uv; below it a triangle sa
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """uv of every corner of G triangles (G, 3, 2), and the number (G,) of the island that each lies in."""
+    """uv of every corner of G triangles (G, 3, 2), and the number (G,) of the island that each lies in.
+
+    ``grain_along_v``: its maker says that the warp is v everywhere.
+    """
 
     corners: np.ndarray
     island: np.ndarray
+    grain_along_v: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +89,7 @@ def read_grain(
     their size is another.
 
     The warp is uv's v, as patterns are laid out, or its u where an island lies on its side: a quarter
-    turn that brings the warp nearer to the vertical. A panel cut on the bias stays so.
+    turn that brings the warp nearer to the vertical. A panel cut on the bias stays so. Where its maker says so it is v.
     """
     plain = grain_along(vertices, faces)
     hinges = meshes.hinge_faces(faces)
@@ -121,7 +125,8 @@ def read_grain(
     good = told & flat[painted.island]
     upright = slope @ np.array(UP) / scale  # (G, 2): how steeply u and v climb
     mean = np.stack([np.bincount(painted.island, area * upright[:, k]) for k in (0, 1)], axis=1) / whole[:, None]
-    axis = np.where(np.abs(mean[:, 0]) > np.abs(mean[:, 1]) + TURNED, 0, 1)[painted.island]
+    on_side = (np.abs(mean[:, 0]) > np.abs(mean[:, 1]) + TURNED) & (not painted.grain_along_v)
+    axis = np.where(on_side, 0, 1)[painted.island]
     turned = _polar(_slope(vertices, faces, inverse))
     rows = np.arange(len(faces))
     warp = np.where(good[:, None], turned[rows, axis], plain)

@@ -41,6 +41,7 @@ from drape.garment.grain import texture
 from drape.garment.mesh_checks import Unit, Up, check_mesh
 from drape.garment.rest_detail import Cloth, Rest, doubled_faces, rest_of, subdivided_like
 from drape.garment.rest_pose import refine, to_standard
+from drape.garment.sewing import Sewing, beside, sewn_hinges
 from drape.geometry import meshes
 
 INTAKE_VERSION = 2  # raised when a change here changes the garments that come out
@@ -60,8 +61,8 @@ class IntakeOptions:
     (docs/reference/quality.md measures the trade). Raises ``InputError`` outside ``PATCH_SHARE_RANGE``.
 
     ``rest``: what the cloth remembers of its shape (``rest_detail.rest_of``); ``fabric``: what it is of, a name or
-    numbers of ``fabric_table.fabric``, which refuses others; ``uv_unit_m``: metres of cloth per unit of uv, where these
-    are its panels.
+    numbers of ``fabric_table.fabric``, which refuses others, None for that of its sewing, or else jersey;
+    ``uv_unit_m``: metres of cloth per unit of uv, where these are its panels.
     """
 
     unit: Unit = "auto"
@@ -70,11 +71,12 @@ class IntakeOptions:
     clearance_m: float = CLEARANCE_M
     patches: float = 1.0
     rest: Rest = "auto"
-    fabric: str | Mapping[str, Any] = DEFAULT_FABRIC
+    fabric: str | Mapping[str, Any] | None = None
     uv_unit_m: float | None = None
 
     def __post_init__(self) -> None:
-        fabric(self.fabric)
+        if self.fabric is not None:
+            fabric(self.fabric)
         if self.rest not in get_args(Rest):
             expected = "one of " + ", ".join(get_args(Rest))
             raise InputError("rest", expected=expected, got=str(self.rest), cure="Take auto.")
@@ -90,6 +92,12 @@ class IntakeOptions:
                 got=f"{self.patches:g}",
                 cure="Take 1, or 2 for an accurate drape.",
             )
+
+    def of(self, sewn: Sewing | None) -> IntakeOptions:
+        """These, with what ``sewn`` says where they leave it open."""
+        if sewn is None:
+            return replace(self, fabric=self.fabric or DEFAULT_FABRIC)
+        return replace(self, fabric=self.fabric or sewn.fabric, uv_unit_m=self.uv_unit_m or sewn.uv_unit_m)
 
 
 _LATE_OPTIONS = ("patches", "rest", "fabric", "uv_unit_m")
@@ -184,13 +192,16 @@ def with_unused(garment: Garment, faces: np.ndarray, kept: np.ndarray) -> Garmen
     return replace(garment, vertex_count=len(kept), faces=faces.astype(np.int32), fine_faces=fine_faces, **arrays)
 
 
-def garment_digest(payload: bytes, avatar: Any, body: BodyModel, options: IntakeOptions, name: str) -> str:
+def garment_digest(
+    payload: bytes, avatar: Any, body: BodyModel, options: IntakeOptions, name: str, sewn: Sewing | None = None
+) -> str:
     """Hex digest of everything a garment depends on."""
     if isinstance(avatar, Path):
         avatar = hashlib.sha256(avatar.read_bytes()).hexdigest()
-    chosen = asdict(options)
+    chosen = asdict(options.of(sewn))
+    usual = asdict(IntakeOptions().of(sewn))
     for late in _LATE_OPTIONS:
-        if chosen[late] == getattr(IntakeOptions, late):
+        if chosen[late] == usual[late]:
             del chosen[late]  # garments taken in before there was a choice keep their digest
     header = {
         "name": name,
@@ -199,6 +210,8 @@ def garment_digest(payload: bytes, avatar: Any, body: BodyModel, options: Intake
         "options": chosen,
         "versions": [FORMAT_VERSION, INTAKE_VERSION],
     }
+    if sewn is not None:
+        header["sewing"] = replace(sewn, figures={}).to_json()  # how long it took makes no other garment
     return hashlib.sha256(json.dumps(header, sort_keys=True).encode() + b"\0" + payload).hexdigest()
 
 
@@ -226,7 +239,8 @@ def intake(
     """The garment in a mesh file (or its bytes, of ``kind``), at rest on ``body``.
 
     ``avatar`` says what it was modelled on (``drape.garment.avatars``); None asks the table
-    beside the file and then takes the standard body, if the garment lies on it. With ``folder``
+    beside the file and then takes the standard body, if the garment lies on it. A JSON of ``drape.garment.sewing``
+    beside the file says what it is sewn of. With ``folder``
     the result is stored there, and found there the next time. Raises ``InputError``; nothing is written then.
     """
     say = report or (lambda line: None)
@@ -236,7 +250,11 @@ def intake(
     payload = bytes(source) if path is None else path.read_bytes()
     name = garment_name(mesh.name)
     meaning = avatars.parse_avatar(avatar, beside=path, allow_paths=path is not None)
-    digest = garment_digest(payload, meaning, body, options, name)
+    sewn = beside(path) if path else None
+    if sewn is not None:
+        sewn.check(mesh)
+    digest = garment_digest(payload, meaning, body, options, name, sewn)
+    options = options.of(sewn)
     if folder is not None and (stored := folder / f"{name}-{digest[:16]}.npz").is_file():
         say(f"cached    {stored.name}")
         return load_garment(stored)
@@ -248,6 +266,8 @@ def intake(
         f"avatar    {model.source}; residual {model.residual_mm:.1f} mm"
         + ("" if meaning is not None else " (none was named)")
     )
+    if sewn is not None:
+        say(f"sewn      {len(sewn.panels)} panels, {len(sewn.seams)} seams, {sewn.fabric}")
     started = time.perf_counter()
     rest = rest_mesh(mesh, model, body, options, named=meaning is not None)
     for line in describe_rest(rest):
@@ -263,7 +283,7 @@ def intake(
         "notes": list(rest.mesh.notes),
         "intake": {key: round(float(value), 4) for key, value in rest.figures.items()},
     }
-    garment = with_rest_state(_fit(rest, name, body, digest, manifest, options.patches), rest, options)
+    garment = with_rest_state(_fit(rest, name, body, digest, manifest, options.patches), rest, options, sewn)
     error, cloth = garment.manifest["fit"], garment.manifest["rest"]
     say(f"fitted    {garment.patch_count} patches on {len(garment.vertices):,} vertices")
     say(f"fit error {error['point_rmse_m']:.2e} m point RMSE, {error['normal_error_deg']:.2f} deg normal error")
@@ -319,8 +339,9 @@ def _fit(
     return with_unused(garment, rest.faces, rest.kept)
 
 
-def with_rest_state(garment: Garment, rest: RestMesh, options: IntakeOptions) -> Garment:
-    """``garment``, taken in of ``rest``, with the rest state and the fabric of ``options``; figures in the manifest."""
+def with_rest_state(garment: Garment, rest: RestMesh, options: IntakeOptions, sewn: Sewing | None = None) -> Garment:
+    """``garment``, taken in of ``rest``, with the rest state and the fabric of ``options``, and what ``sewn`` says of
+    its hinges; figures in the manifest."""
     compact = rest.mesh
     row = np.concatenate([rest.kept, np.arange(len(compact.vertices), len(rest.vertices))])
     faces = garment.fine_faces.astype(np.int64)
@@ -328,13 +349,17 @@ def with_rest_state(garment: Garment, rest: RestMesh, options: IntakeOptions) ->
     painted = texture(compact.uv, compact.uv_faces, len(faces))
     doubled = doubled_faces(compact.material_names, compact.face_material, len(faces))
     points = garment.vertices.astype(np.float64)
-    cloth = Cloth(points, faces, modelled, painted, doubled, options.uv_unit_m, rest.resized)
+    hinges = None
+    if sewn is not None and painted is not None:
+        painted = replace(painted, grain_along_v=True)
+        hinges = sewn_hinges(sewn, compact, rest.kept, faces, painted)
+    cloth = Cloth(points, faces, modelled, painted, doubled, options.uv_unit_m, rest.resized, hinges)
     state, figures = rest_of(cloth, options.rest)
     arrays = {"rest_edges": state.edges, "rest_angle": state.hinge_angle, "rest_stiffening": state.stiffening}
     return replace(
         garment,
         **{name: array.astype(np.float32) for name, array in arrays.items()},
-        fabric=options.fabric,
+        fabric=options.of(sewn).fabric or DEFAULT_FABRIC,
         manifest=garment.manifest | {"rest": asdict(figures)},
     )
 
@@ -378,7 +403,7 @@ def main(arguments: list[str] | None = None) -> int:
         choices=get_args(Rest),
         help="what the cloth remembers of its shape (%(default)s: creases)",
     )
-    parser.add_argument("--fabric", default=DEFAULT_FABRIC, help="a name, or numbers as JSON (%(default)s)")
+    parser.add_argument("--fabric", help=f"a name, or numbers as JSON (that of its sewing, or {DEFAULT_FABRIC})")
     parser.add_argument("--uv-unit", type=float, help="metres of cloth per unit of uv, where uv are its panels")
     given = parser.parse_args(arguments)
     intake(
@@ -392,7 +417,7 @@ def main(arguments: list[str] | None = None) -> int:
             repair=given.repair,
             patches=given.patches,
             rest=given.rest,
-            fabric=read_fabric(given.fabric),
+            fabric=read_fabric(given.fabric) if given.fabric else None,
             uv_unit_m=given.uv_unit,
         ),
         folder=given.out,

@@ -22,6 +22,7 @@ from drape.cloth.rest_state import RestState
 from drape.errors import MeshError
 from drape.garment.grain import Grain, Texture, panel_unit, read_grain, texture
 from drape.garment.rest_pose import smoother, subdivide_smooth
+from drape.garment.sewing import SewnHinges
 from drape.geometry import meshes
 
 Rest = Literal["auto", "flat", "modelled"]
@@ -45,7 +46,7 @@ class Cloth:
     ``vertices`` [m] (N, 3) at rest and ``faces`` (G, 3); ``modelled`` [m] (N, 3): the same cloth as it was delivered,
     which says what is a crease; ``painted``: its uv, if it has some; ``doubled`` (G,) bool: triangles of a material
     that is sewn double. ``uv_unit_m``: metres of cloth per unit of uv, where they are panels. ``resized``: the cloth
-    was moved to another body, and is no longer as large as its panels.
+    was moved to another body, and is no longer as large as its panels. ``sewn``: what its maker says of its hinges.
     """
 
     vertices: np.ndarray
@@ -55,6 +56,7 @@ class Cloth:
     doubled: np.ndarray
     uv_unit_m: float | None = None
     resized: bool = False
+    sewn: SewnHinges | None = None
 
 
 @dataclass(frozen=True)
@@ -89,7 +91,7 @@ def rest_of(cloth: Cloth, rest: Rest = "auto") -> tuple[RestState, Figures]:
     ``modelled``: lengths and angles of the mesh. ``flat``: its lengths and no angle; raises ``MeshError`` for cloth
     that does not lie flat. ``auto``: its lengths, angles only at creases, and at seams where uv are panels, as
     delivered. Where uv are panels of a known size, ``flat`` and ``auto`` have their lengths from them, unless the cloth
-    is resized.
+    is resized. Cloth that is ``sewn`` has the angles and hems that its maker says: folds of its drape are no creases.
     """
     grain = read_grain(cloth.vertices, cloth.modelled, cloth.faces, cloth.painted, cloth.uv_unit_m)
     state = rest_state.modelled(cloth.vertices, cloth.faces, grain.warp)
@@ -97,9 +99,13 @@ def rest_of(cloth: Cloth, rest: Rest = "auto") -> tuple[RestState, Figures]:
     kept = np.ones(len(state.hinge_angle), dtype=bool)
     lengths = "mesh"
     if rest != "modelled":
-        angle, crease = creases(cloth.modelled, cloth.faces)
-        kept = crease | grain.seam if rest == "auto" else np.zeros_like(crease)
-        stiffening = _stiffening(cloth, crease)
+        if cloth.sewn is not None:
+            angle, kept = cloth.sewn.angle, cloth.sewn.angle != 0.0
+            stiffening = np.maximum(cloth.sewn.stiffening, _stiffening(cloth, np.zeros_like(kept)))
+        else:
+            angle, crease = creases(cloth.modelled, cloth.faces)
+            kept, stiffening = crease | grain.seam, _stiffening(cloth, crease)
+        kept &= rest == "auto"
         state = RestState(state.edges, np.where(kept, angle, 0.0), stiffening)
         if rest == "flat" and not grain.from_uv.any():
             _refuse_round(cloth)

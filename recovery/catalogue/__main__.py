@@ -1,6 +1,6 @@
 """Sews the catalogue's garments and lets them come to rest on the body.
 
-python -m recovery.catalogue build [NAME ...] --out DIR [--size M] [--body BODY] [--edge-length 0.0115]
+python -m recovery.catalogue build [NAME ...] --out DIR [--size M] [--body BODY] [--edge-length 0.0115] [--garments DIR]
 python -m recovery.catalogue list
 
 Writes NAME.obj, NAME.glb and NAME.json, in other sizes than M as NAME_SIZE. Exit codes: 2 refused, 3 written but not at
@@ -16,6 +16,7 @@ from pathlib import Path
 
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.errors import refusing
+from drape.garment.intake import intake
 from recovery.catalogue.build import QUICK, BuildOptions, body_distance, build, design
 from recovery.catalogue.files import write_garment
 from recovery.catalogue.garments import CATALOGUE
@@ -36,6 +37,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     builder = commands.add_parser("build", help="sew garments and write them")
     builder.add_argument("names", nargs="*", metavar="NAME", help="all of the catalogue where none is named")
     builder.add_argument("--out", type=Path, required=True, help="folder of the files")
+    builder.add_argument("--garments", type=Path, help="folder of caches: what is written is taken in, too")
     builder.add_argument("--size", default="M", help=", ".join(STEPS))
     builder.add_argument("--body", default=DEFAULT_BODY, help="name or file of a body; it is size M")
     builder.add_argument("--edge-length", type=float, default=default.fine_m, help="of the finished mesh [m]")
@@ -65,8 +67,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         called = name if given.size == "M" else f"{name}_{given.size.lower()}"
         print(f"--- {called}, {one.fabric}")
         garment = build(one, skin, options, report=print)
-        for path in write_garment(garment, given.out, name=called, size=given.size, body=body.name):
-            print(path)
+        paths = write_garment(garment, given.out, name=called, size=given.size, body=body.name)
+        print(*paths, sep="\n")
+        if given.garments is not None:
+            intake(paths[0], avatar="standard", body=body, folder=given.garments, report=print)
         if not garment.at_rest:
             moving.append(f"{called} by {garment.figures['last_move_mm']:.2f} mm")
     if moving:

@@ -1,25 +1,21 @@
 """Writes a sewn garment: mesh files that intake takes, and a JSON of what a mesh file cannot say.
 
 ``NAME.obj``: v are nodes [m], vt the panels laid out side by side in metres, unscaled, the grain along +y; a corner's
-pair v/vt is the map of the seams. ``NAME.glb``: the same, split at the seams. ``NAME.json``: fabric, seams with their
-panels and rest angles, hems and openings, by the numbers of the OBJ's v and vt (from 0).
+pair v/vt is the map of the seams. ``NAME.glb``: the same, split at the seams. ``NAME.json``: its ``Sewing``.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from drape.garment.sewing import Edge, Seam, Sewing
 from recovery.catalogue.build import SewnGarment
 from recovery.catalogue.settling import HEM_BENDING, HEM_M
 from recovery.drape.output import glb_bytes, obj_text, write
 from recovery.pattern.mesh import PatternMesh
 from recovery.pattern.pieces import make_sheet
-
-FORMAT = "drape sewn garment"
-FORMAT_VERSION = 1
 
 
 def panel_layout(mesh: PatternMesh) -> np.ndarray:
@@ -33,50 +29,38 @@ def edge_kind(name: str) -> str:
     return next((kind for kind in ("hem", "opening") if name.startswith(kind)), "free")
 
 
-def description(garment: SewnGarment, *, name: str, size: str, body: str) -> dict[str, Any]:
+def sewing(garment: SewnGarment, *, name: str, size: str, body: str) -> Sewing:
     """What ``NAME.json`` says."""
     made, mesh = garment.design, garment.mesh
     sewn = {ref for stitch in made.pattern.stitches for ref in (stitch.first, stitch.second)}
     seams = []
     for number, (stitch, seam) in enumerate(zip(made.pattern.stitches, made.seam_names, strict=True)):
         pairs = mesh.seam_pairs[mesh.seam_of_pair == number]
-        seams.append(
-            {
-                "name": seam,
-                "panels": [stitch.first.panel, stitch.second.panel],
-                "angle_rad": made.seam_angles.get(seam, 0.0),
-                "vertices": mesh.node_of_panel_vertex[pairs[:, 0]].tolist(),
-                "uv": pairs.T.tolist(),
-            }
-        )
-    edges = [
-        {
-            "name": named,
-            "kind": edge_kind(named),
-            "panel": ref.panel,
-            "vertices": mesh.node_of_panel_vertex[mesh.edge_vertices[ref]].tolist(),
-            "uv": np.asarray(mesh.edge_vertices[ref]).tolist(),
-        }
-        for ref, named in made.edge_names.items()
-        if ref not in sewn
-    ]
-    return {
-        "format": FORMAT,
-        "version": FORMAT_VERSION,
-        "name": name,
-        "size": size,
-        "body": body,
-        "fabric": made.fabric,
-        "mesh": f"{name}.obj",
-        "uv_unit_m": 1.0,
-        "hem_bending": HEM_BENDING,
-        "hem_width_m": HEM_M,
-        "panels": [panel.name for panel in made.pattern.panels],
-        "seams": seams,
-        "edges": edges,
-        "ease_m": dict(made.ease_m),
-        "figures": garment.figures,
-    }
+        panels = (stitch.first.panel, stitch.second.panel)
+        nodes = mesh.node_of_panel_vertex[pairs[:, 0]].tolist()
+        seams.append(Seam(seam, panels, made.seam_angles.get(seam, 0.0), nodes, pairs.T.tolist()))
+    edges = []
+    for ref, named in made.edge_names.items():
+        if ref not in sewn:
+            line = np.asarray(mesh.edge_vertices[ref])
+            edges.append(
+                Edge(named, edge_kind(named), ref.panel, mesh.node_of_panel_vertex[line].tolist(), line.tolist())
+            )
+    return Sewing(
+        name=name,
+        size=size,
+        body=body,
+        fabric=made.fabric,
+        mesh=f"{name}.obj",
+        uv_unit_m=1.0,
+        hem_bending=HEM_BENDING,
+        hem_width_m=HEM_M,
+        panels=[panel.name for panel in made.pattern.panels],
+        seams=seams,
+        edges=edges,
+        ease_m=dict(made.ease_m),
+        figures=garment.figures,
+    )
 
 
 def write_garment(garment: SewnGarment, folder: Path, *, name: str, size: str, body: str) -> list[Path]:
@@ -85,5 +69,5 @@ def write_garment(garment: SewnGarment, folder: Path, *, name: str, size: str, b
     return [
         write(folder / f"{name}.obj", obj_text(garment.mesh, garment.nodes, texture)),
         write(folder / f"{name}.glb", glb_bytes(garment.mesh, garment.nodes, texture)),
-        write(folder / f"{name}.json", description(garment, name=name, size=size, body=body)),
+        write(folder / f"{name}.json", sewing(garment, name=name, size=size, body=body).to_json()),
     ]

@@ -7,13 +7,13 @@ that a garment is found in: it fell from where it was sewn, and friction keeps i
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 import torch
 
 from drape.cloth.fabric import Fabric, bending_angle, hinge_rigidity
 from drape.cloth.material import Material
+from drape.garment.sewing import near_lines
 from drape.geometry import meshes
 from recovery.pattern.design import Design
 from recovery.pattern.mesh import PatternMesh
@@ -94,12 +94,9 @@ def hinge_bending(design: Design, mesh: PatternMesh, model: ClothModel, fabric: 
     """
     edges = _hinge_edges(mesh, model)
     rigidity = np.mean([hinge_rigidity(fabric, bending_angle(edge)) for edge in edges], axis=0)
-    near_hem = np.zeros(len(mesh.rest), dtype=bool)
-    for ref in design.hems:
-        line = mesh.rest[mesh.edge_vertices[ref]]
-        number = [panel.name for panel in mesh.pattern.panels].index(ref.panel)
-        mine = np.flatnonzero(mesh.panel == number)
-        near_hem[mine[_line_distance(mesh.rest[mine], line) < HEM_M]] = True
+    names = [panel.name for panel in mesh.pattern.panels]
+    lines = [(names.index(ref.panel), mesh.rest[mesh.edge_vertices[ref]]) for ref in design.hems]
+    near_hem = near_lines(mesh.rest, mesh.panel, lines, HEM_M)
     turned = mesh.nodes_from(near_hem[:, None].astype(float))[:, 0] > 0.5
     return rigidity * np.where(turned[model.hinge_nodes[:, :2]].all(axis=1), HEM_BENDING, 1.0)
 
@@ -125,13 +122,3 @@ def _hinge_edges(mesh: PatternMesh, model: ClothModel) -> list[np.ndarray]:
         rows = np.arange(len(faces))
         found.append(mesh.rest[panel[rows, ends[1]]] - mesh.rest[panel[rows, ends[0]]])
     return found
-
-
-def _line_distance(points: np.ndarray, line: np.ndarray) -> np.ndarray:
-    """Distances [m] (N,) of ``points`` (N, 2) to the polyline ``line`` (M, 2)."""
-    nearest = np.full(len(points), np.inf)
-    for a, b in pairwise(line):
-        along = b - a
-        share = np.clip((points - a) @ along / max(float(along @ along), 1e-300), 0.0, 1.0)
-        nearest = np.minimum(nearest, np.linalg.norm(points - a - share[:, None] * along, axis=1))
-    return nearest

@@ -9,7 +9,7 @@ import pytest
 from drape import catalog
 from drape.body.assets import load_body
 from drape.errors import ArtifactError, NotFound
-from drape.garment.cache import GARMENTS_DIR, save_garment
+from drape.garment.cache import save_garment
 from tests.fixtures.tiny_model import tube_garment
 
 
@@ -31,12 +31,17 @@ def test_names_files_and_folders_are_found(tmp_path):
 def test_without_names_everything_shipped_is_found():
     garments = catalog.find_garments([])
     assert "tshirt" in {catalog.short_name(path) for path in garments}
-    assert all(catalog.is_shipped(path) for path in garments)
     assert [path.stem for path in catalog.find_motions(["walk"])] == ["walk"]
 
 
-def test_a_copy_elsewhere_is_not_the_shipped_garment(tmp_path):
-    assert not catalog.is_shipped(tmp_path / next(GARMENTS_DIR.glob("*.npz")).name)
+def test_a_model_was_trained_on_the_designs_and_files_that_it_names():
+    body = load_body()
+    cut = catalog.open_garment(catalog.find_garments(["tank"])[0], body)
+    assert catalog.was_trained_on(cut, ["tshirt", "tank"])
+    assert not catalog.was_trained_on(cut, ["tshirt"])
+    other = replace(tube_garment(body), name="tank")  # no design: the name alone says nothing
+    assert not catalog.was_trained_on(other, ["tank"])
+    assert catalog.was_trained_on(other, ["tshirt", f"runs/sewn/{other.file_name()}"])
 
 
 def test_a_cached_garment_is_opened_unless_it_was_made_for_another_body(tmp_path):

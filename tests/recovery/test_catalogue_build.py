@@ -8,13 +8,17 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.body.assets import load_body
 from drape.cloth.fabric_table import fabric
 from drape.errors import InputError, NotFound
+from drape.garment.cache import load_garment
 from drape.garment.files.mesh import read_mesh
+from drape.garment.grain import texture
 from drape.garment.intake import intake
+from drape.garment.sewing import beside, sewn_hinges
+from drape.geometry import meshes
 from recovery.catalogue.__main__ import main
 from recovery.catalogue.build import QUICK, SewnGarment, body_distance, build, design
 from recovery.catalogue.closing import carried
@@ -112,11 +116,39 @@ def test_files_hold_seams_panels_hems_and_fabric_and_intake_takes_them(tmp_path)
     taken = intake(obj, avatar="standard")
     assert taken.vertex_count == len(garment.nodes)
     assert_allclose(taken.uv, read.uv, atol=1e-6)
+    # At rest it is its panels, in its fabric: flat, as long as they were cut, with the grain along v.
+    assert taken.fabric == "rib" and taken.manifest["rest"]["lengths"] == "panels"
+    state = taken.rest_state()
+    assert not state.hinge_angle.any()
+    share = len(taken.fine_faces) // len(taken.faces)  # the first of a triangle's parts has its first corner
+    first = np.sqrt(share) * state.edges[::share, 0]
+    assert_allclose(first[:, ::-1], edges, atol=1e-6)
+
+
+def test_intake_has_the_hinges_that_were_simulated(tmp_path):
+    made = CATALOGUE["shirt"](default_measurements())
+    mesh = mesh_pattern(made.pattern, 0.02)
+    model = ClothModel(mesh.faces, panel_faces=mesh.panel_faces)
+    nodes = mesh.nodes_from(mesh.placed())
+    obj = write_garment(SewnGarment(made, mesh, nodes, {}), tmp_path, name="shirt", size="M", body="b")[0]
+    told, read = beside(obj), read_mesh(obj)
+    painted = texture(read.uv, read.uv_faces, len(read.faces))
+    assert told is not None and painted is not None
+    told.check(read)
+    found = sewn_hinges(told, read, np.arange(len(read.vertices)), read.faces, painted)
+    assert_array_equal(meshes.hinges(read.faces), model.hinge_nodes)
+    assert_array_equal(found.angle, seam_angles(made, mesh, model))
+    cloth = fabric(made.fabric)
+    plain = hinge_bending(replace(made, edge_names={}), mesh, model, cloth)
+    assert_allclose(found.stiffening, hinge_bending(made, mesh, model, cloth) / plain, rtol=1e-9, atol=0.0)
 
 
 def test_the_command_writes_a_size_and_says_what_is_not_at_rest(tmp_path, capsys):
-    code = main(["build", "tank", "--size", "L", "--out", str(tmp_path), "--quick"])
+    taken = tmp_path / "garments"
+    code = main(["build", "tank", "--size", "L", "--out", str(tmp_path), "--quick", "--garments", str(taken)])
     assert code == 3
+    (cache,) = taken.iterdir()
+    assert load_garment(cache).manifest["rest"]["lengths"] == "panels"
     assert "not at rest, the last step moved a node of tank_l by" in capsys.readouterr().err
     assert json.loads((tmp_path / "tank_l.json").read_text())["size"] == "L"
 

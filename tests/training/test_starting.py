@@ -27,7 +27,7 @@ from training.run import make_trainer, sample_motions
 from training.starting import dressed, finetuned, read_model, started
 from training.trainer import take_weights
 
-TANK = str(next(GARMENTS_DIR.glob("tank-*.npz")))
+TANK, SHORTS = (str(next(GARMENTS_DIR.glob(f"{name}-*.npz"))) for name in ("tank", "shorts"))
 
 
 @pytest.fixture
@@ -135,7 +135,9 @@ def test_garments_take_the_place_of_the_presets():
 def test_fine_tuning_starts_from_the_model_on_the_garment_alone(tiny: tuple[OneFit, Path]):
     model, folder = tiny
     config, weights = finetuned(folder, [TANK])
-    assert config.data.garments == (TANK,) and config.data.held_out == ("walk",) and config.early_agreement == 1.0
+    assert (
+        config.data.garments == (TANK, SHORTS) and config.data.held_out == ("walk",) and config.early_agreement == 1.0
+    )
     config = replace(config, data=replace(config.data, partitions=1), batch_size=2, threads=1)
     trainer = make_trainer(config, read_clips([sample_motions()], held_out=()), device=CPU, weights=weights)
     assert [garment.name for garment in trainer.wardrobe.garments] == [TANK]
@@ -163,14 +165,14 @@ def test_of_a_dynamic_model_the_static_drape_is_fine_tuned(tmp_path: Path):
 @pytest.mark.slow
 def test_the_command_line_fine_tunes(tiny: tuple[OneFit, Path], tmp_path: Path, monkeypatch, capsys):
     _, folder = tiny
-    options = ["--finetune", str(folder), "--garment", TANK, "--motions", str(sample_motions())]
+    options = ["--finetune", str(folder), "--garment", TANK, "--beside", SHORTS, "--motions", str(sample_motions())]
     options += ["--out", str(tmp_path / "out"), "--minutes", "0.005", "--threads", "1", "--device", "cpu"]
     options += ["--batch", "2", "--bf16"]
     monkeypatch.setattr("sys.argv", ["run", *options])
     assert run.main() == 0
     payload, config = checkpoint.load(tmp_path / "out" / "checkpoint.pt")
     assert config.batch_size == 2 and config.autocast
-    assert payload["step"] >= 1 and config.data.garments == (TANK,) and config.model == TINY
+    assert payload["step"] >= 1 and config.data.garments == (TANK, SHORTS) and config.model == TINY
     assert f"stored    {tmp_path / 'out' / 'checkpoint.pt'}: step {payload['step']} after" in capsys.readouterr().out
     assert run.main() == 2  # a second run there would write over the first
     assert "--out: expected a folder without an earlier run" in capsys.readouterr().err
@@ -184,6 +186,8 @@ def test_the_command_line_fine_tunes(tiny: tuple[OneFit, Path], tmp_path: Path, 
     ("options", "message"),
     [
         (["--resume", "runs/shirt", "--garment", TANK], "--garment: expected nothing with --resume"),
+        (["--resume", "runs/shirt", "--beside", TANK], "--beside: expected nothing with --resume"),
+        (["--beside", "no_such_file"], "garment: expected one of"),
         (["--finetune", "no_such_model", "--garment", TANK], "model to start from: expected a checkpoint"),
     ],
 )

@@ -288,7 +288,7 @@ const start = failing(async () => {
   element("clip").replaceChildren(...clips.map((clip) => new Option(`${clip.name} (${(clip.frames / clip.fps).toFixed(1)} s)`, clip.id)));
   if (wanted.has("clip")) element("clip").value = wanted.get("clip");
   else if (clips.some((clip) => clip.id === "walk")) element("clip").value = "walk";
-  await listGarments((wanted.get("garment") ?? "").split(","), health.layers);
+  await listGarments((wanted.get("garment") ?? "dress").split(","), health.layers);
   await Promise.all([chooseShape(), chooseGarments()]);
 });
 

@@ -21,6 +21,7 @@ from drape.garment.rest_detail import (
     subdivided_like,
 )
 from drape.garment.rest_pose import subdivide_smooth
+from drape.garment.sewing import SewnHinges
 from drape.geometry import meshes
 from tests.drape.cloth.cloth_shapes import equilateral, random_rotation, tube
 from tests.drape.garment.test_grain import ALONG, AROUND, unrolled
@@ -174,6 +175,23 @@ def test_seams_of_panels_keep_their_angle():
     assert len(kept) == ALONG
     assert_allclose(np.abs(state.hinge_angle[kept]), 2.0 * np.pi / AROUND, rtol=1e-9, atol=0.0)
     assert (figures.grain, figures.grain_share) == ("uv", pytest.approx(1.0))
+
+
+def test_sewn_cloth_has_its_makers_angles_and_hems_and_no_creases():
+    vertices, faces = pleat(0.5)
+    hinges = len(meshes.hinges(faces))
+    sewn = SewnHinges(np.zeros(hinges), np.ones(hinges))
+    sewn.angle[7], sewn.stiffening[11] = -1.2, 3.0
+    band = np.zeros(len(faces), dtype=bool)
+    band[:100] = True
+    cloth = cloth_of(vertices, faces, sewn=sewn, doubled=band)
+    state, figures = rest_of(cloth)
+    assert creases(vertices, faces)[1].any()
+    assert_array_equal(state.hinge_angle, sewn.angle)
+    assert figures.kept_share == 1.0 / hinges
+    double = band[meshes.hinge_faces(faces)].all(axis=1)
+    assert_array_equal(state.stiffening, np.maximum(sewn.stiffening, np.where(double, HEM_STIFFENING, 1.0)))
+    assert not rest_of(cloth, "flat")[0].hinge_angle.any()
 
 
 def test_lengths_are_those_of_the_panels_unless_the_cloth_was_resized():

@@ -9,17 +9,38 @@ from numpy.testing import assert_allclose
 from drape.garment.cache import GARMENTS_DIR, save_garment
 from drape.garment.fitting import fit_error, rest_garment
 from drape.geometry.closest import signed_distance
+from recovery.catalogue.garments import CATALOGUE
+from recovery.pattern.triangulate import signed_areas
 from tests.drape.body.body_files import default_body
 from tests.drape.garment.rest_garments import SHIPPED, shipped
+from tests.recovery.pattern_setup import default_measurements
+from training import garment_design
 
 CLEARANCE_M = 0.006
-FILE_LIMIT_BYTES = 3_000_000
+FILE_LIMIT_BYTES = 3_500_000
 MICROMETRE = 1e-6
 
 
-def test_all_six_are_there_under_their_digests():
+CUT = {design.name for design in garment_design.SHIPPED}
+SEWN = sorted(set(SHIPPED) - CUT)
+
+
+def test_they_are_the_cut_designs_and_sewn_ones_under_their_digests():
+    assert CUT <= set(SHIPPED) <= CUT | set(CATALOGUE)
     files = {path.name for path in GARMENTS_DIR.glob("*.npz")}
     assert files == {shipped(name).file_name() for name in SHIPPED}
+
+
+@pytest.mark.parametrize("name", SEWN)
+def test_a_sewn_one_rests_as_its_panels_in_its_fabric(name):
+    garment, made = shipped(name), CATALOGUE[name](default_measurements())
+    assert garment.fabric == made.fabric
+    assert garment.manifest["rest"]["lengths"] == "panels" and garment.manifest["rest"]["grain"] == "uv"
+    state = garment.rest_state()
+    cut = np.abs(signed_areas(garment.uv.astype(np.float64), garment.uv_faces))
+    assert_allclose(state.face_area.sum(), cut.sum(), rtol=1e-5, atol=0.0)
+    assert {0.0, *made.seam_angles.values()} == {round(float(angle), 6) for angle in np.unique(state.hinge_angle)}
+    assert set(np.unique(state.stiffening)) == {1.0, 2.0}
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -77,7 +98,9 @@ def test_patches_and_fit_are_as_its_manifest_says(name):
     assert_allclose(rest.areas.sum(), figures["area_m2"], rtol=1e-4, atol=0.0)
     fields = {key: getattr(garment, key) for key in vars(garment) if key.startswith(("patch_", "chart_"))}
     measured = fit_error(rest, fields)
-    assert measured["folded_chart_entries"] == figures["folded_chart_entries"] == 0
+    assert measured["folded_chart_entries"] == figures["folded_chart_entries"]
+    # A collar lies twice on the charts of its neck: its fall over its stand.
+    assert figures["folded_chart_entries"] == 0 or garment.rest_state().hinge_angle.any()
     for key in ("point_rmse_m", "point_max_m", "normal_error_deg"):
         assert_allclose(measured[key], figures[key], rtol=1e-2, atol=1e-6)
 

@@ -1,0 +1,204 @@
+"""How a garment is sewn: what its maker knows of it and a mesh file cannot say, as JSON beside the mesh.
+
+``NAME.json`` beside ``NAME.obj`` says by rows of the OBJ's v and vt, from 0, which lines are seams and how far they are
+folded at rest, which edges are turned up or bound, and of what fabric it is; uv are its panels, the grain along +v. One
+dataclass writes and reads it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drape.errors import InputError
+from drape.garment.files.mesh import GarmentMesh
+from drape.garment.grain import Texture
+from drape.geometry import meshes
+
+FORMAT = "drape sewn garment"
+FORMAT_VERSION = 1
+DOUBLED_KINDS = ("hem", "opening")  # turned up, or bound: two layers that slide on each other
+
+
+@dataclass(frozen=True)
+class Seam:
+    """A seam between two ``panels``, folded by ``angle_rad`` at rest, negative where it folds to the outside.
+
+    ``vertices``: rows of v along it, ``uv``: rows of vt on either side.
+    """
+
+    name: str
+    panels: Sequence[str]
+    angle_rad: float
+    vertices: Sequence[int]
+    uv: Sequence[Sequence[int]]
+
+
+@dataclass(frozen=True)
+class Edge:
+    """An edge of ``panel`` that is not sewn to another; ``kind``: "hem", "opening" or "free"."""
+
+    name: str
+    kind: str
+    panel: str
+    vertices: Sequence[int]
+    uv: Sequence[int]
+
+
+@dataclass(frozen=True)
+class Sewing:
+    """What ``NAME.json`` says; ``uv_unit_m``: metres of cloth per unit of uv.
+
+    Cloth nearer than ``hem_width_m`` to an edge that is turned up or bound bends ``hem_bending`` times as hard.
+    ``size``, ``body``, ``ease_m`` and ``figures`` tell how it was made.
+    """
+
+    name: str
+    fabric: str
+    mesh: str
+    uv_unit_m: float
+    hem_bending: float
+    hem_width_m: float
+    panels: Sequence[str]
+    seams: Sequence[Seam]
+    edges: Sequence[Edge]
+    size: str = ""
+    body: str = ""
+    ease_m: Mapping[str, float] = field(default_factory=dict)
+    figures: Mapping[str, Any] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        """The record of the file."""
+        return {"format": FORMAT, "version": FORMAT_VERSION, **asdict(self)}
+
+    def check(self, mesh: GarmentMesh) -> None:
+        """Raises ``InputError`` where a row of v or vt is not in ``mesh``."""
+        for what, rows, count in (
+            ("vertices", [line.vertices for line in (*self.seams, *self.edges)], len(mesh.vertices)),
+            ("uv", [side for seam in self.seams for side in seam.uv], len(mesh.uv)),
+            ("uv", [edge.uv for edge in self.edges], len(mesh.uv)),
+        ):
+            named = [row for line in rows for row in line]
+            if named and not 0 <= min(named) <= max(named) < count:
+                raise InputError(
+                    f"sewing {self.name} {what}",
+                    expected=f"rows of the mesh, below {count}",
+                    got=str(max(named) if max(named) >= count else min(named)),
+                    cure="Put the JSON beside the mesh that it was written with.",
+                )
+
+
+def beside(path: Path) -> Sewing | None:
+    """The sewing that lies beside the mesh at ``path``; None where no JSON of this format does, or one of a mesh of
+    another kind, which has other rows.
+
+    Raises ``InputError`` for one of another version, or that does not hold together.
+    """
+    file = path.with_suffix(".json")
+    if not file.is_file():
+        return None
+    try:
+        record = json.loads(file.read_text())
+    except (OSError, ValueError):
+        return None  # some other program's
+    if not isinstance(record, dict) or record.get("format") != FORMAT:
+        return None
+    if record.get("version") != FORMAT_VERSION:
+        raise InputError(
+            f"sewing {file.name} version",
+            expected=str(FORMAT_VERSION),
+            got=str(record.get("version")),
+            cure="Write the garment again with this release.",
+        )
+    found = read_sewing({key: value for key, value in record.items() if key not in ("format", "version")})
+    return found if Path(found.mesh).suffix == path.suffix else None
+
+
+def read_sewing(record: Mapping[str, Any]) -> Sewing:
+    """The sewing of a record as ``Sewing.to_json`` makes it; raises ``InputError`` where it is none."""
+    try:
+        seams, edges = ([Seam(**one) for one in record["seams"]], [Edge(**one) for one in record["edges"]])
+        return Sewing(**{**record, "seams": seams, "edges": edges})
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"sewing {record.get('name', '')}",
+            expected="the fields of docs/guide/catalogue.md",
+            got=str(error),
+            cure="Write the garment again with python -m recovery.catalogue build.",
+        ) from error
+
+
+# --- what a rest state is made of ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class SewnHinges:
+    """Of every hinge (H,): its ``angle`` at rest [rad], and the ``stiffening`` of its fabric."""
+
+    angle: np.ndarray
+    stiffening: np.ndarray
+
+
+def sewn_hinges(sewing: Sewing, mesh: GarmentMesh, kept: np.ndarray, faces: np.ndarray, painted: Texture) -> SewnHinges:
+    """Angles and stiffening of the hinges of ``faces`` (G, 3), which subdivision made of those of ``mesh``.
+
+    ``kept`` (V,): the row in ``mesh`` of every delivered vertex; ``faces`` count the delivered ones, then those that
+    subdivision added. ``painted``: the uv of ``faces``. A hinge is folded where both its ends lie on a folded seam, and
+    is of double cloth where both are near an edge that is turned up or bound, on all panels that meet there.
+    """
+    ends = meshes.hinges(faces)[:, :2]
+    angle = np.zeros(len(ends))
+    folded = [seam for seam in sewing.seams if seam.angle_rad]
+    on_seam = np.zeros((len(mesh.vertices), len(folded)))
+    for column, seam in enumerate(folded):
+        on_seam[kept[list(seam.vertices)], column] = 1.0
+    coarse = mesh.faces
+    while len(coarse) < len(faces):  # a new vertex lies on a seam if both ends of its edge do
+        on_seam, coarse, _ = meshes.subdivide(on_seam, coarse)
+    on_seam = on_seam[np.concatenate([kept, np.arange(len(mesh.vertices), len(on_seam))])]
+    for column, seam in enumerate(folded):
+        angle[(on_seam[ends, column] == 1.0).all(axis=1)] = seam.angle_rad
+    rounds = len(faces) // len(mesh.faces)
+    island_of_uv = np.zeros(len(mesh.uv), dtype=np.int64)
+    island_of_uv[mesh.uv_faces] = painted.island[::rounds, None]
+    panels = sewing.uv_unit_m * mesh.uv
+    lines = [list(edge.uv) for edge in sewing.edges if edge.kind in DOUBLED_KINDS]
+    turned = near_lines(
+        sewing.uv_unit_m * painted.corners.reshape(-1, 2),
+        np.repeat(painted.island, 3),
+        [(int(island_of_uv[line[0]]), panels[line]) for line in lines],
+        sewing.hem_width_m,
+    )
+    free = np.zeros(len(on_seam), dtype=bool)
+    free[faces.reshape(-1)[~turned]] = True
+    return SewnHinges(angle, np.where(free[ends].any(axis=1), 1.0, sewing.hem_bending))
+
+
+def near_lines(
+    points: np.ndarray, panel: np.ndarray, lines: Sequence[tuple[int, np.ndarray]], within_m: float
+) -> np.ndarray:
+    """Which ``points`` [m] (N, 2), each in the panel of its number (N,), lie within ``within_m`` of a line of it.
+
+    ``lines``: the number of a panel, and the points [m] (M, 2) of a line of it in order.
+    """
+    near = np.zeros(len(points), dtype=bool)
+    for number, line in lines:
+        mine = np.flatnonzero(panel == number)
+        near[mine[_line_distance(points[mine], line) < within_m]] = True
+    return near
+
+
+def _line_distance(points: np.ndarray, line: np.ndarray) -> np.ndarray:
+    """Distances [m] (N,) of ``points`` (N, 2) to the polyline ``line`` (M, 2)."""
+    nearest = np.full(len(points), np.inf)
+    for a, b in pairwise(line):
+        along = b - a
+        share = np.clip((points - a) @ along / max(float(along @ along), 1e-300), 0.0, 1.0)
+        nearest = np.minimum(nearest, np.linalg.norm(points - a - share[:, None] * along, axis=1))
+    return nearest
