@@ -231,7 +231,7 @@ def go_on() -> TrainConfig:
     Three steps in ten take no pass of corrections: folds on the vertices need none of them.
     """
     smooth = replace(shipped(), smooth_share=0.4, smooth_weight=2e5)
-    return replace(smooth, learning_rate=3e-4, early_agreement=1.0, full_share=0.4, bare_share=0.3)
+    return replace(smooth, learning_rate=3e-4, early_agreement=1.0, full_share=0.3, bare_share=0.5)
 
 
 PRESETS = {"shipped": shipped, "smoke": smoke, "paper": paper, "dynamic": dynamic}
