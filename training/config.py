@@ -228,7 +228,7 @@ def finetune() -> TrainConfig:
 def go_on() -> TrainConfig:
     """What goes on training a static model on the shipped preset's garments, and makes it move more smoothly.
 
-    Three steps in ten take no pass of corrections: folds on the vertices need none of them.
+    Half of the steps take no pass of corrections: folds on the vertices need none of them.
     """
     smooth = replace(shipped(), smooth_share=0.4, smooth_weight=2e5)
     return replace(smooth, learning_rate=3e-4, early_agreement=1.0, full_share=0.3, bare_share=0.5)
