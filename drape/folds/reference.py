@@ -1,0 +1,129 @@
+"""``drape.folds.step.fold`` once more, in NumPy float64 and in the order of the vertices, to be read and compared with."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drape.cloth.energies import ClothMesh
+from drape.folds.coarse import CLAMP_M, SHARE, galerkin
+from drape.folds.constants import Dressed
+from drape.folds.step import FIRST_STEP_S, MOMENTUM, SHORTEST_STEP_S, Effort, Frame, Memory
+from drape.solver import reference
+from drape.solver.problem import Problem, Surroundings, problem, surroundings
+
+
+def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) -> tuple[np.ndarray, Memory]:
+    """Vertices [m] (V, 3) of ``frame`` and its memory, in the order of the vertices; ``memory`` leads here, or is None."""
+    network, still = frame.vertices.astype(np.float64), np.zeros(frame.vertices.shape)
+    past = memory or Memory(frame.time_s, network, still, still, dressed.index)
+    step_s = max(frame.time_s - past.time_s, SHORTEST_STEP_S) if memory else FIRST_STEP_S
+    frames = surface_frames(network, dressed.cloth)
+    x = network + _to_world(frames, past.residual)
+    way, index = step_s * _to_world(frames, past.velocity), past.index
+    made = problem(dressed.cloth, dressed.material, dtype=np.float64)
+    made = made._replace(hinges=made.creases)  # the others bend by the quadratic matrix
+    for _ in range(1 if memory else effort.settle):
+        index = nearest(x, frame.skin, dressed.graph.neighbour, index)
+        point, normal = planes(x, frame.skin, dressed, index)
+        around = surroundings(made, point, normal)._replace(band=network, band_n_per_m=dressed.band_n_per_m)
+        x = x + coarse_step(dressed, made, around, x)
+        for _ in range(effort.sweeps):
+            before = x
+            x = sweep(x + MOMENTUM * _limited(way, made.constants.reach), made, around)
+            way = x - before
+    residual, velocity = _to_local(frames, x - network), _to_local(frames, way) / step_s
+    return x, Memory(frame.time_s, network, residual, velocity, index)
+
+
+def surface_frames(surface: np.ndarray, cloth: ClothMesh) -> np.ndarray:
+    """Frames (V, 3, 3) of ``surface`` [m] (V, 3): rows are the normal, an edge laid into the plane, and their product."""
+    faces = cloth.faces
+    across = np.cross(surface[faces[:, 1]] - surface[faces[:, 0]], surface[faces[:, 2]] - surface[faces[:, 0]])
+    normal = np.zeros_like(surface)
+    np.add.at(normal, faces, across[:, None])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    entry = np.unique(faces.reshape(-1), return_index=True)[1]  # each vertex's first triangle, and its place there
+    edge = surface[faces[entry // 3, (entry + 1) % 3]] - surface
+    edge -= (edge * normal).sum(axis=1, keepdims=True) * normal
+    edge /= np.linalg.norm(edge, axis=1, keepdims=True)
+    return np.stack([normal, edge, np.cross(normal, edge)], axis=1)
+
+
+def nearest(x: np.ndarray, skin: np.ndarray, neighbour: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Where walks from ``index`` (V,) over ``neighbour`` (S, 8) end, each to the nearest of sample and neighbours."""
+    found = index.copy()
+    for v, point in enumerate(x):
+        while True:
+            around = np.append(found[v], neighbour[found[v]])
+            best = around[np.linalg.norm(skin[around, :3] - point, axis=1).argmin()]
+            if best == found[v]:
+                break
+            found[v] = best
+    return found
+
+
+def planes(
+    x: np.ndarray, skin: np.ndarray, dressed: Dressed, index: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points [m] and unit normals (V, 3) of the planes at the samples ``index`` (V,), blended with their neighbours'."""
+    points, normals = np.empty_like(x), np.empty_like(x)
+    for v, (point, own) in enumerate(zip(x, index, strict=True)):
+        around = np.append(own, np.setdiff1d(dressed.graph.neighbour[own], own))
+        square = ((skin[around, :3] - point) ** 2).sum(axis=1)
+        weight = np.maximum(1.0 - (square - square[0]) / dressed.graph.reach_m2[own], 0.0) ** 2
+        weight /= weight.sum()
+        blended = weight @ skin[around, 4:7]
+        normal = blended / np.linalg.norm(blended)
+        chord = point - skin[around, :3]
+        distance = 0.5 * weight @ ((skin[around, 4:7] + normal) * chord).sum(axis=1)
+        points[v], normals[v] = point - distance * normal, normal
+    return points, normals
+
+
+def coarse_step(dressed: Dressed, made: Problem, around: Surroundings, x: np.ndarray) -> np.ndarray:
+    """The way [m] (V, 3) that the patches take at ``x``, by a dense matrix."""
+    small, _ = galerkin(dressed.cloth, dressed.material, dressed.charts)
+    basis = np.zeros((len(x), len(small)))
+    np.add.at(basis, (np.arange(len(x))[:, None], dressed.charts.patch), dressed.charts.weight)
+    depth = made.constants.gap - ((x - around.point) * around.normal).sum(axis=1)
+    stiffness = np.where(depth > 0.0, made.contact_n_per_m, 0.0)
+    contacts = np.einsum("v,vk,vl,vi,vj->kilj", stiffness, basis, basis, around.normal, around.normal)
+    matrix = np.einsum("kl,ij->kilj", small, np.eye(3)) + contacts
+    force = basis.T @ _gradient(x, made, around)
+    size = force.size
+    step = -SHARE * np.linalg.solve(matrix.reshape(size, size), force.reshape(-1)).reshape(force.shape)
+    return basis @ (step * min(1.0, CLAMP_M / np.abs(step).max()))
+
+
+def sweep(x: np.ndarray, made: Problem, around: Surroundings) -> np.ndarray:
+    """One sweep of vertex block descent from ``x`` [m] (V, 3), bending by the quadratic matrix and at creases."""
+    moved, bend = x.copy(), made.quadratic
+    for v in made.order:
+        gradient, block = reference.vertex_block(v, moved, made, around)
+        block = block + bend.diagonal[v] * np.eye(3)
+        step = -np.linalg.solve(block, gradient + _bending(moved, made, v))
+        moved[v] += _limited(step, made.constants.reach)
+    return moved
+
+
+def _gradient(x: np.ndarray, made: Problem, around: Surroundings) -> np.ndarray:
+    _, gradient = reference.energy_and_gradient(x, made, around)
+    return gradient + np.stack([_bending(x, made, v) for v in range(len(x))])
+
+
+def _bending(x: np.ndarray, made: Problem, v: int) -> np.ndarray:
+    """Row v of the quadratic bending's matrix times ``x``."""
+    entries = slice(made.quadratic.start[v], made.quadratic.start[v + 1])
+    return made.quadratic.value[entries] @ x[made.quadratic.vertex[entries]] + made.quadratic.diagonal[v] * x[v]
+
+
+def _limited(way: np.ndarray, reach: float) -> np.ndarray:
+    return way * (reach / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), reach))
+
+
+def _to_world(frames: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    return np.einsum("vji,vj->vi", frames, vectors)
+
+
+def _to_local(frames: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    return np.einsum("vji,vi->vj", frames, vectors)
