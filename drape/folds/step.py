@@ -16,14 +16,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from drape.cloth.energies import ClothMesh
+from drape.cloth.material import Material
 from drape.folds.coarse import Coarse, coarse_step
-from drape.folds.constants import Constants
-from drape.folds.contact import SkinGraph, touch
+from drape.folds.constants import Constants, Dressed
+from drape.folds.contact import NEIGHBOURS, SkinGraph, touch
 from drape.folds.frames import in_frame, in_world, surface_frames
 from drape.folds.sheet import LANES, Sheet
 from drape.folds.sweeps import PLANES, SCRATCH, descend, gradient_at
 from drape.solver.compiled import kernel
 from drape.solver.elements import at, dot, scaled, sub
+from drape.solver.linear import Charts
 
 MOMENTUM = 0.9  # of the last sweep's way before a sweep
 FAR_M = 0.25  # from the network's drape: farther is no fold
@@ -81,8 +84,8 @@ def fold(
     The same input gives the same bits. ``memory`` is left as it is.
     """
     dtype = constants.sheet.own.dtype
-    network = np.ascontiguousarray(frame.vertices[constants.sheet.vertex], dtype=dtype)
-    skin = np.ascontiguousarray(frame.skin, dtype=dtype)
+    network = frame.vertices[constants.sheet.vertex].astype(dtype)
+    skin = np.array(frame.skin, dtype=dtype, order="C")  # a copy: kernels are compiled for arrays that may be written
     none = _without_past(constants, network, frame.time_s)
     past = memory if memory is not None and _leads_to(memory, network, frame.time_s) else none
     x, after = _advanced(constants, past, network, skin, frame.time_s, effort)
@@ -189,3 +192,13 @@ def _descend_rounds(x, way, network, index, skin, cloth, numbers):
             for v in range(len(x)):
                 for i in range(3):
                     way[v, i] = x[v, i] - before[v, i]
+
+
+def warm_up() -> None:
+    """Compiles the kernels, or reads them where they are stored, so that no frame waits for that."""
+    square, faces = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.1, 0.0], [0.0, 0.1, 0.0]]), [[0, 1, 2], [0, 2, 3]]
+    cloth = ClothMesh.from_rest(square, np.array(faces))
+    charts = Charts(np.zeros((4, 1), np.int32), np.ones((4, 1)))
+    graph = SkinGraph(np.zeros((1, NEIGHBOURS), np.int32), np.ones(1))
+    small = Constants.of(Dressed(cloth, Material(), np.zeros(4), charts, graph, np.zeros(4, np.int32)))
+    fold(small, None, Frame(square, np.zeros((1, 8)), 0.0), Effort(sweeps=1))
