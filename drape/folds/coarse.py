@@ -114,25 +114,30 @@ def coarse_step(x, level, sheet, planes, gradient, matrix, force):
 @kernel
 def _add_contacts(x, level, sheet, planes, matrix):
     """k n n^T of each vertex nearer than the gap, at its patches."""
-    k, patch, weight = sheet.constants, level.charts.patch, level.charts.weight
+    k = sheet.constants
     for v in range(len(x)):
-        start, lane = PLANES * (v // LANES), v % LANES
-        n = row3(planes, start + 3 * LANES, lane)
-        if dot(sub(at(x, v), row3(planes, start, lane)), n) >= k.gap:
-            continue
-        stiffness = sheet.own[4 * LANES * (v // LANES) + 2 * LANES + lane]
-        for a in range(patch.shape[1]):
-            i = patch[v, a]
-            length = 3 * (i - level.first[i] + 1)
-            for b in range(patch.shape[1]):
-                j = patch[v, b]
-                if j > i:
-                    continue
-                w = stiffness * weight[v, a] * weight[v, b]
-                corner = level.row[i] + 3 * (j - level.first[i])
-                for r in range(3):
-                    for c in range(3):
-                        matrix[corner + r * length + c] += w * n[r] * n[c]
+        for side in range(2):
+            start, lane = PLANES * (v // LANES) + 6 * LANES * side, v % LANES
+            n = row3(planes, start + 3 * LANES, lane)
+            if dot(n, n) > k.zero and dot(sub(at(x, v), row3(planes, start, lane)), n) < k.gap:
+                _add_contact(v, n, sheet.own[4 * LANES * (v // LANES) + 2 * LANES + lane], level, matrix)
+
+
+@kernel
+def _add_contact(v, n, stiffness, level, matrix):
+    patch, weight = level.charts.patch, level.charts.weight
+    for a in range(patch.shape[1]):
+        i = patch[v, a]
+        length = 3 * (i - level.first[i] + 1)
+        for b in range(patch.shape[1]):
+            j = patch[v, b]
+            if j > i:
+                continue
+            w = stiffness * weight[v, a] * weight[v, b]
+            corner = level.row[i] + 3 * (j - level.first[i])
+            for r in range(3):
+                for c in range(3):
+                    matrix[corner + r * length + c] += w * n[r] * n[c]
 
 
 @kernel

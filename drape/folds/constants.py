@@ -52,7 +52,9 @@ class Constants:
         """The arrays of ``dressed``, floats of ``dtype``."""
         made = sheet(dressed.cloth, dressed.material, dressed.band_n_per_m, dtype=dtype)
         level = coarse(dressed.cloth, dressed.material, dressed.charts, made)
-        graph = dressed.graph._replace(reach_m2=dressed.graph.reach_m2.astype(dtype))
+        graph = dressed.graph._replace(
+            reach_m2=dressed.graph.reach_m2.astype(dtype), rest=dressed.graph.rest.astype(dtype)
+        )
         return cls(made, level, graph, dressed.index[made.vertex])
 
     @property

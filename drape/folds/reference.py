@@ -7,6 +7,7 @@ import numpy as np
 from drape.cloth.energies import ClothMesh
 from drape.folds.coarse import CLAMP_M, SHARE, galerkin
 from drape.folds.constants import Dressed
+from drape.folds.contact import APART_M, HOLLOW_M, REACH_M, TURNS, SkinGraph, Touched
 from drape.folds.step import FIRST_STEP_S, MOMENTUM, SHORTEST_STEP_S, Effort, Frame, Memory
 from drape.solver import reference
 from drape.solver.problem import Problem, Surroundings, problem, surroundings
@@ -15,24 +16,25 @@ from drape.solver.problem import Problem, Surroundings, problem, surroundings
 def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) -> tuple[np.ndarray, Memory]:
     """Vertices [m] (V, 3) of ``frame`` and its memory, in the order of the vertices; ``memory`` leads here, or is None."""
     network, still = frame.vertices.astype(np.float64), np.zeros(frame.vertices.shape)
-    past = memory or Memory(frame.time_s, network, still, still, dressed.index)
+    nowhere = Touched(dressed.index, np.full_like(dressed.index, -1))
+    past = memory or Memory(frame.time_s, network, still, still, nowhere, 0)
     step_s = max(frame.time_s - past.time_s, SHORTEST_STEP_S) if memory else FIRST_STEP_S
     frames = surface_frames(network, dressed.cloth)
     x = network + _to_world(frames, past.residual)
-    way, index = step_s * _to_world(frames, past.velocity), past.index
+    way, touched = step_s * _to_world(frames, past.velocity), past.touched
     made = problem(dressed.cloth, dressed.material, dtype=np.float64)
     made = made._replace(hinges=made.creases)  # the others bend by the quadratic matrix
     for _ in range(1 if memory else effort.settle):
-        index = nearest(x, frame.skin, dressed.graph.neighbour, index)
-        point, normal = planes(x, frame.skin, dressed, index)
-        around = surroundings(made, point, normal)._replace(band=network, band_n_per_m=dressed.band_n_per_m)
+        touched = touch(x, frame.skin, dressed.graph, touched, past.turn if memory else -1)
+        around = touching(made, dressed, x, frame.skin, touched)
+        around = around._replace(band=network, band_n_per_m=dressed.band_n_per_m)
         x = x + coarse_step(dressed, made, around, x)
         for _ in range(effort.sweeps):
             before = x
             x = sweep(x + MOMENTUM * _limited(way, made.constants.reach), made, around)
             way = x - before
     residual, velocity = _to_local(frames, x - network), _to_local(frames, way) / step_s
-    return x, Memory(frame.time_s, network, residual, velocity, index)
+    return x, Memory(frame.time_s, network, residual, velocity, touched, (past.turn + 1) % TURNS)
 
 
 def surface_frames(surface: np.ndarray, cloth: ClothMesh) -> np.ndarray:
@@ -49,17 +51,42 @@ def surface_frames(surface: np.ndarray, cloth: ClothMesh) -> np.ndarray:
     return np.stack([normal, edge, np.cross(normal, edge)], axis=1)
 
 
-def nearest(x: np.ndarray, skin: np.ndarray, neighbour: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Where walks from ``index`` (V,) over ``neighbour`` (S, 8) end, each to the nearest of sample and neighbours."""
-    found = index.copy()
+def touch(x: np.ndarray, skin: np.ndarray, graph: SkinGraph, touched: Touched, turn: int) -> Touched:
+    """The samples that ``x`` [m] (V, 3) is at, by walks from those of the frame before and searches for other parts."""
+    own, other = touched.own.copy(), touched.other.copy()
     for v, point in enumerate(x):
-        while True:
-            around = np.append(found[v], neighbour[found[v]])
-            best = around[np.linalg.norm(skin[around, :3] - point, axis=1).argmin()]
-            if best == found[v]:
-                break
-            found[v] = best
-    return found
+        own[v] = _walked(point, skin, graph, own[v])
+        apart = np.linalg.norm(graph.rest - graph.rest[own[v]], axis=1)
+        hollow = (apart > HOLLOW_M) & ((skin[:, :3] - skin[own[v], :3]) @ skin[own[v], 4:7] > 0.0)
+        distance = np.linalg.norm(skin[:, :3] - point, axis=1)
+        allowed = (distance < REACH_M) & (hollow | (apart > APART_M))
+        if turn < 0 or v % TURNS == turn:
+            other[v] = np.where(allowed, distance, np.inf).argmin() if allowed.any() else -1
+        elif other[v] >= 0:
+            end = _walked(point, skin, graph, other[v])
+            other[v] = end if allowed[end] else -1
+    return Touched(own, other)
+
+
+def _walked(point: np.ndarray, skin: np.ndarray, graph: SkinGraph, start: int) -> int:
+    """Where a walk from ``start`` ends, each step to the nearest of sample and neighbours."""
+    while True:
+        around = np.append(start, graph.neighbour[start])
+        best = int(around[np.linalg.norm(skin[around, :3] - point, axis=1).argmin()])
+        if best == start:
+            return best
+        start = best
+
+
+def touching(made: Problem, dressed: Dressed, x: np.ndarray, skin: np.ndarray, touched: Touched) -> Surroundings:
+    """The planes of the own part of the body, and as fences those of other parts."""
+    away = (touched.other >= 0)[:, None]
+    fence, fence_normal = planes(x, skin, dressed, np.maximum(touched.other, 0))
+    return surroundings(made, *planes(x, skin, dressed, touched.own))._replace(
+        fence=np.where(away, fence + made.constants.gap * fence_normal, 0.0),  # a fence has no gap
+        fence_normal=np.where(away, fence_normal, 0.0),
+        fence_n_per_m=np.where(away[:, 0], made.contact_n_per_m, 0.0),
+    )
 
 
 def planes(
@@ -70,7 +97,7 @@ def planes(
     for v, (point, own) in enumerate(zip(x, index, strict=True)):
         around = np.append(own, np.setdiff1d(dressed.graph.neighbour[own], own))
         square = ((skin[around, :3] - point) ** 2).sum(axis=1)
-        weight = np.maximum(1.0 - (square - square[0]) / dressed.graph.reach_m2[own], 0.0) ** 2
+        weight = np.clip(1.0 - (square - square[0]) / dressed.graph.reach_m2[own], 0.0, 1.0) ** 2
         weight /= weight.sum()
         blended = weight @ skin[around, 4:7]
         normal = blended / np.linalg.norm(blended)
@@ -85,10 +112,13 @@ def coarse_step(dressed: Dressed, made: Problem, around: Surroundings, x: np.nda
     small, _ = galerkin(dressed.cloth, dressed.material, dressed.charts)
     basis = np.zeros((len(x), len(small)))
     np.add.at(basis, (np.arange(len(x))[:, None], dressed.charts.patch), dressed.charts.weight)
-    depth = made.constants.gap - ((x - around.point) * around.normal).sum(axis=1)
-    stiffness = np.where(depth > 0.0, made.contact_n_per_m, 0.0)
-    contacts = np.einsum("v,vk,vl,vi,vj->kilj", stiffness, basis, basis, around.normal, around.normal)
-    matrix = np.einsum("kl,ij->kilj", small, np.eye(3)) + contacts
+    matrix = np.einsum("kl,ij->kilj", small, np.eye(3))
+    for point, n, gap in (
+        (around.point, around.normal, made.constants.gap),
+        (around.fence, around.fence_normal, 0.0),
+    ):
+        closed = ((x - point) * n).sum(axis=1) < gap
+        matrix += np.einsum("v,vk,vl,vi,vj->kilj", closed * made.contact_n_per_m, basis, basis, n, n)
     force = basis.T @ _gradient(x, made, around)
     size = force.size
     step = -SHARE * np.linalg.solve(matrix.reshape(size, size), force.reshape(-1)).reshape(force.shape)

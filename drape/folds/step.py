@@ -20,7 +20,7 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.folds.coarse import Coarse, coarse_step
 from drape.folds.constants import Constants, Dressed
-from drape.folds.contact import NEIGHBOURS, SkinGraph, touch
+from drape.folds.contact import NEIGHBOURS, TURNS, SkinGraph, Touched, touch
 from drape.folds.frames import in_frame, in_world, surface_frames
 from drape.folds.sheet import LANES, Sheet
 from drape.folds.sweeps import PLANES, SCRATCH, descend, gradient_at
@@ -49,14 +49,15 @@ class Frame:
 @dataclass(frozen=True, eq=False)
 class Memory:
     """What is kept of a frame, in the order of the constants' places: where the ``network`` had its vertices [m] (P, 3),
-    in its surface's frames the ``residual`` [m] and ``velocity`` [m/s] (P, 3) of the folds, and the nearest skin sample
-    ``index`` (P,)."""
+    in its surface's frames the ``residual`` [m] and ``velocity`` [m/s] (P, 3) of the folds, and the samples ``touched``.
+    ``turn``: whose turn it is to look for other parts of the body."""
 
     time_s: float
     network: np.ndarray
     residual: np.ndarray
     velocity: np.ndarray
-    index: np.ndarray
+    touched: Touched
+    turn: int
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,7 @@ def _leads_to(memory: Memory, network: np.ndarray, time_s: float) -> bool:
 
 def _without_past(constants: Constants, network: np.ndarray, time_s: float) -> Memory:
     still = np.zeros_like(network)
-    return Memory(time_s, network, still, still, constants.index)
+    return Memory(time_s, network, still, still, Touched(constants.index, np.full_like(constants.index, -1)), 0)
 
 
 def _advanced(
@@ -118,12 +119,11 @@ def _advanced(
     settled = past.network is network
     step_s = FIRST_STEP_S if settled else max(time_s - past.time_s, SHORTEST_STEP_S)
     rounds = effort.settle if settled else 1
-    numbers = Numbers(dtype(step_s), dtype(MOMENTUM), max(rounds, 1), effort.sweeps)
+    numbers = Numbers(dtype(step_s), dtype(MOMENTUM), rounds, effort.sweeps, -1 if settled else past.turn)
     cloth = Cloth(constants.sheet, constants.level, constants.graph)
-    x, residual, velocity, index, far = advance(
-        network, (past.residual, past.velocity, past.index), skin, cloth, numbers
-    )
-    after = Memory(time_s, network, residual, velocity, index)
+    touched = Touched(past.touched.own.copy(), past.touched.other.copy())
+    x, residual, velocity, far = advance(network, past.residual, past.velocity, touched, skin, cloth, numbers)
+    after = Memory(time_s, network, residual, velocity, touched, (past.turn + 1) % TURNS)
     return (x[constants.sheet.place] if far <= FAR_M else None), after
 
 
@@ -136,19 +136,23 @@ class Cloth(NamedTuple):
 
 
 class Numbers(NamedTuple):
-    """``step_s`` since the frame before [s]; ``rounds`` of a coarse step and ``sweeps``."""
+    """``step_s`` since the frame before [s]; ``rounds`` of a coarse step and ``sweeps``; the ``turn`` of ``touch``."""
 
     step_s: np.floating
     momentum: np.floating
     rounds: int
     sweeps: int
+    turn: int
 
 
 @kernel
-def advance(network, past, skin, cloth, numbers):
-    """``x`` [m] (P, 3), the new ``past``, and how far [m] the farthest vertex is from the network; NaN where one is."""
+def advance(network, residual, velocity, touched, skin, cloth, numbers):
+    """``x`` [m] (P, 3), the new residual and velocity, and how far [m] x is from the network; NaN where one is.
+
+    ``touched`` is moved on in place.
+    """
     sheet, k = cloth.sheet, cloth.sheet.constants
-    residual, velocity, index = past[0].copy(), past[1].copy(), past[2].copy()
+    residual, velocity = residual.copy(), velocity.copy()
     frames = np.empty((len(network), 3, 3), network.dtype)
     surface_frames(network, sheet, frames)
     x, way = np.empty_like(network), np.empty_like(network)
@@ -157,7 +161,7 @@ def advance(network, past, skin, cloth, numbers):
         u = in_world(frames, v, scaled(numbers.step_s, at(velocity, v)))
         for i in range(3):
             x[v, i], way[v, i] = network[v, i] + r[i], u[i]
-    _descend_rounds(x, way, network, index, skin, cloth, numbers)
+    _descend_rounds(x, way, network, touched, skin, cloth, numbers)
     far = k.zero
     for v in range(len(network)):
         off = sub(at(x, v), at(network, v))
@@ -167,18 +171,18 @@ def advance(network, past, skin, cloth, numbers):
         r, u = in_frame(frames, v, off), in_frame(frames, v, scaled(k.one / numbers.step_s, at(way, v)))
         for i in range(3):
             residual[v, i], velocity[v, i] = r[i], u[i]
-    return x, residual, velocity, index, np.sqrt(far)
+    return x, residual, velocity, np.sqrt(far)
 
 
 @kernel
-def _descend_rounds(x, way, network, index, skin, cloth, numbers):
+def _descend_rounds(x, way, network, touched, skin, cloth, numbers):
     """The rounds of ``numbers`` on ``x``, in place, with the ``way`` of the last sweep."""
     sheet, k = cloth.sheet, cloth.sheet.constants
     planes, gradient = np.empty(PLANES // LANES * len(x), x.dtype), np.empty_like(x)
     matrix, force = np.empty_like(cloth.level.matrix), np.empty((len(cloth.level.first), 3), x.dtype)
     before, scratch = np.empty_like(x), np.empty(SCRATCH, x.dtype)
     for _ in range(numbers.rounds):
-        touch(x, skin, cloth.graph, k, index, planes)
+        touch(x, skin, cloth.graph, sheet, touched, numbers.turn, planes)
         gradient_at(x, sheet, planes, network, scratch, gradient)
         coarse_step(x, cloth.level, sheet, planes, gradient, matrix, force)
         for _ in range(numbers.sweeps):
@@ -199,6 +203,6 @@ def warm_up() -> None:
     square, faces = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.1, 0.0], [0.0, 0.1, 0.0]]), [[0, 1, 2], [0, 2, 3]]
     cloth = ClothMesh.from_rest(square, np.array(faces))
     charts = Charts(np.zeros((4, 1), np.int32), np.ones((4, 1)))
-    graph = SkinGraph(np.zeros((1, NEIGHBOURS), np.int32), np.ones(1))
+    graph = SkinGraph(np.zeros((1, NEIGHBOURS), np.int32), np.ones(1), np.zeros((1, 3)))
     small = Constants.of(Dressed(cloth, Material(), np.zeros(4), charts, graph, np.zeros(4, np.int32)))
     fold(small, None, Frame(square, np.zeros((1, 8)), 0.0), Effort(sweeps=1))

@@ -10,12 +10,12 @@ import numpy as np
 
 from drape.folds.sheet import LANES
 from drape.solver.compiled import kernel, part
-from drape.solver.elements import angle_gradient, at, dot, fold, fold_gradient, mix, outer, scaled, shifted, solved, sub
+from drape.solver.elements import add, angle_gradient, at, dot, fold, fold_gradient, mix, outer, scaled, shifted, solved, sub
 
 # Rows of the scratch: the vertex, its gradient, its Hessian, two other corners.
 OWN, GRADIENT, HESSIAN, OTHERS = 0, 3 * LANES, 6 * LANES, 12 * LANES
 SCRATCH = 18 * LANES
-PLANES = 6 * LANES  # per block: point and normal
+PLANES = 12 * LANES  # per block: point and normal, of the own part of the body and of another one
 
 
 @kernel
@@ -45,8 +45,8 @@ def _put6(s, start, lane, h):
 def descend(x, sheet, planes, band, scratch):
     """One sweep over ``x`` [m] (P, 3), in place: every vertex to the minimum of its own quadratic model.
 
-    ``planes`` flat, six rows a block: point [m] and normal of the body's tangent plane at each place; ``band`` [m]
-    (P, 3): where a waistband holds.
+    ``planes`` flat, twelve rows a block: points [m] and normals of two tangent planes of the body at each place;
+    ``band`` [m] (P, 3): where a waistband holds.
     """
     k = sheet.constants
     for block in range(len(sheet.fan_start) - 1):
@@ -92,19 +92,22 @@ def _outside(block, sheet, planes, band, scratch):
     k, own = sheet.constants, sheet.own
     for lane in range(LANES):
         x = row3(scratch, OWN, lane)
-        normal = row3(planes, PLANES * block + 3 * LANES, lane)
-        depth = k.gap - dot(sub(x, row3(planes, PLANES * block, lane)), normal)
         place = 4 * LANES * block + lane
+        normal, other = row3(planes, PLANES * block + 3 * LANES, lane), row3(planes, PLANES * block + 9 * LANES, lane)
+        depth = k.gap - dot(sub(x, row3(planes, PLANES * block, lane)), normal)
         stiffness = own[place + 2 * LANES] if depth > k.zero else k.zero
+        deep = k.gap - dot(sub(x, row3(planes, PLANES * block + 6 * LANES, lane)), other)
+        stiff = own[place + 2 * LANES] if deep > k.zero else k.zero
         way = sub(x, at(band, LANES * block + lane))
         length = np.sqrt(max(dot(way, way), k.slack * k.slack))
         pull = own[place + 3 * LANES] * (k.one - k.slack / length)  # stiffness times the way past the slack, per way
         lost = own[place + 3 * LANES] * k.slack / length**3 if length > k.slack else k.zero
-        force = mix(-stiffness * depth, normal, pull, way)
+        force = add(mix(-stiffness * depth, normal, -stiff * deep, other), scaled(pull, way))
         _put3(scratch, GRADIENT, lane, (force[0], force[1] + own[place], force[2]))
         still = k.least + own[place + LANES] + pull
         hessian = (still, k.zero, k.zero, still, k.zero, still)
-        _put6(scratch, HESSIAN, lane, outer(outer(hessian, stiffness, normal), lost, way))
+        hessian = outer(outer(hessian, stiffness, normal), stiff, other)
+        _put6(scratch, HESSIAN, lane, outer(hessian, lost, way))
 
 
 @part

@@ -25,7 +25,8 @@ def pressed(depth_m: float, *, dtype: type[np.floating] = np.float64, level=None
     x = rest[sheet.vertex].astype(dtype)
     up = np.tile(np.array([0.0, 0.0, 1.0], dtype), (len(x), 1))
     point = x + dtype(depth_m - 0.004) * up  # contact begins at a gap of 4 mm
-    rows = np.concatenate([point.reshape(-1, LANES, 3), up.reshape(-1, LANES, 3)], axis=2).transpose(0, 2, 1)
+    blocks = [rows.reshape(-1, LANES, 3) for rows in (point, up, 0.0 * up, 0.0 * up)]  # no other part is near
+    rows = np.concatenate(blocks, axis=2).transpose(0, 2, 1)
     planes, gradient = np.ascontiguousarray(rows).reshape(-1), np.empty_like(x)
     gradient_at(x, sheet, planes, x.copy(), np.empty(SCRATCH, dtype), gradient)
     before = x.copy()

@@ -10,8 +10,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.folds import reference
 from drape.folds.constants import Constants
+from drape.folds.contact import Touched
 from drape.folds.step import CUT_M, FAR_M, PAUSE_S, Effort, Frame, Memory, Report, fold
-from drape.solver.problem import problem, surroundings
+from drape.solver.problem import problem
 from drape.solver.reference import energy_and_gradient
 from tests.drape.folds.folds_setup import frame, sleeve, turn_about_y
 
@@ -33,15 +34,17 @@ def test_the_compiled_step_equals_the_readable_one(material, creased):
     rest, dressed = sleeve(material, creased=creased)
     constants = Constants.of(dressed, dtype=np.float64)
     memory, wanted_memory = None, None
-    for one in (frame(rest, number) for number in range(3)):
+    for one in (frame(rest, number) for number in range(6)):
         x, memory, _ = fold(constants, memory, one, EFFORT)
         wanted, wanted_memory = reference.fold(dressed, wanted_memory, one, EFFORT)
         assert_allclose(x, wanted, rtol=0.0, atol=1e-10)
         place = constants.sheet.place
-        assert_array_equal(memory.index[place], wanted_memory.index)
+        for found, other in zip(memory.touched, wanted_memory.touched, strict=True):
+            assert_array_equal(found[place], other)
         assert_allclose(memory.residual[place], wanted_memory.residual, rtol=0.0, atol=1e-10)
         assert_allclose(memory.velocity[place], wanted_memory.velocity, rtol=0.0, atol=1e-8)
     assert np.abs(memory.residual).max() > 1e-3, "the frames are not at rest"
+    assert (memory.touched.other >= 0).any(), "and the sleeve is at the wall"
 
 
 def test_float32_follows_float64():
@@ -50,7 +53,7 @@ def test_float32_follows_float64():
     single, double = (folded(Constants.of(dressed, dtype=dtype), frames) for dtype in (np.float32, np.float64))
     for (x, memory, _), (wanted, _, _) in zip(single, double, strict=True):
         assert x.dtype == memory.residual.dtype == memory.velocity.dtype == np.float32
-        assert memory.index.dtype == np.int32
+        assert memory.touched.own.dtype == memory.touched.other.dtype == np.int32
         assert_allclose(x, wanted, rtol=0.0, atol=1e-4)  # metres; the sleeve is 120 mm long
 
 
@@ -58,11 +61,12 @@ def test_the_same_input_gives_the_same_bits_and_a_memory_is_not_touched():
     rest, dressed = sleeve()
     constants = Constants.of(dressed)
     _, memory, _ = fold(constants, None, frame(rest, 0), EFFORT)
-    kept = [array.copy() for array in (memory.network, memory.residual, memory.velocity, memory.index)]
+    arrays = (memory.network, memory.residual, memory.velocity, *memory.touched)
+    kept = [array.copy() for array in arrays]
     first, second = (fold(constants, memory, frame(rest, 1), EFFORT) for _ in range(2))
     assert_array_equal(first[0], second[0])
     assert_array_equal(first[1].residual, second[1].residual)
-    for before, array in zip(kept, (memory.network, memory.residual, memory.velocity, memory.index), strict=True):
+    for before, array in zip(kept, arrays, strict=True):
         assert_array_equal(before, array)
 
 
@@ -80,10 +84,11 @@ def test_folds_lower_the_energy_and_more_of_them_lower_it_further():
     rest, dressed = sleeve(creased=False)
     constants, made = Constants.of(dressed, dtype=np.float64), problem(dressed.cloth, dressed.material, dtype=np.float64)
     one = frame(rest, 0)
+    nowhere = Touched(dressed.index, np.full_like(dressed.index, -1))
+    touched = reference.touch(one.vertices, one.skin, dressed.graph, nowhere, -1)
 
     def energy(x: np.ndarray) -> float:
-        point, normal = reference.planes(x, one.skin, dressed, dressed.index)
-        around = surroundings(made, point, normal)._replace(band=one.vertices, band_n_per_m=dressed.band_n_per_m)
+        around = reference.touching(made, dressed, x, one.skin, touched)._replace(band=one.vertices, band_n_per_m=dressed.band_n_per_m)
         return energy_and_gradient(x, made, around)[0]
 
     before = energy(one.vertices)
