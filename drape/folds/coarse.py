@@ -1,9 +1,9 @@
 """A coarse step: patches move as wholes, so that what is far away settles within a frame.
 
 The basis are the charts; the matrix is the cloth's Laplacian at rest with its greater stiffness, on the basis once
-(Galerkin), and per frame k n n^T of the contacts that are closed now. Three unknowns per patch. Patches are numbered so that
-neighbours are near each other (reverse Cuthill-McKee), and the Cholesky factor is kept within the rows' envelopes
-(George and Liu 1981, "Computer Solution of Large Sparse Positive Definite Systems"), a tenth of the work of a dense one.
+(Galerkin), and per frame k n n^T of the contacts that are closed now. Three unknowns per patch. Patches are numbered so
+that neighbours are near each other (reverse Cuthill-McKee), and the Cholesky factor is kept within the rows' envelopes
+(George and Liu 1981, "Computer Solution of Large Sparse Positive Definite Systems"): a tenth of a dense one's work.
 """
 
 from __future__ import annotations
@@ -88,8 +88,8 @@ def galerkin(cloth: ClothMesh, material: Material, charts: Charts) -> tuple[np.n
 
 
 @kernel
-def coarse_step(x, level, sheet, planes, gradient, matrix, force):
-    """Moves ``x`` [m] (P, 3) in place by what the patches answer to ``gradient`` [N] (P, 3) there.
+def coarse_step(x, level, sheet, planes, gradient, share, matrix, force):
+    """Moves ``x`` [m] (P, 3) in place by a ``share`` of what the patches answer to ``gradient`` [N] (P, 3) there.
 
     ``matrix`` as long as the level's and ``force`` (K, 3) are written over. Nothing moves where there is no factor.
     """
@@ -102,7 +102,7 @@ def coarse_step(x, level, sheet, planes, gradient, matrix, force):
     most = k.zero
     for i in range(len(force)):
         for axis in range(3):
-            force[i, axis] *= -SHARE
+            force[i, axis] *= -share
             most = max(most, abs(force[i, axis]))
     if not most < np.inf:
         return

@@ -26,8 +26,8 @@ from drape.solver.linear import Charts
 class Dressed:
     """A ``cloth`` of ``material`` on a body, in the order of its vertices: what constants are made of.
 
-    ``band_n_per_m`` (V,): how stiff a waistband is there. ``charts`` of the vertices; ``graph`` of the body's skin samples,
-    and the nearest one ``index`` (V,) at rest.
+    ``band_n_per_m`` (V,): how stiff a waistband is there. ``charts`` of the vertices; ``graph`` of the body's skin
+    samples, and the nearest one ``index`` (V,) at rest.
     """
 
     cloth: ClothMesh
@@ -40,7 +40,7 @@ class Dressed:
 
 @dataclass(frozen=True, eq=False)
 class Constants:
-    """What the kernels read: tables, coarse level and skin, and the nearest sample ``index`` (P,) of each place at rest."""
+    """What the kernels read: tables, coarse level, skin, and the sample ``index`` (P,) nearest to each place at rest."""
 
     sheet: Sheet
     level: Coarse
@@ -64,7 +64,7 @@ class Constants:
 
 
 def constants(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> Constants:
-    """The constants of ``garment`` made of ``fabric``, its own where there is none, on ``body``; a third of a second."""
+    """The constants of ``garment`` on ``body``, made of ``fabric``, its own where there is none; a third of a second."""
     return Constants.of(dressed(garment, body, fabric))
 
 

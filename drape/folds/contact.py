@@ -1,17 +1,17 @@
-"""Contact with the posed skin: for each vertex the nearest sample, walked to from the frame before, and of other parts of
-the body the nearest one within reach; at both a plane blended from the sample and its neighbours.
+"""Contact with the posed skin: for each vertex the nearest sample, walked to from the frame before, and the nearest one
+of other parts of the body within reach; at both a plane blended from the sample and its neighbours.
 
 A frame moves a vertex by less than a few samples, so a walk over their graph, always to the nearest neighbour, ends at
 the nearest one of the part that the vertex was at: a sleeve stays with its arm where that touches the trunk. A vertex
-without a past starts at the sample that is nearest at rest. What else comes near (the trunk to that sleeve, a thigh to a
-belly) is looked up in a grid over the samples, for a quarter of the vertices each frame, and walked to in between. It
-counts where it is another part, far away at rest, or where the skin
-is hollow in between: the sample then lies above the tangent plane of the vertex's own one, as it never does on a limb.
+without a past starts at the sample that is nearest at rest. What else comes near (the trunk to that sleeve, a thigh to
+a belly) is looked up in a grid over the samples, for a quarter of the vertices each frame, and walked to in between. It
+counts where it is another part, far away at rest, or where the skin is hollow in between: the sample then lies above the
+tangent plane of the vertex's own one, as it never does on a limb.
 
-One tangent plane for all that lies nearest to a sample would give a limb facets. The planes of sample and neighbours are
-therefore blended with weights that end at the spacing. Over a sphere a point is off the tangent plane of a sample by what
-the surface falls away meanwhile, but a chord stands at right angles to the mean of the normals at its ends: distances
-are measured along the mean of the sample's normal and the blended one, and have no ripple then.
+One tangent plane for all that lies nearest to a sample would give a limb facets. The planes of sample and neighbours
+are therefore blended with weights that end at the spacing. Over a sphere a point is off the tangent plane of a sample by
+what the surface falls away meanwhile, but a chord stands at right angles to the mean of the normals at its ends:
+distances are measured along the mean of the sample's normal and the blended one, and have no ripple then.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from drape.solver.elements import at, dot, mix, scaled, sub
 NEIGHBOURS = 8
 CANDIDATES = 24  # of which those that face another way are left out
 REACH_M = 0.03  # of what comes near: deeper than that a vertex is not in another part
+PER_CELL = 1.0 / (2.0 * REACH_M)
 TURNS = 4  # frames until every vertex has looked for other parts
 HOLLOW_M, APART_M = 0.05, 0.12  # distance at rest from which skin may be hollow in between, and is another part
 
@@ -59,7 +60,7 @@ def nearest_at_rest(vertices: np.ndarray, skin: Samples) -> np.ndarray:
 
 
 class Touched(NamedTuple):
-    """At which sample each place is, ``own`` (P,), and at which of another part of the body, ``other`` (P,), -1 at none."""
+    """The sample that each place is at, ``own`` (P,), and one of another part of the body, ``other`` (P,), -1 if none."""
 
     own: np.ndarray
     other: np.ndarray
@@ -69,8 +70,8 @@ class Touched(NamedTuple):
 def touch(x, skin, graph, sheet, touched, turn, planes):
     """Moves ``touched`` on to the samples nearest to ``x`` [m] (P, 3), and writes the ``planes``.
 
-    ``skin`` (S, 8): rows of ``drape.push.samples.sample_table``. Other parts are looked up for the vertices whose number
-    is ``turn`` modulo ``TURNS``, for all where it is negative. ``planes`` flat, twelve rows a block: the foot of x and
+    ``skin`` (S, 8): rows of ``drape.push.samples.sample_table``. Other parts are looked up for vertices whose number is
+    ``turn`` modulo ``TURNS``, for all where it is negative. ``planes`` flat, twelve rows a block: the foot of x and
     the normal of the own part, and of the other one, with a normal of zero where none is near.
     """
     k = sheet.constants
@@ -138,14 +139,14 @@ def _cells(skin):
         for s in range(len(skin)):
             low[axis], high = min(low[axis], skin[s, axis]), max(high, skin[s, axis])
         extent = high - low[axis]
-        size[axis] = int(extent / (2.0 * REACH_M)) + 1 if extent < 10.0 else 0
+        size[axis] = int(extent * PER_CELL) + 1 if extent < 10.0 else 0
     start, member = np.zeros(size[0] * size[1] * size[2] + 1, np.int32), np.empty(len(skin), np.int32)
     if len(start) > 1:
         cell = np.empty(len(skin), np.int32)
         for s in range(len(skin)):
             c = 0
             for axis in range(3):
-                c = c * size[axis] + int((skin[s, axis] - low[axis]) / (2.0 * REACH_M))
+                c = c * size[axis] + int((skin[s, axis] - low[axis]) * PER_CELL)
             cell[s] = c
             start[c + 1] += 1
         for c in range(len(start) - 1):
@@ -162,9 +163,9 @@ def _other(point, skin, graph, own, start, member, low, size):
     """The sample nearest to ``point`` [m] that is of another part than ``own``, -1 where none is within reach."""
     found, nearest = np.int32(-1), REACH_M * REACH_M
     # The nearest of eight cells, a reach away at most, lie in this and the next one along every axis.
-    x = int(np.floor((point[0] - low[0]) / (2.0 * REACH_M) - 0.5))
-    y = int(np.floor((point[1] - low[1]) / (2.0 * REACH_M) - 0.5))
-    z = int(np.floor((point[2] - low[2]) / (2.0 * REACH_M) - 0.5))
+    x = int(np.floor((point[0] - low[0]) * PER_CELL - 0.5))
+    y = int(np.floor((point[1] - low[1]) * PER_CELL - 0.5))
+    z = int(np.floor((point[2] - low[2]) * PER_CELL - 0.5))
     for i in range(max(x, 0), min(x + 2, size[0])):
         for j in range(max(y, 0), min(y + 2, size[1])):
             row = (i * size[1] + j) * size[2]

@@ -1,4 +1,4 @@
-"""``drape.folds.step.fold`` once more, in NumPy float64 and in the order of the vertices, to be read and compared with."""
+"""``drape.folds.step.fold`` once more, in NumPy float64 and the order of the vertices, to be read and compared with."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from drape.cloth.energies import ClothMesh
 from drape.folds.coarse import CLAMP_M, SHARE, galerkin
 from drape.folds.constants import Dressed
 from drape.folds.contact import APART_M, HOLLOW_M, REACH_M, TURNS, SkinGraph, Touched
-from drape.folds.step import FIRST_STEP_S, MOMENTUM, SHORTEST_STEP_S, Effort, Frame, Memory
+from drape.folds.step import FAST_SWEEPS, FIRST_STEP_S, MOMENTUM, SHORTEST_STEP_S, Effort, Frame, Memory, calmness
 from drape.solver import reference
 from drape.solver.problem import Problem, Surroundings, problem, surroundings
 
 
 def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) -> tuple[np.ndarray, Memory]:
-    """Vertices [m] (V, 3) of ``frame`` and its memory, in the order of the vertices; ``memory`` leads here, or is None."""
+    """Vertices [m] (V, 3) of ``frame`` and its memory, in their order; ``memory`` is one that leads here, or None."""
     network, still = frame.vertices.astype(np.float64), np.zeros(frame.vertices.shape)
     nowhere = Touched(dressed.index, np.full_like(dressed.index, -1))
     past = memory or Memory(frame.time_s, network, still, still, nowhere, 0)
@@ -22,14 +22,15 @@ def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) 
     frames = surface_frames(network, dressed.cloth)
     x = network + _to_world(frames, past.residual)
     way, touched = step_s * _to_world(frames, past.velocity), past.touched
+    calm = calmness(past.network, network)
     made = problem(dressed.cloth, dressed.material, dtype=np.float64)
     made = made._replace(hinges=made.creases)  # the others bend by the quadratic matrix
     for _ in range(1 if memory else effort.settle):
         touched = touch(x, frame.skin, dressed.graph, touched, past.turn if memory else -1)
         around = touching(made, dressed, x, frame.skin, touched)
         around = around._replace(band=network, band_n_per_m=dressed.band_n_per_m)
-        x = x + coarse_step(dressed, made, around, x)
-        for _ in range(effort.sweeps):
+        x = x + coarse_step(dressed, made, around, x, calm * SHARE)
+        for _ in range(effort.sweeps + (FAST_SWEEPS if calm == 0.0 else 0)):
             before = x
             x = sweep(x + MOMENTUM * _limited(way, made.constants.reach), made, around)
             way = x - before
@@ -38,7 +39,7 @@ def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) 
 
 
 def surface_frames(surface: np.ndarray, cloth: ClothMesh) -> np.ndarray:
-    """Frames (V, 3, 3) of ``surface`` [m] (V, 3): rows are the normal, an edge laid into the plane, and their product."""
+    """Frames (V, 3, 3) of ``surface`` [m] (V, 3), rows: the normal, an edge laid into the plane, and their product."""
     faces = cloth.faces
     across = np.cross(surface[faces[:, 1]] - surface[faces[:, 0]], surface[faces[:, 2]] - surface[faces[:, 0]])
     normal = np.zeros_like(surface)
@@ -89,10 +90,8 @@ def touching(made: Problem, dressed: Dressed, x: np.ndarray, skin: np.ndarray, t
     )
 
 
-def planes(
-    x: np.ndarray, skin: np.ndarray, dressed: Dressed, index: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Points [m] and unit normals (V, 3) of the planes at the samples ``index`` (V,), blended with their neighbours'."""
+def planes(x: np.ndarray, skin: np.ndarray, dressed: Dressed, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points [m] and unit normals (V, 3) of the planes at the samples ``index`` (V,), blended with the neighbours'."""
     points, normals = np.empty_like(x), np.empty_like(x)
     for v, (point, own) in enumerate(zip(x, index, strict=True)):
         around = np.append(own, np.setdiff1d(dressed.graph.neighbour[own], own))
@@ -107,8 +106,8 @@ def planes(
     return points, normals
 
 
-def coarse_step(dressed: Dressed, made: Problem, around: Surroundings, x: np.ndarray) -> np.ndarray:
-    """The way [m] (V, 3) that the patches take at ``x``, by a dense matrix."""
+def coarse_step(dressed: Dressed, made: Problem, around: Surroundings, x: np.ndarray, share: float) -> np.ndarray:
+    """The way [m] (V, 3) that the patches take at ``x``, a ``share`` of their answer, by a dense matrix."""
     small, _ = galerkin(dressed.cloth, dressed.material, dressed.charts)
     basis = np.zeros((len(x), len(small)))
     np.add.at(basis, (np.arange(len(x))[:, None], dressed.charts.patch), dressed.charts.weight)
@@ -121,8 +120,8 @@ def coarse_step(dressed: Dressed, made: Problem, around: Surroundings, x: np.nda
         matrix += np.einsum("v,vk,vl,vi,vj->kilj", closed * made.contact_n_per_m, basis, basis, n, n)
     force = basis.T @ _gradient(x, made, around)
     size = force.size
-    step = -SHARE * np.linalg.solve(matrix.reshape(size, size), force.reshape(-1)).reshape(force.shape)
-    return basis @ (step * min(1.0, CLAMP_M / np.abs(step).max()))
+    step = -share * np.linalg.solve(matrix.reshape(size, size), force.reshape(-1)).reshape(force.shape)
+    return basis @ (step * min(1.0, CLAMP_M / max(np.abs(step).max(), 1e-300)))
 
 
 def sweep(x: np.ndarray, made: Problem, around: Surroundings) -> np.ndarray:

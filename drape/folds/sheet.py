@@ -59,7 +59,9 @@ def sheet(
     place = np.empty(cloth.vertex_count, np.int32)
     place[blocks[real]] = np.flatnonzero(real.reshape(-1))
     fan_start, fan_row, fan_real = _rows(made.triangles.start, blocks)
-    other = np.where(fan_real[:, None], place[made.triangles.other[fan_row]].transpose(0, 2, 1), _own_places(fan_start)[:, None])
+    other = np.where(
+        fan_real[:, None], place[made.triangles.other[fan_row]].transpose(0, 2, 1), _own_places(fan_start)[:, None]
+    )
     slope = np.where(fan_real[:, None], made.triangles.slope[fan_row].transpose(0, 2, 1), 0.0)
     bend = made.quadratic
     bend_start, bend_row, bend_real = _rows(bend.start, blocks)

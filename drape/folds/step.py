@@ -1,6 +1,6 @@
 """One frame of folds: the network's drape and what is remembered of the frame before in, cloth and a memory out.
 
-The start is the network's surface X with the residual of the frame before, carried in the local frames R of the surface:
+The start is the network's surface X with the residual of the frame before, carried in local frames R of the surface:
 
     x = X + R^T r,   v = R^T u dt
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
-from drape.folds.coarse import Coarse, coarse_step
+from drape.folds.coarse import SHARE, Coarse, coarse_step
 from drape.folds.constants import Constants, Dressed
 from drape.folds.contact import NEIGHBOURS, TURNS, SkinGraph, Touched, touch
 from drape.folds.frames import in_frame, in_world, surface_frames
@@ -31,6 +31,8 @@ from drape.solver.linear import Charts
 MOMENTUM = 0.9  # of the last sweep's way before a sweep
 FAR_M = 0.25  # from the network's drape: farther is no fold
 CUT_M = 0.30  # a vertex that the network moves farther between two frames is in another clip
+SLOW_M, FAST_M = 0.01, 0.02  # RMS way of the network's vertices a frame, between which the coarse step fades out
+FAST_SWEEPS = 2  # more, in the time of a coarse step that there is not
 PAUSE_S = 0.25  # after a longer one a frame has no past
 SHORTEST_STEP_S = 1.0 / 240.0  # frames that come closer together count as this far apart
 FIRST_STEP_S = 1.0 / 30.0  # of a frame without a past
@@ -48,9 +50,11 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """What is kept of a frame, in the order of the constants' places: where the ``network`` had its vertices [m] (P, 3),
-    in its surface's frames the ``residual`` [m] and ``velocity`` [m/s] (P, 3) of the folds, and the samples ``touched``.
-    ``turn``: whose turn it is to look for other parts of the body."""
+    """What is kept of a frame, in the order of the constants' places.
+
+    Where the ``network`` had its vertices [m] (P, 3); in its surface's frames the ``residual`` [m] and ``velocity``
+    [m/s] (P, 3) of the folds; the samples ``touched``. ``turn``: whose turn it is to look for other parts of the body.
+    """
 
     time_s: float
     network: np.ndarray
@@ -71,7 +75,10 @@ class Report:
 
 @dataclass(frozen=True)
 class Effort:
-    """``sweeps`` per frame, and how many times as many a frame without a past gets; each round has a coarse step."""
+    """``sweeps`` per frame, after a coarse step; a frame without a past gets ``settle`` times as many of both.
+
+    Fast motion, in which the coarse step does harm, has ``FAST_SWEEPS`` more sweeps in its place.
+    """
 
     sweeps: int
     settle: int = 8
@@ -106,6 +113,13 @@ def _leads_to(memory: Memory, network: np.ndarray, time_s: float) -> bool:
     return float(np.einsum("vi,vi->v", way, way).max()) <= CUT_M**2
 
 
+def calmness(before: np.ndarray, network: np.ndarray) -> float:
+    """1 where the network moves its vertices slowly, 0 where fast: a coarse step then asks for what is past at once."""
+    way = network - before
+    moved_m = float(np.sqrt(np.einsum("vi,vi->", way, way) / len(way)))
+    return float(np.clip((FAST_M - moved_m) / (FAST_M - SLOW_M), 0.0, 1.0))
+
+
 def _without_past(constants: Constants, network: np.ndarray, time_s: float) -> Memory:
     still = np.zeros_like(network)
     return Memory(time_s, network, still, still, Touched(constants.index, np.full_like(constants.index, -1)), 0)
@@ -114,17 +128,20 @@ def _without_past(constants: Constants, network: np.ndarray, time_s: float) -> M
 def _advanced(
     constants: Constants, past: Memory, network: np.ndarray, skin: np.ndarray, time_s: float, effort: Effort
 ) -> tuple[np.ndarray | None, Memory]:
-    """Vertices [m] (V, 3) and memory of the frame after ``past``; None where they are no fold of the network's drape."""
+    """Vertices [m] (V, 3) of the frame after ``past``, None where they are no folds of the network's, and its memory."""
     dtype = network.dtype.type
     settled = past.network is network
     step_s = FIRST_STEP_S if settled else max(time_s - past.time_s, SHORTEST_STEP_S)
     rounds = effort.settle if settled else 1
-    numbers = Numbers(dtype(step_s), dtype(MOMENTUM), rounds, effort.sweeps, -1 if settled else past.turn)
+    place = constants.sheet.place
+    share = dtype(SHARE * calmness(past.network[place], network[place]))
+    sweeps = effort.sweeps + (FAST_SWEEPS if share == 0.0 else 0)
+    numbers = Numbers(dtype(step_s), dtype(MOMENTUM), share, rounds, sweeps, -1 if settled else past.turn)
     cloth = Cloth(constants.sheet, constants.level, constants.graph)
     touched = Touched(past.touched.own.copy(), past.touched.other.copy())
     x, residual, velocity, far = advance(network, past.residual, past.velocity, touched, skin, cloth, numbers)
     after = Memory(time_s, network, residual, velocity, touched, (past.turn + 1) % TURNS)
-    return (x[constants.sheet.place] if far <= FAR_M else None), after
+    return (x[place] if far <= FAR_M else None), after
 
 
 class Cloth(NamedTuple):
@@ -136,10 +153,12 @@ class Cloth(NamedTuple):
 
 
 class Numbers(NamedTuple):
-    """``step_s`` since the frame before [s]; ``rounds`` of a coarse step and ``sweeps``; the ``turn`` of ``touch``."""
+    """``step_s`` since the frame before [s]; ``rounds`` of a coarse step's ``share`` and ``sweeps``; the
+    ``turn`` of ``touch``."""
 
     step_s: np.floating
     momentum: np.floating
+    share: np.floating
     rounds: int
     sweeps: int
     turn: int
@@ -183,8 +202,9 @@ def _descend_rounds(x, way, network, touched, skin, cloth, numbers):
     before, scratch = np.empty_like(x), np.empty(SCRATCH, x.dtype)
     for _ in range(numbers.rounds):
         touch(x, skin, cloth.graph, sheet, touched, numbers.turn, planes)
-        gradient_at(x, sheet, planes, network, scratch, gradient)
-        coarse_step(x, cloth.level, sheet, planes, gradient, matrix, force)
+        if numbers.share > k.zero:
+            gradient_at(x, sheet, planes, network, scratch, gradient)
+            coarse_step(x, cloth.level, sheet, planes, gradient, numbers.share, matrix, force)
         for _ in range(numbers.sweeps):
             before[:] = x
             for v in range(len(x)):
@@ -200,7 +220,10 @@ def _descend_rounds(x, way, network, touched, skin, cloth, numbers):
 
 def warm_up() -> None:
     """Compiles the kernels, or reads them where they are stored, so that no frame waits for that."""
-    square, faces = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.1, 0.0], [0.0, 0.1, 0.0]]), [[0, 1, 2], [0, 2, 3]]
+    square, faces = (
+        np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.1, 0.0], [0.0, 0.1, 0.0]]),
+        [[0, 1, 2], [0, 2, 3]],
+    )
     cloth = ClothMesh.from_rest(square, np.array(faces))
     charts = Charts(np.zeros((4, 1), np.int32), np.ones((4, 1)))
     graph = SkinGraph(np.zeros((1, NEIGHBOURS), np.int32), np.ones(1), np.zeros((1, 3)))

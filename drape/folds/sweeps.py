@@ -1,6 +1,6 @@
 """Sweeps of vertex block descent over a ``Sheet``, compiled; the sums of ``drape.solver.descent``, a block at a time.
 
-What a block's vertices need is gathered into a flat scratch, rows of ``LANES`` numbers, and loops over the lanes then run
+What a block's vertices need is gathered into a flat scratch, rows of ``LANES`` numbers, and loops over the lanes run
 along it: distances between rows are literals, so that the compiler knows that they do not overlap and takes vectors.
 """
 
@@ -10,7 +10,19 @@ import numpy as np
 
 from drape.folds.sheet import LANES
 from drape.solver.compiled import kernel, part
-from drape.solver.elements import add, angle_gradient, at, dot, fold, fold_gradient, mix, outer, scaled, shifted, solved, sub
+from drape.solver.elements import (
+    add,
+    angle_gradient,
+    at,
+    dot,
+    fold,
+    fold_gradient,
+    mix,
+    outer,
+    scaled,
+    solved,
+    sub,
+)
 
 # Rows of the scratch: the vertex, its gradient, its Hessian, two other corners.
 OWN, GRADIENT, HESSIAN, OTHERS = 0, 3 * LANES, 6 * LANES, 12 * LANES
@@ -88,7 +100,7 @@ def _model(x, block, sheet, planes, band, scratch):
 
 @part
 def _outside(block, sheet, planes, band, scratch):
-    """Weight, the body's planes and the waistband, as ``drape.solver.elements.outside`` has them, and bending's diagonal."""
+    """Weight, the body's planes and the waistband, as in ``drape.solver.elements.outside``, and bending's diagonal."""
     k, own = sheet.constants, sheet.own
     for lane in range(LANES):
         x = row3(scratch, OWN, lane)

@@ -1,4 +1,4 @@
-"""A sleeve on an arm, small enough for the reference: a cloth, its body's skin samples, and frames of both in motion."""
+"""A sleeve on an arm, small enough for the reference: cloth, the body's skin samples, and frames of both in motion."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.folds import reference
 from drape.folds.constants import Constants
 from drape.folds.contact import Touched
-from drape.folds.step import CUT_M, FAR_M, PAUSE_S, Effort, Frame, Memory, Report, fold
+from drape.folds.step import CUT_M, FAR_M, FAST_M, PAUSE_S, SLOW_M, Effort, Frame, Memory, Report, calmness, fold
 from drape.solver.problem import problem
 from drape.solver.reference import energy_and_gradient
 from tests.drape.folds.folds_setup import frame, sleeve, turn_about_y
@@ -19,7 +19,9 @@ from tests.drape.folds.folds_setup import frame, sleeve, turn_about_y
 EFFORT = Effort(sweeps=2, settle=2)
 
 
-def folded(constants: Constants, frames: list[Frame], effort: Effort = EFFORT) -> list[tuple[np.ndarray, Memory, Report]]:
+def folded(
+    constants: Constants, frames: list[Frame], effort: Effort = EFFORT
+) -> list[tuple[np.ndarray, Memory, Report]]:
     """What ``fold`` gives of ``frames``, one after the other."""
     found, memory = [], None
     for one in frames:
@@ -82,13 +84,18 @@ def test_folds_turn_with_the_body():
 
 def test_folds_lower_the_energy_and_more_of_them_lower_it_further():
     rest, dressed = sleeve(creased=False)
-    constants, made = Constants.of(dressed, dtype=np.float64), problem(dressed.cloth, dressed.material, dtype=np.float64)
+    constants, made = (
+        Constants.of(dressed, dtype=np.float64),
+        problem(dressed.cloth, dressed.material, dtype=np.float64),
+    )
     one = frame(rest, 0)
     nowhere = Touched(dressed.index, np.full_like(dressed.index, -1))
     touched = reference.touch(one.vertices, one.skin, dressed.graph, nowhere, -1)
 
     def energy(x: np.ndarray) -> float:
-        around = reference.touching(made, dressed, x, one.skin, touched)._replace(band=one.vertices, band_n_per_m=dressed.band_n_per_m)
+        around = reference.touching(made, dressed, x, one.skin, touched)._replace(
+            band=one.vertices, band_n_per_m=dressed.band_n_per_m
+        )
         return energy_and_gradient(x, made, around)[0]
 
     before = energy(one.vertices)
@@ -108,7 +115,9 @@ def test_the_way_of_the_folds_goes_with_the_clock():
     next_frame = frame(rest, 1)
     half = replace(memory, velocity=0.5 * memory.velocity)
     slow, fast = replace(next_frame, time_s=2.0 / 30.0), replace(next_frame, time_s=1.0 / 30.0)
-    assert_allclose(fold(constants, half, slow, EFFORT)[0], fold(constants, memory, fast, EFFORT)[0], rtol=0.0, atol=1e-12)
+    assert_allclose(
+        fold(constants, half, slow, EFFORT)[0], fold(constants, memory, fast, EFFORT)[0], rtol=0.0, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("later_s", [-0.01, PAUSE_S + 0.01])
@@ -162,3 +171,18 @@ def test_where_no_start_leads_to_folds_the_network_is_left_as_it_is():
     assert report == Report(settled=True, reset=True)
     assert_array_equal(x, one.vertices)
     assert not memory.residual.any() and not memory.velocity.any()
+
+
+@pytest.mark.parametrize(("way_m", "calm"), [(0.5 * SLOW_M, 1.0), (0.5 * (SLOW_M + FAST_M), 0.5), (2.0 * FAST_M, 0.0)])
+def test_the_coarse_step_fades_out_in_fast_motion(way_m, calm):
+    rest, dressed = sleeve()
+    assert_allclose(calmness(rest, rest + np.array([0.0, way_m, 0.0])), calm, rtol=0.0, atol=1e-9)
+    constants = Constants.of(dressed, dtype=np.float64)
+    _, memory, _ = fold(constants, None, frame(rest, 0), EFFORT)
+    _, wanted_memory = reference.fold(dressed, None, frame(rest, 0), EFFORT)
+    still = frame(rest, 1)
+    shift = np.array([0.0, way_m, 0.0])
+    before = replace(memory, network=(still.vertices - shift)[constants.sheet.vertex])
+    wanted_before = replace(wanted_memory, network=still.vertices - shift)
+    x, _, _ = fold(constants, before, still, EFFORT)
+    assert_allclose(x, reference.fold(dressed, wanted_before, still, EFFORT)[0], rtol=0.0, atol=1e-10)
