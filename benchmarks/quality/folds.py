@@ -62,7 +62,7 @@ COLUMNS = {
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """F poses of a motion at ``fps``, their skin samples (F, S, 8), and body vertices [m] of the ``measured`` frames."""
+    """F poses of a motion at ``fps``, their ``skin`` samples (F, S, 8), and bodies [m] of the ``measured`` frames."""
 
     name: str
     fps: float

@@ -40,7 +40,7 @@ class Dressed:
 
 @dataclass(frozen=True, eq=False)
 class Constants:
-    """What the kernels read: tables, coarse level, skin, and the sample ``index`` (P,) nearest to each place at rest."""
+    """What the kernels read: tables, coarse level, skin; and the sample ``index`` (P,) nearest to a place at rest."""
 
     sheet: Sheet
     level: Coarse
@@ -64,7 +64,7 @@ class Constants:
 
 
 def constants(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> Constants:
-    """The constants of ``garment`` on ``body``, made of ``fabric``, its own where there is none; a third of a second."""
+    """The constants of ``garment`` on ``body``, made of ``fabric``, if any, else its own; a third of a second."""
     return Constants.of(dressed(garment, body, fabric))
 
 

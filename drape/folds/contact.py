@@ -4,13 +4,13 @@ of other parts of the body within reach; at both a plane blended from the sample
 A frame moves a vertex by less than a few samples, so a walk over their graph, always to the nearest neighbour, ends at
 the nearest one of the part that the vertex was at: a sleeve stays with its arm where that touches the trunk. A vertex
 without a past starts at the sample that is nearest at rest. What else comes near (the trunk to that sleeve, a thigh to
-a belly) is looked up in a grid over the samples, for a quarter of the vertices each frame, and walked to in between. It
-counts where it is another part, far away at rest, or where the skin is hollow in between: the sample then lies above the
-tangent plane of the vertex's own one, as it never does on a limb.
+a belly) is looked up in a grid over the samples, for a quarter of the vertices each frame, and walked to in between.
+It counts where it is another part, far away at rest, or where the skin is hollow in between: the sample then lies above
+the tangent plane of the vertex's own one, as it never does on a limb.
 
 One tangent plane for all that lies nearest to a sample would give a limb facets. The planes of sample and neighbours
-are therefore blended with weights that end at the spacing. Over a sphere a point is off the tangent plane of a sample by
-what the surface falls away meanwhile, but a chord stands at right angles to the mean of the normals at its ends:
+are therefore blended with weights that end at the spacing. Over a sphere a point is off the tangent plane of a sample
+by what the surface falls away meanwhile, but a chord stands at right angles to the mean of the normals at its ends:
 distances are measured along the mean of the sample's normal and the blended one, and have no ripple then.
 """
 
@@ -56,11 +56,11 @@ def skin_graph(skin: Samples) -> SkinGraph:
 
 def nearest_at_rest(vertices: np.ndarray, skin: Samples) -> np.ndarray:
     """The sample (V,) int32 nearest to each of ``vertices`` [m] (V, 3), both at rest."""
-    return KDTree(skin.point).query(vertices)[1].astype(np.int32)
+    return np.asarray(KDTree(skin.point).query(vertices)[1], dtype=np.int32)
 
 
 class Touched(NamedTuple):
-    """The sample that each place is at, ``own`` (P,), and one of another part of the body, ``other`` (P,), -1 if none."""
+    """The sample that each place is at, ``own`` (P,), and one of another part of the body, ``other`` (P,), or -1."""
 
     own: np.ndarray
     other: np.ndarray

@@ -32,7 +32,7 @@ def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) 
         x = x + coarse_step(dressed, made, around, x, calm * SHARE)
         for _ in range(effort.sweeps + (FAST_SWEEPS if calm == 0.0 else 0)):
             before = x
-            x = sweep(x + MOMENTUM * _limited(way, made.constants.reach), made, around)
+            x = sweep(x + MOMENTUM * _limited(way, float(made.constants.reach)), made, around)
             way = x - before
     residual, velocity = _to_local(frames, x - network), _to_local(frames, way) / step_s
     return x, Memory(frame.time_s, network, residual, velocity, touched, (past.turn + 1) % TURNS)
@@ -131,7 +131,7 @@ def sweep(x: np.ndarray, made: Problem, around: Surroundings) -> np.ndarray:
         gradient, block = reference.vertex_block(v, moved, made, around)
         block = block + bend.diagonal[v] * np.eye(3)
         step = -np.linalg.solve(block, gradient + _bending(moved, made, v))
-        moved[v] += _limited(step, made.constants.reach)
+        moved[v] += _limited(step, float(made.constants.reach))
     return moved
 
 

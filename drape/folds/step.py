@@ -128,7 +128,7 @@ def _without_past(constants: Constants, network: np.ndarray, time_s: float) -> M
 def _advanced(
     constants: Constants, past: Memory, network: np.ndarray, skin: np.ndarray, time_s: float, effort: Effort
 ) -> tuple[np.ndarray | None, Memory]:
-    """Vertices [m] (V, 3) of the frame after ``past``, None where they are no folds of the network's, and its memory."""
+    """Vertices [m] (V, 3) of the frame after ``past``, None where they are no folds, and its memory."""
     dtype = network.dtype.type
     settled = past.network is network
     step_s = FIRST_STEP_S if settled else max(time_s - past.time_s, SHORTEST_STEP_S)

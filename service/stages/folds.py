@@ -27,10 +27,7 @@ KEPT = 64  # garments in fabrics, a megabyte or two each
 
 
 class Folds(Stage):
-    """Lowers the cloth's energy over the body, each layer for itself; what is between layers is for the push-out.
-
-    What it remembers of a garment is a tuple, one memory for each time that it is worn.
-    """
+    """Lowers the cloth's energy over the body, each layer for itself; what is between layers is for the push-out."""
 
     name = "folds"
 
@@ -75,18 +72,12 @@ class Folds(Stage):
         plan = batch.plan
         assert plan.options.folds and plan.options.settle is not None
         effort = Effort(plan.options.folds, plan.options.settle)
-        fabrics = layer_fabrics(plan.options, len(plan.keys))
         layers, resets = list(batch.layers), np.zeros(len(batch.root))
-        for key in dict.fromkeys(plan.keys):
-            worn = [i for i, other in enumerate(plan.keys) if other == key]
-            memories = [list(held or [None] * len(worn)) for held in batch.remembered((self.name, key))]
-            for nth, i in enumerate(worn):
-                found = self._folded(batch, i, self._of(key, fabrics[i]), effort, [held[nth] for held in memories])
-                layers[i], after, again = found
-                resets += again
-                for held, memory in zip(memories, after, strict=True):
-                    held[nth] = memory
-            batch = batch.remember((self.name, key), [tuple(held) for held in memories])
+        for i, (key, fabric) in enumerate(zip(plan.keys, layer_fabrics(plan.options, len(plan.keys)), strict=True)):
+            memories = batch.remembered((self.name, key))
+            layers[i], memories, again = self._folded(batch, i, self._of(key, fabric), effort, memories)
+            resets += again
+            batch = batch.remember((self.name, key), memories)
         return replace(batch, layers=tuple(layers), quality=replace(batch.quality, folds_resets=resets))
 
     def _folded(

@@ -64,13 +64,13 @@ def test_bits_depend_neither_on_chunks_nor_on_who_else_is_there(drapery: Drapery
     assert together.memories[0].keys() == together.memories[1].keys() == {("folds", plan.keys[0])}
 
 
-def test_a_garment_that_is_worn_twice_has_two_memories(outfit_settings: Settings):
+def test_every_layer_has_a_memory_of_its_own(outfit_settings: Settings):
     drapery = Drapery(outfit_settings)
-    plan = drapery.plan(drapery.garments.scene(None, ["tube", "tube"]), DrapeOptions(folds=1, push_out=False))
-    batch = run(plan, [CLIP])
-    first, second = batch.memories[0]["folds", plan.keys[0]]
-    assert_array_equal(first.residual, second.residual)
-    assert first is not second
+    plan = drapery.plan(drapery.garments.scene(None, ["tube", "coat"]), DrapeOptions(folds=1, push_out=False))
+    both = run(plan, [CLIP])
+    assert both.memories[0].keys() == {("folds", key) for key in plan.keys}
+    inner = drapery.plan(drapery.garments.get("tube"), DrapeOptions(folds=1, push_out=False))
+    assert_array_equal(run(inner, [CLIP]).vertices, both.layers[0].vertices)
     drapery.close()
 
 
