@@ -207,6 +207,9 @@ async def drape_clip(request: Request, state: StateHere) -> Response:
         headers = _quality_headers(draped, drapery) | {"X-Drape-Motion": f"{plan.options.knob:g}"}
         if asked.passes is not None:
             headers["X-Drape-Passes"] = str(asked.passes)
+        if plan.options.folds:
+            headers["X-Drape-Folds"] = str(plan.options.folds)
+            headers["X-Drape-Folds-Resets"] = str(int(draped.quality.folds_resets.sum()))
         if jets:
             return jets_response(draped, headers)
         worn = layer_list(scene) if isinstance(scene, Outfit) else None

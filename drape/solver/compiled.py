@@ -14,7 +14,8 @@ from numba import njit
 
 F = TypeVar("F", bound=Callable)
 FAST = {"reassoc", "contract", "arcp", "nsz"}
-_SOURCES = hashlib.sha256(b"".join(p.read_bytes() for p in sorted(Path(__file__).parent.glob("*.py")))).hexdigest()
+_ROOMS = (Path(__file__).parent, Path(__file__).parents[1] / "folds")  # where kernels are, which call each other
+_SOURCES = hashlib.sha256(b"".join(p.read_bytes() for room in _ROOMS for p in sorted(room.glob("*.py")))).hexdigest()
 
 
 def part(function: F) -> F:
@@ -24,10 +25,10 @@ def part(function: F) -> F:
 
 
 def kernel(function: F) -> F:
-    """``function`` compiled when it is first called, and stored until any file of this package changes.
+    """``function`` compiled when it is first called, and stored until any file of these packages changes.
 
     numba looks at the date of the kernel's own file alone, so that a changed formula would leave its callers as
-    they were; the stamp that it compares is therefore the hash of the package.
+    they were; the stamp that it compares is therefore the hash of the packages.
     """
     compiled: Any = njit(cache=True, error_model="numpy", nogil=True, fastmath=FAST)(function)
     compiled._cache._cache_file._source_stamp = _SOURCES

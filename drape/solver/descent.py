@@ -39,21 +39,6 @@ def energy_and_gradient(x, problem, around, gradient):
     return _membrane_and_outside(x, problem, around, gradient) + _hinge_energy(x, problem, gradient)
 
 
-@kernel
-def quadratic_energy_and_gradient(x, problem, around, gradient):
-    """As ``energy_and_gradient``, of the quadratic bending."""
-    total = _membrane_and_outside(x, problem, around, gradient)
-    q = problem.quadratic
-    for v in range(len(x)):
-        own = at(x, v)
-        force = (own[0] - own[0], own[0] - own[0], own[0] - own[0])
-        for entry in range(q.start[v], q.start[v + 1]):
-            force = add(force, scaled(q.value[entry], sub(at(x, q.vertex[entry]), own)))
-        add_to(gradient, v, force)
-        total += 0.5 * dot(force, own)
-    return total
-
-
 @part
 def _membrane_and_outside(x, problem, around, gradient):
     k, t = problem.constants, problem.triangles
@@ -120,21 +105,6 @@ def sweep(x, problem, around, guarded):
             else:
                 share = problem.constants.zero
             step = scaled(share, step)
-        x[v, 0], x[v, 1], x[v, 2] = own[0] + step[0], own[1] + step[1], own[2] + step[2]
-
-
-@kernel
-def quadratic_sweep(x, problem, around):
-    """One sweep with the quadratic bending, unguarded: what a frame can pay for."""
-    k, q = problem.constants, problem.quadratic
-    for v in problem.order:
-        own = at(x, v)
-        _, gradient, hessian = outside(own, v, problem, around)
-        for entry in range(q.start[v], q.start[v + 1]):
-            gradient = add(gradient, scaled(q.value[entry], sub(at(x, q.vertex[entry]), own)))
-        hessian = shifted(hessian, q.diagonal[v])
-        gradient, hessian = _membrane_block(x, v, problem, gradient, hessian)
-        step = _limited_step(gradient, hessian, k)
         x[v, 0], x[v, 1], x[v, 2] = own[0] + step[0], own[1] + step[1], own[2] + step[2]
 
 

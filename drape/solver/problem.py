@@ -21,6 +21,7 @@ from drape.solver.colouring import colour_order
 
 # Triangles lower than this share of the mean edge bend less in the quadratic model: its force grows with 1 / height.
 LOW_TRIANGLE = 0.4
+FLAT_SINE = 1e-6  # of a hinge's angle at rest, below which it is flat
 
 
 class Constants(NamedTuple):
@@ -107,7 +108,8 @@ class Surroundings(NamedTuple):
 
 class Problem(NamedTuple):
     """A cloth without its surroundings. ``weight_n`` (V,) [N], ``contact_n_per_m`` (V,) [N/m], ``order`` (V,): vertices
-    colour by colour, so that no two of one colour share an element; ``colour_start`` where each colour begins."""
+    colour by colour, so that no two of one colour share an element; ``colour_start`` where each colour begins.
+    ``quadratic`` is of the hinges flat at rest, ``creases`` are the others."""
 
     constants: Constants
     triangles: Triangles
@@ -117,6 +119,7 @@ class Problem(NamedTuple):
     contact_n_per_m: np.ndarray
     order: np.ndarray
     colour_start: np.ndarray
+    creases: Hinges
 
 
 @dataclass(frozen=True)
@@ -133,6 +136,7 @@ def problem(
     """The flat arrays of ``cloth`` made of ``material``; floats of ``dtype``, indices int32."""
     options = options or Options()
     triangles, hinges = _triangles(cloth, dtype), _hinges(cloth, material, dtype)
+    flat = (np.abs(cloth.hinge_sine) < FLAT_SINE) & (cloth.hinge_cosine > 0.0)
     graph = stencil(cloth)
     order, colour_start = colour_order(graph)
     warp, weft, cross, shear = (float(value) for value in material.membrane)
@@ -144,11 +148,12 @@ def problem(
         constants=Constants(*(dtype(number) for number in numbers)),
         triangles=triangles,
         hinges=hinges,
-        quadratic=_quadratic(cloth, hinges.stiffness.astype(np.float64), dtype),
+        quadratic=_quadratic(cloth, np.where(flat, hinges.stiffness, 0.0).astype(np.float64), dtype),
         weight_n=(material.gravity_m_s2 * cloth.vertex_mass(material)).astype(dtype),
         contact_n_per_m=(2.0 * material.contact_j_m4 * cloth.vertex_area).astype(dtype),
         order=order,
         colour_start=colour_start,
+        creases=_of_hinges(hinges, ~flat),
     )
 
 
@@ -165,11 +170,6 @@ def surroundings(problem: Problem, point: np.ndarray, normal: np.ndarray) -> Sur
         )
     nowhere, none = np.zeros_like(point), np.zeros(len(point), dtype)
     return Surroundings(point, normal, nowhere, nowhere, none, nowhere, none, nowhere, none)
-
-
-def flat_at_rest(problem: Problem) -> bool:
-    """Whether every hinge is flat at rest, as ``QuadraticBending`` takes it."""
-    return bool((np.abs(problem.hinges.sine) < 1e-6).all() and (problem.hinges.cosine > 0.0).all())
 
 
 def stencil(cloth: ClothMesh) -> Any:
@@ -208,6 +208,13 @@ def _hinges(cloth: ClothMesh, material: Material, dtype: type[np.floating]) -> H
     numbers = (rigidity * cloth.hinge_weight, cloth.hinge_cosine, cloth.hinge_sine)
     stiffness, cosine, sine = (number.astype(dtype) for number in numbers)
     return Hinges(corner, stiffness, cosine, sine, start, member)
+
+
+def _of_hinges(hinges: Hinges, chosen: np.ndarray) -> Hinges:
+    """Those of ``hinges`` that are ``chosen`` (H,)."""
+    corner = hinges.corner[chosen]
+    start, member = _members(corner, len(hinges.start) - 1)
+    return Hinges(corner, hinges.stiffness[chosen], hinges.cosine[chosen], hinges.sine[chosen], start, member)
 
 
 def _members(corner: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.ndarray]:

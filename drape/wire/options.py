@@ -70,6 +70,20 @@ class DrapeOptions(BaseModel):
         strict=True,
         description="How many corrections of the network run: fewer are faster; the service's setting if left out.",
     )
+    folds: int | None = Field(
+        default=None,
+        ge=0,
+        le=16,
+        strict=True,
+        description="Sweeps of the cloth solver per frame: folds that grow and stay. 0, as if left out, has none.",
+    )
+    settle: int | None = Field(
+        default=None,
+        ge=1,
+        le=64,
+        strict=True,
+        description="With folds: how many times as many sweeps a frame without a past gets; 8 if left out.",
+    )
     fabric: FabricChoice | Annotated[tuple[FabricChoice | None, ...], Len(1, LAYER_LIMIT), FIRST_ONLY] | None = Field(
         default=None,
         description="What the garments are made of: a name of GET /fabrics, numbers, or a list of these by layer, the "

@@ -16,13 +16,14 @@ from service.settings import Settings
 from service.stages.batch import BODY, Batch, Memories, Plan, PoseInput, Stage
 from service.stages.collision import Collision
 from service.stages.encode import Encode
+from service.stages.folds import Folds
 from service.stages.motion import Motion
 from service.stages.network import Network
 
 if TYPE_CHECKING:
     from service.garments import Scene
 
-STAGES: tuple[type[Stage], ...] = (Motion, Network, Collision, Encode)
+STAGES: tuple[type[Stage], ...] = (Motion, Network, Folds, Collision, Encode)
 
 
 def make_stages(engine: Engine, body: BodyModel, settings: Settings) -> tuple[Stage, ...]:

@@ -89,19 +89,20 @@ class Layer:
 
 @dataclass(frozen=True, eq=False)
 class Quality:
-    """What the collision projection did to each frame (F,).
+    """What was done to each frame (F,).
 
-    The share of vertices that it moved, the furthest way of one [m], and the longest way [m] that a vertex made of the
-    jets lacks to it.
+    By the collision projection: the share of vertices that it moved, the furthest way of one [m], and the longest way
+    [m] that a vertex made of the jets lacks to it. ``folds_resets``: how many layers' folds were begun anew.
     """
 
     pushed_share: np.ndarray
     push_max_m: np.ndarray
     left_m: np.ndarray
+    folds_resets: np.ndarray
 
     @staticmethod
     def untouched(frames: int) -> Quality:
-        return Quality(*(np.zeros(frames) for _ in range(3)))
+        return Quality(*(np.zeros(frames) for _ in fields(Quality)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from drape.wire.options import DrapeOptions
 from service.engine import SKIN, Engine
 from service.push import PosedJets, Pushed, Pusher
 from service.settings import Settings
-from service.stages.batch import Batch, Layer, Plan, Quality, Stage, joined
+from service.stages.batch import Batch, Layer, Plan, Stage, joined
 
 MOVED_M = 1e-4  # a vertex pushed less than this counts as left alone
 
@@ -60,7 +60,8 @@ class Collision(Stage):
                 left.append(joined([part.left_m for part in parts], axis=0))
         way = joined(ways)
         share, furthest = (way > MOVED_M).mean(axis=1), way.max(axis=1)
-        quality = Quality(share, furthest, np.max(left, axis=0) if left else batch.quality.left_m)
+        left_m = np.max(left, axis=0) if left else batch.quality.left_m
+        quality = replace(batch.quality, pushed_share=share, push_max_m=furthest, left_m=left_m)
         return replace(batch, layers=tuple(layers), quality=quality)
 
     def _pushed(self, batch: Batch, count: int, under: np.ndarray | None, rows: slice) -> Pushed:

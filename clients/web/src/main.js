@@ -12,7 +12,7 @@ const STATS_S = 0.5;
 const SLOW_RATE = 20; // drawings per second below which the picture becomes plainer
 const SLOW_WATCH_S = 1;
 const SAVED_FPS = 30;
-const wanted = new URLSearchParams(location.search); // garment=inner,outer, clip, passes, fabric, jets, quality=high
+const wanted = new URLSearchParams(location.search); // garment=inner,outer, clip, passes, folds, fabric, jets, quality=high
 const element = (id) => document.getElementById(id);
 const state = { clip: null, timeS: 0, playing: true, betas: new Array(SHAPE_COUNT).fill(0), body: null };
 const counts = { frames: 0, since: performance.now(), shown: 0, dropped: 0, droppedBefore: 0, latest: null };
@@ -82,7 +82,8 @@ function openStream() {
   const garments = wardrobe.chosen();
   if (!garments.length) return;
   if (garments.length > 1 && element("push").checked) say("The outfit is being made ready …", false, "stream");
-  stream.open(element("jets").checked ? { ...scene(), geometry: "jets" } : scene());
+  // Folds are of vertices: polynomials are smooth.
+  stream.open(element("jets").checked ? { ...scene(), geometry: "jets", folds: undefined } : scene());
 }
 
 // What never changes of a garment is fetched once.
@@ -282,6 +283,7 @@ const start = failing(async () => {
   listPasses(health.passes);
   await listFabrics(health.fabrics);
   element("jets").checked = wanted.has("jets");
+  if (wanted.has("folds")) element("folds").value = wanted.get("folds");
   makeSliders();
   wireControls();
   const clips = await service.motions();

@@ -1,0 +1,102 @@
+"""What folds need of a garment in a fabric, and of a body: made once, and the same for every stream."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.cloth.energies import ClothMesh
+from drape.cloth.fabric import Fabric
+from drape.cloth.fabric_table import fabric as fabric_named
+from drape.cloth.material import Material
+from drape.cloth.rest_state import RestState
+from drape.cloth.waistband import STIFFNESS_N_M2, waistband
+from drape.folds.coarse import Coarse, coarse
+from drape.folds.contact import SkinGraph, nearest_at_rest, skin_graph
+from drape.folds.sheet import Sheet, sheet
+from drape.garment.cache import Garment
+from drape.garment.rest_detail import cloth_of, rest_of
+from drape.push.skin import body_skin
+from drape.solver.linear import Charts
+
+
+@dataclass(frozen=True, eq=False)
+class Dressed:
+    """A ``cloth`` of ``material`` on a body, in the order of its vertices: what constants are made of.
+
+    ``band_n_per_m`` (V,): how stiff a waistband is there. ``charts`` of the vertices; ``graph`` of the body's skin
+    samples, and the nearest one ``index`` (V,) at rest.
+    """
+
+    cloth: ClothMesh
+    material: Material
+    band_n_per_m: np.ndarray
+    charts: Charts
+    graph: SkinGraph
+    index: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Constants:
+    """What the kernels read: tables, coarse level, skin; and the sample ``index`` (P,) nearest to a place at rest."""
+
+    sheet: Sheet
+    level: Coarse
+    graph: SkinGraph
+    index: np.ndarray
+
+    @classmethod
+    def of(cls, dressed: Dressed, *, dtype: type[np.floating] = np.float32) -> Constants:
+        """The arrays of ``dressed``, floats of ``dtype``."""
+        made = sheet(dressed.cloth, dressed.material, dressed.band_n_per_m, dtype=dtype)
+        level = coarse(dressed.cloth, dressed.material, dressed.charts, made)
+        graph = dressed.graph._replace(
+            reach_m2=dressed.graph.reach_m2.astype(dtype), rest=dressed.graph.rest.astype(dtype)
+        )
+        return cls(made, level, graph, dressed.index[made.vertex])
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the arrays."""
+        return _nbytes((self.sheet, self.level, self.graph, self.index))
+
+
+def constants(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> Constants:
+    """The constants of ``garment`` on ``body``, made of ``fabric``, if any, else its own; a third of a second."""
+    return Constants.of(dressed(garment, body, fabric))
+
+
+def dressed(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> Dressed:
+    """The delivered mesh of ``garment`` on ``body``, made of ``fabric``, its own where there is none."""
+    count = garment.vertex_count
+    vertices, faces = garment.vertices[:count].astype(np.float64), garment.faces.astype(np.int64)
+    held = np.zeros(count)
+    band = waistband(vertices, faces, body)
+    if band is not None:
+        held[band.vertex] = STIFFNESS_N_M2 * band.length_m
+    skin = body_skin(body)
+    return Dressed(
+        cloth=ClothMesh.of(delivered_rest(garment), faces, count),
+        material=Material.of(fabric_named(garment.fabric) if fabric is None else fabric),
+        band_n_per_m=held,
+        charts=Charts(garment.chart_patch[:count].astype(np.int32), garment.chart_weight[:count].astype(np.float64)),
+        graph=skin_graph(skin),
+        index=nearest_at_rest(vertices, skin),
+    )
+
+
+def delivered_rest(garment: Garment) -> RestState:
+    """The cloth of the delivered triangles without stress: what is stored, where none of them was subdivided."""
+    count = garment.vertex_count
+    if len(garment.vertices) == count:
+        return garment.rest_state()
+    painted, materials = (garment.uv, garment.uv_faces), (garment.material_names, garment.face_material)
+    return rest_of(cloth_of(garment.vertices[:count], garment.faces, painted, materials))[0]
+
+
+def _nbytes(value: object) -> int:
+    if isinstance(value, np.ndarray):
+        return value.nbytes
+    return sum(map(_nbytes, value)) if isinstance(value, tuple) else 0

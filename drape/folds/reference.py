@@ -1,0 +1,158 @@
+"""``drape.folds.step.fold`` once more, in NumPy float64 and the order of the vertices, to be read and compared with."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drape.cloth.energies import ClothMesh
+from drape.folds.coarse import CLAMP_M, SHARE, galerkin
+from drape.folds.constants import Dressed
+from drape.folds.contact import APART_M, HOLLOW_M, REACH_M, TURNS, SkinGraph, Touched
+from drape.folds.step import FAST_SWEEPS, FIRST_STEP_S, MOMENTUM, SHORTEST_STEP_S, Effort, Frame, Memory, calmness
+from drape.solver import reference
+from drape.solver.problem import Problem, Surroundings, problem, surroundings
+
+
+def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) -> tuple[np.ndarray, Memory]:
+    """Vertices [m] (V, 3) of ``frame`` and its memory, in their order; ``memory`` is one that leads here, or None."""
+    network, still = frame.vertices.astype(np.float64), np.zeros(frame.vertices.shape)
+    nowhere = Touched(dressed.index, np.full_like(dressed.index, -1))
+    past = memory or Memory(frame.time_s, network, still, still, nowhere, 0)
+    step_s = max(frame.time_s - past.time_s, SHORTEST_STEP_S) if memory else FIRST_STEP_S
+    frames = surface_frames(network, dressed.cloth)
+    x = network + _to_world(frames, past.residual)
+    way, touched = step_s * _to_world(frames, past.velocity), past.touched
+    calm = calmness(past.network, network)
+    made = problem(dressed.cloth, dressed.material, dtype=np.float64)
+    made = made._replace(hinges=made.creases)  # the others bend by the quadratic matrix
+    for _ in range(1 if memory else effort.settle):
+        touched = touch(x, frame.skin, dressed.graph, touched, past.turn if memory else -1)
+        around = touching(made, dressed, x, frame.skin, touched)
+        around = around._replace(band=network, band_n_per_m=dressed.band_n_per_m)
+        x = x + coarse_step(dressed, made, around, x, calm * SHARE)
+        for _ in range(effort.sweeps + (FAST_SWEEPS if calm == 0.0 else 0)):
+            before = x
+            x = sweep(x + MOMENTUM * _limited(way, float(made.constants.reach)), made, around)
+            way = x - before
+    residual, velocity = _to_local(frames, x - network), _to_local(frames, way) / step_s
+    return x, Memory(frame.time_s, network, residual, velocity, touched, (past.turn + 1) % TURNS)
+
+
+def surface_frames(surface: np.ndarray, cloth: ClothMesh) -> np.ndarray:
+    """Frames (V, 3, 3) of ``surface`` [m] (V, 3), rows: the normal, an edge laid into the plane, and their product."""
+    faces = cloth.faces
+    across = np.cross(surface[faces[:, 1]] - surface[faces[:, 0]], surface[faces[:, 2]] - surface[faces[:, 0]])
+    normal = np.zeros_like(surface)
+    np.add.at(normal, faces, across[:, None])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    entry = np.unique(faces.reshape(-1), return_index=True)[1]  # each vertex's first triangle, and its place there
+    edge = surface[faces[entry // 3, (entry + 1) % 3]] - surface
+    edge -= (edge * normal).sum(axis=1, keepdims=True) * normal
+    edge /= np.linalg.norm(edge, axis=1, keepdims=True)
+    return np.stack([normal, edge, np.cross(normal, edge)], axis=1)
+
+
+def touch(x: np.ndarray, skin: np.ndarray, graph: SkinGraph, touched: Touched, turn: int) -> Touched:
+    """The samples that ``x`` [m] (V, 3) is at, by walks from those of the frame before and searches for other parts."""
+    own, other = touched.own.copy(), touched.other.copy()
+    for v, point in enumerate(x):
+        own[v] = _walked(point, skin, graph, own[v])
+        apart = np.linalg.norm(graph.rest - graph.rest[own[v]], axis=1)
+        hollow = (apart > HOLLOW_M) & ((skin[:, :3] - skin[own[v], :3]) @ skin[own[v], 4:7] > 0.0)
+        distance = np.linalg.norm(skin[:, :3] - point, axis=1)
+        allowed = (distance < REACH_M) & (hollow | (apart > APART_M))
+        if turn < 0 or v % TURNS == turn:
+            other[v] = np.where(allowed, distance, np.inf).argmin() if allowed.any() else -1
+        elif other[v] >= 0:
+            end = _walked(point, skin, graph, other[v])
+            other[v] = end if allowed[end] else -1
+    return Touched(own, other)
+
+
+def _walked(point: np.ndarray, skin: np.ndarray, graph: SkinGraph, start: int) -> int:
+    """Where a walk from ``start`` ends, each step to the nearest of sample and neighbours."""
+    while True:
+        around = np.append(start, graph.neighbour[start])
+        best = int(around[np.linalg.norm(skin[around, :3] - point, axis=1).argmin()])
+        if best == start:
+            return best
+        start = best
+
+
+def touching(made: Problem, dressed: Dressed, x: np.ndarray, skin: np.ndarray, touched: Touched) -> Surroundings:
+    """The planes of the own part of the body, and as fences those of other parts."""
+    away = (touched.other >= 0)[:, None]
+    fence, fence_normal = planes(x, skin, dressed, np.maximum(touched.other, 0))
+    return surroundings(made, *planes(x, skin, dressed, touched.own))._replace(
+        fence=np.where(away, fence + made.constants.gap * fence_normal, 0.0),  # a fence has no gap
+        fence_normal=np.where(away, fence_normal, 0.0),
+        fence_n_per_m=np.where(away[:, 0], made.contact_n_per_m, 0.0),
+    )
+
+
+def planes(x: np.ndarray, skin: np.ndarray, dressed: Dressed, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points [m] and unit normals (V, 3) of the planes at the samples ``index`` (V,), blended with the neighbours'."""
+    points, normals = np.empty_like(x), np.empty_like(x)
+    for v, (point, own) in enumerate(zip(x, index, strict=True)):
+        around = np.append(own, np.setdiff1d(dressed.graph.neighbour[own], own))
+        square = ((skin[around, :3] - point) ** 2).sum(axis=1)
+        weight = np.clip(1.0 - (square - square[0]) / dressed.graph.reach_m2[own], 0.0, 1.0) ** 2
+        weight /= weight.sum()
+        blended = weight @ skin[around, 4:7]
+        normal = blended / np.linalg.norm(blended)
+        chord = point - skin[around, :3]
+        distance = 0.5 * weight @ ((skin[around, 4:7] + normal) * chord).sum(axis=1)
+        points[v], normals[v] = point - distance * normal, normal
+    return points, normals
+
+
+def coarse_step(dressed: Dressed, made: Problem, around: Surroundings, x: np.ndarray, share: float) -> np.ndarray:
+    """The way [m] (V, 3) that the patches take at ``x``, a ``share`` of their answer, by a dense matrix."""
+    small, _ = galerkin(dressed.cloth, dressed.material, dressed.charts)
+    basis = np.zeros((len(x), len(small)))
+    np.add.at(basis, (np.arange(len(x))[:, None], dressed.charts.patch), dressed.charts.weight)
+    matrix = np.einsum("kl,ij->kilj", small, np.eye(3))
+    for point, n, gap in (
+        (around.point, around.normal, made.constants.gap),
+        (around.fence, around.fence_normal, 0.0),
+    ):
+        closed = ((x - point) * n).sum(axis=1) < gap
+        matrix += np.einsum("v,vk,vl,vi,vj->kilj", closed * made.contact_n_per_m, basis, basis, n, n)
+    force = basis.T @ _gradient(x, made, around)
+    size = force.size
+    step = -share * np.linalg.solve(matrix.reshape(size, size), force.reshape(-1)).reshape(force.shape)
+    return basis @ (step * min(1.0, CLAMP_M / max(np.abs(step).max(), 1e-300)))
+
+
+def sweep(x: np.ndarray, made: Problem, around: Surroundings) -> np.ndarray:
+    """One sweep of vertex block descent from ``x`` [m] (V, 3), bending by the quadratic matrix and at creases."""
+    moved, bend = x.copy(), made.quadratic
+    for v in made.order:
+        gradient, block = reference.vertex_block(v, moved, made, around)
+        block = block + bend.diagonal[v] * np.eye(3)
+        step = -np.linalg.solve(block, gradient + _bending(moved, made, v))
+        moved[v] += _limited(step, float(made.constants.reach))
+    return moved
+
+
+def _gradient(x: np.ndarray, made: Problem, around: Surroundings) -> np.ndarray:
+    _, gradient = reference.energy_and_gradient(x, made, around)
+    return gradient + np.stack([_bending(x, made, v) for v in range(len(x))])
+
+
+def _bending(x: np.ndarray, made: Problem, v: int) -> np.ndarray:
+    """Row v of the quadratic bending's matrix times ``x``."""
+    entries = slice(made.quadratic.start[v], made.quadratic.start[v + 1])
+    return made.quadratic.value[entries] @ x[made.quadratic.vertex[entries]] + made.quadratic.diagonal[v] * x[v]
+
+
+def _limited(way: np.ndarray, reach: float) -> np.ndarray:
+    return way * (reach / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), reach))
+
+
+def _to_world(frames: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    return np.einsum("vji,vj->vi", frames, vectors)
+
+
+def _to_local(frames: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    return np.einsum("vji,vi->vj", frames, vectors)

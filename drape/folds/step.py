@@ -1,0 +1,231 @@
+"""One frame of folds: the network's drape and what is remembered of the frame before in, cloth and a memory out.
+
+The start is the network's surface X with the residual of the frame before, carried in local frames R of the surface:
+
+    x = X + R^T r,   v = R^T u dt
+
+Then rounds of a coarse step over the patches and of sweeps of vertex block descent (Chen et al. 2024, "Vertex Block
+Descent", ACM TOG 43(4)), each from where 0.9 of the last sweep's way leads to; the way is carried over frames, so that
+the descent has the memory of a heavy ball. What is left, r = R (x - X) and u = R v / dt, is the new memory.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from drape.cloth.energies import ClothMesh
+from drape.cloth.material import Material
+from drape.folds.coarse import SHARE, Coarse, coarse_step
+from drape.folds.constants import Constants, Dressed
+from drape.folds.contact import NEIGHBOURS, TURNS, SkinGraph, Touched, touch
+from drape.folds.frames import in_frame, in_world, surface_frames
+from drape.folds.sheet import LANES, Sheet
+from drape.folds.sweeps import PLANES, SCRATCH, descend, gradient_at
+from drape.solver.compiled import kernel
+from drape.solver.elements import at, dot, scaled, sub
+from drape.solver.linear import Charts
+
+MOMENTUM = 0.9  # of the last sweep's way before a sweep
+FAR_M = 0.25  # from the network's drape: farther is no fold
+CUT_M = 0.30  # a vertex that the network moves farther between two frames is in another clip
+SLOW_M, FAST_M = 0.01, 0.02  # RMS way of the network's vertices a frame, between which the coarse step fades out
+FAST_SWEEPS = 2  # more, in the time of a coarse step that there is not
+PAUSE_S = 0.25  # after a longer one a frame has no past
+SHORTEST_STEP_S = 1.0 / 240.0  # frames that come closer together count as this far apart
+FIRST_STEP_S = 1.0 / 30.0  # of a frame without a past
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What is known of a frame: the network's ``vertices`` [m] (V, 3), the posed samples ``skin`` (S, 8) of
+    ``drape.push.samples.sample_table``, both relative to the same origin, and the time [s] by the client's clock."""
+
+    vertices: np.ndarray
+    skin: np.ndarray
+    time_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """What is kept of a frame, in the order of the constants' places.
+
+    Where the ``network`` had its vertices [m] (P, 3); in its surface's frames the ``residual`` [m] and ``velocity``
+    [m/s] (P, 3) of the folds; the samples ``touched``. ``turn``: whose turn it is to look for other parts of the body.
+    """
+
+    time_s: float
+    network: np.ndarray
+    residual: np.ndarray
+    velocity: np.ndarray
+    touched: Touched
+    turn: int
+
+
+@dataclass(frozen=True)
+class Report:
+    """``settled``: the frame had no past, or one that does not lead here. ``reset``: what came out was no fold, and the
+    frame was begun anew from the network's drape."""
+
+    settled: bool
+    reset: bool = False
+
+
+@dataclass(frozen=True)
+class Effort:
+    """``sweeps`` per frame, after a coarse step; a frame without a past gets ``settle`` times as many of both.
+
+    Fast motion, in which the coarse step does harm, has ``FAST_SWEEPS`` more sweeps in its place.
+    """
+
+    sweeps: int
+    settle: int = 8
+
+
+def fold(
+    constants: Constants, memory: Memory | None, frame: Frame, effort: Effort
+) -> tuple[np.ndarray, Memory, Report]:
+    """The vertices [m] (V, 3) of ``frame`` with their folds, what the next frame needs of them, and a report.
+
+    The same input gives the same bits. ``memory`` is left as it is.
+    """
+    dtype = constants.sheet.own.dtype
+    network = frame.vertices[constants.sheet.vertex].astype(dtype)
+    skin = np.array(frame.skin, dtype=dtype, order="C")  # a copy: kernels are compiled for arrays that may be written
+    none = _without_past(constants, network, frame.time_s)
+    past = memory if memory is not None and _leads_to(memory, network, frame.time_s) else none
+    x, after = _advanced(constants, past, network, skin, frame.time_s, effort)
+    if x is not None:
+        return x, after, Report(settled=past is none)
+    x, after = _advanced(constants, none, network, skin, frame.time_s, effort)
+    if x is not None:
+        return x, after, Report(settled=True, reset=True)
+    return frame.vertices, none, Report(settled=True, reset=True)
+
+
+def _leads_to(memory: Memory, network: np.ndarray, time_s: float) -> bool:
+    """Whether the frame at ``time_s`` with the ``network``'s vertices (P, 3) follows the one that is remembered."""
+    if not 0.0 <= time_s - memory.time_s <= PAUSE_S:
+        return False
+    way = network - memory.network
+    return float(np.einsum("vi,vi->v", way, way).max()) <= CUT_M**2
+
+
+def calmness(before: np.ndarray, network: np.ndarray) -> float:
+    """1 where the network moves its vertices slowly, 0 where fast: a coarse step then asks for what is past at once."""
+    way = network - before
+    moved_m = float(np.sqrt(np.einsum("vi,vi->", way, way) / len(way)))
+    return float(np.clip((FAST_M - moved_m) / (FAST_M - SLOW_M), 0.0, 1.0))
+
+
+def _without_past(constants: Constants, network: np.ndarray, time_s: float) -> Memory:
+    still = np.zeros_like(network)
+    return Memory(time_s, network, still, still, Touched(constants.index, np.full_like(constants.index, -1)), 0)
+
+
+def _advanced(
+    constants: Constants, past: Memory, network: np.ndarray, skin: np.ndarray, time_s: float, effort: Effort
+) -> tuple[np.ndarray | None, Memory]:
+    """Vertices [m] (V, 3) of the frame after ``past``, None where they are no folds, and its memory."""
+    dtype = network.dtype.type
+    settled = past.network is network
+    step_s = FIRST_STEP_S if settled else max(time_s - past.time_s, SHORTEST_STEP_S)
+    rounds = effort.settle if settled else 1
+    place = constants.sheet.place
+    share = dtype(SHARE * calmness(past.network[place], network[place]))
+    sweeps = effort.sweeps + (FAST_SWEEPS if share == 0.0 else 0)
+    numbers = Numbers(dtype(step_s), dtype(MOMENTUM), share, rounds, sweeps, -1 if settled else past.turn)
+    cloth = Cloth(constants.sheet, constants.level, constants.graph)
+    touched = Touched(past.touched.own.copy(), past.touched.other.copy())
+    x, residual, velocity, far = advance(network, past.residual, past.velocity, touched, skin, cloth, numbers)
+    after = Memory(time_s, network, residual, velocity, touched, (past.turn + 1) % TURNS)
+    return (x[place] if far <= FAR_M else None), after
+
+
+class Cloth(NamedTuple):
+    """The arrays of ``Constants``."""
+
+    sheet: Sheet
+    level: Coarse
+    graph: SkinGraph
+
+
+class Numbers(NamedTuple):
+    """``step_s`` since the frame before [s]; ``rounds`` of a coarse step's ``share`` and ``sweeps``; the
+    ``turn`` of ``touch``."""
+
+    step_s: np.floating
+    momentum: np.floating
+    share: np.floating
+    rounds: int
+    sweeps: int
+    turn: int
+
+
+@kernel
+def advance(network, residual, velocity, touched, skin, cloth, numbers):
+    """``x`` [m] (P, 3), the new residual and velocity, and how far [m] x is from the network; NaN where one is.
+
+    ``touched`` is moved on in place.
+    """
+    sheet, k = cloth.sheet, cloth.sheet.constants
+    residual, velocity = residual.copy(), velocity.copy()
+    frames = np.empty((len(network), 3, 3), network.dtype)
+    surface_frames(network, sheet, frames)
+    x, way = np.empty_like(network), np.empty_like(network)
+    for v in range(len(network)):
+        r = in_world(frames, v, at(residual, v))
+        u = in_world(frames, v, scaled(numbers.step_s, at(velocity, v)))
+        for i in range(3):
+            x[v, i], way[v, i] = network[v, i] + r[i], u[i]
+    _descend_rounds(x, way, network, touched, skin, cloth, numbers)
+    far = k.zero
+    for v in range(len(network)):
+        off = sub(at(x, v), at(network, v))
+        square = dot(off, off)
+        if not square <= far:
+            far = square
+        r, u = in_frame(frames, v, off), in_frame(frames, v, scaled(k.one / numbers.step_s, at(way, v)))
+        for i in range(3):
+            residual[v, i], velocity[v, i] = r[i], u[i]
+    return x, residual, velocity, np.sqrt(far)
+
+
+@kernel
+def _descend_rounds(x, way, network, touched, skin, cloth, numbers):
+    """The rounds of ``numbers`` on ``x``, in place, with the ``way`` of the last sweep."""
+    sheet, k = cloth.sheet, cloth.sheet.constants
+    planes, gradient = np.empty(PLANES // LANES * len(x), x.dtype), np.empty_like(x)
+    matrix, force = np.empty_like(cloth.level.matrix), np.empty((len(cloth.level.first), 3), x.dtype)
+    before, scratch = np.empty_like(x), np.empty(SCRATCH, x.dtype)
+    for _ in range(numbers.rounds):
+        touch(x, skin, cloth.graph, sheet, touched, numbers.turn, planes)
+        if numbers.share > k.zero:
+            gradient_at(x, sheet, planes, network, scratch, gradient)
+            coarse_step(x, cloth.level, sheet, planes, gradient, numbers.share, matrix, force)
+        for _ in range(numbers.sweeps):
+            before[:] = x
+            for v in range(len(x)):
+                u = at(way, v)
+                share = numbers.momentum * k.reach / np.sqrt(max(dot(u, u), k.reach * k.reach))
+                for i in range(3):
+                    x[v, i] += share * u[i]
+            descend(x, sheet, planes, network, scratch)
+            for v in range(len(x)):
+                for i in range(3):
+                    way[v, i] = x[v, i] - before[v, i]
+
+
+def warm_up() -> None:
+    """Compiles the kernels, or reads them where they are stored, so that no frame waits for that."""
+    square, faces = (
+        np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.1, 0.0], [0.0, 0.1, 0.0]]),
+        [[0, 1, 2], [0, 2, 3]],
+    )
+    cloth = ClothMesh.from_rest(square, np.array(faces))
+    charts = Charts(np.zeros((4, 1), np.int32), np.ones((4, 1)))
+    graph = SkinGraph(np.zeros((1, NEIGHBOURS), np.int32), np.ones(1), np.zeros((1, 3)))
+    small = Constants.of(Dressed(cloth, Material(), np.zeros(4), charts, graph, np.zeros(4, np.int32)))
+    fold(small, None, Frame(square, np.zeros((1, 8)), 0.0), Effort(sweeps=1))

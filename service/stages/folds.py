@@ -1,0 +1,107 @@
+"""Folds: a few sweeps of the local solver on the network's drape, from what was left of the frame before."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.cloth.fabric import Fabric
+from drape.errors import InputError
+from drape.folds.constants import Constants, constants
+from drape.folds.step import Effort, Frame, Memory, fold, warm_up
+from drape.garment.cache import Garment
+from drape.wire.options import DrapeOptions
+from service.engine import SKIN, Engine
+from service.fabrics import layer_fabrics
+from service.settings import Settings
+from service.stages.batch import Batch, Layer, Plan, Stage
+
+SETTLE = 8  # times the sweeps of a frame for one without a past, where clients do not say
+KEPT = 64  # garments in fabrics, a megabyte or two each
+
+
+class Folds(Stage):
+    """Lowers the cloth's energy over the body, each layer for itself; what is between layers is for the push-out."""
+
+    name = "folds"
+
+    def __init__(self, engine: Engine, body: BodyModel, settings: Settings) -> None:
+        super().__init__(engine, body, settings)
+        self._garments: dict[str, Garment] = {}
+        self._constants: OrderedDict[tuple[str, str], Constants] = OrderedDict()
+        self._making = threading.Lock()
+        warm_up()
+
+    def resolve(self, options: DrapeOptions) -> dict[str, Any]:
+        if not options.folds:
+            return {"folds": None, "settle": None}
+        return {"settle": SETTLE if options.settle is None else options.settle}
+
+    def check(self, plan: Plan) -> None:
+        if plan.options.folds and plan.options.geometry == "jets":
+            raise InputError(
+                "folds",
+                expected="0 with geometry jets, whose polynomials are smooth",
+                got=str(plan.options.folds),
+                cure="Ask for vertices, or leave folds out.",
+            )
+
+    def wanted(self, plan: Plan) -> bool:
+        return bool(plan.options.folds)
+
+    def needs(self, plan: Plan) -> frozenset[str]:
+        return frozenset({"vertices", SKIN})
+
+    def depends_on(self, plan: Plan) -> object:
+        return layer_fabrics(plan.options, len(plan.keys))
+
+    def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
+        self._garments[garment.digest] = garment
+
+    def prepare(self, plan: Plan) -> None:
+        for key, fabric in zip(plan.keys, layer_fabrics(plan.options, len(plan.keys)), strict=True):
+            self._of(key, fabric)
+
+    def run(self, batch: Batch) -> Batch:
+        plan = batch.plan
+        assert plan.options.folds and plan.options.settle is not None
+        effort = Effort(plan.options.folds, plan.options.settle)
+        layers, resets = list(batch.layers), np.zeros(len(batch.root))
+        for i, (key, fabric) in enumerate(zip(plan.keys, layer_fabrics(plan.options, len(plan.keys)), strict=True)):
+            memories = batch.remembered((self.name, key))
+            layers[i], memories, again = self._folded(batch, i, self._of(key, fabric), effort, memories)
+            resets += again
+            batch = batch.remember((self.name, key), memories)
+        return replace(batch, layers=tuple(layers), quality=replace(batch.quality, folds_resets=resets))
+
+    def _folded(
+        self, batch: Batch, i: int, made: Constants, effort: Effort, memories: Sequence[Memory | None]
+    ) -> tuple[Layer, list[Memory | None], np.ndarray]:
+        """Layer ``i`` with folds, the memories of the inputs after it, and which frames (F,) were begun anew."""
+        drape, skin = batch.layers[i].vertices, batch.skin
+        assert drape is not None and skin is not None
+        vertices, resets, after = np.empty_like(drape), np.zeros(len(drape)), []
+        for (one, rows), memory in zip(batch.rows(), memories, strict=True):
+            for number, row in enumerate(range(rows.start, rows.stop)):
+                frame = Frame(drape[row], skin[row].reshape(-1, skin.shape[-1]), float(one.times_s[number]))
+                vertices[row], memory, report = fold(made, memory, frame, effort)
+                resets[row] = report.reset
+            after.append(memory)
+        return replace(batch.layers[i], vertices=vertices), after, resets
+
+    def _of(self, key: str, fabric: Fabric | None) -> Constants:
+        """The constants of the garment ``key`` made of ``fabric``, made once; the latest used are kept."""
+        name = key, "" if fabric is None else fabric.digest
+        with self._making:
+            if name not in self._constants:
+                self._constants[name] = constants(self._garments[key], self.body, fabric)
+                if len(self._constants) > KEPT:
+                    self._constants.popitem(last=False)
+            self._constants.move_to_end(name)
+            return self._constants[name]

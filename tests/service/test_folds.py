@@ -1,0 +1,110 @@
+"""Folds on the road of a frame: off by default, remembered per stream and garment, told where they began anew."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import httpx
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from drape.errors import InputError
+from drape.folds import step
+from drape.wire.options import DrapeOptions
+from service.app import create_app
+from service.drapery import Drapery
+from service.settings import Settings
+from service.stages import carried, run
+from service.stages.batch import PoseInput
+from service.stages.folds import SETTLE
+from tests.fixtures.poses import smooth_motion
+from tests.fixtures.serving import outfit_settings, serve
+
+__all__ = ["outfit_settings"]  # fixture
+TIMES_S = np.arange(6) / 30.0
+POSES, TRANS = smooth_motion(TIMES_S)
+CLIP = PoseInput(POSES, TRANS, np.zeros(10), TIMES_S)
+
+
+@pytest.fixture(scope="module")
+def drapery(make_settings: Callable[..., Settings]) -> Iterator[Drapery]:
+    made = Drapery(make_settings(chunk_frames=4))
+    yield made
+    made.close()
+
+
+def test_without_folds_the_stage_is_not_in_the_plan_and_nothing_changes(drapery: Drapery):
+    entry = drapery.garments.get("tube")
+    plain, none = (drapery.plan(entry, DrapeOptions(folds=folds)) for folds in (None, 0))
+    assert plain == none == drapery.plan(entry, DrapeOptions(settle=3)), "settle alone asks for nothing"
+    assert [stage.name for stage in plain.stages] == ["network", "collision"]
+    folded = drapery.plan(entry, DrapeOptions(folds=2))
+    assert [stage.name for stage in folded.stages] == ["network", "folds", "collision"]
+    assert folded.options.settle == SETTLE
+    still = [PoseInput(POSES[:1], TRANS[:1], np.zeros(10), TIMES_S[:1])]
+    way = run(folded, still).vertices - run(plain, still).vertices
+    assert 1e-5 < np.abs(way).max() < 0.1
+
+
+def test_folds_of_jets_are_refused(drapery: Drapery):
+    with pytest.raises(InputError, match="folds: expected 0 with geometry jets, whose polynomials are smooth, got 2"):
+        drapery.plan(drapery.garments.get("tube"), DrapeOptions(folds=2, geometry="jets"))
+
+
+def test_bits_depend_neither_on_chunks_nor_on_who_else_is_there(drapery: Drapery):
+    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions(folds=1))
+    other = replace(CLIP, poses=POSES[::-1].copy(), betas=np.ones(10))
+    alone = run(plan, [CLIP]).vertices
+    together = run(plan, [other, CLIP])
+    assert_array_equal(together.vertices[len(POSES) :], alone)
+    assert_array_equal(asyncio.run(drapery.drape(plan, CLIP)).vertices, alone)
+    assert together.memories[0].keys() == together.memories[1].keys() == {("folds", plan.keys[0])}
+
+
+def test_every_layer_has_a_memory_of_its_own(outfit_settings: Settings):
+    drapery = Drapery(outfit_settings)
+    plan = drapery.plan(drapery.garments.scene(None, ["tube", "coat"]), DrapeOptions(folds=1, push_out=False))
+    both = run(plan, [CLIP])
+    assert both.memories[0].keys() == {("folds", key) for key in plan.keys}
+    inner = drapery.plan(drapery.garments.get("tube"), DrapeOptions(folds=1, push_out=False))
+    assert_array_equal(run(inner, [CLIP]).vertices, both.layers[0].vertices)
+    drapery.close()
+
+
+def test_memories_hold_for_a_fabric(drapery: Drapery):
+    entry = drapery.garments.get("tube")
+    plan = drapery.plan(entry, DrapeOptions(folds=1))
+    memories = run(plan, [CLIP]).memories[0]
+    (folds,) = plan.keys
+    assert ("folds", folds) in carried(memories, plan, drapery.plan(entry, DrapeOptions(folds=4, push_out=False)))
+    assert not carried(memories, plan, drapery.plan(entry, DrapeOptions()))
+    stage = plan.stages[1]
+    worn = replace(plan, options=plan.options.model_copy(update={"fabric": "denim"}))
+    assert stage.depends_on(plan) != stage.depends_on(worn)
+
+
+def test_constants_are_made_when_a_plan_is_prepared_and_once(drapery: Drapery, monkeypatch: pytest.MonkeyPatch):
+    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions(folds=1))
+    asyncio.run(drapery.prepare(plan))
+
+    def never(*_: object) -> None:
+        raise AssertionError("constants made in a frame")
+
+    monkeypatch.setattr("service.stages.folds.constants", never)
+    run(plan, [CLIP])
+
+
+def test_resets_are_counted_and_told(drapery: Drapery, monkeypatch: pytest.MonkeyPatch):
+    with serve(create_app(drapery.settings, drapery=drapery), drapery.settings) as url:
+        document = {"garment": "tube", "poses": POSES.tolist(), "folds": 2, "settle": 1}
+        headers = httpx.post(url + "/drape", json=document).headers
+        assert headers["X-Drape-Folds"] == "2" and headers["X-Drape-Folds-Resets"] == "0"
+        assert "X-Drape-Folds" not in httpx.post(url + "/drape", json=document | {"folds": 0}).headers
+        monkeypatch.setattr(step, "FAR_M", -1.0)  # no drape is that near
+        headers = httpx.post(url + "/drape", json=document).headers
+        assert headers["X-Drape-Folds-Resets"] == str(len(POSES))
+        for folds in (-1, 17, 1.5):
+            assert httpx.post(url + "/drape", json=document | {"folds": folds}).json()["name"] == "folds"
