@@ -11,8 +11,9 @@ import trimesh
 
 from drape.cloth.rest_state import grain_along
 from drape.errors import InputError
-from drape.garment.cache import GARMENTS_DIR
+from drape.garment.cache import GARMENTS_DIR, load_garment
 from drape.garment.partition import patch_count_for
+from drape.geometry import meshes
 from drape.geometry.closest import signed_distance
 from drape.push.skin import body_skin
 from tests.training.training_setup import CPU, TINY_RUN, body
@@ -82,6 +83,15 @@ def test_a_garment_file_goes_through_intake(tmp_path):
     assert garment.name == path
     assert signed_distance(garment.rest.vertices, body().v_template, body().faces).min() >= 0.006
     assert len(garment.partitions) == 1
+
+
+def test_a_sewn_garment_is_trained_on_as_its_panels():
+    path = next(GARMENTS_DIR.glob("skirt-*.npz"))
+    (garment,) = Wardrobe(replace(DATA, garments=(str(path),), partitions=1), body(), seed=1, device=CPU).garments
+    panels = load_garment(path).rest_state().face_area.sum()
+    worn = meshes.face_areas(garment.rest.vertices, garment.rest.faces).sum()
+    assert float(garment.cloth.vertex_area.sum()) == pytest.approx(panels, rel=1e-5)
+    assert abs(worn / panels - 1.0) > 1e-3  # its weight and its waist stretch what is worn
 
 
 def test_unknown_garment_is_refused():

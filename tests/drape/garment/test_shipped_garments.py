@@ -99,8 +99,9 @@ def test_patches_and_fit_are_as_its_manifest_says(name):
     fields = {key: getattr(garment, key) for key in vars(garment) if key.startswith(("patch_", "chart_"))}
     measured = fit_error(rest, fields)
     assert measured["folded_chart_entries"] == figures["folded_chart_entries"]
-    # A collar lies twice on the charts of its neck: its fall over its stand.
-    assert figures["folded_chart_entries"] == 0 or garment.rest_state().hinge_angle.any()
+    # Charts of the cut ones are projections, which a jet cannot lean past; those of the others were laid flat.
+    folds = {"folded_chart_triangles", "folded_charts"} & set(figures) or {"folded_chart_entries"}
+    assert {key: measured[key] for key in folds} == dict.fromkeys(folds, 0)
     for key in ("point_rmse_m", "point_max_m", "normal_error_deg"):
         assert_allclose(measured[key], figures[key], rtol=1e-2, atol=1e-6)
 
