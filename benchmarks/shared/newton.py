@@ -31,6 +31,7 @@ SHIFT_N_PER_M, SHIFT_LEAST_N_PER_M = 1.0, 1e-3  # per vertex of mean weight
 LATE = 60  # iterations after which a direction that meets negative curvature is worth its step
 HALVINGS = 8
 COARSE_AGE = 4  # steps that an inverse on the charts serves
+STALLS, STALLED_N_PER_M = 6, 16.0  # steps one after the other that lower nothing, and the shift after the first
 COLLAPSED = 0.05  # of its area at rest: a triangle that is laid out anew where no step lowers the energy
 LAYINGS = 6
 
@@ -117,6 +118,7 @@ class Descent:
         if self.steps == 0:
             for _ in range(SWEEPS):
                 self._sweep(self.problem.order)
+        stalls = 0
         while self.steps < step_limit:
             force = np.linalg.norm(self.now.force)
             if force <= tolerance_n and self.now.energy <= self.start_j:
@@ -128,8 +130,14 @@ class Descent:
                 size = (self.now.force**2).sum(axis=1)
                 worst = np.argsort(-size, kind="stable")[: max(8, int(WORST * len(size)))]
                 self._sweep(worst.astype(np.int32), WORST_SWEEPS)
-            elif not self._lay_out():
+                stalls = 0
+                continue
+            stalls += 1
+            if stalls == STALLS:
                 break
+            if not self._lay_out():
+                # A step so short that it is one of steepest descent.
+                self.shift = max(4.0 * (self.shift or 0.0), STALLED_N_PER_M)
         at_rest = np.linalg.norm(self.now.force) <= tolerance_n and self.now.energy <= self.start_j
         return (self.now if at_rest else self.best)._replace(at_rest=bool(at_rest), steps=self.steps)
 
@@ -169,7 +177,7 @@ class Descent:
             self.exact = min(1.0, max(2.0 * self.exact, EXACT_START))
         elif share < 0.2:
             self.exact *= 0.5
-        return lowered or (self.shift is None and self.exact > EXACT_LEAST)
+        return lowered
 
     def _direction(self) -> tuple[np.ndarray, int]:
         """A step [m] (V, 3) along which the energy falls, and the iterations that it took, negative if cut off."""
@@ -192,7 +200,7 @@ class Descent:
             count = linear.conjugate_gradients(system, force, np.float32(left), ITERATIONS, moved)
             # A direction that curves down leads far away, unless it came late.
             if self.shift is not None:
-                if count > 0 or count < -LATE or self.shift > 1e6:
+                if count > 0 or count < -LATE or self.shift > 1e8:
                     break
                 self.shift *= 4.0
             elif count > 0 or count < -8 or self.exact == 0.0:

@@ -17,6 +17,7 @@ from drape.solver.compiled import kernel
 WIDTH_M = 0.006  # h
 FADED = 14.0  # exponent at which a weight counts as none: 1e-6 of the nearest one's
 REACH_M = 0.024  # body vertices farther away are not blended
+BEHIND = -0.5  # cosine between a plane's normal and the way to a point beyond reach, below which that is inside
 FAR_M = 0.02  # a point asks for its nearest body vertex again when it has moved by so much
 
 
@@ -47,7 +48,9 @@ def cells(point: np.ndarray, normal: np.ndarray) -> Cells:
 class BlendedPlanes:
     """The planes under moving points: those that have the blended distance and its gradient there.
 
-    A point without a body vertex within ``REACH_M`` has the plane of the nearest one, of where it last asked for it.
+    A point without a body vertex within ``REACH_M`` has the plane of the nearest one, of where it last asked for it, if
+    it lies behind that; else one that it does not touch: beside hands and feet the planes of a nearest vertex that is
+    decimetres away cut through free space.
     What is farther from the body than ``gap_m`` is looked at again only when it may have come nearer.
     """
 
@@ -69,7 +72,11 @@ class BlendedPlanes:
         if len(stale):
             found = self._tree.query(x[stale])[1]
             self._asked[stale], self._blended[stale] = x[stale], np.inf
-            self._point[stale], self._normal[stale] = self._cells.point[found], self._cells.normal[found]
+            point, normal = self._cells.point[found], self._cells.normal[found]
+            way = x[stale] - point
+            behind = (way * normal).sum(axis=1) < BEHIND * np.linalg.norm(way, axis=1)
+            self._normal[stale] = normal
+            self._point[stale] = np.where(behind[:, None], point, x[stale] - (self._gap + FAR_M) * normal)
         blend(x, self._cells, self._gap, self._blended, self._clear, self._point, self._normal, self._bend)
         return self._point.copy(), self._normal.copy(), self._bend.copy()
 

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.cloth.contact import BodyContact
-from drape.solver.body_distance import FAR_M, REACH_M, WIDTH_M, BlendedPlanes
+from drape.solver.body_distance import FADED, FAR_M, REACH_M, WIDTH_M, BlendedPlanes
 from tests.drape.cloth.cloth_shapes import grid
 from tests.drape.geometry.geometry_shapes import icosphere
 
@@ -47,8 +47,8 @@ def test_the_distance_is_the_weighted_mean_of_all_planes(uneven, rng):
     square = (way**2).sum(axis=2)
     weight = np.exp((square.min(axis=1, keepdims=True) - square) / WIDTH_M**2)
     wanted = (weight * (way * normals).sum(axis=2)).sum(axis=1) / weight.sum(axis=1)
-    # What is left out weighs less than 1e-6 of the nearest each, and its planes lie some centimetres apart.
-    assert_allclose(distance(uneven, x)[0], wanted, rtol=0, atol=1e-6 * 0.02 * 20)
+    # What is left out weighs less than that of the nearest each: some twenty of them, planes 20 cm apart or less.
+    assert_allclose(distance(uneven, x)[0], wanted, rtol=0, atol=np.exp(-FADED) * 20 * 0.2)
 
 
 def test_first_and_second_derivatives_are_those_of_differences(uneven, rng):
@@ -120,14 +120,20 @@ def test_what_moves_is_blended_as_if_it_were_looked_up_anew(uneven, rng):
         assert (found[~touching] >= GAP_M).all()
 
 
-def test_far_from_the_body_there_is_the_plane_of_the_nearest_vertex(uneven):
-    points, normals = uneven
-    x = points[[5, 9]] + 2.0 * REACH_M * normals[[5, 9]]
-    planes = BlendedPlanes(*uneven, 2, GAP_M)
+def test_beyond_reach_the_nearest_plane_holds_what_is_behind_it_and_nothing_else():
+    points, faces = icosphere(3, radius_m=0.1)
+    planes = BlendedPlanes(points, np.asarray(BodyContact(faces, len(points)).normals(points)), 2, GAP_M)
+    inside, outside = np.array([0.0, 0.05, 0.0]), np.array([0.0, 0.1 + 2.0 * REACH_M, 0.0])
     for _ in range(2):
+        x = np.stack([inside, outside])
         point, normal, bend = planes(x)
-        nearest = ((x[:, None] - points[None]) ** 2).sum(axis=2).argmin(axis=1)
-        assert_array_equal(point, points[nearest])
-        assert_array_equal(normal, normals[nearest])
+        nearest = ((inside - points) ** 2).sum(axis=1).argmin()
+        assert_array_equal(point[0], points[nearest])
+        distance_m = ((x - point) * normal).sum(axis=1)
+        assert_allclose(distance_m, [-0.05, GAP_M + FAR_M], rtol=0, atol=0.003)
         assert_array_equal(bend, 0.0)
-        x = x + 1.1 * FAR_M * np.array([0.0, 1.0, 0.0])
+        outside = outside + 1.1 * FAR_M * np.array([0.0, 1.0, 0.0])
+    edge = BlendedPlanes(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), 1, GAP_M)
+    beside = np.array([[0.3, 0.0, -0.01]])  # 10 mm below the plane of a vertex 30 cm away
+    point, normal, _ = edge(beside)
+    assert ((beside - point) * normal).sum() > GAP_M
