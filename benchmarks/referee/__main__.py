@@ -6,7 +6,8 @@
 
 Every garment in the one cloth of before fabrics, then those of ``--fabric-garments`` in each of ``--fabrics``, flat at
 rest where they keep no crease; poses and starts are those of ``benchmarks.quality``. ``--before`` names a record of
-another method in the one cloth: rows of ``garment``, ``pose``, ``energy_j``, ``processor_s``.
+another method in the one cloth: rows of ``garment``, ``pose``, ``energy_j``, ``processor_s``. ``--sheet``
+draws the first pose, a garment per row and a cloth per column, of the garments that are made of ``--fabrics``.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ import numpy as np
 from benchmarks.shared import common, physics
 from benchmarks.shared.network import Network
 from benchmarks.shared.physics_cache import CACHE_DIR, cache_key, cached
+from benchmarks.shared.render import PLAIN_CLOTH, RAKING_LIGHT, SKIN, Surface, render, save_png, sheet
 from drape.artifacts import model_folder
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
@@ -39,6 +41,7 @@ from drape.motion.hard_poses import HardPoses, hard_poses
 from drape.motion.readers import read_motion
 
 FRAMES, QUICK_FRAMES = 8, 1
+SIZE, EXTENT = (460, 380), 1.2
 FABRIC_GARMENTS = ("tshirt", "trousers", "dress")
 COLUMNS = {
     "garment": "s", "fabric": "s", "poses": "d", "start_j": ".3f", "energy_j": ".4f", "old_energy_j": ".4f",
@@ -71,6 +74,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--steps", type=int, default=physics.STEPS, help=f"most steps (default {physics.STEPS})")
     parser.add_argument("--before", type=Path, help="a record of another method, to compare with")
+    parser.add_argument("--sheet", type=Path, metavar="FILE", help="draw the first pose in each of --fabrics there")
     parser.add_argument("--no-physics-cache", action="store_true", help="minimise again, store nothing")
     common.add_options(parser)
     options = parser.parse_args(arguments)
@@ -90,8 +94,9 @@ def open_scene(options: argparse.Namespace) -> Scene:
     return Scene(body, poses, contact, body.posed_vertices(poses.poses), network, options.steps, folder)
 
 
-def measure(garment: Garment, made_of: Fabric | None, scene: Scene) -> list[dict[str, Any]]:
-    """A row per pose of ``garment`` in ``made_of``, in the one cloth of before fabrics where that is None."""
+def measure(garment: Garment, made_of: Fabric | None, scene: Scene) -> tuple[list[dict[str, Any]], np.ndarray]:
+    """A row per pose of ``garment`` in ``made_of``, in the one cloth of before fabrics where that is None; and the
+    optima (F, V, 3) [m]."""
     rest, faces = garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64)
     if made_of is None:
         cloth, of, network = ClothMesh.from_rest(rest, faces), material(), scene.network
@@ -124,7 +129,7 @@ def measure(garment: Garment, made_of: Fabric | None, scene: Scene) -> list[dict
         scene.folder,
     )
     weight_n = of.gravity_m_s2 * cloth.vertex_mass(of).sum()
-    return [
+    rows = [
         {
             "garment": garment.name,
             "fabric": "" if made_of is None else made_of.name,
@@ -142,6 +147,17 @@ def measure(garment: Garment, made_of: Fabric | None, scene: Scene) -> list[dict
         }
         for frame, label in enumerate(scene.poses.labels)
     ]
+    return rows, found.vertices
+
+
+def picture(garment: Garment, vertices: np.ndarray, scene: Scene) -> np.ndarray:
+    """The first of the optima ``vertices`` (F, V, 3) as plain cloth under a raking light."""
+    body, faces = scene.body, garment.fine_faces.astype(np.int64)
+    surfaces = [Surface(scene.body_vertices[0], body.faces, SKIN), Surface(vertices[0], faces, PLAIN_CLOTH)]
+    low, high = vertices[0].min(axis=0), vertices[0].max(axis=0)
+    extent_m = EXTENT * float((high - low)[1])
+    centre = 0.5 * (low + high)
+    return render(surfaces, size=SIZE, azimuth_deg=20.0, centre=centre, extent_m=extent_m, light=RAKING_LIGHT)
 
 
 def add_before(rows: list[dict[str, Any]], path: Path) -> None:
@@ -185,22 +201,29 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     fabrics = [fabric(name) for name in options.fabrics]
     rows: list[dict[str, Any]] = []
     refused: dict[str, str] = {}
+    drawn: list[list[np.ndarray]] = []
     for path in find_garments(options.garments):
         try:
             garment = open_garment(path, scene.body)
         except InputError as error:
             refused[error.name] = str(error)
             continue
-        for made_of in (None, *(fabrics if garment.name in options.fabric_garments else ())):
+        own = fabrics if garment.name in options.fabric_garments else []
+        pictures = []
+        for made_of in (None, *own):
             called = f"{garment.name} of {made_of.name}" if made_of else garment.name
             try:
-                new = measure(garment, made_of, scene)
+                new, vertices = measure(garment, made_of, scene)
             except InputError as error:
                 refused[called] = str(error)
                 print(f"{called}: {error}", flush=True)
                 continue
             rows += new
+            pictures += [picture(garment, vertices, scene)] if options.sheet and own else []
             print(f"{called}: {sum(row['at_rest'] for row in new)} of {len(new)} at rest", flush=True)
+        drawn += [pictures] if len(pictures) == 1 + len(fabrics) > 1 else []
+    if options.sheet and drawn:
+        save_png(options.sheet, sheet(drawn), colours=128)
     if options.before:
         add_before(rows, options.before)
     print()

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from benchmarks.referee import __main__ as referee
 from benchmarks.shared import physics
+from benchmarks.shared.render import PLAIN_CLOTH
 from drape.cloth.fabric_table import fabric
 from tests.benchmarks.quality.quality_setup import bench, tube
 
@@ -21,7 +24,8 @@ def scene(tmp_path_factory):
 
 
 def test_a_row_says_how_near_to_rest_a_pose_came_and_what_it_took(scene):
-    rows = [*referee.measure(tube(), None, scene), *referee.measure(tube(), fabric("rib"), scene)]
+    one, vertices = referee.measure(tube(), None, scene)
+    rows = [*one, *referee.measure(tube(), fabric("rib"), scene)[0]]
     assert [(row["fabric"], row["pose"]) for row in rows] == [(n, p) for n in ("", "rib") for p in ("bend:1", "bend:2")]
     for row in rows:
         assert row["energy_j"] <= row["start_j"]
@@ -29,8 +33,12 @@ def test_a_row_says_how_near_to_rest_a_pose_came_and_what_it_took(scene):
         assert 0 < row["steps"] <= physics.STEPS
         assert row["processor_s"] > 0.0
         assert not row["cached"]
-    again = referee.measure(tube(), None, scene)
+    again, stored = referee.measure(tube(), None, scene)
     assert again == [row | {"cached": True} for row in rows[:2]]
+    assert_array_equal(stored, vertices)
+    drawn = referee.picture(tube(), vertices, scene)
+    assert drawn.shape == (*referee.SIZE, 3)
+    assert (np.abs(drawn - PLAIN_CLOTH) < 0.3).all(axis=2).mean() > 0.02
 
 
 def row(garment: str, made_of: str, pose: str, energy_j: float, **others) -> dict:
