@@ -161,6 +161,7 @@ TABLES = (
     ("quality_reference", "docs/reference/quality.md", "quality_reference", reference_table),
     ("quality_reference", "docs/reference/quality.md", "quality_reference_ends", reference_end_table),
     ("referee", "docs/reference/quality.md", "referee", referee_table),
+    ("referee_fabrics", "docs/reference/quality.md", "referee_fabrics", referee_table),
     ("dynamics", "docs/guide/training.md", "dynamics_stop", stop_table),
     ("dynamics", "docs/guide/training.md", "dynamics_potential", potential_table),
     ("push_out", "docs/explanation/push_out.md", "push_out", push_table),

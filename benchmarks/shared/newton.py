@@ -27,7 +27,7 @@ ITERATIONS = 100  # of conjugate gradients per step, at most
 ROUGH, FINE = 0.3, 0.1  # share of the residual that they leave, while blending and while shifting
 EXACT_START, EXACT_LEAST = 0.05, 0.02
 SHIFTING = 0.05  # of the weight: the force below which the Hessian is taken as it is
-SHIFT_N_PER_M, SHIFT_LEAST_N_PER_M = 1.0, 1e-3  # per vertex of mean weight
+SHIFT_N_PER_M, SHIFT_LEAST_N_PER_M = 1.0, 1e-3  # per vertex of mean area
 LATE = 60  # iterations after which a direction that meets negative curvature is worth its step
 HALVINGS = 8
 COARSE_AGE = 4  # steps that an inverse on the charts serves
@@ -89,7 +89,9 @@ class Descent:
         self.steps = self._layings = 0
         self.exact = 0.0  # how much of the Hessian's indefinite part is in it, until the force is small
         self.shift: float | None = None  # from then on [N/m], on the whole Hessian
-        self._per_shift = (self.problem.weight_n / self.problem.weight_n.mean())[:, None, None] * np.eye(3)
+        triangles = self.problem.triangles
+        area = np.bincount(triangles.corner.reshape(-1), np.repeat(triangles.area, 3), len(start))
+        self._per_shift = (area / area.mean())[:, None, None] * np.eye(3)
         self._blocks = np.empty((len(cloth.pattern.column), 3, 3))
         self._diagonal = np.empty((len(start), 3, 3))
         self._coarse, self._coarse_age = np.zeros((0, 0), np.float32), COARSE_AGE
