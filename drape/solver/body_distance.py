@@ -77,17 +77,19 @@ class BlendedPlanes:
             behind = (way * normal).sum(axis=1) < BEHIND * np.linalg.norm(way, axis=1)
             self._normal[stale] = normal
             self._point[stale] = np.where(behind[:, None], point, x[stale] - (self._gap + FAR_M) * normal)
-        blend(x, self._cells, self._gap, self._blended, self._clear, self._point, self._normal, self._bend)
+        planes = self._point, self._normal, self._bend
+        blend(x, self._cells, self._gap, self._blended, self._clear, planes)
         return self._point.copy(), self._normal.copy(), self._bend.copy()
 
 
 @kernel
-def blend(x, cells, gap, blended, clear, point, normal, bend):
-    """Writes ``point``, ``normal`` (V, 3) and ``bend`` (V, 3, 3) of the points ``x`` [m] (V, 3).
+def blend(x, cells, gap, blended, clear, planes):
+    """Writes the ``planes``, point and normal (V, 3) and bend (V, 3, 3), of the points ``x`` [m] (V, 3).
 
     Of those that are ``clear`` [m] (V,) or more away from where they were ``blended`` (V, 3), which are both renewed. A
     row without a body vertex within reach keeps its plane.
     """
+    point, normal, bend = planes
     reach, sharp = REACH_M * REACH_M, 1.0 / (WIDTH_M * WIDTH_M)
     mean, slope = np.empty(3), np.empty(3)
     low, high = np.empty(3, np.int64), np.empty(3, np.int64)
