@@ -45,6 +45,13 @@ POTENTIAL = {
     "given_dynamic_j": ("after the same frames: moving [J]", ".4f"), "given_static_j": ("static", ".4f"),
     "own_dynamic_j": ("each after its own: moving", ".4f"), "own_static_j": ("static", ".4f"),
 }  # fmt: skip
+REFEREE = {
+    "poses": ("poses", "d"), "start_j": ("start [J]", ".3f"), "energy_j": ("end [J]", ".4f"),
+    "old_energy_j": ("before [J]", ".4f"), "not_above_old": ("poses not above before", "d"),
+    "at_rest": ("poses at rest", "d"), "force_left_share": ("most force left, of the weight", ".4f"),
+    "steps": ("steps", ".0f"), "processor_s": ("processor [s] a pose", ".1f"),
+    "old_processor_s": ("before", ".1f"), "planes_apart_pct": ("planes apart %", ".2f"),
+}  # fmt: skip
 PUSH = {
     "colliding_triangle_pct": ("colliding triangles %", ".3f"), "edge_pct": ("edge %", ".2f"),
     "edge_added_pp": ("added [pp]", ".2f"), "energy_j": ("energy [J]", ".3f"), "jitter_ratio": ("jitter", ".2f"),
@@ -136,6 +143,14 @@ def push_table(record: Record) -> str:
     return table(["garments", "way", *heads(PUSH)], lines, record)
 
 
+def referee_table(record: Record) -> str:
+    """How near to rest, how low and how fast the physics optimum is: a line per garment and fabric, and the counts."""
+    lines = []
+    for row in record["summary"]:
+        lines.append([row["garment"], row["fabric"] or "one cloth", *cells(row, REFEREE)])
+    return table(["garment", "of", *heads(REFEREE)], lines, record)
+
+
 TABLES = (
     ("quality", "docs/reference/quality.md", "quality", quality_table),
     ("quality", "README.md", "gain", gain_table),
@@ -145,6 +160,8 @@ TABLES = (
     ("quality_fine", "docs/reference/quality.md", "quality_fine", network_table),
     ("quality_reference", "docs/reference/quality.md", "quality_reference", reference_table),
     ("quality_reference", "docs/reference/quality.md", "quality_reference_ends", reference_end_table),
+    ("referee", "docs/reference/quality.md", "referee", referee_table),
+    ("referee_fabrics", "docs/reference/quality.md", "referee_fabrics", referee_table),
     ("dynamics", "docs/guide/training.md", "dynamics_stop", stop_table),
     ("dynamics", "docs/guide/training.md", "dynamics_potential", potential_table),
     ("push_out", "docs/explanation/push_out.md", "push_out", push_table),

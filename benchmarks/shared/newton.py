@@ -1,39 +1,39 @@
-"""Newton's method for one drape over one posed body, with conjugate gradients, charts and line search.
+"""Newton's method for one drape over one posed body: conjugate gradients, charts, and a line search on the energy.
 
-The energy is that of ``drape.cloth.energies`` with the planes of the nearest body vertices. So it jumps where a vertex
-comes nearer to another body vertex: space falls into cells, and the energy is smooth within each. ``descend`` lets
-vertices cross, which finds low energies but never rests: some vertex always meets a step up. ``settle`` keeps a vertex
-in its cell where the next one costs more, by a fence just before the border, and there finds rest.
+The energy is that of ``drape.cloth.energies``, over the blended planes of ``drape.solver.body_distance``: those of the
+nearest body vertices step where a vertex comes nearer to another one, and then there is no place of rest.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
-from scipy.spatial import KDTree
 
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.solver import descent, hessian, linear
+from drape.solver.body_distance import BlendedPlanes
 from drape.solver.linear import Charts
 from drape.solver.problem import Options, Problem, Surroundings, problem, surroundings
 
 REACH_M = 0.01  # the most that one step moves a vertex
 SWEEPS = 4  # of vertex block descent before the first step: they take the worst of the start away
-DAMPING = 1e-3, 1e-4  # of the diagonal blocks, on top of the Hessian, while descending and while settling
+WORST, WORST_SWEEPS = 0.05, 4  # share of the vertices, those under the most force, swept after every step, so often
+DAMPING = 1e-5  # of the diagonal blocks, on top of the Hessian
 ITERATIONS = 100  # of conjugate gradients per step, at most
-ROUGH, FINE = 0.3, 0.05  # share of the residual that they leave, while descending and while settling
+ROUGH, FINE = 0.3, 0.1  # share of the residual that they leave, while blending and while shifting
 EXACT_START, EXACT_LEAST = 0.05, 0.02
+SHIFTING = 0.05  # of the weight: the force below which the Hessian is taken as it is
+SHIFT_N_PER_M, SHIFT_LEAST_N_PER_M = 1.0, 1e-3  # per vertex of mean area
+LATE = 60  # iterations after which a direction that meets negative curvature is worth its step
 HALVINGS = 8
 COARSE_AGE = 4  # steps that an inverse on the charts serves
-FENCE_M = 2e-4  # how far before its cell's border a vertex stands
-FENCE_STIFFNESS = 100.0  # in those of the contact
-STEP_UP_J = 1e-9  # what counts as a step of the energy
-STALLS = 8  # steps without a lower energy, one after the other, before settling gives up
+STALLS, STALLED_N_PER_M = 6, 16.0  # steps one after the other that lower nothing, and the shift after the first
+COLLAPSED = 0.05  # of its area at rest: a triangle that is laid out anew where no step lowers the energy
+LAYINGS = 6
 
 
 class Cloth(NamedTuple):
@@ -64,43 +64,8 @@ class Band(NamedTuple):
     n_per_m: np.ndarray
 
 
-class Nearest:
-    """Nearest body vertices of moving points, asked for again only where a point has moved enough for another one."""
-
-    def __init__(self, contact: BodyContact, posed: np.ndarray, point_count: int) -> None:
-        self.posed, self.normals = posed, np.asarray(contact.normals(posed))
-        self._chosen = np.arange(len(posed)) if contact.vertices is None else contact.vertices
-        self._tree = KDTree(posed[self._chosen], balanced_tree=False, compact_nodes=False)
-        self._asked = np.zeros((point_count, 3))
-        self._margin = np.full(point_count, -1.0)  # how much nearer the first is than the second
-        self._index = np.zeros(point_count, dtype=np.int64)
-
-    def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Index (V,) of the body vertex nearest to each of ``x`` (V, 3)."""
-        stale = np.flatnonzero(2.0 * np.linalg.norm(x - self._asked, axis=1) >= self._margin)
-        if len(stale):
-            distance, found = (np.asarray(part) for part in self._tree.query(x[stale], k=2))
-            self._asked[stale], self._margin[stale] = x[stale], distance[:, 1] - distance[:, 0]
-            self._index[stale] = self._chosen[found[:, 0]]
-        return self._index.copy()
-
-
-@dataclass(eq=False)
-class Place:
-    """Where a drape is: ``x`` (V, 3), in the cells ``cell`` (V,), behind fences (V, 3) where ``fence_n_per_m`` > 0."""
-
-    x: np.ndarray
-    cell: np.ndarray
-    fence: np.ndarray
-    fence_normal: np.ndarray
-    fence_n_per_m: np.ndarray
-
-    def copy(self) -> Place:
-        return Place(*(array.copy() for array in vars(self).values()))
-
-
 class Found(NamedTuple):
-    """An end: ``x`` (V, 3), ``energy`` [J] over the nearest planes, ``force`` [N] (V, 3) left, at rest or not."""
+    """An end: ``x`` (V, 3), ``energy`` [J] over the blended planes, ``force`` [N] (V, 3) left, at rest or not."""
 
     x: np.ndarray
     energy: float
@@ -110,122 +75,140 @@ class Found(NamedTuple):
 
 
 class Descent:
-    """One drape on its way down. ``best`` is what it has met of least energy."""
+    """One drape on its way down: where it is, ``now``, and what it has met of least energy, ``best``."""
 
     def __init__(
         self, cloth: Cloth, contact: BodyContact, posed: np.ndarray, start: np.ndarray, *, band: Band | None = None
     ) -> None:
         self.cloth, self.problem, self.band = cloth, cloth.problem, band
-        self.nearest = Nearest(contact, posed, len(start))
-        self.steps = 0
-        self.exact = 0.0  # how much of the Hessian's indefinite part is in it
+        normals, chosen = np.asarray(contact.normals(posed)), slice(None)
+        if contact.vertices is not None:
+            chosen = contact.vertices
+        self._planes = BlendedPlanes(posed[chosen], normals[chosen], len(start), float(cloth.problem.constants.gap))
+        self._met: tuple[np.ndarray, Surroundings, np.ndarray] | None = None  # what ``around`` gave last, of what
+        self.steps = self._layings = 0
+        self.exact = 0.0  # how much of the Hessian's indefinite part is in it, until the force is small
+        self.shift: float | None = None  # from then on [N/m], on the whole Hessian
+        triangles = self.problem.triangles
+        area = np.bincount(triangles.corner.reshape(-1), np.repeat(triangles.area, 3), len(start))
+        self._per_shift = (area / area.mean())[:, None, None] * np.eye(3)
         self._blocks = np.empty((len(cloth.pattern.column), 3, 3))
         self._diagonal = np.empty((len(start), 3, 3))
         self._coarse, self._coarse_age = np.zeros((0, 0), np.float32), COARSE_AGE
-        energy, force = self.evaluate(start, self.around(self.nearest(start)))
-        self.start_j = energy
-        self.best = Found(start, energy, force, False, 0)
+        self.now = self.best = self.found(start)
+        self.start_j = self.now.energy
 
-    def around(self, cell: np.ndarray) -> Surroundings:
-        """The planes of the body vertices ``cell`` (V,)."""
-        planes = surroundings(self.problem, self.nearest.posed[cell], self.nearest.normals[cell])
-        return planes if self.band is None else planes._replace(band=self.band.anchor, band_n_per_m=self.band.n_per_m)
+    def around(self, x: np.ndarray) -> tuple[Surroundings, np.ndarray]:
+        """What acts on ``x`` from outside, and the second derivatives of its distance to the body."""
+        if self._met is not None and self._met[0] is x:
+            return self._met[1:]
+        point, normal, bend = self._planes(x)
+        planes = surroundings(self.problem, point, normal)
+        if self.band is not None:
+            planes = planes._replace(band=self.band.anchor, band_n_per_m=self.band.n_per_m)
+        self._met = x, planes, bend
+        return planes, bend
 
-    def evaluate(self, x: np.ndarray, around: Surroundings) -> tuple[float, np.ndarray]:
-        """Energy [J] and its gradient [N] (V, 3)."""
+    def found(self, x: np.ndarray) -> Found:
+        """Energy and force at ``x``."""
         gradient = np.empty_like(x)
-        return descent.energy_and_gradient(x, self.problem, around, gradient), gradient
+        energy = descent.energy_and_gradient(x, self.problem, self.around(x)[0], gradient)
+        return Found(x, energy, gradient, False, self.steps)
 
-    def descend(self, step_limit: int, tolerance_n: float) -> None:
-        """Steps within the planes that are nearest at their beginning; the energy may rise where planes change."""
-        x = self.best.x.copy()
-        for _ in range(SWEEPS):
-            descent.sweep(x, self.problem, self.around(self.nearest(x)), True)
-        for _ in range(step_limit):
-            around = self.around(self.nearest(x))
-            energy, gradient = self.evaluate(x, around)
-            self._keep(x, energy, gradient)
-            if np.linalg.norm(gradient) <= tolerance_n:
-                return
-            step, count = self._direction(x, around, gradient, (ROUGH, DAMPING[0]))
-            slope, share = float((gradient * step).sum()), 1.0
-            for _ in range(HALVINGS):
-                if self.evaluate(x + share * step, around)[0] < energy + 1e-4 * share * slope:
-                    x = x + share * step
-                    break
-                share *= 0.5
-            else:
-                share = 0.0
-            self._adapt(share, count)
-        energy, gradient = self.evaluate(x, self.around(self.nearest(x)))
-        self._keep(x, energy, gradient)
-
-    def settle(self, step_limit: int, tolerance_n: float) -> Found:
-        """From ``best`` to rest: until the norm of the force left is at most ``tolerance_n``, or ``step_limit``."""
-        place = self.place(self.best.x)
+    def run(self, step_limit: int, tolerance_n: float) -> Found:
+        """Until the norm of the force left is at most ``tolerance_n``, ``step_limit`` steps, or no step lowers it."""
+        if self.steps == 0:
+            for _ in range(SWEEPS):
+                self._sweep(self.problem.order)
         stalls = 0
-        for _ in range(step_limit):
-            for sweeps in range(2):
-                if sweeps:
-                    place = self._swept(place)
-                around = self._fenced(place)
-                energy, gradient = self.evaluate(place.x, around)
-                true, _ = self.evaluate(place.x, self.around(self.nearest(place.x)))
-                self._keep(place.x, true, gradient)
-                if np.linalg.norm(gradient) <= tolerance_n and true <= self.start_j:
-                    return Found(place.x, true, gradient, True, self.steps)
-            step, iterations = self._direction(place.x, around, gradient, (FINE, DAMPING[1]))
-            share, there = 1.0, place
-            for _ in range(HALVINGS):
-                there = self.arrive(place, place.x + share * step)
-                if self.evaluate(there.x, self._fenced(there))[0] < energy:
-                    break
-                share *= 0.5
-            else:
-                share = 0.0
-            self._adapt(share, iterations)
-            stalls = 0 if share else stalls + 1
+        while self.steps < step_limit:
+            force = np.linalg.norm(self.now.force)
+            if force <= tolerance_n and self.now.energy <= self.start_j:
+                return self.now._replace(at_rest=True, steps=self.steps)
+            if self.shift is None and force <= SHIFTING * self.cloth.weight_n:
+                self.shift = SHIFT_N_PER_M
+            self.steps += 1
+            if self._step():
+                size = (self.now.force**2).sum(axis=1)
+                worst = np.argsort(-size, kind="stable")[: max(8, int(WORST * len(size)))]
+                self._sweep(worst.astype(np.int32), WORST_SWEEPS)
+                stalls = 0
+                continue
+            stalls += 1
             if stalls == STALLS:
                 break
-            if share:
-                place = there
-                continue
-            self.exact = 0.0
-            place = self._with_new_fences(place, place.x + 0.1 * step)
-            for _ in range(SWEEPS):
-                place = self._swept(place)
-        return self.best._replace(steps=self.steps)
+            if not self._lay_out():
+                # A step so short that it is one of steepest descent.
+                self.shift = max(4.0 * (self.shift or 0.0), STALLED_N_PER_M)
+        at_rest = np.linalg.norm(self.now.force) <= tolerance_n and self.now.energy <= self.start_j
+        return (self.now if at_rest else self.best)._replace(at_rest=bool(at_rest), steps=self.steps)
 
-    def _keep(self, x: np.ndarray, energy: float, gradient: np.ndarray) -> None:
-        if energy < self.best.energy:
-            self.best = Found(x.copy(), energy, gradient, False, self.steps)
+    def _take(self, there: Found) -> None:
+        self.now = there
+        if there.energy < self.best.energy:
+            self.best = there
 
-    def _adapt(self, share: float, iterations: int) -> None:
-        self.steps += 1
-        if share == 1.0 and iterations > 0:
+    def _sweep(self, order: np.ndarray, times: int = 1) -> None:
+        """Vertex block descent of the vertices ``order`` over the planes of now, if it lowers the energy."""
+        x, around = self.now.x.copy(), self.around(self.now.x)[0]
+        for _ in range(times):
+            descent.sweep(x, self.problem._replace(order=order), around, True)
+        there = self.found(x)
+        if there.energy < self.now.energy:
+            self._take(there)
+
+    def _step(self) -> bool:
+        """One step of Newton with a line search; False where it finds nothing lower."""
+        now = self.now
+        step, iterations = self._direction()
+        slope, share, lowered = float((now.force * step).sum()), 1.0, False
+        for _ in range(HALVINGS):
+            there = self.found(now.x + share * step)
+            lowered = there.energy < now.energy + 1e-4 * share * slope
+            if lowered:
+                self._take(there)
+                break
+            # The least of the parabola through what is known, within a tenth and a half.
+            wanted = -0.5 * share * share * slope / max(there.energy - now.energy - share * slope, 1e-300)
+            share = min(max(wanted, 0.1 * share), 0.5 * share) if np.isfinite(wanted) else 0.1 * share
+        share = share if lowered else 0.0
+        if self.shift is not None:
+            change = 0.5 if share == 1.0 else 4.0 if share < 0.3 else 1.0
+            self.shift = max(change * self.shift, SHIFT_LEAST_N_PER_M)
+        elif share == 1.0 and iterations > 0:
             self.exact = min(1.0, max(2.0 * self.exact, EXACT_START))
         elif share < 0.2:
             self.exact *= 0.5
+        return lowered
 
-    def _direction(
-        self, x: np.ndarray, around: Surroundings, gradient: np.ndarray, how: tuple[float, float]
-    ) -> tuple[np.ndarray, int]:
+    def _direction(self) -> tuple[np.ndarray, int]:
         """A step [m] (V, 3) along which the energy falls, and the iterations that it took, negative if cut off."""
-        problem, pattern, (left, damping) = self.problem, self.cloth.pattern, how
+        x, problem, pattern = self.now.x, self.problem, self.cloth.pattern
+        around, bend = self.around(x)
+        depth = np.maximum(problem.constants.gap - ((x - around.point) * around.normal).sum(axis=1), 0.0)
+        bend = (problem.contact_n_per_m * depth)[:, None, None] * bend
         descent.diagonal_blocks(x, problem, around, self._diagonal)
-        inverse = np.linalg.inv((1.0 + damping) * self._diagonal).astype(np.float32)
-        moved, force = np.empty(x.shape, np.float32), (-gradient).astype(np.float32)
+        inverse = np.linalg.inv(self._diagonal).astype(np.float32)
+        moved, force = np.empty(x.shape, np.float32), (-self.now.force).astype(np.float32)
         while True:
-            hessian.assemble(x, problem, around, pattern, self.exact, self._blocks)
-            self._blocks[pattern.diagonal] += damping * self._diagonal
+            exact, left = (self.exact, ROUGH) if self.shift is None else (1.0, FINE)
+            hessian.assemble(x, problem, around, pattern, exact, self._blocks)
+            self._blocks[pattern.diagonal] += DAMPING * self._diagonal - exact * bend
+            if self.shift is not None:
+                self._blocks[pattern.diagonal] += self.shift * self._per_shift
             single = self._blocks.astype(np.float32)
             self._renew_coarse(single)
             system = linear.System(pattern, single, inverse, self.cloth.charts, self._coarse)
             count = linear.conjugate_gradients(system, force, np.float32(left), ITERATIONS, moved)
-            # A direction that curves down leads far away: less of what is indefinite, unless it came late.
-            if count > 0 or count < -8 or self.exact == 0.0:
+            # A direction that curves down leads far away, unless it came late.
+            if self.shift is not None:
+                if count > 0 or count < -LATE or self.shift > 1e8:
+                    break
+                self.shift *= 4.0
+            elif count > 0 or count < -8 or self.exact == 0.0:
                 break
-            self.exact = 0.5 * self.exact if self.exact > EXACT_LEAST else 0.0
+            else:
+                self.exact = 0.5 * self.exact if self.exact > EXACT_LEAST else 0.0
         step = moved.astype(np.float64)
         length = np.linalg.norm(step, axis=1, keepdims=True)
         step *= np.minimum(1.0, REACH_M / np.maximum(length, 1e-12))
@@ -248,75 +231,32 @@ class Descent:
         lower = np.tril(invert(factor, lower=1)[0])
         self._coarse = np.ascontiguousarray(lower + np.tril(lower, -1).T)
 
-    # --- fences ------------------------------------------------------------------------------------------------------
+    def _lay_out(self) -> bool:
+        """Lays the corners of collapsed triangles between their neighbours, from where no step leads down.
 
-    def place(self, x: np.ndarray) -> Place:
-        """``x`` (V, 3) in its cells, without fences."""
-        nowhere = np.zeros(x.shape)
-        return Place(x.copy(), self.nearest(x), nowhere, nowhere.copy(), np.zeros(len(x)))
-
-    def _fenced(self, place: Place) -> Surroundings:
-        return self.around(place.cell)._replace(
-            fence=place.fence, fence_normal=place.fence_normal, fence_n_per_m=place.fence_n_per_m
-        )
-
-    def _contact_j(self, x: np.ndarray, cell: np.ndarray) -> np.ndarray:
-        distance = ((x - self.nearest.posed[cell]) * self.nearest.normals[cell]).sum(axis=1)
-        depth = np.maximum(self.problem.constants.gap - distance, 0.0)
-        return 0.5 * self.problem.contact_n_per_m * depth * depth
-
-    def _swept(self, place: Place) -> Place:
-        x = place.x.copy()
-        descent.sweep(x, self.problem, self._fenced(place), True)
-        return self.arrive(place, x)
-
-    def arrive(self, before: Place, x: np.ndarray) -> Place:
-        """``before`` moved to ``x`` (V, 3): what would step up in energy stops at the border of its cell.
-
-        Where the fence there does not keep a vertex in its cell, in a corner between several, it stays where it was.
+        A fold of a triangle without an area has no angle, and costs half of a whole one: a sharp well of the energy.
+        False where none is collapsed.
         """
-        place = before.copy()
-        place.x = x.copy()
-        for attempt in range(3):
-            cell = self.nearest(place.x)
-            up = self._steps_up(place, place.x, cell)
-            down = (cell != place.cell) & ~up
-            place.cell[down], place.fence_n_per_m[down] = cell[down], 0.0
-            stopped = np.flatnonzero(up)
-            if len(stopped) == 0:
-                break
-            if attempt == 0:
-                self._fence(place, stopped, cell, before.x)
-                past = ((place.x[stopped] - place.fence[stopped]) * place.fence_normal[stopped]).sum(axis=1)
-                place.x[stopped] -= np.minimum(past, 0.0)[:, None] * place.fence_normal[stopped]
-            else:
-                place.x[stopped] = before.x[stopped]
-        place.cell = self.nearest(place.x)
-        return place
-
-    def _steps_up(self, place: Place, x: np.ndarray, cell: np.ndarray) -> np.ndarray:
-        """Which vertices (V,) at ``x`` are in another cell than theirs, ``cell``, and have more energy for it."""
-        more = self._contact_j(x, cell) > self._contact_j(x, place.cell) + STEP_UP_J
-        return (cell != place.cell) & more
-
-    def _with_new_fences(self, place: Place, x: np.ndarray) -> Place:
-        """``place`` as it is, with the fences that a step to ``x`` meets."""
-        cell = self.nearest(x)
-        fenced = place.copy()
-        new = self._steps_up(place, x, cell) & (place.fence_n_per_m == 0.0)
-        self._fence(fenced, np.flatnonzero(new), cell, place.x)
-        return fenced
-
-    def _fence(self, place: Place, which: np.ndarray, cell: np.ndarray, x: np.ndarray) -> None:
-        """Fences of the vertices ``which`` before the border to ``cell`` (V,), none of them beyond where ``x`` is."""
-        own, other = self.nearest.posed[place.cell[which]], self.nearest.posed[cell[which]]
-        normal = own - other
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-        middle = 0.5 * (own + other)
-        room = ((x[which] - middle) * normal).sum(axis=1)
-        place.fence[which] = middle + np.clip(room, 0.0, FENCE_M)[:, None] * normal
-        place.fence_normal[which] = normal
-        place.fence_n_per_m[which] = FENCE_STIFFNESS * self.problem.contact_n_per_m[which]
+        x, corner = self.now.x.copy(), self.problem.triangles.corner
+        first, second = x[corner[:, 1]] - x[corner[:, 0]], x[corner[:, 2]] - x[corner[:, 0]]
+        area = 0.5 * np.linalg.norm(np.cross(first, second), axis=1)
+        collapsed = corner[area < COLLAPSED * self.problem.triangles.area]
+        self._layings += 1
+        if len(collapsed) == 0 or self._layings > LAYINGS:
+            return False
+        chosen = np.unique(collapsed)
+        total, count = np.zeros(x.shape), np.zeros(len(x))
+        for side in range(3):
+            for other in (side - 1, side - 2):
+                np.add.at(total, corner[:, side], x[corner[:, other]])
+                np.add.at(count, corner[:, side], 1.0)
+        x[chosen] = total[chosen] / count[chosen, None]
+        self._take(self.found(x))
+        near = np.unique(corner[np.isin(corner, chosen).any(axis=1)]).astype(np.int32)
+        for _ in range(10):
+            self._sweep(near)
+        self.shift, self.exact = None, 0.0
+        return True
 
 
 def minimum(
@@ -337,11 +277,12 @@ def minimum(
     rough, most = step_limits
     limit_n = tolerance * cloth.weight_n
     descents = [Descent(cloth, contact, posed, start, band=band) for start in starts]
-    for one in descents:
-        if np.isfinite(one.start_j):
-            one.descend(min(rough, most), limit_n)
-    lowest = min(descents, key=lambda one: one.best.energy if np.isfinite(one.start_j) else np.inf)
-    if not np.isfinite(lowest.start_j):
-        return lowest.best
-    lowest.start_j = min(one.start_j for one in descents if np.isfinite(one.start_j))
-    return lowest.settle(most - lowest.steps, limit_n)
+    finite = [one for one in descents if np.isfinite(one.start_j)]
+    if not finite:
+        return descents[0].best
+    if len(finite) > 1:
+        for one in finite:
+            one.run(min(rough, most), limit_n)
+    lowest = min(finite, key=lambda one: one.best.energy)
+    lowest.start_j = min(one.start_j for one in finite)
+    return lowest.run(most, limit_n)

@@ -24,7 +24,7 @@ from benchmarks.shared import common, newton, physics
 from benchmarks.shared.physics import Optimum, Task
 from drape.cloth import contact, energies, waistband
 from drape.geometry import meshes
-from drape.solver import descent, elements, hessian, linear, problem
+from drape.solver import body_distance, descent, elements, hessian, linear, problem
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 T = TypeVar("T", bound="DataclassInstance")
 CACHE_DIR = common.ROOT / "runs" / "physics_cache"  # ignored by git
 SOURCES: tuple[ModuleType, ...] = (
-    physics, newton, energies, contact, waistband, meshes, descent, elements, hessian, linear, problem,
+    physics, newton, energies, contact, waistband, meshes, body_distance, descent, elements, hessian, linear, problem,
 )  # fmt: skip
 
 

@@ -186,14 +186,6 @@ def outside(x, v, problem, around):
         energy += k.half * stiffness * depth * depth
         gradient = add(gradient, scaled(-stiffness * depth, normal))
         hessian = outer(hessian, stiffness, normal)
-    spring = around.fence_n_per_m[v]
-    if spring > k.zero:
-        normal = at(around.fence_normal, v)
-        depth = -dot(sub(x, at(around.fence, v)), normal)
-        if depth > k.zero:
-            energy += k.half * spring * depth * depth
-            gradient = add(gradient, scaled(-spring * depth, normal))
-            hessian = outer(hessian, spring, normal)
     spring = around.target_n_per_m[v]
     if spring > k.zero:
         way = sub(x, at(around.target, v))

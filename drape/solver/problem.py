@@ -90,16 +90,13 @@ class QuadraticBending(NamedTuple):
 class Surroundings(NamedTuple):
     """What acts on the vertices from outside.
 
-    ``point``, ``normal`` (V, 3): tangent planes of the body. ``fence``, ``fence_normal`` (V, 3) with ``fence_n_per_m``
-    (V,): planes on whose far side a spring pushes back. ``target`` (V, 3) with ``target_n_per_m`` (V,), ``band``
-    (V, 3) with ``band_n_per_m`` (V,): springs, the second free within the slack of ``drape.cloth.waistband``.
+    ``point``, ``normal`` (V, 3): planes of the body, whose normals need not be of unit length. ``target`` (V, 3) with
+    ``target_n_per_m`` (V,), ``band`` (V, 3) with ``band_n_per_m`` (V,): springs, the second free within the slack of
+    ``drape.cloth.waistband``.
     """
 
     point: np.ndarray
     normal: np.ndarray
-    fence: np.ndarray
-    fence_normal: np.ndarray
-    fence_n_per_m: np.ndarray
     target: np.ndarray
     target_n_per_m: np.ndarray
     band: np.ndarray
@@ -169,7 +166,7 @@ def surroundings(problem: Problem, point: np.ndarray, normal: np.ndarray) -> Sur
             cure="Give one plane per vertex.",
         )
     nowhere, none = np.zeros_like(point), np.zeros(len(point), dtype)
-    return Surroundings(point, normal, nowhere, nowhere, none, nowhere, none, nowhere, none)
+    return Surroundings(point, normal, nowhere, none, nowhere, none)
 
 
 def stencil(cloth: ClothMesh) -> Any:

@@ -81,21 +81,16 @@ def hinges(problem: Problem, x: np.ndarray, which: np.ndarray) -> Terms:
 
 
 def outside(problem: Problem, around: Surroundings, x: np.ndarray, which: np.ndarray) -> Terms:
-    """Weight, contact with the body's planes, fences and springs of the vertices ``which`` (n,); one corner each."""
+    """Weight, contact with the body's planes and springs of the vertices ``which`` (n,); one corner each."""
     k, p = problem.constants, x[which]
     weight = problem.weight_n[which]
     energy, gradient = weight * p[:, 1], weight[:, None] * np.array([0.0, 1.0, 0.0])
     block = np.zeros((len(which), 3, 3))
-    walls = (
-        (around.point, around.normal, problem.contact_n_per_m, k.gap),
-        (around.fence, around.fence_normal, around.fence_n_per_m, 0.0),
-    )
-    for point, normal, stiffness, gap in walls:
-        n, s = normal[which], stiffness[which]
-        depth = np.maximum(gap - _dot(p - point[which], n), 0.0)
-        energy = energy + 0.5 * s * depth**2
-        gradient = gradient - _times(s * depth, n)
-        block += (s * (depth > 0.0))[:, None, None] * n[:, :, None] * n[:, None, :]
+    n, s = around.normal[which], problem.contact_n_per_m[which]
+    depth = np.maximum(k.gap - _dot(p - around.point[which], n), 0.0)
+    energy = energy + 0.5 * s * depth**2
+    gradient = gradient - _times(s * depth, n)
+    block += (s * (depth > 0.0))[:, None, None] * n[:, :, None] * n[:, None, :]
     springs = ((around.target, around.target_n_per_m, 0.0), (around.band, around.band_n_per_m, k.slack))
     for anchor, stiffness, slack in springs:
         way, s = p - anchor[which], stiffness[which]

@@ -52,9 +52,6 @@ def crumpled(
     around = surroundings(made, x - away * normals, normals)
     if springs:
         around = around._replace(
-            fence=(x + 5e-4 * rng.normal(size=x.shape)).astype(dtype),
-            fence_normal=normals[::-1].astype(dtype),
-            fence_n_per_m=np.where(np.arange(len(x)) % 3 == 0, 50.0, 0.0).astype(dtype),
             target=(x + 1e-3 * rng.normal(size=x.shape)).astype(dtype),
             target_n_per_m=np.where(np.arange(len(x)) % 4 == 0, 2.0, 0.0).astype(dtype),
             band=(x + 1e-2 * rng.normal(size=x.shape)).astype(dtype),

@@ -1,0 +1,1 @@
+"""The command ``python -m benchmarks.referee``: how the physics optimum is reached."""
