@@ -198,13 +198,12 @@ def _descend_rounds(x, way, network, touched, skin, cloth, numbers):
     """The rounds of ``numbers`` on ``x``, in place, with the ``way`` of the last sweep."""
     sheet, k = cloth.sheet, cloth.sheet.constants
     planes, gradient = np.empty(PLANES // LANES * len(x), x.dtype), np.empty_like(x)
-    matrix, force = np.empty_like(cloth.level.matrix), np.empty((len(cloth.level.first), 3), x.dtype)
     before, scratch = np.empty_like(x), np.empty(SCRATCH, x.dtype)
     for _ in range(numbers.rounds):
         touch(x, skin, cloth.graph, sheet, touched, numbers.turn, planes)
         if numbers.share > k.zero:
             gradient_at(x, sheet, planes, network, scratch, gradient)
-            coarse_step(x, cloth.level, sheet, planes, gradient, numbers.share, matrix, force)
+            coarse_step(x, cloth.level, sheet, planes, gradient, numbers.share)
         for _ in range(numbers.sweeps):
             before[:] = x
             for v in range(len(x)):
