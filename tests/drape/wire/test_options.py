@@ -17,7 +17,9 @@ def test_names_on_the_wire_are_the_aliases_and_only_what_was_chosen_is_said():
 
 
 def test_an_option_that_there_is_not_is_named_with_those_that_there_are():
-    with pytest.raises(TypeError, match="no such option: speed; there are push_out, knob, passes, geometry"):
+    with pytest.raises(
+        TypeError, match="no such option: speed; there are push_out, knob, passes, folds, settle, fabric, geometry"
+    ):
         options_document({"speed": 1})
 
 
