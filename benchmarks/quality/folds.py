@@ -250,7 +250,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     options.motions = options.motions or (["walk"] if options.quick else ["walk", "squat"])
     options.frames = options.frames or (QUICK_FRAMES if options.quick else FRAMES)
     if options.quick:
-        options.fabrics, options.sweeps = options.fabrics[:1], options.sweeps[:3]
+        options.fabrics = options.fabrics[:1]
     return options
 
 

@@ -22,6 +22,11 @@ CROSSINGS = {"self_intersections": ("", ".1f")}
 FABRIC = {"fabric": ("fabric", "s")}
 DETAIL = {"detail_mm": ("detail [mm]", ".2f"), "dihedral_deg": ("dihedral [deg]", ".1f")}
 SHARE = {"detail_share": ("detail share", ".2f")}
+FOLDS = {
+    "energy_j": ("energy [J]", ".3f"), "edge_pct": ("edge %", ".2f"), "detail_mm": ("detail [mm]", ".2f"),
+    "colliding_pct": ("colliding %", ".2f"), "jitter_ratio": ("jitter", ".1f"), "ms": ("ms", ".1f"),
+}  # fmt: skip
+START = ("energy_j", "edge_pct", "detail_mm", "colliding_pct")  # of it before folds
 # Of benchmarks.quality --reference; the long table has them where they were measured.
 REFERENCE = {
     "reference_mm": ("to the reference, mean [mm]", ".1f"),
@@ -151,6 +156,21 @@ def referee_table(record: Record) -> str:
     return table(["garment", "of", *heads(REFEREE)], lines, record)
 
 
+def folds_table(record: Record) -> str:
+    """One line per garment, fabric, clip and start: it alone, and with two and eight sweeps."""
+    named: dict[tuple[str, ...], dict[int, Record]] = {}
+    for row in record["rows"]:
+        key = row["garment"], row["fabric"], row["clip"], row["method"].replace("_", " ")
+        named.setdefault(key, {})[row["sweeps"]] = row
+    lines = []
+    for key, rows in named.items():
+        folded = [" / ".join(cells(rows[n], FOLDS)) for n in (2, 8)]
+        lines.append([*key, " / ".join(cells(rows[0], {k: FOLDS[k] for k in START})), *folded])
+    titles = [" / ".join(head for head, _ in FOLDS.values())]
+    start = [" / ".join(FOLDS[k][0] for k in START)]
+    return table(["garment", "fabric", "clip", "start", *start, f"2 sweeps: {titles[0]}", "8 sweeps"], lines, record)
+
+
 TABLES = (
     ("quality", "docs/reference/quality.md", "quality", quality_table),
     ("quality", "README.md", "gain", gain_table),
@@ -165,4 +185,5 @@ TABLES = (
     ("dynamics", "docs/guide/training.md", "dynamics_stop", stop_table),
     ("dynamics", "docs/guide/training.md", "dynamics_potential", potential_table),
     ("push_out", "docs/explanation/push_out.md", "push_out", push_table),
+    ("folds", "docs/explanation/folds.md", "folds", folds_table),
 )

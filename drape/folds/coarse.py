@@ -88,13 +88,13 @@ def galerkin(cloth: ClothMesh, material: Material, charts: Charts) -> tuple[np.n
 
 
 @kernel
-def coarse_step(x, level, sheet, planes, gradient, share, matrix, force):
+def coarse_step(x, level, sheet, planes, gradient, share):
     """Moves ``x`` [m] (P, 3) in place by a ``share`` of what the patches answer to ``gradient`` [N] (P, 3) there.
 
-    ``matrix`` as long as the level's and ``force`` (K, 3) are written over. Nothing moves where there is no factor.
+    Nothing moves where there is no factor.
     """
     k = sheet.constants
-    matrix[:] = level.matrix
+    matrix, force = level.matrix.copy(), np.empty((len(level.first), 3), x.dtype)
     _add_contacts(x, level, sheet, planes, matrix)
     restrict(level.charts, gradient, force)
     if not _solve(level.first, level.row, matrix, force):

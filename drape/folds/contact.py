@@ -3,10 +3,13 @@ of other parts of the body within reach; at both a plane blended from the sample
 
 A frame moves a vertex by less than a few samples, so a walk over their graph, always to the nearest neighbour, ends at
 the nearest one of the part that the vertex was at: a sleeve stays with its arm where that touches the trunk. A vertex
-without a past starts at the sample that is nearest at rest. What else comes near (the trunk to that sleeve, a thigh to
-a belly) is looked up in a grid over the samples, for a quarter of the vertices each frame, and walked to in between.
-It counts where it is another part, far away at rest, or where the skin is hollow in between: the sample then lies above
-the tangent plane of the vertex's own one, as it never does on a limb.
+without a past starts at the sample that is nearest at rest. It is the network's vertex that walks, and from its sample
+the fold goes a few steps: a fold that crossed an arm would otherwise be kept on its far side for ever.
+
+What else comes near (the trunk to that sleeve, a thigh to a belly) is looked up in a grid over the samples, for a
+quarter of the vertices each frame, and walked to in between. It counts where it is another part, far away at rest, or
+where the skin is hollow in between: the sample then lies above the tangent plane of the vertex's own one, as it never
+does on a limb.
 
 One tangent plane for all that lies nearest to a sample would give a limb facets. The planes of sample and neighbours
 are therefore blended with weights that end at the spacing. Over a sphere a point is off the tangent plane of a sample
@@ -29,6 +32,7 @@ from drape.solver.elements import at, dot, mix, scaled, sub
 
 NEIGHBOURS = 8
 CANDIDATES = 24  # of which those that face another way are left out
+STEPS = 3  # of a walk from the network's sample to the fold's: less than to the far side of an arm
 REACH_M = 0.03  # of what comes near: deeper than that a vertex is not in another part
 PER_CELL = 1.0 / (2.0 * REACH_M)
 TURNS = 4  # frames until every vertex has looked for other parts
@@ -60,34 +64,41 @@ def nearest_at_rest(vertices: np.ndarray, skin: Samples) -> np.ndarray:
 
 
 class Touched(NamedTuple):
-    """The sample that each place is at, ``own`` (P,), and one of another part of the body, ``other`` (P,), or -1."""
+    """The sample that the network has each place at, ``own`` (P,), and one of another part, ``other`` (P,), or -1."""
 
     own: np.ndarray
     other: np.ndarray
 
 
 @kernel
+def follow(network, skin, graph, touched):
+    """Moves ``touched.own`` on to the samples nearest to the ``network``'s vertices [m] (P, 3)."""
+    for v in range(len(network)):
+        touched.own[v] = _nearest(at(network, v), skin, graph, touched.own[v], len(skin))
+
+
+@kernel
 def touch(x, skin, graph, sheet, touched, turn, planes):
-    """Moves ``touched`` on to the samples nearest to ``x`` [m] (P, 3), and writes the ``planes``.
+    """Moves ``touched.other`` on to what is near ``x`` [m] (P, 3), and writes the ``planes``.
 
     ``skin`` (S, 8): rows of ``drape.push.samples.sample_table``. Other parts are looked up for vertices whose number is
     ``turn`` modulo ``TURNS``, for all where it is negative. ``planes`` flat, twelve rows a block: the foot of x and
     the normal of the own part, and of the other one, with a normal of zero where none is near.
     """
     k = sheet.constants
-    start, member, low, size = _cells(skin)
+    cells = _cells(skin)
     for v in range(len(x)):
-        own = _nearest(at(x, v), skin, graph, touched.own[v])
+        own = _nearest(at(x, v), skin, graph, touched.own[v], STEPS)
         place = PLANES * (v // LANES) + v % LANES
         _put_plane(at(x, v), skin, graph, k, own, planes, place)
         other = touched.other[v]
         if turn < 0 or sheet.vertex[v] % TURNS == turn:
-            other = _other(at(x, v), skin, graph, own, start, member, low, size)
+            other = _other(at(x, v), skin, graph, own, cells)
         elif other >= 0:
-            other = _nearest(at(x, v), skin, graph, other)
+            other = _nearest(at(x, v), skin, graph, other, STEPS)
             if _square(at(x, v), skin, other) >= REACH_M * REACH_M or not _is_other(skin, graph, own, other):
                 other = np.int32(-1)
-        touched.own[v], touched.other[v] = own, other
+        touched.other[v] = other
         if other >= 0:
             _put_plane(at(x, v), skin, graph, k, other, planes, place + 6 * LANES)
         else:
@@ -113,17 +124,18 @@ def _square(point, skin, sample):
 
 
 @kernel
-def _nearest(point, skin, graph, own):
-    """Where a walk from the sample ``own`` ends."""
+def _nearest(point, skin, graph, own, steps):
+    """Where a walk from the sample ``own`` ends, of ``steps`` at most."""
     nearest = _square(point, skin, own)
-    while True:
+    for _ in range(steps):
         here = own
         for n in range(NEIGHBOURS):
             square = _square(point, skin, graph.neighbour[here, n])
             if square < nearest:
                 nearest, own = square, graph.neighbour[here, n]
         if own == here:
-            return own
+            break
+    return own
 
 
 @kernel
@@ -159,8 +171,9 @@ def _cells(skin):
 
 
 @kernel
-def _other(point, skin, graph, own, start, member, low, size):
+def _other(point, skin, graph, own, cells):
     """The sample nearest to ``point`` [m] that is of another part than ``own``, -1 where none is within reach."""
+    start, member, low, size = cells
     found, nearest = np.int32(-1), REACH_M * REACH_M
     # The nearest of eight cells, a reach away at most, lie in this and the next one along every axis.
     x = int(np.floor((point[0] - low[0]) * PER_CELL - 0.5))

@@ -59,3 +59,26 @@ def in_world(frames, v, a):
         frames[v, 0, 1] * a[0] + frames[v, 1, 1] * a[1] + frames[v, 2, 1] * a[2],
         frames[v, 0, 2] * a[0] + frames[v, 1, 2] * a[1] + frames[v, 2, 2] * a[2],
     )
+
+
+@kernel
+def mend(off, sheet, most):
+    """Gives vectors ``off`` (P, 3) that differ by more than ``most`` from the mean of their neighbours' that mean.
+
+    Where a surface folds over its frames turn about from one frame to the next, and what they carry with them.
+    """
+    k, before = sheet.constants, off.copy()
+    for block in range(len(sheet.fan_start) - 1):
+        begin, end = sheet.fan_start[block], sheet.fan_start[block + 1]
+        for lane in range(LANES):
+            v = LANES * block + lane
+            mean, count = (k.zero, k.zero, k.zero), k.zero
+            for row in range(2 * begin, 2 * end):
+                j = sheet.fan_other[LANES * row + lane]
+                if j != v:
+                    mean, count = add(mean, at(before, j)), count + k.one
+            if count > k.zero:
+                mean = scaled(k.one / count, mean)
+                way = sub(at(before, v), mean)
+                if dot(way, way) > most * most:
+                    off[v, 0], off[v, 1], off[v, 2] = mean[0], mean[1], mean[2]

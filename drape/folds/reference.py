@@ -7,8 +7,19 @@ import numpy as np
 from drape.cloth.energies import ClothMesh
 from drape.folds.coarse import CLAMP_M, SHARE, galerkin
 from drape.folds.constants import Dressed
-from drape.folds.contact import APART_M, HOLLOW_M, REACH_M, TURNS, SkinGraph, Touched
-from drape.folds.step import FAST_SWEEPS, FIRST_STEP_S, MOMENTUM, SHORTEST_STEP_S, Effort, Frame, Memory, calmness
+from drape.folds.contact import APART_M, HOLLOW_M, REACH_M, STEPS, TURNS, SkinGraph, Touched
+from drape.folds.step import (
+    FAST_SWEEPS,
+    FIRST_STEP_S,
+    MEND_M,
+    MENDS,
+    MOMENTUM,
+    SHORTEST_STEP_S,
+    Effort,
+    Frame,
+    Memory,
+    calmness,
+)
 from drape.solver import reference
 from drape.solver.problem import Problem, Surroundings, problem, surroundings
 
@@ -20,14 +31,19 @@ def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) 
     past = memory or Memory(frame.time_s, network, still, still, nowhere, 0)
     step_s = max(frame.time_s - past.time_s, SHORTEST_STEP_S) if memory else FIRST_STEP_S
     frames = surface_frames(network, dressed.cloth)
-    x = network + _to_world(frames, past.residual)
-    way, touched = step_s * _to_world(frames, past.velocity), past.touched
+    off = _to_world(frames, past.residual)
+    for _ in range(MENDS):
+        off = mended(off, dressed.cloth.faces)
+    x = network + off
+    way = step_s * _to_world(frames, past.velocity)
+    touched = follow(network, frame.skin, dressed.graph, past.touched)
     calm = calmness(past.network, network)
     made = problem(dressed.cloth, dressed.material, dtype=np.float64)
     made = made._replace(hinges=made.creases)  # the others bend by the quadratic matrix
     for _ in range(1 if memory else effort.settle):
-        touched = touch(x, frame.skin, dressed.graph, touched, past.turn if memory else -1)
-        around = touching(made, dressed, x, frame.skin, touched)
+        here = touch(x, frame.skin, dressed.graph, touched, past.turn if memory else -1)
+        touched = Touched(touched.own, here.other)
+        around = touching(made, dressed, x, frame.skin, here)
         around = around._replace(band=network, band_n_per_m=dressed.band_n_per_m)
         x = x + coarse_step(dressed, made, around, x, calm * SHARE)
         for _ in range(effort.sweeps + (FAST_SWEEPS if calm == 0.0 else 0)):
@@ -52,11 +68,29 @@ def surface_frames(surface: np.ndarray, cloth: ClothMesh) -> np.ndarray:
     return np.stack([normal, edge, np.cross(normal, edge)], axis=1)
 
 
+def mended(off: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """``off`` (V, 3) with the mean of the neighbours' where it is farther than ``MEND_M`` from that, each counted once
+    for every triangle that it shares."""
+    total, count = np.zeros_like(off), np.zeros(len(off))
+    for corner in range(3):
+        for other in (corner - 1, corner - 2):
+            np.add.at(total, faces[:, corner], off[faces[:, other]])
+            np.add.at(count, faces[:, corner], 1.0)
+    mean = total / count[:, None]
+    return np.where(np.linalg.norm(off - mean, axis=1, keepdims=True) > MEND_M, mean, off)
+
+
+def follow(network: np.ndarray, skin: np.ndarray, graph: SkinGraph, touched: Touched) -> Touched:
+    """``touched`` with the samples that the ``network``'s vertices [m] (V, 3) are at now."""
+    walks = [_walked(point, skin, graph, own, len(skin)) for point, own in zip(network, touched.own, strict=True)]
+    return Touched(np.array(walks), touched.other)
+
+
 def touch(x: np.ndarray, skin: np.ndarray, graph: SkinGraph, touched: Touched, turn: int) -> Touched:
-    """The samples that ``x`` [m] (V, 3) is at, by walks from those of the frame before and searches for other parts."""
+    """The samples that ``x`` [m] (V, 3) is at, by walks from the network's and searches for other parts."""
     own, other = touched.own.copy(), touched.other.copy()
     for v, point in enumerate(x):
-        own[v] = _walked(point, skin, graph, own[v])
+        own[v] = _walked(point, skin, graph, own[v], STEPS)
         apart = np.linalg.norm(graph.rest - graph.rest[own[v]], axis=1)
         hollow = (apart > HOLLOW_M) & ((skin[:, :3] - skin[own[v], :3]) @ skin[own[v], 4:7] > 0.0)
         distance = np.linalg.norm(skin[:, :3] - point, axis=1)
@@ -64,19 +98,20 @@ def touch(x: np.ndarray, skin: np.ndarray, graph: SkinGraph, touched: Touched, t
         if turn < 0 or v % TURNS == turn:
             other[v] = np.where(allowed, distance, np.inf).argmin() if allowed.any() else -1
         elif other[v] >= 0:
-            end = _walked(point, skin, graph, other[v])
+            end = _walked(point, skin, graph, other[v], STEPS)
             other[v] = end if allowed[end] else -1
     return Touched(own, other)
 
 
-def _walked(point: np.ndarray, skin: np.ndarray, graph: SkinGraph, start: int) -> int:
-    """Where a walk from ``start`` ends, each step to the nearest of sample and neighbours."""
-    while True:
+def _walked(point: np.ndarray, skin: np.ndarray, graph: SkinGraph, start: int, steps: int) -> int:
+    """Where a walk from ``start`` ends, each of its ``steps`` to the nearest of sample and neighbours."""
+    for _ in range(steps):
         around = np.append(start, graph.neighbour[start])
         best = int(around[np.linalg.norm(skin[around, :3] - point, axis=1).argmin()])
         if best == start:
-            return best
+            break
         start = best
+    return start
 
 
 def touching(made: Problem, dressed: Dressed, x: np.ndarray, skin: np.ndarray, touched: Touched) -> Surroundings:

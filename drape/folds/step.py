@@ -20,8 +20,8 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.folds.coarse import SHARE, Coarse, coarse_step
 from drape.folds.constants import Constants, Dressed
-from drape.folds.contact import NEIGHBOURS, TURNS, SkinGraph, Touched, touch
-from drape.folds.frames import in_frame, in_world, surface_frames
+from drape.folds.contact import NEIGHBOURS, TURNS, SkinGraph, Touched, follow, touch
+from drape.folds.frames import in_frame, in_world, mend, surface_frames
 from drape.folds.sheet import LANES, Sheet
 from drape.folds.sweeps import PLANES, SCRATCH, descend, gradient_at
 from drape.solver.compiled import kernel
@@ -33,6 +33,7 @@ FAR_M = 0.25  # from the network's drape: farther is no fold
 CUT_M = 0.30  # a vertex that the network moves farther between two frames is in another clip
 SLOW_M, FAST_M = 0.01, 0.02  # RMS way of the network's vertices a frame, between which the coarse step fades out
 FAST_SWEEPS = 2  # more, in the time of a coarse step that there is not
+MENDS, MEND_M = 2, 0.03  # rounds of following the neighbours where a residual is that far from theirs
 PAUSE_S = 0.25  # after a longer one a frame has no past
 SHORTEST_STEP_S = 1.0 / 240.0  # frames that come closer together count as this far apart
 FIRST_STEP_S = 1.0 / 30.0  # of a frame without a past
@@ -179,7 +180,10 @@ def advance(network, residual, velocity, touched, skin, cloth, numbers):
         r = in_world(frames, v, at(residual, v))
         u = in_world(frames, v, scaled(numbers.step_s, at(velocity, v)))
         for i in range(3):
-            x[v, i], way[v, i] = network[v, i] + r[i], u[i]
+            x[v, i], way[v, i] = r[i], u[i]
+    for _ in range(MENDS):
+        mend(x, sheet, MEND_M)
+    x += network
     _descend_rounds(x, way, network, touched, skin, cloth, numbers)
     far = k.zero
     for v in range(len(network)):
@@ -198,13 +202,13 @@ def _descend_rounds(x, way, network, touched, skin, cloth, numbers):
     """The rounds of ``numbers`` on ``x``, in place, with the ``way`` of the last sweep."""
     sheet, k = cloth.sheet, cloth.sheet.constants
     planes, gradient = np.empty(PLANES // LANES * len(x), x.dtype), np.empty_like(x)
-    matrix, force = np.empty_like(cloth.level.matrix), np.empty((len(cloth.level.first), 3), x.dtype)
     before, scratch = np.empty_like(x), np.empty(SCRATCH, x.dtype)
+    follow(network, skin, cloth.graph, touched)
     for _ in range(numbers.rounds):
         touch(x, skin, cloth.graph, sheet, touched, numbers.turn, planes)
         if numbers.share > k.zero:
             gradient_at(x, sheet, planes, network, scratch, gradient)
-            coarse_step(x, cloth.level, sheet, planes, gradient, numbers.share, matrix, force)
+            coarse_step(x, cloth.level, sheet, planes, gradient, numbers.share)
         for _ in range(numbers.sweeps):
             before[:] = x
             for v in range(len(x)):

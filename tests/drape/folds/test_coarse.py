@@ -30,16 +30,7 @@ def pressed(depth_m: float, *, dtype: type[np.floating] = np.float64, level=None
     planes, gradient = np.ascontiguousarray(rows).reshape(-1), np.empty_like(x)
     gradient_at(x, sheet, planes, x.copy(), np.empty(SCRATCH, dtype), gradient)
     before = x.copy()
-    coarse_step(
-        x,
-        level,
-        sheet,
-        planes,
-        gradient,
-        dtype(SHARE),
-        np.empty_like(level.matrix),
-        np.empty((len(level.first), 3), dtype),
-    )
+    coarse_step(x, level, sheet, planes, gradient, dtype(SHARE))
     return (x - before)[sheet.place]
 
 

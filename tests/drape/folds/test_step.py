@@ -11,7 +11,21 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.folds import reference
 from drape.folds.constants import Constants
 from drape.folds.contact import Touched
-from drape.folds.step import CUT_M, FAR_M, FAST_M, PAUSE_S, SLOW_M, Effort, Frame, Memory, Report, calmness, fold
+from drape.folds.frames import mend
+from drape.folds.step import (
+    CUT_M,
+    FAR_M,
+    FAST_M,
+    MEND_M,
+    PAUSE_S,
+    SLOW_M,
+    Effort,
+    Frame,
+    Memory,
+    Report,
+    calmness,
+    fold,
+)
 from drape.solver.problem import problem
 from drape.solver.reference import energy_and_gradient
 from tests.drape.folds.folds_setup import frame, sleeve, turn_about_y
@@ -152,7 +166,7 @@ def test_what_is_no_fold_begins_anew(broken):
     constants = Constants.of(dressed)
     _, memory, _ = fold(constants, None, frame(rest, 0), EFFORT)
     residual = memory.residual.copy()
-    residual[3] = broken
+    residual[:] = broken
     x, after, report = fold(constants, replace(memory, residual=residual), frame(rest, 1), EFFORT)
     wanted, wanted_after, _ = fold(constants, None, frame(rest, 1), EFFORT)
     assert report == Report(settled=True, reset=True)
@@ -186,3 +200,16 @@ def test_the_coarse_step_fades_out_in_fast_motion(way_m, calm):
     wanted_before = replace(wanted_memory, network=still.vertices - shift)
     x, _, _ = fold(constants, before, still, EFFORT)
     assert_allclose(x, reference.fold(dressed, wanted_before, still, EFFORT)[0], rtol=0.0, atol=1e-10)
+
+
+def test_a_residual_far_from_its_neighbours_follows_them(rng):
+    rest, dressed = sleeve()
+    sheet = Constants.of(dressed, dtype=np.float64).sheet
+    off = 0.01 * rng.normal(size=rest.shape)
+    off[7] += 0.05
+    found = off[sheet.vertex]
+    mend(found, sheet, MEND_M)
+    wanted = reference.mended(off, dressed.cloth.faces)
+    assert_allclose(found[sheet.place], wanted, rtol=0.0, atol=1e-15)
+    kept = (wanted == off).all(axis=1)
+    assert not kept[7] and kept.any() and np.linalg.norm(wanted[7]) < 0.02

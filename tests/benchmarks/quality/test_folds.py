@@ -1,0 +1,32 @@
+"""The benchmark of folds in its quick form, and its table."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.quality import folds
+from benchmarks.quality.tables import folds_table
+
+
+@pytest.fixture(scope="module")
+def record():
+    return folds.main(["--quick", "--frames", "6", "--sweeps", "0", "1", "8", "--threads", "1"])
+
+
+def test_rows_are_of_every_start_and_folds_lower_the_energy(record):
+    rows = {(row["method"], row["sweeps"]): row for row in record["rows"]}
+    assert {method for method, _ in rows} == {"skinning", "network_0", "network_all"}
+    for method, sweeps in rows:
+        row = rows[method, sweeps]
+        assert row["energy_j"] <= rows[method, 0]["energy_j"] and row["edge_pct"] <= rows[method, 0]["edge_pct"]
+        assert np.isfinite([row[key] for key in ("ms", "detail_mm", "jitter_ratio", "colliding_pct")]).all()
+        assert (row["ms"] > 0.0) == bool(sweeps) and row["resets"] == 0
+    assert rows["network_0", 0]["jitter_ratio"] == 1.0
+    assert rows["network_0", 1]["detail_mm"] > rows["network_0", 0]["detail_mm"]
+
+
+def test_the_table_has_a_line_for_each_start(record):
+    rows = [row | {"sweeps": {1: 2}.get(row["sweeps"], row["sweeps"])} for row in record["rows"]]
+    lines = folds_table(record | {"rows": rows}).splitlines()
+    assert sum("tshirt" in line for line in lines[:5]) == 3 and "network 0" in lines[3]
