@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from drape.cloth.energies import ClothMesh
@@ -44,7 +46,7 @@ def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) 
         here = touch(x, frame.skin, dressed.graph, touched, past.turn if memory else -1)
         touched = Touched(touched.own, here.other)
         around = touching(made, dressed, x, frame.skin, here)
-        around = around._replace(band=network, band_n_per_m=dressed.band_n_per_m)
+        around = around._replace(own=around.own._replace(band=network, band_n_per_m=dressed.band_n_per_m))
         x = x + coarse_step(dressed, made, around, x, calm * SHARE)
         for _ in range(effort.sweeps + (FAST_SWEEPS if calm == 0.0 else 0)):
             before = x
@@ -114,14 +116,22 @@ def _walked(point: np.ndarray, skin: np.ndarray, graph: SkinGraph, start: int, s
     return start
 
 
-def touching(made: Problem, dressed: Dressed, x: np.ndarray, skin: np.ndarray, touched: Touched) -> Surroundings:
-    """The planes of the own part of the body, and as fences those of other parts."""
-    away = (touched.other >= 0)[:, None]
-    fence, fence_normal = planes(x, skin, dressed, np.maximum(touched.other, 0))
-    return surroundings(made, *planes(x, skin, dressed, touched.own))._replace(
-        fence=np.where(away, fence + made.constants.gap * fence_normal, 0.0),  # a fence has no gap
-        fence_normal=np.where(away, fence_normal, 0.0),
-        fence_n_per_m=np.where(away[:, 0], made.contact_n_per_m, 0.0),
+class Around(NamedTuple):
+    """What acts on vertices from outside: their ``own`` part of the body and the rest, and the planes of other parts,
+    ``point`` and ``normal`` (V, 3), whose springs ``n_per_m`` (V,) are zero where there is none."""
+
+    own: Surroundings
+    point: np.ndarray
+    normal: np.ndarray
+    n_per_m: np.ndarray
+
+
+def touching(made: Problem, dressed: Dressed, x: np.ndarray, skin: np.ndarray, touched: Touched) -> Around:
+    """The planes of the own part of the body and of others."""
+    point, normal = planes(x, skin, dressed, np.maximum(touched.other, 0))
+    return Around(
+        surroundings(made, *planes(x, skin, dressed, touched.own)),
+        *(point, normal, np.where(touched.other >= 0, made.contact_n_per_m, 0.0)),
     )
 
 
@@ -141,37 +151,53 @@ def planes(x: np.ndarray, skin: np.ndarray, dressed: Dressed, index: np.ndarray)
     return points, normals
 
 
-def coarse_step(dressed: Dressed, made: Problem, around: Surroundings, x: np.ndarray, share: float) -> np.ndarray:
+def coarse_step(dressed: Dressed, made: Problem, around: Around, x: np.ndarray, share: float) -> np.ndarray:
     """The way [m] (V, 3) that the patches take at ``x``, a ``share`` of their answer, by a dense matrix."""
     small, _ = galerkin(dressed.cloth, dressed.material, dressed.charts)
     basis = np.zeros((len(x), len(small)))
     np.add.at(basis, (np.arange(len(x))[:, None], dressed.charts.patch), dressed.charts.weight)
     matrix = np.einsum("kl,ij->kilj", small, np.eye(3))
-    for point, n, gap in (
-        (around.point, around.normal, made.constants.gap),
-        (around.fence, around.fence_normal, 0.0),
+    for point, n, n_per_m in (
+        (around.own.point, around.own.normal, made.contact_n_per_m),
+        (around.point, around.normal, around.n_per_m),
     ):
-        closed = ((x - point) * n).sum(axis=1) < gap
-        matrix += np.einsum("v,vk,vl,vi,vj->kilj", closed * made.contact_n_per_m, basis, basis, n, n)
+        closed = ((x - point) * n).sum(axis=1) < made.constants.gap
+        matrix += np.einsum("v,vk,vl,vi,vj->kilj", closed * n_per_m, basis, basis, n, n)
     force = basis.T @ _gradient(x, made, around)
     size = force.size
     step = -share * np.linalg.solve(matrix.reshape(size, size), force.reshape(-1)).reshape(force.shape)
     return basis @ (step * min(1.0, CLAMP_M / max(np.abs(step).max(), 1e-300)))
 
 
-def sweep(x: np.ndarray, made: Problem, around: Surroundings) -> np.ndarray:
+def sweep(x: np.ndarray, made: Problem, around: Around) -> np.ndarray:
     """One sweep of vertex block descent from ``x`` [m] (V, 3), bending by the quadratic matrix and at creases."""
     moved, bend = x.copy(), made.quadratic
     for v in made.order:
-        gradient, block = reference.vertex_block(v, moved, made, around)
-        block = block + bend.diagonal[v] * np.eye(3)
-        step = -np.linalg.solve(block, gradient + _bending(moved, made, v))
+        gradient, block = reference.vertex_block(v, moved, made, around.own)
+        (push,), (stiffness,) = _pushed(moved, made, around, slice(v, v + 1))
+        block = block + stiffness + bend.diagonal[v] * np.eye(3)
+        step = -np.linalg.solve(block, gradient + push + _bending(moved, made, v))
         moved[v] += _limited(step, float(made.constants.reach))
     return moved
 
 
-def _gradient(x: np.ndarray, made: Problem, around: Surroundings) -> np.ndarray:
-    _, gradient = reference.energy_and_gradient(x, made, around)
+def energy(x: np.ndarray, made: Problem, around: Around) -> float:
+    """Energy [J] at ``x`` [m] (V, 3), where all hinges of ``made`` bend by their angle."""
+    depth = np.maximum(made.constants.gap - ((x - around.point) * around.normal).sum(axis=1), 0.0)
+    return reference.energy_and_gradient(x, made, around.own)[0] + 0.5 * float((around.n_per_m * depth**2).sum())
+
+
+def _pushed(x: np.ndarray, made: Problem, around: Around, which: slice) -> tuple[np.ndarray, np.ndarray]:
+    """Gradient [N] (n, 3) and Hessian [N/m] (n, 3, 3) of the contact of the vertices ``which`` with other parts."""
+    n, n_per_m = around.normal[which], around.n_per_m[which]
+    depth = np.maximum(made.constants.gap - ((x[which] - around.point[which]) * n).sum(axis=1), 0.0)
+    block = (n_per_m * (depth > 0.0))[:, None, None] * n[:, :, None] * n[:, None, :]
+    return -(n_per_m * depth)[:, None] * n, block
+
+
+def _gradient(x: np.ndarray, made: Problem, around: Around) -> np.ndarray:
+    _, gradient = reference.energy_and_gradient(x, made, around.own)
+    gradient += _pushed(x, made, around, slice(None))[0]
     return gradient + np.stack([_bending(x, made, v) for v in range(len(x))])
 
 

@@ -36,7 +36,8 @@ def around(body, rng, count: int = 300) -> np.ndarray:
 
 def distance(body, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Distance, gradient and second derivatives, looked up anew."""
-    point, normal, bend = BlendedPlanes(*body, len(x), GAP_M)(x)
+    points, normals = body
+    point, normal, bend = BlendedPlanes(points, normals, len(x), GAP_M)(x)
     return ((x - point) * normal).sum(axis=1), normal, bend
 
 
@@ -106,7 +107,8 @@ def test_along_a_way_it_has_no_steps_where_the_nearest_plane_has(uneven):
 
 def test_what_moves_is_blended_as_if_it_were_looked_up_anew(uneven, rng):
     x = around(uneven, rng)
-    planes = BlendedPlanes(*uneven, len(x), GAP_M)
+    points, normals = uneven
+    planes = BlendedPlanes(points, normals, len(x), GAP_M)
     for size in (0.0, 1e-5, 1e-3, 0.01, 1e-4):
         x = x + size * rng.normal(size=x.shape)
         point, normal, bend = planes(x)
