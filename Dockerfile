@@ -9,7 +9,7 @@ COPY clients/web ./
 RUN npm run build
 
 FROM python:3.12-slim
-ENV PYTHONDONTWRITEBYTECODE=1 PYTHONUNBUFFERED=1 PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1
+ENV NUMBA_CACHE_DIR=/app/.cache/numba PYTHONDONTWRITEBYTECODE=1 PYTHONUNBUFFERED=1 PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1
 WORKDIR /app
 COPY pyproject.toml README.md LICENSE ./
 COPY drape drape
@@ -23,6 +23,8 @@ RUN python -c "import importlib.util as u, sys; sys.exit('torch is in the image'
 COPY --from=page /page/dist clients/web/dist
 RUN useradd --create-home --uid 10001 drape && mkdir -p .cache runs && chown drape .cache runs
 USER drape
+# Kernels of folds; on a processor of another kind the first start compiles them anew, some 25 seconds.
+RUN python -m drape.folds
 EXPOSE 8000
 HEALTHCHECK --interval=10s --timeout=3s --start-period=60s --retries=3 \
     CMD ["python", "-c", "import urllib.request as r; r.urlopen('http://127.0.0.1:8000/health', timeout=2)"]

@@ -43,12 +43,15 @@ $(BIN)/python:
 
 $(VENV)/.serve-stamp: pyproject.toml | $(BIN)/python
 	$(PIP) install --quiet -e '.[service,cpu,clients]'
+	$(BIN)/python -m drape.folds
 	@touch $@
 
+# The last line compiles the kernels of folds, so that the first start of the service does not wait for that.
 # torch first and alone: later requirements then find it and cannot pull another build of it.
 $(VENV)/.setup-stamp: pyproject.toml | $(BIN)/python
 	@scripts/install_torch $(BIN)/python 2.13.0 $(TORCH_INDEX)
 	$(PIP) install --quiet -e '.[service,cpu,train,recover,clients,dev]'
+	$(BIN)/python -m drape.folds
 	@touch $(VENV)/.serve-stamp $@
 
 setup: $(VENV)/.setup-stamp

@@ -16,13 +16,14 @@ from drape.solver.compiled import kernel
 
 WIDTH_M = 0.006  # h
 FADED = 14.0  # exponent at which a weight counts as none: 1e-6 of the nearest one's
-REACH_M = 0.024  # body vertices farther away are not blended
+REACH_M = 0.024  # body vertices farther away are not blended, unless contact reaches nearly as far
+REACH_GAPS = 1.25  # then so many times as far as contact
 BEHIND = -0.5  # cosine between a plane's normal and the way to a point beyond reach, below which that is inside
 FAR_M = 0.02  # a point asks for its nearest body vertex again when it has moved by so much
 
 
 class Cells(NamedTuple):
-    """Body vertices in cubes of ``REACH_M`` from the corner ``low`` on, ``count`` (3,) of them along each axis.
+    """Body vertices in cubes of ``reach`` [m] from the corner ``low`` on, ``count`` (3,) of them along each axis.
 
     Those of cube c are the rows ``start[c] : start[c + 1]`` of ``point`` [m] and unit ``normal``.
     """
@@ -32,30 +33,31 @@ class Cells(NamedTuple):
     start: np.ndarray
     low: np.ndarray
     count: np.ndarray
+    reach: float
 
 
-def cells(point: np.ndarray, normal: np.ndarray) -> Cells:
-    """The cells of the body vertices ``point`` [m] (n, 3) with unit ``normal`` (n, 3)."""
+def cells(point: np.ndarray, normal: np.ndarray, reach_m: float) -> Cells:
+    """The cells of the body vertices ``point`` [m] (n, 3) with unit ``normal`` (n, 3), ``reach_m`` wide."""
     low = point.min(axis=0)
-    place = ((point - low) / REACH_M).astype(np.int64)
+    place = ((point - low) / reach_m).astype(np.int64)
     count = place.max(axis=0) + 1
     key = (place[:, 0] * count[1] + place[:, 1]) * count[2] + place[:, 2]
     order = np.argsort(key, kind="stable")
     start = np.concatenate([[0], np.cumsum(np.bincount(key, minlength=int(count.prod())))])
-    return Cells(np.ascontiguousarray(point[order]), np.ascontiguousarray(normal[order]), start, low, count)
+    return Cells(np.ascontiguousarray(point[order]), np.ascontiguousarray(normal[order]), start, low, count, reach_m)
 
 
 class BlendedPlanes:
     """The planes under moving points: those that have the blended distance and its gradient there.
 
-    A point without a body vertex within ``REACH_M`` has the plane of the nearest one, of where it last asked for it, if
+    A point without a body vertex within reach has the plane of the nearest one, of where it last asked for it, if
     it lies behind that; else one that it does not touch: beside hands and feet the planes of a nearest vertex that is
     decimetres away cut through free space.
     What is farther from the body than ``gap_m`` is looked at again only when it may have come nearer.
     """
 
     def __init__(self, point: np.ndarray, normal: np.ndarray, point_count: int, gap_m: float) -> None:
-        self._cells, self._gap = cells(point, normal), gap_m
+        self._cells, self._gap = cells(point, normal, max(REACH_M, REACH_GAPS * gap_m)), gap_m
         self._tree = KDTree(self._cells.point)
         self._asked = np.full((point_count, 3), np.inf)  # where the nearest body vertex was looked up
         self._blended = np.full((point_count, 3), np.inf)  # where the blend was
@@ -90,7 +92,7 @@ def blend(x, cells, gap, blended, clear, planes):
     row without a body vertex within reach keeps its plane.
     """
     point, normal, bend = planes
-    reach, sharp = REACH_M * REACH_M, 1.0 / (WIDTH_M * WIDTH_M)
+    reach, sharp = cells.reach * cells.reach, 1.0 / (WIDTH_M * WIDTH_M)
     mean, slope = np.empty(3), np.empty(3)
     low, high = np.empty(3, np.int64), np.empty(3, np.int64)
     for v in range(len(x)):
@@ -102,7 +104,7 @@ def blend(x, cells, gap, blended, clear, planes):
         bend[v] = 0.0
         beside = False
         for i in range(3):
-            cell = int(np.floor((x[v, i] - cells.low[i]) / REACH_M))
+            cell = int(np.floor((x[v, i] - cells.low[i]) / cells.reach))
             low[i], high[i] = max(cell - 1, 0), min(cell + 2, cells.count[i])
             beside = beside or low[i] >= high[i]
         if beside:
