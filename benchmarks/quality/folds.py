@@ -129,7 +129,6 @@ class Referee:
         strained = meshes.edge_lengths(found.vertices.astype(np.float64), edges) / meshes.edge_lengths(rest, edges)
         few = slice(None, None, max(1, len(seen) // COLLIDED))
         colliding = metrics.colliding_triangle_pct(seen[few], self.clip.body_vertices[few], self.body.faces)
-        jitter = metrics.third_difference_square(found.vertices) / metrics.third_difference_square(start)
         return {
             "ms": float(np.median(found.ms[1:])),
             "first_ms": float(found.ms[0]),
@@ -139,11 +138,17 @@ class Referee:
             "edge_p999": float(np.percentile(strained, 99.9)),
             "detail_mm": float(self.low_pass.detail_mm(seen).mean()),
             "dihedral_deg": float(dihedral_deg(seen, faces).mean()),
-            "jitter_ratio": float(np.sqrt(jitter)),
+            "jitter_ratio": jitter_ratio(found.vertices, start),
             "colliding_pct": float(colliding.mean()),
             "resets": found.resets,
             "frames": len(start),
         }
+
+
+def jitter_ratio(vertices: np.ndarray, start: np.ndarray) -> float:
+    """Root mean square third difference of ``vertices`` (F, V, 3) over that of ``start``; NaN where that is still."""
+    still = metrics.third_difference_square(start)
+    return float(np.sqrt(metrics.third_difference_square(vertices) / still)) if still > 0.0 else float("nan")
 
 
 def starts(

@@ -30,3 +30,9 @@ def test_the_table_has_a_line_for_each_start(record):
     rows = [row | {"sweeps": {1: 2}.get(row["sweeps"], row["sweeps"])} for row in record["rows"]]
     lines = folds_table(record | {"rows": rows}).splitlines()
     assert sum("tshirt" in line for line in lines[:5]) == 3 and "network 0" in lines[3]
+
+
+def test_jitter_is_a_ratio_of_third_differences_and_none_where_the_start_is_still():
+    start = np.random.default_rng(0).normal(size=(6, 5, 3))
+    assert folds.jitter_ratio(3.0 * start, start) == pytest.approx(3.0)
+    assert np.isnan(folds.jitter_ratio(start, np.ones((6, 5, 3))))
