@@ -21,7 +21,7 @@ import numpy as np
 import torch
 
 from benchmarks.shared import common, physics
-from benchmarks.shared.physics_cache import CACHE_DIR, cache_key, cached
+from benchmarks.shared.physics_cache import CACHE_DIR, stored_minimum
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, open_garment
@@ -89,8 +89,7 @@ def physics_energy(garment: Garment, body: BodyModel, poses: HardPoses, *, steps
         held=physics.held_by_waist(garment, body, skinned),
         name=garment.name,
     )
-    key = cache_key(task, steps, physics.TOLERANCE)
-    optimum, _ = cached(key, lambda: physics.minimise(task, step_limit=steps), CACHE_DIR)
+    optimum, _ = stored_minimum(task, steps, CACHE_DIR)
     height = metrics.mean_height(skinned, cloth)
     parts = metrics.static_parts(optimum.vertices, cloth, cloth_material, contact, skin, height_m=height)
     return float(np.stack(list(parts.values())).sum(axis=0).mean())

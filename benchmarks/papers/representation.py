@@ -39,7 +39,7 @@ from benchmarks.papers.representation_space import (
     repartitioned,
 )
 from benchmarks.shared import common, physics
-from benchmarks.shared.physics_cache import CACHE_DIR, cache_key, cached
+from benchmarks.shared.physics_cache import CACHE_DIR, stored_minimum
 from drape.body.assets import load_body
 from drape.catalog import find_garments, find_motions, open_garment
 from drape.cloth import metrics
@@ -100,8 +100,7 @@ def house_optimum(bench: Bench, options: argparse.Namespace) -> physics.Optimum:
         name=bench.garment.name,
     )
     limit = min(physics.STEPS, options.steps)
-    key = cache_key(task, limit, physics.TOLERANCE)
-    return cached(key, lambda: physics.minimise(task, step_limit=limit), options.physics_folder)[0]
+    return stored_minimum(task, limit, options.physics_folder)[0]
 
 
 def figures(

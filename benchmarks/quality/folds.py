@@ -26,7 +26,7 @@ import torch
 
 from benchmarks.shared import common, physics
 from benchmarks.shared.network import Network, add_precision
-from benchmarks.shared.physics_cache import CACHE_DIR, cache_key, cached
+from benchmarks.shared.physics_cache import CACHE_DIR, stored_minimum
 from benchmarks.shared.render import PLAIN_CLOTH, RAKING_LIGHT, SKIN, Surface, render, save_png, sheet
 from drape.artifacts import model_folder
 from drape.body.assets import load_body
@@ -207,8 +207,7 @@ def add_physics(rows: list[dict[str, Any]], referee: Referee, from_each: dict[st
         held=physics.held_by_waist(referee.garment, referee.body, best[0]),
         name=referee.garment.name,
     )  # fmt: skip
-    key = cache_key(task, physics.STEPS, physics.TOLERANCE)
-    optimum, _ = cached(key, lambda: physics.minimise(task, step_limit=physics.STEPS), CACHE_DIR)
+    optimum, _ = stored_minimum(task, physics.STEPS, CACHE_DIR)
     parts = metrics.static_parts(
         optimum.vertices, task.cloth, task.material, contact, task.body_vertices, height_m=referee.height_m[few]
     )

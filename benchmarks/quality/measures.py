@@ -16,7 +16,7 @@ from benchmarks.quality.reference import Bodies, reference_figures
 from benchmarks.quality.sheets import Drapes, cloth_sheet, strain_sheet
 from benchmarks.shared import physics
 from benchmarks.shared.network import Draped, Network
-from benchmarks.shared.physics_cache import cache_key, cached
+from benchmarks.shared.physics_cache import stored_minimum
 from benchmarks.shared.render import save_png
 from drape.body.model import BodyModel
 from drape.cloth import metrics
@@ -178,11 +178,7 @@ def drapes(
         held=physics.held_by_waist(garment, bench.body, skinned),
         name=garment.name,
     )
-    optimum, was_cached = cached(
-        cache_key(task, bench.step_limit, physics.TOLERANCE),
-        lambda: physics.minimise(task, step_limit=bench.step_limit),
-        bench.physics_folder,
-    )
+    optimum, was_cached = stored_minimum(task, bench.step_limit, bench.physics_folder)
     positions = {
         "skinning": skinned,
         "skinning_push": pushed,

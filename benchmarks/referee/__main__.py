@@ -23,7 +23,7 @@ import numpy as np
 
 from benchmarks.shared import common, physics
 from benchmarks.shared.network import Network
-from benchmarks.shared.physics_cache import CACHE_DIR, cache_key, cached
+from benchmarks.shared.physics_cache import CACHE_DIR, stored_minimum
 from benchmarks.shared.render import PLAIN_CLOTH, RAKING_LIGHT, SKIN, Surface, render, save_png, sheet
 from drape.artifacts import model_folder
 from drape.body.assets import load_body
@@ -123,11 +123,7 @@ def measure(garment: Garment, made_of: Fabric | None, scene: Scene) -> tuple[lis
         held=physics.held_by_waist(garment, scene.body, skinned),
         name=garment.name,
     )
-    found, was_cached = cached(
-        cache_key(task, scene.step_limit, physics.TOLERANCE),
-        lambda: physics.minimise(task, step_limit=scene.step_limit),
-        scene.folder,
-    )
+    found, was_cached = stored_minimum(task, scene.step_limit, scene.folder)
     weight_n = of.gravity_m_s2 * cloth.vertex_mass(of).sum()
     rows = [
         {

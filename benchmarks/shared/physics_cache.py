@@ -36,6 +36,12 @@ SOURCES: tuple[ModuleType, ...] = (
 )  # fmt: skip
 
 
+def stored_minimum(task: Task, step_limit: int, folder: Path | None) -> tuple[Optimum, bool]:
+    """The optimum of ``task`` in ``step_limit`` steps at most, and whether it was in ``folder``: see ``cached``."""
+    key = cache_key(task, step_limit, physics.TOLERANCE)
+    return cached(key, lambda: physics.minimise(task, step_limit=step_limit), folder)
+
+
 def cache_key(task: Task, step_limit: int, tolerance: float) -> str:
     """Hash, hexadecimal, of what an optimum depends on: rest state, fabric, bodies, starts, charts and the method."""
     cloth = [value for item in fields(task.cloth) if isinstance(value := getattr(task.cloth, item.name), np.ndarray)]
