@@ -13,37 +13,35 @@ from drape.cloth.fabric_table import fabric as fabric_named
 from drape.cloth.material import Material
 from drape.cloth.rest_state import RestState
 from drape.cloth.waistband import STIFFNESS_N_M2, waistband
-from drape.folds.coarse import Coarse, coarse
 from drape.folds.contact import SkinGraph, nearest_at_rest, skin_graph
 from drape.folds.sheet import Sheet, sheet
+from drape.folds.whole import Whole, whole
 from drape.garment.cache import Garment
 from drape.garment.rest_detail import cloth_of, rest_of
 from drape.push.skin import body_skin
-from drape.solver.linear import Charts
 
 
 @dataclass(frozen=True, eq=False)
 class Dressed:
     """A ``cloth`` of ``material`` on a body, in the order of its vertices: what constants are made of.
 
-    ``band_n_per_m`` (V,): how stiff a waistband is there. ``charts`` of the vertices; ``graph`` of the body's skin
-    samples, and the nearest one ``index`` (V,) at rest.
+    ``band_n_per_m`` (V,): how stiff a waistband is there; ``graph`` of the body's skin samples, and the nearest one
+    ``index`` (V,) at rest.
     """
 
     cloth: ClothMesh
     material: Material
     band_n_per_m: np.ndarray
-    charts: Charts
     graph: SkinGraph
     index: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
 class Constants:
-    """What the kernels read: tables, coarse level, skin; and the sample ``index`` (P,) nearest to a place at rest."""
+    """What the kernels read: tables, the whole's factor, skin; the sample ``index`` (P,) nearest to a place at rest."""
 
     sheet: Sheet
-    level: Coarse
+    level: Whole
     graph: SkinGraph
     index: np.ndarray
 
@@ -51,7 +49,7 @@ class Constants:
     def of(cls, dressed: Dressed, *, dtype: type[np.floating] = np.float32) -> Constants:
         """The arrays of ``dressed``, floats of ``dtype``."""
         made = sheet(dressed.cloth, dressed.material, dressed.band_n_per_m, dtype=dtype)
-        level = coarse(dressed.cloth, dressed.material, dressed.charts, made)
+        level = whole(dressed.cloth, dressed.material, dressed.band_n_per_m, made)
         graph = dressed.graph._replace(
             reach_m2=dressed.graph.reach_m2.astype(dtype), rest=dressed.graph.rest.astype(dtype)
         )
@@ -81,7 +79,6 @@ def dressed(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> 
         cloth=ClothMesh.of(delivered_rest(garment), faces, count),
         material=Material.of(fabric_named(garment.fabric) if fabric is None else fabric),
         band_n_per_m=held,
-        charts=Charts(garment.chart_patch[:count].astype(np.int32), garment.chart_weight[:count].astype(np.float64)),
         graph=skin_graph(skin),
         index=nearest_at_rest(vertices, skin),
     )

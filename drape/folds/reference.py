@@ -7,11 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from drape.cloth.energies import ClothMesh
-from drape.folds.coarse import CLAMP_M, SHARE, galerkin
 from drape.folds.constants import Dressed
 from drape.folds.contact import APART_M, HOLLOW_M, REACH_M, STEPS, TURNS, SkinGraph, Touched
 from drape.folds.step import (
-    FAST_SWEEPS,
+    FAST_MOMENTUM,
     FIRST_STEP_S,
     MEND_M,
     MENDS,
@@ -21,7 +20,9 @@ from drape.folds.step import (
     Frame,
     Memory,
     calmness,
+    shared_out,
 )
+from drape.folds.whole import CLAMP_M, stiffness
 from drape.solver import reference
 from drape.solver.problem import Problem, Surroundings, problem, surroundings
 
@@ -40,6 +41,8 @@ def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) 
     way = step_s * _to_world(frames, past.velocity)
     touched = follow(network, frame.skin, dressed.graph, past.touched)
     calm = calmness(past.network, network)
+    steps, sweeps = shared_out(effort.sweeps, calm)
+    momentum = FAST_MOMENTUM + calm * (MOMENTUM - FAST_MOMENTUM)
     made = problem(dressed.cloth, dressed.material, dtype=np.float64)
     made = made._replace(hinges=made.creases)  # the others bend by the quadratic matrix
     for _ in range(1 if memory else effort.settle):
@@ -47,11 +50,16 @@ def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) 
         touched = Touched(touched.own, here.other)
         around = touching(made, dressed, x, frame.skin, here)
         around = around._replace(own=around.own._replace(band=network, band_n_per_m=dressed.band_n_per_m))
-        x = x + coarse_step(dressed, made, around, x, calm * SHARE)
-        for _ in range(effort.sweeps + (FAST_SWEEPS if calm == 0.0 else 0)):
-            before = x
-            x = sweep(x + MOMENTUM * _limited(way, float(made.constants.reach)), made, around)
-            way = x - before
+        for _ in range(steps):
+            ahead = x + momentum * _limited(way, float(made.constants.reach))
+            ahead = ahead + whole_step(dressed, made, around, ahead, calm)
+            x, way = ahead, ahead - x
+        for _ in range(sweeps):
+            if steps:
+                x = sweep(x, made, around)
+                continue
+            ahead = sweep(x + momentum * _limited(way, float(made.constants.reach)), made, around)
+            x, way = ahead, ahead - x
     residual, velocity = _to_local(frames, x - network), _to_local(frames, way) / step_s
     return x, Memory(frame.time_s, network, residual, velocity, touched, (past.turn + 1) % TURNS)
 
@@ -151,22 +159,11 @@ def planes(x: np.ndarray, skin: np.ndarray, dressed: Dressed, index: np.ndarray)
     return points, normals
 
 
-def coarse_step(dressed: Dressed, made: Problem, around: Around, x: np.ndarray, share: float) -> np.ndarray:
-    """The way [m] (V, 3) that the patches take at ``x``, a ``share`` of their answer, by a dense matrix."""
-    small, _ = galerkin(dressed.cloth, dressed.material, dressed.charts)
-    basis = np.zeros((len(x), len(small)))
-    np.add.at(basis, (np.arange(len(x))[:, None], dressed.charts.patch), dressed.charts.weight)
-    matrix = np.einsum("kl,ij->kilj", small, np.eye(3))
-    for point, n, n_per_m in (
-        (around.own.point, around.own.normal, made.contact_n_per_m),
-        (around.point, around.normal, around.n_per_m),
-    ):
-        closed = ((x - point) * n).sum(axis=1) < made.constants.gap
-        matrix += np.einsum("v,vk,vl,vi,vj->kilj", closed * n_per_m, basis, basis, n, n)
-    force = basis.T @ _gradient(x, made, around)
-    size = force.size
-    step = -share * np.linalg.solve(matrix.reshape(size, size), force.reshape(-1)).reshape(force.shape)
-    return basis @ (step * min(1.0, CLAMP_M / max(np.abs(step).max(), 1e-300)))
+def whole_step(dressed: Dressed, made: Problem, around: Around, x: np.ndarray, share: float) -> np.ndarray:
+    """The way [m] (V, 3) that the whole cloth takes at ``x``, a ``share`` of its answer, by a dense matrix."""
+    matrix = stiffness(dressed.cloth, dressed.material, dressed.band_n_per_m).toarray()
+    step = -np.linalg.solve(matrix, _gradient(x, made, around))
+    return share * step * (CLAMP_M / max(float(np.linalg.norm(step, axis=1).max()), CLAMP_M))
 
 
 def sweep(x: np.ndarray, made: Problem, around: Around) -> np.ndarray:

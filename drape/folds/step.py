@@ -4,9 +4,9 @@ The start is the network's surface X with the residual of the frame before, carr
 
     x = X + R^T r,   v = R^T u dt
 
-Then rounds of a coarse step over the patches and of sweeps of vertex block descent (Chen et al. 2024, "Vertex Block
-Descent", ACM TOG 43(4)), each from where 0.9 of the last sweep's way leads to; the way is carried over frames, so that
-the descent has the memory of a heavy ball. What is left, r = R (x - X) and u = R v / dt, is the new memory.
+Then rounds of steps of the whole cloth, each from where 0.9 of the last one's way leads to, and of sweeps of vertex
+block descent (Chen et al. 2024, "Vertex Block Descent", ACM TOG 43(4)). The way is carried over frames, so that the
+descent has the memory of a heavy ball. What is left, r = R (x - X) and u = R v / dt, is the new memory.
 """
 
 from __future__ import annotations
@@ -18,21 +18,20 @@ import numpy as np
 
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
-from drape.folds.coarse import SHARE, Coarse, coarse_step
 from drape.folds.constants import Constants, Dressed
 from drape.folds.contact import NEIGHBOURS, TURNS, SkinGraph, Touched, follow, touch
 from drape.folds.frames import in_frame, in_world, mend, surface_frames
 from drape.folds.sheet import LANES, Sheet
 from drape.folds.sweeps import PLANES, SCRATCH, descend, gradient_at
+from drape.folds.whole import Whole, whole_step
 from drape.solver.compiled import kernel
 from drape.solver.elements import at, dot, scaled, sub
-from drape.solver.linear import Charts
 
-MOMENTUM = 0.9  # of the last sweep's way before a sweep
+MOMENTUM, FAST_MOMENTUM = 0.9, 0.7  # of the last step's way before a step, in slow and in fast motion
 FAR_M = 0.25  # from the network's drape: farther is no fold
 CUT_M = 0.30  # a vertex that the network moves farther between two frames is in another clip
-SLOW_M, FAST_M = 0.01, 0.02  # RMS way of the network's vertices a frame, between which the coarse step fades out
-FAST_SWEEPS = 2  # more, in the time of a coarse step that there is not
+SLOW_M, FAST_M = 0.01, 0.02  # RMS way of the network's vertices a frame, between which steps of the whole fade out
+FAST_SWEEPS = 2  # more where they do
 MENDS, MEND_M = 2, 0.03  # rounds of following the neighbours where a residual is that far from theirs
 PAUSE_S = 0.25  # after a longer one a frame has no past
 SHORTEST_STEP_S = 1.0 / 240.0  # frames that come closer together count as this far apart
@@ -76,9 +75,10 @@ class Report:
 
 @dataclass(frozen=True)
 class Effort:
-    """``sweeps`` per frame, after a coarse step; a frame without a past gets ``settle`` times as many of both.
+    """``sweeps``: steps of the whole cloth per frame, and half as many over its vertices, one at least; a frame without
+    a past gets ``settle`` times as many of both.
 
-    Fast motion, in which the coarse step does harm, has ``FAST_SWEEPS`` more sweeps in its place.
+    In fast motion steps of the whole do harm: they fade out, and sweeps over the vertices take their place.
     """
 
     sweeps: int
@@ -115,7 +115,7 @@ def _leads_to(memory: Memory, network: np.ndarray, time_s: float) -> bool:
 
 
 def calmness(before: np.ndarray, network: np.ndarray) -> float:
-    """1 where the network moves its vertices slowly, 0 where fast: a coarse step then asks for what is past at once."""
+    """1 where the network moves its vertices slowly, 0 where fast: steps of the whole then ask for what is past."""
     way = network - before
     moved_m = float(np.sqrt(np.einsum("vi,vi->", way, way) / len(way)))
     return float(np.clip((FAST_M - moved_m) / (FAST_M - SLOW_M), 0.0, 1.0))
@@ -135,9 +135,10 @@ def _advanced(
     step_s = FIRST_STEP_S if settled else max(time_s - past.time_s, SHORTEST_STEP_S)
     rounds = effort.settle if settled else 1
     place = constants.sheet.place
-    share = dtype(SHARE * calmness(past.network[place], network[place]))
-    sweeps = effort.sweeps + (FAST_SWEEPS if share == 0.0 else 0)
-    numbers = Numbers(dtype(step_s), dtype(MOMENTUM), share, rounds, sweeps, -1 if settled else past.turn)
+    calm = calmness(past.network[place], network[place])
+    steps, sweeps = shared_out(effort.sweeps, calm)
+    momentum = FAST_MOMENTUM + calm * (MOMENTUM - FAST_MOMENTUM)
+    numbers = Numbers(dtype(step_s), dtype(momentum), dtype(calm), rounds, steps, sweeps, -1 if settled else past.turn)
     cloth = Cloth(constants.sheet, constants.level, constants.graph)
     touched = Touched(past.touched.own.copy(), past.touched.other.copy())
     x, residual, velocity, far = advance(network, past.residual, past.velocity, touched, skin, cloth, numbers)
@@ -145,22 +146,30 @@ def _advanced(
     return (x[place] if far <= FAR_M else None), after
 
 
+def shared_out(effort: int, calm: float) -> tuple[int, int]:
+    """Steps of the whole cloth and sweeps over its vertices that ``effort`` stands for where motion is so ``calm``."""
+    if calm == 0.0:
+        return 0, effort + FAST_SWEEPS
+    return effort, (effort + 1) // 2 + (FAST_SWEEPS if calm < 1.0 else 0)
+
+
 class Cloth(NamedTuple):
     """The arrays of ``Constants``."""
 
     sheet: Sheet
-    level: Coarse
+    level: Whole
     graph: SkinGraph
 
 
 class Numbers(NamedTuple):
-    """``step_s`` since the frame before [s]; ``rounds`` of a coarse step's ``share`` and ``sweeps``; the
-    ``turn`` of ``touch``."""
+    """``step_s`` since the frame before [s]; ``rounds`` of ``steps`` of the whole, a ``share`` of each, and of
+    ``sweeps``; the ``turn`` of ``touch``."""
 
     step_s: np.floating
     momentum: np.floating
     share: np.floating
     rounds: int
+    steps: int
     sweeps: int
     turn: int
 
@@ -199,27 +208,43 @@ def advance(network, residual, velocity, touched, skin, cloth, numbers):
 
 @kernel
 def _descend_rounds(x, way, network, touched, skin, cloth, numbers):
-    """The rounds of ``numbers`` on ``x``, in place, with the ``way`` of the last sweep."""
-    sheet, k = cloth.sheet, cloth.sheet.constants
+    """The rounds of ``numbers`` on ``x``, in place, with the ``way`` of the last step."""
+    sheet = cloth.sheet
     planes, gradient = np.empty(PLANES // LANES * len(x), x.dtype), np.empty_like(x)
     before, scratch = np.empty_like(x), np.empty(SCRATCH, x.dtype)
     follow(network, skin, cloth.graph, touched)
     for _ in range(numbers.rounds):
         touch(x, skin, cloth.graph, sheet, touched, numbers.turn, planes)
-        if numbers.share > k.zero:
+        for _ in range(numbers.steps):
+            before[:] = x
+            _go_on(x, way, numbers.momentum, sheet.constants)
             gradient_at(x, sheet, planes, network, scratch, gradient)
-            coarse_step(x, cloth.level, sheet, planes, gradient, numbers.share)
+            whole_step(x, cloth.level, gradient, numbers.share)
+            _set_way(way, x, before)
         for _ in range(numbers.sweeps):
             before[:] = x
-            for v in range(len(x)):
-                u = at(way, v)
-                share = numbers.momentum * k.reach / np.sqrt(max(dot(u, u), k.reach * k.reach))
-                for i in range(3):
-                    x[v, i] += share * u[i]
+            if numbers.steps == 0:
+                _go_on(x, way, numbers.momentum, sheet.constants)
             descend(x, sheet, planes, network, scratch)
-            for v in range(len(x)):
-                for i in range(3):
-                    way[v, i] = x[v, i] - before[v, i]
+            if numbers.steps == 0:
+                _set_way(way, x, before)
+
+
+@kernel
+def _go_on(x, way, momentum, k):
+    """Moves ``x`` by its ``momentum``, as far as a vertex may go at most."""
+    for v in range(len(x)):
+        u = at(way, v)
+        share = momentum * k.reach / np.sqrt(max(dot(u, u), k.reach * k.reach))
+        for i in range(3):
+            x[v, i] += share * u[i]
+
+
+@kernel
+def _set_way(way, x, before):
+    for v in range(len(x)):
+        for i in range(3):
+            way[v, i] = x[v, i] - before[v, i]
 
 
 def warm_up() -> None:
@@ -229,7 +254,6 @@ def warm_up() -> None:
         [[0, 1, 2], [0, 2, 3]],
     )
     cloth = ClothMesh.from_rest(square, np.array(faces))
-    charts = Charts(np.zeros((4, 1), np.int32), np.ones((4, 1)))
     graph = SkinGraph(np.zeros((1, NEIGHBOURS), np.int32), np.ones(1), np.zeros((1, 3)))
-    small = Constants.of(Dressed(cloth, Material(), np.zeros(4), charts, graph, np.zeros(4, np.int32)))
+    small = Constants.of(Dressed(cloth, Material(), np.zeros(4), graph, np.zeros(4, np.int32)))
     fold(small, None, Frame(square, np.zeros((1, 8)), 0.0), Effort(sweeps=1))

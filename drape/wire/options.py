@@ -75,14 +75,14 @@ class DrapeOptions(BaseModel):
         ge=0,
         le=16,
         strict=True,
-        description="Sweeps of the cloth solver per frame: folds that grow and stay. 0, as if left out, has none.",
+        description="Steps of the cloth solver per frame: folds that grow and stay. 0, as if left out, has none.",
     )
     settle: int | None = Field(
         default=None,
         ge=1,
         le=64,
         strict=True,
-        description="With folds: how many times as many sweeps a frame without a past gets; 8 if left out.",
+        description="With folds: how many times as many steps a frame without a past gets; 8 if left out.",
     )
     fabric: FabricChoice | Annotated[tuple[FabricChoice | None, ...], Len(1, LAYER_LIMIT), FIRST_ONLY] | None = Field(
         default=None,

@@ -1,4 +1,4 @@
-"""Folds: a few sweeps of the local solver on the network's drape, from what was left of the frame before."""
+"""Folds: a few steps of the local solver on the network's drape, from what was left of the frame before."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from service.fabrics import layer_fabrics
 from service.settings import Settings
 from service.stages.batch import Batch, Layer, Plan, Stage
 
-SETTLE = 8  # times the sweeps of a frame for one without a past, where clients do not say
+SETTLE = 8  # times the steps of a frame for one without a past, where clients do not say
 KEPT = 64  # garments in fabrics, a megabyte or two each
 
 

@@ -11,12 +11,10 @@ from drape.folds.constants import Dressed
 from drape.folds.contact import nearest_at_rest, skin_graph
 from drape.folds.step import Frame
 from drape.push.samples import Samples, sample_table
-from drape.solver.linear import Charts
 from tests.drape.cloth.cloth_shapes import tube
 from tests.drape.solver.solver_setup import MATERIALS
 
 RADIUS_M, HEIGHT_M, EASE_M = 0.05, 0.12, 0.006
-PATCHES = 6
 AWAY_M = 0.4  # of the wall at rest; in frames it is at the sleeve
 
 
@@ -39,13 +37,10 @@ def sleeve(material: str = "rib", *, creased: bool = True) -> tuple[np.ndarray, 
     state = modelled(rest, faces)
     kept = np.arange(len(state.hinge_angle)) % 5 == 0 if creased else np.zeros(len(state.hinge_angle), bool)
     state = RestState(state.edges, np.where(kept, 0.5, 0.0), state.stiffening)
-    place = np.linspace(0.0, PATCHES - 1.001, len(rest))
-    low, share = place.astype(np.int32), place - place.astype(np.int32)
     dressed = Dressed(
         cloth=ClothMesh.of(state, faces, len(rest)),
         material=MATERIALS[material],
         band_n_per_m=np.where(rest[:, 1] > HEIGHT_M - 1e-6, 10.0, 0.0),
-        charts=Charts(np.stack([low, low + 1], axis=1), np.stack([1.0 - share, share], axis=1)),
         graph=skin_graph(arm()),
         index=nearest_at_rest(rest, arm()),
     )

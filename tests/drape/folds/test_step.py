@@ -16,6 +16,7 @@ from drape.folds.step import (
     CUT_M,
     FAR_M,
     FAST_M,
+    FAST_SWEEPS,
     MEND_M,
     PAUSE_S,
     SLOW_M,
@@ -25,6 +26,7 @@ from drape.folds.step import (
     Report,
     calmness,
     fold,
+    shared_out,
 )
 from drape.solver.problem import problem
 from tests.drape.folds.folds_setup import frame, sleeve, turn_about_y
@@ -186,7 +188,7 @@ def test_where_no_start_leads_to_folds_the_network_is_left_as_it_is():
 
 
 @pytest.mark.parametrize(("way_m", "calm"), [(0.5 * SLOW_M, 1.0), (0.5 * (SLOW_M + FAST_M), 0.5), (2.0 * FAST_M, 0.0)])
-def test_the_coarse_step_fades_out_in_fast_motion(way_m, calm):
+def test_steps_of_the_whole_fade_out_in_fast_motion(way_m, calm):
     rest, dressed = sleeve()
     assert_allclose(calmness(rest, rest + np.array([0.0, way_m, 0.0])), calm, rtol=0.0, atol=1e-9)
     constants = Constants.of(dressed, dtype=np.float64)
@@ -198,6 +200,12 @@ def test_the_coarse_step_fades_out_in_fast_motion(way_m, calm):
     wanted_before = replace(wanted_memory, network=still.vertices - shift)
     x, _, _ = fold(constants, before, still, EFFORT)
     assert_allclose(x, reference.fold(dressed, wanted_before, still, EFFORT)[0], rtol=0.0, atol=1e-10)
+
+
+def test_what_an_effort_stands_for():
+    assert [shared_out(sweeps, 1.0) for sweeps in (1, 2, 5, 16)] == [(1, 1), (2, 1), (5, 3), (16, 8)]
+    assert shared_out(2, 0.5) == (2, 1 + FAST_SWEEPS)
+    assert shared_out(2, 0.0) == (0, 2 + FAST_SWEEPS), "steps of the whole are left out"
 
 
 def test_a_residual_far_from_its_neighbours_follows_them(rng):
