@@ -9,6 +9,7 @@ import numpy as np
 from drape.cloth.energies import ClothMesh
 from drape.folds.constants import Dressed
 from drape.folds.contact import APART_M, HOLLOW_M, REACH_M, STEPS, TURNS, SkinGraph, Touched
+from drape.folds.sheet import ALIKE
 from drape.folds.step import (
     FAST_MOMENTUM,
     FIRST_STEP_S,
@@ -65,13 +66,23 @@ def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) 
 
 
 def surface_frames(surface: np.ndarray, cloth: ClothMesh) -> np.ndarray:
-    """Frames (V, 3, 3) of ``surface`` [m] (V, 3), rows: the normal, an edge laid into the plane, and their product."""
+    """Frames (V, 3, 3) of ``surface`` [m] (V, 3), rows: the normal, an edge laid into the plane, and their product.
+
+    The edge goes to the next corner of a triangle: of those of a vertex the one that is longest at rest.
+    """
     faces = cloth.faces
     across = np.cross(surface[faces[:, 1]] - surface[faces[:, 0]], surface[faces[:, 2]] - surface[faces[:, 0]])
     normal = np.zeros_like(surface)
     np.add.at(normal, faces, across[:, None])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    entry = np.unique(faces.reshape(-1), return_index=True)[1]  # each vertex's first triangle, and its place there
+    a, b, c, d = cloth.inverse_shape
+    shape = np.linalg.inv(np.stack([np.stack([a, c], axis=-1), np.stack([b, d], axis=-1)], axis=-2))  # columns: edges
+    first, second = shape[..., 0], shape[..., 1]
+    length = np.linalg.norm(np.stack([first, second - first, -second], axis=1), axis=-1).reshape(-1)
+    longest = np.zeros(len(surface))
+    np.maximum.at(longest, faces.reshape(-1), length)
+    order = np.lexsort((length < ALIKE * longest[faces.reshape(-1)], faces.reshape(-1)))
+    entry = order[np.unique(faces.reshape(-1)[order], return_index=True)[1]]
     edge = surface[faces[entry // 3, (entry + 1) % 3]] - surface
     edge -= (edge * normal).sum(axis=1, keepdims=True) * normal
     edge /= np.linalg.norm(edge, axis=1, keepdims=True)

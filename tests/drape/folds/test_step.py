@@ -8,10 +8,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from drape.body.assets import load_body
+from drape.catalog import find_garments, open_garment
+from drape.cloth.waistband import SLACK_M
 from drape.folds import reference
-from drape.folds.constants import Constants
+from drape.folds.constants import LEASH_N_M3, Constants, constants, dressed
 from drape.folds.contact import Touched
 from drape.folds.frames import mend
+from drape.folds.sheet import LANES
 from drape.folds.step import (
     CUT_M,
     FAR_M,
@@ -219,3 +223,34 @@ def test_a_residual_far_from_its_neighbours_follows_them(rng):
     assert_allclose(found[sheet.place], wanted, rtol=0.0, atol=1e-15)
     kept = (wanted == off).all(axis=1)
     assert not kept[7] and kept.any() and np.linalg.norm(wanted[7]) < 0.02
+
+
+def test_cloth_is_held_where_the_network_has_it_and_a_waistband_more():
+    body = load_body()
+    for name, banded in (("tshirt", False), ("trousers", True)):
+        garment = open_garment(find_garments([name])[0], body)
+        made = constants(garment, body)
+        found = dressed(garment, body)
+        leash = LEASH_N_M3 * found.cloth.vertex_area
+        assert (found.band_n_per_m >= leash).all()
+        assert ((found.band_n_per_m > 2.0 * leash).mean() > 0.01) == banded
+        own = made.sheet.own.reshape(-1, 4, LANES)[:, 3].reshape(-1)
+        assert_allclose(own[made.sheet.place], found.band_n_per_m, rtol=1e-6)
+
+
+def test_a_sleeve_that_slips_is_held_by_its_leash():
+    """Without a body weight and leash balance where it has sunk by weight / leash past the centimetre that is free."""
+    rest, loose = sleeve(creased=False)
+    area = loose.cloth.vertex_area
+    leash, weight = 400.0, float(loose.material.density_kg_m2 * loose.material.gravity_m_s2)
+    held = replace(loose, band_n_per_m=leash * area)
+    made = Constants.of(held, dtype=np.float64)
+    one = frame(rest, 0, noise_m=0.0)
+    far = np.asarray(one.skin).copy()
+    far[:, :3] += 5.0  # no body is near
+    far[:, 7] = (far[:, :3] * far[:, 4:7]).sum(axis=1)
+    memory = None
+    for number in range(400):
+        x, memory, _ = fold(made, memory, Frame(one.vertices, far, number / 30.0), EFFORT)
+    sunk = (one.vertices - x)[:, 1]
+    assert_allclose(np.average(sunk, weights=area), SLACK_M + weight / leash, rtol=0.02)
