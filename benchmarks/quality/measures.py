@@ -91,7 +91,7 @@ def measure(garment: Garment, bench: Bench, *, trained: bool) -> list[dict[str, 
     rows: dict[str, dict[str, Any]] = {}
     for method in METHODS:
         vertices = positions[method]
-        parts = metrics.static_parts(
+        parts = physics.energy_parts(
             vertices, cloth, bench.material, bench.contact, bench.body_vertices, height_m=height
         )
         rows[method] = {
@@ -168,15 +168,15 @@ def drapes(
     draped = bench.network.drape(garment, poses)
     pushed = nearest_vertex_push(skinned, bench.body_vertices, bench.body_normals)
 
-    task = physics.Task(
+    task = physics.Task.of_garment(
+        garment,
+        bench.body,
         cloth,
         bench.material,
-        bench.contact,
-        bench.body_vertices,
-        (pushed, draped.vertices),
-        charts=physics.charts_of(garment),
-        held=physics.held_by_waist(garment, bench.body, skinned),
-        name=garment.name,
+        contact=bench.contact,
+        body_vertices=bench.body_vertices,
+        skinned=skinned,
+        starts=(pushed, draped.vertices),
     )
     optimum, was_cached = stored_minimum(task, bench.step_limit, bench.physics_folder)
     positions = {

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
+from drape.cloth.contact import BodyContact
 from drape.solver.compiled import kernel
 
 WIDTH_M = 0.006  # h
@@ -65,6 +66,12 @@ class BlendedPlanes:
         self._point, self._normal = np.zeros((point_count, 3)), np.zeros((point_count, 3))
         self._bend = np.zeros((point_count, 3, 3))
 
+    @classmethod
+    def of_body(cls, contact: BodyContact, posed: np.ndarray, point_count: int, gap_m: float) -> BlendedPlanes:
+        """Those of the vertices of the posed body (Vb, 3) [m] that take part in ``contact``."""
+        chosen = slice(None) if contact.vertices is None else contact.vertices
+        return cls(posed[chosen], np.asarray(contact.normals(posed))[chosen], point_count, gap_m)
+
     def __call__(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Point [m], normal (V, 3) and second derivatives [1/m] (V, 3, 3) under ``x`` [m] (V, 3).
 
@@ -82,6 +89,22 @@ class BlendedPlanes:
         planes = self._point, self._normal, self._bend
         blend(x, self._cells, self._gap, self._blended, self._clear, planes)
         return self._point.copy(), self._normal.copy(), self._bend.copy()
+
+
+def blended_distance(
+    points: np.ndarray, contact: BodyContact, body_vertices: np.ndarray, *, gap_m: float
+) -> np.ndarray:
+    """Blended distances [m] (F, V) of ``points`` (F, V, 3) to the posed bodies ``body_vertices`` (F, Vb, 3).
+
+    As a contact layer of ``gap_m`` needs them: what lies beyond reach and outside has a distance past the gap, not its
+    own.
+    """
+    found = np.empty(points.shape[:2])
+    for frame, posed in enumerate(body_vertices):
+        x = np.ascontiguousarray(points[frame], dtype=np.float64)
+        point, normal, _ = BlendedPlanes.of_body(contact, posed, len(x), gap_m)(x)
+        found[frame] = ((x - point) * normal).sum(axis=1)
+    return found
 
 
 @kernel

@@ -18,6 +18,7 @@ from drape.cloth.material import Material
 from drape.cloth.rest_state import modelled
 from drape.garment.disagreement import disagreement
 from drape.geometry.skinning import skin_points
+from drape.solver.body_distance import blended_distance
 from tests.benchmarks.quality.quality_setup import bench, body, tube
 
 DETAIL_MM = {"skinning": 1.0, "network": 1.5, "network_push": 0.5, "physics": 3.0}
@@ -67,6 +68,12 @@ def test_figures_are_those_of_the_drapes(measured):
     charts = disagreement(tube(), draped.jet, draped.rotation, draped.centre)
     network = rows["network"]
     assert_allclose(network["chart_gap_p99_mm"], 1e3 * np.percentile(charts.gap_m, 99.0), rtol=1e-9, atol=0.0)
+    cloth, contact = ClothMesh.from_rest(rest, faces), made.contact
+    distance = blended_distance(skinned, contact, made.body_vertices, gap_m=made.material.contact_gap_m)
+    contact_j = energies.contact(distance, cloth, made.material).mean()
+    assert_allclose(rows["skinning"]["contact_j"], contact_j, rtol=1e-9, atol=0.0)
+    assert rows["physics"]["gain"] == 1.0
+    assert all(rows["physics"]["energy_j"] < rows[method]["energy_j"] for method in ("skinning_push", "network"))
     assert rows["physics"]["edge_over_physics_pp"] == 0.0
     over = rows["network"]["area_pct"] - rows["physics"]["area_pct"]
     assert_allclose(network["area_over_physics_pp"], over, rtol=1e-12, atol=0.0)
