@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.quality.hem import hang_mm
 from benchmarks.quality.intersections import intersection_count
 from benchmarks.quality.jitter import Window, jitter
 from benchmarks.quality.reference import Bodies, reference_figures
@@ -108,6 +109,7 @@ def measure(garment: Garment, bench: Bench, *, trained: bool) -> list[dict[str, 
                 metrics.colliding_triangle_pct(vertices, bench.body_vertices, bench.body.faces).mean()
             ),
             "self_intersections": float(intersection_count(vertices, faces).mean()),
+            "hang_mm": float(hang_mm(vertices, positions["skinning"], rest, faces).mean()),
             "detail_mm": float(low_pass.detail_mm(vertices).mean()),
             "dihedral_deg": float(dihedral_deg(vertices, faces).mean()),
             "energy_j": float(np.stack(list(parts.values())).sum(axis=0).mean()),
