@@ -122,11 +122,11 @@ def test_what_moves_is_blended_as_if_it_were_looked_up_anew(uneven, rng):
         assert (found[~touching] >= GAP_M).all()
 
 
-def test_a_place_has_one_distance_whatever_the_way_there_between_facing_planes_and_deep_inside(rng):
+def test_a_place_has_one_distance_whatever_the_way_there_between_two_surfaces_and_deep_inside(rng):
     sheet, _ = grid(12, 12, cell_m=0.01)
-    up, down = np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 0.0, -1.0]])
-    points = np.concatenate([sheet, sheet + np.array([0.0, 0.0, 0.03])])
-    body = points, np.repeat(np.concatenate([up, down]), len(sheet), axis=0)
+    points = np.concatenate([sheet, sheet + np.array([0.0, 0.0, 0.03])])  # above the lower one is inside the upper
+    normals = np.array([0.0, 0.0, 1.0]) + 0.1 * rng.normal(size=points.shape)
+    body = points, normals / np.linalg.norm(normals, axis=1, keepdims=True)
     x = rng.uniform([0.01, 0.01, -0.1], [0.11, 0.11, 0.13], size=(400, 3))
     planes, turned = BlendedPlanes(*body, len(x), GAP_M), 0
     before = np.full(len(x), np.inf)
