@@ -191,7 +191,7 @@ def minimise(task: Task, *, step_limit: int = STEPS, tolerance: float = TOLERANC
 
     vertices = np.stack([end.x for end in ends])
     start_j, energy_j = np.stack([energy(start) for start in starts]), energy(vertices)
-    # Deep inside the body a plane is that of where it was last asked for on the way; here it is asked for anew.
+    # A place has one energy but for rounding: gravity is summed from another height here than on the way.
     risen = np.flatnonzero(energy_j > start_j.min(axis=0))
     vertices[risen] = np.stack(starts)[start_j.argmin(axis=0), np.arange(len(vertices))][risen]
     optimum = Optimum(
