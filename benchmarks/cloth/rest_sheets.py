@@ -136,9 +136,9 @@ def drape_pair(garment: Garment, body: BodyModel, pose: np.ndarray, fabric_name:
     found = []
     for state in (rest_state.modelled(rest, faces), garment.rest_state()):
         cloth = ClothMesh.of(state, faces, len(rest))
-        held = physics.held_by_waist(garment, body, skinned)
-        charts = physics.charts_of(garment)
-        task = physics.Task(cloth, material, contact, skin, (start,), charts=charts, held=held, name=garment.name)
+        task = physics.Task.of_garment(
+            garment, body, cloth, material, contact=contact, body_vertices=skin, skinned=skinned, starts=(start,)
+        )
         found.append(physics.minimise(task, step_limit=steps))
     drapes = np.concatenate([one.vertices for one in found])
     bend = [np.abs(rest_state.dihedral_angles(x, faces)) for x in drapes]

@@ -79,15 +79,8 @@ def physics_energy(garment: Garment, body: BodyModel, poses: HardPoses, *, steps
     skin = body.posed_vertices(poses.poses)
     pushed = nearest_vertex_push(skinned, skin, np.asarray(contact.normals(skin)))
 
-    task = physics.Task(
-        cloth,
-        cloth_material,
-        contact,
-        skin,
-        (pushed,),
-        charts=physics.charts_of(garment),
-        held=physics.held_by_waist(garment, body, skinned),
-        name=garment.name,
+    task = physics.Task.of_garment(
+        garment, body, cloth, cloth_material, contact=contact, body_vertices=skin, skinned=skinned, starts=(pushed,)
     )
     optimum, _ = stored_minimum(task, steps, CACHE_DIR)
     height = metrics.mean_height(skinned, cloth)

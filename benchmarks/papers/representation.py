@@ -89,15 +89,15 @@ def measure(bench: Bench, options: argparse.Namespace) -> list[dict[str, Any]]:
 
 def house_optimum(bench: Bench, options: argparse.Namespace) -> physics.Optimum:
     """The physics optimum as benchmarks.quality minimises it, from the folder of stored ones where it is there."""
-    task = physics.Task(
+    task = physics.Task.of_garment(
+        bench.garment,
+        options.body,
         bench.cloth,
         bench.material,
-        bench.contact,
-        bench.body_vertices,
-        (bench.pushed,),
-        charts=physics.charts_of(bench.garment),
-        held=physics.held_by_waist(bench.garment, options.body, bench.skinned),
-        name=bench.garment.name,
+        contact=bench.contact,
+        body_vertices=bench.body_vertices,
+        skinned=bench.skinned,
+        starts=(bench.pushed,),
     )
     limit = min(physics.STEPS, options.steps)
     return stored_minimum(task, limit, options.physics_folder)[0]

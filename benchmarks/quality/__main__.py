@@ -14,7 +14,8 @@ motion is a name under assets/motions, a file, or a folder. Everything is measur
 distance to the drape of a second simulator (benchmarks.quality.reference), minutes per garment; ``--sheets`` draws what
 was measured. The network is the graph that the service runs on a CPU, in int8 unless ``--precision`` says otherwise.
 ``--fabrics`` measures every garment in each of them, with its rest state; of a network that knows fabrics, jersey is
-what it is otherwise measured in. Of one that does not, it is the cloth of before fabrics (``--material``).
+what it is otherwise measured in. Of one that does not, it is the cloth of before fabrics (``--material``). From three
+fabrics on a second table says whether the network orders them as physics does (benchmarks.quality.ranks).
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ import torch
 from benchmarks.quality import reference as quality_reference
 from benchmarks.quality.jitter import typical_windows
 from benchmarks.quality.measures import Bench, measure, summary
+from benchmarks.quality.ranks import RANKED, rank_correlations
 from benchmarks.shared import common, physics
 from benchmarks.shared.network import Network, add_precision
 from benchmarks.shared.physics_cache import CACHE_DIR
@@ -55,9 +57,10 @@ COLUMNS = {
     "garment": "s", "set": "s", "fabric": "s", "method": "s", "edge_pct": ".2f", "area_pct": ".2f",
     "edge_over_physics_pp": ".2f", "area_over_physics_pp": ".2f", "colliding_vertex_pct": ".3f",
     "colliding_triangle_pct": ".3f", "self_intersections": ".1f", "chart_gap_p99_mm": ".2f",
-    "chart_normal_p99_deg": ".2f", "jitter_ratio": ".2f", "jitter_worst": ".2f", "detail_mm": ".3f",
+    "chart_normal_p99_deg": ".2f", "jitter_ratio": ".2f", "jitter_worst": ".2f", "hang_mm": ".1f", "detail_mm": ".3f",
     "dihedral_deg": ".1f", "detail_share": ".2f", "energy_j": ".4f", "membrane_j": ".4f", "gain": ".3f",
 }  # fmt: skip
+RANK_COLUMNS = {"garment": "s", "method": "s", "fabrics": "d"} | dict.fromkeys(RANKED, ".2f")
 REFERENCE_COLUMNS = {"reference_mm": ".1f", "reference_p95_mm": ".1f", "reference_surface_mm": ".1f"}
 # The table's head, where the key is longer than its numbers; the record keeps the keys.
 HEADS = {
@@ -230,6 +233,10 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
         raise InputError("garments", expected="at least one usable", got=str(refused), cure="Check the files.")
     print()
     print_table([*rows, *summary(rows)])
+    ranks = rank_correlations(rows)
+    if ranks:
+        print("\nSpearman's rank correlation with physics over the fabrics")
+        common.print_table(ranks, RANK_COLUMNS)
     for row in (row for row in rows if row["method"] == "physics"):
         print(
             f"physics {_named(row)}: residual {row['residual_n']:.3f} N of {row['weight_n']:.2f} N weight, "
@@ -251,6 +258,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
         rows,
         options,
         summary=summary(rows),
+        rank_correlation=ranks,
         frames=list(bench.poses.labels),
         reference_frames=options.reference_frames,
         windows=[window.label for window in bench.windows],

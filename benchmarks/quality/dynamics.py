@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.quality.hem import hem_vertices
 from benchmarks.shared import common
 from drape.artifacts import DEFAULT_MODEL, model_folder
 from drape.body.assets import load_body
@@ -34,7 +35,6 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material, material
 from drape.errors import ArtifactError, DrapeError
 from drape.garment.cache import Garment
-from drape.geometry import meshes
 from drape.graph.feeds import kinematics
 from drape.graph.packing import pack_body
 from drape.motion.clip import MotionClip
@@ -48,7 +48,6 @@ FPS = 30.0
 HOLD_S = 3.0
 REST_LIMIT_S = 2.0
 AFTER_S = (0.0, 0.1, 0.2, 0.4, 0.8, 1.2, 1.6, 2.0)  # the stop; when the hem's distance is told
-HEM_SHARE = 0.1  # of the garment's height, from below, in which a boundary is a hem
 POTENTIAL_FRAMES, QUICK_FRAMES = 90, 12
 STATIC_EXIT = 3  # so that scripts/bench can tell a model without dynamics from a failure
 STOP_COLUMNS = {"garment": "s", "clip": "s", "peak_mm": ".1f", "swings": "d"}
@@ -78,13 +77,6 @@ def subject(engine: Engine, garment: Garment, body: BodyModel) -> Subject:
     packer = Packer(engine, body)
     packer.add(garment.name, replace(garment, vertex_count=len(garment.vertices), faces=garment.fine_faces))
     return Subject(garment, packer, ClothMesh.from_rest(rest, faces), hem_vertices(rest, faces))
-
-
-def hem_vertices(rest: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Boundary vertices in the lowest tenth of the garment's height."""
-    border = np.unique(np.concatenate(meshes.boundary_loops(faces)))
-    low, high = rest[:, 1].min(), rest[:, 1].max()
-    return border[rest[border, 1] <= low + HEM_SHARE * (high - low)]
 
 
 def stopped(clip: MotionClip, *, fps: float = FPS, hold_s: float = HOLD_S) -> tuple[MotionClip, int]:

@@ -7,8 +7,7 @@
 
 Every start gets the same solver: ``skinning`` with the nearest-vertex push, and the network after none and all of its
 corrections. ``ms`` is the median processor time of a frame's folds on one thread; energies are those of the referee,
-over frames spread over the clip, with contact at the nearest body vertex and without push-out; jitter is against the
-start.
+over frames spread over the clip and without push-out; jitter is against the start.
 ``--physics`` adds ``gain`` and ``detail_share`` against the optimum of up to six frames of the clip, minutes each.
 """
 
@@ -122,7 +121,7 @@ class Referee:
         seen = found.vertices[self.clip.measured].astype(np.float64)
         rest, faces = self.garment.vertices.astype(np.float64), self.cloth.faces
         contact = BodyContact(self.body.faces, self.body.vertex_count)
-        parts = metrics.static_parts(
+        parts = physics.energy_parts(
             seen, self.cloth, self.material, contact, self.clip.body_vertices, height_m=self.height_m
         )
         edges = meshes.unique_edges(faces)
@@ -201,14 +200,12 @@ def add_physics(rows: list[dict[str, Any]], referee: Referee, from_each: dict[st
     few = np.linspace(0, len(clip.measured) - 1, min(OPTIMA, len(clip.measured))).astype(int)
     best = [from_each[name][clip.measured[few]].astype(np.float64) for name in from_each]
     contact = BodyContact(referee.body.faces, referee.body.vertex_count)
-    task = physics.Task(
-        referee.cloth, referee.material, contact, clip.body_vertices[few], (best[0], best[-1]),
-        charts=physics.charts_of(referee.garment),
-        held=physics.held_by_waist(referee.garment, referee.body, best[0]),
-        name=referee.garment.name,
+    task = physics.Task.of_garment(
+        referee.garment, referee.body, referee.cloth, referee.material,
+        contact=contact, body_vertices=clip.body_vertices[few], skinned=best[0], starts=(best[0], best[-1]),
     )  # fmt: skip
     optimum, _ = stored_minimum(task, physics.STEPS, CACHE_DIR)
-    parts = metrics.static_parts(
+    parts = physics.energy_parts(
         optimum.vertices, task.cloth, task.material, contact, task.body_vertices, height_m=referee.height_m[few]
     )
     energy = float(np.stack(list(parts.values())).sum(axis=0).mean())

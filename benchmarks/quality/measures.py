@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.quality.hem import hang_mm
 from benchmarks.quality.intersections import intersection_count
 from benchmarks.quality.jitter import Window, jitter
 from benchmarks.quality.reference import Bodies, reference_figures
@@ -91,7 +92,7 @@ def measure(garment: Garment, bench: Bench, *, trained: bool) -> list[dict[str, 
     rows: dict[str, dict[str, Any]] = {}
     for method in METHODS:
         vertices = positions[method]
-        parts = metrics.static_parts(
+        parts = physics.energy_parts(
             vertices, cloth, bench.material, bench.contact, bench.body_vertices, height_m=height
         )
         rows[method] = {
@@ -108,6 +109,7 @@ def measure(garment: Garment, bench: Bench, *, trained: bool) -> list[dict[str, 
                 metrics.colliding_triangle_pct(vertices, bench.body_vertices, bench.body.faces).mean()
             ),
             "self_intersections": float(intersection_count(vertices, faces).mean()),
+            "hang_mm": float(hang_mm(vertices, positions["skinning"], rest, faces).mean()),
             "detail_mm": float(low_pass.detail_mm(vertices).mean()),
             "dihedral_deg": float(dihedral_deg(vertices, faces).mean()),
             "energy_j": float(np.stack(list(parts.values())).sum(axis=0).mean()),
@@ -168,15 +170,15 @@ def drapes(
     draped = bench.network.drape(garment, poses)
     pushed = nearest_vertex_push(skinned, bench.body_vertices, bench.body_normals)
 
-    task = physics.Task(
+    task = physics.Task.of_garment(
+        garment,
+        bench.body,
         cloth,
         bench.material,
-        bench.contact,
-        bench.body_vertices,
-        (pushed, draped.vertices),
-        charts=physics.charts_of(garment),
-        held=physics.held_by_waist(garment, bench.body, skinned),
-        name=garment.name,
+        contact=bench.contact,
+        body_vertices=bench.body_vertices,
+        skinned=skinned,
+        starts=(pushed, draped.vertices),
     )
     optimum, was_cached = stored_minimum(task, bench.step_limit, bench.physics_folder)
     positions = {

@@ -6,7 +6,8 @@
 
 Every garment in the one cloth of before fabrics, then those of ``--fabric-garments`` in each of ``--fabrics``, flat at
 rest where they keep no crease; poses and starts are those of ``benchmarks.quality``. ``--before`` names a record of
-another method in the one cloth: rows of ``garment``, ``pose``, ``energy_j``, ``processor_s``. ``--sheet``
+another method in the one cloth: rows of ``garment``, ``pose``, ``energy_j`` over the planes of the nearest body
+vertices, with which ``nearest_j`` is compared, and ``processor_s``. ``--sheet``
 draws the first pose, a garment per row and a cloth per column, of the garments that are made of ``--fabrics``.
 """
 
@@ -113,15 +114,15 @@ def measure(garment: Garment, made_of: Fabric | None, scene: Scene) -> tuple[lis
     )
     normals = np.asarray(scene.contact.normals(scene.body_vertices))
     pushed = nearest_vertex_push(skinned, scene.body_vertices, normals)
-    task = physics.Task(
+    task = physics.Task.of_garment(
+        garment,
+        scene.body,
         cloth,
         of,
-        scene.contact,
-        scene.body_vertices,
-        (pushed, network.drape(garment, poses).vertices),
-        charts=physics.charts_of(garment),
-        held=physics.held_by_waist(garment, scene.body, skinned),
-        name=garment.name,
+        contact=scene.contact,
+        body_vertices=scene.body_vertices,
+        skinned=skinned,
+        starts=(pushed, network.drape(garment, poses).vertices),
     )
     found, was_cached = stored_minimum(task, scene.step_limit, scene.folder)
     weight_n = of.gravity_m_s2 * cloth.vertex_mass(of).sum()
@@ -133,7 +134,7 @@ def measure(garment: Garment, made_of: Fabric | None, scene: Scene) -> tuple[lis
             "held": task.held is not None,
             "start_j": float(found.start_j[frame]),
             "energy_j": float(found.energy_j[frame]),
-            "blended_j": float(found.blended_j[frame]),
+            "nearest_j": float(found.nearest_j[frame]),
             "force_left_share": float(found.residual_n[frame] / weight_n),
             "at_rest": bool(found.converged[frame]),
             "steps": int(found.steps[frame]),
@@ -170,7 +171,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     found = []
     for garment, name in dict.fromkeys((row["garment"], row["fabric"]) for row in rows):
         own = [row for row in rows if (row["garment"], row["fabric"]) == (garment, name)]
-        means = ("start_j", "energy_j", "blended_j", "old_energy_j", "steps", "processor_s", "old_processor_s")
+        means = ("start_j", "energy_j", "nearest_j", "old_energy_j", "steps", "processor_s", "old_processor_s")
         line = {key: float(np.mean([row[key] for row in own])) for key in means if all(key in row for row in own)}
         line |= {
             "garment": garment,
@@ -181,11 +182,11 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
             "not_above_start": sum(row["energy_j"] <= row["start_j"] for row in own),
             "force_left_share": max(row["force_left_share"] for row in own),
             "planes_apart_pct": 100.0
-            * float(np.mean([abs(row["energy_j"] - row["blended_j"]) for row in own]))
+            * float(np.mean([abs(row["energy_j"] - row["nearest_j"]) for row in own]))
             / (line["start_j"] - line["energy_j"]),
         }
         if "old_energy_j" in line:
-            line["not_above_old"] = sum(row["energy_j"] <= row["old_energy_j"] for row in own)
+            line["not_above_old"] = sum(row["nearest_j"] <= row["old_energy_j"] for row in own)
         found.append(line)
     return found
 

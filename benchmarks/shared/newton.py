@@ -81,10 +81,7 @@ class Descent:
         self, cloth: Cloth, contact: BodyContact, posed: np.ndarray, start: np.ndarray, *, band: Band | None = None
     ) -> None:
         self.cloth, self.problem, self.band = cloth, cloth.problem, band
-        normals, chosen = np.asarray(contact.normals(posed)), slice(None)
-        if contact.vertices is not None:
-            chosen = contact.vertices
-        self._planes = BlendedPlanes(posed[chosen], normals[chosen], len(start), float(cloth.problem.constants.gap))
+        self._planes = BlendedPlanes.of_body(contact, posed, len(start), float(cloth.problem.constants.gap))
         self._met: tuple[np.ndarray, Surroundings, np.ndarray] | None = None  # what ``around`` gave last, of what
         self.steps = self._layings = 0
         self.exact = 0.0  # how much of the Hessian's indefinite part is in it, until the force is small

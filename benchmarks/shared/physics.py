@@ -8,13 +8,14 @@ refuses by name what does not come near it. How the method was chosen: docs/refe
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from benchmarks.shared.newton import Band, Cloth, Found, minimum
 from drape.body.model import BodyModel
-from drape.cloth import metrics
+from drape.cloth import energies, metrics
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
@@ -22,6 +23,7 @@ from drape.cloth.waistband import STIFFNESS_N_M2, band_energy, waistband
 from drape.errors import MeshError
 from drape.garment.cache import Garment
 from drape.geometry import meshes
+from drape.solver.body_distance import blended_distance
 from drape.solver.linear import Charts
 
 STEPS, ROUGH_STEPS = 250, 8  # at most; those that every start takes before the lowest goes on
@@ -62,15 +64,32 @@ class Task:
     held: Held | None = None
     name: str = "garment"
 
+    @classmethod
+    def of_garment(
+        cls,
+        garment: Garment,
+        body: BodyModel,
+        cloth: ClothMesh,
+        material: Material,
+        *,
+        contact: BodyContact,
+        body_vertices: np.ndarray,
+        skinned: np.ndarray,
+        starts: tuple[np.ndarray, ...],
+    ) -> Task:
+        """``garment`` by its patches, held at its waist, if it has one, where ``skinned`` (F, V, 3) [m] carries it."""
+        held = held_by_waist(garment, body, skinned)
+        return cls(cloth, material, contact, body_vertices, starts, charts_of(garment), held, garment.name)
+
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
     """What the minimiser reached, per frame.
 
     ``vertices`` [m] (F, V, 3); ``start_j``, ``energy_j`` (F,) the energy of the lowest start and of ``vertices`` [J],
-    never above the start's, relative to the height of the first start and with the
-    waistband's energy; ``blended_j`` (F,) the same over the blended planes, which is what was minimised;
-    ``residual_n`` (F,) the norm of the force that is left at the vertices [N], over the blended planes; ``converged``
+    never above the start's, over the blended planes, relative to the height of the first start and with the
+    waistband's energy; ``nearest_j`` (F,) that of ``vertices`` over the planes of the nearest body vertices;
+    ``residual_n`` (F,) the norm of the force that is left at the vertices [N]; ``converged``
     (F,): it is at most the tolerance times the weight; ``steps`` (F,) of Newton; ``processor_s`` (F,) [s]; ``seconds``
     of the clock for all frames.
     """
@@ -78,7 +97,7 @@ class Optimum:
     vertices: np.ndarray
     start_j: np.ndarray
     energy_j: np.ndarray
-    blended_j: np.ndarray
+    nearest_j: np.ndarray
     residual_n: np.ndarray
     converged: np.ndarray
     steps: np.ndarray
@@ -90,6 +109,24 @@ def held_by_waist(garment: Garment, body: BodyModel, skinned: np.ndarray) -> Hel
     """The waistband of ``garment``, anchored where ``skinned`` (F, V, 3) has it; None where it hangs from shoulders."""
     band = waistband(garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64), body)
     return None if band is None else Held(band.vertex, band.length_m, skinned[:, band.vertex])
+
+
+def energy_parts(
+    vertices: np.ndarray,
+    cloth: ClothMesh,
+    material: Material,
+    contact: BodyContact,
+    body_vertices: np.ndarray,
+    *,
+    height_m: np.ndarray,
+) -> dict[str, np.ndarray]:
+    """Energies [J] (F,) by part of ``vertices`` (F, V, 3), gravity relative to ``height_m`` (F,): what is minimised.
+
+    Contact is that over the blended planes of ``drape.solver.body_distance``. ``drape.cloth.metrics.static_parts`` has
+    the planes of the nearest body vertices, as training has, which also cut through free space far from the body.
+    """
+    distance = blended_distance(vertices, contact, body_vertices, gap_m=material.contact_gap_m)
+    return energies.total(vertices, cloth, material, distance=distance, height_m=height_m[:, None])
 
 
 def charts_of(garment: Garment) -> Charts:
@@ -145,10 +182,8 @@ def minimise(task: Task, *, step_limit: int = STEPS, tolerance: float = TOLERANC
         processor_s.append(time.process_time() - before_s)
     height_m = metrics.mean_height(starts[0], task.cloth)
 
-    def energy(vertices: np.ndarray) -> np.ndarray:
-        parts = metrics.static_parts(
-            vertices, task.cloth, task.material, task.contact, task.body_vertices, height_m=height_m
-        )
+    def energy(vertices: np.ndarray, parts_of: Callable[..., dict[str, np.ndarray]] = energy_parts) -> np.ndarray:
+        parts = parts_of(vertices, task.cloth, task.material, task.contact, task.body_vertices, height_m=height_m)
         total = np.stack([*parts.values()]).sum(axis=0)
         if task.held is None:
             return total
@@ -156,15 +191,14 @@ def minimise(task: Task, *, step_limit: int = STEPS, tolerance: float = TOLERANC
 
     vertices = np.stack([end.x for end in ends])
     start_j, energy_j = np.stack([energy(start) for start in starts]), energy(vertices)
-    # Lower over blended planes is lower over the nearest ones, but for what the two differ by.
+    # A place has one energy but for rounding: gravity is summed from another height here than on the way.
     risen = np.flatnonzero(energy_j > start_j.min(axis=0))
     vertices[risen] = np.stack(starts)[start_j.argmin(axis=0), np.arange(len(vertices))][risen]
-    height_j = task.material.gravity_m_s2 * task.cloth.vertex_mass(task.material).sum() * height_m
     optimum = Optimum(
         vertices=vertices,
         start_j=start_j.min(axis=0),
         energy_j=np.fmin(energy_j, start_j.min(axis=0)),
-        blended_j=np.array([end.energy for end in ends]) - height_j,
+        nearest_j=energy(vertices, metrics.static_parts),
         residual_n=np.array([np.linalg.norm(end.force) for end in ends]),
         converged=np.array([end.at_rest and frame not in risen for frame, end in enumerate(ends)]),
         steps=np.array([end.steps for end in ends]),

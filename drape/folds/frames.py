@@ -13,7 +13,8 @@ from drape.solver.elements import add, at, cross, dot, scaled, sub
 def surface_frames(surface, sheet, frames):
     """Frames (P, 3, 3) of ``surface`` [m] (P, 3): rows are the normal, an edge laid into the plane, and their product.
 
-    The edge is that of the vertex's first triangle, its longest one at rest. A vertex without an area or an edge gets a frame of zeros.
+    The edge is that of the vertex's first triangle, its longest one at rest. A vertex without an area or an edge gets
+    a frame of zeros.
     """
     zero = sheet.constants.zero
     for block in range(len(sheet.fan_start) - 1):

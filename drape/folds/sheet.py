@@ -94,8 +94,8 @@ def sheet(
 def longest_first(triangles: Triangles) -> np.ndarray:
     """Rows (3F,) of the fans of ``triangles``, each vertex's with the one whose first edge is longest at rest in front.
 
-    It is that edge which says how a vertex's frame is turned, and a short one turns with every ripple. Of edges that are
-    ``ALIKE`` it is the first, whatever the rounding.
+    It is that edge which says how a vertex's frame is turned, and a short one turns with every ripple. Of edges
+    that are ``ALIKE`` it is the first, whatever the rounding.
     """
     p1, t1, p2, t2, _ = np.asarray(triangles.slope, np.float64).T
     length = np.hypot(p2, t2) / np.abs(p1 * t2 - p2 * t1)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from benchmarks.quality.hem import hang_mm
 from benchmarks.quality.intersections import intersection_count
 from benchmarks.quality.measures import METHODS, add_comparisons, measure, sheet_name, summary
 from drape.cloth import energies, metrics
@@ -18,6 +19,7 @@ from drape.cloth.material import Material
 from drape.cloth.rest_state import modelled
 from drape.garment.disagreement import disagreement
 from drape.geometry.skinning import skin_points
+from drape.solver.body_distance import blended_distance
 from tests.benchmarks.quality.quality_setup import bench, body, tube
 
 DETAIL_MM = {"skinning": 1.0, "network": 1.5, "network_push": 0.5, "physics": 3.0}
@@ -38,6 +40,7 @@ def test_every_method_has_a_row_with_the_figures_that_apply_to_it(measured):
         "edge_over_physics_pp": set(METHODS),
         "detail_mm": set(METHODS),
         "dihedral_deg": set(METHODS),
+        "hang_mm": set(METHODS),
         "detail_share": {"network", "network_push"},
         "fabric": set(),
         "area_over_physics_pp": set(METHODS),
@@ -63,10 +66,19 @@ def test_figures_are_those_of_the_drapes(measured):
     state = modelled(rest, faces)
     assert rows["skinning"]["detail_mm"] == LowPass.of(state, faces, len(rest)).detail_mm(skinned).mean()
     assert rows["skinning"]["dihedral_deg"] == dihedral_deg(skinned, faces).mean()
+    assert rows["skinning"]["hang_mm"] == 0.0
     draped = made.network.drape(tube(), poses)
+    hang = hang_mm(draped.vertices, skinned, rest, faces).mean()
+    assert_allclose(rows["network"]["hang_mm"], hang, rtol=1e-9, atol=0.0)
     charts = disagreement(tube(), draped.jet, draped.rotation, draped.centre)
     network = rows["network"]
     assert_allclose(network["chart_gap_p99_mm"], 1e3 * np.percentile(charts.gap_m, 99.0), rtol=1e-9, atol=0.0)
+    cloth, contact = ClothMesh.from_rest(rest, faces), made.contact
+    distance = blended_distance(skinned, contact, made.body_vertices, gap_m=made.material.contact_gap_m)
+    contact_j = energies.contact(distance, cloth, made.material).mean()
+    assert_allclose(rows["skinning"]["contact_j"], contact_j, rtol=1e-9, atol=0.0)
+    assert rows["physics"]["gain"] == 1.0
+    assert all(rows["physics"]["energy_j"] < rows[method]["energy_j"] for method in ("skinning_push", "network"))
     assert rows["physics"]["edge_over_physics_pp"] == 0.0
     over = rows["network"]["area_pct"] - rows["physics"]["area_pct"]
     assert_allclose(network["area_over_physics_pp"], over, rtol=1e-12, atol=0.0)

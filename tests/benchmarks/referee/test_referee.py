@@ -42,7 +42,7 @@ def test_a_row_says_how_near_to_rest_a_pose_came_and_what_it_took(scene):
 
 
 def row(garment: str, made_of: str, pose: str, energy_j: float, **others) -> dict:
-    numbers = {"start_j": 1.0, "blended_j": energy_j - 0.004, "force_left_share": 0.005, "steps": 20}
+    numbers = {"start_j": 1.0, "nearest_j": energy_j + 0.004, "force_left_share": 0.005, "steps": 20}
     more = {"at_rest": True, "held": False, "processor_s": 1.0, "seconds": 2.0}
     return {"garment": garment, "fabric": made_of, "pose": pose, "energy_j": energy_j} | numbers | more | others
 

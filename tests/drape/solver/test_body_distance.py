@@ -122,6 +122,26 @@ def test_what_moves_is_blended_as_if_it_were_looked_up_anew(uneven, rng):
         assert (found[~touching] >= GAP_M).all()
 
 
+def test_a_place_has_one_distance_whatever_the_way_there_between_two_surfaces_and_deep_inside(rng):
+    sheet, _ = grid(12, 12, cell_m=0.01)
+    points = np.concatenate([sheet, sheet + np.array([0.0, 0.0, 0.03])])  # above the lower one is inside the upper
+    normals = np.array([0.0, 0.0, 1.0]) + 0.1 * rng.normal(size=points.shape)
+    body = points, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    x = rng.uniform([0.01, 0.01, -0.1], [0.11, 0.11, 0.13], size=(400, 3))
+    planes, turned = BlendedPlanes(*body, len(x), GAP_M), 0
+    before = np.full(len(x), np.inf)
+    for size in (0.0, 1e-3, 2e-3, 2e-3, 4e-3, 1e-3, 8e-3, 2e-3, 2e-3):
+        x = x + size * rng.normal(size=x.shape)
+        point, normal, _ = planes(x)
+        found, wanted = ((x - point) * normal).sum(axis=1), distance(body, x)[0]
+        touching = wanted < GAP_M
+        assert_allclose(found[touching], wanted[touching], rtol=0, atol=1e-15)
+        assert (found[~touching] >= GAP_M).all()
+        turned += int((touching & (before > GAP_M)).sum())
+        before = wanted
+    assert turned > 20
+
+
 def test_beyond_reach_the_nearest_plane_holds_what_is_behind_it_and_nothing_else():
     points, faces = icosphere(3, radius_m=0.1)
     planes = BlendedPlanes(points, np.asarray(BodyContact(faces, len(points)).normals(points)), 2, GAP_M)
