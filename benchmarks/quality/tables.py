@@ -22,11 +22,17 @@ CROSSINGS = {"self_intersections": ("", ".1f")}
 FABRIC = {"fabric": ("fabric", "s")}
 DETAIL = {"detail_mm": ("detail [mm]", ".2f"), "dihedral_deg": ("dihedral [deg]", ".1f")}
 SHARE = {"detail_share": ("detail share", ".2f")}
+GAIN = {"gain": ("gain", ".3f")}
 FOLDS = {
     "energy_j": ("energy [J]", ".3f"), "edge_pct": ("edge %", ".2f"), "detail_mm": ("detail [mm]", ".2f"),
     "colliding_pct": ("colliding %", ".2f"), "jitter_ratio": ("jitter", ".1f"), "ms": ("ms", ".1f"),
 }  # fmt: skip
-START = ("energy_j", "edge_pct", "detail_mm", "colliding_pct")  # of it before folds
+AFTER = ("jitter_ratio", "ms")  # what only folds have
+BESIDE = {"edge_pct": ".2f", "hang_mm": ".1f", "detail_mm": ".2f"}
+RANKS = {
+    "garment": ("garment", "s"), "method": ("method", "s"), "fabrics": ("fabrics", "d"), "edge_pct": ("edge %", ".2f"),
+    "hang_mm": ("hang of the hem", ".2f"), "detail_mm": ("detail", ".2f"),
+}  # fmt: skip
 # Of benchmarks.quality --reference; the long table has them where they were measured.
 REFERENCE = {
     "reference_mm": ("to the reference, mean [mm]", ".1f"),
@@ -157,18 +163,35 @@ def referee_table(record: Record) -> str:
 
 
 def folds_table(record: Record) -> str:
-    """One line per garment, fabric, clip and start: it alone, and with two and eight sweeps."""
+    """One line per garment, fabric, clip and start: it alone, and with two and eight steps."""
+    folds = _measured(record["rows"], GAIN) | FOLDS | _measured(record["rows"], SHARE)
+    start = {key: column for key, column in folds.items() if key not in AFTER}
     named: dict[tuple[str, ...], dict[int, Record]] = {}
     for row in record["rows"]:
         key = row["garment"], row["fabric"], row["clip"], row["method"].replace("_", " ")
         named.setdefault(key, {})[row["sweeps"]] = row
     lines = []
     for key, rows in named.items():
-        folded = [" / ".join(cells(rows[n], FOLDS)) for n in (2, 8)]
-        lines.append([*key, " / ".join(cells(rows[0], {k: FOLDS[k] for k in START})), *folded])
-    titles = [" / ".join(head for head, _ in FOLDS.values())]
-    start = [" / ".join(FOLDS[k][0] for k in START)]
-    return table(["garment", "fabric", "clip", "start", *start, f"2 sweeps: {titles[0]}", "8 sweeps"], lines, record)
+        folded = [" / ".join(cells(rows[n], folds)) for n in (2, 8)]
+        lines.append([*key, " / ".join(cells(rows[0], start)), *folded])
+    titles = ["garment", "fabric", "clip", "start", " / ".join(heads(start)), f"2 steps: {' / '.join(heads(folds))}"]
+    return table([*titles, "8 steps"], lines, record)
+
+
+def fabrics_table(record: Record) -> str:
+    """One line per garment and fabric: the gain of the network, its strain and hang beside those of physics."""
+    lines = []
+    for (garment, kind, fabric), rows in _by_method(record["rows"]).items():
+        apart = [f"{rows['network'][key]:{form}} / {rows['physics'][key]:{form}}" for key, form in BESIDE.items()]
+        line = [garment, kind, fabric, *cells(rows["network"], GAIN), *cells(rows["network_push"], GAIN), *apart]
+        lines.append([*line, *cells(rows["physics"], {"converged_pct": ("", ".0f")})])
+    beside = [f"{name}: network / physics" for name in ("edge %", "hem lower than skinned [mm]", "detail [mm]")]
+    return table(["garment", "set", "fabric", "gain", "pushed out", *beside, "poses at rest %"], lines, record)
+
+
+def ranks_table(record: Record) -> str:
+    """How alike the network and physics order the fabrics, by Spearman's rank correlation."""
+    return rows_table(RANKS, record["rank_correlation"])
 
 
 TABLES = (
@@ -182,6 +205,8 @@ TABLES = (
     ("quality_reference", "docs/reference/quality.md", "quality_reference_ends", reference_end_table),
     ("referee", "docs/reference/quality.md", "referee", referee_table),
     ("referee_fabrics", "docs/reference/quality.md", "referee_fabrics", referee_table),
+    ("quality_fabrics", "docs/reference/quality.md", "quality_fabrics", fabrics_table),
+    ("quality_fabrics", "docs/reference/quality.md", "quality_ranks", ranks_table),
     ("dynamics", "docs/guide/training.md", "dynamics_stop", stop_table),
     ("dynamics", "docs/guide/training.md", "dynamics_potential", potential_table),
     ("push_out", "docs/explanation/push_out.md", "push_out", push_table),
