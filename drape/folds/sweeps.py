@@ -62,7 +62,7 @@ def descend(x, sheet, planes, band, scratch):
     """
     k = sheet.constants
     for block in range(len(sheet.fan_start) - 1):
-        _model(x, block, sheet, planes, band, scratch)
+        _model(x, block, sheet, planes, band, scratch, True)
         for lane in range(LANES):
             step = scaled(-k.one, solved(_row6(scratch, HESSIAN, lane), row3(scratch, GRADIENT, lane)))
             share = k.reach / np.sqrt(max(dot(step, step), k.reach * k.reach))
@@ -76,30 +76,33 @@ def descend(x, sheet, planes, band, scratch):
 def gradient_at(x, sheet, planes, band, scratch, gradient):
     """The energy's gradient [N] at ``x`` in ``gradient`` (P, 3)."""
     for block in range(len(sheet.fan_start) - 1):
-        _model(x, block, sheet, planes, band, scratch)
+        _model(x, block, sheet, planes, band, scratch, False)
         for lane in range(LANES):
             for axis in range(3):
                 gradient[LANES * block + lane, axis] = scratch[GRADIENT + LANES * axis + lane]
 
 
 @part
-def _model(x, block, sheet, planes, band, scratch):
-    """Gradient and Hessian of the block's vertices, with the least stiffness, into the scratch."""
+def _model(x, block, sheet, planes, band, scratch, curvature):
+    """Gradient of the block's vertices into the scratch, where ``curvature`` their Hessian too.
+
+    A literal: what is not asked for is not in the compiled loop.
+    """
     for lane in range(LANES):
         _put3(scratch, OWN, lane, at(x, LANES * block + lane))
-    _outside(block, sheet, planes, band, scratch)
+    _outside(block, sheet, planes, band, scratch, curvature)
     for row in range(sheet.fan_start[block], sheet.fan_start[block + 1]):
         for lane in range(LANES):
             _put3(scratch, OTHERS, lane, at(x, sheet.fan_other[2 * LANES * row + lane]))
             _put3(scratch, OTHERS + 3 * LANES, lane, at(x, sheet.fan_other[2 * LANES * row + LANES + lane]))
-        _triangle(row, sheet, scratch)
+        _triangle(row, sheet, scratch, curvature)
     _bending(x, block, sheet, scratch)
     for entry in range(sheet.crease_start[block], sheet.crease_start[block + 1]):
-        _crease(x, sheet, entry, scratch)
+        _crease(x, sheet, entry, scratch, curvature)
 
 
 @part
-def _outside(block, sheet, planes, band, scratch):
+def _outside(block, sheet, planes, band, scratch, curvature):
     """Weight, the body's planes and the waistband, as in ``drape.solver.elements.outside``, and bending's diagonal."""
     k, own = sheet.constants, sheet.own
     for lane in range(LANES):
@@ -116,6 +119,8 @@ def _outside(block, sheet, planes, band, scratch):
         lost = own[place + 3 * LANES] * k.slack / length**3 if length > k.slack else k.zero
         force = add(mix(-stiffness * depth, normal, -stiff * deep, other), scaled(pull, way))
         _put3(scratch, GRADIENT, lane, (force[0], force[1] + own[place], force[2]))
+        if not curvature:
+            continue
         still = k.least + own[place + LANES] + pull
         hessian = (still, k.zero, k.zero, still, k.zero, still)
         hessian = outer(outer(hessian, stiffness, normal), stiff, other)
@@ -123,7 +128,7 @@ def _outside(block, sheet, planes, band, scratch):
 
 
 @part
-def _triangle(row, sheet, scratch):
+def _triangle(row, sheet, scratch, curvature):
     """Adds one triangle of each vertex: Gauss-Newton of Green's strain, and its stress where it pulls."""
     k = sheet.constants
     twice = k.one + k.one
@@ -142,6 +147,8 @@ def _triangle(row, sheet, scratch):
         cp, ct = mp * spp + mt * spt, mp * spt + mt * stt
         before, force = row3(scratch, GRADIENT, lane), mix(cp, p, ct, t)
         _put3(scratch, GRADIENT, lane, (before[0] + force[0], before[1] + force[1], before[2] + force[2]))
+        if not curvature:
+            continue
         kpp = area * (twice * k.warp * mp * mp + k.shear * mt * mt)
         ktt = area * (twice * k.weft * mt * mt + k.shear * mp * mp)
         kpt = area * (twice * k.cross + k.shear) * mp * mt
@@ -176,7 +183,7 @@ def _bending(x, block, sheet, scratch):
 
 
 @part
-def _crease(x, sheet, entry, scratch):
+def _crease(x, sheet, entry, scratch, curvature):
     """Adds one hinge of one vertex that is not flat at rest, as ``drape.solver.descent`` does."""
     k, creases = sheet.constants, sheet.creases
     lane, h, place = sheet.crease_lane[entry], sheet.crease_member[entry] // 4, sheet.crease_member[entry] % 4
@@ -186,4 +193,5 @@ def _crease(x, sheet, entry, scratch):
     force, turn = fold_gradient(vectors, scalars, cosine, sine, k)[place], angle_gradient(vectors, k)[place]
     before = row3(scratch, GRADIENT, lane)
     _put3(scratch, GRADIENT, lane, mix(k.one, before, stiffness, force))
-    _put6(scratch, HESSIAN, lane, outer(_row6(scratch, HESSIAN, lane), stiffness, turn))
+    if curvature:
+        _put6(scratch, HESSIAN, lane, outer(_row6(scratch, HESSIAN, lane), stiffness, turn))

@@ -23,7 +23,7 @@ from service.settings import Settings
 from service.stages.batch import Batch, Layer, Plan, Stage
 
 SETTLE = 8  # times the steps of a frame for one without a past, where clients do not say
-KEPT = 64  # garments in fabrics, a megabyte or two each
+KEPT_BYTES = 256 << 20  # of garments in fabrics, 3 to 8 MB each; what is in use stays
 
 
 class Folds(Stage):
@@ -36,6 +36,7 @@ class Folds(Stage):
         self._garments: dict[str, Garment] = {}
         self._constants: OrderedDict[tuple[str, str], Constants] = OrderedDict()
         self._making = threading.Lock()
+        self.kept_bytes = KEPT_BYTES
         warm_up()
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
@@ -101,7 +102,7 @@ class Folds(Stage):
         with self._making:
             if name not in self._constants:
                 self._constants[name] = constants(self._garments[key], self.body, fabric)
-                if len(self._constants) > KEPT:
-                    self._constants.popitem(last=False)
             self._constants.move_to_end(name)
+            while len(self._constants) > 1 and sum(made.nbytes for made in self._constants.values()) > self.kept_bytes:
+                self._constants.popitem(last=False)
             return self._constants[name]

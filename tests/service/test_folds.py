@@ -18,8 +18,9 @@ from service.app import create_app
 from service.drapery import Drapery
 from service.settings import Settings
 from service.stages import carried, run
+from service.stages import folds as folds_stage
 from service.stages.batch import PoseInput
-from service.stages.folds import SETTLE
+from service.stages.folds import SETTLE, Folds
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import outfit_settings, serve
 
@@ -95,6 +96,18 @@ def test_constants_are_made_when_a_plan_is_prepared_and_once(drapery: Drapery, m
 
     monkeypatch.setattr("service.stages.folds.constants", never)
     run(plan, [CLIP])
+
+
+def test_constants_are_kept_up_to_a_size_those_in_use_always(drapery: Drapery, monkeypatch: pytest.MonkeyPatch):
+    entry, made = drapery.garments.get("tube"), []
+    counted = folds_stage.constants
+    monkeypatch.setattr(folds_stage, "constants", lambda *of: made.append(of) or counted(*of))
+    stage = next(one for one in drapery.plan(entry, DrapeOptions(folds=1)).stages if one.name == "folds")
+    assert isinstance(stage, Folds)
+    for fabric, kept_bytes, wanted in (("swim", 1 << 30, 1), ("rib", 0, 2), ("rib", 0, 2), ("swim", 0, 3)):
+        monkeypatch.setattr(stage, "kept_bytes", kept_bytes)
+        stage.prepare(drapery.plan(entry, DrapeOptions(folds=1, fabric=fabric)))
+        assert len(made) == wanted
 
 
 def test_resets_are_counted_and_told(drapery: Drapery, monkeypatch: pytest.MonkeyPatch):
