@@ -42,7 +42,11 @@ def test_a_model_was_trained_on_the_designs_and_files_that_it_names():
     assert not catalog.was_trained_on(cut, ["tshirt"])
     sewn = catalog.open_garment(catalog.find_garments(["tank"])[0], body)  # has the name of a design, and is none
     assert not catalog.was_trained_on(sewn, ["tshirt", "tank"])
-    assert catalog.was_trained_on(sewn, [f"runs/sewn/{sewn.file_name()}"])
+    for name in (
+        f"runs/sewn/{sewn.file_name()}",
+        f"{sewn.name}-{sewn.digest[:16]}",
+    ):  # the latter in a model's manifest
+        assert catalog.was_trained_on(sewn, [name])
     other = replace(tube_garment(body), name="tank")  # no design: the name alone says nothing
     assert not catalog.was_trained_on(other, ["tank"])
     assert catalog.was_trained_on(other, ["tshirt", f"runs/sewn/{other.file_name()}"])

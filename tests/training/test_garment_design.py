@@ -7,9 +7,10 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose
 
+from drape.garment.cache import load_garment
 from drape.geometry.closest import signed_distance
 from tests.training.training_setup import body
-from training.garment_design import DESIGNS, SIX, SLIVER_SHARE, build, cut, varied
+from training.garment_design import DESIGNS, SIX, SLIVER_SHARE, build, cut, main, varied
 
 OPENINGS = {"tshirt": 4, "longsleeve": 4, "tank": 4, "dress": 4, "trousers": 3, "shorts": 3, "skirt": 2}
 
@@ -67,3 +68,14 @@ def test_variants_differ_but_keep_their_openings():
         assert mesh.area_faces.min() > SLIVER_SHARE * mesh.area_faces.mean()
         seen.add(design)
     assert len(seen) == 2
+
+
+def test_the_command_writes_the_caches_of_the_designs_that_it_is_told(tmp_path, capsys):
+    main(["tank", "--out", str(tmp_path)])
+    (path,) = tmp_path.iterdir()
+    garment = load_garment(path)
+    assert garment.manifest["design"]["name"] == "tank" and "tank" in capsys.readouterr().out
+    assert (len(garment.uv), garment.rest_edges) == (0, None)
+    with pytest.raises(SystemExit):
+        main(["toga", "--out", str(tmp_path)])
+    assert "got toga" in capsys.readouterr().err
