@@ -53,9 +53,12 @@ def short_name(path: Path) -> str:
 
 
 def was_trained_on(garment: Garment, names: Sequence[str]) -> bool:
-    """Whether ``garment`` is among those that a model's training ``names``: designs, or files by what they hold."""
+    """Whether ``garment`` is among those that a model's training ``names``: designs, or files by what they hold.
+
+    Files are named with their folder and suffix or, as a model's manifest does, without.
+    """
     design = garment.manifest.get("design", {}).get("name")
-    return design in names or garment.file_name() in {Path(name).name for name in names}
+    return design in names or Path(garment.file_name()).stem in {Path(name).stem for name in names}
 
 
 def open_garment(path: Path, body: BodyModel) -> Garment:

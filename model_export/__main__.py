@@ -46,7 +46,7 @@ def main() -> int:
         return 0
     path = arguments.garment or next(iter(sorted(GARMENTS_DIR.glob("tshirt-*.npz"))), None)
     if path is None:
-        parser.error("no shipped garment found: run python -m training.garment_design first, or give --garment")
+        parser.error("no shipped T-shirt found: give --garment")
     if arguments.checkpoint is None:
         manifest = add_push_out(arguments.target, load_garment(path))
         print(f"{arguments.target}: push-out written, digest {manifest.digest[:16]}")

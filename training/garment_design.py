@@ -1,7 +1,8 @@
-"""Garments cut from MakeHuman's helper surfaces: one parametrised design space, of which the shipped six are points.
+"""Garments cut from MakeHuman's helper surfaces: one parametrised design space, seven points of which are trained on.
 
-    python -m training.garment_design [--out assets/garments]
+    python -m training.garment_design [NAME ...] [--out runs/cut_garments]
 
+The product ships garments that are sewn (recovery.catalogue); six of these have names of sewn ones.
 A design names where the surface is cut (hem, sleeve, neckline, armhole) and how far it
 stands off the body (ease, flare). The cut follows the zero line of a smooth field: vertices near
 the line are moved onto it, the other crossed triangles are split, so edges are clean.
@@ -23,13 +24,14 @@ from scipy.spatial import KDTree
 from drape.body.assets import BODIES_DIR, load_body
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
-from drape.garment.cache import FORMAT_VERSION, GARMENTS_DIR, save_garment
+from drape.garment.cache import FORMAT_VERSION, GARMENTS_DIR, Garment, save_garment
 from drape.garment.features import boundary_vertices
 from drape.garment.fitting import fit_garment
 from drape.garment.intake import INTAKE_VERSION
 from drape.garment.skin import smoothing_matrix
 from drape.geometry.closest import closest_point, signed_distance
 
+CUT_DIR = GARMENTS_DIR.parents[1] / "runs" / "cut_garments"
 CLEARANCE_M = 0.0065  # intake promises 6 mm; half a millimetre covers rounding to float32
 CLEFT_HALF_WIDTH_M, CLEFT_TOP_M, CLEFT_PASSES = 0.07, 1.04, 120
 TAUBIN_SHARES = (0.5, -0.51)
@@ -68,7 +70,7 @@ class Design:
 
 CREW = (0.085, 0.115, 0.115)
 SCOOP = (0.105, 0.19, 0.135)
-SHIPPED: tuple[Design, ...] = (
+SIX: tuple[Design, ...] = (
     Design("tshirt", hem_y=0.935, sleeve_x=0.40, neck=CREW, ease=0.018, flare=0.04, smoothing=50),
     Design("longsleeve", hem_y=0.925, sleeve_x=0.69, neck=CREW, ease=0.014, flare=0.04, smoothing=40),
     Design("tank", hem_y=0.95, armhole=0.5, neck=SCOOP, ease=0.012, flare=0.06, smoothing=40),
@@ -76,11 +78,11 @@ SHIPPED: tuple[Design, ...] = (
     Design("shorts", waist_y=1.06, leg_y=0.56, ease=0.018, flare=0.08),
     Design("dress", waist_y=1.10, armhole=0.5, neck=SCOOP, ease=0.010, skirt_flare=0.28, skirt_hem_y=0.48),
 )
-# Trained on beside the shipped ones.
+# Trained on beside the six.
 EXTRA: tuple[Design, ...] = (
     Design("skirt", band_y=1.06, waist_y=0.95, ease=0.008, flare=0.0, skirt_flare=0.15, skirt_hem_y=0.50),
 )
-DESIGNS = {design.name: design for design in (*SHIPPED, *EXTRA)}
+DESIGNS = {design.name: design for design in (*SIX, *EXTRA)}
 
 
 def helper_surface(name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -363,30 +365,37 @@ def vary(design: Design, rng: np.random.Generator) -> Design:
     )
 
 
-def main() -> None:
-    """Builds the shipped designs and writes their caches."""
-    parser = argparse.ArgumentParser(description="Builds the shipped garments and writes their caches.")
-    parser.add_argument("--out", type=Path, default=GARMENTS_DIR)
-    arguments = parser.parse_args()
+def cut_garment(design: Design, body: BodyModel) -> Garment:
+    """``design`` on ``body`` as the product keeps a garment: fitted patches, no texture coordinates, no rest state."""
+    vertices, faces = build(design, body)
+    key = vertices.tobytes() + faces.tobytes() + body.digest.encode() + f"{FORMAT_VERSION}.{INTAKE_VERSION}".encode()
+    return fit_garment(
+        name=design.name, vertices=vertices, vertex_count=len(vertices), faces=faces, fine_faces=faces,
+        uv=np.zeros((0, 2)), uv_faces=np.zeros((0, 3)),
+        material_names=("cloth",), face_material=np.zeros(len(faces)),
+        body=body, digest=hashlib.sha256(key).hexdigest(),
+        manifest={"source": "cut from MakeHuman's helper surfaces (CC0)", "design": asdict(design)},
+    )  # fmt: skip
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Builds the named designs, the six where none is named, and writes their caches."""
+    parser = argparse.ArgumentParser(description="Builds garments cut from the body's surface and writes their caches.")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(DESIGNS)}; the first six without")
+    parser.add_argument("--out", type=Path, default=CUT_DIR)
+    options = parser.parse_args(arguments)
+    unknown = sorted(set(options.names) - set(DESIGNS))
+    if unknown:
+        parser.error(f"expected of {', '.join(DESIGNS)}, got {', '.join(unknown)}")
     body = load_body()
-    for design in SHIPPED:
-        vertices, faces = build(design, body)
-        key = (
-            vertices.tobytes() + faces.tobytes() + body.digest.encode() + f"{FORMAT_VERSION}.{INTAKE_VERSION}".encode()
-        )
-        garment = fit_garment(
-            name=design.name, vertices=vertices, vertex_count=len(vertices), faces=faces, fine_faces=faces,
-            uv=np.zeros((0, 2)), uv_faces=np.zeros((0, 3)),
-            material_names=("cloth",), face_material=np.zeros(len(faces)),
-            body=body, digest=hashlib.sha256(key).hexdigest(),
-            manifest={"source": "cut from MakeHuman's helper surfaces (CC0)", "design": asdict(design)},
-        )  # fmt: skip
-        for old in arguments.out.glob(f"{design.name}-*.npz"):
+    for design in [DESIGNS[name] for name in options.names] or SIX:
+        garment = cut_garment(design, body)
+        for old in options.out.glob(f"{design.name}-*.npz"):
             old.unlink()
-        path = save_garment(garment, arguments.out)
+        path = save_garment(garment, options.out)
         fit = garment.manifest["fit"]
         print(
-            f"{design.name:11s} {len(vertices):6d} vertices {garment.patch_count:4d} patches  "
+            f"{design.name:11s} {garment.vertex_count:6d} vertices {garment.patch_count:4d} patches  "
             f"{1e3 * fit['point_rmse_m']:.2f} mm  {fit['normal_error_deg']:.2f} deg  {path.stat().st_size / 1e6:.2f} MB"
         )
 

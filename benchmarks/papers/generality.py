@@ -36,6 +36,7 @@ from drape.geometry.skinning import skin_points
 from drape.motion.hard_poses import HardPoses, hard_poses
 from training.config import PRESETS, TrainConfig
 from training.evaluate import evaluate, held_out_clips
+from training.garment_design import DESIGNS, cut_garment
 from training.poses import PoseBank, read_clips
 from training.run import Trainer, sample_motions
 
@@ -107,7 +108,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     parser.add_argument("--minutes", type=float, help="of training per run (default 8, quick 0.1)")
     parser.add_argument("--train-steps", type=int, help="of training per run, whatever time they take")
     parser.add_argument("--runs", nargs="+", choices=sorted(RUNS), help="which (default: all; quick: the first)")
-    parser.add_argument("--seen", nargs="+", default=[], help="garments of the shipped ones (default: all six)")
+    parser.add_argument("--seen", nargs="+", choices=sorted(DESIGNS), help="designs (default: six of them)")
     parser.add_argument("--unseen", nargs="+", default=[], help="garment files or folders")
     parser.add_argument("--frames", type=int, help="hard poses (default 4, quick 1)")
     parser.add_argument("--steps", type=int, help=f"most physics steps (default {physics.STEPS}, quick 30)")
@@ -123,7 +124,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     body = load_body()
     config = PRESETS["shipped"]()
     poses = hard_poses(held_out_clips(config, []), body, options.frames)
-    seen = [open_garment(p, body) for p in find_garments(options.seen or (["shorts"] if quick else []))]
+    seen = [cut_garment(DESIGNS[name], body) for name in options.seen or (("shorts",) if quick else SIX)]
     unseen = [open_garment(p, body) for p in find_garments(options.unseen)] if options.unseen else []
     optima = {g.name: physics_energy(g, body, poses, steps=options.steps) for g in (*seen, *unseen)}
     bank_of = read_clips([data_folder("motions") or sample_motions()], held_out=config.data.held_out)

@@ -33,7 +33,6 @@ from benchmarks.papers.losses import ChartSamples, ChartSurface, PaperWeights
 from benchmarks.papers.representation_drape import Bench, open_bench, static_parts
 from benchmarks.shared import common
 from drape.body.assets import load_body
-from drape.catalog import find_garments, open_garment
 from drape.cloth import metrics
 from drape.cloth.contact import plane_distance
 from drape.cloth.material import material
@@ -47,6 +46,7 @@ from training.collider import nearest_collider
 from training.config import DataConfig, ModelConfig, TrainConfig, as_published
 from training.data import BodyBatch, Partition, TrainingGarment
 from training.evaluate import held_out_clips, posed_patches
+from training.garment_design import DESIGNS, cut_garment
 from training.model import OneFit, Posed
 from training.poses import PoseBank, read_clips
 from training.run import sample_motions, train
@@ -268,7 +268,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--minutes", type=float, help=f"per run (default {MINUTES:g}, quick {QUICK_MINUTES:g})")
     parser.add_argument("--steps", type=int, help="steps per run, instead of minutes")
-    parser.add_argument("--garment", default="tank", help="a design of training.garment_design that is shipped too")
+    parser.add_argument("--garment", default="tank", choices=sorted(DESIGNS), help="a design")
     parser.add_argument("--losses", nargs="+", choices=LOSS_SETS, help="sets of losses (default: all)")
     parser.add_argument("--variant", choices=("vector", "paper"), default="vector", help="form of the patches")
     parser.add_argument("--frames", type=int, help=f"held-out poses (default {FRAMES}, quick {QUICK_FRAMES})")
@@ -290,7 +290,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     clips = read_clips([motions or sample_motions()], held_out=config.data.held_out)
     bank = PoseBank(clips, config.data)
     poses = hard_poses(held_out_clips(config, []), body, options.frames)
-    garment = open_garment(find_garments([options.garment])[0], body)
+    garment = cut_garment(DESIGNS[options.garment], body)
     bench = open_bench(garment, body, poses.poses, material())
     rows: list[dict[str, Any]] = [
         {"loss": "skinning", **figures(bench, bench.skinned)},

@@ -10,6 +10,7 @@ from drape import catalog
 from drape.body.assets import load_body
 from drape.errors import ArtifactError, NotFound
 from drape.garment.cache import save_garment
+from tests.fixtures.cut_garments import cut_garment
 from tests.fixtures.tiny_model import tube_garment
 
 
@@ -36,9 +37,16 @@ def test_without_names_everything_shipped_is_found():
 
 def test_a_model_was_trained_on_the_designs_and_files_that_it_names():
     body = load_body()
-    cut = catalog.open_garment(catalog.find_garments(["tank"])[0], body)
+    cut = cut_garment("tank")
     assert catalog.was_trained_on(cut, ["tshirt", "tank"])
     assert not catalog.was_trained_on(cut, ["tshirt"])
+    sewn = catalog.open_garment(catalog.find_garments(["tank"])[0], body)  # has the name of a design, and is none
+    assert not catalog.was_trained_on(sewn, ["tshirt", "tank"])
+    for name in (
+        f"runs/sewn/{sewn.file_name()}",
+        f"{sewn.name}-{sewn.digest[:16]}",
+    ):  # the latter in a model's manifest
+        assert catalog.was_trained_on(sewn, [name])
     other = replace(tube_garment(body), name="tank")  # no design: the name alone says nothing
     assert not catalog.was_trained_on(other, ["tank"])
     assert catalog.was_trained_on(other, ["tshirt", f"runs/sewn/{other.file_name()}"])

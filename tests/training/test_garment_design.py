@@ -7,9 +7,10 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose
 
+from drape.garment.cache import load_garment
 from drape.geometry.closest import signed_distance
 from tests.training.training_setup import body
-from training.garment_design import DESIGNS, SHIPPED, SLIVER_SHARE, build, cut, varied
+from training.garment_design import DESIGNS, SIX, SLIVER_SHARE, build, cut, main, varied
 
 OPENINGS = {"tshirt": 4, "longsleeve": 4, "tank": 4, "dress": 4, "trousers": 3, "shorts": 3, "skirt": 2}
 
@@ -51,19 +52,30 @@ def test_designs_are_clear_and_have_their_openings(design):
 
 
 def test_building_twice_gives_the_same_mesh():
-    first, second = (build(SHIPPED[2], body()) for _ in range(2))
+    first, second = (build(SIX[2], body()) for _ in range(2))
     assert np.array_equal(first[0], second[0])
     assert np.array_equal(first[1], second[1])
 
 
 def test_variants_differ_but_keep_their_openings():
     rng = np.random.default_rng(1)
-    base = trimesh.Trimesh(*build(SHIPPED[2], body()), process=False)
+    base = trimesh.Trimesh(*build(SIX[2], body()), process=False)
     seen = set()
     for _ in range(2):
-        design, vertices, faces = varied(SHIPPED[2], body(), rng)
+        design, vertices, faces = varied(SIX[2], body(), rng)
         mesh = trimesh.Trimesh(vertices, faces, process=False)
         assert mesh.euler_number == base.euler_number
         assert mesh.area_faces.min() > SLIVER_SHARE * mesh.area_faces.mean()
         seen.add(design)
     assert len(seen) == 2
+
+
+def test_the_command_writes_the_caches_of_the_designs_that_it_is_told(tmp_path, capsys):
+    main(["tank", "--out", str(tmp_path)])
+    (path,) = tmp_path.iterdir()
+    garment = load_garment(path)
+    assert garment.manifest["design"]["name"] == "tank" and "tank" in capsys.readouterr().out
+    assert (len(garment.uv), garment.rest_edges) == (0, None)
+    with pytest.raises(SystemExit):
+        main(["toga", "--out", str(tmp_path)])
+    assert "got toga" in capsys.readouterr().err

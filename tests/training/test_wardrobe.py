@@ -75,8 +75,8 @@ def test_the_own_share_is_the_chance_of_the_designs_themselves(wardrobe: Wardrob
 
 
 def test_a_garment_file_goes_through_intake(tmp_path):
-    design = np.load(next(GARMENTS_DIR.glob("tank-*.npz")))
-    mesh = trimesh.Trimesh(design["vertices"], design["fine_faces"], process=False)
+    tank = load_garment(next(GARMENTS_DIR.glob("tank-*.npz")))
+    mesh = trimesh.Trimesh(tank.vertices, tank.fine_faces, process=False)
     mesh.export(tmp_path / "top.obj")
     path = str(tmp_path / "top.obj")
     (garment,) = Wardrobe(replace(DATA, garments=(path,), partitions=1), body(), seed=1, device=CPU).garments

@@ -5,7 +5,7 @@
     python -m benchmarks.papers.polyfit --quick               # what is not trained yet is trained for a few steps
 
 The paper measures on garments of CLOTH3D, which are not at hand: here it is garments that training never saw,
-those of DRAPE_DATA/garments or, without such a folder, variants of the shipped designs. Errors therefore compare
+those of DRAPE_DATA/garments or, without such a folder, variants of the six designs. Errors therefore compare
 within a table, not with the paper's column. docs/studies/polyfit.md says what each table means.
 """
 

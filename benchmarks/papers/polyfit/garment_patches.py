@@ -1,6 +1,6 @@
 """Patches of garments: points sampled on the clusters of random partitions, with the mesh's normals.
 
-Trained on: the shipped designs and random neighbours of each. Held out: the garments of
+Trained on: six designs and random neighbours of each. Held out: the garments of
 DRAPE_DATA/garments, taken in and cached, or neighbours that training never draws where there is no such folder.
 """
 
@@ -22,7 +22,7 @@ from drape.garment.fitting import RestGarment, rest_garment
 from drape.garment.intake import intake
 from drape.garment.partition import partition, patch_count_for
 from drape.garment.skin import BodyBinding
-from training.garment_design import SHIPPED, build, varied
+from training.garment_design import SIX, build, varied
 
 HELD_OUT_SEED = 90_000
 COUNT_RANGE = (0.7, 1.3)  # patch counts vary by these factors, so that sizes do
@@ -37,10 +37,10 @@ class NamedGarment:
 
 
 def designed_garments(body: BodyModel, *, variants: int, seed: int) -> list[NamedGarment]:
-    """The shipped designs and ``variants`` random neighbours of each."""
+    """The six designs and ``variants`` random neighbours of each."""
     rng = np.random.default_rng(seed)
     found = []
-    for design in SHIPPED:
+    for design in SIX:
         found.append(NamedGarment(design.name, rest_garment(*build(design, body), body)))
         for index in range(variants):
             found.append(NamedGarment(f"{design.name}_{index}", rest_garment(*varied(design, body, rng)[1:], body)))
@@ -52,8 +52,8 @@ def held_out_garments(body: BodyModel, *, folder: Path) -> tuple[list[NamedGarme
     source = data_folder("garments")
     if source is None:
         rng = np.random.default_rng(HELD_OUT_SEED)
-        drawn = [NamedGarment(f"{d.name}_held", rest_garment(*varied(d, body, rng)[1:], body)) for d in SHIPPED]
-        return drawn, "held-out variants of the shipped designs"
+        drawn = [NamedGarment(f"{d.name}_held", rest_garment(*varied(d, body, rng)[1:], body)) for d in SIX]
+        return drawn, "held-out variants of the six designs"
     found = []
     for path in sorted(p for p in source.iterdir() if p.suffix.lower() in MESH_SUFFIXES):
         if path.stem.startswith("avatar"):

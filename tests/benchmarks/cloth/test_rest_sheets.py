@@ -45,6 +45,6 @@ def test_a_pair_is_two_drapes_of_one_pose(monkeypatch: pytest.MonkeyPatch):
 def test_a_quick_run_prints_its_table_and_its_record(tmp_path, capsys: pytest.CaptureFixture[str]):
     record = rest_sheets.main(["--quick", "--garments", "shorts", "--sheets", str(tmp_path)])
     (row,) = record["rows"]
-    assert (row["garment"], row["kept_pct"], row["grain"]) == ("shorts", 0.0, "vertical")
+    assert (row["garment"], row["kept_pct"], row["grain"], row["lengths"]) == ("shorts", 0.0, "uv", "panels")
     assert (tmp_path / "angles_0.png").is_file()
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["bench"] == "rest_sheets"

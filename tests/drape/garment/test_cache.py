@@ -50,6 +50,19 @@ def test_garment_is_read_as_it_was_written(stored):
     same_garment(load_garment(stored), barrel_garment())
 
 
+def test_a_file_of_numpys_own_packing_is_read_too(stored):
+    rewrite(stored)
+    same_garment(load_garment(stored), barrel_garment())
+
+
+def test_fine_faces_that_are_the_faces_are_stored_once(tmp_path):
+    garment = dataclasses.replace(barrel_garment(), fine_faces=barrel_garment().faces)
+    path = save_garment(garment, tmp_path)
+    with np.load(path) as data:
+        assert "faces" in data.files and "fine_faces" not in data.files
+    same_garment(load_garment(path), garment)
+
+
 def with_rest(garment: Garment) -> Garment:
     state = rest_state.flat(garment.vertices, garment.fine_faces)
     arrays = {"rest_edges": state.edges, "rest_angle": state.hinge_angle, "rest_stiffening": 2.0 * state.stiffening}

@@ -14,24 +14,19 @@ from recovery.pattern.triangulate import signed_areas
 from tests.drape.body.body_files import default_body
 from tests.drape.garment.rest_garments import SHIPPED, shipped
 from tests.recovery.pattern_setup import default_measurements
-from training import garment_design
 
 CLEARANCE_M = 0.006
 FILE_LIMIT_BYTES = 3_500_000
 MICROMETRE = 1e-6
 
 
-CUT = {design.name for design in garment_design.SHIPPED}
-SEWN = sorted(set(SHIPPED) - CUT)
-
-
-def test_they_are_the_cut_designs_and_sewn_ones_under_their_digests():
-    assert CUT <= set(SHIPPED) <= CUT | set(CATALOGUE)
+def test_they_are_the_catalogue_under_its_digests():
+    assert set(SHIPPED) == set(CATALOGUE)
     files = {path.name for path in GARMENTS_DIR.glob("*.npz")}
     assert files == {shipped(name).file_name() for name in SHIPPED}
 
 
-@pytest.mark.parametrize("name", SEWN)
+@pytest.mark.parametrize("name", SHIPPED)
 def test_a_sewn_one_rests_as_its_panels_in_its_fabric(name):
     garment, made = shipped(name), CATALOGUE[name](default_measurements())
     assert garment.fabric == made.fabric
