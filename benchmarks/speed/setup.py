@@ -119,6 +119,10 @@ def _subdivided(garment: Garment) -> Garment:
         chart_residual=local - scale * jets.evaluate(garment.patch_jet[patch].astype(np.float64), uv),
         skin_weights=garment.skin_weights[first],
         shapedirs=garment.shapedirs[first],
+        # Panels and texture are of the triangles before; only speed is asked here.
+        **dict.fromkeys(("rest_edges", "rest_angle", "rest_stiffening")),
+        uv=garment.uv[:0],
+        uv_faces=garment.uv_faces[:0],
     )
 
 

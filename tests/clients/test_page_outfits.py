@@ -133,7 +133,11 @@ def drawn(page: Page, *, jets: bool) -> tuple[np.ndarray, float, int]:
 
 
 def test_jets_are_drawn_like_vertices_and_are_fewer_bytes(page: Page):
-    """Without the push-out, of which jets carry a part, and without the body, which would show through at places."""
+    """Without the push-out, of which jets carry a part, and without the body, which would show through at places.
+
+    And without folds, which polynomials do not have.
+    """
+    set_control(page, "folds", "value", "", "change")
     for control in ("push", "body"):
         set_control(page, control, "checked", False, "change")
     jets, of_jets, width = drawn(page, jets=True)
@@ -147,6 +151,7 @@ def test_jets_are_drawn_like_vertices_and_are_fewer_bytes(page: Page):
     assert outside(jets, vertices).max() <= SHADE and outside(vertices, jets).max() <= SHADE
     for control in ("push", "body"):
         set_control(page, control, "checked", True, "change")
+    set_control(page, "folds", "value", "2", "change")
 
 
 def test_garments_are_taken_off_and_put_on(page: Page):

@@ -233,7 +233,7 @@ def test_cloth_is_held_where_the_network_has_it_and_a_waistband_more():
         found = dressed(garment, body)
         leash = LEASH_N_M3 * found.cloth.vertex_area
         assert (found.band_n_per_m >= leash).all()
-        assert ((found.band_n_per_m > 2.0 * leash).mean() > 0.01) == banded
+        assert ((found.band_n_per_m > 2.0 * leash).mean() > 0.004) == banded
         own = made.sheet.own.reshape(-1, 4, LANES)[:, 3].reshape(-1)
         assert_allclose(own[made.sheet.place], found.band_n_per_m, rtol=1e-6)
 
