@@ -28,8 +28,13 @@ def kernel(function: F) -> F:
     """``function`` compiled when it is first called, and stored until any file of these packages changes.
 
     numba looks at the date of the kernel's own file alone, so that a changed formula would leave its callers as
-    they were; the stamp that it compares is therefore the hash of the packages.
+    they were; the stamp that it compares is therefore the hash of the packages. It is in the files' names as well: what
+    an older version stored names types that may be gone, and could not be read.
     """
     compiled: Any = njit(cache=True, error_model="numpy", nogil=True, fastmath=FAST)(function)
-    compiled._cache._cache_file._source_stamp = _SOURCES
+    stored = compiled._cache._cache_file
+    stored._source_stamp = _SOURCES
+    name = f"{stored._index_name.removesuffix('.nbi')}.{_SOURCES[:12]}"
+    stored._index_name, stored._data_name_pattern = f"{name}.nbi", f"{name}.{{number:d}}.nbc"
+    stored._index_path = str(Path(stored._cache_path, stored._index_name))
     return compiled

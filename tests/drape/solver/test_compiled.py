@@ -38,3 +38,16 @@ def test_a_changed_formula_reaches_its_callers(tmp_path):
     assert run(tmp_path) == ["6.0", "1"]
     (package / "element.py").write_text(ELEMENT.format(factor=5.0))
     assert run(tmp_path) == ["10.0", "0"]
+
+
+def test_what_an_older_version_stored_is_not_read(tmp_path):
+    package = tmp_path / "stored"
+    package.mkdir()
+    (package / "__init__.py").write_text(PACKAGE)
+    (package / "caller.py").write_text(CALLER)
+    (package / "element.py").write_text(ELEMENT.format(factor=3.0))
+    assert run(tmp_path) == ["6.0", "0"]
+    for index in (package / "__pycache__").glob("*.nbi"):
+        index.write_bytes(b"cstored.gone\nGone\n.")  # a pickle of a type of a module that is not there any more
+    (package / "element.py").write_text(ELEMENT.format(factor=5.0))
+    assert run(tmp_path) == ["10.0", "0"]
