@@ -10,12 +10,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from benchmarks.shared.newton import Band, Cloth, Found, minimum
 from drape.body.model import BodyModel
-from drape.cloth import energies, metrics
+from drape.cloth import metrics
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
@@ -111,22 +112,9 @@ def held_by_waist(garment: Garment, body: BodyModel, skinned: np.ndarray) -> Hel
     return None if band is None else Held(band.vertex, band.length_m, skinned[:, band.vertex])
 
 
-def energy_parts(
-    vertices: np.ndarray,
-    cloth: ClothMesh,
-    material: Material,
-    contact: BodyContact,
-    body_vertices: np.ndarray,
-    *,
-    height_m: np.ndarray,
-) -> dict[str, np.ndarray]:
-    """Energies [J] (F,) by part of ``vertices`` (F, V, 3), gravity relative to ``height_m`` (F,): what is minimised.
-
-    Contact is that over the blended planes of ``drape.solver.body_distance``. ``drape.cloth.metrics.static_parts`` has
-    the planes of the nearest body vertices, as training has, which also cut through free space far from the body.
-    """
-    distance = blended_distance(vertices, contact, body_vertices, gap_m=material.contact_gap_m)
-    return energies.total(vertices, cloth, material, distance=distance, height_m=height_m[:, None])
+# Energies [J] (F,) by part of what is minimised: contact over the blended planes, in place of those of the nearest body
+# vertices, as training has them, which also cut through free space far from the body.
+energy_parts = partial(metrics.static_parts, distance=blended_distance)
 
 
 def charts_of(garment: Garment) -> Charts:

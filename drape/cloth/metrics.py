@@ -6,6 +6,8 @@ unsigned means over the mesh, as in GAPS (Chen et al. 2024).
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from drape.cloth import energies
@@ -56,6 +58,11 @@ def through_pct(outer: np.ndarray, inner: np.ndarray, inner_faces: np.ndarray) -
     return 100.0 * np.array(shares)
 
 
+def nearest_distance(vertices: np.ndarray, contact: BodyContact, body: np.ndarray, *, gap_m: float) -> np.ndarray:
+    """Distances [m] (F, V) of ``vertices`` (F, V, 3) to the planes of the nearest vertices of ``body``, at any gap."""
+    return contact.planes(vertices, body).distance(vertices)
+
+
 def static_parts(
     vertices: np.ndarray,
     cloth: ClothMesh,
@@ -64,10 +71,14 @@ def static_parts(
     body_vertices: np.ndarray,
     *,
     height_m: np.ndarray,
+    distance: Callable[..., np.ndarray] = nearest_distance,
 ) -> dict[str, np.ndarray]:
-    """Energies [J] (F,) by part, gravity relative to ``height_m`` (F,): what every method is judged by."""
-    distance = contact.planes(vertices, body_vertices).distance(vertices)
-    return energies.total(vertices, cloth, material, distance=distance, height_m=height_m[:, None])
+    """Energies [J] (F,) by part of ``vertices`` (F, V, 3), gravity relative to ``height_m`` (F,).
+
+    Contact is over the ``distance`` of training, or over another, as ``drape.solver.body_distance.blended_distance``.
+    """
+    apart = distance(vertices, contact, body_vertices, gap_m=material.contact_gap_m)
+    return energies.total(vertices, cloth, material, distance=apart, height_m=height_m[:, None])
 
 
 def mean_height(vertices: np.ndarray, cloth: ClothMesh) -> np.ndarray:
