@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 PACKAGE = """
 from pathlib import Path
 import drape.solver.compiled as original
@@ -28,26 +30,26 @@ def run(folder: Path) -> list[str]:
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
 
 
-def test_a_changed_formula_reaches_its_callers(tmp_path):
+@pytest.fixture
+def stored(tmp_path):
+    """The folder of a package whose kernels have been compiled and stored, with a factor of 3."""
     package = tmp_path / "stored"
     package.mkdir()
     (package / "__init__.py").write_text(PACKAGE)
     (package / "caller.py").write_text(CALLER)
     (package / "element.py").write_text(ELEMENT.format(factor=3.0))
     assert run(tmp_path) == ["6.0", "0"]
-    assert run(tmp_path) == ["6.0", "1"]
-    (package / "element.py").write_text(ELEMENT.format(factor=5.0))
-    assert run(tmp_path) == ["10.0", "0"]
+    return package
 
 
-def test_what_an_older_version_stored_is_not_read(tmp_path):
-    package = tmp_path / "stored"
-    package.mkdir()
-    (package / "__init__.py").write_text(PACKAGE)
-    (package / "caller.py").write_text(CALLER)
-    (package / "element.py").write_text(ELEMENT.format(factor=3.0))
-    assert run(tmp_path) == ["6.0", "0"]
-    for index in (package / "__pycache__").glob("*.nbi"):
+def test_a_changed_formula_reaches_its_callers(stored):
+    assert run(stored.parent) == ["6.0", "1"]
+    (stored / "element.py").write_text(ELEMENT.format(factor=5.0))
+    assert run(stored.parent) == ["10.0", "0"]
+
+
+def test_what_an_older_version_stored_is_not_read(stored):
+    for index in (stored / "__pycache__").glob("*.nbi"):
         index.write_bytes(b"cstored.gone\nGone\n.")  # a pickle of a type of a module that is not there any more
-    (package / "element.py").write_text(ELEMENT.format(factor=5.0))
-    assert run(tmp_path) == ["10.0", "0"]
+    (stored / "element.py").write_text(ELEMENT.format(factor=5.0))
+    assert run(stored.parent) == ["10.0", "0"]
