@@ -108,20 +108,9 @@ def health() -> Call[dict[str, Any]]:
     return Call("GET", "/health", httpx.Response.json)
 
 
-def garments() -> Call[list[dict[str, Any]]]:
-    return Call("GET", "/garments", httpx.Response.json)
-
-
-def fabrics() -> Call[list[dict[str, Any]]]:
-    return Call("GET", "/fabrics", httpx.Response.json)
-
-
-def bodies() -> Call[list[dict[str, Any]]]:
-    return Call("GET", "/bodies", httpx.Response.json)
-
-
-def motions() -> Call[list[dict[str, Any]]]:
-    return Call("GET", "/motions", httpx.Response.json)
+def listed(what: str) -> Call[list[dict[str, Any]]]:
+    """All ``what`` that the service has: "garments", "tiers", "fabrics", "bodies" or "motions"."""
+    return Call("GET", f"/{what}", httpx.Response.json)
 
 
 def body(name: str, betas: np.ndarray | None) -> Call[dict[str, Any]]:

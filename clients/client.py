@@ -58,19 +58,23 @@ class DrapeClient:
 
     def garments(self) -> list[dict[str, Any]]:
         """The garments that can be draped; ``id`` names one."""
-        return self._send(calls.garments())
+        return self._send(calls.listed("garments"))
+
+    def tiers(self) -> list[dict[str, Any]]:
+        """The tiers that a drape may name, the least first, with what was measured of each."""
+        return self._send(calls.listed("tiers"))
 
     def fabrics(self) -> list[dict[str, Any]]:
         """The fabrics that a drape may name, with their numbers."""
-        return self._send(calls.fabrics())
+        return self._send(calls.listed("fabrics"))
 
     def bodies(self) -> list[dict[str, Any]]:
         """The bodies of the service."""
-        return self._send(calls.bodies())
+        return self._send(calls.listed("bodies"))
 
     def motions(self) -> list[dict[str, Any]]:
         """The sample clips of the service."""
-        return self._send(calls.motions())
+        return self._send(calls.listed("motions"))
 
     def motion(self, name: str, betas: np.ndarray | None = None) -> MotionClip:
         """One sample clip, placed on the ground for the service's body in the shape ``betas``."""
@@ -198,19 +202,23 @@ class AsyncDrapeClient:
 
     async def garments(self) -> list[dict[str, Any]]:
         """The garments that can be draped; ``id`` names one."""
-        return await self._send(calls.garments())
+        return await self._send(calls.listed("garments"))
+
+    async def tiers(self) -> list[dict[str, Any]]:
+        """The tiers that a drape may name, the least first, with what was measured of each."""
+        return await self._send(calls.listed("tiers"))
 
     async def fabrics(self) -> list[dict[str, Any]]:
         """The fabrics that a drape may name, with their numbers."""
-        return await self._send(calls.fabrics())
+        return await self._send(calls.listed("fabrics"))
 
     async def bodies(self) -> list[dict[str, Any]]:
         """The bodies of the service."""
-        return await self._send(calls.bodies())
+        return await self._send(calls.listed("bodies"))
 
     async def motions(self) -> list[dict[str, Any]]:
         """The sample clips of the service."""
-        return await self._send(calls.motions())
+        return await self._send(calls.listed("motions"))
 
     async def motion(self, name: str, betas: np.ndarray | None = None) -> MotionClip:
         """One sample clip, placed on the ground for the service's body in the shape ``betas``."""

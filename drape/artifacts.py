@@ -83,7 +83,7 @@ class Manifest:
     network was trained on. ``parity_error_m``: largest vertex distance torch vs
     onnxruntime at export. ``quality``: rows of benchmarks.quality. ``training``: commit,
     command, frames seen, losses at the end. ``network``: its sizes, as ``training.config.ModelConfig`` names
-    them. ``weights``: None where every graph holds its own.
+    them. ``weights``: None where every graph holds its own. ``tiers``: rows of ``service.tiers.Tier``, the least first.
     """
 
     name: str
@@ -98,6 +98,7 @@ class Manifest:
     quality: list[dict[str, Any]] = field(default_factory=list)
     network: dict[str, Any] = field(default_factory=dict)
     weights: WeightsSpec | None = None
+    tiers: list[dict[str, Any]] = field(default_factory=list)
     format_version: int = FORMAT_VERSION
 
     @property

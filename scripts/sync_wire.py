@@ -29,6 +29,7 @@ export const SUBPROTOCOL = "{subprotocol}";
 export const MAGIC = {magic};
 export const KIND = {{ POSE: {pose}, ACK: {ack}, FRAME: {frame}, JETS: {jets}, LAYOUT: {layout} }};
 export const FLAG_PUSHED = {flag_pushed};
+export const FLAG_STEPPED = {flag_stepped};
 // Suffixes of garment files, as the file chooser takes them.
 export const MESH_SUFFIXES = "{suffixes}";
 export const BYTES = {{
@@ -205,6 +206,7 @@ def generate() -> str:
         patch_numbers=jet_layout.PATCH_NUMBERS,
         chart_numbers=jet_layout.CHART_NUMBERS,
         flag_pushed=wire.FLAG_PUSHED,
+        flag_stepped=wire.FLAG_STEPPED,
         suffixes=",".join(MESH_SUFFIXES),
         pose_bytes=wire.POSE_BYTES,
         ack_bytes=wire.ACK_BYTES,

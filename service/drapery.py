@@ -8,6 +8,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
@@ -15,8 +16,9 @@ import numpy as np
 
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
-from drape.errors import DrapeError, NotFound
+from drape.errors import DrapeError, InputError, NotFound
 from drape.wire.options import DrapeOptions
+from service.costs import Probe
 from service.engine import Engine
 from service.errors import InternalError
 from service.garments import Registry, Scene
@@ -24,11 +26,15 @@ from service.motions import Motions
 from service.settings import Settings
 from service.stages import make_plan, make_stages, run
 from service.stages.batch import Batch, Memories, Plan, PoseInput
+from service.tiers import capped, chosen, read_tiers, tier_of
 
 STREAM_WAIT_S = 0.02
 """What frames of a clip may keep a stream waiting at a time; a single frame is the least."""
 STREAM_PAUSE_S = 1.0
 """Longer after the last frame of a stream clips are computed in whole chunks again."""
+
+COSTS_KEPT = 1024
+"""Scenes and tiers whose cost is remembered."""
 
 Result = TypeVar("Result")
 log = logging.getLogger("drape.service")
@@ -50,11 +56,13 @@ class Drapery:
             folder, device=settings.device, int8=settings.int8, half=settings.half, bound=settings.buckets
         )
         self.engine.check_body(self.body)
+        self.tiers = read_tiers(self.engine.manifest.tiers)
         self.stages = make_stages(self.engine, self.body, settings)
         self.garments = Registry(self.body, settings, self.stages)
         self.motions = Motions(settings.motions_dir)
         self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="drape")
         self._clip_turn = asyncio.Lock()  # one chunk waits for the thread at a time, however many clips there are
+        self._frame_ms: dict[tuple[tuple[str, ...], DrapeOptions, bool], float] = {}
         self._streamed_s = -math.inf  # when a frame of a stream was last begun
         self.warm_up()
 
@@ -95,8 +103,51 @@ class Drapery:
         return await asyncio.get_running_loop().run_in_executor(self._executor, partial(function, *arguments))
 
     def plan(self, scene: Scene, options: DrapeOptions, *, messages: bool = False) -> Plan:
-        """``service.stages.make_plan`` with the stages of this service."""
-        return make_plan(self.stages, scene, options, messages=messages)
+        """``service.stages.make_plan`` with the stages of this service, and the passes and folds of its tiers."""
+        asked = chosen(options, self.tiers, self.settings, self.engine.pass_count)
+        return make_plan(self.stages, scene, asked, messages=messages)
+
+    async def plan_within(self, scene: Scene, options: DrapeOptions, *, messages: bool = False) -> Plan:
+        """``plan``, or where ``options`` have a budget that of the best tier within it, of the least where none is."""
+        if options.budget_ms is None:
+            return self.plan(scene, options, messages=messages)
+        if options.tier is not None:
+            raise InputError("budget_ms", expected="a tier or a budget", got="both", cure="Name one of the two.")
+        plans = [
+            self.plan(scene, options.model_copy(update={"tier": tier.name}), messages=messages) for tier in self.tiers
+        ]
+        for plan in reversed(plans):
+            if await self.frame_ms(plan) <= options.budget_ms:
+                return plan
+        return plans[0]
+
+    async def frame_ms(self, plan: Plan) -> float:
+        """What a frame of ``plan`` takes [ms], measured once, frame by frame in its turn with what else is computed."""
+        key = plan.keys, plan.options, plan.messages
+        if key not in self._frame_ms:
+            await self.prepare(plan)
+            probe = Probe(plan, self.body)
+            while not probe.done:
+                async with self._clip_turn:
+                    await self.in_thread(probe.step)
+            while len(self._frame_ms) >= COSTS_KEPT:
+                self._frame_ms.pop(next(iter(self._frame_ms)))
+            self._frame_ms[key] = probe.frame_ms()
+        return self._frame_ms[key]
+
+    def tier_of(self, plan: Plan) -> str:
+        """The name of the tier that ``plan`` is, or "custom"."""
+        return tier_of(plan.options, self.tiers, self.engine.pass_count)
+
+    def steps(self, plan: Plan) -> tuple[Plan, ...]:
+        """``plan`` as each tier holds it, the least first: with no more than the tier computes."""
+        held = [capped(plan.options, tier) for tier in self.tiers]
+        return tuple(
+            plan
+            if options == plan.options
+            else replace(make_plan(self.stages, plan.scene, options, messages=plan.messages), stepped=True)
+            for options in held
+        )
 
     async def prepare(self, plan: Plan) -> None:
         """Makes what the plan's stages need, beside the frames that are being computed."""

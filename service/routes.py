@@ -197,7 +197,7 @@ async def drape_clip(request: Request, state: StateHere) -> Response:
     jets = asked.geometry == "jets"
     kind = negotiation.choose(request.headers.get("accept"), (negotiation.BINARY,)) if jets else _kind(request)
     scene = drapery.garments.scene(asked.garment, asked.garments)
-    plan = drapery.plan(scene, asked, messages=jets)
+    plan = await drapery.plan_within(scene, asked, messages=jets)
     if jets:
         check_jets_size(len(clip.poses), scene, drapery)
     else:
@@ -205,11 +205,6 @@ async def drape_clip(request: Request, state: StateHere) -> Response:
     with state.slot():
         draped = await drapery.drape(plan, clip)
         headers = _quality_headers(draped, drapery) | {"X-Drape-Motion": f"{plan.options.knob:g}"}
-        if asked.passes is not None:
-            headers["X-Drape-Passes"] = str(asked.passes)
-        if plan.options.folds:
-            headers["X-Drape-Folds"] = str(plan.options.folds)
-            headers["X-Drape-Folds-Resets"] = str(int(draped.quality.folds_resets.sum()))
         if jets:
             return jets_response(draped, headers)
         worn = layer_list(scene) if isinstance(scene, Outfit) else None
@@ -306,6 +301,18 @@ def _quality_headers(draped: Batch, drapery: Drapery) -> dict[str, str]:
         "X-Drape-Push-Out": str(int(bool(draped.plan.options.push_out))),
         "X-Drape-Pushed-Share": f"{draped.quality.pushed_share.mean():.6f}",
         "X-Drape-Push-Max-M": f"{draped.quality.push_max_m.max():.6f}",
+        **_tier_headers(draped, drapery),
+    }
+
+
+def _tier_headers(draped: Batch, drapery: Drapery) -> dict[str, str]:
+    """What was computed: the tier by name, the network's passes and the steps of folds."""
+    options, passes = draped.plan.options, drapery.engine.pass_count
+    return {
+        "X-Drape-Tier": drapery.tier_of(draped.plan),
+        "X-Drape-Passes": str(passes if options.passes is None else options.passes),
+        "X-Drape-Folds": str(options.folds),
+        "X-Drape-Folds-Resets": str(int(draped.quality.folds_resets.sum())),
     }
 
 
@@ -320,6 +327,14 @@ async def fabrics() -> list[schemas.FabricInfo]:
 
 def _public(cloth: Fabric) -> dict[str, Any]:
     return {name: getattr(cloth, name) for name in schemas.FabricInfo.model_fields if name != "id"}
+
+
+@router.get("/tiers")
+async def tiers(state: StateHere) -> list[schemas.TierInfo]:
+    """The tiers that a request may name, the least first, with what was measured of each and where."""
+    drapery = state.drapery
+    default = drapery.settings.tier
+    return [schemas.TierInfo.of(tier, drapery.engine.pass_count, default=default) for tier in drapery.tiers]
 
 
 @router.get("/bodies")

@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 from annotated_types import Len
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
 from drape.body.skeleton import JOINT_COUNT
 from drape.files.formats import MESH_NAMES
 from drape.graph.feeds import BETA_COUNT
-from drape.wire.options import FIRST_ONLY, DrapeOptions, FabricNumbers, Identifier, Worn
+from drape.wire.options import FIRST_ONLY, DrapeOptions, FabricNumbers, Identifier, TierName, Worn
+from service.tiers import Tier
 
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Vector = Annotated[list[Number], Len(3, 3), FIRST_ONLY]
@@ -89,6 +90,26 @@ class FabricInfo(FabricNumbers):
     thickness_m: float
     friction: float
     source: str
+
+
+class TierInfo(BaseModel):
+    """A tier: passes of the network under steps of folds, and the passes that jets, which have no folds, get."""
+
+    id: TierName
+    default: bool = Field(description="Whether a request that names none gets it.")
+    passes: int
+    folds: int
+    alone: int = Field(description="Passes where there are no folds: with jets, or folds 0.")
+    figures: dict[str, Any] = Field(description="What benchmarks.tradeoff measured of it, and on which machine.")
+
+    @classmethod
+    def of(cls, tier: Tier, pass_count: int, *, default: TierName) -> TierInfo:
+        """``tier`` of a model that leaves ``pass_count`` passes to choose."""
+        passes, alone = (min(pass_count, pass_count if p is None else p) for p in (tier.passes, tier.alone))
+        named = TypeAdapter(TierName).validate_python(tier.name)
+        return cls(
+            id=named, default=named == default, passes=passes, folds=tier.folds, alone=alone, figures=dict(tier.figures)
+        )
 
 
 class GarmentInfo(BaseModel):

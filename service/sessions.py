@@ -23,6 +23,7 @@ from service.errors import Busy
 from service.piecework import Piecework
 from service.stages import carried
 from service.stages.batch import Memories, Plan, PoseInput
+from service.step_down import StepDown
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,15 +38,18 @@ class Waiting:
 class Session:
     """One client's stream. ``generation`` counts openings: what was begun for an earlier one is thrown away.
 
-    ``memories`` are what the stages keep of the frames so far (``service.stages``).
+    ``steps``: the plan as each tier holds it, the least first; ``memories``: what the stages keep of the frames so far
+    (``service.stages``). Of ``dropped`` poses those that are ``late`` waited for the worker alone.
     """
 
     plan: Plan
     betas: np.ndarray
     credit: int
+    steps: tuple[Plan, ...] = ()
     memories: Memories = field(default_factory=dict)
     generation: int = 0
     dropped: int = 0
+    late: int = 0
     waiting: Waiting | None = None
     outbox: bytes | None = None
     failure: DrapeError | None = None
@@ -54,11 +58,11 @@ class Session:
     under_way: list[tuple[int, float]] = field(default_factory=list)
     news: asyncio.Event = field(default_factory=asyncio.Event)
 
-    def reopen(self, plan: Plan, betas: np.ndarray) -> None:
+    def reopen(self, plan: Plan, betas: np.ndarray, steps: tuple[Plan, ...] = ()) -> None:
         """Turns the session to another plan or shape; what another shape leaves behind is no motion of this one."""
         same = np.array_equal(betas, self.betas)
         self.memories = carried(self.memories, self.plan, plan) if same else {}
-        self.plan, self.betas = plan, betas
+        self.plan, self.betas, self.steps = plan, betas, steps
         self.generation += 1
         self.waiting, self.outbox = None, None
         self.under_way.clear()
@@ -66,6 +70,7 @@ class Session:
     def put(self, pose: Pose) -> None:
         """Puts a pose into the mailbox; one that waited there is dropped and counted."""
         self.last_heard_s = time.monotonic()
+        self.late += self.ready()
         self.dropped += self.waiting is not None
         self.waiting = Waiting(pose, self.last_heard_s)
 
@@ -73,12 +78,21 @@ class Session:
         """Whether a pose waits that may be computed now."""
         return self.waiting is not None and len(self.under_way) < self.credit and self.outbox is None
 
+    def held_to(self, tier: int) -> Plan:
+        """Its plan with no more than the tier of that index computes."""
+        return self.steps[tier] if tier < len(self.steps) else self.plan
+
     def take(self) -> Waiting:
         """The waiting pose, now under way."""
         assert self.waiting is not None
         taken, self.waiting = self.waiting, None
         self.under_way.append((taken.pose.sequence, math.inf))
         return taken
+
+    def taken_late(self) -> int:
+        """How many poses were late since this was last asked."""
+        late, self.late = self.late, 0
+        return late
 
     def acknowledge(self, sequence: int) -> None:
         """Gives one credit back; an answer to a frame of an earlier opening is ignored."""
@@ -117,6 +131,12 @@ class Streams:
         self._sessions: set[Session] = set()
         self._wake = asyncio.Event()
         self._worker: asyncio.Task[None] | None = None
+        self._step_down = StepDown(len(drapery.tiers), time.monotonic())
+
+    @property
+    def tier(self) -> int:
+        """The index of the highest tier that streams get now; past the last one nothing holds them."""
+        return self._step_down.level
 
     @property
     def count(self) -> int:
@@ -165,15 +185,19 @@ class Streams:
         ready = sorted(
             (s for s in self._sessions if s.ready()), key=lambda s: s.waiting.arrived_s if s.waiting else 0.0
         )
-        same = [s for s in ready if s.plan == ready[0].plan]
+        same = [s for s in ready if s.held_to(self.tier) == ready[0].held_to(self.tier)]
         return same[: self._drapery.settings.chunk_frames]
 
     async def _compute(self, batch: Sequence[Session]) -> None:
-        plan = batch[0].plan
+        plan = batch[0].held_to(self.tier)
         generations = [session.generation for session in batch]
         inputs = [_pose_input(session, session.take()) for session in batch]
         with self._piecework.held():
+            start_s = time.monotonic()
             results = await self._drapery.in_thread(self._drapery.frames, plan, inputs)
+            now_s = time.monotonic()
+        late = sum(session.taken_late() for session in batch)
+        self._step_down.note(now_s, frames=len(batch), late=late, busy_s=now_s - start_s)
         for session, generation, (result, memories) in zip(batch, generations, results, strict=True):
             session.deliver(generation, result, memories)
 

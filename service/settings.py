@@ -15,6 +15,7 @@ from drape.artifacts import DEFAULT_MODEL, MODELS_DIR
 from drape.body.assets import DEFAULT_BODY
 from drape.errors import InputError
 from drape.garment.cache import GARMENTS_DIR, OWN_GARMENTS_DIR
+from drape.wire.options import TierName
 from service.runtime import Device
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -45,7 +46,9 @@ class Settings(BaseSettings):
 
     int8: bool = True
     half: bool | None = None
+    tier: TierName = "balanced"
     passes: int | None = Field(default=None, ge=0)
+    folds: int | None = Field(default=None, ge=0, le=16)
     push_out: bool = True
     clearance_m: float = Field(default=0.0025, gt=0.0, le=0.05)
 

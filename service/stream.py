@@ -109,12 +109,15 @@ async def _open_session(text: str, state: State, session: Session | None) -> Ses
     """The session that ``text`` asks for: a new one, or ``session`` turned to it."""
     asked = validated(OpenRequest, document_of(text.encode()))
     drapery = state.drapery
-    plan = drapery.plan(drapery.garments.scene(asked.garment, asked.garments), asked, messages=True)
+    scene = drapery.garments.scene(asked.garment, asked.garments)
+    plan = await drapery.plan_within(scene, asked, messages=True)
     betas = shape_array(asked.betas, drapery.body)
-    await drapery.prepare(plan)
+    steps = drapery.steps(plan)
+    for step in {plan, *steps}:
+        await drapery.prepare(step)
     if session is None:
-        return Session(plan, betas, drapery.settings.stream_credit)
-    session.reopen(plan, betas)
+        return Session(plan, betas, drapery.settings.stream_credit, steps)
+    session.reopen(plan, betas, steps)
     return session
 
 
@@ -134,6 +137,9 @@ def _opened(session: Session, state: State) -> str:
             "credit": session.credit,
             "push_out": options.push_out,
             "motion": options.knob,
+            "tier": state.drapery.tier_of(session.plan),
+            "passes": state.drapery.engine.pass_count if options.passes is None else options.passes,
+            "folds": options.folds,
         }
     )
 

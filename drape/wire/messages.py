@@ -23,6 +23,7 @@ SUBPROTOCOL = f"drape.v{WIRE_VERSION}"
 MAGIC = 0x45505244  # "DRPE" in file order
 POSE, ACK, FRAME, JETS, LAYOUT = 1, 2, 3, 4, 5
 FLAG_PUSHED = 1  # the vertices were pushed out of the body
+FLAG_STEPPED = 2  # less was computed than the client asked for, as the service is under load
 STEP_COUNT = 65535
 POSE_SIZE = 72
 
@@ -96,7 +97,8 @@ class Frame:
 
     ``positions`` (V, 3) float32 [m] relative to ``root`` (3,) float64 [m]; ``dropped`` counts the
     session's poses that a newer one replaced; ``residence_us`` is the time between the arrival of
-    the pose and the sending of the frame; the push numbers are those of the push-out.
+    the pose and the sending of the frame; the push numbers are those of the push-out. ``stepped``: less was computed
+    than the client asked for.
     """
 
     sequence: int
@@ -110,10 +112,16 @@ class Frame:
     pushed_share: float = 0.0
     push_max_m: float = 0.0
     box_step: np.ndarray = field(default_factory=lambda: np.zeros(3, np.float32))
+    stepped: bool = False
 
     def vertices(self) -> np.ndarray:
         """World positions [m] (V, 3), float64."""
         return self.positions + self.root
+
+
+def frame_flags(pushed: bool, stepped: bool) -> int:
+    """The ``flags`` of a FRAME or JETS message."""
+    return FLAG_PUSHED * pushed | FLAG_STEPPED * stepped
 
 
 def pack_pose(pose: Pose) -> bytes:
@@ -179,7 +187,7 @@ def pack_frame(frame: Frame) -> bytes:
     """The FRAME message: header, then 3 uint16 per vertex, padded to a multiple of 4 bytes."""
     steps, low, step = quantise(frame.positions)
     header = _FRAME.pack(
-        MAGIC, WIRE_VERSION, FRAME, FLAG_PUSHED if frame.pushed else 0, frame.sequence, len(steps),
+        MAGIC, WIRE_VERSION, FRAME, frame_flags(frame.pushed, frame.stepped), frame.sequence, len(steps),
         frame.client_time_s, frame.server_time_s, *frame.root, *low, *step,
         frame.dropped, min(frame.residence_us, 0xFFFFFFFF), frame.pushed_share, frame.push_max_m,
     )  # fmt: skip
@@ -211,6 +219,7 @@ def unpack_frame(message: bytes) -> Frame:
         dropped=values[17],
         residence_us=values[18],
         pushed=bool(values[3] & FLAG_PUSHED),
+        stepped=bool(values[3] & FLAG_STEPPED),
         pushed_share=values[19],
         push_max_m=values[20],
         box_step=step,

@@ -17,6 +17,7 @@ FIRST_ONLY = Field(fail_fast=True)
 LAYER_LIMIT = 64  # far beyond what a service drapes, which says how many that is
 Identifier = Annotated[str, Field(min_length=1, max_length=120)]
 Geometry = Literal["vertices", "jets"]
+TierName = Literal["fast", "balanced", "accurate"]
 
 
 class Worn(BaseModel):
@@ -63,19 +64,32 @@ class DrapeOptions(BaseModel):
         allow_inf_nan=False,
         description="How much the cloth follows motion: 0 as if at rest, 1 (default) in full. A static model has 0.",
     )
+    tier: TierName | None = Field(
+        default=None,
+        description="How much is computed: values of passes and folds by name (GET /tiers), of which what is named "
+        "beside it wins; the service's setting, balanced, if left out.",
+    )
+    budget_ms: float | None = Field(
+        default=None,
+        gt=0.0,
+        allow_inf_nan=False,
+        description="Instead of a tier: the best one whose frames take no longer than that on the service's machine, "
+        "the least where none does.",
+    )
     passes: int | None = Field(
         default=None,
         ge=0,
         le=64,
         strict=True,
-        description="How many corrections of the network run: fewer are faster; the service's setting if left out.",
+        description="How many corrections of the network run: fewer are faster; the tier's if left out.",
     )
     folds: int | None = Field(
         default=None,
         ge=0,
         le=16,
         strict=True,
-        description="Steps of the cloth solver per frame: folds that grow and stay. 0, as if left out, has none.",
+        description="Steps of the cloth solver per frame: folds that grow and stay. 0 has none; the tier's if left "
+        "out, none of jets.",
     )
     settle: int | None = Field(
         default=None,

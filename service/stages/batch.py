@@ -26,7 +26,8 @@ class Plan:
     """What is draped and how, nothing left open: frames of equal plans are computed together.
 
     ``stages`` are those that the plan takes, in their order, and ``needs`` what of "vertices", "jets" and "skin" they
-    and the answer read: the network makes nothing else. ``messages``: frames leave as messages of the wire.
+    and the answer read: the network makes nothing else. ``messages``: frames leave as messages of the wire;
+    ``stepped``: with less than was asked for, as the service is under load.
     """
 
     scene: Scene
@@ -34,6 +35,7 @@ class Plan:
     messages: bool = False
     stages: tuple[Stage, ...] = ()
     needs: frozenset[str] = frozenset()
+    stepped: bool = False
 
     @property
     def keys(self) -> tuple[str, ...]:

@@ -35,6 +35,7 @@ class Encode(Stage):
                     "dropped": one.dropped,
                     "residence_us": int(1e6 * residence_s),
                     "pushed": bool(batch.plan.options.push_out),
+                    "stepped": batch.plan.stepped,
                     "pushed_share": float(batch.quality.pushed_share[row]),
                     "push_max_m": float(batch.quality.push_max_m[row]),
                 }

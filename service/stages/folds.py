@@ -41,7 +41,7 @@ class Folds(Stage):
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
         if not options.folds:
-            return {"folds": None, "settle": None}
+            return {"folds": 0, "settle": None}
         return {"settle": SETTLE if options.settle is None else options.settle}
 
     def check(self, plan: Plan) -> None:

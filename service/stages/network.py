@@ -40,8 +40,7 @@ class Network(Stage):
         self._skin_in_graph = engine.feels_body and body.posedirs is None
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
-        asked = options.passes
-        return {"passes": self.engine.check_passes(self.settings.passes if asked is None else asked)}
+        return {"passes": self.engine.check_passes(options.passes)}
 
     def check(self, plan: Plan) -> None:
         fabrics = layer_fabrics(plan.options, len(plan.keys))

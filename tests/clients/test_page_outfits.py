@@ -106,7 +106,9 @@ def test_each_layer_has_its_own_colour(page: Page):
 
 def test_passes_are_chosen_and_the_service_runs_that_many(page: Page, drapery: Drapery):
     options = page.evaluate("Array.from(document.getElementById('passes').options, (option) => option.value)")
-    assert options == ["", "3", "2", "1", "0"] and not page.evaluate("document.getElementById('passes-row').hidden")
+    assert options == ["", "4", "3", "2", "1", "0"] and not page.evaluate(
+        "document.getElementById('passes-row').hidden"
+    )
     for passes in (0, 2):
         set_control(page, "passes", "value", str(passes), "change")
         assert last_opening(page)["passes"] == passes
@@ -137,7 +139,7 @@ def test_jets_are_drawn_like_vertices_and_are_fewer_bytes(page: Page):
 
     And without folds, which polynomials do not have.
     """
-    set_control(page, "folds", "value", "", "change")
+    set_control(page, "folds", "value", "0", "change")
     for control in ("push", "body"):
         set_control(page, control, "checked", False, "change")
     jets, of_jets, width = drawn(page, jets=True)
@@ -151,7 +153,18 @@ def test_jets_are_drawn_like_vertices_and_are_fewer_bytes(page: Page):
     assert outside(jets, vertices).max() <= SHADE and outside(vertices, jets).max() <= SHADE
     for control in ("push", "body"):
         set_control(page, control, "checked", True, "change")
-    set_control(page, "folds", "value", "2", "change")
+    set_control(page, "folds", "value", "", "change")
+
+
+def test_a_tier_is_chosen_by_name_and_told(page: Page, drapery: Drapery):
+    names = page.evaluate("Array.from(document.getElementById('tier').options, (option) => option.value)")
+    assert names == ["fast", "balanced", "accurate"]
+    assert page.evaluate("document.getElementById('tier').value") == "balanced", "the service's default"
+    for name in ("fast", "balanced"):
+        set_control(page, "tier", "value", name, "change")
+        opening = last_opening(page)
+        assert opening["tier"] == name and not {"passes", "folds"} & opening.keys()
+        page.wait_for(f"document.getElementById('quality').textContent.includes('{name}')")
 
 
 def test_garments_are_taken_off_and_put_on(page: Page):

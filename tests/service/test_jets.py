@@ -165,8 +165,20 @@ def test_a_stream_turns_from_vertices_to_jets_and_back(outfit_url: str, layout: 
     expected = layout.vertices(jets_of(ask(client, garment="tube", geometry="jets"))[0])
     with connect(outfit_url.replace("http", "ws") + "/stream", subprotocols=[Subprotocol(wire.SUBPROTOCOL)]) as socket:
         plain = opened(socket, garment="tube")
-        old = {"type", "garment", "vertices", "model", "body", "credit", "push_out", "motion"}
-        assert set(plain) == old, "an old client is answered as before"
+        old = {
+            "type",
+            "garment",
+            "vertices",
+            "model",
+            "body",
+            "credit",
+            "push_out",
+            "motion",
+            "tier",
+            "passes",
+            "folds",
+        }
+        assert set(plain) == old, "what is said of jets is not said of vertices"
         frame = wire.unpack_frame(message_of(socket, 1))
         about = opened(socket, garment="tube", geometry="jets")
         assert set(about) == old | {"geometry", "patches"}

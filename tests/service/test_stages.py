@@ -135,11 +135,11 @@ def test_the_network_computes_no_vertex_for_jets_alone(make_settings: Callable[.
 
 def test_what_is_left_open_is_the_services_own(drapery: Drapery, make_settings: Callable[..., Settings]):
     entry = drapery.garments.get("tube")
-    assert drapery.plan(entry, DrapeOptions()).options == DrapeOptions(push_out=True, motion=1.0)
+    assert drapery.plan(entry, DrapeOptions()).options == DrapeOptions(push_out=True, motion=1.0, folds=0)
     other = Drapery(make_settings(push_out=False, passes=0))
     entry = other.garments.get("tube")
     plan = other.plan(entry, DrapeOptions())
-    assert plan.options == DrapeOptions(push_out=False, passes=0, motion=0.0), "a static model has no motion"
+    assert plan.options == DrapeOptions(push_out=False, passes=0, motion=0.0, folds=0), "a static model has no motion"
     assert plan == other.plan(entry, DrapeOptions(passes=0)) and hash(plan) == hash(other.plan(entry, DrapeOptions()))
     assert plan != other.plan(entry, DrapeOptions(passes=1))
     with pytest.raises(InputError, match="passes: expected 0 to 1, got 9"):

@@ -4,7 +4,7 @@ import { JetSurface } from "./jets.js";
 import { Stream } from "./stream.js";
 import { Viewer } from "./viewer.js";
 import { Wardrobe } from "./wardrobe.js";
-import { MESH_SUFFIXES, unpackLayout } from "./wire.js";
+import { FLAG_PUSHED, FLAG_STEPPED, MESH_SUFFIXES, unpackLayout } from "./wire.js";
 
 const SHAPE_COUNT = 3;
 const SEND_RATE = 60; // poses per second at most
@@ -12,7 +12,7 @@ const STATS_S = 0.5;
 const SLOW_RATE = 20; // drawings per second below which the picture becomes plainer
 const SLOW_WATCH_S = 1;
 const SAVED_FPS = 30;
-const wanted = new URLSearchParams(location.search); // garment=inner,outer, clip, passes, folds, fabric, jets, quality=high
+const wanted = new URLSearchParams(location.search); // garment=inner,outer, clip, tier, passes, folds, fabric, jets, quality=high
 const element = (id) => document.getElementById(id);
 const state = { clip: null, timeS: 0, playing: true, betas: new Array(SHAPE_COUNT).fill(0), body: null };
 const counts = { frames: 0, since: performance.now(), shown: 0, dropped: 0, droppedBefore: 0, latest: null };
@@ -73,7 +73,7 @@ function options() {
   const chosen = optionControls().filter((control) => control.type === "checkbox" || control.value !== "");
   const value = (control) => {
     if (control.type === "checkbox") return control.checked;
-    return control.dataset.option === "fabric" ? control.value : Number(control.value);
+    return ["fabric", "tier"].includes(control.dataset.option) ? control.value : Number(control.value);
   };
   return Object.fromEntries(chosen.map((control) => [control.dataset.option, value(control)]));
 }
@@ -135,12 +135,22 @@ async function listGarments(chosen, limit) {
 }
 
 function listPasses(count) {
-  const fewer = Array.from({ length: count }, (_, i) => count - 1 - i);
-  const names = fewer.map((passes) => new Option(passes === 0 ? "none, the fastest" : String(passes), String(passes)));
-  element("passes").replaceChildren(new Option(`all ${count}`, ""), ...names);
+  const counts = Array.from({ length: count + 1 }, (_, i) => count - i);
+  const names = counts.map((passes) => new Option(passes === 0 ? "none" : String(passes), String(passes)));
+  element("passes").replaceChildren(new Option("as the quality", ""), ...names);
   element("passes-row").hidden = count === 0; // the model leaves no choice
   const asked = wanted.get("passes");
-  if (asked !== null && fewer.includes(Number(asked))) element("passes").value = asked;
+  if (asked !== null && counts.includes(Number(asked))) element("passes").value = asked;
+}
+
+// What was measured of a tier stands beside its name.
+async function listTiers() {
+  const tiers = await service.tiers();
+  const percent = ({ figures }) => (figures.gain_trained === undefined ? "" : `, ${(100 * figures.gain_trained).toFixed(0)} % of physics`);
+  element("tier").replaceChildren(...tiers.map((tier) => new Option(`${tier.id}${percent(tier)}`, tier.id)));
+  element("tier").value = tiers.find((tier) => tier.default).id;
+  const asked = wanted.get("tier");
+  if (tiers.some(({ id }) => id === asked)) element("tier").value = asked;
 }
 
 async function listFabrics(known) {
@@ -252,7 +262,8 @@ function showStats(now) {
     element("age").textContent = `${(1000 * counts.ageS).toFixed(0)} ms`;
     element("residence").textContent = `${(header.residence_us / 1000).toFixed(0)} ms`;
     element("dropped").textContent = String(header.dropped);
-    element("pushed").textContent = header.flags & 1 ? `${(100 * header.pushed_share).toFixed(1)} %` : "off";
+    element("quality").textContent = header.flags & FLAG_STEPPED ? `less than ${stream.tier}, under load` : stream.tier;
+    element("pushed").textContent = header.flags & FLAG_PUSHED ? `${(100 * header.pushed_share).toFixed(1)} %` : "off";
     element("bytes").textContent = `${(counts.bytes / 1000).toFixed(1)} kB`;
     element("left-row").hidden = header.left_m === undefined;
     element("left").textContent = `${(1000 * (header.left_m ?? 0)).toFixed(1)} mm`;
@@ -281,6 +292,7 @@ const start = failing(async () => {
   element("about").textContent = `model ${health.model}, ${health.provider.replace("ExecutionProvider", "")}, body ${health.body}`;
   state.body = health.body;
   listPasses(health.passes);
+  await listTiers();
   await listFabrics(health.fabrics);
   element("jets").checked = wanted.has("jets");
   if (wanted.has("folds")) element("folds").value = wanted.get("folds");

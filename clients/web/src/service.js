@@ -22,6 +22,7 @@ const json = async (path, options) => (await request(path, options)).json();
 export const health = () => json("/health");
 export const garments = () => json("/garments");
 export const fabrics = () => json("/fabrics");
+export const tiers = () => json("/tiers");
 export const motions = () => json("/motions");
 export const motion = (id, betas) => json(`/motions/${encodeURIComponent(id)}?betas=${betas.join(",")}`);
 export const garmentMesh = (id) =>

@@ -14,6 +14,7 @@ export class Stream {
     this.request = null;
     this.socket = null;
     this.ready = false;
+    this.tier = "–"; // the name of what the service computes
     this.retryS = FIRST_RETRY_S;
     this.sequence = 0;
     this.poses = new Map();
@@ -67,6 +68,7 @@ export class Stream {
       if (message.type === "opened") this.unanswered -= 1;
       if (message.type === "opened" && this.unanswered === 0) {
         this.ready = true;
+        this.tier = message.tier;
         this.retryS = FIRST_RETRY_S;
         this.onState("open", "");
       }

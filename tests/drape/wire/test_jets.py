@@ -77,6 +77,7 @@ def test_header_survives_the_wire():
     assert_array_equal(got.root, sent.root)
     assert_allclose([got.push_max_m, got.left_m], [sent.push_max_m, sent.left_m], rtol=1e-6, atol=0)
     assert not unpack_jets(pack_jets(frame(1, pushed=False))).pushed
+    assert unpack_jets(pack_jets(frame(1, pushed=False, stepped=True))).stepped
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 4, 110])

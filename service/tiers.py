@@ -1,0 +1,102 @@
+"""Tiers: names for how much of a frame is computed, and what an option that nobody named comes to.
+
+A tier is two numbers, corrections of the network and steps of folds. The model's manifest says which, chosen from
+measurements (``benchmarks.tradeoff``); ``TIERS`` hold for a model that does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any, get_args
+
+from drape.errors import ArtifactError
+from drape.wire.options import DrapeOptions, TierName
+from service.settings import Settings
+
+NAMES: tuple[str, ...] = get_args(TierName)  # the least first
+
+
+@dataclass(frozen=True)
+class Tier:
+    """``passes`` of the network under ``folds`` steps; ``alone`` where there are no folds (jets). None: all passes.
+
+    ``figures`` are what ``benchmarks.tradeoff`` measured of it, and where.
+    """
+
+    name: str
+    passes: int | None
+    folds: int
+    alone: int | None
+    figures: Mapping[str, Any] = field(default_factory=dict, hash=False, compare=False)
+
+
+TIERS = (Tier("fast", 0, 1, 0), Tier("balanced", 0, 2, None), Tier("accurate", 0, 8, None))
+
+
+def read_tiers(rows: Sequence[Mapping[str, Any]]) -> tuple[Tier, ...]:
+    """The tiers of a manifest, the least first; ``TIERS`` where it has none.
+
+    Raises ``ArtifactError`` where they are not those of ``NAMES``, or one computes less than the one below it.
+    """
+    if not rows:
+        return TIERS
+    try:
+        tiers = tuple(Tier(**row) for row in rows)
+        named = tuple(tier.name for tier in tiers)
+        rising = all(low.folds <= high.folds and _at_most(low.passes, high.passes) for low, high in pairwise(tiers))
+    except TypeError as error:
+        raise _unreadable(str(error)) from error
+    if named != NAMES or not rising or tiers[0].folds < 1:
+        raise _unreadable(", ".join(f"{tier.name} (passes {tier.passes}, folds {tier.folds})" for tier in tiers))
+    return tiers
+
+
+def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: Settings, pass_count: int) -> DrapeOptions:
+    """``options`` with passes and folds, no tier and no budget: what a client named, else its tier, else the settings.
+
+    ``pass_count``: the passes that the model leaves to choose; a tier asks for no more.
+    """
+    tier = tiers[NAMES.index(options.tier or settings.tier)]
+    own = None if options.tier else settings.folds
+    folds, passes = options.folds, options.passes
+    if folds is None:
+        folds = 0 if options.geometry == "jets" else tier.folds if own is None else own
+    if passes is None and not options.tier:
+        passes = settings.passes
+    if passes is None:
+        passes = tier.passes if folds else tier.alone
+        passes = None if passes is None or passes >= pass_count else passes
+    return options.model_copy(update={"tier": None, "budget_ms": None, "folds": folds, "passes": passes})
+
+
+def capped(options: DrapeOptions, tier: Tier) -> DrapeOptions:
+    """``options``, as ``chosen`` gives them, with no more than ``tier`` computes: never more than was asked."""
+    most = tier.passes if options.folds else tier.alone
+    passes = options.passes if _at_most(options.passes, most) else most
+    return options.model_copy(update={"passes": passes, "folds": min(options.folds or 0, tier.folds)})
+
+
+def tier_of(options: DrapeOptions, tiers: Sequence[Tier], pass_count: int) -> str:
+    """The name of the tier that ``options``, as ``chosen`` gives them, are; "custom" where they are none."""
+    for tier in tiers:
+        folds = tier.folds if options.geometry == "vertices" else 0
+        passes = tier.passes if folds else tier.alone
+        if options.folds == folds and options.passes == (None if passes is None or passes >= pass_count else passes):
+            return tier.name
+    return "custom"
+
+
+def _at_most(passes: int | None, most: int | None) -> bool:
+    """Whether ``passes`` are no more than ``most``; None is all of them."""
+    return most is None or (passes is not None and passes <= most)
+
+
+def _unreadable(got: str) -> ArtifactError:
+    return ArtifactError(
+        "tiers of the manifest",
+        expected=f"{', '.join(NAMES)}, each with passes, folds (1 at least) and alone, none less than the one before",
+        got=got,
+        cure="Run benchmarks.tradeoff --write, or leave them out.",
+    )
