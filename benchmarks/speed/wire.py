@@ -56,7 +56,7 @@ def frames_of(drapery: Drapery, entry: Entry, poses: np.ndarray) -> tuple[list[J
     trans = np.zeros((len(poses), 3))
     clip = PoseInput(poses, trans, np.zeros(drapery.body.shape_count), np.zeros(len(poses)))
     posed, draped = (
-        run(drapery.plan(entry, DrapeOptions(push_out=True, motion=0.0, geometry=geometry)), [clip])
+        run(drapery.plan(entry, DrapeOptions(push_out=True, motion=0.0, folds=0, geometry=geometry)), [clip])
         for geometry in ("jets", "vertices")
     )
     of_jets, of_vertices, jets, vertices = [], [], posed.jets, draped.vertices

@@ -1,0 +1,122 @@
+"""The benchmark of the trade: a small garment on the real road, the front, and the rule that chooses tiers."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.quality import folds, tradeoff
+from benchmarks.quality.tradeoff import Case, Knobs, Runner, manifest_tiers, means, plot, tiers_of, times, write_tiers
+from benchmarks.shared.network import Network
+from drape.artifacts import load_manifest
+from drape.catalog import find_motions
+from drape.cloth.fabric_table import fabric
+from drape.errors import ArtifactError, InputError
+from drape.wire.options import DrapeOptions
+from service.drapery import Drapery
+from service.tiers import NAMES
+from tests.fixtures.serving import body, make_settings, tiny_folder, tube
+from tests.fixtures.tiny_model import TINY, write_tiny_model
+
+__all__ = ["body", "make_settings", "tiny_folder", "tube"]  # fixtures
+FRAMES = 4
+
+
+@pytest.fixture(scope="module")
+def drapery(make_settings):
+    made = Drapery(make_settings())
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def rows(drapery, body, tube, tiny_folder):
+    networks = {
+        name: Network(tiny_folder / "models" / TINY, body, threads=1, passes=passes)
+        for name, passes in (("network_0", 0), ("network_all", None))
+    }
+    clip = folds.Clip.read(find_motions(["walk"])[0], 30.0, FRAMES, body)
+    case = Case.of(tube, fabric("jersey"), clip, body, networks)
+    return tradeoff.measure(case, drapery, [Knobs(0, n, push) for push in (False, True) for n in (0, 2, 8)])
+
+
+def test_every_combination_is_measured_beside_the_rival_and_physics(rows):
+    assert [row["tier"] for row in rows] == [*[""] * 6, "skinning_push", "physics"]
+    assert [row["knobs"] for row in rows[:2]] == ["passes 0, folds 0", "passes 0, folds 2"]
+    rival, physics = rows[-2:]
+    assert rival["time_ratio"] == 1.0 and rival["gain"] < 1.0 == physics["gain"]
+    by_knobs = {row["knobs"]: row for row in rows}
+    for push in ("", ", push-out"):
+        none, two, eight = (by_knobs[f"passes 0, folds {n}{push}"] for n in (0, 2, 8))
+        assert none["gain"] < two["gain"] < eight["gain"] <= 1.0, "more steps are nearer to physics"
+        assert none["cpu_ms"] < eight["cpu_ms"] and two["error_mm"] > 0.0
+    assert by_knobs["passes 0, folds 0"]["jitter_ratio"] == 1.0
+
+
+def test_a_runner_goes_the_services_own_road(drapery, body, tube):
+    clip = folds.Clip.read(find_motions(["walk"])[0], 30.0, 2, body)
+    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions(folds=2, motion=0.0, push_out=False))
+    runner = Runner.of(plan, clip, body.shape_count)
+    runner.step(0)
+    assert list(runner.memories) == [("folds", plan.keys[0])]
+    runner.step(1)
+    assert np.isfinite(runner.vertices).all() and (runner.cpu_ms > 0.0).all()
+    every = Knobs(None, 0, True).options(drapery.engine.pass_count)
+    assert drapery.plan(drapery.garments.get("tube"), every).options.passes is None
+
+
+def test_the_first_frame_is_not_timed():
+    assert times(np.array([100.0, 1.0, 2.0, 3.0]), np.array([50.0, 1.0, 1.0, 4.0])) == {
+        "p50_ms": 2.0, "p95_ms": pytest.approx(2.9), "cpu_ms": 1.0,
+    }  # fmt: skip
+
+
+def row(n: int, ratio: float, gain: float, *, passes: int | None = 0, push: bool = True) -> dict:
+    figures = {"cpu_ms": 10.0 * ratio, "gain_p05": gain - 0.1, "error_mm": 1.0, "edge_pct": 1.0, "detail_share": 1.0}
+    return {"tier": "", "knobs": str(Knobs(passes, n, push)), "passes": passes, "folds": n, "push_out": push,
+            "time_ratio": ratio, "gain": gain, "jitter_ratio": 1.0} | figures  # fmt: skip
+
+
+def test_means_are_over_all_that_was_measured_and_mark_the_front():
+    low, high = row(1, 0.4, 0.8), row(1, 0.6, 0.9)
+    worse = row(2, 0.7, 0.7)
+    first, second = means([low, high, worse])
+    assert (first["time_ratio"], first["gain"], first["pareto"]) == (0.5, pytest.approx(0.85), True)
+    assert first["gain_p05"] == pytest.approx(0.805) and not second["pareto"], "dearer and worse"
+
+
+def test_tiers_are_the_cheapest_with_all_but_a_little_of_the_gain_within_their_share():
+    rows = [row(0, 0.1, 0.99), row(1, 0.4, 0.90), row(2, 0.6, 0.95), row(3, 0.74, 0.951), row(8, 1.5, 0.98)]
+    rows += [row(16, 1.9, 0.9805), row(4, 0.7, 0.999, push=False), row(4, 3.0, 0.9999)]
+    assert [found["folds"] for found in tiers_of(rows, shares=(0.5, 0.75, 2.0))] == [1, 2, 8]
+    assert [found["folds"] for found in tiers_of(rows, shares=(0.1, 0.2, 0.5))] == [1, 1, 1], "the cheapest"
+    more = [row(2, 0.4, 0.9, passes=None), row(4, 0.6, 0.95, passes=0), row(4, 0.7, 0.94, passes=None)]
+    assert [found["passes"] for found in tiers_of(more, shares=(0.5, 0.75, 2.0))] == [None] * 3, "never less than below"
+    with pytest.raises(InputError, match="combinations with folds"):
+        tiers_of([row(0, 0.1, 0.9)])
+
+
+def test_tiers_are_written_into_the_manifest_and_refused_where_the_service_would(tmp_path, body):
+    folder = write_tiny_model(tmp_path, body)
+    chosen = [row(1, 0.4, 0.9), row(2, 0.6, 0.95), row(8, 1.5, 0.98)]
+    tiers = manifest_tiers(chosen, {"machine": "here"})
+    write_tiers(folder, tiers)
+    read = load_manifest(folder).tiers
+    assert [(tier["name"], tier["folds"], tier["alone"]) for tier in read] == [
+        ("fast", 1, 0), ("balanced", 2, None), ("accurate", 8, None),
+    ]  # fmt: skip
+    assert read[1]["figures"]["gain"] == 0.95 and read[1]["figures"]["machine"] == "here"
+    json.dumps(read)
+    with pytest.raises(ArtifactError, match="tiers of the manifest"):
+        write_tiers(folder, [{**tier, "folds": 0} for tier in tiers])
+    assert load_manifest(folder).tiers == read
+
+
+def test_the_front_is_drawn(tmp_path):
+    rows = means([row(1, 0.4, 0.9), row(2, 0.6, 0.95), row(8, 1.5, 0.98), row(0, 0.3, 0.5, passes=None, push=False)])
+    plot(rows, tiers_of(rows), tmp_path / "deep" / "front.png")
+    assert (tmp_path / "deep" / "front.png").stat().st_size > 5_000
+    assert len(NAMES) == len(tiers_of(rows)) and replace(Knobs(0, 1, True), folds=2) == Knobs(0, 2, True)
