@@ -19,8 +19,8 @@ TURN_RAD = 0.02  # a frame: cloth in slow motion, so that no stage takes its sho
 class Probe:
     """Frames of a slowly turning body under one plan, timed one by one, so that streams are served in between."""
 
-    def __init__(self, plan: Plan, body: BodyModel) -> None:
-        self._plan, self._took_ms = plan, []
+    def __init__(self, plan: Plan, body: BodyModel, *, frames: int = FRAMES) -> None:
+        self._plan, self._frames, self._took_ms = plan, frames, []
         still = (np.zeros((1, 24, 3)), np.zeros((1, 3)), np.zeros(body.shape_count), np.zeros(1))
         self._next = PoseInput(*still)
 
@@ -35,7 +35,7 @@ class Probe:
 
     @property
     def done(self) -> bool:
-        return len(self._took_ms) >= FRAMES
+        return len(self._took_ms) >= self._frames
 
     def frame_ms(self) -> float:
         """The median time [ms] of a frame after the first."""

@@ -136,7 +136,8 @@ class Streams:
     @property
     def tier(self) -> int:
         """The index of the highest tier that streams get now; past the last one nothing holds them."""
-        return self._step_down.level
+        steps = self._step_down
+        return steps.level if self._drapery.settings.stream_step_down else steps.top
 
     @property
     def count(self) -> int:

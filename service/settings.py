@@ -65,6 +65,7 @@ class Settings(BaseSettings):
     intake_memory_mb: int = Field(default=6144, ge=256)
     intake_queue: int = Field(default=8, ge=1)
 
+    stream_step_down: bool = True
     stream_sessions: int = Field(default=64, ge=1)
     stream_credit: int = Field(default=2, ge=1, le=16)
     stream_open_s: float = Field(default=5.0, gt=0.0)

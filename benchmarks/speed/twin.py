@@ -1,0 +1,70 @@
+"""The naive twin of the stream: everything on the event loop, every pose in its turn, nothing dropped.
+
+    python -m benchmarks.speed.twin --port 0
+
+It drapes with the stages of the service, so that what differs is the serving alone. Load tests speak to both.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+
+import numpy as np
+import uvicorn
+from fastapi import FastAPI, WebSocket, WebSocketDisconnect
+
+from drape.wire import messages as wire
+from service.drapery import Drapery
+from service.json_body import document_of, validated
+from service.schemas import OpenRequest
+from service.server import bind
+from service.settings import Settings
+from service.stages import run
+from service.stages.batch import Memories, PoseInput
+
+
+def create_twin(drapery: Drapery) -> FastAPI:
+    """An application with ``/stream`` alone."""
+    app = FastAPI()
+
+    @app.websocket("/stream")
+    async def stream(socket: WebSocket) -> None:
+        await socket.accept(subprotocol=wire.SUBPROTOCOL)
+        asked = validated(OpenRequest, document_of((await socket.receive_text()).encode()))
+        plan = drapery.plan(drapery.garments.scene(asked.garment, asked.garments), asked, messages=True)
+        for stage in plan.stages:
+            stage.prepare(plan)
+        await socket.send_text(json.dumps({"type": "opened", "vertices": plan.scene.vertex_count}))
+        memories: Memories = {}
+        try:
+            while True:
+                payload = await socket.receive_bytes()
+                if wire.message_kind(payload) == wire.ACK:
+                    continue
+                pose = wire.unpack_pose(payload)
+                times_s = np.array([pose.client_time_s])
+                one = PoseInput(pose.pose[None], pose.trans[None], np.zeros(10), times_s, memories, pose.sequence)
+                batch = run(plan, [one])
+                memories = batch.memories[0]
+                await socket.send_bytes(batch.messages[0])
+        except WebSocketDisconnect:
+            return
+
+    return app
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.speed.twin", description="The naive twin.")
+    parser.add_argument("--port", type=int, default=0)
+    options = parser.parse_args()
+    listener = bind("127.0.0.1", options.port)
+    app = create_twin(Drapery(Settings()))
+    print(f"drape on http://127.0.0.1:{listener.getsockname()[1]}", flush=True)
+    uvicorn.Server(uvicorn.Config(app, log_level="warning", ws_per_message_deflate=False)).run(sockets=[listener])
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
