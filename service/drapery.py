@@ -18,6 +18,7 @@ from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.errors import DrapeError, InputError, NotFound
 from drape.wire.options import DrapeOptions
+from service import still
 from service.costs import Probe
 from service.engine import Engine
 from service.errors import InternalError
@@ -190,19 +191,28 @@ class Drapery:
     def frames(self, plan: Plan, inputs: Sequence[PoseInput]) -> list[tuple[bytes | DrapeError, Memories]]:
         """The message of each of ``inputs``, which have one frame each, and what it leaves behind.
 
-        Where the batch fails each is tried alone, so that one cannot fail its mates; what was remembered before the
-        one that fails stays.
+        Of bodies that stand still nothing is computed (``service.still``). Where the batch fails each is tried alone,
+        so that one cannot fail its mates; what was remembered before the one that fails stays.
         """
         self._streamed_s = time.monotonic()
+        found = [still.again(plan, one) for one in inputs]
+        moving = [one for one, same in zip(inputs, found, strict=True) if same is None]
+        computed = iter(self._computed(plan, moving) if moving else ())
+        return [next(computed) if same is None else same for same in found]
+
+    def _computed(self, plan: Plan, inputs: Sequence[PoseInput]) -> list[tuple[bytes | DrapeError, Memories]]:
         try:
             batch = run(plan, inputs)
         except Exception as error:
             if len(inputs) > 1:
-                return [self.frames(plan, [one])[0] for one in inputs]
+                return [self._computed(plan, [one])[0] for one in inputs]
             if not isinstance(error, DrapeError):
                 log.exception("a stream frame failed")
             return [(error if isinstance(error, DrapeError) else InternalError(), inputs[0].memories)]
-        return list(zip(batch.messages, batch.memories, strict=True))
+        return [
+            (message, still.noted(plan, one, memories, message))
+            for one, message, memories in zip(inputs, batch.messages, batch.memories, strict=True)
+        ]
 
     async def pose_body(self, clip: PoseInput) -> np.ndarray:
         """World vertices [m] (F, Vb, 3) float32 of the body."""

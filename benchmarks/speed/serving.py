@@ -8,8 +8,10 @@ came within ``LATE_S`` of their pose, of the poses that were sent. ``frame_age``
 arrival. ``gap_max_ms``: the longest pause between two frames of any client, after the first second. ``overhead``: what
 a frame takes in the service beyond the model's own time, measured alone before (``model_ms`` of the record).
 
-Cases: ``streams`` of each tier, ``overload`` (three times the streams that ``accurate`` carries, with and without the
-step down), ``beside`` other requests, and the streams of the ``twin``.
+``cpu_ms``: processor time of the server's process per pose that was sent.
+
+Cases: ``streams`` of each tier, a ``still`` body beside a ``moving`` one, ``overload`` (three times the streams that
+``accurate`` carries, with and without the step down), ``beside`` other requests, and the streams of the ``twin``.
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -40,6 +43,7 @@ from drape.wire.options import DrapeOptions
 from service.costs import Probe
 from service.drapery import Drapery
 from service.settings import Settings
+from service.still import REST_S
 
 FPS, LATE_S, WARM_S = 30.0, 0.1, 1.0
 SECONDS, QUICK_SECONDS = 8.0, 1.5
@@ -48,7 +52,7 @@ CARRIED_PCT = 97.0  # goodput of streams that are carried
 COLUMNS = {
     "case": "s", "server": "s", "tier": "s", "clients": "d", "fps": ".0f", "goodput_pct": ".1f", "stepped_pct": ".0f",
     "frame_age_p50_ms": ".0f", "frame_age_p99_ms": ".0f", "overhead_p50_ms": ".2f", "overhead_p99_ms": ".2f",
-    "gap_max_ms": ".0f",
+    "gap_max_ms": ".0f", "cpu_ms": ".2f",
 }  # fmt: skip
 
 
@@ -63,9 +67,39 @@ class Seen:
     stepped: int = 0
 
 
+@dataclass(frozen=True)
+class Server:
+    """A running server: its address and its process."""
+
+    url: str
+    pid: int
+
+    def cpu_s(self) -> float:
+        """Processor time [s] that it has taken; NaN where the system does not tell."""
+        told = Path(f"/proc/{self.pid}/stat")
+        if not told.is_file():
+            return float("nan")
+        fields = told.read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+@dataclass(eq=False)
+class Spent:
+    """Processor time of a server from ``begin`` on."""
+
+    at: Server
+    before_s: float = 0.0
+
+    def begin(self) -> None:
+        self.before_s = self.at.cpu_s()
+
+    def ms_per_frame(self, frames: int) -> float:
+        return 1e3 * (self.at.cpu_s() - self.before_s) / max(frames, 1)
+
+
 @contextlib.contextmanager
-def server(module: str = "service", **settings: object) -> Iterator[str]:
-    """The address of ``python -m module`` on a free loopback port, with ``settings`` and no garments of anybody's."""
+def server(module: str = "service", **settings: object) -> Iterator[Server]:
+    """``python -m module`` on a free loopback port, with ``settings`` and no garments of anybody's."""
     with tempfile.TemporaryDirectory() as folder:
         named = {f"DRAPE_{name.upper()}": str(value) for name, value in settings.items()}
         environment = os.environ | {"DRAPE_GARMENTS_DIR": folder} | named
@@ -78,14 +112,16 @@ def server(module: str = "service", **settings: object) -> Iterator[str]:
             said = re.search(r"http://\S+", process.stdout.readline())
             if said is None:
                 raise RuntimeError(f"{module} did not start")
-            yield said.group()
+            yield Server(said.group(), process.pid)
         finally:
             process.terminate()
             process.wait(timeout=30)
 
 
-async def client(url: str, clip: MotionClip, seen: Seen, seconds: float, options: dict[str, Any]) -> None:
-    """Sends ``clip`` at ``FPS`` for ``seconds`` and fills ``seen``, after a second that does not count."""
+async def client(
+    url: str, clip: MotionClip, seen: Seen, begin_s: float, seconds: float, options: dict[str, Any]
+) -> None:
+    """Sends ``clip`` at ``FPS``, and fills ``seen`` from ``begin_s`` on for ``seconds``."""
     async with await DrapeStream.open(url, **options) as stream:
 
         async def take() -> None:
@@ -98,11 +134,9 @@ async def client(url: str, clip: MotionClip, seen: Seen, seconds: float, options
                 seen.residence_ms.append(1e-3 * received.frame.residence_us)
                 seen.stepped += received.frame.stepped
 
-        start_s = time.perf_counter()
-        begin_s, end_s = start_s + WARM_S, start_s + WARM_S + seconds
         taking = asyncio.create_task(take())
-        number = 0
-        while time.perf_counter() < end_s:
+        start_s, number = time.perf_counter(), 0
+        while time.perf_counter() < begin_s + seconds:
             await stream.send(clip.poses[number % len(clip.poses)])
             seen.sent += time.perf_counter() >= begin_s
             number += 1
@@ -113,10 +147,19 @@ async def client(url: str, clip: MotionClip, seen: Seen, seconds: float, options
             await taking
 
 
-async def crowd(url: str, clip: MotionClip, count: int, seconds: float, **options: Any) -> list[Seen]:
-    """What ``count`` clients saw at the same time."""
-    seen = [Seen() for _ in range(count)]
-    await asyncio.gather(*(client(url, clip, one, seconds, options) for one in seen))
+async def crowd(
+    url: str, clip: MotionClip, count: int, seconds: float, warm_s: float = WARM_S,
+    *, begun: Callable[[], None] | None = None, **options: Any,
+) -> list[Seen]:  # fmt: skip
+    """What ``count`` clients saw at the same time, after ``warm_s`` that do not count; ``begun`` is called then."""
+    seen, begin_s = [Seen() for _ in range(count)], time.perf_counter() + warm_s
+
+    async def call() -> None:
+        await asyncio.sleep(begin_s - time.perf_counter())
+        if begun is not None:
+            begun()
+
+    await asyncio.gather(call(), *(client(url, clip, one, begin_s, seconds, options) for one in seen))
     return seen
 
 
@@ -155,7 +198,7 @@ def model_times(garment: str) -> dict[str, float]:
     return found
 
 
-def beside(url: str, clip: MotionClip, garment: str) -> dict[str, Callable[[httpx.Client], Any]]:
+def others(clip: MotionClip, garment: str) -> dict[str, Callable[[httpx.Client], Any]]:
     """Requests that others make meanwhile, by name."""
     rows = np.resize(clip.poses, (300, 24, 3)).tolist()
     document = {"garment": garment, "poses": rows, "folds": 0, "passes": 0}
@@ -171,8 +214,9 @@ def beside(url: str, clip: MotionClip, garment: str) -> dict[str, Callable[[http
 
 
 async def with_others(
-    url: str, clip: MotionClip, seconds: float, ask: Callable[[httpx.Client], Any], **options: Any
-) -> list[Seen]:
+    url: str, clip: MotionClip, seconds: float, ask: Callable[[httpx.Client], Any],
+    *, begun: Callable[[], None] | None = None, **options: Any,
+) -> list[Seen]:  # fmt: skip
     """What one client sees while ``ask`` is asked again and again."""
     end = asyncio.Event()
 
@@ -183,53 +227,75 @@ async def with_others(
 
     other = asyncio.create_task(asyncio.to_thread(asking))
     try:
-        return await crowd(url, clip, 1, seconds, **options)
+        return await crowd(url, clip, 1, seconds, begun=begun, **options)
     finally:
         end.set()
         await other
 
 
-def measure(options: argparse.Namespace) -> tuple[list[dict[str, Any]], dict[str, int], dict[str, float]]:
-    """The rows, how many clients each server carries, and the model's own times."""
-    clip = read_motion(find_motions(["walk"])[0])
-    clip = clip if abs(clip.fps - FPS) < 1e-6 else clip.resampled(FPS)
-    model_ms, rows, carried = model_times(options.garment), [], {}
+@dataclass(eq=False)
+class Bench:
+    """What all cases share, and the rows so far."""
 
-    def add(case: str, name: str, tier: str, seen: list[Seen], model: float) -> dict[str, Any]:
-        row = {"case": case, "server": name, "tier": tier, "clients": len(seen), "fps": FPS, **figures(seen, model)}
-        rows.append(row)
+    clip: MotionClip
+    garment: str
+    seconds: float
+    model_ms: dict[str, float]
+    warm_s: float = WARM_S
+    rows: list[dict[str, Any]] = field(default_factory=list)
+
+    def measure(
+        self, case: str, at: Server, tier: str, count: int = 1, *, name: str = "service",
+        beside: Callable[[httpx.Client], Any] | None = None,
+    ) -> dict[str, Any]:  # fmt: skip
+        """Adds the row of ``count`` clients of ``tier``, ``beside`` a request that is made again and again."""
+        spent, options = Spent(at), {"garment": self.garment, "tier": tier}
+        if beside is None:
+            going = crowd(at.url, self.clip, count, self.seconds, self.warm_s, begun=spent.begin, **options)
+        else:
+            going = with_others(at.url, self.clip, self.seconds, beside, begun=spent.begin, **options)
+        seen = asyncio.run(going)
+        row = {"case": case, "server": name, "tier": tier, "clients": count, "fps": FPS}
+        row |= figures(seen, self.model_ms[tier]) | {"cpu_ms": spent.ms_per_frame(sum(one.sent for one in seen))}
+        self.rows.append(row)
         common.print_table([row], COLUMNS)
         return row
 
-    def streams(url: str, name: str, tier: str, counts: Sequence[int]) -> None:
-        key = f"{name} {tier}"
-        carried[key] = 0
-        for count in counts:
-            seen = asyncio.run(crowd(url, clip, count, options.seconds, garment=options.garment, tier=tier))
-            row = add("streams", name, tier, seen, model_ms[tier])
-            if row["goodput_pct"] >= CARRIED_PCT:
-                carried[key] = count
+    def carried(self, at: Server, tier: str, counts: Sequence[int], *, name: str = "service") -> int:
+        """How many of ``counts`` clients the server carries, with their rows."""
+        rows = [self.measure("streams", at, tier, count, name=name) for count in counts]
+        return max((row["clients"] for row in rows if row["goodput_pct"] >= CARRIED_PCT), default=0)
 
-    with server(stream_step_down=False) as url:
-        for tier in reversed(model_ms):
-            streams(url, "service", tier, options.clients)
+    def standing(self) -> Bench:
+        """The same with a body that does not move, in the middle of the clip."""
+        poses = self.clip.poses[len(self.clip.poses) // 2][None]
+        return replace(self, clip=MotionClip(poses, np.zeros((1, 3)), FPS, "still"), warm_s=1.5 * REST_S)
+
+
+def measure(options: argparse.Namespace) -> tuple[Bench, dict[str, int]]:
+    """The bench with its rows, and how many clients each server carries by tier."""
+    clip = read_motion(find_motions(["walk"])[0])
+    clip = clip if abs(clip.fps - FPS) < 1e-6 else clip.resampled(FPS)
+    bench = Bench(clip, options.garment, options.seconds, model_times(options.garment))
+    carried: dict[str, int] = {}
+    with server(stream_step_down=False) as at:
+        for tier in reversed(bench.model_ms):
+            carried[f"service {tier}"] = bench.carried(at, tier, options.clients)
+        still = bench.standing()
+        bench.measure("moving", at, "balanced")
+        still.measure("still", at, "balanced")
+    if options.quick:
+        return bench, carried
+    with server("benchmarks.speed.twin") as at:
+        carried["twin balanced"] = bench.carried(at, "balanced", options.clients[:3], name="twin")
     most = max(1, carried["service accurate"])
-    if not options.quick:
-        with server("benchmarks.speed.twin") as url:
-            streams(url, "twin", "balanced", options.clients[:3])
-        for step_down in (False, True):
-            with server(stream_step_down=step_down) as url:
-                seen = asyncio.run(
-                    crowd(url, clip, 3 * most, options.seconds, garment=options.garment, tier="accurate")
-                )
-            add(
-                f"overload, step down {'on' if step_down else 'off'}", "service", "accurate", seen, model_ms["accurate"]
-            )
-        with server() as url:
-            for name, ask in beside(url, clip, options.garment).items():
-                seen = asyncio.run(with_others(url, clip, options.seconds, ask, garment=options.garment, tier="fast"))
-                add(f"beside {name}", "service", "fast", seen, model_ms["fast"])
-    return rows, carried, model_ms
+    for step_down in (False, True):
+        with server(stream_step_down=step_down) as at:
+            bench.measure(f"overload, step down {'on' if step_down else 'off'}", at, "accurate", 3 * most)
+    with server() as at:
+        for name, ask in others(bench.clip, bench.garment).items():
+            bench.measure(f"beside {name}", at, "fast", beside=ask)
+    return bench, carried
 
 
 def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
@@ -243,10 +309,10 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     options.seconds = options.seconds or (QUICK_SECONDS if options.quick else SECONDS)
     options.clients = options.clients or (QUICK_CLIENTS if options.quick else CLIENTS)
     load = os.getloadavg()[0]
-    rows, carried, model_ms = measure(options)
+    bench, carried = measure(options)
     print()
-    common.print_table(rows, COLUMNS)
+    common.print_table(bench.rows, COLUMNS)
     return common.finish(
-        "serving", rows, options, max_clients=carried, model_ms=model_ms, load_before=load, seconds=options.seconds,
-        late_ms=1e3 * LATE_S,
+        "serving", bench.rows, options, max_clients=carried, model_ms=bench.model_ms, load_before=load,
+        seconds=options.seconds, late_ms=1e3 * LATE_S,
     )  # fmt: skip

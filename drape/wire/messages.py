@@ -195,6 +195,30 @@ def pack_frame(frame: Frame) -> bytes:
     return header + payload + b"\0" * (-len(payload) % 4)
 
 
+def resent(
+    message: bytes,
+    *,
+    sequence: int,
+    client_time_s: float,
+    server_time_s: float,
+    dropped: int,
+    residence_us: int,
+) -> bytes:
+    """The FRAME or JETS ``message`` again, as the answer to another pose: with its numbers, all else as it is."""
+    kind = {FRAME: "FRAME", JETS: "JETS"}[message_kind(message)]
+    said = {
+        "sequence": sequence, "client_time_s": client_time_s, "server_time_s": server_time_s,
+        "dropped": dropped, "residence_us": min(residence_us, 0xFFFFFFFF),
+    }  # fmt: skip
+    again, offset = bytearray(message), 0
+    for name, number, count in LAYOUTS[kind]:
+        form = struct.Struct(f"<{count}{_CODES[number]}")
+        if name in said:
+            form.pack_into(again, offset, said[name])
+        offset += form.size
+    return bytes(again)
+
+
 def unpack_frame(message: bytes) -> Frame:
     """The frame in ``message``."""
     check_prefix("frame message", message, FRAME, least=FRAME_HEADER_BYTES)

@@ -232,6 +232,10 @@ class Stage:
         """What of the options its memories hold for: where it changes they are forgotten."""
         return None
 
+    def rested(self, memory: Any, time_s: float) -> Any:
+        """``memory`` as after another frame at ``time_s`` of a body and of cloth that do not move."""
+        return memory
+
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
         """Takes in the constants of ``garment``, whose ``garment_feed`` is ``feed``."""
 

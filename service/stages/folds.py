@@ -62,6 +62,9 @@ class Folds(Stage):
     def depends_on(self, plan: Plan) -> object:
         return layer_fabrics(plan.options, len(plan.keys))
 
+    def rested(self, memory: Memory, time_s: float) -> Memory:
+        return replace(memory, time_s=time_s)
+
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
         self._garments[garment.digest] = garment
 

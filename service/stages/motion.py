@@ -67,6 +67,13 @@ class Motion(Stage):
     def wanted(self, plan: Plan) -> bool:
         return bool(plan.options.knob)
 
+    def rested(self, memory: Memory, time_s: float) -> Memory:
+        """The last moments, as long apart as they were."""
+        if not memory.moments:
+            return memory
+        later_s = time_s - memory.moments[0].time_s
+        return replace(memory, moments=tuple(replace(one, time_s=one.time_s + later_s) for one in memory.moments))
+
     def run(self, batch: Batch) -> Batch:
         """Frame by frame, since each needs the state after the one before; the inputs of a frame go together."""
         knob = np.float32(batch.plan.options.knob)

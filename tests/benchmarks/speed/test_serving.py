@@ -26,7 +26,9 @@ def test_figures_are_of_all_clients_together():
 
 
 def test_clients_of_a_service_are_measured(live: str):
-    seen = asyncio.run(crowd(live, CLIP, 2, 0.4, garment="tube", tier="fast"))
+    begun: list[bool] = []
+    seen = asyncio.run(crowd(live, CLIP, 2, 0.4, begun=lambda: begun.append(True), garment="tube", tier="fast"))
+    assert begun == [True]
     for one in seen:
         assert one.sent >= 3 and 0 < len(one.came_s) <= one.sent + 1
         assert min(one.residence_ms) > 0.0 and min(one.age_s) > 1e-3 * min(one.residence_ms)
@@ -41,8 +43,9 @@ def test_a_client_is_measured_beside_other_requests(live: str):
 
 def test_the_twin_speaks_the_same_language(tiny_folder, tube):
     folders = {"models_dir": tiny_folder / "models", "shipped_garments_dir": tiny_folder / "shipped"}
-    with server("benchmarks.speed.twin", model=TINY, **folders) as url:
-        (seen,) = asyncio.run(crowd(url, CLIP, 1, 0.3, garment="tube", folds=1))
+    with server("benchmarks.speed.twin", model=TINY, **folders) as at:
+        (seen,) = asyncio.run(crowd(at.url, CLIP, 1, 0.3, garment="tube", folds=1))
+        assert at.cpu_s() > 0.0
     assert seen.came_s and not seen.stepped
 
 

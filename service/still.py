@@ -1,0 +1,81 @@
+"""A body that stands still: once its cloth has come to rest too, the last message is sent again and nothing computed.
+
+What is kept of a stream for that stands in its memories under ``KEY``. The memories of the stages grow no older
+meanwhile (``Stage.rested``), so that the first frame that moves again goes on from where the cloth hangs.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from drape.wire.messages import resent
+from service.stages.batch import BODY, Memories, Plan, PoseInput
+
+KEY = ("still", BODY)
+REST_S = 2.0  # of the same pose, until cloth has come to rest, by the client's clock
+REST_FRAMES = 30  # and frames of it that were computed: a slow stream has fewer in that time
+
+
+@dataclass(frozen=True, eq=False)
+class Still:
+    """Since when [s] a body has had one pose, in how many frames, and the last message of it."""
+
+    pose: np.ndarray
+    trans: np.ndarray
+    betas: np.ndarray
+    plan: Plan
+    since_s: float
+    last_s: float
+    frames: int
+    message: bytes
+
+    def goes_on(self, plan: Plan, one: PoseInput) -> bool:
+        """Whether ``one`` has the same pose and shape, under an equal ``plan``, and comes no earlier."""
+        return (
+            plan == self.plan
+            and float(one.times_s[0]) >= self.last_s
+            and np.array_equal(one.poses[0], self.pose)
+            and np.array_equal(one.trans[0], self.trans)
+            and np.array_equal(one.betas, self.betas)
+        )
+
+
+def again(plan: Plan, one: PoseInput) -> tuple[bytes, Memories] | None:
+    """The message of the single frame of ``one`` and its memories, where both are those of the frame before; or None.
+
+    A pause does not count as rest: only computed frames bring cloth there.
+    """
+    still: Still | None = one.memories.get(KEY)
+    if still is None or not still.goes_on(plan, one):
+        return None
+    if still.frames < REST_FRAMES or still.last_s - still.since_s < REST_S:
+        return None
+    now_s = float(one.times_s[0])
+    message = resent(
+        still.message,
+        sequence=one.sequence,
+        client_time_s=now_s,
+        server_time_s=time.time(),
+        dropped=one.dropped,
+        residence_us=0 if one.arrived_s is None else int(1e6 * (time.monotonic() - one.arrived_s)),
+    )
+    stages = {stage.name: stage for stage in plan.stages}
+    rested = {
+        key: stages[key[0]].rested(memory, now_s) if key[0] in stages else memory
+        for key, memory in one.memories.items()
+    }
+    return message, rested
+
+
+def noted(plan: Plan, one: PoseInput, memories: Memories, message: bytes) -> Memories:
+    """``memories`` after the computed frame of ``one``, with what ``again`` needs of it."""
+    before: Still | None = one.memories.get(KEY)
+    now_s = float(one.times_s[0])
+    since_s, frames = now_s, 0
+    if before is not None and before.goes_on(plan, one):
+        since_s, frames = before.since_s, before.frames
+    still = Still(one.poses[0], one.trans[0], one.betas, plan, since_s, now_s, frames + 1, message)
+    return {**memories, KEY: still}

@@ -1,0 +1,149 @@
+"""A body that stands still costs nothing once its cloth hangs still, and moves on from there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from drape.wire import messages as wire
+from drape.wire.jets import unpack_jets
+from drape.wire.options import DrapeOptions
+from service import drapery as drapery_module
+from service.drapery import Drapery
+from service.settings import Settings
+from service.stages.batch import Plan, PoseInput
+from service.still import KEY, REST_FRAMES, REST_S
+from tests.fixtures.poses import smooth_motion
+from tests.fixtures.tiny_model import TINY_DYNAMIC
+
+STEP_S = 1.001 * REST_S / REST_FRAMES
+POSES, TRANS = smooth_motion(np.arange(4) * STEP_S)
+NEEDED = REST_FRAMES + 1  # frames of one pose after which it is at rest
+
+
+@pytest.fixture(scope="module")
+def drapery(make_settings: Callable[..., Settings]) -> Iterator[Drapery]:
+    made = Drapery(make_settings(model=TINY_DYNAMIC))
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def plan(drapery: Drapery) -> Plan:
+    made = drapery.plan(drapery.garments.get("tube"), DrapeOptions(folds=1), messages=True)
+    for stage in made.stages:
+        stage.prepare(made)
+    return made
+
+
+class Stream:
+    """Frames of one client, each after what the one before left; ``runs`` counts those that were computed."""
+
+    def __init__(self, drapery: Drapery, plan: Plan) -> None:
+        self.drapery, self.plan, self.memories, self.frame, self.runs = drapery, plan, {}, 0, 0
+        self.betas = np.zeros(10)
+
+    def next(self, pose: np.ndarray = POSES[0], trans: np.ndarray = TRANS[0], *, after_s: float = STEP_S) -> bytes:
+        self.frame += 1
+        self.time_s = getattr(self, "time_s", 0.0) + after_s
+        one = PoseInput(
+            pose[None], trans[None], self.betas, np.array([self.time_s]), self.memories, sequence=self.frame, dropped=3
+        )
+        with patch.object(drapery_module, "run", wraps=drapery_module.run) as computed:
+            ((message, self.memories),) = self.drapery.frames(self.plan, [one])
+        self.runs += computed.call_count
+        assert isinstance(message, bytes), message
+        return message
+
+
+def test_after_two_seconds_the_last_frame_comes_again_under_new_numbers(drapery: Drapery, plan: Plan):
+    stream = Stream(drapery, plan)
+    for frame in range(3):
+        stream.next(POSES[frame + 1], TRANS[frame + 1])
+    for _ in range(NEEDED):
+        last = stream.next()
+    assert stream.runs == 3 + NEEDED
+    same = stream.next()
+    assert stream.runs == 3 + NEEDED, "nothing was computed"
+    before, after = wire.unpack_frame(last), wire.unpack_frame(same)
+    assert_array_equal(after.positions, before.positions)
+    assert (after.sequence, after.dropped, after.pushed) == (before.sequence + 1, 3, before.pushed)
+    assert after.client_time_s == stream.time_s and after.server_time_s >= before.server_time_s
+
+
+def test_what_moves_on_goes_on_from_where_the_cloth_hangs(drapery: Drapery, plan: Plan):
+    slow, still = Stream(drapery, plan), Stream(drapery, plan)
+    for _ in range(NEEDED):
+        slow.next()
+        still.next()
+    for _ in range(200):  # a quarter of a minute at rest
+        still.next()
+    assert still.runs == slow.runs == NEEDED
+    for frame in (1, 2, 3):
+        moved, expected = (wire.unpack_frame(one.next(POSES[frame], TRANS[frame])) for one in (still, slow))
+        assert_array_equal(moved.positions, expected.positions)
+
+
+def test_a_pause_is_no_rest_and_neither_are_few_frames(drapery: Drapery, plan: Plan):
+    few = Stream(drapery, plan)
+    few.next()
+    for _ in range(5):
+        few.next(after_s=REST_S)
+    assert few.runs == 6
+    quick = Stream(drapery, plan)
+    for _ in range(2 * REST_FRAMES):
+        quick.next(after_s=0.1 * STEP_S)
+    assert quick.runs == 2 * REST_FRAMES
+
+
+@pytest.mark.parametrize("change", ["pose", "trans", "shape", "plan", "clock"])
+def test_any_change_is_computed(drapery: Drapery, plan: Plan, change: str):
+    stream = Stream(drapery, plan)
+    for _ in range(NEEDED + 1):
+        stream.next()
+    assert stream.runs == NEEDED
+    moved = POSES[0].copy()
+    moved[5, 1] = np.nextafter(moved[5, 1], 1.0)
+    if change == "shape":
+        stream.betas = np.full(10, 0.1)
+    if change == "plan":
+        stream.plan = replace(plan, stepped=True)
+    stream.next(
+        moved if change == "pose" else POSES[0],
+        TRANS[0] + 1e-3 if change == "trans" else TRANS[0],
+        after_s=-5.0 * STEP_S if change == "clock" else STEP_S,
+    )
+    assert stream.runs == NEEDED + 1
+
+
+def test_one_of_several_at_rest_leaves_the_others_what_they_are(drapery: Drapery, plan: Plan):
+    still, alone = Stream(drapery, plan), Stream(drapery, plan)
+    for _ in range(NEEDED):
+        still.next()
+    moving = PoseInput(POSES[1:2], TRANS[1:2], np.zeros(10), np.array([1.0]), {}, sequence=9)
+    rest = PoseInput(POSES[:1], TRANS[:1], np.zeros(10), np.array([still.time_s + 1.0]), still.memories, sequence=7)
+    (first, kept), (second, _) = drapery.frames(plan, [rest, moving])
+    assert isinstance(first, bytes) and isinstance(second, bytes)
+    assert wire.unpack_frame(first).sequence == 7 and wire.unpack_frame(second).sequence == 9
+    assert kept[KEY] is still.memories[KEY]
+    one = alone.next(POSES[1], TRANS[1], after_s=1.0)
+    assert_array_equal(wire.unpack_frame(one).positions, wire.unpack_frame(second).positions)
+
+
+def test_jets_come_again_too(drapery: Drapery):
+    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions(geometry="jets"), messages=True)
+    for stage in plan.stages:
+        stage.prepare(plan)
+    stream = Stream(drapery, plan)
+    for _ in range(NEEDED):
+        last = stream.next()
+    same = stream.next()
+    assert stream.runs == NEEDED
+    before, after = unpack_jets(last), unpack_jets(same)
+    assert_array_equal(after.jet, before.jet)
+    assert (after.sequence, after.dropped, after.client_time_s) == (NEEDED + 1, 3, stream.time_s)
