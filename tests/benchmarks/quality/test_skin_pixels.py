@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from benchmarks.quality.skin_pixels import BEHIND_M, HEM_M, Camera, PosedBody, covered_faces, skin_pixels_pct
+from benchmarks.quality.tables import skin_table
 from benchmarks.skin_pixels.__main__ import COLUMNS, Bench, main, measure
 from drape.geometry.raster import Surface, render
 from drape.motion.hard_poses import HardPoses
@@ -73,17 +75,26 @@ def test_the_pictures_agree_with_the_shaded_ones():
     assert_array_equal((image < 1.0).any(axis=-1), seen.face >= 0)
 
 
-def test_the_quick_form_measures_a_garment_whose_mesh_is_fine_enough(tmp_path: Path):
-    record = main(["--quick", "--threads", "1", "--sheets", str(tmp_path)])
+@pytest.fixture(scope="module")
+def sheets(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("sheets")
+
+
+@pytest.fixture(scope="module")
+def record(sheets: Path) -> dict[str, Any]:
+    return main(["--quick", "--threads", "1", "--sheets", str(sheets)])
+
+
+def test_the_quick_form_measures_a_garment_whose_mesh_is_fine_enough(record: dict[str, Any], sheets: Path):
     rows = record["rows"]
     assert [row["method"] for row in rows] == ["skinning", "network", "fine"] and len(record["poses"]) == 1
     for row in rows:
         assert row.keys() == COLUMNS.keys()
         assert 0.0 <= row["skin_pixels_pct"] <= row["worst_pct"] < (5.0 if row["method"] == "skinning" else 0.2)
-    assert (tmp_path / "skin_tshirt.png").stat().st_size > 1000
+    assert (sheets / "skin_tshirt.png").stat().st_size > 1000
 
 
-def test_a_coarse_garment_is_measured_on_both_meshes():
+def test_a_coarse_garment_is_measured_on_both_meshes(record: dict[str, Any]):
     poses = bending(3)[1:]
     skin = posed_table(body(), poses, np.zeros(body().shape_count))
     bodies = tuple(PosedBody.of(posed, body().faces) for posed in body().posed_vertices(poses))
@@ -95,3 +106,6 @@ def test_a_coarse_garment_is_measured_on_both_meshes():
     assert list(rows) == ["skinning", "network", "folds", "wrapped", "fine"]
     delivered, fine = garment.vertex_count, len(garment.vertices)
     assert [row["vertices"] for row in rows.values()] == [fine, delivered, delivered, delivered, fine]
+    both = skin_table(record | {"rows": [*record["rows"], *rows.values()]}).splitlines()
+    assert both[2].startswith("| tshirt | 6834 | ") and both[2].count(" / ") == 3
+    assert both[3].startswith(f"| coarse | {delivered} to {fine} | ") and both[3].count(" / ") == 5
