@@ -20,7 +20,7 @@ from drape.motion.clip import MotionClip
 from drape.motion.grounding import placed_on_ground
 from drape.wire.jets import JetFrame, split_jets
 from drape.wire.layout import JetLayout, unpack_layout
-from drape.wire.options import options_document
+from drape.wire.options import Resolution, options_document
 
 Answer = TypeVar("Answer")
 Motion = MotionClip | np.ndarray
@@ -125,14 +125,14 @@ def _betas_query(betas: np.ndarray | None) -> dict[str, str]:
     return {} if betas is None else {"betas": ",".join(repr(float(beta)) for beta in betas)}
 
 
-def mesh(garment: str) -> Call[dict[str, Any]]:
-    return Call(
-        "GET", f"/garments/{_quoted(garment)}/mesh", httpx.Response.json, headers={"Accept": "application/json"}
-    )
+def mesh(garment: str, resolution: Resolution) -> Call[dict[str, Any]]:
+    path, headers = f"/garments/{_quoted(garment)}/mesh", {"Accept": "application/json"}
+    return Call("GET", path, httpx.Response.json, params={"resolution": resolution}, headers=headers)
 
 
-def jet_layout(garment: str) -> Call[JetLayout]:
-    return Call("GET", f"/garments/{_quoted(garment)}/jets", _read_layout, headers={"Accept": BINARY})
+def jet_layout(garment: str, resolution: Resolution) -> Call[JetLayout]:
+    path, headers = f"/garments/{_quoted(garment)}/jets", {"Accept": BINARY}
+    return Call("GET", path, _read_layout, params={"resolution": resolution}, headers=headers)
 
 
 def job(job_id: str) -> Call[dict[str, Any]]:

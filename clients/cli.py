@@ -86,6 +86,8 @@ def _parser() -> argparse.ArgumentParser:
         kind = next(kind for kind in get_args(field.annotation) if kind is not type(None))
         if name == "fabric":
             drape.add_argument(flag, nargs="+", metavar="NAME", help="what it is made of: for all, or by layer")
+        elif isinstance(kind, str):
+            drape.add_argument(flag, choices=get_args(field.annotation), help=field.description)
         elif kind is bool:
             drape.add_argument(flag, action=argparse.BooleanOptionalAction, help=field.description)
         else:

@@ -23,6 +23,7 @@ from drape.errors import DrapeError, Unavailable
 from drape.motion.clip import MotionClip
 from drape.wire.jets import JetFrame
 from drape.wire.layout import JetLayout
+from drape.wire.options import Resolution
 
 # A clip of a thousand frames takes a while on a small machine; connecting does not.
 TIMEOUT = httpx.Timeout(300.0, connect=5.0)
@@ -85,13 +86,13 @@ class DrapeClient:
         name = self.bodies()[0]["id"]
         return calls.placed(clip, self._send(calls.body(name, betas)))
 
-    def mesh(self, garment: str) -> dict[str, Any]:
-        """Rest vertices [m], faces, uv and uv_faces of a garment."""
-        return self._send(calls.mesh(garment))
+    def mesh(self, garment: str, resolution: Resolution = "delivered") -> dict[str, Any]:
+        """Rest vertices [m], faces, uv and uv_faces of a garment, of the mesh that a drape of ``resolution`` has."""
+        return self._send(calls.mesh(garment, resolution))
 
-    def jet_layout(self, garment: str) -> JetLayout:
+    def jet_layout(self, garment: str, resolution: Resolution = "delivered") -> JetLayout:
         """What makes vertices of the garment's jets, on its own mesh or a finer one; constant per garment."""
-        return self._send(calls.jet_layout(garment))
+        return self._send(calls.jet_layout(garment, resolution))
 
     def upload_garment(
         self,
@@ -229,13 +230,13 @@ class AsyncDrapeClient:
         name = (await self.bodies())[0]["id"]
         return calls.placed(clip, await self._send(calls.body(name, betas)))
 
-    async def mesh(self, garment: str) -> dict[str, Any]:
-        """Rest vertices [m], faces, uv and uv_faces of a garment."""
-        return await self._send(calls.mesh(garment))
+    async def mesh(self, garment: str, resolution: Resolution = "delivered") -> dict[str, Any]:
+        """Rest vertices [m], faces, uv and uv_faces of a garment, of the mesh that a drape of ``resolution`` has."""
+        return await self._send(calls.mesh(garment, resolution))
 
-    async def jet_layout(self, garment: str) -> JetLayout:
+    async def jet_layout(self, garment: str, resolution: Resolution = "delivered") -> JetLayout:
         """What makes vertices of the garment's jets, on its own mesh or a finer one; constant per garment."""
-        return await self._send(calls.jet_layout(garment))
+        return await self._send(calls.jet_layout(garment, resolution))
 
     async def upload_garment(
         self,

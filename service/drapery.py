@@ -83,6 +83,8 @@ class Drapery:
                 )
                 for geometry in ("vertices", "jets") if bound else ("vertices",):
                     plan = self.plan(entry, DrapeOptions(push_out=True, geometry=geometry), messages=True)
+                    for garment in self.garments.missing((*plan.scene.layers, *plan.draped)):
+                        self.garments.take_in(garment, self.garments.feed(garment))
                     for stage in plan.stages:
                         stage.prepare(plan)
                     run(plan, [rest])
@@ -152,6 +154,9 @@ class Drapery:
 
     async def prepare(self, plan: Plan) -> None:
         """Makes what the plan's stages need, beside the frames that are being computed."""
+        for garment in self.garments.missing((*plan.scene.layers, *plan.draped)):
+            feed = await asyncio.to_thread(self.garments.feed, garment)
+            await self.in_thread(self.garments.take_in, garment, feed)
         for stage in plan.stages:
             await asyncio.to_thread(stage.prepare, plan)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +16,7 @@ from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
 from drape.errors import ArtifactError, DrapeError, InputError, NotFound
 from drape.garment.cache import CHARTS_PER_VERTEX, Garment, load_garment
+from drape.garment.fine import fine_garment
 from drape.geometry.jets import JET_COUNT
 from drape.graph.feeds import garment_feed
 from drape.graph.layer_feed import check_layers
@@ -42,6 +43,12 @@ class Entry:
     def layers(self) -> tuple[Entry, ...]:
         """Itself: what an outfit has several of."""
         return (self,)
+
+    @cached_property
+    def fine(self) -> Entry:
+        """With the subdivided mesh delivered; itself where intake did not subdivide."""
+        garment = fine_garment(self.garment)
+        return self if garment is self.garment else Entry(self.id, garment, self.source)
 
     @property
     def vertex_count(self) -> int:
@@ -82,6 +89,11 @@ class Outfit:
     layers: tuple[Entry, ...]
 
     @property
+    def fine(self) -> Outfit:
+        """With the subdivided mesh of every layer."""
+        return Outfit(tuple(entry.fine for entry in self.layers))
+
+    @property
     def vertex_count(self) -> int:
         """Of all layers."""
         return sum(entry.vertex_count for entry in self.layers)
@@ -101,6 +113,7 @@ class Registry:
     def __init__(self, body: BodyModel, settings: Settings, stages: Sequence[Stage] = ()) -> None:
         self._body, self._settings, self._stages = body, settings, stages
         self._entries: dict[str, Entry] = {}
+        self._taken_in: set[str] = set()
         self.refused: list[str] = []
         for path in sorted(settings.shipped_garments_dir.glob("*.npz")):
             self.add(self.prepare(path), "shipped")
@@ -155,10 +168,22 @@ class Registry:
         """A checked garment that every stage has taken in; what takes time, and safe on the worker thread."""
         garment = load_garment(path)
         check_garment(garment, self._body, max_vertices=self._settings.max_vertices)
-        feed = garment_feed(garment, body=self._body)
+        self.take_in(garment, self.feed(garment))
+        return garment
+
+    def feed(self, garment: Garment) -> dict[str, np.ndarray]:
+        """The ``garment_feed`` of ``garment`` on the body; from any thread."""
+        return garment_feed(garment, body=self._body)
+
+    def take_in(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
+        """Lets every stage take in ``garment``, whose ``garment_feed`` is ``feed``; on the worker thread."""
         for stage in self._stages:
             stage.add(garment, feed)
-        return garment
+        self._taken_in.add(garment.digest)
+
+    def missing(self, entries: Iterable[Entry]) -> list[Garment]:
+        """The garments of ``entries`` that no stage knows: subdivided meshes that nobody asked for before."""
+        return [entry.garment for entry in entries if entry.garment.digest not in self._taken_in]
 
     def add(self, garment: Garment, source: Source) -> Entry:
         """Puts a prepared garment in service under its name, or name and digest where the name is taken."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from fastapi import APIRouter, Request, Response
 
 from drape.wire.jets import message_bytes
+from drape.wire.options import Resolution
 from service import negotiation
 from service.drapery import Drapery
 from service.garments import Outfit, Scene, layer_list
@@ -16,9 +17,12 @@ router = APIRouter()
 
 
 @router.get("/garments/{garment_id}/jets", response_class=Response)
-async def garment_jets(garment_id: str, request: Request, state: StateHere) -> Response:
+async def garment_jets(
+    garment_id: str, request: Request, state: StateHere, resolution: Resolution = "delivered"
+) -> Response:
     """What makes vertices of the garment's jets: a LAYOUT message (docs/reference/wire.md), constant per garment."""
     entry = state.drapery.garments.get(garment_id)
+    entry = entry.fine if resolution == "fine" else entry
     kind = negotiation.choose(request.headers.get("accept"), (negotiation.BINARY,))
     headers = {"X-Drape-Vertices": str(entry.vertex_count), "X-Drape-Patches": str(entry.patch_count)}
     return Response(entry.jet_layout, media_type=kind, headers=headers)

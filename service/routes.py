@@ -16,6 +16,7 @@ from drape.cloth.fabric_table import FABRICS
 from drape.errors import InputError
 from drape.files.formats import MESH_CONTENT_TYPES, MESH_NAMES, listed
 from drape.garment.cache import Garment
+from drape.wire.options import Resolution
 from service import glb, negotiation, schemas
 from service.answers import binary_answer, json_answer
 from service.avatars import MOST_CHARACTERS, upload_avatar
@@ -82,9 +83,12 @@ async def garment(garment_id: str, state: StateHere) -> schemas.GarmentInfo:
 
 
 @router.get("/garments/{garment_id}/mesh", response_model=schemas.MeshDocument)
-async def garment_mesh(garment_id: str, request: Request, state: StateHere) -> Response:
-    """The delivered mesh at rest on the standard body: JSON, or GLB by Accept."""
+async def garment_mesh(
+    garment_id: str, request: Request, state: StateHere, resolution: Resolution = "delivered"
+) -> Response:
+    """The delivered mesh at rest on the standard body, or the finer one that intake made: JSON, or GLB by Accept."""
     entry = state.drapery.garments.get(garment_id)
+    entry = entry.fine if resolution == "fine" else entry
     garment = entry.garment
     kind = negotiation.choose(request.headers.get("accept"), (negotiation.JSON, negotiation.GLB))
     if kind == negotiation.GLB:
@@ -115,6 +119,7 @@ def _garment_info(entry: Entry) -> schemas.GarmentInfo:
         digest=garment.digest,
         vertices=garment.vertex_count,
         faces=len(garment.faces),
+        fine_vertices=len(garment.vertices),
         patches=garment.patch_count,
         source=entry.source,
         materials=list(garment.material_names),
@@ -198,6 +203,7 @@ async def drape_clip(request: Request, state: StateHere) -> Response:
     kind = negotiation.choose(request.headers.get("accept"), (negotiation.BINARY,)) if jets else _kind(request)
     scene = drapery.garments.scene(asked.garment, asked.garments)
     plan = await drapery.plan_within(scene, asked, messages=jets)
+    scene = plan.scene
     if jets:
         check_jets_size(len(clip.poses), scene, drapery)
     else:
@@ -212,7 +218,7 @@ async def drape_clip(request: Request, state: StateHere) -> Response:
             headers["X-Drape-Garments"] = ",".join(f"{layer['id']}:{layer['vertices']}" for layer in worn)
         world = await asyncio.to_thread(draped.world)
         if kind == negotiation.GLB:
-            content = await asyncio.to_thread(_garment_file, plan.scene, world, asked, clip, drapery)
+            content = await asyncio.to_thread(_garment_file, scene, world, asked, clip, drapery)
             return Response(content, media_type=kind, headers=_shape_headers(world) | headers)
         return _vertices_answer(world, asked.fps, kind, state, headers=headers, worn=worn)
 

@@ -120,6 +120,7 @@ class GarmentInfo(BaseModel):
     digest: str
     vertices: int
     faces: int
+    fine_vertices: int = Field(description="Of the mesh of resolution fine; as many where delivered is fine enough.")
     patches: int
     source: Literal["shipped", "user"]
     materials: list[str]

@@ -127,6 +127,8 @@ def _opened(session: Session, state: State) -> str:
     worn = {"garments": layer_list(scene, patches=jets)} if isinstance(scene, Outfit) else {"garment": scene.id}
     if jets:  # an answer about vertices is what it was before there were jets
         worn |= {"geometry": "jets", "patches": scene.patch_count}
+    if options.resolution == "fine":
+        worn |= {"resolution": "fine"}
     return json.dumps(
         {
             "type": "opened",

@@ -29,6 +29,11 @@ FOLDS = {
 }  # fmt: skip
 AFTER = ("jitter_ratio", "ms")  # what only folds have
 BESIDE = {"edge_pct": ".2f", "hang_mm": ".1f", "detail_mm": ".2f"}
+SHARES = {"skin_pixels_pct": ("mean", ".3f"), "worst_pct": ("worst", ".2f")}
+SKIN = {
+    "skinning": "skinning", "network": "network, pushed out", "folds": "folds on delivered triangles",
+    "wrapped": "folds on finer ones, delivered wrapped", "fine": "the finer mesh",
+}  # fmt: skip
 RANKS = {
     "garment": ("garment", "s"), "method": ("method", "s"), "fabrics": ("fabrics", "d"), "edge_pct": ("edge %", ".2f"),
     "hang_mm": ("hang of the hem", ".2f"), "detail_mm": ("detail", ".2f"),
@@ -178,6 +183,16 @@ def folds_table(record: Record) -> str:
     return table([*titles, "8 steps"], lines, record)
 
 
+def skin_table(record: Record) -> str:
+    """One line per garment: the skin that shows on average and in the worst view, by how it was draped."""
+    lines = []
+    for (garment, _, _), rows in _by_method(record["rows"]).items():
+        meshes = dict.fromkeys(str(rows[name]["vertices"]) for name in ("network", "fine"))
+        shares = (cells(rows[name], SHARES) if name in rows else [] for name in SKIN)
+        lines.append([garment, " to ".join(meshes), *map(" / ".join, shares)])
+    return table(["garment", "vertices", *SKIN.values()], lines, record)
+
+
 def fabrics_table(record: Record) -> str:
     """One line per garment and fabric: the gain of the network, its strain and hang beside those of physics."""
     lines = []
@@ -211,4 +226,5 @@ TABLES = (
     ("dynamics", "docs/guide/training.md", "dynamics_potential", potential_table),
     ("push_out", "docs/explanation/push_out.md", "push_out", push_table),
     ("folds", "docs/explanation/folds.md", "folds", folds_table),
+    ("skin_pixels", "docs/explanation/folds.md", "skin", skin_table),
 )

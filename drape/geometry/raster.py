@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,37 +48,61 @@ def render(
     height, width = size
     view = view_matrix(azimuth_deg, elevation_deg)
     everything = np.concatenate([s.vertices for s in surfaces])
-    centre = 0.5 * (everything.min(0) + everything.max(0)) if centre is None else np.asarray(centre)
-    extent_m = 1.08 * float(np.ptp((everything - centre) @ view.T, axis=0)[:2].max()) if extent_m is None else extent_m
-    scale = height / extent_m
+    middle = 0.5 * (everything.min(0) + everything.max(0)) if centre is None else np.asarray(centre)
+    extent_m = 1.08 * float(np.ptp((everything - middle) @ view.T, axis=0)[:2].max()) if extent_m is None else extent_m
     depth = np.full(height * width, -np.inf)
     image = np.full((height * width, 3), BACKGROUND)
     for surface in surfaces:
-        camera = (surface.vertices - centre) @ view.T
-        screen = np.stack([width / 2 + camera[:, 0] * scale, height / 2 - camera[:, 1] * scale], axis=1)
-        _raster(surface, camera, screen, (height, width), light, depth, image)
+        camera, screen = _projected(surface.vertices, view, middle, size, extent_m)
+        _raster(surface, camera, screen, size, light, depth, image)
     return image.reshape(height, width, 3)
 
 
-def _raster(
-    surface: Surface,
-    camera: np.ndarray,
-    screen: np.ndarray,
-    size,
-    light: np.ndarray,
-    depth: np.ndarray,
-    image: np.ndarray,
-) -> None:
+@dataclass(frozen=True, eq=False)
+class ZBuffer:
+    """What is nearest in every pixel of an orthographic view: ``depth`` [m] (height, width) along the camera's axis
+    towards the viewer, -inf where nothing is, and the ``face`` (height, width) there, -1."""
+
+    depth: np.ndarray
+    face: np.ndarray
+
+
+def z_buffer(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    *,
+    size: tuple[int, int],
+    azimuth_deg: float,
+    centre: np.ndarray,
+    extent_m: float,
+    elevation_deg: float = 8.0,
+) -> ZBuffer:
+    """What ``render`` sees of the mesh ``vertices`` [m] (V, 3), ``faces`` (F, 3), both sides of them."""
+    camera, screen = _projected(vertices, view_matrix(azimuth_deg, elevation_deg), centre, size, extent_m)
+    depth = np.full(size[0] * size[1], -np.inf)
+    nearest = np.full(len(depth), -1)
+    for t, pixel, z, _ in _fragments(camera, screen, faces, size):
+        t, pixel, z = (array[z > depth[pixel]] for array in (t, pixel, z))
+        depth[pixel], nearest[pixel] = z, t
+    return ZBuffer(depth.reshape(size), nearest.reshape(size))
+
+
+def _projected(
+    vertices: np.ndarray, view: np.ndarray, centre: np.ndarray, size: tuple[int, int], extent_m: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """``vertices`` in the camera's axes [m] (V, 3) and in pixels (V, 2)."""
     height, width = size
-    faces = surface.faces
-    corners = camera[faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    vertex_normal = np.zeros_like(camera)
-    for k in range(3):
-        np.add.at(vertex_normal, faces[:, k], normal)
-    vertex_normal /= np.linalg.norm(vertex_normal, axis=1, keepdims=True) + 1e-12
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-12
-    colour = np.broadcast_to(np.asarray(surface.colour, dtype=float), (len(faces), 3))
+    camera = (vertices - centre) @ view.T
+    scale = height / extent_m
+    return camera, np.stack([width / 2 + camera[:, 0] * scale, height / 2 - camera[:, 1] * scale], axis=1)
+
+
+def _fragments(
+    camera: np.ndarray, screen: np.ndarray, faces: np.ndarray, size: tuple[int, int]
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """Pixels whose centres lie in triangles, a pass for each offset in the triangles' boxes: triangles (n,), pixels
+    (n,), depths (n,) ascending, so that of a pixel's the nearest comes last, and weights of the corners (n, 3)."""
+    height, width = size
     p = screen[faces]
     low = np.floor(p.min(axis=1)).astype(int)
     high = np.ceil(p.max(axis=1)).astype(int)
@@ -101,14 +126,34 @@ def _raster(
             t, x, y = t[hit], x[hit], y[hit]
             w = np.stack([w0, w1, w2], axis=1)[hit]
             z = np.sum(w * camera[faces[t], 2], axis=1)
-            pixel = y * width + x
-            order = np.argsort(z, kind="stable")  # the nearest comes last and wins
-            t, pixel, z, w = t[order], pixel[order], z[order], w[order]
-            nearer = z > depth[pixel]
-            t, pixel, z, w = t[nearer], pixel[nearer], z[nearer], w[nearer]
-            n = np.einsum("nk,nkc->nc", w, vertex_normal[faces[t]]) if surface.smooth else normal[t]
-            n = n / (np.linalg.norm(n, axis=1, keepdims=True) + 1e-12)
-            n = np.where(n[:, 2:3] < 0, -n, n)
-            shade = 0.28 + 0.72 * np.clip(n @ light, 0, 1)
-            depth[pixel] = z
-            image[pixel] = np.clip(colour[t] * shade[:, None], 0, 1)
+            order = np.argsort(z, kind="stable")
+            yield t[order], (y * width + x)[order], z[order], w[order]
+
+
+def _raster(
+    surface: Surface,
+    camera: np.ndarray,
+    screen: np.ndarray,
+    size: tuple[int, int],
+    light: np.ndarray,
+    depth: np.ndarray,
+    image: np.ndarray,
+) -> None:
+    faces = surface.faces
+    corners = camera[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    vertex_normal = np.zeros_like(camera)
+    for k in range(3):
+        np.add.at(vertex_normal, faces[:, k], normal)
+    vertex_normal /= np.linalg.norm(vertex_normal, axis=1, keepdims=True) + 1e-12
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-12
+    colour = np.broadcast_to(np.asarray(surface.colour, dtype=float), (len(faces), 3))
+    for t, pixel, z, w in _fragments(camera, screen, faces, size):
+        nearer = z > depth[pixel]
+        t, pixel, z, w = t[nearer], pixel[nearer], z[nearer], w[nearer]
+        n = np.einsum("nk,nkc->nc", w, vertex_normal[faces[t]]) if surface.smooth else normal[t]
+        n = n / (np.linalg.norm(n, axis=1, keepdims=True) + 1e-12)
+        n = np.where(n[:, 2:3] < 0, -n, n)
+        shade = 0.28 + 0.72 * np.clip(n @ light, 0, 1)
+        depth[pixel] = z
+        image[pixel] = np.clip(colour[t] * shade[:, None], 0, 1)

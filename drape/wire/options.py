@@ -18,6 +18,7 @@ LAYER_LIMIT = 64  # far beyond what a service drapes, which says how many that i
 Identifier = Annotated[str, Field(min_length=1, max_length=120)]
 Geometry = Literal["vertices", "jets"]
 TierName = Literal["fast", "balanced", "accurate"]
+Resolution = Literal["delivered", "fine"]
 
 
 class Worn(BaseModel):
@@ -106,6 +107,10 @@ class DrapeOptions(BaseModel):
     geometry: Geometry = Field(
         default="vertices",
         description="What comes: vertices, or the posed jets of the patches, for GET /garments/{id}/jets.",
+    )
+    resolution: Resolution = Field(
+        default="delivered",
+        description="Of which mesh: the delivered one, or the finer one that intake made where that is coarse.",
     )
 
 

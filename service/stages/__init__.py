@@ -13,7 +13,7 @@ from drape.body.model import BodyModel
 from drape.wire.options import DrapeOptions
 from service.engine import Engine
 from service.settings import Settings
-from service.stages.batch import BODY, Batch, Memories, Plan, PoseInput, Stage
+from service.stages.batch import BODY, FINE, Batch, Memories, Plan, PoseInput, Stage
 from service.stages.collision import Collision
 from service.stages.encode import Encode
 from service.stages.folds import Folds
@@ -39,12 +39,14 @@ def make_plan(stages: Sequence[Stage], scene: Scene, options: DrapeOptions, *, m
     chosen = {name: getattr(options, name) for name in DrapeOptions.model_fields}
     for stage in stages:
         chosen |= stage.resolve(options)
+    scene = scene.fine if options.resolution == "fine" else scene
     plan = Plan(scene, DrapeOptions().model_copy(update=chosen), messages)
     for stage in stages:
         stage.check(plan)
     taken = tuple(stage for stage in stages if stage.wanted(plan))
     needs = frozenset({plan.options.geometry}).union(*(stage.needs(plan) for stage in taken))
-    return replace(plan, stages=taken, needs=needs)
+    draped = (scene.fine if FINE in needs else scene).layers
+    return replace(plan, stages=taken, needs=needs, draped=draped)
 
 
 def run(plan: Plan, inputs: Sequence[PoseInput]) -> Batch:
@@ -60,7 +62,7 @@ def carried(memories: Memories, before: Plan, after: Plan) -> Memories:
     the same options, and of the body or of garments that are worn on."""
     old = {stage.name: stage.depends_on(before) for stage in before.stages}
     new = {stage.name: stage.depends_on(after) for stage in after.stages}
-    owners = {BODY, *after.keys}
+    owners = {BODY, *after.keys, *after.draped_keys}
     return {
         (stage, owner): memory
         for (stage, owner), memory in memories.items()

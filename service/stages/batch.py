@@ -15,8 +15,9 @@ from service.engine import Engine
 from service.settings import Settings
 
 if TYPE_CHECKING:
-    from service.garments import Scene
+    from service.garments import Entry, Scene
 
+FINE = "fine"  # what a stage needs where it computes on the subdivided meshes
 BODY = ""  # the owner of what is remembered of a body, where others are garments by their digest
 Memories = Mapping[tuple[str, str], Any]  # by stage and owner; values are never changed in place
 
@@ -27,7 +28,8 @@ class Plan:
 
     ``stages`` are those that the plan takes, in their order, and ``needs`` what of "vertices", "jets" and "skin" they
     and the answer read: the network makes nothing else. ``messages``: frames leave as messages of the wire;
-    ``stepped``: with less than was asked for, as the service is under load.
+    ``stepped``: with less than was asked for, as the service is under load. ``draped``: what the network drapes, the
+    scene's garments or, where a stage needs "fine", their subdivided meshes; that stage leaves the scene's.
     """
 
     scene: Scene
@@ -36,11 +38,17 @@ class Plan:
     stages: tuple[Stage, ...] = ()
     needs: frozenset[str] = frozenset()
     stepped: bool = False
+    draped: tuple[Entry, ...] = ()
 
     @property
     def keys(self) -> tuple[str, ...]:
         """Digests of the garments, the innermost first."""
         return tuple(entry.garment.digest for entry in self.scene.layers)
+
+    @property
+    def draped_keys(self) -> tuple[str, ...]:
+        """Digests of what the network drapes."""
+        return tuple(entry.garment.digest for entry in self.draped)
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +233,8 @@ class Stage:
         return True
 
     def needs(self, plan: Plan) -> frozenset[str]:
-        """What of "vertices", "jets" and "skin" it reads of the network's drape."""
+        """What of "vertices", "jets" and "skin" it reads of the network's drape, and "fine" where of the subdivided
+        meshes."""
         return frozenset()
 
     def depends_on(self, plan: Plan) -> object:

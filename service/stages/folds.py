@@ -16,18 +16,22 @@ from drape.errors import InputError
 from drape.folds.constants import Constants, constants
 from drape.folds.step import Effort, Frame, Memory, fold, warm_up
 from drape.garment.cache import Garment
+from drape.garment.wrapping import Wrapping
 from drape.wire.options import DrapeOptions
 from service.engine import SKIN, Engine
 from service.fabrics import layer_fabrics
 from service.settings import Settings
-from service.stages.batch import Batch, Layer, Plan, Stage
+from service.stages.batch import FINE, Batch, Layer, Plan, Stage
 
 SETTLE = 8  # times the steps of a frame for one without a past, where clients do not say
 KEPT_BYTES = 256 << 20  # of garments in fabrics, 3 to 8 MB each; what is in use stays
 
 
 class Folds(Stage):
-    """Lowers the cloth's energy over the body, each layer for itself; what is between layers is for the push-out."""
+    """Lowers the cloth's energy over the body, each layer for itself; what is between layers is for the push-out.
+
+    A garment that was delivered coarse folds on its subdivided mesh, around which the delivered one is then wrapped.
+    """
 
     name = "folds"
 
@@ -35,6 +39,7 @@ class Folds(Stage):
         super().__init__(engine, body, settings)
         self._garments: dict[str, Garment] = {}
         self._constants: OrderedDict[tuple[str, str], Constants] = OrderedDict()
+        self._wrappings: dict[str, Wrapping] = {}
         self._making = threading.Lock()
         self.kept_bytes = KEPT_BYTES
         warm_up()
@@ -57,7 +62,7 @@ class Folds(Stage):
         return bool(plan.options.folds)
 
     def needs(self, plan: Plan) -> frozenset[str]:
-        return frozenset({"vertices", SKIN})
+        return frozenset({"vertices", SKIN, FINE})
 
     def depends_on(self, plan: Plan) -> object:
         return layer_fabrics(plan.options, len(plan.keys))
@@ -69,19 +74,25 @@ class Folds(Stage):
         self._garments[garment.digest] = garment
 
     def prepare(self, plan: Plan) -> None:
-        for key, fabric in zip(plan.keys, layer_fabrics(plan.options, len(plan.keys)), strict=True):
+        for key, fabric in zip(plan.draped_keys, layer_fabrics(plan.options, len(plan.keys)), strict=True):
             self._of(key, fabric)
+        for key, draped in zip(plan.keys, plan.draped_keys, strict=True):
+            if key != draped:
+                self._wrapping(key)
 
     def run(self, batch: Batch) -> Batch:
         plan = batch.plan
         assert plan.options.folds and plan.options.settle is not None
         effort = Effort(plan.options.folds, plan.options.settle)
         layers, resets = list(batch.layers), np.zeros(len(batch.root))
-        for i, (key, fabric) in enumerate(zip(plan.keys, layer_fabrics(plan.options, len(plan.keys)), strict=True)):
+        fabrics = layer_fabrics(plan.options, len(plan.keys))
+        for i, (key, sent, fabric) in enumerate(zip(plan.draped_keys, plan.keys, fabrics, strict=True)):
             memories = batch.remembered((self.name, key))
             layers[i], memories, again = self._folded(batch, i, self._of(key, fabric), effort, memories)
             resets += again
             batch = batch.remember((self.name, key), memories)
+            if sent != key:
+                layers[i] = self._wrapped(layers[i], sent)
         return replace(batch, layers=tuple(layers), quality=replace(batch.quality, folds_resets=resets))
 
     def _folded(
@@ -98,6 +109,19 @@ class Folds(Stage):
                 resets[row] = report.reset
             after.append(memory)
         return replace(batch.layers[i], vertices=vertices), after, resets
+
+    def _wrapped(self, layer: Layer, key: str) -> Layer:
+        """``layer`` as the delivered mesh of the garment ``key``, around the finer cloth."""
+        assert layer.vertices is not None
+        wrapping = self._wrapping(key)
+        return replace(layer, vertices=np.stack([wrapping.wrap(cloth) for cloth in layer.vertices]))
+
+    def _wrapping(self, key: str) -> Wrapping:
+        """What wraps the delivered mesh of the garment ``key``, made once."""
+        with self._making:
+            if key not in self._wrappings:
+                self._wrappings[key] = Wrapping(self._garments[key])
+            return self._wrappings[key]
 
     def _of(self, key: str, fabric: Fabric | None) -> Constants:
         """The constants of the garment ``key`` made of ``fabric``, made once; the latest used are kept."""

@@ -83,7 +83,7 @@ class Network(Stage):
     def _dressed(self, plan: Plan) -> list[str]:
         """Where the garments of ``plan`` lie in the packer's store, in the fabrics that it names."""
         fabrics = layer_fabrics(plan.options, len(plan.keys))
-        keys = list(zip(plan.keys, fabrics, strict=True))
+        keys = list(zip(plan.draped_keys, fabrics, strict=True))
         return [key if fabric is None else self.packer.dressed(key, fabric) for key, fabric in keys]
 
     def _scene(self, plan: Plan) -> ScenePlan:

@@ -86,6 +86,17 @@ def test_the_controls_do_what_they_say(page: Page):
     assert share(picture, "r") > 0.005
 
 
+def test_the_finer_mesh_is_fetched_with_the_frames_that_have_it(page: Page):
+    fetched = "performance.getEntriesByType('resource').map((entry) => entry.name).join(' ')"
+    assert "/garments/tube/mesh?resolution=fine" not in page.evaluate(fetched)
+    set_control(page, "resolution", "value", "fine", "change")
+    page.wait_for(f"{fetched}.includes('/garments/tube/mesh?resolution=fine')")
+    frames = page.evaluate("Number(document.body.dataset.frames)")
+    page.wait_for(f"Number(document.body.dataset.frames) > {frames} + 2")
+    assert page.evaluate("document.body.dataset.state") == "open"
+    set_control(page, "resolution", "value", "", "change")
+
+
 def test_a_refused_upload_is_told_in_words(page: Page, tmp_path: Path):
     noise = tmp_path / "noise.obj"
     noise.write_bytes(b"nothing that is a mesh\n")

@@ -12,7 +12,7 @@ const STATS_S = 0.5;
 const SLOW_RATE = 20; // drawings per second below which the picture becomes plainer
 const SLOW_WATCH_S = 1;
 const SAVED_FPS = 30;
-const wanted = new URLSearchParams(location.search); // garment=inner,outer, clip, tier, passes, folds, fabric, jets, quality=high
+const wanted = new URLSearchParams(location.search); // garment=inner,outer, clip, tier, passes, folds, resolution, fabric, jets, quality=high
 const element = (id) => document.getElementById(id);
 const state = { clip: null, timeS: 0, playing: true, betas: new Array(SHAPE_COUNT).fill(0), body: null };
 const counts = { frames: 0, since: performance.now(), shown: 0, dropped: 0, droppedBefore: 0, latest: null };
@@ -67,13 +67,14 @@ function scene() {
 }
 
 // Options (drape/wire/options.py) are the controls that name one; an empty one is left to the service.
+const WORDS = ["fabric", "resolution", "tier"]; // the others are numbers
 const optionControls = () => [...document.querySelectorAll("[data-option]")];
 
 function options() {
   const chosen = optionControls().filter((control) => control.type === "checkbox" || control.value !== "");
   const value = (control) => {
     if (control.type === "checkbox") return control.checked;
-    return ["fabric", "tier"].includes(control.dataset.option) ? control.value : Number(control.value);
+    return WORDS.includes(control.dataset.option) ? control.value : Number(control.value);
   };
   return Object.fromEntries(chosen.map((control) => [control.dataset.option, value(control)]));
 }
@@ -96,18 +97,24 @@ function once(key, fetching) {
   return kept.get(key);
 }
 
-const surfaceOf = (id) => once(`jets ${id}`, async () => new JetSurface(unpackLayout(await service.jetLayout(id))));
+const resolution = () => element("resolution").value || "delivered";
+const meshOf = (id) => once(`mesh ${id} ${resolution()}`, () => service.garmentMesh(id, resolution()));
+const surfaceOf = (id) =>
+  once(`jets ${id} ${resolution()}`, async () => new JetSurface(unpackLayout(await service.jetLayout(id, resolution()))));
 
 const chooseGarments = failing(async () => {
   const chosen = wardrobe.chosen();
   if (!chosen.length) return;
   const jets = element("jets").checked;
-  const parts = chosen.map(async (id) => ({
-    mesh: await once(`mesh ${id}`, () => service.garmentMesh(id)),
-    surface: jets ? await surfaceOf(id) : null,
-  }));
-  const worn = await Promise.all(parts);
-  if (chosen.join() !== wardrobe.chosen().join() || jets !== element("jets").checked) return; // changed meanwhile
+  const asked = () => `${wardrobe.chosen()} ${element("jets").checked} ${resolution()}`;
+  const before = asked();
+  const worn = await Promise.all(
+    chosen.map(async (id) => {
+      const [mesh, surface] = await Promise.all([meshOf(id), jets ? surfaceOf(id) : null]);
+      return { mesh, surface };
+    }),
+  );
+  if (before !== asked()) return; // changed meanwhile
   counts.latest = null;
   viewer.setGarments(worn.map((layer, i) => ({ ...layer, colour: wardrobe.colours()[i] })));
   openStream();
@@ -274,7 +281,9 @@ function showStats(now) {
 
 function wireControls() {
   element("clip").addEventListener("change", chooseClip);
-  for (const control of optionControls()) control.addEventListener("change", openStream);
+  for (const control of optionControls()) {
+    control.addEventListener("change", control.id === "resolution" ? chooseGarments : openStream);
+  }
   element("jets").addEventListener("change", chooseGarments);
   element("body").addEventListener("change", () => viewer.setBodyShown(element("body").checked));
   element("wire").addEventListener("change", () => viewer.setTriangles(element("wire").checked));
@@ -296,6 +305,7 @@ const start = failing(async () => {
   await listFabrics(health.fabrics);
   element("jets").checked = wanted.has("jets");
   if (wanted.has("folds")) element("folds").value = wanted.get("folds");
+  if (wanted.get("resolution") === "fine") element("resolution").value = "fine";
   makeSliders();
   wireControls();
   const clips = await service.motions();

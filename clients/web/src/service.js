@@ -25,11 +25,11 @@ export const fabrics = () => json("/fabrics");
 export const tiers = () => json("/tiers");
 export const motions = () => json("/motions");
 export const motion = (id, betas) => json(`/motions/${encodeURIComponent(id)}?betas=${betas.join(",")}`);
-export const garmentMesh = (id) =>
-  json(`/garments/${encodeURIComponent(id)}/mesh`, { headers: { Accept: "application/json" } });
+export const garmentMesh = (id, resolution) =>
+  json(`/garments/${encodeURIComponent(id)}/mesh?resolution=${resolution}`, { headers: { Accept: "application/json" } });
 
-export async function jetLayout(id) {
-  const path = `/garments/${encodeURIComponent(id)}/jets`;
+export async function jetLayout(id, resolution) {
+  const path = `/garments/${encodeURIComponent(id)}/jets?resolution=${resolution}`;
   return (await request(path, { headers: { Accept: "application/octet-stream" } })).arrayBuffer();
 }
 
