@@ -156,6 +156,9 @@ def open_bench(options: argparse.Namespace, body: BodyModel) -> Bench:
         reference_frames=options.reference_frames,
         reference_folder=None if options.no_physics_cache else quality_reference.CACHE_DIR,
         sheets=options.sheets,
+        uncorrected=Network(
+            model_folder(options.model), body, threads=options.threads, precision=options.precision, passes=0
+        ),
     )
 
 

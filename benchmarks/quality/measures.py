@@ -28,15 +28,19 @@ from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_table import DEFAULT_FABRIC
 from drape.cloth.material import Material
 from drape.cloth.rest_state import RestState, modelled
+from drape.folds.constants import constants
+from drape.folds.step import Effort, Frame, fold
 from drape.garment.cache import Garment
 from drape.garment.disagreement import disagreement
+from drape.garment.fine import fine_garment
 from drape.geometry.skinning import skin_points
 from drape.graph.push_feed import push_feed
 from drape.motion.hard_poses import HardPoses
 from drape.push.projection import push_out_of_bodies
-from drape.push.skin import body_skin
+from drape.push.skin import body_skin, shaped_skin
 
-METHODS = ("skinning", "skinning_push", "network", "network_push", "physics")
+METHODS = ("skinning", "skinning_push", "network", "network_push", "folds", "physics")
+STEPS = 2  # of folds, as the service takes by default
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +52,8 @@ class Bench:
     them in ``reference_folder``. Sheets of strain and of folds go to ``sheets``.
 
     ``fabric``: what the garments are made of, in their own rest state; None for the cloth ``material`` of before
-    fabrics, whose rest is the mesh as modelled. ``of_fabric`` sets it with network and material.
+    fabrics, whose rest is the mesh as modelled. ``of_fabric`` sets it with the networks and the material.
+    ``uncorrected`` is the network without corrections, from which folds start; without it, or a fabric, there are none.
     """
 
     body: BodyModel
@@ -65,10 +70,13 @@ class Bench:
     reference_folder: Path | None = None
     sheets: Path | None = None
     fabric: Fabric | None = None
+    uncorrected: Network | None = None
 
     def of_fabric(self, fabric: Fabric) -> Bench:
         """The same bench with all garments of ``fabric``."""
-        return replace(self, fabric=fabric, material=Material.of(fabric), network=self.network.made_of(fabric))
+        uncorrected = None if self.uncorrected is None else self.uncorrected.made_of(fabric)
+        network = self.network.made_of(fabric)
+        return replace(self, fabric=fabric, material=Material.of(fabric), network=network, uncorrected=uncorrected)
 
     def rest_state(self, garment: Garment) -> RestState:
         """The cloth of ``garment`` without stress."""
@@ -90,7 +98,8 @@ def measure(garment: Garment, bench: Bench, *, trained: bool) -> list[dict[str, 
     positions, draped, optimum, was_cached = drapes(garment, bench, cloth)
     height = metrics.mean_height(positions["skinning"], cloth)
     rows: dict[str, dict[str, Any]] = {}
-    for method in METHODS:
+    methods = [method for method in METHODS if method in positions]
+    for method in methods:
         vertices = positions[method]
         parts = physics.energy_parts(
             vertices, cloth, bench.material, bench.contact, bench.body_vertices, height_m=height
@@ -144,7 +153,7 @@ def measure(garment: Garment, bench: Bench, *, trained: bool) -> list[dict[str, 
         save_png(bench.sheets / f"strain_{name}.png", strain_sheet(drawn))
         save_png(bench.sheets / f"cloth_{name}.png", cloth_sheet(drawn), colours=128)
     rest_crossings = float(intersection_count(rest, faces))
-    return [rows[method] | {"self_intersections_rest": rest_crossings} for method in METHODS]
+    return [rows[method] | {"self_intersections_rest": rest_crossings} for method in methods]
 
 
 def sheet_name(garment: Garment, bench: Bench) -> str:
@@ -190,7 +199,24 @@ def drapes(
         ),
         "physics": optimum.vertices,
     }
+    if bench.uncorrected is not None and bench.fabric is not None:
+        positions["folds"] = folded(garment, bench)
     return positions, draped, optimum, was_cached
+
+
+def folded(garment: Garment, bench: Bench) -> np.ndarray:
+    """World vertices [m] (F, V, 3) of the poses, each a frame without a past, with the folds of the service's default:
+    on the subdivided mesh, from the network without corrections, no push-out."""
+    assert bench.uncorrected is not None
+    poses = bench.poses.poses
+    made = constants(fine_garment(garment), bench.body, bench.fabric)
+    table = shaped_skin(bench.body).table(*bench.body.bones(poses), np.zeros((len(poses), bench.body.shape_count)))
+    start = bench.uncorrected.drape(garment, poses).vertices
+    frames = (
+        Frame(vertices, skin, 0.0)
+        for vertices, skin in zip(start, table.reshape(len(poses), -1, table.shape[-1]), strict=True)
+    )
+    return np.stack([fold(made, None, frame, Effort(STEPS))[0] for frame in frames]).astype(np.float64)
 
 
 def chart_figures(garment: Garment, draped: Draped) -> dict[str, float]:
@@ -211,7 +237,9 @@ def add_comparisons(rows: dict[str, dict[str, Any]]) -> None:
         row["edge_over_physics_pp"] = row["edge_pct"] - best["edge_pct"]
         row["area_over_physics_pp"] = row["area_pct"] - best["area_pct"]
     # As the gain, of what is to rise: NaN where physics has no more detail than skinning.
-    for method in ("network", "network_push"):
+    for method in ("network", "network_push", "folds"):
+        if method not in rows:
+            continue
         rows[method]["detail_share"] = metrics.gain(
             -rows["skinning"]["detail_mm"], -rows[method]["detail_mm"], -best["detail_mm"]
         )
@@ -224,6 +252,8 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         means = {}
         for method in METHODS:
             own = [row for row in rows if (row["set"], row.get("fabric")) == group and row["method"] == method]
+            if not own:
+                continue
             numbers = [key for key, value in own[0].items() if isinstance(value, float)]
             named = {key: own[0][key] for key in ("set", "method", "fabric") if key in own[0]}
             means[method] = (

@@ -13,7 +13,7 @@ FEWEST = 3  # two fabrics have an order by chance
 
 
 def rank_correlations(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """A line per garment of ``rows`` and method of the network: its correlation with physics in each of ``RANKED``.
+    """A line per garment of ``rows`` and method of ours: its correlation with physics in each of ``RANKED``.
 
     Over the ``fabrics`` that the garment was measured in; no line for fewer than three. 1 is the order of physics, -1
     the opposite; ties have the mean of their ranks. NaN where one of the two is the same in all fabrics.
@@ -24,7 +24,9 @@ def rank_correlations(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         fabrics = list(dict.fromkeys(name for _, name in own))
         if len(fabrics) < FEWEST:
             continue
-        for method in ("network", "network_push"):
+        for method in ("network", "network_push", "folds"):
+            if (method, fabrics[0]) not in own:
+                continue
             line: dict[str, Any] = {"garment": garment, "method": method, "fabrics": len(fabrics)}
             for key in RANKED:
                 of_network, of_physics = ([own[one, name][key] for name in fabrics] for one in (method, "physics"))

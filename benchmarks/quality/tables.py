@@ -130,12 +130,17 @@ def network_table(record: Record) -> str:
 def gain_table(record: Record) -> str:
     """The short form for the README: one line per garment."""
     fabric = _measured(record["rows"], FABRIC)
+    groups = _by_method(record["rows"])
+    folds = {"folds": "two steps of folds"} if any("folds" in rows for rows in groups.values()) else {}
+    methods = {"network_push": "network + push-out", **folds}
     lines = []
-    for (garment, _, _), rows in _by_method(record["rows"]).items():
-        strains = [f"{rows[method]['edge_pct']:.2f}" for method in ("skinning_push", "network_push", "physics")]
-        lines.append([garment, *cells(rows["physics"], fabric), *strains, f"{rows['network_push']['gain']:.2f}"])
-    titles = ["edge strain %: skinning + nearest-vertex push", "network + push-out", "physics", "gain"]
-    return table(["garment", *heads(fabric), *titles], lines, record)
+    for (garment, _, _), rows in groups.items():
+        strains = [f"{rows[method]['edge_pct']:.2f}" for method in ("skinning_push", *methods, "physics")]
+        gains = [f"{rows[method]['gain']:.2f}" for method in methods]
+        lines.append([garment, *cells(rows["physics"], fabric), *strains, *gains])
+    titles = ["edge strain %: skinning + nearest-vertex push", *methods.values(), "physics"]
+    gained = [f"gain: {name}" for name in methods.values()] if folds else ["gain"]
+    return table(["garment", *heads(fabric), *titles, *gained], lines, record)
 
 
 def stop_table(record: Record) -> str:
