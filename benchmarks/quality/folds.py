@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from benchmarks.quality.intersections import intersection_count
 from benchmarks.shared import common, physics
 from benchmarks.shared.network import Network, add_precision
 from benchmarks.shared.physics_cache import CACHE_DIR, stored_minimum
@@ -55,7 +56,8 @@ SHEET_SIZE, SHEET_MARGIN, SHEET_COLOURS = (360, 280), 1.15, 96
 COLUMNS = {
     "garment": "s", "fabric": "s", "clip": "s", "fps": ".0f", "method": "s", "sweeps": "d", "ms": ".2f",
     "energy_j": ".4f", "gain": ".3f", "edge_pct": ".2f", "edge_p999": ".3f", "detail_mm": ".2f", "detail_share": ".2f",
-    "dihedral_deg": ".1f", "jitter_ratio": ".2f", "colliding_pct": ".2f", "resets": "d",
+    "dihedral_deg": ".1f", "jitter_ratio": ".2f", "colliding_pct": ".2f",
+    "self_intersections": ".0f", "resets": "d",
 }  # fmt: skip
 
 
@@ -91,14 +93,15 @@ class Folded:
     resets: int
 
 
-def folded(made: Constants, start: np.ndarray, clip: Clip, sweeps: int) -> Folded:
+def folded(made: Constants, start: np.ndarray, clip: Clip, sweeps: int, *, cloth_contact: bool = False) -> Folded:
     """``start`` [m] (F, V, 3) with folds of ``sweeps`` each, none for 0."""
     if not sweeps:
         return Folded(start, np.zeros(len(start)), 0)
     memory, found, ms, resets = None, np.empty_like(start), np.zeros(len(start)), 0
     for i, vertices in enumerate(start):
         begin = time.thread_time()
-        found[i], memory, report = fold(made, memory, Frame(vertices, clip.skin[i], i / clip.fps), Effort(sweeps))
+        frame = Frame(vertices, clip.skin[i], i / clip.fps)
+        found[i], memory, report = fold(made, memory, frame, Effort(sweeps, cloth_contact=cloth_contact))
         ms[i] = 1e3 * (time.thread_time() - begin)
         resets += report.reset
     return Folded(found, ms, resets)
@@ -139,6 +142,7 @@ class Referee:
             "dihedral_deg": float(dihedral_deg(seen, faces).mean()),
             "jitter_ratio": jitter_ratio(found.vertices, start),
             "colliding_pct": float(colliding.mean()),
+            "self_intersections": float(intersection_count(seen[few], faces).mean()),
             "resets": found.resets,
             "frames": len(start),
         }
@@ -182,7 +186,7 @@ def measure(
     rows, drawn = [], {}
     for method, start in from_each.items():
         for sweeps in options.sweeps:
-            found = folded(made, start, clip, sweeps)
+            found = folded(made, start, clip, sweeps, cloth_contact=options.cloth_contact)
             rows.append({**named, "method": method, "sweeps": sweeps, **referee.figures(found, start)})
             if method == "network_0" and sweeps in SHEET_SWEEPS:
                 drawn[sweeps] = found.vertices
@@ -263,6 +267,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--sweeps", nargs="+", type=int, default=list(SWEEPS))
     parser.add_argument("--fps", type=float, default=FPS)
     parser.add_argument("--frames", type=int, help=f"of a clip at most (default {FRAMES}, quick {QUICK_FRAMES})")
+    parser.add_argument("--cloth-contact", action="store_true", help="cloth keeps to the room between its sheets")
     parser.add_argument("--physics", action="store_true", help="also gain and share of detail, slow")
     parser.add_argument("--sheets", type=Path, metavar="FOLDER", help="draw folds_GARMENT_FABRIC.png there")
     add_precision(parser)

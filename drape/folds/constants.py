@@ -14,6 +14,7 @@ from drape.cloth.material import Material
 from drape.cloth.rest_state import RestState
 from drape.cloth.waistband import STIFFNESS_N_M2, waistband
 from drape.folds.contact import SkinGraph, nearest_at_rest, skin_graph
+from drape.folds.room import Near, near_along
 from drape.folds.sheet import Sheet, sheet
 from drape.folds.whole import Whole, whole
 from drape.garment.cache import Garment
@@ -42,12 +43,14 @@ class Dressed:
 
 @dataclass(frozen=True, eq=False)
 class Constants:
-    """What the kernels read: tables, the whole's factor, skin; the sample ``index`` (P,) nearest to a place at rest."""
+    """What the kernels read: tables, the whole's factor, skin; the sample ``index`` (P,) nearest to a place at
+    rest; what is ``near`` along the cloth."""
 
     sheet: Sheet
     level: Whole
     graph: SkinGraph
     index: np.ndarray
+    near: Near
 
     @classmethod
     def of(cls, dressed: Dressed, *, dtype: type[np.floating] = np.float32) -> Constants:
@@ -57,12 +60,12 @@ class Constants:
         graph = dressed.graph._replace(
             reach_m2=dressed.graph.reach_m2.astype(dtype), rest=dressed.graph.rest.astype(dtype)
         )
-        return cls(made, level, graph, dressed.index[made.vertex])
+        return cls(made, level, graph, dressed.index[made.vertex], near_along(dressed.cloth))
 
     @property
     def nbytes(self) -> int:
         """Memory of the arrays."""
-        return _nbytes((self.sheet, self.level, self.graph, self.index))
+        return _nbytes((self.sheet, self.level, self.graph, self.index, self.near))
 
 
 def constants(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> Constants:

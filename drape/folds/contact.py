@@ -82,11 +82,11 @@ def touch(x, skin, graph, sheet, touched, turn, planes):
     """Moves ``touched.other`` on to what is near ``x`` [m] (P, 3), and writes the ``planes``.
 
     ``skin`` (S, 8): rows of ``drape.push.samples.sample_table``. Other parts are looked up for vertices whose number is
-    ``turn`` modulo ``TURNS``, for all where it is negative. ``planes`` flat, twelve rows a block: the foot of x and
-    the normal of the own part, and of the other one, with a normal of zero where none is near.
+    ``turn`` modulo ``TURNS``, for all where it is negative. ``planes`` flat, the first twelve rows of each block: the
+    foot of x and the normal of the own part, and of the other one, with a normal of zero where none is near.
     """
     k = sheet.constants
-    cells = _cells(skin)
+    cells = cells_of(skin, PER_CELL)
     for v in range(len(x)):
         own = _nearest(at(x, v), skin, graph, touched.own[v], STEPS)
         place = PLANES * (v // LANES) + v % LANES
@@ -139,32 +139,32 @@ def _nearest(point, skin, graph, own, steps):
 
 
 @kernel
-def _cells(skin):
-    """The samples in cells of twice ``REACH_M``: those of a cell are ``member[start[c] : start[c + 1]]``.
+def cells_of(points, per_cell):
+    """The ``points`` [m] (N, 3 or more) in cells, ``per_cell`` a metre: ``member[start[c] : start[c + 1]]`` of cell c.
 
-    With the lowest corner (3,) and how many cells there are along each axis (3,), which for a skin of numbers that are
+    With the lowest corner (3,) and how many cells there are along each axis (3,), which for points of numbers that are
     none, or larger than a house, is none.
     """
     low, size = np.empty(3), np.zeros(3, np.int64)
     for axis in range(3):
-        low[axis], high = skin[0, axis], skin[0, axis]
-        for s in range(len(skin)):
-            low[axis], high = min(low[axis], skin[s, axis]), max(high, skin[s, axis])
+        low[axis], high = points[0, axis], points[0, axis]
+        for s in range(len(points)):
+            low[axis], high = min(low[axis], points[s, axis]), max(high, points[s, axis])
         extent = high - low[axis]
-        size[axis] = int(extent * PER_CELL) + 1 if extent < 10.0 else 0
-    start, member = np.zeros(size[0] * size[1] * size[2] + 1, np.int32), np.empty(len(skin), np.int32)
+        size[axis] = int(extent * per_cell) + 1 if extent < 10.0 else 0
+    start, member = np.zeros(size[0] * size[1] * size[2] + 1, np.int32), np.empty(len(points), np.int32)
     if len(start) > 1:
-        cell = np.empty(len(skin), np.int32)
-        for s in range(len(skin)):
+        cell = np.empty(len(points), np.int32)
+        for s in range(len(points)):
             c = 0
             for axis in range(3):
-                c = c * size[axis] + int((skin[s, axis] - low[axis]) * PER_CELL)
+                c = c * size[axis] + int((points[s, axis] - low[axis]) * per_cell)
             cell[s] = c
             start[c + 1] += 1
         for c in range(len(start) - 1):
             start[c + 1] += start[c]
         filled = start.copy()
-        for s in range(len(skin)):
+        for s in range(len(points)):
             member[filled[cell[s]]] = s
             filled[cell[s]] += 1
     return start, member, low, size

@@ -9,6 +9,7 @@ import numpy as np
 from drape.cloth.energies import ClothMesh
 from drape.folds.constants import Dressed
 from drape.folds.contact import APART_M, HOLLOW_M, REACH_M, STEPS, TURNS, SkinGraph, Touched
+from drape.folds.room import HELD, LEAST_M, NEAR_M, ROOM_M, STIFFEST, TIGHT_M
 from drape.folds.sheet import ALIKE
 from drape.folds.step import (
     FAST_MOMENTUM,
@@ -46,11 +47,14 @@ def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) 
     momentum = FAST_MOMENTUM + calm * (MOMENTUM - FAST_MOMENTUM)
     made = problem(dressed.cloth, dressed.material, dtype=np.float64)
     made = made._replace(hinges=made.creases)  # the others bend by the quadratic matrix
+    held, slack = dressed.band_n_per_m, np.full(len(network), made.constants.slack)
+    if effort.cloth_contact:
+        held, slack = held_within(room(network, dressed.cloth), held, made)
     for _ in range(1 if memory else effort.settle):
         here = touch(x, frame.skin, dressed.graph, touched, past.turn if memory else -1)
         touched = Touched(touched.own, here.other)
         around = touching(made, dressed, x, frame.skin, here)
-        around = around._replace(own=around.own._replace(band=network, band_n_per_m=dressed.band_n_per_m))
+        around = around._replace(own=around.own._replace(band=network, band_n_per_m=held), slack=slack)
         for _ in range(steps):
             ahead = x + momentum * _limited(way, float(made.constants.reach))
             ahead = ahead + whole_step(dressed, made, around, ahead, calm)
@@ -135,14 +139,41 @@ def _walked(point: np.ndarray, skin: np.ndarray, graph: SkinGraph, start: int, s
     return start
 
 
+def room(network: np.ndarray, cloth: ClothMesh) -> np.ndarray:
+    """Distances [m] (V,) of vertices of ``network`` [m] (V, 3) to the nearest that is not near along the cloth."""
+    a, b, c, d = cloth.inverse_shape
+    shape = np.linalg.inv(np.stack([np.stack([a, c], axis=-1), np.stack([b, d], axis=-1)], axis=-2))
+    first, second = shape[..., 0], shape[..., 1]
+    along = np.full((len(network), len(network)), np.inf)
+    np.fill_diagonal(along, 0.0)
+    for start, end, edge in ((0, 1, first), (1, 2, second - first), (0, 2, second)):
+        i, j, length = cloth.faces[:, start], cloth.faces[:, end], np.linalg.norm(edge, axis=1)
+        along[i, j] = along[j, i] = length
+    beside = np.isfinite(along)
+    for middle in range(len(network)):
+        along = np.minimum(along, along[:, middle, None] + along[None, middle])
+    apart = np.linalg.norm(network[:, None] - network[None], axis=2)
+    return np.where(beside | (along <= NEAR_M), ROOM_M, np.minimum(apart, ROOM_M)).min(axis=1)
+
+
+def held_within(room_m: np.ndarray, held_n_per_m: np.ndarray, made: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """Stiffness [N/m] and slack [m] (V,) of what holds vertices of ``room_m`` (V,), ``held_n_per_m`` where wide."""
+    tight = np.clip((ROOM_M - room_m) / (ROOM_M - TIGHT_M), 0.0, 1.0)
+    stiff = np.minimum(ROOM_M / np.maximum(room_m, LEAST_M) - 1.0, STIFFEST)
+    slack = made.constants.slack + tight * (LEAST_M - made.constants.slack)
+    return held_n_per_m + HELD * stiff * made.contact_n_per_m, slack
+
+
 class Around(NamedTuple):
     """What acts on vertices from outside: their ``own`` part of the body and the rest, and the planes of other parts,
-    ``point`` and ``normal`` (V, 3), whose springs ``n_per_m`` (V,) are zero where there is none."""
+    ``point`` and ``normal`` (V, 3), whose springs ``n_per_m`` (V,) are zero where there is none; what holds gives
+    ``slack`` [m] (V,)."""
 
     own: Surroundings
     point: np.ndarray
     normal: np.ndarray
     n_per_m: np.ndarray
+    slack: np.ndarray
 
 
 def touching(made: Problem, dressed: Dressed, x: np.ndarray, skin: np.ndarray, touched: Touched) -> Around:
@@ -151,6 +182,7 @@ def touching(made: Problem, dressed: Dressed, x: np.ndarray, skin: np.ndarray, t
     return Around(
         surroundings(made, *planes(x, skin, dressed, touched.own)),
         *(point, normal, np.where(touched.other >= 0, made.contact_n_per_m, 0.0)),
+        np.full(len(x), made.constants.slack),
     )
 
 
@@ -181,7 +213,7 @@ def sweep(x: np.ndarray, made: Problem, around: Around) -> np.ndarray:
     """One sweep of vertex block descent from ``x`` [m] (V, 3), bending by the quadratic matrix and at creases."""
     moved, bend = x.copy(), made.quadratic
     for v in made.order:
-        gradient, block = reference.vertex_block(v, moved, made, around.own)
+        gradient, block = reference.vertex_block(v, moved, _with_slack(made, around.slack[v]), around.own)
         (push,), (stiffness,) = _pushed(moved, made, around, slice(v, v + 1))
         block = block + stiffness + bend.diagonal[v] * np.eye(3)
         step = -np.linalg.solve(block, gradient + push + _bending(moved, made, v))
@@ -192,7 +224,8 @@ def sweep(x: np.ndarray, made: Problem, around: Around) -> np.ndarray:
 def energy(x: np.ndarray, made: Problem, around: Around) -> float:
     """Energy [J] at ``x`` [m] (V, 3), where all hinges of ``made`` bend by their angle."""
     depth = np.maximum(made.constants.gap - ((x - around.point) * around.normal).sum(axis=1), 0.0)
-    return reference.energy_and_gradient(x, made, around.own)[0] + 0.5 * float((around.n_per_m * depth**2).sum())
+    found, _ = reference.energy_and_gradient(x, _with_slack(made, around.slack), around.own)
+    return found + 0.5 * float((around.n_per_m * depth**2).sum())
 
 
 def _pushed(x: np.ndarray, made: Problem, around: Around, which: slice) -> tuple[np.ndarray, np.ndarray]:
@@ -204,9 +237,13 @@ def _pushed(x: np.ndarray, made: Problem, around: Around, which: slice) -> tuple
 
 
 def _gradient(x: np.ndarray, made: Problem, around: Around) -> np.ndarray:
-    _, gradient = reference.energy_and_gradient(x, made, around.own)
+    _, gradient = reference.energy_and_gradient(x, _with_slack(made, around.slack), around.own)
     gradient += _pushed(x, made, around, slice(None))[0]
     return gradient + np.stack([_bending(x, made, v) for v in range(len(x))])
+
+
+def _with_slack(made: Problem, slack: np.ndarray) -> Problem:
+    return made._replace(constants=made.constants._replace(slack=slack))
 
 
 def _bending(x: np.ndarray, made: Problem, v: int) -> np.ndarray:

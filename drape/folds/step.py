@@ -21,8 +21,9 @@ from drape.cloth.material import Material
 from drape.folds.constants import Constants, Dressed
 from drape.folds.contact import NEIGHBOURS, TURNS, SkinGraph, Touched, follow, touch
 from drape.folds.frames import in_frame, in_world, mend, surface_frames
+from drape.folds.room import Near, hold_within
 from drape.folds.sheet import LANES, Sheet
-from drape.folds.sweeps import PLANES, SCRATCH, descend, gradient_at
+from drape.folds.sweeps import PLANES, SCRATCH, descend, gradient_at, leash
 from drape.folds.whole import Whole, whole_step
 from drape.solver.compiled import kernel
 from drape.solver.elements import at, dot, scaled, sub
@@ -79,10 +80,12 @@ class Effort:
     a past gets ``settle`` times as many of both.
 
     In fast motion steps of the whole do harm: they fade out, and sweeps over the vertices take their place.
+    ``cloth_contact``: whether the cloth keeps to the room that the network's drape leaves between its sheets.
     """
 
     sweeps: int
     settle: int = 8
+    cloth_contact: bool = False
 
 
 def fold(
@@ -138,8 +141,11 @@ def _advanced(
     calm = calmness(past.network[place], network[place])
     steps, sweeps = shared_out(effort.sweeps, calm)
     momentum = FAST_MOMENTUM + calm * (MOMENTUM - FAST_MOMENTUM)
-    numbers = Numbers(dtype(step_s), dtype(momentum), dtype(calm), rounds, steps, sweeps, -1 if settled else past.turn)
-    cloth = Cloth(constants.sheet, constants.level, constants.graph)
+    numbers = Numbers(
+        dtype(step_s), dtype(momentum), dtype(calm), rounds, steps, sweeps, -1 if settled else past.turn,
+        effort.cloth_contact,
+    )  # fmt: skip
+    cloth = Cloth(constants.sheet, constants.level, constants.graph, constants.near)
     touched = Touched(past.touched.own.copy(), past.touched.other.copy())
     x, residual, velocity, far = advance(network, past.residual, past.velocity, touched, skin, cloth, numbers)
     after = Memory(time_s, network, residual, velocity, touched, (past.turn + 1) % TURNS)
@@ -159,11 +165,12 @@ class Cloth(NamedTuple):
     sheet: Sheet
     level: Whole
     graph: SkinGraph
+    near: Near
 
 
 class Numbers(NamedTuple):
     """``step_s`` since the frame before [s]; ``rounds`` of ``steps`` of the whole, a ``share`` of each, and of
-    ``sweeps``; the ``turn`` of ``touch``."""
+    ``sweeps``; the ``turn`` of ``touch``; whether cloth is held ``within`` its room."""
 
     step_s: np.floating
     momentum: np.floating
@@ -172,6 +179,7 @@ class Numbers(NamedTuple):
     steps: int
     sweeps: int
     turn: int
+    within: bool
 
 
 @kernel
@@ -213,6 +221,9 @@ def _descend_rounds(x, way, network, touched, skin, cloth, numbers):
     planes, gradient = np.empty(PLANES // LANES * len(x), x.dtype), np.empty_like(x)
     before, scratch = np.empty_like(x), np.empty(SCRATCH, x.dtype)
     follow(network, skin, cloth.graph, touched)
+    leash(sheet, planes)
+    if numbers.within:
+        hold_within(network, sheet, cloth.near, planes)
     for _ in range(numbers.rounds):
         touch(x, skin, cloth.graph, sheet, touched, numbers.turn, planes)
         for _ in range(numbers.steps):

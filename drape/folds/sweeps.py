@@ -27,7 +27,10 @@ from drape.solver.elements import (
 # Rows of the scratch: the vertex, its gradient, its Hessian, two other corners.
 OWN, GRADIENT, HESSIAN, OTHERS = 0, 3 * LANES, 6 * LANES, 12 * LANES
 SCRATCH = 18 * LANES
-PLANES = 12 * LANES  # per block: point and normal, of the own part of the body and of another one
+# Per block: point and normal, of the own part of the body and of another one; how stiff and with how much slack the
+# network's place holds.
+PLANES = 14 * LANES
+HELD_ROW, SLACK_ROW = 12 * LANES, 13 * LANES
 
 
 @kernel
@@ -57,8 +60,8 @@ def _put6(s, start, lane, h):
 def descend(x, sheet, planes, band, scratch):
     """One sweep over ``x`` [m] (P, 3), in place: every vertex to the minimum of its own quadratic model.
 
-    ``planes`` flat, twelve rows a block: points [m] and normals of two tangent planes of the body at each place;
-    ``band`` [m] (P, 3): where a waistband holds.
+    ``planes`` flat, fourteen rows a block: points [m] and normals of two tangent planes of the body at each place, and
+    the stiffness [N/m] and slack [m] with which it is held at ``band`` [m] (P, 3).
     """
     k = sheet.constants
     for block in range(len(sheet.fan_start) - 1):
@@ -80,6 +83,15 @@ def gradient_at(x, sheet, planes, band, scratch, gradient):
         for lane in range(LANES):
             for axis in range(3):
                 gradient[LANES * block + lane, axis] = scratch[GRADIENT + LANES * axis + lane]
+
+
+@kernel
+def leash(sheet, planes):
+    """Writes stiffness and slack of what holds each place: the waistband's and the leash's."""
+    for block in range(len(sheet.fan_start) - 1):
+        for lane in range(LANES):
+            planes[PLANES * block + HELD_ROW + lane] = sheet.own[4 * LANES * block + 3 * LANES + lane]
+            planes[PLANES * block + SLACK_ROW + lane] = sheet.constants.slack
 
 
 @part
@@ -114,9 +126,10 @@ def _outside(block, sheet, planes, band, scratch, curvature):
         deep = k.gap - dot(sub(x, row3(planes, PLANES * block + 6 * LANES, lane)), other)
         stiff = own[place + 2 * LANES] if deep > k.zero else k.zero
         way = sub(x, at(band, LANES * block + lane))
-        length = np.sqrt(max(dot(way, way), k.slack * k.slack))
-        pull = own[place + 3 * LANES] * (k.one - k.slack / length)  # stiffness times the way past the slack, per way
-        lost = own[place + 3 * LANES] * k.slack / length**3 if length > k.slack else k.zero
+        held, slack = planes[PLANES * block + HELD_ROW + lane], planes[PLANES * block + SLACK_ROW + lane]
+        length = np.sqrt(max(dot(way, way), slack * slack))
+        pull = held * (k.one - slack / length)  # stiffness times the way past the slack, per way
+        lost = held * slack / length**3 if length > slack else k.zero
         force = add(mix(-stiffness * depth, normal, -stiff * deep, other), scaled(pull, way))
         _put3(scratch, GRADIENT, lane, (force[0], force[1] + own[place], force[2]))
         if not curvature:

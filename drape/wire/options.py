@@ -99,6 +99,11 @@ class DrapeOptions(BaseModel):
         strict=True,
         description="With folds: how many times as many steps a frame without a past gets; 8 if left out.",
     )
+    cloth_contact: bool | None = Field(
+        default=None,
+        strict=True,
+        description="With folds: cloth feels cloth, a garment itself and the garments below it; false if left out.",
+    )
     fabric: FabricChoice | Annotated[tuple[FabricChoice | None, ...], Len(1, LAYER_LIMIT), FIRST_ONLY] | None = Field(
         default=None,
         description="What the garments are made of: a name of GET /fabrics, numbers, or a list of these by layer, the "

@@ -14,6 +14,7 @@ from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
 from drape.errors import InputError
 from drape.folds.constants import Constants, constants
+from drape.folds.layers import covered, raised
 from drape.folds.step import Effort, Frame, Memory, fold, warm_up
 from drape.garment.cache import Garment
 from drape.garment.wrapping import Wrapping
@@ -28,7 +29,8 @@ KEPT_BYTES = 256 << 20  # of garments in fabrics, 3 to 8 MB each; what is in use
 
 
 class Folds(Stage):
-    """Lowers the cloth's energy over the body, each layer for itself; what is between layers is for the push-out.
+    """Lowers the cloth's energy over the body, with ``cloth_contact`` over the layers below too; without it each layer
+    is by itself, and what is between them is for the push-out.
 
     A garment that was delivered coarse folds on its subdivided mesh, around which the delivered one is then wrapped.
     """
@@ -46,8 +48,11 @@ class Folds(Stage):
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
         if not options.folds:
-            return {"folds": 0, "settle": None}
-        return {"settle": SETTLE if options.settle is None else options.settle}
+            return {"folds": 0, "settle": None, "cloth_contact": None}
+        return {
+            "settle": SETTLE if options.settle is None else options.settle,
+            "cloth_contact": bool(options.cloth_contact),
+        }
 
     def check(self, plan: Plan) -> None:
         if plan.options.folds and plan.options.geometry == "jets":
@@ -83,32 +88,50 @@ class Folds(Stage):
     def run(self, batch: Batch) -> Batch:
         plan = batch.plan
         assert plan.options.folds and plan.options.settle is not None
-        effort = Effort(plan.options.folds, plan.options.settle)
+        effort = Effort(plan.options.folds, plan.options.settle, cloth_contact=bool(plan.options.cloth_contact))
         layers, resets = list(batch.layers), np.zeros(len(batch.root))
+        assert batch.skin is not None
+        ground = batch.skin.reshape(len(batch.skin), -1, batch.skin.shape[-1])
         fabrics = layer_fabrics(plan.options, len(plan.keys))
         for i, (key, sent, fabric) in enumerate(zip(plan.draped_keys, plan.keys, fabrics, strict=True)):
             memories = batch.remembered((self.name, key))
-            layers[i], memories, again = self._folded(batch, i, self._of(key, fabric), effort, memories)
+            covers = effort.cloth_contact and i + 1 < len(layers)
+            made = self._of(key, fabric)
+            layers[i], memories, again, height = self._folded(batch, i, made, effort, memories, ground, covers=covers)
             resets += again
+            ground = ground if height is None else raised(ground, height)
             batch = batch.remember((self.name, key), memories)
             if sent != key:
                 layers[i] = self._wrapped(layers[i], sent)
         return replace(batch, layers=tuple(layers), quality=replace(batch.quality, folds_resets=resets))
 
     def _folded(
-        self, batch: Batch, i: int, made: Constants, effort: Effort, memories: Sequence[Memory | None]
-    ) -> tuple[Layer, list[Memory | None], np.ndarray]:
-        """Layer ``i`` with folds, the memories of the inputs after it, and which frames (F,) were begun anew."""
-        drape, skin = batch.layers[i].vertices, batch.skin
-        assert drape is not None and skin is not None
+        self,
+        batch: Batch,
+        i: int,
+        made: Constants,
+        effort: Effort,
+        memories: Sequence[Memory | None],
+        ground: np.ndarray,
+        *,
+        covers: bool,
+    ) -> tuple[Layer, list[Memory | None], np.ndarray, np.ndarray | None]:
+        """Layer ``i`` with folds over ``ground`` (F, S, 8), the memories of the inputs after it, which frames (F,) were
+        begun anew, and, where it ``covers`` others' ground, how high [m] (F, S)."""
+        drape = batch.layers[i].vertices
+        assert drape is not None
         vertices, resets, after = np.empty_like(drape), np.zeros(len(drape)), []
+        height = np.empty(ground.shape[:2], ground.dtype) if covers else None
         for (one, rows), memory in zip(batch.rows(), memories, strict=True):
             for number, row in enumerate(range(rows.start, rows.stop)):
-                frame = Frame(drape[row], skin[row].reshape(-1, skin.shape[-1]), float(one.times_s[number]))
+                frame = Frame(drape[row], ground[row], float(one.times_s[number]))
                 vertices[row], memory, report = fold(made, memory, frame, effort)
                 resets[row] = report.reset
+                if height is not None:
+                    own = memory.touched.own[made.sheet.place]
+                    height[row] = covered(vertices[row], own, ground[row], made.graph)
             after.append(memory)
-        return replace(batch.layers[i], vertices=vertices), after, resets
+        return replace(batch.layers[i], vertices=vertices), after, resets, height
 
     def _wrapped(self, layer: Layer, key: str) -> Layer:
         """``layer`` as the delivered mesh of the garment ``key``, around the finer cloth."""

@@ -75,6 +75,33 @@ def test_every_layer_has_a_memory_of_its_own(outfit_settings: Settings):
     drapery.close()
 
 
+def test_cloth_feels_cloth_where_that_is_asked_for(outfit_settings: Settings, monkeypatch: pytest.MonkeyPatch):
+    drapery = Drapery(outfit_settings)
+    scene = drapery.garments.scene(None, ["tube", "coat"])
+    options = DrapeOptions(folds=1, push_out=False, cloth_contact=True)
+    on = drapery.plan(scene, options)
+    off, left_out = (
+        drapery.plan(scene, options.model_copy(update={"cloth_contact": asked})) for asked in (False, None)
+    )
+    assert off == left_out and on.options.cloth_contact
+    assert drapery.plan(scene, DrapeOptions(folds=0, cloth_contact=True)) == drapery.plan(scene, DrapeOptions(folds=0))
+    apart, over = (run(plan, [CLIP]).vertices for plan in (off, on))
+    inner = run(drapery.plan(drapery.garments.get("tube"), options), [CLIP]).vertices
+    count = inner.shape[1]
+    assert_array_equal(over[:, :count], inner)
+    assert np.abs(over - apart)[:, count:].max() > 1e-4, "the outer one feels the inner one"
+    other = replace(CLIP, poses=POSES[::-1].copy(), betas=np.ones(10))
+    assert_array_equal(run(on, [other, CLIP]).vertices[len(POSES) :], over)
+    assert_array_equal(asyncio.run(drapery.drape(on, CLIP)).vertices, over)
+
+    def never(*_: object) -> None:
+        raise AssertionError("asked for nothing")
+
+    monkeypatch.setattr(folds_stage, "covered", never)
+    assert_array_equal(run(off, [CLIP]).vertices, apart)
+    drapery.close()
+
+
 def test_memories_hold_for_a_fabric(drapery: Drapery):
     entry = drapery.garments.get("tube")
     plan = drapery.plan(entry, DrapeOptions(folds=1))

@@ -10,7 +10,7 @@ from drape.cloth.energies import ClothMesh, membrane
 from drape.cloth.rest_state import flat
 from drape.folds.constants import Constants, Dressed
 from drape.folds.sheet import LANES
-from drape.folds.sweeps import PLANES, SCRATCH, gradient_at
+from drape.folds.sweeps import PLANES, SCRATCH, gradient_at, leash
 from drape.folds.whole import CLAMP_M, SPRING, solve, stiffness, whole_step
 from drape.solver.problem import problem
 from tests.drape.cloth.cloth_shapes import grid
@@ -73,9 +73,11 @@ def pressed(dressed: Dressed, depth_m: float, *, dtype: type[np.floating] = np.f
     x[sheet.place] = sleeve("rib", creased=False)[0]
     up = np.tile(np.array([0.0, 0.0, 1.0], dtype), (len(x), 1))
     point = x + dtype(depth_m - 0.004) * up  # contact begins at a gap of 4 mm
-    blocks = [rows.reshape(-1, LANES, 3) for rows in (point, up, 0.0 * up, 0.0 * up)]  # no other part is near
+    # No other part is near; what holds is written below.
+    blocks = [rows.reshape(-1, LANES, rows.shape[1]) for rows in (point, up, 0.0 * up, 0.0 * up, 0.0 * up[:, :2])]
     planes = np.ascontiguousarray(np.concatenate(blocks, axis=2).transpose(0, 2, 1)).reshape(-1)
     assert len(planes) == PLANES // LANES * len(x)
+    leash(sheet, planes)
     gradient = np.empty_like(x)
     gradient_at(x, sheet, planes, x.copy(), np.empty(SCRATCH, dtype), gradient)
     before = x.copy()
