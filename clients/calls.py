@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -247,7 +248,7 @@ def _read_bytes(response: httpx.Response) -> bytes:
 
 def _read_vertices(response: httpx.Response) -> np.ndarray:
     shape = (int(response.headers["X-Drape-Frames"]), int(response.headers["X-Drape-Vertices"]), 3)
-    return np.frombuffer(response.content, dtype="<f4").reshape(shape)
+    return np.frombuffer(response.content, dtype="<f4", count=math.prod(shape)).reshape(shape)
 
 
 def _read_layers(response: httpx.Response) -> list[np.ndarray]:

@@ -18,6 +18,7 @@ import httpx
 import numpy as np
 
 from clients import calls
+from clients.at_root import at_root
 from clients.calls import DEFAULT_URL, Answer, Body, Call, Motion
 from drape.errors import DrapeError, Unavailable
 from drape.motion.clip import MotionClip
@@ -125,6 +126,21 @@ class DrapeClient:
         ``options`` are those of ``drape.wire.options.DrapeOptions``; the service's own where left out.
         """
         return self._send(calls.drape(garment, motion, Body(trans, betas), options))
+
+    def drape_at_root(
+        self,
+        garment: str,
+        motion: Motion,
+        *,
+        trans: np.ndarray | None = None,
+        betas: np.ndarray | None = None,
+        **options: Any,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """``drape`` as vertices [m] (F, V, 3) float32 counted from the roots [m] (F, 3) float64, which follow.
+
+        Far from the world's origin their sum in float64 keeps the garment's shape, where ``drape`` rounds it.
+        """
+        return self._send(at_root(calls.drape(garment, motion, Body(trans, betas), options)))
 
     def drape_outfit(
         self,
@@ -269,6 +285,21 @@ class AsyncDrapeClient:
         ``options`` are those of ``drape.wire.options.DrapeOptions``; the service's own where left out.
         """
         return await self._send(calls.drape(garment, motion, Body(trans, betas), options))
+
+    async def drape_at_root(
+        self,
+        garment: str,
+        motion: Motion,
+        *,
+        trans: np.ndarray | None = None,
+        betas: np.ndarray | None = None,
+        **options: Any,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """``drape`` as vertices [m] (F, V, 3) float32 counted from the roots [m] (F, 3) float64, which follow.
+
+        Far from the world's origin their sum in float64 keeps the garment's shape, where ``drape`` rounds it.
+        """
+        return await self._send(at_root(calls.drape(garment, motion, Body(trans, betas), options)))
 
     async def drape_outfit(
         self,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping
 
 import numpy as np
@@ -21,10 +22,12 @@ def json_answer(
     return StreamingResponse(piecework.each(json_pieces(document)), media_type=JSON, headers=headers)
 
 
-def binary_answer(array: np.ndarray, piecework: Piecework, headers: Mapping[str, str]) -> StreamingResponse:
-    """``array`` as little-endian float32."""
-    headers = {**headers, "Content-Length": str(4 * array.size)}
-    pieces = (part.astype("<f4", copy=False).tobytes() for part in _parts(array))
+def binary_answer(
+    array: np.ndarray, piecework: Piecework, headers: Mapping[str, str], *, tail: bytes = b""
+) -> StreamingResponse:
+    """``array`` as little-endian float32, then ``tail``."""
+    headers = {**headers, "Content-Length": str(4 * array.size + len(tail))}
+    pieces = itertools.chain((part.astype("<f4", copy=False).tobytes() for part in _parts(array)), (tail,))
     return StreamingResponse(piecework.each(pieces), media_type=BINARY, headers=headers)
 
 

@@ -49,7 +49,7 @@ def create_app(settings: Settings | None = None, *, drapery: Drapery | None = No
             allow_origins=list(settings.allowed_origins),
             allow_methods=["*"],
             allow_headers=["*"],
-            expose_headers=["X-Drape-Frames", "X-Drape-Vertices", "Location"],
+            expose_headers=["X-Drape-Frames", "X-Drape-Vertices", "X-Drape-Origin", "Location"],
         )
     app.include_router(routes.router)
     app.include_router(jets.router)

@@ -77,6 +77,17 @@ class GlbFile:
         self.json["scenes"][0]["nodes"].append(index)
         return index
 
+    def place(self, name: str, point: np.ndarray) -> None:
+        """Puts all that stands at the top of the scene under one node at ``point`` [m], which JSON holds in float64.
+
+        Skinned meshes stay at the top: they go where their joints are.
+        """
+        top = self.json["scenes"][0]["nodes"]
+        skinned = [index for index in top if "skin" in self.json["nodes"][index]]
+        children = [index for index in top if index not in skinned]
+        placed = self.add("nodes", {"name": name, "translation": point.tolist(), "children": children})
+        self.json["scenes"][0]["nodes"] = [placed, *skinned]
+
     def material(self, name: str, colour: tuple[float, float, float, float]) -> int:
         surface = {"baseColorFactor": list(colour), "metallicFactor": 0.0, "roughnessFactor": 0.85}
         return self.add("materials", {"name": name, "doubleSided": True, "pbrMetallicRoughness": surface})

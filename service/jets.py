@@ -40,6 +40,7 @@ def jets_response(draped: Batch, headers: dict[str, str]) -> Response:
     headers = headers | {
         "X-Drape-Frames": str(len(draped.messages)),
         "X-Drape-Patches": str(scene.patch_count),
+        "X-Drape-Origin": "root",
         "X-Drape-Left-M": f"{draped.quality.left_m.max():.6f}",
     }
     if isinstance(scene, Outfit):

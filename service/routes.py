@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from typing import Annotated, Any, TypeVar
 
@@ -28,6 +29,7 @@ from service.json_body import body_schema, clip_marks, content_type, document_of
 from service.limits import check_answer
 from service.motions import floor_m
 from service.origins import check_origin
+from service.placing import Placed
 from service.poses import motion_arrays, shape_array
 from service.stages.batch import Batch, PoseInput
 from service.state import State, StateHere
@@ -192,10 +194,11 @@ def _job_info(job: Job) -> schemas.JobInfo:
 
 @router.post("/drape", response_model=schemas.VerticesDocument, openapi_extra=body_schema(schemas.DrapeRequest))
 async def drape_clip(request: Request, state: StateHere) -> Response:
-    """The garment on the moving body, world frame [m]: binary float32 (frames, vertices, 3), GLB or JSON by Accept.
+    """The garment on the moving body, world axes [m]: binary float32 (frames, vertices, 3), GLB or JSON by Accept.
 
-    The vertices of an outfit's garments follow each other; X-Drape-Garments says how many each has. With geometry
-    "jets" the answer holds a JETS message per frame (docs/reference/wire.md), binary only.
+    With origin "root" positions count from each frame's root, and the roots follow them, float64 (frames, 3). The
+    vertices of an outfit's garments follow each other; X-Drape-Garments says how many each has. With geometry "jets"
+    the answer holds a JETS message per frame (docs/reference/wire.md), binary only.
     """
     drapery = state.drapery
     asked, clip = await _clip(schemas.DrapeRequest, request, state)
@@ -216,11 +219,11 @@ async def drape_clip(request: Request, state: StateHere) -> Response:
         worn = layer_list(scene) if isinstance(scene, Outfit) else None
         if worn is not None:
             headers["X-Drape-Garments"] = ",".join(f"{layer['id']}:{layer['vertices']}" for layer in worn)
-        world = await asyncio.to_thread(draped.world)
+        placed = await asyncio.to_thread(draped.placed, asked.origin)
         if kind == negotiation.GLB:
-            content = await asyncio.to_thread(_garment_file, scene, world, asked, clip, drapery)
-            return Response(content, media_type=kind, headers=_shape_headers(world) | headers)
-        return _vertices_answer(world, asked.fps, kind, state, headers=headers, worn=worn)
+            content = await asyncio.to_thread(_garment_file, scene, placed, asked, clip, drapery)
+            return Response(content, media_type=kind, headers=placed.headers | headers)
+        return _vertices_answer(placed, asked.fps, kind, state, headers=headers, worn=worn)
 
 
 @router.post(
@@ -235,10 +238,16 @@ async def posed_body(body_id: str, request: Request, state: StateHere) -> Respon
     asked, clip = await _clip(schemas.PosedRequest, request, state)
     kind = _kind(request)
     if kind == negotiation.GLB:
-        return Response(await asyncio.to_thread(_body_file, drapery.body, clip, asked.fps), media_type=kind)
+        return Response(await asyncio.to_thread(_body_file, drapery.body, clip, asked), media_type=kind)
     _check_size(kind, len(clip.poses), drapery.body.vertex_count, drapery)
     with state.slot():
-        return _vertices_answer(await drapery.pose_body(clip), asked.fps, kind, state)
+        if asked.origin == "world":
+            placed = Placed(await drapery.pose_body(clip))
+        else:
+            pelvis = drapery.body.rest_joints(clip.betas)[0]
+            at_root = replace(clip, trans=np.broadcast_to(-pelvis, clip.trans.shape))
+            placed = Placed(await drapery.pose_body(at_root), clip.trans + pelvis)
+        return _vertices_answer(placed, asked.fps, kind, state)
 
 
 def _kind(request: Request) -> str:
@@ -260,27 +269,33 @@ def _check_size(kind: str, frames: int, vertices: int, drapery: Drapery) -> None
 
 
 def _garment_file(
-    scene: Scene, world: np.ndarray, asked: schemas.DrapeRequest, clip: PoseInput, drapery: Drapery
+    scene: Scene, placed: Placed, asked: schemas.DrapeRequest, clip: PoseInput, drapery: Drapery
 ) -> bytes:
     file, start = glb.GlbFile(), 0
+    vertices, point = placed.from_first()
     for layer, worn in enumerate(scene.layers):
         colour = glb.GARMENT_COLOURS[layer % len(glb.GARMENT_COLOURS)]
-        own = world[:, start : start + worn.vertex_count]
+        own = vertices[:, start : start + worn.vertex_count]
         glb.add_garment(file, worn.garment, own, asked.fps, colour)
         start += worn.vertex_count
     if asked.body:
-        glb.add_body(file, drapery.body, clip.betas, clip.poses, clip.trans, asked.fps)
+        glb.add_body(file, drapery.body, clip.betas, clip.poses, clip.trans - point, asked.fps)
+    if asked.origin == "root":
+        file.place("root", point)
     return file.to_bytes()
 
 
-def _body_file(body: BodyModel, clip: PoseInput, fps: float) -> bytes:
+def _body_file(body: BodyModel, clip: PoseInput, asked: schemas.PosedRequest) -> bytes:
     file = glb.GlbFile()
-    glb.add_body(file, body, clip.betas, clip.poses, clip.trans, fps)
+    point = clip.trans[0] + body.rest_joints(clip.betas)[0] if asked.origin == "root" else np.zeros(3)
+    glb.add_body(file, body, clip.betas, clip.poses, clip.trans - point, asked.fps)
+    if asked.origin == "root":
+        file.place("root", point)
     return file.to_bytes()
 
 
 def _vertices_answer(
-    vertices: np.ndarray,
+    placed: Placed,
     fps: float,
     kind: str,
     state: State,
@@ -288,17 +303,16 @@ def _vertices_answer(
     headers: dict[str, str] | None = None,
     worn: list[dict[str, str | int]] | None = None,
 ) -> Response:
-    headers = _shape_headers(vertices) | (headers or {})
+    vertices, headers = placed.vertices, placed.headers | (headers or {})
     if kind == negotiation.BINARY:
-        return binary_answer(vertices, state.piecework, headers)
+        return binary_answer(vertices, state.piecework, headers, tail=placed.tail)
     document: dict[str, Any] = {"fps": fps, "frames": len(vertices), "vertices": vertices.shape[1]}
+    document["origin"] = placed.origin
+    if placed.roots is not None:
+        document["roots"] = placed.roots
     if worn is not None:
         document["garments"] = worn
     return json_answer(document | {"positions": vertices}, state.piecework, headers)
-
-
-def _shape_headers(vertices: np.ndarray) -> dict[str, str]:
-    return {"X-Drape-Frames": str(len(vertices)), "X-Drape-Vertices": str(vertices.shape[1])}
 
 
 def _quality_headers(draped: Batch, drapery: Drapery) -> dict[str, str]:

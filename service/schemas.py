@@ -11,6 +11,7 @@ from drape.body.skeleton import JOINT_COUNT
 from drape.files.formats import MESH_NAMES
 from drape.graph.feeds import BETA_COUNT
 from drape.wire.options import FIRST_ONLY, DrapeOptions, FabricNumbers, Identifier, TierName, Worn
+from service.placing import Origin
 from service.tiers import Tier
 
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
@@ -34,6 +35,11 @@ class PosedRequest(Request):
     )
     betas: Betas | None = Field(default=None, description="Body shape; zeros if left out.")
     fps: Annotated[float, Field(gt=0.0, le=1000.0, allow_inf_nan=False)] = 30.0
+    origin: Origin = Field(
+        default="world",
+        description="What positions count from: the world's origin, or each frame's root joint, whose place the answer "
+        "then holds in float64. Far from the origin only the latter keeps the shape.",
+    )
 
 
 class DrapeRequest(DrapeOptions, Worn, PosedRequest):
@@ -191,10 +197,12 @@ class LayerInfo(BaseModel):
 
 
 class VerticesDocument(BaseModel):
-    """World positions [m], frame by frame."""
+    """Positions [m], frame by frame, in the world's axes."""
 
     fps: float
     frames: int
     vertices: int
+    origin: Origin = Field(description="What positions count from: the world's origin, or each frame's root.")
+    roots: list[list[float]] | None = Field(default=None, description="With origin root: where it is [m], float64.")
     garments: list[LayerInfo] | None = Field(default=None, description="Of an outfit: whose vertices follow whose.")
     positions: list[list[list[float]]]

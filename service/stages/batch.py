@@ -12,6 +12,7 @@ from drape.body.model import BodyModel
 from drape.garment.cache import Garment
 from drape.wire.options import DrapeOptions
 from service.engine import Engine
+from service.placing import Origin, Placed
 from service.settings import Settings
 
 if TYPE_CHECKING:
@@ -184,6 +185,10 @@ class Batch:
         """Posed patches, one layer's after the other."""
         jets = [layer.jets for layer in self.layers if layer.jets is not None]
         return Jets(*(joined([getattr(one, name) for one in jets]) for name in ("jet", "rotation", "centre")))
+
+    def placed(self, origin: Origin) -> Placed:
+        """The vertices as an answer says them, counted from ``origin``."""
+        return Placed(self.world()) if origin == "world" else Placed(self.vertices, self.root)
 
     def world(self) -> np.ndarray:
         """World positions [m] (F, V, 3) float32."""

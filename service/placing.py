@@ -1,0 +1,53 @@
+"""What positions of an answer count from: the world's origin, or each frame's root, which then stands beside them.
+
+A float32 of 1e4 m has steps of 1 mm, one of 1e6 m of 62 mm: far from the origin only what counts from the root keeps
+the shape of a garment. A stream's frames always count from the root (docs/reference/wire.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+Origin = Literal["world", "root"]
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """``vertices`` [m] (F, V, 3) float32 that count from the world's origin, or where ``roots`` [m] (F, 3) float64 are
+    given from these; the axes are the world's either way."""
+
+    vertices: np.ndarray
+    roots: np.ndarray | None = None
+
+    @property
+    def origin(self) -> Origin:
+        return "world" if self.roots is None else "root"
+
+    @property
+    def rounding_m(self) -> float:
+        """How far rounding to float32 moved a coordinate at most: half a step of the largest [m]."""
+        return 0.5 * float(np.spacing(np.abs(self.vertices).max(initial=0.0)))
+
+    @property
+    def headers(self) -> dict[str, str]:
+        """What the answer says of itself."""
+        return {
+            "X-Drape-Frames": str(len(self.vertices)),
+            "X-Drape-Vertices": str(self.vertices.shape[1]),
+            "X-Drape-Origin": self.origin,
+            "X-Drape-Rounding-M": f"{self.rounding_m:.3g}",
+        }
+
+    @property
+    def tail(self) -> bytes:
+        """What follows the vertices in a binary answer: the roots, little-endian float64."""
+        return b"" if self.roots is None else self.roots.astype("<f8").tobytes()
+
+    def from_first(self) -> tuple[np.ndarray, np.ndarray]:
+        """The vertices (F, V, 3), counted from one point [m] (3,) for the whole clip: the first root, or the origin."""
+        if self.roots is None:
+            return self.vertices, np.zeros(3)
+        return self.vertices + (self.roots - self.roots[0])[:, None], self.roots[0]
