@@ -7,6 +7,7 @@
 #   make check            format, lint, types, import order
 #   make format           write the format and the safe lint fixes
 #   make bench            every benchmark, its quick form
+#   make soak             fuzzed frames through the whole engine for ten minutes; ARGS="--frames 1000000 --seconds 1e9" for more
 #   make clean            remove what was installed or built
 #
 # Options: PORT, HOST; PAGE=0 starts without the page (no Node.js needed);
@@ -31,7 +32,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 WEB := clients/web
 WEB_SOURCES := $(shell find $(WEB) \( -name node_modules -o -name dist \) -prune -o -type f -print 2>/dev/null)
 
-.PHONY: help serve setup test test-quick check format bench page clean
+.PHONY: help serve setup test test-quick check format bench soak page clean
 
 help:
 	@sed -n '2,/^$$/{s/^# \{0,1\}//;p;}' Makefile
@@ -92,6 +93,9 @@ format: setup
 
 bench: setup
 	@scripts/bench $(BIN)/python $(ARGS)
+
+soak: setup
+	$(BIN)/python -m benchmarks.soak --threads 1 $(ARGS)
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .cache .pytest_cache .ruff_cache .hypothesis

@@ -27,8 +27,19 @@ FOLDER_BUDGET_S = {
     "clients": 90,
     "recovery": 100,
     "benchmarks": 70,
+    "extremes": 40,
 }
-LONGEST_FIRST = ("training", "recovery", "service", "model_export", "benchmarks", "clients", "drape", "architecture")
+LONGEST_FIRST = (
+    "training",
+    "recovery",
+    "service",
+    "model_export",
+    "benchmarks",
+    "clients",
+    "drape",
+    "extremes",
+    "architecture",
+)
 CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 # Examples are drawn from a fixed seed: a red run on one machine is red on the next.

@@ -1,0 +1,154 @@
+"""Fuzzed frames through the whole engine, and rows through elementary stages, until a count or a time is reached.
+
+    python -m benchmarks.soak [--frames 1000000] [--rows 1000000] [--seconds 600] [--seed 0]
+
+Poses from the T-pose to 1000 rad, shapes to 20, roots to 1e6 m, steps from none to an age, folds and push-out; state
+goes on from frame to frame. Every frame must be finite and within the body's reach and a garment's: the first that is
+not ends the run with its seed and number (exit status 1). A tenth of the time is for the rows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.shared import common
+from drape.catalog import find_garments
+from drape.errors import DrapeError, ended
+from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix, rotvec_to_quaternion, sixd_to_matrix
+from drape.wire import messages as wire
+from drape.wire.options import DrapeOptions
+from service.drapery import Drapery
+from service.poses import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M
+from service.settings import Settings
+from service.stages import run
+from service.stages.batch import PoseInput
+
+FRAMES = ROWS = 1_000_000
+SECONDS, QUICK_SECONDS = 600.0, 10.0
+ROW_BLOCK = 2000
+SHAPE_EVERY = 50  # frames of one body
+REACH_M = 1.0  # of a garment beyond its body's box
+STEPS_S = (0.0, 1e-9, 1.0 / 240.0, 1.0 / 60.0, 1.0 / 30.0, 0.2, 2.0, -1.0)
+SPREADS_RAD = (0.0, 1e-40, 1e-4, 0.1, 0.5, np.pi, ANGLE_LIMIT_RAD)
+GARMENT = "tank"
+
+
+class Fuzz:
+    """Frames of one stream drawn from ``seed``; each is the same whenever it is drawn after the same ones."""
+
+    def __init__(self, seed: int, shapes: int) -> None:
+        self._rng, self._shapes, self._number = np.random.default_rng(seed), shapes, 0
+        self._pose, self._betas, self._time_s = np.zeros((24, 3)), np.zeros(shapes), 0.0
+
+    def next(self) -> tuple[PoseInput, bool]:
+        """The next frame, and whether it is of another body, which has no past."""
+        rng, anew = self._rng, self._number % SHAPE_EVERY == 0
+        if anew:
+            size = rng.choice([0.0, 2.0, 5.0, BETA_LIMIT])
+            self._betas = rng.uniform(-size, size, self._shapes)
+        if rng.uniform() < 0.1:
+            spread = rng.choice(SPREADS_RAD)
+            self._pose = rng.uniform(-spread, spread, (24, 3))
+        else:
+            self._pose = np.clip(self._pose + rng.normal(0.0, 0.05, (24, 3)), -ANGLE_LIMIT_RAD, ANGLE_LIMIT_RAD)
+        self._time_s += rng.choice(STEPS_S)
+        self._number += 1
+        place = rng.choice([0.0, 1.0, 1e4, PLACE_LIMIT_M]) * rng.uniform(-1.0, 1.0, (1, 3))
+        return PoseInput(self._pose[None], place, self._betas, np.array([self._time_s])), anew
+
+
+def soak_frames(drapery: Drapery, *, count: int, until_s: float, seed: int, folds: int = 2) -> tuple[int, str | None]:
+    """How many of ``count`` frames were draped until ``time.monotonic`` was ``until_s``, and the first failure."""
+    (entry,) = drapery.garments.entries()
+    plan = drapery.plan(entry, DrapeOptions(push_out=True, folds=folds, settle=2), messages=True)
+    for stage in plan.stages:
+        stage.prepare(plan)
+    fuzz, memories = Fuzz(seed, drapery.body.shape_count), {}
+    for number in range(count):
+        if time.monotonic() >= until_s:
+            return number, None
+        one, anew = fuzz.next()
+        try:
+            memories = _one_frame(drapery, plan, one, {} if anew else memories)
+        except (AssertionError, DrapeError) as error:
+            return number, f"frame {number} of seed {seed}: {error}"
+    return count, None
+
+
+def _one_frame(drapery: Drapery, plan: Any, one: PoseInput, memories: Mapping[Any, Any]) -> Mapping[Any, Any]:
+    """The memories after the frame ``one``; raises ``AssertionError`` where it is no drape."""
+    held = PoseInput(one.poses, one.trans, one.betas, one.times_s, memories)
+    batch = run(plan, [held])
+    box = drapery.body.posed_vertices(one.poses, None, one.betas)[0] - drapery.body.rest_joints(one.betas)[0]
+    vertices = batch.vertices[0]
+    assert np.isfinite(vertices).all(), "not finite"
+    beyond_m = max(float((vertices.max(0) - box.max(0)).max()), float((box.min(0) - vertices.min(0)).max()))
+    assert beyond_m <= REACH_M, f"{beyond_m:.2f} m beyond the body"
+    sent = wire.unpack_frame(batch.messages[0])
+    assert np.abs(sent.positions - vertices).max() <= 1e-3, "the message is another frame"
+    return batch.memories[0]
+
+
+def soak_rows(*, count: int, until_s: float, seed: int) -> tuple[int, str | None]:
+    """How many of ``count`` rows went through rotations and the wire's steps, and the first failure."""
+    rng, done = np.random.default_rng(seed), 0
+    while done < count and time.monotonic() < until_s:
+        size = 10.0 ** rng.uniform(-45.0, 3.0, (ROW_BLOCK, 1))
+        rows = size * rng.normal(size=(ROW_BLOCK, 3))
+        turn = rotvec_to_matrix(rows)
+        off = [
+            np.abs(turn @ turn.swapaxes(-1, -2) - np.eye(3)).max(),
+            np.abs(rotvec_to_matrix(matrix_to_rotvec(turn)) - turn).max(),
+            np.abs(np.linalg.norm(rotvec_to_quaternion(rows), axis=1) - 1.0).max(),
+        ]
+        loose = sixd_to_matrix(rng.choice([0.0, 1e-40, 1.0, -1.0], (ROW_BLOCK, 6)))
+        steps, low, step = wire.quantise(rows)
+        lost = np.abs(wire.dequantise(steps, low, step) - rows).max(axis=0)
+        room = 0.5 * step + 4.0 * np.spacing(np.abs(rows).max(axis=0).astype(np.float32))
+        if max(off) > 1e-9 or not np.isfinite(loose).all() or (lost > room).any():
+            return done, f"rows from {done} of seed {seed}: {max(off):.2g}"
+        done += ROW_BLOCK
+    return done, None
+
+
+def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
+    """Prints what was done and the record, and returns the record; exits with 1 after a failure."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.soak", description="Fuzzed frames and rows.")
+    parser.add_argument("--frames", type=int, default=FRAMES)
+    parser.add_argument("--rows", type=int, default=ROWS)
+    parser.add_argument("--seconds", type=float, help=f"at most (default {SECONDS:g}, quick {QUICK_SECONDS:g})")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--garment", default=GARMENT)
+    common.add_options(parser)
+    options = parser.parse_args(arguments)
+    seconds = options.seconds or (QUICK_SECONDS if options.quick else SECONDS)
+    with tempfile.TemporaryDirectory(prefix="soak-") as folder:
+        shipped = Path(folder) / "shipped"
+        shipped.mkdir()
+        shutil.copy(find_garments([options.garment])[0], shipped)
+        settings = Settings(shipped_garments_dir=shipped, garments_dir=Path(folder), threads=options.threads)
+        drapery = Drapery(settings)
+    rows, failed = soak_rows(count=options.rows, until_s=time.monotonic() + 0.1 * seconds, seed=options.seed)
+    until_s, frames = time.monotonic() + 0.9 * seconds, 0
+    if failed is None:
+        frames, failed = soak_frames(drapery, count=options.frames, until_s=until_s, seed=options.seed)
+    drapery.close()
+    said = [{"frames": frames, "rows": rows, "failed": failed}]
+    common.print_table(said, {"frames": "d", "rows": "d", "failed": "s"})
+    record = common.finish("soak", said, options, seed=options.seed, garment=options.garment)
+    if failed is not None:
+        raise SystemExit(1)
+    return record
+
+
+if __name__ == "__main__":
+    sys.exit(ended(main))

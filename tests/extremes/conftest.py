@@ -1,0 +1,20 @@
+"""Fixtures of the extremes: the tiny service."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from service.drapery import Drapery
+from service.settings import Settings
+from tests.fixtures.serving import body, make_settings, tiny_folder, tube
+from tests.fixtures.tiny_model import TINY_DYNAMIC
+
+__all__ = ["body", "make_settings", "tiny_folder", "tube"]
+
+
+@pytest.fixture(scope="session")
+def drapery(make_settings: Callable[..., Settings]) -> Drapery:
+    """The dynamic model, so that time matters."""
+    return Drapery(make_settings(model=TINY_DYNAMIC))
