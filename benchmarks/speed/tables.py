@@ -102,7 +102,19 @@ def plot(record: Record, path: Path) -> None:
     pyplot.close(figure)
 
 
+PRECISION = {
+    "kind": ("kind", "s"), "name": ("", "s"), "p99_mm": ("p99 [mm]", ".5f"), "max_mm": ("max [mm]", ".5f"),
+    "ratio": ("time over that of normal numbers", ".1f"),
+}  # fmt: skip
+
+
+def precision_table(record: Record) -> str:
+    """Rounding of every stage, encoding and place, and what subnormals cost."""
+    return rows_table(PRECISION, record["rows"], record)
+
+
 TABLES = (
+    ("precision", "docs/explanation/extremes.md", "precision", precision_table),
     ("latency", "docs/reference/performance.md", "latency_single", single_table),
     ("latency", "docs/reference/performance.md", "latency_stages", stage_table),
     ("latency", "docs/reference/performance.md", "latency_batches", batch_table),
