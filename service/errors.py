@@ -122,7 +122,7 @@ _HTTP_REFUSALS: dict[int, tuple[type[DrapeError], str, str]] = {
 
 
 def install(app: FastAPI) -> None:
-    """Makes every refusal of ``app`` a problem document."""
+    """Makes every refusal of ``app`` a problem document; faults of ours ``service.request_log`` does."""
 
     @app.exception_handler(DrapeError)
     async def on_refusal(request: Request, error: DrapeError) -> JSONResponse:
@@ -140,8 +140,3 @@ def install(app: FastAPI) -> None:
         refusal = kind("request", expected=expected, got=f"{request.method} {request.url.path}", cure=cure)
         document = {**problem(refusal), "status": error.status_code, "title": str(error.detail)}
         return JSONResponse(document, status_code=error.status_code, media_type=PROBLEM, headers=error.headers)
-
-    @app.exception_handler(Exception)
-    async def on_fault(request: Request, error: Exception) -> JSONResponse:
-        # The server logs the exception itself.
-        return problem_response(InternalError())

@@ -63,6 +63,16 @@ class Uploads:
                 await self._worker
         shutil.rmtree(self._staging, ignore_errors=True)
 
+    @property
+    def waiting(self) -> int:
+        """Uploads that wait or run."""
+        return sum(job.state in ("queued", "running") for job in list(self._jobs.values()))
+
+    @property
+    def runs(self) -> bool:
+        """Whether the worker takes uploads in."""
+        return self._worker is not None and not self._worker.done()
+
     def get(self, job_id: str) -> Job:
         """The upload ``job_id``; refuses an unknown one."""
         if job_id not in self._jobs:
@@ -73,12 +83,11 @@ class Uploads:
 
     async def submit(self, name: str, file_format: str, pieces: Iterator[bytes], avatar: str | None) -> Job:
         """Stores the file that ``pieces`` make and queues it; refuses when too many wait, and an empty one."""
-        waiting = sum(job.state in ("queued", "running") for job in self._jobs.values())
-        if waiting >= self._settings.intake_queue:
+        if self.waiting >= self._settings.intake_queue:
             raise errors.Busy(
                 "uploads",
                 expected=f"fewer than {self._settings.intake_queue} waiting",
-                got=str(waiting),
+                got=str(self.waiting),
                 cure="Try again in a minute.",
             )
         job = Job(id=uuid.uuid4().hex[:12], name=slug(name))

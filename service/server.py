@@ -79,6 +79,7 @@ def make_server(app: FastAPI, settings: Settings) -> uvicorn.Server:
             log_level="info",
             access_log=False,
             server_header=False,
+            log_config=None,  # as service.logs has set it up
             timeout_graceful_shutdown=5,
         )
     )

@@ -28,6 +28,9 @@ class Settings(BaseSettings):
 
     host: str = "127.0.0.1"
     port: int = Field(default=8000, ge=0, le=65535)
+    probe_port: int | None = Field(default=None, ge=0, le=65535)
+    stuck_s: float = Field(default=15.0, gt=0.0)
+    log_format: Literal["json", "text"] = "json"
 
     model: str = DEFAULT_MODEL
     models_dir: Path = MODELS_DIR
@@ -72,6 +75,7 @@ class Settings(BaseSettings):
     stream_idle_s: float = Field(default=60.0, gt=0.0)
     stream_ack_s: float = Field(default=3.0, gt=0.0)
     stream_send_s: float = Field(default=1.0, gt=0.0)
+    frame_deadline_s: float = Field(default=0.066, gt=0.0)
     stream_message_bytes: int = Field(default=65536, ge=1024)
     allowed_origins: tuple[str, ...] = ()
 

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import json
 import logging
+import math
 import time
 from typing import Any
 
@@ -16,6 +17,7 @@ from drape.wire import messages as wire
 from service.errors import InternalError, TooSlow, close_reason, error_message, problem_response, rule_for
 from service.garments import Outfit, layer_list
 from service.json_body import document_of, validated
+from service.metrics import Metrics
 from service.origins import check_origin
 from service.poses import check_poses, shape_array
 from service.schemas import OpenRequest
@@ -45,6 +47,7 @@ async def stream(socket: WebSocket) -> None:
     except WebSocketDisconnect:
         return
     except DrapeError as error:
+        state.drapery.metrics.evictions.labels(type(error).__name__).inc()
         await _refuse(socket, error, settings.stream_send_s)
     except Exception:
         log.exception("a stream failed")
@@ -151,7 +154,7 @@ async def _read(socket: WebSocket, session: Session, state: State) -> None:
         message = await socket.receive()
         payload = message.get("bytes")
         if message["type"] == "websocket.receive" and payload is not None:
-            _take(payload, session)
+            _take(payload, session, state.drapery.metrics)
         else:
             await _open_session(_text_of(message), state, session)
             session.last_heard_s = time.monotonic()
@@ -159,13 +162,17 @@ async def _read(socket: WebSocket, session: Session, state: State) -> None:
         state.streams.wake()
 
 
-def _take(payload: bytes, session: Session) -> None:
+def _take(payload: bytes, session: Session, metrics: Metrics) -> None:
     """Puts a pose into the mailbox or takes an acknowledgement."""
     if wire.message_kind(payload) == wire.ACK:
-        session.acknowledge(wire.unpack_ack(payload))
+        way_s = session.acknowledge(wire.unpack_ack(payload))
+        if way_s is not None and math.isfinite(way_s):
+            metrics.ack.observe(way_s)
         return
     pose = wire.unpack_pose(payload)
     check_poses(pose.pose[None], pose.trans[None])
+    metrics.poses.inc()
+    metrics.poses_dropped.inc(session.waiting is not None)
     session.put(pose)
 
 
@@ -177,6 +184,7 @@ async def _send(socket: WebSocket, session: Session, state: State) -> None:
         if session.failure is not None:
             raise session.failure
         frame, session.outbox = session.outbox, None
+        since_s = session.outbox_since_s
         if frame is None:
             continue
         try:
@@ -188,6 +196,7 @@ async def _send(socket: WebSocket, session: Session, state: State) -> None:
                 got="a full connection",
                 cure="Read faster or ask for fewer frames.",
             ) from None
+        state.drapery.metrics.sent(time.monotonic() - since_s, state.drapery.settings.frame_deadline_s)
         state.streams.wake()
 
 
