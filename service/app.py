@@ -15,6 +15,7 @@ from service.jobs import Uploads
 from service.lifecycle import Lifecycle
 from service.limits import BodyLimit
 from service.metrics import Metrics
+from service.origins import Doors
 from service.page import Page
 from service.piecework import Piecework
 from service.request_log import RequestLog
@@ -72,6 +73,7 @@ def create_app(
             allow_headers=["*"],
             expose_headers=["X-Drape-Frames", "X-Drape-Vertices", "X-Request-Id", "Location"],
         )
+    app.add_middleware(Doors, settings=settings)
     app.add_middleware(RequestLog, metrics=metrics)
     probes.install(app, life, metrics)
     reference.install(app)

@@ -11,7 +11,7 @@ import shutil
 import signal
 import sys
 import uuid
-from collections.abc import Iterator
+from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -81,8 +81,8 @@ class Uploads:
             )
         return self._jobs[job_id]
 
-    async def submit(self, name: str, file_format: str, pieces: Iterator[bytes], avatar: str | None) -> Job:
-        """Stores the file that ``pieces`` make and queues it; refuses when too many wait, and an empty one."""
+    def check_place(self) -> None:
+        """Refuses when too many uploads wait, are being stored or run."""
         if self.waiting >= self._settings.intake_queue:
             raise errors.Busy(
                 "uploads",
@@ -90,12 +90,15 @@ class Uploads:
                 got=str(self.waiting),
                 cure="Try again in a minute.",
             )
+
+    async def submit(self, name: str, file_format: str, pieces: AsyncIterator[bytes], avatar: str | None) -> Job:
+        """Stores the file that ``pieces`` make and queues it; refuses when too many wait, and an empty one."""
+        self.check_place()
         job = Job(id=uuid.uuid4().hex[:12], name=slug(name))
         file = self._staging / job.id / f"{job.name}.{file_format}"
         self._jobs[job.id] = job  # at once, so that files that are being stored count
         try:
-            size = sum([length async for length in self._piecework.each(_stored(file, pieces))])
-            if not size:
+            if not await self._stored(file, pieces):
                 cure = "Send the file as the body."
                 raise MeshError("request body", expected="the bytes of a mesh file", got="nothing", cure=cure)
         except BaseException:
@@ -107,6 +110,12 @@ class Uploads:
             del self._jobs[key]
         self._queue.put_nowait((job, file, avatar))
         return job
+
+    async def _stored(self, file: Path, pieces: AsyncIterator[bytes]) -> int:
+        """Writes ``pieces`` to ``file`` as they come; how many bytes."""
+        file.parent.mkdir(parents=True)
+        with file.open("wb") as target:
+            return sum([await self._piecework.run(target.write, piece) async for piece in pieces])
 
     async def _work(self) -> None:
         while True:
@@ -133,14 +142,6 @@ class Uploads:
         prepared = await self._drapery.in_thread(registry.prepare, made)
         os.replace(made, self._settings.garments_dir / made.name)
         return registry.add(prepared, "user").id
-
-
-def _stored(file: Path, pieces: Iterator[bytes]) -> Iterator[int]:
-    """Writes ``pieces`` to ``file``, one a turn; gives their lengths."""
-    file.parent.mkdir(parents=True)
-    with file.open("wb") as target:
-        for piece in pieces:
-            yield target.write(piece)
 
 
 async def run_sandbox(file: Path, avatar: str | None, out: Path, settings: Settings) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator
 from functools import partial
 from typing import Annotated, Any, TypeVar
 
@@ -27,7 +26,6 @@ from service.jobs import Job
 from service.json_body import body_schema, clip_marks, content_type, document_of, json_text, validated
 from service.limits import check_answer
 from service.motions import floor_m
-from service.origins import check_origin
 from service.poses import motion_arrays, shape_array
 from service.stages.batch import Batch, PoseInput
 from service.state import State, StateHere
@@ -145,14 +143,14 @@ async def upload(
     ] = None,
 ) -> schemas.JobInfo:
     """Takes a garment file in: the raw bytes as body, or JSON (name, format, data_base64, avatar). Poll the job."""
-    check_origin(request.headers, state.drapery.settings)
     check_query(request.query_params, ("name", "avatar", "format"))
     modelled_on: str | dict[str, Any] | None = avatar
-    kind = content_type(request)
-    pieces: Iterator[bytes] = iter([piece async for piece in request.stream()])
+    kind, pieces = content_type(request), request.stream()
+    state.uploads.check_place()  # before anything is read
     if kind == negotiation.JSON:
-        sent, pieces = await state.piecework.run(read_upload, await asyncio.to_thread(b"".join, pieces))
+        sent, decoded = await state.piecework.run(read_upload, await request.body())
         name, format, modelled_on = sent.name, sent.format, sent.avatar
+        pieces = state.piecework.each(decoded)
     stem, file_format = _name_and_format(name, format, kind)
     known = upload_avatar(modelled_on, stem, state.drapery.settings.garments_dir)
     job = await state.uploads.submit(stem, file_format, pieces, known)
@@ -198,6 +196,7 @@ async def drape_clip(request: Request, state: StateHere) -> Response:
     "jets" the answer holds a JETS message per frame (docs/reference/wire.md), binary only.
     """
     drapery = state.drapery
+    state.check_slot()  # before anything is read
     asked, clip = await _clip(schemas.DrapeRequest, request, state)
     jets = asked.geometry == "jets"
     kind = negotiation.choose(request.headers.get("accept"), (negotiation.BINARY,)) if jets else _kind(request)
@@ -232,6 +231,7 @@ async def posed_body(body_id: str, request: Request, state: StateHere) -> Respon
     """The posed body's vertices for the same input, in the same formats."""
     drapery = state.drapery
     drapery.check_body_id(body_id)
+    state.check_slot()
     asked, clip = await _clip(schemas.PosedRequest, request, state)
     kind = _kind(request)
     if kind == negotiation.GLB:

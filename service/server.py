@@ -11,6 +11,7 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from websockets.http11 import Request
 
 from drape.errors import InputError, Unavailable
+from service.connections import http_protocol
 from service.settings import Settings
 from service.stream import ABORT
 
@@ -71,6 +72,7 @@ def make_server(app: FastAPI, settings: Settings) -> uvicorn.Server:
     return uvicorn.Server(
         uvicorn.Config(
             app,
+            http=http_protocol(settings),
             ws=StreamProtocol,
             ws_per_message_deflate=False,  # 40 times slower for a few per cent
             ws_max_size=settings.stream_message_bytes,

@@ -55,6 +55,13 @@ class Settings(BaseSettings):
     push_out: bool = True
     clearance_m: float = Field(default=0.0025, gt=0.0, le=0.05)
 
+    max_connections: int = Field(default=512, ge=1)
+    max_connections_per_address: int = Field(default=128, ge=1)
+    head_s: float = Field(default=10.0, gt=0.0)
+    body_idle_s: float = Field(default=10.0, gt=0.0)
+    body_bytes_s: int = Field(default=16384, ge=1)
+    read_s: float = Field(default=10.0, gt=0.0)
+    max_held_bytes: int = Field(default=80 * 2**20, ge=1024)
     max_body_bytes: int = Field(default=8 * 2**20, ge=1024)
     max_upload_bytes: int = Field(default=64 * 2**20, ge=1024)
     max_clips: int = Field(default=8, ge=1)
@@ -78,6 +85,7 @@ class Settings(BaseSettings):
     frame_deadline_s: float = Field(default=0.066, gt=0.0)
     stream_message_bytes: int = Field(default=65536, ge=1024)
     allowed_origins: tuple[str, ...] = ()
+    allowed_hosts: tuple[str, ...] = ()
 
     @property
     def device(self) -> Device:

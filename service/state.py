@@ -26,14 +26,18 @@ class State:
     piecework: Piecework
     clips: int = 0
 
-    @contextmanager
-    def slot(self) -> Iterator[None]:
-        """A place for one clip; refuses when all are taken, so that waiting answers cannot fill the memory."""
+    def check_slot(self) -> None:
+        """Refuses when all places for clips are taken, so that waiting answers cannot fill the memory."""
         limit = self.drapery.settings.max_clips
         if self.clips >= limit:
             raise Busy(
                 "clips", expected=f"fewer than {limit} at a time", got=str(self.clips), cure="Try again in a second."
             )
+
+    @contextmanager
+    def slot(self) -> Iterator[None]:
+        """A place for one clip; refuses when all are taken."""
+        self.check_slot()
         self.clips += 1
         try:
             yield

@@ -18,7 +18,6 @@ from service.errors import InternalError, TooSlow, close_reason, error_message, 
 from service.garments import Outfit, layer_list
 from service.json_body import document_of, validated
 from service.metrics import Metrics
-from service.origins import check_origin
 from service.poses import check_poses, shape_array
 from service.schemas import OpenRequest
 from service.sessions import Session
@@ -36,7 +35,6 @@ async def stream(socket: WebSocket) -> None:
     state: State = socket.app.state.drape
     settings = state.drapery.settings
     try:
-        check_origin(socket.headers, settings)
         _check_protocol(socket)
     except DrapeError as error:
         await socket.send_denial_response(problem_response(error))
