@@ -17,6 +17,9 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--host", help="address to listen on (DRAPE_HOST, 127.0.0.1)")
     parser.add_argument("--port", type=int, help="port to listen on (DRAPE_PORT, 8000); 0 takes a free one")
+    parser.add_argument(
+        "--open", action="store_true", default=None, help="let everybody in who can reach it (DRAPE_OPEN)"
+    )
     options = parser.parse_args(arguments)
     try:
         return _serve({key: value for key, value in vars(options).items() if value is not None})
@@ -35,7 +38,7 @@ def _serve(overrides: dict[str, object]) -> int:
         from service.metrics import Metrics
         from service.probes import Probes
         from service.server import bind, make_server
-        from service.settings import load_settings
+        from service.settings import check_exposed, load_settings
     except ModuleNotFoundError as error:
         print(
             f"service: expected the packages of the extra 'service', got no {error.name}. Run make serve.",
@@ -43,6 +46,7 @@ def _serve(overrides: dict[str, object]) -> int:
         )
         return 2
     settings = load_settings(**overrides)
+    check_exposed(settings)
     set_up(settings.log_format)
     lifecycle, metrics = Lifecycle(stuck_s=settings.stuck_s), Metrics()
     listener = bind(settings.host, settings.port)

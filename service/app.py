@@ -9,7 +9,9 @@ from contextlib import asynccontextmanager
 from fastapi import FastAPI
 from fastapi.middleware.cors import CORSMiddleware
 
-from service import errors, jets, probes, reference, routes, stream
+from service import errors, garment_care, jets, probes, reference, routes, stream
+from service.access import ADMITTED, Access
+from service.access import router as access_routes
 from service.drapery import Drapery
 from service.jobs import Uploads
 from service.lifecycle import Lifecycle
@@ -30,6 +32,7 @@ def create_app(
 ) -> FastAPI:
     """The service; ``drapery`` hands over what is already loaded, otherwise the start loads it."""
     settings = settings or load_settings()
+    access = Access(settings)
     metrics = Metrics() if drapery is None else drapery.metrics
     life = lifecycle or Lifecycle(stuck_s=settings.stuck_s)
 
@@ -37,7 +40,7 @@ def create_app(
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         loaded = drapery or Drapery(settings, metrics=metrics)
         piecework = Piecework()
-        state = State(loaded, Uploads(loaded, piecework), Streams(loaded, piecework), piecework)
+        state = State(loaded, Uploads(loaded, piecework), Streams(loaded, piecework), piecework, access)
         app.state.drape = state
         state.uploads.start()
         state.streams.start()
@@ -75,10 +78,10 @@ def create_app(
         )
     app.add_middleware(Doors, settings=settings)
     app.add_middleware(RequestLog, metrics=metrics)
-    probes.install(app, life, metrics)
+    probes.install(app, life, metrics, ADMITTED)
     reference.install(app)
-    app.include_router(routes.router)
-    app.include_router(jets.router)
+    for router in (routes.router, jets.router, garment_care.router, access_routes):
+        app.include_router(router, dependencies=ADMITTED)
     app.include_router(stream.router)
     app.mount("/", Page(settings.page_dir))
     return app

@@ -17,7 +17,7 @@ from service.errors import PROBLEM, Busy, TooLarge, TooSlow, problem
 from service.settings import Settings
 
 HEAD_BYTES = 64 * 1024  # of a request line and its headers
-REST_S = 3.0  # for what is left of a body after its answer
+REST_S = 2.0  # for what is left of a body after its answer
 
 
 class LimitedHttp(HttpToolsProtocol):

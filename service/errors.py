@@ -30,12 +30,20 @@ class NotAcceptable(InputError):
     """None of the formats that the client accepts is one of ours."""
 
 
+class Unauthorized(InputError):
+    """No key or ticket that this service knows."""
+
+
 class TooSlow(InputError):
     """A stream client that has stopped reading, opening or sending."""
 
 
 class Busy(Unavailable):
     """All places are taken for now."""
+
+
+class Full(Unavailable):
+    """No more room for what would be stored."""
 
 
 @dataclass(frozen=True)
@@ -54,11 +62,13 @@ TABLE: dict[type[DrapeError], Rule] = {
     BodyError: Rule(422, 4422, "Body cannot be used"),
     MotionError: Rule(422, 4422, "Pose or clip cannot be used"),
     TooLarge: Rule(413, 1009, "Too large"),
+    Unauthorized: Rule(401, 4401, "Unauthorized"),
     Forbidden: Rule(403, 4403, "Forbidden"),
     NotAcceptable: Rule(406, 4406, "Not acceptable"),
     TooSlow: Rule(408, 4408, "Too slow"),
     InputError: Rule(400, 4400, "Bad request"),
     ArtifactError: Rule(500, 1011, "Stored data does not hold together"),
+    Full: Rule(507, 1013, "Storage full"),
     Busy: Rule(429, 1013, "Busy"),
     Unavailable: Rule(503, 1013, "Unavailable"),
     DrapeError: Rule(500, 1011, "Failed"),
@@ -89,7 +99,9 @@ def problem(error: DrapeError) -> dict[str, Any]:
 def problem_response(error: DrapeError) -> JSONResponse:
     """The HTTP answer to ``error``."""
     document = problem(error)
-    return JSONResponse(document, status_code=document["status"], media_type=PROBLEM)
+    status = document["status"]
+    headers = {401: {"WWW-Authenticate": "Bearer"}, 429: {"Retry-After": "1"}}.get(status)
+    return JSONResponse(document, status_code=status, media_type=PROBLEM, headers=headers)
 
 
 def close_reason(error: DrapeError) -> str:

@@ -19,7 +19,8 @@ from typing import Any, Literal
 from drape.errors import ArtifactError, DrapeError, InputError, MeshError, NotFound
 from service import errors
 from service.drapery import Drapery
-from service.garments import slug
+from service.garments import OWNED, slug
+from service.keys import ANYONE, Client
 from service.piecework import Piecework
 from service.settings import ROOT, Settings
 
@@ -33,6 +34,7 @@ class Job:
 
     id: str
     name: str
+    owner: str | None = None
     state: Literal["queued", "running", "done", "failed"] = "queued"
     garment: str | None = None
     problem: dict[str, Any] | None = None
@@ -44,7 +46,7 @@ class Uploads:
     def __init__(self, drapery: Drapery, piecework: Piecework) -> None:
         self._drapery, self._settings, self._piecework = drapery, drapery.settings, piecework
         self._jobs: dict[str, Job] = {}
-        self._queue: asyncio.Queue[tuple[Job, Path, str | None]] = asyncio.Queue()
+        self._queue: asyncio.Queue[tuple[Job, Path, str | None, Client]] = asyncio.Queue()
         self._staging = self._settings.garments_dir / f".staging-{os.getpid()}"
         self._worker: asyncio.Task[None] | None = None
 
@@ -73,16 +75,17 @@ class Uploads:
         """Whether the worker takes uploads in."""
         return self._worker is not None and not self._worker.done()
 
-    def get(self, job_id: str) -> Job:
-        """The upload ``job_id``; refuses an unknown one."""
-        if job_id not in self._jobs:
+    def get(self, job_id: str, viewer: str | None = None) -> Job:
+        """The upload ``job_id``; refuses an unknown one, and one of another key than ``viewer``."""
+        if job_id not in self._jobs or self._jobs[job_id].owner != viewer:
             raise NotFound(
                 "job", expected="the id of an upload of this run", got=job_id[:120], cure="Upload the file again."
             )
         return self._jobs[job_id]
 
-    def check_place(self) -> None:
-        """Refuses when too many uploads wait, are being stored or run."""
+    def check_place(self, client: Client = ANYONE) -> None:
+        """Refuses when too many uploads wait, are stored or run, and when there is no room for another garment."""
+        self._check_room(client)
         if self.waiting >= self._settings.intake_queue:
             raise errors.Busy(
                 "uploads",
@@ -91,10 +94,12 @@ class Uploads:
                 cure="Try again in a minute.",
             )
 
-    async def submit(self, name: str, file_format: str, pieces: AsyncIterator[bytes], avatar: str | None) -> Job:
+    async def submit(
+        self, name: str, file_format: str, pieces: AsyncIterator[bytes], avatar: str | None, client: Client = ANYONE
+    ) -> Job:
         """Stores the file that ``pieces`` make and queues it; refuses when too many wait, and an empty one."""
-        self.check_place()
-        job = Job(id=uuid.uuid4().hex[:12], name=slug(name))
+        self.check_place(client)
+        job = Job(id=uuid.uuid4().hex[:12], name=slug(name), owner=client.name)
         file = self._staging / job.id / f"{job.name}.{file_format}"
         self._jobs[job.id] = job  # at once, so that files that are being stored count
         try:
@@ -108,7 +113,7 @@ class Uploads:
         finished = [key for key, kept in self._jobs.items() if kept.state in ("done", "failed")]
         for key in finished[: max(0, len(self._jobs) - KEPT_JOBS)]:
             del self._jobs[key]
-        self._queue.put_nowait((job, file, avatar))
+        self._queue.put_nowait((job, file, avatar, client))
         return job
 
     async def _stored(self, file: Path, pieces: AsyncIterator[bytes]) -> int:
@@ -119,10 +124,10 @@ class Uploads:
 
     async def _work(self) -> None:
         while True:
-            job, file, avatar = await self._queue.get()
+            job, file, avatar, client = await self._queue.get()
             job.state = "running"
             try:
-                job.garment = await self._take_in(file, avatar)
+                job.garment = await self._take_in(file, avatar, client)
                 job.state = "done"
             except DrapeError as error:
                 job.problem, job.state = errors.problem(error), "failed"
@@ -133,15 +138,36 @@ class Uploads:
             finally:
                 shutil.rmtree(file.parent, ignore_errors=True)
 
-    async def _take_in(self, file: Path, avatar: str | None) -> str:
+    async def _take_in(self, file: Path, avatar: str | None, client: Client) -> str:
         """The id of the garment made from ``file``."""
         out = file.parent / "out"
         report = await run_sandbox(file, avatar, out, self._settings)
         made = out / str(report["file"])
         registry = self._drapery.garments
+        self._check_room(client, made.stat().st_size)
         prepared = await self._drapery.in_thread(registry.prepare, made)
-        os.replace(made, self._settings.garments_dir / made.name)
-        return registry.add(prepared, "user").id
+        stored = self._folder(client.name) / made.name
+        stored.parent.mkdir(exist_ok=True)
+        os.replace(made, stored)
+        return registry.add(prepared, "user", stored).id
+
+    def _folder(self, owner: str | None) -> Path:
+        """Where garments of the key ``owner`` are stored."""
+        return self._settings.garments_dir if owner is None else self._settings.garments_dir / f"{OWNED}{owner}"
+
+    def _check_room(self, client: Client, more: int = 0) -> None:
+        """Refuses (``Full``) a garment, of ``more`` bytes, that the disk or its key has no room for."""
+        root = self._settings.garments_dir
+        stored = [path.stat().st_size for path in (*root.glob("*.npz"), *root.glob(f"{OWNED}*/*.npz"))]
+        rules = [("bytes of all garments", self._settings.max_stored_bytes, sum(stored), more)]
+        if client.limits is not None:
+            own = [path.stat().st_size for path in self._folder(client.name).glob("*.npz")]
+            rules.append(("bytes of a key's garments", client.limits.bytes, sum(own), more))
+            rules.append(("garments of a key", client.limits.garments, len(own), 1))
+        for name, most, there, asked in rules:
+            if there + asked > most or there >= most:
+                cure = "Delete garments that are no longer worn: DELETE /garments/ID."
+                raise errors.Full(name, expected=f"at most {most}", got=f"{there} and another", cure=cure)
 
 
 async def run_sandbox(file: Path, avatar: str | None, out: Path, settings: Settings) -> dict[str, Any]:

@@ -9,11 +9,12 @@ from __future__ import annotations
 import json
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from socketserver import BaseServer
 
 from fastapi import APIRouter, FastAPI, Request, Response
+from fastapi.params import Depends
 
 from drape.errors import DrapeError
 from service.errors import PROBLEM, problem
@@ -43,8 +44,8 @@ def _refusal(error: DrapeError) -> Answer:
     return document["status"], PROBLEM, json.dumps(document).encode()
 
 
-def install(app: FastAPI, lifecycle: Lifecycle, metrics: Metrics) -> None:
-    """Adds the routes to ``app``."""
+def install(app: FastAPI, lifecycle: Lifecycle, metrics: Metrics, admitted: Sequence[Depends]) -> None:
+    """Adds the routes to ``app``; ``admitted`` lets nobody but clients at the series."""
     router = APIRouter()
 
     async def probe(request: Request) -> Response:
@@ -57,7 +58,10 @@ def install(app: FastAPI, lifecycle: Lifecycle, metrics: Metrics) -> None:
         "/metrics": "All series in the text format of Prometheus.",
     }
     for path in PATHS:
-        router.add_api_route(path, probe, description=described[path], response_class=Response, name=path[1:])
+        asks = admitted if path == "/metrics" else ()
+        router.add_api_route(
+            path, probe, description=described[path], response_class=Response, name=path[1:], dependencies=asks
+        )
     app.include_router(router)
 
 

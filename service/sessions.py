@@ -11,7 +11,7 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,6 +20,7 @@ from drape.errors import DrapeError, InputError
 from drape.wire.messages import Pose
 from service.drapery import Drapery
 from service.errors import Busy
+from service.garments import Scene
 from service.piecework import Piecework
 from service.stages import carried
 from service.stages.batch import Memories, Plan, PoseInput
@@ -179,6 +180,13 @@ class Streams:
                 got=str(len(self._sessions)),
                 cure="Try again later.",
             )
+
+    def end(self, wears: Callable[[Scene], bool], reason: DrapeError) -> None:
+        """Ends every stream whose scene ``wears`` says so of, with ``reason``."""
+        for session in self._sessions:
+            if wears(session.plan.scene):
+                session.failure = reason
+                session.news.set()
 
     def add(self, session: Session) -> None:
         self.check_place()

@@ -5,10 +5,11 @@ Every field is described in docs/guide/service.md.
 
 from __future__ import annotations
 
+import ipaddress
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field, SecretStr, ValidationError
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from drape.artifacts import DEFAULT_MODEL, MODELS_DIR
@@ -28,6 +29,9 @@ class Settings(BaseSettings):
 
     host: str = "127.0.0.1"
     port: int = Field(default=8000, ge=0, le=65535)
+    open: bool = False
+    keys_file: Path | None = None
+    ticket_secret: SecretStr | None = None
     probe_port: int | None = Field(default=None, ge=0, le=65535)
     stuck_s: float = Field(default=15.0, gt=0.0)
     log_format: Literal["json", "text"] = "json"
@@ -70,6 +74,8 @@ class Settings(BaseSettings):
     max_layers: int = Field(default=4, ge=1, le=16)
     max_answer_bytes: int = Field(default=512 * 2**20, ge=1024)
 
+    max_stored_bytes: int = Field(default=8 * 2**30, ge=0)
+
     intake_wall_s: float = Field(default=300.0, gt=0.0)
     intake_cpu_s: int = Field(default=300, ge=1)
     intake_memory_mb: int = Field(default=6144, ge=256)
@@ -91,6 +97,25 @@ class Settings(BaseSettings):
     def device(self) -> Device:
         """Where the graphs compute."""
         return Device(self.provider, self.threads, self.gpu_memory_mb, self.capture)
+
+
+def check_exposed(settings: Settings) -> None:
+    """Refuses (``InputError``) to listen beyond this machine without keys, unless ``open`` says that it is meant."""
+    if settings.open or settings.keys_file is not None or _is_loopback(settings.host):
+        return
+    raise InputError(
+        "DRAPE_KEYS_FILE",
+        expected=f"keys where others can reach {settings.host}",
+        got="none",
+        cure="Make keys (python -m service.keys NAME), listen on 127.0.0.1, or say --open.",
+    )
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host.lower() == "localhost"
 
 
 def load_settings(**overrides: object) -> Settings:

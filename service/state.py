@@ -9,6 +9,7 @@ from typing import Annotated
 
 from fastapi import Depends, Request
 
+from service.access import Access
 from service.drapery import Drapery
 from service.errors import Busy
 from service.jobs import Uploads
@@ -24,6 +25,7 @@ class State:
     uploads: Uploads
     streams: Streams
     piecework: Piecework
+    access: Access
     clips: int = 0
 
     def check_slot(self) -> None:

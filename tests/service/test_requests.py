@@ -11,6 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from service.access import Access
 from service.app import create_app
 from service.drapery import Drapery
 from service.errors import Busy
@@ -167,7 +168,7 @@ def test_too_large_an_answer_is_refused(make_settings: Callable[..., Settings]):
 
 def test_more_clips_than_places_are_refused(make_settings: Callable[..., Settings]):
     drapery = Drapery(make_settings(max_clips=1))
-    state = State(drapery, None, Streams(drapery, Piecework()), Piecework())  # pyright: ignore[reportArgumentType]
+    state = State(drapery, None, Streams(drapery, Piecework()), Piecework(), Access(drapery.settings))  # pyright: ignore[reportArgumentType]
     with state.slot(), pytest.raises(Busy, match="fewer than 1 at a time"), state.slot():
         pass
     with state.slot():
