@@ -39,6 +39,10 @@ class Access:
         self._used: Counter[tuple[str, str]] = Counter()
         self._buckets: dict[str, tuple[float, float]] = {}  # tokens, and when [s] they were counted
 
+    def client(self, name: str | None) -> Client:
+        """The client of the key ``name``; of one that is gone its name alone."""
+        return ANYONE if name is None else self._names.get(name, Client(name))
+
     def admit(self, headers: Headers, offered: Sequence[str] = (), *, stream: bool = False) -> Client:
         """Who asks; refuses (``Unauthorized``) who has no key or ticket, and (``Busy``) who asks too often."""
         if not self._clients:

@@ -40,7 +40,7 @@ def create_app(
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         loaded = drapery or Drapery(settings, metrics=metrics)
         piecework = Piecework()
-        state = State(loaded, Uploads(loaded, piecework), Streams(loaded, piecework), piecework, access)
+        state = State(loaded, Uploads(loaded, piecework, access), Streams(loaded, piecework), piecework, access, life)
         app.state.drape = state
         state.uploads.start()
         state.streams.start()
@@ -67,7 +67,7 @@ def create_app(
         redoc_url=None,
     )
     errors.install(app)
-    app.add_middleware(BodyLimit, settings=settings)
+    app.add_middleware(BodyLimit, settings=settings, lifecycle=life)
     if settings.allowed_origins:
         app.add_middleware(
             CORSMiddleware,

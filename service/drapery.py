@@ -21,7 +21,7 @@ from drape.wire.options import DrapeOptions
 from service import still
 from service.costs import Probe
 from service.engine import Engine
-from service.errors import InternalError
+from service.errors import Draining, InternalError
 from service.garments import Registry, Scene
 from service.metrics import Metrics
 from service.motions import Motions
@@ -53,6 +53,7 @@ class Drapery:
     def __init__(self, settings: Settings, *, body: BodyModel | None = None, metrics: Metrics | None = None) -> None:
         self.settings = settings
         self.metrics = metrics or Metrics()
+        self.hurried = False  # clips end now: the service is being restarted
         self.body = body or load_body(settings.body)
         folder = settings.models_dir / settings.model
         self.engine = Engine(
@@ -181,6 +182,8 @@ class Drapery:
         results: list[Result] = []
         frame_s, start = math.inf, 0  # until the first has told how long one takes
         while start < frames:
+            if self.hurried:
+                raise Draining
             async with self._clip_turn:
                 rows = slice(start, min(frames, start + self._chunk_frames(frame_s)))
                 result, took_s = await self.in_thread(_timed, compute, rows)

@@ -42,6 +42,17 @@ class Busy(Unavailable):
     """All places are taken for now."""
 
 
+class Draining(Unavailable):
+    """The service ends, and another takes its place."""
+
+    def __init__(self) -> None:
+        cure = "Connect again: another process takes over."
+        super().__init__("service", expected="one that takes work", got="one that is being restarted", cure=cure)
+
+    def __reduce__(self):
+        return Draining, ()
+
+
 class Full(Unavailable):
     """No more room for what would be stored."""
 
@@ -68,6 +79,7 @@ TABLE: dict[type[DrapeError], Rule] = {
     TooSlow: Rule(408, 4408, "Too slow"),
     InputError: Rule(400, 4400, "Bad request"),
     ArtifactError: Rule(500, 1011, "Stored data does not hold together"),
+    Draining: Rule(503, 1012, "Restarting"),
     Full: Rule(507, 1013, "Storage full"),
     Busy: Rule(429, 1013, "Busy"),
     Unavailable: Rule(503, 1013, "Unavailable"),

@@ -18,6 +18,8 @@ from typing import Any, Literal
 
 from drape.errors import ArtifactError, DrapeError, InputError, MeshError, NotFound
 from service import errors
+from service.accepted import STAGING, Accepted, sync, taken_over
+from service.access import Access
 from service.drapery import Drapery
 from service.garments import OWNED, slug
 from service.keys import ANYONE, Client
@@ -25,6 +27,7 @@ from service.piecework import Piecework
 from service.settings import ROOT, Settings
 
 KEPT_JOBS = 256
+MOST_ATTEMPTS = 3  # of one upload, where the service ends while it runs
 log = logging.getLogger("drape.service")
 
 
@@ -43,27 +46,35 @@ class Job:
 class Uploads:
     """A queue with one worker; files lie in a staging folder of this process until they are garments."""
 
-    def __init__(self, drapery: Drapery, piecework: Piecework) -> None:
+    def __init__(self, drapery: Drapery, piecework: Piecework, access: Access) -> None:
+        self._access = access
         self._drapery, self._settings, self._piecework = drapery, drapery.settings, piecework
         self._jobs: dict[str, Job] = {}
-        self._queue: asyncio.Queue[tuple[Job, Path, str | None, Client]] = asyncio.Queue()
-        self._staging = self._settings.garments_dir / f".staging-{os.getpid()}"
+        self._queue: asyncio.Queue[tuple[Job, Path, Accepted]] = asyncio.Queue()
+        self._staging = self._settings.garments_dir / f"{STAGING}{os.getpid()}"
         self._worker: asyncio.Task[None] | None = None
+        self._begin = asyncio.Event()
+        self._begin.set()
 
     def start(self) -> None:
-        """Clears what ended processes left behind and starts the worker."""
-        for folder in self._settings.garments_dir.glob(".staging-*"):
-            if not _is_running(folder.name.removeprefix(".staging-")) or folder == self._staging:
-                shutil.rmtree(folder, ignore_errors=True)
+        """Goes on with what ended processes had accepted, clears what else they left, and starts the worker."""
+        for accepted, folder in taken_over(self._settings.garments_dir, self._staging):
+            job = self._jobs[accepted.id] = Job(accepted.id, accepted.name, accepted.owner)
+            self._queue.put_nowait((job, folder, accepted))
         self._worker = asyncio.create_task(self._work(), name="uploads")
 
+    def pause(self) -> None:
+        """Begins no further upload: the next start of the service goes on with them."""
+        self._begin.clear()
+
     async def stop(self) -> None:
-        """Ends the worker and the process it runs; nothing half-written stays."""
+        """Ends the worker and the process it runs; what was accepted stays for the next start, nothing else."""
         if self._worker is not None:
             self._worker.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await self._worker
-        shutil.rmtree(self._staging, ignore_errors=True)
+        if not self.waiting:
+            shutil.rmtree(self._staging, ignore_errors=True)
 
     @property
     def waiting(self) -> int:
@@ -106,6 +117,8 @@ class Uploads:
             if not await self._stored(file, pieces):
                 cure = "Send the file as the body."
                 raise MeshError("request body", expected="the bytes of a mesh file", got="nothing", cure=cure)
+            accepted = Accepted(job.id, job.name, job.owner, file.name, avatar)
+            await asyncio.to_thread(accepted.write, file.parent)
         except BaseException:
             del self._jobs[job.id]
             shutil.rmtree(file.parent, ignore_errors=True)
@@ -113,21 +126,25 @@ class Uploads:
         finished = [key for key, kept in self._jobs.items() if kept.state in ("done", "failed")]
         for key in finished[: max(0, len(self._jobs) - KEPT_JOBS)]:
             del self._jobs[key]
-        self._queue.put_nowait((job, file, avatar, client))
+        self._queue.put_nowait((job, file.parent, accepted))
         return job
 
     async def _stored(self, file: Path, pieces: AsyncIterator[bytes]) -> int:
         """Writes ``pieces`` to ``file`` as they come; how many bytes."""
         file.parent.mkdir(parents=True)
         with file.open("wb") as target:
-            return sum([await self._piecework.run(target.write, piece) async for piece in pieces])
+            size = sum([await self._piecework.run(target.write, piece) async for piece in pieces])
+            target.flush()
+            await asyncio.to_thread(os.fsync, target.fileno())
+            return size
 
     async def _work(self) -> None:
         while True:
-            job, file, avatar, client = await self._queue.get()
+            job, folder, accepted = await self._queue.get()
+            await self._begin.wait()
             job.state = "running"
             try:
-                job.garment = await self._take_in(file, avatar, client)
+                job.garment = await self._take_in(folder, accepted)
                 job.state = "done"
             except DrapeError as error:
                 job.problem, job.state = errors.problem(error), "failed"
@@ -135,20 +152,30 @@ class Uploads:
             except Exception:
                 log.exception("upload %s failed", job.id)
                 job.problem, job.state = errors.problem(errors.InternalError()), "failed"
-            finally:
-                shutil.rmtree(file.parent, ignore_errors=True)
+            # Not where the worker is ended: the next start goes on with it.
+            shutil.rmtree(folder, ignore_errors=True)
 
-    async def _take_in(self, file: Path, avatar: str | None, client: Client) -> str:
-        """The id of the garment made from ``file``."""
-        out = file.parent / "out"
-        report = await run_sandbox(file, avatar, out, self._settings)
+    async def _take_in(self, folder: Path, accepted: Accepted) -> str:
+        """The id of the garment made from what was ``accepted`` and lies in ``folder``."""
+        if accepted.attempts >= MOST_ATTEMPTS:
+            raise MeshError(
+                f"upload {accepted.file}",
+                expected=f"an intake that ends within {MOST_ATTEMPTS} starts of the service",
+                got="none",
+                cure="Upload the file again.",
+            )
+        await asyncio.to_thread(accepted.tried, folder)
+        out, client = folder / "out", self._access.client(accepted.owner)
+        report = await run_sandbox(folder / accepted.file, accepted.avatar, out, self._settings)
         made = out / str(report["file"])
         registry = self._drapery.garments
         self._check_room(client, made.stat().st_size)
         prepared = await self._drapery.in_thread(registry.prepare, made)
         stored = self._folder(client.name) / made.name
         stored.parent.mkdir(exist_ok=True)
+        await asyncio.to_thread(sync, made)
         os.replace(made, stored)
+        await asyncio.to_thread(sync, stored.parent)
         return registry.add(prepared, "user", stored).id
 
     def _folder(self, owner: str | None) -> Path:
@@ -236,13 +263,3 @@ def _refusal(said: dict[str, str]) -> DrapeError:
     """The error that the intake process put in words."""
     kind = _KINDS.get(said["kind"], InputError)
     return kind(said["name"], expected=said["expected"], got=said["got"], cure=said["cure"])
-
-
-def _is_running(pid: str) -> bool:
-    try:
-        os.kill(int(pid), 0)
-    except (ValueError, ProcessLookupError):
-        return False
-    except PermissionError:
-        return True
-    return True

@@ -21,6 +21,7 @@ class Lifecycle:
     def __init__(self, *, stuck_s: float) -> None:
         self._stuck_s = stuck_s
         self._ready = self.draining = False
+        self.hurried = False  # what is not through by now is told to come again
         self._turned_s: float | None = None
         self.works: dict[str, Callable[[], bool]] = {}  # what must be running, by name
 

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
 
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from drape.errors import DrapeError
-from service.errors import Busy, TooLarge, TooSlow, problem_response
+from service.errors import Busy, Draining, TooLarge, TooSlow, problem_response
+from service.lifecycle import Lifecycle
 from service.negotiation import JSON
 from service.settings import Settings
 
 UPLOAD_PATH = "/garments"
+LOOK_S = 0.5  # between two looks at whether the service ends
 
 
 def check_answer(size: int, what: str, settings: Settings) -> None:
@@ -35,8 +38,8 @@ class BodyLimit:
     a raw body goes to disk piece by piece and is not held. What a body breaks is raised where it is read.
     """
 
-    def __init__(self, app: ASGIApp, settings: Settings) -> None:
-        self.app, self._settings = app, settings
+    def __init__(self, app: ASGIApp, settings: Settings, lifecycle: Lifecycle) -> None:
+        self.app, self._settings, self._life = app, settings, lifecycle
         self._held = 0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -44,7 +47,7 @@ class BodyLimit:
             await self.app(scope, receive, send)
             return
         headers = Headers(scope=scope)
-        body = _Body(self._settings, upload=scope["path"] == UPLOAD_PATH)
+        body = _Body(self._settings, self._life, upload=scope["path"] == UPLOAD_PATH)
         to_disk = body.upload and JSON not in headers.get("content-type", "").lower()
         declared = headers.get("content-length", "")
         try:
@@ -85,8 +88,8 @@ class BodyLimit:
 class _Body:
     """One body: how much of it has come, since when, and whether it has ended. ``taken`` are bytes handed on."""
 
-    def __init__(self, settings: Settings, *, upload: bool) -> None:
-        self._settings, self.upload = settings, upload
+    def __init__(self, settings: Settings, lifecycle: Lifecycle, *, upload: bool) -> None:
+        self._settings, self._life, self.upload = settings, lifecycle, upload
         self._limit = settings.max_upload_bytes if upload else settings.max_body_bytes
         self._begun_s = time.monotonic()
         self.taken, self.ended = 0, False
@@ -101,16 +104,24 @@ class _Body:
     async def next(self, receive: Receive) -> Message:
         """Its next piece; refuses one that is too slow or makes it too large."""
         idle_s, pace = self._settings.body_idle_s, self._settings.body_bytes_s
-        left_s = self._begun_s + idle_s + self.taken / pace - time.monotonic()
-        try:
-            message = await asyncio.wait_for(receive(), min(idle_s, max(left_s, 0.0)))
-        except TimeoutError:
+        until_s = min(self._begun_s + idle_s + self.taken / pace, time.monotonic() + idle_s)
+        message = None
+        while message is None:
+            with contextlib.suppress(TimeoutError):
+                left_s = max(0.0, until_s - time.monotonic())
+                message = await asyncio.wait_for(receive(), min(LOOK_S, left_s))
+            if message is not None:
+                break
+            if self._life.hurried:
+                raise Draining
+            if time.monotonic() < until_s:
+                continue
             raise TooSlow(
                 "request body",
                 expected=f"a piece within {idle_s:g} s, and {pace} bytes a second",
                 got=f"{self.taken} bytes in {time.monotonic() - self._begun_s:.1f} s",
                 cure="Send faster, or raise DRAPE_BODY_IDLE_S or lower DRAPE_BODY_BYTES_S.",
-            ) from None
+            )
         size = len(message.get("body", b""))
         self.check_size(self.taken + size)
         self.taken += size

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import re
 import time
@@ -12,7 +13,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.errors import InternalError, problem_response
+from service.errors import Draining, InternalError, problem_response
 from service.logs import ASKER, Asker
 from service.metrics import Metrics
 from service.probes import PATHS
@@ -56,6 +57,9 @@ class RequestLog:
             await self.app(scope, receive, told)
         except ClientDisconnect:
             status = LEFT
+        except asyncio.CancelledError:  # the end of the service, which waits no longer
+            if scope["type"] == "http" and not status:
+                await problem_response(Draining())(scope, receive, told)
         except Exception:
             log.exception("a request failed")
             if scope["type"] == "http" and not status:

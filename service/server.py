@@ -67,9 +67,22 @@ def bind(host: str, port: int) -> socket.socket:
     return listener
 
 
+class DrainingServer(uvicorn.Server):
+    """Tells streams to connect again before it closes connections."""
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Takes no more connections, lets the application drain, and ends within 10 s."""
+        for server in self.servers:
+            server.close()
+        app = self.config.app
+        if isinstance(app, FastAPI):
+            await app.state.drape.drain()
+        await super().shutdown(sockets)
+
+
 def make_server(app: FastAPI, settings: Settings) -> uvicorn.Server:
     """A server for ``app``; hand it the listening socket in ``run(sockets=[...])``."""
-    return uvicorn.Server(
+    return DrainingServer(
         uvicorn.Config(
             app,
             http=http_protocol(settings),

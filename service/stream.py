@@ -15,7 +15,7 @@ from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from drape.errors import DrapeError, InputError
 from drape.wire import messages as wire
 from service.access import OFFER
-from service.errors import InternalError, TooSlow, close_reason, error_message, problem_response, rule_for
+from service.errors import Draining, InternalError, TooSlow, close_reason, error_message, problem_response, rule_for
 from service.garments import Outfit, layer_list
 from service.json_body import document_of, validated
 from service.keys import Client
@@ -39,6 +39,8 @@ async def stream(socket: WebSocket) -> None:
     offered = socket.scope.get("subprotocols", [])
     try:
         _check_protocol(offered)
+        if state.life.draining:
+            raise Draining
         client = state.access.admit(socket.headers, offered, stream=True)
     except DrapeError as error:
         await socket.send_denial_response(problem_response(error))
