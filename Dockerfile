@@ -1,4 +1,5 @@
-# The service with its page, on the CPU. Build: docker build -t drape . Run: docker run -p 8000:8000 drape
+# The service with its page, on the CPU. Build: docker build -t drape . Run for this machine alone:
+# docker run -p 127.0.0.1:8000:8000 -e DRAPE_OPEN=true drape; for others mount a file of keys and name it in DRAPE_KEYS_FILE.
 # For a GPU, replace the extra cpu by gpu (never both) and run with --gpus all.
 
 FROM node:22-slim AS page
@@ -27,5 +28,5 @@ USER drape
 RUN python -m drape.folds
 EXPOSE 8000
 HEALTHCHECK --interval=10s --timeout=3s --start-period=60s --retries=3 \
-    CMD ["python", "-c", "import urllib.request as r; r.urlopen('http://127.0.0.1:8000/health', timeout=2)"]
+    CMD ["python", "-c", "import urllib.request as r; r.urlopen('http://127.0.0.1:8000/livez', timeout=2)"]
 CMD ["python", "-m", "service", "--host", "0.0.0.0", "--port", "8000"]

@@ -12,7 +12,7 @@
 #
 # Options: PORT, HOST; PAGE=0 starts without the page (no Node.js needed);
 # TORCH_INDEX=URL takes torch from that index (default: the CPU build unless the machine has an NVIDIA GPU);
-# PYTHON names the interpreter the environment is made with; ARGS is handed to pytest, the benchmarks or the service.
+# PYTHON names the interpreter the environment is made with; ARGS is handed to pytest, the benchmarks or the service (HOST=0.0.0.0 needs keys or ARGS=--open).
 
 HOST ?= 127.0.0.1
 PORT ?= 8000

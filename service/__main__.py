@@ -6,6 +6,7 @@ import argparse
 import gc
 import logging
 import sys
+from contextlib import ExitStack
 
 from drape.errors import DrapeError
 
@@ -16,8 +17,10 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--host", help="address to listen on (DRAPE_HOST, 127.0.0.1)")
     parser.add_argument("--port", type=int, help="port to listen on (DRAPE_PORT, 8000); 0 takes a free one")
+    parser.add_argument(
+        "--open", action="store_true", default=None, help="let everybody in who can reach it (DRAPE_OPEN)"
+    )
     options = parser.parse_args(arguments)
-    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
     try:
         return _serve({key: value for key, value in vars(options).items() if value is not None})
     except DrapeError as error:
@@ -30,8 +33,12 @@ def _serve(overrides: dict[str, object]) -> int:
     try:
         from service.app import create_app
         from service.drapery import Drapery
+        from service.lifecycle import Lifecycle
+        from service.logs import set_up
+        from service.metrics import Metrics
+        from service.probes import Probes
         from service.server import bind, make_server
-        from service.settings import load_settings
+        from service.settings import check_exposed, load_settings
     except ModuleNotFoundError as error:
         print(
             f"service: expected the packages of the extra 'service', got no {error.name}. Run make serve.",
@@ -39,10 +46,18 @@ def _serve(overrides: dict[str, object]) -> int:
         )
         return 2
     settings = load_settings(**overrides)
+    check_exposed(settings)
+    set_up(settings.log_format)
+    lifecycle, metrics = Lifecycle(stuck_s=settings.stuck_s), Metrics()
     listener = bind(settings.host, settings.port)
-    with listener:
-        drapery = Drapery(settings)
-        server = make_server(create_app(settings, drapery=drapery), settings)
+    with ExitStack() as opened:
+        opened.enter_context(listener)
+        if settings.probe_port is not None:
+            probes = Probes(bind(settings.host, settings.probe_port), lifecycle, metrics)
+            port = opened.enter_context(probes).server_address[1]
+            logging.getLogger("drape.service").info("probes on port %d", port)
+        drapery = Drapery(settings, metrics=metrics)
+        server = make_server(create_app(settings, drapery=drapery, lifecycle=lifecycle), settings)
         host, port = listener.getsockname()[:2]
         loaded = f"{len(drapery.garments.entries())} garments, {drapery.engine.provider}"
         print(f"drape on http://{host}:{port} with model {settings.model}, {loaded}")

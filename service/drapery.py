@@ -21,8 +21,9 @@ from drape.wire.options import DrapeOptions
 from service import still
 from service.costs import Probe
 from service.engine import Engine
-from service.errors import InternalError
+from service.errors import Draining, InternalError
 from service.garments import Registry, Scene
+from service.metrics import Metrics
 from service.motions import Motions
 from service.settings import Settings
 from service.stages import make_plan, make_stages, run
@@ -49,8 +50,10 @@ class Drapery:
     of as many as take ``STREAM_WAIT_S`` while there are streams. No bit depends on it.
     """
 
-    def __init__(self, settings: Settings, *, body: BodyModel | None = None) -> None:
+    def __init__(self, settings: Settings, *, body: BodyModel | None = None, metrics: Metrics | None = None) -> None:
         self.settings = settings
+        self.metrics = metrics or Metrics()
+        self.hurried = False  # clips end now: the service is being restarted
         self.body = body or load_body(settings.body)
         folder = settings.models_dir / settings.model
         self.engine = Engine(
@@ -167,7 +170,7 @@ class Drapery:
 
         def compute(rows: slice) -> Batch:
             nonlocal memories
-            part = run(plan, [clip.part(rows, memories)])
+            part = self._run(plan, [clip.part(rows, memories)])
             memories = part.memories[0]
             return part.answer()
 
@@ -179,6 +182,8 @@ class Drapery:
         results: list[Result] = []
         frame_s, start = math.inf, 0  # until the first has told how long one takes
         while start < frames:
+            if self.hurried:
+                raise Draining
             async with self._clip_turn:
                 rows = slice(start, min(frames, start + self._chunk_frames(frame_s)))
                 result, took_s = await self.in_thread(_timed, compute, rows)
@@ -207,7 +212,7 @@ class Drapery:
 
     def _computed(self, plan: Plan, inputs: Sequence[PoseInput]) -> list[tuple[bytes | DrapeError, Memories]]:
         try:
-            batch = run(plan, inputs)
+            batch = self._run(plan, inputs)
         except Exception as error:
             if len(inputs) > 1:
                 return [self._computed(plan, [one])[0] for one in inputs]
@@ -218,6 +223,13 @@ class Drapery:
             (message, still.noted(plan, one, memories, message))
             for one, message, memories in zip(inputs, batch.messages, batch.memories, strict=True)
         ]
+
+    def _run(self, plan: Plan, inputs: Sequence[PoseInput]) -> Batch:
+        """``service.stages.run``, measured."""
+        batch = run(plan, inputs, lambda name, took_s: self.metrics.stage.labels(name).observe(took_s))
+        done = batch.quality
+        self.metrics.drawn(done.pushed_share, done.push_max_m, done.left_m, done.folds_resets)
+        return batch
 
     async def pose_body(self, clip: PoseInput) -> np.ndarray:
         """World vertices [m] (F, Vb, 3) float32 of the body."""

@@ -30,12 +30,31 @@ class NotAcceptable(InputError):
     """None of the formats that the client accepts is one of ours."""
 
 
+class Unauthorized(InputError):
+    """No key or ticket that this service knows."""
+
+
 class TooSlow(InputError):
     """A stream client that has stopped reading, opening or sending."""
 
 
 class Busy(Unavailable):
     """All places are taken for now."""
+
+
+class Draining(Unavailable):
+    """The service ends, and another takes its place."""
+
+    def __init__(self) -> None:
+        cure = "Connect again: another process takes over."
+        super().__init__("service", expected="one that takes work", got="one that is being restarted", cure=cure)
+
+    def __reduce__(self):
+        return Draining, ()
+
+
+class Full(Unavailable):
+    """No more room for what would be stored."""
 
 
 @dataclass(frozen=True)
@@ -54,11 +73,14 @@ TABLE: dict[type[DrapeError], Rule] = {
     BodyError: Rule(422, 4422, "Body cannot be used"),
     MotionError: Rule(422, 4422, "Pose or clip cannot be used"),
     TooLarge: Rule(413, 1009, "Too large"),
+    Unauthorized: Rule(401, 4401, "Unauthorized"),
     Forbidden: Rule(403, 4403, "Forbidden"),
     NotAcceptable: Rule(406, 4406, "Not acceptable"),
     TooSlow: Rule(408, 4408, "Too slow"),
     InputError: Rule(400, 4400, "Bad request"),
     ArtifactError: Rule(500, 1011, "Stored data does not hold together"),
+    Draining: Rule(503, 1012, "Restarting"),
+    Full: Rule(507, 1013, "Storage full"),
     Busy: Rule(429, 1013, "Busy"),
     Unavailable: Rule(503, 1013, "Unavailable"),
     DrapeError: Rule(500, 1011, "Failed"),
@@ -89,7 +111,9 @@ def problem(error: DrapeError) -> dict[str, Any]:
 def problem_response(error: DrapeError) -> JSONResponse:
     """The HTTP answer to ``error``."""
     document = problem(error)
-    return JSONResponse(document, status_code=document["status"], media_type=PROBLEM)
+    status = document["status"]
+    headers = {401: {"WWW-Authenticate": "Bearer"}, 429: {"Retry-After": "1"}}.get(status)
+    return JSONResponse(document, status_code=status, media_type=PROBLEM, headers=headers)
 
 
 def close_reason(error: DrapeError) -> str:
@@ -122,7 +146,7 @@ _HTTP_REFUSALS: dict[int, tuple[type[DrapeError], str, str]] = {
 
 
 def install(app: FastAPI) -> None:
-    """Makes every refusal of ``app`` a problem document."""
+    """Makes every refusal of ``app`` a problem document; faults of ours ``service.request_log`` does."""
 
     @app.exception_handler(DrapeError)
     async def on_refusal(request: Request, error: DrapeError) -> JSONResponse:
@@ -140,8 +164,3 @@ def install(app: FastAPI) -> None:
         refusal = kind("request", expected=expected, got=f"{request.method} {request.url.path}", cure=cure)
         document = {**problem(refusal), "status": error.status_code, "title": str(error.detail)}
         return JSONResponse(document, status_code=error.status_code, media_type=PROBLEM, headers=error.headers)
-
-    @app.exception_handler(Exception)
-    async def on_fault(request: Request, error: Exception) -> JSONResponse:
-        # The server logs the exception itself.
-        return problem_response(InternalError())

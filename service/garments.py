@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import logging
+import os
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -26,6 +29,7 @@ from service.settings import Settings
 from service.stages.batch import Stage
 
 PATCH_LIMIT = 65536  # what a chart of a LAYOUT can name
+OWNED = "of-"  # begins the folder of a key's garments
 Source = Literal["shipped", "user"]
 
 log = logging.getLogger("drape.service")
@@ -33,11 +37,24 @@ log = logging.getLogger("drape.service")
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """A garment in service."""
+    """A garment in service. ``owner`` is the key that uploaded it, if keys were asked for."""
 
     id: str
     garment: Garment
     source: Source
+    path: Path | None = None
+    owner: str | None = None
+    title: str | None = None
+    published: bool = False
+
+    @property
+    def name(self) -> str:
+        """What people call it: the ``title`` that its owner gave it, or the name it came with."""
+        return self.title or self.garment.name
+
+    def seen_by(self, viewer: str | None) -> bool:
+        """Whether the key ``viewer`` (None: whoever has none) may know of it."""
+        return self.owner is None or self.published or self.owner == viewer
 
     @property
     def layers(self) -> tuple[Entry, ...]:
@@ -48,7 +65,7 @@ class Entry:
     def fine(self) -> Entry:
         """With the subdivided mesh delivered; itself where intake did not subdivide."""
         garment = fine_garment(self.garment)
-        return self if garment is self.garment else Entry(self.id, garment, self.source)
+        return self if garment is self.garment else replace(self, garment=garment)
 
     @property
     def vertex_count(self) -> int:
@@ -117,11 +134,11 @@ class Registry:
         self.refused: list[str] = []
         for path in sorted(settings.shipped_garments_dir.glob("*.npz")):
             self.add(self.prepare(path), "shipped")
-        uploaded = settings.garments_dir.glob("*.npz")
+        uploaded = [*settings.garments_dir.glob("*.npz"), *settings.garments_dir.glob(f"{OWNED}*/*.npz")]
         # In the order of arrival, so that ids given to equal names stay the same.
         for path in sorted(uploaded, key=lambda path: (path.stat().st_mtime_ns, path.name)):
             try:
-                self.add(self.prepare(path), "user")
+                self.add(self.prepare(path), "user", path)
             except DrapeError as error:
                 log.warning("garment set aside: %s", error)
                 self.refused.append(f"{path.name}: {error}")
@@ -130,11 +147,15 @@ class Registry:
         """All garments, shipped ones first."""
         return list(self._entries.values())
 
-    def get(self, name: str) -> Entry:
-        """The garment with the id ``name``; refuses an unknown one."""
+    def visible(self, viewer: str | None) -> list[Entry]:
+        """Those that the key ``viewer`` may know of."""
+        return [entry for entry in self.entries() if entry.seen_by(viewer)]
+
+    def get(self, name: str, viewer: str | None = None) -> Entry:
+        """The garment with the id ``name``; refuses an unknown one, and one that ``viewer`` may not know of."""
         entry = self._entries.get(name)
-        if entry is None:
-            known = ", ".join(sorted(self._entries)[:20]) or "none yet"
+        if entry is None or not entry.seen_by(viewer):
+            known = ", ".join(sorted(entry.id for entry in self.visible(viewer))[:20]) or "none yet"
             raise NotFound(
                 "garment",
                 expected=f"one of: {known}",
@@ -143,7 +164,7 @@ class Registry:
             )
         return entry
 
-    def scene(self, garment: str | None, garments: Sequence[str] | None) -> Scene:
+    def scene(self, garment: str | None, garments: Sequence[str] | None, viewer: str | None = None) -> Scene:
         """What is worn: the one ``garment``, or ``garments`` over each other, innermost first.
 
         Refuses both and neither, unknown ones, one that is named twice, and more layers than ``DRAPE_MAX_LAYERS``.
@@ -155,12 +176,12 @@ class Registry:
         if worn is None:
             raise InputError("garment", expected="a value", got="nothing", cure="See /docs for the request's fields.")
         if len(worn) == 1:
-            return self.get(worn[0])
+            return self.get(worn[0], viewer)
         limit = self._settings.max_layers
         if len(worn) > limit:
             cure = "Leave the inner ones out that cannot be seen."
             raise TooLarge("garments", expected=f"at most {limit} layers", got=str(len(worn)), cure=cure)
-        entries = tuple(self.get(name) for name in worn)
+        entries = tuple(self.get(name, viewer) for name in worn)
         check_layers([entry.garment for entry in entries])
         return Outfit(entries)
 
@@ -185,15 +206,79 @@ class Registry:
         """The garments of ``entries`` that no stage knows: subdivided meshes that nobody asked for before."""
         return [entry.garment for entry in entries if entry.garment.digest not in self._taken_in]
 
-    def add(self, garment: Garment, source: Source) -> Entry:
-        """Puts a prepared garment in service under its name, or name and digest where the name is taken."""
+    def add(self, garment: Garment, source: Source, path: Path | None = None) -> Entry:
+        """Puts a prepared garment in service under its name, or name and digest where the name is taken.
+
+        ``path`` is where it is stored; in the folder of a key it belongs to that, and its id tells nothing of others.
+        """
+        owner = owner_of(path)
+        if owner is not None and path is not None:
+            mark = hashlib.sha256(f"{owner} {garment.digest}".encode()).hexdigest()[:8]
+            kept = _kept(path)
+            entry = Entry(f"{slug(garment.name)}-{mark}", garment, source, path, owner, **kept)
+            self._entries[entry.id] = entry
+            return entry
         name = slug(garment.name)
         taken = self._entries.get(name)
         if taken is not None and taken.garment.digest != garment.digest:
             name = f"{name}-{garment.digest[:8]}"
-        entry = Entry(name, garment, source if taken is None or name != taken.id else taken.source)
+        if taken is not None and name == taken.id:
+            source, path = taken.source, path if taken.source == "user" else None
+        kept = {} if path is None else _kept(path)
+        entry = Entry(name, garment, source, path, **kept)
         self._entries[name] = entry
         return entry
+
+    def change(self, entry: Entry, *, name: str | None, published: bool | None) -> Entry:
+        """``entry`` with another name or published, in service and on disk."""
+        assert entry.path is not None
+        changed = replace(
+            entry,
+            title=entry.title if name is None else name,
+            published=entry.published if published is None else published,
+        )
+        about, fresh = _about(entry.path), _about(entry.path).with_suffix(".new")
+        fresh.write_text(json.dumps({"title": changed.title, "published": changed.published}), encoding="utf-8")
+        os.replace(fresh, about)
+        self._entries[entry.id] = changed
+        return changed
+
+    def remove(self, entry: Entry) -> None:
+        """Takes ``entry`` out of service and off the disk; constants go with the last garment that has them."""
+        self._entries.pop(entry.id, None)
+        if entry.path is not None:
+            entry.path.unlink(missing_ok=True)
+            _about(entry.path).unlink(missing_ok=True)
+        if all(other.garment.digest != entry.garment.digest for other in self.entries()):
+            for garment in (entry.garment, entry.fine.garment):
+                if garment.digest in self._taken_in:
+                    self._taken_in.discard(garment.digest)
+                    for stage in self._stages:
+                        stage.remove(garment)
+
+
+def owner_of(path: Path | None) -> str | None:
+    """The key whose folder ``path`` lies in, if it is one."""
+    folder = "" if path is None else path.parent.name
+    return folder.removeprefix(OWNED) if folder.startswith(OWNED) else None
+
+
+def _about(path: Path) -> Path:
+    return path.with_suffix(".about.json")
+
+
+def _kept(path: Path) -> dict[str, Any]:
+    """Title and whether it is published, as ``Registry.change`` stored it."""
+    about = _about(path)
+    if not about.is_file():
+        return {}
+    try:
+        found = json.loads(about.read_text(encoding="utf-8"))
+        return {"title": found["title"], "published": bool(found["published"])}
+    except (ValueError, KeyError, TypeError) as error:
+        label = f"garment {path.stem}"
+        cure = f"Delete {about.name}."
+        raise ArtifactError(label, expected="title and published", got="something else", cure=cure) from error
 
 
 def layer_list(scene: Scene, *, patches: bool = False) -> list[dict[str, str | int]]:

@@ -7,6 +7,7 @@ from fastapi import APIRouter, Request, Response
 from drape.wire.jets import message_bytes
 from drape.wire.options import Resolution
 from service import negotiation
+from service.access import ClientHere
 from service.drapery import Drapery
 from service.garments import Outfit, Scene, layer_list
 from service.limits import check_answer
@@ -18,10 +19,10 @@ router = APIRouter()
 
 @router.get("/garments/{garment_id}/jets", response_class=Response)
 async def garment_jets(
-    garment_id: str, request: Request, state: StateHere, resolution: Resolution = "delivered"
+    garment_id: str, request: Request, state: StateHere, client: ClientHere, resolution: Resolution = "delivered"
 ) -> Response:
     """What makes vertices of the garment's jets: a LAYOUT message (docs/reference/wire.md), constant per garment."""
-    entry = state.drapery.garments.get(garment_id)
+    entry = state.drapery.garments.get(garment_id, client.name)
     entry = entry.fine if resolution == "fine" else entry
     kind = negotiation.choose(request.headers.get("accept"), (negotiation.BINARY,))
     headers = {"X-Drape-Vertices": str(entry.vertex_count), "X-Drape-Patches": str(entry.patch_count)}

@@ -11,19 +11,23 @@ import shutil
 import signal
 import sys
 import uuid
-from collections.abc import Iterator
+from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from drape.errors import ArtifactError, DrapeError, InputError, MeshError, NotFound
 from service import errors
+from service.accepted import STAGING, Accepted, sync, taken_over
+from service.access import Access
 from service.drapery import Drapery
-from service.garments import slug
+from service.garments import OWNED, slug
+from service.keys import ANYONE, Client
 from service.piecework import Piecework
 from service.settings import ROOT, Settings
 
 KEPT_JOBS = 256
+MOST_ATTEMPTS = 3  # of one upload, where the service ends while it runs
 log = logging.getLogger("drape.service")
 
 
@@ -33,6 +37,7 @@ class Job:
 
     id: str
     name: str
+    owner: str | None = None
     state: Literal["queued", "running", "done", "failed"] = "queued"
     garment: str | None = None
     problem: dict[str, Any] | None = None
@@ -41,54 +46,79 @@ class Job:
 class Uploads:
     """A queue with one worker; files lie in a staging folder of this process until they are garments."""
 
-    def __init__(self, drapery: Drapery, piecework: Piecework) -> None:
+    def __init__(self, drapery: Drapery, piecework: Piecework, access: Access) -> None:
+        self._access = access
         self._drapery, self._settings, self._piecework = drapery, drapery.settings, piecework
         self._jobs: dict[str, Job] = {}
-        self._queue: asyncio.Queue[tuple[Job, Path, str | None]] = asyncio.Queue()
-        self._staging = self._settings.garments_dir / f".staging-{os.getpid()}"
+        self._queue: asyncio.Queue[tuple[Job, Path, Accepted]] = asyncio.Queue()
+        self._staging = self._settings.garments_dir / f"{STAGING}{os.getpid()}"
         self._worker: asyncio.Task[None] | None = None
+        self._begin = asyncio.Event()
+        self._begin.set()
 
     def start(self) -> None:
-        """Clears what ended processes left behind and starts the worker."""
-        for folder in self._settings.garments_dir.glob(".staging-*"):
-            if not _is_running(folder.name.removeprefix(".staging-")) or folder == self._staging:
-                shutil.rmtree(folder, ignore_errors=True)
+        """Goes on with what ended processes had accepted, clears what else they left, and starts the worker."""
+        for accepted, folder in taken_over(self._settings.garments_dir, self._staging):
+            job = self._jobs[accepted.id] = Job(accepted.id, accepted.name, accepted.owner)
+            self._queue.put_nowait((job, folder, accepted))
         self._worker = asyncio.create_task(self._work(), name="uploads")
 
+    def pause(self) -> None:
+        """Begins no further upload: the next start of the service goes on with them."""
+        self._begin.clear()
+
     async def stop(self) -> None:
-        """Ends the worker and the process it runs; nothing half-written stays."""
+        """Ends the worker and the process it runs; what was accepted stays for the next start, nothing else."""
         if self._worker is not None:
             self._worker.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await self._worker
-        shutil.rmtree(self._staging, ignore_errors=True)
+        if not self.waiting:
+            shutil.rmtree(self._staging, ignore_errors=True)
 
-    def get(self, job_id: str) -> Job:
-        """The upload ``job_id``; refuses an unknown one."""
-        if job_id not in self._jobs:
+    @property
+    def waiting(self) -> int:
+        """Uploads that wait or run."""
+        return sum(job.state in ("queued", "running") for job in list(self._jobs.values()))
+
+    @property
+    def runs(self) -> bool:
+        """Whether the worker takes uploads in."""
+        return self._worker is not None and not self._worker.done()
+
+    def get(self, job_id: str, viewer: str | None = None) -> Job:
+        """The upload ``job_id``; refuses an unknown one, and one of another key than ``viewer``."""
+        if job_id not in self._jobs or self._jobs[job_id].owner != viewer:
             raise NotFound(
                 "job", expected="the id of an upload of this run", got=job_id[:120], cure="Upload the file again."
             )
         return self._jobs[job_id]
 
-    async def submit(self, name: str, file_format: str, pieces: Iterator[bytes], avatar: str | None) -> Job:
-        """Stores the file that ``pieces`` make and queues it; refuses when too many wait, and an empty one."""
-        waiting = sum(job.state in ("queued", "running") for job in self._jobs.values())
-        if waiting >= self._settings.intake_queue:
+    def check_place(self, client: Client = ANYONE) -> None:
+        """Refuses when too many uploads wait, are stored or run, and when there is no room for another garment."""
+        self._check_room(client)
+        if self.waiting >= self._settings.intake_queue:
             raise errors.Busy(
                 "uploads",
                 expected=f"fewer than {self._settings.intake_queue} waiting",
-                got=str(waiting),
+                got=str(self.waiting),
                 cure="Try again in a minute.",
             )
-        job = Job(id=uuid.uuid4().hex[:12], name=slug(name))
+
+    async def submit(
+        self, name: str, file_format: str, pieces: AsyncIterator[bytes], avatar: str | None, client: Client = ANYONE
+    ) -> Job:
+        """Stores the file that ``pieces`` make and queues it; refuses when too many wait, and an empty one."""
+        self.check_place(client)
+        job = Job(id=uuid.uuid4().hex[:12], name=slug(name), owner=client.name)
         file = self._staging / job.id / f"{job.name}.{file_format}"
         self._jobs[job.id] = job  # at once, so that files that are being stored count
         try:
-            size = sum([length async for length in self._piecework.each(_stored(file, pieces))])
-            if not size:
+            if not await self._stored(file, pieces):
                 cure = "Send the file as the body."
                 raise MeshError("request body", expected="the bytes of a mesh file", got="nothing", cure=cure)
+            accepted = Accepted(job.id, job.name, job.owner, file.name, avatar)
+            await asyncio.to_thread(accepted.write, file.parent)
         except BaseException:
             del self._jobs[job.id]
             shutil.rmtree(file.parent, ignore_errors=True)
@@ -96,15 +126,25 @@ class Uploads:
         finished = [key for key, kept in self._jobs.items() if kept.state in ("done", "failed")]
         for key in finished[: max(0, len(self._jobs) - KEPT_JOBS)]:
             del self._jobs[key]
-        self._queue.put_nowait((job, file, avatar))
+        self._queue.put_nowait((job, file.parent, accepted))
         return job
+
+    async def _stored(self, file: Path, pieces: AsyncIterator[bytes]) -> int:
+        """Writes ``pieces`` to ``file`` as they come; how many bytes."""
+        file.parent.mkdir(parents=True)
+        with file.open("wb") as target:
+            size = sum([await self._piecework.run(target.write, piece) async for piece in pieces])
+            target.flush()
+            await asyncio.to_thread(os.fsync, target.fileno())
+            return size
 
     async def _work(self) -> None:
         while True:
-            job, file, avatar = await self._queue.get()
+            job, folder, accepted = await self._queue.get()
+            await self._begin.wait()
             job.state = "running"
             try:
-                job.garment = await self._take_in(file, avatar)
+                job.garment = await self._take_in(folder, accepted)
                 job.state = "done"
             except DrapeError as error:
                 job.problem, job.state = errors.problem(error), "failed"
@@ -112,26 +152,49 @@ class Uploads:
             except Exception:
                 log.exception("upload %s failed", job.id)
                 job.problem, job.state = errors.problem(errors.InternalError()), "failed"
-            finally:
-                shutil.rmtree(file.parent, ignore_errors=True)
+            # Not where the worker is ended: the next start goes on with it.
+            shutil.rmtree(folder, ignore_errors=True)
 
-    async def _take_in(self, file: Path, avatar: str | None) -> str:
-        """The id of the garment made from ``file``."""
-        out = file.parent / "out"
-        report = await run_sandbox(file, avatar, out, self._settings)
+    async def _take_in(self, folder: Path, accepted: Accepted) -> str:
+        """The id of the garment made from what was ``accepted`` and lies in ``folder``."""
+        if accepted.attempts >= MOST_ATTEMPTS:
+            raise MeshError(
+                f"upload {accepted.file}",
+                expected=f"an intake that ends within {MOST_ATTEMPTS} starts of the service",
+                got="none",
+                cure="Upload the file again.",
+            )
+        await asyncio.to_thread(accepted.tried, folder)
+        out, client = folder / "out", self._access.client(accepted.owner)
+        report = await run_sandbox(folder / accepted.file, accepted.avatar, out, self._settings)
         made = out / str(report["file"])
         registry = self._drapery.garments
+        self._check_room(client, made.stat().st_size)
         prepared = await self._drapery.in_thread(registry.prepare, made)
-        os.replace(made, self._settings.garments_dir / made.name)
-        return registry.add(prepared, "user").id
+        stored = self._folder(client.name) / made.name
+        stored.parent.mkdir(exist_ok=True)
+        await asyncio.to_thread(sync, made)
+        os.replace(made, stored)
+        await asyncio.to_thread(sync, stored.parent)
+        return registry.add(prepared, "user", stored).id
 
+    def _folder(self, owner: str | None) -> Path:
+        """Where garments of the key ``owner`` are stored."""
+        return self._settings.garments_dir if owner is None else self._settings.garments_dir / f"{OWNED}{owner}"
 
-def _stored(file: Path, pieces: Iterator[bytes]) -> Iterator[int]:
-    """Writes ``pieces`` to ``file``, one a turn; gives their lengths."""
-    file.parent.mkdir(parents=True)
-    with file.open("wb") as target:
-        for piece in pieces:
-            yield target.write(piece)
+    def _check_room(self, client: Client, more: int = 0) -> None:
+        """Refuses (``Full``) a garment, of ``more`` bytes, that the disk or its key has no room for."""
+        root = self._settings.garments_dir
+        stored = [path.stat().st_size for path in (*root.glob("*.npz"), *root.glob(f"{OWNED}*/*.npz"))]
+        rules = [("bytes of all garments", self._settings.max_stored_bytes, sum(stored), more)]
+        if client.limits is not None:
+            own = [path.stat().st_size for path in self._folder(client.name).glob("*.npz")]
+            rules.append(("bytes of a key's garments", client.limits.bytes, sum(own), more))
+            rules.append(("garments of a key", client.limits.garments, len(own), 1))
+        for name, most, there, asked in rules:
+            if there + asked > most or there >= most:
+                cure = "Delete garments that are no longer worn: DELETE /garments/ID."
+                raise errors.Full(name, expected=f"at most {most}", got=f"{there} and another", cure=cure)
 
 
 async def run_sandbox(file: Path, avatar: str | None, out: Path, settings: Settings) -> dict[str, Any]:
@@ -200,13 +263,3 @@ def _refusal(said: dict[str, str]) -> DrapeError:
     """The error that the intake process put in words."""
     kind = _KINDS.get(said["kind"], InputError)
     return kind(said["name"], expected=said["expected"], got=said["got"], cure=said["cure"])
-
-
-def _is_running(pid: str) -> bool:
-    try:
-        os.kill(int(pid), 0)
-    except (ValueError, ProcessLookupError):
-        return False
-    except PermissionError:
-        return True
-    return True

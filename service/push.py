@@ -92,6 +92,13 @@ class Pusher:
         constants = self._values(feed_arrays(pack_push(feed, vertices, self._skin)))
         self._stored[key] = _Stored(feed, vertices, faces, constants)
 
+    def remove(self, key: str) -> None:
+        """Forgets the garment ``key`` and every layer that it is part of."""
+        with self._looking:
+            self._stored.pop(key, None)
+            for layer in [layer for layer in self._layers if key in layer]:
+                del self._layers[layer]
+
     def prepare(self, keys: Sequence[str], *, jets: bool = False) -> None:
         """Makes the constants of every garment of an outfit over those before it, where they are missing, and opens
         what pushes them, and their ``jets`` where asked.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Annotated, Any, TypeVar
@@ -19,16 +18,16 @@ from drape.files.formats import MESH_CONTENT_TYPES, MESH_NAMES, listed
 from drape.garment.cache import Garment
 from drape.wire.options import Resolution
 from service import glb, negotiation, schemas
+from service.access import ClientHere
 from service.answers import binary_answer, json_answer
 from service.avatars import MOST_CHARACTERS, upload_avatar
 from service.drapery import Drapery
-from service.garments import Entry, Outfit, Scene, layer_list
+from service.garments import Outfit, Scene, layer_list
 from service.jets import check_jets_size, jets_response
 from service.jobs import Job
 from service.json_body import body_schema, clip_marks, content_type, document_of, json_text, validated
 from service.limits import check_answer
 from service.motions import floor_m
-from service.origins import check_origin
 from service.placing import Placed
 from service.poses import motion_arrays, shape_array
 from service.stages.batch import Batch, PoseInput
@@ -73,23 +72,23 @@ async def health(state: StateHere) -> schemas.Health:
 
 
 @router.get("/garments")
-async def garments(state: StateHere) -> list[schemas.GarmentInfo]:
+async def garments(state: StateHere, client: ClientHere) -> list[schemas.GarmentInfo]:
     """The garments that can be draped."""
-    return [_garment_info(entry) for entry in state.drapery.garments.entries()]
+    return [schemas.GarmentInfo.of(entry) for entry in state.drapery.garments.visible(client.name)]
 
 
 @router.get("/garments/{garment_id}")
-async def garment(garment_id: str, state: StateHere) -> schemas.GarmentInfo:
+async def garment(garment_id: str, state: StateHere, client: ClientHere) -> schemas.GarmentInfo:
     """One garment."""
-    return _garment_info(state.drapery.garments.get(garment_id))
+    return schemas.GarmentInfo.of(state.drapery.garments.get(garment_id, client.name))
 
 
 @router.get("/garments/{garment_id}/mesh", response_model=schemas.MeshDocument)
 async def garment_mesh(
-    garment_id: str, request: Request, state: StateHere, resolution: Resolution = "delivered"
+    garment_id: str, request: Request, state: StateHere, client: ClientHere, resolution: Resolution = "delivered"
 ) -> Response:
     """The delivered mesh at rest on the standard body, or the finer one that intake made: JSON, or GLB by Accept."""
-    entry = state.drapery.garments.get(garment_id)
+    entry = state.drapery.garments.get(garment_id, client.name)
     entry = entry.fine if resolution == "fine" else entry
     garment = entry.garment
     kind = negotiation.choose(request.headers.get("accept"), (negotiation.JSON, negotiation.GLB))
@@ -113,23 +112,6 @@ def _rest_file(garment: Garment) -> bytes:
     return file.to_bytes()
 
 
-def _garment_info(entry: Entry) -> schemas.GarmentInfo:
-    garment = entry.garment
-    return schemas.GarmentInfo(
-        id=entry.id,
-        name=garment.name,
-        digest=garment.digest,
-        vertices=garment.vertex_count,
-        faces=len(garment.faces),
-        fine_vertices=len(garment.vertices),
-        patches=garment.patch_count,
-        source=entry.source,
-        materials=list(garment.material_names),
-        fabric=garment.fabric if isinstance(garment.fabric, str) else dict(garment.fabric),
-        manifest=garment.manifest,
-    )
-
-
 # --- uploads ---
 
 
@@ -138,6 +120,7 @@ async def upload(
     request: Request,
     response: Response,
     state: StateHere,
+    client: ClientHere,
     name: Annotated[str | None, Query(max_length=120, description="File name or name of the garment.")] = None,
     avatar: Annotated[
         str | None, Query(max_length=MOST_CHARACTERS, description="Phenotype or SMPL parameters as JSON, or a name.")
@@ -147,25 +130,25 @@ async def upload(
     ] = None,
 ) -> schemas.JobInfo:
     """Takes a garment file in: the raw bytes as body, or JSON (name, format, data_base64, avatar). Poll the job."""
-    check_origin(request.headers, state.drapery.settings)
     check_query(request.query_params, ("name", "avatar", "format"))
     modelled_on: str | dict[str, Any] | None = avatar
-    kind = content_type(request)
-    pieces: Iterator[bytes] = iter([piece async for piece in request.stream()])
+    kind, pieces = content_type(request), request.stream()
+    state.uploads.check_place(client)  # before anything is read
     if kind == negotiation.JSON:
-        sent, pieces = await state.piecework.run(read_upload, await asyncio.to_thread(b"".join, pieces))
+        sent, decoded = await state.piecework.run(read_upload, await request.body())
         name, format, modelled_on = sent.name, sent.format, sent.avatar
+        pieces = state.piecework.each(decoded)
     stem, file_format = _name_and_format(name, format, kind)
     known = upload_avatar(modelled_on, stem, state.drapery.settings.garments_dir)
-    job = await state.uploads.submit(stem, file_format, pieces, known)
+    job = await state.uploads.submit(stem, file_format, pieces, known, client)
     response.headers["Location"] = f"/jobs/{job.id}"
     return _job_info(job)
 
 
 @router.get("/jobs/{job_id}")
-async def job(job_id: str, state: StateHere) -> schemas.JobInfo:
+async def job(job_id: str, state: StateHere, client: ClientHere) -> schemas.JobInfo:
     """How far an upload is."""
-    return _job_info(state.uploads.get(job_id))
+    return _job_info(state.uploads.get(job_id, client.name))
 
 
 def _name_and_format(name: str | None, file_format: str | None, content_type: str) -> tuple[str, str]:
@@ -193,7 +176,7 @@ def _job_info(job: Job) -> schemas.JobInfo:
 
 
 @router.post("/drape", response_model=schemas.VerticesDocument, openapi_extra=body_schema(schemas.DrapeRequest))
-async def drape_clip(request: Request, state: StateHere) -> Response:
+async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> Response:
     """The garment on the moving body, world axes [m]: binary float32 (frames, vertices, 3), GLB or JSON by Accept.
 
     With origin "root" positions count from each frame's root, and the roots follow them, float64 (frames, 3). The
@@ -201,17 +184,18 @@ async def drape_clip(request: Request, state: StateHere) -> Response:
     the answer holds a JETS message per frame (docs/reference/wire.md), binary only.
     """
     drapery = state.drapery
+    state.check_slot()  # before anything is read
     asked, clip = await _clip(schemas.DrapeRequest, request, state)
     jets = asked.geometry == "jets"
     kind = negotiation.choose(request.headers.get("accept"), (negotiation.BINARY,)) if jets else _kind(request)
-    scene = drapery.garments.scene(asked.garment, asked.garments)
+    scene = drapery.garments.scene(asked.garment, asked.garments, client.name)
     plan = await drapery.plan_within(scene, asked, messages=jets)
     scene = plan.scene
     if jets:
         check_jets_size(len(clip.poses), scene, drapery)
     else:
         _check_size(kind, len(clip.poses), scene.vertex_count, drapery)
-    with state.slot():
+    with state.access.using(client, "clips"), state.slot():
         draped = await drapery.drape(plan, clip)
         headers = _quality_headers(draped, drapery) | {"X-Drape-Motion": f"{plan.options.knob:g}"}
         if jets:
@@ -231,16 +215,17 @@ async def drape_clip(request: Request, state: StateHere) -> Response:
     response_model=schemas.VerticesDocument,
     openapi_extra=body_schema(schemas.PosedRequest),
 )
-async def posed_body(body_id: str, request: Request, state: StateHere) -> Response:
+async def posed_body(body_id: str, request: Request, state: StateHere, client: ClientHere) -> Response:
     """The posed body's vertices for the same input, in the same formats."""
     drapery = state.drapery
     drapery.check_body_id(body_id)
+    state.check_slot()
     asked, clip = await _clip(schemas.PosedRequest, request, state)
     kind = _kind(request)
     if kind == negotiation.GLB:
         return Response(await asyncio.to_thread(_body_file, drapery.body, clip, asked), media_type=kind)
     _check_size(kind, len(clip.poses), drapery.body.vertex_count, drapery)
-    with state.slot():
+    with state.access.using(client, "clips"), state.slot():
         if asked.origin == "world":
             placed = Placed(await drapery.pose_body(clip))
         else:

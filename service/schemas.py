@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from annotated_types import Len
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
@@ -13,6 +13,9 @@ from drape.graph.feeds import BETA_COUNT
 from drape.wire.options import FIRST_ONLY, DrapeOptions, FabricNumbers, Identifier, TierName, Worn
 from service.placing import Origin
 from service.tiers import Tier
+
+if TYPE_CHECKING:
+    from service.garments import Entry
 
 Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Vector = Annotated[list[Number], Len(3, 3), FIRST_ONLY]
@@ -129,9 +132,29 @@ class GarmentInfo(BaseModel):
     fine_vertices: int = Field(description="Of the mesh of resolution fine; as many where delivered is fine enough.")
     patches: int
     source: Literal["shipped", "user"]
+    published: bool = Field(description="Whether keys besides its owner's see it.")
     materials: list[str]
     fabric: str | dict[str, Any] = Field(description="What it is made of where a request names nothing else.")
     manifest: dict[str, Any]
+
+    @staticmethod
+    def of(entry: Entry) -> GarmentInfo:
+        """What is told of ``entry``."""
+        garment = entry.garment
+        return GarmentInfo(
+            id=entry.id,
+            name=entry.name,
+            digest=garment.digest,
+            vertices=garment.vertex_count,
+            faces=len(garment.faces),
+            fine_vertices=len(garment.vertices),
+            patches=garment.patch_count,
+            source=entry.source,
+            published=entry.owner is None or entry.published,
+            materials=list(garment.material_names),
+            fabric=garment.fabric if isinstance(garment.fabric, str) else dict(garment.fabric),
+            manifest=garment.manifest,
+        )
 
 
 class JobInfo(BaseModel):

@@ -11,6 +11,7 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from websockets.http11 import Request
 
 from drape.errors import InputError, Unavailable
+from service.connections import http_protocol
 from service.settings import Settings
 from service.stream import ABORT
 
@@ -66,11 +67,25 @@ def bind(host: str, port: int) -> socket.socket:
     return listener
 
 
+class DrainingServer(uvicorn.Server):
+    """Tells streams to connect again before it closes connections."""
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Takes no more connections, lets the application drain, and ends within 10 s."""
+        for server in self.servers:
+            server.close()
+        app = self.config.app
+        if isinstance(app, FastAPI):
+            await app.state.drape.drain()
+        await super().shutdown(sockets)
+
+
 def make_server(app: FastAPI, settings: Settings) -> uvicorn.Server:
     """A server for ``app``; hand it the listening socket in ``run(sockets=[...])``."""
-    return uvicorn.Server(
+    return DrainingServer(
         uvicorn.Config(
             app,
+            http=http_protocol(settings),
             ws=StreamProtocol,
             ws_per_message_deflate=False,  # 40 times slower for a few per cent
             ws_max_size=settings.stream_message_bytes,
@@ -79,6 +94,7 @@ def make_server(app: FastAPI, settings: Settings) -> uvicorn.Server:
             log_level="info",
             access_log=False,
             server_header=False,
+            log_config=None,  # as service.logs has set it up
             timeout_graceful_shutdown=5,
         )
     )

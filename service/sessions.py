@@ -11,7 +11,7 @@ import asyncio
 import contextlib
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,6 +20,7 @@ from drape.errors import DrapeError, InputError
 from drape.wire.messages import Pose
 from service.drapery import Drapery
 from service.errors import Busy
+from service.garments import Scene
 from service.piecework import Piecework
 from service.stages import carried
 from service.stages.batch import Memories, Plan, PoseInput
@@ -52,6 +53,7 @@ class Session:
     late: int = 0
     waiting: Waiting | None = None
     outbox: bytes | None = None
+    outbox_since_s: float = 0.0  # when the pose of the frame in the outbox came
     failure: DrapeError | None = None
     last_heard_s: float = field(default_factory=time.monotonic)
     # Sequence of every frame that was begun and is not acknowledged, and when [s] it was ready; infinity before that.
@@ -94,13 +96,13 @@ class Session:
         late, self.late = self.late, 0
         return late
 
-    def acknowledge(self, sequence: int) -> None:
-        """Gives one credit back; an answer to a frame of an earlier opening is ignored."""
+    def acknowledge(self, sequence: int) -> float | None:
+        """Gives one credit back; how long [s] the frame was on its way, None for one of an earlier opening."""
         self.last_heard_s = time.monotonic()
-        for index, (sent, _) in enumerate(self.under_way):
+        for index, (sent, ready_s) in enumerate(self.under_way):
             if sent == sequence:
                 del self.under_way[index]
-                return
+                return self.last_heard_s - ready_s
         if self.generation == 0:
             raise InputError(
                 "ack message",
@@ -108,9 +110,15 @@ class Session:
                 got=str(sequence),
                 cure="Acknowledge each frame once.",
             )
+        return None
 
-    def deliver(self, generation: int, result: bytes | DrapeError, memories: Memories) -> None:
-        """Hands a frame, or the reason that there is none, to the sender, and keeps what the frame leaves behind."""
+    def deliver(
+        self, generation: int, result: bytes | DrapeError, memories: Memories, since_s: float | None = None
+    ) -> None:
+        """Hands a frame, or the reason that there is none, to the sender, and keeps what the frame leaves behind.
+
+        ``since_s``: when [s] (monotonic) its pose came.
+        """
         if generation != self.generation:
             return
         self.memories = memories
@@ -119,7 +127,7 @@ class Session:
         if isinstance(result, DrapeError):
             self.failure = result
         else:
-            self.outbox = result
+            self.outbox, self.outbox_since_s = result, now if since_s is None else since_s
         self.news.set()
 
 
@@ -143,6 +151,16 @@ class Streams:
     def count(self) -> int:
         return len(self._sessions)
 
+    @property
+    def waiting(self) -> int:
+        """Poses that wait."""
+        return sum(session.waiting is not None for session in list(self._sessions))
+
+    @property
+    def runs(self) -> bool:
+        """Whether frames are being computed when poses come."""
+        return self._worker is not None and not self._worker.done()
+
     def start(self) -> None:
         self._worker = asyncio.create_task(self._work(), name="streams")
 
@@ -162,6 +180,13 @@ class Streams:
                 got=str(len(self._sessions)),
                 cure="Try again later.",
             )
+
+    def end(self, wears: Callable[[Scene], bool], reason: DrapeError) -> None:
+        """Ends every stream whose scene ``wears`` says so of, with ``reason``."""
+        for session in self._sessions:
+            if wears(session.plan.scene):
+                session.failure = reason
+                session.news.set()
 
     def add(self, session: Session) -> None:
         self.check_place()
@@ -199,8 +224,9 @@ class Streams:
             now_s = time.monotonic()
         late = sum(session.taken_late() for session in batch)
         self._step_down.note(now_s, frames=len(batch), late=late, busy_s=now_s - start_s)
-        for session, generation, (result, memories) in zip(batch, generations, results, strict=True):
-            session.deliver(generation, result, memories)
+        self._drapery.metrics.batch_frames.observe(len(batch))
+        for session, generation, one, (result, memories) in zip(batch, generations, inputs, results, strict=True):
+            session.deliver(generation, result, memories, one.arrived_s)
 
 
 def _pose_input(session: Session, waiting: Waiting) -> PoseInput:

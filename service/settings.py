@@ -5,10 +5,11 @@ Every field is described in docs/guide/service.md.
 
 from __future__ import annotations
 
+import ipaddress
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field, SecretStr, ValidationError
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from drape.artifacts import DEFAULT_MODEL, MODELS_DIR
@@ -28,6 +29,12 @@ class Settings(BaseSettings):
 
     host: str = "127.0.0.1"
     port: int = Field(default=8000, ge=0, le=65535)
+    open: bool = False
+    keys_file: Path | None = None
+    ticket_secret: SecretStr | None = None
+    probe_port: int | None = Field(default=None, ge=0, le=65535)
+    stuck_s: float = Field(default=15.0, gt=0.0)
+    log_format: Literal["json", "text"] = "json"
 
     model: str = DEFAULT_MODEL
     models_dir: Path = MODELS_DIR
@@ -52,6 +59,13 @@ class Settings(BaseSettings):
     push_out: bool = True
     clearance_m: float = Field(default=0.0025, gt=0.0, le=0.05)
 
+    max_connections: int = Field(default=512, ge=1)
+    max_connections_per_address: int = Field(default=128, ge=1)
+    head_s: float = Field(default=10.0, gt=0.0)
+    body_idle_s: float = Field(default=10.0, gt=0.0)
+    body_bytes_s: int = Field(default=16384, ge=1)
+    read_s: float = Field(default=10.0, gt=0.0)
+    max_held_bytes: int = Field(default=80 * 2**20, ge=1024)
     max_body_bytes: int = Field(default=8 * 2**20, ge=1024)
     max_upload_bytes: int = Field(default=64 * 2**20, ge=1024)
     max_clips: int = Field(default=8, ge=1)
@@ -59,6 +73,8 @@ class Settings(BaseSettings):
     max_vertices: int = Field(default=200_000, ge=3)
     max_layers: int = Field(default=4, ge=1, le=16)
     max_answer_bytes: int = Field(default=512 * 2**20, ge=1024)
+
+    max_stored_bytes: int = Field(default=8 * 2**30, ge=0)
 
     intake_wall_s: float = Field(default=300.0, gt=0.0)
     intake_cpu_s: int = Field(default=300, ge=1)
@@ -72,13 +88,34 @@ class Settings(BaseSettings):
     stream_idle_s: float = Field(default=60.0, gt=0.0)
     stream_ack_s: float = Field(default=3.0, gt=0.0)
     stream_send_s: float = Field(default=1.0, gt=0.0)
+    frame_deadline_s: float = Field(default=0.066, gt=0.0)
     stream_message_bytes: int = Field(default=65536, ge=1024)
     allowed_origins: tuple[str, ...] = ()
+    allowed_hosts: tuple[str, ...] = ()
 
     @property
     def device(self) -> Device:
         """Where the graphs compute."""
         return Device(self.provider, self.threads, self.gpu_memory_mb, self.capture)
+
+
+def check_exposed(settings: Settings) -> None:
+    """Refuses (``InputError``) to listen beyond this machine without keys, unless ``open`` says that it is meant."""
+    if settings.open or settings.keys_file is not None or _is_loopback(settings.host):
+        return
+    raise InputError(
+        "DRAPE_KEYS_FILE",
+        expected=f"keys where others can reach {settings.host}",
+        got="none",
+        cure="Make keys (python -m service.keys NAME), listen on 127.0.0.1, or say --open.",
+    )
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host.lower() == "localhost"
 
 
 def load_settings(**overrides: object) -> Settings:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -9,11 +11,16 @@ from typing import Annotated
 
 from fastapi import Depends, Request
 
+from service.access import Access
 from service.drapery import Drapery
-from service.errors import Busy
+from service.errors import Busy, Draining
 from service.jobs import Uploads
+from service.lifecycle import Lifecycle
 from service.piecework import Piecework
 from service.sessions import Streams
+
+HURRY_S = 3.0
+STREAMS_S = 1.5  # for streams to be told
 
 
 @dataclass(eq=False)
@@ -24,16 +31,35 @@ class State:
     uploads: Uploads
     streams: Streams
     piecework: Piecework
+    access: Access
+    life: Lifecycle
     clips: int = 0
 
-    @contextmanager
-    def slot(self) -> Iterator[None]:
-        """A place for one clip; refuses when all are taken, so that waiting answers cannot fill the memory."""
+    async def drain(self) -> None:
+        """Takes no more work: streams are told to connect again, and what still runs after ``HURRY_S`` that it ends."""
+        self.life.draining = True
+        self.uploads.pause()
+        self.streams.end(lambda scene: True, Draining())
+        asyncio.get_running_loop().call_later(HURRY_S, self._hurry)
+        until_s = time.monotonic() + STREAMS_S
+        while self.streams.count and time.monotonic() < until_s:
+            await asyncio.sleep(0.02)
+
+    def _hurry(self) -> None:
+        self.life.hurried = self.drapery.hurried = True
+
+    def check_slot(self) -> None:
+        """Refuses when all places for clips are taken, so that waiting answers cannot fill the memory."""
         limit = self.drapery.settings.max_clips
         if self.clips >= limit:
             raise Busy(
                 "clips", expected=f"fewer than {limit} at a time", got=str(self.clips), cure="Try again in a second."
             )
+
+    @contextmanager
+    def slot(self) -> Iterator[None]:
+        """A place for one clip; refuses when all are taken."""
+        self.check_slot()
         self.clips += 1
         try:
             yield

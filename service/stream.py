@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import json
 import logging
+import math
 import time
 from typing import Any
 
@@ -13,10 +14,12 @@ from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 
 from drape.errors import DrapeError, InputError
 from drape.wire import messages as wire
-from service.errors import InternalError, TooSlow, close_reason, error_message, problem_response, rule_for
+from service.access import OFFER
+from service.errors import Draining, InternalError, TooSlow, close_reason, error_message, problem_response, rule_for
 from service.garments import Outfit, layer_list
 from service.json_body import document_of, validated
-from service.origins import check_origin
+from service.keys import Client
+from service.metrics import Metrics
 from service.poses import check_poses, shape_array
 from service.schemas import OpenRequest
 from service.sessions import Session
@@ -33,36 +36,40 @@ async def stream(socket: WebSocket) -> None:
     """One client, from its handshake to its close."""
     state: State = socket.app.state.drape
     settings = state.drapery.settings
+    offered = socket.scope.get("subprotocols", [])
     try:
-        check_origin(socket.headers, settings)
-        _check_protocol(socket)
+        _check_protocol(offered)
+        if state.life.draining:
+            raise Draining
+        client = state.access.admit(socket.headers, offered, stream=True)
     except DrapeError as error:
         await socket.send_denial_response(problem_response(error))
         return
     await socket.accept(subprotocol=wire.SUBPROTOCOL)
     try:
-        await _converse(socket, state)
+        with state.access.using(client, "streams"):
+            await _converse(socket, state, client)
     except WebSocketDisconnect:
         return
     except DrapeError as error:
+        state.drapery.metrics.evictions.labels(type(error).__name__).inc()
         await _refuse(socket, error, settings.stream_send_s)
     except Exception:
         log.exception("a stream failed")
         await _refuse(socket, InternalError(), settings.stream_send_s)
 
 
-def _check_protocol(socket: WebSocket) -> None:
-    offered = socket.scope.get("subprotocols", [])
+def _check_protocol(offered: list[str]) -> None:
     if wire.SUBPROTOCOL not in offered:
         raise InputError(
             "Sec-WebSocket-Protocol",
             expected=wire.SUBPROTOCOL,
-            got=", ".join(offered) or "none",
+            got=", ".join(one for one in offered if not one.startswith(OFFER)) or "none",
             cure="Use a client of the same release.",
         )
 
 
-async def _converse(socket: WebSocket, state: State) -> None:
+async def _converse(socket: WebSocket, state: State, client: Client) -> None:
     """Opens the session and runs it until the client leaves or something is refused."""
     settings = state.drapery.settings
     state.streams.check_place()
@@ -75,11 +82,11 @@ async def _converse(socket: WebSocket, state: State) -> None:
             got="nothing",
             cure='Send {"type": "open", "garment": ...} first.',
         ) from None
-    session = await _open_session(_text_of(first), state, None)
+    session = await _open_session(_text_of(first), state, client, None)
     state.streams.add(session)
     tasks = [
         asyncio.create_task(part)
-        for part in (_read(socket, session, state), _send(socket, session, state), _watch(session, state))
+        for part in (_read(socket, session, state, client), _send(socket, session, state), _watch(session, state))
     ]
     try:
         await socket.send_text(_opened(session, state))
@@ -105,11 +112,11 @@ def _text_of(message: Any) -> str:
     return text
 
 
-async def _open_session(text: str, state: State, session: Session | None) -> Session:
+async def _open_session(text: str, state: State, client: Client, session: Session | None) -> Session:
     """The session that ``text`` asks for: a new one, or ``session`` turned to it."""
     asked = validated(OpenRequest, document_of(text.encode()))
     drapery = state.drapery
-    scene = drapery.garments.scene(asked.garment, asked.garments)
+    scene = drapery.garments.scene(asked.garment, asked.garments, client.name)
     plan = await drapery.plan_within(scene, asked, messages=True)
     betas = shape_array(asked.betas, drapery.body)
     steps = drapery.steps(plan)
@@ -146,26 +153,30 @@ def _opened(session: Session, state: State) -> str:
     )
 
 
-async def _read(socket: WebSocket, session: Session, state: State) -> None:
+async def _read(socket: WebSocket, session: Session, state: State, client: Client) -> None:
     while True:
         message = await socket.receive()
         payload = message.get("bytes")
         if message["type"] == "websocket.receive" and payload is not None:
-            _take(payload, session)
+            _take(payload, session, state.drapery.metrics)
         else:
-            await _open_session(_text_of(message), state, session)
+            await _open_session(_text_of(message), state, client, session)
             session.last_heard_s = time.monotonic()
             await socket.send_text(_opened(session, state))
         state.streams.wake()
 
 
-def _take(payload: bytes, session: Session) -> None:
+def _take(payload: bytes, session: Session, metrics: Metrics) -> None:
     """Puts a pose into the mailbox or takes an acknowledgement."""
     if wire.message_kind(payload) == wire.ACK:
-        session.acknowledge(wire.unpack_ack(payload))
+        way_s = session.acknowledge(wire.unpack_ack(payload))
+        if way_s is not None and math.isfinite(way_s):
+            metrics.ack.observe(way_s)
         return
     pose = wire.unpack_pose(payload)
     check_poses(pose.pose[None], pose.trans[None])
+    metrics.poses.inc()
+    metrics.poses_dropped.inc(session.waiting is not None)
     session.put(pose)
 
 
@@ -177,6 +188,7 @@ async def _send(socket: WebSocket, session: Session, state: State) -> None:
         if session.failure is not None:
             raise session.failure
         frame, session.outbox = session.outbox, None
+        since_s = session.outbox_since_s
         if frame is None:
             continue
         try:
@@ -188,6 +200,7 @@ async def _send(socket: WebSocket, session: Session, state: State) -> None:
                 got="a full connection",
                 cure="Read faster or ask for fewer frames.",
             ) from None
+        state.drapery.metrics.sent(time.monotonic() - since_s, state.drapery.settings.frame_deadline_s)
         state.streams.wake()
 
 

@@ -253,6 +253,9 @@ class Stage:
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
         """Takes in the constants of ``garment``, whose ``garment_feed`` is ``feed``."""
 
+    def remove(self, garment: Garment) -> None:
+        """Forgets the constants of ``garment``, which no plan names any more."""
+
     def prepare(self, plan: Plan) -> None:
         """Makes what the frames of ``plan`` need and takes long; called from any thread."""
 

@@ -39,6 +39,9 @@ class Collision(Stage):
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
         self.pusher.add(garment.digest, feed, garment.vertices[: garment.vertex_count], garment.faces)
 
+    def remove(self, garment: Garment) -> None:
+        self.pusher.remove(garment.digest)
+
     def prepare(self, plan: Plan) -> None:
         self.pusher.prepare(plan.keys, jets=plan.options.geometry == "jets")
 

@@ -49,6 +49,9 @@ class Network(Stage):
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
         self.packer.add(garment.digest, garment, feed)
 
+    def remove(self, garment: Garment) -> None:
+        self.packer.remove(garment.digest)
+
     def prepare(self, plan: Plan) -> None:
         given = self.engine.feels_body and not self._skin_in_graph
         self.packer.prepare(self._scene(plan), skin_given=given, shapes=plan.messages)

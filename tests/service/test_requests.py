@@ -11,10 +11,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from service.access import Access
 from service.app import create_app
 from service.drapery import Drapery
 from service.errors import Busy
+from service.jobs import Uploads
 from service.json_body import clip_marks
+from service.lifecycle import Lifecycle
 from service.piecework import Piecework
 from service.sessions import Streams
 from service.settings import Settings
@@ -167,7 +170,9 @@ def test_too_large_an_answer_is_refused(make_settings: Callable[..., Settings]):
 
 def test_more_clips_than_places_are_refused(make_settings: Callable[..., Settings]):
     drapery = Drapery(make_settings(max_clips=1))
-    state = State(drapery, None, Streams(drapery, Piecework()), Piecework())  # pyright: ignore[reportArgumentType]
+    streams, access = Streams(drapery, Piecework()), Access(drapery.settings)
+    uploads = Uploads(drapery, Piecework(), access)
+    state = State(drapery, uploads, streams, Piecework(), access, Lifecycle(stuck_s=9.0))
     with state.slot(), pytest.raises(Busy, match="fewer than 1 at a time"), state.slot():
         pass
     with state.slot():

@@ -97,7 +97,7 @@ def test_a_plan_takes_what_it_needs_and_nothing_else(
         """A stage that says when it runs."""
 
         def __init__(self, stage: Stage) -> None:
-            self.stage = stage
+            self.stage, self.name = stage, stage.name
 
         def run(self, batch: Batch) -> Batch:
             ran.append(self.stage.name)

@@ -1,0 +1,61 @@
+"""Changing and removing garments: ``PATCH`` and ``DELETE /garments/{id}``."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Annotated
+
+from fastapi import APIRouter, Request
+from pydantic import Field
+
+from drape.errors import InputError, NotFound
+from service import schemas
+from service.access import ClientHere
+from service.errors import Forbidden
+from service.garments import Entry
+from service.json_body import body_schema, document_of, json_text, validated
+from service.keys import Client
+from service.state import State, StateHere
+
+router = APIRouter()
+
+
+class GarmentChange(schemas.Request):
+    """What may be changed of a garment; what is left out stays."""
+
+    name: Annotated[str, Field(min_length=1, max_length=120)] | None = None
+    published: bool | None = None
+
+
+def _own(garment_id: str, client: Client, state: State) -> Entry:
+    """The garment, if it is the client's; refuses unknown and foreign ones."""
+    entry = state.drapery.garments.get(garment_id, client.name)
+    if entry.source == "shipped" or entry.owner != client.name:
+        whose = "a shipped one" if entry.source == "shipped" else "one of somebody else"
+        cure = "Only who uploaded a garment may change it."
+        raise Forbidden("garment", expected="one of your own", got=whose, cure=cure)
+    return entry
+
+
+@router.patch("/garments/{garment_id}", openapi_extra=body_schema(GarmentChange))
+async def change_garment(
+    garment_id: str, request: Request, state: StateHere, client: ClientHere
+) -> schemas.GarmentInfo:
+    """Gives an uploaded garment another name, or publishes it to all keys; its id stays."""
+    entry = _own(garment_id, client, state)
+    asked = validated(GarmentChange, document_of(await json_text(request)))
+    if asked.name is None and asked.published is None:
+        raise InputError("garment", expected="name or published", got="neither", cure='Send {"published": true}.')
+    changed = state.drapery.garments.change(entry, name=asked.name, published=asked.published)
+    return schemas.GarmentInfo.of(changed)
+
+
+@router.delete("/garments/{garment_id}", status_code=204)
+async def delete_garment(garment_id: str, state: StateHere, client: ClientHere) -> None:
+    """Removes an uploaded garment from the service and its disk; streams that wear it are ended (4404)."""
+    entry = _own(garment_id, client, state)
+    state.streams.end(
+        lambda scene: entry.id in [layer.id for layer in scene.layers],
+        NotFound("garment", expected="one in service", got=f"{entry.id}, which was deleted", cure="Open another."),
+    )
+    await asyncio.shield(state.drapery.in_thread(state.drapery.garments.remove, entry))

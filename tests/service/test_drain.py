@@ -1,0 +1,162 @@
+"""The end of a service: streams are told, clips and half-sent bodies get an answer, uploads go on after a restart."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+from websockets.typing import Subprotocol
+
+from drape.wire import messages as wire
+from service.accepted import Accepted, taken_over
+from service.access import Access
+from service.app import create_app
+from service.drapery import Drapery
+from service.errors import Draining
+from service.jobs import MOST_ATTEMPTS
+from service.settings import Settings
+from tests.architecture.repository import ROOT
+from tests.fixtures.serving import serve
+
+
+@contextmanager
+def process(settings: Settings) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A service in a process of its own, and its address."""
+    chosen = settings.model_dump(mode="json", exclude_unset=True)
+    environment = {**os.environ, **{f"DRAPE_{name.upper()}": str(value) for name, value in chosen.items()}}
+    command = [sys.executable, "-m", "service", "--port", "0"]
+    with subprocess.Popen(
+        command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as service:
+        assert service.stdout is not None
+        try:
+            yield service, service.stdout.readline().split()[2]
+        finally:
+            service.kill()
+
+
+def test_a_service_that_is_told_to_end_says_so_and_goes_on_later(make_settings: Callable[..., Settings]):
+    settings = make_settings()
+    long = {"garment": "tube", "poses": np.zeros((1200, 24, 3)).tolist()}
+    answers: list[httpx.Response] = []
+    with process(settings) as (service, url):
+        host, port = url.removeprefix("http://").split(":")
+        half = socket.create_connection((host, int(port)))
+        half.sendall(b"POST /drape HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n")
+        half.sendall(b"Content-Length: 9\r\n\r\n{")
+        half.settimeout(10.0)
+        asking = threading.Thread(target=lambda: answers.append(httpx.post(url + "/drape", json=long, timeout=60.0)))
+        jobs = [httpx.post(url + f"/garments?name={name}.obj", content=b"v 0 0 0\n").json() for name in "abc"]
+        address = url.replace("http", "ws") + "/stream"
+        with connect(address, subprotocols=[Subprotocol(wire.SUBPROTOCOL)]) as stream:
+            stream.send(json.dumps({"type": "open", "garment": "tube"}))
+            stream.recv()
+            asking.start()
+            time.sleep(0.3)
+            service.send_signal(signal.SIGTERM)
+            begun_s = time.monotonic()
+            said = json.loads(stream.recv(timeout=5.0))
+            with pytest.raises(ConnectionClosed) as closed:
+                stream.recv(timeout=5.0)
+        assert (said["type"], said["kind"]) == ("error", "Draining") and "Connect again" in said["cure"]
+        assert closed.value.rcvd is not None
+        assert (closed.value.rcvd.code, closed.value.rcvd.reason[:28]) == (1012, "service: expected one that t")
+        assert half.recv(4096).startswith(b"HTTP/1.1 503")
+        asking.join(20.0)
+        _, log = service.communicate(timeout=20)
+        assert time.monotonic() - begun_s < 10.0
+    assert answers[0].status_code in (200, 503)  # a fast machine is through by then
+    assert answers[0].status_code == 200 or "one that is being restarted" in answers[0].json()["detail"]
+    assert [line for line in log.splitlines() if "exception" in json.loads(line)] == []
+    left = {folder.name for folder in settings.garments_dir.glob(".staging-*/*")}
+    assert jobs[-1]["id"] in left <= {job["id"] for job in jobs}
+    with serve(create_app(settings), settings) as again:
+        for job in [job for job in jobs if job["id"] in left]:
+            deadline = time.monotonic() + 60.0
+            while (found := httpx.get(f"{again}/jobs/{job['id']}").json())["state"] in ("queued", "running"):
+                assert time.monotonic() < deadline
+                time.sleep(0.05)
+            assert (found["state"], found["name"]) == ("failed", job["name"])  # as no mesh is
+    assert [path for path in settings.garments_dir.rglob("*") if path.is_file()] == []
+
+
+def accepted(folder: Path, name: str, attempts: int = 0) -> Accepted:
+    """An upload as an ended process left it."""
+    one = Accepted(id=name, name=name, owner=None, file=f"{name}.obj", avatar=None, attempts=attempts)
+    (folder / name / "out").mkdir(parents=True)
+    (folder / name / one.file).write_bytes(b"v 0 0 0\n")
+    one.write(folder / name)
+    return one
+
+
+def test_uploads_of_ended_processes_are_taken_over_in_their_order(tmp_path: Path):
+    ended = subprocess.Popen(["true"])
+    ended.wait()
+    theirs, own, running = (tmp_path / f".staging-{pid}" for pid in (ended.pid, os.getpid(), os.getppid()))
+    second, first, third = accepted(theirs, "late"), accepted(own, "early"), accepted(running, "busy")
+    os.utime(own / "early/early.obj", (1.0, 1.0))
+    (theirs / "half").mkdir()
+    (theirs / "half/half.obj").write_bytes(b"v")
+    assert list(taken_over(tmp_path, own)) == [(first, own / "early"), (second, own / "late")]
+    assert sorted(path.name for path in own.rglob("*")) == [
+        "early",
+        "early.obj",
+        "job.json",
+        "job.json",
+        "late",
+        "late.obj",
+    ]
+    assert not theirs.exists() and (running / third.id / third.file).is_file()
+
+
+def test_an_upload_that_ends_every_service_is_given_up(make_settings: Callable[..., Settings]):
+    settings = make_settings()
+    accepted(settings.garments_dir / ".staging-0", "bad", attempts=MOST_ATTEMPTS)  # no process has this id for long
+    os.rename(settings.garments_dir / ".staging-0", settings.garments_dir / f".staging-{os.getpid()}")
+    with serve(create_app(settings), settings) as url:
+        deadline = time.monotonic() + 10.0
+        while (job := httpx.get(url + "/jobs/bad").json())["state"] != "failed":
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+    assert f"within {MOST_ATTEMPTS} starts" in job["problem"]["detail"]
+
+
+def test_clips_end_when_the_service_hurries(make_settings: Callable[..., Settings]):
+    drapery = Drapery(make_settings())
+    drapery.hurried = True
+    with pytest.raises(Draining, match="Connect again"):
+        asyncio.run(drapery._in_chunks(1, lambda rows: None))
+    assert isinstance(Draining().__reduce__()[0](), Draining)
+    drapery.close()
+
+
+def test_a_stream_is_refused_while_the_service_drains(make_settings: Callable[..., Settings]):
+    settings = make_settings()
+    app = create_app(settings)
+    with serve(app, settings) as url:
+        app.state.drape.life.draining = True
+        headers = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
+        headers |= {"Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==", "Sec-WebSocket-Protocol": wire.SUBPROTOCOL}
+        response = httpx.get(url + "/stream", headers=headers)
+        assert response.status_code == 503 and response.json()["type"] == "urn:drape:Draining"
+        assert httpx.get(url + "/readyz").status_code == 503
+
+
+def test_the_limits_of_a_key_that_is_gone_are_none(make_settings: Callable[..., Settings]):
+    access = Access(make_settings())
+    assert access.client(None).name is None and access.client("former").name == "former"
