@@ -6,7 +6,7 @@ import asyncio
 import logging
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -26,8 +26,8 @@ from service.garments import Registry, Scene
 from service.metrics import Metrics
 from service.motions import Motions
 from service.settings import Settings
-from service.stages import make_plan, make_stages, run
-from service.stages.batch import Batch, Memories, Plan, PoseInput
+from service.stages import make_plan, make_stages, run, walk
+from service.stages.batch import Batch, Memories, Plan, PoseInput, Quality
 from service.tiers import capped, chosen, read_tiers, tier_of
 
 STREAM_WAIT_S = 0.02
@@ -168,17 +168,18 @@ class Drapery:
         await self.prepare(plan)
         memories = clip.memories
 
-        def compute(rows: slice) -> Batch:
+        def compute(rows: slice) -> Iterator[Batch]:
             nonlocal memories
-            part = self._run(plan, [clip.part(rows, memories)])
-            memories = part.memories[0]
-            return part.answer()
+            for part in self._walk(plan, [clip.part(rows, memories)]):
+                memories = part.memories[0]
+                yield part.answer()
 
         parts = await self._in_chunks(len(clip.poses), compute)
         return await asyncio.to_thread(Batch.of_parts, clip, parts)
 
-    async def _in_chunks(self, frames: int, compute: Callable[[slice], Result]) -> list[Result]:
-        """``compute`` of all ``frames``, slice after slice, each on the worker thread in its turn."""
+    async def _in_chunks(self, frames: int, compute: Callable[[slice], Iterator[Result]]) -> list[Result]:
+        """The last of what ``compute`` gives of all ``frames``, slice after slice, each step of it on the worker thread
+        in its turn."""
         results: list[Result] = []
         frame_s, start = math.inf, 0  # until the first has told how long one takes
         while start < frames:
@@ -186,10 +187,27 @@ class Drapery:
                 raise Draining
             async with self._clip_turn:
                 rows = slice(start, min(frames, start + self._chunk_frames(frame_s)))
-                result, took_s = await self.in_thread(_timed, compute, rows)
+                result, took_s = await self._last(compute(rows))
             results.append(result)
             frame_s, start = took_s / (rows.stop - rows.start), rows.stop
         return results
+
+    async def _last(self, steps: Iterator[Result]) -> tuple[Result, float]:
+        """The last of ``steps``, each on the worker thread in its turn, and how long they took there [s]."""
+        took_s = 0.0
+
+        def step() -> Result | None:
+            nonlocal took_s
+            begun_s = time.perf_counter()
+            found = next(steps, None)
+            took_s += time.perf_counter() - begun_s
+            return found
+
+        last = await self.in_thread(step)
+        while (after := await self.in_thread(step)) is not None:
+            last = after
+        assert last is not None
+        return last, took_s
 
     def _chunk_frames(self, frame_s: float) -> int:
         """Frames of the next chunk, where one takes ``frame_s`` [s]; on a GPU always the size that has buckets."""
@@ -226,22 +244,22 @@ class Drapery:
 
     def _run(self, plan: Plan, inputs: Sequence[PoseInput]) -> Batch:
         """``service.stages.run``, measured."""
-        batch = run(plan, inputs, lambda name, took_s: self.metrics.stage.labels(name).observe(took_s))
-        done = batch.quality
+        *_, last = self._walk(plan, inputs)
+        return last
+
+    def _walk(self, plan: Plan, inputs: Sequence[PoseInput]) -> Iterator[Batch]:
+        """``service.stages.walk``, measured."""
+        done = Quality.untouched(0)
+        for batch in walk(plan, inputs, lambda name, took_s: self.metrics.stage.labels(name).observe(took_s)):
+            done = batch.quality
+            yield batch
         self.metrics.drawn(done.pushed_share, done.push_max_m, done.left_m, done.folds_resets)
-        return batch
 
     async def pose_body(self, clip: PoseInput) -> np.ndarray:
         """World vertices [m] (F, Vb, 3) float32 of the body."""
 
-        def compute(rows: slice) -> np.ndarray:
+        def compute(rows: slice) -> Iterator[np.ndarray]:
             posed = self.body.posed_vertices(clip.poses[rows], clip.trans[rows], clip.betas)
-            return posed.astype(np.float32)
+            yield posed.astype(np.float32)
 
         return await asyncio.to_thread(np.concatenate, await self._in_chunks(len(clip.poses), compute))
-
-
-def _timed(function: Callable[[slice], Result], rows: slice) -> tuple[Result, float]:
-    """``function(rows)``, and how long it took [s]."""
-    start_s = time.perf_counter()
-    return function(rows), time.perf_counter() - start_s

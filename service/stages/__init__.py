@@ -6,7 +6,7 @@ A new stage is a file here, a line in ``STAGES``, and a field of ``drape.wire.op
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -39,7 +39,7 @@ def make_plan(stages: Sequence[Stage], scene: Scene, options: DrapeOptions, *, m
     """
     chosen = {name: getattr(options, name) for name in DrapeOptions.model_fields}
     for stage in stages:
-        chosen |= stage.resolve(options)
+        chosen |= stage.resolve(options, len(scene.layers))
     scene = scene.fine if options.resolution == "fine" else scene
     plan = Plan(scene, DrapeOptions().model_copy(update=chosen), messages)
     for stage in stages:
@@ -50,17 +50,32 @@ def make_plan(stages: Sequence[Stage], scene: Scene, options: DrapeOptions, *, m
     return replace(plan, stages=taken, needs=needs, draped=draped)
 
 
-def run(plan: Plan, inputs: Sequence[PoseInput], took: Callable[[str, float], None] = lambda name, s: None) -> Batch:
-    """All frames of ``inputs``, which may differ in shape, through the stages of ``plan``.
+def walk(
+    plan: Plan, inputs: Sequence[PoseInput], took: Callable[[str, float], None] = lambda name, s: None
+) -> Iterator[Batch]:
+    """All frames of ``inputs``, which may differ in shape, through the stages of ``plan``: the batch after every step.
 
-    ``took`` is told the name of each stage and how long it took [s].
+    A step is what others may have to wait for: a stage, or a part of one that is long. ``took`` is told the name of
+    each stage and how long it took [s].
     """
     batch = Batch.of(plan, inputs)
     for stage in plan.stages:
-        begun_s = time.perf_counter()
-        batch = stage.run(batch)
-        took(stage.name, time.perf_counter() - begun_s)
-    return batch
+        steps, spent_s = iter(stage.steps(batch)), 0.0
+        while True:
+            begun_s = time.perf_counter()
+            after = next(steps, None)
+            spent_s += time.perf_counter() - begun_s
+            if after is None:
+                break
+            batch = after
+            yield batch
+        took(stage.name, spent_s)
+
+
+def run(plan: Plan, inputs: Sequence[PoseInput], took: Callable[[str, float], None] = lambda name, s: None) -> Batch:
+    """The batch at the end of ``walk``."""
+    *_, last = walk(plan, inputs, took)
+    return last
 
 
 def carried(memories: Memories, before: Plan, after: Plan) -> Memories:

@@ -223,8 +223,9 @@ class Stage:
     def __init__(self, engine: Engine, body: BodyModel, settings: Settings) -> None:
         self.engine, self.body, self.settings = engine, body, settings
 
-    def resolve(self, options: DrapeOptions) -> dict[str, Any]:
-        """Options that this stage reads, by name, with the values that hold where clients left them open.
+    def resolve(self, options: DrapeOptions, layers: int) -> dict[str, Any]:
+        """Options that this stage reads, by name, with the values that hold where clients left them open, for so many
+        ``layers`` over each other.
 
         Refuses (``InputError``) what the model cannot do.
         """
@@ -267,3 +268,7 @@ class Stage:
     def run(self, batch: Batch) -> Batch:
         """``batch`` with what this stage makes of it."""
         raise NotImplementedError
+
+    def steps(self, batch: Batch) -> Iterator[Batch]:
+        """``batch`` after each part of ``run``, between which other frames may be computed; the last is its result."""
+        yield self.run(batch)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -29,8 +29,8 @@ KEPT_BYTES = 256 << 20  # of garments in fabrics, 3 to 8 MB each; what is in use
 
 
 class Folds(Stage):
-    """Lowers the cloth's energy over the body, with ``cloth_contact`` over the layers below too; without it each layer
-    is by itself, and what is between them is for the push-out.
+    """Lowers the cloth's energy over the body, with ``cloth_contact``, as outfits have it unless they say otherwise,
+    over the layers below too; without it each layer is by itself, and what is between them is for the push-out.
 
     A garment that was delivered coarse folds on its subdivided mesh, around which the delivered one is then wrapped.
     """
@@ -46,12 +46,12 @@ class Folds(Stage):
         self.kept_bytes = KEPT_BYTES
         warm_up()
 
-    def resolve(self, options: DrapeOptions) -> dict[str, Any]:
+    def resolve(self, options: DrapeOptions, layers: int) -> dict[str, Any]:
         if not options.folds:
             return {"folds": 0, "settle": None, "cloth_contact": None}
         return {
             "settle": SETTLE if options.settle is None else options.settle,
-            "cloth_contact": bool(options.cloth_contact),
+            "cloth_contact": layers > 1 if options.cloth_contact is None else options.cloth_contact,
         }
 
     def check(self, plan: Plan) -> None:
@@ -86,6 +86,11 @@ class Folds(Stage):
                 self._wrapping(key)
 
     def run(self, batch: Batch) -> Batch:
+        *_, last = self.steps(batch)
+        return last
+
+    def steps(self, batch: Batch) -> Iterator[Batch]:
+        """Layer after layer: a frame without a past takes tens of milliseconds for each."""
         plan = batch.plan
         assert plan.options.folds and plan.options.settle is not None
         effort = Effort(plan.options.folds, plan.options.settle, cloth_contact=bool(plan.options.cloth_contact))
@@ -103,7 +108,7 @@ class Folds(Stage):
             batch = batch.remember((self.name, key), memories)
             if sent != key:
                 layers[i] = self._wrapped(layers[i], sent)
-        return replace(batch, layers=tuple(layers), quality=replace(batch.quality, folds_resets=resets))
+            yield replace(batch, layers=tuple(layers), quality=replace(batch.quality, folds_resets=resets))
 
     def _folded(
         self,

@@ -140,7 +140,7 @@ def test_clips_end_when_the_service_hurries(make_settings: Callable[..., Setting
     drapery = Drapery(make_settings())
     drapery.hurried = True
     with pytest.raises(Draining, match="Connect again"):
-        asyncio.run(drapery._in_chunks(1, lambda rows: None))
+        asyncio.run(drapery._in_chunks(1, lambda rows: iter([rows])))
     assert isinstance(Draining().__reduce__()[0](), Draining)
     drapery.close()
 

@@ -17,7 +17,7 @@ from drape.wire.options import DrapeOptions
 from service.app import create_app
 from service.drapery import Drapery
 from service.settings import Settings
-from service.stages import carried, run
+from service.stages import carried, run, walk
 from service.stages import folds as folds_stage
 from service.stages.batch import PoseInput
 from service.stages.folds import SETTLE, Folds
@@ -83,7 +83,9 @@ def test_cloth_feels_cloth_where_that_is_asked_for(outfit_settings: Settings, mo
     off, left_out = (
         drapery.plan(scene, options.model_copy(update={"cloth_contact": asked})) for asked in (False, None)
     )
-    assert off == left_out and on.options.cloth_contact
+    assert on == left_out != off and on.options.cloth_contact, "outfits have it unless they say otherwise"
+    one = drapery.garments.get("tube")
+    assert not drapery.plan(one, DrapeOptions(folds=1)).options.cloth_contact
     assert drapery.plan(scene, DrapeOptions(folds=0, cloth_contact=True)) == drapery.plan(scene, DrapeOptions(folds=0))
     apart, over = (run(plan, [CLIP]).vertices for plan in (off, on))
     inner = run(drapery.plan(drapery.garments.get("tube"), options), [CLIP]).vertices
@@ -99,6 +101,16 @@ def test_cloth_feels_cloth_where_that_is_asked_for(outfit_settings: Settings, mo
 
     monkeypatch.setattr(folds_stage, "covered", never)
     assert_array_equal(run(off, [CLIP]).vertices, apart)
+    drapery.close()
+
+
+def test_frames_of_streams_go_between_the_layers_of_an_outfit(outfit_settings: Settings):
+    drapery = Drapery(outfit_settings)
+    plan = drapery.plan(drapery.garments.scene(None, ["tube", "coat"]), DrapeOptions(folds=1))
+    steps = list(walk(plan, [CLIP]))
+    assert len(steps) == len(plan.stages) + 1, "a step for each of two layers"
+    assert_array_equal(steps[-1].vertices, run(plan, [CLIP]).vertices)
+    assert_array_equal(asyncio.run(drapery.drape(plan, CLIP)).vertices, steps[-1].vertices)
     drapery.close()
 
 

@@ -99,9 +99,9 @@ def test_a_plan_takes_what_it_needs_and_nothing_else(
         def __init__(self, stage: Stage) -> None:
             self.stage, self.name = stage, stage.name
 
-        def run(self, batch: Batch) -> Batch:
+        def steps(self, batch: Batch) -> Iterator[Batch]:
             ran.append(self.stage.name)
-            return self.stage.run(batch)
+            return self.stage.steps(batch)
 
     batch = run(replace(plan, stages=tuple(Heard(stage) for stage in plan.stages)), [CLIP])  # type: ignore[misc]
     assert ran == taken

@@ -54,7 +54,7 @@ class Stream:
         one = PoseInput(
             pose[None], trans[None], self.betas, np.array([self.time_s]), self.memories, sequence=self.frame, dropped=3
         )
-        with patch.object(drapery_module, "run", wraps=drapery_module.run) as computed:
+        with patch.object(drapery_module, "walk", wraps=drapery_module.walk) as computed:
             ((message, self.memories),) = self.drapery.frames(self.plan, [one])
         self.runs += computed.call_count
         assert isinstance(message, bytes), message
