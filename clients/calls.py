@@ -105,6 +105,11 @@ def unreachable(url: object, error: Exception) -> Unavailable:
 # --- requests ---
 
 
+def key_headers(key: str | None) -> dict[str, str]:
+    """What every request says of who asks."""
+    return {} if key is None else {"Authorization": f"Bearer {key}"}
+
+
 def health() -> Call[dict[str, Any]]:
     return Call("GET", "/health", httpx.Response.json)
 

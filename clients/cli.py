@@ -33,7 +33,7 @@ OUT_SUFFIXES = (".glb", ".npy")
 def main(arguments: list[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
-        with DrapeClient(options.url) as client:
+        with DrapeClient(options.url, key=options.key) as client:
             options.run(client, options)
     except DrapeError as error:
         print(f"drape: {error}", file=sys.stderr)
@@ -48,6 +48,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="python -m clients.cli", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("--url", default=os.environ.get("DRAPE_URL", DEFAULT_URL), help="the service (DRAPE_URL)")
+    parser.set_defaults(key=os.environ.get("DRAPE_KEY"))  # not a flag, which every process of the machine could read
     commands = parser.add_subparsers(required=True, metavar="command")
     # The address may also follow the command.
     shared = argparse.ArgumentParser(add_help=False)

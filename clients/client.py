@@ -34,8 +34,12 @@ POLL_S = 0.25
 class DrapeClient:
     """Talks to a running service; may be used as a context manager."""
 
-    def __init__(self, url: str = DEFAULT_URL, *, transport: httpx.BaseTransport | None = None) -> None:
-        self._http = httpx.Client(base_url=url, timeout=TIMEOUT, transport=transport)
+    def __init__(
+        self, url: str = DEFAULT_URL, *, key: str | None = None, transport: httpx.BaseTransport | None = None
+    ) -> None:
+        """``key``: an API key or a ticket, where the service has keys."""
+        headers = calls.key_headers(key)
+        self._http = httpx.Client(base_url=url, timeout=TIMEOUT, headers=headers, transport=transport)
 
     def __enter__(self) -> DrapeClient:
         return self
@@ -193,8 +197,11 @@ class DrapeClient:
 class AsyncDrapeClient:
     """``DrapeClient`` with awaitable methods."""
 
-    def __init__(self, url: str = DEFAULT_URL, *, transport: httpx.AsyncBaseTransport | None = None) -> None:
-        self._http = httpx.AsyncClient(base_url=url, timeout=TIMEOUT, transport=transport)
+    def __init__(
+        self, url: str = DEFAULT_URL, *, key: str | None = None, transport: httpx.AsyncBaseTransport | None = None
+    ) -> None:
+        headers = calls.key_headers(key)
+        self._http = httpx.AsyncClient(base_url=url, timeout=TIMEOUT, headers=headers, transport=transport)
 
     async def __aenter__(self) -> AsyncDrapeClient:
         return self

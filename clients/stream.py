@@ -26,7 +26,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidURI
 from websockets.typing import Subprotocol
 
-from clients.calls import DEFAULT_URL, ServiceError, problem_error, unreachable, worn
+from clients.calls import DEFAULT_URL, ServiceError, key_headers, problem_error, unreachable, worn
 from drape.errors import DrapeError
 from drape.wire import messages as wire
 from drape.wire.jets import JetFrame, unpack_jets
@@ -67,14 +67,19 @@ class DrapeStream:
         garment: str | Sequence[str] = "",
         *,
         betas: Sequence[float] | np.ndarray | None = None,
+        key: str | None = None,
         **options: Any,
     ) -> DrapeStream:
-        """Connects and opens, with ``options`` of ``drape.wire.options.DrapeOptions``; raises the service's refusal."""
+        """Connects and opens, with ``options`` of ``drape.wire.options.DrapeOptions``; raises the service's refusal.
+
+        ``key``: an API key or a ticket, where the service has keys.
+        """
         address = url.rstrip("/").replace("http", "ws", 1) + "/stream"
         try:
             connection = await connect(
                 address,
                 subprotocols=[Subprotocol(wire.SUBPROTOCOL)],
+                additional_headers=key_headers(key),
                 compression=None,
                 max_size=MESSAGE_LIMIT_BYTES,
                 open_timeout=OPEN_S,

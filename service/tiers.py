@@ -32,7 +32,7 @@ class Tier:
     figures: Mapping[str, Any] = field(default_factory=dict, hash=False, compare=False)
 
 
-TIERS = (Tier("fast", 0, 1, 0), Tier("balanced", 0, 2, None), Tier("accurate", 0, 8, None))
+TIERS = (Tier("fast", 0, 1, 0), Tier("balanced", 0, 2, None), Tier("accurate", 0, 4, None))
 
 
 def read_tiers(rows: Sequence[Mapping[str, Any]]) -> tuple[Tier, ...]:

@@ -68,6 +68,13 @@ REFEREE = {
     "steps": ("steps", ".0f"), "processor_s": ("processor [s] a pose", ".1f"),
     "old_processor_s": ("before", ".1f"), "planes_apart_pct": ("planes apart %", ".2f"),
 }  # fmt: skip
+TRADE = {
+    "tier": ("tier", "s"), "knobs": ("what runs", "s"), "time_ratio": ("time, rival = 1", ".2f"),
+    "cpu_ms": ("processor [ms]", ".1f"), "p95_ms": ("p95 [ms]", ".1f"), "gain": ("gain", ".3f"),
+    "gain_p05": ("of the worst twentieth", ".3f"), "error_mm": ("to physics [mm]", ".1f"),
+    "edge_pct": ("edge %", ".2f"), "detail_share": ("detail share", ".2f"), "jitter_ratio": ("jitter", ".2f"),
+    "colliding_pct": ("colliding %", ".2f"), "self_intersections": ("self-intersections", ".0f"),
+}  # fmt: skip
 PUSH = {
     "colliding_triangle_pct": ("colliding triangles %", ".3f"), "edge_pct": ("edge %", ".2f"),
     "edge_added_pp": ("added [pp]", ".2f"), "energy_j": ("energy [J]", ".3f"), "jitter_ratio": ("jitter", ".2f"),
@@ -188,6 +195,13 @@ def folds_table(record: Record) -> str:
     return table([*titles, "8 steps"], lines, record)
 
 
+def trade_table(record: Record) -> str:
+    """One line per choice of knobs on the front, and the ends of the axis, the cheapest first."""
+    kept = [row for row in record["means"] if row["pareto"] or row["tier"]]
+    ordered = sorted(kept, key=lambda row: row["time_ratio"])
+    return rows_table(TRADE, ({**row, "tier": row["tier"].replace("_", " ")} for row in ordered), record)
+
+
 def skin_table(record: Record) -> str:
     """One line per garment: the skin that shows on average and in the worst view, by how it was draped."""
     lines = []
@@ -231,5 +245,6 @@ TABLES = (
     ("dynamics", "docs/guide/training.md", "dynamics_potential", potential_table),
     ("push_out", "docs/explanation/push_out.md", "push_out", push_table),
     ("folds", "docs/explanation/folds.md", "folds", folds_table),
+    ("tradeoff", "docs/reference/tradeoff.md", "tradeoff", trade_table),
     ("skin_pixels", "docs/explanation/folds.md", "skin", skin_table),
 )

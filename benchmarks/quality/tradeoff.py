@@ -55,7 +55,7 @@ PASSES, FOLDS = (0, None), (0, 1, 2, 4, 8, 16)
 FABRICS = ("jersey", "denim", "satin")
 FPS, FRAMES, QUICK_FRAMES = 30.0, 48, 8
 CROSSED = 2  # of the frames with an optimum, whose crossings are counted
-SHARES = (0.5, 0.75, 2.0)  # of the rival's time that the tiers may take, the least first
+SHARES = (1.0, 1.25, 2.0)  # of the rival's time that the tiers may take, the least first
 ENOUGH = 0.002  # of gain: what gives less is not worth more time
 COLUMNS = {
     "tier": "s", "knobs": "s", "garment": "s", "fabric": "s", "clip": "s", "p50_ms": ".2f", "p95_ms": ".2f",

@@ -21,6 +21,13 @@ NAMES = {
     "torch_compile": "torch.compile, same precomputation", "skinning_push": "skinning and nearest-vertex push (SciPy)",
     "newton_vbd": "Newton VBD", "floor": "floor",
 }  # fmt: skip
+SERVING = {
+    "case": ("case", "s"), "server": ("server", "s"), "tier": ("tier", "s"), "clients": ("clients", "d"),
+    "goodput_pct": ("goodput %", ".0f"), "stepped_pct": ("with less than asked %", ".0f"),
+    "frame_age_p50_ms": ("age p50 [ms]", ".0f"), "frame_age_p99_ms": ("p99", ".0f"),
+    "overhead_p50_ms": ("beside the model p50 [ms]", ".1f"), "gap_max_ms": ("longest gap [ms]", ".0f"),
+    "cpu_ms": ("processor a pose [ms]", ".1f"),
+}  # fmt: skip
 TIMES = {"p50_ms": "p50 [ms]", "p95_ms": "p95", "p99_ms": "p99", "min_ms": "least"}
 
 
@@ -66,6 +73,14 @@ def growth_table(record: Record) -> str:
     }  # fmt: skip
     stored = (row | {"memory_mb": 1e-6 * row["store_bytes"]} for row in record["rows"] if "store_bytes" in row)
     return rows_table(columns, stored)
+
+
+def serving_table(record: Record) -> str:
+    """Streams under load: one line per case, and how many clients each server carries."""
+    carried = ", ".join(f"{name} {count}" for name, count in record["max_clients"].items())
+    alone = ", ".join(f"{tier} {ms:.1f} ms" for tier, ms in record["model_ms"].items())
+    rows = rows_table(SERVING, record["rows"])
+    return f"{rows}\n\nClients carried: {carried}. A frame alone: {alone}.\n\n{_provenance(record)}"
 
 
 def _provenance(record: Record) -> str:
@@ -119,6 +134,7 @@ TABLES = (
     ("latency", "docs/reference/performance.md", "latency_stages", stage_table),
     ("latency", "docs/reference/performance.md", "latency_batches", batch_table),
     ("latency", "docs/reference/performance.md", "latency_growth", growth_table),
+    ("serving", "docs/reference/performance.md", "serving", serving_table),
 )
 
 

@@ -128,7 +128,8 @@ def rooms(points, near, room):
     for e in range(len(points)):
         for i in range(3):
             ordered[e, i] = points[member[e], i]
-    square = np.full(len(points), dtype(ROOM_M) * dtype(ROOM_M))
+    most = dtype(ROOM_M) * dtype(ROOM_M)
+    square = np.full(len(points), most)
     for e in range(len(points)):
         own = at(ordered, e)
         x = int((own[0] - low[0]) * PER_CELL)
@@ -145,7 +146,8 @@ def rooms(points, near, room):
                     if far < max(square[e], square[other]) and not _is_near(near, member[e], member[other]):
                         square[e], square[other] = min(square[e], far), min(square[other], far)
     for e in range(len(points)):
-        room[member[e]] = np.sqrt(square[e])
+        if square[e] < most:  # the root of the square of what nobody is within may be less than it
+            room[member[e]] = np.sqrt(square[e])
 
 
 @kernel

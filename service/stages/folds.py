@@ -78,6 +78,13 @@ class Folds(Stage):
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
         self._garments[garment.digest] = garment
 
+    def remove(self, garment: Garment) -> None:
+        with self._making:
+            self._garments.pop(garment.digest, None)
+            self._wrappings.pop(garment.digest, None)
+            for name in [name for name in self._constants if name[0] == garment.digest]:
+                del self._constants[name]
+
     def prepare(self, plan: Plan) -> None:
         for key, fabric in zip(plan.draped_keys, layer_fabrics(plan.options, len(plan.keys)), strict=True):
             self._of(key, fabric)

@@ -13,6 +13,7 @@ from benchmarks.papers.representation_space import REPRESENTATIONS
 from benchmarks.quality import tables as quality
 from benchmarks.shared.common import RESULTS_DIR, ROOT
 from benchmarks.shared.markdown import cells, rows_table
+from benchmarks.speed import tables as speed
 
 WHERE = {"machine": "a machine", "commit": "abc", "command": "python -m benchmarks.quality"}
 
@@ -94,3 +95,21 @@ def test_distances_to_the_reference_stand_where_they_were_measured():
 def test_every_form_and_every_loss_has_a_name_in_the_documents():
     assert set(REPRESENTATIONS) < set(papers.FORM_NAMES)
     assert {*loss_ablation.LOSS_SETS, "skinning", "skinning_push"} == set(papers.LOSS_NAMES)
+
+
+def test_the_trade_is_shown_along_its_front_the_cheapest_first():
+    def row(knobs: str, ratio: float, *, pareto: bool = True, tier: str = "") -> dict:
+        return {"tier": tier, "knobs": knobs, "time_ratio": ratio, "gain": 0.9, "pareto": pareto}
+
+    means = [row("b", 0.6), row("a", 0.3), row("dear", 0.9, pareto=False), row("", 1.0, pareto=False, tier="a_b")]
+    lines = quality.trade_table({"means": means} | WHERE).splitlines()
+    assert [line.split("|")[2].strip() for line in lines[2:5]] == ["a", "b", ""]
+    assert lines[4].split("|")[1].strip() == "a b" and len(lines) == 7
+
+
+def test_streams_under_load_are_told_with_who_carries_how_many():
+    row = {"case": "streams", "server": "service", "tier": "fast", "clients": 2, "goodput_pct": 99.6}
+    record = {"rows": [row], "max_clients": {"service fast": 2}, "model_ms": {"fast": 7.25}} | WHERE
+    text = speed.serving_table(record | {"threads": 1, "load_before": 0.1})
+    assert "| streams | service | fast | 2 | 100 | - |" in text
+    assert "Clients carried: service fast 2. A frame alone: fast 7.2 ms." in text

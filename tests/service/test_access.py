@@ -18,8 +18,11 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.typing import Subprotocol
 
+from clients import cli
+from clients.client import AsyncDrapeClient, DrapeClient
+from clients.stream import DrapeStream
 from drape.body.model import BodyModel
-from drape.errors import InputError
+from drape.errors import DrapeError, InputError
 from drape.garment.cache import save_garment
 from drape.wire import messages as wire
 from service.access import Access
@@ -300,3 +303,24 @@ def test_a_service_for_others_has_keys_or_says_that_it_is_open(tmp_path: Path):
     command = [sys.executable, "-m", "service", "--host", "0.0.0.0"]
     run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert run.returncode == 2 and run.stderr.startswith("service: DRAPE_KEYS_FILE: expected keys")
+
+
+def test_the_python_clients_and_the_command_line_have_a_key(url: str, monkeypatch: pytest.MonkeyPatch, capsys):
+    with DrapeClient(url, key=KEYS["shop"]) as client:
+        names = {garment["id"] for garment in client.garments()}
+    assert names == ids(url, "shop")
+    with DrapeClient(url) as client, pytest.raises(DrapeError, match="expected an API key or a ticket, got none"):
+        client.garments()
+
+    async def streamed(key: str) -> int:
+        async with AsyncDrapeClient(url, key=key) as client:
+            assert {garment["id"] for garment in await client.garments()} == names
+        async with await DrapeStream.open(url, "tube", key=key) as stream:
+            await stream.send(np.zeros((24, 3)))
+            return len((await stream.receive()).frame.positions)
+
+    assert asyncio.run(streamed(KEYS["shop"])) == 216
+    monkeypatch.setenv("DRAPE_KEY", KEYS["shop"])
+    assert cli.main(["--url", url, "garments"]) == 0 and "tube" in capsys.readouterr().out
+    monkeypatch.delenv("DRAPE_KEY")
+    assert cli.main(["--url", url, "garments"]) == 2

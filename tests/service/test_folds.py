@@ -67,7 +67,8 @@ def test_bits_depend_neither_on_chunks_nor_on_who_else_is_there(drapery: Drapery
 
 def test_every_layer_has_a_memory_of_its_own(outfit_settings: Settings):
     drapery = Drapery(outfit_settings)
-    plan = drapery.plan(drapery.garments.scene(None, ["tube", "coat"]), DrapeOptions(folds=1, push_out=False))
+    apart = DrapeOptions(folds=1, push_out=False, cloth_contact=False)
+    plan = drapery.plan(drapery.garments.scene(None, ["tube", "coat"]), apart)
     both = run(plan, [CLIP])
     assert both.memories[0].keys() == {("folds", key) for key in plan.keys}
     inner = drapery.plan(drapery.garments.get("tube"), DrapeOptions(folds=1, push_out=False))
@@ -160,3 +161,16 @@ def test_resets_are_counted_and_told(drapery: Drapery, monkeypatch: pytest.Monke
         assert headers["X-Drape-Folds-Resets"] == str(len(POSES))
         for folds in (-1, 17, 1.5):
             assert httpx.post(url + "/drape", json=document | {"folds": folds}).json()["name"] == "folds"
+
+
+def test_what_is_removed_is_forgotten(drapery: Drapery):
+    (stage,) = (one for one in drapery.stages if isinstance(one, Folds))
+    entry = drapery.garments.get("tube")
+    plan = drapery.plan(entry, DrapeOptions(folds=1))
+    stage.prepare(plan)
+    held = {name for name in stage._constants if name[0] == entry.garment.digest}
+    assert held
+    stage.remove(entry.garment)
+    assert not held & set(stage._constants) and entry.garment.digest not in stage._garments
+    stage.add(entry.garment, {})
+    stage.prepare(plan)

@@ -55,7 +55,7 @@ def values(options: DrapeOptions, pass_count: int = PASSES, **settings: object) 
         ({}, {"tier": "fast"}, (0, 1)),
         ({}, {"folds": 0}, (None, 0)),
         ({}, {"passes": 3}, (3, 2)),
-        ({"tier": "accurate"}, {"tier": "fast", "passes": 3, "folds": 0}, (0, 8)),
+        ({"tier": "accurate"}, {"tier": "fast", "passes": 3, "folds": 0}, (0, 4)),
         ({"passes": 2}, {}, (2, 2)),
         ({"folds": 0}, {}, (None, 0)),
         ({"tier": "fast", "folds": 0}, {}, (0, 0)),
@@ -93,7 +93,7 @@ def test_a_cap_never_asks_for_more_than_was_asked():
                 assert held.folds is not None and held.folds <= min(folds, tier.folds)
                 assert passes is None or (held.passes is not None and held.passes <= passes)
     high = chosen(DrapeOptions(tier="accurate"), TIERS, Settings(), PASSES)
-    assert [capped(high, tier).folds for tier in (fast, balanced, accurate)] == [1, 2, 8]
+    assert [capped(high, tier).folds for tier in (fast, balanced, accurate)] == [1, 2, 4]
     jets = chosen(DrapeOptions(geometry="jets"), TIERS, Settings(), PASSES)
     assert (capped(jets, fast).passes, capped(jets, balanced)) == (0, jets)
 

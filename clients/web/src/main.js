@@ -153,7 +153,7 @@ function listPasses(count) {
 // What was measured of a tier stands beside its name.
 async function listTiers() {
   const tiers = await service.tiers();
-  const percent = ({ figures }) => (figures.gain_trained === undefined ? "" : `, ${(100 * figures.gain_trained).toFixed(0)} % of physics`);
+  const percent = ({ figures }) => (figures.gain === undefined ? "" : `, ${(100 * figures.gain).toFixed(0)} % of physics`);
   element("tier").replaceChildren(...tiers.map((tier) => new Option(`${tier.id}${percent(tier)}`, tier.id)));
   element("tier").value = tiers.find((tier) => tier.default).id;
   const asked = wanted.get("tier");
