@@ -12,17 +12,16 @@ from drape.folds.contact import APART_M, HOLLOW_M, REACH_M, STEPS, TURNS, SkinGr
 from drape.folds.room import HELD, LEAST_M, NEAR_M, ROOM_M, STIFFEST, TIGHT_M
 from drape.folds.sheet import ALIKE
 from drape.folds.step import (
-    FAST_MOMENTUM,
     FIRST_STEP_S,
     MEND_M,
     MENDS,
-    MOMENTUM,
     SHORTEST_STEP_S,
+    STIFF_N_PER_M,
     Effort,
     Frame,
     Memory,
     calmness,
-    shared_out,
+    paced,
 )
 from drape.folds.whole import CLAMP_M, stiffness
 from drape.solver import reference
@@ -42,9 +41,8 @@ def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) 
     x = network + off
     way = step_s * _to_world(frames, past.velocity)
     touched = follow(network, frame.skin, dressed.graph, past.touched)
-    calm = calmness(past.network, network)
-    steps, sweeps = shared_out(effort.sweeps, calm)
-    momentum = FAST_MOMENTUM + calm * (MOMENTUM - FAST_MOMENTUM)
+    stiff = 0.5 * float(dressed.material.membrane[0] + dressed.material.membrane[1]) > STIFF_N_PER_M
+    pace = paced(effort.sweeps, calmness(past.network, network), stiff=stiff)
     made = problem(dressed.cloth, dressed.material, dtype=np.float64)
     made = made._replace(hinges=made.creases)  # the others bend by the quadratic matrix
     held, slack = dressed.band_n_per_m, np.full(len(network), made.constants.slack)
@@ -55,15 +53,15 @@ def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) 
         touched = Touched(touched.own, here.other)
         around = touching(made, dressed, x, frame.skin, here)
         around = around._replace(own=around.own._replace(band=network, band_n_per_m=held), slack=slack)
-        for _ in range(steps):
-            ahead = x + momentum * _limited(way, float(made.constants.reach))
-            ahead = ahead + whole_step(dressed, made, around, ahead, calm)
+        for _ in range(pace.steps):
+            ahead = x + pace.momentum * _limited(way, float(made.constants.reach))
+            ahead = ahead + whole_step(dressed, made, around, ahead, pace.share)
             x, way = ahead, ahead - x
-        for _ in range(sweeps):
-            if steps:
+        for _ in range(pace.sweeps):
+            if pace.steps:
                 x = sweep(x, made, around)
                 continue
-            ahead = sweep(x + momentum * _limited(way, float(made.constants.reach)), made, around)
+            ahead = sweep(x + pace.momentum * _limited(way, float(made.constants.reach)), made, around)
             x, way = ahead, ahead - x
     residual, velocity = _to_local(frames, x - network), _to_local(frames, way) / step_s
     return x, Memory(frame.time_s, network, residual, velocity, touched, (past.turn + 1) % TURNS)

@@ -28,11 +28,15 @@ from drape.folds.whole import Whole, whole_step
 from drape.solver.compiled import kernel
 from drape.solver.elements import at, dot, scaled, sub
 
-MOMENTUM, FAST_MOMENTUM = 0.9, 0.7  # of the last step's way before a step, in slow and in fast motion
+# Of the last step's way before a step: in slow motion, and in fast motion of soft and of stiff cloth.
+MOMENTUM, FAST_MOMENTUM, STIFF_MOMENTUM = 0.9, 0.7, 0.5
 FAR_M = 0.25  # from the network's drape: farther is no fold
 CUT_M = 0.30  # a vertex that the network moves farther between two frames is in another clip
-SLOW_M, FAST_M = 0.01, 0.02  # RMS way of the network's vertices a frame, between which steps of the whole fade out
-FAST_SWEEPS = 2  # more where they do
+SLOW_M, FAST_M = 0.01, 0.02  # RMS way of the network's vertices a frame, between which motion becomes fast
+FAST_SWEEPS = 2  # more in fast motion
+STIFF_SHARE = 0.5  # that fast motion leaves of a step of the whole in stiff cloth
+# Mean membrane stiffness along warp and weft from which cloth counts as stiff: denim, satin, poplin, but no knit.
+STIFF_N_PER_M = 1000.0
 MENDS, MEND_M = 2, 0.03  # rounds of following the neighbours where a residual is that far from theirs
 PAUSE_S = 0.25  # after a longer one a frame has no past
 SHORTEST_STEP_S = 1.0 / 240.0  # frames that come closer together count as this far apart
@@ -79,7 +83,7 @@ class Effort:
     """``sweeps``: steps of the whole cloth per frame, and half as many over its vertices, one at least; a frame without
     a past gets ``settle`` times as many of both.
 
-    In fast motion steps of the whole do harm: they fade out, and sweeps over the vertices take their place.
+    In fast motion ``paced`` tells how much of either there is.
     ``cloth_contact``: whether the cloth keeps to the room that the network's drape leaves between its sheets.
     """
 
@@ -118,7 +122,7 @@ def _leads_to(memory: Memory, network: np.ndarray, time_s: float) -> bool:
 
 
 def calmness(before: np.ndarray, network: np.ndarray) -> float:
-    """1 where the network moves its vertices slowly, 0 where fast: steps of the whole then ask for what is past."""
+    """1 where the network moves its vertices slowly, 0 where fast."""
     way = network - before
     moved_m = float(np.sqrt(np.einsum("vi,vi->", way, way) / len(way)))
     return float(np.clip((FAST_M - moved_m) / (FAST_M - SLOW_M), 0.0, 1.0))
@@ -139,11 +143,11 @@ def _advanced(
     rounds = effort.settle if settled else 1
     place = constants.sheet.place
     calm = calmness(past.network[place], network[place])
-    steps, sweeps = shared_out(effort.sweeps, calm)
-    momentum = FAST_MOMENTUM + calm * (MOMENTUM - FAST_MOMENTUM)
+    k = constants.sheet.constants
+    pace = paced(effort.sweeps, calm, stiff=float(k.warp + k.weft) > STIFF_N_PER_M)  # each is half of the fabric's
     numbers = Numbers(
-        dtype(step_s), dtype(momentum), dtype(calm), rounds, steps, sweeps, -1 if settled else past.turn,
-        effort.cloth_contact,
+        dtype(step_s), dtype(pace.momentum), dtype(pace.share), rounds, pace.steps, pace.sweeps,
+        -1 if settled else past.turn, effort.cloth_contact,
     )  # fmt: skip
     cloth = Cloth(constants.sheet, constants.level, constants.graph, constants.near)
     touched = Touched(past.touched.own.copy(), past.touched.other.copy())
@@ -152,11 +156,31 @@ def _advanced(
     return (x[place] if far <= FAR_M else None), after
 
 
-def shared_out(effort: int, calm: float) -> tuple[int, int]:
-    """Steps of the whole cloth and sweeps over its vertices that ``effort`` stands for where motion is so ``calm``."""
+class Pace(NamedTuple):
+    """``steps`` of the whole cloth, a ``share`` of each, with ``momentum``, and ``sweeps`` over its vertices."""
+
+    steps: int
+    sweeps: int
+    share: float
+    momentum: float
+
+
+def paced(effort: int, calm: float, *, stiff: bool) -> Pace:
+    """What ``effort`` stands for where motion is so ``calm``, in cloth that is ``stiff`` or not.
+
+    In fast motion steps of the whole ask soft cloth for what is past: they fade out, and sweeps take their place. Stiff
+    cloth crumples without them: half of each stays, with less momentum, and sweeps for contact come beside them.
+    """
+    half = (effort + 1) // 2
+    if stiff:
+        momentum = STIFF_MOMENTUM + calm * (MOMENTUM - STIFF_MOMENTUM)
+        return Pace(
+            effort, half if calm == 1.0 else effort + FAST_SWEEPS, STIFF_SHARE + calm * (1.0 - STIFF_SHARE), momentum
+        )
+    momentum = FAST_MOMENTUM + calm * (MOMENTUM - FAST_MOMENTUM)
     if calm == 0.0:
-        return 0, effort + FAST_SWEEPS
-    return effort, (effort + 1) // 2 + (FAST_SWEEPS if calm < 1.0 else 0)
+        return Pace(0, effort + FAST_SWEEPS, 0.0, momentum)
+    return Pace(effort, half + (FAST_SWEEPS if calm < 1.0 else 0), calm, momentum)
 
 
 class Cloth(NamedTuple):

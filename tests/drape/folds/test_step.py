@@ -22,15 +22,18 @@ from drape.folds.step import (
     FAST_M,
     FAST_SWEEPS,
     MEND_M,
+    MOMENTUM,
     PAUSE_S,
     SLOW_M,
+    STIFF_MOMENTUM,
+    STIFF_SHARE,
     Effort,
     Frame,
     Memory,
     Report,
     calmness,
     fold,
-    shared_out,
+    paced,
 )
 from drape.solver.problem import problem
 from tests.drape.folds.folds_setup import frame, sleeve, turn_about_y
@@ -191,9 +194,10 @@ def test_where_no_start_leads_to_folds_the_network_is_left_as_it_is():
     assert not memory.residual.any() and not memory.velocity.any()
 
 
+@pytest.mark.parametrize("material", ["rib", "poplin"])
 @pytest.mark.parametrize(("way_m", "calm"), [(0.5 * SLOW_M, 1.0), (0.5 * (SLOW_M + FAST_M), 0.5), (2.0 * FAST_M, 0.0)])
-def test_steps_of_the_whole_fade_out_in_fast_motion(way_m, calm):
-    rest, dressed = sleeve()
+def test_fast_motion_has_its_own_pace(way_m, calm, material):
+    rest, dressed = sleeve(material)
     assert_allclose(calmness(rest, rest + np.array([0.0, way_m, 0.0])), calm, rtol=0.0, atol=1e-9)
     constants = Constants.of(dressed, dtype=np.float64)
     _, memory, _ = fold(constants, None, frame(rest, 0), EFFORT)
@@ -207,9 +211,13 @@ def test_steps_of_the_whole_fade_out_in_fast_motion(way_m, calm):
 
 
 def test_what_an_effort_stands_for():
-    assert [shared_out(sweeps, 1.0) for sweeps in (1, 2, 5, 16)] == [(1, 1), (2, 1), (5, 3), (16, 8)]
-    assert shared_out(2, 0.5) == (2, 1 + FAST_SWEEPS)
-    assert shared_out(2, 0.0) == (0, 2 + FAST_SWEEPS), "steps of the whole are left out"
+    for stiff in (False, True):
+        slow = [paced(effort, 1.0, stiff=stiff) for effort in (1, 2, 5, 16)]
+        assert [(pace.steps, pace.sweeps) for pace in slow] == [(1, 1), (2, 1), (5, 3), (16, 8)]
+        assert {(pace.share, pace.momentum) for pace in slow} == {(1.0, MOMENTUM)}
+    assert paced(2, 0.5, stiff=False)[:3] == (2, 1 + FAST_SWEEPS, 0.5)
+    assert paced(2, 0.0, stiff=False)[:3] == (0, 2 + FAST_SWEEPS, 0.0), "steps of the whole are left out"
+    assert paced(2, 0.0, stiff=True) == (2, 2 + FAST_SWEEPS, STIFF_SHARE, STIFF_MOMENTUM), "they stay"
 
 
 def test_a_residual_far_from_its_neighbours_follows_them(rng):
