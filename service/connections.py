@@ -28,6 +28,7 @@ class LimitedHttp(HttpToolsProtocol):
     _rest: asyncio.TimerHandle | None = None
     _reading: asyncio.TimerHandle | None = None
     _head_bytes = 0
+    _upgraded = False
 
     def connection_made(self, transport: Any) -> None:
         super().connection_made(transport)
@@ -51,7 +52,7 @@ class LimitedHttp(HttpToolsProtocol):
     def data_received(self, data: bytes) -> None:
         self._head_bytes += len(data)
         super().data_received(data)
-        if self.transport.is_closing():
+        if self._upgraded or self.transport.is_closing():
             return
         if self._head is not None:
             if self._head_bytes > HEAD_BYTES:
@@ -73,6 +74,7 @@ class LimitedHttp(HttpToolsProtocol):
 
     def handle_websocket_upgrade(self) -> None:
         self._drop_timers()
+        self._upgraded = True
         super().handle_websocket_upgrade()
 
     def on_message_complete(self) -> None:

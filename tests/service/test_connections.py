@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
 import socket
@@ -10,8 +11,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import httpx
+import numpy as np
 import pytest
 
+from clients.stream import DrapeStream
 from service.app import create_app
 from service.connections import HEAD_BYTES
 from service.settings import Settings
@@ -207,3 +210,19 @@ def test_an_answer_that_nobody_reads_ends(address: tuple[str, int]):
         assert time.monotonic() < deadline, "an answer that nobody reads was kept"
         time.sleep(0.1)
     one.close()
+
+
+def test_a_stream_has_no_time_for_another_head(address: tuple[str, int], tight: Settings):
+    """Its connection began as one of HTTP, whose times end with that."""
+    host, port = address
+
+    async def talk() -> list[int]:
+        async with await DrapeStream.open(f"http://{host}:{port}", "tube") as stream:
+            counts = []
+            for _ in range(2):
+                await asyncio.sleep(1.5 * tight.head_s)
+                await stream.send(np.zeros((24, 3)))
+                counts.append(len((await stream.receive()).frame.positions))
+            return counts
+
+    assert asyncio.run(talk()) == [216, 216]

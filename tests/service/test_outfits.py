@@ -75,7 +75,7 @@ def test_without_push_out_the_layers_are_the_garments_alone(client: httpx.Client
 def test_one_garment_is_answered_as_ever_however_it_is_named(client: httpx.Client):
     one, listed = ask(client, JSON, garment="coat"), ask(client, JSON, garments=["coat"])
     assert one.content == listed.content
-    assert set(one.json()) == {"fps", "frames", "vertices", "positions"}
+    assert set(one.json()) == {"fps", "frames", "vertices", "positions", "origin"}
     assert "X-Drape-Garments" not in one.headers
 
 
