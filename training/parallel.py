@@ -21,8 +21,9 @@ def start(device: torch.device) -> None:
 
 
 def stop() -> None:
-    """Leaves the process group."""
+    """Leaves the process group, when all have come that far: the first to go would take the others' store with it."""
     if dist.is_initialized():
+        dist.barrier()
         dist.destroy_process_group()
 
 

@@ -12,7 +12,7 @@ import torch
 from training import checkpoint, parallel
 
 SCRIPT = """
-import sys, torch
+import os, sys, torch
 from pathlib import Path
 from training import checkpoint, parallel
 from training.poses import read_clips
@@ -25,8 +25,9 @@ run = {"static": TINY_RUN, "dynamic": MOVING_RUN}[sys.argv[2]]
 trainer = make_trainer(replace(run, minutes=0.08), read_clips([sample_motions()], held_out=()), device=CPU)
 train(trainer, Path(sys.argv[1]))
 torch.save([p.detach() for p in trainer.model.parameters()], Path(sys.argv[1]) / f"rank{parallel.rank()}.pt")
-print("steps", trainer.step_count)
+print("steps", trainer.step_count, flush=True)
 parallel.stop()
+os._exit(0)  # threads of libraries that are still there when an interpreter ends have aborted this process before
 """
 
 
