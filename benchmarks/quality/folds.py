@@ -8,7 +8,8 @@
 Every start gets the same solver: ``skinning`` with the nearest-vertex push, and the network after none and all of its
 corrections. ``ms`` is the median processor time of a frame's folds on one thread; energies are those of the referee,
 over frames spread over the clip and without push-out; jitter is against the start.
-``--physics`` adds ``gain`` and ``detail_share`` against the optimum of up to six frames of the clip, minutes each.
+``--physics`` adds ``gain`` and ``detail_share`` against the optimum of up to six frames of the clip, minutes each;
+``--apart`` adds ``gain_apart`` against what of it cloth can have that does not pass through itself.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ import numpy as np
 import torch
 
 from benchmarks.quality.intersections import intersection_count
-from benchmarks.shared import common, physics
+from benchmarks.shared import apart, common, physics
 from benchmarks.shared.network import Network, add_precision
 from benchmarks.shared.physics_cache import CACHE_DIR, stored_minimum
 from benchmarks.shared.render import PLAIN_CLOTH, RAKING_LIGHT, SKIN, Surface, render, save_png, sheet
@@ -55,8 +56,8 @@ SHEET_FRAMES, SHEET_STEP, SHEET_SWEEPS = 5, 3, (0, 2, 8)
 SHEET_SIZE, SHEET_MARGIN, SHEET_COLOURS = (360, 280), 1.15, 96
 COLUMNS = {
     "garment": "s", "fabric": "s", "clip": "s", "fps": ".0f", "method": "s", "sweeps": "d", "ms": ".2f",
-    "energy_j": ".4f", "gain": ".3f", "edge_pct": ".2f", "edge_p999": ".3f", "detail_mm": ".2f", "detail_share": ".2f",
-    "dihedral_deg": ".1f", "jitter_ratio": ".2f", "colliding_pct": ".2f",
+    "energy_j": ".4f", "gain": ".3f", "gain_apart": ".3f", "edge_pct": ".2f", "edge_p999": ".3f",
+    "detail_mm": ".2f", "detail_share": ".2f", "dihedral_deg": ".1f", "jitter_ratio": ".2f", "colliding_pct": ".2f",
     "self_intersections": ".0f", "resets": "d",
 }  # fmt: skip
 
@@ -192,6 +193,11 @@ def measure(
                 drawn[sweeps] = found.vertices
     if options.physics:
         add_physics(rows, bound(referee, from_each))
+    if options.apart:
+        least = bound(referee, from_each, keeps_apart=True)
+        for row in rows:
+            row["gain_apart"] = metrics.gain(plain_row(rows)["energy_j"], row["energy_j"], least.energy_j)
+            row["self_intersections_apart"] = float(intersection_count(least.vertices, mesh.faces).mean())
     if options.sheets:
         picture = fold_sheet(drawn, referee)
         save_png(options.sheets / f"folds_{garment.name}_{cloth.name}.png", picture, colours=SHEET_COLOURS)
@@ -210,17 +216,22 @@ class Bound:
     processor_s: float
 
 
-def bound(referee: Referee, from_each: dict[str, np.ndarray]) -> Bound:
-    """The optimum of ``OPTIMA`` of the measured frames, from the first and the last of the starts; minutes, once."""
+def bound(referee: Referee, from_each: dict[str, np.ndarray], *, keeps_apart: bool = False) -> Bound:
+    """The optimum of ``OPTIMA`` of the measured frames, from the first and the last of the starts, or of cloth that
+    ``keeps_apart`` from itself, from the last one; minutes, once."""
     clip = referee.clip
     few = np.linspace(0, len(clip.measured) - 1, min(OPTIMA, len(clip.measured))).astype(int)
     best = [from_each[name][clip.measured[few]].astype(np.float64) for name in from_each]
     contact = BodyContact(referee.body.faces, referee.body.vertex_count)
     task = physics.Task.of_garment(
         referee.garment, referee.body, referee.cloth, referee.material,
-        contact=contact, body_vertices=clip.body_vertices[few], skinned=best[0], starts=(best[0], best[-1]),
+        contact=contact, body_vertices=clip.body_vertices[few], skinned=best[0],
+        starts=(best[-1],) if keeps_apart else (best[0], best[-1]),
     )  # fmt: skip
-    optimum, _ = stored_minimum(task, physics.STEPS, CACHE_DIR)
+    if keeps_apart:
+        optimum, _ = apart.stored_minimum(task, CACHE_DIR)
+    else:
+        optimum, _ = stored_minimum(task, physics.STEPS, CACHE_DIR)
     parts = physics.energy_parts(
         optimum.vertices, task.cloth, task.material, contact, task.body_vertices, height_m=referee.height_m[few]
     )
@@ -233,9 +244,14 @@ def bound(referee: Referee, from_each: dict[str, np.ndarray]) -> Bound:
     )
 
 
+def plain_row(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Skinning's row without sweeps."""
+    return next(row for row in rows if row["method"] == "skinning" and not row["sweeps"])
+
+
 def add_physics(rows: list[dict[str, Any]], least: Bound) -> None:
     """Adds ``gain`` and ``detail_share`` to ``rows``: 0 is skinning's, the row without sweeps, 1 that of ``least``."""
-    plain = next(row for row in rows if row["method"] == "skinning" and not row["sweeps"])
+    plain = plain_row(rows)
     for row in rows:
         row["gain"] = metrics.gain(plain["energy_j"], row["energy_j"], least.energy_j)
         row["detail_share"] = metrics.gain(-plain["detail_mm"], -row["detail_mm"], -least.detail_mm)
@@ -269,6 +285,9 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--frames", type=int, help=f"of a clip at most (default {FRAMES}, quick {QUICK_FRAMES})")
     parser.add_argument("--cloth-contact", action="store_true", help="cloth keeps to the room between its sheets")
     parser.add_argument("--physics", action="store_true", help="also gain and share of detail, slow")
+    parser.add_argument(
+        "--apart", action="store_true", help="also gain beside cloth that keeps apart from itself, slow"
+    )
     parser.add_argument("--sheets", type=Path, metavar="FOLDER", help="draw folds_GARMENT_FABRIC.png there")
     add_precision(parser)
     common.add_options(parser)

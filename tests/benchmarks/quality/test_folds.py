@@ -7,11 +7,16 @@ import pytest
 
 from benchmarks.quality import folds
 from benchmarks.quality.tables import folds_table
+from benchmarks.shared import apart
 
 
 @pytest.fixture(scope="module")
 def record():
-    return folds.main(["--quick", "--frames", "6", "--sweeps", "0", "1", "8", "--threads", "1"])
+    with pytest.MonkeyPatch.context() as patch:  # a step or two of one frame, kept nowhere
+        patch.setattr(folds, "OPTIMA", 1)
+        patch.setattr(folds, "CACHE_DIR", None)
+        patch.setattr(apart, "STEPS", 2)
+        return folds.main(["--quick", "--frames", "6", "--sweeps", "0", "1", "8", "--threads", "1", "--apart"])
 
 
 def test_rows_are_of_every_start_and_folds_lower_the_energy(record):
@@ -24,6 +29,11 @@ def test_rows_are_of_every_start_and_folds_lower_the_energy(record):
         assert (row["ms"] > 0.0) == bool(sweeps) and row["resets"] == 0
     assert rows["network_0", 0]["jitter_ratio"] == 1.0
     assert rows["network_0", 1]["detail_mm"] > rows["network_0", 0]["detail_mm"]
+
+
+def test_gains_are_also_beside_cloth_that_keeps_apart(record):
+    gains = {(row["method"], row["sweeps"]): row["gain_apart"] for row in record["rows"]}
+    assert gains["skinning", 0] == 0.0 < gains["network_0", 0] < gains["network_0", 8]
 
 
 def test_the_table_has_a_line_for_each_start(record):
