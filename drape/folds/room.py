@@ -28,9 +28,9 @@ from drape.solver.compiled import kernel
 from drape.solver.elements import at, dot, sub
 
 NEAR_M = 0.02  # along the cloth: nearer vertices, and those of one triangle, are one sheet
-ROOM_M, TIGHT_M = 0.018, 0.010  # distance from which a vertex is held closer, and at which slack is the least
-LEAST_M = 0.0005
-HELD, STIFFEST = 3.0, 3.0  # of contact's stiffness; with more of either held cloth rattles
+ROOM_M, TIGHT_M = 0.018, 0.012  # distance from which a vertex is held closer, and at which slack is the least
+LEAST_M = 0.0002
+HELD, STIFFEST = 1.5, 4.0  # of contact's stiffness; with more of either held cloth rattles
 PER_CELL = 1.0 / ROOM_M
 
 

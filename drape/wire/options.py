@@ -102,7 +102,7 @@ class DrapeOptions(BaseModel):
     cloth_contact: bool | None = Field(
         default=None,
         strict=True,
-        description="With folds: cloth feels cloth, a garment itself and the garments below it. Left out: in outfits.",
+        description="With folds: cloth feels cloth, a garment itself and the garments below it. Left out: it does.",
     )
     fabric: FabricChoice | Annotated[tuple[FabricChoice | None, ...], Len(1, LAYER_LIMIT), FIRST_ONLY] | None = Field(
         default=None,

@@ -39,7 +39,7 @@ def make_plan(stages: Sequence[Stage], scene: Scene, options: DrapeOptions, *, m
     """
     chosen = {name: getattr(options, name) for name in DrapeOptions.model_fields}
     for stage in stages:
-        chosen |= stage.resolve(options, len(scene.layers))
+        chosen |= stage.resolve(options)
     scene = scene.fine if options.resolution == "fine" else scene
     plan = Plan(scene, DrapeOptions().model_copy(update=chosen), messages)
     for stage in stages:

@@ -223,9 +223,8 @@ class Stage:
     def __init__(self, engine: Engine, body: BodyModel, settings: Settings) -> None:
         self.engine, self.body, self.settings = engine, body, settings
 
-    def resolve(self, options: DrapeOptions, layers: int) -> dict[str, Any]:
-        """Options that this stage reads, by name, with the values that hold where clients left them open, for so many
-        ``layers`` over each other.
+    def resolve(self, options: DrapeOptions) -> dict[str, Any]:
+        """Options that this stage reads, by name, with the values that hold where clients left them open.
 
         Refuses (``InputError``) what the model cannot do.
         """

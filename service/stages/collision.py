@@ -27,7 +27,7 @@ class Collision(Stage):
         super().__init__(engine, body, settings)
         self.pusher = Pusher(engine, body, settings.clearance_m)
 
-    def resolve(self, options: DrapeOptions, layers: int) -> dict[str, Any]:
+    def resolve(self, options: DrapeOptions) -> dict[str, Any]:
         return {"push_out": self.settings.push_out if options.push_out is None else options.push_out}
 
     def wanted(self, plan: Plan) -> bool:

@@ -29,8 +29,8 @@ KEPT_BYTES = 256 << 20  # of garments in fabrics, 3 to 8 MB each; what is in use
 
 
 class Folds(Stage):
-    """Lowers the cloth's energy over the body, with ``cloth_contact``, as outfits have it unless they say otherwise,
-    over the layers below too; without it each layer is by itself, and what is between them is for the push-out.
+    """Lowers the cloth's energy over the body and, unless a scene says otherwise, with ``cloth_contact``: over itself
+    and the layers below; without it each layer is by itself, and what is between them is for the push-out.
 
     A garment that was delivered coarse folds on its subdivided mesh, around which the delivered one is then wrapped.
     """
@@ -46,12 +46,12 @@ class Folds(Stage):
         self.kept_bytes = KEPT_BYTES
         warm_up()
 
-    def resolve(self, options: DrapeOptions, layers: int) -> dict[str, Any]:
+    def resolve(self, options: DrapeOptions) -> dict[str, Any]:
         if not options.folds:
             return {"folds": 0, "settle": None, "cloth_contact": None}
         return {
             "settle": SETTLE if options.settle is None else options.settle,
-            "cloth_contact": layers > 1 if options.cloth_contact is None else options.cloth_contact,
+            "cloth_contact": options.cloth_contact is not False,
         }
 
     def check(self, plan: Plan) -> None:

@@ -60,7 +60,7 @@ class Motion(Stage):
         if engine.dynamic:  # so that the first request does not pay for lazy set-up
             engine.advance(np.zeros((1, 24, 12)), Memory.empty(engine).state[None], np.array([1.0 / 30.0]))
 
-    def resolve(self, options: DrapeOptions, layers: int) -> dict[str, Any]:
+    def resolve(self, options: DrapeOptions) -> dict[str, Any]:
         knob = 1.0 if options.knob is None else options.knob
         return {"knob": knob if self.engine.dynamic else 0.0}
 

@@ -39,7 +39,7 @@ class Network(Stage):
         self.packer = Packer(engine, body)
         self._skin_in_graph = engine.feels_body and body.posedirs is None
 
-    def resolve(self, options: DrapeOptions, layers: int) -> dict[str, Any]:
+    def resolve(self, options: DrapeOptions) -> dict[str, Any]:
         return {"passes": self.engine.check_passes(options.passes)}
 
     def check(self, plan: Plan) -> None:

@@ -84,9 +84,10 @@ def test_cloth_feels_cloth_where_that_is_asked_for(outfit_settings: Settings, mo
     off, left_out = (
         drapery.plan(scene, options.model_copy(update={"cloth_contact": asked})) for asked in (False, None)
     )
-    assert on == left_out != off and on.options.cloth_contact, "outfits have it unless they say otherwise"
+    assert on == left_out != off and on.options.cloth_contact, "scenes have it unless they say otherwise"
     one = drapery.garments.get("tube")
-    assert not drapery.plan(one, DrapeOptions(folds=1)).options.cloth_contact
+    assert drapery.plan(one, DrapeOptions(folds=1)).options.cloth_contact, "of one garment as of several"
+    assert not drapery.plan(one, DrapeOptions(folds=1, cloth_contact=False)).options.cloth_contact
     assert drapery.plan(scene, DrapeOptions(folds=0, cloth_contact=True)) == drapery.plan(scene, DrapeOptions(folds=0))
     apart, over = (run(plan, [CLIP]).vertices for plan in (off, on))
     inner = run(drapery.plan(drapery.garments.get("tube"), options), [CLIP]).vertices
