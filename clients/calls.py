@@ -197,10 +197,16 @@ def drape_jets(garment: str | Sequence[str], motion: Motion, body: Body, options
 
 
 def drape_glb(
-    garment: str | Sequence[str], motion: Motion, body: Body, options: Options, *, with_body: bool = False
+    garment: str | Sequence[str],
+    motion: Motion,
+    body: Body,
+    options: Options,
+    *,
+    with_body: bool = False,
+    quantised: bool = True,
 ) -> Call[bytes]:
     """The bytes of an animated GLB."""
-    asked = _asked(garment, motion, body, options) | {"body": with_body}
+    asked = _asked(garment, motion, body, options) | {"body": with_body, "quantised": quantised}
     return Call("POST", "/drape", _read_bytes, headers={"Accept": GLB}, json=asked)
 
 

@@ -82,6 +82,7 @@ def _parser() -> argparse.ArgumentParser:
     drape.add_argument("--fps", type=float, default=30.0, help="frames per second of the result (30)")
     drape.add_argument("--betas", help="body shape, comma-separated")
     drape.add_argument("--body", action="store_true", help="include the body in the GLB")
+    drape.add_argument("--float32", action="store_true", help="the GLB in float32, twice as large")
     for name, field in _options().items():
         flag = "--" + name.replace("_", "-")
         kind = next(kind for kind in get_args(field.annotation) if kind is not type(None))
@@ -139,7 +140,9 @@ def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
         worn.append(garment)
     if suffix == ".glb":
         garments = worn[0] if len(worn) == 1 else worn
-        content = client.drape_glb(garments, clip, betas=betas, body=options.body, **choices)
+        content = client.drape_glb(
+            garments, clip, betas=betas, body=options.body, quantised=not options.float32, **choices
+        )
     else:
         buffer = io.BytesIO()
         layers = client.drape_outfit(worn, clip, betas=betas, **choices)

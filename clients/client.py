@@ -182,10 +182,15 @@ class DrapeClient:
         betas: np.ndarray | None = None,
         fps: float | None = None,
         body: bool = False,
+        quantised: bool = True,
         **options: Any,
     ) -> bytes:
-        """An animated GLB of a garment, or of several over each other; with the body beside them if ``body``."""
-        return self._send(calls.drape_glb(garment, motion, Body(trans, betas, fps), options, with_body=body))
+        """An animated GLB of a garment, or of several over each other; with the body beside them if ``body``.
+
+        ``quantised`` (KHR_mesh_quantization) is half as large; float32 otherwise.
+        """
+        more = {"with_body": body, "quantised": quantised}
+        return self._send(calls.drape_glb(garment, motion, Body(trans, betas, fps), options, **more))
 
     def posed_body(
         self, body: str, motion: Motion, *, trans: np.ndarray | None = None, betas: np.ndarray | None = None
@@ -344,10 +349,15 @@ class AsyncDrapeClient:
         betas: np.ndarray | None = None,
         fps: float | None = None,
         body: bool = False,
+        quantised: bool = True,
         **options: Any,
     ) -> bytes:
-        """An animated GLB of a garment, or of several over each other; with the body beside them if ``body``."""
-        return await self._send(calls.drape_glb(garment, motion, Body(trans, betas, fps), options, with_body=body))
+        """An animated GLB of a garment, or of several over each other; with the body beside them if ``body``.
+
+        ``quantised`` (KHR_mesh_quantization) is half as large; float32 otherwise.
+        """
+        more = {"with_body": body, "quantised": quantised}
+        return await self._send(calls.drape_glb(garment, motion, Body(trans, betas, fps), options, **more))
 
     async def posed_body(
         self, body: str, motion: Motion, *, trans: np.ndarray | None = None, betas: np.ndarray | None = None

@@ -14,10 +14,14 @@ from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_table import FABRICS
 from drape.errors import InputError
+from drape.export import glb
+from drape.export.glb_body import add_body
+from drape.export.glb_file import GlbFile
+from drape.export.ride import Ride
 from drape.files.formats import MESH_CONTENT_TYPES, MESH_NAMES, listed
 from drape.garment.cache import Garment
 from drape.wire.options import Resolution
-from service import glb, negotiation, schemas
+from service import negotiation, schemas
 from service.access import ClientHere
 from service.answers import binary_answer, json_answer
 from service.avatars import MOST_CHARACTERS, upload_avatar
@@ -107,7 +111,7 @@ async def garment_mesh(
 
 
 def _rest_file(garment: Garment) -> bytes:
-    file = glb.GlbFile()
+    file = GlbFile()
     glb.add_garment(file, garment, garment.vertices[None, : garment.vertex_count], fps=1.0)
     return file.to_bytes()
 
@@ -194,7 +198,7 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
     if jets:
         check_jets_size(len(clip.poses), scene, drapery)
     else:
-        _check_size(kind, len(clip.poses), scene.vertex_count, drapery)
+        _check_size(kind, len(clip.poses), scene.vertex_count, drapery, quantised=asked.quantised)
     with state.access.using(client, "clips"), state.slot():
         draped = await drapery.drape(plan, clip)
         headers = _quality_headers(draped, drapery) | {"X-Drape-Motion": f"{plan.options.knob:g}"}
@@ -248,32 +252,36 @@ async def _clip(model: type[Asked], request: Request, state: State) -> tuple[Ask
     return asked, PoseInput(poses, trans, shape_array(asked.betas, body), np.arange(len(poses)) / asked.fps)
 
 
-def _check_size(kind: str, frames: int, vertices: int, drapery: Drapery) -> None:
-    per_vertex = {negotiation.BINARY: 12, negotiation.GLB: 24, negotiation.JSON: 3 * NUMBER_TEXT_BYTES}[kind]
+def _check_size(kind: str, frames: int, vertices: int, drapery: Drapery, *, quantised: bool = False) -> None:
+    in_glb = 12 if quantised else 24
+    per_vertex = {negotiation.BINARY: 12, negotiation.GLB: in_glb, negotiation.JSON: 3 * NUMBER_TEXT_BYTES}[kind]
     check_answer(frames * vertices * per_vertex, f"{frames} frames of {vertices} vertices", drapery.settings)
 
 
 def _garment_file(
     scene: Scene, placed: Placed, asked: schemas.DrapeRequest, clip: PoseInput, drapery: Drapery
 ) -> bytes:
-    file, start = glb.GlbFile(), 0
+    file, start = GlbFile(), 0
     vertices, point = placed.from_first()
+    ride = None
+    if asked.quantised:
+        ride = Ride(clip.poses[:, 0], clip.trans + drapery.body.rest_joints(clip.betas)[0] - point)
     for layer, worn in enumerate(scene.layers):
         colour = glb.GARMENT_COLOURS[layer % len(glb.GARMENT_COLOURS)]
         own = vertices[:, start : start + worn.vertex_count]
-        glb.add_garment(file, worn.garment, own, asked.fps, colour)
+        glb.add_garment(file, worn.garment, own, asked.fps, colour, ride=ride)
         start += worn.vertex_count
     if asked.body:
-        glb.add_body(file, drapery.body, clip.betas, clip.poses, clip.trans - point, asked.fps)
+        add_body(file, drapery.body, clip.betas, clip.poses, clip.trans - point, asked.fps)
     if asked.origin == "root":
         file.place("root", point)
     return file.to_bytes()
 
 
 def _body_file(body: BodyModel, clip: PoseInput, asked: schemas.PosedRequest) -> bytes:
-    file = glb.GlbFile()
+    file = GlbFile()
     point = clip.trans[0] + body.rest_joints(clip.betas)[0] if asked.origin == "root" else np.zeros(3)
-    glb.add_body(file, body, clip.betas, clip.poses, clip.trans - point, asked.fps)
+    add_body(file, body, clip.betas, clip.poses, clip.trans - point, asked.fps)
     if asked.origin == "root":
         file.place("root", point)
     return file.to_bytes()
@@ -384,8 +392,8 @@ async def body_mesh(
     shape = shape_array(_numbers("betas", betas), drapery.body)
     kind = negotiation.choose(request.headers.get("accept"), (negotiation.JSON, negotiation.GLB))
     if kind == negotiation.GLB:
-        file = glb.GlbFile()
-        glb.add_body(file, drapery.body, shape)
+        file = GlbFile()
+        add_body(file, drapery.body, shape)
         return Response(file.to_bytes(), media_type=kind)
     faces = drapery.body.faces
     vertices = drapery.body.rest_vertices(shape).astype(np.float32)

@@ -49,6 +49,11 @@ class DrapeRequest(DrapeOptions, Worn, PosedRequest):
     """A garment, or several over each other, on a body in motion."""
 
     body: bool = Field(default=False, description="In a GLB, include the body as a second, skinned mesh.")
+    quantised: bool = Field(
+        default=True,
+        description="In a GLB, positions in steps of 16 bits and normals of 8 (KHR_mesh_quantization), half as large; "
+        "false: float32.",
+    )
 
 
 class UploadRequest(Request):

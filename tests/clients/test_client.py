@@ -56,6 +56,8 @@ def test_sync_and_async_say_the_same(live: str, body: BodyModel, tube: Garment):
             assert_allclose((await client.placed(samples.walk())).trans, walk.trans, rtol=0, atol=1e-5)
 
     asyncio.run(whole())
+    with DrapeClient(live) as client:
+        assert len(client.drape_glb("tube", clip, body=True, quantised=False)) > len(file)
     assert_array_equal(vertices, again)
     assert_allclose(vertices, expected_vertices(body, tube, poses, trans, betas), rtol=0, atol=ROUNDING_M)
     assert_allclose(posed, body.posed_vertices(poses, trans), rtol=0, atol=2e-6)
