@@ -19,6 +19,7 @@ from service.limits import BodyLimit
 from service.metrics import Metrics
 from service.origins import Doors
 from service.page import Page
+from service.pasts import Pasts
 from service.piecework import Piecework
 from service.request_log import RequestLog
 from service.sessions import Streams
@@ -40,7 +41,8 @@ def create_app(
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         loaded = drapery or Drapery(settings, metrics=metrics)
         piecework = Piecework()
-        state = State(loaded, Uploads(loaded, piecework, access), Streams(loaded, piecework), piecework, access, life)
+        uploads, streams = Uploads(loaded, piecework, access), Streams(loaded, piecework)
+        state = State(loaded, uploads, streams, piecework, access, life, Pasts(settings))
         app.state.drape = state
         state.uploads.start()
         state.streams.start()

@@ -34,8 +34,9 @@ from service.limits import check_answer
 from service.motions import floor_m
 from service.placing import Placed
 from service.poses import motion_arrays, shape_array
-from service.stages.batch import Batch, PoseInput
+from service.stages.batch import PoseInput
 from service.state import State, StateHere
+from service.streamed import Road, plan_headers, quality_headers, streamed_answer
 from service.upload_body import read_upload
 from service.validation import check_query
 from service.version import product_version
@@ -67,6 +68,8 @@ async def health(state: StateHere) -> schemas.Health:
         passes=drapery.engine.pass_count,
         fabrics=drapery.engine.knows_fabrics,
         layers=drapery.settings.max_layers,
+        max_frames=drapery.settings.max_frames,
+        max_body_bytes=drapery.settings.max_body_bytes,
         sessions=state.streams.count,
         refused_garments=drapery.garments.refused,
     )
@@ -185,28 +188,33 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
 
     With origin "root" positions count from each frame's root, and the roots follow them, float64 (frames, 3). The
     vertices of an outfit's garments follow each other; X-Drape-Garments says how many each has. With geometry "jets"
-    the answer holds a JETS message per frame (docs/reference/wire.md), binary only.
+    the answer holds a JETS message per frame (docs/reference/wire.md), binary only. With streamed frames leave as they
+    are ready; with keep and past a clip comes in pieces that are the whole clip.
     """
     drapery = state.drapery
     state.check_slot()  # before anything is read
     asked, clip = await _clip(schemas.DrapeRequest, request, state)
     jets = asked.geometry == "jets"
-    kind = negotiation.choose(request.headers.get("accept"), (negotiation.BINARY,)) if jets else _kind(request)
+    binary_only = jets or asked.streamed
+    kind = negotiation.choose(request.headers.get("accept"), (negotiation.BINARY,)) if binary_only else _kind(request)
     scene = drapery.garments.scene(asked.garment, asked.garments, client.name)
     plan = await drapery.plan_within(scene, asked, messages=jets)
     scene = plan.scene
+    if asked.past is not None:
+        clip = state.pasts.get(asked.past, client.name).followed_by(plan, clip, asked.fps)
+    road = Road(plan, clip, asked, client)
+    if asked.streamed:
+        return await streamed_answer(road, state)
     if jets:
         check_jets_size(len(clip.poses), scene, drapery)
     else:
         _check_size(kind, len(clip.poses), scene.vertex_count, drapery, quantised=asked.quantised)
     with state.access.using(client, "clips"), state.slot():
         draped = await drapery.drape(plan, clip)
-        headers = _quality_headers(draped, drapery) | {"X-Drape-Motion": f"{plan.options.knob:g}"}
+        headers = quality_headers(draped) | plan_headers(plan, drapery) | road.remember(draped.memories[0], state)
         if jets:
             return jets_response(draped, headers)
         worn = layer_list(scene) if isinstance(scene, Outfit) else None
-        if worn is not None:
-            headers["X-Drape-Garments"] = ",".join(f"{layer['id']}:{layer['vertices']}" for layer in worn)
         placed = await asyncio.to_thread(draped.placed, asked.origin)
         if kind == negotiation.GLB:
             content = await asyncio.to_thread(_garment_file, scene, placed, asked, clip, drapery)
@@ -306,27 +314,6 @@ def _vertices_answer(
     if worn is not None:
         document["garments"] = worn
     return json_answer(document | {"positions": vertices}, state.piecework, headers)
-
-
-def _quality_headers(draped: Batch, drapery: Drapery) -> dict[str, str]:
-    return {
-        "X-Drape-Model": drapery.engine.manifest.digest[:16],
-        "X-Drape-Push-Out": str(int(bool(draped.plan.options.push_out))),
-        "X-Drape-Pushed-Share": f"{draped.quality.pushed_share.mean():.6f}",
-        "X-Drape-Push-Max-M": f"{draped.quality.push_max_m.max():.6f}",
-        **_tier_headers(draped, drapery),
-    }
-
-
-def _tier_headers(draped: Batch, drapery: Drapery) -> dict[str, str]:
-    """What was computed: the tier by name, the network's passes and the steps of folds."""
-    options, passes = draped.plan.options, drapery.engine.pass_count
-    return {
-        "X-Drape-Tier": drapery.tier_of(draped.plan),
-        "X-Drape-Passes": str(passes if options.passes is None else options.passes),
-        "X-Drape-Folds": str(options.folds),
-        "X-Drape-Folds-Resets": str(int(draped.quality.folds_resets.sum())),
-    }
 
 
 # --- fabrics, bodies and clips ---

@@ -49,6 +49,15 @@ class DrapeRequest(DrapeOptions, Worn, PosedRequest):
     """A garment, or several over each other, on a body in motion."""
 
     body: bool = Field(default=False, description="In a GLB, include the body as a second, skinned mesh.")
+    streamed: bool = Field(
+        default=False,
+        description="Of a binary answer: frames leave as they are ready, of any number of bytes; no header tells what "
+        "is known at the end alone.",
+    )
+    keep: bool = Field(default=False, description="Keep what the cloth remembers: X-Drape-Past names it.")
+    past: Annotated[str, Field(max_length=120)] | None = Field(
+        default=None, description="The X-Drape-Past of the frames that came before these: the clip goes on from there."
+    )
     quantised: bool = Field(
         default=True,
         description="In a GLB, positions in steps of 16 bits and normals of 8 (KHR_mesh_quantization), half as large; "
@@ -93,6 +102,8 @@ class Health(BaseModel):
     passes: int = Field(description="Corrections of the network of which a request may choose how many; 0: no choice.")
     fabrics: bool = Field(description="Whether the model drapes by what garments are made of.")
     layers: int = Field(description="Garments that an outfit may have.")
+    max_frames: int = Field(description="Frames that a request may have; longer clips go in pieces.")
+    max_body_bytes: int = Field(description="Bytes that its body may have.")
     sessions: int
     refused_garments: list[str] = Field(description="Stored garments that could not be loaded, with the reason.")
 

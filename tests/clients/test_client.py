@@ -234,5 +234,6 @@ def test_a_close_without_a_word_is_told_by_its_code(live: str):
 
 def test_documents_of_requests_are_plain_json():
     call = calls.drape("tube", np.zeros((1, 24, 3), np.float32), calls.Body(), {})
-    assert json.loads(json.dumps(call.json))["poses"] == np.zeros((1, 24, 3)).tolist()
-    assert "trans" not in call.json
+    document = call.arguments()["json"]
+    assert json.loads(json.dumps(document))["poses"] == np.zeros((1, 24, 3)).tolist()
+    assert "trans" not in document

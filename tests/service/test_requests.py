@@ -18,6 +18,7 @@ from service.errors import Busy
 from service.jobs import Uploads
 from service.json_body import clip_marks
 from service.lifecycle import Lifecycle
+from service.pasts import Pasts
 from service.piecework import Piecework
 from service.sessions import Streams
 from service.settings import Settings
@@ -173,7 +174,7 @@ def test_more_clips_than_places_are_refused(make_settings: Callable[..., Setting
     drapery = Drapery(make_settings(max_clips=1))
     streams, access = Streams(drapery, Piecework()), Access(drapery.settings)
     uploads = Uploads(drapery, Piecework(), access)
-    state = State(drapery, uploads, streams, Piecework(), access, Lifecycle(stuck_s=9.0))
+    state = State(drapery, uploads, streams, Piecework(), access, Lifecycle(stuck_s=9.0), Pasts(drapery.settings))
     with state.slot(), pytest.raises(Busy, match="fewer than 1 at a time"), state.slot():
         pass
     with state.slot():
