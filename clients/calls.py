@@ -19,6 +19,7 @@ from drape.files.avatar_table import entry_for
 from drape.files.formats import MESH_SUFFIXES
 from drape.motion.clip import MotionClip
 from drape.motion.grounding import placed_on_ground
+from drape.wire.clips import check_motion, pack_clip
 from drape.wire.jets import JetFrame, split_jets
 from drape.wire.layout import JetLayout, unpack_layout
 from drape.wire.options import Resolution, options_document
@@ -49,18 +50,20 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """The frames of a request: ``poses`` (F, 24, 3) [rad] and ``trans`` (F, 3) [m], None for zeros."""
+    """The frames of a request: ``poses`` (F, 24, 3) [rad] and ``trans`` (F, 3) [m], None for zeros.
+
+    Refuses (``MotionError``) other shapes.
+    """
 
     poses: np.ndarray
     trans: np.ndarray | None
 
+    def __post_init__(self) -> None:
+        check_motion(self.poses, self.trans)
+
     def part(self, rows: slice) -> Clip:
         """The frames ``rows``."""
         return Clip(self.poses[rows], None if self.trans is None else self.trans[rows])
-
-    def document(self) -> dict[str, Any]:
-        """The frames as JSON says them."""
-        return {"poses": self.poses.tolist()} | ({} if self.trans is None else {"trans": self.trans.tolist()})
 
 
 @dataclass(frozen=True)
@@ -78,13 +81,16 @@ class Call(Generic[Answer]):
 
     def arguments(self) -> dict[str, Any]:
         """What httpx's ``request`` takes."""
+        content, headers = self.content, dict(self.headers)
+        if self.clip is not None:
+            content, headers["Content-Type"] = pack_clip(self.json, self.clip.poses, self.clip.trans), BINARY
         return {
             "method": self.method,
             "url": self.path,
             "params": dict(self.params),
-            "headers": dict(self.headers),
-            "json": self.json if self.clip is None else self.json | self.clip.document(),
-            "content": self.content,
+            "headers": headers,
+            "json": self.json if self.clip is None else None,
+            "content": content,
         }
 
     def answer(self, response: httpx.Response) -> Answer:
@@ -265,11 +271,7 @@ def _motion(motion: Motion, body: Body) -> tuple[Clip, dict[str, Any]]:
     about: dict[str, Any] = {"fps": DEFAULT_FPS if fps is None else float(fps)}
     if body.betas is not None:
         about["betas"] = _finite("betas", body.betas).tolist()
-    clip = Clip(_finite("poses", poses), None if places is None else _finite("trans", places))
-    if clip.trans is not None and len(clip.trans) != len(clip.poses):
-        expected, got = f"one translation per frame, {len(clip.poses)}", str(len(clip.trans))
-        raise MotionError("trans", expected=expected, got=got, cure="Send as many as poses, or none.")
-    return clip, about
+    return Clip(_finite("poses", poses), None if places is None else _finite("trans", places)), about
 
 
 def _finite(key: str, array: np.ndarray) -> np.ndarray:

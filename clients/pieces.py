@@ -10,15 +10,18 @@ import httpx
 import numpy as np
 
 from clients.calls import DRAPE, Call
+from drape.wire.clips import FRAME_BYTES
 
 Answer = TypeVar("Answer")
+OPTION_BYTES = 16384  # of a request, besides its frames
 UNASKED = 60
 """A clip of no more frames is sent without asking the service how many it takes."""
 
 
 def most_frames(health: dict[str, Any]) -> int:
     """Frames that a request to the service may have that says ``health`` of itself."""
-    return max(1, int(health["max_frames"]))
+    in_body = (int(health["max_body_bytes"]) - OPTION_BYTES) // FRAME_BYTES
+    return max(1, min(int(health["max_frames"]), in_body))
 
 
 def slices(frames: int, most: int) -> Iterator[slice]:

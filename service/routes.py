@@ -20,6 +20,7 @@ from drape.export.glb_file import GlbFile
 from drape.export.ride import Ride
 from drape.files.formats import MESH_CONTENT_TYPES, MESH_NAMES, listed
 from drape.garment.cache import Garment
+from drape.wire.clips import unpack_clip
 from drape.wire.options import Resolution
 from service import negotiation, schemas
 from service.access import ClientHere
@@ -29,7 +30,7 @@ from service.drapery import Drapery
 from service.garments import Outfit, Scene, layer_list
 from service.jets import check_jets_size, jets_response
 from service.jobs import Job
-from service.json_body import body_schema, clip_marks, content_type, document_of, json_text, validated
+from service.json_body import clip_marks, clip_schema, content_type, document_of, json_text, validated
 from service.limits import check_answer
 from service.motions import floor_m
 from service.placing import Placed
@@ -43,7 +44,7 @@ from service.version import product_version
 
 router = APIRouter()
 NUMBER_TEXT_BYTES = 20  # of one coordinate in JSON
-Asked = TypeVar("Asked", bound=schemas.PosedRequest)
+Asked = TypeVar("Asked", bound=schemas.PosedOptions)
 Betas = Annotated[str | None, Query(max_length=1000, description="Shape coefficients, comma-separated.")]
 
 
@@ -182,7 +183,7 @@ def _job_info(job: Job) -> schemas.JobInfo:
 # --- draped clips and posed bodies ---
 
 
-@router.post("/drape", response_model=schemas.VerticesDocument, openapi_extra=body_schema(schemas.DrapeRequest))
+@router.post("/drape", response_model=schemas.VerticesDocument, openapi_extra=clip_schema(schemas.DrapeRequest))
 async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> Response:
     """The garment on the moving body, world axes [m]: binary float32 (frames, vertices, 3), GLB or JSON by Accept.
 
@@ -193,7 +194,7 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
     """
     drapery = state.drapery
     state.check_slot()  # before anything is read
-    asked, clip = await _clip(schemas.DrapeRequest, request, state)
+    asked, clip = await _clip(schemas.DrapeRequest, schemas.ClipOptions, request, state)
     jets = asked.geometry == "jets"
     binary_only = jets or asked.streamed
     kind = negotiation.choose(request.headers.get("accept"), (negotiation.BINARY,)) if binary_only else _kind(request)
@@ -225,14 +226,14 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
 @router.post(
     "/bodies/{body_id}/posed",
     response_model=schemas.VerticesDocument,
-    openapi_extra=body_schema(schemas.PosedRequest),
+    openapi_extra=clip_schema(schemas.PosedRequest),
 )
 async def posed_body(body_id: str, request: Request, state: StateHere, client: ClientHere) -> Response:
     """The posed body's vertices for the same input, in the same formats."""
     drapery = state.drapery
     drapery.check_body_id(body_id)
     state.check_slot()
-    asked, clip = await _clip(schemas.PosedRequest, request, state)
+    asked, clip = await _clip(schemas.PosedRequest, schemas.PosedOptions, request, state)
     kind = _kind(request)
     if kind == negotiation.GLB:
         return Response(await asyncio.to_thread(_body_file, drapery.body, clip, asked), media_type=kind)
@@ -251,12 +252,22 @@ def _kind(request: Request) -> str:
     return negotiation.choose(request.headers.get("accept"), (negotiation.BINARY, negotiation.GLB, negotiation.JSON))
 
 
-async def _clip(model: type[Asked], request: Request, state: State) -> tuple[Asked, PoseInput]:
-    """The body of ``request`` as a ``model``, and its checked motion."""
-    body, frames = state.drapery.body, state.drapery.settings.max_frames
-    text, run = await json_text(request), state.piecework.run
-    asked = await run(validated, model, await run(partial(document_of, text, most_marks=clip_marks(frames))))
-    poses, trans = await run(partial(motion_arrays, asked.poses, asked.trans, max_frames=frames))
+async def _clip(
+    whole: type[schemas.PosedRequest], options: type[Asked], request: Request, state: State
+) -> tuple[Asked, PoseInput]:
+    """The body of ``request``, JSON as a ``whole`` or a CLIP message, and its checked motion."""
+    body, most, run = state.drapery.body, state.drapery.settings.max_frames, state.piecework.run
+    if content_type(request) == negotiation.BINARY:
+        text, poses, trans = unpack_clip(await request.body())
+        document = await run(partial(document_of, text, otherwise="a clip whose last part is not JSON"))
+        asked = await run(validated, options, document)
+    else:
+        document = await run(partial(document_of, await json_text(request), most_marks=clip_marks(most)))
+        read = await run(validated, whole, document)
+        poses, trans = read.poses, read.trans
+        assert isinstance(read, options)
+        asked = read
+    poses, trans = await run(partial(motion_arrays, poses, trans, max_frames=most))
     return asked, PoseInput(poses, trans, shape_array(asked.betas, body), np.arange(len(poses)) / asked.fps)
 
 
@@ -266,9 +277,7 @@ def _check_size(kind: str, frames: int, vertices: int, drapery: Drapery, *, quan
     check_answer(frames * vertices * per_vertex, f"{frames} frames of {vertices} vertices", drapery.settings)
 
 
-def _garment_file(
-    scene: Scene, placed: Placed, asked: schemas.DrapeRequest, clip: PoseInput, drapery: Drapery
-) -> bytes:
+def _garment_file(scene: Scene, placed: Placed, asked: schemas.ClipOptions, clip: PoseInput, drapery: Drapery) -> bytes:
     file, start = GlbFile(), 0
     vertices, point = placed.from_first()
     ride = None
@@ -286,7 +295,7 @@ def _garment_file(
     return file.to_bytes()
 
 
-def _body_file(body: BodyModel, clip: PoseInput, asked: schemas.PosedRequest) -> bytes:
+def _body_file(body: BodyModel, clip: PoseInput, asked: schemas.PosedOptions) -> bytes:
     file = GlbFile()
     point = clip.trans[0] + body.rest_joints(clip.betas)[0] if asked.origin == "root" else np.zeros(3)
     add_body(file, body, clip.betas, clip.poses, clip.trans - point, asked.fps)

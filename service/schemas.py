@@ -29,13 +29,9 @@ class Request(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
-class PosedRequest(Request):
-    """A body in motion: rotation vectors [rad] relative to the parent, root translation [m], shape."""
+class PosedOptions(Request):
+    """Of a body in motion all but its poses: its shape, and what an answer counts from."""
 
-    poses: Annotated[list[PoseRows], Len(1), FIRST_ONLY]
-    trans: Annotated[list[Vector], FIRST_ONLY] | None = Field(
-        default=None, description="Root translation [m] per frame; zeros if left out."
-    )
     betas: Betas | None = Field(default=None, description="Body shape; zeros if left out.")
     fps: Annotated[float, Field(gt=0.0, le=1000.0, allow_inf_nan=False)] = 30.0
     origin: Origin = Field(
@@ -45,8 +41,17 @@ class PosedRequest(Request):
     )
 
 
-class DrapeRequest(DrapeOptions, Worn, PosedRequest):
-    """A garment, or several over each other, on a body in motion."""
+class PosedRequest(PosedOptions):
+    """A body in motion: rotation vectors [rad] relative to the parent, root translation [m], shape."""
+
+    poses: Annotated[list[PoseRows], Len(1), FIRST_ONLY]
+    trans: Annotated[list[Vector], FIRST_ONLY] | None = Field(
+        default=None, description="Root translation [m] per frame; zeros if left out."
+    )
+
+
+class ClipOptions(DrapeOptions, Worn, PosedOptions):
+    """Of a garment, or several over each other, on a body in motion all but the poses."""
 
     body: bool = Field(default=False, description="In a GLB, include the body as a second, skinned mesh.")
     streamed: bool = Field(
@@ -63,6 +68,10 @@ class DrapeRequest(DrapeOptions, Worn, PosedRequest):
         description="In a GLB, positions in steps of 16 bits and normals of 8 (KHR_mesh_quantization), half as large; "
         "false: float32.",
     )
+
+
+class DrapeRequest(ClipOptions, PosedRequest):
+    """A garment, or several over each other, on a body in motion."""
 
 
 class UploadRequest(Request):

@@ -18,7 +18,7 @@ from service.jets import jets_headers
 from service.keys import Client
 from service.negotiation import BINARY
 from service.pasts import Past
-from service.schemas import DrapeRequest
+from service.schemas import ClipOptions
 from service.stages.batch import Batch, Memories, Plan, PoseInput
 from service.state import State
 
@@ -29,7 +29,7 @@ class Road:
 
     plan: Plan
     clip: PoseInput
-    asked: DrapeRequest
+    asked: ClipOptions
     client: Client
 
     def remember(self, memories: Memories, state: State, token: str | None = None) -> dict[str, str]:
