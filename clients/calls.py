@@ -202,7 +202,7 @@ def upload(path: Path, avatar: str | dict[str, Any] | None, name: str | None) ->
     )
 
 
-def drape(garment: str, motion: Motion, body: Body, options: Options) -> Call[np.ndarray]:
+def drape(garment: str | Sequence[str], motion: Motion, body: Body, options: Options) -> Call[np.ndarray]:
     """World vertices [m] (F, V, 3) float32; ``options`` by the names of ``drape.wire.options.DrapeOptions``."""
     return _draped(_read_vertices, garment, motion, body, options_document(options) | STREAMED)
 

@@ -20,6 +20,7 @@ import numpy as np
 from clients import calls, pieces
 from clients.at_root import at_root
 from clients.calls import DEFAULT_URL, Answer, Body, Call, Motion
+from clients.meshes import Mesh, check_without_body, glb_of
 from drape.errors import DrapeError, Unavailable
 from drape.motion.clip import MotionClip
 from drape.wire.jets import JetFrame
@@ -222,10 +223,21 @@ class DrapeClient:
     ) -> bytes:
         """An animated GLB of a garment, or of several over each other; with the body beside them if ``body``.
 
-        ``quantised`` (KHR_mesh_quantization) is half as large; float32 otherwise.
+        ``quantised`` (KHR_mesh_quantization) is half as large; float32 otherwise. A clip that comes in pieces is
+        written here, without the body (``InputError``).
         """
         more = {"with_body": body, "quantised": quantised}
-        return self._send(calls.drape_glb(garment, motion, Body(trans, betas, fps), options, **more))
+        shape = Body(trans, betas, fps)
+        call = calls.drape_glb(garment, motion, shape, options, **more)
+        frames = len(motion.poses) if isinstance(motion, MotionClip) else len(motion)
+        if frames <= pieces.UNASKED or frames <= (most := self._most_frames()):
+            return self._send(call)
+        check_without_body(call, most)
+        vertices, roots = self._whole(at_root(calls.drape(garment, motion, shape, options)))
+        resolution = options.get("resolution") or "delivered"
+        worn = [garment] if isinstance(garment, str) else garment
+        meshes = [Mesh.of(self.mesh(name, resolution)) for name in worn]
+        return glb_of(call, meshes, vertices, roots)
 
     def posed_body(
         self, body: str, motion: Motion, *, trans: np.ndarray | None = None, betas: np.ndarray | None = None
@@ -424,10 +436,21 @@ class AsyncDrapeClient:
     ) -> bytes:
         """An animated GLB of a garment, or of several over each other; with the body beside them if ``body``.
 
-        ``quantised`` (KHR_mesh_quantization) is half as large; float32 otherwise.
+        ``quantised`` (KHR_mesh_quantization) is half as large; float32 otherwise. A clip that comes in pieces is
+        written here, without the body (``InputError``).
         """
         more = {"with_body": body, "quantised": quantised}
-        return await self._send(calls.drape_glb(garment, motion, Body(trans, betas, fps), options, **more))
+        shape = Body(trans, betas, fps)
+        call = calls.drape_glb(garment, motion, shape, options, **more)
+        frames = len(motion.poses) if isinstance(motion, MotionClip) else len(motion)
+        if frames <= pieces.UNASKED or frames <= (most := await self._most_frames()):
+            return await self._send(call)
+        check_without_body(call, most)
+        vertices, roots = await self._whole(at_root(calls.drape(garment, motion, shape, options)))
+        resolution = options.get("resolution") or "delivered"
+        worn = [garment] if isinstance(garment, str) else garment
+        meshes = [Mesh.of(await self.mesh(name, resolution)) for name in worn]
+        return glb_of(call, meshes, vertices, roots)
 
     async def posed_body(
         self, body: str, motion: Motion, *, trans: np.ndarray | None = None, betas: np.ndarray | None = None

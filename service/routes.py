@@ -18,6 +18,7 @@ from drape.export import glb
 from drape.export.glb_body import add_body
 from drape.export.glb_file import GlbFile
 from drape.export.ride import Ride
+from drape.export.usda import POINT_BYTES
 from drape.files.formats import MESH_CONTENT_TYPES, MESH_NAMES, listed
 from drape.garment.cache import Garment
 from drape.wire.clips import unpack_clip
@@ -27,6 +28,7 @@ from service.access import ClientHere
 from service.answers import binary_answer, json_answer
 from service.avatars import MOST_CHARACTERS, upload_avatar
 from service.drapery import Drapery
+from service.exports import export_answer
 from service.garments import Outfit, Scene, layer_list
 from service.jets import check_jets_size, jets_response
 from service.jobs import Job
@@ -44,6 +46,7 @@ from service.version import product_version
 
 router = APIRouter()
 NUMBER_TEXT_BYTES = 20  # of one coordinate in JSON
+KINDS = (negotiation.BINARY, negotiation.GLB, negotiation.JSON)
 Asked = TypeVar("Asked", bound=schemas.PosedOptions)
 Betas = Annotated[str | None, Query(max_length=1000, description="Shape coefficients, comma-separated.")]
 
@@ -185,7 +188,8 @@ def _job_info(job: Job) -> schemas.JobInfo:
 
 @router.post("/drape", response_model=schemas.VerticesDocument, openapi_extra=clip_schema(schemas.DrapeRequest))
 async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> Response:
-    """The garment on the moving body, world axes [m]: binary float32 (frames, vertices, 3), GLB or JSON by Accept.
+    """The garment on the moving body, world axes [m]: binary float32 (frames, vertices, 3), GLB, JSON, PC2 or USD by
+    Accept.
 
     With origin "root" positions count from each frame's root, and the roots follow them, float64 (frames, 3). The
     vertices of an outfit's garments follow each other; X-Drape-Garments says how many each has. With geometry "jets"
@@ -197,7 +201,9 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
     asked, clip = await _clip(schemas.DrapeRequest, schemas.ClipOptions, request, state)
     jets = asked.geometry == "jets"
     binary_only = jets or asked.streamed
-    kind = negotiation.choose(request.headers.get("accept"), (negotiation.BINARY,)) if binary_only else _kind(request)
+    offered = (negotiation.BINARY,) if binary_only else (*KINDS, negotiation.PC2, negotiation.USDA)
+    offered = (*offered, negotiation.PC2) if asked.streamed and not jets else offered
+    kind = negotiation.choose(request.headers.get("accept"), offered)
     scene = drapery.garments.scene(asked.garment, asked.garments, client.name)
     plan = await drapery.plan_within(scene, asked, messages=jets)
     scene = plan.scene
@@ -205,7 +211,7 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
         clip = state.pasts.get(asked.past, client.name).followed_by(plan, clip, asked.fps)
     road = Road(plan, clip, asked, client)
     if asked.streamed:
-        return await streamed_answer(road, state)
+        return await streamed_answer(road, state, kind)
     if jets:
         check_jets_size(len(clip.poses), scene, drapery)
     else:
@@ -220,6 +226,8 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
         if kind == negotiation.GLB:
             content = await asyncio.to_thread(_garment_file, scene, placed, asked, clip, drapery)
             return Response(content, media_type=kind, headers=placed.headers | headers)
+        if kind in (negotiation.PC2, negotiation.USDA):
+            return export_answer(kind, scene, placed, asked.fps, state.piecework, headers)
         return _vertices_answer(placed, asked.fps, kind, state, headers=headers, worn=worn)
 
 
@@ -249,7 +257,7 @@ async def posed_body(body_id: str, request: Request, state: StateHere, client: C
 
 
 def _kind(request: Request) -> str:
-    return negotiation.choose(request.headers.get("accept"), (negotiation.BINARY, negotiation.GLB, negotiation.JSON))
+    return negotiation.choose(request.headers.get("accept"), KINDS)
 
 
 async def _clip(
@@ -272,9 +280,14 @@ async def _clip(
 
 
 def _check_size(kind: str, frames: int, vertices: int, drapery: Drapery, *, quantised: bool = False) -> None:
-    in_glb = 12 if quantised else 24
-    per_vertex = {negotiation.BINARY: 12, negotiation.GLB: in_glb, negotiation.JSON: 3 * NUMBER_TEXT_BYTES}[kind]
-    check_answer(frames * vertices * per_vertex, f"{frames} frames of {vertices} vertices", drapery.settings)
+    per_vertex = {
+        negotiation.BINARY: 12,
+        negotiation.PC2: 12,
+        negotiation.GLB: 12 if quantised else 24,
+        negotiation.JSON: 3 * NUMBER_TEXT_BYTES,
+        negotiation.USDA: POINT_BYTES,
+    }
+    check_answer(frames * vertices * per_vertex[kind], f"{frames} frames of {vertices} vertices", drapery.settings)
 
 
 def _garment_file(scene: Scene, placed: Placed, asked: schemas.ClipOptions, clip: PoseInput, drapery: Drapery) -> bytes:

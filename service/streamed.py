@@ -4,19 +4,20 @@ it has been sent."""
 from __future__ import annotations
 
 import contextlib
-from collections.abc import AsyncGenerator, AsyncIterator, Iterator
+from collections.abc import AsyncGenerator
 from dataclasses import dataclass
 
 from fastapi.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
+from drape.export.pc2 import HEAD_BYTES, pc2_head
 from drape.wire.jets import message_bytes
 from service.answers import number_bytes
 from service.drapery import Drapery
 from service.garments import Outfit, layer_list
 from service.jets import jets_headers
 from service.keys import Client
-from service.negotiation import BINARY
+from service.negotiation import PC2
 from service.pasts import Past
 from service.schemas import ClipOptions
 from service.stages.batch import Batch, Memories, Plan, PoseInput
@@ -72,8 +73,8 @@ def quality_headers(draped: Batch) -> dict[str, str]:
 class _Frames(StreamingResponse):
     """Ends its frames with itself, whether they were all sent or the client went away: their place is free then."""
 
-    def __init__(self, frames: AsyncGenerator[bytes], headers: dict[str, str]) -> None:
-        super().__init__(frames, media_type=BINARY, headers=headers)
+    def __init__(self, frames: AsyncGenerator[bytes], kind: str, headers: dict[str, str]) -> None:
+        super().__init__(frames, media_type=kind, headers=headers)
         self._frames = frames
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -81,8 +82,8 @@ class _Frames(StreamingResponse):
             await super().__call__(scope, receive, send)
 
 
-async def streamed_answer(road: Road, state: State) -> StreamingResponse:
-    """The frames of ``road``, binary. What can be refused is refused before the head is sent: the first chunk is
+async def streamed_answer(road: Road, state: State, kind: str) -> StreamingResponse:
+    """The frames of ``road``, binary or PC2. What can be refused is refused before the head is sent: the first chunk is
     computed by then."""
     scene, frames = road.plan.scene, len(road.clip.poses)
     headers = plan_headers(road.plan, state.drapery)
@@ -93,11 +94,15 @@ async def streamed_answer(road: Road, state: State) -> StreamingResponse:
         size = frames * (12 * scene.vertex_count + (24 if road.asked.origin == "root" else 0))
         headers |= {"X-Drape-Frames": str(frames), "X-Drape-Vertices": str(scene.vertex_count)}
         headers["X-Drape-Origin"] = road.asked.origin
+    head = b""
+    if kind == PC2:
+        head, size = pc2_head(scene.vertex_count, frames), HEAD_BYTES + 12 * frames * scene.vertex_count
     token = state.pasts.token()
     if road.asked.keep:
         headers["X-Drape-Past"] = token
-    pieces = _pieces(road, state, token)
-    return _Frames(_after(await anext(pieces), pieces), headers | {"Content-Length": str(size)})
+    pieces = _pieces(road, state, token, kind)
+    frames_sent = _after(head + await anext(pieces), pieces)
+    return _Frames(frames_sent, kind, headers | {"Content-Length": str(size)})
 
 
 async def _after(first: bytes, rest: AsyncGenerator[bytes]) -> AsyncGenerator[bytes]:
@@ -107,27 +112,24 @@ async def _after(first: bytes, rest: AsyncGenerator[bytes]) -> AsyncGenerator[by
             yield piece
 
 
-async def _pieces(road: Road, state: State, token: str) -> AsyncGenerator[bytes]:
+async def _pieces(road: Road, state: State, token: str, kind: str) -> AsyncGenerator[bytes]:
     """The bytes of the answer; holds a place for a clip meanwhile."""
     tail: list[bytes] = []
+    first_root = None
     with state.access.using(road.client, "clips"), state.slot():
         part = None
         async for part in state.drapery.parts(road.plan, road.clip):
-            async for piece in _of_part(part, road, state, tail):
+            placed = None
+            if road.asked.geometry == "vertices":
+                placed = part.placed(road.asked.origin)
+                first_root = part.root[0] if first_root is None else first_root
+                if kind == PC2:
+                    placed = placed.counted_from(first_root)
+                tail += [placed.tail] if placed.tail else []
+            pieces = iter(part.messages) if placed is None else number_bytes(placed.vertices)
+            async for piece in state.piecework.each(pieces):
                 yield piece
         assert part is not None
         road.remember(part.memories[0], state, token)
         for piece in tail:
             yield piece
-
-
-async def _of_part(part: Batch, road: Road, state: State, tail: list[bytes]) -> AsyncIterator[bytes]:
-    """The frames of ``part``; what follows all frames goes to ``tail``."""
-    if road.asked.geometry == "jets":
-        pieces: Iterator[bytes] = iter(part.messages)
-    else:
-        placed = part.placed(road.asked.origin)
-        tail += [placed.tail] if placed.tail else []
-        pieces = number_bytes(placed.vertices)
-    async for piece in state.piecework.each(pieces):
-        yield piece

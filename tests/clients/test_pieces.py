@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from clients.client import AsyncDrapeClient, DrapeClient
-from drape.errors import MotionError
+from drape.errors import InputError, MotionError
 from drape.motion.clip import MotionClip
 from service.app import create_app
 from service.settings import Settings
@@ -57,6 +57,22 @@ def test_long_clips_are_divided_and_joined(urls: tuple[str, str]):
             assert_array_equal(np.concatenate(found), vertices)
 
     asyncio.run(awaited())
+
+
+@pytest.mark.parametrize("quantised", [True, False])
+def test_a_long_glb_is_written_as_the_service_writes_it(urls: tuple[str, str], quantised: bool):
+    few, many = urls
+    with DrapeClient(few) as divided, DrapeClient(many) as whole:
+        expected = whole.drape_glb("tube", CLIP, quantised=quantised)
+        assert divided.drape_glb("tube", CLIP, quantised=quantised) == expected
+        with pytest.raises(InputError, match="body: expected at most 25 frames with it, got 70"):
+            divided.drape_glb("tube", CLIP, body=True)
+
+    async def awaited() -> bytes:
+        async with AsyncDrapeClient(few) as client:
+            return await client.drape_glb(["tube"], CLIP, quantised=quantised)
+
+    assert asyncio.run(awaited()) == expected
 
 
 def test_as_many_translations_as_poses_are_needed():
