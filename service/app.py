@@ -76,7 +76,11 @@ def create_app(
             allow_origins=list(settings.allowed_origins),
             allow_methods=["*"],
             allow_headers=["*"],
-            expose_headers=["X-Drape-Frames", "X-Drape-Vertices", "X-Drape-Origin", "X-Request-Id", "Location"],
+            expose_headers=[
+                *(f"X-Drape-{name}" for name in ("Frames", "Vertices", "Origin", "Past")),
+                "X-Request-Id",
+                "Location",
+            ],
         )
     app.add_middleware(Doors, settings=settings)
     app.add_middleware(RequestLog, metrics=metrics)
