@@ -15,4 +15,4 @@ def at_root(call: Call[np.ndarray]) -> Call[tuple[np.ndarray, np.ndarray]]:
         vertices = call.read(response)
         return vertices, np.frombuffer(response.content, dtype="<f8", offset=vertices.nbytes).reshape(-1, 3)
 
-    return Call(call.method, call.path, read, headers=call.headers, json=call.json | {"origin": "root"})
+    return Call(call.method, call.path, read, headers=call.headers, json=call.json | {"origin": "root"}, clip=call.clip)

@@ -19,6 +19,7 @@ from drape.files.avatar_table import entry_for
 from drape.files.formats import MESH_SUFFIXES
 from drape.motion.clip import MotionClip
 from drape.motion.grounding import placed_on_ground
+from drape.wire.clips import check_motion, pack_clip
 from drape.wire.jets import JetFrame, split_jets
 from drape.wire.layout import JetLayout, unpack_layout
 from drape.wire.options import Resolution, options_document
@@ -30,6 +31,8 @@ Options = Mapping[str, Any]
 BINARY, GLB = "application/octet-stream", "model/gltf-binary"
 DEFAULT_URL = "http://127.0.0.1:8000"
 DEFAULT_FPS = 30.0
+DRAPE = "/drape"
+STREAMED = {"streamed": True}  # so that the answer may be of any length
 
 
 class ServiceError(DrapeError):
@@ -45,9 +48,27 @@ class Body:
     fps: float | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """The frames of a request: ``poses`` (F, 24, 3) [rad] and ``trans`` (F, 3) [m], None for zeros.
+
+    Refuses (``MotionError``) other shapes.
+    """
+
+    poses: np.ndarray
+    trans: np.ndarray | None
+
+    def __post_init__(self) -> None:
+        check_motion(self.poses, self.trans)
+
+    def part(self, rows: slice) -> Clip:
+        """The frames ``rows``."""
+        return Clip(self.poses[rows], None if self.trans is None else self.trans[rows])
+
+
 @dataclass(frozen=True)
 class Call(Generic[Answer]):
-    """One request and the reader of its answer."""
+    """One request and the reader of its answer; ``clip``: frames that it sends beside ``json``."""
 
     method: str
     path: str
@@ -56,16 +77,20 @@ class Call(Generic[Answer]):
     headers: Mapping[str, str] = field(default_factory=dict)
     json: Any = None
     content: bytes | None = None
+    clip: Clip | None = None
 
     def arguments(self) -> dict[str, Any]:
         """What httpx's ``request`` takes."""
+        content, headers = self.content, dict(self.headers)
+        if self.clip is not None:
+            content, headers["Content-Type"] = pack_clip(self.json, self.clip.poses, self.clip.trans), BINARY
         return {
             "method": self.method,
             "url": self.path,
             "params": dict(self.params),
-            "headers": dict(self.headers),
-            "json": self.json,
-            "content": self.content,
+            "headers": headers,
+            "json": self.json if self.clip is None else None,
+            "content": content,
         }
 
     def answer(self, response: httpx.Response) -> Answer:
@@ -177,35 +202,47 @@ def upload(path: Path, avatar: str | dict[str, Any] | None, name: str | None) ->
     )
 
 
-def drape(garment: str, motion: Motion, body: Body, options: Options) -> Call[np.ndarray]:
+def drape(garment: str | Sequence[str], motion: Motion, body: Body, options: Options) -> Call[np.ndarray]:
     """World vertices [m] (F, V, 3) float32; ``options`` by the names of ``drape.wire.options.DrapeOptions``."""
-    return Call(
-        "POST", "/drape", _read_vertices, headers={"Accept": BINARY}, json=_asked(garment, motion, body, options)
-    )
+    return _draped(_read_vertices, garment, motion, body, options_document(options) | STREAMED)
 
 
 def drape_outfit(garments: Sequence[str], motion: Motion, body: Body, options: Options) -> Call[list[np.ndarray]]:
     """World vertices [m] (F, V, 3) float32 of each of ``garments``."""
-    asked = _asked(garments, motion, body, options)
-    return Call("POST", "/drape", _read_layers, headers={"Accept": BINARY}, json=asked)
+    return _draped(_read_layers, garments, motion, body, options_document(options) | STREAMED)
 
 
 def drape_jets(garment: str | Sequence[str], motion: Motion, body: Body, options: Options) -> Call[list[JetFrame]]:
     """Posed patches of one garment, or of several over each other, frame by frame."""
-    asked = _asked(garment, motion, body, {**options, "geometry": "jets"})
-    return Call("POST", "/drape", _read_jets, headers={"Accept": BINARY}, json=asked)
+    asked = options_document({**options, "geometry": "jets"}) | STREAMED
+    return _draped(_read_jets, garment, motion, body, asked)
 
 
 def drape_glb(
-    garment: str | Sequence[str], motion: Motion, body: Body, options: Options, *, with_body: bool = False
+    garment: str | Sequence[str],
+    motion: Motion,
+    body: Body,
+    options: Options,
+    *,
+    with_body: bool = False,
+    quantised: bool = True,
 ) -> Call[bytes]:
     """The bytes of an animated GLB."""
-    asked = _asked(garment, motion, body, options) | {"body": with_body}
-    return Call("POST", "/drape", _read_bytes, headers={"Accept": GLB}, json=asked)
+    asked = options_document(options) | {"body": with_body, "quantised": quantised}
+    return _draped(_read_bytes, garment, motion, body, asked, accept=GLB)
 
 
-def _asked(garment: str | Sequence[str], motion: Motion, body: Body, options: Options) -> dict[str, Any]:
-    return _motion_document(motion, body) | worn(garment) | options_document(options)
+def _draped(
+    read: Callable[[httpx.Response], Answer],
+    garment: str | Sequence[str],
+    motion: Motion,
+    body: Body,
+    asked: dict[str, Any],
+    *,
+    accept: str = BINARY,
+) -> Call[Answer]:
+    clip, about = _motion(motion, body)
+    return Call("POST", DRAPE, read, headers={"Accept": accept}, json=about | worn(garment) | asked, clip=clip)
 
 
 def worn(garment: str | Sequence[str]) -> dict[str, Any]:
@@ -215,31 +252,33 @@ def worn(garment: str | Sequence[str]) -> dict[str, Any]:
 
 def posed_body(name: str, motion: Motion, body: Body) -> Call[np.ndarray]:
     """World vertices [m] (F, Vb, 3) float32 of the body ``name``."""
-    document = _motion_document(motion, body)
-    return Call("POST", f"/bodies/{_quoted(name)}/posed", _read_vertices, headers={"Accept": BINARY}, json=document)
+    clip, about = _motion(motion, body)
+    path = f"/bodies/{_quoted(name)}/posed"
+    return Call("POST", path, _read_vertices, headers={"Accept": BINARY}, json=about, clip=clip)
 
 
 def _quoted(name: str) -> str:
     return quote(name, safe="")
 
 
-def _motion_document(motion: Motion, body: Body) -> dict[str, Any]:
-    """The JSON of a clip or of poses (F, 24, 3); NaN is refused here, for JSON cannot carry it."""
-    fps, betas = body.fps, body.betas
+def _motion(motion: Motion, body: Body) -> tuple[Clip, dict[str, Any]]:
+    """The frames of a clip or of poses (F, 24, 3), and what JSON says of them; NaN is refused here."""
+    fps, places = body.fps, body.trans
+    poses = motion.poses if isinstance(motion, MotionClip) else motion
     if isinstance(motion, MotionClip):
-        poses, places = motion.poses, motion.trans if body.trans is None else body.trans
+        places = motion.trans if places is None else places
         fps = motion.fps if fps is None else fps
-    else:
-        poses, places = np.asarray(motion), body.trans
-    document: dict[str, Any] = {"fps": DEFAULT_FPS if fps is None else float(fps)}
-    for key, array in (("poses", poses), ("trans", places), ("betas", betas)):
-        if array is None:
-            continue
-        numbers = np.asarray(array, dtype=np.float64)
-        if not np.isfinite(numbers).all():
-            raise MotionError(key, expected="finite numbers", got="NaN or infinity", cure="Remove these entries.")
-        document[key] = numbers.tolist()
-    return document
+    about: dict[str, Any] = {"fps": DEFAULT_FPS if fps is None else float(fps)}
+    if body.betas is not None:
+        about["betas"] = _finite("betas", body.betas).tolist()
+    return Clip(_finite("poses", poses), None if places is None else _finite("trans", places)), about
+
+
+def _finite(key: str, array: np.ndarray) -> np.ndarray:
+    numbers = np.asarray(array, dtype=np.float64)
+    if not np.isfinite(numbers).all():
+        raise MotionError(key, expected="finite numbers", got="NaN or infinity", cure="Remove these entries.")
+    return numbers
 
 
 def placed(clip: MotionClip, document: Mapping[str, Any]) -> MotionClip:

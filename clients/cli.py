@@ -2,6 +2,7 @@
 
 python -m clients.cli drape --garment tshirt --motion walk --out out.glb
 python -m clients.cli drape --garment trousers tshirt --motion walk --out outfit.glb
+python -m clients.cli drape --garment tshirt --motion walk --out walk.usda
 python -m clients.cli drape --garment shirt.obj --avatar '{"gender": 1.0}' --motion clip.bvh --out out.npy
 """
 
@@ -9,25 +10,32 @@ from __future__ import annotations
 
 import argparse
 import io
+import itertools
 import json
 import os
 import sys
 import tempfile
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 from pydantic.fields import FieldInfo
 
 from clients.calls import DEFAULT_URL
 from clients.client import DrapeClient
+from clients.meshes import Mesh
 from drape.errors import DrapeError, InputError
+from drape.export.glb import GARMENT_COLOURS
+from drape.export.obj import obj_text
+from drape.export.pc2 import pc2_head, pc2_samples
+from drape.export.usda import Moving, usda_pieces
 from drape.files.formats import MESH_SUFFIXES
 from drape.motion.clip import MotionClip
 from drape.motion.readers import MOTION_SUFFIXES, read_motion
 from drape.wire.options import DrapeOptions
 
-OUT_SUFFIXES = (".glb", ".npy")
+OUT_SUFFIXES = (".glb", ".npy", ".pc2", ".usda")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -76,12 +84,17 @@ def _parser() -> argparse.ArgumentParser:
     drape.add_argument("--avatar", help="for a file: the body it was modelled on")
     drape.add_argument("--motion", required=True, help="a sample clip's name, or a file .npz, .bvh or .amc")
     drape.add_argument(
-        "--out", required=True, type=Path, help="out.glb (animated) or out.npy (vertices [m], layer after layer)"
+        "--out",
+        required=True,
+        type=Path,
+        help="out.glb (animated), out.npy (vertices [m], layer after layer),\n"
+        "out.pc2 (point cache, and out.obj with its mesh) or out.usda (scene)",
     )
     drape.add_argument("--as-recorded", action="store_true", help="for a file: leave its translations as they are")
     drape.add_argument("--fps", type=float, default=30.0, help="frames per second of the result (30)")
     drape.add_argument("--betas", help="body shape, comma-separated")
     drape.add_argument("--body", action="store_true", help="include the body in the GLB")
+    drape.add_argument("--float32", action="store_true", help="the GLB in float32, twice as large")
     for name, field in _options().items():
         flag = "--" + name.replace("_", "-")
         kind = next(kind for kind in get_args(field.annotation) if kind is not type(None))
@@ -121,7 +134,8 @@ def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
     # Everything that can be refused here is refused before the service works.
     suffix = options.out.suffix.lower()
     if suffix not in OUT_SUFFIXES:
-        raise InputError("--out", expected="a name ending in .glb or .npy", got=options.out.name, cure="Rename it.")
+        expected = f"a name ending in {', '.join(OUT_SUFFIXES)}"
+        raise InputError("--out", expected=expected, got=options.out.name, cure="Rename it.")
     if not options.out.absolute().parent.is_dir():
         raise InputError(
             "--out", expected="an existing folder", got=str(options.out.parent), cure="Make the folder first."
@@ -139,14 +153,43 @@ def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
         worn.append(garment)
     if suffix == ".glb":
         garments = worn[0] if len(worn) == 1 else worn
-        content = client.drape_glb(garments, clip, betas=betas, body=options.body, **choices)
-    else:
-        buffer = io.BytesIO()
+        more = {"body": options.body, "quantised": not options.float32}
+        write_atomic(options.out, [client.drape_glb(garments, clip, betas=betas, **more, **choices)])
+    elif suffix == ".usda":
         layers = client.drape_outfit(worn, clip, betas=betas, **choices)
-        np.save(buffer, np.concatenate(layers, axis=1), allow_pickle=False)
-        content = buffer.getvalue()
-    write_atomic(options.out, content)
-    print(f"{options.out}: {clip.frame_count} frames at {clip.fps:g} per second, {len(content)} bytes")
+        write_atomic(options.out, usda_pieces(_moving(client, worn, layers, choices), clip.fps))
+    else:
+        frames = client.drape_frames(worn, clip, betas=betas, **choices)
+        first = next(frames)
+        joined = (np.concatenate(layers, axis=1) for layers in itertools.chain([first], frames))
+        head = pc2_head if suffix == ".pc2" else _npy_head
+        begun = head(sum(layer.shape[1] for layer in first), clip.frame_count)
+        write_atomic(options.out, itertools.chain([begun], (pc2_samples(part) for part in joined)))
+        if suffix == ".pc2":
+            meshes = [layer.surface for layer in _moving(client, worn, first, choices)]
+            beside = options.out.with_suffix(".obj")
+            write_atomic(beside, [obj_text(meshes, [layer[0] for layer in first]).encode()])
+            print(f"{beside}: the mesh that the points belong to")
+    size = options.out.stat().st_size
+    print(f"{options.out}: {clip.frame_count} frames at {clip.fps:g} per second, {size} bytes")
+
+
+def _moving(
+    client: DrapeClient, worn: Sequence[str], layers: Sequence[np.ndarray], choices: Mapping[str, Any]
+) -> list[Moving]:
+    """The ``layers`` (F, V, 3) of the garments ``worn`` with their meshes and colours."""
+    resolution = choices["resolution"] or "delivered"
+    meshes = [Mesh.of(client.mesh(name, resolution)) for name in worn]
+    colours = itertools.cycle(GARMENT_COLOURS)
+    return [Moving(*parts, next(colours)[:3]) for parts in zip(meshes, layers, strict=True)]
+
+
+def _npy_head(points: int, frames: int) -> bytes:
+    """What comes before float32 (frames, points, 3) in a .npy file."""
+    buffer = io.BytesIO()
+    shape = {"descr": "<f4", "fortran_order": False, "shape": (frames, points, 3)}
+    np.lib.format.write_array_header_1_0(buffer, shape)
+    return buffer.getvalue()
 
 
 def _clip(client: DrapeClient, options: argparse.Namespace, betas: np.ndarray | None) -> MotionClip:
@@ -169,8 +212,8 @@ def _numbers(text: str | None) -> np.ndarray | None:
         ) from error
 
 
-def write_atomic(path: Path, content: bytes) -> None:
-    """Writes ``path`` whole or not at all."""
+def write_atomic(path: Path, pieces: Iterable[bytes]) -> None:
+    """Writes ``path`` whole or not at all; what ``pieces`` raise leaves no file."""
     try:
         handle, temporary = tempfile.mkstemp(dir=path.absolute().parent, prefix=f".{path.name}.", suffix=".part")
     except OSError as error:
@@ -179,11 +222,13 @@ def write_atomic(path: Path, content: bytes) -> None:
         ) from error
     try:
         with os.fdopen(handle, "wb") as stream:
-            stream.write(content)
+            stream.writelines(pieces)
         os.chmod(temporary, 0o644)  # mkstemp makes the file private
         os.replace(temporary, path)
-    except OSError as error:
+    except BaseException as error:
         Path(temporary).unlink(missing_ok=True)
+        if not isinstance(error, OSError):
+            raise
         raise InputError(
             str(path), expected="room to write", got=str(error.strerror), cure="Choose another --out."
         ) from error

@@ -10,16 +10,17 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Sequence
+from collections.abc import AsyncIterator, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import httpx
 import numpy as np
 
-from clients import calls
+from clients import calls, pieces
 from clients.at_root import at_root
 from clients.calls import DEFAULT_URL, Answer, Body, Call, Motion
+from clients.meshes import Mesh, check_without_body, glb_of
 from drape.errors import DrapeError, Unavailable
 from drape.motion.clip import MotionClip
 from drape.wire.jets import JetFrame
@@ -40,6 +41,7 @@ class DrapeClient:
         """``key``: an API key or a ticket, where the service has keys."""
         headers = calls.key_headers(key)
         self._http = httpx.Client(base_url=url, timeout=TIMEOUT, headers=headers, transport=transport)
+        self._most: int | None = None
 
     def __enter__(self) -> DrapeClient:
         return self
@@ -57,6 +59,23 @@ class DrapeClient:
         except (httpx.TransportError, httpx.InvalidURL) as error:
             raise calls.unreachable(self._http.base_url, error) from error
         return call.answer(response)
+
+    def _whole(self, call: Call[Answer]) -> Answer:
+        """The answer to ``call``, asked for in pieces where its clip is longer than the service takes at once."""
+        return pieces.joined(list(self._pieces(call)))
+
+    def _pieces(self, call: Call[Answer], at_once: int | None = None) -> Iterator[Answer]:
+        """The answers to the pieces of ``call``, of ``at_once`` frames or of as many as the service takes."""
+        frames, past = len(call.clip.poses) if call.clip is not None else 1, None
+        most = max(1, frames) if frames <= pieces.UNASKED else self._most_frames()
+        for rows in pieces.slices(frames, most if at_once is None else min(at_once, most)):
+            answer, past = self._send(pieces.piece(call, rows, past))
+            yield answer
+
+    def _most_frames(self) -> int:
+        if self._most is None:
+            self._most = pieces.most_frames(self.health())
+        return self._most
 
     def health(self) -> dict[str, Any]:
         """Whether the service works, and with what."""
@@ -129,7 +148,7 @@ class DrapeClient:
 
         ``options`` are those of ``drape.wire.options.DrapeOptions``; the service's own where left out.
         """
-        return self._send(calls.drape(garment, motion, Body(trans, betas), options))
+        return self._whole(calls.drape(garment, motion, Body(trans, betas), options))
 
     def drape_at_root(
         self,
@@ -144,7 +163,7 @@ class DrapeClient:
 
         Far from the world's origin their sum in float64 keeps the garment's shape, where ``drape`` rounds it.
         """
-        return self._send(at_root(calls.drape(garment, motion, Body(trans, betas), options)))
+        return self._whole(at_root(calls.drape(garment, motion, Body(trans, betas), options)))
 
     def drape_outfit(
         self,
@@ -156,7 +175,24 @@ class DrapeClient:
         **options: Any,
     ) -> list[np.ndarray]:
         """``drape`` of several garments worn over each other, the innermost first; vertices of each."""
-        return self._send(calls.drape_outfit(garments, motion, Body(trans, betas), options))
+        return self._whole(calls.drape_outfit(garments, motion, Body(trans, betas), options))
+
+    def drape_frames(
+        self,
+        garment: str | Sequence[str],
+        motion: Motion,
+        *,
+        trans: np.ndarray | None = None,
+        betas: np.ndarray | None = None,
+        at_once: int = 240,
+        **options: Any,
+    ) -> Iterator[list[np.ndarray]]:
+        """``drape_outfit`` as vertices [m] (f, V, 3) of each garment, at most ``at_once`` frames at a time.
+
+        No more is held of a clip of any length.
+        """
+        worn = [garment] if isinstance(garment, str) else garment
+        return self._pieces(calls.drape_outfit(worn, motion, Body(trans, betas), options), at_once)
 
     def drape_jets(
         self,
@@ -171,7 +207,7 @@ class DrapeClient:
 
         Of several garments over each other ``frame.layers(counts)`` parts the patches.
         """
-        return self._send(calls.drape_jets(garment, motion, Body(trans, betas), options))
+        return self._whole(calls.drape_jets(garment, motion, Body(trans, betas), options))
 
     def drape_glb(
         self,
@@ -182,16 +218,32 @@ class DrapeClient:
         betas: np.ndarray | None = None,
         fps: float | None = None,
         body: bool = False,
+        quantised: bool = True,
         **options: Any,
     ) -> bytes:
-        """An animated GLB of a garment, or of several over each other; with the body beside them if ``body``."""
-        return self._send(calls.drape_glb(garment, motion, Body(trans, betas, fps), options, with_body=body))
+        """An animated GLB of a garment, or of several over each other; with the body beside them if ``body``.
+
+        ``quantised`` (KHR_mesh_quantization) is half as large; float32 otherwise. A clip that comes in pieces is
+        written here, without the body (``InputError``).
+        """
+        more = {"with_body": body, "quantised": quantised}
+        shape = Body(trans, betas, fps)
+        call = calls.drape_glb(garment, motion, shape, options, **more)
+        frames = len(motion.poses) if isinstance(motion, MotionClip) else len(motion)
+        if frames <= pieces.UNASKED or frames <= (most := self._most_frames()):
+            return self._send(call)
+        check_without_body(call, most)
+        vertices, roots = self._whole(at_root(calls.drape(garment, motion, shape, options)))
+        resolution = options.get("resolution") or "delivered"
+        worn = [garment] if isinstance(garment, str) else garment
+        meshes = [Mesh.of(self.mesh(name, resolution)) for name in worn]
+        return glb_of(call, meshes, vertices, roots)
 
     def posed_body(
         self, body: str, motion: Motion, *, trans: np.ndarray | None = None, betas: np.ndarray | None = None
     ) -> np.ndarray:
         """World vertices [m] (F, Vb, 3) float32 of the posed body."""
-        return self._send(calls.posed_body(body, motion, Body(trans, betas)))
+        return self._whole(calls.posed_body(body, motion, Body(trans, betas)))
 
 
 class AsyncDrapeClient:
@@ -202,6 +254,7 @@ class AsyncDrapeClient:
     ) -> None:
         headers = calls.key_headers(key)
         self._http = httpx.AsyncClient(base_url=url, timeout=TIMEOUT, headers=headers, transport=transport)
+        self._most: int | None = None
 
     async def __aenter__(self) -> AsyncDrapeClient:
         return self
@@ -219,6 +272,23 @@ class AsyncDrapeClient:
         except (httpx.TransportError, httpx.InvalidURL) as error:
             raise calls.unreachable(self._http.base_url, error) from error
         return call.answer(response)
+
+    async def _whole(self, call: Call[Answer]) -> Answer:
+        """The answer to ``call``, asked for in pieces where its clip is longer than the service takes at once."""
+        return pieces.joined([answer async for answer in self._pieces(call)])
+
+    async def _pieces(self, call: Call[Answer], at_once: int | None = None) -> AsyncIterator[Answer]:
+        """The answers to the pieces of ``call``, of ``at_once`` frames or of as many as the service takes."""
+        frames, past = len(call.clip.poses) if call.clip is not None else 1, None
+        most = max(1, frames) if frames <= pieces.UNASKED else await self._most_frames()
+        for rows in pieces.slices(frames, most if at_once is None else min(at_once, most)):
+            answer, past = await self._send(pieces.piece(call, rows, past))
+            yield answer
+
+    async def _most_frames(self) -> int:
+        if self._most is None:
+            self._most = pieces.most_frames(await self.health())
+        return self._most
 
     async def health(self) -> dict[str, Any]:
         """Whether the service works, and with what."""
@@ -291,7 +361,7 @@ class AsyncDrapeClient:
 
         ``options`` are those of ``drape.wire.options.DrapeOptions``; the service's own where left out.
         """
-        return await self._send(calls.drape(garment, motion, Body(trans, betas), options))
+        return await self._whole(calls.drape(garment, motion, Body(trans, betas), options))
 
     async def drape_at_root(
         self,
@@ -306,7 +376,7 @@ class AsyncDrapeClient:
 
         Far from the world's origin their sum in float64 keeps the garment's shape, where ``drape`` rounds it.
         """
-        return await self._send(at_root(calls.drape(garment, motion, Body(trans, betas), options)))
+        return await self._whole(at_root(calls.drape(garment, motion, Body(trans, betas), options)))
 
     async def drape_outfit(
         self,
@@ -318,7 +388,24 @@ class AsyncDrapeClient:
         **options: Any,
     ) -> list[np.ndarray]:
         """``drape`` of several garments worn over each other, the innermost first; vertices of each."""
-        return await self._send(calls.drape_outfit(garments, motion, Body(trans, betas), options))
+        return await self._whole(calls.drape_outfit(garments, motion, Body(trans, betas), options))
+
+    def drape_frames(
+        self,
+        garment: str | Sequence[str],
+        motion: Motion,
+        *,
+        trans: np.ndarray | None = None,
+        betas: np.ndarray | None = None,
+        at_once: int = 240,
+        **options: Any,
+    ) -> AsyncIterator[list[np.ndarray]]:
+        """``drape_outfit`` as vertices [m] (f, V, 3) of each garment, at most ``at_once`` frames at a time.
+
+        No more is held of a clip of any length.
+        """
+        worn = [garment] if isinstance(garment, str) else garment
+        return self._pieces(calls.drape_outfit(worn, motion, Body(trans, betas), options), at_once)
 
     async def drape_jets(
         self,
@@ -333,7 +420,7 @@ class AsyncDrapeClient:
 
         Of several garments over each other ``frame.layers(counts)`` parts the patches.
         """
-        return await self._send(calls.drape_jets(garment, motion, Body(trans, betas), options))
+        return await self._whole(calls.drape_jets(garment, motion, Body(trans, betas), options))
 
     async def drape_glb(
         self,
@@ -344,16 +431,32 @@ class AsyncDrapeClient:
         betas: np.ndarray | None = None,
         fps: float | None = None,
         body: bool = False,
+        quantised: bool = True,
         **options: Any,
     ) -> bytes:
-        """An animated GLB of a garment, or of several over each other; with the body beside them if ``body``."""
-        return await self._send(calls.drape_glb(garment, motion, Body(trans, betas, fps), options, with_body=body))
+        """An animated GLB of a garment, or of several over each other; with the body beside them if ``body``.
+
+        ``quantised`` (KHR_mesh_quantization) is half as large; float32 otherwise. A clip that comes in pieces is
+        written here, without the body (``InputError``).
+        """
+        more = {"with_body": body, "quantised": quantised}
+        shape = Body(trans, betas, fps)
+        call = calls.drape_glb(garment, motion, shape, options, **more)
+        frames = len(motion.poses) if isinstance(motion, MotionClip) else len(motion)
+        if frames <= pieces.UNASKED or frames <= (most := await self._most_frames()):
+            return await self._send(call)
+        check_without_body(call, most)
+        vertices, roots = await self._whole(at_root(calls.drape(garment, motion, shape, options)))
+        resolution = options.get("resolution") or "delivered"
+        worn = [garment] if isinstance(garment, str) else garment
+        meshes = [Mesh.of(await self.mesh(name, resolution)) for name in worn]
+        return glb_of(call, meshes, vertices, roots)
 
     async def posed_body(
         self, body: str, motion: Motion, *, trans: np.ndarray | None = None, betas: np.ndarray | None = None
     ) -> np.ndarray:
         """World vertices [m] (F, Vb, 3) float32 of the posed body."""
-        return await self._send(calls.posed_body(body, motion, Body(trans, betas)))
+        return await self._whole(calls.posed_body(body, motion, Body(trans, betas)))
 
 
 def finished(job: dict[str, Any]) -> str | None:

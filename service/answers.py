@@ -27,8 +27,13 @@ def binary_answer(
 ) -> StreamingResponse:
     """``array`` as little-endian float32, then ``tail``."""
     headers = {**headers, "Content-Length": str(4 * array.size + len(tail))}
-    pieces = itertools.chain((part.astype("<f4", copy=False).tobytes() for part in _parts(array)), (tail,))
+    pieces = itertools.chain(number_bytes(array), (tail,))
     return StreamingResponse(piecework.each(pieces), media_type=BINARY, headers=headers)
+
+
+def number_bytes(array: np.ndarray) -> Iterator[bytes]:
+    """``array`` as little-endian float32, in pieces."""
+    return (part.astype("<f4", copy=False).tobytes() for part in _parts(array))
 
 
 def json_pieces(document: Mapping[str, object]) -> Iterator[bytes]:

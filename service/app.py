@@ -19,6 +19,7 @@ from service.limits import BodyLimit
 from service.metrics import Metrics
 from service.origins import Doors
 from service.page import Page
+from service.pasts import Pasts
 from service.piecework import Piecework
 from service.request_log import RequestLog
 from service.sessions import Streams
@@ -40,7 +41,8 @@ def create_app(
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         loaded = drapery or Drapery(settings, metrics=metrics)
         piecework = Piecework()
-        state = State(loaded, Uploads(loaded, piecework, access), Streams(loaded, piecework), piecework, access, life)
+        uploads, streams = Uploads(loaded, piecework, access), Streams(loaded, piecework)
+        state = State(loaded, uploads, streams, piecework, access, life, Pasts(settings))
         app.state.drape = state
         state.uploads.start()
         state.streams.start()
@@ -74,7 +76,11 @@ def create_app(
             allow_origins=list(settings.allowed_origins),
             allow_methods=["*"],
             allow_headers=["*"],
-            expose_headers=["X-Drape-Frames", "X-Drape-Vertices", "X-Drape-Origin", "X-Request-Id", "Location"],
+            expose_headers=[
+                *(f"X-Drape-{name}" for name in ("Frames", "Vertices", "Origin", "Past")),
+                "X-Request-Id",
+                "Location",
+            ],
         )
     app.add_middleware(Doors, settings=settings)
     app.add_middleware(RequestLog, metrics=metrics)

@@ -6,7 +6,7 @@ import asyncio
 import logging
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -165,6 +165,11 @@ class Drapery:
 
     async def drape(self, plan: Plan, clip: PoseInput) -> Batch:
         """The draped clip, chunk by chunk."""
+        parts = [part async for part in self.parts(plan, clip)]
+        return await asyncio.to_thread(Batch.of_parts, clip, parts)
+
+    async def parts(self, plan: Plan, clip: PoseInput) -> AsyncIterator[Batch]:
+        """The draped clip, a chunk at a time; the next is begun when whoever asks has taken the last."""
         await self.prepare(plan)
         memories = clip.memories
 
@@ -174,13 +179,12 @@ class Drapery:
                 memories = part.memories[0]
                 yield part.answer()
 
-        parts = await self._in_chunks(len(clip.poses), compute)
-        return await asyncio.to_thread(Batch.of_parts, clip, parts)
+        async for part in self._in_chunks(len(clip.poses), compute):
+            yield part
 
-    async def _in_chunks(self, frames: int, compute: Callable[[slice], Iterator[Result]]) -> list[Result]:
+    async def _in_chunks(self, frames: int, compute: Callable[[slice], Iterator[Result]]) -> AsyncIterator[Result]:
         """The last of what ``compute`` gives of all ``frames``, slice after slice, each step of it on the worker thread
         in its turn."""
-        results: list[Result] = []
         frame_s, start = math.inf, 0  # until the first has told how long one takes
         while start < frames:
             if self.hurried:
@@ -188,9 +192,8 @@ class Drapery:
             async with self._clip_turn:
                 rows = slice(start, min(frames, start + self._chunk_frames(frame_s)))
                 result, took_s = await self._last(compute(rows))
-            results.append(result)
+            yield result
             frame_s, start = took_s / (rows.stop - rows.start), rows.stop
-        return results
 
     async def _last(self, steps: Iterator[Result]) -> tuple[Result, float]:
         """The last of ``steps``, each on the worker thread in its turn, and how long they took there [s]."""
@@ -262,4 +265,4 @@ class Drapery:
             posed = self.body.posed_vertices(clip.poses[rows], clip.trans[rows], clip.betas)
             yield posed.astype(np.float32)
 
-        return await asyncio.to_thread(np.concatenate, await self._in_chunks(len(clip.poses), compute))
+        return np.concatenate([part async for part in self._in_chunks(len(clip.poses), compute)])

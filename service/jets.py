@@ -35,16 +35,18 @@ def check_jets_size(frames: int, scene: Scene, drapery: Drapery) -> None:
     check_answer(frames * message_bytes(patches), f"{frames} frames of {patches} patches", drapery.settings)
 
 
-def jets_response(draped: Batch, headers: dict[str, str]) -> Response:
-    """The clip as one JETS message per frame; sequence and client time are the frame's number and time [s]."""
-    scene = draped.plan.scene
-    headers = headers | {
-        "X-Drape-Frames": str(len(draped.messages)),
-        "X-Drape-Patches": str(scene.patch_count),
-        "X-Drape-Origin": "root",
-        "X-Drape-Left-M": f"{draped.quality.left_m.max():.6f}",
-    }
+def jets_headers(frames: int, scene: Scene) -> dict[str, str]:
+    """What an answer of so many JETS messages says of itself."""
+    headers = {"X-Drape-Frames": str(frames), "X-Drape-Patches": str(scene.patch_count), "X-Drape-Origin": "root"}
     if isinstance(scene, Outfit):
         worn = layer_list(scene, patches=True)
         headers["X-Drape-Garments"] = ",".join(f"{layer['id']}:{layer['patches']}" for layer in worn)
+    return headers
+
+
+def jets_response(draped: Batch, headers: dict[str, str]) -> Response:
+    """The clip as one JETS message per frame; sequence and client time are the frame's number and time [s]."""
+    scene = draped.plan.scene
+    headers = headers | jets_headers(len(draped.messages), scene)
+    headers["X-Drape-Left-M"] = f"{draped.quality.left_m.max():.6f}"
     return Response(b"".join(draped.messages), media_type=negotiation.BINARY, headers=headers)

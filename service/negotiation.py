@@ -9,6 +9,8 @@ from service.errors import NotAcceptable
 BINARY = "application/octet-stream"
 JSON = "application/json"
 GLB = "model/gltf-binary"
+PC2 = "application/x-pc2"
+USDA = "model/vnd.usda"
 
 
 def choose(accept: str | None, offered: Sequence[str]) -> str:

@@ -46,6 +46,12 @@ class Placed:
         """What follows the vertices in a binary answer: the roots, little-endian float64."""
         return b"" if self.roots is None else self.roots.astype("<f8").tobytes()
 
+    def counted_from(self, root: np.ndarray) -> Placed:
+        """With one point for all frames, and no roots: the ``root`` [m] (3,), or where there are none the origin."""
+        if self.roots is None:
+            return self
+        return Placed((self.vertices + (self.roots - root)[:, None]).astype(np.float32))
+
     def from_first(self) -> tuple[np.ndarray, np.ndarray]:
         """The vertices (F, V, 3), counted from one point [m] (3,) for the whole clip: the first root, or the origin."""
         if self.roots is None:

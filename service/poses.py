@@ -31,9 +31,11 @@ def _check_limit(name: str, array: np.ndarray, limit: float, unit: str, cure: st
 
 
 def motion_arrays(
-    poses: Sequence[object], trans: Sequence[object] | None, *, max_frames: int
+    poses: Sequence[object] | np.ndarray, trans: Sequence[object] | np.ndarray | None, *, max_frames: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Checked poses (F, 24, 3) and translations (F, 3), float64; translations default to zero."""
+    if not len(poses):
+        raise MotionError("poses", expected="at least 1 frame", got="0", cure="Send one pose or more.")
     if len(poses) > max_frames:
         raise TooLarge(
             "poses", expected=f"at most {max_frames} frames", got=f"{len(poses)}", cure="Send the clip in pieces."

@@ -14,31 +14,40 @@ from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_table import FABRICS
 from drape.errors import InputError
+from drape.export import glb
+from drape.export.glb_body import add_body
+from drape.export.glb_file import GlbFile
+from drape.export.ride import Ride
+from drape.export.usda import POINT_BYTES
 from drape.files.formats import MESH_CONTENT_TYPES, MESH_NAMES, listed
 from drape.garment.cache import Garment
+from drape.wire.clips import unpack_clip
 from drape.wire.options import Resolution
-from service import glb, negotiation, schemas
+from service import negotiation, schemas
 from service.access import ClientHere
 from service.answers import binary_answer, json_answer
 from service.avatars import MOST_CHARACTERS, upload_avatar
 from service.drapery import Drapery
+from service.exports import export_answer
 from service.garments import Outfit, Scene, layer_list
 from service.jets import check_jets_size, jets_response
 from service.jobs import Job
-from service.json_body import body_schema, clip_marks, content_type, document_of, json_text, validated
+from service.json_body import clip_marks, clip_schema, content_type, document_of, json_text, validated
 from service.limits import check_answer
 from service.motions import floor_m
 from service.placing import Placed
 from service.poses import motion_arrays, shape_array
-from service.stages.batch import Batch, PoseInput
+from service.stages.batch import PoseInput
 from service.state import State, StateHere
+from service.streamed import Road, plan_headers, quality_headers, streamed_answer
 from service.upload_body import read_upload
 from service.validation import check_query
 from service.version import product_version
 
 router = APIRouter()
 NUMBER_TEXT_BYTES = 20  # of one coordinate in JSON
-Asked = TypeVar("Asked", bound=schemas.PosedRequest)
+KINDS = (negotiation.BINARY, negotiation.GLB, negotiation.JSON)
+Asked = TypeVar("Asked", bound=schemas.PosedOptions)
 Betas = Annotated[str | None, Query(max_length=1000, description="Shape coefficients, comma-separated.")]
 
 
@@ -63,6 +72,8 @@ async def health(state: StateHere) -> schemas.Health:
         passes=drapery.engine.pass_count,
         fabrics=drapery.engine.knows_fabrics,
         layers=drapery.settings.max_layers,
+        max_frames=drapery.settings.max_frames,
+        max_body_bytes=drapery.settings.max_body_bytes,
         sessions=state.streams.count,
         refused_garments=drapery.garments.refused,
     )
@@ -107,7 +118,7 @@ async def garment_mesh(
 
 
 def _rest_file(garment: Garment) -> bytes:
-    file = glb.GlbFile()
+    file = GlbFile()
     glb.add_garment(file, garment, garment.vertices[None, : garment.vertex_count], fps=1.0)
     return file.to_bytes()
 
@@ -175,52 +186,62 @@ def _job_info(job: Job) -> schemas.JobInfo:
 # --- draped clips and posed bodies ---
 
 
-@router.post("/drape", response_model=schemas.VerticesDocument, openapi_extra=body_schema(schemas.DrapeRequest))
+@router.post("/drape", response_model=schemas.VerticesDocument, openapi_extra=clip_schema(schemas.DrapeRequest))
 async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> Response:
-    """The garment on the moving body, world axes [m]: binary float32 (frames, vertices, 3), GLB or JSON by Accept.
+    """The garment on the moving body, world axes [m]: binary float32 (frames, vertices, 3), GLB, JSON, PC2 or USD by
+    Accept.
 
     With origin "root" positions count from each frame's root, and the roots follow them, float64 (frames, 3). The
     vertices of an outfit's garments follow each other; X-Drape-Garments says how many each has. With geometry "jets"
-    the answer holds a JETS message per frame (docs/reference/wire.md), binary only.
+    the answer holds a JETS message per frame (docs/reference/wire.md), binary only. With streamed frames leave as they
+    are ready; with keep and past a clip comes in pieces that are the whole clip.
     """
     drapery = state.drapery
     state.check_slot()  # before anything is read
-    asked, clip = await _clip(schemas.DrapeRequest, request, state)
+    asked, clip = await _clip(schemas.DrapeRequest, schemas.ClipOptions, request, state)
     jets = asked.geometry == "jets"
-    kind = negotiation.choose(request.headers.get("accept"), (negotiation.BINARY,)) if jets else _kind(request)
+    binary_only = jets or asked.streamed
+    offered = (negotiation.BINARY,) if binary_only else (*KINDS, negotiation.PC2, negotiation.USDA)
+    offered = (*offered, negotiation.PC2) if asked.streamed and not jets else offered
+    kind = negotiation.choose(request.headers.get("accept"), offered)
     scene = drapery.garments.scene(asked.garment, asked.garments, client.name)
     plan = await drapery.plan_within(scene, asked, messages=jets)
     scene = plan.scene
+    if asked.past is not None:
+        clip = state.pasts.get(asked.past, client.name).followed_by(plan, clip, asked.fps)
+    road = Road(plan, clip, asked, client)
+    if asked.streamed:
+        return await streamed_answer(road, state, kind)
     if jets:
         check_jets_size(len(clip.poses), scene, drapery)
     else:
-        _check_size(kind, len(clip.poses), scene.vertex_count, drapery)
+        _check_size(kind, len(clip.poses), scene.vertex_count, drapery, quantised=asked.quantised)
     with state.access.using(client, "clips"), state.slot():
         draped = await drapery.drape(plan, clip)
-        headers = _quality_headers(draped, drapery) | {"X-Drape-Motion": f"{plan.options.knob:g}"}
+        headers = quality_headers(draped) | plan_headers(plan, drapery) | road.remember(draped.memories[0], state)
         if jets:
             return jets_response(draped, headers)
         worn = layer_list(scene) if isinstance(scene, Outfit) else None
-        if worn is not None:
-            headers["X-Drape-Garments"] = ",".join(f"{layer['id']}:{layer['vertices']}" for layer in worn)
         placed = await asyncio.to_thread(draped.placed, asked.origin)
         if kind == negotiation.GLB:
             content = await asyncio.to_thread(_garment_file, scene, placed, asked, clip, drapery)
             return Response(content, media_type=kind, headers=placed.headers | headers)
+        if kind in (negotiation.PC2, negotiation.USDA):
+            return export_answer(kind, scene, placed, asked.fps, state.piecework, headers)
         return _vertices_answer(placed, asked.fps, kind, state, headers=headers, worn=worn)
 
 
 @router.post(
     "/bodies/{body_id}/posed",
     response_model=schemas.VerticesDocument,
-    openapi_extra=body_schema(schemas.PosedRequest),
+    openapi_extra=clip_schema(schemas.PosedRequest),
 )
 async def posed_body(body_id: str, request: Request, state: StateHere, client: ClientHere) -> Response:
     """The posed body's vertices for the same input, in the same formats."""
     drapery = state.drapery
     drapery.check_body_id(body_id)
     state.check_slot()
-    asked, clip = await _clip(schemas.PosedRequest, request, state)
+    asked, clip = await _clip(schemas.PosedRequest, schemas.PosedOptions, request, state)
     kind = _kind(request)
     if kind == negotiation.GLB:
         return Response(await asyncio.to_thread(_body_file, drapery.body, clip, asked), media_type=kind)
@@ -236,44 +257,61 @@ async def posed_body(body_id: str, request: Request, state: StateHere, client: C
 
 
 def _kind(request: Request) -> str:
-    return negotiation.choose(request.headers.get("accept"), (negotiation.BINARY, negotiation.GLB, negotiation.JSON))
+    return negotiation.choose(request.headers.get("accept"), KINDS)
 
 
-async def _clip(model: type[Asked], request: Request, state: State) -> tuple[Asked, PoseInput]:
-    """The body of ``request`` as a ``model``, and its checked motion."""
-    body, frames = state.drapery.body, state.drapery.settings.max_frames
-    text, run = await json_text(request), state.piecework.run
-    asked = await run(validated, model, await run(partial(document_of, text, most_marks=clip_marks(frames))))
-    poses, trans = await run(partial(motion_arrays, asked.poses, asked.trans, max_frames=frames))
+async def _clip(
+    whole: type[schemas.PosedRequest], options: type[Asked], request: Request, state: State
+) -> tuple[Asked, PoseInput]:
+    """The body of ``request``, JSON as a ``whole`` or a CLIP message, and its checked motion."""
+    body, most, run = state.drapery.body, state.drapery.settings.max_frames, state.piecework.run
+    if content_type(request) == negotiation.BINARY:
+        text, poses, trans = unpack_clip(await request.body())
+        document = await run(partial(document_of, text, otherwise="a clip whose last part is not JSON"))
+        asked = await run(validated, options, document)
+    else:
+        document = await run(partial(document_of, await json_text(request), most_marks=clip_marks(most)))
+        read = await run(validated, whole, document)
+        poses, trans = read.poses, read.trans
+        assert isinstance(read, options)
+        asked = read
+    poses, trans = await run(partial(motion_arrays, poses, trans, max_frames=most))
     return asked, PoseInput(poses, trans, shape_array(asked.betas, body), np.arange(len(poses)) / asked.fps)
 
 
-def _check_size(kind: str, frames: int, vertices: int, drapery: Drapery) -> None:
-    per_vertex = {negotiation.BINARY: 12, negotiation.GLB: 24, negotiation.JSON: 3 * NUMBER_TEXT_BYTES}[kind]
-    check_answer(frames * vertices * per_vertex, f"{frames} frames of {vertices} vertices", drapery.settings)
+def _check_size(kind: str, frames: int, vertices: int, drapery: Drapery, *, quantised: bool = False) -> None:
+    per_vertex = {
+        negotiation.BINARY: 12,
+        negotiation.PC2: 12,
+        negotiation.GLB: 12 if quantised else 24,
+        negotiation.JSON: 3 * NUMBER_TEXT_BYTES,
+        negotiation.USDA: POINT_BYTES,
+    }
+    check_answer(frames * vertices * per_vertex[kind], f"{frames} frames of {vertices} vertices", drapery.settings)
 
 
-def _garment_file(
-    scene: Scene, placed: Placed, asked: schemas.DrapeRequest, clip: PoseInput, drapery: Drapery
-) -> bytes:
-    file, start = glb.GlbFile(), 0
+def _garment_file(scene: Scene, placed: Placed, asked: schemas.ClipOptions, clip: PoseInput, drapery: Drapery) -> bytes:
+    file, start = GlbFile(), 0
     vertices, point = placed.from_first()
+    ride = None
+    if asked.quantised:
+        ride = Ride(clip.poses[:, 0], clip.trans + drapery.body.rest_joints(clip.betas)[0] - point)
     for layer, worn in enumerate(scene.layers):
         colour = glb.GARMENT_COLOURS[layer % len(glb.GARMENT_COLOURS)]
         own = vertices[:, start : start + worn.vertex_count]
-        glb.add_garment(file, worn.garment, own, asked.fps, colour)
+        glb.add_garment(file, worn.garment, own, asked.fps, colour, ride=ride)
         start += worn.vertex_count
     if asked.body:
-        glb.add_body(file, drapery.body, clip.betas, clip.poses, clip.trans - point, asked.fps)
+        add_body(file, drapery.body, clip.betas, clip.poses, clip.trans - point, asked.fps)
     if asked.origin == "root":
         file.place("root", point)
     return file.to_bytes()
 
 
-def _body_file(body: BodyModel, clip: PoseInput, asked: schemas.PosedRequest) -> bytes:
-    file = glb.GlbFile()
+def _body_file(body: BodyModel, clip: PoseInput, asked: schemas.PosedOptions) -> bytes:
+    file = GlbFile()
     point = clip.trans[0] + body.rest_joints(clip.betas)[0] if asked.origin == "root" else np.zeros(3)
-    glb.add_body(file, body, clip.betas, clip.poses, clip.trans - point, asked.fps)
+    add_body(file, body, clip.betas, clip.poses, clip.trans - point, asked.fps)
     if asked.origin == "root":
         file.place("root", point)
     return file.to_bytes()
@@ -298,27 +336,6 @@ def _vertices_answer(
     if worn is not None:
         document["garments"] = worn
     return json_answer(document | {"positions": vertices}, state.piecework, headers)
-
-
-def _quality_headers(draped: Batch, drapery: Drapery) -> dict[str, str]:
-    return {
-        "X-Drape-Model": drapery.engine.manifest.digest[:16],
-        "X-Drape-Push-Out": str(int(bool(draped.plan.options.push_out))),
-        "X-Drape-Pushed-Share": f"{draped.quality.pushed_share.mean():.6f}",
-        "X-Drape-Push-Max-M": f"{draped.quality.push_max_m.max():.6f}",
-        **_tier_headers(draped, drapery),
-    }
-
-
-def _tier_headers(draped: Batch, drapery: Drapery) -> dict[str, str]:
-    """What was computed: the tier by name, the network's passes and the steps of folds."""
-    options, passes = draped.plan.options, drapery.engine.pass_count
-    return {
-        "X-Drape-Tier": drapery.tier_of(draped.plan),
-        "X-Drape-Passes": str(passes if options.passes is None else options.passes),
-        "X-Drape-Folds": str(options.folds),
-        "X-Drape-Folds-Resets": str(int(draped.quality.folds_resets.sum())),
-    }
 
 
 # --- fabrics, bodies and clips ---
@@ -384,8 +401,8 @@ async def body_mesh(
     shape = shape_array(_numbers("betas", betas), drapery.body)
     kind = negotiation.choose(request.headers.get("accept"), (negotiation.JSON, negotiation.GLB))
     if kind == negotiation.GLB:
-        file = glb.GlbFile()
-        glb.add_body(file, drapery.body, shape)
+        file = GlbFile()
+        add_body(file, drapery.body, shape)
         return Response(file.to_bytes(), media_type=kind)
     faces = drapery.body.faces
     vertices = drapery.body.rest_vertices(shape).astype(np.float32)

@@ -29,13 +29,9 @@ class Request(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
-class PosedRequest(Request):
-    """A body in motion: rotation vectors [rad] relative to the parent, root translation [m], shape."""
+class PosedOptions(Request):
+    """Of a body in motion all but its poses: its shape, and what an answer counts from."""
 
-    poses: Annotated[list[PoseRows], Len(1), FIRST_ONLY]
-    trans: Annotated[list[Vector], FIRST_ONLY] | None = Field(
-        default=None, description="Root translation [m] per frame; zeros if left out."
-    )
     betas: Betas | None = Field(default=None, description="Body shape; zeros if left out.")
     fps: Annotated[float, Field(gt=0.0, le=1000.0, allow_inf_nan=False)] = 30.0
     origin: Origin = Field(
@@ -45,10 +41,37 @@ class PosedRequest(Request):
     )
 
 
-class DrapeRequest(DrapeOptions, Worn, PosedRequest):
-    """A garment, or several over each other, on a body in motion."""
+class PosedRequest(PosedOptions):
+    """A body in motion: rotation vectors [rad] relative to the parent, root translation [m], shape."""
+
+    poses: Annotated[list[PoseRows], Len(1), FIRST_ONLY]
+    trans: Annotated[list[Vector], FIRST_ONLY] | None = Field(
+        default=None, description="Root translation [m] per frame; zeros if left out."
+    )
+
+
+class ClipOptions(DrapeOptions, Worn, PosedOptions):
+    """Of a garment, or several over each other, on a body in motion all but the poses."""
 
     body: bool = Field(default=False, description="In a GLB, include the body as a second, skinned mesh.")
+    streamed: bool = Field(
+        default=False,
+        description="Of a binary answer: frames leave as they are ready, of any number of bytes; no header tells what "
+        "is known at the end alone.",
+    )
+    keep: bool = Field(default=False, description="Keep what the cloth remembers: X-Drape-Past names it.")
+    past: Annotated[str, Field(max_length=120)] | None = Field(
+        default=None, description="The X-Drape-Past of the frames that came before these: the clip goes on from there."
+    )
+    quantised: bool = Field(
+        default=True,
+        description="In a GLB, positions in steps of 16 bits and normals of 8 (KHR_mesh_quantization), half as large; "
+        "false: float32.",
+    )
+
+
+class DrapeRequest(ClipOptions, PosedRequest):
+    """A garment, or several over each other, on a body in motion."""
 
 
 class UploadRequest(Request):
@@ -88,6 +111,8 @@ class Health(BaseModel):
     passes: int = Field(description="Corrections of the network of which a request may choose how many; 0: no choice.")
     fabrics: bool = Field(description="Whether the model drapes by what garments are made of.")
     layers: int = Field(description="Garments that an outfit may have.")
+    max_frames: int = Field(description="Frames that a request may have; longer clips go in pieces.")
+    max_body_bytes: int = Field(description="Bytes that its body may have.")
     sessions: int
     refused_garments: list[str] = Field(description="Stored garments that could not be loaded, with the reason.")
 

@@ -69,6 +69,8 @@ class Settings(BaseSettings):
     max_body_bytes: int = Field(default=8 * 2**20, ge=1024)
     max_upload_bytes: int = Field(default=64 * 2**20, ge=1024)
     max_clips: int = Field(default=8, ge=1)
+    max_pasts: int = Field(default=32, ge=1)
+    past_s: float = Field(default=120.0, gt=0.0)
     max_frames: int = Field(default=1200, ge=1)
     max_vertices: int = Field(default=200_000, ge=3)
     max_layers: int = Field(default=4, ge=1, le=16)

@@ -16,6 +16,7 @@ from service.drapery import Drapery
 from service.errors import Busy, Draining
 from service.jobs import Uploads
 from service.lifecycle import Lifecycle
+from service.pasts import Pasts
 from service.piecework import Piecework
 from service.sessions import Streams
 
@@ -25,7 +26,7 @@ STREAMS_S = 1.5  # for streams to be told
 
 @dataclass(eq=False)
 class State:
-    """Body, model and garments; uploads; streams; the thread for JSON; and how many clips are being computed."""
+    """Body, model and garments; uploads; streams; the thread for JSON; ends of clips; how many clips are computed."""
 
     drapery: Drapery
     uploads: Uploads
@@ -33,6 +34,7 @@ class State:
     piecework: Piecework
     access: Access
     life: Lifecycle
+    pasts: Pasts
     clips: int = 0
 
     async def drain(self) -> None:

@@ -4,7 +4,8 @@ All numbers are little endian. Every message begins with the same 16 bytes (magi
 version, kind, flags, sequence, count). The client sends POSE and ACK, the service FRAME.
 Vertices travel as 16-bit steps inside the frame's own bounding box, relative to the
 root joint: half a step of a 2 m box is 0.015 mm. A client that asked for jets gets JETS in place of FRAME
-(``drape.wire.jets``) and once per garment a LAYOUT (``drape.wire.layout``). The conversation:
+(``drape.wire.jets``) and once per garment a LAYOUT (``drape.wire.layout``). A request of REST may send its motion as a
+CLIP (``drape.wire.clips``). The conversation:
 docs/reference/wire.md.
 """
 
@@ -21,7 +22,7 @@ from drape.geometry import jets
 WIRE_VERSION = 1
 SUBPROTOCOL = f"drape.v{WIRE_VERSION}"
 MAGIC = 0x45505244  # "DRPE" in file order
-POSE, ACK, FRAME, JETS, LAYOUT = 1, 2, 3, 4, 5
+POSE, ACK, FRAME, JETS, LAYOUT, CLIP = 1, 2, 3, 4, 5, 6
 FLAG_PUSHED = 1  # the vertices were pushed out of the body
 FLAG_STEPPED = 2  # less was computed than the client asked for, as the service is under load
 STEP_COUNT = 65535
@@ -68,6 +69,7 @@ LAYOUTS: dict[str, Layout] = {
         ("jet_step", "f32", jets.FULL_COUNT),
     ),
     "LAYOUT": (*PREFIX, ("vertices", "u32", 1), ("charts", "u32", 1)),
+    "CLIP": (*PREFIX, ("text_bytes", "u32", 1), ("reserved", "u32", 1)),
 }
 _CODES = {"u8": "B", "u16": "H", "u32": "I", "f32": "f", "f64": "d"}
 

@@ -5,16 +5,20 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from clients.cli import main, write_atomic
 from clients.client import DrapeClient
-from drape.errors import InputError
+from drape.errors import InputError, Unavailable
+from drape.garment.files.obj import read_obj
 from drape.motion.readers import read_motion
 from tests.architecture.repository import ROOT
+from tests.fixtures.exports import read_pc2, read_usda
 
 
 def test_a_clip_becomes_a_glb(live: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -72,6 +76,21 @@ def test_a_file_of_motion_becomes_vertices(live: str, tmp_path: Path):
         assert main([*base, *option]) == 2
 
 
+def test_point_caches_and_scenes_hold_what_arrays_do(live: str, tmp_path: Path):
+    base = ["drape", "--url", live, "--garment", "tube", "--motion", "squat", "--fps", "5", "--out"]
+    for name in ("out.npy", "out.pc2", "out.usda"):
+        assert main([*base, str(tmp_path / name)]) == 0
+    expected = np.load(tmp_path / "out.npy")
+    assert_allclose(read_pc2(tmp_path / "out.pc2"), expected, rtol=0, atol=0)
+    scene = read_usda((tmp_path / "out.usda").read_text())
+    assert scene.head["timeCodesPerSecond"] == "5.0"
+    assert_allclose(scene.meshes["tube"].points, expected, rtol=0, atol=0.51e-5)
+    mesh = read_obj((tmp_path / "out.obj").read_bytes(), name="out", vertex_limit=1000)
+    assert_allclose(mesh.vertices, expected[0], rtol=0, atol=1e-6)
+    assert len(mesh.uv_faces) == len(mesh.faces) == len(scene.meshes["tube"].faces)
+    assert mesh.material_names == ("cotton", "trim")
+
+
 def test_what_is_there_is_listed(live: str, capsys: pytest.CaptureFixture[str]):
     assert main(["--url", live, "garments"]) == 0
     assert "tube" in capsys.readouterr().out
@@ -85,7 +104,7 @@ def test_what_is_there_is_listed(live: str, capsys: pytest.CaptureFixture[str]):
         ({"--garment": "cape"}, "garment: expected one of: tube"),
         ({"--motion": "swim"}, "motion: expected one of"),
         ({"--motion": "absent.bvh"}, "--motion: expected a file"),
-        ({"--out": "out.fbx"}, "--out: expected a name ending in .glb or .npy"),
+        ({"--out": "out.fbx"}, "--out: expected a name ending in .glb, .npy, .pc2, .usda"),
         ({"--out": "absent/out.glb"}, "--out: expected an existing folder"),
         ({"--betas": "1,x"}, "--betas: expected comma-separated numbers"),
         ({"--fps": "0"}, "fps: expected a positive frame rate"),
@@ -119,15 +138,23 @@ def test_an_upload_that_fails_says_why(live: str, tmp_path: Path, capsys: pytest
 
 def test_writing_is_all_or_nothing(tmp_path: Path):
     target = tmp_path / "a.glb"
-    write_atomic(target, b"one")
-    write_atomic(target, b"two")
+    write_atomic(target, [b"o", b"ne"])
+    write_atomic(target, [b"two"])
     assert target.read_bytes() == b"two"
     folder = tmp_path / "folder.glb"
     folder.mkdir()
     with pytest.raises(InputError):
-        write_atomic(folder, b"x")
+        write_atomic(folder, [b"x"])
     with pytest.raises(InputError, match="can be written"):
-        write_atomic(tmp_path / "absent/a.glb", b"x")
+        write_atomic(tmp_path / "absent/a.glb", [b"x"])
+
+    def cut_off() -> Iterator[bytes]:
+        yield b"half of it"
+        raise Unavailable("service", expected="an answer", got="none", cure="Start it.")
+
+    with pytest.raises(Unavailable):
+        write_atomic(target, cut_off())
+    assert target.read_bytes() == b"two"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.glb", "folder.glb"]
 
 

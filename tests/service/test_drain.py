@@ -139,8 +139,12 @@ def test_an_upload_that_ends_every_service_is_given_up(make_settings: Callable[.
 def test_clips_end_when_the_service_hurries(make_settings: Callable[..., Settings]):
     drapery = Drapery(make_settings())
     drapery.hurried = True
+
+    async def begin() -> None:
+        await anext(drapery._in_chunks(1, lambda rows: iter([rows])))
+
     with pytest.raises(Draining, match="Connect again"):
-        asyncio.run(drapery._in_chunks(1, lambda rows: iter([rows])))
+        asyncio.run(begin())
     assert isinstance(Draining().__reduce__()[0](), Draining)
     drapery.close()
 

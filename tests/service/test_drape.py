@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.body.model import BodyModel
 from drape.cloth.fabric_table import fabric
 from drape.garment.cache import Garment
+from drape.garment.files.glb import read_glb
 from drape.geometry.closest import signed_distance
 from drape.wire.options import DrapeOptions, FabricNumbers, Geometry
 from service.drapery import Drapery
@@ -76,6 +77,16 @@ def test_glb_is_a_glb(api: httpx.Client):
     assert response.headers["content-type"] == GLB
     assert response.content[:4] == b"glTF"
     assert int.from_bytes(response.content[8:12], "little") == len(response.content)
+
+
+@pytest.mark.parametrize("origin", ["world", "root"])
+def test_a_quantised_glb_shows_what_float32_does_in_half_the_bytes(api: httpx.Client, origin: str):
+    poses, trans = random_motion(9)
+    fields = {"poses": poses.tolist(), "trans": np.add(trans, [5.0, 0.0, 2.0]).tolist(), "origin": origin}
+    small, large = (ask(api, GLB, quantised=quantised, **fields).content for quantised in (True, False))
+    read, plain = (read_glb(content, name="clip", vertex_limit=1000).vertices for content in (small, large))
+    assert_allclose(read, plain, rtol=0, atol=2e-5)  # a step of the box of a metre, and float32 at 5 m
+    assert len(large) - len(small) > 0.4 * 8 * 216 * 24
 
 
 def test_posed_body_is_the_body(api: httpx.Client, body: BodyModel):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import httpx
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from drape.wire.clips import pack_clip
 from service.access import Access
 from service.app import create_app
 from service.drapery import Drapery
@@ -18,10 +20,12 @@ from service.errors import Busy
 from service.jobs import Uploads
 from service.json_body import clip_marks
 from service.lifecycle import Lifecycle
+from service.pasts import Pasts
 from service.piecework import Piecework
 from service.sessions import Streams
 from service.settings import Settings
 from service.state import State
+from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import serve
 
 REST = np.zeros((1, 24, 3)).tolist()
@@ -102,6 +106,52 @@ def test_the_reference_says_what_a_body_holds(api: httpx.Client):
         assert body["required"] and {"poses", "fps", field} <= set(
             body["content"]["application/json"]["schema"]["properties"]
         )
+        binary = body["content"]["application/octet-stream"]["schema"]
+        assert binary["format"] == "binary" and "CLIP" in binary["description"]
+
+
+def clip(api: httpx.Client, path: str = "/drape", content: bytes | None = None, **fields: Any) -> httpx.Response:
+    """``drape`` with the poses in binary."""
+    about = {key: value for key, value in fields.items() if key not in ("poses", "trans")}
+    about = about if "bodies" in path else {"garment": "tube", **about}
+    message = pack_clip(about, fields.get("poses", np.zeros((1, 24, 3))), fields.get("trans"))
+    kind = {"Content-Type": "application/octet-stream"}
+    return api.post(path, content=message if content is None else content, headers=kind)
+
+
+def test_binary_poses_give_the_bits_that_json_gives(api: httpx.Client, body):
+    poses, trans = random_motion(4)
+    fields = {"betas": [0.5, -0.5], "fps": 24.0, "push_out": True}
+    said = drape(api, poses=poses.tolist(), trans=trans.tolist(), **fields)
+    sent = clip(api, poses=poses, trans=trans, **fields)
+    assert sent.status_code == said.status_code == 200
+    assert sent.content == said.content
+    assert clip(api, poses=poses).content == drape(api, poses=poses.tolist()).content
+    path = f"/bodies/{body.name}/posed"
+    assert clip(api, path, poses=poses).content == api.post(path, json={"poses": poses.tolist()}).content
+
+
+@pytest.mark.parametrize(
+    ("fields", "status", "words"),
+    [
+        ({"poses": np.zeros((0, 24, 3))}, 422, ["poses: expected at least 1 frame, got 0"]),
+        (
+            {"poses": np.zeros((41, 24, 3))},
+            413,
+            ["poses: expected at most 40 frames, got 41. Send the clip in pieces."],
+        ),
+        ({"poses": np.full((1, 24, 3), np.nan)}, 422, ["poses[0][0][0]: expected at most 1000 rad, got nan"]),
+        ({"trans": np.full((1, 3), np.inf)}, 422, ["trans[0][0]: expected at most 1e+06 m, got inf"]),
+        ({"colour": "red"}, 400, ["colour: expected no such field"]),
+        ({"betas": [99.0]}, 422, ["betas[0]: expected at most 20"]),
+        ({"content": b"noise"}, 400, ["clip message: expected at least 24 bytes, got 5 bytes"]),
+        ({"content": pack_clip({}, np.zeros((1, 24, 3)), None)[:-2] + b"[["}, 400, ["whose last part is not JSON"]),
+        ({"content": pack_clip({"poses": []}, np.zeros((1, 24, 3)), None)}, 400, ["poses: expected no such field"]),
+        ({"content": pack_clip({"k": [0] * 10_001}, np.zeros((1, 24, 3)), None)}, 413, ["at most 10000 commas"]),
+    ],
+)
+def test_what_is_wrong_with_a_binary_clip_is_named(api: httpx.Client, fields: dict, status: int, words: list[str]):
+    refused(clip(api, **fields), status, *words)
 
 
 def test_a_missing_field_is_named(api: httpx.Client):
@@ -161,8 +211,9 @@ def test_too_large_a_body_is_refused_before_it_is_read(api: httpx.Client, settin
 def test_too_large_an_answer_is_refused(make_settings: Callable[..., Settings]):
     tight = make_settings(max_answer_bytes=216 * 12 * 3)
     with serve(create_app(tight), tight) as url:
-        for frames, accept, status in ((3, "*/*", 200), (4, "*/*", 413), (2, "model/gltf-binary", 413)):
-            document = {"garment": "tube", "poses": REST * frames}
+        glb = "model/gltf-binary"
+        for frames, accept, status in ((3, "*/*", 200), (4, "*/*", 413), (3, glb, 200), (4, glb, 413), (2, glb, 413)):
+            document = {"garment": "tube", "poses": REST * frames, "quantised": frames > 2}
             response = httpx.post(url + "/drape", json=document, headers={"Accept": accept})
             assert response.status_code == status
         refused(response, 413, "answer", "Send the clip in pieces.")
@@ -172,7 +223,7 @@ def test_more_clips_than_places_are_refused(make_settings: Callable[..., Setting
     drapery = Drapery(make_settings(max_clips=1))
     streams, access = Streams(drapery, Piecework()), Access(drapery.settings)
     uploads = Uploads(drapery, Piecework(), access)
-    state = State(drapery, uploads, streams, Piecework(), access, Lifecycle(stuck_s=9.0))
+    state = State(drapery, uploads, streams, Piecework(), access, Lifecycle(stuck_s=9.0), Pasts(drapery.settings))
     with state.slot(), pytest.raises(Busy, match="fewer than 1 at a time"), state.slot():
         pass
     with state.slot():

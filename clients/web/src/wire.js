@@ -3,7 +3,7 @@
 export const WIRE_VERSION = 1;
 export const SUBPROTOCOL = "drape.v1";
 export const MAGIC = 0x45505244;
-export const KIND = { POSE: 1, ACK: 2, FRAME: 3, JETS: 4, LAYOUT: 5 };
+export const KIND = { POSE: 1, ACK: 2, FRAME: 3, JETS: 4, LAYOUT: 5, CLIP: 6 };
 export const FLAG_PUSHED = 1;
 export const FLAG_STEPPED = 2;
 // Suffixes of garment files, as the file chooser takes them.
@@ -80,6 +80,16 @@ export const LAYOUTS = {
     count: [12, "u32", 1],
     vertices: [16, "u32", 1],
     charts: [20, "u32", 1],
+  },
+  CLIP: {
+    magic: [0, "u32", 1],
+    version: [4, "u8", 1],
+    kind: [5, "u8", 1],
+    flags: [6, "u16", 1],
+    sequence: [8, "u32", 1],
+    count: [12, "u32", 1],
+    text_bytes: [16, "u32", 1],
+    reserved: [20, "u32", 1],
   },
 };
 

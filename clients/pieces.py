@@ -1,0 +1,56 @@
+"""Clips longer than a request may be, in pieces: the service remembers the cloth from one to the next, so that together
+they are the undivided clip, bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, TypeVar
+
+import httpx
+import numpy as np
+
+from clients.calls import DRAPE, Call
+from drape.wire.clips import FRAME_BYTES
+
+Answer = TypeVar("Answer")
+OPTION_BYTES = 16384  # of a request, besides its frames
+UNASKED = 60
+"""A clip of no more frames is sent without asking the service how many it takes."""
+
+
+def most_frames(health: dict[str, Any]) -> int:
+    """Frames that a request to the service may have that says ``health`` of itself."""
+    in_body = (int(health["max_body_bytes"]) - OPTION_BYTES) // FRAME_BYTES
+    return max(1, min(int(health["max_frames"]), in_body))
+
+
+def slices(frames: int, most: int) -> Iterator[slice]:
+    """``frames`` in pieces of at most ``most``."""
+    return (slice(start, min(frames, start + most)) for start in range(0, max(frames, 1), most))
+
+
+def piece(call: Call[Answer], rows: slice, past: str | None) -> Call[tuple[Answer, str | None]]:
+    """``call`` for the frames ``rows`` of its clip, which come after ``past``; its answer, and what the next piece
+    names as its past."""
+    assert call.clip is not None
+    more: dict[str, Any] = {}
+    if call.path == DRAPE:  # a posed body remembers nothing
+        more = {"keep": rows.stop < len(call.clip.poses)} | ({} if past is None else {"past": past})
+
+    def read(response: httpx.Response) -> tuple[Answer, str | None]:
+        return call.read(response), response.headers.get("X-Drape-Past")
+
+    part = call.clip.part(rows)
+    return Call(call.method, call.path, read, call.params, call.headers, json=call.json | more, clip=part)
+
+
+def joined(answers: Sequence[Any]) -> Any:
+    """The answer of the whole clip from those of its pieces: arrays of frames, lists of them by garment, or frames."""
+    first = answers[0]
+    if isinstance(first, np.ndarray):
+        return np.concatenate(answers)
+    if isinstance(first, tuple):
+        return tuple(np.concatenate(parts) for parts in zip(*answers, strict=True))
+    if first and isinstance(first[0], np.ndarray):
+        return [np.concatenate(parts) for parts in zip(*answers, strict=True)]
+    return [frame for answer in answers for frame in answer]

@@ -1,0 +1,194 @@
+"""A garment in a GLB: static, or a clip as morph targets.
+
+glTF's axes are ours (right-handed, y up, facing +z) and its unit is the metre. A draped clip has no skeleton that could
+reproduce it, so frame i is the morph target i - 1 of frame 0 and its weight is one at its time; between frames players
+interpolate linearly.
+
+Quantised (KHR_mesh_quantization) a node takes over the motion of the body's root, and what is left is counted in steps
+of 16 bits of one box around all frames; normals have 8 bits. Players scale and place the steps by the node.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from drape.errors import InputError
+from drape.export.glb_file import INDEX_BUFFER, VERTEX_BUFFER, GlbFile
+from drape.export.ride import Ride, keys
+from drape.export.surface import Surface
+from drape.geometry import meshes
+
+GARMENT_COLOURS = ((0.18, 0.42, 0.72, 1.0), (0.62, 0.17, 0.19, 1.0), (0.16, 0.38, 0.26, 1.0), (0.40, 0.28, 0.55, 1.0))
+STEPS = 32767  # from 0 to the box's end
+NORMAL_STEPS = 127
+SHORTEST = 0.05  # to which a normal is shortened at most, so that its way from the first frame's fits into [-1, 1]
+
+
+@dataclass(frozen=True, eq=False)
+class Corners:
+    """A mesh whose vertices are split where texture coordinates have a seam.
+
+    ``source`` (N,) is the delivered vertex of each row, ``faces`` (F, 3) index the rows, ``uv`` (N, 2) or None.
+    """
+
+    source: np.ndarray
+    faces: np.ndarray
+    uv: np.ndarray | None
+
+
+def split_seams(garment: Surface) -> Corners:
+    """Rows for the file: every (vertex, uv) pair once, the delivered order kept for the first of each vertex."""
+    if not garment.uv_faces.size:
+        return Corners(np.arange(garment.vertex_count), garment.faces.astype(np.int64), None)
+    pairs = np.stack([garment.faces.reshape(-1), garment.uv_faces.reshape(-1)], axis=1)
+    unique, inverse = np.unique(pairs, axis=0, return_inverse=True)
+    first = np.ones(len(unique), dtype=bool)
+    first[1:] = unique[1:, 0] != unique[:-1, 0]
+    place = np.empty(len(unique), dtype=np.int64)
+    place[first] = unique[first, 0]
+    place[~first] = garment.vertex_count + np.arange((~first).sum())
+    source = np.concatenate([np.arange(garment.vertex_count), unique[~first, 0]])
+    uv = np.zeros((len(source), 2))
+    uv[place] = garment.uv[unique[:, 1]]
+    uv[:, 1] = 1.0 - uv[:, 1]  # glTF counts v from the top
+    return Corners(source, place[inverse.reshape(-1)].reshape(-1, 3), uv)
+
+
+def vertex_normals(frames: np.ndarray, faces: np.ndarray, *, table: np.ndarray | None = None) -> np.ndarray:
+    """Unit normals (..., V, 3) float32; straight up where a vertex has no face. ``table``: ``meshes.face_table``."""
+    normals = meshes.vertex_normals(frames, faces, table=table)
+    normals[np.linalg.norm(normals, axis=-1) < 0.5] = (0.0, 1.0, 0.0)
+    return normals.astype(np.float32)
+
+
+def add_garment(
+    file: GlbFile,
+    garment: Surface,
+    frames: np.ndarray,
+    fps: float,
+    colour: tuple[float, float, float, float] = GARMENT_COLOURS[0],
+    *,
+    ride: Ride | None = None,
+) -> None:
+    """The garment at ``frames`` (F, V, 3) [m], animated if there are several.
+
+    With the ``ride`` of the body's root quantised: no coordinate is off by more than half a step, 1/65534 of the
+    box's longer half. Without it float32. Raises ``InputError`` for a ride of another number of frames.
+    """
+    corners = split_seams(garment)
+    if ride is not None and len(ride) != len(frames):
+        cure = "Give the root's motion of these frames."
+        raise InputError("ride", expected=f"{len(frames)} frames", got=str(len(ride)), cure=cure)
+    made = _in_floats if ride is None else partial(_in_steps, ride=ride)
+    shape = made(file, garment, corners, frames)
+    base, moves = shape.parts[0], shape.parts[1:]
+    if corners.uv is not None:
+        base["TEXCOORD_0"] = file.array(corners.uv.astype(np.float32), target=VERTEX_BUFFER)
+    primitives = []
+    names = garment.material_names or (garment.name,)
+    for index, name in enumerate(names):
+        chosen = corners.faces[garment.face_material == index] if garment.material_names else corners.faces
+        if len(chosen) == 0:
+            continue
+        primitive: dict[str, Any] = {
+            "attributes": base,
+            "indices": file.array(flat_indices(chosen, len(corners.source)), target=INDEX_BUFFER),
+            "material": file.material(name, colour),
+        }
+        if moves:
+            primitive["targets"] = moves
+        primitives.append(primitive)
+    mesh: dict[str, Any] = {"name": garment.name, "primitives": primitives}
+    if moves:
+        mesh["weights"] = [0.0] * len(moves)
+    node = {path: values[0].tolist() for path, values in shape.motion.items()} | shape.node
+    placed = file.node({"name": garment.name, "mesh": file.add("meshes", mesh), **node})
+    if moves:
+        motion = {"weights": np.eye(len(frames), dtype=np.float32)[:, 1:].reshape(-1)} | shape.motion
+        file.animate(len(frames), fps, [(placed, path, values) for path, values in motion.items()])
+
+
+@dataclass(frozen=True, eq=False)
+class _Shape:
+    """Accessors of the first frame and of the way to each later one; what the node of the mesh is, and how it moves."""
+
+    parts: list[dict[str, int]]
+    node: dict[str, Any] = field(default_factory=dict)
+    motion: dict[str, np.ndarray] = field(default_factory=dict)
+
+
+def _in_floats(file: GlbFile, garment: Surface, corners: Corners, frames: np.ndarray) -> _Shape:
+    """The clip in float32."""
+    frames = frames.astype(np.float32)
+    normals = vertex_normals(frames, garment.faces)[:, corners.source]
+    positions = frames[:, corners.source]
+    parts = [
+        {
+            "POSITION": file.array(positions[i] - (positions[0] if i else 0.0), target=VERTEX_BUFFER, bounds=True),
+            "NORMAL": file.array(normals[i] - (normals[0] if i else 0.0), target=VERTEX_BUFFER),
+        }
+        for i in range(len(frames))
+    ]
+    return _Shape(parts)
+
+
+def _in_steps(file: GlbFile, garment: Surface, corners: Corners, frames: np.ndarray, *, ride: Ride) -> _Shape:
+    """The clip in steps, and the node that makes places of them and moves with the root."""
+    file.quantised()
+    centre, scale = _box(frames, ride)
+    places, turned = [], []
+    for steps, normal in _steps(frames, garment.faces, ride, centre, scale):
+        # A way is between what two frames were rounded to: their errors do not add up.
+        places.append((steps[corners.source] - places[0]) if places else steps[corners.source])
+        turned.append(normal[corners.source])
+    positions = file.quantised_rows(np.stack(places).astype(np.int16), bounds=True)
+    normals = file.quantised_rows(np.stack(turned).astype(np.int8))
+    parts = [{"POSITION": p, "NORMAL": n} for p, n in zip(positions, normals, strict=True)]
+    motion = {"translation": ride.places_of(centre).astype(np.float32), "rotation": keys(ride.turn)}
+    return _Shape(parts, {"scale": [scale] * 3}, motion)
+
+
+def _box(frames: np.ndarray, ride: Ride) -> tuple[np.ndarray, float]:
+    """The centre (3,) [m] of the first frame in the root's frame, and the longest of its half edges and of all ways
+    from there along an axis [m]: what ``STEPS`` steps reach."""
+    first = ride.towards_root(frames[0], 0)
+    centre = 0.5 * (first.min(axis=0) + first.max(axis=0))
+    reach = np.abs(first - centre).max()
+    for frame in range(1, len(frames)):
+        reach = max(reach, np.abs(ride.towards_root(frames[frame], frame) - first).max())
+    return centre, float(max(reach, 1e-6)) * (1.0 + 1.0 / STEPS)  # rounding may make a way longer by a step
+
+
+def _steps(
+    frames: np.ndarray, faces: np.ndarray, ride: Ride, centre: np.ndarray, scale: float
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Each frame's places in steps from the centre (V, 3), and the first one's normals or the ways from them."""
+    first, table = np.zeros(0), meshes.face_table(faces, frames.shape[1])
+    for frame, points in enumerate(frames):
+        local = ride.towards_root(points, frame)
+        normals = vertex_normals(local, faces, table=table).astype(np.float64)
+        if frame:
+            normals = _way_of_normals(first, normals)
+        else:
+            first = np.rint(normals * NORMAL_STEPS) / NORMAL_STEPS
+        yield np.rint((local - centre) * (STEPS / scale)).astype(np.int32), np.rint(normals * NORMAL_STEPS)
+
+
+def _way_of_normals(first: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """What leads from ``first`` (V, 3) to the direction of ``normals``, each part within [-1, 1].
+
+    Players make normals unit vectors again, so one that would be too far is shortened until it is not.
+    """
+    room = 1.0 + np.sign(normals) * first
+    share = (room / np.maximum(np.abs(normals), 1e-9)).min(axis=1, keepdims=True)
+    return np.clip(np.clip(share, SHORTEST, 1.0) * normals - first, -1.0, 1.0)
+
+
+def flat_indices(faces: np.ndarray, count: int) -> np.ndarray:
+    """Flat indices; 16 bits where they suffice (65535 is reserved)."""
+    return faces.reshape(-1).astype(np.uint16 if count < 65535 else np.uint32)

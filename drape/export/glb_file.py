@@ -1,0 +1,127 @@
+"""A GLB file as it grows: arrays into one buffer, everything else into JSON (glTF 2.0, 12.1 of the specification)."""
+
+from __future__ import annotations
+
+import json
+import struct
+from typing import Any
+
+import numpy as np
+
+GENERATOR = "drape"
+QUANTIZATION = "KHR_mesh_quantization"
+_COMPONENTS = {"int8": 5120, "uint8": 5121, "int16": 5122, "uint16": 5123, "uint32": 5125, "float32": 5126}
+_SHAPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
+VERTEX_BUFFER, INDEX_BUFFER = 34962, 34963
+
+
+class GlbFile:
+    """A GLB file that grows: arrays go into one buffer, everything else into the JSON part."""
+
+    def __init__(self) -> None:
+        self.json: dict[str, Any] = {
+            "asset": {"version": "2.0", "generator": GENERATOR},
+            "scene": 0,
+            "scenes": [{"nodes": []}],
+            "nodes": [],
+            "meshes": [],
+            "materials": [],
+            "accessors": [],
+            "bufferViews": [],
+        }
+        self._buffer = bytearray()
+
+    def add(self, key: str, value: dict[str, Any]) -> int:
+        """Appends ``value`` to the list ``key`` and returns its index."""
+        rows = self.json.setdefault(key, [])
+        rows.append(value)
+        return len(rows) - 1
+
+    def array(self, array: np.ndarray, *, target: int | None = None, bounds: bool = False) -> int:
+        """The accessor of ``array`` (N, ...); positions and times need ``bounds``."""
+        array = np.ascontiguousarray(array)
+        view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self._buffer), "byteLength": array.nbytes}
+        if target is not None:
+            view["target"] = target
+        self._buffer += array.tobytes()
+        self._buffer += b"\0" * (-len(self._buffer) % 4)
+        accessor: dict[str, Any] = {
+            "bufferView": self.add("bufferViews", view),
+            "componentType": _COMPONENTS[array.dtype.name],
+            "count": len(array),
+            "type": _SHAPES[array.shape[1:]],
+        }
+        if bounds:
+            rows = array.reshape(len(array), -1)
+            accessor["min"], accessor["max"] = rows.min(axis=0).tolist(), rows.max(axis=0).tolist()
+        return self.add("accessors", accessor)
+
+    def quantised(self) -> None:
+        """Says that vertices are in steps, which whoever reads the file must know."""
+        self.json["extensionsUsed"] = self.json["extensionsRequired"] = [QUANTIZATION]
+
+    def quantised_rows(self, arrays: np.ndarray, *, bounds: bool = False) -> list[int]:
+        """The normalized accessors of ``arrays`` (N, V, 3), int8 or int16, in one view; a row has four numbers."""
+        size = arrays.dtype.itemsize
+        rows = np.zeros((*arrays.shape[:2], 4), arrays.dtype)
+        rows[..., :3] = arrays
+        view = {"buffer": 0, "byteOffset": len(self._buffer), "byteLength": rows.nbytes, "byteStride": 4 * size}
+        index = self.add("bufferViews", view | {"target": VERTEX_BUFFER})
+        self._buffer += rows.tobytes()
+        accessors = []
+        for i, array in enumerate(arrays):
+            accessor: dict[str, Any] = {
+                "bufferView": index,
+                "byteOffset": i * 4 * size * len(array),
+                "componentType": _COMPONENTS[arrays.dtype.name],
+                "normalized": True,
+                "count": len(array),
+                "type": "VEC3",
+            }
+            if bounds:
+                accessor["min"], accessor["max"] = array.min(axis=0).tolist(), array.max(axis=0).tolist()
+            accessors.append(self.add("accessors", accessor))
+        return accessors
+
+    def animate(self, frames: int, fps: float, channels: list[tuple[int, str, np.ndarray]]) -> None:
+        """Adds ``channels`` (node, path, values per frame) to the file's one animation."""
+        times = self.array((np.arange(frames) / fps).astype(np.float32), bounds=True)
+        if "animations" not in self.json:
+            self.json["animations"] = [{"name": "drape", "channels": [], "samplers": []}]
+        animation = self.json["animations"][0]
+        for node, path, values in channels:
+            sampler = {"input": times, "output": self.array(values), "interpolation": "LINEAR"}
+            animation["channels"].append(
+                {"sampler": len(animation["samplers"]), "target": {"node": node, "path": path}}
+            )
+            animation["samplers"].append(sampler)
+
+    def node(self, value: dict[str, Any]) -> int:
+        """A node at the top of the scene."""
+        index = self.add("nodes", value)
+        self.json["scenes"][0]["nodes"].append(index)
+        return index
+
+    def place(self, name: str, point: np.ndarray) -> None:
+        """Puts all that stands at the top of the scene under one node at ``point`` [m], which JSON holds in float64.
+
+        Skinned meshes stay at the top: they go where their joints are.
+        """
+        top = self.json["scenes"][0]["nodes"]
+        skinned = [index for index in top if "skin" in self.json["nodes"][index]]
+        children = [index for index in top if index not in skinned]
+        placed = self.add("nodes", {"name": name, "translation": point.tolist(), "children": children})
+        self.json["scenes"][0]["nodes"] = [placed, *skinned]
+
+    def material(self, name: str, colour: tuple[float, float, float, float]) -> int:
+        surface = {"baseColorFactor": list(colour), "metallicFactor": 0.0, "roughnessFactor": 0.85}
+        return self.add("materials", {"name": name, "doubleSided": True, "pbrMetallicRoughness": surface})
+
+    def to_bytes(self) -> bytes:
+        """The file: header, JSON chunk, binary chunk."""
+        self.json["buffers"] = [{"byteLength": len(self._buffer)}]
+        text = json.dumps(self.json, separators=(",", ":"), allow_nan=False).encode()
+        text += b" " * (-len(text) % 4)
+        size = 12 + 8 + len(text) + 8 + len(self._buffer)
+        head = struct.pack("<4sII", b"glTF", 2, size) + struct.pack("<I4s", len(text), b"JSON")
+        return b"".join([head, text, struct.pack("<I4s", len(self._buffer), b"BIN\0"), bytes(self._buffer)])

@@ -1,0 +1,27 @@
+"""What a file needs to know of a garment besides its frames."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+
+class Surface(Protocol):
+    """A mesh of triangles: ``faces`` (F, 3) of ``vertex_count`` vertices, texture coordinates ``uv`` (T, 2) with
+    ``uv_faces`` (F, 3), both empty where there are none, and the material ``face_material`` (F,) of each face."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def vertex_count(self) -> int: ...
+    @property
+    def faces(self) -> np.ndarray: ...
+    @property
+    def uv(self) -> np.ndarray: ...
+    @property
+    def uv_faces(self) -> np.ndarray: ...
+    @property
+    def material_names(self) -> tuple[str, ...]: ...
+    @property
+    def face_material(self) -> np.ndarray: ...

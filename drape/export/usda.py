@@ -1,0 +1,105 @@
+"""USD scenes as text (.usda): a mesh per garment whose points move, for every program that reads USD.
+
+Metres, y up, a time code per frame. Points have five decimals: they are off by 0.005 mm at most. What counts from a
+point of its own stands under an Xform there, in float64.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from drape.export.surface import Surface
+
+ROWS_A_PIECE = 1024  # half a millisecond of the formatter, which holds the interpreter lock
+POINT_BYTES = 28  # about
+
+
+@dataclass(frozen=True, eq=False)
+class Moving:
+    """A garment at ``vertices`` [m] (F, V, 3), in a colour (3,) of linear red, green and blue."""
+
+    surface: Surface
+    vertices: np.ndarray
+    colour: tuple[float, ...]
+
+
+def usda_pieces(layers: Sequence[Moving], fps: float, *, point: np.ndarray | None = None) -> Iterator[bytes]:
+    """The file, in pieces; vertices count from ``point`` [m] (3,), the origin by default."""
+    x, y, z = np.zeros(3).tolist() if point is None else point.tolist()
+    yield (
+        f'#usda 1.0\n(\n    defaultPrim = "clip"\n    endTimeCode = {len(layers[0].vertices) - 1}\n'
+        f"    framesPerSecond = {fps!r}\n    metersPerUnit = 1\n    startTimeCode = 0\n"
+        f'    timeCodesPerSecond = {fps!r}\n    upAxis = "Y"\n)\n\n'
+        f'def Xform "clip"\n{{\n    double3 xformOp:translate = ({x!r}, {y!r}, {z!r})\n'
+        '    uniform token[] xformOpOrder = ["xformOp:translate"]\n'
+    ).encode()
+    names = _identifiers([layer.surface.name for layer in layers])
+    for name, layer in zip(names, layers, strict=True):
+        yield from _mesh(name, layer)
+    yield b"}\n"
+
+
+def _mesh(name: str, layer: Moving) -> Iterator[bytes]:
+    surface, frames = layer.surface, layer.vertices
+    yield f'\n    def Mesh "{name}"\n    {{\n'.encode()
+    yield b"        uniform bool doubleSided = 1\n        float3[] extent.timeSamples = {\n"
+    for frame, vertices in enumerate(frames):
+        yield f"            {frame}: [{_points(np.stack([vertices.min(axis=0), vertices.max(axis=0)]))}],\n".encode()
+    yield b"        }\n        int[] faceVertexCounts = ["
+    yield from _listed(np.full(len(surface.faces), 3))
+    yield b"]\n        int[] faceVertexIndices = ["
+    yield from _listed(surface.faces)
+    yield b"]\n        point3f[] points.timeSamples = {\n"
+    for frame, vertices in enumerate(frames):
+        yield f"            {frame}: [".encode()
+        yield from _listed_rows(vertices, "(%.5f, %.5f, %.5f)")
+        yield b"],\n"
+    yield f"        }}\n        color3f[] primvars:displayColor = [{_points(np.array([layer.colour]))}]\n".encode()
+    if surface.uv_faces.size:
+        yield b"        texCoord2f[] primvars:st = ["
+        yield from _listed_rows(surface.uv, "(%.6g, %.6g)")
+        yield b'] (\n            interpolation = "faceVarying"\n        )\n        int[] primvars:st:indices = ['
+        yield from _listed(surface.uv_faces)
+        yield b"]\n"
+    yield b'        uniform token subdivisionScheme = "none"\n'
+    for number, part in enumerate(_identifiers(surface.material_names)):
+        yield f'\n        def GeomSubset "{part}"\n        {{\n'.encode()
+        yield b'            uniform token elementType = "face"\n            uniform token familyName = "materialBind"\n'
+        yield b"            int[] indices = ["
+        yield from _listed(np.flatnonzero(surface.face_material == number))
+        yield b"]\n        }\n"
+    yield b"    }\n"
+
+
+def _points(points: np.ndarray) -> str:
+    return b"".join(_listed_rows(points, "(%.5f, %.5f, %.5f)")).decode()
+
+
+def _listed_rows(rows: np.ndarray, form: str) -> Iterator[bytes]:
+    """``rows`` (N, n), each as ``form`` writes it, with commas between."""
+    for start in range(0, len(rows), ROWS_A_PIECE):
+        part = rows[start : start + ROWS_A_PIECE]
+        yield ((", " if start else "") + ", ".join([form] * len(part)) % tuple(part.ravel().tolist())).encode()
+
+
+def _listed(numbers: np.ndarray) -> Iterator[bytes]:
+    """Integers with commas between."""
+    return _listed_rows(numbers.reshape(-1, 1), "%d")
+
+
+def _identifiers(names: Sequence[str]) -> list[str]:
+    """``names`` as USD names prims: letters, digits and underscores of ASCII, each once."""
+    found: list[str] = []
+    for name in names:
+        plain = re.sub(r"[^A-Za-z0-9_]", "_", name) or "_"
+        plain = f"_{plain}" if plain[0].isdigit() else plain
+        number, unique = 1, plain
+        while unique in found:
+            number += 1
+            unique = f"{plain}_{number}"
+        found.append(unique)
+    return found

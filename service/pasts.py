@@ -1,0 +1,89 @@
+"""What the end of a clip leaves behind, for the request that goes on from there: a clip in pieces is the whole clip."""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from drape.errors import InputError, NotFound
+from service.settings import Settings
+from service.stages.batch import Memories, Plan, PoseInput
+
+
+@dataclass(frozen=True, eq=False)
+class Past:
+    """``frames`` of a clip of ``plan``, of a body of the shape ``betas`` (S,), and what the stages remember of them."""
+
+    plan: Plan
+    betas: np.ndarray
+    fps: float
+    frames: int
+    memories: Memories
+
+    def followed_by(self, plan: Plan, clip: PoseInput, fps: float) -> PoseInput:
+        """``clip`` as the frames after these; refuses (``InputError``) one that is draped otherwise."""
+        if plan != self.plan or fps != self.fps or not np.array_equal(clip.betas, self.betas):
+            raise InputError(
+                "past",
+                expected="a clip of the same garments, options, shape and frames per second",
+                got="another",
+                cure="Leave past out, and the clip begins anew.",
+            )
+        times_s = np.arange(self.frames, self.frames + len(clip.poses)) / fps
+        return PoseInput(clip.poses, clip.trans, clip.betas, times_s, self.memories, sequence=self.frames)
+
+
+@dataclass(frozen=True, eq=False)
+class _Kept:
+    past: Past
+    owner: str | None
+    until_s: float
+
+
+class Pasts:
+    """The pasts by their tokens: ``max_pasts`` of them at most, each for ``past_s``.
+
+    One may be followed more than once, so that a request whose answer was lost can be sent again.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._most, self._life_s = settings.max_pasts, settings.past_s
+        self._kept: dict[str, _Kept] = {}
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    @staticmethod
+    def token() -> str:
+        """A name for a past that is yet to be."""
+        return secrets.token_urlsafe(18)
+
+    def put(self, token: str, past: Past, owner: str | None) -> None:
+        """Keeps ``past`` for the key ``owner``. Where there are too many, whoever has most loses the oldest."""
+        self._drop_old()
+        self._kept[token] = _Kept(past, owner, time.monotonic() + self._life_s)
+        while len(self._kept) > self._most:
+            ((most, _),) = Counter(kept.owner for kept in self._kept.values()).most_common(1)
+            del self._kept[next(name for name, kept in self._kept.items() if kept.owner == most)]
+
+    def get(self, token: str, owner: str | None) -> Past:
+        """The past of ``token``; refuses (``NotFound``) one that is gone, or another key's."""
+        self._drop_old()
+        kept = self._kept.get(token)
+        if kept is None or kept.owner != owner:
+            raise NotFound(
+                "past",
+                expected=f"one of the last {self._life_s:g} s",
+                got="one that is not kept",
+                cure="Leave past out, and the clip begins anew.",
+            )
+        return kept.past
+
+    def _drop_old(self) -> None:
+        now_s = time.monotonic()
+        for token in [token for token, kept in self._kept.items() if kept.until_s < now_s]:
+            del self._kept[token]
