@@ -16,7 +16,7 @@ from drape.artifacts import DEFAULT_MODEL, MODELS_DIR
 from drape.body.assets import DEFAULT_BODY
 from drape.errors import InputError
 from drape.garment.cache import GARMENTS_DIR, OWN_GARMENTS_DIR
-from drape.wire.options import TierName
+from drape.wire.options import Inertia, TierName
 from service.runtime import Device
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -57,6 +57,7 @@ class Settings(BaseSettings):
     passes: int | None = Field(default=None, ge=0)
     folds: int | None = Field(default=None, ge=0, le=16)
     push_out: bool = True
+    inertia: Inertia = "mesh"
     clearance_m: float = Field(default=0.0025, gt=0.0, le=0.05)
 
     max_connections: int = Field(default=512, ge=1)

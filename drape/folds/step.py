@@ -230,7 +230,7 @@ def advance(network, residual, velocity, touched, skin, cloth, numbers):
     for v in range(len(network)):
         off = sub(at(x, v), at(network, v))
         square = dot(off, off)
-        if not square <= far:
+        if far == far and not square <= far:  # NaN, once met, stays
             far = square
         r, u = in_frame(frames, v, off), in_frame(frames, v, scaled(k.one / numbers.step_s, at(way, v)))
         for i in range(3):

@@ -17,6 +17,7 @@ FIRST_ONLY = Field(fail_fast=True)
 LAYER_LIMIT = 64  # far beyond what a service drapes, which says how many that is
 Identifier = Annotated[str, Field(min_length=1, max_length=120)]
 Geometry = Literal["vertices", "jets"]
+Inertia = Literal["mesh", "network"]
 TierName = Literal["fast", "balanced", "accurate"]
 Resolution = Literal["delivered", "fine"]
 
@@ -63,7 +64,12 @@ class DrapeOptions(BaseModel):
         ge=0.0,
         le=1.0,
         allow_inf_nan=False,
-        description="How much the cloth follows motion: 0 as if at rest, 1 (default) in full. A static model has 0.",
+        description="How much the cloth follows motion: 0 as if at rest, 1 (default) in full.",
+    )
+    inertia: Inertia | None = Field(
+        default=None,
+        description="What makes it follow: its own mass on a coarse mesh, or what the network has learned of motion, "
+        "which a static model has not; the service's setting if left out, network for jets.",
     )
     tier: TierName | None = Field(
         default=None,

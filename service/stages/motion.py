@@ -61,11 +61,13 @@ class Motion(Stage):
             engine.advance(np.zeros((1, 24, 12)), Memory.empty(engine).state[None], np.array([1.0 / 30.0]))
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
+        inertia = options.inertia or ("network" if options.geometry == "jets" else self.settings.inertia)
         knob = 1.0 if options.knob is None else options.knob
-        return {"knob": knob if self.engine.dynamic else 0.0}
+        moves = inertia == "mesh" or self.engine.dynamic
+        return {"knob": knob if moves else 0.0, "inertia": inertia}
 
     def wanted(self, plan: Plan) -> bool:
-        return bool(plan.options.knob)
+        return bool(plan.options.knob) and plan.options.inertia == "network"
 
     def rested(self, memory: Memory, time_s: float) -> Memory:
         """The last moments, as long apart as they were."""

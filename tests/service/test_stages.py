@@ -81,7 +81,9 @@ def drapery(make_settings: Callable[..., Settings]) -> Iterator[Drapery]:
     ("options", "messages", "taken", "needs"),
     [
         ({}, False, ["motion", "network", "collision"], {"vertices", "skin"}),
+        ({"inertia": "mesh"}, False, ["network", "swing", "collision"], {"vertices", "skin"}),
         ({"push_out": False, "motion": 0.0}, False, ["network"], {"vertices"}),
+        ({"push_out": False, "motion": 0.0, "inertia": "mesh"}, False, ["network"], {"vertices"}),
         ({"push_out": False, "motion": 0.0, "geometry": "jets"}, True, ["network", "encode"], {"jets"}),
         ({"motion": 0.0, "geometry": "jets"}, False, ["network", "collision"], {"jets", "vertices", "skin"}),
     ],
@@ -135,11 +137,14 @@ def test_the_network_computes_no_vertex_for_jets_alone(make_settings: Callable[.
 
 def test_what_is_left_open_is_the_services_own(drapery: Drapery, make_settings: Callable[..., Settings]):
     entry = drapery.garments.get("tube")
-    assert drapery.plan(entry, DrapeOptions()).options == DrapeOptions(push_out=True, motion=1.0, folds=0)
+    assert drapery.plan(entry, DrapeOptions()).options == DrapeOptions(
+        push_out=True, motion=1.0, inertia="network", folds=0
+    )
     other = Drapery(make_settings(push_out=False, passes=0))
     entry = other.garments.get("tube")
     plan = other.plan(entry, DrapeOptions())
-    assert plan.options == DrapeOptions(push_out=False, passes=0, motion=0.0, folds=0), "a static model has no motion"
+    still = DrapeOptions(push_out=False, passes=0, motion=0.0, inertia="network", folds=0)
+    assert plan.options == still, "a static model has learned no motion"
     assert plan == other.plan(entry, DrapeOptions(passes=0)) and hash(plan) == hash(other.plan(entry, DrapeOptions()))
     assert plan != other.plan(entry, DrapeOptions(passes=1))
     with pytest.raises(InputError, match="passes: expected 0 to 1, got 9"):

@@ -1,0 +1,1 @@
+"""The swing of cloth by its own inertia, on a coarse mesh."""

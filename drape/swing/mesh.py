@@ -1,0 +1,249 @@
+"""The coarse mesh on which cloth swings: nodes spread evenly along the cloth, triangles between them, and weights that
+carry the nodes' ways to the vertices.
+
+A node is a vertex of the garment. Distances are along the cloth at rest, the shortest way over edges and over the
+diagonals of two triangles laid flat. Every vertex belongs to its nearest node, and where three nodes' vertices meet in
+a triangle there is a coarse one, with the three distances as its sides.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse
+from scipy.sparse.csgraph import dijkstra
+
+from drape.cloth.energies import ClothMesh
+from drape.cloth.material import Material
+from drape.geometry import meshes
+
+SPACING_M = 0.07  # nearer nodes give the same swing for more time
+REACH = 2.0  # spacings, within which a node moves a vertex
+# A way over edges and diagonals is longer than the shortest one along the cloth, by this on average.
+DETOUR = 1.02
+ACROSS = 0.05  # of the tension along the fall: columns of cloth hardly hold each other, folds lie between them
+SLIVER = 0.15  # sine of a corner below which a coarse triangle is left out
+LINE = 0.01  # of the bump: what keeps the weights' linear fit regular where nodes lie in a line
+
+
+class SwingMesh(NamedTuple):
+    """N nodes of a garment of V vertices.
+
+    ``vertex`` (N,): the garment's vertex at each node; ``mass_kg``, ``area_m2`` (N,) of its cell. ``order``: the nodes
+    that may move, from those next to held ones outwards. ``start`` (N + 1,), ``other`` (n, 2), ``slope`` (n, 5): the
+    coarse triangles of each node, its two other corners, their slopes along both axes [1/m], and the area [m^2].
+    ``pull_start`` (N + 1,), ``pull_node``, ``pull`` [N/m]: rows of the matrix by which weight pulls nodes back.
+    ``weight_start`` (V + 1,), ``weight_node``, ``weight``: what each vertex takes of the nodes' ways.
+    """
+
+    vertex: np.ndarray
+    mass_kg: np.ndarray
+    area_m2: np.ndarray
+    order: np.ndarray
+    start: np.ndarray
+    other: np.ndarray
+    slope: np.ndarray
+    weight_start: np.ndarray
+    weight_node: np.ndarray
+    weight: np.ndarray
+    pull_start: np.ndarray
+    pull_node: np.ndarray
+    pull: np.ndarray
+
+
+def swing_mesh(
+    cloth: ClothMesh,
+    material: Material,
+    rest: np.ndarray,
+    held: np.ndarray,
+    *,
+    spacing_m: float = SPACING_M,
+    dtype: type[np.floating] = np.float32,
+) -> SwingMesh | None:
+    """The coarse mesh of ``cloth`` of ``material`` that lies at ``rest`` [m] (V, 3); ``held`` (V,): which vertices
+    never swing. None where all are held, or nothing is that it could hang from."""
+    graph = along_cloth(cloth)
+    chosen, away = _spread(graph, rest, spacing_m)
+    own = away.argmin(axis=1)
+    faces = _coarse_faces(own[cloth.faces], away[chosen])
+    movable = ~held[chosen]
+    kept = np.zeros(len(chosen), bool)
+    kept[faces[movable[faces].any(axis=1)]] = True
+    if not (kept & movable).any() or not held.any():
+        return None
+    number = np.cumsum(kept) - 1
+    faces = number[faces[kept[faces].all(axis=1)]]
+    chosen, away, movable = chosen[kept], away[:, kept], movable[kept]
+    sides = away[chosen] / DETOUR
+    start, other, slope = _fans(faces, sides, len(chosen))
+    cell = np.where(kept[own], number[own], len(chosen))
+    mass, area = (
+        np.bincount(cell, weights=values, minlength=len(chosen) + 1)[: len(chosen)]
+        for values in (cloth.vertex_mass(material), cloth.vertex_area)
+    )
+    weight_start, weight_node, weight = _weights(
+        away, rest, np.asarray(meshes.vertex_normals(rest, cloth.faces)), chosen, spacing_m
+    )
+    return SwingMesh(
+        chosen.astype(np.int32), mass.astype(dtype), area.astype(dtype), _outwards(faces, sides, movable),
+        start, other, slope.astype(dtype), weight_start, weight_node, weight.astype(dtype),
+        *_pull(start, other, slope, _weight_below(graph, cloth, held, material)[chosen], float(area.sum()), dtype),
+    )  # fmt: skip
+
+
+def along_cloth(cloth: ClothMesh) -> Any:
+    """Sparse symmetric (V, V): lengths [m] at rest of edges, and of diagonals between two triangles laid flat."""
+    a, b, c, d = cloth.inverse_shape
+    shape = np.linalg.inv(np.stack([np.stack([a, c], axis=-1), np.stack([b, d], axis=-1)], axis=-2))
+    place = np.stack([np.zeros((len(shape), 2)), shape[..., 0], shape[..., 1]], axis=1)  # corners (F, 3, 2)
+    faces, hinges = cloth.faces, cloth.hinge_index.reshape(4, -1).T
+    ends = [(faces[:, i], faces[:, (i + 1) % 3]) for i in range(3)]
+    lengths = [np.linalg.norm(place[:, i] - place[:, (i + 1) % 3], axis=1) for i in range(3)]
+    sides = meshes.hinge_faces(faces)
+    along, up, edge = [], [], []
+    for side in range(2):
+        own = sides[:, side]
+        i, j, third = (place[own, (faces[own] == hinges[:, k, None]).argmax(axis=1)] for k in (0, 1, 2 + side))
+        edge.append(np.linalg.norm(j - i, axis=1))
+        along.append(((j - i) * (third - i)).sum(axis=1) / edge[side])
+        up.append(np.abs((j - i)[:, 0] * (third - i)[:, 1] - (j - i)[:, 1] * (third - i)[:, 0]) / edge[side])
+    high = np.maximum(up[0] + up[1], 1e-12)
+    crossing = along[0] + (along[1] - along[0]) * up[0] / high
+    inside = (crossing > 0.0) & (crossing < np.minimum(*edge))
+    ends.append((hinges[inside, 2], hinges[inside, 3]))
+    lengths.append(np.hypot(along[0] - along[1], high)[inside])
+    first, second, length = (np.concatenate(parts) for parts in (*zip(*ends, strict=True), lengths))
+    count = cloth.vertex_count
+    key = np.minimum(first, second).astype(np.int64) * count + np.maximum(first, second)
+    shortest = np.lexsort((length, key))[np.unique(np.sort(key), return_index=True)[1]]
+    low, high_end = np.divmod(key[shortest], count)
+    matrix = scipy.sparse.coo_matrix((length[shortest], (low, high_end)), shape=(count, count)).tocsr()
+    return matrix + matrix.T
+
+
+def _spread(graph: Any, rest: np.ndarray, spacing_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (N,) none of which is nearer than ``spacing_m`` to another, from the lowest up so that hems have theirs,
+    and all vertices' distances to them (V, N), infinite beyond reach."""
+    nearest, chosen, away = np.full(len(rest), np.inf), [], []
+    for vertex in np.argsort(rest[:, 1], kind="stable"):
+        if nearest[vertex] >= spacing_m:
+            distance = dijkstra(graph, indices=int(vertex), limit=(REACH + 0.5) * spacing_m)
+            np.minimum(nearest, distance, out=nearest)
+            chosen.append(int(vertex))
+            away.append(distance)
+    return np.array(chosen), np.stack(away, axis=1)
+
+
+def _coarse_faces(cells: np.ndarray, sides: np.ndarray) -> np.ndarray:
+    """Triangles (n, 3) of nodes whose ``cells`` (F, 3) meet in one of the garment's, each once, without slivers."""
+    distinct = (cells != np.roll(cells, 1, axis=1)).all(axis=1)
+    cells = cells[distinct]
+    first = cells.argmin(axis=1)
+    turned = np.unique(cells[np.arange(len(cells))[:, None], (first[:, None] + np.arange(3)) % 3], axis=0)
+    a, b, c = (sides[turned[:, i], turned[:, (i + 1) % 3]] for i in range(3))
+    with np.errstate(invalid="ignore"):
+        cosines = [(x * x + y * y - z * z) / (2.0 * x * y) for x, y, z in ((a, c, b), (a, b, c), (b, c, a))]
+        good = np.isfinite(a + b + c) & (np.abs(cosines) < np.sqrt(1.0 - SLIVER**2)).all(axis=0)
+    return turned[good]
+
+
+def _fans(faces: np.ndarray, sides: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """``start``, ``other`` and ``slope`` of ``SwingMesh`` for triangles of these ``sides`` (N, N) [m]."""
+    corner = faces[:, [[0, 1, 2], [1, 2, 0], [2, 0, 1]]].reshape(-1, 3)  # each with every corner in front
+    corner = corner[np.argsort(corner[:, 0], kind="stable")]
+    first, second, across = (sides[corner[:, i], corner[:, j]] for i, j in ((0, 1), (0, 2), (1, 2)))
+    cosine = (first**2 + second**2 - across**2) / (2.0 * first * second)
+    sine = np.sqrt(1.0 - cosine**2)
+    zero = np.zeros_like(first)
+    # Columns of the inverse of [[first, second cos], [0, second sin]]: of one axis both corners' slopes.
+    slope = np.stack(
+        [1.0 / first, zero, -cosine / (first * sine), 1.0 / (second * sine), 0.5 * first * second * sine], axis=1
+    )
+    start = np.concatenate([[0], np.cumsum(np.bincount(corner[:, 0], minlength=count))])
+    return start.astype(np.int32), corner[:, 1:].astype(np.int32), slope
+
+
+def _outwards(faces: np.ndarray, sides: np.ndarray, movable: np.ndarray) -> np.ndarray:
+    """The nodes that are ``movable`` (N,), those nearest along the cloth to one that is not in front."""
+    first, second = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+    graph = scipy.sparse.coo_matrix((sides[first, second], (first, second)), shape=sides.shape).tocsr()
+    held = np.flatnonzero(~movable)
+    if len(held):
+        distance = dijkstra(graph.maximum(graph.T), indices=held, min_only=True)
+    else:
+        distance = np.zeros(len(movable))
+    order = np.argsort(distance, kind="stable")
+    return order[movable[order]].astype(np.int32)
+
+
+def _weights(
+    away: np.ndarray, rest: np.ndarray, normals: np.ndarray, chosen: np.ndarray, spacing_m: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """``weight_start``, ``weight_node`` and ``weight`` of ``SwingMesh``: moving least squares of degree one at rest,
+    without a slope along the surface's ``normals`` (V, 3)."""
+    reach = REACH * spacing_m
+    vertex, node = np.nonzero(away < reach)
+    bump = (1.0 - (away[vertex, node] / reach) ** 2) ** 2
+    basis = np.concatenate([np.ones((len(vertex), 1)), (rest[chosen[node]] - rest[vertex]) / spacing_m], axis=1)
+    count = np.bincount(vertex, minlength=len(rest))
+    start = np.concatenate([[0], np.cumsum(count)])
+    some = np.flatnonzero(count)
+    moments = np.add.reduceat(bump[:, None, None] * basis[:, :, None] * basis[:, None, :], start[some], axis=0)
+    flat = normals[some, :, None] * normals[some, None, :] + LINE * np.eye(3)
+    moments[:, 1:, 1:] += moments[:, :1, :1] * flat
+    row = np.zeros((len(rest), 4))
+    row[some] = np.linalg.inv(moments)[:, 0]
+    weight = bump * np.einsum("ea,ea->e", basis, row[vertex])
+    return start.astype(np.int32), node.astype(np.int32), weight
+
+
+def _weight_below(graph: Any, cloth: ClothMesh, held: np.ndarray, material: Material) -> np.ndarray:
+    """Tension [N/m] (V,) where cloth hangs from what is ``held`` (V,), a vertex at least: the weight of a strip from
+    there on, away from what is held by the steepest way, to its end."""
+    away = dijkstra(graph, indices=np.flatnonzero(held), min_only=True)
+    away = np.where(np.isfinite(away), away, 0.0)
+    links = graph.tocoo()
+    rise = (away[links.col] - away[links.row]) / links.data
+    order = np.lexsort((-rise, links.row))
+    first = order[np.unique(links.row[order], return_index=True)[1]]
+    end = np.arange(cloth.vertex_count)
+    end[links.row[first]] = np.where(rise[first] > 0.0, links.col[first], links.row[first])
+    while not np.array_equal(end, end[end]):
+        end = end[end]
+    return float(material.density_kg_m2) * material.gravity_m_s2 * (away[end] - away)
+
+
+def _pull(
+    start: np.ndarray,
+    other: np.ndarray,
+    slope: np.ndarray,
+    tension: np.ndarray,
+    area_m2: float,
+    dtype: type[np.floating],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows ``pull`` of ``SwingMesh`` for the ``tension`` [N/m] (N,) at the nodes.
+
+    The stiffness of a string under tension, on a surface: sum of A T (s . grad u)^2 / 2 over the triangles, s the unit
+    vector along which the tension falls; and a share of it across, which folds have. The triangles end at the outermost
+    nodes: theirs is raised to the whole ``area_m2``.
+    """
+    count = len(tension)
+    own = np.repeat(np.arange(count), np.diff(start))
+    corner = np.concatenate([own[:, None], other], axis=1)  # each triangle three times
+    by_p = np.stack([-slope[:, 0] - slope[:, 1], slope[:, 0], slope[:, 1]], axis=1)
+    by_t = np.stack([-slope[:, 2] - slope[:, 3], slope[:, 2], slope[:, 3]], axis=1)
+    values = tension[corner]
+    down = np.stack([(by_p * values).sum(axis=1), (by_t * values).sum(axis=1)], axis=1)
+    down /= np.maximum(np.linalg.norm(down, axis=1, keepdims=True), 1e-9)
+    along = by_p * down[:, :1] + by_t * down[:, 1:]
+    across = by_p * down[:, 1:] - by_t * down[:, :1]
+    strength = values.mean(axis=1) * slope[:, 4] * (area_m2 / slope[:, 4].sum())  # every triangle is here three times
+    entries = strength[:, None, None] * (
+        along[:, :, None] * along[:, None, :] + ACROSS * across[:, :, None] * across[:, None, :]
+    )
+    index = np.repeat(corner, 3, axis=1).reshape(-1), np.tile(corner, (1, 3)).reshape(-1)
+    matrix = scipy.sparse.coo_matrix((entries.reshape(-1), index), shape=(count, count)).tocsr()
+    matrix.sum_duplicates()
+    matrix.sort_indices()
+    return matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32), matrix.data.astype(dtype)
