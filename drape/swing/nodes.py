@@ -158,8 +158,8 @@ class Springs(NamedTuple):
 
 
 class Ground(NamedTuple):
-    """``skin`` (S, 8), the sample ``touched`` (N,) below each node, ``deep`` [m] (N,): how far below the gap still cloth
-    is there."""
+    """``skin`` (S, 8), the sample ``touched`` (N,) below each node, and ``deep`` [m] (N,): how far below the gap still
+    cloth is there."""
 
     skin: np.ndarray
     touched: np.ndarray
