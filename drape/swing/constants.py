@@ -17,7 +17,7 @@ from drape.swing.mesh import swing_mesh
 from drape.swing.nodes import STIFFEST_N_PER_M
 from drape.swing.step import SWING_HZ, Constants
 
-HELD_M = 0.03  # from a sample of the skin at rest: cloth that lies nearer never swings
+HELD_M = 0.008  # over the skin at rest: cloth that lies lower never swings
 
 
 def constants(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> Constants | None:
@@ -28,7 +28,7 @@ def constants(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -
     rest = garment.vertices[:count].astype(np.float64)
     cloth = ClothMesh.of(delivered_rest(garment), garment.faces.astype(np.int64), count)
     nearest = nearest_at_rest(rest, skin)
-    held = np.linalg.norm(rest - skin.point[nearest], axis=1) < HELD_M
+    held = ((rest - skin.point[nearest]) * skin.normal[nearest]).sum(axis=1) < HELD_M
     mesh = swing_mesh(cloth, material, rest, held)
     if mesh is None:
         return None

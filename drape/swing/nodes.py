@@ -158,10 +158,11 @@ class Springs(NamedTuple):
 
 
 class Ground(NamedTuple):
-    """``skin`` (S, 8), the sample ``touched`` (N,) below each node, and ``deep`` [m] (N,): how far below the gap still
+    """``skin`` (S, 8), the sample below each node of ``still`` cloth and the one ``touched`` (N,) now, ``deep`` [m] (N,): how far below the gap still
     cloth is there."""
 
     skin: np.ndarray
+    still: np.ndarray
     touched: np.ndarray
     deep: np.ndarray
 
@@ -184,7 +185,7 @@ def keep_length(c, mesh, young, bound, springs, ground, turns):
             j = ground.touched[i]
             normal, off = (skin[j, 4], skin[j, 5], skin[j, 6]), sub(x, at(skin, j))
             depth = gap - ground.deep[i] - dot(off, normal)
-            if depth > zero and dot(off, off) < near * near:
+            if depth > zero and (j == ground.still[i] or dot(off, off) < near * near):
                 stiff = c.dtype.type(2.0 * CONTACT_J_M4) * mesh.area_m2[i]
                 g, h = add(g, scaled(-stiff * depth, normal)), outer(h, stiff, normal)
             step = solved(h, g)

@@ -22,9 +22,9 @@ from drape.folds.step import Frame
 from drape.solver.compiled import kernel
 from drape.solver.elements import at, dot, scaled, sub
 from drape.swing.mesh import SwingMesh
-from drape.swing.nodes import GAP_M, Ground, Springs, fall_back, keep_length, stretched
+from drape.swing.nodes import GAP_M, TOUCH_M, Ground, Springs, fall_back, keep_length, stretched
 
-NEAR_M, FREE_M = 0.02, 0.06  # from a sample of the skin: nearer nodes are held, farther ones free
+NEAR_M, FREE_M = 0.008, 0.04  # over the skin: lower nodes are held, higher ones free
 HOLD_N_PER_M, LEAST_FREE = 2.0, 0.01  # of a node that is half free; what is left of freedom at the skin
 ROUNDS, TURNS = 20, 4  # of conjugate gradients, and sweeps there and back for length
 PAUSE_S = 0.25  # after a longer one a frame has no past
@@ -173,7 +173,12 @@ def advance(state, network, skin, touched, mesh, graph, numbers):
     stretched(network, mesh, bound)
     here = touched.copy()
     follow(swung, skin, graph, Touched(here, here))
-    keep_length(swung, mesh, numbers.young, bound, springs, Ground(skin, here, deep), numbers.turns)
+    for i in range(len(here)):
+        # Still cloth that lies near a part of the body stays on its side of that, however far it swings.
+        off = sub(at(network, i), at(skin, touched[i]))
+        if dot(off, off) < network.dtype.type(TOUCH_M * TOUCH_M):
+            here[i] = touched[i]
+    keep_length(swung, mesh, numbers.young, bound, springs, Ground(skin, touched, here, deep), numbers.turns)
     far = zero
     for i in range(len(swung)):
         way = sub(at(swung, i), at(network, i))
@@ -190,7 +195,11 @@ def _holds(network, skin, touched):
     hold = np.empty(len(network), network.dtype)
     for i in range(len(network)):
         off = sub(at(network, i), at(skin, touched[i]))
-        share = (np.sqrt(dot(off, off)) - dtype(NEAR_M)) / dtype(FREE_M - NEAR_M)
+        j = touched[i]
+        height = dot(off, (skin[j, 4], skin[j, 5], skin[j, 6]))
+        if dot(off, off) > dtype(TOUCH_M * TOUCH_M):  # above another part of the body than the sample's
+            height = dtype(FREE_M)
+        share = (height - dtype(NEAR_M)) / dtype(FREE_M - NEAR_M)
         share = min(max(share, dtype(0)), dtype(1))
         free = share * share * (dtype(3) - share - share)
         hold[i] = dtype(HOLD_N_PER_M) * (dtype(1) - free) / max(free, dtype(LEAST_FREE))
