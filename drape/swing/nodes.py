@@ -158,8 +158,8 @@ class Springs(NamedTuple):
 
 
 class Ground(NamedTuple):
-    """``skin`` (S, 8), the sample below each node of ``still`` cloth and the one ``touched`` (N,) now, ``deep`` [m] (N,): how far below the gap still
-    cloth is there."""
+    """``skin`` (S, 8); the samples (N,) below each node of ``still`` cloth and the one ``touched`` now; ``deep`` [m]
+    (N,): how far below the gap still cloth is there."""
 
     skin: np.ndarray
     still: np.ndarray
