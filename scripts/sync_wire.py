@@ -30,6 +30,7 @@ export const MAGIC = {magic};
 export const KIND = {{ POSE: {pose}, ACK: {ack}, FRAME: {frame}, JETS: {jets}, LAYOUT: {layout}, CLIP: {clip} }};
 export const FLAG_PUSHED = {flag_pushed};
 export const FLAG_STEPPED = {flag_stepped};
+export const FLAG_UNLIKE = {flag_unlike};
 // Suffixes of garment files, as the file chooser takes them.
 export const MESH_SUFFIXES = "{suffixes}";
 export const BYTES = {{
@@ -208,6 +209,7 @@ def generate() -> str:
         chart_numbers=jet_layout.CHART_NUMBERS,
         flag_pushed=wire.FLAG_PUSHED,
         flag_stepped=wire.FLAG_STEPPED,
+        flag_unlike=wire.FLAG_UNLIKE,
         suffixes=",".join(MESH_SUFFIXES),
         pose_bytes=wire.POSE_BYTES,
         ack_bytes=wire.ACK_BYTES,

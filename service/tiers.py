@@ -68,14 +68,26 @@ def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: Settings, pas
     if passes is None:
         passes = tier.passes if folds else tier.alone
         passes = None if passes is None or passes >= pass_count else passes
-    return options.model_copy(update={"tier": None, "budget_ms": None, "folds": folds, "passes": passes})
+    told = {"tier": None, "budget_ms": None, "folds": folds, "passes": passes}
+    return options.model_copy(update=told | {"safe_folds": _safe_folds(options, folds, tiers)})
 
 
 def capped(options: DrapeOptions, tier: Tier) -> DrapeOptions:
     """``options``, as ``chosen`` gives them, with no more than ``tier`` computes: never more than was asked."""
     most = tier.passes if options.folds else tier.alone
     passes = options.passes if _at_most(options.passes, most) else most
-    return options.model_copy(update={"passes": passes, "folds": min(options.folds or 0, tier.folds)})
+    folds = options.folds or 0
+    safe = options.safe_folds if folds <= tier.folds else tier.folds  # a tier that is kept keeps its safe one
+    return options.model_copy(update={"passes": passes, "folds": min(folds, tier.folds), "safe_folds": safe})
+
+
+def _safe_folds(options: DrapeOptions, folds: int, tiers: Sequence[Tier]) -> int:
+    """Steps of folds where a pose is unlike training: of the tier that leans least on the network, the last one."""
+    if not folds:
+        return 0
+    free = options.folds is None and options.budget_ms is None
+    asked = options.safe_folds if options.safe_folds is not None else tiers[-1].folds if free else 0
+    return max(folds, asked)
 
 
 def tier_of(options: DrapeOptions, tiers: Sequence[Tier], pass_count: int) -> str:

@@ -25,6 +25,8 @@ MAGIC = 0x45505244  # "DRPE" in file order
 POSE, ACK, FRAME, JETS, LAYOUT, CLIP = 1, 2, 3, 4, 5, 6
 FLAG_PUSHED = 1  # the vertices were pushed out of the body
 FLAG_STEPPED = 2  # less was computed than the client asked for, as the service is under load
+FLAG_UNLIKE = 4  # the pose is unlike those that the network was trained on
+NOVELTY_SHIFT, NOVELTY_STEPS = 8, 32  # the upper byte of the flags: steps of 1/32, 255 for all that is more
 STEP_COUNT = 65535
 POSE_SIZE = 72
 
@@ -100,7 +102,7 @@ class Frame:
     ``positions`` (V, 3) float32 [m] relative to ``root`` (3,) float64 [m]; ``dropped`` counts the
     session's poses that a newer one replaced; ``residence_us`` is the time between the arrival of
     the pose and the sending of the frame; the push numbers are those of the push-out. ``stepped``: less was computed
-    than the client asked for.
+    than the client asked for. ``novelty``: how unlike training the pose is, above 1 more than it may be.
     """
 
     sequence: int
@@ -115,15 +117,22 @@ class Frame:
     push_max_m: float = 0.0
     box_step: np.ndarray = field(default_factory=lambda: np.zeros(3, np.float32))
     stepped: bool = False
+    novelty: float = 0.0
 
     def vertices(self) -> np.ndarray:
         """World positions [m] (V, 3), float64."""
         return self.positions + self.root
 
 
-def frame_flags(pushed: bool, stepped: bool) -> int:
+def frame_flags(pushed: bool, stepped: bool, novelty: float) -> int:
     """The ``flags`` of a FRAME or JETS message."""
-    return FLAG_PUSHED * pushed | FLAG_STEPPED * stepped
+    steps = min(255, round(NOVELTY_STEPS * min(novelty, 255.0)))
+    return FLAG_PUSHED * pushed | FLAG_STEPPED * stepped | FLAG_UNLIKE * (novelty > 1.0) | steps << NOVELTY_SHIFT
+
+
+def flagged_novelty(flags: int) -> float:
+    """How unlike training the pose of a message with ``flags`` is, to 1/64."""
+    return (flags >> NOVELTY_SHIFT) / NOVELTY_STEPS
 
 
 def pack_pose(pose: Pose) -> bytes:
@@ -189,7 +198,8 @@ def pack_frame(frame: Frame) -> bytes:
     """The FRAME message: header, then 3 uint16 per vertex, padded to a multiple of 4 bytes."""
     steps, low, step = quantise(frame.positions)
     header = _FRAME.pack(
-        MAGIC, WIRE_VERSION, FRAME, frame_flags(frame.pushed, frame.stepped), frame.sequence, len(steps),
+        MAGIC, WIRE_VERSION, FRAME, frame_flags(frame.pushed, frame.stepped, frame.novelty),
+        frame.sequence, len(steps),
         frame.client_time_s, frame.server_time_s, *frame.root, *low, *step,
         frame.dropped, min(frame.residence_us, 0xFFFFFFFF), frame.pushed_share, frame.push_max_m,
     )  # fmt: skip
@@ -246,6 +256,7 @@ def unpack_frame(message: bytes) -> Frame:
         residence_us=values[18],
         pushed=bool(values[3] & FLAG_PUSHED),
         stepped=bool(values[3] & FLAG_STEPPED),
+        novelty=flagged_novelty(values[3]),
         pushed_share=values[19],
         push_max_m=values[20],
         box_step=step,

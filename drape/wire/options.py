@@ -98,6 +98,14 @@ class DrapeOptions(BaseModel):
         description="Steps of the cloth solver per frame: folds that grow and stay. 0 has none; the tier's if left "
         "out, none of jets.",
     )
+    safe_folds: int | None = Field(
+        default=None,
+        ge=0,
+        le=16,
+        strict=True,
+        description="With folds: steps of a frame whose pose is unlike those that the network was trained on, where "
+        "they are more than folds. Left out: those of the tier accurate, or no more where folds or a budget are named.",
+    )
     settle: int | None = Field(
         default=None,
         ge=1,

@@ -36,6 +36,7 @@ class Encode(Stage):
                     "residence_us": int(1e6 * residence_s),
                     "pushed": bool(batch.plan.options.push_out),
                     "stepped": batch.plan.stepped,
+                    "novelty": float(batch.quality.novelty[row]),
                     "pushed_share": float(batch.quality.pushed_share[row]),
                     "push_max_m": float(batch.quality.push_max_m[row]),
                 }

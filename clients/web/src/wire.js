@@ -6,6 +6,7 @@ export const MAGIC = 0x45505244;
 export const KIND = { POSE: 1, ACK: 2, FRAME: 3, JETS: 4, LAYOUT: 5, CLIP: 6 };
 export const FLAG_PUSHED = 1;
 export const FLAG_STEPPED = 2;
+export const FLAG_UNLIKE = 4;
 // Suffixes of garment files, as the file chooser takes them.
 export const MESH_SUFFIXES = ".obj,.glb,.ply,.stl";
 export const BYTES = {
