@@ -15,6 +15,7 @@ from drape.errors import ArtifactError
 from drape.wire.options import DrapeOptions, TierName
 from service.settings import Settings
 
+FAR_PIXELS_PER_M = 100.0  # below it a pixel is more than a centimetre
 NAMES: tuple[str, ...] = get_args(TierName)  # the least first
 
 
@@ -60,7 +61,12 @@ def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: Settings, pas
     """
     tier = tiers[NAMES.index(options.tier or settings.tier)]
     own = None if options.tier else settings.folds
-    folds, passes = options.folds, options.passes
+    folds, passes, bits = options.folds, options.passes, options.bits
+    if options.pixels_per_m is not None and options.pixels_per_m < FAR_PIXELS_PER_M:
+        folds, bits = 0 if folds is None else folds, bits or 8
+        passes = tiers[0].alone if passes is None and not folds else passes
+        passes = None if passes is None or passes >= pass_count else passes
+        own = None
     if folds is None:
         folds = 0 if options.geometry == "jets" else tier.folds if own is None else own
     if passes is None and not options.tier:
@@ -68,7 +74,8 @@ def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: Settings, pas
     if passes is None:
         passes = tier.passes if folds else tier.alone
         passes = None if passes is None or passes >= pass_count else passes
-    told = {"tier": None, "budget_ms": None, "folds": folds, "passes": passes}
+    told = {"tier": None, "budget_ms": None, "pixels_per_m": None, "folds": folds, "passes": passes}
+    told["bits"] = bits if bits == 8 and options.geometry == "vertices" else None
     return options.model_copy(update=told | {"safe_folds": _safe_folds(options, folds, tiers)})
 
 

@@ -44,5 +44,7 @@ class Encode(Stage):
                     posed = {name: array[row] for name, array in vars(jets).items()}
                     messages.append(pack_jets(JetFrame(**said, **posed, left_m=float(batch.quality.left_m[row]))))
                 elif vertices is not None:
-                    messages.append(pack_frame(Frame(**said, positions=vertices[row])))
+                    messages.append(
+                        pack_frame(Frame(**said, positions=vertices[row], bits=batch.plan.options.bits or 16))
+                    )
         return replace(batch, messages=tuple(messages))
