@@ -11,7 +11,7 @@ from numpy.testing import assert_array_equal
 from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
 from service.drapery import Drapery
-from service.engine import DYNAMIC, PACKED, SKIN
+from service.engine import PACKED, SKIN
 from service.packing import NORMALS
 from service.settings import Settings
 from service.stages import run
@@ -70,7 +70,8 @@ def test_frames_of_8_bits_are_those_of_16_to_half_a_step_at_half_the_bytes(drape
 @pytest.mark.parametrize(
     ("asked", "stages"),
     [
-        ({}, "motion network folds collision encode"),
+        ({"inertia": "mesh"}, "network swing folds collision encode"),
+        ({"inertia": "network"}, "motion network folds collision encode"),
         ({"motion": 0.0}, "network folds collision encode"),
         ({"motion": 0.0, "pixels_per_m": FAR}, "network collision encode"),
         ({"motion": 0.0, "pixels_per_m": FAR, "push_out": False}, "network encode"),
@@ -83,8 +84,7 @@ def test_a_plan_holds_nothing_that_nobody_asked_for(drapery: Drapery, asked: dic
     assert " ".join(stage.name for stage in batch.plan.stages) == stages
     outputs = {name for key in set(drapery.engine._opened) - before if key[0] == PACKED for name in key[1]}
     assert NORMALS not in outputs, "no answer and no stage reads normals"
-    if "folds" not in stages and "collision" not in stages:
+    if not {"swing", "folds", "collision"} & set(stages.split()):
         assert SKIN not in outputs and batch.skin is None
-    if "motion" not in stages:
-        assert batch.codes is None and not any(key[0] == "motion" for key in batch.memories[0])
-    assert any(key[0] == DYNAMIC for key in drapery.engine._opened)
+    assert (batch.codes is not None) == ("motion" in stages)
+    assert {key[0] for key in batch.memories[0]} == {"motion", "swing", "folds"} & set(stages.split())
