@@ -73,6 +73,14 @@ class WeightsSpec:
 
 
 @dataclass(frozen=True)
+class FileSpec:
+    """A file beside the graphs, and its hash."""
+
+    file: str
+    sha256: str
+
+
+@dataclass(frozen=True)
 class Manifest:
     """What a model folder says of itself.
 
@@ -84,6 +92,7 @@ class Manifest:
     onnxruntime at export. ``quality``: rows of benchmarks.quality. ``training``: commit,
     command, frames seen, losses at the end. ``network``: its sizes, as ``training.config.ModelConfig`` names
     them. ``weights``: None where every graph holds its own. ``tiers``: rows of ``service.tiers.Tier``, the least first.
+    ``poses``: the file of ``drape.body.pose_support``, None where none was made.
     """
 
     name: str
@@ -99,6 +108,7 @@ class Manifest:
     network: dict[str, Any] = field(default_factory=dict)
     weights: WeightsSpec | None = None
     tiers: list[dict[str, Any]] = field(default_factory=list)
+    poses: FileSpec | None = None
     format_version: int = FORMAT_VERSION
 
     @property
@@ -138,6 +148,8 @@ class Manifest:
                 weights = data["weights"]
                 places = {key: ParameterSpec.from_json(place) for key, place in weights.get("parameters", {}).items()}
                 data["weights"] = WeightsSpec(weights["file"], weights["sha256"], places)
+            if data.get("poses") is not None:
+                data["poses"] = FileSpec(**data["poses"])
             return cls(**data)
         except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
             raise ArtifactError(
@@ -185,7 +197,9 @@ def load_manifest(folder: Path) -> Manifest:
     manifest = Manifest.from_json(
         path.read_text(encoding="utf-8", errors="replace"), where=f"{folder.name}/manifest.json"
     )
-    files: dict[str, GraphSpec | WeightsSpec] = {**manifest.graphs}
+    files: dict[str, GraphSpec | WeightsSpec | FileSpec] = {**manifest.graphs}
+    if manifest.poses is not None:
+        files["poses"] = manifest.poses
     if manifest.weights is not None:
         files["weights"] = manifest.weights
     for key, spec in files.items():

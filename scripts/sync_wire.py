@@ -30,6 +30,8 @@ export const MAGIC = {magic};
 export const KIND = {{ POSE: {pose}, ACK: {ack}, FRAME: {frame}, JETS: {jets}, LAYOUT: {layout}, CLIP: {clip} }};
 export const FLAG_PUSHED = {flag_pushed};
 export const FLAG_STEPPED = {flag_stepped};
+export const FLAG_UNLIKE = {flag_unlike};
+export const FLAG_BYTES = {flag_bytes};
 // Suffixes of garment files, as the file chooser takes them.
 export const MESH_SUFFIXES = "{suffixes}";
 export const BYTES = {{
@@ -89,14 +91,16 @@ export function packAck(sequence) {{
   return buffer;
 }}
 
-// The header fields by name, and steps: Uint16Array of 3 per vertex. Throws on what is not a frame.
+// The header fields by name, and steps: 3 per vertex, a Uint16Array, or a Uint8Array where they have 8 bits.
+// Throws on what is not a frame.
 export function unpackFrame(buffer) {{
   if (buffer.byteLength < BYTES.FRAME_HEADER) throw new Error(`frame of ${{buffer.byteLength}} bytes is too short`);
   const header = readRecord(new DataView(buffer), LAYOUTS.FRAME);
   if (header.magic !== MAGIC || header.version !== WIRE_VERSION || header.kind !== KIND.FRAME) {{
     throw new Error("not a frame of this wire version: reload the page");
   }}
-  const steps = new Uint16Array(buffer, BYTES.FRAME_HEADER, header.count * 3);
+  const Steps = header.flags & FLAG_BYTES ? Uint8Array : Uint16Array;
+  const steps = new Steps(buffer, BYTES.FRAME_HEADER, header.count * 3);
   return {{ header, steps }};
 }}
 
@@ -208,6 +212,8 @@ def generate() -> str:
         chart_numbers=jet_layout.CHART_NUMBERS,
         flag_pushed=wire.FLAG_PUSHED,
         flag_stepped=wire.FLAG_STEPPED,
+        flag_unlike=wire.FLAG_UNLIKE,
+        flag_bytes=wire.FLAG_BYTES,
         suffixes=",".join(MESH_SUFFIXES),
         pose_bytes=wire.POSE_BYTES,
         ack_bytes=wire.ACK_BYTES,

@@ -12,6 +12,7 @@ import numpy as np
 
 from drape.artifacts import Manifest, TensorSpec, load_manifest
 from drape.body.model import BodyModel
+from drape.body.pose_support import read_pose_support
 from drape.cloth.fabric import Fabric
 from drape.errors import ArtifactError, InputError
 from drape.garment.cache import Garment
@@ -78,6 +79,8 @@ class Engine:
         self.manifest: Manifest = load_manifest(folder)
         self.dynamic = self.manifest.dynamic
         _check_graphs(folder.name, self.manifest)
+        poses = self.manifest.poses
+        self.pose_support = None if poses is None else read_pose_support(folder / poses.file)
         self.state_size = self.manifest.state_size
         self.code_size = _code_size(folder.name, self.manifest)
         self.int8 = int8 and not on_gpu and ROUNDED in self.manifest.graphs

@@ -149,6 +149,8 @@ def _opened(session: Session, state: State) -> str:
             "tier": state.drapery.tier_of(session.plan),
             "passes": state.drapery.engine.pass_count if options.passes is None else options.passes,
             "folds": options.folds,
+            "safe_folds": options.safe_folds or 0,
+            "bits": options.bits or 16,
         }
     )
 

@@ -54,6 +54,7 @@ def plan_headers(plan: Plan, drapery: Drapery) -> dict[str, str]:
         "X-Drape-Tier": drapery.tier_of(plan),
         "X-Drape-Passes": str(passes if options.passes is None else options.passes),
         "X-Drape-Folds": str(options.folds),
+        "X-Drape-Safe-Folds": str(options.safe_folds or 0),
         "X-Drape-Motion": f"{options.knob:g}",
     }
     if isinstance(scene, Outfit):
@@ -66,6 +67,8 @@ def quality_headers(draped: Batch) -> dict[str, str]:
     return {
         "X-Drape-Pushed-Share": f"{draped.quality.pushed_share.mean():.6f}",
         "X-Drape-Push-Max-M": f"{draped.quality.push_max_m.max():.6f}",
+        "X-Drape-Novelty": f"{draped.quality.novelty.max():.3f}",
+        "X-Drape-Unlike": str(int((draped.quality.novelty > 1.0).sum())),
         "X-Drape-Folds-Resets": str(int(draped.quality.folds_resets.sum())),
     }
 

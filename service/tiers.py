@@ -15,6 +15,7 @@ from drape.errors import ArtifactError
 from drape.wire.options import DrapeOptions, TierName
 from service.settings import Settings
 
+FAR_PIXELS_PER_M = 100.0  # below it a pixel is more than a centimetre
 NAMES: tuple[str, ...] = get_args(TierName)  # the least first
 
 
@@ -60,7 +61,12 @@ def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: Settings, pas
     """
     tier = tiers[NAMES.index(options.tier or settings.tier)]
     own = None if options.tier else settings.folds
-    folds, passes = options.folds, options.passes
+    folds, passes, bits = options.folds, options.passes, options.bits
+    if options.pixels_per_m is not None and options.pixels_per_m < FAR_PIXELS_PER_M:
+        folds, bits = 0 if folds is None else folds, bits or 8
+        passes = tiers[0].alone if passes is None and not folds else passes
+        passes = None if passes is None or passes >= pass_count else passes
+        own = None
     if folds is None:
         folds = 0 if options.geometry == "jets" else tier.folds if own is None else own
     if passes is None and not options.tier:
@@ -68,14 +74,27 @@ def chosen(options: DrapeOptions, tiers: Sequence[Tier], settings: Settings, pas
     if passes is None:
         passes = tier.passes if folds else tier.alone
         passes = None if passes is None or passes >= pass_count else passes
-    return options.model_copy(update={"tier": None, "budget_ms": None, "folds": folds, "passes": passes})
+    told = {"tier": None, "budget_ms": None, "pixels_per_m": None, "folds": folds, "passes": passes}
+    told["bits"] = bits if bits == 8 and options.geometry == "vertices" else None
+    return options.model_copy(update=told | {"safe_folds": _safe_folds(options, folds, tiers)})
 
 
 def capped(options: DrapeOptions, tier: Tier) -> DrapeOptions:
     """``options``, as ``chosen`` gives them, with no more than ``tier`` computes: never more than was asked."""
     most = tier.passes if options.folds else tier.alone
     passes = options.passes if _at_most(options.passes, most) else most
-    return options.model_copy(update={"passes": passes, "folds": min(options.folds or 0, tier.folds)})
+    folds = options.folds or 0
+    safe = options.safe_folds if folds <= tier.folds else tier.folds  # a tier that is kept keeps its safe one
+    return options.model_copy(update={"passes": passes, "folds": min(folds, tier.folds), "safe_folds": safe})
+
+
+def _safe_folds(options: DrapeOptions, folds: int, tiers: Sequence[Tier]) -> int:
+    """Steps of folds where a pose is unlike training: of the tier that leans least on the network, the last one."""
+    if not folds:
+        return 0
+    free = options.folds is None and options.budget_ms is None
+    asked = options.safe_folds if options.safe_folds is not None else tiers[-1].folds if free else 0
+    return max(folds, asked)
 
 
 def tier_of(options: DrapeOptions, tiers: Sequence[Tier], pass_count: int) -> str:

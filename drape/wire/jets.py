@@ -52,6 +52,7 @@ class JetFrame:
     push_max_m: float = 0.0
     left_m: float = 0.0
     stepped: bool = False
+    novelty: float = 0.0
 
     def layers(self, counts: Sequence[int]) -> list[JetFrame]:
         """The frame parted into garments that have ``counts`` patches; refuses counts that do not add up."""
@@ -82,7 +83,8 @@ def pack_jets(frame: JetFrame) -> bytes:
     centre, centre_low, centre_step = wire.quantise(frame.centre)
     turn = np.rint((matrix_to_quaternion(frame.rotation) + 1.0) * UNIT).astype(np.uint16)
     header = _HEADER.pack(
-        wire.MAGIC, wire.WIRE_VERSION, wire.JETS, wire.frame_flags(frame.pushed, frame.stepped), frame.sequence, count,
+        wire.MAGIC, wire.WIRE_VERSION, wire.JETS, wire.frame_flags(frame.pushed, frame.stepped, frame.novelty),
+        frame.sequence, count,
         frame.client_time_s, frame.server_time_s, *frame.root,
         frame.dropped, min(frame.residence_us, 0xFFFFFFFF), frame.pushed_share, frame.push_max_m, frame.left_m,
         *centre_low, *centre_step, *low, *step,
@@ -132,6 +134,7 @@ def unpack_jets(message: bytes) -> JetFrame:
         residence_us=values[12],
         pushed=bool(values[3] & wire.FLAG_PUSHED),
         stepped=bool(values[3] & wire.FLAG_STEPPED),
+        novelty=wire.flagged_novelty(values[3]),
         pushed_share=values[13],
         push_max_m=values[14],
         left_m=values[15],

@@ -25,6 +25,10 @@ MAGIC = 0x45505244  # "DRPE" in file order
 POSE, ACK, FRAME, JETS, LAYOUT, CLIP = 1, 2, 3, 4, 5, 6
 FLAG_PUSHED = 1  # the vertices were pushed out of the body
 FLAG_STEPPED = 2  # less was computed than the client asked for, as the service is under load
+FLAG_UNLIKE = 4  # the pose is unlike those that the network was trained on
+FLAG_BYTES = 8  # steps of a FRAME are bytes
+BYTE_COUNT = 255
+NOVELTY_SHIFT, NOVELTY_STEPS = 8, 32  # the upper byte of the flags: steps of 1/32, 255 for all that is more
 STEP_COUNT = 65535
 POSE_SIZE = 72
 
@@ -100,7 +104,8 @@ class Frame:
     ``positions`` (V, 3) float32 [m] relative to ``root`` (3,) float64 [m]; ``dropped`` counts the
     session's poses that a newer one replaced; ``residence_us`` is the time between the arrival of
     the pose and the sending of the frame; the push numbers are those of the push-out. ``stepped``: less was computed
-    than the client asked for.
+    than the client asked for. ``novelty``: how unlike training the pose is, above 1 more than it may be.
+    ``bits`` of a coordinate on the wire, 8 or 16.
     """
 
     sequence: int
@@ -115,15 +120,23 @@ class Frame:
     push_max_m: float = 0.0
     box_step: np.ndarray = field(default_factory=lambda: np.zeros(3, np.float32))
     stepped: bool = False
+    novelty: float = 0.0
+    bits: int = 16
 
     def vertices(self) -> np.ndarray:
         """World positions [m] (V, 3), float64."""
         return self.positions + self.root
 
 
-def frame_flags(pushed: bool, stepped: bool) -> int:
+def frame_flags(pushed: bool, stepped: bool, novelty: float) -> int:
     """The ``flags`` of a FRAME or JETS message."""
-    return FLAG_PUSHED * pushed | FLAG_STEPPED * stepped
+    steps = min(255, round(NOVELTY_STEPS * min(novelty, 255.0)))
+    return FLAG_PUSHED * pushed | FLAG_STEPPED * stepped | FLAG_UNLIKE * (novelty > 1.0) | steps << NOVELTY_SHIFT
+
+
+def flagged_novelty(flags: int) -> float:
+    """How unlike training the pose of a message with ``flags`` is, to 1/64."""
+    return (flags >> NOVELTY_SHIFT) / NOVELTY_STEPS
 
 
 def pack_pose(pose: Pose) -> bytes:
@@ -186,14 +199,17 @@ def dequantise(steps: np.ndarray, low: np.ndarray, step: np.ndarray) -> np.ndarr
 
 
 def pack_frame(frame: Frame) -> bytes:
-    """The FRAME message: header, then 3 uint16 per vertex, padded to a multiple of 4 bytes."""
-    steps, low, step = quantise(frame.positions)
+    """The FRAME message: header, then 3 uint16 or bytes per vertex, padded to a multiple of 4 bytes."""
+    bytes_each = frame.bits == 8
+    steps, low, step = quantise(frame.positions, BYTE_COUNT if bytes_each else STEP_COUNT)
+    flags = frame_flags(frame.pushed, frame.stepped, frame.novelty) | FLAG_BYTES * bytes_each
     header = _FRAME.pack(
-        MAGIC, WIRE_VERSION, FRAME, frame_flags(frame.pushed, frame.stepped), frame.sequence, len(steps),
+        MAGIC, WIRE_VERSION, FRAME, flags,
+        frame.sequence, len(steps),
         frame.client_time_s, frame.server_time_s, *frame.root, *low, *step,
         frame.dropped, min(frame.residence_us, 0xFFFFFFFF), frame.pushed_share, frame.push_max_m,
     )  # fmt: skip
-    payload = steps.astype("<u2").tobytes()
+    payload = steps.astype("u1" if bytes_each else "<u2").tobytes()
     return header + payload + b"\0" * (-len(payload) % 4)
 
 
@@ -226,7 +242,9 @@ def unpack_frame(message: bytes) -> Frame:
     check_prefix("frame message", message, FRAME, least=FRAME_HEADER_BYTES)
     values = _FRAME.unpack_from(message)
     count = values[5]
-    size = FRAME_HEADER_BYTES + count * 6 + (-(count * 6) % 4)
+    bits = 8 if values[3] & FLAG_BYTES else 16
+    payload = count * 3 * bits // 8
+    size = FRAME_HEADER_BYTES + payload + -payload % 4
     if len(message) != size:
         raise InputError(
             "frame message",
@@ -234,7 +252,8 @@ def unpack_frame(message: bytes) -> Frame:
             got=f"{len(message)} bytes",
             cure="See docs/reference/wire.md.",
         )
-    steps = np.frombuffer(message, dtype="<u2", count=count * 3, offset=FRAME_HEADER_BYTES).reshape(count, 3)
+    kind = "u1" if bits == 8 else "<u2"
+    steps = np.frombuffer(message, dtype=kind, count=count * 3, offset=FRAME_HEADER_BYTES).reshape(count, 3)
     low, step = np.array(values[11:14], np.float32), np.array(values[14:17], np.float32)
     return Frame(
         sequence=values[4],
@@ -246,6 +265,8 @@ def unpack_frame(message: bytes) -> Frame:
         residence_us=values[18],
         pushed=bool(values[3] & FLAG_PUSHED),
         stepped=bool(values[3] & FLAG_STEPPED),
+        novelty=flagged_novelty(values[3]),
+        bits=bits,
         pushed_share=values[19],
         push_max_m=values[20],
         box_step=step,

@@ -98,6 +98,14 @@ class DrapeOptions(BaseModel):
         description="Steps of the cloth solver per frame: folds that grow and stay. 0 has none; the tier's if left "
         "out, none of jets.",
     )
+    safe_folds: int | None = Field(
+        default=None,
+        ge=0,
+        le=16,
+        strict=True,
+        description="With folds: steps of a frame whose pose is unlike those that the network was trained on, where "
+        "they are more than folds. Left out: those of the tier accurate, or no more where folds or a budget are named.",
+    )
     settle: int | None = Field(
         default=None,
         ge=1,
@@ -122,6 +130,21 @@ class DrapeOptions(BaseModel):
     resolution: Resolution = Field(
         default="delivered",
         description="Of which mesh: the delivered one, or the finer one that intake made where that is coarse.",
+    )
+    pixels_per_m: float | None = Field(
+        default=None,
+        gt=0.0,
+        allow_inf_nan=False,
+        description="How many pixels of the picture a metre of the garment takes. Below 100 it is far away: no folds, "
+        "no corrections and coordinates of 8 bits, but for what is named beside it; left out, it is near.",
+    )
+    bits: int | None = Field(
+        default=None,
+        ge=8,
+        le=16,
+        multiple_of=8,
+        strict=True,
+        description="Of a coordinate in a stream's frame of vertices: 16, or 8 for steps of a 255th of the box.",
     )
 
 

@@ -20,12 +20,13 @@ from service.stages.encode import Encode
 from service.stages.folds import Folds
 from service.stages.motion import Motion
 from service.stages.network import Network
+from service.stages.novelty import Novelty
 from service.stages.swing import Swing
 
 if TYPE_CHECKING:
     from service.garments import Scene
 
-STAGES: tuple[type[Stage], ...] = (Motion, Network, Swing, Folds, Collision, Encode)
+STAGES: tuple[type[Stage], ...] = (Novelty, Motion, Network, Swing, Folds, Collision, Encode)
 
 
 def make_stages(engine: Engine, body: BodyModel, settings: Settings) -> tuple[Stage, ...]:

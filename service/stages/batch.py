@@ -104,12 +104,14 @@ class Quality:
 
     By the collision projection: the share of vertices that it moved, the furthest way of one [m], and the longest way
     [m] that a vertex made of the jets lacks to it. ``folds_resets``: how many layers' folds were begun anew.
+    ``novelty``: how unlike training the pose is, above 1 more than it may be (``drape.body.pose_support``).
     """
 
     pushed_share: np.ndarray
     push_max_m: np.ndarray
     left_m: np.ndarray
     folds_resets: np.ndarray
+    novelty: np.ndarray
 
     @staticmethod
     def untouched(frames: int) -> Quality:

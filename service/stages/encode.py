@@ -36,6 +36,7 @@ class Encode(Stage):
                     "residence_us": int(1e6 * residence_s),
                     "pushed": bool(batch.plan.options.push_out),
                     "stepped": batch.plan.stepped,
+                    "novelty": float(batch.quality.novelty[row]),
                     "pushed_share": float(batch.quality.pushed_share[row]),
                     "push_max_m": float(batch.quality.push_max_m[row]),
                 }
@@ -43,5 +44,7 @@ class Encode(Stage):
                     posed = {name: array[row] for name, array in vars(jets).items()}
                     messages.append(pack_jets(JetFrame(**said, **posed, left_m=float(batch.quality.left_m[row]))))
                 elif vertices is not None:
-                    messages.append(pack_frame(Frame(**said, positions=vertices[row])))
+                    messages.append(
+                        pack_frame(Frame(**said, positions=vertices[row], bits=batch.plan.options.bits or 16))
+                    )
         return replace(batch, messages=tuple(messages))

@@ -48,8 +48,9 @@ class Folds(Stage):
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
         if not options.folds:
-            return {"folds": 0, "settle": None, "cloth_contact": None}
+            return {"folds": 0, "safe_folds": None, "settle": None, "cloth_contact": None}
         return {
+            "safe_folds": max(options.folds, options.safe_folds or 0),
             "settle": SETTLE if options.settle is None else options.settle,
             "cloth_contact": options.cloth_contact is not False,
         }
@@ -101,6 +102,8 @@ class Folds(Stage):
         plan = batch.plan
         assert plan.options.folds and plan.options.settle is not None
         effort = Effort(plan.options.folds, plan.options.settle, cloth_contact=bool(plan.options.cloth_contact))
+        safe = replace(effort, sweeps=max(plan.options.folds, plan.options.safe_folds or 0))
+        efforts = [safe if novelty > 1.0 else effort for novelty in batch.quality.novelty]
         layers, resets = list(batch.layers), np.zeros(len(batch.root))
         assert batch.skin is not None
         ground = batch.skin.reshape(len(batch.skin), -1, batch.skin.shape[-1])
@@ -109,7 +112,7 @@ class Folds(Stage):
             memories = batch.remembered((self.name, key))
             covers = effort.cloth_contact and i + 1 < len(layers)
             made = self._of(key, fabric)
-            layers[i], memories, again, height = self._folded(batch, i, made, effort, memories, ground, covers=covers)
+            layers[i], memories, again, height = self._folded(batch, i, made, efforts, memories, ground, covers=covers)
             resets += again
             ground = ground if height is None else raised(ground, height)
             batch = batch.remember((self.name, key), memories)
@@ -122,14 +125,14 @@ class Folds(Stage):
         batch: Batch,
         i: int,
         made: Constants,
-        effort: Effort,
+        efforts: Sequence[Effort],
         memories: Sequence[Memory | None],
         ground: np.ndarray,
         *,
         covers: bool,
     ) -> tuple[Layer, list[Memory | None], np.ndarray, np.ndarray | None]:
-        """Layer ``i`` with folds over ``ground`` (F, S, 8), the memories of the inputs after it, which frames (F,) were
-        begun anew, and, where it ``covers`` others' ground, how high [m] (F, S)."""
+        """Layer ``i`` with folds over ``ground`` (F, S, 8) by the frames' ``efforts``, the memories of the inputs after
+        it, which frames (F,) were begun anew, and, where it ``covers`` others' ground, how high [m] (F, S)."""
         drape = batch.layers[i].vertices
         assert drape is not None
         vertices, resets, after = np.empty_like(drape), np.zeros(len(drape)), []
@@ -137,7 +140,7 @@ class Folds(Stage):
         for (one, rows), memory in zip(batch.rows(), memories, strict=True):
             for number, row in enumerate(range(rows.start, rows.stop)):
                 frame = Frame(drape[row], ground[row], float(one.times_s[number]))
-                vertices[row], memory, report = fold(made, memory, frame, effort)
+                vertices[row], memory, report = fold(made, memory, frame, efforts[row])
                 resets[row] = report.reset
                 if height is not None:
                     own = memory.touched.own[made.sheet.place]

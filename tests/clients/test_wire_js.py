@@ -44,14 +44,16 @@ def test_generated_copy_is_current():
     assert run.returncode == 0, run.stderr
 
 
-def test_javascript_reads_and_writes_what_python_does(tmp_path):
+@pytest.mark.parametrize("bits", [8, 16])
+def test_javascript_reads_and_writes_what_python_does(tmp_path, bits: int):
     node = shutil.which("node")
     if node is None:
         pytest.skip("No Node.js: sudo apt-get install nodejs.")
     generator = np.random.default_rng(3)
     pose, trans = generator.normal(size=(24, 3)).astype(np.float32), generator.normal(size=3)
     vertices = generator.normal(size=(7, 3)).astype(np.float32)
-    message = wire.pack_frame(wire.Frame(9, 2.5, 3.5, np.array([1.0, 2.0, 3.0]), vertices, 4, 55, True, 0.5, 0.25))
+    root = np.array([1.0, 2.0, 3.0])
+    message = wire.pack_frame(wire.Frame(9, 2.5, 3.5, root, vertices, 4, 55, True, 0.5, 0.25, bits=bits))
     script = tmp_path / "wire.mjs"
     (tmp_path / "wire_copy.mjs").write_bytes(WIRE_JS.read_bytes())
     script.write_text(SCRIPT % {"module": json.dumps("./wire_copy.mjs")})

@@ -4,7 +4,7 @@ import { JetSurface } from "./jets.js";
 import { Stream } from "./stream.js";
 import { Viewer } from "./viewer.js";
 import { Wardrobe } from "./wardrobe.js";
-import { FLAG_PUSHED, FLAG_STEPPED, MESH_SUFFIXES, unpackLayout } from "./wire.js";
+import { FLAG_PUSHED, FLAG_STEPPED, FLAG_UNLIKE, MESH_SUFFIXES, unpackLayout } from "./wire.js";
 
 const SHAPE_COUNT = 3;
 const SEND_RATE = 60; // poses per second at most
@@ -269,7 +269,8 @@ function showStats(now) {
     element("age").textContent = `${(1000 * counts.ageS).toFixed(0)} ms`;
     element("residence").textContent = `${(header.residence_us / 1000).toFixed(0)} ms`;
     element("dropped").textContent = String(header.dropped);
-    element("quality").textContent = header.flags & FLAG_STEPPED ? `less than ${stream.tier}, under load` : stream.tier;
+    const unlike = header.flags & FLAG_UNLIKE ? ", more folds: a pose unlike training" : "";
+    element("quality").textContent = header.flags & FLAG_STEPPED ? `less than ${stream.tier}, under load` : stream.tier + unlike;
     element("pushed").textContent = header.flags & FLAG_PUSHED ? `${(100 * header.pushed_share).toFixed(1)} %` : "off";
     element("bytes").textContent = `${(counts.bytes / 1000).toFixed(1)} kB`;
     element("left-row").hidden = header.left_m === undefined;

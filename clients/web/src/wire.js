@@ -6,6 +6,8 @@ export const MAGIC = 0x45505244;
 export const KIND = { POSE: 1, ACK: 2, FRAME: 3, JETS: 4, LAYOUT: 5, CLIP: 6 };
 export const FLAG_PUSHED = 1;
 export const FLAG_STEPPED = 2;
+export const FLAG_UNLIKE = 4;
+export const FLAG_BYTES = 8;
 // Suffixes of garment files, as the file chooser takes them.
 export const MESH_SUFFIXES = ".obj,.glb,.ply,.stl";
 export const BYTES = {
@@ -140,14 +142,16 @@ export function packAck(sequence) {
   return buffer;
 }
 
-// The header fields by name, and steps: Uint16Array of 3 per vertex. Throws on what is not a frame.
+// The header fields by name, and steps: 3 per vertex, a Uint16Array, or a Uint8Array where they have 8 bits.
+// Throws on what is not a frame.
 export function unpackFrame(buffer) {
   if (buffer.byteLength < BYTES.FRAME_HEADER) throw new Error(`frame of ${buffer.byteLength} bytes is too short`);
   const header = readRecord(new DataView(buffer), LAYOUTS.FRAME);
   if (header.magic !== MAGIC || header.version !== WIRE_VERSION || header.kind !== KIND.FRAME) {
     throw new Error("not a frame of this wire version: reload the page");
   }
-  const steps = new Uint16Array(buffer, BYTES.FRAME_HEADER, header.count * 3);
+  const Steps = header.flags & FLAG_BYTES ? Uint8Array : Uint16Array;
+  const steps = new Steps(buffer, BYTES.FRAME_HEADER, header.count * 3);
   return { header, steps };
 }
 

@@ -1,0 +1,97 @@
+"""How far a pose is from those that a network was trained on: distance to the nearest of a few hundred kept ones.
+
+Legs and trunk with arms are looked at by themselves, since training mixes the legs of one frame with the trunk of
+another; and the tilt of the pelvis, which the network knows by where gravity points. A turn about the vertical is none.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
+from drape.errors import ArtifactError
+from drape.geometry.rotations import matrix_to_sixd, rotvec_to_matrix
+
+BODY_JOINTS = range(1, 22)  # without the root and the hands, which are rigid
+LEGS = tuple(i for i in BODY_JOINTS if JOINT_NAMES[i].split("_")[-1] in ("hip", "knee", "ankle", "foot"))
+TRUNK = tuple(i for i in BODY_JOINTS if i not in LEGS)
+PARTS = ("legs", "trunk", "tilt")
+SIXD = 6  # numbers of a rotation
+STEPS = 127  # of a stored number, which is one of a rotation matrix
+
+
+@dataclass(frozen=True, eq=False)
+class PoseSupport:
+    """Kept poses, ``legs`` (n, 48), ``trunk`` (n, 78) and ``tilt`` (m, 3), int8 steps of 1/127, and how far from
+    the nearest of each (3,) a pose of the calibration may be.
+
+    Columns are the 6D rotations (Zhou et al. 2019) of the part's joints, and of the tilt the world's up axis in the
+    pelvis' frame.
+    """
+
+    legs: np.ndarray
+    trunk: np.ndarray
+    tilt: np.ndarray
+    limits: np.ndarray
+
+    @cached_property
+    def _kept(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+        """Of each part the kept rows, turned (n, m), and their squares (m,), float32."""
+        rows = [getattr(self, name).astype(np.float32) / np.float32(STEPS) for name in PARTS]
+        return tuple((np.ascontiguousarray(one.T), (one**2).sum(axis=1)) for one in rows)
+
+    def distances(self, poses: np.ndarray) -> np.ndarray:
+        """From each part of ``poses`` (F, 24, 3) [rad] to the nearest kept one (F, 3): root mean square of joints."""
+        found = [_nearest(rows, *kept) for rows, kept in zip(pose_parts(poses).values(), self._kept, strict=True)]
+        return np.stack(found, axis=-1)
+
+    def novelty(self, poses: np.ndarray) -> np.ndarray:
+        """The largest of the ``distances`` of ``poses`` (F, 24, 3) over its limit, (F,): above 1 unlike training."""
+        return (self.distances(poses) / self.limits).max(axis=-1)
+
+    def to_bytes(self) -> bytes:
+        """The npz of ``read_pose_support``."""
+        file = io.BytesIO()
+        np.savez_compressed(file, **{item.name: getattr(self, item.name) for item in fields(self)})
+        return file.getvalue()
+
+
+def pose_parts(poses: np.ndarray) -> dict[str, np.ndarray]:
+    """The rows of ``poses`` (F, 24, 3) [rad] by the names in ``PARTS``: (F, 48), (F, 78) and (F, 3)."""
+    matrices = rotvec_to_matrix(poses)
+    sixd = matrix_to_sixd(matrices)
+    rows = [sixd[:, joints].reshape(len(poses), -1) for joints in (LEGS, TRUNK)]
+    return dict(zip(PARTS, (*rows, matrices[:, 0, 1, :]), strict=True))
+
+
+def read_pose_support(path: Path) -> PoseSupport:
+    """What ``PoseSupport.to_bytes`` wrote; raises ``ArtifactError`` where the file is something else."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            made = PoseSupport(**{item.name: file[item.name] for item in fields(PoseSupport)})
+    except (OSError, ValueError, KeyError) as error:
+        raise _unreadable(path, str(error)) from error
+    wide = [rows.shape[1] for rows in pose_parts(np.zeros((1, JOINT_COUNT, 3))).values()]
+    shapes = [getattr(made, name).shape for name in PARTS]
+    fits = all(len(shape) == 2 and shape[0] > 0 for shape in shapes) and [shape[1] for shape in shapes] == wide
+    if not fits or made.limits.shape != (len(PARTS),) or not (made.limits > 0.0).all():
+        raise _unreadable(path, f"shapes {shapes}, limits {made.limits}")
+    return made
+
+
+def _nearest(rows: np.ndarray, turned: np.ndarray, squares: np.ndarray) -> np.ndarray:
+    """Distances (F,) from ``rows`` (F, n) to the nearest of the kept ones (n, m), per joint."""
+    rows = rows.astype(np.float32)
+    least = (squares - 2.0 * rows @ turned).min(axis=1) + (rows**2).sum(axis=1)
+    return np.sqrt(np.maximum(least, 0.0) / max(1, rows.shape[1] // SIXD))
+
+
+def _unreadable(path: Path, got: str) -> ArtifactError:
+    return ArtifactError(
+        path.name, expected="kept poses", got=got[:200], cure="Run python -m training.pose_support, or leave it out."
+    )

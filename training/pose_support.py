@@ -1,0 +1,102 @@
+"""Which poses a network has seen, kept beside it: ``python -m training.pose_support --model NAME --write``.
+
+Kept are the poses of ``training.poses`` that cover the others best (farthest-point sampling, Gonzalez 1985), their
+mirror images counted, and the pose in which garments are made. Limits are what ``PASSING`` of the frames of clips that
+training never saw stay within. The table says what share of them and of poses that nobody takes is beyond.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from drape.artifacts import DEFAULT_MODEL, FileSpec, load_manifest, model_folder
+from drape.body.pose_support import PARTS, STEPS, PoseSupport, pose_parts
+from drape.body.skeleton import JOINT_COUNT
+from drape.catalog import MOTIONS_DIR
+from drape.errors import NotFound
+from drape.files.data import data_folder
+from drape.motion.readers import read_motion
+from training.config import DataConfig
+from training.poses import PoseBank, mirrored, read_clips
+
+KEPT = {"legs": 256, "trunk": 256, "tilt": 64}
+PASSING = 0.99  # of the frames of unseen clips
+SPREADS_RAD = (0.3, 0.5, 0.7, 1.0, np.pi, 1000.0)
+FILE = "poses.npz"
+
+
+def support_of(seen: np.ndarray, unseen: np.ndarray, *, kept: Mapping[str, int] = KEPT) -> PoseSupport:
+    """The support of the poses ``seen`` (n, 24, 3) [rad]; ``PASSING`` of ``unseen`` (m, 24, 3) are within."""
+    poses = np.concatenate([np.zeros((1, JOINT_COUNT, 3)), seen, mirrored(seen)])
+    rows = {name: _steps(farthest_points(part, kept[name])) for name, part in pose_parts(poses).items()}
+    made = PoseSupport(**rows, limits=np.ones(len(PARTS)))
+    # Each part lets as many go, so that all together let no more go than was asked.
+    passing = 1.0 - (1.0 - PASSING) / len(PARTS)
+    limits = np.quantile(made.distances(unseen), passing, axis=0, method="higher")
+    return replace(made, limits=np.maximum(limits, 1e-6))
+
+
+def farthest_points(rows: np.ndarray, count: int) -> np.ndarray:
+    """At most ``count`` of ``rows`` (n, d), from the first on: each the one furthest from those before."""
+    chosen, far = [0], np.full(len(rows), np.inf)
+    while len(chosen) < count:
+        far = np.minimum(far, ((rows - rows[chosen[-1]]) ** 2).sum(axis=1))
+        if far.max() <= 0.0:
+            break
+        chosen.append(int(far.argmax()))
+    return rows[chosen]
+
+
+def _steps(rows: np.ndarray) -> np.ndarray:
+    return np.rint(STEPS * rows).astype(np.int8)
+
+
+def beyond(support: PoseSupport, clips: Mapping[str, np.ndarray]) -> dict[str, float]:
+    """The share of frames beyond the limits, of each of ``clips`` and of poses uniform in each of ``SPREADS_RAD``."""
+    generator = np.random.default_rng(0)
+    uniform = {f"uniform to {s:.1f} rad": generator.uniform(-s, s, (1000, JOINT_COUNT, 3)) for s in SPREADS_RAD}
+    return {name: float((support.novelty(poses) > 1.0).mean()) for name, poses in ({**clips} | uniform).items()}
+
+
+def write_support(folder: Path, support: PoseSupport) -> None:
+    """Puts ``support`` into the model ``folder`` and names it in the manifest."""
+    content, manifest = support.to_bytes(), load_manifest(folder)
+    spec = FileSpec(FILE, hashlib.sha256(content).hexdigest())
+    (folder / FILE).write_bytes(content)
+    (folder / "manifest.json").write_text(replace(manifest, poses=spec).to_json(), encoding="utf-8")
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--model", default=DEFAULT_MODEL, help="name or folder of the model")
+    parser.add_argument("--write", action="store_true", help="put the poses into the model's folder")
+    options = parser.parse_args(argv)
+    folder = model_folder(options.model)
+    motions = data_folder("motions")
+    if motions is None:
+        raise NotFound("motions", expected="clips trained on", got="no DRAPE_DATA", cure="Set DRAPE_DATA.")
+    config = DataConfig(held_out=tuple(load_manifest(folder).training["held_out"]))
+    seen = np.concatenate(PoseBank(read_clips([motions], held_out=config.held_out), config).frames)
+    files = [motions / f"{name}.npz" for name in config.held_out] + sorted(MOTIONS_DIR.glob("*.npz"))
+    unseen = {path.stem: read_motion(path).poses.astype(np.float64) for path in files}
+    support = support_of(seen, np.concatenate(list(unseen.values())))
+    shares = beyond(support, unseen)
+    for name, share in shares.items():
+        print(f"{name:24s} {100.0 * share:6.2f} % beyond")
+    if options.write:
+        write_support(folder, support)
+    print(
+        json.dumps({"bench": "pose_support", "frames": len(seen), "bytes": len(support.to_bytes()), "beyond": shares})
+    )
+
+
+if __name__ == "__main__":
+    main()
