@@ -15,6 +15,9 @@ One tangent plane for all that lies nearest to a sample would give a limb facets
 are therefore blended with weights that end at the spacing. Over a sphere a point is off the tangent plane of a sample
 by what the surface falls away meanwhile, but a chord stands at right angles to the mean of the normals at its ends:
 distances are measured along the mean of the sample's normal and the blended one, and have no ripple then.
+
+Walks and planes are computed for ``LANES`` vertices at once, as sweeps are: what they need of the samples is gathered
+into rows of a scratch, and loops over the lanes run along these.
 """
 
 from __future__ import annotations
@@ -25,10 +28,10 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from drape.folds.sheet import LANES
-from drape.folds.sweeps import PLANES
+from drape.folds.sweeps import PLANES, row3
 from drape.push.samples import FACING, Samples
-from drape.solver.compiled import kernel
-from drape.solver.elements import at, dot, mix, scaled, sub
+from drape.solver.compiled import kernel, part
+from drape.solver.elements import at, dot, scaled, sub
 
 NEIGHBOURS = 8
 CANDIDATES = 24  # of which those that face another way are left out
@@ -70,11 +73,24 @@ class Touched(NamedTuple):
     other: np.ndarray
 
 
+# Rows of the scratch, of ``LANES`` numbers each: a point, a sample or neighbour, its normal, normal times point, and
+# whether it is one; the least square of a distance, which neighbour has a lesser one; sums over sample and neighbours
+# of weights, points, normals and normals times points; one over the spacing squared.
+POINT, SAMPLE, NORMAL, ACROSS, REAL = 0, 3 * LANES, 6 * LANES, 9 * LANES, 10 * LANES
+SQUARE, NEARER, TOTAL, WHERE, SUM, PRODUCT, PER_M2 = (row * LANES for row in (11, 12, 13, 14, 17, 20, 21))
+SCRATCH = 22 * LANES
+
+
 @kernel
 def follow(network, skin, graph, touched):
     """Moves ``touched.own`` on to the samples nearest to the ``network``'s vertices [m] (P, 3)."""
-    for v in range(len(network)):
-        touched.own[v] = _nearest(at(network, v), skin, graph, touched.own[v], len(skin))
+    vertex, own, scratch = np.empty(LANES, np.int32), np.empty(LANES, np.int32), np.empty(SCRATCH, skin.dtype)
+    for block in range(len(network) // LANES):
+        for lane in range(LANES):
+            vertex[lane], own[lane] = LANES * block + lane, touched.own[LANES * block + lane]
+        _walk(network, vertex, skin, graph.neighbour, own, len(skin), scratch)
+        for lane in range(LANES):
+            touched.own[vertex[lane]] = own[lane]
 
 
 @kernel
@@ -87,23 +103,75 @@ def touch(x, skin, graph, sheet, touched, turn, planes):
     """
     k = sheet.constants
     cells = cells_of(skin, PER_CELL)
-    for v in range(len(x)):
-        own = _nearest(at(x, v), skin, graph, touched.own[v], STEPS)
-        place = PLANES * (v // LANES) + v % LANES
-        _put_plane(at(x, v), skin, graph, k, own, planes, place)
-        other = touched.other[v]
-        if turn < 0 or sheet.vertex[v] % TURNS == turn:
-            other = _other(at(x, v), skin, graph, own, cells)
-        elif other >= 0:
-            other = _nearest(at(x, v), skin, graph, other, STEPS)
-            if _square(at(x, v), skin, other) >= REACH_M * REACH_M or not _is_other(skin, graph, own, other):
-                other = np.int32(-1)
-        touched.other[v] = other
-        if other >= 0:
-            _put_plane(at(x, v), skin, graph, k, other, planes, place + 6 * LANES)
-        else:
-            for row in range(6, 12):
-                planes[place + row * LANES] = k.zero
+    vertex, own, scratch = np.empty(LANES, np.int32), np.empty(LANES, np.int32), np.empty(SCRATCH, skin.dtype)
+    # Few vertices are near another part: their planes wait until there are as many as lanes.
+    late, late_other, waiting = np.empty(LANES, np.int32), np.empty(LANES, np.int32), 0
+    for block in range(len(x) // LANES):
+        for lane in range(LANES):
+            vertex[lane], own[lane] = LANES * block + lane, touched.own[LANES * block + lane]
+        _walk(x, vertex, skin, graph.neighbour, own, STEPS, scratch)
+        _put_planes(x, vertex, skin, graph, k, own, scratch, planes, 0)
+        for entry in range(PLANES * block + 6 * LANES, PLANES * block + 12 * LANES):
+            planes[entry] = k.zero
+        for lane in range(LANES):
+            v = LANES * block + lane
+            other = touched.other[v]
+            if turn < 0 or sheet.vertex[v] % TURNS == turn:
+                other = _other(at(x, v), skin, graph, own[lane], cells)
+            elif other >= 0:
+                other = _nearest(at(x, v), skin, graph, other, STEPS)
+                if _square(at(x, v), skin, other) >= REACH_M * REACH_M or not _is_other(skin, graph, own[lane], other):
+                    other = np.int32(-1)
+            touched.other[v] = other
+            if other >= 0:
+                late[waiting], late_other[waiting] = v, other
+                waiting += 1
+            if waiting == LANES:
+                _put_planes(x, late, skin, graph, k, late_other, scratch, planes, 6 * LANES)
+                waiting = 0
+    if waiting > 0:
+        for lane in range(waiting, LANES):
+            late[lane], late_other[lane] = late[0], late_other[0]
+        _put_planes(x, late, skin, graph, k, late_other, scratch, planes, 6 * LANES)
+
+
+@kernel
+def _walk(x, vertex, skin, neighbour, own, steps, s):
+    """``_nearest`` for the ``vertex`` of every lane, with samples ``own`` moved in place."""
+    kind = skin.dtype.type
+    _gather(x, vertex, skin, own, s)
+    for _ in range(steps):
+        for lane in range(LANES):
+            s[NEARER + lane] = kind(-1)
+        for n in range(NEIGHBOURS):
+            for lane in range(LANES):
+                j = neighbour[own[lane], n]
+                for axis in range(3):
+                    s[SAMPLE + axis * LANES + lane] = skin[j, axis]
+            for lane in range(LANES):
+                way = sub(row3(s, SAMPLE, lane), row3(s, POINT, lane))
+                square = dot(way, way)
+                less = square < s[SQUARE + lane]
+                s[SQUARE + lane] = square if less else s[SQUARE + lane]
+                s[NEARER + lane] = kind(n) if less else s[NEARER + lane]
+        moved = False
+        for lane in range(LANES):
+            if s[NEARER + lane] >= 0.0:
+                own[lane], moved = neighbour[own[lane], int(s[NEARER + lane])], True
+        if not moved:
+            break
+
+
+@part
+def _gather(x, vertex, skin, own, s):
+    """Writes points, samples and the squares of their distances into the scratch."""
+    for lane in range(LANES):
+        for axis in range(3):
+            s[POINT + axis * LANES + lane] = x[vertex[lane], axis]
+            s[SAMPLE + axis * LANES + lane] = skin[own[lane], axis]
+    for lane in range(LANES):
+        way = sub(row3(s, SAMPLE, lane), row3(s, POINT, lane))
+        s[SQUARE + lane] = dot(way, way)
 
 
 @kernel
@@ -194,26 +262,45 @@ def _other(point, skin, graph, own, cells):
 
 
 @kernel
-def _put_plane(point, skin, graph, k, own, planes, place):
-    """The plane below ``point`` [m] of the sample ``own`` and its neighbours, in six rows from ``place`` on."""
-    nearest = _square(point, skin, own)
-    # Sums over sample and neighbours: weights, points, normals, and normals times points.
-    total, across = k.one, skin[own, 7]
-    where, normal = at(skin, own), (skin[own, 4], skin[own, 5], skin[own, 6])
+def _put_planes(x, vertex, skin, graph, k, own, s, planes, row):
+    """The planes below the ``vertex`` of every lane, of its sample ``own`` and the neighbours, from ``row`` on."""
+    _gather(x, vertex, skin, own, s)
+    for lane in range(LANES):
+        s[PER_M2 + lane], s[TOTAL + lane], s[PRODUCT + lane] = (
+            k.one / graph.reach_m2[own[lane]],
+            k.one,
+            skin[own[lane], 7],
+        )
+        for axis in range(3):
+            s[WHERE + axis * LANES + lane] = skin[own[lane], axis]
+            s[SUM + axis * LANES + lane] = skin[own[lane], 4 + axis]
     for n in range(NEIGHBOURS):
-        j = graph.neighbour[own, n]
-        share = k.one - (_square(point, skin, j) - nearest) / graph.reach_m2[own]
-        if share > k.zero and j != own:
-            w = min(share, k.one) * min(share, k.one)
-            total += w
-            across += w * skin[j, 7]
-            where = mix(k.one, where, w, at(skin, j))
-            normal = mix(k.one, normal, w, (skin[j, 4], skin[j, 5], skin[j, 6]))
-    by_samples = (dot(point, normal) - across) / total
-    length = np.sqrt(dot(normal, normal))
-    unit = scaled(k.one / length, normal) if length > k.zero else normal
-    by_blend = dot(unit, sub(point, scaled(k.one / total, where)))
-    foot = sub(point, scaled(k.half * (by_samples + by_blend), unit))
-    for axis in range(3):
-        planes[place + LANES * axis] = foot[axis]
-        planes[place + LANES * (3 + axis)] = unit[axis]
+        for lane in range(LANES):
+            j = graph.neighbour[own[lane], n]
+            for axis in range(3):
+                s[SAMPLE + axis * LANES + lane] = skin[j, axis]
+                s[NORMAL + axis * LANES + lane] = skin[j, 4 + axis]
+            s[ACROSS + lane] = skin[j, 7]
+            s[REAL + lane] = k.one if j != own[lane] else k.zero
+        for lane in range(LANES):
+            way = sub(row3(s, SAMPLE, lane), row3(s, POINT, lane))
+            share = k.one - (dot(way, way) - s[SQUARE + lane]) * s[PER_M2 + lane]
+            share = share if share > k.zero else k.zero
+            share = share if share < k.one else k.one
+            w = share * share * s[REAL + lane]
+            s[TOTAL + lane] += w
+            s[PRODUCT + lane] += w * s[ACROSS + lane]
+            for axis in range(3):
+                s[WHERE + axis * LANES + lane] += w * s[SAMPLE + axis * LANES + lane]
+                s[SUM + axis * LANES + lane] += w * s[NORMAL + axis * LANES + lane]
+    for lane in range(LANES):
+        point, normal, per = row3(s, POINT, lane), row3(s, SUM, lane), k.one / s[TOTAL + lane]
+        square = dot(normal, normal)
+        unit = scaled(k.one / np.sqrt(square) if square > k.zero else k.one, normal)
+        by_samples = (dot(point, normal) - s[PRODUCT + lane]) * per
+        by_blend = dot(unit, sub(point, scaled(per, row3(s, WHERE, lane))))
+        foot = sub(point, scaled(k.half * (by_samples + by_blend), unit))
+        place = PLANES * (vertex[lane] // LANES) + vertex[lane] % LANES + row
+        for axis in range(3):
+            planes[place + LANES * axis] = foot[axis]
+            planes[place + LANES * (3 + axis)] = unit[axis]
