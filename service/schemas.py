@@ -88,6 +88,7 @@ class OpenRequest(DrapeOptions, Worn, Request):
 
     type: Literal["open"]
     betas: Betas | None = None
+    moves: bool = Field(default=False, description="Whether the client can go on at another process, with its state.")
 
 
 class Health(BaseModel):

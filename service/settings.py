@@ -93,6 +93,8 @@ class Settings(BaseSettings):
     stream_send_s: float = Field(default=1.0, gt=0.0)
     frame_deadline_s: float = Field(default=0.066, gt=0.0)
     stream_message_bytes: int = Field(default=65536, ge=1024)
+    stream_state_bytes: int = Field(default=8 * 2**20, ge=0)
+    successor: str = Field(default="", pattern=r"^(https?://[^\s/]+\S*)?$", max_length=200)
     allowed_origins: tuple[str, ...] = ()
     allowed_hosts: tuple[str, ...] = ()
 

@@ -1,4 +1,5 @@
-// The WebSocket: poses out, frames in, every frame acknowledged; comes back by itself after a lost connection.
+// The WebSocket: poses out, frames in, every frame acknowledged; comes back by itself after a lost connection, and goes
+// on at the successor of a service that ends, with what the cloth remembers.
 import { KIND, SUBPROTOCOL, kindOf, packAck, packPose, unpackFrame, unpackJets } from "./wire.js";
 
 const FIRST_RETRY_S = 0.5;
@@ -16,6 +17,9 @@ export class Stream {
     this.ready = false;
     this.tier = "–"; // the name of what the service computes
     this.retryS = FIRST_RETRY_S;
+    this.base = location.origin; // where the stream runs
+    this.state = []; // STATE messages, to be handed on as they came
+    this.moved = false;
     this.sequence = 0;
     this.poses = new Map();
   }
@@ -42,13 +46,14 @@ export class Stream {
 
   #sendOpening() {
     this.unanswered += 1;
-    this.socket.send(JSON.stringify({ type: "open", ...this.request }));
+    for (const piece of this.state) this.socket.send(piece);
+    this.state = [];
+    this.socket.send(JSON.stringify({ type: "open", moves: true, ...this.request }));
   }
 
   #connect() {
     this.socket?.close();
-    const scheme = location.protocol === "https:" ? "wss" : "ws";
-    const socket = new WebSocket(`${scheme}://${location.host}/stream`, SUBPROTOCOL);
+    const socket = new WebSocket(`${this.base.replace(/^http/, "ws").replace(/\/$/, "")}/stream`, SUBPROTOCOL);
     socket.binaryType = "arraybuffer";
     this.socket = socket;
     this.refusal = null;
@@ -65,6 +70,10 @@ export class Stream {
     if (typeof data === "string") {
       const message = JSON.parse(data);
       if (message.type === "error") this.refusal = message.detail;
+      if (message.type === "moved") {
+        this.moved = true;
+        this.base = message.to || this.base;
+      }
       if (message.type === "opened") this.unanswered -= 1;
       if (message.type === "opened" && this.unanswered === 0) {
         this.ready = true;
@@ -72,6 +81,10 @@ export class Stream {
         this.retryS = FIRST_RETRY_S;
         this.onState("open", "");
       }
+      return;
+    }
+    if (kindOf(data) === KIND.STATE) {
+      this.state.push(data);
       return;
     }
     const frame = kindOf(data) === KIND.JETS ? unpackJets(data) : unpackFrame(data);
@@ -87,6 +100,11 @@ export class Stream {
 
   #lost(event) {
     this.ready = false;
+    if (this.moved) {
+      this.moved = false;
+      this.#connect();
+      return;
+    }
     const sentence = this.refusal ?? event.reason;
     // 44xx is our fault or the user's: trying again would be refused again. 4408 is a pause.
     if (event.code >= 4400 && event.code < 4500 && event.code !== 4408) {
