@@ -187,13 +187,18 @@ const upload = failing(async () => {
   const file = element("file").files[0];
   if (!file) throw new Error("Choose a garment file first: OBJ, GLB, PLY or STL.");
   element("upload").disabled = true;
+  const ending = new AbortController();
+  element("cancel").hidden = false;
+  element("cancel").onclick = () => ending.abort();
   try {
-    const words = { queued: "waits", running: "is being taken in" };
-    const garment = await service.uploadGarment(file, element("avatar").value, (now) => say(`${file.name} ${words[now]} …`));
+    const words = { start: "begins", read: "is read", rest: "is laid on the body", fit: "gets its patches", cloth: "comes to rest", store: "is stored", prepare: "is made ready" };
+    const told = (job) => say(`${file.name} ${words[job.stage] ?? "waits"} … ${Math.round(100 * job.share)} %`);
+    const garment = await service.uploadGarment(file, element("avatar").value, told, ending.signal);
     await listGarments([...wardrobe.chosen().slice(0, -1), garment]);
     await chooseGarments();
     say(`${file.name} is ready.`);
   } finally {
+    element("cancel").hidden = true;
     element("upload").disabled = false;
   }
 });

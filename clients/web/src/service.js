@@ -43,17 +43,20 @@ export async function clipFile(document) {
   return (await request("/drape", { method: "POST", headers, body: JSON.stringify(document) })).blob();
 }
 
-// Uploads a garment file and waits for its job; returns the new id.
-export async function uploadGarment(file, avatar, onState) {
+// Uploads a garment file and waits for its job; returns the new id. onJob(job) is told where it is; signal: an AbortSignal
+// that ends it there too.
+export async function uploadGarment(file, avatar, onJob, signal) {
   const query = new URLSearchParams({ name: file.name });
   if (avatar) query.set("avatar", avatar);
   const headers = { "Content-Type": "application/octet-stream" };
   let job = await json(`/garments?${query}`, { method: "POST", headers, body: file });
   while (job.state === "queued" || job.state === "running") {
-    onState(job.state);
+    onJob(job);
     await new Promise((resolve) => setTimeout(resolve, 500));
+    if (signal?.aborted) await request(`/jobs/${job.id}`, { method: "DELETE" });
     job = await json(`/jobs/${job.id}`);
   }
+  if (job.state === "cancelled") throw new Error(`${file.name} was cancelled.`);
   if (job.state === "failed") throw new Error(job.problem.detail);
   return job.garment;
 }
