@@ -42,6 +42,7 @@ try {
 }
 
 const stream = new Stream({
+  ticket: service.ticket,
   onFrame(frame) {
     counts.frames += 1;
     counts.latest = frame;
@@ -301,8 +302,25 @@ function wireControls() {
   });
 }
 
+// A service with keys says nothing to who has none.
+function askForKey(error) {
+  if (error.status === 401) {
+    document.body.dataset.state = "locked";
+    element("about").textContent = "This service asks for a key.";
+    element("door").hidden = false;
+    element("key").focus();
+  }
+  throw error;
+}
+
+element("door").addEventListener("submit", (event) => {
+  event.preventDefault();
+  service.setKey(element("key").value.trim());
+  location.reload();
+});
+
 const start = failing(async () => {
-  const health = await service.health();
+  const health = await service.health().catch(askForKey);
   element("about").textContent = `model ${health.model}, ${health.provider.replace("ExecutionProvider", "")}, body ${health.body}`;
   state.body = health.body;
   listPasses(health.passes);

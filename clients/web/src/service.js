@@ -1,9 +1,14 @@
-// REST calls. A refusal of the service is thrown as an Error whose message is its sentence.
+// REST calls. A refusal of the service is thrown as an Error whose message is its sentence, with its status.
+
+const KEPT = "drape-key"; // until the tab closes
+export const key = () => sessionStorage.getItem(KEPT) ?? "";
+export const setKey = (said) => sessionStorage.setItem(KEPT, said);
 
 async function request(path, options = {}) {
   let response;
+  const headers = key() ? { ...options.headers, Authorization: `Bearer ${key()}` } : options.headers;
   try {
-    response = await fetch(path, options);
+    response = await fetch(path, { ...options, headers });
   } catch {
     throw new Error("The service does not answer. Is it still running?");
   }
@@ -14,10 +19,13 @@ async function request(path, options = {}) {
   } catch {
     // Not a problem document: the status has to do.
   }
-  throw new Error(sentence);
+  throw Object.assign(new Error(sentence), { status: response.status });
 }
 
 const json = async (path, options) => (await request(path, options)).json();
+
+// A ticket for a stream, which can send no header; empty where no key is asked for.
+export const ticket = async () => (key() ? (await json("/tickets", { method: "POST" })).ticket : "");
 
 export const health = () => json("/health");
 export const garments = () => json("/garments");

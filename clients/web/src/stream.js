@@ -9,7 +9,11 @@ const now = () => performance.now() / 1000;
 
 export class Stream {
   // onFrame({ header, steps or jet, rotation and centre, pose, bytes }); onState(state, sentence): "open", "waiting", "refused".
-  constructor({ onFrame, onState }) {
+  // ticket(): a promise of one for the next connection, empty where none is asked for.
+  constructor({ onFrame, onState, ticket = async () => "" }) {
+    this.ticket = ticket;
+    this.given = ""; // a ticket that came with the word to move
+    this.attempt = 0;
     this.onFrame = onFrame;
     this.onState = onState;
     this.request = null;
@@ -51,9 +55,22 @@ export class Stream {
     this.socket.send(JSON.stringify({ type: "open", moves: true, ...this.request }));
   }
 
-  #connect() {
+  async #connect() {
     this.socket?.close();
-    const socket = new WebSocket(`${this.base.replace(/^http/, "ws").replace(/\/$/, "")}/stream`, SUBPROTOCOL);
+    this.socket = null;
+    this.attempt += 1;
+    const { attempt, given } = this;
+    this.given = "";
+    let ticket;
+    try {
+      ticket = given || (await this.ticket());
+    } catch (error) {
+      if (attempt === this.attempt) this.#lost({ code: error.status === 401 ? 4401 : 1006, reason: error.message });
+      return;
+    }
+    if (attempt !== this.attempt) return; // another opening was faster
+    const address = `${this.base.replace(/^http/, "ws").replace(/\/$/, "")}/stream`;
+    const socket = new WebSocket(address, ticket ? [SUBPROTOCOL, `ticket.${ticket}`] : [SUBPROTOCOL]);
     socket.binaryType = "arraybuffer";
     this.socket = socket;
     this.refusal = null;
@@ -73,6 +90,7 @@ export class Stream {
       if (message.type === "moved") {
         this.moved = true;
         this.base = message.to || this.base;
+        this.given = message.ticket ?? "";
       }
       if (message.type === "opened") this.unanswered -= 1;
       if (message.type === "opened" && this.unanswered === 0) {
