@@ -170,6 +170,10 @@ def job(job_id: str) -> Call[dict[str, Any]]:
     return Call("GET", f"/jobs/{_quoted(job_id)}", httpx.Response.json)
 
 
+def cancel(job_id: str) -> Call[None]:
+    return Call("DELETE", f"/jobs/{_quoted(job_id)}", lambda response: None)
+
+
 def _says_itself(entry: Any) -> bool:
     """Whether a table's entry means the same to the service: an object or ``standard``, not a mesh file."""
     return isinstance(entry, dict) or entry == "standard"

@@ -15,7 +15,7 @@ import json
 import os
 import sys
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, get_args
 
@@ -127,7 +127,21 @@ def _garments(client: DrapeClient, options: argparse.Namespace) -> None:
 
 
 def _upload(client: DrapeClient, options: argparse.Namespace) -> None:
-    print(client.upload_garment(options.file, options.avatar, name=options.name))
+    print(client.upload_garment(options.file, options.avatar, name=options.name, progress=_progress()))
+
+
+def _progress() -> Callable[[dict[str, Any]], None]:
+    """Says on standard error where an upload is, whenever that changes. Ctrl-C cancels it."""
+    said = ""
+
+    def tell(job: dict[str, Any]) -> None:
+        nonlocal said
+        line = f"{job['name']}: {job['stage'] or job['state']}, {100 * job['share']:.0f} %"
+        if line != said:
+            print(line, file=sys.stderr)
+            said = line
+
+    return tell
 
 
 def _drape(client: DrapeClient, options: argparse.Namespace) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from drape.wire.options import Resolution
 # A clip of a thousand frames takes a while on a small machine; connecting does not.
 TIMEOUT = httpx.Timeout(300.0, connect=5.0)
 POLL_S = 0.25
+Progress = Callable[[dict[str, Any]], None]
 
 
 class DrapeClient:
@@ -125,13 +126,22 @@ class DrapeClient:
         *,
         name: str | None = None,
         wait_s: float = 600.0,
+        progress: Progress = lambda job: None,
     ) -> str:
-        """Uploads a garment file, waits for its job and returns the new garment's id."""
+        """Uploads a garment file, waits for its job and returns the new garment's id.
+
+        ``progress`` is told the job as often as it is asked for; what it raises ends the upload too.
+        """
         job = self._send(calls.upload(Path(path), avatar, name))
         deadline = time.monotonic() + wait_s
         while (garment := finished(job)) is None:
             check_deadline(job, deadline, wait_s)
-            time.sleep(POLL_S)
+            try:
+                progress(job)
+                time.sleep(POLL_S)
+            except BaseException:
+                self._send(calls.cancel(job["id"]))
+                raise
             job = self._send(calls.job(job["id"]))
         return garment
 
@@ -338,13 +348,22 @@ class AsyncDrapeClient:
         *,
         name: str | None = None,
         wait_s: float = 600.0,
+        progress: Progress = lambda job: None,
     ) -> str:
-        """Uploads a garment file, waits for its job and returns the new garment's id."""
+        """Uploads a garment file, waits for its job and returns the new garment's id.
+
+        ``progress`` is told the job as often as it is asked for; what it raises ends the upload too.
+        """
         job = await self._send(calls.upload(Path(path), avatar, name))
         deadline = time.monotonic() + wait_s
         while (garment := finished(job)) is None:
             check_deadline(job, deadline, wait_s)
-            await asyncio.sleep(POLL_S)
+            try:
+                progress(job)
+                await asyncio.sleep(POLL_S)
+            except BaseException:
+                await self._send(calls.cancel(job["id"]))
+                raise
             job = await self._send(calls.job(job["id"]))
         return garment
 
@@ -460,9 +479,13 @@ class AsyncDrapeClient:
 
 
 def finished(job: dict[str, Any]) -> str | None:
-    """The garment of a job that is done, None while it goes on; raises its refusal where it failed."""
+    """The garment of a job that is done, None while it goes on; raises its refusal where it failed or was cancelled."""
     if job["state"] == "failed":
         raise calls.problem_error(job["problem"])
+    if job["state"] == "cancelled":
+        raise Unavailable(
+            f"upload {job['name']}", expected="its end", got="one that was cancelled", cure="Upload again."
+        )
     return job["garment"] if job["state"] == "done" else None
 
 

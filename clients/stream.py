@@ -9,7 +9,9 @@
         await stream.send(pose, trans)
         layout.vertices((await stream.receive_jets()).frame)  # layout: DrapeClient.jet_layout("tshirt")
 
-Frames answer the newest pose; poses that a newer one replaced are counted in ``frame.dropped``.
+Frames answer the newest pose; poses that a newer one replaced are counted in ``frame.dropped``. A service that ends
+hands the stream over to its successor, with what the cloth remembers: frames go on, and poses that it had not answered
+are sent again.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from __future__ import annotations
 import asyncio
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,13 +29,16 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidURI
 from websockets.typing import Subprotocol
 
 from clients.calls import DEFAULT_URL, ServiceError, key_headers, problem_error, unreachable, worn
-from drape.errors import DrapeError
+from drape.errors import DrapeError, Unavailable
 from drape.wire import messages as wire
 from drape.wire.jets import JetFrame, unpack_jets
 from drape.wire.options import options_document
 
 MESSAGE_LIMIT_BYTES = 16 * 2**20
 OPEN_S = 10.0
+MOVE_S = 15.0  # in which another process must take the stream
+RETRY_S = 0.2
+GOING_AWAY = 1012  # the close code of a service that ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,12 +58,19 @@ class ReceivedJets:
 
 
 class DrapeStream:
-    """An open stream of one garment or outfit. ``about`` is the service's answer to the opening."""
+    """An open stream of one garment or outfit. ``about`` is the service's answer to the latest opening, ``url`` where
+    it runs, and ``moves`` how often it went to another process."""
 
-    def __init__(self, connection: ClientConnection, about: dict[str, Any]) -> None:
-        self._connection = connection
+    def __init__(
+        self, connection: ClientConnection, url: str, key: str | None, clock: Callable[[], float] = time.perf_counter
+    ) -> None:
+        self._connection, self._key, self._clock = connection, key, clock
         self._sequence = 0
-        self.about = about
+        self._request: dict[str, Any] = {}
+        self._unanswered: dict[int, bytes] = {}  # poses, as sent
+        self._state: list[bytes] = []
+        self._sending = asyncio.Lock()
+        self.url, self.moves, self.about = url, 0, {}
 
     @classmethod
     async def open(
@@ -68,29 +80,19 @@ class DrapeStream:
         *,
         betas: Sequence[float] | np.ndarray | None = None,
         key: str | None = None,
+        clock: Callable[[], float] = time.perf_counter,
         **options: Any,
     ) -> DrapeStream:
         """Connects and opens, with ``options`` of ``drape.wire.options.DrapeOptions``; raises the service's refusal.
 
-        ``key``: an API key or a ticket, where the service has keys.
+        ``key``: an API key or a ticket, where the service has keys. ``clock``: the time [s] of the motion, with which
+        poses are stamped and ages taken.
         """
-        address = url.rstrip("/").replace("http", "ws", 1) + "/stream"
+        stream = cls(await _connected(url, key), url, key, clock)
         try:
-            connection = await connect(
-                address,
-                subprotocols=[Subprotocol(wire.SUBPROTOCOL)],
-                additional_headers=key_headers(key),
-                compression=None,
-                max_size=MESSAGE_LIMIT_BYTES,
-                open_timeout=OPEN_S,
-            )
-        except (OSError, TimeoutError, InvalidHandshake, InvalidURI) as error:
-            raise unreachable(address, error) from error
-        stream = cls(connection, {})
-        try:
-            stream.about = await stream.reopen(garment, betas=betas, **options)
+            await stream.reopen(garment, betas=betas, **options)
         except BaseException:
-            await connection.close()
+            await stream.close()
             raise
         return stream
 
@@ -117,8 +119,10 @@ class DrapeStream:
         frames come from ``receive_jets``.
         """
         shape = None if betas is None else [float(beta) for beta in betas]
-        request = {"type": "open", **worn(garment), "betas": shape, **options_document(options)}
-        await self._transmit(json.dumps(request))
+        about = {"betas": shape, "moves": True, **options_document(options)}
+        self._request = {"type": "open", **worn(garment), **about}
+        self._unanswered.clear()
+        await self._transmit(json.dumps(self._request))
         while True:
             message = await self._message()
             if isinstance(message, str):
@@ -132,23 +136,34 @@ class DrapeStream:
 
     async def send(self, pose: np.ndarray, trans: np.ndarray | None = None) -> int:
         """Sends a pose (24, 3) [rad] with its root translation (3,) [m]; returns its sequence number."""
-        self._sequence = (self._sequence + 1) & 0xFFFFFFFF
+        self._sequence = sequence = (self._sequence + 1) & 0xFFFFFFFF
         place = np.zeros(3) if trans is None else np.asarray(trans)
-        message = wire.Pose(self._sequence, time.perf_counter(), place, np.asarray(pose))
-        await self._transmit(wire.pack_pose(message))
-        return self._sequence
+        message = wire.pack_pose(wire.Pose(sequence, self._clock(), place, np.asarray(pose)))
+        self._unanswered[sequence] = message
+        while len(self._unanswered) > self.about["credit"]:
+            del self._unanswered[next(iter(self._unanswered))]
+        await self._transmit(message)
+        return sequence
 
     async def receive(self) -> Received:
         """The next frame, acknowledged."""
         frame = wire.unpack_frame(await self._binary())
-        await self._transmit(wire.pack_ack(frame.sequence))
-        return Received(frame, time.perf_counter() - frame.client_time_s)
+        await self._acknowledge(frame.sequence)
+        return Received(frame, self._clock() - frame.client_time_s)
 
     async def receive_jets(self) -> ReceivedJets:
         """The next frame of a stream of jets, acknowledged; ``frame.layers`` parts it by garment."""
         frame = unpack_jets(await self._binary())
-        await self._transmit(wire.pack_ack(frame.sequence))
-        return ReceivedJets(frame, time.perf_counter() - frame.client_time_s)
+        await self._acknowledge(frame.sequence)
+        return ReceivedJets(frame, self._clock() - frame.client_time_s)
+
+    async def _acknowledge(self, sequence: int) -> None:
+        """Says that the frame was taken; poses up to its own need no answer any more."""
+        if sequence in self._unanswered:
+            while next(iter(self._unanswered)) != sequence:
+                del self._unanswered[next(iter(self._unanswered))]
+            del self._unanswered[sequence]
+        await self._transmit(wire.pack_ack(sequence))
 
     async def _binary(self) -> bytes:
         while True:
@@ -157,21 +172,56 @@ class DrapeStream:
                 return message
 
     async def _transmit(self, message: str | bytes) -> None:
-        try:
-            await self._connection.send(message)
-        except ConnectionClosed as error:
-            raise await self._reason(error) from error
+        """Sends ``message``; nothing where the service ends, which ``_message`` reads of in its turn."""
+        async with self._sending:
+            try:
+                await self._connection.send(message)
+            except ConnectionClosed as error:
+                if error.rcvd is None or error.rcvd.code != GOING_AWAY:
+                    raise await self._reason(error) from error
 
     async def _message(self) -> str | bytes:
-        try:
-            message = await self._connection.recv()
-        except ConnectionClosed as error:
-            raise await self._reason(error) from error
-        if isinstance(message, str):
+        """The next message: of the successor its answer to the opening, where the stream moves."""
+        while True:
+            try:
+                message = await self._connection.recv()
+            except ConnectionClosed as error:
+                raise await self._reason(error) from error
+            if isinstance(message, bytes):
+                if wire.message_kind(message) != wire.STATE:
+                    return message
+                self._state.append(message)
+                continue
             said = json.loads(message)
             if said.get("type") == "error":
                 raise problem_error(said)
-        return message
+            if said.get("type") == "moved":
+                return await self._move(said)
+            return message
+
+    async def _move(self, said: dict[str, Any]) -> str:
+        """Goes on where ``said`` says, with the state that came before it; the answer to the opening there."""
+        url = said["to"] or self.url
+        # The ticket that opened this stream is spent; a key is as good there.
+        key = said.get("ticket", self._key) if self._key and "." in self._key else self._key
+        async with self._sending:
+            await self._connection.close()
+            state, self._state = self._state, []
+            self._connection = await _taken(url, key)
+            self.url, self._key, self.moves = url, key, self.moves + 1
+            try:
+                for message in (*state, json.dumps(self._request)):
+                    await self._connection.send(message)
+                answer = await self._connection.recv()
+                for message in list(self._unanswered.values()):
+                    await self._connection.send(message)
+            except ConnectionClosed as error:
+                raise await self._reason(error) from error
+        document = json.loads(answer)
+        if document.get("type") == "error":
+            raise problem_error(document)
+        self.about = document
+        return str(answer)
 
     async def _reason(self, error: ConnectionClosed) -> DrapeError:
         """The service's sentence where one came before the close; the close code otherwise."""
@@ -185,3 +235,31 @@ class DrapeStream:
         close = error.rcvd
         got = "a lost connection" if close is None else f"close {close.code} {close.reason}"
         return ServiceError("stream", expected="an open connection", got=got, cure="Open the stream again.")
+
+
+async def _connected(url: str, key: str | None) -> ClientConnection:
+    """A connection to the stream of the service at ``url``; raises ``Unavailable`` where none can be had."""
+    address = url.rstrip("/").replace("http", "ws", 1) + "/stream"
+    try:
+        return await connect(
+            address,
+            subprotocols=[Subprotocol(wire.SUBPROTOCOL)],
+            additional_headers=key_headers(key),
+            compression=None,
+            max_size=MESSAGE_LIMIT_BYTES,
+            open_timeout=OPEN_S,
+        )
+    except (OSError, TimeoutError, InvalidHandshake, InvalidURI) as error:
+        raise unreachable(address, error) from error
+
+
+async def _taken(url: str, key: str | None) -> ClientConnection:
+    """``_connected``, again and again for ``MOVE_S``: the process that takes over may still load."""
+    until_s = time.monotonic() + MOVE_S
+    while True:
+        try:
+            return await _connected(url, key)
+        except Unavailable:
+            if time.monotonic() > until_s:
+                raise
+        await asyncio.sleep(RETRY_S)

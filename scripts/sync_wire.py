@@ -27,7 +27,9 @@ TEMPLATE = """\
 export const WIRE_VERSION = {version};
 export const SUBPROTOCOL = "{subprotocol}";
 export const MAGIC = {magic};
-export const KIND = {{ POSE: {pose}, ACK: {ack}, FRAME: {frame}, JETS: {jets}, LAYOUT: {layout}, CLIP: {clip} }};
+export const KIND = {{
+  POSE: {pose}, ACK: {ack}, FRAME: {frame}, JETS: {jets}, LAYOUT: {layout}, CLIP: {clip}, STATE: {state},
+}};
 export const FLAG_PUSHED = {flag_pushed};
 export const FLAG_STEPPED = {flag_stepped};
 export const FLAG_UNLIKE = {flag_unlike};
@@ -200,6 +202,7 @@ def generate() -> str:
         jets=wire.JETS,
         clip=wire.CLIP,
         layout=wire.LAYOUT,
+        state=wire.STATE,
         jets_bytes=wire_jets.HEADER_BYTES,
         layout_bytes=jet_layout.HEADER_BYTES,
         jet_numbers=jets.FULL_COUNT,

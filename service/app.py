@@ -13,6 +13,7 @@ from service import errors, garment_care, jets, probes, reference, routes, strea
 from service.access import ADMITTED, Access
 from service.access import router as access_routes
 from service.drapery import Drapery
+from service.handover import Handover
 from service.jobs import Uploads
 from service.lifecycle import Lifecycle
 from service.limits import BodyLimit
@@ -42,7 +43,8 @@ def create_app(
         loaded = drapery or Drapery(settings, metrics=metrics)
         piecework = Piecework()
         uploads, streams = Uploads(loaded, piecework, access), Streams(loaded, piecework)
-        state = State(loaded, uploads, streams, piecework, access, life, Pasts(settings))
+        handover = Handover(loaded, access.tickets)
+        state = State(loaded, uploads, streams, piecework, access, handover, life, Pasts(settings))
         app.state.drape = state
         state.uploads.start()
         state.streams.start()

@@ -11,7 +11,7 @@ import shutil
 import signal
 import sys
 import uuid
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -28,6 +28,8 @@ from service.settings import ROOT, Settings
 
 KEPT_JOBS = 256
 MOST_ATTEMPTS = 3  # of one upload, where the service ends while it runs
+SHARES = {"start": 0.15, "read": 0.03, "rest": 0.32, "fit": 0.4, "cloth": 0.03, "store": 0.0, "prepare": 0.07}
+"""Stages of an upload, those of the intake between a process's start and the garment's constants, and their shares."""
 log = logging.getLogger("drape.service")
 
 
@@ -38,13 +40,29 @@ class Job:
     id: str
     name: str
     owner: str | None = None
-    state: Literal["queued", "running", "done", "failed"] = "queued"
+    state: Literal["queued", "running", "done", "failed", "cancelled"] = "queued"
     garment: str | None = None
     problem: dict[str, Any] | None = None
+    stage: str | None = None  # of SHARES, while it runs
+    work: asyncio.Task[str] | None = None
+
+    @property
+    def share(self) -> float:
+        """How much of the work lies behind it, by what the stages before this one take of usual garments."""
+        if self.state == "done":
+            return 1.0
+        names = list(SHARES)
+        return sum(SHARES[name] for name in names[: names.index(self.stage)]) if self.stage in SHARES else 0.0
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing more happens to it."""
+        return self.state not in ("queued", "running")
 
 
 class Uploads:
-    """A queue with one worker; files lie in a staging folder of this process until they are garments."""
+    """A queue with ``DRAPE_INTAKE_WORKERS`` workers; files lie in a staging folder of this process until they are
+    garments."""
 
     def __init__(self, drapery: Drapery, piecework: Piecework, access: Access) -> None:
         self._access = access
@@ -52,39 +70,41 @@ class Uploads:
         self._jobs: dict[str, Job] = {}
         self._queue: asyncio.Queue[tuple[Job, Path, Accepted]] = asyncio.Queue()
         self._staging = self._settings.garments_dir / f"{STAGING}{os.getpid()}"
-        self._worker: asyncio.Task[None] | None = None
+        self._workers: list[asyncio.Task[None]] = []
         self._begin = asyncio.Event()
         self._begin.set()
 
     def start(self) -> None:
-        """Goes on with what ended processes had accepted, clears what else they left, and starts the worker."""
+        """Goes on with what ended processes had accepted, clears what else they left, and starts the workers."""
         for accepted, folder in taken_over(self._settings.garments_dir, self._staging):
             job = self._jobs[accepted.id] = Job(accepted.id, accepted.name, accepted.owner)
             self._queue.put_nowait((job, folder, accepted))
-        self._worker = asyncio.create_task(self._work(), name="uploads")
+        self._workers = [
+            asyncio.create_task(self._work(), name=f"uploads {number}")
+            for number in range(self._settings.intake_workers)
+        ]
 
     def pause(self) -> None:
         """Begins no further upload: the next start of the service goes on with them."""
         self._begin.clear()
 
     async def stop(self) -> None:
-        """Ends the worker and the process it runs; what was accepted stays for the next start, nothing else."""
-        if self._worker is not None:
-            self._worker.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._worker
+        """Ends the workers and their processes; what was accepted stays for the next start, nothing else."""
+        for worker in self._workers:
+            worker.cancel()
+        await asyncio.gather(*self._workers, return_exceptions=True)
         if not self.waiting:
             shutil.rmtree(self._staging, ignore_errors=True)
 
     @property
     def waiting(self) -> int:
         """Uploads that wait or run."""
-        return sum(job.state in ("queued", "running") for job in list(self._jobs.values()))
+        return sum(not job.ended for job in list(self._jobs.values()))
 
     @property
     def runs(self) -> bool:
-        """Whether the worker takes uploads in."""
-        return self._worker is not None and not self._worker.done()
+        """Whether all workers take uploads in."""
+        return bool(self._workers) and not any(worker.done() for worker in self._workers)
 
     def get(self, job_id: str, viewer: str | None = None) -> Job:
         """The upload ``job_id``; refuses an unknown one, and one of another key than ``viewer``."""
@@ -93,6 +113,17 @@ class Uploads:
                 "job", expected="the id of an upload of this run", got=job_id[:120], cure="Upload the file again."
             )
         return self._jobs[job_id]
+
+    async def cancel(self, job: Job) -> None:
+        """Ends ``job`` and removes its files; one that has ended is forgotten, and its garment stays."""
+        if job.ended:
+            self._jobs.pop(job.id, None)
+            return
+        job.state = "cancelled"
+        if job.work is not None:
+            job.work.cancel()
+            await asyncio.wait([job.work])
+        await asyncio.to_thread(shutil.rmtree, self._staging / job.id, ignore_errors=True)
 
     def check_place(self, client: Client = ANYONE) -> None:
         """Refuses when too many uploads wait, are stored or run, and when there is no room for another garment."""
@@ -123,7 +154,7 @@ class Uploads:
             del self._jobs[job.id]
             shutil.rmtree(file.parent, ignore_errors=True)
             raise
-        finished = [key for key, kept in self._jobs.items() if kept.state in ("done", "failed")]
+        finished = [key for key, kept in self._jobs.items() if kept.ended]
         for key in finished[: max(0, len(self._jobs) - KEPT_JOBS)]:
             del self._jobs[key]
         self._queue.put_nowait((job, file.parent, accepted))
@@ -142,20 +173,28 @@ class Uploads:
         while True:
             job, folder, accepted = await self._queue.get()
             await self._begin.wait()
-            job.state = "running"
+            if job.state == "cancelled":
+                continue
+            job.state, job.stage = "running", "start"
+            job.work = asyncio.create_task(self._take_in(job, folder, accepted))
             try:
-                job.garment = await self._take_in(folder, accepted)
+                job.garment = await job.work
                 job.state = "done"
+            except asyncio.CancelledError:
+                task = asyncio.current_task()
+                if job.state != "cancelled" or (task is not None and task.cancelling()):
+                    raise
             except DrapeError as error:
                 job.problem, job.state = errors.problem(error), "failed"
                 log.info("upload %s refused: %s", job.id, error)
             except Exception:
                 log.exception("upload %s failed", job.id)
                 job.problem, job.state = errors.problem(errors.InternalError()), "failed"
+            job.work = job.stage = None
             # Not where the worker is ended: the next start goes on with it.
             shutil.rmtree(folder, ignore_errors=True)
 
-    async def _take_in(self, folder: Path, accepted: Accepted) -> str:
+    async def _take_in(self, job: Job, folder: Path, accepted: Accepted) -> str:
         """The id of the garment made from what was ``accepted`` and lies in ``folder``."""
         if accepted.attempts >= MOST_ATTEMPTS:
             raise MeshError(
@@ -166,7 +205,12 @@ class Uploads:
             )
         await asyncio.to_thread(accepted.tried, folder)
         out, client = folder / "out", self._access.client(accepted.owner)
-        report = await run_sandbox(folder / accepted.file, accepted.avatar, out, self._settings)
+
+        def begun(stage: str) -> None:
+            job.stage = stage
+
+        report = await run_sandbox(folder / accepted.file, accepted.avatar, out, self._settings, begun)
+        begun("prepare")
         made = out / str(report["file"])
         registry = self._drapery.garments
         self._check_room(client, made.stat().st_size)
@@ -174,8 +218,14 @@ class Uploads:
         stored = self._folder(client.name) / made.name
         stored.parent.mkdir(exist_ok=True)
         await asyncio.to_thread(sync, made)
+        known = stored.exists()
         os.replace(made, stored)
-        await asyncio.to_thread(sync, stored.parent)
+        try:
+            await asyncio.to_thread(sync, stored.parent)
+        except asyncio.CancelledError:
+            if not known:  # another upload of the same file has it
+                stored.unlink(missing_ok=True)
+            raise
         return registry.add(prepared, "user", stored).id
 
     def _folder(self, owner: str | None) -> Path:
@@ -197,8 +247,15 @@ class Uploads:
                 raise errors.Full(name, expected=f"at most {most}", got=f"{there} and another", cure=cure)
 
 
-async def run_sandbox(file: Path, avatar: str | None, out: Path, settings: Settings) -> dict[str, Any]:
-    """What the intake process reports; raises its refusal, or one for the limit that it ran into."""
+async def run_sandbox(
+    file: Path,
+    avatar: str | None,
+    out: Path,
+    settings: Settings,
+    begun: Callable[[str], None] = lambda stage: None,
+) -> dict[str, Any]:
+    """What the intake process reports; raises its refusal, or one for the limit that it ran into. ``begun`` is told
+    each stage as the process begins it."""
     command = [sys.executable, "-m", "service.sandbox", str(file), "--out", str(out), "--body", settings.body]
     command += ["--memory-mb", str(settings.intake_memory_mb), "--cpu-s", str(settings.intake_cpu_s)]
     # One thread each: their stacks and buffers count against the memory limit.
@@ -214,7 +271,7 @@ async def run_sandbox(file: Path, avatar: str | None, out: Path, settings: Setti
     )
     label = f"upload {file.name}"
     try:
-        output, _ = await asyncio.wait_for(process.communicate((avatar or "").encode()), settings.intake_wall_s)
+        report = await asyncio.wait_for(_conversation(process, (avatar or "").encode(), begun), settings.intake_wall_s)
     except TimeoutError:
         raise errors.TooLarge(
             label,
@@ -227,7 +284,6 @@ async def run_sandbox(file: Path, avatar: str | None, out: Path, settings: Setti
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
             await process.wait()
-    report = _last_json(output)
     if report is not None and "problem" in report:
         raise _refusal(report["problem"])
     if report is not None and "file" in report:
@@ -247,11 +303,28 @@ async def run_sandbox(file: Path, avatar: str | None, out: Path, settings: Setti
     )
 
 
-def _last_json(output: bytes) -> dict[str, Any] | None:
-    lines = output.decode(errors="replace").strip().splitlines()
+async def _conversation(
+    process: asyncio.subprocess.Process, said: bytes, begun: Callable[[str], None]
+) -> dict[str, Any] | None:
+    """The last line of JSON of ``process``, which hears ``said``; stages before it are told to ``begun``."""
+    assert process.stdin is not None and process.stdout is not None
+    with contextlib.suppress(ConnectionError):  # it has ended
+        process.stdin.write(said)
+        await process.stdin.drain()
+        process.stdin.close()
+    last: dict[str, Any] | None = None
+    async for line in process.stdout:
+        last = _document(line)
+        if last is not None and last.get("stage") in SHARES:
+            begun(last["stage"])
+    await process.wait()
+    return last
+
+
+def _document(line: bytes) -> dict[str, Any] | None:
     try:
-        found = json.loads(lines[-1]) if lines else None
-    except json.JSONDecodeError:
+        found = json.loads(line)
+    except ValueError:
         return None
     return found if isinstance(found, dict) else None
 

@@ -162,6 +162,12 @@ async def job(job_id: str, state: StateHere, client: ClientHere) -> schemas.JobI
     return _job_info(state.uploads.get(job_id, client.name))
 
 
+@router.delete("/jobs/{job_id}", status_code=204)
+async def cancel_job(job_id: str, state: StateHere, client: ClientHere) -> None:
+    """Ends an upload and removes its files; one that has ended is forgotten, and its garment stays."""
+    await asyncio.shield(state.uploads.cancel(state.uploads.get(job_id, client.name)))
+
+
 def _name_and_format(name: str | None, file_format: str | None, content_type: str) -> tuple[str, str]:
     stem, dot, suffix = (name or "").rpartition(".")
     if not dot or suffix.lower() not in MESH_NAMES:
@@ -180,7 +186,8 @@ def _name_and_format(name: str | None, file_format: str | None, content_type: st
 
 
 def _job_info(job: Job) -> schemas.JobInfo:
-    return schemas.JobInfo(id=job.id, name=job.name, state=job.state, garment=job.garment, problem=job.problem)
+    told = {"stage": job.stage, "share": round(job.share, 2), "garment": job.garment, "problem": job.problem}
+    return schemas.JobInfo(id=job.id, name=job.name, state=job.state, **told)
 
 
 # --- draped clips and posed bodies ---

@@ -1,7 +1,8 @@
-"""One intake in a process with limits: ``python -m service.sandbox FILE --out DIR``; prints one line of JSON.
+"""One intake in a process with limits: ``python -m service.sandbox FILE --out DIR``; prints lines of JSON.
 
-Standard input holds the avatar, or nothing where the standard body is meant. A mesh file of a few hundred bytes can ask
-for gigabytes, so strangers' files are never parsed in the serving process. The line is ``{"file": NAME}`` or
+Standard input holds the avatar, or nothing where the standard body is meant. ``{"stage": NAME}`` is a line before, for
+each of ``drape.garment.intake.STAGES`` as it begins. A mesh file of a few hundred bytes can ask
+for gigabytes, so strangers' files are never parsed in the serving process. The last line is ``{"file": NAME}`` or
 ``{"problem": {kind, name, expected, got, cure}}``.
 """
 
@@ -33,7 +34,11 @@ def take_in(file: Path, out: Path, *, avatar: str | None, body: str) -> Path:
     from drape.body.assets import load_body
     from drape.garment.intake import intake
 
-    return out / intake(file, avatar=avatar, body=load_body(body), folder=out).file_name()
+    return out / intake(file, avatar=avatar, body=load_body(body), folder=out, begun=_say).file_name()
+
+
+def _say(stage: str) -> None:
+    print(json.dumps({"stage": stage}), flush=True)
 
 
 def main() -> int:

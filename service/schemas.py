@@ -88,6 +88,7 @@ class OpenRequest(DrapeOptions, Worn, Request):
 
     type: Literal["open"]
     betas: Betas | None = None
+    moves: bool = Field(default=False, description="Whether the client can go on at another process, with its state.")
 
 
 class Health(BaseModel):
@@ -183,11 +184,14 @@ class GarmentInfo(BaseModel):
 
 
 class JobInfo(BaseModel):
-    """The state of an upload. ``problem`` is the refusal where it failed, ``garment`` the new id where it is done."""
+    """The state of an upload. ``problem`` is the refusal where it failed, ``garment`` the new id where it is done;
+    while it runs, ``stage`` is what its process does now and ``share`` how much lies behind it."""
 
     id: str
     name: str
-    state: Literal["queued", "running", "done", "failed"]
+    state: Literal["queued", "running", "done", "failed", "cancelled"]
+    stage: str | None = None
+    share: float = Field(default=0.0, description="By what the stages take of usual garments; 0 to 1.")
     garment: str | None = None
     problem: dict[str, Any] | None = None
 

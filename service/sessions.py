@@ -40,7 +40,8 @@ class Session:
     """One client's stream. ``generation`` counts openings: what was begun for an earlier one is thrown away.
 
     ``steps``: the plan as each tier holds it, the least first; ``memories``: what the stages keep of the frames so far
-    (``service.stages``). Of ``dropped`` poses those that are ``late`` waited for the worker alone.
+    (``service.stages``). Of ``dropped`` poses those that are ``late`` waited for the worker alone. One that ``moves``
+    can go on at another process; while it is ``moving`` nothing is begun for it here.
     """
 
     plan: Plan
@@ -49,6 +50,8 @@ class Session:
     steps: tuple[Plan, ...] = ()
     memories: Memories = field(default_factory=dict)
     generation: int = 0
+    moves: bool = False
+    moving: bool = False
     dropped: int = 0
     late: int = 0
     waiting: Waiting | None = None
@@ -78,7 +81,13 @@ class Session:
 
     def ready(self) -> bool:
         """Whether a pose waits that may be computed now."""
-        return self.waiting is not None and len(self.under_way) < self.credit and self.outbox is None
+        free = len(self.under_way) < self.credit and self.outbox is None and not self.moving
+        return self.waiting is not None and free
+
+    @property
+    def settled(self) -> bool:
+        """Whether nothing is computed for it and no frame waits to be sent."""
+        return self.outbox is None and all(math.isfinite(ready_s) for _, ready_s in self.under_way)
 
     def held_to(self, tier: int) -> Plan:
         """Its plan with no more than the tier of that index computes."""
@@ -188,8 +197,20 @@ class Streams:
                 session.failure = reason
                 session.news.set()
 
-    def add(self, session: Session) -> None:
+    def move(self, reason: DrapeError) -> None:
+        """Lets every stream that ``moves`` send what is computed and go; ends the others with ``reason``."""
+        for session in self._sessions:
+            if session.moves:
+                session.moving = True
+            else:
+                session.failure = reason
+            session.news.set()
+
+    def add(self, session: Session, tier: int | None = None) -> None:
+        """Takes ``session`` in; the first is held to the ``tier`` that it was held to where it comes from."""
         self.check_place()
+        if tier is not None and not self._sessions:
+            self._step_down.hold(tier, time.monotonic())
         self._sessions.add(session)
 
     def discard(self, session: Session) -> None:

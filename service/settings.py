@@ -82,6 +82,7 @@ class Settings(BaseSettings):
     intake_wall_s: float = Field(default=300.0, gt=0.0)
     intake_cpu_s: int = Field(default=300, ge=1)
     intake_memory_mb: int = Field(default=6144, ge=256)
+    intake_workers: int = Field(default=1, ge=1, le=16)
     intake_queue: int = Field(default=8, ge=1)
 
     stream_step_down: bool = True
@@ -93,6 +94,8 @@ class Settings(BaseSettings):
     stream_send_s: float = Field(default=1.0, gt=0.0)
     frame_deadline_s: float = Field(default=0.066, gt=0.0)
     stream_message_bytes: int = Field(default=65536, ge=1024)
+    stream_state_bytes: int = Field(default=8 * 2**20, ge=0)
+    successor: str = Field(default="", pattern=r"^(https?://[^\s/]+\S*)?$", max_length=200)
     allowed_origins: tuple[str, ...] = ()
     allowed_hosts: tuple[str, ...] = ()
 

@@ -14,6 +14,7 @@ from fastapi import Depends, Request
 from service.access import Access
 from service.drapery import Drapery
 from service.errors import Busy, Draining
+from service.handover import Handover
 from service.jobs import Uploads
 from service.lifecycle import Lifecycle
 from service.pasts import Pasts
@@ -21,27 +22,30 @@ from service.piecework import Piecework
 from service.sessions import Streams
 
 HURRY_S = 3.0
-STREAMS_S = 1.5  # for streams to be told
+STREAMS_S = 2.0  # for streams to go
 
 
 @dataclass(eq=False)
 class State:
-    """Body, model and garments; uploads; streams; the thread for JSON; ends of clips; how many clips are computed."""
+    """Body, model and garments; uploads; streams and what they take along; the thread for JSON; ends of clips; how many
+    clips are computed."""
 
     drapery: Drapery
     uploads: Uploads
     streams: Streams
     piecework: Piecework
     access: Access
+    handover: Handover
     life: Lifecycle
     pasts: Pasts
     clips: int = 0
 
     async def drain(self) -> None:
-        """Takes no more work: streams are told to connect again, and what still runs after ``HURRY_S`` that it ends."""
+        """Takes no more work: streams go, with their state or with the word to connect again, and what still runs after
+        ``HURRY_S`` is told that it ends."""
         self.life.draining = True
         self.uploads.pause()
-        self.streams.end(lambda scene: True, Draining())
+        self.streams.move(Draining())
         asyncio.get_running_loop().call_later(HURRY_S, self._hurry)
         until_s = time.monotonic() + STREAMS_S
         while self.streams.count and time.monotonic() < until_s:

@@ -33,6 +33,13 @@ class StepDown:
     def _begin(self, now_s: float) -> None:
         self._start_s, self._frames, self._late, self._busy_s = now_s, 0, 0, 0.0
 
+    def hold(self, level: int, now_s: float) -> None:
+        """Goes down to ``level``, as if it had stepped there now."""
+        if level < self.level:
+            self.level = level
+            self._quiet_since_s = now_s
+            self._begin(now_s)
+
     def note(self, now_s: float, *, frames: int, late: int, busy_s: float) -> None:
         """Takes in ``frames`` that were draped in ``busy_s``, and the poses that came too ``late`` since the last."""
         self._frames += frames

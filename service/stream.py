@@ -17,12 +17,15 @@ from drape.wire import messages as wire
 from service.access import OFFER
 from service.errors import Draining, InternalError, TooSlow, close_reason, error_message, problem_response, rule_for
 from service.garments import Outfit, layer_list
+from service.handover import Incoming
 from service.json_body import document_of, validated
 from service.keys import Client
 from service.metrics import Metrics
+from service.moving import brought_along, send_away
 from service.poses import check_poses, shape_array
 from service.schemas import OpenRequest
 from service.sessions import Session
+from service.settings import Settings
 from service.state import State
 
 router = APIRouter()
@@ -73,23 +76,24 @@ async def _converse(socket: WebSocket, state: State, client: Client) -> None:
     """Opens the session and runs it until the client leaves or something is refused."""
     settings = state.drapery.settings
     state.streams.check_place()
-    try:
-        first = await asyncio.wait_for(socket.receive(), settings.stream_open_s)
-    except TimeoutError:
-        raise TooSlow(
-            "open message",
-            expected=f"within {settings.stream_open_s:g} s",
-            got="nothing",
-            cure='Send {"type": "open", "garment": ...} first.',
-        ) from None
-    session = await _open_session(_text_of(first), state, client, None)
-    state.streams.add(session)
+    with state.handover.incoming() as pieces:
+        text = await _opening(socket, pieces, settings)
+        session = await _open_session(text, state, client, None)
+        brought = brought_along(pieces, session, state, client)
+    if state.life.draining:
+        raise Draining
+    state.streams.add(session, None if brought is None else brought.tier)
     tasks = [
         asyncio.create_task(part)
-        for part in (_read(socket, session, state, client), _send(socket, session, state), _watch(session, state))
+        for part in (
+            _read(socket, session, state, client),
+            _send(socket, session, state, client),
+            _watch(session, state),
+        )
     ]
+    resumed = {"resumed": brought is not None} if pieces.messages else {}
     try:
-        await socket.send_text(_opened(session, state))
+        await socket.send_text(_opened(session, state, **resumed))
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         for task in done:
             task.result()
@@ -99,6 +103,26 @@ async def _converse(socket: WebSocket, state: State, client: Client) -> None:
             task.cancel()
         # Their own errors no longer matter; the first one is being told.
         await asyncio.gather(*tasks, return_exceptions=True)
+
+
+async def _opening(socket: WebSocket, pieces: Incoming, settings: Settings) -> str:
+    """The text that opens a stream; what comes before it of the stream's state goes to ``pieces``."""
+    begun_s = time.monotonic()
+    while True:
+        until_s = begun_s + settings.stream_open_s + pieces.size / settings.body_bytes_s
+        try:
+            message = await asyncio.wait_for(socket.receive(), max(0.0, until_s - time.monotonic()))
+        except TimeoutError:
+            raise TooSlow(
+                "open message",
+                expected=f"within {settings.stream_open_s:g} s",
+                got="nothing" if not pieces.messages else f"{pieces.size} bytes of a state",
+                cure='Send {"type": "open", "garment": ...} first.',
+            ) from None
+        payload = message.get("bytes")
+        if payload is None or payload[5:6] != bytes([wire.STATE]):
+            return _text_of(message)
+        pieces.take(payload)
 
 
 def _text_of(message: Any) -> str:
@@ -123,12 +147,13 @@ async def _open_session(text: str, state: State, client: Client, session: Sessio
     for step in {plan, *steps}:
         await drapery.prepare(step)
     if session is None:
-        return Session(plan, betas, drapery.settings.stream_credit, steps)
+        return Session(plan, betas, drapery.settings.stream_credit, steps, moves=asked.moves)
     session.reopen(plan, betas, steps)
+    session.moves = asked.moves
     return session
 
 
-def _opened(session: Session, state: State) -> str:
+def _opened(session: Session, state: State, **more: bool) -> str:
     scene, options = session.plan.scene, session.plan.options
     jets = options.geometry == "jets"
     worn = {"garments": layer_list(scene, patches=jets)} if isinstance(scene, Outfit) else {"garment": scene.id}
@@ -151,6 +176,7 @@ def _opened(session: Session, state: State) -> str:
             "folds": options.folds,
             "safe_folds": options.safe_folds or 0,
             "bits": options.bits or 16,
+            **more,
         }
     )
 
@@ -182,15 +208,15 @@ def _take(payload: bytes, session: Session, metrics: Metrics) -> None:
     session.put(pose)
 
 
-async def _send(socket: WebSocket, session: Session, state: State) -> None:
+async def _send(socket: WebSocket, session: Session, state: State, client: Client) -> None:
     limit = state.drapery.settings.stream_send_s
-    while True:
+    while not (session.moving and session.settled and session.failure is None):
         await session.news.wait()
         session.news.clear()
         if session.failure is not None:
             raise session.failure
-        frame, session.outbox = session.outbox, None
-        since_s = session.outbox_since_s
+        frame, since_s = session.outbox, session.outbox_since_s
+        session.outbox = None
         if frame is None:
             continue
         try:
@@ -204,6 +230,7 @@ async def _send(socket: WebSocket, session: Session, state: State) -> None:
             ) from None
         state.drapery.metrics.sent(time.monotonic() - since_s, state.drapery.settings.frame_deadline_s)
         state.streams.wake()
+    await send_away(socket, session, state, client)
 
 
 async def _watch(session: Session, state: State) -> None:

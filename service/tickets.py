@@ -23,6 +23,7 @@ class Tickets:
 
     def __init__(self, secret: str | None = None) -> None:
         self._secret = secret.encode() if secret else secrets.token_bytes(32)
+        self.shared = bool(secret)  # other processes may have it too
         self._spent: dict[str, float] = {}
 
     def make(self, name: str, *, now_s: float | None = None) -> str:
@@ -46,6 +47,10 @@ class Tickets:
                 raise _refusal("one that was used for another stream")
             self._spent[body] = expires_s
         return name
+
+    def sign(self, raw: bytes) -> bytes:
+        """The signature, 32 bytes, of ``raw``, which is no ticket and cannot be taken for one."""
+        return hmac.new(self._secret, b"state\0" + raw, hashlib.sha256).digest()
 
     def _signature(self, body: str) -> str:
         return _text(hmac.new(self._secret, body.encode(), hashlib.sha256).digest())

@@ -51,6 +51,8 @@ FINE_EDGE_M = 0.021  # each round halves the edges: the mean ends near 15 mm
 _VERTEX_ARRAYS = ("vertices", "chart_patch", "chart_uv", "chart_weight", "chart_residual", "skin_weights", "shapedirs")
 
 Report = Callable[[str], None]
+STAGES = ("read", "rest", "fit", "cloth", "store")
+"""What an intake does, in order: the file and its avatar, the mesh at rest, its patches, the cloth's rest state."""
 
 
 @dataclass(frozen=True)
@@ -235,15 +237,18 @@ def intake(
     options: IntakeOptions = IntakeOptions(),
     folder: Path | None = None,
     report: Report | None = None,
+    begun: Report | None = None,
 ) -> Garment:
     """The garment in a mesh file (or its bytes, of ``kind``), at rest on ``body``.
 
     ``avatar`` says what it was modelled on (``drape.garment.avatars``); None asks the table
     beside the file and then takes the standard body, if the garment lies on it. A JSON of ``drape.garment.sewing``
     beside the file says what it is sewn of. With ``folder``
-    the result is stored there, and found there the next time. Raises ``InputError``; nothing is written then.
+    the result is stored there, and found there the next time. ``begun`` is told each of ``STAGES`` as it begins. Raises
+    ``InputError``; nothing is written then.
     """
-    say = report or (lambda line: None)
+    say, begins = report or (lambda line: None), begun or (lambda stage: None)
+    begins("read")
     body = load_body() if body is None else body
     path = None if isinstance(source, (bytes, bytearray)) else Path(source)
     mesh = read_mesh(source, name=name or (path.stem if path else None), kind=kind)
@@ -269,6 +274,7 @@ def intake(
     if sewn is not None:
         say(f"sewn      {len(sewn.panels)} panels, {len(sewn.seams)} seams, {sewn.fabric}")
     started = time.perf_counter()
+    begins("rest")
     rest = rest_mesh(mesh, model, body, options, named=meaning is not None)
     for line in describe_rest(rest):
         say(line)
@@ -283,7 +289,10 @@ def intake(
         "notes": list(rest.mesh.notes),
         "intake": {key: round(float(value), 4) for key, value in rest.figures.items()},
     }
-    garment = with_rest_state(_fit(rest, name, body, digest, manifest, options.patches), rest, options, sewn)
+    begins("fit")
+    fitted = _fit(rest, name, body, digest, manifest, options.patches)
+    begins("cloth")
+    garment = with_rest_state(fitted, rest, options, sewn)
     error, cloth = garment.manifest["fit"], garment.manifest["rest"]
     say(f"fitted    {garment.patch_count} patches on {len(garment.vertices):,} vertices")
     say(f"fit error {error['point_rmse_m']:.2e} m point RMSE, {error['normal_error_deg']:.2f} deg normal error")
@@ -292,6 +301,7 @@ def intake(
         f"{100 * cloth['hem_share']:.1f} % lie double; grain {cloth['grain']}, lengths of the {cloth['lengths']}"
     )
     say(f"took      {time.perf_counter() - started:.1f} s")
+    begins("store")
     if folder is not None:
         say(f"stored    {save_garment(garment, folder)}")
     return garment

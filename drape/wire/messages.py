@@ -5,8 +5,8 @@ version, kind, flags, sequence, count). The client sends POSE and ACK, the servi
 Vertices travel as 16-bit steps inside the frame's own bounding box, relative to the
 root joint: half a step of a 2 m box is 0.015 mm. A client that asked for jets gets JETS in place of FRAME
 (``drape.wire.jets``) and once per garment a LAYOUT (``drape.wire.layout``). A request of REST may send its motion as a
-CLIP (``drape.wire.clips``). The conversation:
-docs/reference/wire.md.
+CLIP (``drape.wire.clips``); a stream that can move to another process takes STATE along (``drape.wire.state``). The
+conversation: docs/reference/wire.md.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from drape.geometry import jets
 WIRE_VERSION = 1
 SUBPROTOCOL = f"drape.v{WIRE_VERSION}"
 MAGIC = 0x45505244  # "DRPE" in file order
-POSE, ACK, FRAME, JETS, LAYOUT, CLIP = 1, 2, 3, 4, 5, 6
+POSE, ACK, FRAME, JETS, LAYOUT, CLIP, STATE = 1, 2, 3, 4, 5, 6, 7
 FLAG_PUSHED = 1  # the vertices were pushed out of the body
 FLAG_STEPPED = 2  # less was computed than the client asked for, as the service is under load
 FLAG_UNLIKE = 4  # the pose is unlike those that the network was trained on

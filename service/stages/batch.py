@@ -221,6 +221,7 @@ class Stage:
     """
 
     name: ClassVar[str]
+    kept: ClassVar[tuple[type, ...]] = ()  # the classes of what it remembers, which streams take to other processes
 
     def __init__(self, engine: Engine, body: BodyModel, settings: Settings) -> None:
         self.engine, self.body, self.settings = engine, body, settings

@@ -14,6 +14,7 @@ from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
 from drape.errors import InputError
 from drape.folds.constants import Constants, constants
+from drape.folds.contact import Touched
 from drape.folds.layers import covered, raised
 from drape.folds.step import Effort, Frame, Memory, fold, warm_up
 from drape.garment.cache import Garment
@@ -36,6 +37,7 @@ class Folds(Stage):
     """
 
     name = "folds"
+    kept = (Memory, Touched)
 
     def __init__(self, engine: Engine, body: BodyModel, settings: Settings) -> None:
         super().__init__(engine, body, settings)

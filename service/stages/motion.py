@@ -54,6 +54,7 @@ class Motion(Stage):
 
     name = "motion"
     key = (name, BODY)
+    kept = (Memory, Moment, Kinematics)
 
     def __init__(self, engine: Engine, body: BodyModel, settings: Settings) -> None:
         super().__init__(engine, body, settings)

@@ -133,7 +133,8 @@ def test_an_upload_that_fails_says_why(live: str, tmp_path: Path, capsys: pytest
     noise = tmp_path / "noise.obj"
     noise.write_bytes(b"nothing\n")
     assert main(["upload", str(noise), "--url", live, "--avatar", "standard"]) == 2
-    assert capsys.readouterr().err.startswith("drape: ")
+    *progress, refusal = capsys.readouterr().err.splitlines()
+    assert refusal.startswith("drape: ") and all(line.startswith("noise: ") for line in progress)
 
 
 def test_writing_is_all_or_nothing(tmp_path: Path):

@@ -133,6 +133,8 @@ def test_jobs_end_in_a_garment_or_a_refusal():
     problem = {"type": "urn:drape:MeshError", "name": "shirt", "expected": "b", "got": "c", "cure": "d"}
     with pytest.raises(MeshError, match="shirt"):
         finished(job | {"state": "failed", "problem": problem})
+    with pytest.raises(Unavailable, match="upload shirt: expected its end, got one that was cancelled"):
+        finished(job | {"state": "cancelled"})
     with pytest.raises(Unavailable, match="GET /jobs/1"):
         check_deadline(job, deadline=0.0, wait_s=0.0)
 

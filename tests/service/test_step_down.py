@@ -127,3 +127,14 @@ def test_a_stream_that_is_flooded_gets_less_and_later_all_again(
 
         run(url, talk)
         run(url, least)
+
+
+def test_a_stream_that_comes_from_elsewhere_brings_its_step():
+    steps = StepDown(3, 0.0)
+    steps.hold(1, 10.0)
+    assert steps.level == 1
+    steps.hold(2, 10.0)  # never up
+    assert steps.level == 1
+    for i in range(1, 9):  # and up again when there is room
+        steps.note(10.0 + 0.5 * i, frames=15, late=0, busy_s=0.05)
+    assert steps.level > 1

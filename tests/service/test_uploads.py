@@ -15,12 +15,18 @@ import httpx
 import numpy as np
 import pytest
 
+from clients.client import DrapeClient
 from drape.errors import BodyError, DrapeError, MeshError, NotFound
-from drape.garment.cache import Garment
+from drape.garment.cache import Garment, save_garment
+from service import jobs
+from service.accepted import Accepted
+from service.access import Access
 from service.app import create_app
 from service.avatars import upload_avatar
+from service.drapery import Drapery
 from service.errors import TooLarge
-from service.jobs import run_sandbox
+from service.jobs import SHARES, Job, Uploads, run_sandbox
+from service.piecework import Piecework
 from service.settings import Settings
 from tests.fixtures.meshes import garment_obj, huge_count_glb
 from tests.fixtures.serving import serve
@@ -37,8 +43,8 @@ def uploads(upload_settings: Settings) -> Iterator[httpx.Client]:
         yield client
 
 
-def finished(client: httpx.Client, response: httpx.Response) -> dict:
-    """The job of an accepted upload when it has ended."""
+def finished(client: httpx.Client, response: httpx.Response, seen: list[dict] | None = None) -> dict:
+    """The job of an accepted upload when it has ended; ``seen`` gets it as it was before."""
     assert response.status_code == 202, response.text
     job = response.json()
     assert response.headers["Location"] == f"/jobs/{job['id']}"
@@ -46,6 +52,8 @@ def finished(client: httpx.Client, response: httpx.Response) -> dict:
     while job["state"] in ("queued", "running"):
         assert time.monotonic() < deadline
         time.sleep(0.1)
+        if seen is not None:
+            seen.append(job)
         job = client.get(response.headers["Location"]).json()
     return job
 
@@ -84,8 +92,13 @@ def test_a_small_file_that_asks_for_gigabytes_is_refused(uploads: httpx.Client):
 def test_a_good_file_becomes_a_garment_that_can_be_draped(
     uploads: httpx.Client, upload_settings: Settings, tube: Garment
 ):
-    job = finished(uploads, post(uploads, garment_obj(tube), name="My Tube.obj", avatar="standard"))
+    seen: list[dict] = []
+    job = finished(uploads, post(uploads, garment_obj(tube), name="My Tube.obj", avatar="standard"), seen)
     assert job["state"] == "done", job
+    stages = [list(SHARES).index(one["stage"]) for one in seen if one["stage"] is not None]
+    assert stages == sorted(stages) and len(set(stages)) > 1
+    shares = [one["share"] for one in [*seen, job]]
+    assert shares == sorted(shares) and shares[-1] == 1.0
     info = uploads.get(f"/garments/{job['garment']}").json()
     assert (info["vertices"], info["source"]) == (216, "user")
     mesh = uploads.get(f"/garments/{job['garment']}/mesh").json()
@@ -249,3 +262,75 @@ def test_the_data_folder_has_a_table_too(tmp_path: Path, monkeypatch: pytest.Mon
     (tmp_path / "garments/avatars.json").write_text('{"male": {"gender": 0.0}}')
     monkeypatch.setenv("DRAPE_DATA", str(tmp_path))
     assert upload_avatar(None, "male_jeans", tmp_path / "uploads") == '{"gender": 0.0}'
+
+
+def test_two_workers_run_two_uploads_and_a_client_that_leaves_cancels_its_own(
+    make_settings: Callable[..., Settings], tube: Garment
+):
+    settings = make_settings(intake_workers=2)
+    with serve(create_app(settings), settings) as url, DrapeClient(url) as client:
+        api = httpx.Client(base_url=url)
+        other = post(api, garment_obj(tube), name="other.obj", avatar="standard").json()
+        path = settings.garments_dir / "mine.obj"
+        path.write_bytes(garment_obj(tube))
+        mine: list[str] = []
+
+        def told(job: dict) -> None:
+            mine.append(job["id"])
+            if job["state"] == "running" and api.get(f"/jobs/{other['id']}").json()["state"] == "running":
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            client.upload_garment(path, "standard", progress=told)
+        assert api.get(f"/jobs/{mine[0]}").json()["state"] == "cancelled"
+        assert api.get(f"/jobs/{other['id']}").json()["state"] == "running"
+        api.delete(f"/jobs/{other['id']}")
+        api.close()
+
+
+def test_cancelled_uploads_end_and_leave_nothing(uploads: httpx.Client, upload_settings: Settings, tube: Garment):
+    running, waiting = (post(uploads, garment_obj(tube), name="tube.obj", avatar="standard").json() for _ in range(2))
+    deadline = time.monotonic() + 30.0
+    while uploads.get(f"/jobs/{running['id']}").json()["stage"] != "start":
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    assert uploads.get(f"/jobs/{waiting['id']}").json()["state"] == "queued"
+    for job in (waiting, running):
+        assert uploads.delete(f"/jobs/{job['id']}").status_code == 204
+        found = uploads.get(f"/jobs/{job['id']}").json()
+        assert (found["state"], found["stage"], found["garment"], found["share"]) == ("cancelled", None, None, 0.0)
+    assert [path for path in upload_settings.garments_dir.rglob("*") if path.is_file()] == []
+    mine = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True).stdout
+    assert str(upload_settings.garments_dir) not in mine
+    assert uploads.delete(f"/jobs/{running['id']}").status_code == 204  # it has ended: it is forgotten
+    assert uploads.get(f"/jobs/{running['id']}").status_code == 404
+    assert finished(uploads, post(uploads, b"v 0 0 0\n", name="next.obj", avatar="standard"))["state"] == "failed"
+
+
+def test_a_garment_that_is_cancelled_as_it_is_stored_is_not_kept(
+    make_settings: Callable[..., Settings], tube: Garment, monkeypatch: pytest.MonkeyPatch
+):
+    settings = make_settings()
+    drapery = Drapery(settings)
+    uploads = Uploads(drapery, Piecework(), Access(settings))
+    accepted = Accepted("one", "tube", None, "tube.obj", "standard")
+    folder = settings.garments_dir / "work"
+    (folder / "out").mkdir(parents=True)
+    made = save_garment(tube, folder / "out")
+
+    async def as_taken_in(*_: object) -> dict[str, str]:
+        return {"file": made.name}
+
+    async def cancelled() -> None:
+        job = Job("one", "tube")
+        work = asyncio.create_task(uploads._take_in(job, folder, accepted))
+        while not (settings.garments_dir / made.name).exists():
+            await asyncio.sleep(0)
+        work.cancel()
+        await asyncio.wait([work])
+        assert work.cancelled()
+
+    monkeypatch.setattr(jobs, "run_sandbox", as_taken_in)
+    asyncio.run(cancelled())
+    assert not (settings.garments_dir / made.name).exists()
+    drapery.close()

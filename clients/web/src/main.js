@@ -42,6 +42,7 @@ try {
 }
 
 const stream = new Stream({
+  ticket: service.ticket,
   onFrame(frame) {
     counts.frames += 1;
     counts.latest = frame;
@@ -187,13 +188,18 @@ const upload = failing(async () => {
   const file = element("file").files[0];
   if (!file) throw new Error("Choose a garment file first: OBJ, GLB, PLY or STL.");
   element("upload").disabled = true;
+  const ending = new AbortController();
+  element("cancel").hidden = false;
+  element("cancel").onclick = () => ending.abort();
   try {
-    const words = { queued: "waits", running: "is being taken in" };
-    const garment = await service.uploadGarment(file, element("avatar").value, (now) => say(`${file.name} ${words[now]} …`));
+    const words = { start: "begins", read: "is read", rest: "is laid on the body", fit: "gets its patches", cloth: "comes to rest", store: "is stored", prepare: "is made ready" };
+    const told = (job) => say(`${file.name} ${words[job.stage] ?? "waits"} … ${Math.round(100 * job.share)} %`);
+    const garment = await service.uploadGarment(file, element("avatar").value, told, ending.signal);
     await listGarments([...wardrobe.chosen().slice(0, -1), garment]);
     await chooseGarments();
     say(`${file.name} is ready.`);
   } finally {
+    element("cancel").hidden = true;
     element("upload").disabled = false;
   }
 });
@@ -297,8 +303,25 @@ function wireControls() {
   });
 }
 
+// A service with keys says nothing to who has none.
+function askForKey(error) {
+  if (error.status === 401) {
+    document.body.dataset.state = "locked";
+    element("about").textContent = "This service asks for a key.";
+    element("door").hidden = false;
+    element("key").focus();
+  }
+  throw error;
+}
+
+element("door").addEventListener("submit", (event) => {
+  event.preventDefault();
+  service.setKey(element("key").value.trim());
+  location.reload();
+});
+
 const start = failing(async () => {
-  const health = await service.health();
+  const health = await service.health().catch(askForKey);
   element("about").textContent = `model ${health.model}, ${health.provider.replace("ExecutionProvider", "")}, body ${health.body}`;
   state.body = health.body;
   listPasses(health.passes);

@@ -1,4 +1,5 @@
-// The WebSocket: poses out, frames in, every frame acknowledged; comes back by itself after a lost connection.
+// The WebSocket: poses out, frames in, every frame acknowledged; comes back by itself after a lost connection, and goes
+// on at the successor of a service that ends, with what the cloth remembers.
 import { KIND, SUBPROTOCOL, kindOf, packAck, packPose, unpackFrame, unpackJets } from "./wire.js";
 
 const FIRST_RETRY_S = 0.5;
@@ -8,7 +9,11 @@ const now = () => performance.now() / 1000;
 
 export class Stream {
   // onFrame({ header, steps or jet, rotation and centre, pose, bytes }); onState(state, sentence): "open", "waiting", "refused".
-  constructor({ onFrame, onState }) {
+  // ticket(): a promise of one for the next connection, empty where none is asked for.
+  constructor({ onFrame, onState, ticket = async () => "" }) {
+    this.ticket = ticket;
+    this.given = ""; // a ticket that came with the word to move
+    this.attempt = 0;
     this.onFrame = onFrame;
     this.onState = onState;
     this.request = null;
@@ -16,6 +21,9 @@ export class Stream {
     this.ready = false;
     this.tier = "–"; // the name of what the service computes
     this.retryS = FIRST_RETRY_S;
+    this.base = location.origin; // where the stream runs
+    this.state = []; // STATE messages, to be handed on as they came
+    this.moved = false;
     this.sequence = 0;
     this.poses = new Map();
   }
@@ -42,13 +50,27 @@ export class Stream {
 
   #sendOpening() {
     this.unanswered += 1;
-    this.socket.send(JSON.stringify({ type: "open", ...this.request }));
+    for (const piece of this.state) this.socket.send(piece);
+    this.state = [];
+    this.socket.send(JSON.stringify({ type: "open", moves: true, ...this.request }));
   }
 
-  #connect() {
+  async #connect() {
     this.socket?.close();
-    const scheme = location.protocol === "https:" ? "wss" : "ws";
-    const socket = new WebSocket(`${scheme}://${location.host}/stream`, SUBPROTOCOL);
+    this.socket = null;
+    this.attempt += 1;
+    const { attempt, given } = this;
+    this.given = "";
+    let ticket;
+    try {
+      ticket = given || (await this.ticket());
+    } catch (error) {
+      if (attempt === this.attempt) this.#lost({ code: error.status === 401 ? 4401 : 1006, reason: error.message });
+      return;
+    }
+    if (attempt !== this.attempt) return; // another opening was faster
+    const address = `${this.base.replace(/^http/, "ws").replace(/\/$/, "")}/stream`;
+    const socket = new WebSocket(address, ticket ? [SUBPROTOCOL, `ticket.${ticket}`] : [SUBPROTOCOL]);
     socket.binaryType = "arraybuffer";
     this.socket = socket;
     this.refusal = null;
@@ -65,6 +87,11 @@ export class Stream {
     if (typeof data === "string") {
       const message = JSON.parse(data);
       if (message.type === "error") this.refusal = message.detail;
+      if (message.type === "moved") {
+        this.moved = true;
+        this.base = message.to || this.base;
+        this.given = message.ticket ?? "";
+      }
       if (message.type === "opened") this.unanswered -= 1;
       if (message.type === "opened" && this.unanswered === 0) {
         this.ready = true;
@@ -72,6 +99,10 @@ export class Stream {
         this.retryS = FIRST_RETRY_S;
         this.onState("open", "");
       }
+      return;
+    }
+    if (kindOf(data) === KIND.STATE) {
+      this.state.push(data);
       return;
     }
     const frame = kindOf(data) === KIND.JETS ? unpackJets(data) : unpackFrame(data);
@@ -87,6 +118,11 @@ export class Stream {
 
   #lost(event) {
     this.ready = false;
+    if (this.moved) {
+      this.moved = false;
+      this.#connect();
+      return;
+    }
     const sentence = this.refusal ?? event.reason;
     // 44xx is our fault or the user's: trying again would be refused again. 4408 is a pause.
     if (event.code >= 4400 && event.code < 4500 && event.code !== 4408) {

@@ -1,0 +1,37 @@
+"""What a stream takes along to another process, in pieces: ``split_state`` and ``join_state``.
+
+A piece is the 16 bytes of every message, of the kind STATE with the piece's number as its sequence and the number of
+pieces as its count, and then bytes that only the service reads. A client hands them on as they came.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from drape.errors import InputError
+from drape.wire.messages import MAGIC, PREFIX, STATE, WIRE_VERSION, message_kind, record
+
+PIECE_BYTES = 32 * 1024
+_PREFIX = record(PREFIX)
+
+
+def split_state(blob: bytes, most: int = PIECE_BYTES) -> list[bytes]:
+    """The STATE messages of ``blob``, of at most ``most`` bytes each, the first first; none of an empty one."""
+    size = most - _PREFIX.size
+    parts = [blob[start : start + size] for start in range(0, len(blob), size)]
+    return [_PREFIX.pack(MAGIC, WIRE_VERSION, STATE, 0, index, len(parts)) + part for index, part in enumerate(parts)]
+
+
+def join_state(messages: Sequence[bytes]) -> bytes:
+    """What was split into ``messages``; refuses (``InputError``) what are not all pieces in their order."""
+    for index, message in enumerate(messages):
+        kind = message_kind(message)
+        prefix = _PREFIX.unpack_from(message)
+        if prefix != (MAGIC, WIRE_VERSION, STATE, 0, index, len(messages)):
+            raise InputError(
+                "state message",
+                expected=f"piece {index + 1} of {len(messages)}",
+                got=f"kind {kind}, piece {prefix[4] + 1} of {prefix[5]}",
+                cure="Send the pieces as they came, each once.",
+            )
+    return b"".join(message[_PREFIX.size :] for message in messages)

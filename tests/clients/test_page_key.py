@@ -1,0 +1,38 @@
+"""The web page of a service with keys: it asks for one, and streams with a ticket."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from service.app import create_app
+from service.keys import digest
+from service.settings import Settings
+from tests.clients.browser import open_page
+from tests.fixtures.serving import serve
+
+pytestmark = pytest.mark.browser
+
+
+def test_the_page_asks_for_a_key_and_streams_with_it(make_settings: Callable[..., Settings], tmp_path: Path):
+    from tests.conftest import find_chromium
+
+    chromium = find_chromium()
+    assert chromium is not None  # the marker has seen to it
+    file = tmp_path / "keys.json"
+    file.write_text(json.dumps({"shop": {"sha256": digest("drape_key"), "rate": 100}}))
+    settings = make_settings(keys_file=file)
+    with (
+        serve(create_app(settings), settings) as url,
+        open_page(chromium, url + "/?garment=tube&clip=reach") as page,
+    ):
+        page.wait_for("document.body?.dataset.state === 'locked' && !document.getElementById('door').hidden")
+        for key, until in (("wrong", "'locked'"), ("drape_key", "'open' && Number(document.body.dataset.frames) >= 3")):
+            entered = f"window.stale = true; document.getElementById('key').value = {key!r};"
+            page.evaluate(f"{entered} document.getElementById('door').requestSubmit()")
+            kept = f"!window.stale && sessionStorage.getItem('drape-key') === {key!r}"  # on the page that comes then
+            page.wait_for(f"{kept} && document.body?.dataset.state === {until}")
+        assert page.evaluate("document.getElementById('door').hidden") is True
