@@ -1,4 +1,4 @@
-"""A GLB file as it grows: arrays one after the other, everything else into JSON (glTF 2.0, 12.1 of the specification)."""
+"""A GLB file as it grows: arrays one after the other, the rest into JSON (glTF 2.0, 12.1 of the specification)."""
 
 from __future__ import annotations
 
