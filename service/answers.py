@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from fastapi.responses import StreamingResponse
 from pydantic_core import to_json
 
-from service.negotiation import BINARY, JSON
+from drape.export.glb_file import PIECE_BYTES, GlbFile
+from service.negotiation import BINARY, GLB, JSON
 from service.piecework import Piecework
 
 PIECE_NUMBERS = 4096  # half a millisecond of the encoder, which holds the interpreter lock
@@ -33,7 +34,23 @@ def binary_answer(
 
 def number_bytes(array: np.ndarray) -> Iterator[bytes]:
     """``array`` as little-endian float32, in pieces."""
-    return (part.astype("<f4", copy=False).tobytes() for part in _parts(array))
+    return (part.astype("<f4", copy=False).tobytes() for part in _parts(array, PIECE_BYTES // 4))
+
+
+def file_answer(file: GlbFile, head: bytes, piecework: Piecework, headers: Mapping[str, str]) -> StreamingResponse:
+    """``file``, which begins with its ``head``."""
+    headers = {**headers, "Content-Length": str(len(head) + file.binary_bytes)}
+    pieces = itertools.chain((head,), file.pieces())
+    return StreamingResponse(piecework.each(pieces), media_type=GLB, headers=headers)
+
+
+def messages_answer(messages: Sequence[bytes], piecework: Piecework, headers: Mapping[str, str]) -> StreamingResponse:
+    """``messages`` one after the other, a few at a time."""
+    size = sum(len(message) for message in messages)
+    count = max(1, PIECE_BYTES * len(messages) // max(size, 1))
+    pieces = (b"".join(messages[start : start + count]) for start in range(0, len(messages), count))
+    headers = {**headers, "Content-Length": str(size)}
+    return StreamingResponse(piecework.each(pieces), media_type=BINARY, headers=headers)
 
 
 def json_pieces(document: Mapping[str, object]) -> Iterator[bytes]:
@@ -54,7 +71,7 @@ def number_pieces(array: np.ndarray) -> Iterator[bytes]:
         yield to_json(array.tolist())
         return
     before = b"["
-    for part in _parts(array):
+    for part in _parts(array, PIECE_NUMBERS):
         # A single row may be long itself.
         for piece in number_pieces(part[0]) if len(part) == 1 else (to_json(part.tolist())[1:-1],):
             yield before + piece
@@ -63,8 +80,8 @@ def number_pieces(array: np.ndarray) -> Iterator[bytes]:
     yield b"]"
 
 
-def _parts(array: np.ndarray) -> Iterator[np.ndarray]:
-    """``array`` cut along its first axis, at least one row each."""
-    rows = max(1, PIECE_NUMBERS * len(array) // max(array.size, 1))
+def _parts(array: np.ndarray, numbers: int) -> Iterator[np.ndarray]:
+    """``array`` cut along its first axis, about ``numbers`` and at least one row each."""
+    rows = max(1, numbers * len(array) // max(array.size, 1))
     for start in range(0, len(array), rows):
         yield array[start : start + rows]

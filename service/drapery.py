@@ -19,6 +19,7 @@ from drape.body.model import BodyModel
 from drape.errors import DrapeError, InputError, NotFound
 from drape.wire.options import DrapeOptions
 from service import still
+from service.background import thread_steps_back
 from service.costs import Probe
 from service.engine import Engine
 from service.errors import Draining, InternalError
@@ -29,11 +30,12 @@ from service.settings import Settings
 from service.stages import make_plan, make_stages, run, walk
 from service.stages.batch import Batch, Memories, Plan, PoseInput, Quality
 from service.tiers import capped, chosen, read_tiers, tier_of
+from service.workshop import Workshop
 
 STREAM_WAIT_S = 0.02
-"""What frames of a clip may keep a stream waiting at a time; a single frame is the least."""
+"""What a chunk of a clip may take while there are streams, which share processors with it; one frame is the least."""
 STREAM_PAUSE_S = 1.0
-"""Longer after the last frame of a stream clips are computed in whole chunks again."""
+"""Longer after the last frame of a stream nothing gives way to streams any more."""
 
 COSTS_KEPT = 1024
 """Scenes and tiers whose cost is remembered."""
@@ -43,11 +45,12 @@ log = logging.getLogger("drape.service")
 
 
 class Drapery:
-    """Everything a start loads: body, model, garments, clips; and the thread that computes.
+    """Everything a start loads: body, model, garments, clips; and the threads that compute.
 
-    One thread: the graph uses its own threads, and numbers then do not depend on who else waits.
-    Clips are computed in chunks, so that a long one lets waiting stream frames through: of ``DRAPE_CHUNK_FRAMES``, and
-    of as many as take ``STREAM_WAIT_S`` while there are streams. No bit depends on it.
+    One thread has the frames of streams and nothing else, another all that streams need not wait for: clips, what a
+    frame costs, garments that are taken in. On a GPU, whose buckets take one call at a time, both are the same thread.
+    Clips are computed in chunks: of ``DRAPE_CHUNK_FRAMES``, and of as many as take ``STREAM_WAIT_S`` while there are
+    streams, of which no step begins while a stream's frame is computed. No bit depends on it.
     """
 
     def __init__(self, settings: Settings, *, body: BodyModel | None = None, metrics: Metrics | None = None) -> None:
@@ -61,18 +64,28 @@ class Drapery:
         )
         self.engine.check_body(self.body)
         self.tiers = read_tiers(self.engine.manifest.tiers)
-        self.stages = make_stages(self.engine, self.body, settings)
-        self.garments = Registry(self.body, settings, self.stages)
+        self._streamed_s = -math.inf  # when a frame of a stream was last begun
+        self._workshop = Workshop(lambda: self._streaming)
+        self.stages = make_stages(self.engine, self.body, settings, self._workshop)
+        self.garments = Registry(self.body, settings, self.stages, self._workshop)
         self.motions = Motions(settings.motions_dir)
-        self._executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="drape")
+        self._for_streams = ThreadPoolExecutor(max_workers=1, thread_name_prefix="drape-streams")
+        self._aside = (
+            self._for_streams
+            if self.engine.bound
+            else ThreadPoolExecutor(max_workers=1, thread_name_prefix="drape-aside", initializer=thread_steps_back)
+        )
+        self._frame_done = asyncio.Event()  # of the streams' latest frame
+        self._frame_done.set()
         self._clip_turn = asyncio.Lock()  # one chunk waits for the thread at a time, however many clips there are
         self._frame_ms: dict[tuple[tuple[str, ...], DrapeOptions, bool], float] = {}
-        self._streamed_s = -math.inf  # when a frame of a stream was last begun
         self.warm_up()
 
     def close(self) -> None:
-        """Waits for the running chunk and ends the thread."""
-        self._executor.shutdown(wait=True, cancel_futures=True)
+        """Waits for the running chunk and ends the threads."""
+        for executor in (self._for_streams, self._aside):
+            executor.shutdown(wait=True, cancel_futures=True)
+        self._workshop.close()
 
     def warm_up(self) -> None:
         """One frame of one garment, with all that its streams need, so that the first request pays for no lazy set-up;
@@ -104,9 +117,23 @@ class Drapery:
                 "body", expected=self.body.name, got=name, cure="GET /bodies lists the bodies of this service."
             )
 
-    async def in_thread(self, function: Callable[..., Result], *arguments: object) -> Result:
-        """``function(*arguments)`` on the worker thread."""
-        return await asyncio.get_running_loop().run_in_executor(self._executor, partial(function, *arguments))
+    async def aside(self, function: Callable[..., Result], *arguments: object) -> Result:
+        """``function(*arguments)`` on the thread of what streams do not wait for, not begun beside a stream's frame."""
+        await self._frame_done.wait()
+        return await asyncio.get_running_loop().run_in_executor(self._aside, partial(function, *arguments))
+
+    async def stream_frames(self, plan: Plan, inputs: Sequence[PoseInput]) -> list[tuple[bytes | DrapeError, Memories]]:
+        """``frames`` on the thread of the streams, or at once where all stand still."""
+        self._streamed_s = time.monotonic()
+        same = [still.again(plan, one) for one in inputs]
+        if None not in same:
+            return [one for one in same if one is not None]
+        done = self._frame_done = asyncio.Event()
+        try:
+            loop = asyncio.get_running_loop()
+            return await loop.run_in_executor(self._for_streams, partial(self.frames, plan, inputs))
+        finally:
+            done.set()
 
     def plan(self, scene: Scene, options: DrapeOptions, *, messages: bool = False) -> Plan:
         """``service.stages.make_plan`` with the stages of this service, and the passes and folds of its tiers."""
@@ -135,7 +162,7 @@ class Drapery:
             probe = Probe(plan, self.body)
             while not probe.done:
                 async with self._clip_turn:
-                    await self.in_thread(probe.step)
+                    await self.aside(probe.step)
             while len(self._frame_ms) >= COSTS_KEPT:
                 self._frame_ms.pop(next(iter(self._frame_ms)))
             self._frame_ms[key] = probe.frame_ms()
@@ -159,7 +186,7 @@ class Drapery:
         """Makes what the plan's stages need, beside the frames that are being computed."""
         for garment in self.garments.missing((*plan.scene.layers, *plan.draped)):
             feed = await asyncio.to_thread(self.garments.feed, garment)
-            await self.in_thread(self.garments.take_in, garment, feed)
+            await self.aside(self.garments.take_in, garment, feed)
         for stage in plan.stages:
             await asyncio.to_thread(stage.prepare, plan)
 
@@ -183,8 +210,7 @@ class Drapery:
             yield part
 
     async def _in_chunks(self, frames: int, compute: Callable[[slice], Iterator[Result]]) -> AsyncIterator[Result]:
-        """The last of what ``compute`` gives of all ``frames``, slice after slice, each step of it on the worker thread
-        in its turn."""
+        """The last of what ``compute`` gives of all ``frames``, slice after slice, each step of it in its turn."""
         frame_s, start = math.inf, 0  # until the first has told how long one takes
         while start < frames:
             if self.hurried:
@@ -196,7 +222,7 @@ class Drapery:
             frame_s, start = took_s / (rows.stop - rows.start), rows.stop
 
     async def _last(self, steps: Iterator[Result]) -> tuple[Result, float]:
-        """The last of ``steps``, each on the worker thread in its turn, and how long they took there [s]."""
+        """The last of ``steps``, each ``aside`` in its turn, and how long they took there [s]."""
         took_s = 0.0
 
         def step() -> Result | None:
@@ -206,16 +232,21 @@ class Drapery:
             took_s += time.perf_counter() - begun_s
             return found
 
-        last = await self.in_thread(step)
-        while (after := await self.in_thread(step)) is not None:
+        last = await self.aside(step)
+        while (after := await self.aside(step)) is not None:
             last = after
         assert last is not None
         return last, took_s
 
+    @property
+    def _streaming(self) -> bool:
+        """Whether there are streams that move."""
+        return time.monotonic() - self._streamed_s <= STREAM_PAUSE_S
+
     def _chunk_frames(self, frame_s: float) -> int:
         """Frames of the next chunk, where one takes ``frame_s`` [s]; on a GPU always the size that has buckets."""
         most = self.settings.chunk_frames
-        if self.engine.bound or time.monotonic() - self._streamed_s > STREAM_PAUSE_S:
+        if self.engine.bound or not self._streaming:
             return most
         return min(most, max(1, int(STREAM_WAIT_S / frame_s)))
 
@@ -225,7 +256,6 @@ class Drapery:
         Of bodies that stand still nothing is computed (``service.still``). Where the batch fails each is tried alone,
         so that one cannot fail its mates; what was remembered before the one that fails stays.
         """
-        self._streamed_s = time.monotonic()
         found = [still.again(plan, one) for one in inputs]
         moving = [one for one, same in zip(inputs, found, strict=True) if same is None]
         computed = iter(self._computed(plan, moving) if moving else ())
@@ -265,4 +295,6 @@ class Drapery:
             posed = self.body.posed_vertices(clip.poses[rows], clip.trans[rows], clip.betas)
             yield posed.astype(np.float32)
 
-        return np.concatenate([part async for part in self._in_chunks(len(clip.poses), compute)])
+        return await asyncio.to_thread(
+            np.concatenate, [part async for part in self._in_chunks(len(clip.poses), compute)]
+        )

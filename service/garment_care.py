@@ -58,4 +58,4 @@ async def delete_garment(garment_id: str, state: StateHere, client: ClientHere) 
         lambda scene: entry.id in [layer.id for layer in scene.layers],
         NotFound("garment", expected="one in service", got=f"{entry.id}, which was deleted", cure="Open another."),
     )
-    await asyncio.shield(state.drapery.in_thread(state.drapery.garments.remove, entry))
+    await asyncio.shield(state.drapery.aside(state.drapery.garments.remove, entry))

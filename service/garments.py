@@ -27,6 +27,7 @@ from drape.wire.layout import JetLayout, pack_layout
 from service.errors import TooLarge
 from service.settings import Settings
 from service.stages.batch import Stage
+from service.workshop import IN_PLACE, Workshop
 
 PATCH_LIMIT = 65536  # what a chart of a LAYOUT can name
 OWNED = "of-"  # begins the folder of a key's garments
@@ -127,8 +128,10 @@ Scene = Entry | Outfit
 class Registry:
     """Garments by id. Shipped caches must load; of the uploaded ones a bad file is set aside and named in /health."""
 
-    def __init__(self, body: BodyModel, settings: Settings, stages: Sequence[Stage] = ()) -> None:
-        self._body, self._settings, self._stages = body, settings, stages
+    def __init__(
+        self, body: BodyModel, settings: Settings, stages: Sequence[Stage] = (), workshop: Workshop = IN_PLACE
+    ) -> None:
+        self._body, self._settings, self._stages, self._workshop = body, settings, stages, workshop
         self._entries: dict[str, Entry] = {}
         self._taken_in: set[str] = set()
         self.refused: list[str] = []
@@ -186,18 +189,17 @@ class Registry:
         return Outfit(entries)
 
     def prepare(self, path: Path) -> Garment:
-        """A checked garment that every stage has taken in; what takes time, and safe on the worker thread."""
-        garment = load_garment(path)
-        check_garment(garment, self._body, max_vertices=self._settings.max_vertices)
-        self.take_in(garment, self.feed(garment))
+        """A checked garment that every stage has taken in; what takes time, and safe beside frames."""
+        garment, feed = self._workshop.call(_loaded, path, self._body, self._settings.max_vertices)
+        self.take_in(garment, feed)
         return garment
 
     def feed(self, garment: Garment) -> dict[str, np.ndarray]:
         """The ``garment_feed`` of ``garment`` on the body; from any thread."""
-        return garment_feed(garment, body=self._body)
+        return self._workshop.call(garment_feed, garment, body=self._body)
 
     def take_in(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
-        """Lets every stage take in ``garment``, whose ``garment_feed`` is ``feed``; on the worker thread."""
+        """Lets every stage take in ``garment``, whose ``garment_feed`` is ``feed``; by one thread at a time."""
         for stage in self._stages:
             stage.add(garment, feed)
         self._taken_in.add(garment.digest)
@@ -255,6 +257,13 @@ class Registry:
                     self._taken_in.discard(garment.digest)
                     for stage in self._stages:
                         stage.remove(garment)
+
+
+def _loaded(path: Path, body: BodyModel, max_vertices: int) -> tuple[Garment, dict[str, np.ndarray]]:
+    """The checked garment of a file, and its ``garment_feed``."""
+    garment = load_garment(path)
+    check_garment(garment, body, max_vertices=max_vertices)
+    return garment, garment_feed(garment, body=body)
 
 
 def owner_of(path: Path | None) -> str | None:

@@ -8,9 +8,11 @@ from drape.wire.jets import message_bytes
 from drape.wire.options import Resolution
 from service import negotiation
 from service.access import ClientHere
+from service.answers import messages_answer
 from service.drapery import Drapery
 from service.garments import Outfit, Scene, layer_list
 from service.limits import check_answer
+from service.piecework import Piecework
 from service.stages.batch import Batch
 from service.state import StateHere
 
@@ -44,9 +46,9 @@ def jets_headers(frames: int, scene: Scene) -> dict[str, str]:
     return headers
 
 
-def jets_response(draped: Batch, headers: dict[str, str]) -> Response:
+def jets_response(draped: Batch, headers: dict[str, str], piecework: Piecework) -> Response:
     """The clip as one JETS message per frame; sequence and client time are the frame's number and time [s]."""
     scene = draped.plan.scene
     headers = headers | jets_headers(len(draped.messages), scene)
     headers["X-Drape-Left-M"] = f"{draped.quality.left_m.max():.6f}"
-    return Response(b"".join(draped.messages), media_type=negotiation.BINARY, headers=headers)
+    return messages_answer(draped.messages, piecework, headers)

@@ -214,7 +214,7 @@ class Uploads:
         made = out / str(report["file"])
         registry = self._drapery.garments
         self._check_room(client, made.stat().st_size)
-        prepared = await self._drapery.in_thread(registry.prepare, made)
+        prepared = await self._drapery.aside(registry.prepare, made)
         stored = self._folder(client.name) / made.name
         stored.parent.mkdir(exist_ok=True)
         await asyncio.to_thread(sync, made)

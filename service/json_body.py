@@ -6,6 +6,7 @@ took seconds. What a request can rightly hold is known, so more is refused unpar
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, TypeVar
 
 from fastapi import Request
@@ -16,6 +17,7 @@ from drape.body.skeleton import JOINT_COUNT
 from drape.wire.options import wire_names
 from service.errors import TooLarge
 from service.negotiation import BINARY, JSON
+from service.piecework import Piecework
 from service.schemas import Request as Schema
 from service.validation import not_json, validation_refusal
 
@@ -23,6 +25,8 @@ MARKS = b",:[{"
 _OTHER_BYTES = bytes(byte for byte in range(256) if byte not in MARKS)
 FRAME_MARKS = 4 * JOINT_COUNT + 5  # of 24 x 3 numbers in poses and 3 in trans
 SMALL_MARKS = 10_000  # of a request without poses
+PIECE_BYTES = 256 * 1024  # half a millisecond of counting
+NO_JSON = "text that is not JSON"
 
 Asked = TypeVar("Asked", bound=Schema)
 
@@ -32,9 +36,24 @@ def clip_marks(max_frames: int) -> int:
     return 5 * max_frames * FRAME_MARKS // 4 + SMALL_MARKS
 
 
-def document_of(text: bytes, *, most_marks: int = SMALL_MARKS, otherwise: str = "text that is not JSON") -> Any:
-    """The parsed ``text``; refuses more than ``most_marks`` marks (``MARKS``), and what is no JSON as ``otherwise``."""
-    marks = len(text.translate(None, _OTHER_BYTES))
+def document_of(text: bytes, *, otherwise: str = NO_JSON) -> Any:
+    """The parsed ``text``; refuses more than ``SMALL_MARKS`` marks, and what is no JSON as ``otherwise``."""
+    _check(sum(_marks(text)), SMALL_MARKS)
+    return parsed(text, otherwise=otherwise)
+
+
+async def check_marks(text: bytes, piecework: Piecework, *, most_marks: int) -> None:
+    """Refuses a ``text`` of more than ``most_marks`` marks (``MARKS``), counted piece by piece."""
+    _check(sum([count async for count in piecework.each(_marks(text))]), most_marks)
+
+
+def _marks(text: bytes) -> Iterator[int]:
+    """How many marks each piece of ``text`` has."""
+    for start in range(0, len(text), PIECE_BYTES):
+        yield len(text[start : start + PIECE_BYTES].translate(None, _OTHER_BYTES))
+
+
+def _check(marks: int, most_marks: int) -> None:
     if marks > most_marks:
         raise TooLarge(
             "request body",
@@ -42,6 +61,10 @@ def document_of(text: bytes, *, most_marks: int = SMALL_MARKS, otherwise: str = 
             got=str(marks),
             cure="Send less in one request.",
         )
+
+
+def parsed(text: bytes, *, otherwise: str = NO_JSON) -> Any:
+    """The parsed ``text``, whose marks were counted; refuses what is no JSON as ``otherwise``."""
     try:
         return from_json(text, cache_strings="none")
     except ValueError as error:

@@ -8,6 +8,7 @@ batch, not in one bit on a CPU (tests/service/test_packing.py), so a batch may b
 
 from __future__ import annotations
 
+import threading
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -218,12 +219,14 @@ def _of_tiles(name: str) -> bool:
 
 
 class Packer:
-    """Runs plans on the packed graph of an engine's model; safe to call from one thread at a time."""
+    """Runs plans on the packed graph of an engine's model; safe to call from any thread, but on a device with memory of
+    its own, whose buckets take one call at a time."""
 
     def __init__(
         self, engine: Engine, body: BodyModel, *, kept_bytes: int = KEPT_BYTES, tiles_per_call: int | None = None
     ) -> None:
         self._engine, self._body = engine, body
+        self._lock = threading.RLock()  # of the store and of what is kept, not held while the graph runs
         # Of bodies with pose blend shapes the graph reads only how many parts and bones there are.
         self._skins = SkinShapes(replace(body, posedirs=None)) if engine.feels_body else None
         self._store = Store()
@@ -247,8 +250,10 @@ class Packer:
         """Encodes ``garment`` and puts it in store under ``key``; ``feed`` is its ``garment_feed`` on this body."""
         if feed is None:
             feed = garment_feed(garment, body=self._body if self._engine.feels_body else None)
-        self._store.add(key, garment, feed, self._engine.first(garment))
-        self._forget()
+        first = self._engine.first(garment)
+        with self._lock:
+            self._store.add(key, garment, feed, first)
+            self._forget()
 
     def dressed(self, key: str, fabric: Fabric) -> str:
         """Where the garment ``key`` made of ``fabric`` lies in store; put there the first time, a millisecond or two.
@@ -256,21 +261,23 @@ class Packer:
         Of ``FABRICS_KEPT`` at most the latest used are kept.
         """
         name = f"{key} of {fabric.digest}"
-        if name not in self._store:
-            for old in list(self._worn)[: len(self._worn) + 1 - FABRICS_KEPT]:
-                del self._worn[old]
-                if old in self._store:
-                    self._store.remove(old)
-            self._store.dress(key, name, self._engine.first(self._store.garment(key), fabric))
-            self._forget()
-        self._worn[name] = None
-        self._worn.move_to_end(name)
-        return name
+        with self._lock:
+            if name not in self._store:
+                for old in list(self._worn)[: len(self._worn) + 1 - FABRICS_KEPT]:
+                    del self._worn[old]
+                    if old in self._store:
+                        self._store.remove(old)
+                self._store.dress(key, name, self._engine.first(self._store.garment(key), fabric))
+                self._forget()
+            self._worn[name] = None
+            self._worn.move_to_end(name)
+            return name
 
     def remove(self, key: str) -> None:
         """Forgets the garment ``key``."""
-        self._store.remove(key)
-        self._forget()
+        with self._lock:
+            self._store.remove(key)
+            self._forget()
 
     def prepare(self, plan: ScenePlan, *, skin_given: bool, shapes: bool) -> None:
         """Opens what frames of ``plan`` run through, of bodies of one shape and, where asked, of several ``shapes``.
@@ -298,8 +305,10 @@ class Packer:
                 raise InputError(
                     "body row", expected=f"a row in [0, {count})", got=str(row), cure="Give each item its body's row."
                 )
-        if plan.normals and self._store.want_tangents():
-            self._forget()
+        if plan.normals:
+            with self._lock:
+                if self._store.want_tangents():
+                    self._forget()
         results: list[Result] = []
         for part in self._parts(items):
             rows = {row: i for i, row in enumerate(dict.fromkeys(row for _, row in part))}
@@ -328,19 +337,21 @@ class Packer:
             bodies = filled_rows(bodies)
         given = SKIN in bodies
         if self._skins is not None:
-            bodies = bodies | self._skins.feed(bodies["betas"])
+            with self._lock:
+                bodies = bodies | self._skins.feed(bodies["betas"])
         one_shape = self._skins is not None and len(bodies["skin_rows"]) == 1
         session = self._session(plan, alone=alone, one_shape=one_shape, skin_given=given)
-        composition, indices = self._composed(items, alone)
-        stored = self._store.packed(first).stored if alone else self._store.arrays()
         feed: dict[str, Value] = {}
-        for name in session.inputs:
-            if name in bodies:
-                feed[name] = bodies[name]
-            elif name in indices:
-                feed[name] = indices[name]
-            else:
-                feed[name] = self._constant(name, stored[name], first if alone else "")
+        with self._lock:
+            composition, indices = self._composed(items, alone)
+            stored = self._store.packed(first).stored if alone else self._store.arrays()
+            for name in session.inputs:
+                if name in bodies:
+                    feed[name] = bodies[name]
+                elif name in indices:
+                    feed[name] = indices[name]
+                else:
+                    feed[name] = self._constant(name, stored[name], first if alone else "")
         still = (*SKIN_CONSTANTS, *indices)
         outputs = dict(zip(plan.outputs, session.run(plan.outputs, feed, still=still), strict=True))
         return _apart(outputs, composition, [row for _, row in items])

@@ -17,8 +17,10 @@ from drape.graph.layer_feed import Sheet, layer_arrays, pack_layer
 from drape.graph.push_feed import feed_arrays, pack_push, pushed_jets
 from drape.push.layers import cloth_samples
 from drape.push.projection import CLEARANCE_M
+from drape.push.samples import Samples
 from drape.push.skin import body_skin
 from service.engine import PUSH, PUSH_OVER, PUSHES, SKIN, SKIN_CONSTANTS, Engine
+from service.workshop import IN_PLACE, Workshop
 
 if TYPE_CHECKING:
     import onnxruntime
@@ -87,9 +89,16 @@ class Pusher:
         """Memory of the garments' constants where the graphs compute."""
         return sum(value.tensor_size_in_bytes() for one in self._stored.values() for value in one.constants.values())
 
-    def add(self, key: str, feed: dict[str, np.ndarray], vertices: np.ndarray, faces: np.ndarray) -> None:
+    def add(
+        self,
+        key: str,
+        feed: dict[str, np.ndarray],
+        vertices: np.ndarray,
+        faces: np.ndarray,
+        workshop: Workshop = IN_PLACE,
+    ) -> None:
         """Puts the garment ``key`` in store: its ``garment_feed``, rest vertices [m] (V, 3) and faces."""
-        constants = self._values(feed_arrays(pack_push(feed, vertices, self._skin)))
+        constants = self._values(workshop.call(_garment_arrays, feed, vertices, self._skin))
         self._stored[key] = _Stored(feed, vertices, faces, constants)
 
     def remove(self, key: str) -> None:
@@ -99,14 +108,14 @@ class Pusher:
             for layer in [layer for layer in self._layers if key in layer]:
                 del self._layers[layer]
 
-    def prepare(self, keys: Sequence[str], *, jets: bool = False) -> None:
-        """Makes the constants of every garment of an outfit over those before it, where they are missing, and opens
-        what pushes them, and their ``jets`` where asked.
+    def prepare(self, keys: Sequence[str], *, jets: bool = False, workshop: Workshop = IN_PLACE) -> None:
+        """Makes the constants of every garment of an outfit over those before it, where they are missing, in the
+        ``workshop``, and opens what pushes them, and their ``jets`` where asked.
 
         Takes a second per garment, and may be called from any thread.
         """
         for count in range(1, len(keys)):
-            self._layer(tuple(keys[: count + 1]))
+            self._layer(tuple(keys[: count + 1]), workshop)
         for graph in PUSHES[: len(keys)]:
             self._session(graph, jets=jets)
 
@@ -159,7 +168,7 @@ class Pusher:
             )
         return self._stored[key]
 
-    def _layer(self, keys: tuple[str, ...]) -> Constants:
+    def _layer(self, keys: tuple[str, ...], workshop: Workshop = IN_PLACE) -> Constants:
         """Constants of the last of ``keys`` over the others; the latest used are kept."""
         *inner, outer = (self._get(key) for key in keys)
         kept = self._found(keys)
@@ -168,8 +177,9 @@ class Pusher:
         with self._making:  # one at a time; who looks for others does not wait
             kept = self._found(keys)
             if kept is None:
-                made = pack_layer(outer.feed, outer.vertices, self._skin, [_sheet(stored) for stored in inner])
-                kept = self._values(layer_arrays(made))
+                sheets = [_sheet(stored, workshop) for stored in inner]
+                made = workshop.call(_arrays_over, outer.feed, outer.vertices, self._skin, sheets)
+                kept = self._values(made)
                 with self._looking:
                     self._layers[keys] = kept
                     if len(self._layers) > KEPT_OUTFITS:
@@ -188,8 +198,21 @@ class Pusher:
         return {name: self._engine.value(array) for name, array in arrays.items()}
 
 
-def _sheet(stored: _Stored) -> Sheet:
+def _sheet(stored: _Stored, workshop: Workshop) -> Sheet:
     """The garment as others lie over it, made once."""
     if stored.sheet is None:
-        stored.sheet = Sheet(stored.vertices, stored.faces, cloth_samples(stored.vertices, stored.faces))
+        samples = workshop.call(cloth_samples, stored.vertices, stored.faces)
+        stored.sheet = Sheet(stored.vertices, stored.faces, samples)
     return stored.sheet
+
+
+def _garment_arrays(feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples) -> dict[str, np.ndarray]:
+    """The constants of a garment by the names of the graph's inputs."""
+    return feed_arrays(pack_push(feed, vertices, skin))
+
+
+def _arrays_over(
+    feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples, sheets: Sequence[Sheet]
+) -> dict[str, np.ndarray]:
+    """The constants of a garment over others by the names of the graph's inputs."""
+    return layer_arrays(pack_layer(feed, vertices, skin, sheets))

@@ -25,14 +25,23 @@ from drape.wire.clips import unpack_clip
 from drape.wire.options import Resolution
 from service import negotiation, schemas
 from service.access import ClientHere
-from service.answers import binary_answer, json_answer
+from service.answers import binary_answer, file_answer, json_answer
 from service.avatars import MOST_CHARACTERS, upload_avatar
 from service.drapery import Drapery
 from service.exports import export_answer
 from service.garments import Outfit, Scene, layer_list
 from service.jets import check_jets_size, jets_response
 from service.jobs import Job
-from service.json_body import clip_marks, clip_schema, content_type, document_of, json_text, validated
+from service.json_body import (
+    check_marks,
+    clip_marks,
+    clip_schema,
+    content_type,
+    document_of,
+    json_text,
+    parsed,
+    validated,
+)
 from service.limits import check_answer
 from service.motions import floor_m
 from service.placing import Placed
@@ -104,7 +113,7 @@ async def garment_mesh(
     garment = entry.garment
     kind = negotiation.choose(request.headers.get("accept"), (negotiation.JSON, negotiation.GLB))
     if kind == negotiation.GLB:
-        return Response(await asyncio.to_thread(_rest_file, garment), media_type=kind)
+        return file_answer(*await asyncio.to_thread(_rest_file, garment), state.piecework, {})
     document = {
         "id": entry.id,
         "vertices": garment.vertices[: garment.vertex_count].astype(np.float32),
@@ -117,10 +126,11 @@ async def garment_mesh(
     return json_answer(document, state.piecework)
 
 
-def _rest_file(garment: Garment) -> bytes:
+def _rest_file(garment: Garment) -> tuple[GlbFile, bytes]:
+    """The file, and what it begins with."""
     file = GlbFile()
     glb.add_garment(file, garment, garment.vertices[None, : garment.vertex_count], fps=1.0)
-    return file.to_bytes()
+    return file, file.head()
 
 
 # --- uploads ---
@@ -227,15 +237,16 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
         draped = await drapery.drape(plan, clip)
         headers = quality_headers(draped) | plan_headers(plan, drapery) | road.remember(draped.memories[0], state)
         if jets:
-            return jets_response(draped, headers)
+            return jets_response(draped, headers, state.piecework)
         worn = layer_list(scene) if isinstance(scene, Outfit) else None
         placed = await asyncio.to_thread(draped.placed, asked.origin)
         if kind == negotiation.GLB:
-            content = await asyncio.to_thread(_garment_file, scene, placed, asked, clip, drapery)
-            return Response(content, media_type=kind, headers=placed.headers | headers)
+            file = await asyncio.to_thread(_garment_file, scene, placed, asked, clip, drapery)
+            return file_answer(*file, state.piecework, await _said(placed) | headers)
         if kind in (negotiation.PC2, negotiation.USDA):
-            return export_answer(kind, scene, placed, asked.fps, state.piecework, headers)
-        return _vertices_answer(placed, asked.fps, kind, state, headers=headers, worn=worn)
+            made = kind, scene, placed, asked.fps, state.piecework, headers
+            return await asyncio.to_thread(export_answer, *made)
+        return await _vertices_answer(placed, asked.fps, kind, state, headers=headers, worn=worn)
 
 
 @router.post(
@@ -251,7 +262,7 @@ async def posed_body(body_id: str, request: Request, state: StateHere, client: C
     asked, clip = await _clip(schemas.PosedRequest, schemas.PosedOptions, request, state)
     kind = _kind(request)
     if kind == negotiation.GLB:
-        return Response(await asyncio.to_thread(_body_file, drapery.body, clip, asked), media_type=kind)
+        return file_answer(*await asyncio.to_thread(_body_file, drapery.body, clip, asked), state.piecework, {})
     _check_size(kind, len(clip.poses), drapery.body.vertex_count, drapery)
     with state.access.using(client, "clips"), state.slot():
         if asked.origin == "world":
@@ -260,7 +271,7 @@ async def posed_body(body_id: str, request: Request, state: StateHere, client: C
             pelvis = drapery.body.rest_joints(clip.betas)[0]
             at_root = replace(clip, trans=np.broadcast_to(-pelvis, clip.trans.shape))
             placed = Placed(await drapery.pose_body(at_root), clip.trans + pelvis)
-        return _vertices_answer(placed, asked.fps, kind, state)
+        return await _vertices_answer(placed, asked.fps, kind, state)
 
 
 def _kind(request: Request) -> str:
@@ -277,8 +288,9 @@ async def _clip(
         document = await run(partial(document_of, text, otherwise="a clip whose last part is not JSON"))
         asked = await run(validated, options, document)
     else:
-        document = await run(partial(document_of, await json_text(request), most_marks=clip_marks(most)))
-        read = await run(validated, whole, document)
+        text = await json_text(request)
+        await check_marks(text, state.piecework, most_marks=clip_marks(most))
+        read = await run(validated, whole, await run(parsed, text))
         poses, trans = read.poses, read.trans
         assert isinstance(read, options)
         asked = read
@@ -297,7 +309,10 @@ def _check_size(kind: str, frames: int, vertices: int, drapery: Drapery, *, quan
     check_answer(frames * vertices * per_vertex[kind], f"{frames} frames of {vertices} vertices", drapery.settings)
 
 
-def _garment_file(scene: Scene, placed: Placed, asked: schemas.ClipOptions, clip: PoseInput, drapery: Drapery) -> bytes:
+def _garment_file(
+    scene: Scene, placed: Placed, asked: schemas.ClipOptions, clip: PoseInput, drapery: Drapery
+) -> tuple[GlbFile, bytes]:
+    """The file, and what it begins with."""
     file, start = GlbFile(), 0
     vertices, point = placed.from_first()
     ride = None
@@ -312,19 +327,25 @@ def _garment_file(scene: Scene, placed: Placed, asked: schemas.ClipOptions, clip
         add_body(file, drapery.body, clip.betas, clip.poses, clip.trans - point, asked.fps)
     if asked.origin == "root":
         file.place("root", point)
-    return file.to_bytes()
+    return file, file.head()
 
 
-def _body_file(body: BodyModel, clip: PoseInput, asked: schemas.PosedOptions) -> bytes:
+def _body_file(body: BodyModel, clip: PoseInput, asked: schemas.PosedOptions) -> tuple[GlbFile, bytes]:
+    """The file, and what it begins with."""
     file = GlbFile()
     point = clip.trans[0] + body.rest_joints(clip.betas)[0] if asked.origin == "root" else np.zeros(3)
     add_body(file, body, clip.betas, clip.poses, clip.trans - point, asked.fps)
     if asked.origin == "root":
         file.place("root", point)
-    return file.to_bytes()
+    return file, file.head()
 
 
-def _vertices_answer(
+async def _said(placed: Placed) -> dict[str, str]:
+    """The headers of ``placed``, for which every coordinate is looked at."""
+    return await asyncio.to_thread(lambda: placed.headers)
+
+
+async def _vertices_answer(
     placed: Placed,
     fps: float,
     kind: str,
@@ -333,7 +354,7 @@ def _vertices_answer(
     headers: dict[str, str] | None = None,
     worn: list[dict[str, str | int]] | None = None,
 ) -> Response:
-    vertices, headers = placed.vertices, placed.headers | (headers or {})
+    vertices, headers = placed.vertices, await _said(placed) | (headers or {})
     if kind == negotiation.BINARY:
         return binary_answer(vertices, state.piecework, headers, tail=placed.tail)
     document: dict[str, Any] = {"fps": fps, "frames": len(vertices), "vertices": vertices.shape[1]}
@@ -410,7 +431,7 @@ async def body_mesh(
     if kind == negotiation.GLB:
         file = GlbFile()
         add_body(file, drapery.body, shape)
-        return Response(file.to_bytes(), media_type=kind)
+        return file_answer(file, file.head(), state.piecework, {})
     faces = drapery.body.faces
     vertices = drapery.body.rest_vertices(shape).astype(np.float32)
     document = {"id": drapery.body.name, "vertices": vertices, "faces": faces, "uv": [], "uv_faces": []}

@@ -16,6 +16,7 @@ import sys
 from pathlib import Path
 
 from drape.errors import DrapeError, MeshError
+from service.background import step_back
 
 FILE_LIMIT_BYTES = 2**30
 
@@ -49,6 +50,7 @@ def main() -> int:
     parser.add_argument("--memory-mb", type=int, required=True)
     parser.add_argument("--cpu-s", type=int, required=True)
     options = parser.parse_args()
+    step_back()
     set_limits(memory_mb=options.memory_mb, cpu_s=options.cpu_s)
     try:
         made = take_in(options.file, options.out, avatar=sys.stdin.buffer.read().decode() or None, body=options.body)

@@ -241,7 +241,7 @@ class Streams:
         inputs = [_pose_input(session, session.take()) for session in batch]
         with self._piecework.held():
             start_s = time.monotonic()
-            results = await self._drapery.in_thread(self._drapery.frames, plan, inputs)
+            results = await self._drapery.stream_frames(plan, inputs)
             now_s = time.monotonic()
         late = sum(session.taken_late() for session in batch)
         self._step_down.note(now_s, frames=len(batch), late=late, busy_s=now_s - start_s)

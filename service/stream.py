@@ -220,7 +220,8 @@ async def _send(socket: WebSocket, session: Session, state: State, client: Clien
         if frame is None:
             continue
         try:
-            await asyncio.wait_for(socket.send_bytes(frame), limit)
+            async with asyncio.timeout(limit):  # which, unlike wait_for, makes no task
+                await socket.send_bytes(frame)
         except TimeoutError:
             raise TooSlow(
                 "stream",

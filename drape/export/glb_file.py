@@ -1,14 +1,16 @@
-"""A GLB file as it grows: arrays into one buffer, everything else into JSON (glTF 2.0, 12.1 of the specification)."""
+"""A GLB file as it grows: arrays one after the other, the rest into JSON (glTF 2.0, 12.1 of the specification)."""
 
 from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 GENERATOR = "drape"
+PIECE_BYTES = 256 * 1024
 QUANTIZATION = "KHR_mesh_quantization"
 _COMPONENTS = {"int8": 5120, "uint8": 5121, "int16": 5122, "uint16": 5123, "uint32": 5125, "float32": 5126}
 _SHAPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
@@ -16,7 +18,10 @@ VERTEX_BUFFER, INDEX_BUFFER = 34962, 34963
 
 
 class GlbFile:
-    """A GLB file that grows: arrays go into one buffer, everything else into the JSON part."""
+    """A GLB file that grows: arrays one after the other, everything else in the JSON part.
+
+    It keeps the arrays that it is given, which may not change any more, and never has the file in one piece.
+    """
 
     def __init__(self) -> None:
         self.json: dict[str, Any] = {
@@ -29,7 +34,8 @@ class GlbFile:
             "accessors": [],
             "bufferViews": [],
         }
-        self._buffer = bytearray()
+        self._arrays: list[np.ndarray] = []
+        self._size = 0  # of the binary chunk so far
 
     def add(self, key: str, value: dict[str, Any]) -> int:
         """Appends ``value`` to the list ``key`` and returns its index."""
@@ -40,11 +46,10 @@ class GlbFile:
     def array(self, array: np.ndarray, *, target: int | None = None, bounds: bool = False) -> int:
         """The accessor of ``array`` (N, ...); positions and times need ``bounds``."""
         array = np.ascontiguousarray(array)
-        view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self._buffer), "byteLength": array.nbytes}
+        view: dict[str, Any] = {"buffer": 0, "byteOffset": self._size, "byteLength": array.nbytes}
         if target is not None:
             view["target"] = target
-        self._buffer += array.tobytes()
-        self._buffer += b"\0" * (-len(self._buffer) % 4)
+        self._append(array)
         accessor: dict[str, Any] = {
             "bufferView": self.add("bufferViews", view),
             "componentType": _COMPONENTS[array.dtype.name],
@@ -56,6 +61,10 @@ class GlbFile:
             accessor["min"], accessor["max"] = rows.min(axis=0).tolist(), rows.max(axis=0).tolist()
         return self.add("accessors", accessor)
 
+    def _append(self, array: np.ndarray) -> None:
+        self._arrays.append(array)
+        self._size += _padded(array.nbytes)
+
     def quantised(self) -> None:
         """Says that vertices are in steps, which whoever reads the file must know."""
         self.json["extensionsUsed"] = self.json["extensionsRequired"] = [QUANTIZATION]
@@ -65,9 +74,9 @@ class GlbFile:
         size = arrays.dtype.itemsize
         rows = np.zeros((*arrays.shape[:2], 4), arrays.dtype)
         rows[..., :3] = arrays
-        view = {"buffer": 0, "byteOffset": len(self._buffer), "byteLength": rows.nbytes, "byteStride": 4 * size}
+        view = {"buffer": 0, "byteOffset": self._size, "byteLength": rows.nbytes, "byteStride": 4 * size}
         index = self.add("bufferViews", view | {"target": VERTEX_BUFFER})
-        self._buffer += rows.tobytes()
+        self._append(rows)
         accessors = []
         for i, array in enumerate(arrays):
             accessor: dict[str, Any] = {
@@ -117,11 +126,34 @@ class GlbFile:
         surface = {"baseColorFactor": list(colour), "metallicFactor": 0.0, "roughnessFactor": 0.85}
         return self.add("materials", {"name": name, "doubleSided": True, "pbrMetallicRoughness": surface})
 
-    def to_bytes(self) -> bytes:
-        """The file: header, JSON chunk, binary chunk."""
-        self.json["buffers"] = [{"byteLength": len(self._buffer)}]
+    def head(self) -> bytes:
+        """The file as far as the arrays: header, JSON chunk, and how long the binary chunk is."""
+        self.json["buffers"] = [{"byteLength": self._size}]
         text = json.dumps(self.json, separators=(",", ":"), allow_nan=False).encode()
         text += b" " * (-len(text) % 4)
-        size = 12 + 8 + len(text) + 8 + len(self._buffer)
+        size = 12 + 8 + len(text) + 8 + self._size
         head = struct.pack("<4sII", b"glTF", 2, size) + struct.pack("<I4s", len(text), b"JSON")
-        return b"".join([head, text, struct.pack("<I4s", len(self._buffer), b"BIN\0"), bytes(self._buffer)])
+        return b"".join([head, text, struct.pack("<I4s", self._size, b"BIN\0")])
+
+    def pieces(self) -> Iterator[bytes]:
+        """The binary chunk in pieces of at most ``PIECE_BYTES``."""
+        for array in self._arrays:
+            flat = array.reshape(-1).view(np.uint8)
+            for start in range(0, len(flat), PIECE_BYTES):
+                yield flat[start : start + PIECE_BYTES].tobytes()
+            if padding := _padded(array.nbytes) - array.nbytes:
+                yield b"\0" * padding
+
+    @property
+    def binary_bytes(self) -> int:
+        """Size of the binary chunk."""
+        return self._size
+
+    def to_bytes(self) -> bytes:
+        """The file: header, JSON chunk, binary chunk."""
+        return b"".join([self.head(), *self.pieces()])
+
+
+def _padded(size: int) -> int:
+    """``size`` up to the next multiple of 4, where the next array begins."""
+    return size + -size % 4

@@ -22,6 +22,7 @@ from service.stages.motion import Motion
 from service.stages.network import Network
 from service.stages.novelty import Novelty
 from service.stages.swing import Swing
+from service.workshop import IN_PLACE, Workshop
 
 if TYPE_CHECKING:
     from service.garments import Scene
@@ -29,9 +30,14 @@ if TYPE_CHECKING:
 STAGES: tuple[type[Stage], ...] = (Novelty, Motion, Network, Swing, Folds, Collision, Encode)
 
 
-def make_stages(engine: Engine, body: BodyModel, settings: Settings) -> tuple[Stage, ...]:
-    """All stages of a service, in order."""
-    return tuple(stage(engine, body, settings) for stage in STAGES)
+def make_stages(
+    engine: Engine, body: BodyModel, settings: Settings, workshop: Workshop = IN_PLACE
+) -> tuple[Stage, ...]:
+    """All stages of a service, in order; they make their constants in the ``workshop``."""
+    stages = tuple(stage(engine, body, settings) for stage in STAGES)
+    for stage in stages:
+        stage.workshop = workshop
+    return stages
 
 
 def make_plan(stages: Sequence[Stage], scene: Scene, options: DrapeOptions, *, messages: bool = False) -> Plan:

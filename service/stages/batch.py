@@ -14,6 +14,7 @@ from drape.wire.options import DrapeOptions
 from service.engine import Engine
 from service.placing import Origin, Placed
 from service.settings import Settings
+from service.workshop import IN_PLACE, Workshop
 
 if TYPE_CHECKING:
     from service.garments import Entry, Scene
@@ -222,6 +223,8 @@ class Stage:
 
     name: ClassVar[str]
     kept: ClassVar[tuple[type, ...]] = ()  # the classes of what it remembers, which streams take to other processes
+
+    workshop: Workshop = IN_PLACE  # where constants are made beside streams
 
     def __init__(self, engine: Engine, body: BodyModel, settings: Settings) -> None:
         self.engine, self.body, self.settings = engine, body, settings

@@ -37,13 +37,14 @@ class Collision(Stage):
         return frozenset({"vertices", SKIN})
 
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
-        self.pusher.add(garment.digest, feed, garment.vertices[: garment.vertex_count], garment.faces)
+        vertices = garment.vertices[: garment.vertex_count]
+        self.pusher.add(garment.digest, feed, vertices, garment.faces, self.workshop)
 
     def remove(self, garment: Garment) -> None:
         self.pusher.remove(garment.digest)
 
     def prepare(self, plan: Plan) -> None:
-        self.pusher.prepare(plan.keys, jets=plan.options.geometry == "jets")
+        self.pusher.prepare(plan.keys, jets=plan.options.geometry == "jets", workshop=self.workshop)
 
     @property
     def held_bytes(self) -> int:

@@ -44,7 +44,7 @@ class Folds(Stage):
         self._garments: dict[str, Garment] = {}
         self._constants: OrderedDict[tuple[str, str], Constants] = OrderedDict()
         self._wrappings: dict[str, Wrapping] = {}
-        self._making = threading.Lock()
+        self._looking, self._making = threading.Lock(), threading.Lock()
         self.kept_bytes = KEPT_BYTES
         warm_up()
 
@@ -82,7 +82,7 @@ class Folds(Stage):
         self._garments[garment.digest] = garment
 
     def remove(self, garment: Garment) -> None:
-        with self._making:
+        with self._looking:
             self._garments.pop(garment.digest, None)
             self._wrappings.pop(garment.digest, None)
             for name in [name for name in self._constants if name[0] == garment.digest]:
@@ -158,18 +158,38 @@ class Folds(Stage):
 
     def _wrapping(self, key: str) -> Wrapping:
         """What wraps the delivered mesh of the garment ``key``, made once."""
+        kept = self._wrappings.get(key)
+        if kept is not None:
+            return kept
         with self._making:
-            if key not in self._wrappings:
-                self._wrappings[key] = Wrapping(self._garments[key])
-            return self._wrappings[key]
+            kept = self._wrappings.get(key)
+            if kept is None:
+                kept = self._wrappings[key] = Wrapping(self._garments[key])
+            return kept
 
     def _of(self, key: str, fabric: Fabric | None) -> Constants:
         """The constants of the garment ``key`` made of ``fabric``, made once; the latest used are kept."""
         name = key, "" if fabric is None else fabric.digest
-        with self._making:
-            if name not in self._constants:
-                self._constants[name] = constants(self._garments[key], self.body, fabric)
-            self._constants.move_to_end(name)
-            while len(self._constants) > 1 and sum(made.nbytes for made in self._constants.values()) > self.kept_bytes:
-                self._constants.popitem(last=False)
-            return self._constants[name]
+        kept = self._found(name)
+        if kept is not None:
+            return kept
+        with self._making:  # one at a time; frames, whose constants are there, do not wait
+            kept = self._found(name)
+            if kept is None:
+                kept = self.workshop.call(constants, self._garments[key], self.body, fabric)
+                with self._looking:
+                    self._constants[name] = kept
+                    while len(self._constants) > 1 and self._bytes > self.kept_bytes:
+                        self._constants.popitem(last=False)
+        return kept
+
+    def _found(self, name: tuple[str, str]) -> Constants | None:
+        with self._looking:
+            kept = self._constants.get(name)
+            if kept is not None:
+                self._constants.move_to_end(name)
+            return kept
+
+    @property
+    def _bytes(self) -> int:
+        return sum(made.nbytes for made in self._constants.values())

@@ -9,7 +9,8 @@ import time
 import numpy as np
 import pytest
 
-from service.answers import PIECE_NUMBERS, json_pieces, number_pieces
+from drape.export.glb_file import PIECE_BYTES, GlbFile
+from service.answers import PIECE_NUMBERS, file_answer, json_pieces, messages_answer, number_pieces
 from service.piecework import Piecework
 
 SHAPES = [
@@ -89,3 +90,39 @@ def test_no_piece_begins_while_a_frame_is_computed():
     asyncio.run(held())
     piecework.close()
     assert done == list(range(9))
+
+
+@pytest.mark.parametrize("sizes", [(), (5,), (PIECE_BYTES, 3), (10_000,) * 100])
+def test_messages_are_sent_a_few_at_a_time(sizes: tuple[int, ...]):
+    messages = [bytes([i % 251]) * size for i, size in enumerate(sizes)]
+    piecework, pieces = Piecework(), []
+
+    async def read() -> None:
+        answer = messages_answer(messages, piecework, {"X-Drape-Frames": "1"})
+        assert answer.headers["Content-Length"] == str(sum(sizes)) and answer.headers["X-Drape-Frames"] == "1"
+        pieces.extend([piece async for piece in answer.body_iterator])
+
+    asyncio.run(read())
+    piecework.close()
+    assert b"".join(pieces) == b"".join(messages)
+    assert all(len(piece) <= PIECE_BYTES for piece in pieces)
+
+
+def test_a_file_is_sent_as_it_would_be_written(rng: np.random.Generator):
+    file, piecework, pieces = GlbFile(), Piecework(), []
+    arrays = [rng.normal(size=(count, 3)).astype(np.float32) for count in (50_000, 1, 7)]
+    indices = [file.array(array) for array in [*arrays, np.arange(3, dtype=np.uint8), arrays[1]]]
+
+    async def read() -> None:
+        answer = file_answer(file, file.head(), piecework, {})
+        pieces.extend([piece async for piece in answer.body_iterator])
+        assert answer.headers["Content-Length"] == str(sum(len(piece) for piece in pieces))
+
+    asyncio.run(read())
+    piecework.close()
+    whole = b"".join(pieces)
+    assert whole == file.to_bytes() and max(len(piece) for piece in pieces[1:]) <= PIECE_BYTES
+    for array, index in zip(arrays, indices, strict=False):
+        view = file.json["bufferViews"][file.json["accessors"][index]["bufferView"]]
+        start = len(pieces[0]) + view["byteOffset"]
+        assert whole[start : start + view["byteLength"]] == array.tobytes()

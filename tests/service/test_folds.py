@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
@@ -137,6 +138,22 @@ def test_constants_are_made_when_a_plan_is_prepared_and_once(drapery: Drapery, m
 
     monkeypatch.setattr("service.stages.folds.constants", never)
     run(plan, [CLIP])
+
+
+def test_frames_do_not_wait_for_constants_of_others(drapery: Drapery, monkeypatch: pytest.MonkeyPatch):
+    entry = drapery.garments.get("tube")
+    plan, other = (drapery.plan(entry, DrapeOptions(folds=1, fabric=fabric)) for fabric in (None, "chiffon"))
+    stage = next(one for one in plan.stages if one.name == "folds")
+    stage.prepare(plan)
+    made, begun, through = folds_stage.constants, threading.Event(), threading.Event()
+    monkeypatch.setattr(folds_stage, "constants", lambda *of: begun.set() or (through.wait() and made(*of)))
+    making = threading.Thread(target=stage.prepare, args=(other,))
+    making.start()
+    begun.wait()
+    run(plan, [CLIP])
+    assert making.is_alive()
+    through.set()
+    making.join()
 
 
 def test_constants_are_kept_up_to_a_size_those_in_use_always(drapery: Drapery, monkeypatch: pytest.MonkeyPatch):

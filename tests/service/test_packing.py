@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,7 +27,7 @@ from model_export.graph import DrapeGraph, drape_inputs
 from model_export.parity import hard_poses
 from service.drapery import Drapery
 from service.engine import PACKED, Engine
-from service.packing import SHAPE_INDEX, STORED_INDEX, Packer, ScenePlan
+from service.packing import SHAPE_INDEX, STORED_INDEX, Packer, Result, ScenePlan
 from service.runtime import Device
 from service.stages import run
 from service.stages.batch import PoseInput
@@ -363,3 +364,20 @@ def test_the_service_refuses_what_is_not_finite(make_settings):
     with pytest.raises(ArtifactError, match="tiny vertices: expected finite numbers"):
         run(plan, [rest])
     drapery.close()
+
+
+def test_two_threads_get_the_bits_of_one(bodies: dict[str, np.ndarray]):
+    packer, plan = make_packer(), ScenePlan()
+    batches = [[(kind, row) for kind in KINDS[: 1 + row % len(KINDS)]] for row in range(8)]
+    alone = [packer.run(plan, bodies, items) for items in batches]
+    packer._forget()
+
+    def all_of_them(_: int) -> list[list[Result]]:
+        return [packer.run(plan, bodies, items) for items in batches]
+
+    with ThreadPoolExecutor(2) as threads:
+        for found in threads.map(all_of_them, range(4)):
+            for items, wanted in zip(found, alone, strict=True):
+                for one, other in zip(items, wanted, strict=True):
+                    assert_array_equal(one.arrays["vertices"], other.arrays["vertices"])
+    assert packer.kept_bytes == sum(made.bytes for made, _ in packer._kept.values())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 import time
 from collections.abc import Callable
 
@@ -16,6 +17,7 @@ from service.drapery import Drapery
 from service.piecework import Piecework
 from service.sessions import Session, Streams
 from service.settings import Settings
+from service.stages.batch import PoseInput
 
 REST = np.zeros((24, 3))
 
@@ -65,3 +67,46 @@ def test_an_acknowledgement_that_was_not_earned_is_refused(make_settings: Callab
     with pytest.raises(InputError, match="ack message"):
         session.acknowledge(0)
     drapery.close()
+
+
+def test_a_frame_does_not_wait_for_what_is_computed_aside(make_settings: Callable[..., Settings]):
+    drapery = Drapery(make_settings())
+    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions(), messages=True)
+
+    async def both() -> None:
+        through = threading.Event()
+        aside = asyncio.create_task(drapery.aside(through.wait))
+        await asyncio.sleep(0)
+        ((message, _),) = await asyncio.wait_for(drapery.stream_frames(plan, [rest_input()]), 30.0)
+        assert isinstance(message, bytes) and not aside.done()
+        through.set()
+        assert await aside
+
+    asyncio.run(both())
+    drapery.close()
+
+
+def test_nothing_aside_begins_while_a_frame_is_computed(
+    make_settings: Callable[..., Settings], monkeypatch: pytest.MonkeyPatch
+):
+    drapery = Drapery(make_settings())
+    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions(), messages=True)
+    through, begun = threading.Event(), threading.Event()
+    monkeypatch.setattr(drapery, "frames", lambda plan, inputs: through.wait() and [])
+
+    async def both() -> None:
+        frame = asyncio.create_task(drapery.stream_frames(plan, [rest_input()]))
+        await asyncio.sleep(0)
+        aside = asyncio.create_task(drapery.aside(begun.set))
+        await asyncio.sleep(0.05)
+        assert not begun.is_set()
+        through.set()
+        await asyncio.gather(frame, aside)
+        assert begun.is_set()
+
+    asyncio.run(both())
+    drapery.close()
+
+
+def rest_input() -> PoseInput:
+    return PoseInput(REST[None], np.zeros((1, 3)), np.zeros(10), np.zeros(1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from unittest.mock import patch
@@ -147,3 +148,17 @@ def test_jets_come_again_too(drapery: Drapery):
     before, after = unpack_jets(last), unpack_jets(same)
     assert_array_equal(after.jet, before.jet)
     assert (after.sequence, after.dropped, after.client_time_s) == (NEEDED + 1, 3, stream.time_s)
+
+
+def test_a_body_at_rest_needs_no_thread(drapery: Drapery, plan: Plan):
+    stream = Stream(drapery, plan)
+    for _ in range(NEEDED):
+        message = stream.next()
+    one = PoseInput(
+        POSES[:1], TRANS[:1], stream.betas, np.array([stream.time_s + STEP_S]), stream.memories, sequence=9, dropped=0
+    )
+    with patch.object(drapery, "frames", side_effect=AssertionError):
+        ((again, _),) = asyncio.run(drapery.stream_frames(plan, [one]))
+    assert isinstance(again, bytes)
+    assert wire.unpack_frame(again).sequence == 9
+    assert_array_equal(wire.unpack_frame(again).vertices(), wire.unpack_frame(message).vertices())
