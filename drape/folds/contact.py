@@ -81,6 +81,13 @@ SQUARE, NEARER, TOTAL, WHERE, SUM, PRODUCT, PER_M2 = (row * LANES for row in (11
 SCRATCH = 22 * LANES
 
 
+class Lanes(NamedTuple):
+    """A place, ``vertex``, and a ``sample`` of the skin in each lane (``LANES``,)."""
+
+    vertex: np.ndarray
+    sample: np.ndarray
+
+
 @kernel
 def follow(network, skin, graph, touched):
     """Moves ``touched.own`` on to the samples nearest to the ``network``'s vertices [m] (P, 3)."""
@@ -110,7 +117,7 @@ def touch(x, skin, graph, sheet, touched, turn, planes):
         for lane in range(LANES):
             vertex[lane], own[lane] = LANES * block + lane, touched.own[LANES * block + lane]
         _walk(x, vertex, skin, graph.neighbour, own, STEPS, scratch)
-        _put_planes(x, vertex, skin, graph, k, own, scratch, planes, 0)
+        _put_planes(x, Lanes(vertex, own), skin, graph, scratch, planes, 0)
         for entry in range(PLANES * block + 6 * LANES, PLANES * block + 12 * LANES):
             planes[entry] = k.zero
         for lane in range(LANES):
@@ -127,12 +134,12 @@ def touch(x, skin, graph, sheet, touched, turn, planes):
                 late[waiting], late_other[waiting] = v, other
                 waiting += 1
             if waiting == LANES:
-                _put_planes(x, late, skin, graph, k, late_other, scratch, planes, 6 * LANES)
+                _put_planes(x, Lanes(late, late_other), skin, graph, scratch, planes, 6 * LANES)
                 waiting = 0
     if waiting > 0:
         for lane in range(waiting, LANES):
             late[lane], late_other[lane] = late[0], late_other[0]
-        _put_planes(x, late, skin, graph, k, late_other, scratch, planes, 6 * LANES)
+        _put_planes(x, Lanes(late, late_other), skin, graph, scratch, planes, 6 * LANES)
 
 
 @kernel
@@ -262,13 +269,15 @@ def _other(point, skin, graph, own, cells):
 
 
 @kernel
-def _put_planes(x, vertex, skin, graph, k, own, s, planes, row):
-    """The planes below the ``vertex`` of every lane, of its sample ``own`` and the neighbours, from ``row`` on."""
+def _put_planes(x, lanes, skin, graph, s, planes, row):
+    """The planes below the vertices of ``lanes``, of their samples and the neighbours, from ``row`` on."""
+    vertex, own = lanes.vertex, lanes.sample
+    zero, half, one = x.dtype.type(0), x.dtype.type(0.5), x.dtype.type(1)
     _gather(x, vertex, skin, own, s)
     for lane in range(LANES):
         s[PER_M2 + lane], s[TOTAL + lane], s[PRODUCT + lane] = (
-            k.one / graph.reach_m2[own[lane]],
-            k.one,
+            one / graph.reach_m2[own[lane]],
+            one,
             skin[own[lane], 7],
         )
         for axis in range(3):
@@ -281,12 +290,12 @@ def _put_planes(x, vertex, skin, graph, k, own, s, planes, row):
                 s[SAMPLE + axis * LANES + lane] = skin[j, axis]
                 s[NORMAL + axis * LANES + lane] = skin[j, 4 + axis]
             s[ACROSS + lane] = skin[j, 7]
-            s[REAL + lane] = k.one if j != own[lane] else k.zero
+            s[REAL + lane] = one if j != own[lane] else zero
         for lane in range(LANES):
             way = sub(row3(s, SAMPLE, lane), row3(s, POINT, lane))
-            share = k.one - (dot(way, way) - s[SQUARE + lane]) * s[PER_M2 + lane]
-            share = share if share > k.zero else k.zero
-            share = share if share < k.one else k.one
+            share = one - (dot(way, way) - s[SQUARE + lane]) * s[PER_M2 + lane]
+            share = share if share > zero else zero
+            share = share if share < one else one
             w = share * share * s[REAL + lane]
             s[TOTAL + lane] += w
             s[PRODUCT + lane] += w * s[ACROSS + lane]
@@ -294,12 +303,12 @@ def _put_planes(x, vertex, skin, graph, k, own, s, planes, row):
                 s[WHERE + axis * LANES + lane] += w * s[SAMPLE + axis * LANES + lane]
                 s[SUM + axis * LANES + lane] += w * s[NORMAL + axis * LANES + lane]
     for lane in range(LANES):
-        point, normal, per = row3(s, POINT, lane), row3(s, SUM, lane), k.one / s[TOTAL + lane]
+        point, normal, per = row3(s, POINT, lane), row3(s, SUM, lane), one / s[TOTAL + lane]
         square = dot(normal, normal)
-        unit = scaled(k.one / np.sqrt(square) if square > k.zero else k.one, normal)
+        unit = scaled(one / np.sqrt(square) if square > zero else one, normal)
         by_samples = (dot(point, normal) - s[PRODUCT + lane]) * per
         by_blend = dot(unit, sub(point, scaled(per, row3(s, WHERE, lane))))
-        foot = sub(point, scaled(k.half * (by_samples + by_blend), unit))
+        foot = sub(point, scaled(half * (by_samples + by_blend), unit))
         place = PLANES * (vertex[lane] // LANES) + vertex[lane] % LANES + row
         for axis in range(3):
             planes[place + LANES * axis] = foot[axis]

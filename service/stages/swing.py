@@ -27,12 +27,13 @@ class Swing(Stage):
     """Moves each layer's vertices by the swing of its nodes, times the knob; what lies near the skin stays."""
 
     name = "swing"
+    kept = (Memory,)
 
     def __init__(self, engine: Engine, body: BodyModel, settings: Settings) -> None:
         super().__init__(engine, body, settings)
         self._garments: dict[str, Garment] = {}
         self._constants: dict[tuple[str, str], Constants | None] = {}
-        self._making = threading.Lock()
+        self._looking, self._making = threading.Lock(), threading.Lock()
         warm_up()
 
     def check(self, plan: Plan) -> None:
@@ -60,7 +61,7 @@ class Swing(Stage):
         self._garments[garment.digest] = garment
 
     def remove(self, garment: Garment) -> None:
-        with self._making:
+        with self._looking:
             self._garments.pop(garment.digest, None)
             for name in [name for name in self._constants if name[0] == garment.digest]:
                 del self._constants[name]
@@ -97,11 +98,23 @@ class Swing(Stage):
     def _of(self, key: str, fabric: Fabric | None) -> Constants | None:
         """The constants of the garment ``key`` made of ``fabric``, made once; the latest used are kept."""
         name = key, "" if fabric is None else fabric.digest
-        with self._making:
+        found, kept = self._found(name)
+        if found:
+            return kept
+        with self._making:  # one at a time; frames, whose constants are there, do not wait
+            found, kept = self._found(name)
+            if not found:
+                kept = self.workshop.call(constants, self._garments[key], self.body, fabric)
+                with self._looking:
+                    self._constants[name] = kept
+                    while len(self._constants) > KEPT:
+                        del self._constants[next(iter(self._constants))]
+        return kept
+
+    def _found(self, name: tuple[str, str]) -> tuple[bool, Constants | None]:
+        """Whether there are constants of that ``name``, which may be none, and they."""
+        with self._looking:
             if name not in self._constants:
-                self._constants[name] = constants(self._garments[key], self.body, fabric)
-            else:
-                self._constants[name] = self._constants.pop(name)
-            while len(self._constants) > KEPT:
-                del self._constants[next(iter(self._constants))]
-            return self._constants[name]
+                return False, None
+            self._constants[name] = self._constants.pop(name)
+            return True, self._constants[name]

@@ -16,9 +16,11 @@ from drape.errors import InputError
 from drape.swing.constants import constants
 from drape.wire.options import DrapeOptions
 from service.drapery import Drapery
+from service.memory_codec import decoded, encoded
 from service.settings import Settings, load_settings
 from service.stages import run
 from service.stages.batch import Plan, PoseInput
+from service.stages.swing import Swing
 
 TIMES_S = np.arange(14) / 30.0
 NO_SHAPE = np.zeros(10)
@@ -68,6 +70,17 @@ def test_it_is_the_same_beside_others_and_in_pieces(drapery: Drapery, make_setti
     pieces.close()
 
 
+def test_what_it_remembers_can_move(drapery: Drapery):
+    plan, clip = plan_of(drapery), started()
+    whole = run(plan, [clip])
+    first = run(plan, [clip.part(slice(0, 9), {})])
+    (stage,) = [stage for stage in plan.stages if stage.name == "swing"]
+    key = ("swing", plan.draped_keys[0])
+    moved = decoded(encoded(first.memories[0][key], stage.kept), stage.kept)
+    after = run(plan, [clip.part(slice(9, len(TIMES_S)), {key: moved})])
+    assert_array_equal(after.vertices, whole.vertices[9:])
+
+
 def test_jets_have_none(drapery: Drapery):
     assert plan_of(drapery, geometry="jets").options.inertia == "network"
     with pytest.raises(InputError, match="inertia: expected network with geometry jets"):
@@ -85,7 +98,7 @@ def test_the_service_says_what_holds_where_nobody_does(make_settings: Callable[.
 
 def test_a_garment_that_is_gone_leaves_nothing(drapery: Drapery):
     plan = plan_of(drapery, fabric="denim")
-    (stage,) = [stage for stage in plan.stages if stage.name == "swing"]
+    (stage,) = [stage for stage in plan.stages if isinstance(stage, Swing)]
     run(plan, [started()])
     assert any(key == plan.draped_keys[0] for key, _ in stage._constants)
     stage.remove(stage._garments[plan.draped_keys[0]])
