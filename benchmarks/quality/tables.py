@@ -228,6 +228,32 @@ def ranks_table(record: Record) -> str:
     return rows_table(RANKS, record["rank_correlation"])
 
 
+FOUR = {"edge_over_physics_pp": ("", ".2f"), "detail_share": ("", ".2f")}
+
+
+def four_table(record: Record) -> str:
+    """One line per fabric and set of all garments: gains of the network alone and of folds on it."""
+    lines = []
+    for (_, kind, fabric), rows in _by_method(record["summary"]).items():
+        gains = [value for method in ("network", "network_push", "folds") for value in cells(rows[method], GAIN)]
+        rest = cells(rows["physics"], {"converged_pct": ("", ".0f")})
+        lines.append([fabric, kind, *gains, *cells(rows["folds"], FOUR), *rest])
+    heads = ["fabric", "garments", "network", "pushed out", "two steps of folds", "edge over physics [points]"]
+    return table([*heads, "detail share", "poses at rest %"], lines, record)
+
+
+SWING = {
+    "garment": ("garment", "s"), "clip": ("clip", "s"), "method": ("method", "s"), "rise_mm": ("hem rises [mm]", ".0f"),
+    "share": ("of the simulator's", ".2f"), "error_mm": ("hem off the simulator's [mm]", ".0f"),
+    "hem_mm": ("hem off the still drape's [mm]", ".0f"), "ms": ("ms", ".1f"),
+}  # fmt: skip
+
+
+def swing_table(record: Record) -> str:
+    """One line per method: how far the hem flies, beside a simulator."""
+    return rows_table(SWING, record["rows"])
+
+
 TABLES = (
     ("quality", "docs/reference/quality.md", "quality", quality_table),
     ("quality", "README.md", "gain", gain_table),
@@ -241,6 +267,8 @@ TABLES = (
     ("referee_fabrics", "docs/reference/quality.md", "referee_fabrics", referee_table),
     ("quality_fabrics", "docs/reference/quality.md", "quality_fabrics", fabrics_table),
     ("quality_fabrics", "docs/reference/quality.md", "quality_ranks", ranks_table),
+    ("quality_four", "docs/reference/quality.md", "quality_four", four_table),
+    ("swing", "docs/explanation/swing.md", "swing", swing_table),
     ("dynamics", "docs/guide/training.md", "dynamics_stop", stop_table),
     ("dynamics", "docs/guide/training.md", "dynamics_potential", potential_table),
     ("push_out", "docs/explanation/push_out.md", "push_out", push_table),

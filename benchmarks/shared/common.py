@@ -42,6 +42,18 @@ def add_inputs(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def lines(record: dict[str, Any]) -> str:
+    """``record`` as JSON with a line for each of its keys, and for each item of a list of objects."""
+    parts = []
+    for key, value in record.items():
+        text = json.dumps(value, allow_nan=False, separators=(",", ":"))
+        if isinstance(value, list) and value and isinstance(value[0], dict):
+            rows = (json.dumps(row, allow_nan=False, separators=(",", ":")) for row in value)
+            text = "[\n" + ",\n".join(rows) + "\n]"
+        parts.append(f"{json.dumps(key)}: {text}")
+    return "{\n" + ",\n".join(parts) + "\n}\n"
+
+
 def finish(bench: str, rows: list[dict[str, Any]], options: argparse.Namespace, **extra: Any) -> dict[str, Any]:
     """Prints the record as the last line, writes it where the options ask, and returns it."""
     record = finite(
@@ -59,7 +71,7 @@ def finish(bench: str, rows: list[dict[str, Any]], options: argparse.Namespace, 
     for target in [*targets, *([options.out] if options.out else [])]:
         target.parent.mkdir(parents=True, exist_ok=True)
         temporary = target.with_name(target.name + ".part")
-        temporary.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        temporary.write_text(lines(record), encoding="utf-8")
         os.replace(temporary, target)
     print(json.dumps(record, allow_nan=False), flush=True)
     return record
