@@ -25,6 +25,9 @@ from service.stages import run
 from service.stages.batch import Memories, PoseInput
 
 
+CREDIT = 2  # of poses that a client keeps, as the service says
+
+
 def create_twin(drapery: Drapery) -> FastAPI:
     """An application with ``/stream`` alone."""
     app = FastAPI()
@@ -36,7 +39,7 @@ def create_twin(drapery: Drapery) -> FastAPI:
         plan = drapery.plan(drapery.garments.scene(asked.garment, asked.garments), asked, messages=True)
         for stage in plan.stages:
             stage.prepare(plan)
-        await socket.send_text(json.dumps({"type": "opened", "vertices": plan.scene.vertex_count}))
+        await socket.send_text(json.dumps({"type": "opened", "vertices": plan.scene.vertex_count, "credit": CREDIT}))
         memories: Memories = {}
         try:
             while True:

@@ -14,9 +14,8 @@ from numba import njit
 
 F = TypeVar("F", bound=Callable)
 FAST = {"reassoc", "contract", "arcp", "nsz"}
-_ROOMS = tuple(
-    Path(__file__).parents[1] / name for name in ("solver", "folds", "swing")
-)  # where kernels are, which call each other
+_HERE = Path(__file__).parent
+_ROOMS = (_HERE, *(_HERE.parent / name for name in ("folds", "swing")))  # where kernels are, which call each other
 _SOURCES = hashlib.sha256(b"".join(p.read_bytes() for room in _ROOMS for p in sorted(room.glob("*.py")))).hexdigest()
 
 

@@ -177,6 +177,8 @@ def test_a_stream_turns_from_vertices_to_jets_and_back(outfit_url: str, layout: 
             "tier",
             "passes",
             "folds",
+            "safe_folds",
+            "bits",
         }
         assert set(plain) == old, "what is said of jets is not said of vertices"
         frame = wire.unpack_frame(message_of(socket, 1))

@@ -55,7 +55,7 @@ def test_a_strip_swings_as_a_hanging_string(length_m: float):
 
 def _awake(memory: Memory) -> Memory:
     """``memory`` of a body that has just moved: one that stands slows its cloth."""
-    return Memory(**(vars(memory) | {"still_since_s": memory.time_s}))
+    return replace(memory, still_since_s=memory.time_s)
 
 
 def test_energy_never_grows_on_a_still_body():
@@ -123,7 +123,7 @@ def test_what_leads_nowhere_hangs_still(scene: tuple[np.ndarray, Constants], cas
     time_s = memory.time_s + {"pause": 1.01 * PAUSE_S, "back": -0.01}.get(case, 1.0 / 30.0)
     there = rest + np.float32(1.01 * CUT_M) if case == "cut" else rest
     if case == "nan":
-        memory = Memory(**(vars(memory) | {"speed": np.full_like(memory.speed, np.nan)}))
+        memory = replace(memory, speed=np.full_like(memory.speed, np.nan))
     x, after = swing(made, memory, frame(there, time_s), memory.origin)
     assert_array_equal(x, there)
     assert not after.speed.any() and after.time_s == time_s
