@@ -24,7 +24,6 @@ from service.settings import Settings
 from service.stages import run
 from service.stages.batch import Memories, PoseInput
 
-
 CREDIT = 2  # of poses that a client keeps, as the service says
 
 
