@@ -128,6 +128,18 @@ def precision_table(record: Record) -> str:
     return rows_table(PRECISION, record["rows"], record)
 
 
+BESIDE = {
+    "neighbour": ("neighbour", "s"), "asked": ("times asked", "d"), "quiet_p50_ms": ("quiet p50 [ms]", ".0f"),
+    "quiet_p99_ms": ("p99", ".0f"), "wait_p50_ms": ("beside it p50", ".0f"), "wait_p99_ms": ("p99 ", ".0f"),
+    "gap_max_ms": ("longest gap [ms]", ".0f"), "moved_ms": ("p99 moved by [ms]", ".1f"),
+}  # fmt: skip
+
+
+def beside_table(record: Record) -> str:
+    """One line per neighbour of a stream."""
+    return rows_table(BESIDE, record["rows"])
+
+
 TABLES = (
     ("precision", "docs/explanation/extremes.md", "precision", precision_table),
     ("latency", "docs/reference/performance.md", "latency_single", single_table),
@@ -135,6 +147,7 @@ TABLES = (
     ("latency", "docs/reference/performance.md", "latency_batches", batch_table),
     ("latency", "docs/reference/performance.md", "latency_growth", growth_table),
     ("serving", "docs/reference/performance.md", "serving", serving_table),
+    ("beside", "docs/reference/performance.md", "beside", beside_table),
 )
 
 
