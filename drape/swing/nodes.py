@@ -24,6 +24,7 @@ CONTACT_J_M4 = 3.0e4  # a tenth of the folds': half a spacing of skin is behind 
 GAP_M = 0.004
 TOUCH_M = 0.06  # from the sample that was walked to: a farther one says nothing of the skin there
 REACH_M = 0.01  # the most that a sweep moves a node
+SOLVED, LEAST = 1e-20, 1e-30  # of the squared residual at first, and of all [N m]
 LOOSE = 0.05  # of the stiffness of a triangle that pulls, which one that does not resists a step with
 
 
@@ -50,8 +51,10 @@ def fall_back(u, mesh, inertia, hold, rhs, rounds):
             old += r[i, axis] * p[i, axis]
     if old != old:
         u[:] = old  # no number, which the caller looks for
+    # Beyond what floats can tell, squares of what is left would go under.
+    end = max(u.dtype.type(SOLVED) * old, u.dtype.type(LEAST))
     for _ in range(rounds):
-        if not old > zero:
+        if not old > end:
             return
         _pulled(p, mesh, inertia, hold, q)
         down = zero

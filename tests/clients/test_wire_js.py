@@ -81,3 +81,9 @@ def test_controls_of_the_page_name_options_of_the_wire():
     named = set(re.findall(r'data-option="(\w+)"', page))
     assert "push_out" in named
     assert named <= set(wire_names(DrapeOptions).values())
+
+
+def test_ids_of_the_page_name_one_element_each():
+    ids = re.findall(r'\sid="([^"]+)"', (ROOT / "clients/web/src/index.html").read_text())
+    assert "view" in ids
+    assert len(ids) == len(set(ids))

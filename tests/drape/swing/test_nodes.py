@@ -73,5 +73,8 @@ def test_falling_back_solves_its_equation():
     free = mesh.order
     matrix = pull_matrix(mesh)[np.ix_(free, free)] + np.diag((inertia + hold)[free])
     assert_allclose(u[free], np.linalg.solve(matrix, rhs[free]), rtol=1e-6, atol=1e-9)
+    small = 1e-9 * u
+    fall_back(small, mesh, inertia, hold, 1e-9 * rhs, 500)
+    assert_allclose(small[free], 1e-9 * u[free], rtol=1e-4, atol=1e-18)  # and no rounds beyond what floats can tell
     held = np.setdiff1d(np.arange(count), free)
     assert len(held) and (u[held] == 0.0).all()
