@@ -155,6 +155,8 @@ class TrainConfig:
     ``smooth_share`` of the steps poses come as three in a row, ``smooth_step_rad`` apart in every joint but the root,
     and ``smooth_weight`` [1/m^2 J/m^2] times the mean squared second difference of the vertices joins the loss: a drape
     that minimises energy frame by frame jumps from one way out of the body to another.
+    With settled drapes at hand (training.settled) steps that take no pass lower ``settled_weight`` [1/m^2 J/m^2] times
+    the mean squared distance to those, and the share ``settled_energy`` of the energy.
     """
 
     model: ModelConfig = field(default_factory=ModelConfig)
@@ -174,6 +176,8 @@ class TrainConfig:
     smooth_share: float = 0.0
     smooth_step_rad: float = 0.01
     smooth_weight: float = 1e4
+    settled_weight: float = 1e4
+    settled_energy: float = 0.2
     checkpoint_minutes: float = 4.0
     seed: int = 0
     threads: int = 2

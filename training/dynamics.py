@@ -80,10 +80,10 @@ class DynamicTrainer(BaseTrainer):
             for part in (slice(0, HISTORY), slice(HISTORY, None))
         )
         with torch.no_grad():
-            _, history = self._drape(earlier, garment, partition, codes[:, :HISTORY].flatten(0, 1))
-            _, static_history = self._drape(earlier, garment, partition)
-            still, static = self._drape(frames, garment, partition)
-        posed, vertices = self._drape(frames, garment, partition, codes[:, HISTORY:].flatten(0, 1))
+            _, history = self.drape(earlier, garment, partition, codes[:, :HISTORY].flatten(0, 1))
+            _, static_history = self.drape(earlier, garment, partition)
+            still, static = self.drape(frames, garment, partition)
+        posed, vertices = self.drape(frames, garment, partition, codes[:, HISTORY:].flatten(0, 1))
 
         # Both drapes meet the same planes: which body vertex is nearest must not tell their energies apart.
         planes = self._planes(vertices, frames)

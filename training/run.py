@@ -35,6 +35,7 @@ from training.config import PRESETS, TrainConfig
 from training.dynamics import DynamicTrainer
 from training.poses import PoseBank, read_clips
 from training.starting import dressed, finetuned, started
+from training.targets import SettledBank
 from training.trainer import BaseTrainer, Trainer
 from training.windows import WindowBank
 
@@ -114,6 +115,7 @@ def main() -> int:
     parser.add_argument(
         "--beside", nargs="+", metavar="FILE", help="garment files, or folders of them, trained on beside the others"
     )
+    parser.add_argument("--settled", type=Path, metavar="FOLDER", help="drapes of python -m training.settled")
     parser.add_argument("--out", type=Path, default=Path("runs/shipped"), help="folder of a new run (%(default)s)")
     parser.add_argument("--from", type=Path, dest="start", help="static model to add dynamics to")
     parser.add_argument(
@@ -172,7 +174,8 @@ def _run(arguments: argparse.Namespace) -> None:
     device = torch.device(arguments.device)
     parallel.start(device)
     clips = read_clips(folders, held_out=config.data.held_out)
-    trainer = make_trainer(config, clips, device=device, weights=weights)
+    settled = None if arguments.settled is None else SettledBank(arguments.settled)
+    trainer = make_trainer(config, clips, device=device, weights=weights, settled=settled)
     count = sum(p.numel() for p in trainer.model.parameters() if p.requires_grad)
     print(f"{trainer.bank.frame_count} poses, {len(trainer.wardrobe.garments)} garments, {count} weights to learn")
     if state is not None:
@@ -188,12 +191,21 @@ def _run(arguments: argparse.Namespace) -> None:
 
 
 def make_trainer(
-    config: TrainConfig, clips: list[MotionClip], *, device: torch.device, weights: dict[str, Any] | None = None
+    config: TrainConfig,
+    clips: list[MotionClip],
+    *,
+    device: torch.device,
+    weights: dict[str, Any] | None = None,
+    settled: SettledBank | None = None,
 ) -> Trainer | DynamicTrainer:
-    """The trainer that ``config`` asks for."""
+    """The trainer that ``config`` asks for; refuses (``InputError``) ``settled`` drapes where it learns motion."""
     if config.model.dynamic:
+        if settled is not None:
+            raise InputError(
+                "--settled", expected="a static model", got="a dynamic one", cure="Train the static one first."
+            )
         return DynamicTrainer(config, WindowBank(clips, config.data, config.motion), device=device, weights=weights)
-    return Trainer(config, PoseBank(clips, config.data), device=device, weights=weights)
+    return Trainer(config, PoseBank(clips, config.data), device=device, weights=weights, settled=settled)
 
 
 def sample_motions() -> Path:

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from drape.arrays.subnormals import flushed
 from drape.body.assets import load_body
+from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_table import DEFAULT_FABRIC, fabric
 from drape.cloth.material import Material, material
 from drape.errors import ArtifactError
@@ -22,6 +23,7 @@ from training.data import BodyBatch, BodySource, Partition, TrainingGarment
 from training.fabrics import FabricBank, stretch_share
 from training.model import OneFit, Posed
 from training.poses import PoseBank, draw_betas, rows_of_three
+from training.targets import SettledBank, distance
 from training.wardrobe import Wardrobe
 
 SAMPLE_VERTICES = 384  # per step, for the disagreement of charts
@@ -96,11 +98,13 @@ class BaseTrainer:
         """The loss of a batch that is drawn now."""
         raise NotImplementedError
 
-    def _draw_fabric(self) -> None:
+    def draw_fabric(self) -> None:
         """What the garment of this step is made of."""
         if self.fabrics is not None:
-            self.fabric = self.fabrics.draw(self.rng)
-            self.material = Material.of(self.fabric)
+            self._wear(self.fabrics.draw(self.rng))
+
+    def _wear(self, made_of: Fabric) -> None:
+        self.fabric, self.material = made_of, Material.of(made_of)
 
     def _learning(self) -> list[nn.Parameter]:
         """The weights that learn."""
@@ -127,7 +131,7 @@ class BaseTrainer:
             self.wardrobe.refresh(self.rng)
         for group in self.optimiser.param_groups:
             group["lr"] = self.rate()
-        self._draw_fabric()
+        self.draw_fabric()
         self.optimiser.zero_grad(set_to_none=True)
         objective = self.objective()
         objective.loss.backward()
@@ -141,7 +145,7 @@ class BaseTrainer:
         self.optimiser.step()
         return objective.report() | {"gradient_norm": float(norm)}
 
-    def _drape(
+    def drape(
         self,
         batch: BodyBatch,
         garment: TrainingGarment,
@@ -247,7 +251,7 @@ def _widened(weights: Mapping[str, Tensor], model: OneFit) -> dict[str, Tensor]:
 
 
 class Trainer(BaseTrainer):
-    """Learns the drape of single poses from ``bank``."""
+    """Learns the drape of single poses from ``bank``; without corrections that of ``settled`` ones, where there are."""
 
     def __init__(
         self,
@@ -256,8 +260,9 @@ class Trainer(BaseTrainer):
         *,
         device: torch.device,
         weights: Mapping[str, Tensor] | None = None,
+        settled: SettledBank | None = None,
     ) -> None:
-        self.bank = bank
+        self.bank, self.settled = bank, settled
         super().__init__(config, device=device, weights=weights)
 
     def _set_statistics(self) -> None:
@@ -293,12 +298,28 @@ class Trainer(BaseTrainer):
             poses, betas = rows_of_three(poses, config.smooth_step_rad, self.rng), np.repeat(betas, 3, axis=0)
         return garment, partition, self.source.pose(poses, betas)
 
+    def _toward(self, bank: SettledBank) -> Objective:
+        """The loss of drapes without corrections beside settled ones."""
+        config = self.config
+        garment, target = bank.draw(self.wardrobe.garments, self.rng)
+        self._wear(target.fabric)
+        partition = garment.partitions[int(self.rng.integers(len(garment.partitions)))]
+        batch = self.source.pose(target.poses, target.betas)
+        posed, vertices = self.drape(batch, garment, partition, passes=0)
+        parts = self._energy(vertices, garment, self._planes(vertices, batch))
+        energy = torch.stack(list(parts.values())).sum(dim=0).mean()
+        apart, charts = distance(vertices, target, garment.cloth), self._disagreement(posed, partition)
+        found = config.settled_energy * energy + config.settled_weight * apart + config.disagreement_weight * charts
+        return Objective(found, {"settled_mm": 1e3 * apart.sqrt(), "settled_energy": energy}, charts)
+
     def objective(self) -> Objective:
         """The loss of a batch that is drawn now."""
         config = self.config
-        smooth = self._smooth()
+        passes, smooth = self._passes(), self._smooth()
+        if passes == 0 and self.settled is not None:
+            return self._toward(self.settled)
         garment, partition, batch = self._draw(in_a_row=smooth)
-        posed, vertices = self._drape(batch, garment, partition, passes=self._passes())
+        posed, vertices = self.drape(batch, garment, partition, passes=passes)
         parts = self._energy(vertices, garment, self._planes(vertices, batch))
         parts["waistband"] = losses.held_up(posed, partition, garment) / self._unit(garment)
         contact = losses.soften(parts["contact"], config.contact_knee_j_m2)

@@ -122,7 +122,7 @@ class LossTrainer(Trainer):
     def objective(self) -> Objective:
         """The weighted terms of ``self.chosen`` on a batch that is drawn now, means over it; the loss is their sum."""
         garment, partition, batch = self._draw()
-        posed, vertices = self._drape(batch, garment, partition, passes=self._passes())
+        posed, vertices = self.drape(batch, garment, partition, passes=self._passes())
         posed = replace(posed, jet=posed.jet.float())
         terms = (self._house if self.chosen.house else self._paper)(vertices, posed, garment, partition, batch)
         with torch.no_grad():

@@ -165,7 +165,7 @@ def simulated(scene: Scene) -> tuple[np.ndarray, float]:
     limit_n = TOLERANCE * cloth.weight_n
     start = scene.static[0].astype(np.float64)
     x = newton.minimum(
-        cloth, contact, posed[0], [start], step_limits=(FIRST_STEPS, FIRST_STEPS), tolerance=TOLERANCE,
+        cloth, contact, posed[0], [start], step_limit=FIRST_STEPS, tolerance=TOLERANCE,
         band=None if held is None else held.over(0, len(start)),
     ).x  # fmt: skip
     found, rested, speed = [x], 0, np.zeros_like(x)

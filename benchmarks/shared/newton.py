@@ -1,16 +1,20 @@
 """Newton's method for one drape over one posed body: conjugate gradients, charts, and a line search on the energy.
 
+Far from rest the cloth first settles under its own stiffness (``benchmarks.shared.settling``).
+
 The energy is that of ``drape.cloth.energies``, over the blended planes of ``drape.solver.body_distance``: those of the
 nearest body vertices step where a vertex comes nearer to another one, and then there is no place of rest.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
 
+from benchmarks.shared import settling
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
@@ -20,7 +24,7 @@ from drape.solver.linear import Charts
 from drape.solver.problem import Options, Problem, Surroundings, problem, surroundings
 
 REACH_M = 0.01  # the most that one step moves a vertex
-SWEEPS = 4  # of vertex block descent before the first step: they take the worst of the start away
+SWEEPS = 4  # of vertex block descent before settling and before the first step: they take the worst away
 WORST, WORST_SWEEPS = 0.05, 4  # share of the vertices, those under the most force, swept after every step, so often
 DAMPING = 1e-5  # of the diagonal blocks, on top of the Hessian
 ITERATIONS = 100  # of conjugate gradients per step, at most
@@ -34,14 +38,18 @@ COARSE_AGE = 4  # steps that an inverse on the charts serves
 STALLS, STALLED_N_PER_M = 6, 16.0  # steps one after the other that lower nothing, and the shift after the first
 COLLAPSED = 0.05  # of its area at rest: a triangle that is laid out anew where no step lowers the energy
 LAYINGS = 6
+# Rounds of settling: of every start, of the lowest, and those that go with a step, where few are wanted.
+ROUGH_ROUNDS, ROUNDS, ROUNDS_PER_STEP = 40, 400, 10
 
 
 class Cloth(NamedTuple):
-    """What does not change between poses: the flat problem, its pattern, its stiffest step, charts in float32."""
+    """What does not change between poses: the flat problem, its pattern, charts in float32, the inverse that cloth
+    settles by."""
 
     problem: Problem
     pattern: hessian.Pattern
     charts: Charts
+    solve: Callable[[np.ndarray], np.ndarray]
 
     @classmethod
     def of(cls, cloth: ClothMesh, material: Material, charts: Charts | None) -> Cloth:
@@ -49,7 +57,7 @@ class Cloth(NamedTuple):
         charts = charts or linear.no_charts(cloth.vertex_count, np.float32)
         patch, weight = charts
         single = Charts(np.ascontiguousarray(patch, dtype=np.int32), np.ascontiguousarray(weight, dtype=np.float32))
-        return cls(made, hessian.pattern(cloth), single)
+        return cls(made, hessian.pattern(cloth), single, settling.inverse(cloth, material))
 
     @property
     def weight_n(self) -> float:
@@ -111,6 +119,12 @@ class Descent:
         gradient = np.empty_like(x)
         energy = descent.energy_and_gradient(x, self.problem, self.around(x)[0], gradient)
         return Found(x, energy, gradient, False, self.steps)
+
+    def settle(self, rounds: int) -> None:
+        """Goes on as ``settling`` does, in ``rounds`` at most, from where sweeps come to."""
+        for _ in range(SWEEPS):
+            self._sweep(self.problem.order)
+        self._take(settling.settle(self.now, self.found, self.cloth.solve, rounds))
 
     def run(self, step_limit: int, tolerance_n: float) -> Found:
         """Until the norm of the force left is at most ``tolerance_n``, ``step_limit`` steps, or no step lowers it."""
@@ -262,16 +276,15 @@ def minimum(
     posed: np.ndarray,
     starts: list[np.ndarray],
     *,
-    step_limits: tuple[int, int],
+    step_limit: int,
     tolerance: float,
     band: Band | None = None,
 ) -> Found:
     """The lowest drape over ``posed`` (Vb, 3) from ``starts`` (each V, 3), and never above the lowest of them.
 
-    Every start takes the first of ``step_limits`` at most; the lowest of them goes on to rest, where the force left is
-    at most ``tolerance`` of the weight, or until it has taken the second.
+    Every start settles a little; the lowest of them settles on, and goes by Newton's method to rest, where the force
+    left is at most ``tolerance`` of the weight, or until it has taken ``step_limit`` steps.
     """
-    rough, most = step_limits
     limit_n = tolerance * cloth.weight_n
     descents = [Descent(cloth, contact, posed, start, band=band) for start in starts]
     finite = [one for one in descents if np.isfinite(one.start_j)]
@@ -279,7 +292,8 @@ def minimum(
         return descents[0].best
     if len(finite) > 1:
         for one in finite:
-            one.run(min(rough, most), limit_n)
+            one.settle(min(ROUGH_ROUNDS, ROUNDS_PER_STEP * step_limit))
     lowest = min(finite, key=lambda one: one.best.energy)
     lowest.start_j = min(one.start_j for one in finite)
-    return lowest.run(most, limit_n)
+    lowest.settle(min(ROUNDS, ROUNDS_PER_STEP * step_limit))
+    return lowest.run(step_limit, limit_n)

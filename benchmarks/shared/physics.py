@@ -27,7 +27,7 @@ from drape.geometry import meshes
 from drape.solver.body_distance import blended_distance
 from drape.solver.linear import Charts
 
-STEPS, ROUGH_STEPS = 250, 8  # at most; those that every start takes before the lowest goes on
+STEPS = 250  # at most
 TOLERANCE = 0.01  # of the weight: the norm of the force left at rest
 LEFT_LIMIT_J_M2 = 0.05  # skinning costs 1 to 5 J per m^2 of cloth
 
@@ -162,7 +162,7 @@ def minimise(task: Task, *, step_limit: int = STEPS, tolerance: float = TOLERANC
                 task.contact,
                 posed,
                 own,
-                step_limits=(ROUGH_STEPS, step_limit),
+                step_limit=step_limit,
                 tolerance=tolerance,
                 band=task.held.over(frame, task.cloth.vertex_count) if task.held else None,
             )

@@ -20,9 +20,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from benchmarks.shared import common, newton, physics
+from benchmarks.shared import common, newton, physics, settling
 from benchmarks.shared.physics import Optimum, Task
 from drape.cloth import contact, energies, waistband
+from drape.folds import whole
 from drape.geometry import meshes
 from drape.solver import body_distance, descent, elements, hessian, linear, problem
 
@@ -32,7 +33,8 @@ if TYPE_CHECKING:
 T = TypeVar("T", bound="DataclassInstance")
 CACHE_DIR = common.ROOT / "runs" / "physics_cache"  # ignored by git
 SOURCES: tuple[ModuleType, ...] = (
-    physics, newton, energies, contact, waistband, meshes, body_distance, descent, elements, hessian, linear, problem,
+    physics, newton, settling, whole, energies, contact, waistband, meshes, body_distance, descent, elements, hessian,
+    linear, problem,
 )  # fmt: skip
 
 

@@ -43,6 +43,7 @@ def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) 
     touched = follow(network, frame.skin, dressed.graph, past.touched)
     stiff = 0.5 * float(dressed.material.membrane[0] + dressed.material.membrane[1]) > STIFF_N_PER_M
     pace = paced(effort.sweeps, calmness(past.network, network), stiff=stiff)
+    momentum = pace.momentum if memory else effort.momentum
     made = problem(dressed.cloth, dressed.material, dtype=np.float64)
     made = made._replace(hinges=made.creases)  # the others bend by the quadratic matrix
     held, slack = dressed.band_n_per_m, np.full(len(network), made.constants.slack)
@@ -54,14 +55,14 @@ def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) 
         around = touching(made, dressed, x, frame.skin, here)
         around = around._replace(own=around.own._replace(band=network, band_n_per_m=held), slack=slack)
         for _ in range(pace.steps):
-            ahead = x + pace.momentum * _limited(way, float(made.constants.reach))
+            ahead = x + momentum * _limited(way, float(made.constants.reach))
             ahead = ahead + whole_step(dressed, made, around, ahead, pace.share)
             x, way = ahead, ahead - x
         for _ in range(pace.sweeps):
             if pace.steps:
                 x = sweep(x, made, around)
                 continue
-            ahead = sweep(x + pace.momentum * _limited(way, float(made.constants.reach)), made, around)
+            ahead = sweep(x + momentum * _limited(way, float(made.constants.reach)), made, around)
             x, way = ahead, ahead - x
     residual, velocity = _to_local(frames, x - network), _to_local(frames, way) / step_s
     return x, Memory(frame.time_s, network, residual, velocity, touched, (past.turn + 1) % TURNS)

@@ -85,11 +85,13 @@ class Effort:
 
     In fast motion ``paced`` tells how much of either there is.
     ``cloth_contact``: whether the cloth keeps to the room that the network's drape leaves between its sheets.
+    ``momentum``: of a frame without a past. With 0.98 sixty rounds come as far as five hundred with 0.9.
     """
 
     sweeps: int
     settle: int = 8
     cloth_contact: bool = False
+    momentum: float = MOMENTUM
 
 
 def fold(
@@ -145,8 +147,9 @@ def _advanced(
     calm = calmness(past.network[place], network[place])
     k = constants.sheet.constants
     pace = paced(effort.sweeps, calm, stiff=float(k.warp + k.weft) > STIFF_N_PER_M)  # each is half of the fabric's
+    momentum = effort.momentum if settled else pace.momentum
     numbers = Numbers(
-        dtype(step_s), dtype(pace.momentum), dtype(pace.share), rounds, pace.steps, pace.sweeps,
+        dtype(step_s), dtype(momentum), dtype(pace.share), rounds, pace.steps, pace.sweeps,
         -1 if settled else past.turn, effort.cloth_contact,
     )  # fmt: skip
     cloth = Cloth(constants.sheet, constants.level, constants.graph, constants.near)

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from drape.artifacts import load_manifest
-from drape.body.assets import load_body
+from drape.artifacts import MODELS_DIR, load_manifest
 from drape.body.pose_support import read_pose_support
 from drape.errors import ArtifactError, NotFound
 from tests.fixtures.poses import smooth_motion
-from tests.fixtures.tiny_model import write_tiny_model
 from training import pose_support
 from training.poses import mirrored
 
@@ -38,7 +37,7 @@ def test_seen_poses_and_their_mirror_images_are_within_and_so_are_99_of_100_unse
 
 
 def test_it_goes_into_the_manifest_and_a_changed_file_is_refused(tmp_path: Path, monkeypatch):
-    folder = write_tiny_model(tmp_path, load_body())
+    folder = Path(shutil.copytree(MODELS_DIR / "onefit", tmp_path / "onefit"))
     made = pose_support.support_of(poses(20), poses(20, 3.0))
     pose_support.write_support(folder, made)
     spec = load_manifest(folder).poses

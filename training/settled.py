@@ -1,0 +1,141 @@
+"""Targets for drapes without corrections: where the solver of folds comes to from the network's own drape.
+
+    python -m training.settled --model onefit --beside runs/sewn_garments --out runs/settled --minutes 40
+    python -m training.run --finetune onefit --beside runs/sewn_garments --settled runs/settled --out runs/settled_model
+
+Patches cannot fold. Where cloth has too much length they are pushed together, and in energy that costs as much as being
+stretched: a smooth drape of least energy hangs the same in all fabrics. Cloth that may fold hangs by what it weighs and
+by how it stretches, so its solver is let go on until it rests, with neither leash nor push-out, and the network learns
+the place of that, which in the mean of squares is the smooth part of it.
+
+A file holds some poses of one garment in one fabric, drawn as those of a training step are.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from drape.arrays.subnormals import flushed
+from drape.body.model import BodyModel
+from drape.catalog import find_garments
+from drape.cloth.energies import ClothMesh
+from drape.cloth.fabric import Fabric
+from drape.cloth.material import Material
+from drape.cloth.waistband import STIFFNESS_N_M2
+from drape.errors import refusing
+from drape.files.data import data_folder
+from drape.folds.constants import Constants, Dressed
+from drape.folds.contact import nearest_at_rest, skin_graph
+from drape.folds.step import Effort, Frame, fold
+from drape.push.skin import body_skin
+from training.data import TrainingGarment
+from training.poses import PoseBank, draw_betas, read_clips
+from training.starting import finetuned
+from training.targets import Settled, digest
+from training.trainer import Trainer
+
+EFFORT = Effort(sweeps=2, settle=40, momentum=0.98)
+FRAMES = 6  # of a file: the constants of a garment in a fabric cost as much as one
+
+
+class Settler:
+    """Lets drapes on ``body`` go on until they rest."""
+
+    def __init__(self, body: BodyModel) -> None:
+        self._skin = body_skin(body)
+        self._graph = skin_graph(self._skin)
+
+    def constants(self, garment: TrainingGarment, fabric: Fabric) -> Constants:
+        """The constants of folds, held at the waistband alone."""
+        moved = {
+            item.name: value.numpy().astype(np.float64 if value.is_floating_point() else np.int64)
+            for item in dataclasses.fields(ClothMesh)
+            if isinstance(value := getattr(garment.cloth, item.name), Tensor)
+        }
+        cloth, held = replace(garment.cloth, **moved), np.zeros(len(garment.rest.vertices))
+        if garment.band is not None:
+            vertex, length_m = garment.band
+            held[vertex.numpy()] = STIFFNESS_N_M2 * length_m.numpy()
+        index = nearest_at_rest(garment.rest.vertices, self._skin)
+        return Constants.of(Dressed(cloth, Material.of(fabric), held, self._graph, index))
+
+    def settled(self, constants: Constants, vertices: np.ndarray, skin: np.ndarray) -> np.ndarray:
+        """Where ``vertices`` [m] (F, V, 3) come to on bodies of samples ``skin`` (F, ..., 8), relative to one origin.
+
+        A drape that is lost on the way is not finite.
+        """
+        found = []
+        for start, samples in zip(vertices, skin.reshape(len(skin), -1, skin.shape[-1]), strict=True):
+            x, _, report = fold(constants, None, Frame(start, samples, 0.0), EFFORT)
+            found.append(np.full_like(start, np.nan) if report.reset else x)
+        return np.stack(found).astype(np.float32)
+
+
+def make(trainer: Trainer, settler: Settler) -> Settled | None:
+    """A garment, a fabric and poses as ``trainer`` draws them, settled; None where one of the drapes is lost."""
+    rng, config = trainer.rng, trainer.config
+    trainer.draw_fabric()
+    assert trainer.fabric is not None
+    garment, partition = trainer.wardrobe.draw(rng)
+    poses, betas = trainer.bank.draw(FRAMES, rng), draw_betas(FRAMES, trainer.body.shape_count, config.data, rng)
+    with torch.no_grad():
+        body = trainer.source.pose(poses, betas)
+        _, start = trainer.drape(body, garment, partition, passes=0)
+    assert body.tensors.skin is not None
+    made = settler.constants(garment, trainer.fabric)
+    vertices = settler.settled(made, start.numpy(), body.tensors.skin.numpy())
+    if not np.isfinite(vertices).all():
+        return None
+    return Settled(garment.name, digest(garment), trainer.fabric, poses, betas, vertices)
+
+
+@refusing
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line entry."""
+    parser = argparse.ArgumentParser(
+        prog="python -m training.settled", description="Drapes of a model, let go on until they rest."
+    )
+    parser.add_argument("--model", type=Path, required=True, help="whose drapes, as of training.run --finetune")
+    parser.add_argument("--garment", nargs="+", help="as of training.run")
+    parser.add_argument("--beside", nargs="+", metavar="FILE", help="as of training.run")
+    parser.add_argument("--motions", type=Path, nargs="*", help="folders of motion files; default DRAPE_DATA/motions")
+    parser.add_argument("--minutes", type=float, default=40.0)
+    parser.add_argument("--seed", type=int, default=1, help="another one makes other files")
+    parser.add_argument("--out", type=Path, required=True)
+    options = parser.parse_args(arguments)
+    torch.set_num_threads(1)
+    config, weights = finetuned(options.model, options.garment)
+    if options.beside:
+        files = [str(path) for path in find_garments(options.beside)]
+        config = replace(config, data=replace(config.data, garments=(*config.data.garments, *files)))
+    folders = options.motions or [folder for folder in [data_folder("motions")] if folder is not None]
+    bank = PoseBank(read_clips(folders, held_out=config.data.held_out), config.data)
+    options.out.mkdir(parents=True, exist_ok=True)
+    count, lost = 0, 0
+    with flushed():
+        trainer = Trainer(config, bank, device=torch.device("cpu"), weights=weights)
+        trainer.rng = np.random.default_rng((options.seed, 77))  # garments stay those of the configuration
+        settler, begun = Settler(trainer.body), time.monotonic()
+        while time.monotonic() - begun < 60.0 * options.minutes:
+            found = make(trainer, settler)
+            if found is None:
+                lost += 1
+                continue
+            found.save(options.out / f"{options.seed:03d}_{count:06d}.npz")
+            count += 1
+    print(f"{count} files of {FRAMES} drapes, {lost} lost")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,106 @@
+"""Settled drapes as files: what training.settled makes and a trainer learns from."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from drape.cloth.energies import ClothMesh
+from drape.cloth.fabric import Fabric
+from drape.errors import ArtifactError, InputError, NotFound
+from training.data import TrainingGarment
+
+TRIES = 64
+
+
+@dataclass(frozen=True, eq=False)
+class Settled:
+    """``vertices`` [m] (F, V, 3) relative to the root, at ``poses`` (F, 24, 3) [rad] of bodies ``betas`` (F, S), of the
+    training garment ``garment`` made of ``fabric``; ``digest`` of that garment's rest mesh."""
+
+    garment: str
+    digest: int
+    fabric: Fabric
+    poses: np.ndarray
+    betas: np.ndarray
+    vertices: np.ndarray
+
+    def save(self, path: Path) -> None:
+        """Writes ``path``, whole or not at all."""
+        said = {"garment": self.garment, "digest": self.digest, "fabric": dataclasses.asdict(self.fabric)}
+        part = path.with_name(path.name + ".part")
+        with part.open("wb") as file:
+            np.savez(file, said=json.dumps(said), poses=self.poses, betas=self.betas, vertices=self.vertices)
+        os.replace(part, path)
+
+    @classmethod
+    def read(cls, path: Path) -> Settled:
+        """What ``path`` holds; refuses (``ArtifactError``) what was not written here."""
+        try:
+            with np.load(path, allow_pickle=False) as found:
+                said = json.loads(str(found["said"]))
+                arrays = {name: found[name] for name in ("poses", "betas", "vertices")}
+                return cls(said["garment"], said["digest"], Fabric(**said["fabric"]), **arrays)
+        except (OSError, ValueError, KeyError, TypeError, InputError) as error:
+            raise ArtifactError(
+                f"settled drapes {path.name}",
+                expected="a file of python -m training.settled",
+                got=str(error)[:200],
+                cure="Delete it, or make the folder anew.",
+            ) from error
+
+
+def digest(garment: TrainingGarment) -> int:
+    """A checksum of the rest mesh: targets are of its vertices."""
+    rest = np.ascontiguousarray(garment.rest.vertices.astype(np.float32))
+    return zlib.crc32(garment.rest.faces.astype(np.int64).tobytes(), zlib.crc32(rest.tobytes()))
+
+
+class SettledBank:
+    """The files of a folder, to which others may be added while training runs."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        if not self._files():
+            raise NotFound(
+                "settled drapes",
+                expected="files made by python -m training.settled",
+                got=f"none in {folder.name}",
+                cure="Make some first.",
+            )
+
+    def _files(self) -> list[Path]:
+        return sorted(self.folder.glob("*.npz"))
+
+    def draw(self, garments: Sequence[TrainingGarment], rng: np.random.Generator) -> tuple[TrainingGarment, Settled]:
+        """One of the files that are of ``garments``, and which; refuses (``ArtifactError``) a folder with hardly any.
+
+        Processes of a parallel run have neighbours of the designs of their own, of which there are no files.
+        """
+        files, known = self._files(), {(garment.name, digest(garment)): garment for garment in garments}
+        for _ in range(TRIES):
+            found = Settled.read(files[int(rng.integers(len(files)))])
+            if (garment := known.get((found.garment, found.digest))) is not None:
+                return garment, found
+        raise ArtifactError(
+            "settled drapes",
+            expected="of the garments of this run, cut by the same seed",
+            got=found.garment,
+            cure="Make them with the same --model, --beside and --garment.",
+        )
+
+
+def distance(vertices: Tensor, settled: Settled, cloth: ClothMesh) -> Tensor:
+    """Mean squared distance [m^2] of ``vertices`` (F, V, 3) to the settled ones, by area of the ``cloth`` at rest."""
+    target = torch.from_numpy(settled.vertices).to(vertices)
+    area = cloth.vertex_area / cloth.vertex_area.sum()
+    return ((vertices - target).square().sum(dim=-1) @ area).mean()
