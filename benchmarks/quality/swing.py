@@ -5,9 +5,9 @@
 
 The turn on the spot (``spin``): from rest to ``--rate`` turns a second in 0.75 s, held for 1.25 s, stopped in 0.3 s.
 Methods: ``static``, the network's drape of every pose; ``network``, with what it has learned of motion; ``swing``, the
-nodes of ``drape.swing``; ``swing_folds``, two steps of folds on that; ``simulator``: the fabric's full mesh by implicit
-Euler, each frame the minimum of energy, contact and inertia by Newton's method (``benchmarks.shared.newton``), with the
-same air and damping and without friction. It starts at the physics optimum of the first pose.
+nodes of ``drape.swing``; ``swing_folds``, two steps of folds on that; ``simulator``: the fabric's full mesh with the
+fabric's friction on the skin, the same air and damping (``benchmarks.quality.simulator``); ``slippery``: the same
+without friction, whose cloth slips around the hips. Both start at the physics optimum of the first pose.
 
 ``rise_mm`` is the most that the hem's mean height rises over that of the first frames, ``share`` of the simulator's.
 ``error_mm``: mean distance of the hem's twelve parts' middles from the simulator's. ``jitter_ratio`` over static's.
@@ -25,15 +25,14 @@ import numpy as np
 import torch
 
 from benchmarks.quality.hem import hem_vertices
-from benchmarks.shared import common, newton
+from benchmarks.quality.simulator import Motion, Sheet, simulate
+from benchmarks.shared import common
 from benchmarks.shared.network import Network, add_precision
-from benchmarks.shared.newton import Cloth, Descent
-from benchmarks.shared.physics import Held, held_by_waist
+from benchmarks.shared.physics import held_by_waist
 from drape.artifacts import model_folder
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, find_motions, open_garment
-from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_table import fabric
@@ -43,14 +42,12 @@ from drape.folds.constants import constants as fold_constants
 from drape.folds.constants import delivered_rest
 from drape.folds.step import Effort, Frame, fold
 from drape.garment.cache import Garment
-from drape.geometry import meshes
 from drape.graph.feeds import kinematics
 from drape.graph.packing import pack_body
 from drape.motion.readers import read_motion
 from drape.push.skin import shaped_skin
-from drape.solver.problem import Surroundings
 from drape.swing.constants import constants as swing_constants
-from drape.swing.step import AIR_KG_M3, swing
+from drape.swing.step import swing
 from service.engine import Engine
 from service.packing import Packer, ScenePlan
 from service.runtime import Device
@@ -58,11 +55,10 @@ from service.stages.motion import Memory, Moment, advance
 
 SPIN, TURNS_PER_S = "spin", 1.0
 FPS, SECONDS, QUICK_SECONDS = 30.0, 4.5, 1.5
-FIRST_STEPS, STEPS, TOLERANCE = 120, 12, 0.01  # of Newton's method; force left over the weight
 PARTS, STILL_FRAMES = 12, 10
 COLUMNS = {
     "garment": "s", "fabric": "s", "clip": "s", "method": "s", "ms": ".2f", "rise_mm": ".1f", "share": ".2f",
-    "error_mm": ".1f", "hem_mm": ".1f", "jitter_ratio": ".2f", "at_rest_pct": ".0f",
+    "slippery_share": ".2f", "error_mm": ".1f", "hem_mm": ".1f", "jitter_ratio": ".2f", "at_rest_pct": ".0f",
 }  # fmt: skip
 
 
@@ -138,61 +134,14 @@ def swung(scene: Scene, *, folds: int) -> tuple[np.ndarray, float]:
     return np.stack(found), float(np.median(ms))
 
 
-class Moving(Descent):
-    """One frame of the simulator: ``target`` [m] (V, 3) is where inertia leads, ``n_per_m`` (V,) mass over h^2."""
-
-    def __init__(self, *inputs: Any, target: np.ndarray, n_per_m: np.ndarray, **others: Any) -> None:
-        self._target, self._n_per_m = target, n_per_m
-        super().__init__(*inputs, **others)
-
-    def around(self, x: np.ndarray) -> tuple[Surroundings, np.ndarray]:
-        planes, bend = super().around(x)
-        return planes._replace(target=self._target, target_n_per_m=self._n_per_m), bend
-
-
-def simulated(scene: Scene) -> tuple[np.ndarray, float]:
-    """The full mesh's motion relative to the root, and the share [%] of frames that came to rest."""
+def simulated(scene: Scene, *, friction: float) -> tuple[np.ndarray, float]:
+    """What ``benchmarks.quality.simulator`` makes of it."""
     garment, clip, body = scene.garment, scene.clip, scene.body
     mesh = ClothMesh.of(delivered_rest(garment), garment.faces.astype(np.int64), garment.vertex_count)
-    material = Material.of(scene.fabric)
-    cloth = Cloth.of(mesh, material, None)
-    contact = BodyContact(body.faces, body.vertex_count)
-    posed = body.posed_vertices(clip.poses)
-    held = _held(scene)
-    n_per_m = mesh.vertex_mass(material) * FPS**2
     made = swing_constants(garment, body, scene.fabric)
-    damping = 0.0 if made is None else made.damping_per_s
-    limit_n = TOLERANCE * cloth.weight_n
-    start = scene.static[0].astype(np.float64)
-    x = newton.minimum(
-        cloth, contact, posed[0], [start], step_limit=FIRST_STEPS, tolerance=TOLERANCE,
-        band=None if held is None else held.over(0, len(start)),
-    ).x  # fmt: skip
-    found, rested, speed = [x], 0, np.zeros_like(x)
-    for i in range(1, len(clip.poses)):
-        before = x - (clip.trans[i] - clip.trans[i - 1])
-        ahead = before + _slowed(speed, before, mesh, material, damping) / FPS
-        step = Moving(
-            cloth, contact, posed[i], ahead, band=None if held is None else held.over(i, len(x)),
-            target=ahead, n_per_m=n_per_m,
-        ).run(STEPS, limit_n)  # fmt: skip
-        x, rested = step.x, rested + step.at_rest
-        speed = (x - before) * FPS
-        found.append(x)
-    return np.stack(found), 100.0 * rested / (len(found) - 1)
-
-
-def _slowed(speed: np.ndarray, x: np.ndarray, mesh: ClothMesh, material: Material, damping: float) -> np.ndarray:
-    """``speed`` [m/s] (V, 3) after a frame of air and damping, as in ``drape.swing.step``."""
-    speed = speed / (1.0 + damping / FPS)
-    normal = np.asarray(meshes.vertex_normals(x, mesh.faces))
-    wind = (speed * normal).sum(axis=1, keepdims=True)
-    slow = AIR_KG_M3 / float(material.density_kg_m2) * np.abs(wind) / FPS
-    return speed - wind * slow / (1.0 + slow) * normal
-
-
-def _held(scene: Scene) -> Held | None:
-    return held_by_waist(scene.garment, scene.body, scene.static)
+    sheet = Sheet(mesh, Material.of(scene.fabric), friction, 0.0 if made is None else made.damping_per_s)
+    motion = Motion(body, clip.poses, clip.trans, FPS)
+    return simulate(sheet, motion, scene.static[0].astype(np.float64), held_by_waist(garment, body, scene.static))
 
 
 def hem_parts(x: np.ndarray, scene: Scene) -> np.ndarray:
@@ -221,25 +170,30 @@ def figures(x: np.ndarray, scene: Scene, simulator: np.ndarray | None) -> dict[s
     return row
 
 
-def measure(scene: Scene, engine: Engine, *, simulate: bool) -> list[dict[str, Any]]:
+def measure(scene: Scene, engine: Engine, *, judged: bool) -> list[dict[str, Any]]:
     """The rows of a scene."""
     named = {"garment": scene.garment.name, "fabric": scene.fabric.name, "clip": scene.clip.name}
-    simulator, rested = simulated(scene) if simulate else (None, None)
+    simulators = {}
+    if judged:
+        simulators = {
+            "simulator": simulated(scene, friction=scene.fabric.friction), "slippery": simulated(scene, friction=0.0)
+        }  # fmt: skip
+    simulator = simulators["simulator"][0] if judged else None
     swinging, ms = swung(scene, folds=0)
     drapes = {
         "static": scene.static, "network": learned(scene, engine), "swing": swinging,
         "swing_folds": swung(scene, folds=2)[0],
     }  # fmt: skip
-    if simulator is not None:
-        drapes["simulator"] = simulator
+    drapes |= {name: x for name, (x, _) in simulators.items()}
     rows = [{**named, "method": name, **figures(x, scene, simulator)} for name, x in drapes.items()]
     for row in rows:
         if row["method"] == "swing":
             row["ms"] = ms
-        if simulator is not None:
-            row["share"] = row["rise_mm"] / rows[-1]["rise_mm"]
-    if rested is not None:
-        rows[-1]["at_rest_pct"] = rested
+        if row["method"] in simulators:
+            row["at_rest_pct"] = simulators[row["method"]][1]
+        for key, name in (("share", "simulator"), ("slippery_share", "slippery")):
+            if judged:
+                row[key] = row["rise_mm"] / next(one["rise_mm"] for one in rows if one["method"] == name)
     return rows
 
 
@@ -283,6 +237,6 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
         for cloth in map(fabric, options.fabrics):
             for clip in clips_of(options):
                 scene = Scene.of(garment, body, cloth, clip, network)
-                rows += measure(scene, engine, simulate=not options.no_simulator)
-                common.print_table(rows[-5:], COLUMNS)
+                rows += measure(scene, engine, judged=not options.no_simulator)
+                common.print_table(rows[-6:], COLUMNS)
     return common.finish("swing", rows, options, fps=FPS, model=options.model)
