@@ -156,7 +156,7 @@ class TrainConfig:
     and ``smooth_weight`` [1/m^2 J/m^2] times the mean squared second difference of the vertices joins the loss: a drape
     that minimises energy frame by frame jumps from one way out of the body to another.
     With settled drapes at hand (training.settled) steps that take no pass lower ``settled_weight`` [1/m^2 J/m^2] times
-    the mean squared distance to those, and the share ``settled_energy`` of the energy.
+    the mean squared distance to those, contact, and the share ``settled_energy`` of the rest of the energy.
     """
 
     model: ModelConfig = field(default_factory=ModelConfig)

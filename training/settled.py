@@ -5,8 +5,8 @@
 
 Patches cannot fold. Where cloth has too much length they are pushed together, and in energy that costs as much as being
 stretched: a smooth drape of least energy hangs the same in all fabrics. Cloth that may fold hangs by what it weighs and
-by how it stretches, so its solver is let go on until it rests, with neither leash nor push-out, and the network learns
-the place of that, which in the mean of squares is the smooth part of it.
+by how it stretches, so its solver is let go on until it rests, free but for where it lies on the skin, and the network
+learns the place of that, which in the mean of squares is the smooth part of it.
 
 A file holds some poses of one garment in one fabric, drawn as those of a training step are.
 """
@@ -34,7 +34,7 @@ from drape.cloth.material import Material
 from drape.cloth.waistband import STIFFNESS_N_M2
 from drape.errors import refusing
 from drape.files.data import data_folder
-from drape.folds.constants import Constants, Dressed
+from drape.folds.constants import LEASH_N_M3, Constants, Dressed
 from drape.folds.contact import nearest_at_rest, skin_graph
 from drape.folds.step import Effort, Frame, fold
 from drape.push.skin import body_skin
@@ -45,6 +45,9 @@ from training.targets import Settled, digest
 from training.trainer import Trainer
 
 EFFORT = Effort(sweeps=2, settle=40, momentum=0.98)
+# Over the skin at rest: below, cloth keeps to a centimetre of the network's place; above, it goes where it wants.
+# Without any hold collars slip over a shoulder.
+LYING_M, FREE_M = 0.01, 0.025
 FRAMES = 6  # of a file: the constants of a garment in a fabric cost as much as one
 
 
@@ -56,17 +59,18 @@ class Settler:
         self._graph = skin_graph(self._skin)
 
     def constants(self, garment: TrainingGarment, fabric: Fabric) -> Constants:
-        """The constants of folds, held at the waistband alone."""
+        """The constants of folds, held at the waistband and, for want of friction, where cloth lies on the skin."""
         moved = {
             item.name: value.numpy().astype(np.float64 if value.is_floating_point() else np.int64)
             for item in dataclasses.fields(ClothMesh)
             if isinstance(value := getattr(garment.cloth, item.name), Tensor)
         }
-        cloth, held = replace(garment.cloth, **moved), np.zeros(len(garment.rest.vertices))
+        cloth, index = replace(garment.cloth, **moved), nearest_at_rest(garment.rest.vertices, self._skin)
+        height_m = ((garment.rest.vertices - self._skin.point[index]) * self._skin.normal[index]).sum(axis=1)
+        held = LEASH_N_M3 * cloth.vertex_area * np.clip((FREE_M - height_m) / (FREE_M - LYING_M), 0.0, 1.0)
         if garment.band is not None:
             vertex, length_m = garment.band
-            held[vertex.numpy()] = STIFFNESS_N_M2 * length_m.numpy()
-        index = nearest_at_rest(garment.rest.vertices, self._skin)
+            held[vertex.numpy()] += STIFFNESS_N_M2 * length_m.numpy()
         return Constants.of(Dressed(cloth, Material.of(fabric), held, self._graph, index))
 
     def settled(self, constants: Constants, vertices: np.ndarray, skin: np.ndarray) -> np.ndarray:

@@ -307,10 +307,13 @@ class Trainer(BaseTrainer):
         batch = self.source.pose(target.poses, target.betas)
         posed, vertices = self.drape(batch, garment, partition, passes=0)
         parts = self._energy(vertices, garment, self._planes(vertices, batch))
+        contact = losses.soften(parts.pop("contact"), config.contact_knee_j_m2).mean()
         energy = torch.stack(list(parts.values())).sum(dim=0).mean()
         apart, charts = distance(vertices, target, garment.cloth), self._disagreement(posed, partition)
-        found = config.settled_energy * energy + config.settled_weight * apart + config.disagreement_weight * charts
-        return Objective(found, {"settled_mm": 1e3 * apart.sqrt(), "settled_energy": energy}, charts)
+        # The mean of a cloth that folds on the skin lies below it: contact counts in full.
+        found = config.settled_weight * apart + config.settled_energy * energy + contact
+        means = {"settled_mm": 1e3 * apart.sqrt(), "settled_energy": energy, "settled_contact": contact}
+        return Objective(found + config.disagreement_weight * charts, means, charts)
 
     def objective(self) -> Objective:
         """The loss of a batch that is drawn now."""
