@@ -34,7 +34,7 @@ from drape.cloth.material import Material
 from drape.cloth.waistband import STIFFNESS_N_M2
 from drape.errors import refusing
 from drape.files.data import data_folder
-from drape.folds.constants import LEASH_N_M3, Constants, Dressed
+from drape.folds.constants import Constants, Dressed, leash_n_per_m
 from drape.folds.contact import nearest_at_rest, skin_graph
 from drape.folds.step import Effort, Frame, fold
 from drape.push.skin import body_skin
@@ -44,10 +44,7 @@ from training.starting import finetuned
 from training.targets import Settled, digest
 from training.trainer import Trainer
 
-EFFORT = Effort(sweeps=2, settle=40, momentum=0.98)
-# Over the skin at rest: below, cloth keeps to a centimetre of the network's place; above, it goes where it wants.
-# Without any hold collars slip over a shoulder.
-LYING_M, FREE_M = 0.01, 0.025
+EFFORT = Effort(sweeps=2, settle=40)
 FRAMES = 6  # of a file: the constants of a garment in a fabric cost as much as one
 
 
@@ -59,15 +56,14 @@ class Settler:
         self._graph = skin_graph(self._skin)
 
     def constants(self, garment: TrainingGarment, fabric: Fabric) -> Constants:
-        """The constants of folds, held at the waistband and, for want of friction, where cloth lies on the skin."""
+        """The constants of folds on the training mesh."""
         moved = {
             item.name: value.numpy().astype(np.float64 if value.is_floating_point() else np.int64)
             for item in dataclasses.fields(ClothMesh)
             if isinstance(value := getattr(garment.cloth, item.name), Tensor)
         }
         cloth, index = replace(garment.cloth, **moved), nearest_at_rest(garment.rest.vertices, self._skin)
-        height_m = ((garment.rest.vertices - self._skin.point[index]) * self._skin.normal[index]).sum(axis=1)
-        held = LEASH_N_M3 * cloth.vertex_area * np.clip((FREE_M - height_m) / (FREE_M - LYING_M), 0.0, 1.0)
+        held = leash_n_per_m(garment.rest.vertices, cloth.vertex_area, self._skin, index)
         if garment.band is not None:
             vertex, length_m = garment.band
             held[vertex.numpy()] += STIFFNESS_N_M2 * length_m.numpy()

@@ -19,11 +19,13 @@ from drape.folds.sheet import Sheet, sheet
 from drape.folds.whole import Whole, whole
 from drape.garment.cache import Garment
 from drape.garment.rest_detail import cloth_of, rest_of
+from drape.push.samples import Samples
 from drape.push.skin import body_skin
 
 # Without friction a neckline slips over the shoulder within seconds. Of cloth of 0.2 kg/m^2 this holds up the weight
-# with 2 mm, past the centimetre that is free.
+# with 2 mm, past the centimetre that is free: all of it where cloth lies on the skin at rest, the least where it hangs.
 LEASH_N_M3 = 1000.0
+LYING_M, HANGING_M, LEAST = 0.01, 0.025, 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,18 +80,29 @@ def dressed(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> 
     count = garment.vertex_count
     vertices, faces = garment.vertices[:count].astype(np.float64), garment.faces.astype(np.int64)
     cloth = ClothMesh.of(delivered_rest(garment), faces, count)
-    held = LEASH_N_M3 * cloth.vertex_area
+    skin = body_skin(body)
+    index = nearest_at_rest(vertices, skin)
+    held = leash_n_per_m(vertices, cloth.vertex_area, skin, index)
     band = waistband(vertices, faces, body)
     if band is not None:
         held[band.vertex] += STIFFNESS_N_M2 * band.length_m
-    skin = body_skin(body)
     return Dressed(
         cloth=cloth,
         material=Material.of(fabric_named(garment.fabric) if fabric is None else fabric),
         band_n_per_m=held,
         graph=skin_graph(skin),
-        index=nearest_at_rest(vertices, skin),
+        index=index,
     )
+
+
+def leash_n_per_m(vertices: np.ndarray, area: np.ndarray, skin: Samples, index: np.ndarray) -> np.ndarray:
+    """How stiff [N/m] (V,) each of ``vertices`` [m] (V, 3) at rest is held past its slack, with ``area`` [m^2] (V,).
+
+    By its height over the sample ``index`` (V,) of ``skin``: what lies on the skin would be held by friction, and what
+    hangs is free to hang as its fabric does.
+    """
+    height_m = ((vertices - skin.point[index]) * skin.normal[index]).sum(axis=1)
+    return LEASH_N_M3 * area * np.clip((HANGING_M - height_m) / (HANGING_M - LYING_M), LEAST, 1.0)
 
 
 def delivered_rest(garment: Garment) -> RestState:

@@ -13,8 +13,10 @@ from drape.folds.room import HELD, LEAST_M, NEAR_M, ROOM_M, STIFFEST, TIGHT_M
 from drape.folds.sheet import ALIKE
 from drape.folds.step import (
     FIRST_STEP_S,
+    LONG_ROUNDS,
     MEND_M,
     MENDS,
+    SETTLING_MOMENTUM,
     SHORTEST_STEP_S,
     STIFF_N_PER_M,
     Effort,
@@ -43,7 +45,8 @@ def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) 
     touched = follow(network, frame.skin, dressed.graph, past.touched)
     stiff = 0.5 * float(dressed.material.membrane[0] + dressed.material.membrane[1]) > STIFF_N_PER_M
     pace = paced(effort.sweeps, calmness(past.network, network), stiff=stiff)
-    momentum = pace.momentum if memory else effort.momentum
+    long = memory is None and effort.settle >= LONG_ROUNDS
+    momentum = SETTLING_MOMENTUM if long else pace.momentum
     made = problem(dressed.cloth, dressed.material, dtype=np.float64)
     made = made._replace(hinges=made.creases)  # the others bend by the quadratic matrix
     held, slack = dressed.band_n_per_m, np.full(len(network), made.constants.slack)
