@@ -72,7 +72,7 @@ def test_every_layer_has_a_memory_of_its_own(outfit_settings: Settings):
     plan = drapery.plan(drapery.garments.scene(None, ["tube", "coat"]), apart)
     both = run(plan, [CLIP])
     assert both.memories[0].keys() == {("folds", key) for key in plan.keys}
-    inner = drapery.plan(drapery.garments.get("tube"), DrapeOptions(folds=1, push_out=False))
+    inner = drapery.plan(drapery.garments.get("tube"), apart)
     assert_array_equal(run(inner, [CLIP]).vertices, both.layers[0].vertices)
     drapery.close()
 
