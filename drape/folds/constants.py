@@ -33,7 +33,7 @@ class Dressed:
     """A ``cloth`` of ``material`` on a body, in the order of its vertices: what constants are made of.
 
     ``band_n_per_m`` (V,): how stiff a vertex is held within a centimetre of where the network has it, most at a
-    waistband; ``graph`` of the body's skin samples, and the nearest one ``index`` (V,) at rest.
+    waistband; ``graph`` of the body's skin samples, and the nearest one ``index`` (V,) at rest; ``friction`` with it.
     """
 
     cloth: ClothMesh
@@ -41,18 +41,20 @@ class Dressed:
     band_n_per_m: np.ndarray
     graph: SkinGraph
     index: np.ndarray
+    friction: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Constants:
     """What the kernels read: tables, the whole's factor, skin; the sample ``index`` (P,) nearest to a place at
-    rest; what is ``near`` along the cloth."""
+    rest; what is ``near`` along the cloth; ``friction`` with the skin."""
 
     sheet: Sheet
     level: Whole
     graph: SkinGraph
     index: np.ndarray
     near: Near
+    friction: float
 
     @classmethod
     def of(cls, dressed: Dressed, *, dtype: type[np.floating] = np.float32) -> Constants:
@@ -62,7 +64,7 @@ class Constants:
         graph = dressed.graph._replace(
             reach_m2=dressed.graph.reach_m2.astype(dtype), rest=dressed.graph.rest.astype(dtype)
         )
-        return cls(made, level, graph, dressed.index[made.vertex], near_along(dressed.cloth))
+        return cls(made, level, graph, dressed.index[made.vertex], near_along(dressed.cloth), dressed.friction)
 
     @property
     def nbytes(self) -> int:
@@ -86,12 +88,14 @@ def dressed(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> 
     band = waistband(vertices, faces, body)
     if band is not None:
         held[band.vertex] += STIFFNESS_N_M2 * band.length_m
+    fabric = fabric_named(garment.fabric) if fabric is None else fabric
     return Dressed(
         cloth=cloth,
-        material=Material.of(fabric_named(garment.fabric) if fabric is None else fabric),
+        material=Material.of(fabric),
         band_n_per_m=held,
         graph=skin_graph(skin),
         index=index,
+        friction=fabric.friction,
     )
 
 

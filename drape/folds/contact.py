@@ -28,10 +28,10 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from drape.folds.sheet import LANES
-from drape.folds.sweeps import PLANES, row3
+from drape.folds.sweeps import PLANES, SLIP_M, row3
 from drape.push.samples import FACING, Samples
 from drape.solver.compiled import kernel, part
-from drape.solver.elements import at, dot, scaled, sub
+from drape.solver.elements import at, cross, dot, scaled, sub
 
 NEIGHBOURS = 8
 CANDIDATES = 24  # of which those that face another way are left out
@@ -98,6 +98,49 @@ def follow(network, skin, graph, touched):
         _walk(network, vertex, skin, graph.neighbour, own, len(skin), scratch)
         for lane in range(LANES):
             touched.own[vertex[lane]] = own[lane]
+
+
+@kernel
+def carried(grip, touched, skin, graph, found):
+    """Where the posed ``skin`` has taken what lies ``grip`` [m] (P, 3) in the frames of the samples ``touched.own``:
+    ``found`` [m] (P, 3)."""
+    for v in range(len(grip)):
+        own = touched.own[v]
+        n, e, b = _skin_frame(skin, graph, own)
+        found[v, 0] = skin[own, 0] + grip[v, 0] * n[0] + grip[v, 1] * e[0] + grip[v, 2] * b[0]
+        found[v, 1] = skin[own, 1] + grip[v, 0] * n[1] + grip[v, 1] * e[1] + grip[v, 2] * b[1]
+        found[v, 2] = skin[own, 2] + grip[v, 0] * n[2] + grip[v, 1] * e[2] + grip[v, 2] * b[2]
+
+
+@kernel
+def gripped(x, stuck, touched, skin, graph, grip):
+    """Writes how what is ``stuck`` [m] (P, 3) to the posed ``skin`` lies in the frames of its samples ``touched.own``,
+    having come along below ``x`` [m] (P, 3), that it is never farther from than ``SLIP_M``."""
+    most = x.dtype.type(SLIP_M)
+    for v in range(len(x)):
+        own = touched.own[v]
+        n, e, b = _skin_frame(skin, graph, own)
+        slip = sub(at(x, v), at(stuck, v))
+        slip = sub(slip, scaled(dot(slip, n), n))
+        square = dot(slip, slip)
+        share = most / np.sqrt(square) if square > most * most else x.dtype.type(1)
+        off = sub(sub(at(x, v), scaled(share, slip)), at(skin, own))
+        grip[v, 0], grip[v, 1], grip[v, 2] = dot(off, n), dot(off, e), dot(off, b)
+
+
+@kernel
+def _skin_frame(skin, graph, own):
+    """The normal of a sample, the way to its first neighbour laid into the plane, and their product.
+
+    A sample without neighbours has the normal only: what lies on it is carried along the normal alone.
+    """
+    n = (skin[own, 4], skin[own, 5], skin[own, 6])
+    way = sub(at(skin, graph.neighbour[own, 0]), at(skin, own))
+    e = sub(way, scaled(dot(way, n), n))
+    square = dot(e, e)
+    if square > 0.0:
+        e = scaled(skin.dtype.type(1) / np.sqrt(square), e)
+    return n, e, cross(n, e)
 
 
 @kernel

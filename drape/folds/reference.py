@@ -25,6 +25,7 @@ from drape.folds.step import (
     calmness,
     paced,
 )
+from drape.folds.sweeps import SLIP_M
 from drape.folds.whole import CLAMP_M, stiffness
 from drape.solver import reference
 from drape.solver.problem import Problem, Surroundings, problem, surroundings
@@ -34,7 +35,7 @@ def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) 
     """Vertices [m] (V, 3) of ``frame`` and its memory, in their order; ``memory`` is one that leads here, or None."""
     network, still = frame.vertices.astype(np.float64), np.zeros(frame.vertices.shape)
     nowhere = Touched(dressed.index, np.full_like(dressed.index, -1))
-    past = memory or Memory(frame.time_s, network, still, still, nowhere, 0)
+    past = memory or Memory(frame.time_s, network, still, still, nowhere, still, 0)
     step_s = max(frame.time_s - past.time_s, SHORTEST_STEP_S) if memory else FIRST_STEP_S
     frames = surface_frames(network, dressed.cloth)
     off = _to_world(frames, past.residual)
@@ -42,6 +43,8 @@ def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) 
         off = mended(off, dressed.cloth.faces)
     x = network + off
     way = step_s * _to_world(frames, past.velocity)
+    stuck = carried(past.grip, frame.skin, dressed.graph, past.touched.own)
+    friction = dressed.friction if effort.friction and memory else 0.0
     touched = follow(network, frame.skin, dressed.graph, past.touched)
     stiff = 0.5 * float(dressed.material.membrane[0] + dressed.material.membrane[1]) > STIFF_N_PER_M
     pace = paced(effort.sweeps, calmness(past.network, network), stiff=stiff)
@@ -56,7 +59,9 @@ def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) 
         here = touch(x, frame.skin, dressed.graph, touched, past.turn if memory else -1)
         touched = Touched(touched.own, here.other)
         around = touching(made, dressed, x, frame.skin, here)
-        around = around._replace(own=around.own._replace(band=network, band_n_per_m=held), slack=slack)
+        around = around._replace(
+            own=around.own._replace(band=network, band_n_per_m=held), slack=slack, stuck=stuck, friction=friction
+        )
         for _ in range(pace.steps):
             ahead = x + momentum * _limited(way, float(made.constants.reach))
             ahead = ahead + whole_step(dressed, made, around, ahead, pace.share)
@@ -68,7 +73,8 @@ def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) 
             ahead = sweep(x + momentum * _limited(way, float(made.constants.reach)), made, around)
             x, way = ahead, ahead - x
     residual, velocity = _to_local(frames, x - network), _to_local(frames, way) / step_s
-    return x, Memory(frame.time_s, network, residual, velocity, touched, (past.turn + 1) % TURNS)
+    grip = gripped(x, stuck if memory else x, frame.skin, dressed.graph, touched.own)
+    return x, Memory(frame.time_s, network, residual, velocity, touched, grip, (past.turn + 1) % TURNS)
 
 
 def surface_frames(surface: np.ndarray, cloth: ClothMesh) -> np.ndarray:
@@ -169,13 +175,15 @@ def held_within(room_m: np.ndarray, held_n_per_m: np.ndarray, made: Problem) -> 
 class Around(NamedTuple):
     """What acts on vertices from outside: their ``own`` part of the body and the rest, and the planes of other parts,
     ``point`` and ``normal`` (V, 3), whose springs ``n_per_m`` (V,) are zero where there is none; what holds gives
-    ``slack`` [m] (V,)."""
+    ``slack`` [m] (V,). Against ``friction`` vertices leave where they were ``stuck`` [m] (V, 3)."""
 
     own: Surroundings
     point: np.ndarray
     normal: np.ndarray
     n_per_m: np.ndarray
     slack: np.ndarray
+    stuck: np.ndarray
+    friction: float
 
 
 def touching(made: Problem, dressed: Dressed, x: np.ndarray, skin: np.ndarray, touched: Touched) -> Around:
@@ -185,6 +193,7 @@ def touching(made: Problem, dressed: Dressed, x: np.ndarray, skin: np.ndarray, t
         surroundings(made, *planes(x, skin, dressed, touched.own)),
         *(point, normal, np.where(touched.other >= 0, made.contact_n_per_m, 0.0)),
         np.full(len(x), made.constants.slack),
+        *(x, 0.0),
     )
 
 
@@ -217,6 +226,8 @@ def sweep(x: np.ndarray, made: Problem, around: Around) -> np.ndarray:
     for v in made.order:
         gradient, block = reference.vertex_block(v, moved, _with_slack(made, around.slack[v]), around.own)
         (push,), (stiffness,) = _pushed(moved, made, around, slice(v, v + 1))
+        (rub,), (grip,) = rubbed(moved, made, around, slice(v, v + 1))
+        push, block = push + rub, block + grip
         block = block + stiffness + bend.diagonal[v] * np.eye(3)
         step = -np.linalg.solve(block, gradient + push + _bending(moved, made, v))
         moved[v] += _limited(step, float(made.constants.reach))
@@ -238,9 +249,44 @@ def _pushed(x: np.ndarray, made: Problem, around: Around, which: slice) -> tuple
     return -(n_per_m * depth)[:, None] * n, block
 
 
+def rubbed(x: np.ndarray, made: Problem, around: Around, which: slice) -> tuple[np.ndarray, np.ndarray]:
+    """Coulomb friction of the vertices ``which`` with their own part of the body [N] (n, 3), as a gradient, and what
+    stands for its Hessian [N/m] (n, 3, 3): ``friction`` times the force of contact, less in a shorter way than
+    ``SLIP_M``, along the tangent plane."""
+    n, stiff = around.own.normal[which], made.contact_n_per_m[which]
+    press_n = stiff * np.maximum(made.constants.gap - ((x[which] - around.own.point[which]) * n).sum(axis=1), 0.0)
+    slip = x[which] - around.stuck[which]
+    slip -= (slip * n).sum(axis=1, keepdims=True) * n
+    grip = around.friction * press_n / np.maximum(np.linalg.norm(slip, axis=1), SLIP_M)
+    return grip[:, None] * slip, grip[:, None, None] * (np.eye(3) - n[:, :, None] * n[:, None, :])
+
+
+def carried(grip: np.ndarray, skin: np.ndarray, graph: SkinGraph, own: np.ndarray) -> np.ndarray:
+    """Where the posed ``skin`` has taken what lies ``grip`` [m] (V, 3) in the frames of its samples ``own`` (V,)."""
+    return skin[own, :3] + _to_world(_skin_frames(skin, graph, own), grip)
+
+
+def gripped(x: np.ndarray, stuck: np.ndarray, skin: np.ndarray, graph: SkinGraph, own: np.ndarray) -> np.ndarray:
+    """How what was ``stuck`` lies in the frames of the samples ``own`` (V,), having come after ``x`` [m] (V, 3)."""
+    frames = _skin_frames(skin, graph, own)
+    slip = _to_local(frames, x - stuck) * [0.0, 1.0, 1.0]
+    slip *= SLIP_M / np.maximum(np.linalg.norm(slip, axis=1, keepdims=True), SLIP_M)
+    return _to_local(frames, x - skin[own, :3]) - slip
+
+
+def _skin_frames(skin: np.ndarray, graph: SkinGraph, own: np.ndarray) -> np.ndarray:
+    """Rows: a sample's normal, the way to its first neighbour laid into the plane, and their product."""
+    normal = skin[own, 4:7].astype(np.float64)
+    edge = skin[graph.neighbour[own, 0], :3] - skin[own, :3].astype(np.float64)
+    edge -= (edge * normal).sum(axis=1, keepdims=True) * normal
+    length = np.linalg.norm(edge, axis=1, keepdims=True)
+    edge = edge / np.where(length > 0.0, length, 1.0)
+    return np.stack([normal, edge, np.cross(normal, edge)], axis=1)
+
+
 def _gradient(x: np.ndarray, made: Problem, around: Around) -> np.ndarray:
     _, gradient = reference.energy_and_gradient(x, _with_slack(made, around.slack), around.own)
-    gradient += _pushed(x, made, around, slice(None))[0]
+    gradient += _pushed(x, made, around, slice(None))[0] + rubbed(x, made, around, slice(None))[0]
     return gradient + np.stack([_bending(x, made, v) for v in range(len(x))])
 
 

@@ -19,11 +19,11 @@ import numpy as np
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.folds.constants import Constants, Dressed
-from drape.folds.contact import NEIGHBOURS, TURNS, SkinGraph, Touched, follow, touch
+from drape.folds.contact import NEIGHBOURS, TURNS, SkinGraph, Touched, carried, follow, gripped, touch
 from drape.folds.frames import in_frame, in_world, mend, surface_frames
 from drape.folds.room import Near, hold_within
 from drape.folds.sheet import LANES, Sheet
-from drape.folds.sweeps import PLANES, SCRATCH, descend, gradient_at, leash
+from drape.folds.sweeps import PLANES, SCRATCH, descend, gradient_at, leash, stick
 from drape.folds.whole import Whole, whole_step
 from drape.solver.compiled import kernel
 from drape.solver.elements import at, dot, scaled, sub
@@ -60,7 +60,8 @@ class Memory:
     """What is kept of a frame, in the order of the constants' places.
 
     Where the ``network`` had its vertices [m] (P, 3); in its surface's frames the ``residual`` [m] and ``velocity``
-    [m/s] (P, 3) of the folds; the samples ``touched``. ``turn``: whose turn it is to look for other parts of the body.
+    [m/s] (P, 3) of the folds; the samples ``touched``, and the ``grip`` [m] (P, 3), where friction holds in the
+    frames of the own ones. ``turn``: whose turn it is to look for other parts of the body.
     """
 
     time_s: float
@@ -68,6 +69,7 @@ class Memory:
     residual: np.ndarray
     velocity: np.ndarray
     touched: Touched
+    grip: np.ndarray
     turn: int
 
 
@@ -87,11 +89,13 @@ class Effort:
 
     In fast motion ``paced`` tells how much of either there is.
     ``cloth_contact``: whether the cloth keeps to the room that the network's drape leaves between its sheets.
+    ``friction``: whether the skin takes cloth along that has a past.
     """
 
     sweeps: int
     settle: int = 8
     cloth_contact: bool = False
+    friction: bool = True
 
 
 def fold(
@@ -132,7 +136,8 @@ def calmness(before: np.ndarray, network: np.ndarray) -> float:
 
 def _without_past(constants: Constants, network: np.ndarray, time_s: float) -> Memory:
     still = np.zeros_like(network)
-    return Memory(time_s, network, still, still, Touched(constants.index, np.full_like(constants.index, -1)), 0)
+    touched = Touched(constants.index, np.full_like(constants.index, -1))
+    return Memory(time_s, network, still, still, touched, still, 0)
 
 
 def _advanced(
@@ -151,11 +156,13 @@ def _advanced(
     numbers = Numbers(
         dtype(step_s), dtype(momentum), dtype(pace.share), rounds, pace.steps, pace.sweeps,
         -1 if settled else past.turn, effort.cloth_contact,
+        dtype(constants.friction if effort.friction and not settled else 0.0),
     )  # fmt: skip
     cloth = Cloth(constants.sheet, constants.level, constants.graph, constants.near)
     touched = Touched(past.touched.own.copy(), past.touched.other.copy())
-    x, residual, velocity, far = advance(network, past.residual, past.velocity, touched, skin, cloth, numbers)
-    after = Memory(time_s, network, residual, velocity, touched, (past.turn + 1) % TURNS)
+    kept = Kept(past.residual.copy(), past.velocity.copy(), past.grip.copy())
+    x, far = advance(network, kept, touched, skin, cloth, numbers)
+    after = Memory(time_s, network, kept.residual, kept.velocity, touched, kept.grip, (past.turn + 1) % TURNS)
     return (x[place] if far <= FAR_M else None), after
 
 
@@ -195,9 +202,26 @@ class Cloth(NamedTuple):
     near: Near
 
 
+class Around(NamedTuple):
+    """What a frame's cloth is led by: the ``network``'s vertices and where its own were ``stuck`` to the skin, [m]
+    (P, 3), and the samples of the ``skin`` (S, 8)."""
+
+    network: np.ndarray
+    stuck: np.ndarray
+    skin: np.ndarray
+
+
+class Kept(NamedTuple):
+    """Of ``Memory``, what a frame writes anew."""
+
+    residual: np.ndarray
+    velocity: np.ndarray
+    grip: np.ndarray
+
+
 class Numbers(NamedTuple):
     """``step_s`` since the frame before [s]; ``rounds`` of ``steps`` of the whole, a ``share`` of each, and of
-    ``sweeps``; the ``turn`` of ``touch``; whether cloth is held ``within`` its room."""
+    ``sweeps``; the ``turn`` of ``touch``; whether cloth is held ``within`` its room; ``friction`` with the skin."""
 
     step_s: np.floating
     momentum: np.floating
@@ -207,16 +231,19 @@ class Numbers(NamedTuple):
     sweeps: int
     turn: int
     within: bool
+    friction: np.floating
 
 
 @kernel
-def advance(network, residual, velocity, touched, skin, cloth, numbers):
-    """``x`` [m] (P, 3), the new residual and velocity, and how far [m] x is from the network; NaN where one is.
+def advance(network, kept, touched, skin, cloth, numbers):
+    """``x`` [m] (P, 3), and how far [m] it is from the network; NaN where one is.
 
-    ``touched`` is moved on in place.
+    What is ``kept`` and ``touched`` is moved on in place.
     """
     sheet, k = cloth.sheet, cloth.sheet.constants
-    residual, velocity = residual.copy(), velocity.copy()
+    residual, velocity, grip = kept
+    stuck = np.empty_like(network)
+    carried(grip, touched, skin, cloth.graph, stuck)
     frames = np.empty((len(network), 3, 3), network.dtype)
     surface_frames(network, sheet, frames)
     x, way = np.empty_like(network), np.empty_like(network)
@@ -228,7 +255,10 @@ def advance(network, residual, velocity, touched, skin, cloth, numbers):
     for _ in range(MENDS):
         mend(x, sheet, MEND_M)
     x += network
-    _descend_rounds(x, way, network, touched, skin, cloth, numbers)
+    _descend_rounds(x, way, Around(network, stuck, skin), touched, cloth, numbers)
+    if numbers.turn < 0:
+        stuck[:] = x
+    gripped(x, stuck, touched, skin, cloth.graph, grip)
     far = k.zero
     for v in range(len(network)):
         off = sub(at(x, v), at(network, v))
@@ -238,17 +268,18 @@ def advance(network, residual, velocity, touched, skin, cloth, numbers):
         r, u = in_frame(frames, v, off), in_frame(frames, v, scaled(k.one / numbers.step_s, at(way, v)))
         for i in range(3):
             residual[v, i], velocity[v, i] = r[i], u[i]
-    return x, residual, velocity, np.sqrt(far)
+    return x, np.sqrt(far)
 
 
 @kernel
-def _descend_rounds(x, way, network, touched, skin, cloth, numbers):
+def _descend_rounds(x, way, around, touched, cloth, numbers):
     """The rounds of ``numbers`` on ``x``, in place, with the ``way`` of the last step."""
-    sheet = cloth.sheet
+    sheet, network, skin = cloth.sheet, around.network, around.skin
     planes, gradient = np.empty(PLANES // LANES * len(x), x.dtype), np.empty_like(x)
     before, scratch = np.empty_like(x), np.empty(SCRATCH, x.dtype)
     follow(network, skin, cloth.graph, touched)
     leash(sheet, planes)
+    stick(sheet, around.stuck, numbers.friction, planes)
     if numbers.within:
         hold_within(network, sheet, cloth.near, planes)
     for _ in range(numbers.rounds):

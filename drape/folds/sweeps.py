@@ -28,9 +28,10 @@ from drape.solver.elements import (
 OWN, GRADIENT, HESSIAN, OTHERS = 0, 3 * LANES, 6 * LANES, 12 * LANES
 SCRATCH = 18 * LANES
 # Per block: point and normal, of the own part of the body and of another one; how stiff and with how much slack the
-# network's place holds.
-PLANES = 14 * LANES
-HELD_ROW, SLACK_ROW = 12 * LANES, 13 * LANES
+# network's place holds; where the skin has taken the vertex, and friction times contact's stiffness.
+PLANES = 18 * LANES
+HELD_ROW, SLACK_ROW, CARRIED, FRICTION_ROW = 12 * LANES, 13 * LANES, 14 * LANES, 17 * LANES
+SLIP_M = 1e-3  # friction is a spring up to here, and slips farther with the force it has then
 
 
 @kernel
@@ -60,8 +61,8 @@ def _put6(s, start, lane, h):
 def descend(x, sheet, planes, band, scratch):
     """One sweep over ``x`` [m] (P, 3), in place: every vertex to the minimum of its own quadratic model.
 
-    ``planes`` flat, fourteen rows a block: points [m] and normals of two tangent planes of the body at each place, and
-    the stiffness [N/m] and slack [m] with which it is held at ``band`` [m] (P, 3).
+    ``planes`` flat, eighteen rows a block: points [m] and normals of two tangent planes of the body at each place, the
+    stiffness [N/m] and slack [m] with which it is held at ``band`` [m] (P, 3), and of ``stick``.
     """
     k = sheet.constants
     for block in range(len(sheet.fan_start) - 1):
@@ -94,6 +95,17 @@ def leash(sheet, planes):
             planes[PLANES * block + SLACK_ROW + lane] = sheet.constants.slack
 
 
+@kernel
+def stick(sheet, carried, friction, planes):
+    """Writes where the skin has ``carried`` [m] (P, 3) each place, and its ``friction`` with it."""
+    for block in range(len(sheet.fan_start) - 1):
+        for lane in range(LANES):
+            for axis in range(3):
+                planes[PLANES * block + CARRIED + LANES * axis + lane] = carried[LANES * block + lane, axis]
+            contact = sheet.own[4 * LANES * block + 2 * LANES + lane]
+            planes[PLANES * block + FRICTION_ROW + lane] = friction * contact
+
+
 @part
 def _model(x, block, sheet, planes, band, scratch, curvature):
     """Gradient of the block's vertices into the scratch, where ``curvature`` their Hessian too.
@@ -115,8 +127,10 @@ def _model(x, block, sheet, planes, band, scratch, curvature):
 
 @part
 def _outside(block, sheet, planes, band, scratch, curvature):
-    """Weight, the body's planes and the waistband, as in ``drape.solver.elements.outside``, and bending's diagonal."""
+    """Weight, the body's planes and the waistband, as in ``drape.solver.elements.outside``, friction, and bending's
+    diagonal."""
     k, own = sheet.constants, sheet.own
+    least = own.dtype.type(SLIP_M * SLIP_M)
     for lane in range(LANES):
         x = row3(scratch, OWN, lane)
         place = 4 * LANES * block + lane
@@ -130,13 +144,17 @@ def _outside(block, sheet, planes, band, scratch, curvature):
         length = np.sqrt(max(dot(way, way), slack * slack))
         pull = held * (k.one - slack / length)  # stiffness times the way past the slack, per way
         lost = held * slack / length**3 if length > slack else k.zero
-        force = add(mix(-stiffness * depth, normal, -stiff * deep, other), scaled(pull, way))
+        slip = sub(x, row3(planes, PLANES * block + CARRIED, lane))
+        slip = sub(slip, scaled(dot(slip, normal), normal))
+        grip = planes[PLANES * block + FRICTION_ROW + lane] * max(depth, k.zero)
+        grip = grip / np.sqrt(max(dot(slip, slip), least))
+        force = add(mix(-stiffness * depth, normal, -stiff * deep, other), mix(pull, way, grip, slip))
         _put3(scratch, GRADIENT, lane, (force[0], force[1] + own[place], force[2]))
         if not curvature:
             continue
-        still = k.least + own[place + LANES] + pull
+        still = k.least + own[place + LANES] + pull + grip
         hessian = (still, k.zero, k.zero, still, k.zero, still)
-        hessian = outer(outer(hessian, stiffness, normal), stiff, other)
+        hessian = outer(outer(hessian, stiffness - grip, normal), stiff, other)
         _put6(scratch, HESSIAN, lane, outer(hessian, lost, way))
 
 

@@ -43,6 +43,7 @@ def sleeve(material: str = "rib", *, creased: bool = True) -> tuple[np.ndarray, 
         band_n_per_m=np.where(rest[:, 1] > HEIGHT_M - 1e-6, 10.0, 0.0),
         graph=skin_graph(arm()),
         index=nearest_at_rest(rest, arm()),
+        friction=0.4,
     )
     return rest, dressed
 

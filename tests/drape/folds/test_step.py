@@ -71,6 +71,7 @@ def test_the_compiled_step_equals_the_readable_one(material, creased):
             assert_array_equal(found[place], other)
         assert_allclose(memory.residual[place], wanted_memory.residual, rtol=0.0, atol=1e-10)
         assert_allclose(memory.velocity[place], wanted_memory.velocity, rtol=0.0, atol=1e-8)
+        assert_allclose(memory.grip[place], wanted_memory.grip, rtol=0.0, atol=1e-10)
     assert memory is not None and np.abs(memory.residual).max() > 1e-3, "the frames are not at rest"
     assert (memory.touched.other >= 0).any(), "and the sleeve is at the wall"
 
@@ -80,7 +81,7 @@ def test_float32_follows_float64():
     frames = [frame(rest, number) for number in range(3)]
     single, double = (folded(Constants.of(dressed, dtype=dtype), frames) for dtype in (np.float32, np.float64))
     for (x, memory, _), (wanted, _, _) in zip(single, double, strict=True):
-        assert x.dtype == memory.residual.dtype == memory.velocity.dtype == np.float32
+        assert x.dtype == memory.residual.dtype == memory.velocity.dtype == memory.grip.dtype == np.float32
         assert memory.touched.own.dtype == memory.touched.other.dtype == np.int32
         assert_allclose(x, wanted, rtol=0.0, atol=1e-4)  # metres; the sleeve is 120 mm long
 
@@ -89,7 +90,7 @@ def test_the_same_input_gives_the_same_bits_and_a_memory_is_not_touched():
     rest, dressed = sleeve()
     constants = Constants.of(dressed)
     _, memory, _ = fold(constants, None, frame(rest, 0), EFFORT)
-    arrays = (memory.network, memory.residual, memory.velocity, *memory.touched)
+    arrays = (memory.network, memory.residual, memory.velocity, memory.grip, *memory.touched)
     kept = [array.copy() for array in arrays]
     first, second = (fold(constants, memory, frame(rest, 1), EFFORT) for _ in range(2))
     assert_array_equal(first[0], second[0])

@@ -73,8 +73,8 @@ def pressed(dressed: Dressed, depth_m: float, *, dtype: type[np.floating] = np.f
     x[sheet.place] = sleeve("rib", creased=False)[0]
     up = np.tile(np.array([0.0, 0.0, 1.0], dtype), (len(x), 1))
     point = x + dtype(depth_m - 0.004) * up  # contact begins at a gap of 4 mm
-    # No other part is near; what holds is written below.
-    blocks = [rows.reshape(-1, LANES, rows.shape[1]) for rows in (point, up, 0.0 * up, 0.0 * up, 0.0 * up[:, :2])]
+    # No other part is near, nothing holds or rubs.
+    blocks = [rows.reshape(-1, LANES, rows.shape[1]) for rows in (point, up, *4 * [0.0 * up])]
     planes = np.ascontiguousarray(np.concatenate(blocks, axis=2).transpose(0, 2, 1)).reshape(-1)
     assert len(planes) == PLANES // LANES * len(x)
     leash(sheet, planes)
