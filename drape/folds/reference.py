@@ -55,13 +55,15 @@ def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) 
     held, slack = dressed.band_n_per_m, np.full(len(network), made.constants.slack)
     if effort.cloth_contact:
         held, slack = held_within(room(network, dressed.cloth), held, made)
-    for _ in range(1 if memory else effort.settle):
+    for number in range(1 if memory else effort.settle):
         here = touch(x, frame.skin, dressed.graph, touched, past.turn if memory else -1)
         touched = Touched(touched.own, here.other)
         around = touching(made, dressed, x, frame.skin, here)
         around = around._replace(
             own=around.own._replace(band=network, band_n_per_m=held), slack=slack, stuck=stuck, friction=friction
         )
+        for _ in range(0 if memory or number else effort.settle):
+            x = sweep(x, made, around)
         for _ in range(pace.steps):
             ahead = x + momentum * _limited(way, float(made.constants.reach))
             ahead = ahead + whole_step(dressed, made, around, ahead, pace.share)

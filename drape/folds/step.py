@@ -85,7 +85,7 @@ class Report:
 @dataclass(frozen=True)
 class Effort:
     """``sweeps``: steps of the whole cloth per frame, and half as many over its vertices, one at least; a frame without
-    a past gets ``settle`` times as many of both.
+    a past gets ``settle`` times as many of both, after ``settle`` sweeps.
 
     In fast motion ``paced`` tells how much of either there is.
     ``cloth_contact``: whether the cloth keeps to the room that the network's drape leaves between its sheets.
@@ -282,8 +282,14 @@ def _descend_rounds(x, way, around, touched, cloth, numbers):
     stick(sheet, around.stuck, numbers.friction, planes)
     if numbers.within:
         hold_within(network, sheet, cloth.near, planes)
+    first = numbers.turn < 0
     for _ in range(numbers.rounds):
         touch(x, skin, cloth.graph, sheet, touched, numbers.turn, planes)
+        if first:
+            # Where the network stretches triangles, Green's strain stiffens cloth past what K knows: steps run away.
+            for _ in range(numbers.rounds):
+                descend(x, sheet, planes, network, scratch)
+            first = False
         for _ in range(numbers.steps):
             before[:] = x
             _go_on(x, way, numbers.momentum, sheet.constants)
