@@ -20,6 +20,7 @@ from torch import Tensor
 
 from drape.errors import InputError, refusing
 from training import checkpoint
+from training.starting import read_model
 
 
 def between(first: dict[str, Tensor], second: dict[str, Tensor], share: float) -> dict[str, Tensor]:
@@ -48,9 +49,12 @@ def between(first: dict[str, Tensor], second: dict[str, Tensor], share: float) -
 
 
 def average(first: Path, second: Path, out: Path, *, share: float = 0.5) -> None:
-    """Writes the checkpoint ``out`` between two others; what it says of its training is what ``second`` says."""
+    """Writes the checkpoint ``out`` between two models; what it says of its training is what ``second`` says.
+
+    ``first`` may be an exported model too, whose drape of single poses is read.
+    """
     payload, config = checkpoint.load(second)
-    weights = between(checkpoint.load(first)[0]["model"], payload["model"], share)
+    weights = between(read_model(first)[0], payload["model"], share)
     kept: dict[str, Any] = {name: payload[name] for name in ("step", "frames", "elapsed_s") if name in payload}
     checkpoint.save(out, {"model": weights, **kept}, config)
 
@@ -59,7 +63,7 @@ def average(first: Path, second: Path, out: Path, *, share: float = 0.5) -> None
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line entry."""
     parser = argparse.ArgumentParser(prog="python -m training.average", description="A model between two.")
-    parser.add_argument("first", type=Path, help="checkpoint")
+    parser.add_argument("first", type=Path, help="checkpoint, or a model, as of training.run --finetune")
     parser.add_argument("second", type=Path, help="checkpoint of what the first was trained on to")
     parser.add_argument("--share", type=float, default=0.5, help="of the way to the second")
     parser.add_argument("--out", type=Path, required=True)

@@ -7,11 +7,13 @@ from pathlib import Path
 import pytest
 import torch
 
+from drape.artifacts import MODELS_DIR
 from drape.errors import InputError
 from tests.fixtures.networks import TINY
 from training import checkpoint
 from training.average import between, main
 from training.config import TrainConfig
+from training.exported import load_exported
 from training.model import OneFit
 
 
@@ -34,6 +36,16 @@ def test_the_command_writes_the_mean_of_two_models_that_can_be_read_again(tmp_pa
         moved += not torch.equal(value, second[name])
     assert moved > 5
     OneFit(TINY).load_state_dict(payload["model"])
+
+
+def test_an_exported_model_may_be_the_first(tmp_path: Path):
+    shipped, config, _ = load_exported(MODELS_DIR / "onefit")
+    second = {name: value + 1.0 if value.is_floating_point() else value for name, value in shipped.items()}
+    checkpoint.save(tmp_path / "b.pt", {"model": second, "step": 1}, TrainConfig(model=config))
+    assert main(["onefit", str(tmp_path / "b.pt"), "--share", "0.7", "--out", str(tmp_path / "c.pt")]) == 0
+    found = checkpoint.load(tmp_path / "c.pt")[0]["model"]
+    for name, value in shipped.items():
+        torch.testing.assert_close(found[name], value + 0.7 if value.is_floating_point() else value)
 
 
 @pytest.mark.parametrize(("share", "of"), [(0.0, 0), (1.0, 1)])
