@@ -161,6 +161,11 @@ def mesh(garment: str, resolution: Resolution) -> Call[dict[str, Any]]:
     return Call("GET", path, httpx.Response.json, params={"resolution": resolution}, headers=headers)
 
 
+def preview(garment: str, size: int) -> Call[bytes]:
+    path = f"/garments/{_quoted(garment)}/preview.png"
+    return Call("GET", path, lambda response: response.content, params={"size": str(size)})
+
+
 def jet_layout(garment: str, resolution: Resolution) -> Call[JetLayout]:
     path, headers = f"/garments/{_quoted(garment)}/jets", {"Accept": BINARY}
     return Call("GET", path, _read_layout, params={"resolution": resolution}, headers=headers)

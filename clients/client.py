@@ -115,6 +115,10 @@ class DrapeClient:
         """Rest vertices [m], faces, uv and uv_faces of a garment, of the mesh that a drape of ``resolution`` has."""
         return self._send(calls.mesh(garment, resolution))
 
+    def preview(self, garment: str, size: int = 512) -> bytes:
+        """A PNG of a garment at rest on its body, ``size`` pixels along each side, 64 to 1,024."""
+        return self._send(calls.preview(garment, size))
+
     def jet_layout(self, garment: str, resolution: Resolution = "delivered") -> JetLayout:
         """What makes vertices of the garment's jets, on its own mesh or a finer one; constant per garment."""
         return self._send(calls.jet_layout(garment, resolution))
@@ -336,6 +340,10 @@ class AsyncDrapeClient:
     async def mesh(self, garment: str, resolution: Resolution = "delivered") -> dict[str, Any]:
         """Rest vertices [m], faces, uv and uv_faces of a garment, of the mesh that a drape of ``resolution`` has."""
         return await self._send(calls.mesh(garment, resolution))
+
+    async def preview(self, garment: str, size: int = 512) -> bytes:
+        """A PNG of a garment at rest on its body, ``size`` pixels along each side, 64 to 1,024."""
+        return await self._send(calls.preview(garment, size))
 
     async def jet_layout(self, garment: str, resolution: Resolution = "delivered") -> JetLayout:
         """What makes vertices of the garment's jets, on its own mesh or a finer one; constant per garment."""

@@ -9,7 +9,7 @@ from contextlib import asynccontextmanager
 from fastapi import FastAPI
 from fastapi.middleware.cors import CORSMiddleware
 
-from service import errors, garment_care, jets, probes, reference, routes, stream
+from service import errors, garment_care, jets, preview, probes, reference, routes, stream
 from service.access import ADMITTED, Access
 from service.access import router as access_routes
 from service.drapery import Drapery
@@ -21,6 +21,7 @@ from service.metrics import Metrics
 from service.origins import Doors
 from service.page import Page
 from service.pasts import Pasts
+from service.pictures import Previews
 from service.piecework import Piecework
 from service.request_log import RequestLog
 from service.sessions import Streams
@@ -44,7 +45,7 @@ def create_app(
         piecework = Piecework()
         uploads, streams = Uploads(loaded, piecework, access), Streams(loaded, piecework)
         handover = Handover(loaded, access.tickets)
-        state = State(loaded, uploads, streams, piecework, access, handover, life, Pasts(settings))
+        state = State(loaded, uploads, streams, piecework, access, handover, life, Pasts(settings), Previews())
         app.state.drape = state
         state.uploads.start()
         state.streams.start()
@@ -88,7 +89,7 @@ def create_app(
     app.add_middleware(RequestLog, metrics=metrics)
     probes.install(app, life, metrics, ADMITTED)
     reference.install(app)
-    for router in (routes.router, jets.router, garment_care.router, access_routes):
+    for router in (routes.router, jets.router, preview.router, garment_care.router, access_routes):
         app.include_router(router, dependencies=ADMITTED)
     app.include_router(stream.router)
     app.mount("/", Page(settings.page_dir))

@@ -65,9 +65,9 @@ class Drapery:
         self.engine.check_body(self.body)
         self.tiers = read_tiers(self.engine.manifest.tiers)
         self._streamed_s = -math.inf  # when a frame of a stream was last begun
-        self._workshop = Workshop(lambda: self._streaming)
-        self.stages = make_stages(self.engine, self.body, settings, self._workshop)
-        self.garments = Registry(self.body, settings, self.stages, self._workshop)
+        self.workshop = Workshop(lambda: self._streaming)
+        self.stages = make_stages(self.engine, self.body, settings, self.workshop)
+        self.garments = Registry(self.body, settings, self.stages, self.workshop)
         self.motions = Motions(settings.motions_dir)
         self._for_streams = ThreadPoolExecutor(max_workers=1, thread_name_prefix="drape-streams")
         self._aside = (
@@ -85,7 +85,7 @@ class Drapery:
         """Waits for the running chunk and ends the threads."""
         for executor in (self._for_streams, self._aside):
             executor.shutdown(wait=True, cancel_futures=True)
-        self._workshop.close()
+        self.workshop.close()
 
     def warm_up(self) -> None:
         """One frame of one garment, with all that its streams need, so that the first request pays for no lazy set-up;

@@ -18,6 +18,7 @@ from service.handover import Handover
 from service.jobs import Uploads
 from service.lifecycle import Lifecycle
 from service.pasts import Pasts
+from service.pictures import Previews
 from service.piecework import Piecework
 from service.sessions import Streams
 
@@ -27,8 +28,8 @@ STREAMS_S = 2.0  # for streams to go
 
 @dataclass(eq=False)
 class State:
-    """Body, model and garments; uploads; streams and what they take along; the thread for JSON; ends of clips; how many
-    clips are computed."""
+    """Body, model and garments; uploads; streams and what they take along; the thread for JSON; ends of clips; pictures
+    of garments; how many clips are computed."""
 
     drapery: Drapery
     uploads: Uploads
@@ -38,6 +39,7 @@ class State:
     handover: Handover
     life: Lifecycle
     pasts: Pasts
+    previews: Previews
     clips: int = 0
 
     async def drain(self) -> None:
