@@ -98,7 +98,9 @@ def _parser() -> argparse.ArgumentParser:
     for name, field in _options().items():
         flag = "--" + name.replace("_", "-")
         kind = next(kind for kind in get_args(field.annotation) if kind is not type(None))
-        if name == "fabric":
+        if name == "hidden":
+            drape.add_argument(flag, nargs="+", metavar="NAME", help=field.description)
+        elif name == "fabric":
             drape.add_argument(flag, nargs="+", metavar="NAME", help="what it is made of: for all, or by layer")
         elif isinstance(kind, str):
             drape.add_argument(flag, choices=get_args(field.annotation), help=field.description)
@@ -193,7 +195,8 @@ def _moving(
 ) -> list[Moving]:
     """The ``layers`` (F, V, 3) of the garments ``worn`` with their meshes and colours."""
     resolution = choices["resolution"] or "delivered"
-    meshes = [Mesh.of(client.mesh(name, resolution)) for name in worn]
+    hidden = choices["hidden"] or ()
+    meshes = [Mesh.of(client.mesh(name, resolution)) for name in worn if name not in hidden]
     colours = itertools.cycle(GARMENT_COLOURS)
     return [Moving(*parts, next(colours)[:3]) for parts in zip(meshes, layers, strict=True)]
 

@@ -62,6 +62,10 @@ class Entry:
         """Itself: what an outfit has several of."""
         return (self,)
 
+    def only(self, ids: Sequence[str]) -> Entry:
+        """Itself, of which nothing can be left out."""
+        return self
+
     @cached_property
     def fine(self) -> Entry:
         """With the subdivided mesh delivered; itself where intake did not subdivide."""
@@ -105,6 +109,10 @@ class Outfit:
     """Garments worn over each other, the innermost first."""
 
     layers: tuple[Entry, ...]
+
+    def only(self, ids: Sequence[str]) -> Outfit:
+        """Its layers of ``ids``; of one alone it is still told whose it is."""
+        return Outfit(tuple(entry for entry in self.layers if entry.id in ids))
 
     @property
     def fine(self) -> Outfit:

@@ -48,7 +48,7 @@ def jets_headers(frames: int, scene: Scene) -> dict[str, str]:
 
 def jets_response(draped: Batch, headers: dict[str, str], piecework: Piecework) -> Response:
     """The clip as one JETS message per frame; sequence and client time are the frame's number and time [s]."""
-    scene = draped.plan.scene
+    scene = draped.plan.shown
     headers = headers | jets_headers(len(draped.messages), scene)
     headers["X-Drape-Left-M"] = f"{draped.quality.left_m.max():.6f}"
     return messages_answer(draped.messages, piecework, headers)

@@ -223,7 +223,7 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
     kind = negotiation.choose(request.headers.get("accept"), offered)
     scene = drapery.garments.scene(asked.garment, asked.garments, client.name)
     plan = await drapery.plan_within(scene, asked, messages=jets)
-    scene = plan.scene
+    scene = plan.shown
     if asked.past is not None:
         clip = state.pasts.get(asked.past, client.name).followed_by(plan, clip, asked.fps)
     road = Road(plan, clip, asked, client)

@@ -154,7 +154,7 @@ async def _open_session(text: str, state: State, client: Client, session: Sessio
 
 
 def _opened(session: Session, state: State, **more: bool) -> str:
-    scene, options = session.plan.scene, session.plan.options
+    scene, options = session.plan.shown, session.plan.options
     jets = options.geometry == "jets"
     worn = {"garments": layer_list(scene, patches=jets)} if isinstance(scene, Outfit) else {"garment": scene.id}
     if jets:  # an answer about vertices is what it was before there were jets

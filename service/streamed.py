@@ -47,7 +47,7 @@ class Road:
 
 def plan_headers(plan: Plan, drapery: Drapery) -> dict[str, str]:
     """What will be computed: the model, the tier by name, the network's passes, the steps of folds, the motion."""
-    options, passes, scene = plan.options, drapery.engine.pass_count, plan.scene
+    options, passes, scene = plan.options, drapery.engine.pass_count, plan.shown
     headers = {
         "X-Drape-Model": drapery.engine.manifest.digest[:16],
         "X-Drape-Push-Out": str(int(bool(options.push_out))),
@@ -88,7 +88,7 @@ class _Frames(StreamingResponse):
 async def streamed_answer(road: Road, state: State, kind: str) -> StreamingResponse:
     """The frames of ``road``, binary or PC2. What can be refused is refused before the head is sent: the first chunk is
     computed by then."""
-    scene, frames = road.plan.scene, len(road.clip.poses)
+    scene, frames = road.plan.shown, len(road.clip.poses)
     headers = plan_headers(road.plan, state.drapery)
     if road.asked.geometry == "jets":
         size = frames * message_bytes(scene.patch_count)

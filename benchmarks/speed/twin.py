@@ -38,7 +38,7 @@ def create_twin(drapery: Drapery) -> FastAPI:
         plan = drapery.plan(drapery.garments.scene(asked.garment, asked.garments), asked, messages=True)
         for stage in plan.stages:
             stage.prepare(plan)
-        await socket.send_text(json.dumps({"type": "opened", "vertices": plan.scene.vertex_count, "credit": CREDIT}))
+        await socket.send_text(json.dumps({"type": "opened", "vertices": plan.shown.vertex_count, "credit": CREDIT}))
         memories: Memories = {}
         try:
             while True:

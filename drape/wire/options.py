@@ -123,6 +123,11 @@ class DrapeOptions(BaseModel):
         description="What the garments are made of: a name of GET /fabrics, numbers, or a list of these by layer, the "
         "innermost first (null: the garment's own). Left out: each garment's own.",
     )
+    hidden: Annotated[tuple[Identifier, ...], Len(1, LAYER_LIMIT), FIRST_ONLY] | None = Field(
+        default=None,
+        description="Of garments worn over each other: ids of those that do not come, as nobody sees them. Of them "
+        "nothing is computed but what a visible garment over them feels.",
+    )
     geometry: Geometry = Field(
         default="vertices",
         description="What comes: vertices, or the posed jets of the patches, for GET /garments/{id}/jets.",
@@ -137,6 +142,13 @@ class DrapeOptions(BaseModel):
         allow_inf_nan=False,
         description="How many pixels of the picture a metre of the garment takes. Below 100 it is far away: no folds, "
         "no corrections and coordinates of 8 bits, but for what is named beside it; left out, it is near.",
+    )
+    still_mm: float | None = Field(
+        default=None,
+        ge=0.0,
+        allow_inf_nan=False,
+        description="Of a stream: how far [mm] a change of pose may move cloth, as the network has it, for the body to "
+        "stand still for it: then the last frame comes again. Left out, or 0: any change is computed.",
     )
     bits: int | None = Field(
         default=None,

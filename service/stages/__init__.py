@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from drape.body.model import BodyModel
 from drape.wire.options import DrapeOptions
 from service.engine import Engine
+from service.hidden import narrowed
 from service.settings import Settings
 from service.stages.batch import BODY, FINE, Batch, Memories, Plan, PoseInput, Stage
 from service.stages.collision import Collision
@@ -53,6 +54,8 @@ def make_plan(stages: Sequence[Stage], scene: Scene, options: DrapeOptions, *, m
     for stage in stages:
         stage.check(plan)
     taken = tuple(stage for stage in stages if stage.wanted(plan))
+    scene, known = narrowed(scene, plan.options, felt=any(stage.joins_layers(plan) for stage in taken))
+    plan = replace(plan, scene=scene, options=known)
     needs = frozenset({plan.options.geometry}).union(*(stage.needs(plan) for stage in taken))
     draped = (scene.fine if FINE in needs else scene).layers
     return replace(plan, stages=taken, needs=needs, draped=draped)

@@ -31,7 +31,8 @@ class Plan:
     ``stages`` are those that the plan takes, in their order, and ``needs`` what of "vertices", "jets" and "skin" they
     and the answer read: the network makes nothing else. ``messages``: frames leave as messages of the wire;
     ``stepped``: with less than was asked for, as the service is under load. ``draped``: what the network drapes, the
-    scene's garments or, where a stage needs "fine", their subdivided meshes; that stage leaves the scene's.
+    scene's garments or, where a stage needs "fine", their subdivided meshes; that stage leaves the scene's. ``scene``
+    holds what must be draped, hidden garments that visible ones feel among it; ``shown`` is what comes.
     """
 
     scene: Scene
@@ -46,6 +47,19 @@ class Plan:
     def keys(self) -> tuple[str, ...]:
         """Digests of the garments, the innermost first."""
         return tuple(entry.garment.digest for entry in self.scene.layers)
+
+    @property
+    def visible(self) -> tuple[bool, ...]:
+        """Which layers of the scene come."""
+        hidden = self.options.hidden or ()
+        return tuple(entry.id not in hidden for entry in self.scene.layers)
+
+    @property
+    def shown(self) -> Scene:
+        """The scene without its hidden layers: what an answer holds."""
+        if self.options.hidden is None:
+            return self.scene
+        return self.scene.only([entry.id for entry in self.scene.layers if entry.id not in self.options.hidden])
 
     @property
     def draped_keys(self) -> tuple[str, ...]:
@@ -159,8 +173,9 @@ class Batch:
         )
 
     def answer(self) -> Batch:
-        """The batch without what only stages read."""
-        return replace(self, codes=None, skin=None)
+        """The batch without what only stages read; of hidden layers nothing is kept."""
+        of = zip(self.layers, self.plan.visible, strict=bool(self.layers))  # none before the network
+        return replace(self, codes=None, skin=None, layers=tuple(layer if seen else Layer() for layer, seen in of))
 
     def rows(self) -> Iterator[tuple[PoseInput, slice]]:
         """Each input with its rows of the frames."""
@@ -179,14 +194,19 @@ class Batch:
         return replace(self, memories=tuple(after))
 
     @property
+    def shown(self) -> list[Layer]:
+        """The layers that come."""
+        return [layer for layer, seen in zip(self.layers, self.plan.visible, strict=True) if seen]
+
+    @property
     def vertices(self) -> np.ndarray:
-        """Vertices [m] (F, V, 3) relative to the root, one layer's after the other."""
-        return joined([layer.vertices for layer in self.layers])
+        """Vertices [m] (F, V, 3) relative to the root, one visible layer's after the other."""
+        return joined([layer.vertices for layer in self.shown])
 
     @property
     def jets(self) -> Jets:
-        """Posed patches, one layer's after the other."""
-        jets = [layer.jets for layer in self.layers if layer.jets is not None]
+        """Posed patches, one visible layer's after the other."""
+        jets = [layer.jets for layer in self.shown if layer.jets is not None]
         return Jets(*(joined([getattr(one, name) for one in jets]) for name in ("jet", "rotation", "centre")))
 
     def placed(self, origin: Origin) -> Placed:
@@ -248,9 +268,18 @@ class Stage:
         meshes."""
         return frozenset()
 
+    def joins_layers(self, plan: Plan) -> bool:
+        """Whether a layer feels those below it here."""
+        return False
+
     def depends_on(self, plan: Plan) -> object:
         """What of the options its memories hold for: where it changes they are forgotten."""
         return None
+
+    def moved_m(self, plan: Plan, before: np.ndarray, after: np.ndarray) -> float:
+        """How far [m] at most a change from the pose ``before`` (24, 3) [rad] to ``after`` moves cloth by what this
+        stage reads of poses itself; infinite where nobody knows."""
+        return 0.0
 
     def rested(self, memory: Any, time_s: float) -> Any:
         """``memory`` as after another frame at ``time_s`` of a body and of cloth that do not move."""

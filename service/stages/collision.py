@@ -13,7 +13,7 @@ from drape.wire.options import DrapeOptions
 from service.engine import SKIN, Engine
 from service.push import PosedJets, Pushed, Pusher
 from service.settings import Settings
-from service.stages.batch import Batch, Layer, Plan, Stage, joined
+from service.stages.batch import Batch, Jets, Layer, Plan, Stage, joined
 
 MOVED_M = 1e-4  # a vertex pushed less than this counts as left alone
 
@@ -32,6 +32,9 @@ class Collision(Stage):
 
     def wanted(self, plan: Plan) -> bool:
         return bool(plan.options.push_out)
+
+    def joins_layers(self, plan: Plan) -> bool:
+        return True
 
     def needs(self, plan: Plan) -> frozenset[str]:
         return frozenset({"vertices", SKIN})
@@ -53,13 +56,14 @@ class Collision(Stage):
     def run(self, batch: Batch) -> Batch:
         layers: list[Layer] = []
         ways, left = [], []
-        for count in range(1, len(batch.layers) + 1):
+        for count, seen in enumerate(batch.plan.visible, start=1):
             under = joined([layer.vertices for layer in layers]) if layers else None
-            parts = [self._pushed(batch, count, under, rows) for _, rows in batch.rows()]
-            before = batch.layers[count - 1].jets
+            before = batch.layers[count - 1].jets if seen else None
+            parts = [self._pushed(batch, count, under, rows, before) for _, rows in batch.rows()]
             held = None if before is None else replace(before, jet=joined([part.jet for part in parts], axis=0))
             layers.append(Layer(joined([part.vertices for part in parts], axis=0), held))
-            ways.append(joined([part.way_m for part in parts], axis=0))
+            if seen:
+                ways.append(joined([part.way_m for part in parts], axis=0))
             if held is not None:
                 left.append(joined([part.left_m for part in parts], axis=0))
         way = joined(ways)
@@ -68,11 +72,12 @@ class Collision(Stage):
         quality = replace(batch.quality, pushed_share=share, push_max_m=furthest, left_m=left_m)
         return replace(batch, layers=tuple(layers), quality=quality)
 
-    def _pushed(self, batch: Batch, count: int, under: np.ndarray | None, rows: slice) -> Pushed:
-        """The frames ``rows`` of the layer ``count - 1``, one body's: as many frames as it has alone."""
+    def _pushed(self, batch: Batch, count: int, under: np.ndarray | None, rows: slice, jets: Jets | None) -> Pushed:
+        """The frames ``rows`` of the layer ``count - 1``, one body's, and of its ``jets`` where they come: as many
+        frames as it has alone."""
         layer = batch.layers[count - 1]
         assert layer.vertices is not None and batch.skin is not None
-        posed = None if layer.jets is None else PosedJets(layer.jets.jet[rows], layer.jets.rotation[rows])
+        posed = None if jets is None else PosedJets(jets.jet[rows], jets.rotation[rows])
         below = None if under is None else under[rows]
         keys = batch.plan.keys[:count]
         return self.pusher.push(keys, layer.vertices[rows], batch.skin[rows], under=below, posed=posed)

@@ -69,6 +69,9 @@ class Folds(Stage):
     def wanted(self, plan: Plan) -> bool:
         return bool(plan.options.folds)
 
+    def joins_layers(self, plan: Plan) -> bool:
+        return bool(plan.options.cloth_contact)
+
     def needs(self, plan: Plan) -> frozenset[str]:
         return frozenset({"vertices", SKIN, FINE})
 
@@ -91,8 +94,8 @@ class Folds(Stage):
     def prepare(self, plan: Plan) -> None:
         for key, fabric in zip(plan.draped_keys, layer_fabrics(plan.options, len(plan.keys)), strict=True):
             self._of(key, fabric)
-        for key, draped in zip(plan.keys, plan.draped_keys, strict=True):
-            if key != draped:
+        for key, draped, read in zip(plan.keys, plan.draped_keys, _read(plan), strict=True):
+            if read and key != draped:
                 self._wrapping(key)
 
     def run(self, batch: Batch) -> Batch:
@@ -106,7 +109,7 @@ class Folds(Stage):
         effort = Effort(plan.options.folds, plan.options.settle, cloth_contact=bool(plan.options.cloth_contact))
         safe = replace(effort, sweeps=max(plan.options.folds, plan.options.safe_folds or 0))
         efforts = [safe if novelty > 1.0 else effort for novelty in batch.quality.novelty]
-        layers, resets = list(batch.layers), np.zeros(len(batch.root))
+        layers, resets, read = list(batch.layers), np.zeros(len(batch.root)), _read(plan)
         assert batch.skin is not None
         ground = batch.skin.reshape(len(batch.skin), -1, batch.skin.shape[-1])
         fabrics = layer_fabrics(plan.options, len(plan.keys))
@@ -118,7 +121,7 @@ class Folds(Stage):
             resets += again
             ground = ground if height is None else raised(ground, height)
             batch = batch.remember((self.name, key), memories)
-            if sent != key:
+            if sent != key and read[i]:
                 layers[i] = self._wrapped(layers[i], sent)
             yield replace(batch, layers=tuple(layers), quality=replace(batch.quality, folds_resets=resets))
 
@@ -193,3 +196,8 @@ class Folds(Stage):
     @property
     def _bytes(self) -> int:
         return sum(made.nbytes for made in self._constants.values())
+
+
+def _read(plan: Plan) -> list[bool]:
+    """Of which layers the delivered mesh is read: a hidden one's by the push-out alone."""
+    return [seen or bool(plan.options.push_out) for seen in plan.visible]

@@ -5,6 +5,7 @@ What is remembered belongs to the body and not to a garment: all that hangs on a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -69,6 +70,10 @@ class Motion(Stage):
 
     def wanted(self, plan: Plan) -> bool:
         return bool(plan.options.knob) and plan.options.inertia == "network"
+
+    def moved_m(self, plan: Plan, before: np.ndarray, after: np.ndarray) -> float:
+        """Any: it reads how fast every joint is, and after a rest would see a leap."""
+        return math.inf
 
     def rested(self, memory: Memory, time_s: float) -> Memory:
         """The last moments, as long apart as they were."""

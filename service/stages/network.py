@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -15,15 +16,18 @@ from drape.push.skin import posed_table
 from drape.wire.options import DrapeOptions
 from service.engine import JETS, SKIN, Engine, check_finite
 from service.fabrics import check_known, layer_fabrics
+from service.limbs import reach_m, turns_rad
 from service.packing import Packer, Result, ScenePlan, Shape
 from service.settings import Settings
-from service.stages.batch import Batch, Jets, Layer, Plan, Stage
+from service.stages.batch import Batch, Jets, Layer, Plan, PoseInput, Stage
 
 SHAPES: dict[frozenset[str], Shape] = {
     frozenset({"vertices"}): "vertices",
     frozenset({"jets"}): "jets",
     frozenset({"vertices", "jets"}): "both",
 }
+REACHES_KEPT = 256  # garments in fabrics, 192 bytes each
+Measured = tuple[str, str, int | None]  # a garment, its fabric, passes
 
 
 class Network(Stage):
@@ -37,10 +41,11 @@ class Network(Stage):
     def __init__(self, engine: Engine, body: BodyModel, settings: Settings) -> None:
         super().__init__(engine, body, settings)
         self.packer = Packer(engine, body)
+        self._reach_m: dict[Measured, np.ndarray] = {}
         self._skin_in_graph = engine.feels_body and body.posedirs is None
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
-        return {"passes": self.engine.check_passes(options.passes)}
+        return {"passes": self.engine.check_passes(options.passes), "still_mm": options.still_mm or None}
 
     def check(self, plan: Plan) -> None:
         fabrics = layer_fabrics(plan.options, len(plan.keys))
@@ -55,6 +60,39 @@ class Network(Stage):
     def prepare(self, plan: Plan) -> None:
         given = self.engine.feels_body and not self._skin_in_graph
         self.packer.prepare(self._scene(plan), skin_given=given, shapes=plan.messages)
+        if plan.options.still_mm and plan.messages and not self.engine.bound:
+            for key in self._measured(plan):
+                if key not in self._reach_m:
+                    self._reach_m[key] = self._reach_of(plan, key)
+                    while len(self._reach_m) > REACHES_KEPT:
+                        self._reach_m.pop(next(iter(self._reach_m)))
+
+    def moved_m(self, plan: Plan, before: np.ndarray, after: np.ndarray) -> float:
+        """By how far it lets each joint move any of the garments (``service.limbs``), and how far they turn."""
+        reaches = [self._reach_m.get(key) for key in self._measured(plan)]
+        known = [reach for reach in reaches if reach is not None]
+        if len(known) < len(reaches):
+            return math.inf
+        return float(np.max(known, axis=0) @ turns_rad(before, after))
+
+    def _measured(self, plan: Plan) -> list[Measured]:
+        fabrics = layer_fabrics(plan.options, len(plan.keys))
+        named = ["" if fabric is None else fabric.digest for fabric in fabrics]
+        return [(key, fabric, plan.options.passes) for key, fabric in zip(plan.draped_keys, named, strict=True)]
+
+    def _reach_of(self, plan: Plan, key: Measured) -> np.ndarray:
+        """``reach_m`` of one garment of ``plan``, from its vertices alone."""
+        number = self._measured(plan).index(key)
+        entry, fabric = plan.draped[number], plan.options.fabric
+        known = plan.options.model_copy(update={"fabric": fabric[number] if isinstance(fabric, tuple) else fabric})
+        alone = Plan(entry, known, stages=(self,), needs=frozenset({"vertices"}), draped=(entry,))
+
+        def draped(poses: np.ndarray) -> np.ndarray:
+            zeros = np.zeros((len(poses), 3))
+            body = PoseInput(poses, zeros, np.zeros(self.body.shape_count), np.zeros(len(poses)))
+            return self.run(Batch.of(alone, [body])).vertices
+
+        return reach_m(draped)
 
     @property
     def held_bytes(self) -> int:

@@ -54,12 +54,16 @@ def test_a_stream_parts_the_vertices_of_its_layers(outfit_url: str):
         async with await DrapeStream.open(outfit_url, ["tube", "coat"]) as stream:
             await stream.send(poses[0])
             both = stream.layers((await stream.receive()).frame.vertices())
+            await stream.reopen(["tube", "coat"], hidden=["tube"])
+            await stream.send(poses[0])
+            (seen,) = stream.layers((await stream.receive()).frame.vertices())
             await stream.reopen("coat")
             await stream.send(poses[0])
-            return both, stream.layers((await stream.receive()).frame.vertices())
+            return [*both, seen], stream.layers((await stream.receive()).frame.vertices())
 
-    both, one = asyncio.run(talk())
+    (*both, seen), one = asyncio.run(talk())
     assert len(both) == 2 and len(one) == 1
+    assert_allclose(seen, expected[1][0], rtol=0, atol=1e-4)
     for got, wanted in zip(both, expected, strict=True):
         assert_allclose(got, wanted[0], rtol=0, atol=1e-4)
 
@@ -72,5 +76,11 @@ def test_the_command_line_writes_all_layers(outfit_url: str, tmp_path: Path):
     base = ["--url", outfit_url, "drape", "--motion", str(clip), "--as-recorded", "--fps", "30"]
     assert main([*base, "--garment", "tube", "coat", "--out", str(out)]) == 0
     both = np.load(out)
+    points = tmp_path / "out.pc2"
+    assert main([*base, "--garment", "tube", "coat", "--hidden", "tube", "--out", str(points)]) == 0
+    seen = np.frombuffer(points.read_bytes()[32:], "<f4").reshape(len(both), -1, 3)
+    assert_array_equal(seen, both[:, both.shape[1] // 2 :])
+    rows = points.with_suffix(".obj").read_text().splitlines()
+    assert sum(row.startswith("v ") for row in rows) == seen.shape[1]
     assert main([*base, "--garment", "tube", "--out", str(out)]) == 0
     assert_array_equal(both[:, : both.shape[1] // 2], np.load(out))
