@@ -17,7 +17,6 @@ from drape.wire.options import DrapeOptions
 from service.drapery import Drapery
 from service.push import Pusher
 from service.settings import Settings
-from service.stages import folds as folds_stage
 from service.stages import run
 from service.stages.batch import Batch, Plan, PoseInput, joined
 from tests.fixtures.poses import smooth_motion
@@ -106,13 +105,6 @@ def test_jets_of_hidden_garments_are_neither_pushed_nor_sent(drapery: Drapery, m
     patches = drapery.garments.get("tube").patch_count
     assert_array_equal(less.jets.jet, whole.jets.jet[:, patches:])
     assert [len(unpack_jets(one).jet) for one in less.messages] == [2 * patches] * 3
-
-
-def test_a_hidden_garment_is_not_finished_to_the_delivered_mesh(drapery: Drapery):
-    """Its own cloth is what the layers above feel; the push-out alone reads the delivered mesh."""
-    hidden = planned(drapery, hidden=["tube"], folds=1, push_out=False)
-    assert folds_stage._read(hidden) == [False, True, True]
-    assert folds_stage._read(planned(drapery, hidden=["tube"], folds=1)) == [True, True, True]
 
 
 def test_of_hidden_garments_a_clip_keeps_nothing(drapery: Drapery):

@@ -68,6 +68,28 @@ def draped(drapery: Drapery, **options: object) -> np.ndarray:
     return asyncio.run(drapery.drape(plan, CLIP)).vertices
 
 
+def test_a_hidden_garment_is_wrapped_for_the_push_out_alone(drapery: Drapery, monkeypatch: pytest.MonkeyPatch):
+    """Layers above feel its cloth; nobody else reads the delivered mesh."""
+    scene = drapery.garments.scene(None, ["coarse", "tube"])
+    wrapped: list[int] = []
+    wrap = Wrapping.wrap
+
+    def noted(wrapping: Wrapping, cloth: np.ndarray) -> np.ndarray:
+        wrapped.append(len(cloth))
+        return wrap(wrapping, cloth)
+
+    monkeypatch.setattr(Wrapping, "wrap", noted)
+    for push_out, frames in ((False, 0), (True, len(POSES))):
+        whole, less = (
+            drapery.plan(scene, DrapeOptions(folds=1, push_out=push_out, hidden=hidden))
+            for hidden in (None, ("coarse",))
+        )
+        both = asyncio.run(drapery.drape(whole, CLIP)).vertices
+        wrapped.clear()
+        assert_array_equal(asyncio.run(drapery.drape(less, CLIP)).vertices, both[:, scene.layers[0].vertex_count :])
+        assert len(wrapped) == frames
+
+
 def test_without_folds_nothing_fine_is_computed_and_no_bit_changes(coarse_settings: Settings, coarse: Garment):
     drapery = Drapery(coarse_settings)
     held = drapery.device_bytes
