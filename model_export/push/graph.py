@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -16,14 +16,15 @@ from torch import Tensor, nn
 
 from drape.arrays import Array
 from drape.arrays.tensors import Tensors, group, tensor
-from drape.artifacts import GraphSpec, TensorSpec
+from drape.artifacts import GraphSpec, TensorSpec, file_digest
 from drape.body.skeleton import JOINT_COUNT
 from drape.graph.layer_feed import LayerFeed, push_over_in_parts
 from drape.push.projection import TERMS, Pushed, PushFeed, push_in_parts
 from drape.push.samples import REGION_SIZE
 from drape.push.skin import SkinOnBones, skin_table
-from model_export.onnx_file import write_graph
+from model_export.onnx_file import OPSET, write_graph
 from model_export.packed.operators import TRANSLATIONS
+from model_export.push.stored import key, stored
 
 OUTPUTS: tuple[TensorSpec, ...] = (
     TensorSpec("pushed", ("frames", "vertices", 3), "float32", "m"),
@@ -95,16 +96,19 @@ PUSHES: dict[str, Callable[[], PushGraph | LayerGraph]] = {"push_out": PushGraph
 
 def write_push(name: str, folder: Path) -> GraphSpec:
     """Writes the graph ``name`` of ``PUSHES``, which is the same for every model: exported once, then copied."""
-    content, spec = _exported(name)
     path = folder / f"{name}.onnx"
-    path.write_bytes(content)
-    return replace(spec, file=path.name)
+    path.write_bytes(_content(name))
+    return GraphSpec(path.name, file_digest(path), OPSET, PUSHES[name].inputs, OUTPUTS)
 
 
 @cache
-def _exported(name: str) -> tuple[bytes, GraphSpec]:
+def _content(name: str) -> bytes:
+    return stored(name, key(), lambda: _exported(name))
+
+
+def _exported(name: str) -> bytes:
     graph = PUSHES[name]()
     with tempfile.TemporaryDirectory(prefix="push-out-") as folder:
         path = Path(folder) / "push.onnx"
-        spec = write_graph(graph, path, graph.inputs, OUTPUTS, translations=TRANSLATIONS)
-        return path.read_bytes(), spec
+        write_graph(graph, path, graph.inputs, OUTPUTS, translations=TRANSLATIONS)
+        return path.read_bytes()

@@ -21,20 +21,25 @@ from tests.training.training_setup import CPU, MOVING_RUN, TINY_RUN
 from dataclasses import replace
 parallel.start(CPU)
 torch.set_num_threads(1)
-run = {"static": TINY_RUN, "dynamic": MOVING_RUN}[sys.argv[2]]
-trainer = make_trainer(replace(run, minutes=0.08), read_clips([sample_motions()], held_out=()), device=CPU)
-train(trainer, Path(sys.argv[1]))
-torch.save([p.detach() for p in trainer.model.parameters()], Path(sys.argv[1]) / f"rank{parallel.rank()}.pt")
-print("steps", trainer.step_count, flush=True)
+clips = read_clips([sample_motions()], held_out=())
+for kind, run in (("static", TINY_RUN), ("dynamic", MOVING_RUN)):
+    folder = Path(sys.argv[1]) / kind
+    trainer = make_trainer(replace(run, minutes=0.08), clips, device=CPU)
+    train(trainer, folder)
+    torch.save([p.detach() for p in trainer.model.parameters()], folder / f"rank{parallel.rank()}.pt")
+    print("steps", trainer.step_count, flush=True)
 parallel.stop()
 os._exit(0)  # threads of libraries that are still there when an interpreter ends have aborted this process before
 """
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["static", "dynamic"])
-def test_two_processes_keep_the_same_weights(tmp_path: Path, kind: str):
-    script = tmp_path / "two.py"
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of two runs, one after the other: their processes start once, which takes as long as they do."""
+    folder = tmp_path_factory.mktemp("two")
+    for kind in ("static", "dynamic"):
+        (folder / kind).mkdir()
+    script = folder / "two.py"
     script.write_text(SCRIPT)
     command = [
         sys.executable,
@@ -44,17 +49,22 @@ def test_two_processes_keep_the_same_weights(tmp_path: Path, kind: str):
         "--nproc-per-node",
         "2",
         str(script),
-        str(tmp_path),
-        kind,
+        str(folder),
     ]
     root = Path(__file__).resolve().parents[2]
     environment = {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1", "PATH": "/usr/bin:/bin"}
     done = subprocess.run(command, capture_output=True, text=True, timeout=240, cwd=root, env=environment, check=False)
     assert done.returncode == 0, done.stderr[-3000:]
-    weights = [torch.load(tmp_path / f"rank{rank}.pt", weights_only=True) for rank in (0, 1)]
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["static", "dynamic"])
+def test_two_processes_keep_the_same_weights(trained: Path, kind: str):
+    weights = [torch.load(trained / kind / f"rank{rank}.pt", weights_only=True) for rank in (0, 1)]
     for first, second in zip(*weights, strict=True):
         assert torch.equal(first, second)
-    state, _ = checkpoint.load(tmp_path / "checkpoint.pt")
+    state, _ = checkpoint.load(trained / kind / "checkpoint.pt")
     assert state["step"] > 3
 
 

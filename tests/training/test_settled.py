@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -47,14 +48,15 @@ def test_cloth_that_settles_has_less_energy_and_gives_as_its_fabric_does():
     assert np.isfinite(list(lower.values())).all() and lower["sweat"] != pytest.approx(lower["denim"], rel=1e-3)
 
 
-@pytest.fixture
-def made(tmp_path: Path) -> tuple[Trainer, Path]:
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Trainer, Path]:
+    """The trainer and the folder of its file; both are read by every test and changed by none."""
     trainer = Trainer(FABRIC_RUN, bank(), device=CPU)
     found = settled.make(trainer, Settler(body()))
     assert found is not None
-    (tmp_path / "files").mkdir()
-    found.save(tmp_path / "files" / "001_000000.npz")
-    return trainer, tmp_path / "files"
+    folder = tmp_path_factory.mktemp("files")
+    found.save(folder / "001_000000.npz")
+    return trainer, folder
 
 
 def test_files_keep_what_was_settled(made: tuple[Trainer, Path]):
@@ -79,7 +81,7 @@ def test_drapes_without_corrections_go_toward_settled_ones(made: tuple[Trainer, 
 
 
 def test_folders_without_files_and_files_of_others_are_refused(made: tuple[Trainer, Path], tmp_path: Path):
-    folder = made[1]
+    folder = Path(shutil.copytree(made[1], tmp_path / "files"))
     with pytest.raises(NotFound, match="settled drapes"):
         SettledBank(tmp_path)
     with pytest.raises(ArtifactError, match="of the garments of this run"):
