@@ -20,6 +20,7 @@ from starlette.requests import HTTPConnection
 from drape.errors import InputError
 from service.errors import Busy, Unauthorized
 from service.keys import ANYONE, Client, digest, load_keys
+from service.openapi import responses
 from service.settings import Settings
 from service.tickets import LIFE_S, Tickets
 
@@ -117,7 +118,7 @@ class Ticket(BaseModel):
     expires_s: float
 
 
-@router.post("/tickets")
+@router.post("/tickets", responses=responses(InputError))
 async def make_ticket(connection: HTTPConnection, client: ClientHere) -> Ticket:
     """A ticket of the asking key, for a page that must not have the key."""
     if client.name is None:

@@ -9,7 +9,7 @@ from contextlib import asynccontextmanager
 from fastapi import FastAPI
 from fastapi.middleware.cors import CORSMiddleware
 
-from service import errors, garment_care, jets, preview, probes, reference, routes, stream
+from service import errors, garment_care, jets, openapi, preview, probes, reference, routes, stream
 from service.access import ADMITTED, Access
 from service.access import router as access_routes
 from service.drapery import Drapery
@@ -89,8 +89,9 @@ def create_app(
     app.add_middleware(RequestLog, metrics=metrics)
     probes.install(app, life, metrics, ADMITTED)
     reference.install(app)
+    openapi.install(app)
     for router in (routes.router, jets.router, preview.router, garment_care.router, access_routes):
-        app.include_router(router, dependencies=ADMITTED)
+        app.include_router(router, dependencies=ADMITTED, responses=openapi.responses(*openapi.EVERYWHERE))
     app.include_router(stream.router)
     app.mount("/", Page(settings.page_dir))
     return app

@@ -11,10 +11,11 @@ from pydantic import Field
 from drape.errors import InputError, NotFound
 from service import schemas
 from service.access import ClientHere
-from service.errors import Forbidden
+from service.errors import Forbidden, TooLarge, TooSlow
 from service.garments import Entry
-from service.json_body import body_schema, document_of, json_text, validated
+from service.json_body import document_of, json_text, validated
 from service.keys import Client
+from service.openapi import body_schema, responses
 from service.state import State, StateHere
 
 router = APIRouter()
@@ -37,7 +38,11 @@ def _own(garment_id: str, client: Client, state: State) -> Entry:
     return entry
 
 
-@router.patch("/garments/{garment_id}", openapi_extra=body_schema(GarmentChange))
+@router.patch(
+    "/garments/{garment_id}",
+    openapi_extra=body_schema(GarmentChange),
+    responses=responses(InputError, NotFound, TooSlow, TooLarge),
+)
 async def change_garment(
     garment_id: str, request: Request, state: StateHere, client: ClientHere
 ) -> schemas.GarmentInfo:
@@ -50,7 +55,7 @@ async def change_garment(
     return schemas.GarmentInfo.of(changed)
 
 
-@router.delete("/garments/{garment_id}", status_code=204)
+@router.delete("/garments/{garment_id}", status_code=204, responses=responses(NotFound))
 async def delete_garment(garment_id: str, state: StateHere, client: ClientHere) -> None:
     """Removes an uploaded garment from the service and its disk; streams that wear it are ended (4404)."""
     entry = _own(garment_id, client, state)

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from fastapi import APIRouter, Request, Response
 
+from drape.errors import InputError, NotFound
 from drape.wire.jets import message_bytes
 from drape.wire.options import Resolution
 from service import negotiation
 from service.access import ClientHere
 from service.answers import messages_answer
 from service.drapery import Drapery
+from service.errors import NotAcceptable, TooLarge
 from service.garments import Outfit, Scene, layer_list
 from service.limits import check_answer
+from service.openapi import responses
 from service.piecework import Piecework
 from service.stages.batch import Batch
 from service.state import StateHere
@@ -19,7 +22,11 @@ from service.state import StateHere
 router = APIRouter()
 
 
-@router.get("/garments/{garment_id}/jets", response_class=Response)
+@router.get(
+    "/garments/{garment_id}/jets",
+    response_class=Response,
+    responses=responses(InputError, NotFound, NotAcceptable, TooLarge, kinds=(negotiation.BINARY,)),
+)
 async def garment_jets(
     garment_id: str, request: Request, state: StateHere, client: ClientHere, resolution: Resolution = "delivered"
 ) -> Response:

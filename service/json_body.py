@@ -16,7 +16,7 @@ from pydantic_core import from_json
 from drape.body.skeleton import JOINT_COUNT
 from drape.wire.options import wire_names
 from service.errors import TooLarge
-from service.negotiation import BINARY, JSON
+from service.negotiation import JSON
 from service.piecework import Piecework
 from service.schemas import Request as Schema
 from service.validation import not_json, validation_refusal
@@ -97,18 +97,3 @@ async def json_text(request: Request) -> bytes:
 def content_type(request: Request) -> str:
     """The media type of the body without its parameters, in lower case; empty where none was said."""
     return request.headers.get("content-type", "").partition(";")[0].strip().lower()
-
-
-def body_schema(model: type[Schema]) -> dict[str, Any]:
-    """What a route that reads ``model`` by itself says of its body in the OpenAPI document."""
-    return {"requestBody": {"content": {JSON: {"schema": model.model_json_schema()}}, "required": True}}
-
-
-def clip_schema(model: type[Schema]) -> dict[str, Any]:
-    """``body_schema`` of a route that takes the motion as a CLIP message too."""
-    said = body_schema(model)
-    description = "A CLIP message (docs/reference/wire.md): the poses as float64, then JSON of all other fields."
-    said["requestBody"]["content"][BINARY] = {
-        "schema": {"type": "string", "format": "binary", "description": description}
-    }
-    return said

@@ -16,11 +16,12 @@ from socketserver import BaseServer
 from fastapi import APIRouter, FastAPI, Request, Response
 from fastapi.params import Depends
 
-from drape.errors import DrapeError
-from service.errors import PROBLEM, problem
+from drape.errors import DrapeError, Unavailable
+from service.errors import PROBLEM, Forbidden, problem
 from service.lifecycle import Lifecycle
 from service.metrics import MEDIA_TYPE, Metrics
 from service.negotiation import JSON
+from service.openapi import EVERYWHERE, responses
 
 PATHS = ("/livez", "/readyz", "/metrics")
 CLIENT_S = 2.0  # for one request of one client
@@ -58,9 +59,17 @@ def install(app: FastAPI, lifecycle: Lifecycle, metrics: Metrics, admitted: Sequ
         "/metrics": "All series in the text format of Prometheus.",
     }
     for path in PATHS:
-        asks = admitted if path == "/metrics" else ()
+        series = path == "/metrics"
+        asks = admitted if series else ()
+        refusals, kind = (EVERYWHERE, "text/plain") if series else ((Forbidden, Unavailable), JSON)
         router.add_api_route(
-            path, probe, description=described[path], response_class=Response, name=path[1:], dependencies=asks
+            path,
+            probe,
+            description=described[path],
+            response_class=Response,
+            name=path[1:],
+            dependencies=asks,
+            responses=responses(*refusals, kinds=(kind,)),
         )
     app.include_router(router)
 

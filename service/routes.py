@@ -13,7 +13,7 @@ from fastapi import APIRouter, Query, Request, Response
 from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_table import FABRICS
-from drape.errors import InputError
+from drape.errors import BodyError, InputError, MotionError, NotFound
 from drape.export import glb
 from drape.export.glb_body import add_body
 from drape.export.glb_file import GlbFile
@@ -28,6 +28,7 @@ from service.access import ClientHere
 from service.answers import binary_answer, file_answer, json_answer
 from service.avatars import MOST_CHARACTERS, upload_avatar
 from service.drapery import Drapery
+from service.errors import Full, NotAcceptable, TooLarge, TooSlow
 from service.exports import export_answer
 from service.garments import Outfit, Scene, layer_list
 from service.jets import check_jets_size, jets_response
@@ -35,7 +36,6 @@ from service.jobs import Job
 from service.json_body import (
     check_marks,
     clip_marks,
-    clip_schema,
     content_type,
     document_of,
     json_text,
@@ -44,6 +44,7 @@ from service.json_body import (
 )
 from service.limits import check_answer
 from service.motions import floor_m
+from service.openapi import BYTES, body_schema, clip_schema, responses
 from service.placing import Placed
 from service.poses import motion_arrays, shape_array
 from service.stages.batch import PoseInput
@@ -56,6 +57,7 @@ from service.version import product_version
 router = APIRouter()
 NUMBER_TEXT_BYTES = 20  # of one coordinate in JSON
 KINDS = (negotiation.BINARY, negotiation.GLB, negotiation.JSON)
+CLIP_REFUSALS = (InputError, NotFound, NotAcceptable, TooSlow, TooLarge, MotionError, BodyError)
 Asked = TypeVar("Asked", bound=schemas.PosedOptions)
 Betas = Annotated[str | None, Query(max_length=1000, description="Shape coefficients, comma-separated.")]
 
@@ -97,13 +99,17 @@ async def garments(state: StateHere, client: ClientHere) -> list[schemas.Garment
     return [schemas.GarmentInfo.of(entry) for entry in state.drapery.garments.visible(client.name)]
 
 
-@router.get("/garments/{garment_id}")
+@router.get("/garments/{garment_id}", responses=responses(NotFound))
 async def garment(garment_id: str, state: StateHere, client: ClientHere) -> schemas.GarmentInfo:
     """One garment."""
     return schemas.GarmentInfo.of(state.drapery.garments.get(garment_id, client.name))
 
 
-@router.get("/garments/{garment_id}/mesh", response_model=schemas.MeshDocument)
+@router.get(
+    "/garments/{garment_id}/mesh",
+    response_model=schemas.MeshDocument,
+    responses=responses(InputError, NotFound, NotAcceptable, kinds=(negotiation.GLB,)),
+)
 async def garment_mesh(
     garment_id: str, request: Request, state: StateHere, client: ClientHere, resolution: Resolution = "delivered"
 ) -> Response:
@@ -136,7 +142,12 @@ def _rest_file(garment: Garment) -> tuple[GlbFile, bytes]:
 # --- uploads ---
 
 
-@router.post("/garments", status_code=202)
+@router.post(
+    "/garments",
+    status_code=202,
+    openapi_extra=body_schema(schemas.UploadRequest, **dict.fromkeys((negotiation.BINARY, *MESH_CONTENT_TYPES), BYTES)),
+    responses=responses(InputError, NotFound, TooSlow, TooLarge, BodyError, Full),
+)
 async def upload(
     request: Request,
     response: Response,
@@ -166,13 +177,13 @@ async def upload(
     return _job_info(job)
 
 
-@router.get("/jobs/{job_id}")
+@router.get("/jobs/{job_id}", responses=responses(NotFound))
 async def job(job_id: str, state: StateHere, client: ClientHere) -> schemas.JobInfo:
     """How far an upload is."""
     return _job_info(state.uploads.get(job_id, client.name))
 
 
-@router.delete("/jobs/{job_id}", status_code=204)
+@router.delete("/jobs/{job_id}", status_code=204, responses=responses(NotFound))
 async def cancel_job(job_id: str, state: StateHere, client: ClientHere) -> None:
     """Ends an upload and removes its files; one that has ended is forgotten, and its garment stays."""
     await asyncio.shield(state.uploads.cancel(state.uploads.get(job_id, client.name)))
@@ -203,7 +214,12 @@ def _job_info(job: Job) -> schemas.JobInfo:
 # --- draped clips and posed bodies ---
 
 
-@router.post("/drape", response_model=schemas.VerticesDocument, openapi_extra=clip_schema(schemas.DrapeRequest))
+@router.post(
+    "/drape",
+    response_model=schemas.VerticesDocument,
+    openapi_extra=clip_schema(schemas.DrapeRequest),
+    responses=responses(*CLIP_REFUSALS, kinds=(*KINDS, negotiation.PC2, negotiation.USDA)),
+)
 async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> Response:
     """The garment on the moving body, world axes [m]: binary float32 (frames, vertices, 3), GLB, JSON, PC2 or USD by
     Accept.
@@ -253,6 +269,7 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
     "/bodies/{body_id}/posed",
     response_model=schemas.VerticesDocument,
     openapi_extra=clip_schema(schemas.PosedRequest),
+    responses=responses(*CLIP_REFUSALS, kinds=KINDS),
 )
 async def posed_body(body_id: str, request: Request, state: StateHere, client: ClientHere) -> Response:
     """The posed body's vertices for the same input, in the same formats."""
@@ -403,7 +420,7 @@ def _body_info(body: BodyModel) -> schemas.BodyInfo:
     )
 
 
-@router.get("/bodies/{body_id}")
+@router.get("/bodies/{body_id}", responses=responses(InputError, NotFound, BodyError))
 async def body(body_id: str, state: StateHere, betas: Betas = None) -> schemas.BodyDocument:
     """One body, in the shape ``betas``."""
     drapery = state.drapery
@@ -416,7 +433,11 @@ async def body(body_id: str, state: StateHere, betas: Betas = None) -> schemas.B
     )
 
 
-@router.get("/bodies/{body_id}/mesh", response_model=schemas.MeshDocument)
+@router.get(
+    "/bodies/{body_id}/mesh",
+    response_model=schemas.MeshDocument,
+    responses=responses(InputError, NotFound, NotAcceptable, BodyError, kinds=(negotiation.GLB,)),
+)
 async def body_mesh(
     body_id: str,
     request: Request,
@@ -456,7 +477,11 @@ async def motions(state: StateHere) -> list[schemas.MotionInfo]:
     ]
 
 
-@router.get("/motions/{motion_id}", response_model=schemas.MotionDocument)
+@router.get(
+    "/motions/{motion_id}",
+    response_model=schemas.MotionDocument,
+    responses=responses(InputError, NotFound, BodyError),
+)
 async def motion(motion_id: str, state: StateHere, betas: Betas = None) -> Response:
     """One sample clip with its poses [rad] and translations [m], for the body in the shape ``betas``."""
     drapery = state.drapery

@@ -12,15 +12,23 @@ from drape.files.formats import MESH_NAMES
 from drape.graph.feeds import BETA_COUNT
 from drape.wire.options import FIRST_ONLY, DrapeOptions, FabricNumbers, Identifier, TierName, Worn
 from service.placing import Origin
+from service.poses import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M
 from service.tiers import Tier
 
 if TYPE_CHECKING:
     from service.garments import Entry
 
-Number = Annotated[float, Field(allow_inf_nan=False, strict=True)]
-Vector = Annotated[list[Number], Len(3, 3), FIRST_ONLY]
-PoseRows = Annotated[list[Vector], Len(JOINT_COUNT, JOINT_COUNT), FIRST_ONLY]
-Betas = Annotated[list[Number], Len(0, BETA_COUNT), FIRST_ONLY]
+
+def _number(limit: float) -> Any:
+    """A finite number; of ``limit`` the schema tells, and ``service.poses`` refuses what is beyond it."""
+    told: dict[str, Any] = {"minimum": -limit, "maximum": limit}
+    return Annotated[float, Field(allow_inf_nan=False, strict=True, json_schema_extra=told)]
+
+
+Angles = Annotated[list[_number(ANGLE_LIMIT_RAD)], Len(3, 3), FIRST_ONLY]
+Place = Annotated[list[_number(PLACE_LIMIT_M)], Len(3, 3), FIRST_ONLY]
+PoseRows = Annotated[list[Angles], Len(JOINT_COUNT, JOINT_COUNT), FIRST_ONLY]
+Betas = Annotated[list[_number(BETA_LIMIT)], Len(0, BETA_COUNT), FIRST_ONLY]
 
 
 class Request(BaseModel):
@@ -45,7 +53,7 @@ class PosedRequest(PosedOptions):
     """A body in motion: rotation vectors [rad] relative to the parent, root translation [m], shape."""
 
     poses: Annotated[list[PoseRows], Len(1), FIRST_ONLY]
-    trans: Annotated[list[Vector], FIRST_ONLY] | None = Field(
+    trans: Annotated[list[Place], FIRST_ONLY] | None = Field(
         default=None, description="Root translation [m] per frame; zeros if left out."
     )
 
@@ -89,6 +97,19 @@ class OpenRequest(DrapeOptions, Worn, Request):
     type: Literal["open"]
     betas: Betas | None = None
     moves: bool = Field(default=False, description="Whether the client can go on at another process, with its state.")
+
+
+class Problem(BaseModel):
+    """A refusal (RFC 9457): what was wrong, what was expected, what came, and what cures it."""
+
+    type: str
+    title: str
+    status: int
+    detail: str = Field(description="One sentence of name, expected, got and cure.")
+    name: str
+    expected: str
+    got: str
+    cure: str
 
 
 class Health(BaseModel):

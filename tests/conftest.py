@@ -13,6 +13,7 @@ import pytest
 from hypothesis import settings
 
 from drape.files.data import HOW_TO_SET_DATA, data_folder
+from tests.fixtures.fuzzing import SOAK
 from tests.fixtures.run_folder import RUN_FOLDER
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -44,6 +45,7 @@ CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrom
 
 # Examples are drawn from a fixed seed: a red run on one machine is red on the next.
 settings.register_profile("drape", deadline=None, derandomize=True, print_blob=True)
+settings.register_profile(SOAK, deadline=None, print_blob=True)
 settings.load_profile("drape")
 
 
