@@ -7,7 +7,7 @@
 #   make check            format, lint, types, import order
 #   make format           write the format and the safe lint fixes
 #   make bench            every benchmark, its quick form
-#   make soak             fuzzed frames through the whole engine for ten minutes; ARGS="--frames 1000000 --seconds 1e9" for more
+#   make soak             fuzzed frames through the whole engine for ten minutes, ARGS="--frames 1000000 --seconds 1e9" for more; then drawn requests and streams
 #   make clean            remove what was installed or built
 #
 # Options: PORT, HOST; PAGE=0 starts without the page (no Node.js needed);
@@ -94,8 +94,10 @@ format: setup
 bench: setup
 	@scripts/bench $(BIN)/python $(ARGS)
 
+# The second line draws other requests and streams every time; what fails prints how to repeat it.
 soak: setup
 	$(BIN)/python -m benchmarks.soak --threads 1 $(ARGS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q --hypothesis-profile=soak tests/service/test_openapi.py tests/service/test_stream_machine.py
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .cache .pytest_cache .ruff_cache .hypothesis
