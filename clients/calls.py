@@ -32,7 +32,7 @@ BINARY, GLB = "application/octet-stream", "model/gltf-binary"
 DEFAULT_URL = "http://127.0.0.1:8000"
 DEFAULT_FPS = 30.0
 DRAPE = "/drape"
-STREAMED = {"streamed": True}  # so that the answer may be of any length
+_STREAMED = {"streamed": True}  # so that the answer may be of any length
 
 
 class ServiceError(DrapeError):
@@ -213,17 +213,17 @@ def upload(path: Path, avatar: str | dict[str, Any] | None, name: str | None) ->
 
 def drape(garment: str | Sequence[str], motion: Motion, body: Body, options: Options) -> Call[np.ndarray]:
     """World vertices [m] (F, V, 3) float32; ``options`` by the names of ``drape.wire.options.DrapeOptions``."""
-    return _draped(_read_vertices, garment, motion, body, options_document(options) | STREAMED)
+    return _draped(_read_vertices, garment, motion, body, options_document(options) | _STREAMED)
 
 
 def drape_outfit(garments: Sequence[str], motion: Motion, body: Body, options: Options) -> Call[list[np.ndarray]]:
     """World vertices [m] (F, V, 3) float32 of each of ``garments``."""
-    return _draped(_read_layers, garments, motion, body, options_document(options) | STREAMED)
+    return _draped(_read_layers, garments, motion, body, options_document(options) | _STREAMED)
 
 
 def drape_jets(garment: str | Sequence[str], motion: Motion, body: Body, options: Options) -> Call[list[JetFrame]]:
     """Posed patches of one garment, or of several over each other, frame by frame."""
-    asked = options_document({**options, "geometry": "jets"}) | STREAMED
+    asked = options_document({**options, "geometry": "jets"}) | _STREAMED
     return _draped(_read_jets, garment, motion, body, asked)
 
 

@@ -8,19 +8,22 @@ from typing import Annotated
 import numpy as np
 from fastapi import APIRouter, Header, Query, Response
 
+from drape.errors import InputError, NotFound
 from service.access import ClientHere
+from service.openapi import Responses, responses
 from service.pictures import picture
 from service.state import StateHere
 
 router = APIRouter()
 LEAST, MOST, USUAL = 64, 1024, 512  # pixels along each side
 PNG = "image/png"
+KNOWN: Responses = {304: {"description": "The picture that the client has is this one."}}
 
 
 @router.get(
     "/garments/{garment_id}/preview.png",
     response_class=Response,
-    responses={200: {"content": {PNG: {}}}, 304: {"description": "The picture that the client has is this one."}},
+    responses=responses(InputError, NotFound, kinds=(PNG,)) | KNOWN,
 )
 async def garment_preview(
     garment_id: str,
