@@ -13,8 +13,8 @@ from urllib.parse import quote
 import httpx
 import numpy as np
 
-from drape import errors
-from drape.errors import DrapeError, InputError, MotionError, Unavailable
+from clients.refusals import refusal
+from drape.errors import InputError, MotionError
 from drape.files.avatar_table import entry_for
 from drape.files.formats import MESH_SUFFIXES
 from drape.motion.clip import MotionClip
@@ -33,10 +33,6 @@ DEFAULT_URL = "http://127.0.0.1:8000"
 DEFAULT_FPS = 30.0
 DRAPE = "/drape"
 _STREAMED = {"streamed": True}  # so that the answer may be of any length
-
-
-class ServiceError(DrapeError):
-    """A refusal of the service of a kind that this client does not know."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,33 +94,6 @@ class Call(Generic[Answer]):
         if response.is_success:
             return self.read(response)
         raise refusal(response)
-
-
-def refusal(response: httpx.Response) -> DrapeError:
-    """The error that a problem document stands for."""
-    try:
-        document = response.json()
-        return problem_error(document)
-    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError):
-        got = f"status {response.status_code} {response.reason_phrase}"
-        cure = "Check that the address is that of the drape service."
-        return ServiceError(str(response.request.url), expected="an answer of the drape service", got=got, cure=cure)
-
-
-def problem_error(document: Mapping[str, Any]) -> DrapeError:
-    """The error with the fields of ``document``, of the class it names where that is one of ``drape.errors``."""
-    name = str(document.get("kind") or document["type"]).rpartition(":")[2]
-    known = getattr(errors, name, None)
-    kind = known if isinstance(known, type) and issubclass(known, DrapeError) else ServiceError
-    return kind(document["name"], expected=document["expected"], got=document["got"], cure=document["cure"])
-
-
-def unreachable(url: object, error: Exception) -> Unavailable:
-    """The refusal where no answer came."""
-    reason = str(error) or type(error).__name__
-    return Unavailable(
-        f"service at {url}", expected="an answer", got=reason, cure="Start it (make serve) or give its --url."
-    )
 
 
 # --- requests ---

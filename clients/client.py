@@ -21,6 +21,7 @@ from clients import calls, pieces
 from clients.at_root import at_root
 from clients.calls import DEFAULT_URL, Answer, Body, Call, Motion
 from clients.meshes import Mesh, check_without_body, glb_of
+from clients.refusals import problem_error, unreachable
 from drape.errors import DrapeError, Unavailable
 from drape.motion.clip import MotionClip
 from drape.wire.jets import JetFrame
@@ -58,7 +59,7 @@ class DrapeClient:
         try:
             response = self._http.request(**call.arguments())
         except (httpx.TransportError, httpx.InvalidURL) as error:
-            raise calls.unreachable(self._http.base_url, error) from error
+            raise unreachable(self._http.base_url, error) from error
         return call.answer(response)
 
     def _whole(self, call: Call[Answer]) -> Answer:
@@ -284,7 +285,7 @@ class AsyncDrapeClient:
         try:
             response = await self._http.request(**call.arguments())
         except (httpx.TransportError, httpx.InvalidURL) as error:
-            raise calls.unreachable(self._http.base_url, error) from error
+            raise unreachable(self._http.base_url, error) from error
         return call.answer(response)
 
     async def _whole(self, call: Call[Answer]) -> Answer:
@@ -489,7 +490,7 @@ class AsyncDrapeClient:
 def finished(job: dict[str, Any]) -> str | None:
     """The garment of a job that is done, None while it goes on; raises its refusal where it failed or was cancelled."""
     if job["state"] == "failed":
-        raise calls.problem_error(job["problem"])
+        raise problem_error(job["problem"])
     if job["state"] == "cancelled":
         raise Unavailable(
             f"upload {job['name']}", expected="its end", got="one that was cancelled", cure="Upload again."

@@ -28,7 +28,8 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidURI
 from websockets.typing import Subprotocol
 
-from clients.calls import DEFAULT_URL, ServiceError, key_headers, problem_error, unreachable, worn
+from clients.calls import DEFAULT_URL, key_headers, worn
+from clients.refusals import ServiceError, problem_error, unreachable
 from drape.errors import DrapeError, Unavailable
 from drape.wire import messages as wire
 from drape.wire.jets import JetFrame, unpack_jets

@@ -12,8 +12,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from clients import calls
-from clients.calls import ServiceError, problem_error
 from clients.client import AsyncDrapeClient, DrapeClient, check_deadline, finished
+from clients.refusals import ServiceError, problem_error
 from clients.stream import DrapeStream
 from drape.body.model import BodyModel
 from drape.errors import DrapeError, InputError, MeshError, MotionError, NotFound, Unavailable
