@@ -1,6 +1,6 @@
 # The service with its page, on the CPU. Build: docker build -t drape . Run for this machine alone:
 # docker run -p 127.0.0.1:8000:8000 -e DRAPE_OPEN=true drape; for others mount a file of keys and name it in DRAPE_KEYS_FILE.
-# For a GPU, replace the extra cpu by gpu (never both) and run with --gpus all.
+# For a GPU: docker build --build-arg EXTRA=gpu -t drape-gpu . and run it with --gpus all -e DRAPE_PROVIDER=cuda.
 
 FROM node:22-slim AS page
 WORKDIR /page
@@ -10,6 +10,8 @@ COPY clients/web ./
 RUN npm run build
 
 FROM python:3.12-slim
+# Which ONNX Runtime: cpu or gpu, never both.
+ARG EXTRA=cpu
 ENV NUMBA_CACHE_DIR=/app/.cache/numba PYTHONDONTWRITEBYTECODE=1 PYTHONUNBUFFERED=1 PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1
 WORKDIR /app
 COPY pyproject.toml README.md LICENSE ./
@@ -18,7 +20,7 @@ COPY service service
 COPY clients clients
 COPY assets assets
 # Editable, so that the code finds assets/ and the page beside it, as in a clone.
-RUN pip install -e '.[service,cpu]'
+RUN pip install -e ".[service,${EXTRA}]"
 # The promise that the service runs without torch is kept here, not only in the tests.
 RUN python -c "import importlib.util as u, sys; sys.exit('torch is in the image' if u.find_spec('torch') else 0)"
 COPY --from=page /page/dist clients/web/dist

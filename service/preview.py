@@ -36,7 +36,7 @@ async def garment_preview(
     garment, body = state.drapery.garments.get(garment_id, client.name).garment, state.drapery.body
     tag = f'"{garment.digest[:16]}-{size}"'
     headers = {"ETag": tag, "Cache-Control": "private, max-age=86400"}
-    if if_none_match is not None and tag in if_none_match:
+    if if_none_match is not None and {tag, "*"} & {one.strip().removeprefix("W/") for one in if_none_match.split(",")}:
         return Response(status_code=304, headers=headers)
     made = state.previews.get(garment.digest, size)
     if made is None:
