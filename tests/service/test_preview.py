@@ -10,11 +10,12 @@ from fastapi.testclient import TestClient
 from PIL import Image
 
 from service.pictures import CLOTH, KEPT, Previews, picture
+from tests.drape.cloth.cloth_shapes import grid
 
 
 def test_a_picture_shows_the_cloth_in_the_middle_and_what_stands_behind_it():
-    square = np.array([[-1.0, -1.0, 0.1], [1.0, -1.0, 0.1], [1.0, 1.0, 0.1], [-1.0, 1.0, 0.1]])
-    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    square, faces = grid(40, 40, cell_m=0.05)
+    square = square - square.mean(axis=0) + np.array([0.0, 0.0, 0.1])
     behind = (square - np.array([0.0, 0.0, 0.2])) * np.array([1.0, 0.2, 1.0])
     for size in (64, 600):
         image = Image.open(io.BytesIO(picture((0.5 * square, faces), (behind, faces), size)))

@@ -22,6 +22,7 @@ from service.jobs import Uploads
 from service.json_body import clip_marks
 from service.lifecycle import Lifecycle
 from service.pasts import Pasts
+from service.pictures import Previews
 from service.piecework import Piecework
 from service.sessions import Streams
 from service.settings import Settings
@@ -225,7 +226,7 @@ def test_more_clips_than_places_are_refused(make_settings: Callable[..., Setting
     streams, access = Streams(drapery, Piecework()), Access(drapery.settings)
     uploads = Uploads(drapery, Piecework(), access)
     handover, pasts = Handover(drapery, access.tickets), Pasts(drapery.settings)
-    state = State(drapery, uploads, streams, Piecework(), access, handover, Lifecycle(stuck_s=9.0), pasts)
+    state = State(drapery, uploads, streams, Piecework(), access, handover, Lifecycle(stuck_s=9.0), pasts, Previews())
     with state.slot(), pytest.raises(Busy, match="fewer than 1 at a time"), state.slot():
         pass
     with state.slot():

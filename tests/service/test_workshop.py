@@ -122,11 +122,11 @@ def test_an_outfit_that_is_prepared_beside_streams_is_the_same(outfit_settings: 
         plan = drapery.plan(drapery.garments.scene(None, ["tube", "coat"]), DrapeOptions(folds=1), messages=True)
         for stage in plan.stages:
             stage.prepare(plan)
-        assert (drapery._workshop._process is not None) == np.isfinite(streamed_s)
+        assert (drapery.workshop._process is not None) == np.isfinite(streamed_s)
         (pusher,) = (stage.pusher for stage in plan.stages if isinstance(stage, Collision))
         found.append({name: value.numpy() for name, value in pusher._layers[plan.keys].items()})
         drapery.close()
-        assert drapery._workshop._process is None
+        assert drapery.workshop._process is None
     assert found[0].keys() == found[1].keys()
     for name, array in found[0].items():
         assert_array_equal(array, found[1][name])

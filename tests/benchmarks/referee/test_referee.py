@@ -30,7 +30,7 @@ def test_a_row_says_how_near_to_rest_a_pose_came_and_what_it_took(scene):
     for row in rows:
         assert row["energy_j"] <= row["start_j"]
         assert row["at_rest"] == (row["force_left_share"] <= physics.TOLERANCE)
-        assert 0 < row["steps"] <= physics.STEPS
+        assert 0 <= row["steps"] <= physics.STEPS  # none where it settled to rest
         assert row["processor_s"] > 0.0
         assert not row["cached"]
     again, stored = referee.measure(tube(), None, scene)
