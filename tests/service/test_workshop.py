@@ -124,7 +124,8 @@ def test_an_outfit_that_is_prepared_beside_streams_is_the_same(outfit_settings: 
             stage.prepare(plan)
         assert (drapery.workshop._process is not None) == np.isfinite(streamed_s)
         (pusher,) = (stage.pusher for stage in plan.stages if isinstance(stage, Collision))
-        found.append({name: value.numpy() for name, value in pusher._layers[plan.keys].items()})
+        # A copy: on a CPU a value's array is the memory that its owner gave, and close() drops the owner.
+        found.append({name: np.array(value.numpy()) for name, value in pusher._layers[plan.keys].items()})
         drapery.close()
         assert drapery.workshop._process is None
     assert found[0].keys() == found[1].keys()
