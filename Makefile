@@ -4,7 +4,8 @@
 #   make setup            everything: service, training, clients, checkers
 #   make test             checks and the whole test suite
 #   make test-quick       the same without the slow tests
-#   make check            format, lint, types, import order
+#   make check            format, lint, types, import order, known vulnerabilities
+#   make audit            known vulnerabilities of what is installed; fails where the package index cannot say
 #   make format           write the format and the safe lint fixes
 #   make bench            every benchmark, its quick form
 #   make soak             fuzzed frames through the whole engine for ten minutes, ARGS="--frames 1000000 --seconds 1e9" for more; then drawn requests and streams
@@ -32,7 +33,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 WEB := clients/web
 WEB_SOURCES := $(shell find $(WEB) \( -name node_modules -o -name dist \) -prune -o -type f -print 2>/dev/null)
 
-.PHONY: help serve setup test test-quick check format bench soak page clean
+.PHONY: help serve setup test test-quick check audit format bench soak page clean
 
 help:
 	@sed -n '2,/^$$/{s/^# \{0,1\}//;p;}' Makefile
@@ -86,6 +87,10 @@ check: setup
 	$(BIN)/ruff check .
 	$(BIN)/pyright
 	$(BIN)/lint-imports
+	$(BIN)/python scripts/audit.py --optional
+
+audit: setup
+	$(BIN)/python scripts/audit.py
 
 format: setup
 	$(BIN)/ruff check --fix .

@@ -7,7 +7,9 @@ import json
 import shutil
 import struct
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pygltflib
@@ -31,7 +33,8 @@ from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import body, tube
 
 __all__ = ["body", "tube"]  # fixtures
-THREE = ROOT / "clients/web/node_modules/three"
+PACKAGES = ROOT / "clients/web/node_modules"
+THREE = PACKAGES / "three"
 SHOW = """
 import { readFileSync } from "node:fs";
 const { GLTFLoader } = await import(%s);
@@ -49,6 +52,13 @@ for (let frame = 0; frame < 5; frame++) {
     places.push(...mesh.getVertexPosition(i, at).applyMatrix4(mesh.matrixWorld).toArray());
 }
 console.log(JSON.stringify(places));
+"""
+VALIDATE = """
+import { readFileSync } from "node:fs";
+import { createRequire } from "node:module";
+const { validateBytes } = createRequire(%s)("gltf-validator");
+const { issues } = await validateBytes(new Uint8Array(readFileSync(process.argv[2])), { maxIssues: 0 });
+console.log(JSON.stringify(issues.messages.filter((one) => one.severity < 2)));
 """
 TYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 WIDTHS = {"SCALAR": (), "VEC2": (2,), "VEC3": (3,), "VEC4": (4,), "MAT4": (4, 4)}
@@ -255,6 +265,46 @@ def test_three_js_shows_the_frames(tube: Garment, tmp_path: Path):
     corners = glb.split_seams(tube)
     used = np.unique(corners.faces[tube.face_material == 0])
     assert_allclose(shown[:, used], frames[:, corners.source[used]], rtol=0, atol=2e-5)
+
+
+@pytest.fixture(scope="module")
+def complaints(tmp_path_factory: pytest.TempPathFactory) -> Callable[[bytes], list[dict[str, Any]]]:
+    """Errors and warnings of the Khronos glTF validator on a file."""
+    node = shutil.which("node")
+    if node is None or not (PACKAGES / "gltf-validator").is_dir():
+        pytest.skip("No Node.js or no gltf-validator: make page.")
+    folder = tmp_path_factory.mktemp("validator")
+    script = folder / "validate.mjs"
+    script.write_text(VALIDATE % json.dumps(f"{PACKAGES}/"))
+
+    def found(content: bytes) -> list[dict[str, Any]]:
+        (folder / "file.glb").write_bytes(content)
+        run = subprocess.run([node, script, folder / "file.glb"], capture_output=True, text=True, timeout=60)
+        assert run.returncode == 0, run.stderr
+        return json.loads(run.stdout)
+
+    return found
+
+
+@pytest.mark.parametrize("frames", [1, 5])
+@pytest.mark.parametrize("quantised", [False, True])
+def test_the_khronos_validator_has_no_complaint(
+    tube: Garment, body: BodyModel, complaints: Callable[[bytes], list[dict[str, Any]]], frames: int, quantised: bool
+):
+    file = GlbFile()
+    moving, ride = turning(tube, frames)
+    for garment in (tube, dataclasses.replace(tube, uv=np.zeros((0, 2)), uv_faces=np.zeros((0, 3), int))):
+        glb.add_garment(file, garment, moving, 30.0, ride=ride if quantised else None)
+    poses, trans = random_motion(frames)
+    add_body(file, body, np.full(10, 0.5), poses, trans, 30.0)
+    assert complaints(file.to_bytes()) == []
+
+
+def test_the_khronos_validator_sees_what_is_wrong(tube: Garment, complaints: Callable[[bytes], list[dict[str, Any]]]):
+    file = GlbFile()
+    glb.add_garment(file, tube, clip(tube), 30.0)
+    content = file.to_bytes().replace(b'"VEC3"', b'"VEC2"', 1)
+    assert {one["severity"] for one in complaints(content)} >= {0}
 
 
 def test_materials_keep_their_names_and_faces(tube: Garment):
