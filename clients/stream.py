@@ -20,8 +20,8 @@ import asyncio
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import asdict, dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 from websockets.asyncio.client import ClientConnection, connect
@@ -40,6 +40,9 @@ OPEN_S = 10.0
 MOVE_S = 15.0  # in which another process must take the stream
 RETRY_S = 0.2
 GOING_AWAY = 1012  # the close code of a service that ends
+
+
+Shown = TypeVar("Shown", wire.Frame, JetFrame)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +73,7 @@ class DrapeStream:
         self._request: dict[str, Any] = {}
         self._unanswered: dict[int, bytes] = {}  # poses, as sent
         self._state: list[bytes] = []
+        self._shown: wire.Frame | JetFrame | None = None
         self._sending = asyncio.Lock()
         self.url, self.moves, self.about = url, 0, {}
 
@@ -120,7 +124,7 @@ class DrapeStream:
         frames come from ``receive_jets``.
         """
         shape = None if betas is None else [float(beta) for beta in betas]
-        about = {"betas": shape, "moves": True, **options_document(options)}
+        about = {"betas": shape, "moves": True, "same": True, **options_document(options)}
         self._request = {"type": "open", **worn(garment), **about}
         self._unanswered.clear()
         await self._transmit(json.dumps(self._request))
@@ -148,15 +152,24 @@ class DrapeStream:
 
     async def receive(self) -> Received:
         """The next frame, acknowledged."""
-        frame = wire.unpack_frame(await self._binary())
-        await self._acknowledge(frame.sequence)
+        frame = await self._next(wire.Frame, wire.unpack_frame)
         return Received(frame, self._clock() - frame.client_time_s)
 
     async def receive_jets(self) -> ReceivedJets:
         """The next frame of a stream of jets, acknowledged; ``frame.layers`` parts it by garment."""
-        frame = unpack_jets(await self._binary())
-        await self._acknowledge(frame.sequence)
+        frame = await self._next(JetFrame, unpack_jets)
         return ReceivedJets(frame, self._clock() - frame.client_time_s)
+
+    async def _next(self, kind: type[Shown], unpack: Callable[[bytes], Shown]) -> Shown:
+        """The next frame, acknowledged: one that came, or where the body stands still the last one for another pose."""
+        message = await self._binary()
+        if wire.message_kind(message) == wire.SAME and isinstance(self._shown, kind):
+            frame = replace(self._shown, **asdict(wire.unpack_same(message)))
+        else:
+            frame = unpack(message)
+        self._shown = frame
+        await self._acknowledge(frame.sequence)
+        return frame
 
     async def _acknowledge(self, sequence: int) -> None:
         """Says that the frame was taken; poses up to its own need no answer any more."""

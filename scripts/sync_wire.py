@@ -28,7 +28,7 @@ export const WIRE_VERSION = {version};
 export const SUBPROTOCOL = "{subprotocol}";
 export const MAGIC = {magic};
 export const KIND = {{
-  POSE: {pose}, ACK: {ack}, FRAME: {frame}, JETS: {jets}, LAYOUT: {layout}, CLIP: {clip}, STATE: {state},
+  POSE: {pose}, ACK: {ack}, FRAME: {frame}, JETS: {jets}, LAYOUT: {layout}, CLIP: {clip}, STATE: {state}, SAME: {same},
 }};
 export const FLAG_PUSHED = {flag_pushed};
 export const FLAG_STEPPED = {flag_stepped};
@@ -37,7 +37,7 @@ export const FLAG_BYTES = {flag_bytes};
 // Suffixes of garment files, as the file chooser takes them.
 export const MESH_SUFFIXES = "{suffixes}";
 export const BYTES = {{
-  POSE: {pose_bytes}, ACK: {ack_bytes},
+  POSE: {pose_bytes}, ACK: {ack_bytes}, SAME: {same_bytes},
   FRAME_HEADER: {frame_bytes}, JETS_HEADER: {jets_bytes}, LAYOUT_HEADER: {layout_bytes},
 }};
 
@@ -150,6 +150,9 @@ export function unpackJets(buffer) {{
   return {{ header, jet, rotation, centre }};
 }}
 
+// The header fields by name of what says that the last frame holds for another pose.
+export const unpackSame = (buffer) => readHeader(buffer, "SAME", BYTES.SAME);
+
 // A garment's constants: patches (13 numbers each), rest (3), charts (3 per vertex and chart) and chartPatch.
 export function unpackLayout(buffer) {{
   const {{ count, vertices, charts }} = readHeader(buffer, "LAYOUT", BYTES.LAYOUT_HEADER);
@@ -203,6 +206,7 @@ def generate() -> str:
         clip=wire.CLIP,
         layout=wire.LAYOUT,
         state=wire.STATE,
+        same=wire.SAME,
         jets_bytes=wire_jets.HEADER_BYTES,
         layout_bytes=jet_layout.HEADER_BYTES,
         jet_numbers=jets.FULL_COUNT,
@@ -220,6 +224,7 @@ def generate() -> str:
         suffixes=",".join(MESH_SUFFIXES),
         pose_bytes=wire.POSE_BYTES,
         ack_bytes=wire.ACK_BYTES,
+        same_bytes=wire.SAME_BYTES,
         frame_bytes=wire.FRAME_HEADER_BYTES,
         layouts=layouts,
     )

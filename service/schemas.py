@@ -97,6 +97,7 @@ class OpenRequest(DrapeOptions, Worn, Request):
     type: Literal["open"]
     betas: Betas | None = None
     moves: bool = Field(default=False, description="Whether the client can go on at another process, with its state.")
+    same: bool = Field(default=False, description="Whether the client takes a SAME for a frame that it shows already.")
 
 
 class Problem(BaseModel):

@@ -18,6 +18,7 @@ import numpy as np
 
 from drape.errors import DrapeError, InputError
 from drape.wire.messages import Pose
+from service import still
 from service.drapery import Drapery
 from service.errors import Busy
 from service.garments import Scene
@@ -41,7 +42,8 @@ class Session:
 
     ``steps``: the plan as each tier holds it, the least first; ``memories``: what the stages keep of the frames so far
     (``service.stages``). Of ``dropped`` poses those that are ``late`` waited for the worker alone. One that ``moves``
-    can go on at another process; while it is ``moving`` nothing is begun for it here.
+    can go on at another process; while it is ``moving`` nothing is begun for it here. A client that takes ``same`` need
+    not get a frame again that it has: ``shown``, the message that was computed for it.
     """
 
     plan: Plan
@@ -51,6 +53,8 @@ class Session:
     memories: Memories = field(default_factory=dict)
     generation: int = 0
     moves: bool = False
+    same: bool = False
+    shown: bytes | None = None
     moving: bool = False
     dropped: int = 0
     late: int = 0
@@ -69,7 +73,7 @@ class Session:
         self.memories = carried(self.memories, self.plan, plan) if same else {}
         self.plan, self.betas, self.steps = plan, betas, steps
         self.generation += 1
-        self.waiting, self.outbox = None, None
+        self.waiting, self.outbox, self.shown = None, None, None
         self.under_way.clear()
 
     def put(self, pose: Pose) -> None:
@@ -137,6 +141,7 @@ class Session:
             self.failure = result
         else:
             self.outbox, self.outbox_since_s = result, now if since_s is None else since_s
+            self.shown = still.shown(memories)
         self.news.set()
 
 
@@ -261,4 +266,5 @@ def _pose_input(session: Session, waiting: Waiting) -> PoseInput:
         sequence=pose.sequence,
         dropped=session.dropped,
         arrived_s=waiting.arrived_s,
+        shown=session.shown if session.same else None,
     )

@@ -1,4 +1,5 @@
-"""A body that stands still: once its cloth has come to rest too, the last message is sent again and nothing computed.
+"""A body that stands still: once its cloth has come to rest too, nothing is computed. The last message is sent again,
+or word that it holds to whoever can take that.
 
 What is kept of a stream for that stands in its memories under ``KEY``. The memories of the stages grow no older
 meanwhile (``Stage.rested``), so that the first frame that moves again goes on from where the cloth hangs.
@@ -11,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drape.wire.messages import resent
+from drape.wire.messages import Answer, pack_same, resent
 from service.stages.batch import BODY, Memories, Plan, PoseInput
 
 KEY = ("still", BODY)
@@ -53,7 +54,8 @@ class Still:
 def again(plan: Plan, one: PoseInput) -> tuple[bytes, Memories] | None:
     """The message of the single frame of ``one`` and its memories, where both are those of the frame before; or None.
 
-    A pause does not count as rest: only computed frames bring cloth there.
+    Of a client that still shows that frame the message says no more than so. A pause does not count as rest: only
+    computed frames bring cloth there.
     """
     still: Still | None = one.memories.get(KEY)
     if still is None or not still.goes_on(plan, one):
@@ -61,20 +63,21 @@ def again(plan: Plan, one: PoseInput) -> tuple[bytes, Memories] | None:
     if still.frames < REST_FRAMES or still.last_s - still.since_s < REST_S:
         return None
     now_s = float(one.times_s[0])
-    message = resent(
-        still.message,
-        sequence=one.sequence,
-        client_time_s=now_s,
-        server_time_s=time.time(),
-        dropped=one.dropped,
-        residence_us=0 if one.arrived_s is None else int(1e6 * (time.monotonic() - one.arrived_s)),
-    )
+    residence_us = 0 if one.arrived_s is None else int(1e6 * (time.monotonic() - one.arrived_s))
+    answer = Answer(one.sequence, now_s, time.time(), one.dropped, residence_us)
+    message = pack_same(answer) if one.shown is still.message else resent(still.message, answer)
     stages = {stage.name: stage for stage in plan.stages}
     rested = {
         key: stages[key[0]].rested(memory, now_s) if key[0] in stages else memory
         for key, memory in one.memories.items()
     }
     return message, rested
+
+
+def shown(memories: Memories) -> bytes | None:
+    """The computed message whose frame a client shows that has taken all of a stream with ``memories``."""
+    still: Still | None = memories.get(KEY)
+    return None if still is None else still.message
 
 
 def noted(plan: Plan, one: PoseInput, memories: Memories, message: bytes) -> Memories:

@@ -147,9 +147,9 @@ async def _open_session(text: str, state: State, client: Client, session: Sessio
     for step in {plan, *steps}:
         await drapery.prepare(step)
     if session is None:
-        return Session(plan, betas, drapery.settings.stream_credit, steps, moves=asked.moves)
+        return Session(plan, betas, drapery.settings.stream_credit, steps, moves=asked.moves, same=asked.same)
     session.reopen(plan, betas, steps)
-    session.moves = asked.moves
+    session.moves, session.same = asked.moves, asked.same
     return session
 
 

@@ -6,13 +6,14 @@ Vertices travel as 16-bit steps inside the frame's own bounding box, relative to
 root joint: half a step of a 2 m box is 0.015 mm. A client that asked for jets gets JETS in place of FRAME
 (``drape.wire.jets``) and once per garment a LAYOUT (``drape.wire.layout``). A request of REST may send its motion as a
 CLIP (``drape.wire.clips``); a stream that can move to another process takes STATE along (``drape.wire.state``). The
-conversation: docs/reference/wire.md.
+conversation: docs/reference/wire.md. Where a body stands still a client that can take it gets SAME in place of the
+frame.
 """
 
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from drape.geometry import jets
 WIRE_VERSION = 1
 SUBPROTOCOL = f"drape.v{WIRE_VERSION}"
 MAGIC = 0x45505244  # "DRPE" in file order
-POSE, ACK, FRAME, JETS, LAYOUT, CLIP, STATE = 1, 2, 3, 4, 5, 6, 7
+POSE, ACK, FRAME, JETS, LAYOUT, CLIP, STATE, SAME = 1, 2, 3, 4, 5, 6, 7, 8
 FLAG_PUSHED = 1  # the vertices were pushed out of the body
 FLAG_STEPPED = 2  # less was computed than the client asked for, as the service is under load
 FLAG_UNLIKE = 4  # the pose is unlike those that the network was trained on
@@ -72,6 +73,13 @@ LAYOUTS: dict[str, Layout] = {
         ("jet_low", "f32", jets.FULL_COUNT),
         ("jet_step", "f32", jets.FULL_COUNT),
     ),
+    "SAME": (
+        *PREFIX,
+        ("client_time_s", "f64", 1),
+        ("server_time_s", "f64", 1),
+        ("dropped", "u32", 1),
+        ("residence_us", "u32", 1),
+    ),
     "LAYOUT": (*PREFIX, ("vertices", "u32", 1), ("charts", "u32", 1)),
     "CLIP": (*PREFIX, ("text_bytes", "u32", 1), ("reserved", "u32", 1)),
 }
@@ -83,8 +91,8 @@ def record(layout: Layout) -> struct.Struct:
     return struct.Struct("<" + "".join(f"{count}{_CODES[kind]}" for _, kind, count in layout))
 
 
-_POSE, _ACK, _FRAME = (record(LAYOUTS[name]) for name in ("POSE", "ACK", "FRAME"))
-POSE_BYTES, ACK_BYTES, FRAME_HEADER_BYTES = _POSE.size, _ACK.size, _FRAME.size
+_POSE, _ACK, _FRAME, _SAME = (record(LAYOUTS[name]) for name in ("POSE", "ACK", "FRAME", "SAME"))
+POSE_BYTES, ACK_BYTES, FRAME_HEADER_BYTES, SAME_BYTES = _POSE.size, _ACK.size, _FRAME.size, _SAME.size
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +134,17 @@ class Frame:
     def vertices(self) -> np.ndarray:
         """World positions [m] (V, 3), float64."""
         return self.positions + self.root
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What of a frame belongs to the pose that it answers; the fields are those of ``Frame``."""
+
+    sequence: int
+    client_time_s: float
+    server_time_s: float
+    dropped: int = 0
+    residence_us: int = 0
 
 
 def frame_flags(pushed: bool, stepped: bool, novelty: float) -> int:
@@ -213,21 +232,24 @@ def pack_frame(frame: Frame) -> bytes:
     return header + payload + b"\0" * (-len(payload) % 4)
 
 
-def resent(
-    message: bytes,
-    *,
-    sequence: int,
-    client_time_s: float,
-    server_time_s: float,
-    dropped: int,
-    residence_us: int,
-) -> bytes:
+def pack_same(answer: Answer) -> bytes:
+    """The SAME message: the last FRAME or JETS once more, as ``answer``."""
+    residence_us = min(answer.residence_us, 0xFFFFFFFF)
+    prefix = (MAGIC, WIRE_VERSION, SAME, 0, answer.sequence, 0)
+    return _SAME.pack(*prefix, answer.client_time_s, answer.server_time_s, answer.dropped, residence_us)
+
+
+def unpack_same(message: bytes) -> Answer:
+    """What the SAME ``message`` answers."""
+    check_prefix("same message", message, SAME, SAME_BYTES)
+    values = _SAME.unpack(message)
+    return Answer(values[4], *values[6:])
+
+
+def resent(message: bytes, answer: Answer) -> bytes:
     """The FRAME or JETS ``message`` again, as the answer to another pose: with its numbers, all else as it is."""
     kind = {FRAME: "FRAME", JETS: "JETS"}[message_kind(message)]
-    said = {
-        "sequence": sequence, "client_time_s": client_time_s, "server_time_s": server_time_s,
-        "dropped": dropped, "residence_us": min(residence_us, 0xFFFFFFFF),
-    }  # fmt: skip
+    said = asdict(answer) | {"residence_us": min(answer.residence_us, 0xFFFFFFFF)}
     again, offset = bytearray(message), 0
     for name, number, count in LAYOUTS[kind]:
         form = struct.Struct(f"<{count}{_CODES[number]}")

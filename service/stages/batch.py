@@ -73,6 +73,7 @@ class PoseInput:
 
     ``times_s`` (F,): its clock; ``memories``: what the stages keep of the frames before. ``sequence`` is the first
     frame's; ``dropped`` and ``arrived_s`` (monotonic, None where nobody waits) go into the header of its message.
+    ``shown``: the message of the frame that the client shows, where it can be told that it still holds.
     """
 
     poses: np.ndarray
@@ -83,6 +84,7 @@ class PoseInput:
     sequence: int = 0
     dropped: int = 0
     arrived_s: float | None = None
+    shown: bytes | None = None
 
     def part(self, rows: slice, memories: Memories) -> PoseInput:
         """The frames ``rows``, after what ``memories`` hold."""

@@ -3,25 +3,38 @@
 from __future__ import annotations
 
 import asyncio
+import json
+import shutil
+import subprocess
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import count
+from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
+from websockets.asyncio.client import connect
+from websockets.typing import Subprotocol
 
+from clients.stream import DrapeStream
 from drape.wire import messages as wire
 from drape.wire.jets import unpack_jets
 from drape.wire.options import DrapeOptions
 from service import drapery as drapery_module
+from service.app import create_app
 from service.drapery import Drapery
 from service.settings import Settings
 from service.stages.batch import Plan, PoseInput
-from service.still import KEY, REST_FRAMES, REST_S
+from service.still import KEY, REST_FRAMES, REST_S, shown
+from tests.architecture.repository import ROOT
 from tests.fixtures.poses import smooth_motion
+from tests.fixtures.serving import serve
 from tests.fixtures.tiny_model import TINY_DYNAMIC
 
+PROTOCOL = Subprotocol(wire.SUBPROTOCOL)
 STEP_S = 1.001 * REST_S / REST_FRAMES
 POSES, TRANS = smooth_motion(np.arange(4) * STEP_S)
 NEEDED = REST_FRAMES + 1  # frames of one pose after which it is at rest
@@ -49,12 +62,20 @@ class Stream:
         self.drapery, self.plan, self.memories, self.frame, self.runs = drapery, plan, {}, 0, 0
         self.betas = np.zeros(10)
 
-    def next(self, pose: np.ndarray = POSES[0], trans: np.ndarray = TRANS[0], *, after_s: float = STEP_S) -> bytes:
+    def next(
+        self,
+        pose: np.ndarray = POSES[0],
+        trans: np.ndarray = TRANS[0],
+        *,
+        after_s: float = STEP_S,
+        seen: bytes | None = None,
+    ) -> bytes:
         self.frame += 1
         self.time_s = getattr(self, "time_s", 0.0) + after_s
         one = PoseInput(
-            pose[None], trans[None], self.betas, np.array([self.time_s]), self.memories, sequence=self.frame, dropped=3
-        )
+            pose[None], trans[None], self.betas, np.array([self.time_s]), self.memories, sequence=self.frame, dropped=3,
+            shown=seen,
+        )  # fmt: skip
         with patch.object(drapery_module, "walk", wraps=drapery_module.walk) as computed:
             ((message, self.memories),) = self.drapery.frames(self.plan, [one])
         self.runs += computed.call_count
@@ -88,6 +109,105 @@ def test_what_moves_on_goes_on_from_where_the_cloth_hangs(drapery: Drapery, plan
     for frame in (1, 2, 3):
         moved, expected = (wire.unpack_frame(one.next(POSES[frame], TRANS[frame])) for one in (still, slow))
         assert_array_equal(moved.positions, expected.positions)
+
+
+def test_who_shows_the_frame_is_told_that_it_holds(drapery: Drapery, plan: Plan):
+    stream = Stream(drapery, plan)
+    for _ in range(NEEDED - 1):
+        assert wire.message_kind(stream.next(seen=shown(stream.memories))) == wire.FRAME
+    last = stream.next()
+    told = wire.unpack_same(stream.next(seen=shown(stream.memories)))
+    assert (told.sequence, told.client_time_s, told.dropped) == (NEEDED + 1, stream.time_s, 3)
+    other = wire.unpack_frame(stream.next(seen=bytes(bytearray(last))))  # what another connection was sent
+    assert_array_equal(other.positions, wire.unpack_frame(last).positions)
+    assert wire.message_kind(stream.next(POSES[1], TRANS[1], seen=shown(stream.memories))) == wire.FRAME
+
+
+def resting(url: str, **more: Any) -> list[bytes]:
+    """The messages of a stream of one pose, before and after its cloth has come to rest, and turned to it once more."""
+    opening = json.dumps({"type": "open", "garment": "tube", **more})
+
+    async def talk() -> list[bytes]:
+        found = []
+        async with connect(url.replace("http", "ws") + "/stream", subprotocols=[PROTOCOL]) as socket:
+            for count in (NEEDED + 3, NEEDED + 2):
+                await socket.send(opening)
+                assert json.loads(await socket.recv())["type"] == "opened"
+                for i in range(count):
+                    await socket.send(wire.pack_pose(wire.Pose(i, i * STEP_S, TRANS[0], POSES[0])))
+                    found.append(await socket.recv())
+                    await socket.send(wire.pack_ack(i))
+        return found
+
+    return asyncio.run(talk())
+
+
+def test_a_client_that_can_take_it_gets_no_frame_twice(make_settings: Callable[..., Settings]):
+    settings = make_settings(model=TINY_DYNAMIC)
+    with serve(create_app(settings), settings) as url:
+        kinds = [wire.message_kind(one) for one in resting(url, same=True)]
+        first, again = kinds[: NEEDED + 3], kinds[NEEDED + 3 :]
+        assert first == [wire.FRAME] * NEEDED + [wire.SAME] * 3
+        assert again[0] == wire.FRAME  # turned to anew a client may show nothing
+        assert again[-1] == wire.SAME
+        assert {wire.message_kind(one) for one in resting(url)} == {wire.FRAME}
+
+        async def talk() -> list[wire.Frame]:
+            now_s = count(0.0, STEP_S)
+            async with await DrapeStream.open(url, "tube", clock=lambda: next(now_s)) as stream:
+                found = []
+                for _ in range(NEEDED + 2):
+                    await stream.send(POSES[0], TRANS[0])
+                    found.append((await stream.receive()).frame)
+            return found
+
+        *_, before, last = asyncio.run(talk())
+        assert last.positions is before.positions and last.sequence == before.sequence + 1
+        assert last.client_time_s > before.client_time_s
+
+
+PAGE = """
+globalThis.location = { origin: process.argv[2] };
+let now = 0;
+performance.now = () => (now += 40);
+const { Stream } = await import("./stream.js");
+const pose = new Array(72).fill(0);
+let last = null;
+const stream = new Stream({
+  onFrame(frame) {
+    if (frame.bytes === 40) {
+      const { sequence, count } = frame.header;
+      const same = frame.steps === last.steps;
+      console.log(JSON.stringify({ sequence, next: last.header.sequence + 1, count, same }));
+      process.exit(0);
+    }
+    last = frame;
+    stream.send(pose, [0, 0, 0]);
+  },
+  onState(state) { if (state === "open") stream.send(pose, [0, 0, 0]); },
+});
+stream.open({ garment: "tube" });
+setTimeout(() => process.exit(3), 20000);
+"""
+
+
+def test_the_page_shows_the_frame_that_holds(make_settings: Callable[..., Settings], tmp_path: Path):
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("No Node.js: sudo apt-get install nodejs.")
+    if subprocess.run([node, "--experimental-websocket", "-e", "WebSocket"], capture_output=True).returncode:
+        pytest.skip("A Node.js without WebSocket: 20.10 or newer has it.")
+    for name in ("stream.js", "wire.js"):
+        shutil.copy(ROOT / "clients/web/src" / name, tmp_path)
+    (tmp_path / "package.json").write_text('{"type": "module"}')
+    (tmp_path / "main.js").write_text(PAGE)
+    settings = make_settings(model=TINY_DYNAMIC)
+    with serve(create_app(settings), settings) as url:
+        command = [node, "--experimental-websocket", str(tmp_path / "main.js"), url]
+        run = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert run.returncode == 0, run.stderr
+    said = json.loads(run.stdout)
+    assert said["sequence"] == said["next"] > REST_FRAMES and said["same"] and said["count"] > 0
 
 
 def test_a_pause_is_no_rest_and_neither_are_few_frames(drapery: Drapery, plan: Plan):

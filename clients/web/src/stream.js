@@ -1,6 +1,6 @@
 // The WebSocket: poses out, frames in, every frame acknowledged; comes back by itself after a lost connection, and goes
 // on at the successor of a service that ends, with what the cloth remembers.
-import { KIND, SUBPROTOCOL, kindOf, packAck, packPose, unpackFrame, unpackJets } from "./wire.js";
+import { KIND, SUBPROTOCOL, kindOf, packAck, packPose, unpackFrame, unpackJets, unpackSame } from "./wire.js";
 
 const FIRST_RETRY_S = 0.5;
 const LAST_RETRY_S = 8;
@@ -26,6 +26,7 @@ export class Stream {
     this.moved = false;
     this.sequence = 0;
     this.poses = new Map();
+    this.shown = null; // the last frame, which SAME repeats for another pose
   }
 
   // Asks for garments, shape and how to drape; on an open connection it turns to them at once.
@@ -52,7 +53,7 @@ export class Stream {
     this.unanswered += 1;
     for (const piece of this.state) this.socket.send(piece);
     this.state = [];
-    this.socket.send(JSON.stringify({ type: "open", moves: true, ...this.request }));
+    this.socket.send(JSON.stringify({ type: "open", moves: true, same: true, ...this.request }));
   }
 
   async #connect() {
@@ -105,7 +106,8 @@ export class Stream {
       this.state.push(data);
       return;
     }
-    const frame = kindOf(data) === KIND.JETS ? unpackJets(data) : unpackFrame(data);
+    const frame = this.#unpacked(data);
+    this.shown = frame;
     socket.send(packAck(frame.header.sequence));
     const sent = this.poses.get(frame.header.sequence);
     if (!sent || !this.ready) return; // of an earlier opening
@@ -114,6 +116,13 @@ export class Stream {
       this.poses.delete(key);
     }
     this.onFrame({ ...frame, ...sent, bytes: data.byteLength, ageS: () => now() - frame.header.client_time_s });
+  }
+
+  #unpacked(data) {
+    if (kindOf(data) !== KIND.SAME) return kindOf(data) === KIND.JETS ? unpackJets(data) : unpackFrame(data);
+    const { sequence, client_time_s, server_time_s, dropped, residence_us } = unpackSame(data);
+    const header = { ...this.shown.header, sequence, client_time_s, server_time_s, dropped, residence_us };
+    return { ...this.shown, header };
   }
 
   #lost(event) {

@@ -4,7 +4,7 @@ export const WIRE_VERSION = 1;
 export const SUBPROTOCOL = "drape.v1";
 export const MAGIC = 0x45505244;
 export const KIND = {
-  POSE: 1, ACK: 2, FRAME: 3, JETS: 4, LAYOUT: 5, CLIP: 6, STATE: 7,
+  POSE: 1, ACK: 2, FRAME: 3, JETS: 4, LAYOUT: 5, CLIP: 6, STATE: 7, SAME: 8,
 };
 export const FLAG_PUSHED = 1;
 export const FLAG_STEPPED = 2;
@@ -13,7 +13,7 @@ export const FLAG_BYTES = 8;
 // Suffixes of garment files, as the file chooser takes them.
 export const MESH_SUFFIXES = ".obj,.glb,.ply,.stl";
 export const BYTES = {
-  POSE: 336, ACK: 16,
+  POSE: 336, ACK: 16, SAME: 40,
   FRAME_HEADER: 96, JETS_HEADER: 460, LAYOUT_HEADER: 24,
 };
 
@@ -74,6 +74,18 @@ export const LAYOUTS = {
     centre_step: [88, "f32", 3],
     jet_low: [100, "f32", 45],
     jet_step: [280, "f32", 45],
+  },
+  SAME: {
+    magic: [0, "u32", 1],
+    version: [4, "u8", 1],
+    kind: [5, "u8", 1],
+    flags: [6, "u16", 1],
+    sequence: [8, "u32", 1],
+    count: [12, "u32", 1],
+    client_time_s: [16, "f64", 1],
+    server_time_s: [24, "f64", 1],
+    dropped: [32, "u32", 1],
+    residence_us: [36, "u32", 1],
   },
   LAYOUT: {
     magic: [0, "u32", 1],
@@ -200,6 +212,9 @@ export function unpackJets(buffer) {
   }
   return { header, jet, rotation, centre };
 }
+
+// The header fields by name of what says that the last frame holds for another pose.
+export const unpackSame = (buffer) => readHeader(buffer, "SAME", BYTES.SAME);
 
 // A garment's constants: patches (13 numbers each), rest (3), charts (3 per vertex and chart) and chartPatch.
 export function unpackLayout(buffer) {

@@ -126,6 +126,18 @@ def test_ack_carries_its_sequence():
     assert wire.unpack_ack(message) == 4_000_000_000
 
 
+def test_a_frame_that_holds_is_told_by_its_numbers_alone():
+    answer = wire.Answer(4_000_000_000, 1.25, 2.5, dropped=3, residence_us=2**33)
+    message = wire.pack_same(answer)
+    assert len(message) == wire.SAME_BYTES == 40 and wire.message_kind(message) == wire.SAME
+    assert wire.unpack_same(message) == dataclasses.replace(answer, residence_us=2**32 - 1)
+    frame = wire.Frame(1, 0.5, 0.75, np.ones(3), np.zeros((4, 3), np.float32), 1, 7, pushed=True, novelty=0.5)
+    told = dataclasses.replace(frame, **dataclasses.asdict(wire.unpack_same(message)))
+    assert wire.pack_frame(told) == wire.resent(wire.pack_frame(frame), answer)
+    with pytest.raises(InputError, match="same message: expected 40 bytes, got 39"):
+        wire.unpack_same(message[:-1])
+
+
 def test_frames_are_immutable():
     with pytest.raises(dataclasses.FrozenInstanceError):
         frame(np.zeros((1, 3))).dropped = 1  # pyright: ignore[reportAttributeAccessIssue]
