@@ -161,23 +161,23 @@ class DrapeStream:
         return ReceivedJets(frame, self._clock() - frame.client_time_s)
 
     async def _next(self, kind: type[Shown], unpack: Callable[[bytes], Shown]) -> Shown:
-        """The next frame, acknowledged: one that came, or where the body stands still the last one for another pose."""
+        """The next frame: one that came, acknowledged, or where the body stands still the last one for another pose."""
         message = await self._binary()
         if wire.message_kind(message) == wire.SAME and isinstance(self._shown, kind):
-            frame = replace(self._shown, **asdict(wire.unpack_same(message)))
+            self._shown = frame = replace(self._shown, **asdict(wire.unpack_same(message)))
+            self._answered(frame.sequence)
         else:
-            frame = unpack(message)
-        self._shown = frame
-        await self._acknowledge(frame.sequence)
+            self._shown = frame = unpack(message)
+            self._answered(frame.sequence)
+            await self._transmit(wire.pack_ack(frame.sequence))
         return frame
 
-    async def _acknowledge(self, sequence: int) -> None:
-        """Says that the frame was taken; poses up to its own need no answer any more."""
+    def _answered(self, sequence: int) -> None:
+        """Poses up to that of ``sequence`` need no answer any more."""
         if sequence in self._unanswered:
             while next(iter(self._unanswered)) != sequence:
                 del self._unanswered[next(iter(self._unanswered))]
             del self._unanswered[sequence]
-        await self._transmit(wire.pack_ack(sequence))
 
     async def _binary(self) -> bytes:
         while True:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from drape.errors import DrapeError, InputError
-from drape.wire.messages import Pose
+from drape.wire.messages import SAME, Pose, message_kind
 from service import still
 from service.drapery import Drapery
 from service.errors import Busy
@@ -136,6 +136,9 @@ class Session:
             return
         self.memories = memories
         now = time.monotonic()
+        if isinstance(result, bytes) and message_kind(result) == SAME:
+            # It fills no buffer, so nobody says that it was taken.
+            self.under_way = [one for one in self.under_way if math.isfinite(one[1])]
         self.under_way = [(sequence, min(ready_s, now)) for sequence, ready_s in self.under_way]
         if isinstance(result, DrapeError):
             self.failure = result

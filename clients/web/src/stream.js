@@ -108,7 +108,7 @@ export class Stream {
     }
     const frame = this.#unpacked(data);
     this.shown = frame;
-    socket.send(packAck(frame.header.sequence));
+    if (kindOf(data) !== KIND.SAME) socket.send(packAck(frame.header.sequence));
     const sent = this.poses.get(frame.header.sequence);
     if (!sent || !this.ready) return; // of an earlier opening
     for (const key of this.poses.keys()) {
