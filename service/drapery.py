@@ -29,7 +29,7 @@ from service.motions import Motions
 from service.settings import Settings
 from service.stages import make_plan, make_stages, run, walk
 from service.stages.batch import Batch, Memories, Plan, PoseInput, Quality
-from service.tiers import capped, chosen, read_tiers, tier_of
+from service.tiers import capped, chosen, read_tiers, spared, tier_of
 from service.workshop import Workshop
 
 STREAM_WAIT_S = 0.02
@@ -173,8 +173,10 @@ class Drapery:
         return tier_of(plan.options, self.tiers, self.engine.pass_count)
 
     def steps(self, plan: Plan) -> tuple[Plan, ...]:
-        """``plan`` as each tier holds it, the least first: with no more than the tier computes."""
+        """``plan`` as each tier holds it, the least first: with no more than the tier computes. Before them all what is
+        spared of the least, of a single garment; layers need the push-out and each other."""
         held = [capped(plan.options, tier) for tier in self.tiers]
+        held.insert(0, spared(held[0]) if len(plan.scene.layers) == 1 else held[0])
         return tuple(
             plan
             if options == plan.options

@@ -94,7 +94,7 @@ class Session:
         return self.outbox is None and all(math.isfinite(ready_s) for _, ready_s in self.under_way)
 
     def held_to(self, tier: int) -> Plan:
-        """Its plan with no more than the tier of that index computes."""
+        """Its plan with no more than the step of that index computes."""
         return self.steps[tier] if tier < len(self.steps) else self.plan
 
     def take(self) -> Waiting:
@@ -156,11 +156,11 @@ class Streams:
         self._sessions: set[Session] = set()
         self._wake = asyncio.Event()
         self._worker: asyncio.Task[None] | None = None
-        self._step_down = StepDown(len(drapery.tiers), time.monotonic())
+        self._step_down = StepDown(len(drapery.tiers) + 1, time.monotonic())
 
     @property
     def tier(self) -> int:
-        """The index of the highest tier that streams get now; past the last one nothing holds them."""
+        """The index in ``Drapery.steps`` of the most that streams get now; past the last one nothing holds them."""
         steps = self._step_down
         return steps.level if self._drapery.settings.stream_step_down else steps.top
 

@@ -88,6 +88,12 @@ def capped(options: DrapeOptions, tier: Tier) -> DrapeOptions:
     return options.model_copy(update={"passes": passes, "folds": min(folds, tier.folds), "safe_folds": safe})
 
 
+def spared(options: DrapeOptions) -> DrapeOptions:
+    """``options`` of one garment, as ``chosen`` gives them, without what folds can do without for a while: the
+    push-out, as their steps have contact of their own, and cloth that feels itself. Without folds all stays."""
+    return options.model_copy(update={"push_out": False, "cloth_contact": False}) if options.folds else options
+
+
 def _safe_folds(options: DrapeOptions, folds: int, tiers: Sequence[Tier]) -> int:
     """Steps of folds where a pose is unlike training: of the tier that leans least on the network, the last one."""
     if not folds:

@@ -16,9 +16,11 @@ from drape.wire.options import DrapeOptions
 from service.app import create_app
 from service.drapery import Drapery
 from service.settings import Settings
-from service.tiers import NAMES, TIERS, Tier, capped, chosen, read_tiers, tier_of
-from tests.fixtures.serving import serve
+from service.tiers import NAMES, TIERS, Tier, capped, chosen, read_tiers, spared, tier_of
+from tests.fixtures.serving import outfit_settings, serve
 from tests.fixtures.tiny_model import TINY, write_tiny_model
+
+__all__ = ["outfit_settings"]  # a fixture
 
 PASSES = 4  # of a model that leaves the choice
 OWN = (Tier("fast", 0, 1, 0), Tier("balanced", 0, 3, None), Tier("accurate", 1, 4, None, {"gain_trained": 0.99}))
@@ -96,6 +98,28 @@ def test_a_cap_never_asks_for_more_than_was_asked():
     assert [capped(high, tier).folds for tier in (fast, balanced, accurate)] == [1, 2, 4]
     jets = chosen(DrapeOptions(geometry="jets"), TIERS, Settings(), PASSES)
     assert (capped(jets, fast).passes, capped(jets, balanced)) == (0, jets)
+
+
+def test_what_is_spared_is_the_push_out_and_cloth_against_cloth_where_there_are_folds():
+    asked = chosen(DrapeOptions(tier="fast", push_out=True), TIERS, Settings(), PASSES)
+    assert spared(asked) == asked.model_copy(update={"push_out": False, "cloth_contact": False})
+    for without in (DrapeOptions(folds=0), DrapeOptions(geometry="jets")):
+        plain = chosen(without, TIERS, Settings(), PASSES)
+        assert spared(plain) == plain
+
+
+def test_layers_spare_nothing(outfit_settings: Settings):
+    drapery = Drapery(outfit_settings)
+    try:
+        for worn, differs in ((["tube"], True), (["tube", "coat"], False)):
+            plan = drapery.plan(drapery.garments.scene(None, worn), DrapeOptions(tier="fast"), messages=True)
+            lowest, least, *_ = drapery.steps(plan)
+            assert (lowest.options.push_out, lowest.options.cloth_contact) == (
+                (False, False) if differs else (True, True)
+            )
+            assert (lowest != least) == differs
+    finally:
+        drapery.close()
 
 
 @pytest.mark.parametrize(
