@@ -4,11 +4,12 @@
     python -m benchmarks.skin_pixels --garments $DRAPE_DATA/garments --motions $DRAPE_DATA/motions --frames 12 --save
     python -m benchmarks.skin_pixels --garments $DRAPE_DATA/garments/female_jeans.obj --quick --sheets docs/images
 
-All drapes but skinning are pushed out of the skin, as the service does it. ``network``: all corrections, the delivered
-mesh. The others are folds on the network without corrections, a single pose each: ``folds`` on the delivered triangles
-(of garments that are coarse: as it was before they folded on the finer mesh), ``wrapped``, what the service sends of
-the finer mesh's folds as the delivered one, and ``fine``, that finer mesh. Skin is counted by
-``benchmarks.quality.skin_pixels``; ``--sheets`` draws the pose in which ``network`` shows most of it.
+All drapes but skinning and ``unpushed`` are pushed out of the skin, as the service does it. ``network``: all corrections,
+the delivered mesh. The others are folds on the network without corrections, a single pose each: ``folds`` on the
+delivered triangles (of garments that are coarse: as it was before they folded on the finer mesh), ``wrapped``, what the
+service sends of the finer mesh's folds as the delivered one, ``unpushed``, what it sends without the push-out, and
+``fine``, that finer mesh. Skin is counted by ``benchmarks.quality.skin_pixels``; ``--sheets`` draws the pose in which
+``network`` shows most of it.
 """
 
 from __future__ import annotations
@@ -90,12 +91,13 @@ def drapes(garment: Garment, bench: Bench) -> dict[str, tuple[np.ndarray, np.nda
         "skinning": (skinned, fine.faces),
         "network": pushed(bench.corrected.drape(garment, poses).vertices[delivered], garment, bench),
     }
-    folds = folded(started, fine, bench)
+    folds = sent = folded(started, fine, bench)
     if has_finer(garment):
         wrapping = Wrapping(garment)
         found["folds"] = pushed(folded(started[delivered], garment, bench), garment, bench)
-        found["wrapped"] = pushed(np.stack([wrapping.wrap(cloth) for cloth in folds]), garment, bench)
-    return found | {"fine": pushed(folds, fine, bench)}
+        sent = np.stack([wrapping.wrap(cloth) for cloth in folds])
+        found["wrapped"] = pushed(sent, garment, bench)
+    return found | {"unpushed": (sent, garment.faces), "fine": pushed(folds, fine, bench)}
 
 
 def folded(start: np.ndarray, garment: Garment, bench: Bench) -> np.ndarray:
