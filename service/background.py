@@ -1,4 +1,5 @@
-"""How what streams need not wait for leaves processors to them: ``step_back()``, ``thread_steps_back()``."""
+"""How what streams need not wait for leaves processors to them: ``step_back()``, ``thread_steps_back()``, and how many
+there are."""
 
 from __future__ import annotations
 
@@ -18,6 +19,11 @@ def step_back() -> None:
     if os.getsid(0) == os.getpid():
         with contextlib.suppress(OSError):
             Path("/proc/self/autogroup").write_text(str(NICE))
+
+
+def processor_count() -> int:
+    """Processors that this process may run on."""
+    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
 
 
 def thread_steps_back() -> None:

@@ -19,7 +19,7 @@ from drape.body.model import BodyModel
 from drape.errors import DrapeError, InputError, NotFound
 from drape.wire.options import DrapeOptions
 from service import still
-from service.background import thread_steps_back
+from service.background import processor_count, thread_steps_back
 from service.costs import Probe
 from service.engine import Engine
 from service.errors import Draining, InternalError
@@ -47,8 +47,9 @@ log = logging.getLogger("drape.service")
 class Drapery:
     """Everything a start loads: body, model, garments, clips; and the threads that compute.
 
-    One thread has the frames of streams and nothing else, another all that streams need not wait for: clips, what a
-    frame costs, garments that are taken in. On a GPU, whose buckets take one call at a time, both are the same thread.
+    ``stream_threads`` have the frames of streams and nothing else, one for each processor unless the settings say how
+    many; another has all that streams need not wait for: clips, what a frame costs, garments that are taken in. On a
+    GPU, whose buckets take one call at a time, all are the same thread.
     Clips are computed in chunks: of ``DRAPE_CHUNK_FRAMES``, and of as many as take ``STREAM_WAIT_S`` while there are
     streams, of which no step begins while a stream's frame is computed. No bit depends on it.
     """
@@ -69,7 +70,8 @@ class Drapery:
         self.stages = make_stages(self.engine, self.body, settings, self.workshop)
         self.garments = Registry(self.body, settings, self.stages, self.workshop)
         self.motions = Motions(settings.motions_dir)
-        self._for_streams = ThreadPoolExecutor(max_workers=1, thread_name_prefix="drape-streams")
+        self.stream_threads = 1 if self.engine.bound else settings.stream_threads or processor_count()
+        self._for_streams = ThreadPoolExecutor(self.stream_threads, thread_name_prefix="drape-streams")
         self._aside = (
             self._for_streams
             if self.engine.bound
@@ -123,7 +125,7 @@ class Drapery:
         return await asyncio.get_running_loop().run_in_executor(self._aside, partial(function, *arguments))
 
     async def stream_frames(self, plan: Plan, inputs: Sequence[PoseInput]) -> list[tuple[bytes | DrapeError, Memories]]:
-        """``frames`` on the thread of the streams, or at once where all stand still."""
+        """``frames`` on a thread of the streams, or at once where all stand still."""
         self._streamed_s = time.monotonic()
         same = [still.again(plan, one) for one in inputs]
         if None not in same:

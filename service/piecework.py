@@ -39,7 +39,8 @@ class Piecework:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """While a stream's frame is computed, which asks for the lock some fifty times: no piece of ``each`` begins."""
+        """While a stream's frame is computed, which asks for the lock some fifty times: no piece of ``each`` begins
+        until this one, or another beside it, is through."""
         self._free.clear()
         try:
             yield

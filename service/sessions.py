@@ -1,14 +1,13 @@
-"""Stream sessions and the batcher that serves them: the newest pose wins, credit bounds what is under way.
+"""Stream sessions and the workers that serve them: the newest pose wins, credit bounds what is under way.
 
 A session has a mailbox for one pose; a newer pose replaces it and is counted. It is
-computed as soon as the worker is free and the client has credit: frames that wait in
+computed as soon as a worker is free, the frame before is through and the client has credit: frames that wait in
 a kernel buffer only grow old. There is no timer.
 """
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -41,7 +40,7 @@ class Session:
     """One client's stream. ``generation`` counts openings: what was begun for an earlier one is thrown away.
 
     ``steps``: the plan as each tier holds it, the least first; ``memories``: what the stages keep of the frames so far
-    (``service.stages``). Of ``dropped`` poses those that are ``late`` waited for the worker alone. One that ``moves``
+    (``service.stages``). Of ``dropped`` poses those that are ``late`` waited for a worker alone. One that ``moves``
     can go on at another process; while it is ``moving`` nothing is begun for it here. A client that takes ``same`` need
     not get a frame again that it has: ``shown``, the message that was computed for it.
     """
@@ -79,19 +78,28 @@ class Session:
     def put(self, pose: Pose) -> None:
         """Puts a pose into the mailbox; one that waited there is dropped and counted."""
         self.last_heard_s = time.monotonic()
-        self.late += self.ready()
+        self.late += self.due()
         self.dropped += self.waiting is not None
         self.waiting = Waiting(pose, self.last_heard_s)
 
     def ready(self) -> bool:
         """Whether a pose waits that may be computed now."""
+        return self.due() and not self.computing
+
+    def due(self) -> bool:
+        """Whether a pose waits for nothing but a worker, if only for the one that computes the frame before."""
         free = len(self.under_way) < self.credit and self.outbox is None and not self.moving
         return self.waiting is not None and free
 
     @property
+    def computing(self) -> bool:
+        """Whether a frame of this opening is being computed."""
+        return not all(math.isfinite(ready_s) for _, ready_s in self.under_way)
+
+    @property
     def settled(self) -> bool:
         """Whether nothing is computed for it and no frame waits to be sent."""
-        return self.outbox is None and all(math.isfinite(ready_s) for _, ready_s in self.under_way)
+        return self.outbox is None and not self.computing
 
     def held_to(self, tier: int) -> Plan:
         """Its plan with no more than the step of that index computes."""
@@ -149,13 +157,14 @@ class Session:
 
 
 class Streams:
-    """All sessions, and the task that computes their frames."""
+    """All sessions, and the workers that compute their frames: as many as ``Drapery`` has threads for streams."""
 
     def __init__(self, drapery: Drapery, piecework: Piecework) -> None:
         self._drapery, self._piecework = drapery, piecework
         self._sessions: set[Session] = set()
         self._wake = asyncio.Event()
-        self._worker: asyncio.Task[None] | None = None
+        self._workers: list[asyncio.Task[None]] = []
+        self._count, self._busy = drapery.stream_threads, 0  # workers, and how many of them compute
         self._step_down = StepDown(len(drapery.tiers) + 1, time.monotonic())
 
     @property
@@ -176,16 +185,15 @@ class Streams:
     @property
     def runs(self) -> bool:
         """Whether frames are being computed when poses come."""
-        return self._worker is not None and not self._worker.done()
+        return bool(self._workers) and not any(worker.done() for worker in self._workers)
 
     def start(self) -> None:
-        self._worker = asyncio.create_task(self._work(), name="streams")
+        self._workers = [asyncio.create_task(self._work(), name=f"streams-{i}") for i in range(self._count)]
 
     async def stop(self) -> None:
-        if self._worker is not None:
-            self._worker.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await self._worker
+        for worker in self._workers:
+            worker.cancel()
+        await asyncio.gather(*self._workers, return_exceptions=True)
 
     def check_place(self) -> None:
         """Refuses when every place is taken."""
@@ -236,23 +244,33 @@ class Streams:
                 await self._compute(batch)
 
     def _next_batch(self) -> list[Session]:
-        """The session that has waited longest, with all others that wait under the same plan."""
+        """The session that has waited longest, with its share of the others that wait under the same plan: what other
+        workers have nothing else to do for is left to them."""
         ready = sorted(
             (s for s in self._sessions if s.ready()), key=lambda s: s.waiting.arrived_s if s.waiting else 0.0
         )
         same = [s for s in ready if s.held_to(self.tier) == ready[0].held_to(self.tier)]
-        return same[: self._drapery.settings.chunk_frames]
+        share = -(-len(same) // (self._count - self._busy))
+        return same[: min(share, self._drapery.settings.chunk_frames)]
 
     async def _compute(self, batch: Sequence[Session]) -> None:
         plan = batch[0].held_to(self.tier)
         generations = [session.generation for session in batch]
         inputs = [_pose_input(session, session.take()) for session in batch]
-        with self._piecework.held():
-            start_s = time.monotonic()
-            results = await self._drapery.stream_frames(plan, inputs)
-            now_s = time.monotonic()
+        if any(session.ready() for session in self._sessions):
+            self._wake.set()  # for another worker, which may not have waited when it was told
+        self._busy += 1
+        try:
+            with self._piecework.held():
+                start_s = time.monotonic()
+                results = await self._drapery.stream_frames(plan, inputs)
+                now_s = time.monotonic()
+        finally:
+            self._busy -= 1
         late = sum(session.taken_late() for session in batch)
-        self._step_down.note(now_s, frames=len(batch), late=late, busy_s=now_s - start_s)
+        # Workers that sessions can keep busy share the time that there is.
+        workers = max(1, min(self._count, len(self._sessions)))
+        self._step_down.note(now_s, frames=len(batch), late=late, busy_s=(now_s - start_s) / workers)
         self._drapery.metrics.batch_frames.observe(len(batch))
         for session, generation, one, (result, memories) in zip(batch, generations, inputs, results, strict=True):
             session.deliver(generation, result, memories, one.arrived_s)

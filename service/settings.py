@@ -87,6 +87,7 @@ class Settings(BaseSettings):
 
     stream_step_down: bool = True
     stream_sessions: int = Field(default=64, ge=1)
+    stream_threads: int | None = Field(default=None, ge=1, le=64)
     stream_credit: int = Field(default=2, ge=1, le=16)
     stream_open_s: float = Field(default=5.0, gt=0.0)
     stream_idle_s: float = Field(default=60.0, gt=0.0)
