@@ -176,7 +176,7 @@ class Drapery:
 
     def steps(self, plan: Plan) -> tuple[Plan, ...]:
         """``plan`` as each tier holds it, the least first: with no more than the tier computes. Before them all what is
-        spared of the least, of a single garment; layers need the push-out and each other."""
+        spared of the least, of a single garment; layers need each other."""
         held = [capped(plan.options, tier) for tier in self.tiers]
         held.insert(0, spared(held[0]) if len(plan.scene.layers) == 1 else held[0])
         return tuple(

@@ -89,9 +89,9 @@ def capped(options: DrapeOptions, tier: Tier) -> DrapeOptions:
 
 
 def spared(options: DrapeOptions) -> DrapeOptions:
-    """``options`` of one garment, as ``chosen`` gives them, without what folds can do without for a while: the
-    push-out, as their steps have contact of their own, and cloth that feels itself. Without folds all stays."""
-    return options.model_copy(update={"push_out": False, "cloth_contact": False}) if options.folds else options
+    """``options`` of one garment, as ``chosen`` gives them, without what folds can do without for a while: cloth that
+    feels itself. The push-out stays: in a squat stiff shorts show skin without it."""
+    return options.model_copy(update={"cloth_contact": False}) if options.folds else options
 
 
 def _safe_folds(options: DrapeOptions, folds: int, tiers: Sequence[Tier]) -> int:

@@ -122,7 +122,7 @@ def test_a_stream_that_is_flooded_gets_less_and_later_all_again(
 
         async def least(socket: ClientConnection) -> None:
             """What asks for no more than the lowest tier has nothing to lose."""
-            assert (await opened(socket, tier="fast", push_out=False, cloth_contact=False))["tier"] == "fast"
+            assert (await opened(socket, tier="fast", cloth_contact=False))["tier"] == "fast"
             assert not any(one.stepped for one in (await flood(socket, 1, 3.0 * WINDOW_S, 2000.0))[1])
 
         run(url, talk)
@@ -134,10 +134,9 @@ def test_below_the_least_tier_there_is_what_folds_can_spare(make_settings: Calla
     with serve(create_app(settings), settings) as url:
 
         async def talk(socket: ClientConnection) -> None:
-            assert (await opened(socket, tier="fast", push_out=True))["tier"] == "fast"
+            assert (await opened(socket, tier="fast"))["tier"] == "fast"
             _, flooded = await flood(socket, 1, 4.0 * WINDOW_S, 2000.0)
-            assert flooded[0].pushed and not flooded[0].stepped
-            assert flooded[-1].stepped and not flooded[-1].pushed
+            assert not flooded[0].stepped and flooded[-1].stepped
 
         run(url, talk)
 

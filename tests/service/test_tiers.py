@@ -100,9 +100,9 @@ def test_a_cap_never_asks_for_more_than_was_asked():
     assert (capped(jets, fast).passes, capped(jets, balanced)) == (0, jets)
 
 
-def test_what_is_spared_is_the_push_out_and_cloth_against_cloth_where_there_are_folds():
+def test_what_is_spared_is_cloth_against_cloth_where_there_are_folds():
     asked = chosen(DrapeOptions(tier="fast", push_out=True), TIERS, Settings(), PASSES)
-    assert spared(asked) == asked.model_copy(update={"push_out": False, "cloth_contact": False})
+    assert spared(asked) == asked.model_copy(update={"cloth_contact": False})
     for without in (DrapeOptions(folds=0), DrapeOptions(geometry="jets")):
         plain = chosen(without, TIERS, Settings(), PASSES)
         assert spared(plain) == plain
@@ -114,9 +114,7 @@ def test_layers_spare_nothing(outfit_settings: Settings):
         for worn, differs in ((["tube"], True), (["tube", "coat"], False)):
             plan = drapery.plan(drapery.garments.scene(None, worn), DrapeOptions(tier="fast"), messages=True)
             lowest, least, *_ = drapery.steps(plan)
-            assert (lowest.options.push_out, lowest.options.cloth_contact) == (
-                (False, False) if differs else (True, True)
-            )
+            assert lowest.options.push_out and lowest.options.cloth_contact != differs
             assert (lowest != least) == differs
     finally:
         drapery.close()
