@@ -259,8 +259,6 @@ TABLES = (
     ("quality", "docs/reference/quality.md", "quality", quality_table),
     ("quality", "README.md", "gain", gain_table),
     ("quality", "docs/reference/quality.md", "quality_network", network_table),
-    ("quality_unseen", "docs/reference/quality.md", "quality_unseen", quality_table),
-    ("quality_unseen", "docs/reference/quality.md", "quality_unseen_network", network_table),
     ("quality_fine", "docs/reference/quality.md", "quality_fine", network_table),
     ("quality_reference", "docs/reference/quality.md", "quality_reference", reference_table),
     ("quality_reference", "docs/reference/quality.md", "quality_reference_ends", reference_end_table),
