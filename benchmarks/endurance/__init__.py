@@ -1,0 +1,1 @@
+"""The command ``python -m benchmarks.endurance``: ``benchmarks.quality.endurance``."""
