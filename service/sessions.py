@@ -222,6 +222,12 @@ class Streams:
                 session.failure = reason
             session.news.set()
 
+    def release(self, count: int) -> None:
+        """Lets ``count`` of the streams that ``moves``, or as many as there are, go on at another process."""
+        for session in [one for one in self._sessions if one.moves and not one.moving][:count]:
+            session.moving = True
+            session.news.set()
+
     def add(self, session: Session, tier: int | None = None) -> None:
         """Takes ``session`` in; the first is held to the ``tier`` that it was held to where it comes from."""
         self.check_place()
