@@ -28,7 +28,9 @@ class Watching:
 
 
 def _tell(replicas: frozenset[str]) -> None:
-    for watcher in WATCHERS:
+    from service.ray_router import WATCHERS as told  # Ray sends ``Router`` and all it names as a copy, this list too
+
+    for watcher in told:
         watcher(replicas)
 
 
