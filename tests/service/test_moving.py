@@ -133,6 +133,28 @@ def test_frames_after_a_move_are_those_without_it(moving_settings: Settings, suc
     assert 'drape_streams_brought_total{resumed="true"}' in counted
 
 
+def test_a_service_that_gives_a_stream_away_serves_on(moving_settings: Settings):
+    poses, trans = smooth(FRAMES)
+
+    async def talk(url: str) -> list[DrapeStream]:
+        streams = [await DrapeStream.open(url, "tube") for _ in range(2)]
+        worker = app.state.drape.streams._worker
+        worker.get_loop().call_soon_threadsafe(app.state.drape.streams.release, 1)
+        for pose, place in zip(poses, trans, strict=True):
+            for stream in streams:
+                await stream.send(pose, place)
+                await stream.receive()
+        for stream in streams:
+            await stream.close()
+        return streams
+
+    with serve(app := create_app(moving_settings), moving_settings) as url:
+        went = sorted(asyncio.run(talk(url)), key=lambda stream: stream.moves)
+        assert httpx.get(url + "/readyz").status_code == 200
+    assert [stream.moves for stream in went] == [0, 1]
+    assert went[1].about["resumed"]
+
+
 def test_a_stream_goes_on_anew_where_its_state_cannot_be_read(moving_settings: Settings, successor: str):
     poses, trans = smooth(FRAMES)
     expected, _ = frames_of(successor, poses, trans)

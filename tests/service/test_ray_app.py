@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import importlib.util
+import inspect
 import os
 import secrets
 import shutil
@@ -22,9 +23,10 @@ import numpy as np
 import pytest
 
 from clients.stream import DrapeStream
-from drape.errors import DrapeError, InputError
+from drape.errors import DrapeError, InputError, Unavailable
 from drape.garment.cache import Garment
 from service import ray_app, ray_router
+from service.scaling import AGE, STREAMS, Policy
 from service.settings import Settings
 from tests.architecture.repository import ROOT
 from tests.fixtures.meshes import garment_obj
@@ -69,6 +71,39 @@ def test_new_replicas_get_their_share():
 def test_the_router_has_one_name():
     with pytest.raises(AttributeError, match="Routers"):
         _ = ray_router.Routers
+
+
+def test_a_replica_tells_its_load_and_its_health(make_settings: Callable[..., Settings]):
+    replica = ray_app.Replica(make_settings())
+    assert replica.record_autoscaling_stats() == {AGE: 0.0, STREAMS: 0.0}
+    replica.check_health()
+    replica._life.draining = True  # Ray asks only replicas that it keeps
+    with pytest.raises(Unavailable, match="one that drains"):
+        replica.check_health()
+
+
+@with_ray
+@pytest.mark.parametrize(
+    ("ages", "streams", "target", "expected"),
+    [
+        ([0.2], [3.0], 1, 2),
+        ([0.2], [3.0], 2, 2),  # the second still starts
+        ([0.0, 0.0], [0.0, 0.0], 2, 1),
+        ([], [], 1, 1),  # nothing told yet
+    ],
+)
+def test_the_policy_reads_what_ray_has_gathered(ages: list[float], streams: list[float], target: int, expected: int):
+    ray_app.keep_local()
+    from ray.serve.config import AutoscalingContext  # pyright: ignore[reportMissingImports]
+
+    names = [f"replica{place}" for place in range(len(ages))]
+    about: dict[str, Any] = {name: None for name in inspect.signature(AutoscalingContext).parameters}
+    about |= {"target_num_replicas": target, "current_num_replicas": len(ages), "running_replicas": names}
+    about["aggregated_metrics"] = {
+        AGE: dict(zip(names, ages, strict=True)),
+        STREAMS: dict(zip(names, streams, strict=True)),
+    }
+    assert Policy(0.066)(AutoscalingContext(**about)) == (expected, {})
 
 
 def free_port() -> int:
