@@ -179,7 +179,7 @@ def main(arguments: list[str] | None = None) -> int:
         settings = load_settings(**{key: value for key, value in options.items() if value is not None})
         check_exposed(settings)
         if address is None:
-            keep_local()
+            prepare_ray()
         serving = application(settings, least, most)
         _run(serving, settings, address)
     except DrapeError as error:
@@ -188,11 +188,11 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def keep_local() -> None:
-    """Keeps a cluster that is started from this process on the loopback address, and its news at home; before Ray is
-    imported, which reads this then."""
+def prepare_ray() -> None:
+    """Sets what a cluster that is started from this process reads of the environment; before Ray is imported."""
     os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"  # otherwise all of Ray's ports are open to the network
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # otherwise Ray tells its makers of every start
+    os.environ.setdefault("RAY_worker_niceness", "0")  # otherwise whatever else runs goes before frames
 
 
 def start_ray(address: str | None = None, **more: Any) -> None:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from tests.architecture.repository import ROOT
+from tests.architecture.repository import ROOT, repository_files
 
-HEAVY = ("torch", "vtk", "vtkmodules", "pyvista", "pyacvd", "anny", "warp", "onnx", "onnxscript")
+HEAVY = ("torch", "vtk", "vtkmodules", "pyvista", "pyacvd", "anny", "warp", "onnx", "onnxscript", "ray")
 
 # Imports a module, or every module of a package of ours, and prints which top-level packages came along.
 PROBE = """
@@ -51,6 +52,13 @@ def test_no_module_of_a_light_package_loads_a_heavy_one(package: str):
 
 def test_core_loads_no_inference_engine_or_web_framework():
     assert not loaded_with("drape", whole=True) & {"onnxruntime", "fastapi", "starlette"}
+
+
+def test_ray_is_known_to_its_two_modules_alone():
+    own = {"service/ray_app.py", "service/ray_router.py", "tests/service/test_ray_app.py"}
+    imports = re.compile(r"^\s*(?:import|from) ray\b", re.MULTILINE)
+    sources = {path.relative_to(ROOT).as_posix(): path for path in repository_files() if path.suffix == ".py"}
+    assert {name for name, path in sources.items() if imports.search(path.read_text(encoding="utf-8"))} == own
 
 
 def test_import_contracts_hold():

@@ -52,7 +52,7 @@ def test_several_replicas_need_one_secret(make_settings: Callable[..., Settings]
 
 
 def test_without_ray_the_command_says_what_to_install(monkeypatch: pytest.MonkeyPatch, capsys):
-    for name in ("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "RAY_USAGE_STATS_ENABLED"):
+    for name in ("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "RAY_USAGE_STATS_ENABLED", "RAY_worker_niceness"):
         monkeypatch.setenv(name, "0")  # so that what the command sets goes again
     monkeypatch.setitem(sys.modules, "ray", None)
     assert ray_app.main(["--port", "0"]) == 2
@@ -93,7 +93,7 @@ def test_a_replica_tells_its_load_and_its_health(make_settings: Callable[..., Se
     ],
 )
 def test_the_policy_reads_what_ray_has_gathered(ages: list[float], streams: list[float], target: int, expected: int):
-    ray_app.keep_local()
+    ray_app.prepare_ray()
     from ray.serve.config import AutoscalingContext  # pyright: ignore[reportMissingImports]
 
     names = [f"replica{place}" for place in range(len(ages))]
@@ -119,7 +119,7 @@ def ray_settings(make_settings: Callable[..., Settings]) -> Settings:
 @pytest.fixture(scope="module")
 def url(ray_settings: Settings) -> Iterator[str]:
     """The address of two replicas on a cluster of Ray of its own."""
-    ray_app.keep_local()
+    ray_app.prepare_ray()
     os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))  # otherwise Ray writes one into the home folder
     folder = tempfile.mkdtemp(prefix="r", dir="/tmp")  # a socket's path may have 107 characters
     import ray  # pyright: ignore[reportMissingImports]
