@@ -12,7 +12,7 @@ import numpy as np
 from prometheus_client import Histogram
 
 WINDOW_S = 5.0
-SPARE = 0.5  # of the deadline: a replica goes only where the others would stay below it
+SPARE = 0.75  # of the deadline: a replica goes only where the others would stay below it
 PERCENTILE = 0.99
 AGE, STREAMS = "frame_age_p99_s", "streams"  # what a replica tells the autoscaler
 
@@ -59,16 +59,18 @@ class FrameAges:
 def wanted(loads: Mapping[str, Load], deadline_s: float) -> int:
     """How many replicas should serve what those of ``loads`` (by replica, at least one) serve now.
 
-    One more where a replica has late frames and more than one stream, so that another can take some. One less where the
-    ages, added up and spread over the others, stay below ``SPARE`` of ``deadline_s``: streams that share a thread wait
-    for each other, so ages add. What lies between keeps the number.
+    One more where a replica has late frames and more than one stream, so that another can take some. One less where a
+    replica has no stream, or where the ages, added up and spread over the others, stay below ``SPARE`` of
+    ``deadline_s``: streams that share a thread wait for each other, so ages add. What lies between keeps the number.
     """
     count = len(loads)
     if any(load.age_s > deadline_s and load.streams > 1 for load in loads.values()):
         return count + 1
-    if count > 1 and sum(load.age_s for load in loads.values()) / (count - 1) <= SPARE * deadline_s:
-        return count - 1
-    return count
+    if count == 1:
+        return count
+    idle = any(load.streams == 0 for load in loads.values())
+    spread_s = sum(load.age_s for load in loads.values()) / (count - 1)
+    return count - 1 if idle or spread_s <= SPARE * deadline_s else count
 
 
 class Policy:

@@ -51,6 +51,12 @@ def test_several_replicas_need_one_secret(make_settings: Callable[..., Settings]
     ray_app.check_replicas(make_settings(ticket_secret="one"), 1, 2)
 
 
+def test_rays_own_command_takes_the_numbers_too(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.delenv("DRAPE_TICKET_SECRET", raising=False)
+    with pytest.raises(InputError, match="one secret for 3 replicas"):
+        ray_app.app({"least": "2", "most": "3"})
+
+
 def test_without_ray_the_command_says_what_to_install(monkeypatch: pytest.MonkeyPatch, capsys):
     for name in ("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "RAY_USAGE_STATS_ENABLED", "RAY_worker_niceness"):
         monkeypatch.setenv(name, "0")  # so that what the command sets goes again
