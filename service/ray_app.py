@@ -130,6 +130,8 @@ def application(settings: Settings, least: int, most: int) -> Application:
     """What Ray serves: ``least`` to ``most`` replicas with ``settings``; refuses as ``check_replicas``."""
     check_replicas(settings, least, most)
     serve = _serve()
+    # Other replicas may run on the same machine, so that one counts no processors but those that Ray gives it.
+    streaming = settings.stream_threads or settings.threads
     from ray.serve.config import AutoscalingConfig, AutoscalingPolicy, RequestRouterConfig  # pyright: ignore
 
     policy = AutoscalingPolicy(policy_function=Policy, policy_kwargs={"deadline_s": settings.frame_deadline_s})
@@ -147,14 +149,14 @@ def application(settings: Settings, least: int, most: int) -> Application:
         # The application refuses by itself what is too much, with a sentence; Ray would let it wait.
         max_ongoing_requests=settings.max_connections,
         request_router_config=RequestRouterConfig(request_router_class="service.ray_router:Router"),
-        ray_actor_options={"num_cpus": settings.threads, "num_gpus": int(settings.provider == "cuda")},
+        ray_actor_options={"num_cpus": max(settings.threads, streaming), "num_gpus": int(settings.provider == "cuda")},
         graceful_shutdown_timeout_s=GRACE_S,
         graceful_shutdown_wait_loop_s=0.2,
         health_check_period_s=5.0,
         max_constructor_retry_count=2,
     )
     # Streams come back to the address that they have: there is no successor by name.
-    return deployment.bind(settings.model_copy(update={"successor": ""}))
+    return deployment.bind(settings.model_copy(update={"successor": "", "stream_threads": streaming}))
 
 
 def app(arguments: dict[str, str]) -> Application:
