@@ -49,7 +49,7 @@ SIDEWAYS = np.array([1.0, 0.0, 0.0])
 
 @pytest.fixture(scope="module")
 def drapery(make_settings: Callable[..., Settings]) -> Iterator[Drapery]:
-    made = Drapery(make_settings(model=TINY_DYNAMIC))
+    made = Drapery(make_settings(model=TINY_DYNAMIC, stream_threads=1))  # all that wait go together
     yield made
     made.close()
 

@@ -88,11 +88,14 @@ def test_frames_on_time_are_those_within_the_deadline():
     assert "drape_frames_sent_total 3.0" in text and "drape_frames_on_time_total 2.0" in text
 
 
+FRAME = wire.pack_frame(wire.Frame(7, 0.0, 0.0, np.zeros(3), np.zeros((1, 3), np.float32)))
+
+
 def test_the_way_of_a_frame_is_known_when_it_is_taken():
     session = Session(plan=None, betas=np.zeros(1), credit=1)  # pyright: ignore[reportArgumentType]
     session.put(wire.Pose(7, 0.0, np.zeros(3), np.zeros((24, 3))))
     session.take()
-    session.deliver(0, b"frame", {}, since_s=1.0)
+    session.deliver(0, FRAME, {}, since_s=1.0)
     assert session.outbox_since_s == 1.0
     way_s = session.acknowledge(7)
     assert way_s is not None and 0.0 <= way_s < 10.0

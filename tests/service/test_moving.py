@@ -138,7 +138,7 @@ def test_a_service_that_gives_a_stream_away_serves_on(moving_settings: Settings)
 
     async def talk(url: str) -> list[DrapeStream]:
         streams = [await DrapeStream.open(url, "tube") for _ in range(2)]
-        worker = app.state.drape.streams._worker
+        worker = app.state.drape.streams._workers[0]
         worker.get_loop().call_soon_threadsafe(app.state.drape.streams.release, 1)
         for pose, place in zip(poses, trans, strict=True):
             for stream in streams:
