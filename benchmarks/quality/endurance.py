@@ -7,6 +7,7 @@ Steps of folds on the network without corrections, with cloth against cloth, as 
 rate in a fabric: ``resets`` are frames that were begun anew as they were not finite or too far from the network's,
 ``broken`` frames that are not finite all the same; ``long_pct`` is the share of all edges in all frames that are longer
 than 1.3 times their rest, ``network_long_pct`` that of the network's own drape, and ``longest`` the longest of them.
+The record has the rows of all clips together, and as ``worst`` the clip of the longest edge.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ CHUNK = 64  # frames that the network drapes at a time
 LONG = 1.3  # of an edge's rest
 COLUMNS = {
     "garment": "s", "fabric": "s", "clip": "s", "fps": ".0f", "frames": "d", "resets": "d", "broken": "d",
-    "long_pct": ".3f", "network_long_pct": ".3f", "longest": ".2f",
+    "long_pct": ".3f", "network_long_pct": ".3f", "longest": ".2f", "worst": "s",
 }  # fmt: skip
 
 
@@ -92,9 +93,9 @@ def totals(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
             name: float(np.average([one[name] for one in ones], weights=frames))
             for name in ("long_pct", "network_long_pct")
         }
-        longest = max(one["longest"] for one in ones)
-        found.append({"garment": garment, "fabric": cloth, "clip": "all", "fps": fps, **whole, **shares})
-        found[-1]["longest"] = longest
+        worst = max(ones, key=lambda one: one["longest"])
+        of = {"longest": worst["longest"], "worst": worst["clip"]}
+        found.append({"garment": garment, "fabric": cloth, "clip": "all", "fps": fps, **whole, **shares, **of})
     return found
 
 
@@ -136,6 +137,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
                     rows.append(endure(garment, cloth, clip, body, network.made_of(cloth), options.steps))
                     common.print_table(rows[-1:], COLUMNS)
     print()
-    rows += totals(rows)
-    common.print_table(rows, COLUMNS)
-    return common.finish("endurance", rows, options, steps=options.steps, **network.record())
+    whole = totals(rows)
+    common.print_table(whole, COLUMNS)
+    clips = list(dict.fromkeys(row["clip"] for row in rows))
+    return common.finish("endurance", whole, options, clips=clips, steps=options.steps, **network.record())
