@@ -43,7 +43,6 @@ class Replica:
     """The application in a process of Ray, which asks it for its health and its load."""
 
     def __init__(self, settings: Settings) -> None:
-        set_up(settings.log_format)
         self._deadline_s = settings.frame_deadline_s
         self._life, metrics = Lifecycle(stuck_s=settings.stuck_s), Metrics()
         drapery = Drapery(settings, metrics=metrics)
@@ -52,11 +51,13 @@ class Replica:
         self._load = Load(0.0, 0)
         self._known: frozenset[str] = frozenset()
         self._tasks: set[asyncio.Task[None]] = set()
-        gc.collect()
-        gc.freeze()  # as service.__main__ says
+        self._form = settings.log_format
 
     def __serve_build_asgi_app__(self) -> FastAPI:
-        """The application, whose lifespan Ray runs."""
+        """The application, whose lifespan Ray runs; the process is Ray's and has nothing else to do."""
+        set_up(self._form)
+        gc.collect()
+        gc.freeze()  # as service.__main__ says
         loop = asyncio.get_running_loop()
         ray_router.WATCHERS.append(lambda replicas: loop.call_soon_threadsafe(self._serving, replicas))
         self._begin(self._watch())

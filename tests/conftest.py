@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import gc
+import logging
 import os
 import shutil
 import tempfile
 from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -97,6 +100,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_runtest_setup(item: pytest.Item) -> None:
     if reason := skip_reason(item):
         pytest.skip(reason)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def process_unchanged() -> Iterator[None]:
+    """A test file leaves the process as it was: lines of INFO that are kept hold what they tell of, and what is frozen
+    is never collected, both of which other files' tests of leaks would see."""
+    before = logging.getLogger().level, gc.get_freeze_count() > 0
+    yield
+    assert (logging.getLogger().level, gc.get_freeze_count() > 0) == before
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,13 @@ FLAGS = (
     "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--no-first-run", "--disable-extensions",
     "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--remote-debugging-port=0",
 )  # fmt: skip
+
+# What DevTools say of a call that was under way when the page changed.
+LEFT = ("navigated or closed", "Cannot find context", "Execution context was destroyed")
+
+
+class Gone(Exception):
+    """The page was left for another while it was asked."""
 
 
 class Page:
@@ -43,6 +50,8 @@ class Page:
         while True:
             message = json.loads(self._connection.recv(timeout=60.0))
             if message.get("id") == self._number:
+                if "error" in message and any(words in message["error"]["message"] for words in LEFT):
+                    raise Gone(message["error"]["message"])
                 assert "error" not in message, message["error"]
                 return message["result"]
             self._note(message)
@@ -63,13 +72,17 @@ class Page:
         return result["result"].get("value")
 
     def wait_for(self, expression: str, *, seconds: float = 60.0) -> Any:
-        """The value of ``expression`` once it is true."""
+        """The value of ``expression`` once it is true, on this page or on one that comes in its place."""
         deadline = time.monotonic() + seconds
-        while not (value := self.evaluate(expression)):
-            assert time.monotonic() < deadline, (
-                f"{expression}; {self.evaluate('document.body.innerText')}; {self.errors}"
-            )
-            time.sleep(0.1)
+        value = None
+        while not value:
+            with suppress(Gone):
+                value = self.evaluate(expression)
+            if not value:
+                assert time.monotonic() < deadline, (
+                    f"{expression}; {self.evaluate('document.body?.innerText')}; {self.errors}"
+                )
+                time.sleep(0.1)
         return value
 
     def choose_file(self, selector: str, path: Path) -> None:
