@@ -176,15 +176,18 @@ class Drapery:
 
     def steps(self, plan: Plan) -> tuple[Plan, ...]:
         """``plan`` as each tier holds it, the least first: with no more than the tier computes. Before them all what is
-        spared of the least, of a single garment; layers need each other."""
+        spared of the least, of a single garment, and the same with its folds carried along; layers need each other."""
         held = [capped(plan.options, tier) for tier in self.tiers]
-        held.insert(0, spared(held[0]) if len(plan.scene.layers) == 1 else held[0])
-        return tuple(
+        alone = len(plan.scene.layers) == 1
+        held.insert(0, spared(held[0]) if alone else held[0])
+        steps = [
             plan
             if options == plan.options
             else replace(make_plan(self.stages, plan.scene, options, messages=plan.messages), stepped=True)
             for options in held
-        )
+        ]
+        carried = alone and bool(plan.options.folds)
+        return (replace(steps[0], stepped=True, carried=True) if carried else steps[0], *steps)
 
     async def prepare(self, plan: Plan) -> None:
         """Makes what the plan's stages need, beside the frames that are being computed."""

@@ -26,6 +26,8 @@ from service.stages import carried
 from service.stages.batch import Memories, Plan, PoseInput
 from service.step_down import StepDown
 
+BELOW = 2  # steps below the least tier, as ``Drapery.steps`` has them
+
 
 @dataclass(frozen=True, eq=False)
 class Waiting:
@@ -165,7 +167,7 @@ class Streams:
         self._wake = asyncio.Event()
         self._workers: list[asyncio.Task[None]] = []
         self._count, self._busy = drapery.stream_threads, 0  # workers, and how many of them compute
-        self._step_down = StepDown(len(drapery.tiers) + 1, time.monotonic())
+        self._step_down = StepDown(len(drapery.tiers) + BELOW, time.monotonic())
 
     @property
     def tier(self) -> int:

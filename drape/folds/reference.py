@@ -23,6 +23,7 @@ from drape.folds.step import (
     Frame,
     Memory,
     calmness,
+    fading,
     paced,
 )
 from drape.folds.sweeps import SLIP_M
@@ -38,11 +39,12 @@ def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) 
     past = memory or Memory(frame.time_s, network, still, still, nowhere, still, 0)
     step_s = max(frame.time_s - past.time_s, SHORTEST_STEP_S) if memory else FIRST_STEP_S
     frames = surface_frames(network, dressed.cloth)
-    off = _to_world(frames, past.residual)
+    share = fading(effort, step_s)
+    off = _to_world(frames, share * past.residual)
     for _ in range(MENDS):
         off = mended(off, dressed.cloth.faces)
     x = network + off
-    way = step_s * _to_world(frames, past.velocity)
+    way = (share == 1.0) * step_s * _to_world(frames, past.velocity)
     stuck = carried(past.grip, frame.skin, dressed.graph, past.touched.own)
     friction = dressed.friction if effort.friction and memory else 0.0
     touched = follow(network, frame.skin, dressed.graph, past.touched)
@@ -55,7 +57,7 @@ def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) 
     held, slack = dressed.band_n_per_m, np.full(len(network), made.constants.slack)
     if effort.cloth_contact:
         held, slack = held_within(room(network, dressed.cloth), held, made)
-    for number in range(1 if memory else effort.settle):
+    for number in range(0 if effort.sweeps == 0 else 1 if memory else effort.settle):
         here = touch(x, frame.skin, dressed.graph, touched, past.turn if memory else -1)
         touched = Touched(touched.own, here.other)
         around = touching(made, dressed, x, frame.skin, here)

@@ -43,6 +43,7 @@ MENDS, MEND_M = 2, 0.03  # rounds of following the neighbours where a residual i
 PAUSE_S = 0.25  # after a longer one a frame has no past
 SHORTEST_STEP_S = 1.0 / 240.0  # frames that come closer together count as this far apart
 FIRST_STEP_S = 1.0 / 30.0  # of a frame without a past
+FADE_S = 1.0  # in which folds that are only carried along come down to 1/e
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +86,8 @@ class Report:
 @dataclass(frozen=True)
 class Effort:
     """``sweeps``: steps of the whole cloth per frame, and half as many over its vertices, one at least; a frame without
-    a past gets ``settle`` times as many of both, after ``settle`` sweeps.
+    a past gets ``settle`` times as many of both, after ``settle`` sweeps. Of 0 folds are carried along with the
+    network's surface, and fade: no energy is looked at, and a frame without a past is the network's.
 
     In fast motion ``paced`` tells how much of either there is.
     ``cloth_contact``: whether the cloth keeps to the room that the network's drape leaves between its sheets.
@@ -147,7 +149,8 @@ def _advanced(
     dtype = network.dtype.type
     settled = past.network is network
     step_s = FIRST_STEP_S if settled else max(time_s - past.time_s, SHORTEST_STEP_S)
-    rounds = effort.settle if settled else 1
+    rounds = 0 if effort.sweeps == 0 else effort.settle if settled else 1
+    share = fading(effort, step_s)
     place = constants.sheet.place
     calm = calmness(past.network[place], network[place])
     k = constants.sheet.constants
@@ -155,15 +158,20 @@ def _advanced(
     momentum = SETTLING_MOMENTUM if settled and rounds >= LONG_ROUNDS else pace.momentum
     numbers = Numbers(
         dtype(step_s), dtype(momentum), dtype(pace.share), rounds, pace.steps, pace.sweeps,
-        -1 if settled else past.turn, effort.cloth_contact,
+        -1 if settled else past.turn, effort.cloth_contact and rounds > 0,
         dtype(constants.friction if effort.friction and not settled else 0.0),
     )  # fmt: skip
     cloth = Cloth(constants.sheet, constants.level, constants.graph, constants.near)
     touched = Touched(past.touched.own.copy(), past.touched.other.copy())
-    kept = Kept(past.residual.copy(), past.velocity.copy(), past.grip.copy())
+    kept = Kept(dtype(share) * past.residual, dtype(share == 1.0) * past.velocity, past.grip.copy())
     x, far = advance(network, kept, touched, skin, cloth, numbers)
     after = Memory(time_s, network, kept.residual, kept.velocity, touched, kept.grip, (past.turn + 1) % TURNS)
     return (x[place] if far <= FAR_M else None), after
+
+
+def fading(effort: Effort, step_s: float) -> float:
+    """What is left of the residual after ``step_s`` [s], 1 where folds are computed; where not, no way is left."""
+    return 1.0 if effort.sweeps else float(np.exp(-step_s / FADE_S))
 
 
 class Pace(NamedTuple):

@@ -30,7 +30,8 @@ class Plan:
 
     ``stages`` are those that the plan takes, in their order, and ``needs`` what of "vertices", "jets" and "skin" they
     and the answer read: the network makes nothing else. ``messages``: frames leave as messages of the wire;
-    ``stepped``: with less than was asked for, as the service is under load. ``draped``: what the network drapes, the
+    ``stepped``: with less than was asked for, as the service is under load; folds that are ``carried`` are those of the
+    frames before, and fade. ``draped``: what the network drapes, the
     scene's garments or, where a stage needs "fine", their subdivided meshes; that stage leaves the scene's. ``scene``
     holds what must be draped, hidden garments that visible ones feel among it; ``shown`` is what comes.
     """
@@ -41,6 +42,7 @@ class Plan:
     stages: tuple[Stage, ...] = ()
     needs: frozenset[str] = frozenset()
     stepped: bool = False
+    carried: bool = False
     draped: tuple[Entry, ...] = ()
 
     @property

@@ -106,8 +106,9 @@ class Folds(Stage):
         """Layer after layer: a frame without a past takes tens of milliseconds for each."""
         plan = batch.plan
         assert plan.options.folds and plan.options.settle is not None
-        effort = Effort(plan.options.folds, plan.options.settle, cloth_contact=bool(plan.options.cloth_contact))
-        safe = replace(effort, sweeps=max(plan.options.folds, plan.options.safe_folds or 0))
+        steps = 0 if plan.carried else plan.options.folds
+        effort = Effort(steps, plan.options.settle, cloth_contact=bool(plan.options.cloth_contact))
+        safe = replace(effort, sweeps=max(steps, plan.options.safe_folds or 0)) if steps else effort
         efforts = [safe if novelty > 1.0 else effort for novelty in batch.quality.novelty]
         layers, resets, read = list(batch.layers), np.zeros(len(batch.root)), _read(plan)
         assert batch.skin is not None

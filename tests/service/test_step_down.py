@@ -49,10 +49,20 @@ def test_late_poses_step_down_at_once_and_calm_steps_up_slowly():
     assert held.level == TOP
 
 
+def test_where_far_too_much_is_late_it_is_two_steps():
+    for late, level in ((4, 4), (5, 3)):
+        held = StepDown(5, 0.0)
+        passed(held, 0.0, 1, late=late)
+        assert held.level == level
+    held = StepDown(1, 0.0)
+    passed(held, 0.0, 1, late=9)
+    assert held.level == 0
+
+
 def test_counts_wait_for_the_end_of_their_window():
     held = StepDown(TOP, 0.0)
     for _ in range(40):
-        held.note(0.9 * WINDOW_S, frames=1, late=1, busy_s=0.0)
+        held.note(0.9 * WINDOW_S, frames=9, late=1, busy_s=0.0)
     assert held.level == TOP
     held.note(WINDOW_S, frames=1, late=0, busy_s=0.0)
     assert held.level == TOP - 1
@@ -121,21 +131,24 @@ def test_a_stream_that_is_flooded_gets_less_and_later_all_again(
             raise AssertionError("it never stepped up again")
 
         async def least(socket: ClientConnection) -> None:
-            """What asks for no more than the lowest tier has nothing to lose."""
-            assert (await opened(socket, tier="fast", cloth_contact=False))["tier"] == "fast"
+            """What has no folds has nothing to lose."""
+            assert (await opened(socket, folds=0, passes=0))["folds"] == 0
             assert not any(one.stepped for one in (await flood(socket, 1, 3.0 * WINDOW_S, 2000.0))[1])
 
         run(url, talk)
         run(url, least)
 
 
-def test_below_the_least_tier_there_is_what_folds_can_spare(make_settings: Callable[..., Settings]):
+@pytest.mark.parametrize("cloth_contact", [True, False])  # which is spared first
+def test_below_the_least_tier_there_is_what_folds_can_spare(
+    make_settings: Callable[..., Settings], cloth_contact: bool
+):
     settings = make_settings()
     with serve(create_app(settings), settings) as url:
 
         async def talk(socket: ClientConnection) -> None:
-            assert (await opened(socket, tier="fast"))["tier"] == "fast"
-            _, flooded = await flood(socket, 1, 4.0 * WINDOW_S, 2000.0)
+            assert (await opened(socket, tier="fast", cloth_contact=cloth_contact))["tier"] == "fast"
+            _, flooded = await flood(socket, 1, 8.0 * WINDOW_S, 2000.0)
             assert not flooded[0].stepped and flooded[-1].stepped
 
         run(url, talk)

@@ -113,9 +113,10 @@ def test_layers_spare_nothing(outfit_settings: Settings):
     try:
         for worn, differs in ((["tube"], True), (["tube", "coat"], False)):
             plan = drapery.plan(drapery.garments.scene(None, worn), DrapeOptions(tier="fast"), messages=True)
-            lowest, least, *_ = drapery.steps(plan)
+            carried, lowest, least, *_ = drapery.steps(plan)
             assert lowest.options.push_out and lowest.options.cloth_contact != differs
-            assert (lowest != least) == differs
+            assert (lowest != least) == differs == carried.carried
+            assert carried == (replace(lowest, carried=True) if differs else lowest)
     finally:
         drapery.close()
 

@@ -18,6 +18,7 @@ from drape.folds.frames import mend
 from drape.folds.sheet import LANES
 from drape.folds.step import (
     CUT_M,
+    FADE_S,
     FAR_M,
     FAST_M,
     FAST_SWEEPS,
@@ -223,6 +224,31 @@ def test_what_an_effort_stands_for():
     assert paced(2, 0.5, stiff=False)[:3] == (2, 1 + FAST_SWEEPS, 0.5)
     assert paced(2, 0.0, stiff=False)[:3] == (0, 2 + FAST_SWEEPS, 0.0), "steps of the whole are left out"
     assert paced(2, 0.0, stiff=True) == (2, 2 + FAST_SWEEPS, STIFF_SHARE, STIFF_MOMENTUM), "they stay"
+
+
+def test_folds_that_are_carried_along_fade_with_the_clock_and_come_back():
+    rest, dressed = sleeve()
+    constants = Constants.of(dressed, dtype=np.float64)
+    carried, place = Effort(sweeps=0), constants.sheet.place
+    _, memory, _ = folded(constants, [frame(rest, number) for number in range(3)])[-1]
+    _, wanted_memory, begun_m = memory, None, np.abs(memory.residual[place]).max()
+    for one in (frame(rest, number) for number in range(3)):
+        _, wanted_memory = reference.fold(dressed, wanted_memory, one, EFFORT)
+    held = frame(rest, 2)
+    for number in range(1, 31):
+        later = replace(held, time_s=held.time_s + number / 30.0)
+        x, after, report = fold(constants, memory, later, carried)
+        wanted, wanted_memory = reference.fold(dressed, wanted_memory, later, carried)
+        assert_allclose(x, wanted, rtol=0.0, atol=1e-10)
+        assert report == Report(settled=False) and not after.velocity.any()
+        memory = after
+    left = np.abs(memory.residual[place]).max() / begun_m
+    assert_allclose(left, np.exp(-1.0 / FADE_S), rtol=0.0, atol=1e-3)
+    x, _, _ = fold(constants, memory, replace(held, time_s=held.time_s + 31.0 / 30.0), EFFORT)
+    assert np.abs(x - held.vertices).max() > left * begun_m, "computed again they grow"
+    first, _, report = fold(constants, None, held, carried)
+    assert report.settled
+    assert_array_equal(first, held.vertices)
 
 
 def test_a_residual_far_from_its_neighbours_follows_them(rng):
