@@ -1,9 +1,10 @@
 """When streams step down: to which tier they are held while poses come faster than they can be draped.
 
 Down by one step as soon as a share of the poses was late, that is replaced by newer ones while only the worker was in
-the way, and by two where that was a large share; up again after a while without, where what the next step takes leaves room, and after twice as long where the
-last try failed. Nothing is ever computed that was not asked for: ``service.tiers.capped``. The lowest step is the least
-tier without what it can spare, ``service.tiers.spared``, and with its folds carried along.
+the way, and by two where that was a large share; up again after a while without, where what the next step takes leaves
+room, and after twice as long where the last try failed. Nothing is ever computed that was not asked for:
+``service.tiers.capped``. Below the least tier there is what it can spare, ``service.tiers.spared``, and below that its
+folds are carried along.
 """
 
 from __future__ import annotations

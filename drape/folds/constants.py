@@ -16,6 +16,7 @@ from drape.cloth.waistband import STIFFNESS_N_M2, waistband
 from drape.folds.contact import SkinGraph, nearest_at_rest, skin_graph
 from drape.folds.room import Near, near_along
 from drape.folds.sheet import Sheet, sheet
+from drape.folds.sweeps import HOLD
 from drape.folds.whole import Whole, whole
 from drape.garment.cache import Garment
 from drape.garment.rest_detail import cloth_of, rest_of
@@ -43,6 +44,14 @@ class Dressed:
     index: np.ndarray
     friction: float = 0.0
 
+    @property
+    def springs_n_per_m(self) -> np.ndarray:
+        """What steps of the whole cloth know of all that holds a vertex (V,), but for contact: its leash, and where it
+        lies on the skin ``HOLD`` of contact's stiffness, for the room that it is held in and for friction."""
+        contact = 2.0 * float(self.material.contact_j_m4) * self.cloth.vertex_area
+        lies = np.minimum(self.band_n_per_m / (LEASH_N_M3 * self.cloth.vertex_area), 1.0)
+        return self.band_n_per_m + HOLD * lies * contact
+
 
 @dataclass(frozen=True, eq=False)
 class Constants:
@@ -60,7 +69,7 @@ class Constants:
     def of(cls, dressed: Dressed, *, dtype: type[np.floating] = np.float32) -> Constants:
         """The arrays of ``dressed``, floats of ``dtype``."""
         made = sheet(dressed.cloth, dressed.material, dressed.band_n_per_m, dtype=dtype)
-        level = whole(dressed.cloth, dressed.material, dressed.band_n_per_m, made)
+        level = whole(dressed.cloth, dressed.material, dressed.springs_n_per_m, made)
         graph = dressed.graph._replace(
             reach_m2=dressed.graph.reach_m2.astype(dtype), rest=dressed.graph.rest.astype(dtype)
         )

@@ -26,7 +26,7 @@ from drape.folds.step import (
     fading,
     paced,
 )
-from drape.folds.sweeps import SLIP_M
+from drape.folds.sweeps import HOLD, SLIP_M
 from drape.folds.whole import CLAMP_M, stiffness
 from drape.solver import reference
 from drape.solver.problem import Problem, Surroundings, problem, surroundings
@@ -219,8 +219,9 @@ def planes(x: np.ndarray, skin: np.ndarray, dressed: Dressed, index: np.ndarray)
 
 def whole_step(dressed: Dressed, made: Problem, around: Around, x: np.ndarray, share: float) -> np.ndarray:
     """The way [m] (V, 3) that the whole cloth takes at ``x``, a ``share`` of its answer, by a dense matrix."""
-    matrix = stiffness(dressed.cloth, dressed.material, dressed.band_n_per_m).toarray()
-    step = -np.linalg.solve(matrix, _gradient(x, made, around))
+    matrix = stiffness(dressed.cloth, dressed.material, dressed.springs_n_per_m).toarray()
+    known = dressed.band_n_per_m + HOLD * made.contact_n_per_m
+    step = -np.linalg.solve(matrix, gradient_known(x, made, around, known))
     return share * step * (CLAMP_M / max(float(np.linalg.norm(step, axis=1).max()), CLAMP_M))
 
 
@@ -288,9 +289,20 @@ def _skin_frames(skin: np.ndarray, graph: SkinGraph, own: np.ndarray) -> np.ndar
     return np.stack([normal, edge, np.cross(normal, edge)], axis=1)
 
 
-def _gradient(x: np.ndarray, made: Problem, around: Around) -> np.ndarray:
+def gradient_known(x: np.ndarray, made: Problem, around: Around, known_n_per_m: np.ndarray) -> np.ndarray:
+    """The gradient [N] (V, 3) that steps of the whole take: leash and friction together are no stiffer than
+    ``known_n_per_m`` (V,), two planes no stiffer than one."""
+    rub, grip = rubbed(x, made, around, slice(None))
+    held, contact = around.own.band_n_per_m, made.contact_n_per_m
+    held_now = held * (np.linalg.norm(x - around.own.band, axis=1) > around.slack)
+    less = known_n_per_m / np.maximum(held_now + 0.5 * np.trace(grip, axis1=1, axis2=2), known_n_per_m)
+    closed = contact * (made.constants.gap > ((x - around.own.point) * around.own.normal).sum(axis=1))
+    closed = closed + around.n_per_m * (made.constants.gap > ((x - around.point) * around.normal).sum(axis=1))
+    share = contact / np.maximum(closed, contact)
+    made = made._replace(contact_n_per_m=share * contact)
+    around = around._replace(own=around.own._replace(band_n_per_m=less * held), n_per_m=share * around.n_per_m)
     _, gradient = reference.energy_and_gradient(x, _with_slack(made, around.slack), around.own)
-    gradient += _pushed(x, made, around, slice(None))[0] + rubbed(x, made, around, slice(None))[0]
+    gradient += _pushed(x, made, around, slice(None))[0] + less[:, None] * rub
     return gradient + np.stack([_bending(x, made, v) for v in range(len(x))])
 
 

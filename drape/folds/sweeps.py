@@ -32,6 +32,7 @@ SCRATCH = 18 * LANES
 PLANES = 18 * LANES
 HELD_ROW, SLACK_ROW, CARRIED, FRICTION_ROW = 12 * LANES, 13 * LANES, 14 * LANES, 17 * LANES
 SLIP_M = 1e-3  # friction is a spring up to here, and slips farther with the force it has then
+HOLD = 0.4  # of contact's stiffness: what steps of the whole know of leash and friction, and take of them at most
 
 
 @kernel
@@ -78,7 +79,10 @@ def descend(x, sheet, planes, band, scratch):
 
 @kernel
 def gradient_at(x, sheet, planes, band, scratch, gradient):
-    """The energy's gradient [N] at ``x`` in ``gradient`` (P, 3)."""
+    """The energy's gradient [N] at ``x`` in ``gradient`` (P, 3), as a step of the whole takes it: leash and friction
+    together are no stiffer than the rest's leash and ``HOLD`` of contact, two planes no stiffer than one. Stiffer than
+    its matrix knows, they would throw whole parts of a garment to and fro from step to step.
+    """
     for block in range(len(sheet.fan_start) - 1):
         _model(x, block, sheet, planes, band, scratch, False)
         for lane in range(LANES):
@@ -148,6 +152,13 @@ def _outside(block, sheet, planes, band, scratch, curvature):
         slip = sub(slip, scaled(dot(slip, normal), normal))
         grip = planes[PLANES * block + FRICTION_ROW + lane] * max(depth, k.zero)
         grip = grip / np.sqrt(max(dot(slip, slip), least))
+        if not curvature:
+            contact = own[place + 2 * LANES]
+            known = own[place + 3 * LANES] + own.dtype.type(HOLD) * contact
+            less = known / max(grip + (held if length > slack else k.zero), known)
+            pull, grip = less * pull, less * grip
+            share = contact / max(stiffness + stiff * dot(other, other), contact)
+            stiffness, stiff = share * stiffness, share * stiff
         force = add(mix(-stiffness * depth, normal, -stiff * deep, other), mix(pull, way, grip, slip))
         _put3(scratch, GRADIENT, lane, (force[0], force[1] + own[place], force[2]))
         if not curvature:

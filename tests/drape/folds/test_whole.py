@@ -36,7 +36,7 @@ def test_the_factor_solves_what_the_matrix_says(rng, dressed, dtype):
     solve(level, y)
     found = np.zeros((len(constants.sheet.vertex), 3))
     found[level.place] = y
-    matrix = stiffness(dressed.cloth, dressed.material, dressed.band_n_per_m)
+    matrix = stiffness(dressed.cloth, dressed.material, dressed.springs_n_per_m)
     wanted = np.linalg.solve(matrix.toarray(), force)
     assert_allclose(
         found[place], wanted, rtol=0.0, atol=(1e-5 if dtype == np.float32 else 1e-13) * np.abs(wanted).max()
@@ -90,7 +90,7 @@ def pressed(dressed: Dressed, depth_m: float, *, dtype: type[np.floating] = np.f
 def test_a_step_takes_a_share_of_the_answer(dressed, dtype):
     moved, gradient = pressed(dressed, 1e-5, dtype=dtype)
     assert moved.dtype == dtype
-    matrix = stiffness(dressed.cloth, dressed.material, dressed.band_n_per_m).toarray()
+    matrix = stiffness(dressed.cloth, dressed.material, dressed.springs_n_per_m).toarray()
     wanted = -0.5 * np.linalg.solve(matrix, gradient.astype(np.float64))
     assert wanted[:, 2].min() > 0.0, "it lifts what is pressed"
     # The sleeve is 0.1 m long, in float32 a place is known to 1e-8 m.
