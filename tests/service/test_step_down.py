@@ -116,7 +116,7 @@ def test_a_stream_that_is_flooded_gets_less_and_later_all_again(
     make_settings: Callable[..., Settings], monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(step_down, "CALM_S", 0.5)
-    settings = make_settings()
+    settings = make_settings(stream_step_down=True)
     with serve(create_app(settings), settings) as url:
 
         async def talk(socket: ClientConnection) -> None:
@@ -143,7 +143,7 @@ def test_a_stream_that_is_flooded_gets_less_and_later_all_again(
 def test_below_the_least_tier_there_is_what_folds_can_spare(
     make_settings: Callable[..., Settings], cloth_contact: bool
 ):
-    settings = make_settings()
+    settings = make_settings(stream_step_down=True)
     with serve(create_app(settings), settings) as url:
 
         async def talk(socket: ClientConnection) -> None:
