@@ -51,11 +51,11 @@ class Replica:
         self._load = Load(0.0, 0)
         self._known: frozenset[str] = frozenset()
         self._tasks: set[asyncio.Task[None]] = set()
-        self._form = settings.log_format
+        self._settings = settings
 
     def __serve_build_asgi_app__(self) -> FastAPI:
         """The application, whose lifespan Ray runs; the process is Ray's and has nothing else to do."""
-        set_up(self._form)
+        set_up(self._settings.log_format)
         gc.collect()
         gc.freeze()  # as service.__main__ says
         loop = asyncio.get_running_loop()

@@ -9,7 +9,7 @@ import numpy as np
 from drape.cloth.energies import ClothMesh
 from drape.folds.constants import Dressed
 from drape.folds.contact import APART_M, HOLLOW_M, REACH_M, STEPS, TURNS, SkinGraph, Touched
-from drape.folds.room import HELD, LEAST_M, NEAR_M, ROOM_M, STIFFEST, TIGHT_M
+from drape.folds.room import FOLDED, HELD, LEAST_M, NEAR_M, ROOM_M, STIFFEST, TIGHT_M
 from drape.folds.sheet import ALIKE
 from drape.folds.step import (
     FIRST_STEP_S,
@@ -152,7 +152,7 @@ def _walked(point: np.ndarray, skin: np.ndarray, graph: SkinGraph, start: int, s
 
 
 def room(network: np.ndarray, cloth: ClothMesh) -> np.ndarray:
-    """Distances [m] (V,) of vertices of ``network`` [m] (V, 3) to the nearest that is not near along the cloth."""
+    """Distances [m] (V,) of vertices of ``network`` [m] (V, 3) to the nearest that is not of the sheet."""
     a, b, c, d = cloth.inverse_shape
     shape = np.linalg.inv(np.stack([np.stack([a, c], axis=-1), np.stack([b, d], axis=-1)], axis=-2))
     first, second = shape[..., 0], shape[..., 1]
@@ -165,7 +165,8 @@ def room(network: np.ndarray, cloth: ClothMesh) -> np.ndarray:
     for middle in range(len(network)):
         along = np.minimum(along, along[:, middle, None] + along[None, middle])
     apart = np.linalg.norm(network[:, None] - network[None], axis=2)
-    return np.where(beside | (along <= NEAR_M), ROOM_M, np.minimum(apart, ROOM_M)).min(axis=1)
+    same = beside | (along <= NEAR_M) | (apart >= FOLDED * along)
+    return np.where(same, ROOM_M, np.minimum(apart, ROOM_M)).min(axis=1)
 
 
 def held_within(room_m: np.ndarray, held_n_per_m: np.ndarray, made: Problem) -> tuple[np.ndarray, np.ndarray]:

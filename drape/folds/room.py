@@ -3,13 +3,14 @@
 Under an arm, in a groin, behind a knee the network lays cloth close together and hardly ever through itself. There is
 more cloth than such a place has room for, and steps that give it its area crumple it through itself, at the size of its
 triangles. A vertex is therefore held the closer to where the network has it, the nearer that drape comes to itself
-there. With d the distance between a vertex of the network and the nearest other one that is not near along the cloth,
+there. With d the distance between a vertex of the network and the nearest other one that is not of its sheet,
 
     tight = (ROOM_M - d) / (ROOM_M - TIGHT_M), from 0 to 1,
     slack = SLACK_M + tight (LEAST_M - SLACK_M),
     stiffness = leash + HELD min(ROOM_M / d - 1, STIFFEST) contact's stiffness,
 
-in the leash's own energy, so that where there is room nothing changes. What the network has apart stays apart, in
+in the leash's own energy, so that where there is room nothing changes. Cloth that the network only presses together is
+one sheet, for which way through the air and along the cloth differ little. What the network has apart stays apart, in
 either direction and whatever presses: the room follows from the network alone and needs no memory and no sides.
 """
 
@@ -28,6 +29,7 @@ from drape.solver.compiled import kernel
 from drape.solver.elements import at, dot, sub
 
 NEAR_M = 0.02  # along the cloth: nearer vertices, and those of one triangle, are one sheet
+FOLDED = 0.6  # of the way along the cloth: what is no nearer than that through the air is one sheet, pressed together
 ROOM_M, TIGHT_M = 0.018, 0.012  # distance from which a vertex is held closer, and at which slack is the least
 LEAST_M = 0.0002
 HELD, STIFFEST = 1.5, 4.0  # of contact's stiffness; with more of either held cloth rattles
@@ -35,14 +37,17 @@ PER_CELL = 1.0 / ROOM_M
 
 
 class Near(NamedTuple):
-    """Vertices near to v along the cloth, v itself too: ``vertex[start[v] : start[v + 1]]``."""
+    """Vertices that may be of one sheet with v, v itself too: ``vertex[start[v] : start[v + 1]]``, and the ``square``
+    of the distance [m^2] from which each is: 0 of those near along the cloth."""
 
     start: np.ndarray
     vertex: np.ndarray
+    square: np.ndarray
 
 
 def near_along(cloth: ClothMesh) -> Near:
-    """What is within ``NEAR_M`` over the edges of ``cloth``, as long as without stress, and all ends of an edge."""
+    """What is within ``NEAR_M`` over the edges of ``cloth``, as long as without stress, and all ends of an edge; and
+    what is so far that ``FOLDED`` of it is within ``ROOM_M``."""
     a, b, c, d = cloth.inverse_shape
     shape = np.linalg.inv(np.stack([np.stack([a, c], axis=-1), np.stack([b, d], axis=-1)], axis=-2))  # columns: edges
     first, second = shape[..., 0], shape[..., 1]
@@ -53,15 +58,18 @@ def near_along(cloth: ClothMesh) -> Near:
     pairs = np.concatenate([ends[once], ends[once][:, ::-1]])
     graph = scipy.sparse.coo_matrix((np.tile(length[once], 2), pairs.T), shape=(count, count)).tocsr()
     graph.sort_indices()
-    return Near(*_reached(graph.indptr, graph.indices, graph.data, NEAR_M))
+    start, vertex, along = _reached(graph.indptr, graph.indices, graph.data, ROOM_M / FOLDED)
+    own = np.repeat(np.arange(count), np.diff(start))
+    beside = (own == vertex) | (np.asarray(graph[own, vertex]).reshape(-1) > 0.0)
+    return Near(start, vertex, np.where(beside | (along <= NEAR_M), 0.0, (FOLDED * along) ** 2).astype(np.float32))
 
 
 @kernel
 def _reached(start, other, length, most):
-    """Where each vertex's list begins, and the lists, in a graph with edges of ``length``; by relaxing."""
+    """Where each vertex's list begins, the lists, and the ways there, over edges of ``length``; by relaxing."""
     count = len(start) - 1
     way, listed = np.full(count, np.inf), np.empty(count, np.int32)
-    begins, found = np.zeros(count + 1, np.int32), np.empty(0, np.int32)
+    begins, found, ways = np.zeros(count + 1, np.int32), np.empty(0, np.int32), np.empty(0)
     for v in range(count):
         way[v], listed[0], filled = 0.0, v, 1
         changed = True
@@ -80,14 +88,14 @@ def _reached(start, other, length, most):
                         way[u], changed = far, True
         total = begins[v] + filled
         if total > len(found):
-            longer = np.empty(2 * total, np.int32)
-            longer[: begins[v]] = found[: begins[v]]
-            found = longer
+            longer, farther = np.empty(2 * total, np.int32), np.empty(2 * total)
+            longer[: begins[v]], farther[: begins[v]] = found[: begins[v]], ways[: begins[v]]
+            found, ways = longer, farther
         for i in range(filled):
-            found[begins[v] + i] = listed[i]
+            found[begins[v] + i], ways[begins[v] + i] = listed[i], way[listed[i]]
             way[listed[i]] = np.inf
         begins[v + 1] = total
-    return begins, found[: begins[count]].copy()
+    return begins, found[: begins[count]].copy(), ways[: begins[count]].copy()
 
 
 @kernel
@@ -114,7 +122,7 @@ def hold_within(network, sheet, near, planes):
 
 @kernel
 def rooms(points, near, room):
-    """The distance [m] in ``room`` (V,) from each of ``points`` (V, 3) to the nearest one that is not ``near`` to it,
+    """The distance [m] in ``room`` (V,) from each of ``points`` (V, 3) to the nearest one that is not of its sheet,
     ``ROOM_M`` where none is within that.
 
     Each pair is looked at once, from the earlier cell of a grid, points in the order of their cells.
@@ -143,7 +151,7 @@ def rooms(points, near, room):
                 for other in range(begin, start[row + last]):
                     way = sub(own, at(ordered, other))
                     far = dot(way, way)
-                    if far < max(square[e], square[other]) and not _is_near(near, member[e], member[other]):
+                    if far < max(square[e], square[other]) and not _is_near(near, member[e], member[other], far):
                         square[e], square[other] = min(square[e], far), min(square[other], far)
     for e in range(len(points)):
         if square[e] < most:  # the root of the square of what nobody is within may be less than it
@@ -151,8 +159,8 @@ def rooms(points, near, room):
 
 
 @kernel
-def _is_near(near, v, u):
+def _is_near(near, v, u, far):
     hit = False
     for entry in range(near.start[v], near.start[v + 1]):
-        hit |= near.vertex[entry] == u
+        hit |= near.vertex[entry] == u and far >= near.square[entry]
     return hit

@@ -51,7 +51,8 @@ def test_rooms_are_those_of_all_pairs(rng, dtype):
 def test_what_is_near_along_the_cloth_is_itself_its_neighbours_and_two_centimetres():
     vertices, faces = grid(9, 3, cell_m=0.008)
     near = near_along(ClothMesh.from_rest(vertices, faces))
-    lists = [set(near.vertex[near.start[v] : near.start[v + 1]]) for v in range(len(vertices))]
+    entries = [slice(near.start[v], near.start[v + 1]) for v in range(len(vertices))]
+    lists = [set(near.vertex[one][near.square[one] == 0.0]) for one in entries]
     first = int(np.argmin(vertices.sum(axis=1)))
     along = {v for v in range(len(vertices)) if np.allclose(vertices[v, 1:], vertices[first, 1:])}
     reached = {v for v in along if np.linalg.norm(vertices[v] - vertices[first]) < 0.02}
@@ -61,6 +62,23 @@ def test_what_is_near_along_the_cloth_is_itself_its_neighbours_and_two_centimetr
     for v in range(len(coarse)):
         wanted = {v, *faces[(faces == v).any(axis=1)].reshape(-1)}
         assert set(near.vertex[near.start[v] : near.start[v + 1]]) == wanted, "the neighbours, however far"
+
+
+def test_a_sheet_that_is_pressed_together_has_room_and_one_that_is_folded_has_none():
+    vertices, faces = grid(21, 5, cell_m=0.006)
+    vertices = vertices - vertices.mean(axis=0)
+    near = near_along(ClothMesh.from_rest(vertices, faces))
+    long = int(np.argmax(np.ptp(vertices, axis=0)))
+    across = int(np.argmin(np.ptp(vertices, axis=0)))
+    pressed, folded = vertices.copy(), vertices.copy()
+    pressed[:, long] *= 0.8
+    folded[:, across] += np.where(folded[:, long] > 0.0, 0.004, 0.0)
+    folded[:, long] = np.abs(folded[:, long])
+    for shape, lowest, highest in ((pressed, ROOM_M, ROOM_M), (folded, 0.0, 0.0045)):
+        found = np.empty(len(vertices))
+        rooms(shape, near, found)
+        away = np.abs(vertices[:, long]) > 0.024  # from the fold
+        assert lowest <= found[away].min() and found[away].max() <= highest
 
 
 def test_no_room_is_found_between_numbers_that_are_none():
