@@ -49,7 +49,8 @@ class Dressed:
         """What steps of the whole cloth know of all that holds a vertex (V,), but for contact: its leash, and where it
         lies on the skin ``HOLD`` of contact's stiffness, for the room that it is held in and for friction."""
         contact = 2.0 * float(self.material.contact_j_m4) * self.cloth.vertex_area
-        lies = np.minimum(self.band_n_per_m / (LEASH_N_M3 * self.cloth.vertex_area), 1.0)
+        leash = np.maximum(LEASH_N_M3 * self.cloth.vertex_area, np.finfo(float).tiny)  # a vertex may have no area
+        lies = np.minimum(self.band_n_per_m / leash, 1.0)
         return self.band_n_per_m + HOLD * lies * contact
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -60,6 +62,14 @@ def test_a_stretch_costs_what_the_matrix_says_less_the_shear():
         cost = 0.5 * np.einsum("vi,vw,wi->", way, matrix, way) - 0.5 * float(springs @ (way**2).sum(axis=1))
         assert_allclose(cost, 0.5 * (own + material.shear_n_per_m) * strain**2 * area, rtol=1e-9)
         assert_allclose(membrane(vertices + way, cloth, material), 0.5 * own * strain**2 * area, rtol=1e-4)
+
+
+def test_a_vertex_without_area_has_no_springs(dressed):
+    area = dressed.cloth.vertex_area.copy()
+    area[3] = 0.0
+    band = np.where(area > 0.0, dressed.band_n_per_m, 0.0)
+    springs = replace(dressed, cloth=replace(dressed.cloth, vertex_area=area), band_n_per_m=band).springs_n_per_m
+    assert springs[3] == 0.0 and np.isfinite(springs).all()
 
 
 def pressed(dressed: Dressed, depth_m: float, *, dtype: type[np.floating] = np.float64, factor: float = 1.0):
