@@ -40,6 +40,9 @@ STREAM_PAUSE_S = 1.0
 COSTS_KEPT = 1024
 """Scenes and tiers whose cost is remembered."""
 
+STEPS_BELOW = 2
+"""Steps that ``Drapery.steps`` has before those of the tiers."""
+
 Result = TypeVar("Result")
 log = logging.getLogger("drape.service")
 

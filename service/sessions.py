@@ -18,15 +18,13 @@ import numpy as np
 from drape.errors import DrapeError, InputError
 from drape.wire.messages import SAME, Pose, message_kind
 from service import still
-from service.drapery import Drapery
+from service.drapery import STEPS_BELOW, Drapery
 from service.errors import Busy
 from service.garments import Scene
 from service.piecework import Piecework
 from service.stages import carried
 from service.stages.batch import Memories, Plan, PoseInput
 from service.step_down import StepDown
-
-BELOW = 2  # steps below the least tier, as ``Drapery.steps`` has them
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +165,7 @@ class Streams:
         self._wake = asyncio.Event()
         self._workers: list[asyncio.Task[None]] = []
         self._count, self._busy = drapery.stream_threads, 0  # workers, and how many of them compute
-        self._step_down = StepDown(len(drapery.tiers) + BELOW, time.monotonic())
+        self._step_down = StepDown(len(drapery.tiers) + STEPS_BELOW, time.monotonic())
 
     @property
     def tier(self) -> int:

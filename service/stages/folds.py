@@ -106,9 +106,10 @@ class Folds(Stage):
         """Layer after layer: a frame without a past takes tens of milliseconds for each."""
         plan = batch.plan
         assert plan.options.folds and plan.options.settle is not None
-        steps = 0 if plan.carried else plan.options.folds
-        effort = Effort(steps, plan.options.settle, cloth_contact=bool(plan.options.cloth_contact))
-        safe = replace(effort, sweeps=max(steps, plan.options.safe_folds or 0)) if steps else effort
+        effort = Effort(plan.options.folds, plan.options.settle, cloth_contact=bool(plan.options.cloth_contact))
+        safe = replace(effort, sweeps=max(plan.options.folds, plan.options.safe_folds or 0))
+        if plan.carried:
+            effort = safe = replace(effort, sweeps=0)
         efforts = [safe if novelty > 1.0 else effort for novelty in batch.quality.novelty]
         layers, resets, read = list(batch.layers), np.zeros(len(batch.root)), _read(plan)
         assert batch.skin is not None

@@ -74,16 +74,14 @@ class Page:
     def wait_for(self, expression: str, *, seconds: float = 60.0) -> Any:
         """The value of ``expression`` once it is true, on this page or on one that comes in its place."""
         deadline = time.monotonic() + seconds
-        value = None
-        while not value:
+        while True:
             with suppress(Gone):
-                value = self.evaluate(expression)
-            if not value:
-                assert time.monotonic() < deadline, (
-                    f"{expression}; {self.evaluate('document.body?.innerText')}; {self.errors}"
-                )
-                time.sleep(0.1)
-        return value
+                if value := self.evaluate(expression):
+                    return value
+            assert time.monotonic() < deadline, (
+                f"{expression}; {self.evaluate('document.body?.innerText')}; {self.errors}"
+            )
+            time.sleep(0.1)
 
     def choose_file(self, selector: str, path: Path) -> None:
         """Puts a file into a file input."""

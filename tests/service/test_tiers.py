@@ -14,7 +14,7 @@ from drape.artifacts import load_manifest
 from drape.errors import ArtifactError, InputError
 from drape.wire.options import DrapeOptions
 from service.app import create_app
-from service.drapery import Drapery
+from service.drapery import STEPS_BELOW, Drapery
 from service.settings import Settings
 from service.tiers import NAMES, TIERS, Tier, capped, chosen, read_tiers, spared, tier_of
 from tests.fixtures.serving import outfit_settings, serve
@@ -113,7 +113,8 @@ def test_layers_spare_nothing(outfit_settings: Settings):
     try:
         for worn, differs in ((["tube"], True), (["tube", "coat"], False)):
             plan = drapery.plan(drapery.garments.scene(None, worn), DrapeOptions(tier="fast"), messages=True)
-            carried, lowest, least, *_ = drapery.steps(plan)
+            carried, lowest, least, *_ = steps = drapery.steps(plan)
+            assert len(steps) == STEPS_BELOW + len(drapery.tiers)
             assert lowest.options.push_out and lowest.options.cloth_contact != differs
             assert (lowest != least) == differs == carried.carried
             assert carried == (replace(lowest, carried=True) if differs else lowest)

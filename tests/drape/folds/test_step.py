@@ -231,7 +231,7 @@ def test_folds_that_are_carried_along_fade_with_the_clock_and_come_back():
     constants = Constants.of(dressed, dtype=np.float64)
     carried, place = Effort(sweeps=0), constants.sheet.place
     _, memory, _ = folded(constants, [frame(rest, number) for number in range(3)])[-1]
-    _, wanted_memory, begun_m = memory, None, np.abs(memory.residual[place]).max()
+    wanted_memory, begun_m = None, np.abs(memory.residual[place]).max()
     for one in (frame(rest, number) for number in range(3)):
         _, wanted_memory = reference.fold(dressed, wanted_memory, one, EFFORT)
     held = frame(rest, 2)
