@@ -44,6 +44,7 @@ from drape.cloth.fabric_table import fabric
 from drape.cloth.material import Material
 from drape.errors import InputError
 from drape.garment.cache import Garment
+from drape.garment.fine import fine_garment
 from drape.wire.options import DrapeOptions
 from service.drapery import Drapery
 from service.settings import Settings
@@ -163,6 +164,8 @@ def measure(case: Case, drapery: Drapery, knobs: Sequence[Knobs]) -> list[dict[s
     """The rows of ``case``: all ``knobs``, the rival, and physics."""
     clip, body = case.referee.clip, drapery.body
     scene, count = drapery.garments.add(case.garment, "user"), drapery.engine.pass_count
+    for unknown in drapery.garments.missing([scene]):
+        drapery.garments.take_in(unknown, drapery.garments.feed(unknown))
     plans = [drapery.plan(scene, one.options(count, fabric=case.fabric.name)) for one in knobs]
     runners = [Runner.of(plan, clip, body.shape_count) for plan in plans]
     rival = SkinningPush(case.garment, body)
@@ -327,7 +330,8 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     rows: list[dict[str, Any]] = []
     for path in find_motions(options.motions):
         clip = Clip.read(path, FPS, options.frames, body)
-        for garment in (open_garment(path, body) for path in find_garments(options.garments)):
+        for path in find_garments(options.garments):
+            garment = fine_garment(open_garment(path, body))  # what the service drapes
             for cloth in map(fabric, options.fabrics):
                 rows += measure(Case.of(garment, cloth, clip, body, networks), drapery, knobs)
                 print(f"{garment.name}, {cloth.name}, {clip.name}: done", flush=True)
