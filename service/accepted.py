@@ -1,6 +1,7 @@
 """Uploads that were accepted outlive the process: each is a folder with its file and ``job.json``, both on disk.
 
-The folder lies in the staging folder of the process that has it; one that starts takes over those of ended ones.
+The folder lies in the staging folder of the process that has it, which is named by its host and number; others take
+over those of ended ones. Of a process on another host it is ended where nothing was heard of it for ``SILENT_S``.
 """
 
 from __future__ import annotations
@@ -8,12 +9,31 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import socket
+import time
+import uuid
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 ABOUT = "job.json"
 STAGING = ".staging-"
+CANCEL = "cancel"  # in an upload's folder: another service was asked to end it
+SILENT_S = 120.0
+
+
+_OWN: set[str] = set()  # names of staging folders of services in this process
+
+
+def staging_folder(root: Path) -> Path:
+    """A new place under ``root`` for the uploads of a service in this process."""
+    folder = root / f"{STAGING}{uuid.uuid4().hex[:8]}-{_host()}-{os.getpid()}"
+    _OWN.add(folder.name)
+    return folder
+
+
+def _host() -> str:
+    return socket.gethostname().replace("-", "_")
 
 
 @dataclass(frozen=True)
@@ -52,37 +72,66 @@ def sync(path: Path) -> None:
         os.close(descriptor)
 
 
-def taken_over(root: Path, own: Path) -> Iterator[tuple[Accepted, Path]]:
+def taken_over(root: Path, own: Path, *, shared: bool = False) -> Iterator[tuple[Accepted, Path]]:
     """The uploads that ended processes left under ``root``, now in the staging folder ``own``, the oldest first; what
-    else they left is removed."""
+    else they left is removed.
+
+    ``shared``: services on other hosts have the folder too, and say every few seconds that they run (``touch``).
+    """
+    ended = [staging for staging in sorted(root.glob(f"{STAGING}*")) if staging != own and _ended(staging, shared)]
     left: list[tuple[float, Accepted, Path]] = []
-    for staging in sorted(root.glob(f"{STAGING}*")):
-        if staging != own and _is_running(staging.name.removeprefix(STAGING)):
-            continue
-        for folder in sorted(path for path in staging.iterdir() if path.is_dir()):
-            accepted = _read(folder)
-            if accepted is not None:
-                left.append(((folder / accepted.file).stat().st_mtime, accepted, folder))
-            else:
-                shutil.rmtree(folder, ignore_errors=True)
+    for folder in sorted(path for staging in ended for path in staging.glob("*/")):
+        accepted = read(folder)
+        if accepted is not None:
+            left.append(((folder / accepted.file).stat().st_mtime, accepted, folder))
     for _, accepted, folder in sorted(left, key=lambda one: one[0]):
         home = own / accepted.id
-        if folder != home:
-            own.mkdir(exist_ok=True)
+        own.mkdir(exist_ok=True)
+        try:
             os.rename(folder, home)
+        except FileNotFoundError:  # another service was faster
+            continue
         shutil.rmtree(home / "out", ignore_errors=True)
         yield accepted, home
-    for staging in root.glob(f"{STAGING}*"):
-        if staging != own and not _is_running(staging.name.removeprefix(STAGING)):
-            shutil.rmtree(staging, ignore_errors=True)
+    for staging in ended:
+        shutil.rmtree(staging, ignore_errors=True)
 
 
-def _read(folder: Path) -> Accepted | None:
+def touch(own: Path) -> None:
+    """Says that the process that has the staging folder ``own`` runs."""
+    if own.is_dir():
+        os.utime(own)
+
+
+def elsewhere(root: Path, own: Path, job_id: str) -> tuple[Accepted, Path] | None:
+    """The upload ``job_id`` that waits or runs in another service under ``root``, and its folder."""
+    for folder in root.glob(f"{STAGING}*/{job_id}"):
+        accepted = None if folder.parent == own else read(folder)
+        if accepted is not None:
+            return accepted, folder
+    return None
+
+
+def read(folder: Path) -> Accepted | None:
+    """What ``folder`` holds, if an upload was accepted there."""
     try:
         accepted = Accepted(**json.loads((folder / ABOUT).read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError):
         return None
     return accepted if folder.name == accepted.id and (folder / accepted.file).is_file() else None
+
+
+def _ended(staging: Path, shared: bool) -> bool:
+    if staging.name in _OWN:
+        return False
+    before, _, pid = staging.name.removeprefix(STAGING).rpartition("-")
+    host = before.rpartition("-")[2]
+    if host in ("", _host()):  # without one: of an earlier version
+        return pid == str(os.getpid()) or not _is_running(pid)  # mine: in a container numbers come again
+    try:
+        return not shared or time.time() - staging.stat().st_mtime > SILENT_S
+    except FileNotFoundError:
+        return False
 
 
 def _is_running(pid: str) -> bool:

@@ -13,6 +13,7 @@ from service import errors, garment_care, jets, openapi, preview, probes, refere
 from service.access import ADMITTED, Access
 from service.access import router as access_routes
 from service.drapery import Drapery
+from service.following import Follower
 from service.handover import Handover
 from service.jobs import Uploads
 from service.lifecycle import Lifecycle
@@ -45,10 +46,14 @@ def create_app(
         piecework = Piecework()
         uploads, streams = Uploads(loaded, piecework, access), Streams(loaded, piecework)
         handover = Handover(loaded, access.tickets)
-        state = State(loaded, uploads, streams, piecework, access, handover, life, Pasts(settings), Previews())
+        following = Follower(loaded, streams, uploads)
+        state = State(
+            loaded, uploads, following, streams, piecework, access, handover, life, Pasts(settings), Previews()
+        )
         app.state.drape = state
         state.uploads.start()
         state.streams.start()
+        state.following.start()
         _watch(state, life)
         ticking = asyncio.create_task(life.tick(metrics.loop_lag.set), name="ticking")
         life.ready()
@@ -58,6 +63,7 @@ def create_app(
             life.draining = True
             ticking.cancel()
             life.ended()
+            await state.following.stop()
             await state.uploads.stop()
             await state.streams.stop()
             piecework.close()
@@ -108,3 +114,4 @@ def _watch(state: State, life: Lifecycle) -> None:
         garments=lambda: len(drapery.garments.entries()),
     )
     life.works |= {"streams": lambda: streams.runs, "uploads": lambda: uploads.runs}
+    life.works["following"] = lambda: state.following.runs

@@ -12,6 +12,7 @@ from drape.errors import InputError, NotFound
 from service import schemas
 from service.access import ClientHere
 from service.errors import Forbidden, TooLarge, TooSlow
+from service.following import end_streams
 from service.garments import Entry
 from service.json_body import document_of, json_text, validated
 from service.keys import Client
@@ -28,9 +29,9 @@ class GarmentChange(schemas.Request):
     published: bool | None = None
 
 
-def _own(garment_id: str, client: Client, state: State) -> Entry:
+async def _own(garment_id: str, client: Client, state: State) -> Entry:
     """The garment, if it is the client's; refuses unknown and foreign ones."""
-    entry = state.drapery.garments.get(garment_id, client.name)
+    entry = await state.garment(garment_id, client)
     if entry.source == "shipped" or entry.owner != client.name:
         whose = "a shipped one" if entry.source == "shipped" else "one of somebody else"
         cure = "Only who uploaded a garment may change it."
@@ -47,7 +48,7 @@ async def change_garment(
     garment_id: str, request: Request, state: StateHere, client: ClientHere
 ) -> schemas.GarmentInfo:
     """Gives an uploaded garment another name, or publishes it to all keys; its id stays."""
-    entry = _own(garment_id, client, state)
+    entry = await _own(garment_id, client, state)
     asked = validated(GarmentChange, document_of(await json_text(request)))
     if asked.name is None and asked.published is None:
         raise InputError("garment", expected="name or published", got="neither", cure='Send {"published": true}.')
@@ -58,9 +59,6 @@ async def change_garment(
 @router.delete("/garments/{garment_id}", status_code=204, responses=responses(NotFound))
 async def delete_garment(garment_id: str, state: StateHere, client: ClientHere) -> None:
     """Removes an uploaded garment from the service and its disk; streams that wear it are ended (4404)."""
-    entry = _own(garment_id, client, state)
-    state.streams.end(
-        lambda scene: entry.id in [layer.id for layer in scene.layers],
-        NotFound("garment", expected="one in service", got=f"{entry.id}, which was deleted", cure="Open another."),
-    )
+    entry = await _own(garment_id, client, state)
+    end_streams(entry, state.streams)
     await asyncio.shield(state.drapery.aside(state.drapery.garments.remove, entry))

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import logging
-import os
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -24,13 +22,14 @@ from drape.geometry.jets import JET_COUNT
 from drape.graph.feeds import garment_feed
 from drape.graph.layer_feed import check_layers
 from drape.wire.layout import JetLayout, pack_layout
+from service import garment_files
 from service.errors import TooLarge
+from service.garment_files import UNCHANGED, About
 from service.settings import Settings
 from service.stages.batch import Stage
 from service.workshop import IN_PLACE, Workshop
 
 PATCH_LIMIT = 65536  # what a chart of a LAYOUT can name
-OWNED = "of-"  # begins the folder of a key's garments
 Source = Literal["shipped", "user"]
 
 log = logging.getLogger("drape.service")
@@ -45,13 +44,17 @@ class Entry:
     source: Source
     path: Path | None = None
     owner: str | None = None
-    title: str | None = None
-    published: bool = False
+    about: About = UNCHANGED
+
+    @property
+    def published(self) -> bool:
+        """Whether every key may see it."""
+        return self.about.published
 
     @property
     def name(self) -> str:
-        """What people call it: the ``title`` that its owner gave it, or the name it came with."""
-        return self.title or self.garment.name
+        """What people call it: the title that its owner gave it, or the name it came with."""
+        return self.about.title or self.garment.name
 
     def seen_by(self, viewer: str | None) -> bool:
         """Whether the key ``viewer`` (None: whoever has none) may know of it."""
@@ -145,9 +148,7 @@ class Registry:
         self.refused: list[str] = []
         for path in sorted(settings.shipped_garments_dir.glob("*.npz")):
             self.add(self.prepare(path), "shipped")
-        uploaded = [*settings.garments_dir.glob("*.npz"), *settings.garments_dir.glob(f"{OWNED}*/*.npz")]
-        # In the order of arrival, so that ids given to equal names stay the same.
-        for path in sorted(uploaded, key=lambda path: (path.stat().st_mtime_ns, path.name)):
+        for path in garment_files.stored(settings.garments_dir):
             try:
                 self.add(self.prepare(path), "user", path)
             except DrapeError as error:
@@ -221,44 +222,41 @@ class Registry:
 
         ``path`` is where it is stored; in the folder of a key it belongs to that, and its id tells nothing of others.
         """
-        owner = owner_of(path)
-        if owner is not None and path is not None:
-            mark = hashlib.sha256(f"{owner} {garment.digest}".encode()).hexdigest()[:8]
-            kept = _kept(path)
-            entry = Entry(f"{slug(garment.name)}-{mark}", garment, source, path, owner, **kept)
-            self._entries[entry.id] = entry
-            return entry
+        about = UNCHANGED if path is None else garment_files.read_about(path)
+        owner = garment_files.owner_of(path)
         name = slug(garment.name)
         taken = self._entries.get(name)
-        if taken is not None and taken.garment.digest != garment.digest:
-            name = f"{name}-{garment.digest[:8]}"
-        if taken is not None and name == taken.id:
+        if owner is not None:
+            name = f"{name}-{hashlib.sha256(f'{owner} {garment.digest}'.encode()).hexdigest()[:8]}"
+        elif taken is not None and taken.garment.digest == garment.digest:
             source, path = taken.source, path if taken.source == "user" else None
-        kept = {} if path is None else _kept(path)
-        entry = Entry(name, garment, source, path, **kept)
-        self._entries[name] = entry
+        elif taken is not None or not (path is None or garment_files.claim(path, name)):
+            name = f"{name}-{garment.digest[:8]}"
+        entry = self._entries[name] = Entry(name, garment, source, path, owner, about)
         return entry
 
     def change(self, entry: Entry, *, name: str | None, published: bool | None) -> Entry:
-        """``entry`` with another name or published, in service and on disk."""
+        """``entry`` with another name or published, on disk and in service."""
         assert entry.path is not None
-        changed = replace(
-            entry,
-            title=entry.title if name is None else name,
-            published=entry.published if published is None else published,
-        )
-        about, fresh = _about(entry.path), _about(entry.path).with_suffix(".new")
-        fresh.write_text(json.dumps({"title": changed.title, "published": changed.published}), encoding="utf-8")
-        os.replace(fresh, about)
-        self._entries[entry.id] = changed
+        title = entry.about.title if name is None else name
+        garment_files.write_about(entry.path, About(title, entry.published if published is None else published))
+        return self.read_again(entry)
+
+    def read_again(self, entry: Entry) -> Entry:
+        """``entry`` as its file says it now."""
+        assert entry.path is not None
+        changed = self._entries[entry.id] = replace(entry, about=garment_files.read_about(entry.path))
         return changed
 
     def remove(self, entry: Entry) -> None:
-        """Takes ``entry`` out of service and off the disk; constants go with the last garment that has them."""
-        self._entries.pop(entry.id, None)
+        """Takes ``entry`` off the disk and out of service."""
         if entry.path is not None:
-            entry.path.unlink(missing_ok=True)
-            _about(entry.path).unlink(missing_ok=True)
+            garment_files.remove(entry.path, entry.id)
+        self.forget(entry)
+
+    def forget(self, entry: Entry) -> None:
+        """Takes ``entry`` out of service; constants go with the last garment that has them."""
+        self._entries.pop(entry.id, None)
         if all(other.garment.digest != entry.garment.digest for other in self.entries()):
             for garment in (entry.garment, entry.fine.garment):
                 if garment.digest in self._taken_in:
@@ -272,30 +270,6 @@ def _loaded(path: Path, body: BodyModel, max_vertices: int) -> tuple[Garment, di
     garment = load_garment(path)
     check_garment(garment, body, max_vertices=max_vertices)
     return garment, garment_feed(garment, body=body)
-
-
-def owner_of(path: Path | None) -> str | None:
-    """The key whose folder ``path`` lies in, if it is one."""
-    folder = "" if path is None else path.parent.name
-    return folder.removeprefix(OWNED) if folder.startswith(OWNED) else None
-
-
-def _about(path: Path) -> Path:
-    return path.with_suffix(".about.json")
-
-
-def _kept(path: Path) -> dict[str, Any]:
-    """Title and whether it is published, as ``Registry.change`` stored it."""
-    about = _about(path)
-    if not about.is_file():
-        return {}
-    try:
-        found = json.loads(about.read_text(encoding="utf-8"))
-        return {"title": found["title"], "published": bool(found["published"])}
-    except (ValueError, KeyError, TypeError) as error:
-        label = f"garment {path.stem}"
-        cure = f"Delete {about.name}."
-        raise ArtifactError(label, expected="title and published", got="something else", cure=cure) from error
 
 
 def layer_list(scene: Scene, *, patches: bool = False) -> list[dict[str, str | int]]:

@@ -31,7 +31,7 @@ async def garment_jets(
     garment_id: str, request: Request, state: StateHere, client: ClientHere, resolution: Resolution = "delivered"
 ) -> Response:
     """What makes vertices of the garment's jets: a LAYOUT message (docs/reference/wire.md), constant per garment."""
-    entry = state.drapery.garments.get(garment_id, client.name)
+    entry = await state.garment(garment_id, client)
     entry = entry.fine if resolution == "fine" else entry
     kind = negotiation.choose(request.headers.get("accept"), (negotiation.BINARY,))
     headers = {"X-Drape-Vertices": str(entry.vertex_count), "X-Drape-Patches": str(entry.patch_count)}

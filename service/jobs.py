@@ -7,26 +7,28 @@ import contextlib
 import json
 import logging
 import os
+import re
 import shutil
 import signal
 import sys
 import uuid
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from drape.errors import ArtifactError, DrapeError, InputError, MeshError, NotFound
-from service import errors
-from service.accepted import STAGING, Accepted, sync, taken_over
+from service import errors, job_records
+from service.accepted import CANCEL, Accepted, elsewhere, staging_folder, sync, taken_over, touch
 from service.access import Access
 from service.drapery import Drapery
-from service.garments import OWNED, slug
+from service.garment_files import OWNED, folder_of, sizes
+from service.garments import slug
+from service.job_records import JobRecord
 from service.keys import ANYONE, Client
 from service.piecework import Piecework
 from service.settings import ROOT, Settings
 
-KEPT_JOBS = 256
 MOST_ATTEMPTS = 3  # of one upload, where the service ends while it runs
 SHARES = {"start": 0.15, "read": 0.03, "rest": 0.32, "fit": 0.4, "cloth": 0.03, "store": 0.0, "prepare": 0.07}
 """Stages of an upload, those of the intake between a process's start and the garment's constants, and their shares."""
@@ -45,6 +47,7 @@ class Job:
     problem: dict[str, Any] | None = None
     stage: str | None = None  # of SHARES, while it runs
     work: asyncio.Task[str] | None = None
+    folder: Path | None = None  # where it lies in another service
 
     @property
     def share(self) -> float:
@@ -62,27 +65,45 @@ class Job:
 
 class Uploads:
     """A queue with ``DRAPE_INTAKE_WORKERS`` workers; files lie in a staging folder of this process until they are
-    garments."""
+    garments. Uploads to other services that have the same folder are known too."""
 
     def __init__(self, drapery: Drapery, piecework: Piecework, access: Access) -> None:
         self._access = access
         self._drapery, self._settings, self._piecework = drapery, drapery.settings, piecework
         self._jobs: dict[str, Job] = {}
         self._queue: asyncio.Queue[tuple[Job, Path, Accepted]] = asyncio.Queue()
-        self._staging = self._settings.garments_dir / f"{STAGING}{os.getpid()}"
+        self._root = self._settings.garments_dir
+        self._staging = staging_folder(self._root)
         self._workers: list[asyncio.Task[None]] = []
         self._begin = asyncio.Event()
         self._begin.set()
 
     def start(self) -> None:
         """Goes on with what ended processes had accepted, clears what else they left, and starts the workers."""
-        for accepted, folder in taken_over(self._settings.garments_dir, self._staging):
-            job = self._jobs[accepted.id] = Job(accepted.id, accepted.name, accepted.owner)
-            self._queue.put_nowait((job, folder, accepted))
+        self._go_on(self._taken_over())
         self._workers = [
             asyncio.create_task(self._work(), name=f"uploads {number}")
             for number in range(self._settings.intake_workers)
         ]
+
+    def _taken_over(self) -> list[tuple[Accepted, Path]]:
+        shared = self._settings.garments_look_s > 0.0
+        return list(taken_over(self._root, self._staging, shared=shared))
+
+    def _go_on(self, uploads: Iterable[tuple[Accepted, Path]]) -> None:
+        for accepted, folder in uploads:
+            job = self._jobs[accepted.id] = Job(accepted.id, accepted.name, accepted.owner)
+            self._queue.put_nowait((job, folder, accepted))
+
+    async def follow(self) -> None:
+        """What other services that have the folder need: says that this one runs, ends what they were asked to cancel,
+        and goes on with what ended ones had accepted."""
+        touch(self._staging)
+        for job in [job for job in self._jobs.values() if not job.ended]:
+            if (self._staging / job.id / CANCEL).exists():
+                await self.cancel(job)
+        if self._begin.is_set():
+            self._go_on(await asyncio.to_thread(self._taken_over))
 
     def pause(self) -> None:
         """Begins no further upload: the next start of the service goes on with them."""
@@ -108,22 +129,56 @@ class Uploads:
 
     def get(self, job_id: str, viewer: str | None = None) -> Job:
         """The upload ``job_id``; refuses an unknown one, and one of another key than ``viewer``."""
-        if job_id not in self._jobs or self._jobs[job_id].owner != viewer:
-            raise NotFound(
-                "job", expected="the id of an upload of this run", got=job_id[:120], cure="Upload the file again."
-            )
-        return self._jobs[job_id]
+        job = self._jobs.get(job_id) or (self._elsewhere(job_id) if re.fullmatch("[0-9a-f]{12}", job_id) else None)
+        if job is None or job.owner != viewer:
+            cure = "Upload the file again."
+            raise NotFound("job", expected="the id of an upload", got=job_id[:120], cure=cure)
+        return job
+
+    def _elsewhere(self, job_id: str) -> Job | None:
+        """An upload to another service, or one of before: as the disk says it."""
+        there = elsewhere(self._root, self._staging, job_id)
+        if there is not None:
+            accepted, folder = there
+            job = Job(job_id, accepted.name, accepted.owner, folder=folder)
+            if accepted.attempts:
+                job.state, job.stage = "running", "start"
+            if (folder / CANCEL).exists():
+                job.state = "cancelled"
+            return job
+        kept = job_records.read_record(self._root, job_id)
+        return kept and Job(kept.id, kept.name, kept.owner, kept.state, kept.garment, kept.problem)
 
     async def cancel(self, job: Job) -> None:
-        """Ends ``job`` and removes its files; one that has ended is forgotten, and its garment stays."""
+        """Ends ``job`` and removes its files; one that has ended is forgotten, and its garment stays.
+
+        One of another service is ended by that, within ``DRAPE_GARMENTS_LOOK_S``.
+        """
         if job.ended:
             self._jobs.pop(job.id, None)
+            await asyncio.to_thread(job_records.remove_record, self._root, job.id)
+            return
+        if job.folder is not None:
+            with contextlib.suppress(FileNotFoundError):  # it has just ended
+                (job.folder / CANCEL).touch()
             return
         job.state = "cancelled"
         if job.work is not None:
             job.work.cancel()
             await asyncio.wait([job.work])
+        await self._keep(job)
         await asyncio.to_thread(shutil.rmtree, self._staging / job.id, ignore_errors=True)
+
+    async def _keep(self, job: Job) -> None:
+        """Stores what became of ``job``, where every service that has the folder finds it."""
+        assert job.state not in ("queued", "running")
+        record = JobRecord(job.id, job.name, job.owner, job.state, job.garment, job.problem)
+        try:
+            await asyncio.to_thread(record.write, self._root)
+        except OSError as error:  # a full disk: it is known here as long as this service runs
+            log.warning("upload %s: its record was not kept: %s", job.id, error)
+        else:
+            self._jobs.pop(job.id, None)
 
     def check_place(self, client: Client = ANYONE) -> None:
         """Refuses when too many uploads wait, are stored or run, and when there is no room for another garment."""
@@ -155,7 +210,7 @@ class Uploads:
             shutil.rmtree(file.parent, ignore_errors=True)
             raise
         finished = [key for key, kept in self._jobs.items() if kept.ended]
-        for key in finished[: max(0, len(self._jobs) - KEPT_JOBS)]:
+        for key in finished[: max(0, len(self._jobs) - job_records.KEPT)]:
             del self._jobs[key]
         self._queue.put_nowait((job, file.parent, accepted))
         return job
@@ -191,7 +246,9 @@ class Uploads:
                 log.exception("upload %s failed", job.id)
                 job.problem, job.state = errors.problem(errors.InternalError()), "failed"
             job.work = job.stage = None
-            # Not where the worker is ended: the next start goes on with it.
+            # Not where the worker is ended: the next start goes on with it. The record comes first, so that other
+            # services always find one of both.
+            await self._keep(job)
             shutil.rmtree(folder, ignore_errors=True)
 
     async def _take_in(self, job: Job, folder: Path, accepted: Accepted) -> str:
@@ -215,7 +272,7 @@ class Uploads:
         registry = self._drapery.garments
         self._check_room(client, made.stat().st_size)
         prepared = await self._drapery.aside(registry.prepare, made)
-        stored = self._folder(client.name) / made.name
+        stored = folder_of(self._root, client.name) / made.name
         stored.parent.mkdir(exist_ok=True)
         await asyncio.to_thread(sync, made)
         known = stored.exists()
@@ -228,17 +285,12 @@ class Uploads:
             raise
         return registry.add(prepared, "user", stored).id
 
-    def _folder(self, owner: str | None) -> Path:
-        """Where garments of the key ``owner`` are stored."""
-        return self._settings.garments_dir if owner is None else self._settings.garments_dir / f"{OWNED}{owner}"
-
     def _check_room(self, client: Client, more: int = 0) -> None:
         """Refuses (``Full``) a garment, of ``more`` bytes, that the disk or its key has no room for."""
-        root = self._settings.garments_dir
-        stored = [path.stat().st_size for path in (*root.glob("*.npz"), *root.glob(f"{OWNED}*/*.npz"))]
+        stored = sizes([self._root, *self._root.glob(f"{OWNED}*/")])
         rules = [("bytes of all garments", self._settings.max_stored_bytes, sum(stored), more)]
         if client.limits is not None:
-            own = [path.stat().st_size for path in self._folder(client.name).glob("*.npz")]
+            own = sizes([folder_of(self._root, client.name)])
             rules.append(("bytes of a key's garments", client.limits.bytes, sum(own), more))
             rules.append(("garments of a key", client.limits.garments, len(own), 1))
         for name, most, there, asked in rules:

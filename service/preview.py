@@ -33,7 +33,7 @@ async def garment_preview(
     if_none_match: Annotated[str | None, Header()] = None,
 ) -> Response:
     """A picture of the delivered mesh at rest on the standard body, from the front and a little from the side."""
-    garment, body = state.drapery.garments.get(garment_id, client.name).garment, state.drapery.body
+    garment, body = (await state.garment(garment_id, client)).garment, state.drapery.body
     tag = f'"{garment.digest[:16]}-{size}"'
     headers = {"ETag": tag, "Cache-Control": "private, max-age=86400"}
     if if_none_match is not None and {tag, "*"} & {one.strip().removeprefix("W/") for one in if_none_match.split(",")}:

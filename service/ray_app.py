@@ -36,6 +36,7 @@ NAME = "drape"
 GRACE_S = 15.0  # for a replica to hand its streams over and to answer what it has begun
 UP_S, DOWN_S = 10.0, 120.0  # for how long more, or fewer, replicas must be wanted
 LOOK_BACK_S = 15.0
+LOOK_S = 2.0  # what replicas know of each other's uploads is not older
 STORE_BYTES = 100 * 2**20  # of Ray's object store, which holds no frame
 
 
@@ -157,7 +158,10 @@ def application(settings: Settings, least: int, most: int) -> Application:
         max_constructor_retry_count=2,
     )
     # Streams come back to the address that they have: there is no successor by name.
-    return deployment.bind(settings.model_copy(update={"successor": "", "stream_threads": streaming}))
+    changes: dict[str, Any] = {"successor": "", "stream_threads": streaming}
+    if most > 1 and "garments_look_s" not in settings.model_fields_set:
+        changes["garments_look_s"] = LOOK_S
+    return deployment.bind(settings.model_copy(update=changes))
 
 
 def app(arguments: dict[str, str]) -> Application:

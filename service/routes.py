@@ -102,7 +102,7 @@ async def garments(state: StateHere, client: ClientHere) -> list[schemas.Garment
 @router.get("/garments/{garment_id}", responses=responses(NotFound))
 async def garment(garment_id: str, state: StateHere, client: ClientHere) -> schemas.GarmentInfo:
     """One garment."""
-    return schemas.GarmentInfo.of(state.drapery.garments.get(garment_id, client.name))
+    return schemas.GarmentInfo.of(await state.garment(garment_id, client))
 
 
 @router.get(
@@ -114,7 +114,7 @@ async def garment_mesh(
     garment_id: str, request: Request, state: StateHere, client: ClientHere, resolution: Resolution = "delivered"
 ) -> Response:
     """The delivered mesh at rest on the standard body, or the finer one that intake made: JSON, or GLB by Accept."""
-    entry = state.drapery.garments.get(garment_id, client.name)
+    entry = await state.garment(garment_id, client)
     entry = entry.fine if resolution == "fine" else entry
     garment = entry.garment
     kind = negotiation.choose(request.headers.get("accept"), (negotiation.JSON, negotiation.GLB))
@@ -237,7 +237,7 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
     offered = (negotiation.BINARY,) if binary_only else (*KINDS, negotiation.PC2, negotiation.USDA)
     offered = (*offered, negotiation.PC2) if asked.streamed and not jets else offered
     kind = negotiation.choose(request.headers.get("accept"), offered)
-    scene = drapery.garments.scene(asked.garment, asked.garments, client.name)
+    scene = await state.scene(asked.garment, asked.garments, client)
     plan = await drapery.plan_within(scene, asked, messages=jets)
     scene = plan.shown
     if asked.past is not None:

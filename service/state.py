@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Annotated
@@ -14,8 +14,11 @@ from fastapi import Depends, Request
 from service.access import Access
 from service.drapery import Drapery
 from service.errors import Busy, Draining
+from service.following import Follower
+from service.garments import Entry, Scene
 from service.handover import Handover
 from service.jobs import Uploads
+from service.keys import Client
 from service.lifecycle import Lifecycle
 from service.pasts import Pasts
 from service.pictures import Previews
@@ -28,11 +31,12 @@ STREAMS_S = 2.0  # for streams to go
 
 @dataclass(eq=False)
 class State:
-    """Body, model and garments; uploads; streams and what they take along; the thread for JSON; ends of clips; pictures
-    of garments; how many clips are computed."""
+    """Body, model and garments; uploads, here and elsewhere; streams and what they take along; the thread for JSON;
+    ends of clips; pictures of garments; how many clips are computed."""
 
     drapery: Drapery
     uploads: Uploads
+    following: Follower
     streams: Streams
     piecework: Piecework
     access: Access
@@ -41,6 +45,15 @@ class State:
     pasts: Pasts
     previews: Previews
     clips: int = 0
+
+    async def garment(self, garment_id: str, client: Client) -> Entry:
+        """The garment, if ``client`` may know of it: see ``Registry.get`` and ``Follower.found``."""
+        return await self.following.found(lambda: self.drapery.garments.get(garment_id, client.name))
+
+    async def scene(self, garment: str | None, garments: Sequence[str] | None, client: Client) -> Scene:
+        """What is worn: see ``Registry.scene`` and ``Follower.found``."""
+        registry = self.drapery.garments
+        return await self.following.found(lambda: registry.scene(garment, garments, client.name))
 
     async def drain(self) -> None:
         """Takes no more work: streams go, with their state or with the word to connect again, and what still runs after

@@ -140,7 +140,7 @@ async def _open_session(text: str, state: State, client: Client, session: Sessio
     """The session that ``text`` asks for: a new one, or ``session`` turned to it."""
     asked = validated(OpenRequest, document_of(text.encode()))
     drapery = state.drapery
-    scene = drapery.garments.scene(asked.garment, asked.garments, client.name)
+    scene = await state.scene(asked.garment, asked.garments, client)
     plan = await drapery.plan_within(scene, asked, messages=True)
     betas = shape_array(asked.betas, drapery.body)
     steps = drapery.steps(plan)

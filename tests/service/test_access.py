@@ -32,7 +32,7 @@ from service.keys import digest, load_keys
 from service.settings import Settings, check_exposed
 from service.tickets import LIFE_S, Tickets
 from tests.architecture.repository import ROOT
-from tests.fixtures.serving import serve
+from tests.fixtures.serving import files_in, serve
 from tests.fixtures.tiny_model import tube_garment
 
 KEYS = {"shop": "key-of-shop", "lab": "key-of-lab", "slow": "key-of-slow"}
@@ -233,7 +233,7 @@ def test_a_deleted_garment_is_gone_from_service_disk_and_streams(
 
         assert asyncio.run(worn()) == (204, 4404)
         assert httpx.get(url + "/garments/gown").status_code == 404
-        assert [path for path in settings.garments_dir.rglob("*") if path.is_file()] == []
+        assert files_in(settings.garments_dir) == []
         stages = {stage.name: stage for stage in app.state.drape.drapery.stages}
         assert key not in stages["collision"].pusher._stored and key not in stages["network"].packer._store
         assert httpx.post(url + "/drape", json={"garment": "tube", "poses": REST}).status_code == 200

@@ -23,7 +23,7 @@ from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
 from drape.wire import messages as wire
-from service.accepted import Accepted, taken_over
+from service.accepted import Accepted, staging_folder, taken_over
 from service.access import Access
 from service.app import create_app
 from service.drapery import Drapery
@@ -31,7 +31,7 @@ from service.errors import Draining
 from service.jobs import MOST_ATTEMPTS
 from service.settings import Settings
 from tests.architecture.repository import ROOT
-from tests.fixtures.serving import serve
+from tests.fixtures.serving import files_in, serve
 
 
 @contextmanager
@@ -92,7 +92,7 @@ def test_a_service_that_is_told_to_end_says_so_and_goes_on_later(make_settings: 
                 assert time.monotonic() < deadline
                 time.sleep(0.05)
             assert (found["state"], found["name"]) == ("failed", job["name"])  # as no mesh is
-    assert [path for path in settings.garments_dir.rglob("*") if path.is_file()] == []
+    assert files_in(settings.garments_dir) == []
 
 
 def accepted(folder: Path, name: str, attempts: int = 0) -> Accepted:
@@ -107,9 +107,11 @@ def accepted(folder: Path, name: str, attempts: int = 0) -> Accepted:
 def test_uploads_of_ended_processes_are_taken_over_in_their_order(tmp_path: Path):
     ended = subprocess.Popen(["true"])
     ended.wait()
-    theirs, own, running = (tmp_path / f".staging-{pid}" for pid in (ended.pid, os.getpid(), os.getppid()))
-    second, first, third = accepted(theirs, "late"), accepted(own, "early"), accepted(running, "busy")
-    os.utime(own / "early/early.obj", (1.0, 1.0))
+    # In a container the number of a process comes again: before this one it was another's.
+    theirs, before, running = (tmp_path / f".staging-{pid}" for pid in (ended.pid, os.getpid(), os.getppid()))
+    own = staging_folder(tmp_path)
+    second, first, third = accepted(theirs, "late"), accepted(before, "early"), accepted(running, "busy")
+    os.utime(before / "early/early.obj", (1.0, 1.0))
     (theirs / "half").mkdir()
     (theirs / "half/half.obj").write_bytes(b"v")
     assert list(taken_over(tmp_path, own)) == [(first, own / "early"), (second, own / "late")]
@@ -121,16 +123,17 @@ def test_uploads_of_ended_processes_are_taken_over_in_their_order(tmp_path: Path
         "late",
         "late.obj",
     ]
-    assert not theirs.exists() and (running / third.id / third.file).is_file()
+    assert not theirs.exists() and not before.exists() and (running / third.id / third.file).is_file()
 
 
 def test_an_upload_that_ends_every_service_is_given_up(make_settings: Callable[..., Settings]):
     settings = make_settings()
-    accepted(settings.garments_dir / ".staging-0", "bad", attempts=MOST_ATTEMPTS)  # no process has this id for long
+    job_id = "bad" * 4
+    accepted(settings.garments_dir / ".staging-0", job_id, attempts=MOST_ATTEMPTS)  # no process has this id for long
     os.rename(settings.garments_dir / ".staging-0", settings.garments_dir / f".staging-{os.getpid()}")
     with serve(create_app(settings), settings) as url:
         deadline = time.monotonic() + 10.0
-        while (job := httpx.get(url + "/jobs/bad").json())["state"] != "failed":
+        while (job := httpx.get(f"{url}/jobs/{job_id}").json())["state"] != "failed":
             assert time.monotonic() < deadline
             time.sleep(0.05)
     assert f"within {MOST_ATTEMPTS} starts" in job["problem"]["detail"]

@@ -29,7 +29,7 @@ from service.jobs import SHARES, Job, Uploads, run_sandbox
 from service.piecework import Piecework
 from service.settings import Settings
 from tests.fixtures.meshes import garment_obj, huge_count_glb
-from tests.fixtures.serving import serve
+from tests.fixtures.serving import files_in, serve
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +78,7 @@ def test_junk_fails_with_a_sentence_and_leaves_nothing(uploads: httpx.Client, up
         assert problem["cure"] and problem["expected"] in problem["detail"]
         assert str(upload_settings.garments_dir) not in problem["detail"]
     assert [garment["source"] for garment in uploads.get("/garments").json()] == ["shipped"]
-    assert [path for path in upload_settings.garments_dir.rglob("*") if path.is_file()] == []
+    assert files_in(upload_settings.garments_dir) == []
 
 
 def test_a_small_file_that_asks_for_gigabytes_is_refused(uploads: httpx.Client):
@@ -108,7 +108,7 @@ def test_a_good_file_becomes_a_garment_that_can_be_draped(
     # Intake pushes the rest mesh 6 mm clear of the body, and the tiny model lifts it a little.
     moved = np.frombuffer(draped.content, "<f4").reshape(2, -1, 3)[0] - np.array(mesh["vertices"])
     assert np.abs(moved).max() < 0.1
-    (stored,) = [path for path in upload_settings.garments_dir.rglob("*") if path.is_file()]
+    (stored,) = files_in(upload_settings.garments_dir)
     assert stored.name.startswith(job["garment"])
     stored.unlink()
 
@@ -299,7 +299,7 @@ def test_cancelled_uploads_end_and_leave_nothing(uploads: httpx.Client, upload_s
         assert uploads.delete(f"/jobs/{job['id']}").status_code == 204
         found = uploads.get(f"/jobs/{job['id']}").json()
         assert (found["state"], found["stage"], found["garment"], found["share"]) == ("cancelled", None, None, 0.0)
-    assert [path for path in upload_settings.garments_dir.rglob("*") if path.is_file()] == []
+    assert files_in(upload_settings.garments_dir) == []
     mine = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True).stdout
     assert str(upload_settings.garments_dir) not in mine
     assert uploads.delete(f"/jobs/{running['id']}").status_code == 204  # it has ended: it is forgotten

@@ -1,0 +1,133 @@
+"""Uploaded garments on disk: a cache each, beside it what was changed of it, and whose id is whose.
+
+Several services may have the same folder: files come whole (``os.replace``), and an id belongs to the garment that
+claimed it first, wherever it was uploaded.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import uuid
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from drape.errors import ArtifactError
+
+OWNED = "of-"  # begins the folder of a key's garments
+IDS = ".ids"  # a file for each id of a garment without owner: the name of the cache that has it
+
+
+@dataclass(frozen=True)
+class About:
+    """What may be changed of a garment: its title, None for the name it came with, and whether it is published."""
+
+    title: str | None = None
+    published: bool = False
+
+
+UNCHANGED = About()
+
+
+def folder_of(root: Path, owner: str | None) -> Path:
+    """Where garments of the key ``owner`` are stored under ``root``."""
+    return root if owner is None else root / f"{OWNED}{owner}"
+
+
+def owner_of(path: Path | None) -> str | None:
+    """The key whose folder ``path`` lies in, if it is one."""
+    folder = "" if path is None else path.parent.name
+    return folder.removeprefix(OWNED) if folder.startswith(OWNED) else None
+
+
+def stored(root: Path) -> dict[Path, tuple[int, int]]:
+    """Every cache under ``root`` with the times [ns] at which it and its ``About`` were written (0: it has none).
+
+    In the order of arrival, so that ids given to equal names stay the same.
+    """
+    found: list[tuple[int, str, Path, int]] = []
+    for path in (*root.glob("*.npz"), *root.glob(f"{OWNED}*/*.npz")):
+        written_ns = _written_ns(path)
+        if written_ns:  # 0: another service has just removed it
+            found.append((written_ns, path.name, path, _written_ns(about_path(path))))
+    return {path: (written_ns, about_ns) for written_ns, _, path, about_ns in sorted(found)}
+
+
+def _written_ns(path: Path) -> int:
+    try:
+        return path.stat().st_mtime_ns
+    except FileNotFoundError:
+        return 0
+
+
+def sizes(folders: Iterable[Path]) -> list[int]:
+    """Bytes of every cache directly in ``folders``."""
+    found: list[int] = []
+    for path in (path for folder in folders for path in folder.glob("*.npz")):
+        try:
+            found.append(path.stat().st_size)
+        except FileNotFoundError:  # removed meanwhile
+            continue
+    return found
+
+
+def about_path(path: Path) -> Path:
+    """Where the ``About`` of the cache ``path`` lies."""
+    return path.with_suffix(".about.json")
+
+
+def read_about(path: Path) -> About:
+    """What was changed of the cache ``path``; refuses (``ArtifactError``) a file that does not say it."""
+    try:
+        found = json.loads(about_path(path).read_text(encoding="utf-8"))
+        return About(found["title"], bool(found["published"]))
+    except FileNotFoundError:
+        return UNCHANGED
+    except (ValueError, KeyError, TypeError) as error:
+        cure = f"Delete {about_path(path).name}."
+        label = f"garment {path.stem}"
+        raise ArtifactError(label, expected="title and published", got="something else", cure=cure) from error
+
+
+def write_about(path: Path, about: About) -> None:
+    """Stores ``about`` beside the cache ``path``, whole or not at all."""
+    replace_text(about_path(path), json.dumps(asdict(about)))
+
+
+def remove(path: Path, claimed: str) -> None:
+    """Takes the cache ``path``, its ``About`` and its claim on the id ``claimed`` off the disk, if they are there."""
+    path.unlink(missing_ok=True)
+    about_path(path).unlink(missing_ok=True)
+    mine = path.parent / IDS / claimed
+    with contextlib.suppress(FileNotFoundError):
+        if mine.read_text(encoding="utf-8") == path.name:
+            mine.unlink()
+
+
+def replace_text(path: Path, text: str) -> None:
+    """Writes ``text`` to ``path``, of which a reader sees all or nothing."""
+    fresh = path.with_name(f"{path.name}.{uuid.uuid4().hex[:8]}.new")
+    fresh.write_text(text, encoding="utf-8")
+    os.replace(fresh, path)
+
+
+def claim(path: Path, wanted: str) -> bool:
+    """Whether the id ``wanted`` is that of the cache ``path`` from now on: nobody has it, or the cache itself, or one
+    that is no longer there."""
+    folder = path.parent / IDS
+    folder.mkdir(exist_ok=True)
+    mine, fresh = folder / wanted, folder / f"{uuid.uuid4().hex}.new"
+    fresh.write_text(path.name, encoding="utf-8")
+    try:
+        os.link(fresh, mine)  # with what it says, or not at all
+        return True
+    except FileExistsError:
+        holder = mine.read_text(encoding="utf-8")
+        if holder == path.name or (path.parent / holder).exists():
+            return holder == path.name
+        os.replace(fresh, mine)
+        return True
+    finally:
+        fresh.unlink(missing_ok=True)
