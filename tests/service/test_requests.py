@@ -17,6 +17,7 @@ from service.access import Access
 from service.app import create_app
 from service.drapery import Drapery
 from service.errors import Busy
+from service.following import Follower
 from service.handover import Handover
 from service.jobs import Uploads
 from service.json_body import clip_marks
@@ -225,8 +226,9 @@ def test_more_clips_than_places_are_refused(make_settings: Callable[..., Setting
     drapery = Drapery(make_settings(max_clips=1))
     streams, access = Streams(drapery, Piecework()), Access(drapery.settings)
     uploads = Uploads(drapery, Piecework(), access)
-    handover, pasts = Handover(drapery, access.tickets), Pasts(drapery.settings)
-    state = State(drapery, uploads, streams, Piecework(), access, handover, Lifecycle(stuck_s=9.0), pasts, Previews())
+    handover, pasts, life = Handover(drapery, access.tickets), Pasts(drapery.settings), Lifecycle(stuck_s=9.0)
+    following = Follower(drapery, streams, uploads)
+    state = State(drapery, uploads, following, streams, Piecework(), access, handover, life, pasts, Previews())
     with state.slot(), pytest.raises(Busy, match="fewer than 1 at a time"), state.slot():
         pass
     with state.slot():
