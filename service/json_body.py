@@ -38,13 +38,17 @@ def clip_marks(max_frames: int) -> int:
 
 def document_of(text: bytes, *, otherwise: str = NO_JSON) -> Any:
     """The parsed ``text``; refuses more than ``SMALL_MARKS`` marks, and what is no JSON as ``otherwise``."""
-    _check(sum(_marks(text)), SMALL_MARKS)
+    marks = 0
+    for more in _marks(text):
+        marks = _counted(marks + more, SMALL_MARKS)
     return parsed(text, otherwise=otherwise)
 
 
 async def check_marks(text: bytes, piecework: Piecework, *, most_marks: int) -> None:
-    """Refuses a ``text`` of more than ``most_marks`` marks (``MARKS``), counted piece by piece."""
-    _check(sum([count async for count in piecework.each(_marks(text))]), most_marks)
+    """Refuses a ``text`` of more than ``most_marks`` marks (``MARKS``), counted piece by piece until there are more."""
+    marks = 0
+    async for more in piecework.each(_marks(text)):
+        marks = _counted(marks + more, most_marks)
 
 
 def _marks(text: bytes) -> Iterator[int]:
@@ -53,14 +57,15 @@ def _marks(text: bytes) -> Iterator[int]:
         yield len(text[start : start + PIECE_BYTES].translate(None, _OTHER_BYTES))
 
 
-def _check(marks: int, most_marks: int) -> None:
+def _counted(marks: int, most_marks: int) -> int:
     if marks > most_marks:
         raise TooLarge(
             "request body",
             expected=f"at most {most_marks} commas, colons and opening brackets",
-            got=str(marks),
+            got="more",
             cure="Send less in one request.",
         )
+    return marks
 
 
 def parsed(text: bytes, *, otherwise: str = NO_JSON) -> Any:
