@@ -8,6 +8,8 @@ Every combination of passes, folds and push-out drapes the same clips, frame by 
 (``service.stages``), in turn with the others and with the rival: skinning and a SciPy push-out, of which ``time_ratio``
 is the share of processor time. Ends of the axis are rows of that rival (``skinning_push``) and of the optimum
 (``physics``). Figures are those of ``benchmarks.folds``, over frames at rest (motion 0) whose physics was minimised.
+That physics may pass through itself, which what is served may not: what that costs of gain is told by the rows that
+may ("through itself").
 
 ``tiers`` of the record are chosen by one rule (``tiers_of``); ``--write`` puts them into the model's manifest, and
 ``--plot FILE`` draws the front.
@@ -56,8 +58,8 @@ PASSES, FOLDS = (0, None), (0, 1, 2, 4, 8, 16)
 FABRICS = ("jersey", "denim", "satin")
 FPS, FRAMES, QUICK_FRAMES = 30.0, 48, 8
 CROSSED = 2  # of the frames with an optimum, whose crossings are counted
-SHARES = (1.0, 1.25, 2.0)  # of the rival's time that the tiers may take, the least first
 ENOUGH = 0.002  # of gain: what gives less is not worth more time
+KNOBS = ("passes", "folds", "push_out", "cloth_contact")
 COLUMNS = {
     "tier": "s", "knobs": "s", "garment": "s", "fabric": "s", "clip": "s", "p50_ms": ".2f", "p95_ms": ".2f",
     "cpu_ms": ".2f", "time_ratio": ".2f", "gain": ".3f", "error_mm": ".2f", "edge_pct": ".2f", "detail_share": ".2f",
@@ -69,20 +71,24 @@ MEANS = ("p50_ms", "p95_ms", "cpu_ms", "time_ratio", "gain", "error_mm", "edge_p
 
 @dataclass(frozen=True)
 class Knobs:
-    """One combination: ``passes`` of the network, None all; steps of ``folds``; whether the push-out runs."""
+    """One combination: ``passes`` of the network, None all; steps of ``folds``; whether the push-out runs, and whether
+    cloth feels cloth there."""
 
     passes: int | None
     folds: int
     push_out: bool
+    cloth_contact: bool = True
 
     def options(self, pass_count: int, **others: Any) -> DrapeOptions:
         """As a request says it, of cloth that does not swing; ``pass_count`` are all passes."""
         passes = pass_count if self.passes is None else self.passes
-        return DrapeOptions(passes=passes, folds=self.folds, push_out=self.push_out, motion=0.0, **others)
+        ways = {"push_out": self.push_out, "cloth_contact": self.cloth_contact, "motion": 0.0}
+        return DrapeOptions(passes=passes, folds=self.folds, **ways, **others)
 
     def __str__(self) -> str:
         passes = "all" if self.passes is None else self.passes
-        return f"passes {passes}, folds {self.folds}{', push-out' if self.push_out else ''}"
+        alone = ", through itself" if self.folds and not self.cloth_contact else ""
+        return f"passes {passes}, folds {self.folds}{alone}{', push-out' if self.push_out else ''}"
 
 
 @dataclass(eq=False)
@@ -211,7 +217,7 @@ def means(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     found: list[dict[str, Any]] = []
     for tier, knobs in dict.fromkeys((row["tier"], row["knobs"]) for row in rows):
         same = [row for row in rows if (row["tier"], row["knobs"]) == (tier, knobs)]
-        first = {name: same[0].get(name) for name in ("tier", "knobs", "passes", "folds", "push_out")}
+        first = {name: same[0].get(name) for name in ("tier", "knobs", *KNOBS)}
         kept = {name: [row[name] for row in same if np.isfinite(row.get(name, np.nan))] for name in MEANS}
         worst = {"gain_p05": float(np.percentile([row["gain"] for row in same], 5.0))}
         found.append(first | {name: float(np.mean(values)) for name, values in kept.items() if values} | worst)
@@ -222,24 +228,24 @@ def means(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return found
 
 
-def tiers_of(mean: Sequence[dict[str, Any]], *, shares: Sequence[float] = SHARES) -> list[dict[str, Any]]:
-    """A row of ``mean`` for each tier: of the combinations with folds and push-out within the tier's share of the
-    rival's time, the cheapest that has all but ``ENOUGH`` of the best one's gain; the cheapest of all where none fits.
+def tiers_of(mean: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """A row of ``mean`` for each tier, of the combinations that are served: with folds, push-out and cloth contact.
 
-    A tier's folds and passes are never less than those of the one below.
+    The least is the cheapest. The last is the cheapest that has all but ``ENOUGH`` of the best one's gain, and the
+    middle one the cheapest that has at least half of what the last gains over the least. A tier's folds and passes are
+    never less than those of the one below. Times decide by their order only, so that the rule gives the same tiers on
+    processors on which the rival is faster or slower than here.
     """
-    able = sorted((row for row in mean if row.get("folds") and row["push_out"]), key=lambda row: row["time_ratio"])
-    if not able:
+    served = [row for row in mean if row.get("folds") and row["push_out"] and row["cloth_contact"]]
+    if not served:
         raise InputError("knobs", expected="combinations with folds", got="none", cure="Measure folds too.")
-    found: list[dict[str, Any]] = []
-    for share in shares:
-        fits = [row for row in able if row["time_ratio"] <= share and all(_covers(row, below) for below in found)]
-        best = max((row["gain"] for row in fits), default=None)
-        if best is None:
-            found.append(found[-1] if found else able[0])
-            continue
-        found.append(next(row for row in fits if row["gain"] >= best - ENOUGH))
-    return found
+    by_cost = sorted(served, key=lambda row: row["time_ratio"])
+    least, best = by_cost[0], max(row["gain"] for row in served)
+    above = [row for row in by_cost if _covers(row, least)]
+    last = next((row for row in above if row["gain"] >= best - ENOUGH), max(above, key=lambda row: row["gain"]))
+    half = 0.5 * (least["gain"] + last["gain"])
+    middle = next(row for row in above if row["gain"] >= half and _covers(last, row))
+    return [least, middle, last]
 
 
 def _covers(row: dict[str, Any], below: dict[str, Any]) -> bool:
@@ -276,9 +282,8 @@ def plot(mean: Sequence[dict[str, Any]], chosen: Sequence[dict[str, Any]], path:
     shown = [row for row in mean if row["gain"] < 1.0 and row["tier"] != "skinning_push"]
     for push in (True, False):
         for passes in PASSES:
-            line = [
-                row for row in shown if row["push_out"] is push and row["passes"] == passes and row["folds"] is not None
-            ]
+            same = [row for row in shown if row["push_out"] is push and row["passes"] == passes]
+            line = [row for row in same if row["folds"] is not None and row["cloth_contact"]]
             name = f"{'all' if passes is None else 'no'} corrections{', push-out' if push else ''}"
             axes.plot([row["time_ratio"] for row in line], [1.0 - row["gain"] for row in line],
                       marker="o", label=name, linestyle="-" if push else ":")  # fmt: skip
@@ -296,6 +301,13 @@ def plot(mean: Sequence[dict[str, Any]], chosen: Sequence[dict[str, Any]], path:
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
     pyplot.close(figure)
+
+
+def combinations(steps: Sequence[int]) -> list[Knobs]:
+    """What is measured with each number of ``steps``: as served, without push-out, and without that and without cloth
+    that feels itself."""
+    found = [Knobs(passes, n, push) for push in (False, True) for passes in PASSES for n in steps]
+    return found + [Knobs(passes, n, False, cloth_contact=False) for passes in PASSES for n in steps if n]
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -326,7 +338,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
         f"network_{'all' if passes is None else passes}": Network(folder, body, threads=options.threads, passes=passes)
         for passes in PASSES
     }
-    knobs = [Knobs(passes, n, push) for push in (False, True) for passes in PASSES for n in options.folds]
+    knobs = combinations(options.folds)
     rows: list[dict[str, Any]] = []
     for path in find_motions(options.motions):
         clip = Clip.read(path, FPS, options.frames, body)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -74,10 +74,11 @@ def test_the_first_frame_is_not_timed():
     }  # fmt: skip
 
 
-def row(n: int, ratio: float, gain: float, *, passes: int | None = 0, push: bool = True) -> dict:
-    figures = {"cpu_ms": 10.0 * ratio, "gain_p05": gain - 0.1, "error_mm": 1.0, "edge_pct": 1.0, "detail_share": 1.0}
-    return {"tier": "", "knobs": str(Knobs(passes, n, push)), "passes": passes, "folds": n, "push_out": push,
-            "time_ratio": ratio, "gain": gain, "jitter_ratio": 1.0} | figures  # fmt: skip
+def row(n: int, ratio: float, gain: float, *, passes: int | None = 0, push: bool = True, contact: bool = True) -> dict:
+    knobs = Knobs(passes, n, push, contact)
+    found = {"tier": "", "knobs": str(knobs), **asdict(knobs), "time_ratio": ratio, "gain": gain, "jitter_ratio": 1.0}
+    found |= {"cpu_ms": 10.0 * ratio, "gain_p05": gain - 0.1, "error_mm": 1.0, "edge_pct": 1.0, "detail_share": 1.0}
+    return found
 
 
 def test_means_are_over_all_that_was_measured_and_mark_the_front():
@@ -88,15 +89,24 @@ def test_means_are_over_all_that_was_measured_and_mark_the_front():
     assert first["gain_p05"] == pytest.approx(0.805) and not second["pareto"], "dearer and worse"
 
 
-def test_tiers_are_the_cheapest_with_all_but_a_little_of_the_gain_within_their_share():
-    rows = [row(0, 0.1, 0.99), row(1, 0.4, 0.90), row(2, 0.6, 0.95), row(3, 0.74, 0.951), row(8, 1.5, 0.98)]
-    rows += [row(16, 1.9, 0.9805), row(4, 0.7, 0.999, push=False), row(4, 3.0, 0.9999)]
-    assert [found["folds"] for found in tiers_of(rows, shares=(0.5, 0.75, 2.0))] == [1, 2, 8]
-    assert [found["folds"] for found in tiers_of(rows, shares=(0.1, 0.2, 0.5))] == [1, 1, 1], "the cheapest"
+def test_tiers_are_the_cheapest_the_nearest_and_half_way_between():
+    rows = [row(0, 0.1, 0.99), row(1, 0.4, 0.90), row(2, 0.6, 0.93), row(3, 0.74, 0.951), row(8, 1.5, 0.98)]
+    rows += [row(16, 1.9, 0.9815), row(4, 0.7, 0.999, push=False), row(5, 0.5, 0.999, contact=False)]
+    assert [found["folds"] for found in tiers_of(rows)] == [1, 3, 8]
+    assert [found["folds"] for found in tiers_of(rows[::-1])] == [1, 3, 8], "in any order"
+    assert [found["folds"] for found in tiers_of(rows[:2])] == [1, 1, 1], "there is but one"
     more = [row(2, 0.4, 0.9, passes=None), row(4, 0.6, 0.95, passes=0), row(4, 0.7, 0.94, passes=None)]
-    assert [found["passes"] for found in tiers_of(more, shares=(0.5, 0.75, 2.0))] == [None] * 3, "never less than below"
+    assert [found["passes"] for found in tiers_of(more)] == [None] * 3, "never less than below"
+    cheap = [row(4, 0.4, 0.9), row(2, 0.5, 0.99, passes=None), row(4, 0.8, 0.95, passes=None)]
+    assert [(found["passes"], found["folds"]) for found in tiers_of(cheap)] == [(0, 4), (None, 4), (None, 4)]
     with pytest.raises(InputError, match="combinations with folds"):
         tiers_of([row(0, 0.1, 0.9)])
+
+
+def test_what_is_served_and_what_may_pass_through_itself_are_measured():
+    found = [str(knobs) for knobs in tradeoff.combinations((0, 2))]
+    assert found[:2] == ["passes 0, folds 0", "passes 0, folds 2"] and len(found) == len(set(found)) == 10
+    assert found[-1] == "passes all, folds 2, through itself" and "passes all, folds 2, push-out" in found
 
 
 def test_tiers_are_written_into_the_manifest_and_refused_where_the_service_would(tmp_path, body):
