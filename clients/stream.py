@@ -11,7 +11,8 @@
 
 Frames answer the newest pose; poses that a newer one replaced are counted in ``frame.dropped``. A service that ends
 hands the stream over to its successor, with what the cloth remembers: frames go on, and poses that it had not answered
-are sent again.
+are sent again. Of a body that stands still few poses are sent: once the service has said that a pose changes nothing,
+the same pose again is answered here, by the frame that is shown.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from __future__ import annotations
 import asyncio
 import json
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, TypeVar
@@ -39,6 +41,8 @@ MESSAGE_LIMIT_BYTES = 16 * 2**20
 OPEN_S = 10.0
 MOVE_S = 15.0  # in which another process must take the stream
 RETRY_S = 0.2
+HELD_S = 0.2  # that poses are answered here; a service takes a longer pause (0.25 s) for the end of a motion
+CLOSEST_S = 1.0 / 240.0  # of poses that are answered here: who sends one for each frame waits for the service
 GOING_AWAY = 1012  # the close code of a service that ends
 
 
@@ -72,6 +76,11 @@ class DrapeStream:
         self._sequence = 0
         self._request: dict[str, Any] = {}
         self._unanswered: dict[int, bytes] = {}  # poses, as sent
+        self._still: bytes | None = None  # the pose that changes nothing
+        self._sent_s, self._asked_s = -HELD_S, 0.0  # when a pose was last sent, and given to ``send``
+        self._held: deque[tuple[int, float]] = deque()  # numbers and times of poses that are answered here
+        self._more = asyncio.Event()  # there are such
+        self._reading: asyncio.Future[str | bytes] | None = None
         self._state: list[bytes] = []
         self._shown: wire.Frame | JetFrame | None = None
         self._sending = asyncio.Lock()
@@ -110,6 +119,8 @@ class DrapeStream:
     async def close(self) -> None:
         """Ends the stream."""
         await self._connection.close()
+        if self._reading is not None:
+            await asyncio.gather(self._reading, return_exceptions=True)
 
     async def reopen(
         self,
@@ -127,6 +138,8 @@ class DrapeStream:
         about = {"betas": shape, "moves": True, "same": True, **options_document(options)}
         self._request = {"type": "open", **worn(garment), **about}
         self._unanswered.clear()
+        self._held.clear()
+        self._still = None
         await self._transmit(json.dumps(self._request))
         while True:
             message = await self._message()
@@ -142,8 +155,15 @@ class DrapeStream:
     async def send(self, pose: np.ndarray, trans: np.ndarray | None = None) -> int:
         """Sends a pose (24, 3) [rad] with its root translation (3,) [m]; returns its sequence number."""
         self._sequence = sequence = (self._sequence + 1) & 0xFFFFFFFF
-        place = np.zeros(3) if trans is None else np.asarray(trans)
-        message = wire.pack_pose(wire.Pose(sequence, self._clock(), place, np.asarray(pose)))
+        place, now_s = np.zeros(3) if trans is None else np.asarray(trans), self._clock()
+        message = wire.pack_pose(wire.Pose(sequence, now_s, place, np.asarray(pose)))
+        before_s, self._asked_s = self._asked_s, now_s
+        # The next pose, as much later as this one was after the one before, must not come too late either.
+        if wire.posed(message) == self._still and CLOSEST_S < now_s - before_s < self._sent_s + HELD_S - now_s:
+            self._held.append((sequence, now_s))
+            self._more.set()
+            return sequence
+        self._sent_s, self._still = now_s, None
         self._unanswered[sequence] = message
         while len(self._unanswered) > self.about["credit"]:
             del self._unanswered[next(iter(self._unanswered))]
@@ -163,8 +183,14 @@ class DrapeStream:
     async def _next(self, kind: type[Shown], unpack: Callable[[bytes], Shown]) -> Shown:
         """The next frame: one that came, acknowledged, or where the body stands still the last one for another pose."""
         message = await self._binary()
-        if wire.message_kind(message) == wire.SAME and isinstance(self._shown, kind):
+        if message is None:
+            assert isinstance(self._shown, kind)
+            sequence, sent_s = self._held.popleft()
+            self._shown = frame = replace(self._shown, sequence=sequence, client_time_s=sent_s, residence_us=0)
+        elif wire.message_kind(message) == wire.SAME and isinstance(self._shown, kind):
             self._shown = frame = replace(self._shown, **asdict(wire.unpack_same(message)))
+            if frame.sequence == self._sequence and frame.sequence in self._unanswered:
+                self._still = wire.posed(self._unanswered[frame.sequence])
             self._answered(frame.sequence)
         else:
             self._shown = frame = unpack(message)
@@ -179,11 +205,21 @@ class DrapeStream:
                 del self._unanswered[next(iter(self._unanswered))]
             del self._unanswered[sequence]
 
-    async def _binary(self) -> bytes:
-        while True:
+    async def _binary(self) -> bytes | None:
+        """The next frame's message; None where one of ``_held`` comes first."""
+        while not self._held:
+            self._more.clear()
+            waiting = asyncio.ensure_future(self._more.wait())
+            try:
+                await asyncio.wait((self._read(), waiting), return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                waiting.cancel()
+            if self._held:
+                break
             message = await self._message()
             if isinstance(message, bytes):
                 return message
+        return None
 
     async def _transmit(self, message: str | bytes) -> None:
         """Sends ``message``; nothing where the service ends, which ``_message`` reads of in its turn."""
@@ -198,9 +234,11 @@ class DrapeStream:
         """The next message: of the successor its answer to the opening, where the stream moves."""
         while True:
             try:
-                message = await self._connection.recv()
+                message = await asyncio.shield(self._read())
             except ConnectionClosed as error:
+                self._reading = None
                 raise await self._reason(error) from error
+            self._reading = None
             if isinstance(message, bytes):
                 if wire.message_kind(message) != wire.STATE:
                     return message
@@ -212,6 +250,12 @@ class DrapeStream:
             if said.get("type") == "moved":
                 return await self._move(said)
             return message
+
+    def _read(self) -> asyncio.Future[str | bytes]:
+        """The next message, which who waits for it may leave to the next who asks."""
+        if self._reading is None:
+            self._reading = asyncio.ensure_future(self._connection.recv())
+        return self._reading
 
     async def _move(self, said: dict[str, Any]) -> str:
         """Goes on where ``said`` says, with the state that came before it; the answer to the opening there."""

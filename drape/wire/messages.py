@@ -164,6 +164,11 @@ def pack_pose(pose: Pose) -> bytes:
     return _POSE.pack(*prefix, pose.client_time_s, *np.ravel(pose.trans), *np.ravel(pose.pose))
 
 
+def posed(message: bytes) -> bytes:
+    """Pose and translation in a POSE ``message``, without its number and time: equal where the body stands the same."""
+    return message[POSE_BYTES - 4 * 75 :]
+
+
 def unpack_pose(message: bytes) -> Pose:
     """The pose in ``message``; refuses another size, version or kind, and numbers that are not finite."""
     check_prefix("pose message", message, POSE, POSE_BYTES)

@@ -6,6 +6,7 @@ import asyncio
 import json
 import shutil
 import subprocess
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import count
@@ -165,6 +166,83 @@ def test_a_client_that_can_take_it_gets_no_frame_twice(make_settings: Callable[.
         *_, before, last = asyncio.run(talk())
         assert last.positions is before.positions and last.sequence == before.sequence + 1
         assert last.client_time_s > before.client_time_s
+
+
+class Wire:
+    """What a stream sends, counted by kind."""
+
+    def __init__(self, stream: DrapeStream) -> None:
+        self.sent: list[int] = []
+        self._transmit, stream._transmit = stream._transmit, self.transmit  # pyright: ignore[reportAttributeAccessIssue]
+
+    async def transmit(self, message: str | bytes) -> None:
+        if isinstance(message, bytes):
+            self.sent.append(wire.message_kind(message))
+        await self._transmit(message)
+
+
+@pytest.mark.parametrize("geometry", ["vertices", "jets"])
+def test_of_a_body_that_stands_still_few_poses_are_sent(make_settings: Callable[..., Settings], geometry: str):
+    settings = make_settings(model=TINY_DYNAMIC)
+
+    async def talk(url: str) -> None:
+        now_s, step_s = 0.0, STEP_S
+        async with await DrapeStream.open(url, "tube", clock=lambda: now_s, geometry=geometry) as stream:
+
+            async def frame(pose: np.ndarray = POSES[0]) -> Any:
+                nonlocal now_s
+                now_s += step_s
+                await stream.send(pose, TRANS[0])
+                received = await (stream.receive() if geometry == "vertices" else stream.receive_jets())
+                assert received.age_s == 0.0 and received.frame.sequence == stream._sequence
+                return received.frame
+
+            shown = [await frame() for _ in range(NEEDED + 1)][-1]
+            counted, step_s = Wire(stream), 1.0 / 30.0
+            held = [await frame() for _ in range(60)]
+            assert all(one.server_time_s >= shown.server_time_s for one in held)
+            assert 60 / 6 <= len(counted.sent) == counted.sent.count(wire.POSE) <= 60 / 4, "acknowledgements: none"
+            counted.sent.clear()
+            moved = await frame(POSES[1])
+            assert counted.sent == [wire.POSE, wire.ACK] and moved.server_time_s > shown.server_time_s
+
+            # A frame that somebody waits for when its pose is answered here.
+            for _ in range(int(30 * REST_S) + 4):
+                await frame(POSES[1])
+            counted.sent.clear()
+            for _ in range(3):
+                now_s += step_s
+                waiting = asyncio.ensure_future(stream.receive() if geometry == "vertices" else stream.receive_jets())
+                await asyncio.sleep(0.01)
+                sequence = await stream.send(POSES[1], TRANS[0])
+                assert (await waiting).frame.sequence == sequence
+            assert len(counted.sent) <= 1
+            await stream.reopen("tube", geometry=geometry)
+            counted.sent.clear()
+            await frame(POSES[1])
+            assert counted.sent == [wire.POSE, wire.ACK]
+
+    with serve(create_app(settings), settings) as url:
+        asyncio.run(talk(url))
+
+
+def test_who_sends_a_pose_for_each_frame_waits_for_the_service(make_settings: Callable[..., Settings]):
+    settings = make_settings(model=TINY_DYNAMIC)
+
+    async def talk(url: str) -> None:
+        now_s = count(0.0, STEP_S)
+        async with await DrapeStream.open(url, "tube", clock=lambda: next(now_s)) as stream:
+            for _ in range(NEEDED + 1):
+                await stream.send(POSES[0], TRANS[0])
+                await stream.receive()
+            stream._clock, counted = time.perf_counter, Wire(stream)
+            for _ in range(40):
+                await stream.send(POSES[0], TRANS[0])
+                await stream.receive()
+            assert counted.sent.count(wire.POSE) >= 20
+
+    with serve(create_app(settings), settings) as url:
+        asyncio.run(talk(url))
 
 
 PAGE = """

@@ -5,6 +5,8 @@ import { KIND, SUBPROTOCOL, kindOf, packAck, packPose, unpackFrame, unpackJets, 
 const FIRST_RETRY_S = 0.5;
 const LAST_RETRY_S = 8;
 const KEPT_POSES = 256;
+const CLOSEST_S = 1 / 240; // of poses that are answered here: who sends one for each frame waits for the service
+const HELD_S = 0.2; // that poses are answered here; a service takes a longer pause (0.25 s) for the end of a motion
 const now = () => performance.now() / 1000;
 
 export class Stream {
@@ -27,12 +29,16 @@ export class Stream {
     this.sequence = 0;
     this.poses = new Map();
     this.shown = null; // the last frame, which SAME repeats for another pose
+    this.still = null; // the pose that changes nothing: sent again, it is answered here
+    this.sentS = -HELD_S; // when a pose was last sent, and given to send()
+    this.askedS = 0;
   }
 
   // Asks for garments, shape and how to drape; on an open connection it turns to them at once.
   open(request) {
     this.request = request;
     this.poses.clear();
+    this.still = null;
     this.ready = false;
     clearTimeout(this.timer);
     const { readyState } = this.socket ?? {};
@@ -44,9 +50,22 @@ export class Stream {
   send(pose, trans) {
     if (!this.ready) return;
     this.sequence = (this.sequence + 1) >>> 0;
+    const clientTimeS = now();
+    const sinceS = clientTimeS - this.askedS;
+    this.askedS = clientTimeS;
+    // The next pose, as much later as this one was after the one before, must not come too late either.
+    const inTime = sinceS > CLOSEST_S && sinceS < this.sentS + HELD_S - clientTimeS;
+    if (this.still && inTime && sameNumbers(this.still, { pose, trans })) {
+      const header = { ...this.shown.header, sequence: this.sequence, client_time_s: clientTimeS, residence_us: 0 };
+      this.shown = { ...this.shown, header };
+      this.onFrame({ ...this.shown, pose, trans, bytes: 0, ageS: () => now() - clientTimeS });
+      return;
+    }
+    this.still = null;
+    this.sentS = clientTimeS;
     this.poses.set(this.sequence, { pose, trans });
     if (this.poses.size > KEPT_POSES) this.poses.delete(this.poses.keys().next().value);
-    this.socket.send(packPose({ sequence: this.sequence, clientTimeS: now(), trans, pose }));
+    this.socket.send(packPose({ sequence: this.sequence, clientTimeS, trans, pose }));
   }
 
   #sendOpening() {
@@ -111,6 +130,7 @@ export class Stream {
     if (kindOf(data) !== KIND.SAME) socket.send(packAck(frame.header.sequence));
     const sent = this.poses.get(frame.header.sequence);
     if (!sent || !this.ready) return; // of an earlier opening
+    if (kindOf(data) === KIND.SAME && frame.header.sequence === this.sequence) this.still = copied(sent);
     for (const key of this.poses.keys()) {
       if (key >= frame.header.sequence) break;
       this.poses.delete(key);
@@ -142,4 +162,12 @@ export class Stream {
     this.timer = setTimeout(() => this.#connect(), this.retryS * 1000);
     this.retryS = Math.min(2 * this.retryS, LAST_RETRY_S);
   }
+}
+
+const copied = ({ pose, trans }) => ({ pose: Float32Array.from(pose), trans: Float32Array.from(trans) });
+
+// Whether two poses are the same in the bytes that are sent.
+function sameNumbers(one, other) {
+  const equal = (numbers, others) => numbers.every((number, k) => number === Math.fround(others[k]));
+  return equal(one.pose, other.pose) && equal(one.trans, other.trans);
 }
