@@ -202,11 +202,11 @@ def others(clip: MotionClip, garment: str) -> dict[str, Callable[[httpx.Client],
     """Requests that others make meanwhile, by name."""
     rows = np.resize(clip.poses, (300, 24, 3)).tolist()
     document = {"garment": garment, "poses": rows, "folds": 0, "passes": 0}
+    illegal = b'{"garment":"' + garment.encode() + b'","poses":[' + b"[]," * 2_000_000 + b"[]]}"
     return {
         "JSON of 300 frames": lambda http: http.post("/drape", json=document, headers={"Accept": "application/json"}),
         "GLB of 300 frames": lambda http: http.post("/drape", json=document, headers={"Accept": "model/gltf-binary"}),
-        "illegal body": lambda http: http.post("/drape", content=b'{"garment":"' + garment.encode() + b'","poses":['
-                                              + b"[]," * 2_000_000 + b"[]]}"),
+        "illegal body": lambda http: http.post("/drape", content=illegal, headers={"Content-Type": "application/json"}),
         "opening an outfit": lambda http: http.post(
             "/drape", json={"garments": ["trousers", "tshirt"], "poses": rows[:1]}
         ),

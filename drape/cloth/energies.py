@@ -175,6 +175,11 @@ def contact(distance: Array, mesh: ClothMesh, material: Material) -> Array:
     return material.contact_j_m4 * xp.sum(mesh.vertex_area * depth * depth, axis=-1)
 
 
+def contact_n_per_m(mesh: ClothMesh, material: Material) -> Array:
+    """Stiffness 2 c A [N/m] (V,) of a vertex's contact inside the gap: the second derivative of ``contact``."""
+    return 2.0 * material.contact_j_m4 * mesh.vertex_area
+
+
 def total(
     positions: Array,
     mesh: ClothMesh,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.body.model import BodyModel
-from drape.cloth.energies import ClothMesh
+from drape.cloth.energies import ClothMesh, contact_n_per_m
 from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_table import fabric as fabric_named
 from drape.cloth.material import Material
@@ -48,7 +48,7 @@ class Dressed:
     def springs_n_per_m(self) -> np.ndarray:
         """What steps of the whole cloth know of all that holds a vertex (V,), but for contact: its leash, and where it
         lies on the skin ``HOLD`` of contact's stiffness, for the room that it is held in and for friction."""
-        contact = 2.0 * float(self.material.contact_j_m4) * self.cloth.vertex_area
+        contact = contact_n_per_m(self.cloth, self.material)
         leash = np.maximum(LEASH_N_M3 * self.cloth.vertex_area, np.finfo(float).tiny)  # a vertex may have no area
         lies = np.minimum(self.band_n_per_m / leash, 1.0)
         return self.band_n_per_m + HOLD * lies * contact

@@ -22,7 +22,7 @@ import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
 
-from drape.cloth.energies import ClothMesh
+from drape.cloth.energies import ClothMesh, contact_n_per_m
 from drape.cloth.material import Material
 from drape.folds.sheet import Sheet
 from drape.solver.compiled import kernel
@@ -55,7 +55,7 @@ def stiffness(cloth: ClothMesh, material: Material, band_n_per_m: np.ndarray) ->
     shape, count = (3, 3, len(cloth.faces)), cloth.vertex_count
     rows, columns = (np.broadcast_to(i, shape).reshape(-1) for i in (cloth.faces.T[:, None], cloth.faces.T[None]))
     triangles = scipy.sparse.coo_matrix((entries.reshape(-1), (rows, columns)), shape=(count, count))
-    springs = SPRING * 2.0 * float(material.contact_j_m4) * cloth.vertex_area + band_n_per_m
+    springs = SPRING * contact_n_per_m(cloth, material) + band_n_per_m
     return (triangles + scipy.sparse.diags(springs)).tocsc()
 
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.sparse
 
-from drape.cloth.energies import DEGENERATE, ClothMesh
+from drape.cloth.energies import DEGENERATE, ClothMesh, contact_n_per_m
 from drape.cloth.material import Material
 from drape.cloth.waistband import SLACK_M
 from drape.errors import InputError
@@ -147,7 +147,7 @@ def problem(
         hinges=hinges,
         quadratic=_quadratic(cloth, np.where(flat, hinges.stiffness, 0.0).astype(np.float64), dtype),
         weight_n=(material.gravity_m_s2 * cloth.vertex_mass(material)).astype(dtype),
-        contact_n_per_m=(2.0 * material.contact_j_m4 * cloth.vertex_area).astype(dtype),
+        contact_n_per_m=contact_n_per_m(cloth, material).astype(dtype),
         order=order,
         colour_start=colour_start,
         creases=_of_hinges(hinges, ~flat),

@@ -209,6 +209,8 @@ def test_contact_acts_inside_the_gap_only_and_is_independent_of_the_mesh():
         away = np.full(len(rest), JERSEY.contact_gap_m)
         assert energies.contact(away, mesh, JERSEY) == 0.0
         assert_allclose(energies.contact(away - depth, mesh, JERSEY), expected, rtol=1e-12, atol=0.0)
+        stiffness = energies.contact_n_per_m(mesh, JERSEY)
+        assert_allclose(0.5 * np.sum(stiffness) * depth**2, expected, rtol=1e-12, atol=0.0)
 
 
 def test_collapsed_triangles_keep_energy_and_gradient_finite():
