@@ -213,7 +213,7 @@ def times(wall_ms: np.ndarray, cpu_ms: np.ndarray) -> dict[str, float]:
 
 def means(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """One row for each combination and each end of the axis: the mean over what was measured; ``pareto`` where nothing
-    is both as cheap and better."""
+    is both as cheap and better, among what feels its own cloth and among what may pass through itself."""
     found: list[dict[str, Any]] = []
     for tier, knobs in dict.fromkeys((row["tier"], row["knobs"]) for row in rows):
         same = [row for row in rows if (row["tier"], row["knobs"]) == (tier, knobs)]
@@ -222,8 +222,9 @@ def means(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         worst = {"gain_p05": float(np.percentile([row["gain"] for row in same], 5.0))}
         found.append(first | {name: float(np.mean(values)) for name, values in kept.items() if values} | worst)
     for row in found:
+        alike = [other for other in found if row["cloth_contact"] in (None, other["cloth_contact"])]
         row["pareto"] = not any(
-            other["time_ratio"] <= row["time_ratio"] and other["gain"] > row["gain"] for other in found
+            other["time_ratio"] <= row["time_ratio"] and other["gain"] > row["gain"] for other in alike
         )
     return found
 
