@@ -255,6 +255,7 @@ class DrapeStream:
         """The next message, which who waits for it may leave to the next who asks."""
         if self._reading is None:
             self._reading = asyncio.ensure_future(self._connection.recv())
+            self._reading.add_done_callback(_seen)
         return self._reading
 
     async def _move(self, said: dict[str, Any]) -> str:
@@ -293,6 +294,12 @@ class DrapeStream:
         close = error.rcvd
         got = "a lost connection" if close is None else f"close {close.code} {close.reason}"
         return ServiceError("stream", expected="an open connection", got=got, cure="Open the stream again.")
+
+
+def _seen(reading: asyncio.Future[str | bytes]) -> None:
+    """Nobody may be left to hear why a stream that is no longer read ended."""
+    if not reading.cancelled():
+        reading.exception()
 
 
 async def _connected(url: str, key: str | None) -> ClientConnection:

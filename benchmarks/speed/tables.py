@@ -140,6 +140,20 @@ def beside_table(record: Record) -> str:
     return rows_table(BESIDE, record["rows"])
 
 
+CHURN = {
+    "clients": ("clients", "d"), "minutes": ("minutes", ".0f"), "streams": ("streams", "d"), "frames": ("frames", "d"),
+    "requests": ("requests", "d"), "uploads": ("uploads", "d"), "refused": ("refused", "d"), "failed": ("failed", "d"),
+    "memory_mb": ("memory [MB]", ".0f"), "last_mb": ("at the end", ".0f"), "slope_mb_h": ("slope [MB/h]", ".1f"),
+    "slope_error_mb_h": ("its error", ".1f"), "descriptors": ("descriptors", "d"),
+    "last_descriptors": ("at the end ", "d"), "threads": ("threads", "d"), "last_threads": ("at the end  ", "d"),
+}  # fmt: skip
+
+
+def churn_table(record: Record) -> str:
+    """What a service held while clients came and went."""
+    return rows_table(CHURN, record["rows"], record)
+
+
 TABLES = (
     ("precision", "docs/explanation/extremes.md", "precision", precision_table),
     ("latency", "docs/reference/performance.md", "latency_single", single_table),
@@ -148,6 +162,7 @@ TABLES = (
     ("latency", "docs/reference/performance.md", "latency_growth", growth_table),
     ("serving", "docs/reference/performance.md", "serving", serving_table),
     ("beside", "docs/reference/performance.md", "beside", beside_table),
+    ("churn", "docs/reference/performance.md", "churn", churn_table),
 )
 
 
