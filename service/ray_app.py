@@ -150,7 +150,7 @@ def application(settings: Settings, least: int, most: int) -> Application:
         ),
         # The application refuses by itself what is too much, with a sentence; Ray would let it wait.
         max_ongoing_requests=settings.max_connections,
-        request_router_config=RequestRouterConfig(request_router_class="service.ray_router:Router"),
+        request_router_config=RequestRouterConfig(request_router_class="service.ray_router:Router"),  # pyright: ignore
         ray_actor_options={"num_cpus": max(settings.threads, streaming), "num_gpus": int(settings.provider == "cuda")},
         graceful_shutdown_timeout_s=GRACE_S,
         graceful_shutdown_wait_loop_s=0.2,
