@@ -22,7 +22,7 @@ from service import still
 from service.background import processor_count, thread_steps_back
 from service.costs import Probe
 from service.engine import Engine
-from service.errors import Draining, InternalError
+from service.errors import Busy, Draining, InternalError
 from service.garments import Registry, Scene
 from service.metrics import Metrics
 from service.motions import Motions
@@ -36,6 +36,10 @@ STREAM_WAIT_S = 0.02
 """What a chunk of a clip may take while there are streams, which share processors with it; one frame is the least."""
 STREAM_PAUSE_S = 1.0
 """Longer after the last frame of a stream nothing gives way to streams any more."""
+
+CLIP_FPS = 1.0
+"""Frames that a clip gets for every second of waiting, after ``DRAPE_CLIP_WAIT_S``; otherwise it is refused, before its
+client gives up."""
 
 COSTS_KEPT = 1024
 """Scenes and tiers whose cost is remembered."""
@@ -220,16 +224,35 @@ class Drapery:
             yield part
 
     async def _in_chunks(self, frames: int, compute: Callable[[slice], Iterator[Result]]) -> AsyncIterator[Result]:
-        """The last of what ``compute`` gives of all ``frames``, slice after slice, each step of it in its turn."""
+        """The last of what ``compute`` gives of all ``frames``, slice after slice, each step of it in its turn.
+
+        Refuses (``Busy``) one that has waited for streams and other clips for ``clip_wait_s`` and a second for every
+        ``CLIP_FPS`` frames that it has got.
+        """
         frame_s, start = math.inf, 0  # until the first has told how long one takes
+        waited_s = 0.0  # for a turn; not for whoever asks to read
         while start < frames:
             if self.hurried:
                 raise Draining
+            begun_s = time.monotonic()
             async with self._clip_turn:
+                self._check_wait(start, waited_s + time.monotonic() - begun_s)
                 rows = slice(start, min(frames, start + self._chunk_frames(frame_s)))
                 result, took_s = await self._last(compute(rows))
+            waited_s += time.monotonic() - begun_s - took_s
             yield result
             frame_s, start = took_s / (rows.stop - rows.start), rows.stop
+
+    def _check_wait(self, frames: int, waited_s: float) -> None:
+        """Refuses a clip that has waited for ``waited_s`` while ``frames`` of it were computed."""
+        most_s = self.settings.clip_wait_s + frames / CLIP_FPS
+        if waited_s > most_s:
+            raise Busy(
+                "processors",
+                expected=f"{frames} frames of a clip after waiting {most_s:.0f} s for streams and other clips",
+                got=f"{waited_s:.0f} s",
+                cure="Ask again when there are fewer, or for fewer frames or a lower tier, or raise DRAPE_CLIP_WAIT_S.",
+            )
 
     async def _last(self, steps: Iterator[Result]) -> tuple[Result, float]:
         """The last of ``steps``, each ``aside`` in its turn, and how long they took there [s]."""

@@ -70,6 +70,7 @@ class Settings(BaseSettings):
     max_body_bytes: int = Field(default=8 * 2**20, ge=1024)
     max_upload_bytes: int = Field(default=64 * 2**20, ge=1024)
     max_clips: int = Field(default=8, ge=1)
+    clip_wait_s: float = Field(default=15.0, gt=0.0)
     max_pasts: int = Field(default=32, ge=1)
     past_s: float = Field(default=120.0, gt=0.0)
     max_frames: int = Field(default=1200, ge=1)

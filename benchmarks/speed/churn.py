@@ -196,7 +196,8 @@ async def going(url: str, number: int, poses: np.ndarray, mesh: bytes, end_s: fl
                     await uploading(http, mesh, drawn, tally)
         except (DrapeError, httpx.TransportError) as error:
             tally.counts["refused"] += 1
-            tally.counts[f"refused: {type(error).__name__}"] += 1
+            asked = f" at {error.request.url.path}" if isinstance(error, httpx.RequestError) else ""
+            tally.counts[f"refused: {type(error).__name__}{asked}"] += 1
         await asyncio.sleep(drawn.uniform(0.0, 2.0))
 
 

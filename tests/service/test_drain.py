@@ -27,7 +27,7 @@ from service.accepted import Accepted, staging_folder, taken_over
 from service.access import Access
 from service.app import create_app
 from service.drapery import Drapery
-from service.errors import Draining
+from service.errors import Busy, Draining
 from service.jobs import MOST_ATTEMPTS
 from service.settings import Settings
 from tests.architecture.repository import ROOT
@@ -149,6 +149,28 @@ def test_clips_end_when_the_service_hurries(make_settings: Callable[..., Setting
     with pytest.raises(Draining, match="Connect again"):
         asyncio.run(begin())
     assert isinstance(Draining().__reduce__()[0](), Draining)
+    drapery.close()
+
+
+def test_a_clip_that_others_keep_waiting_is_refused(make_settings: Callable[..., Settings]):
+    async def second(chunk_frames: int) -> slice:
+        """The second chunk of a clip, before which another clip has its turn for 1.2 s."""
+        drapery.settings = settings.model_copy(update={"chunk_frames": chunk_frames})
+        chunks = drapery._in_chunks(2 * chunk_frames, lambda rows: iter([rows]))
+        await anext(chunks)
+        async with drapery._clip_turn:
+            waiting = asyncio.ensure_future(anext(chunks))
+            await asyncio.sleep(1.2)
+        return await waiting
+
+    async def both() -> None:
+        assert await second(8) == slice(8, 16)  # one that has got more may wait longer
+        with pytest.raises(Busy, match="1 frames of a clip after waiting 1 s"):
+            await second(1)
+
+    settings = make_settings(clip_wait_s=0.05)
+    drapery = Drapery(settings)
+    asyncio.run(both())
     drapery.close()
 
 
