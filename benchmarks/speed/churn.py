@@ -10,7 +10,8 @@ drop frames, not to grow.
 
 Every ``LOOK_S`` memory (VmRSS), descriptors and threads of the service's process are read. ``slope_mb_h`` is the
 least-squares slope of memory after the first third, when every garment has been taken in and every path has run, with
-``slope_error_mb_h`` its standard error from the means of ``BLOCKS`` equal parts of that time.
+``slope_error_mb_h`` its standard error from the means of ``BLOCKS`` equal parts of that time. ``end_slope_mb_h`` and
+its error are those of the last third: an allocator's high water rises ever more rarely, a leak goes on.
 """
 
 from __future__ import annotations
@@ -46,7 +47,8 @@ WAIT_S = 60.0
 COLUMNS = {
     "case": "s", "clients": "d", "minutes": ".1f", "streams": "d", "frames": "d", "requests": "d", "refused": "d",
     "failed": "d", "memory_mb": ".0f", "last_mb": ".0f", "slope_mb_h": ".1f", "slope_error_mb_h": ".1f",
-    "descriptors": "d", "last_descriptors": "d", "threads": "d", "last_threads": "d",
+    "end_slope_mb_h": ".1f", "end_slope_error_mb_h": ".1f", "descriptors": "d", "last_descriptors": "d",
+    "threads": "d", "last_threads": "d",
 }  # fmt: skip
 
 
@@ -222,16 +224,22 @@ async def churn(at: Server, minutes: float, clients: int) -> tuple[Tally, list[L
 
 def row_of(tally: Tally, looked: Sequence[Looked], minutes: float, clients: int) -> dict[str, Any]:
     """The row of one run."""
+
+    def slope_after(begin: int) -> tuple[float, float]:
+        times_s, memory = (np.array([getattr(one, name) for one in looked[begin:-1]]) for name in ("at_s", "memory_mb"))
+        return slope_of(times_s, memory)
+
     settled = looked[len(looked) // 3 : -1]
-    times_s, memory = (np.array([getattr(one, name) for one in settled]) for name in ("at_s", "memory_mb"))
-    slope, error = slope_of(times_s, memory)
+    slope, error = slope_after(len(looked) // 3)
+    end_slope, end_error = slope_after(2 * len(looked) // 3)
     first, last = settled[0], looked[-1]
     counted = {name: tally.counts[name] for name in ("streams", "frames", "requests", "refused", "uploads")}
     return {
         "case": "churn", "clients": clients, "minutes": minutes, **counted, "failed": len(tally.faults),
         "memory_mb": first.memory_mb, "last_mb": last.memory_mb, "slope_mb_h": slope, "slope_error_mb_h": error,
-        "descriptors": first.descriptors, "last_descriptors": last.descriptors, "threads": first.threads,
-        "last_threads": last.threads,
+        "end_slope_mb_h": end_slope, "end_slope_error_mb_h": end_error,
+        "descriptors": first.descriptors, "last_descriptors": last.descriptors,
+        "threads": first.threads, "last_threads": last.threads,
     }  # fmt: skip
 
 
