@@ -9,6 +9,7 @@ import numpy as np
 from drape.cloth.energies import ClothMesh
 from drape.folds.constants import Dressed
 from drape.folds.contact import APART_M, HOLLOW_M, REACH_M, STEPS, TURNS, SkinGraph, Touched
+from drape.folds.lift import OTHER
 from drape.folds.room import FOLDED, HELD, LEAST_M, NEAR_M, ROOM_M, STIFFEST, TIGHT_M
 from drape.folds.sheet import ALIKE
 from drape.folds.step import (
@@ -76,6 +77,12 @@ def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) 
                 continue
             ahead = sweep(x + momentum * _limited(way, float(made.constants.reach)), made, around)
             x, way = ahead, ahead - x
+    if effort.clearance_m > 0.0:
+        if effort.sweeps == 0:
+            here = touch(x, frame.skin, dressed.graph, touched, past.turn if memory else -1)
+            touched = Touched(touched.own, here.other)
+            around = touching(made, dressed, x, frame.skin, here)
+        x = lifted(x, around, effort.clearance_m)
     residual, velocity = _to_local(frames, x - network), _to_local(frames, way) / step_s
     grip = gripped(x, stuck if memory else x, frame.skin, dressed.graph, touched.own)
     return x, Memory(frame.time_s, network, residual, velocity, touched, grip, (past.turn + 1) % TURNS)
@@ -245,6 +252,19 @@ def energy(x: np.ndarray, made: Problem, around: Around) -> float:
     depth = np.maximum(made.constants.gap - ((x - around.point) * around.normal).sum(axis=1), 0.0)
     found, _ = reference.energy_and_gradient(x, _with_slack(made, around.slack), around.own)
     return found + 0.5 * float((around.n_per_m * depth**2).sum())
+
+
+def lifted(x: np.ndarray, around: Around, clearance_m: float) -> np.ndarray:
+    """``x`` [m] (V, 3) above its planes: a share of what it lacks to ``clearance_m`` over those of other parts, then
+    all of what it lacks over its own."""
+    there = (around.n_per_m > 0.0)[:, None]
+    for point, normal, share in (
+        (around.point, around.normal, OTHER * there),
+        (around.own.point, around.own.normal, 1.0),
+    ):
+        low_m = np.maximum(clearance_m - ((x - point) * normal).sum(axis=1, keepdims=True), 0.0)
+        x = x + share * low_m * normal
+    return x
 
 
 def _pushed(x: np.ndarray, made: Problem, around: Around, which: slice) -> tuple[np.ndarray, np.ndarray]:

@@ -11,7 +11,7 @@ descent has the memory of a heavy ball. What is left, r = R (x - X) and u = R v 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +21,7 @@ from drape.cloth.material import Material
 from drape.folds.constants import Constants, Dressed
 from drape.folds.contact import NEIGHBOURS, TURNS, SkinGraph, Touched, carried, follow, gripped, touch
 from drape.folds.frames import in_frame, in_world, mend, surface_frames
+from drape.folds.lift import CLEARANCE_M, lift
 from drape.folds.room import Near, hold_within
 from drape.folds.sheet import LANES, Sheet
 from drape.folds.sweeps import PLANES, SCRATCH, descend, gradient_at, leash, stick
@@ -43,6 +44,7 @@ MENDS, MEND_M = 2, 0.03  # rounds of following the neighbours where a residual i
 PAUSE_S = 0.25  # after a longer one a frame has no past
 SHORTEST_STEP_S = 1.0 / 240.0  # frames that come closer together count as this far apart
 FIRST_STEP_S = 1.0 / 30.0  # of a frame without a past
+LIFTED_M = 1e-4  # a vertex that was lifted by less counts as left alone
 FADE_S = 1.0  # in which folds that are only carried along come down to 1/e
 
 
@@ -77,10 +79,13 @@ class Memory:
 @dataclass(frozen=True)
 class Report:
     """``settled``: the frame had no past, or one that does not lead here. ``reset``: what came out was no fold, and the
-    frame was begun anew from the network's drape."""
+    frame was begun anew from the network's drape. The share of the vertices that were lifted off the skin, and the
+    furthest way of one [m]."""
 
     settled: bool
     reset: bool = False
+    lifted_share: float = 0.0
+    lifted_max_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -91,13 +96,15 @@ class Effort:
 
     In fast motion ``paced`` tells how much of either there is.
     ``cloth_contact``: whether the cloth keeps to the room that the network's drape leaves between its sheets.
-    ``friction``: whether the skin takes cloth along that has a past.
+    ``friction``: whether the skin takes cloth along that has a past. ``clearance_m`` [m]: no vertex is left nearer to
+    its own part of the skin, but with 0 all are left where they are.
     """
 
     sweeps: int
     settle: int = 8
     cloth_contact: bool = False
     friction: bool = True
+    clearance_m: float = CLEARANCE_M
 
 
 def fold(
@@ -112,13 +119,13 @@ def fold(
     skin = np.array(frame.skin, dtype=dtype, order="C")  # a copy: kernels are compiled for arrays that may be written
     none = _without_past(constants, network, frame.time_s)
     past = memory if memory is not None and _leads_to(memory, network, frame.time_s) else none
-    x, after = _advanced(constants, past, network, skin, frame.time_s, effort)
-    if x is not None:
-        return x, after, Report(settled=past is none)
-    x, after = _advanced(constants, none, network, skin, frame.time_s, effort)
-    if x is not None:
-        return x, after, Report(settled=True, reset=True)
-    return frame.vertices, none, Report(settled=True, reset=True)
+    x, after, report = _advanced(constants, past, network, skin, frame.time_s, effort)
+    if x is None:
+        x, after, report = _advanced(constants, none, network, skin, frame.time_s, effort)
+        report = replace(report, reset=True)
+    if x is None:
+        return frame.vertices, none, Report(settled=True, reset=True)
+    return x, after, report
 
 
 def _leads_to(memory: Memory, network: np.ndarray, time_s: float) -> bool:
@@ -144,8 +151,8 @@ def _without_past(constants: Constants, network: np.ndarray, time_s: float) -> M
 
 def _advanced(
     constants: Constants, past: Memory, network: np.ndarray, skin: np.ndarray, time_s: float, effort: Effort
-) -> tuple[np.ndarray | None, Memory]:
-    """Vertices [m] (V, 3) of the frame after ``past``, None where they are no folds, and its memory."""
+) -> tuple[np.ndarray | None, Memory, Report]:
+    """Vertices [m] (V, 3) of the frame after ``past``, None where they are no folds, its memory, and a report."""
     dtype = network.dtype.type
     settled = past.network is network
     step_s = FIRST_STEP_S if settled else max(time_s - past.time_s, SHORTEST_STEP_S)
@@ -159,14 +166,16 @@ def _advanced(
     numbers = Numbers(
         dtype(step_s), dtype(momentum), dtype(pace.share), rounds, pace.steps, pace.sweeps,
         -1 if settled else past.turn, effort.cloth_contact and rounds > 0,
-        dtype(constants.friction if effort.friction and not settled else 0.0),
+        dtype(constants.friction if effort.friction and not settled else 0.0), dtype(effort.clearance_m),
     )  # fmt: skip
     cloth = Cloth(constants.sheet, constants.level, constants.graph, constants.near)
     touched = Touched(past.touched.own.copy(), past.touched.other.copy())
     kept = Kept(dtype(share) * past.residual, dtype(share == 1.0) * past.velocity, past.grip.copy())
-    x, far = advance(network, kept, touched, skin, cloth, numbers)
+    x, far, lifted_m = advance(network, kept, touched, skin, cloth, numbers)
+    lifted_m = lifted_m[place]
     after = Memory(time_s, network, kept.residual, kept.velocity, touched, kept.grip, (past.turn + 1) % TURNS)
-    return (x[place] if far <= FAR_M else None), after
+    report = Report(settled, False, float((lifted_m > LIFTED_M).mean()), float(lifted_m.max()))
+    return (x[place] if far <= FAR_M else None), after, report
 
 
 def fading(effort: Effort, step_s: float) -> float:
@@ -229,7 +238,8 @@ class Kept(NamedTuple):
 
 class Numbers(NamedTuple):
     """``step_s`` since the frame before [s]; ``rounds`` of ``steps`` of the whole, a ``share`` of each, and of
-    ``sweeps``; the ``turn`` of ``touch``; whether cloth is held ``within`` its room; ``friction`` with the skin."""
+    ``sweeps``; the ``turn`` of ``touch``; whether cloth is held ``within`` its room; ``friction`` with the skin, and
+    the ``clearance`` [m] that cloth is lifted to."""
 
     step_s: np.floating
     momentum: np.floating
@@ -240,11 +250,12 @@ class Numbers(NamedTuple):
     turn: int
     within: bool
     friction: np.floating
+    clearance: np.floating
 
 
 @kernel
 def advance(network, kept, touched, skin, cloth, numbers):
-    """``x`` [m] (P, 3), and how far [m] it is from the network; NaN where one is.
+    """``x`` [m] (P, 3), how far [m] it is from the network, NaN where one is, and how far [m] each was lifted (P,).
 
     What is ``kept`` and ``touched`` is moved on in place.
     """
@@ -263,7 +274,8 @@ def advance(network, kept, touched, skin, cloth, numbers):
     for _ in range(MENDS):
         mend(x, sheet, MEND_M)
     x += network
-    _descend_rounds(x, way, Around(network, stuck, skin), touched, cloth, numbers)
+    lifted = np.zeros(len(x), x.dtype)
+    _descend_rounds(x, way, lifted, Around(network, stuck, skin), touched, cloth, numbers)
     if numbers.turn < 0:
         stuck[:] = x
     gripped(x, stuck, touched, skin, cloth.graph, grip)
@@ -276,12 +288,13 @@ def advance(network, kept, touched, skin, cloth, numbers):
         r, u = in_frame(frames, v, off), in_frame(frames, v, scaled(k.one / numbers.step_s, at(way, v)))
         for i in range(3):
             residual[v, i], velocity[v, i] = r[i], u[i]
-    return x, np.sqrt(far)
+    return x, np.sqrt(far), lifted
 
 
 @kernel
-def _descend_rounds(x, way, around, touched, cloth, numbers):
-    """The rounds of ``numbers`` on ``x``, in place, with the ``way`` of the last step."""
+def _descend_rounds(x, way, lifted, around, touched, cloth, numbers):
+    """The rounds of ``numbers`` on ``x``, in place, with the ``way`` of the last step, and how far each was ``lifted``
+    in the end."""
     sheet, network, skin = cloth.sheet, around.network, around.skin
     planes, gradient = np.empty(PLANES // LANES * len(x), x.dtype), np.empty_like(x)
     before, scratch = np.empty_like(x), np.empty(SCRATCH, x.dtype)
@@ -311,6 +324,10 @@ def _descend_rounds(x, way, around, touched, cloth, numbers):
             descend(x, sheet, planes, network, scratch)
             if numbers.steps == 0:
                 _set_way(way, x, before)
+    if numbers.clearance > 0.0:
+        if numbers.rounds == 0:  # folds that are only carried along have no planes yet
+            touch(x, skin, cloth.graph, sheet, touched, numbers.turn, planes)
+        lift(x, planes, numbers.clearance, lifted)
 
 
 @kernel

@@ -56,7 +56,9 @@ class DrapeOptions(BaseModel):
     model_config = ConfigDict(frozen=True)
 
     push_out: bool | None = Field(
-        default=None, description="Push vertices out of the body; the service's setting if left out."
+        default=None,
+        description="Bring vertices out of the body and of garments below: folds lift them, without folds they are "
+        "pushed; the service's setting if left out.",
     )
     knob: float | None = Field(
         default=None,

@@ -51,6 +51,11 @@ class Plan:
         return tuple(entry.garment.digest for entry in self.scene.layers)
 
     @property
+    def lifted(self) -> bool:
+        """Whether folds bring the cloth off the skin, and off the layers below: as far as they feel these."""
+        return bool(self.options.folds) and (bool(self.options.cloth_contact) or len(self.scene.layers) == 1)
+
+    @property
     def visible(self) -> tuple[bool, ...]:
         """Which layers of the scene come."""
         hidden = self.options.hidden or ()
@@ -121,9 +126,10 @@ class Layer:
 class Quality:
     """What was done to each frame (F,).
 
-    By the collision projection: the share of vertices that it moved, the furthest way of one [m], and the longest way
-    [m] that a vertex made of the jets lacks to it. ``folds_resets``: how many layers' folds were begun anew.
-    ``novelty``: how unlike training the pose is, above 1 more than it may be (``drape.body.pose_support``).
+    By the collision projection, or where folds lift the cloth off the skin by these: the share of vertices that were
+    moved, the furthest way of one [m]; and the longest way [m] that a vertex made of the jets lacks to the former.
+    ``folds_resets``: how many layers' folds were begun anew. ``novelty``: how unlike training the pose is, above 1 more
+    than it may be (``drape.body.pose_support``).
     """
 
     pushed_share: np.ndarray

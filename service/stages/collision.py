@@ -1,4 +1,7 @@
-"""The collision projection (the push-out): every garment out of the body and of the garments below it."""
+"""The collision projection (the push-out): every garment out of the body and of the garments below it.
+
+Folds end off the skin by themselves, from the planes that they know anyway; then there is nothing left to project.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,7 @@ class Collision(Stage):
         return {"push_out": self.settings.push_out if options.push_out is None else options.push_out}
 
     def wanted(self, plan: Plan) -> bool:
-        return bool(plan.options.push_out)
+        return bool(plan.options.push_out) and not plan.lifted
 
     def joins_layers(self, plan: Plan) -> bool:
         return True

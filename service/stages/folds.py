@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,14 +16,14 @@ from drape.errors import InputError
 from drape.folds.constants import Constants, constants
 from drape.folds.contact import Touched
 from drape.folds.layers import covered, raised
-from drape.folds.step import Effort, Frame, Memory, fold, warm_up
+from drape.folds.step import Effort, Frame, Memory, Report, fold, warm_up
 from drape.garment.cache import Garment
 from drape.garment.wrapping import Wrapping
 from drape.wire.options import DrapeOptions
 from service.engine import SKIN, Engine
 from service.fabrics import layer_fabrics
 from service.settings import Settings
-from service.stages.batch import FINE, Batch, Layer, Plan, Stage
+from service.stages.batch import FINE, Batch, Layer, Plan, Quality, Stage
 
 SETTLE = 8  # times the steps of a frame for one without a past, where clients do not say
 KEPT_BYTES = 256 << 20  # of garments in fabrics, 3 to 8 MB each; what is in use stays
@@ -106,12 +106,18 @@ class Folds(Stage):
         """Layer after layer: a frame without a past takes tens of milliseconds for each."""
         plan = batch.plan
         assert plan.options.folds and plan.options.settle is not None
-        effort = Effort(plan.options.folds, plan.options.settle, cloth_contact=bool(plan.options.cloth_contact))
+        clearance_m = self.settings.clearance_m if plan.options.push_out else 0.0
+        effort = Effort(
+            plan.options.folds,
+            plan.options.settle,
+            cloth_contact=bool(plan.options.cloth_contact),
+            clearance_m=clearance_m,
+        )
         safe = replace(effort, sweeps=max(plan.options.folds, plan.options.safe_folds or 0))
         if plan.carried:
             effort = safe = replace(effort, sweeps=0)
         efforts = [safe if novelty > 1.0 else effort for novelty in batch.quality.novelty]
-        layers, resets, read = list(batch.layers), np.zeros(len(batch.root)), _read(plan)
+        layers, read, told = list(batch.layers), _read(plan), _Told.of(batch)
         assert batch.skin is not None
         ground = batch.skin.reshape(len(batch.skin), -1, batch.skin.shape[-1])
         fabrics = layer_fabrics(plan.options, len(plan.keys))
@@ -119,13 +125,15 @@ class Folds(Stage):
             memories = batch.remembered((self.name, key))
             covers = effort.cloth_contact and i + 1 < len(layers)
             made = self._of(key, fabric)
-            layers[i], memories, again, height = self._folded(batch, i, made, efforts, memories, ground, covers=covers)
-            resets += again
+            layers[i], memories, reports, height = self._folded(
+                batch, i, made, efforts, memories, ground, covers=covers
+            )
+            told.add(reports, len(made.sheet.place), seen=plan.visible[i])
             ground = ground if height is None else raised(ground, height)
             batch = batch.remember((self.name, key), memories)
             if sent != key and read[i]:
                 layers[i] = self._wrapped(layers[i], sent)
-            yield replace(batch, layers=tuple(layers), quality=replace(batch.quality, folds_resets=resets))
+            yield replace(batch, layers=tuple(layers), quality=told.quality(batch.quality))
 
     def _folded(
         self,
@@ -137,23 +145,23 @@ class Folds(Stage):
         ground: np.ndarray,
         *,
         covers: bool,
-    ) -> tuple[Layer, list[Memory | None], np.ndarray, np.ndarray | None]:
+    ) -> tuple[Layer, list[Memory | None], list[Report], np.ndarray | None]:
         """Layer ``i`` with folds over ``ground`` (F, S, 8) by the frames' ``efforts``, the memories of the inputs after
-        it, which frames (F,) were begun anew, and, where it ``covers`` others' ground, how high [m] (F, S)."""
+        it, a report of each frame, and, where it ``covers`` others' ground, how high [m] (F, S)."""
         drape = batch.layers[i].vertices
         assert drape is not None
-        vertices, resets, after = np.empty_like(drape), np.zeros(len(drape)), []
+        vertices, reports, after = np.empty_like(drape), [], []
         height = np.empty(ground.shape[:2], ground.dtype) if covers else None
         for (one, rows), memory in zip(batch.rows(), memories, strict=True):
             for number, row in enumerate(range(rows.start, rows.stop)):
                 frame = Frame(drape[row], ground[row], float(one.times_s[number]))
                 vertices[row], memory, report = fold(made, memory, frame, efforts[row])
-                resets[row] = report.reset
+                reports.append(report)
                 if height is not None:
                     own = memory.touched.own[made.sheet.place]
                     height[row] = covered(vertices[row], own, ground[row], made.graph)
             after.append(memory)
-        return replace(batch.layers[i], vertices=vertices), after, resets, height
+        return replace(batch.layers[i], vertices=vertices), after, reports, height
 
     def _wrapped(self, layer: Layer, key: str) -> Layer:
         """``layer`` as the delivered mesh of the garment ``key``, around the finer cloth."""
@@ -202,4 +210,36 @@ class Folds(Stage):
 
 def _read(plan: Plan) -> list[bool]:
     """Of which layers the delivered mesh is read: a hidden one's by the push-out alone."""
-    return [seen or bool(plan.options.push_out) for seen in plan.visible]
+    return [seen or (bool(plan.options.push_out) and not plan.lifted) for seen in plan.visible]
+
+
+@dataclass(eq=False)
+class _Told:
+    """What is told of F frames, added up over the layers: how many were begun anew, vertices that were lifted off the
+    skin, of how many, and the furthest way of one [m]."""
+
+    resets: np.ndarray
+    lifted: np.ndarray
+    lifted_max_m: np.ndarray
+    vertices: int = 0
+
+    @classmethod
+    def of(cls, batch: Batch) -> _Told:
+        frames = len(batch.root)
+        return cls(np.zeros(frames), np.zeros(frames), np.zeros(frames))
+
+    def add(self, reports: Sequence[Report], vertices: int, *, seen: bool) -> None:
+        """Adds a layer of so many ``vertices``, whose lift is told where it is ``seen``."""
+        self.resets += [report.reset for report in reports]
+        if seen:
+            self.vertices += vertices
+            self.lifted += [vertices * report.lifted_share for report in reports]
+            self.lifted_max_m = np.maximum(self.lifted_max_m, [report.lifted_max_m for report in reports])
+
+    def quality(self, before: Quality) -> Quality:
+        return replace(
+            before,
+            folds_resets=self.resets.copy(),
+            pushed_share=self.lifted / max(self.vertices, 1),
+            push_max_m=self.lifted_max_m,
+        )

@@ -10,10 +10,12 @@ from dataclasses import replace
 import httpx
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
+from drape.body.model import BodyModel
 from drape.errors import InputError
 from drape.folds import step
+from drape.geometry.closest import signed_distance
 from drape.wire.options import DrapeOptions
 from service.app import create_app
 from service.drapery import Drapery
@@ -21,6 +23,7 @@ from service.settings import Settings
 from service.stages import carried, run, walk
 from service.stages import folds as folds_stage
 from service.stages.batch import PoseInput
+from service.stages.collision import MOVED_M
 from service.stages.folds import SETTLE, Folds
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import outfit_settings, serve
@@ -44,11 +47,47 @@ def test_without_folds_the_stage_is_not_in_the_plan_and_nothing_changes(drapery:
     assert plain == none == drapery.plan(entry, DrapeOptions(settle=3)), "settle alone asks for nothing"
     assert [stage.name for stage in plain.stages] == ["network", "collision"]
     folded = drapery.plan(entry, DrapeOptions(folds=2))
-    assert [stage.name for stage in folded.stages] == ["network", "folds", "collision"]
+    assert [stage.name for stage in folded.stages] == ["network", "folds"]
     assert folded.options.settle == SETTLE
     still = [PoseInput(POSES[:1], TRANS[:1], np.zeros(10), TIMES_S[:1])]
     way = run(folded, still).vertices - run(plain, still).vertices
     assert 1e-5 < np.abs(way).max() < 0.1
+
+
+def test_folds_lift_the_cloth_off_the_skin_and_nothing_is_projected(
+    make_settings: Callable[..., Settings], body: BodyModel
+):
+    high_m = 0.008  # more than contact keeps, so that there is something to lift
+    drapery = Drapery(make_settings(clearance_m=high_m))
+    entry = drapery.garments.get("tube")
+    on, off = (drapery.plan(entry, DrapeOptions(folds=1, push_out=pushed)) for pushed in (True, False))
+    assert {stage.name for plan in (on, off) for stage in plan.stages} == {"network", "folds"}
+    lifted, left = run(on, [CLIP]), run(off, [CLIP])
+    first = np.linalg.norm(lifted.vertices[0] - left.vertices[0], axis=-1)  # later frames begin where these ended
+    assert first.max() > 1e-3
+    assert_allclose(lifted.quality.push_max_m[0], first.max(), rtol=1e-3, atol=1e-6)
+    assert_allclose(lifted.quality.pushed_share[0], (first > MOVED_M).mean(), rtol=0.0, atol=0.01)
+    assert not left.quality.push_max_m.any() and not left.quality.pushed_share.any()
+    skin = body.posed_vertices(POSES[:1], TRANS[:1])[0]
+    above, below = (
+        signed_distance(one.world()[0].astype(np.float64), skin, body.faces).min() for one in (lifted, left)
+    )
+    assert above > high_m - 1.5e-3 > below, "between samples the skin is a little higher than its planes"
+    drapery.close()
+
+
+def test_layers_that_do_not_feel_each_other_are_pushed_apart(outfit_settings: Settings):
+    drapery = Drapery(outfit_settings)
+    scene = drapery.garments.scene(None, ["tube", "coat"])
+    for feels, last in ((True, "folds"), (False, "collision")):
+        plan = drapery.plan(scene, DrapeOptions(folds=1, cloth_contact=feels))
+        assert plan.stages[-1].name == last and plan.lifted == feels
+    told = run(drapery.plan(scene, DrapeOptions(folds=1)), [CLIP]).quality
+    inner = run(drapery.plan(drapery.garments.get("tube"), DrapeOptions(folds=1)), [CLIP]).quality
+    hidden = run(drapery.plan(scene, DrapeOptions(folds=1, hidden=("coat",))), [CLIP]).quality
+    assert_array_equal(hidden.pushed_share, inner.pushed_share)
+    assert (told.push_max_m >= inner.push_max_m).all()
+    drapery.close()
 
 
 def test_folds_of_jets_are_refused(drapery: Drapery):
