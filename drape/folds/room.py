@@ -22,27 +22,43 @@ import numpy as np
 import scipy.sparse
 
 from drape.cloth.energies import ClothMesh
-from drape.folds.contact import cells_of
+from drape.folds.clusters import POINT_ROWS, boxes_of, clusters, find_close, laid, less, squared
 from drape.folds.sheet import LANES
-from drape.folds.sweeps import HELD_ROW, PLANES, SLACK_ROW
-from drape.solver.compiled import kernel
-from drape.solver.elements import at, dot, sub
+from drape.folds.sweeps import HELD_ROW, PLANES, SLACK_ROW, row3
+from drape.solver.compiled import kernel, part
 
 NEAR_M = 0.02  # along the cloth: nearer vertices, and those of one triangle, are one sheet
 FOLDED = 0.6  # of the way along the cloth: what is no nearer than that through the air is one sheet, pressed together
 ROOM_M, TIGHT_M = 0.018, 0.012  # distance from which a vertex is held closer, and at which slack is the least
 LEAST_M = 0.0002
 HELD, STIFFEST = 1.5, 4.0  # of contact's stiffness; with more of either held cloth rattles
-PER_CELL = 1.0 / ROOM_M
+FREE = 255  # bounds are whole numbers, the last but one of them ROOM_M
+BOUND_M2 = ROOM_M**2 / (FREE - 1)
+
+# Rows of the scratch, of ``LANES`` numbers each: points of two clusters, the least square for each of the second one,
+# and bounds of four lanes of the first one.
+FOUR = 4
+OWN, OTHER, LEAST, BOUND = 0, 3 * LANES, 6 * LANES, 7 * LANES
+SCRATCH = (7 + FOUR) * LANES
 
 
 class Near(NamedTuple):
     """Vertices that may be of one sheet with v, v itself too: ``vertex[start[v] : start[v + 1]]``, and the ``square``
-    of the distance [m^2] from which each is: 0 of those near along the cloth."""
+    of the distance [m^2] from which each is: 0 of those near along the cloth.
+
+    The same by ``clusters`` (C, ``LANES``): ``other[other_start[a] : other_start[a + 1]]`` (K,) are a and those after
+    it that have a vertex listed with one of a. For every pair of lanes, a's first, ``bound`` (K, ``LANES``, ``LANES``)
+    uint8 is no less than the square, in ``BOUND_M2``: 0 near along the cloth, and ``FREE``, more than any that counts,
+    where the pair is not listed.
+    """
 
     start: np.ndarray
     vertex: np.ndarray
     square: np.ndarray
+    clusters: np.ndarray
+    other_start: np.ndarray
+    other: np.ndarray
+    bound: np.ndarray
 
 
 def near_along(cloth: ClothMesh) -> Near:
@@ -61,7 +77,29 @@ def near_along(cloth: ClothMesh) -> Near:
     start, vertex, along = _reached(graph.indptr, graph.indices, graph.data, ROOM_M / FOLDED)
     own = np.repeat(np.arange(count), np.diff(start))
     beside = (own == vertex) | (np.asarray(graph[own, vertex]).reshape(-1) > 0.0)
-    return Near(start, vertex, np.where(beside | (along <= NEAR_M), 0.0, (FOLDED * along) ** 2).astype(np.float32))
+    square = np.where(beside | (along <= NEAR_M), 0.0, (FOLDED * along) ** 2).astype(np.float32)
+    member = clusters(graph)
+    return Near(start, vertex, square, member, *_bounds(own, vertex, square, member))
+
+
+def _bounds(
+    own: np.ndarray, vertex: np.ndarray, square: np.ndarray, member: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """``other_start``, ``other`` and ``bound`` of ``Near``, of pairs of ``own`` and ``vertex`` (N,)."""
+    cluster, lane = np.empty((2, member.max() + 1), np.int64)
+    cluster[member], lane[member] = np.arange(len(member))[:, None], np.arange(LANES)
+    later = cluster[own] <= cluster[vertex]
+    own, vertex, square = own[later], vertex[later], square[later]
+    listed, entry = np.unique(cluster[own] * len(member) + cluster[vertex], return_inverse=True)
+    a, b = np.divmod(listed, len(member))
+    bound = np.full((len(listed), LANES, LANES), FREE, np.uint8)
+    # A step more than the next one, for what rounding may do.
+    steps = np.minimum(np.floor(square / BOUND_M2) + 2.0, FREE)
+    bound[entry, lane[own], lane[vertex]] = np.where(square > 0.0, steps, 0.0)
+    # Lanes that repeat a vertex know what the one of its entry knows.
+    bound = bound[np.arange(len(listed))[:, None, None], lane[member[a]][:, :, None], lane[member[b]][:, None]]
+    other_start = np.searchsorted(a, np.arange(len(member) + 1)).astype(np.int32)
+    return other_start, b.astype(np.int32), bound
 
 
 @kernel
@@ -125,37 +163,86 @@ def rooms(points, near, room):
     """The distance [m] in ``room`` (V,) from each of ``points`` (V, 3) to the nearest one that is not of its sheet,
     ``ROOM_M`` where none is within that.
 
-    Each pair is looked at once, from the earlier cell of a grid, points in the order of their cells.
+    Each pair of clusters that may come near each other is looked at once; hardly any has vertices that count.
     """
-    dtype = points.dtype.type
-    room[:] = dtype(ROOM_M)
-    start, member, low, size = cells_of(points, PER_CELL)
-    if len(start) == 1:
-        return
-    ordered = np.empty((len(points), 3), points.dtype)
-    for e in range(len(points)):
-        for i in range(3):
-            ordered[e, i] = points[member[e], i]
+    dtype, count = points.dtype.type, len(near.clusters)
+    rows = laid(points, near.clusters)
+    boxes, groups = boxes_of(rows)
     most = dtype(ROOM_M) * dtype(ROOM_M)
-    square = np.full(len(points), most)
-    for e in range(len(points)):
-        own = at(ordered, e)
-        x = int((own[0] - low[0]) * PER_CELL)
-        y = int((own[1] - low[1]) * PER_CELL)
-        z = int((own[2] - low[2]) * PER_CELL)
-        first, last = max(z - 1, 0), min(z + 2, size[2])
-        for i in range(x, min(x + 2, size[0])):
-            for j in range(y if i == x else max(y - 1, 0), min(y + 2, size[1])):
-                row = (i * size[1] + j) * size[2]
-                begin = e + 1 if i == x and j == y else start[row + first]
-                for other in range(begin, start[row + last]):
-                    way = sub(own, at(ordered, other))
-                    far = dot(way, way)
-                    if far < max(square[e], square[other]) and not _is_near(near, member[e], member[other], far):
-                        square[e], square[other] = min(square[e], far), min(square[other], far)
-    for e in range(len(points)):
-        if square[e] < most:  # the root of the square of what nobody is within may be less than it
-            room[member[e]] = np.sqrt(square[e])
+    square, bound = np.full(LANES * count, most), near.bound.reshape(-1)
+    table, s = np.full(count, -1, np.int32), np.empty(SCRATCH, points.dtype)
+    hit, found = np.empty(2 * LANES, np.int32), np.empty(count, np.int32)
+    for a in range(count):
+        for entry in range(near.other_start[a], near.other_start[a + 1]):
+            table[near.other[entry]] = entry
+        for entry in range(POINT_ROWS):
+            s[OWN + entry] = rows[POINT_ROWS * a + entry]
+        for number in range(find_close(a, count, boxes, groups, most, hit, found)):
+            b = found[number]
+            for entry in range(POINT_ROWS):
+                s[OTHER + entry] = rows[POINT_ROWS * b + entry]
+            if _may_count(s, bound, table[b], most):
+                _count(s, near, a, b, table[b] >= 0, square)
+        for entry in range(near.other_start[a], near.other_start[a + 1]):
+            table[near.other[entry]] = -1
+    for e in range(LANES * count):
+        # The root of the square of what nobody is within may be less than it.
+        room[near.clusters[e // LANES, e % LANES]] = np.sqrt(square[e]) if square[e] < most else dtype(ROOM_M)
+
+
+@part
+def _far(own, s, lane):
+    x, y, z = s[OTHER + lane], s[OTHER + LANES + lane], s[OTHER + 2 * LANES + lane]
+    return squared(own[0] - x, own[1] - y, own[2] - z)
+
+
+@part
+def _may_count(s, bound, table, most):
+    """Whether a pair is within the root of ``most`` [m^2] and its bound, if a ``table`` has them; the least square for
+    each of the others in ``LEAST``.
+
+    Four of the own ones at a time: their points are read before anything is written, so that loops take vectors.
+    """
+    for lane in range(LANES):
+        s[LEAST + lane] = most
+    if table < 0:
+        for i in range(0, LANES, FOUR):
+            a, b, c, d = row3(s, OWN, i), row3(s, OWN, i + 1), row3(s, OWN, i + 2), row3(s, OWN, i + 3)
+            for lane in range(LANES):
+                p, q, r, t = _far(a, s, lane), _far(b, s, lane), _far(c, s, lane), _far(d, s, lane)
+                s[LEAST + lane] = less(less(less(p, q), less(r, t)), s[LEAST + lane])
+    else:
+        step = s.dtype.type(BOUND_M2)
+        for i in range(0, LANES, FOUR):
+            a, b, c, d = row3(s, OWN, i), row3(s, OWN, i + 1), row3(s, OWN, i + 2), row3(s, OWN, i + 3)
+            for entry in range(FOUR * LANES):
+                s[BOUND + entry] = step * bound[LANES * LANES * table + LANES * i + entry]
+            for lane in range(LANES):
+                p, q, r, t = _far(a, s, lane), _far(b, s, lane), _far(c, s, lane), _far(d, s, lane)
+                p = p if p < s[BOUND + lane] else most
+                q = q if q < s[BOUND + LANES + lane] else most
+                r = r if r < s[BOUND + 2 * LANES + lane] else most
+                t = t if t < s[BOUND + 3 * LANES + lane] else most
+                s[LEAST + lane] = less(less(less(p, q), less(r, t)), s[LEAST + lane])
+    some = 0
+    for lane in range(LANES):
+        some |= 1 if s[LEAST + lane] < most else 0
+    return some > 0
+
+
+@kernel
+def _count(s, near, a, b, listed, square):
+    """Takes all pairs of clusters a and b that count into ``square`` [m^2], where some may have ``listed`` ones."""
+    for j in range(LANES):
+        # Bounds are those of the lists or more: where nothing is below them nothing counts.
+        if not s[LEAST + j] < s.dtype.type(ROOM_M) * s.dtype.type(ROOM_M):
+            continue
+        for i in range(LANES):
+            own, other, far = LANES * a + i, LANES * b + j, _far(row3(s, OWN, i), s, j)
+            if far < max(square[own], square[other]) and not (
+                listed and _is_near(near, near.clusters[a, i], near.clusters[b, j], far)
+            ):
+                square[own], square[other] = min(square[own], far), min(square[other], far)
 
 
 @kernel

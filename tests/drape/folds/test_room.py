@@ -12,7 +12,8 @@ from drape.cloth.energies import ClothMesh
 from drape.folds import reference
 from drape.folds.constants import LEASH_N_M3, Constants
 from drape.folds.contact import Touched
-from drape.folds.room import LEAST_M, ROOM_M, near_along, rooms
+from drape.folds.room import BOUND_M2, LEAST_M, ROOM_M, near_along, rooms
+from drape.folds.sheet import LANES
 from drape.folds.step import Effort, Frame, fold
 from drape.solver.problem import problem
 from drape.solver.reference import energy_and_gradient
@@ -46,6 +47,59 @@ def test_rooms_are_those_of_all_pairs(rng, dtype):
         rooms(crumpled.astype(dtype), near_along(cloth), found)
         assert_allclose(found, reference.room(crumpled, cloth), rtol=0.0, atol=1e-7)
         assert 0.0 < found.min() < 0.5 * ROOM_M, "somewhere cloth is near to itself"
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("side_m", [0.06, 0.15, 0.4])
+def test_rooms_in_a_cloud_are_those_of_all_pairs(rng, dtype, side_m):
+    """Vertices anywhere in a box, of a cloth in two pieces: most have many others near, of the sheet and not."""
+    vertices, faces = grid(22, 28, cell_m=0.008)
+    parted = faces[(faces < 300).all(axis=1) | (faces >= 300).all(axis=1)]
+    cloth = ClothMesh.from_rest(vertices, parted)
+    near = near_along(cloth)
+    assert len(near.clusters) > 2 * LANES and len(vertices) % LANES, "several groups, and a cluster that is not full"
+    for _ in range(3):
+        cloud = (side_m * rng.uniform(size=vertices.shape)).astype(dtype)
+        found = np.empty(len(vertices), dtype)
+        rooms(cloud, near, found)
+        assert_allclose(found, reference.room(cloud.astype(np.float64), cloth), rtol=0.0, atol=1e-7)
+
+
+def test_rooms_do_not_know_where_their_arrays_lie(rng):
+    vertices, faces = grid(12, 9, cell_m=0.006)
+    near, cloud = near_along(ClothMesh.from_rest(vertices, faces)), rng.uniform(0.0, 0.05, vertices.shape)
+    found = []
+    for offset in range(8):
+        points = np.empty(cloud.size + offset, np.float32)[offset:].reshape(cloud.shape)
+        points[:] = cloud
+        found.append(np.empty(len(vertices) + offset, np.float32)[offset:])
+        rooms(points, near, found[-1])
+    assert (found[0] < ROOM_M).any()
+    for other in found[1:]:
+        assert_array_equal(other, found[0])
+
+
+def test_clusters_have_every_vertex_and_bounds_are_no_less_than_the_lists(rng):
+    vertices, faces = grid(22, 28, cell_m=0.008)
+    near = near_along(ClothMesh.from_rest(vertices, faces))
+    assert_array_equal(np.unique(near.clusters), np.arange(len(vertices)))
+    assert near.clusters.size - len(vertices) < LANES
+    wide = np.ptp(vertices[near.clusters], axis=1).max(axis=1)
+    assert np.median(wide) < 0.05, "32 mm in a square"
+    square = np.full((len(vertices), len(vertices)), np.inf)
+    square[np.repeat(np.arange(len(vertices)), np.diff(near.start)), near.vertex] = near.square
+    cluster = np.empty(len(vertices), int)
+    cluster[near.clusters] = np.arange(len(near.clusters))[:, None]
+    listed = np.zeros((len(near.clusters), len(near.clusters)), bool)
+    for a in range(len(near.clusters)):
+        for entry in range(near.other_start[a], near.other_start[a + 1]):
+            b, bound = near.other[entry], near.bound[entry] * BOUND_M2
+            listed[a, b] = True
+            exact = np.minimum(square[near.clusters[a][:, None], near.clusters[b]], ROOM_M**2)
+            assert (bound >= exact).all() and (bound[exact == 0.0] == 0.0).all()
+            assert (bound <= exact + 2.01 * BOUND_M2).all()
+    v, u = np.nonzero(np.isfinite(square))
+    assert (listed[cluster[v], cluster[u]] | (cluster[v] > cluster[u])).all()
 
 
 def test_what_is_near_along_the_cloth_is_itself_its_neighbours_and_two_centimetres():
