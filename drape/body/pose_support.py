@@ -73,8 +73,9 @@ class PoseSupport:
 def pose_rows(poses: np.ndarray) -> np.ndarray:
     """All numbers of ``poses`` (F, 24, 3) [rad] that are looked at, part after part in the order of ``PARTS``
     (F, 129)."""
-    # One call in C for a frame, where the formula of drape.geometry in numpy takes fifty.
-    matrices = Rotation.from_rotvec(poses.reshape(-1, 3)).as_matrix()
+    # One call in C for a frame, where the formula of drape.geometry in numpy takes fifty; it refuses to read an array
+    # that nobody may write, hence the copy.
+    matrices = Rotation.from_rotvec(np.array(poses, dtype=np.float64).reshape(-1, 3)).as_matrix()
     return matrices.reshape(len(poses), 9 * JOINT_COUNT).take(_TAKEN, axis=1)
 
 
