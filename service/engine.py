@@ -74,7 +74,8 @@ class Engine:
     ) -> None:
         check_distributions()
         self._device = device or Device()
-        on_gpu = self._device.provider == "cuda"
+        self.on_cpu = self._device.provider == "cpu"
+        on_gpu = not self.on_cpu
         self.bound = on_gpu if bound is None else bound
         self.manifest: Manifest = load_manifest(folder)
         self.dynamic = self.manifest.dynamic

@@ -12,10 +12,10 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
 from drape.errors import ArtifactError
-from drape.geometry.rotations import matrix_to_sixd, rotvec_to_matrix
 
 BODY_JOINTS = range(1, 22)  # without the root and the hands, which are rigid
 LEGS = tuple(i for i in BODY_JOINTS if JOINT_NAMES[i].split("_")[-1] in ("hip", "knee", "ankle", "foot"))
@@ -23,6 +23,12 @@ TRUNK = tuple(i for i in BODY_JOINTS if i not in LEGS)
 PARTS = ("legs", "trunk", "tilt")
 SIXD = 6  # numbers of a rotation
 STEPS = 127  # of a stored number, which is one of a rotation matrix
+_FIRST_COLUMNS, _UP = (0, 3, 6, 1, 4, 7), (3, 4, 5)  # entries of a matrix: its 6D form; the world's up in its frame
+_ENTRIES = (*([9 * joint + i for joint in joints for i in _FIRST_COLUMNS] for joints in (LEGS, TRUNK)), _UP)
+_TAKEN = np.concatenate(_ENTRIES)  # of a pose's matrices, one after the other
+_ENDS = np.cumsum([len(part) for part in _ENTRIES]).tolist()
+_SLICES = tuple(slice(end - len(part), end) for part, end in zip(_ENTRIES, _ENDS, strict=True))
+_JOINTS = np.array([max(1, len(part) // SIXD) for part in _ENTRIES], dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +53,11 @@ class PoseSupport:
 
     def distances(self, poses: np.ndarray) -> np.ndarray:
         """From each part of ``poses`` (F, 24, 3) [rad] to the nearest kept one (F, 3): root mean square of joints."""
-        found = [_nearest(rows, *kept) for rows, kept in zip(pose_parts(poses).values(), self._kept, strict=True)]
-        return np.stack(found, axis=-1)
+        rows, squared = pose_rows(poses).astype(np.float32), np.empty((len(poses), len(PARTS)), dtype=np.float32)
+        for number, (part, (turned, squares)) in enumerate(zip(_SLICES, self._kept, strict=True)):
+            one = rows[:, part]
+            squared[:, number] = (squares - 2.0 * one @ turned).min(axis=1) + (one * one).sum(axis=1)
+        return np.sqrt(np.maximum(squared, 0.0) / _JOINTS)
 
     def novelty(self, poses: np.ndarray) -> np.ndarray:
         """The largest of the ``distances`` of ``poses`` (F, 24, 3) over its limit, (F,): above 1 unlike training."""
@@ -61,12 +70,19 @@ class PoseSupport:
         return file.getvalue()
 
 
+def pose_rows(poses: np.ndarray) -> np.ndarray:
+    """All numbers of ``poses`` (F, 24, 3) [rad] that are looked at, part after part in the order of ``PARTS``
+    (F, 129)."""
+    # One call in C for a frame, where the formula of drape.geometry in numpy takes fifty; it refuses to read an array
+    # that nobody may write, hence the copy.
+    matrices = Rotation.from_rotvec(np.array(poses, dtype=np.float64).reshape(-1, 3)).as_matrix()
+    return matrices.reshape(len(poses), 9 * JOINT_COUNT).take(_TAKEN, axis=1)
+
+
 def pose_parts(poses: np.ndarray) -> dict[str, np.ndarray]:
     """The rows of ``poses`` (F, 24, 3) [rad] by the names in ``PARTS``: (F, 48), (F, 78) and (F, 3)."""
-    matrices = rotvec_to_matrix(poses)
-    sixd = matrix_to_sixd(matrices)
-    rows = [sixd[:, joints].reshape(len(poses), -1) for joints in (LEGS, TRUNK)]
-    return dict(zip(PARTS, (*rows, matrices[:, 0, 1, :]), strict=True))
+    rows = pose_rows(poses)
+    return {name: rows[:, part] for name, part in zip(PARTS, _SLICES, strict=True)}
 
 
 def read_pose_support(path: Path) -> PoseSupport:
@@ -82,13 +98,6 @@ def read_pose_support(path: Path) -> PoseSupport:
     if not fits or made.limits.shape != (len(PARTS),) or not (made.limits > 0.0).all():
         raise _unreadable(path, f"shapes {shapes}, limits {made.limits}")
     return made
-
-
-def _nearest(rows: np.ndarray, turned: np.ndarray, squares: np.ndarray) -> np.ndarray:
-    """Distances (F,) from ``rows`` (F, n) to the nearest of the kept ones (n, m), per joint."""
-    rows = rows.astype(np.float32)
-    least = (squares - 2.0 * rows @ turned).min(axis=1) + (rows**2).sum(axis=1)
-    return np.sqrt(np.maximum(least, 0.0) / max(1, rows.shape[1] // SIXD))
 
 
 def _unreadable(path: Path, got: str) -> ArtifactError:

@@ -17,7 +17,7 @@ from numba import njit
 F = TypeVar("F", bound=Callable)
 FAST = {"contract", "nsz"}
 _HERE = Path(__file__).parent
-_ROOMS = (_HERE, *(_HERE.parent / name for name in ("folds", "swing")))  # where kernels are, which call each other
+_ROOMS = (_HERE, *(_HERE.parent / name for name in ("folds", "swing", "graph")))  # where kernels call each other
 _SOURCES = hashlib.sha256(b"".join(p.read_bytes() for room in _ROOMS for p in sorted(room.glob("*.py")))).hexdigest()
 
 

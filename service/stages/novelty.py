@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
-from service.stages.batch import Batch, Plan, Stage
+from service.stages.batch import Batch, Plan, Stage, joined
 
 
 class Novelty(Stage):
@@ -19,5 +17,5 @@ class Novelty(Stage):
 
     def run(self, batch: Batch) -> Batch:
         assert self.engine.pose_support is not None
-        found = self.engine.pose_support.novelty(np.concatenate([one.poses for one in batch.inputs]))
+        found = self.engine.pose_support.novelty(joined([one.poses for one in batch.inputs], axis=0))
         return replace(batch, quality=replace(batch.quality, novelty=found))

@@ -39,6 +39,7 @@ from training.model import OneFit
 
 pytestmark = pytest.mark.slow
 BODIES = 64
+TERMS = 4 * 18  # of a vertex: those of four charts, each shorter than a body
 WEIGHTS_FOLDER = "session.model_external_initializers_file_folder_path"  # of models that come as bytes
 PLANS = [ScenePlan(), ScenePlan(normals=True), ScenePlan("steps"), ScenePlan("jets", bones=True)]
 
@@ -114,6 +115,17 @@ def with_passes(readable: DrapeGraph, passes: int) -> DrapeGraph:
     return shorter
 
 
+def test_vertices_that_the_graph_does_not_make_are_those_that_it_would_make(packer: Packer, bodies):
+    items = [(KINDS[i % len(KINDS)], i) for i in range(6)]
+    for shape in ("vertices", "both"):
+        assert "vertices" not in packer._fetched(ScenePlan(shape))
+        found = packer.run(ScenePlan(shape), bodies, items)
+        for (kind, _), got, graph in zip(items, found, packer.run(ScenePlan(normals=True), bodies, items), strict=True):
+            want = graph.arrays["vertices"]
+            assert got.arrays["vertices"].shape == want.shape == (garment(kind).vertex_count, 3)
+            assert_allclose(got.arrays["vertices"], want, rtol=0, atol=TERMS * np.spacing(np.float32(2.0)))
+
+
 def test_passes_that_the_model_does_not_have_are_refused(packer: Packer, tmp_path: Path):
     rows = pack_body(load_body()).rows(np.zeros((1, 24, 3)))
     for passes in (-1, Engine(exported()[1]).pass_count + 1):
@@ -162,15 +174,15 @@ def test_parts_of_a_batch_and_threads_change_no_bit(bodies):
 
 def kernels(plan: ScenePlan, alone: bool, folder: Path) -> list[str]:
     """Names of the nodes that ONNX Runtime ran for ``plan``, from its own profile."""
-    data = cut((exported()[1] / "packed.onnx").read_bytes(), plan.outputs, direct=direct_of(alone))
+    packer = make_packer()
+    engine, fetched = packer._engine, packer._fetched(plan)
+    data = cut((exported()[1] / "packed.onnx").read_bytes(), fetched, direct=direct_of(alone))
     options = onnxruntime.SessionOptions()
     options.enable_profiling, options.profile_file_prefix = True, str(folder / "profile")
     options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL  # names stay
     options.add_session_config_entry(WEIGHTS_FOLDER, str(exported()[1]))
     session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-    packer = make_packer()
-    engine = packer._engine
-    key = PACKED, plan.outputs, direct_of(alone), plan.passes, ()
+    key = PACKED, fetched, direct_of(alone), plan.passes, ()
     engine._opened[key] = _Recorded(session)  # type: ignore[assignment]
     rows = pack_body(load_body()).rows(np.zeros((1, 24, 3)))
     packer.run(plan, rows, [("tank", 0)] if alone else [("tank", 0), ("shorts", 0)])
@@ -198,7 +210,7 @@ class _Recorded:
 def test_nothing_that_a_plan_does_not_ask_for_is_computed(plan: ScenePlan, alone: bool, tmp_path: Path):
     ran = kernels(plan, alone, tmp_path)
     graph = onnx.load(str(exported()[1] / "packed.onnx")).graph
-    ancestors, needed = set(), set(plan.outputs)
+    ancestors, needed = set(), set(make_packer()._fetched(plan))
     for node in reversed(graph.node):
         if needed.intersection(node.output):
             ancestors.add(node.name)
@@ -206,16 +218,18 @@ def test_nothing_that_a_plan_does_not_ask_for_is_computed(plan: ScenePlan, alone
     gathers = {n.name for n in graph.node if n.op_type == "Gather" and n.input[1] in direct_of(alone)}
     assert sorted(ran) == sorted(ancestors - gathers)
     assert len(ran) < len(graph.node)
-    # Spelled out: without normals no tangents, with jets no vertices, in one garment's call no copy of its constants.
+    # Spelled out: without normals no tangents, vertices only for those and for steps, in one garment's call no copy of
+    # its constants.
     inputs = set(make_inputs(plan, alone))
     assert (TANGENTS in inputs) == plan.normals
-    assert ("tile_positions" in inputs) == (plan.shape != "jets")
+    assert ("tile_positions" in inputs) == (plan.normals or plan.shape == "steps")
     assert ("block_item" in inputs) == (plan.shape == "steps")
     assert ("patch_stored" in inputs) == (not alone)
 
 
 def make_inputs(plan: ScenePlan, alone: bool) -> tuple[str, ...]:
-    return Engine(exported()[1]).open_cut(PACKED, plan.outputs, direct=direct_of(alone)).inputs
+    packer = make_packer()
+    return packer._engine.open_cut(PACKED, packer._fetched(plan), direct=direct_of(alone)).inputs
 
 
 def direct_of(alone: bool) -> tuple[str, ...]:

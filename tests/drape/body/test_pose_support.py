@@ -11,7 +11,7 @@ from drape.artifacts import DEFAULT_MODEL, load_manifest, model_folder
 from drape.body.pose_support import LEGS, TRUNK, PoseSupport, pose_parts, read_pose_support
 from drape.catalog import MOTIONS_DIR
 from drape.errors import ArtifactError
-from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix
+from drape.geometry.rotations import matrix_to_rotvec, matrix_to_sixd, rotvec_to_matrix
 from drape.motion.readers import read_motion
 from tests.extremes.test_poses import NAMED
 
@@ -45,6 +45,17 @@ def test_clips_that_training_never_saw_are_within_and_poses_that_nobody_takes_be
     for spread_rad in (0.7, np.pi, 1000.0):
         uniform = generator.uniform(-spread_rad, spread_rad, (200, 24, 3))
         assert (support.novelty(uniform) > 1.0).mean() >= 0.99, spread_rad
+
+
+def test_rows_are_the_matrices_of_drape_geometry_and_poses_may_be_read_only():
+    poses = np.random.default_rng(1).normal(size=(20, 24, 3))
+    poses[0] = 0.0
+    poses.flags.writeable = False
+    matrices = rotvec_to_matrix(poses)
+    sixd, parts = matrix_to_sixd(matrices), pose_parts(poses)
+    for name, joints in (("legs", LEGS), ("trunk", TRUNK)):
+        np.testing.assert_allclose(parts[name], sixd[:, joints].reshape(20, -1), rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(parts["tilt"], matrices[:, 0, 1], rtol=0.0, atol=1e-14)
 
 
 def test_where_a_body_faces_does_not_count_but_its_tilt_does(support: PoseSupport):
