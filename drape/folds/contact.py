@@ -16,8 +16,7 @@ are therefore blended with weights that end at the spacing. Over a sphere a poin
 by what the surface falls away meanwhile, but a chord stands at right angles to the mean of the normals at its ends:
 distances are measured along the mean of the sample's normal and the blended one, and have no ripple then.
 
-Walks and planes are computed for ``LANES`` vertices at once, as sweeps are: what they need of the samples is gathered
-into rows of a scratch, and loops over the lanes run along these.
+Walks and planes are computed for ``LANES`` vertices at once, as sweeps are; P is a multiple of that.
 """
 
 from __future__ import annotations
@@ -28,10 +27,25 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from drape.folds.sheet import LANES
-from drape.folds.sweeps import PLANES, SLIP_M, row3
+from drape.folds.sweeps import PLANES, SLIP_M
 from drape.push.samples import FACING, Samples
 from drape.solver.compiled import kernel, part
-from drape.solver.elements import at, cross, dot, scaled, sub
+from drape.solver.elements import add, at, cross, dot, scaled, sub
+from drape.solver.lanes import (
+    least,
+    most,
+    normals_at,
+    points_at,
+    points_in,
+    put,
+    put3,
+    put_points,
+    root,
+    row_at,
+    samples_at,
+    where_above,
+    where_other,
+)
 
 NEIGHBOURS = 8
 CANDIDATES = 24  # of which those that face another way are left out
@@ -73,74 +87,89 @@ class Touched(NamedTuple):
     other: np.ndarray
 
 
-# Rows of the scratch, of ``LANES`` numbers each: a point, a sample or neighbour, its normal, normal times point, and
-# whether it is one; the least square of a distance, which neighbour has a lesser one; sums over sample and neighbours
-# of weights, points, normals and normals times points; one over the spacing squared.
-POINT, SAMPLE, NORMAL, ACROSS, REAL = 0, 3 * LANES, 6 * LANES, 9 * LANES, 10 * LANES
-SQUARE, NEARER, TOTAL, WHERE, SUM, PRODUCT, PER_M2 = (row * LANES for row in (11, 12, 13, 14, 17, 20, 21))
-SCRATCH = 22 * LANES
+# Rows of the scratch: which neighbour of each lane's sample is nearer than it, or a foot and the normal there.
+NEARER, FOOT, UNIT, SCRATCH = 0, 0, 3 * LANES, 6 * LANES
 
 
 class Lanes(NamedTuple):
-    """A place, ``vertex``, and a ``sample`` of the skin in each lane (``LANES``,)."""
+    """A place, ``vertex``, and a ``sample`` of the skin in each lane (``LANES``,), whose neighbours are ``near`` (8
+    ``LANES``,), a row each; ``scratch`` for rows of numbers."""
 
     vertex: np.ndarray
     sample: np.ndarray
+    near: np.ndarray
+    scratch: np.ndarray
+
+
+@kernel
+def _lanes(skin):
+    return Lanes(
+        np.empty(LANES, np.int32),
+        np.empty(LANES, np.int32),
+        np.empty(NEIGHBOURS * LANES, np.int32),
+        np.empty(SCRATCH, skin.dtype),
+    )
 
 
 @kernel
 def follow(network, skin, graph, touched):
     """Moves ``touched.own`` on to the samples nearest to the ``network``'s vertices [m] (P, 3)."""
-    vertex, own, scratch = np.empty(LANES, np.int32), np.empty(LANES, np.int32), np.empty(SCRATCH, skin.dtype)
+    lanes = _lanes(skin)
     for block in range(len(network) // LANES):
         for lane in range(LANES):
-            vertex[lane], own[lane] = LANES * block + lane, touched.own[LANES * block + lane]
-        _walk(network, vertex, skin, graph.neighbour, own, len(skin), scratch)
+            lanes.sample[lane] = touched.own[LANES * block + lane]
+        _walk(points_in(network, LANES * block), lanes, skin, graph.neighbour, len(skin))
         for lane in range(LANES):
-            touched.own[vertex[lane]] = own[lane]
+            touched.own[LANES * block + lane] = lanes.sample[lane]
 
 
 @kernel
 def carried(grip, touched, skin, graph, found):
     """Where the posed ``skin`` has taken what lies ``grip`` [m] (P, 3) in the frames of the samples ``touched.own``:
     ``found`` [m] (P, 3)."""
-    for v in range(len(grip)):
-        own = touched.own[v]
-        n, e, b = _skin_frame(skin, graph, own)
-        found[v, 0] = skin[own, 0] + grip[v, 0] * n[0] + grip[v, 1] * e[0] + grip[v, 2] * b[0]
-        found[v, 1] = skin[own, 1] + grip[v, 0] * n[1] + grip[v, 1] * e[1] + grip[v, 2] * b[1]
-        found[v, 2] = skin[own, 2] + grip[v, 0] * n[2] + grip[v, 1] * e[2] + grip[v, 2] * b[2]
+    lanes = _lanes(skin)
+    for block in range(len(grip) // LANES):
+        place = LANES * block
+        own, n, e, b = _skin_frames(skin, graph, touched, place, lanes)
+        a = points_in(grip, place)
+        put_points(found, place, add(own, add(add(scaled(a[0], n), scaled(a[1], e)), scaled(a[2], b))))
 
 
 @kernel
 def gripped(x, stuck, touched, skin, graph, grip):
     """Writes how what is ``stuck`` [m] (P, 3) to the posed ``skin`` lies in the frames of its samples ``touched.own``,
     having come along below ``x`` [m] (P, 3), that it is never farther from than ``SLIP_M``."""
-    most = x.dtype.type(SLIP_M)
-    for v in range(len(x)):
-        own = touched.own[v]
-        n, e, b = _skin_frame(skin, graph, own)
-        slip = sub(at(x, v), at(stuck, v))
+    one, most_m, lanes = x.dtype.type(1), x.dtype.type(SLIP_M), _lanes(skin)
+    for block in range(len(x) // LANES):
+        place = LANES * block
+        own, n, e, b = _skin_frames(skin, graph, touched, place, lanes)
+        points = points_in(x, place)
+        slip = sub(points, points_in(stuck, place))
         slip = sub(slip, scaled(dot(slip, n), n))
-        square = dot(slip, slip)
-        share = most / np.sqrt(square) if square > most * most else x.dtype.type(1)
-        off = sub(sub(at(x, v), scaled(share, slip)), at(skin, own))
-        grip[v, 0], grip[v, 1], grip[v, 2] = dot(off, n), dot(off, e), dot(off, b)
+        length = root(most(dot(slip, slip), most_m * most_m))
+        off = sub(sub(points, scaled(where_above(length, most_m, most_m / length, one), slip)), own)
+        put_points(grip, place, (dot(off, n), dot(off, e), dot(off, b)))
 
 
-@kernel
-def _skin_frame(skin, graph, own):
-    """The normal of a sample, the way to its first neighbour laid into the plane, and their product.
+@part
+def _skin_frames(skin, graph, touched, place, lanes):
+    """The samples of a block from ``place`` on, their normals, the way to the first neighbour of each laid into the
+    plane, and the product of the two.
 
     A sample without neighbours has the normal only: what lies on it is carried along the normal alone.
     """
-    n = (skin[own, 4], skin[own, 5], skin[own, 6])
-    way = sub(at(skin, graph.neighbour[own, 0]), at(skin, own))
+    zero, one = skin.dtype.type(0), skin.dtype.type(1)
+    for lane in range(LANES):
+        lanes.near[lane] = graph.neighbour[touched.own[place + lane], 0]
+    x, y, z, _ = samples_at(skin, touched.own, place)
+    a, b, c, _ = normals_at(skin, touched.own, place)
+    own, n = (x, y, z), (a, b, c)
+    x, y, z, _ = samples_at(skin, lanes.near, 0)
+    way = sub((x, y, z), own)
     e = sub(way, scaled(dot(way, n), n))
     square = dot(e, e)
-    if square > 0.0:
-        e = scaled(skin.dtype.type(1) / np.sqrt(square), e)
-    return n, e, cross(n, e)
+    e = scaled(one / root(where_above(square, zero, square, one)), e)
+    return own, n, e, cross(n, e)
 
 
 @kernel
@@ -153,14 +182,17 @@ def touch(x, skin, graph, sheet, touched, turn, planes):
     """
     k = sheet.constants
     cells = cells_of(skin, PER_CELL)
-    vertex, own, scratch = np.empty(LANES, np.int32), np.empty(LANES, np.int32), np.empty(SCRATCH, skin.dtype)
     # Few vertices are near another part: their planes wait until there are as many as lanes.
-    late, late_other, waiting = np.empty(LANES, np.int32), np.empty(LANES, np.int32), 0
+    lanes, late, waiting = _lanes(skin), _lanes(skin), 0
+    own = lanes.sample
     for block in range(len(x) // LANES):
         for lane in range(LANES):
-            vertex[lane], own[lane] = LANES * block + lane, touched.own[LANES * block + lane]
-        _walk(x, vertex, skin, graph.neighbour, own, STEPS, scratch)
-        _put_planes(x, Lanes(vertex, own), skin, graph, scratch, planes, 0)
+            own[lane] = touched.own[LANES * block + lane]
+        points = points_in(x, LANES * block)
+        _walk(points, lanes, skin, graph.neighbour, STEPS)
+        foot, unit = _plane(points, lanes, skin, graph)
+        put3(planes, PLANES * block, foot)
+        put3(planes, PLANES * block + 3 * LANES, unit)
         for entry in range(PLANES * block + 6 * LANES, PLANES * block + 12 * LANES):
             planes[entry] = k.zero
         for lane in range(LANES):
@@ -174,54 +206,52 @@ def touch(x, skin, graph, sheet, touched, turn, planes):
                     other = np.int32(-1)
             touched.other[v] = other
             if other >= 0:
-                late[waiting], late_other[waiting] = v, other
+                late.vertex[waiting], late.sample[waiting] = v, other
                 waiting += 1
             if waiting == LANES:
-                _put_planes(x, Lanes(late, late_other), skin, graph, scratch, planes, 6 * LANES)
+                _put_late(x, late, skin, graph, planes)
                 waiting = 0
     if waiting > 0:
         for lane in range(waiting, LANES):
-            late[lane], late_other[lane] = late[0], late_other[0]
-        _put_planes(x, Lanes(late, late_other), skin, graph, scratch, planes, 6 * LANES)
+            late.vertex[lane], late.sample[lane] = late.vertex[0], late.sample[0]
+        _put_late(x, late, skin, graph, planes)
 
 
 @kernel
-def _walk(x, vertex, skin, neighbour, own, steps, s):
-    """``_nearest`` for the ``vertex`` of every lane, with samples ``own`` moved in place."""
-    kind = skin.dtype.type
-    _gather(x, vertex, skin, own, s)
+def _walk(points, lanes, skin, neighbour, steps):
+    """``_nearest`` for a point in every lane, from ``lanes.sample``, moved in place."""
+    own, near, nearer = lanes.sample, lanes.near, lanes.scratch
+    square = _squares(points, skin, own, 0)
     for _ in range(steps):
-        for lane in range(LANES):
-            s[NEARER + lane] = kind(-1)
+        _look_around(own, neighbour, near)
+        which = 0.0 * square - 1.0  # none
         for n in range(NEIGHBOURS):
-            for lane in range(LANES):
-                j = neighbour[own[lane], n]
-                for axis in range(3):
-                    s[SAMPLE + axis * LANES + lane] = skin[j, axis]
-            for lane in range(LANES):
-                way = sub(row3(s, SAMPLE, lane), row3(s, POINT, lane))
-                square = dot(way, way)
-                less = square < s[SQUARE + lane]
-                s[SQUARE + lane] = square if less else s[SQUARE + lane]
-                s[NEARER + lane] = kind(n) if less else s[NEARER + lane]
+            other = _squares(points, skin, near, LANES * n)
+            which = where_above(square, other, float(n), which)
+            square = where_above(square, other, other, square)
+        put(nearer, NEARER, which)
         moved = False
         for lane in range(LANES):
-            if s[NEARER + lane] >= 0.0:
-                own[lane], moved = neighbour[own[lane], int(s[NEARER + lane])], True
+            if nearer[NEARER + lane] >= 0.0:
+                own[lane], moved = near[LANES * int(nearer[NEARER + lane]) + lane], True
         if not moved:
             break
 
 
 @part
-def _gather(x, vertex, skin, own, s):
-    """Writes points, samples and the squares of their distances into the scratch."""
+def _look_around(own, neighbour, near):
+    """Writes the neighbours of the samples ``own`` (``LANES``,) to ``near``, a row each."""
     for lane in range(LANES):
-        for axis in range(3):
-            s[POINT + axis * LANES + lane] = x[vertex[lane], axis]
-            s[SAMPLE + axis * LANES + lane] = skin[own[lane], axis]
-    for lane in range(LANES):
-        way = sub(row3(s, SAMPLE, lane), row3(s, POINT, lane))
-        s[SQUARE + lane] = dot(way, way)
+        for n in range(NEIGHBOURS):
+            near[LANES * n + lane] = neighbour[own[lane], n]
+
+
+@part
+def _squares(points, skin, index, start):
+    """Squares of the distances from ``points`` to the samples of a row."""
+    x, y, z, _ = samples_at(skin, index, start)
+    way = sub((x, y, z), points)
+    return dot(way, way)
 
 
 @kernel
@@ -312,47 +342,43 @@ def _other(point, skin, graph, own, cells):
 
 
 @kernel
-def _put_planes(x, lanes, skin, graph, s, planes, row):
-    """The planes below the vertices of ``lanes``, of their samples and the neighbours, from ``row`` on."""
-    vertex, own = lanes.vertex, lanes.sample
-    zero, half, one = x.dtype.type(0), x.dtype.type(0.5), x.dtype.type(1)
-    _gather(x, vertex, skin, own, s)
+def _put_late(x, lanes, skin, graph, planes):
+    """Writes the planes of other parts below the vertices of ``lanes``."""
+    foot, unit = _plane(points_at(x, lanes.vertex, 0), lanes, skin, graph)
+    put3(lanes.scratch, FOOT, foot)
+    put3(lanes.scratch, UNIT, unit)
     for lane in range(LANES):
-        s[PER_M2 + lane], s[TOTAL + lane], s[PRODUCT + lane] = (
-            one / graph.reach_m2[own[lane]],
-            one,
-            skin[own[lane], 7],
-        )
-        for axis in range(3):
-            s[WHERE + axis * LANES + lane] = skin[own[lane], axis]
-            s[SUM + axis * LANES + lane] = skin[own[lane], 4 + axis]
+        v = lanes.vertex[lane]
+        place = PLANES * (v // LANES) + 6 * LANES + v % LANES
+        for row in range(6):
+            planes[place + LANES * row] = lanes.scratch[FOOT + LANES * row + lane]
+
+
+@kernel
+def _plane(points, lanes, skin, graph):
+    """Foot and normal of the planes below ``points``, of the samples of ``lanes`` and their neighbours."""
+    own, near = lanes.sample, lanes.near
+    _look_around(own, graph.neighbour, near)
+    kind = skin.dtype.type
+    zero, half, one = kind(0), kind(0.5), kind(1)
+    for lane in range(LANES):
+        lanes.scratch[lane] = graph.reach_m2[own[lane]]
+    per_m2 = one / row_at(lanes.scratch, 0)
+    x, y, z, _ = samples_at(skin, own, 0)
+    a, b, c, product = normals_at(skin, own, 0)
+    where, normal, total = (x, y, z), (a, b, c), zero * x + one
+    own_square = _squares(points, skin, own, 0)
     for n in range(NEIGHBOURS):
-        for lane in range(LANES):
-            j = graph.neighbour[own[lane], n]
-            for axis in range(3):
-                s[SAMPLE + axis * LANES + lane] = skin[j, axis]
-                s[NORMAL + axis * LANES + lane] = skin[j, 4 + axis]
-            s[ACROSS + lane] = skin[j, 7]
-            s[REAL + lane] = one if j != own[lane] else zero
-        for lane in range(LANES):
-            way = sub(row3(s, SAMPLE, lane), row3(s, POINT, lane))
-            share = one - (dot(way, way) - s[SQUARE + lane]) * s[PER_M2 + lane]
-            share = share if share > zero else zero
-            share = share if share < one else one
-            w = share * share * s[REAL + lane]
-            s[TOTAL + lane] += w
-            s[PRODUCT + lane] += w * s[ACROSS + lane]
-            for axis in range(3):
-                s[WHERE + axis * LANES + lane] += w * s[SAMPLE + axis * LANES + lane]
-                s[SUM + axis * LANES + lane] += w * s[NORMAL + axis * LANES + lane]
-    for lane in range(LANES):
-        point, normal, per = row3(s, POINT, lane), row3(s, SUM, lane), one / s[TOTAL + lane]
-        square = dot(normal, normal)
-        unit = scaled(one / np.sqrt(square) if square > zero else one, normal)
-        by_samples = (dot(point, normal) - s[PRODUCT + lane]) * per
-        by_blend = dot(unit, sub(point, scaled(per, row3(s, WHERE, lane))))
-        foot = sub(point, scaled(half * (by_samples + by_blend), unit))
-        place = PLANES * (vertex[lane] // LANES) + vertex[lane] % LANES + row
-        for axis in range(3):
-            planes[place + LANES * axis] = foot[axis]
-            planes[place + LANES * (3 + axis)] = unit[axis]
+        x, y, z, _ = samples_at(skin, near, LANES * n)
+        a, b, c, across = normals_at(skin, near, LANES * n)
+        way = sub((x, y, z), points)
+        share = most(one - (dot(way, way) - own_square) * per_m2, zero)
+        share = least(share, one)
+        weight = where_other(near, LANES * n, own, 0, share * share)  # a sample may be its own neighbour
+        total, product = total + weight, product + weight * across
+        where, normal = add(where, scaled(weight, (x, y, z))), add(normal, scaled(weight, (a, b, c)))
+    per, square = one / total, dot(normal, normal)
+    unit = scaled(one / root(where_above(square, zero, square, one)), normal)
+    by_samples = (dot(points, normal) - product) * per
+    by_blend = dot(unit, sub(points, scaled(per, where)))
+    return sub(points, scaled(half * (by_samples + by_blend), unit)), unit

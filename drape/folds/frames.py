@@ -5,61 +5,66 @@ from __future__ import annotations
 import numpy as np
 
 from drape.folds.sheet import LANES
-from drape.solver.compiled import kernel
-from drape.solver.elements import add, at, cross, dot, scaled, sub
+from drape.solver.compiled import kernel, part
+from drape.solver.elements import add, cross, dot, scaled, sub
+from drape.solver.lanes import points_at, points_in, put3, put_points, root, rows3_at, where_above, where_other
+
+FRAMES = 9 * LANES  # per block: normal, edge and their product
 
 
 @kernel
 def surface_frames(surface, sheet, frames):
-    """Frames (P, 3, 3) of ``surface`` [m] (P, 3): rows are the normal, an edge laid into the plane, and their product.
+    """Frames of ``surface`` [m] (P, 3), flat, nine rows a block: the normal, an edge laid into the plane, and their
+    product.
 
     The edge is that of the vertex's first triangle, its longest one at rest. A vertex without an area or an edge gets
     a frame of zeros.
     """
-    zero = sheet.constants.zero
+    k = sheet.constants
     for block in range(len(sheet.fan_start) - 1):
-        begin, end = sheet.fan_start[block], sheet.fan_start[block + 1]
-        for lane in range(LANES):
-            v = LANES * block + lane
-            own, normal, edge = at(surface, v), (zero, zero, zero), (zero, zero, zero)
-            for row in range(begin, end):
-                j, l = sheet.fan_other[2 * LANES * row + lane], sheet.fan_other[2 * LANES * row + LANES + lane]
-                first = sub(at(surface, j), own)
-                normal = add(normal, cross(first, sub(at(surface, l), own)))
-                if row == begin:
-                    edge = first
-            normal = _unit(normal, sheet.constants)
-            edge = _unit(sub(edge, scaled(dot(edge, normal), normal)), sheet.constants)
-            third = cross(normal, edge)
-            for i in range(3):
-                frames[v, 0, i], frames[v, 1, i], frames[v, 2, i] = normal[i], edge[i], third[i]
+        own = points_in(surface, LANES * block)
+        normal = scaled(k.zero, own)
+        edge = normal
+        begin = sheet.fan_start[block]
+        for row in range(begin, sheet.fan_start[block + 1]):
+            first = sub(points_at(surface, sheet.fan_other, 2 * LANES * row), own)
+            second = sub(points_at(surface, sheet.fan_other, 2 * LANES * row + LANES), own)
+            normal = add(normal, cross(first, second))
+            if row == begin:
+                edge = first
+        normal = _unit(normal, k)
+        edge = _unit(sub(edge, scaled(dot(edge, normal), normal)), k)
+        put3(frames, FRAMES * block, normal)
+        put3(frames, FRAMES * block + 3 * LANES, edge)
+        put3(frames, FRAMES * block + 6 * LANES, cross(normal, edge))
 
 
-@kernel
+@part
 def _unit(a, k):
     square = dot(a, a)
-    share = k.one / np.sqrt(square) if square > k.zero else k.zero
-    return scaled(share, a)
+    return scaled(where_above(square, k.zero, k.one / root(where_above(square, k.zero, square, k.one)), k.zero), a)
 
 
-@kernel
-def in_frame(frames, v, a):
-    """The world vector ``a`` in the frame of v."""
-    return (
-        frames[v, 0, 0] * a[0] + frames[v, 0, 1] * a[1] + frames[v, 0, 2] * a[2],
-        frames[v, 1, 0] * a[0] + frames[v, 1, 1] * a[1] + frames[v, 1, 2] * a[2],
-        frames[v, 2, 0] * a[0] + frames[v, 2, 1] * a[1] + frames[v, 2, 2] * a[2],
+@part
+def in_frames(frames, block, a):
+    """The world vectors ``a``, three rows, in the frames of a block."""
+    n, e, b = (
+        rows3_at(frames, FRAMES * block),
+        rows3_at(frames, FRAMES * block + 3 * LANES),
+        rows3_at(frames, FRAMES * block + 6 * LANES),
     )
+    return dot(n, a), dot(e, a), dot(b, a)
 
 
-@kernel
-def in_world(frames, v, a):
-    """What is ``a`` in the frame of v, in world axes."""
-    return (
-        frames[v, 0, 0] * a[0] + frames[v, 1, 0] * a[1] + frames[v, 2, 0] * a[2],
-        frames[v, 0, 1] * a[0] + frames[v, 1, 1] * a[1] + frames[v, 2, 1] * a[2],
-        frames[v, 0, 2] * a[0] + frames[v, 1, 2] * a[1] + frames[v, 2, 2] * a[2],
+@part
+def in_world(frames, block, a):
+    """What is ``a``, three rows, in the frames of a block, in world axes."""
+    n, e, b = (
+        rows3_at(frames, FRAMES * block),
+        rows3_at(frames, FRAMES * block + 3 * LANES),
+        rows3_at(frames, FRAMES * block + 6 * LANES),
     )
+    return add(add(scaled(a[0], n), scaled(a[1], e)), scaled(a[2], b))
 
 
 @kernel
@@ -68,18 +73,20 @@ def mend(off, sheet, most):
 
     Where a surface folds over its frames turn about from one frame to the next, and what they carry with them.
     """
-    k, before = sheet.constants, off.copy()
+    k, before, places = sheet.constants, off.copy(), np.arange(len(off)).astype(np.int32)
     for block in range(len(sheet.fan_start) - 1):
-        begin, end = sheet.fan_start[block], sheet.fan_start[block + 1]
-        for lane in range(LANES):
-            v = LANES * block + lane
-            mean, count = (k.zero, k.zero, k.zero), k.zero
-            for row in range(2 * begin, 2 * end):
-                j = sheet.fan_other[LANES * row + lane]
-                if j != v:
-                    mean, count = add(mean, at(before, j)), count + k.one
-            if count > k.zero:
-                mean = scaled(k.one / count, mean)
-                way = sub(at(before, v), mean)
-                if dot(way, way) > most * most:
-                    off[v, 0], off[v, 1], off[v, 2] = mean[0], mean[1], mean[2]
+        own = points_in(before, LANES * block)
+        mean = scaled(k.zero, own)
+        count = mean[0]
+        for row in range(2 * sheet.fan_start[block], 2 * sheet.fan_start[block + 1]):
+            # An empty row has the place itself.
+            real = where_other(sheet.fan_other, LANES * row, places, LANES * block, k.zero * own[0] + k.one)
+            mean = add(mean, scaled(real, points_at(before, sheet.fan_other, LANES * row)))
+            count = count + real
+        mean = scaled(k.one / where_above(count, k.zero, count, k.one), mean)
+        way = sub(own, mean)
+        square = where_above(count, k.zero, dot(way, way), k.zero)
+        far = most * most
+        a, b, c = mean
+        a, b = where_above(square, far, a, own[0]), where_above(square, far, b, own[1])
+        put_points(off, LANES * block, (a, b, where_above(square, far, c, own[2])))

@@ -13,9 +13,9 @@ import numpy as np
 
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
+from drape.solver.lanes import LANES
 from drape.solver.problem import Constants, Hinges, Problem, Triangles, problem
 
-LANES = 16
 ALIKE = 0.99  # of the longest edge's length
 
 

@@ -20,7 +20,7 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.folds.constants import Constants, Dressed
 from drape.folds.contact import NEIGHBOURS, TURNS, SkinGraph, Touched, carried, follow, gripped, touch
-from drape.folds.frames import in_frame, in_world, mend, surface_frames
+from drape.folds.frames import FRAMES, in_frames, in_world, mend, surface_frames
 from drape.folds.lift import CLEARANCE_M, lift
 from drape.folds.room import Near, hold_within
 from drape.folds.sheet import LANES, Sheet
@@ -28,6 +28,7 @@ from drape.folds.sweeps import PLANES, SCRATCH, descend, gradient_at, leash, sti
 from drape.folds.whole import Whole, whole_step
 from drape.solver.compiled import kernel
 from drape.solver.elements import at, dot, scaled, sub
+from drape.solver.lanes import points_in, put_points
 
 # Of the last step's way before a step: in slow motion, and in fast motion of soft and of stiff cloth.
 MOMENTUM, FAST_MOMENTUM, STIFF_MOMENTUM = 0.9, 0.7, 0.5
@@ -263,14 +264,13 @@ def advance(network, kept, touched, skin, cloth, numbers):
     residual, velocity, grip = kept
     stuck = np.empty_like(network)
     carried(grip, touched, skin, cloth.graph, stuck)
-    frames = np.empty((len(network), 3, 3), network.dtype)
+    frames = np.empty(FRAMES // LANES * len(network), network.dtype)
     surface_frames(network, sheet, frames)
     x, way = np.empty_like(network), np.empty_like(network)
-    for v in range(len(network)):
-        r = in_world(frames, v, at(residual, v))
-        u = in_world(frames, v, scaled(numbers.step_s, at(velocity, v)))
-        for i in range(3):
-            x[v, i], way[v, i] = r[i], u[i]
+    for block in range(len(network) // LANES):
+        first = LANES * block
+        put_points(x, first, in_world(frames, block, points_in(residual, first)))
+        put_points(way, first, in_world(frames, block, scaled(numbers.step_s, points_in(velocity, first))))
     for _ in range(MENDS):
         mend(x, sheet, MEND_M)
     x += network
@@ -285,9 +285,12 @@ def advance(network, kept, touched, skin, cloth, numbers):
         square = dot(off, off)
         if far == far and not square <= far:  # NaN, once met, stays
             far = square
-        r, u = in_frame(frames, v, off), in_frame(frames, v, scaled(k.one / numbers.step_s, at(way, v)))
-        for i in range(3):
-            residual[v, i], velocity[v, i] = r[i], u[i]
+    for block in range(len(network) // LANES):
+        first = LANES * block
+        r = sub(points_in(x, first), points_in(network, first))
+        put_points(residual, first, in_frames(frames, block, r))
+        u = scaled(k.one / numbers.step_s, points_in(way, first))
+        put_points(velocity, first, in_frames(frames, block, u))
     return x, np.sqrt(far), lifted
 
 

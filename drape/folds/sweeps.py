@@ -1,32 +1,17 @@
 """Sweeps of vertex block descent over a ``Sheet``, compiled; the sums of ``drape.solver.descent``, a block at a time.
 
-What a block's vertices need is gathered into a flat scratch, rows of ``LANES`` numbers, and loops over the lanes run
-along it: distances between rows are literals, so that the compiler knows that they do not overlap and takes vectors.
+A block's vertices are the lanes of rows (``drape.solver.lanes``), so that one formula says what all of them do. Only
+what few vertices have, and is added lane by lane, goes through a flat scratch of rows.
 """
 
 from __future__ import annotations
 
-import numpy as np
-
 from drape.folds.sheet import LANES
 from drape.solver.compiled import kernel, part
-from drape.solver.elements import (
-    add,
-    angle_gradient,
-    at,
-    dot,
-    fold,
-    fold_gradient,
-    mix,
-    outer,
-    scaled,
-    solved,
-    sub,
-)
+from drape.solver.elements import add, angle_gradient, at, dot, fold, fold_gradient, mix, outer, scaled, solved, sub
+from drape.solver.lanes import most, points_at, points_in, put3, put_points, root, row_at, rows3_at, where_above
 
-# Rows of the scratch: the vertex, its gradient, its Hessian, two other corners.
-OWN, GRADIENT, HESSIAN, OTHERS = 0, 3 * LANES, 6 * LANES, 12 * LANES
-SCRATCH = 18 * LANES
+GRADIENT, HESSIAN, SCRATCH = 0, 3 * LANES, 9 * LANES  # rows of the scratch
 # Per block: point and normal, of the own part of the body and of another one; how stiff and with how much slack the
 # network's place holds; where the skin has taken the vertex, and friction times contact's stiffness.
 PLANES = 18 * LANES
@@ -36,26 +21,14 @@ HOLD = 0.4  # of contact's stiffness: what steps of the whole know of leash and 
 
 
 @kernel
-def row3(s, start, lane):
-    """The vector that stands in three rows from ``start`` on."""
+def _lane3(s, start, lane):
+    """The vector that one lane has in three rows from ``start`` on."""
     return s[start + lane], s[start + LANES + lane], s[start + 2 * LANES + lane]
 
 
 @part
-def _put3(s, start, lane, a):
+def _put_lane3(s, start, lane, a):
     s[start + lane], s[start + LANES + lane], s[start + 2 * LANES + lane] = a[0], a[1], a[2]
-
-
-@kernel
-def _row6(s, start, lane):
-    a, b = row3(s, start, lane), row3(s, start + 3 * LANES, lane)
-    return a[0], a[1], a[2], b[0], b[1], b[2]
-
-
-@part
-def _put6(s, start, lane, h):
-    _put3(s, start, lane, (h[0], h[1], h[2]))
-    _put3(s, start + 3 * LANES, lane, (h[3], h[4], h[5]))
 
 
 @kernel
@@ -67,14 +40,10 @@ def descend(x, sheet, planes, band, scratch):
     """
     k = sheet.constants
     for block in range(len(sheet.fan_start) - 1):
-        _model(x, block, sheet, planes, band, scratch, True)
-        for lane in range(LANES):
-            step = scaled(-k.one, solved(_row6(scratch, HESSIAN, lane), row3(scratch, GRADIENT, lane)))
-            share = k.reach / np.sqrt(max(dot(step, step), k.reach * k.reach))
-            v = LANES * block + lane
-            x[v, 0] += share * step[0]
-            x[v, 1] += share * step[1]
-            x[v, 2] += share * step[2]
+        gradient, hessian = _model(x, block, sheet, planes, band, scratch, True)
+        step = solved(hessian, gradient)
+        share = k.reach / root(most(dot(step, step), k.reach * k.reach))
+        put_points(x, LANES * block, sub(points_in(x, LANES * block), scaled(share, step)))
 
 
 @kernel
@@ -84,10 +53,7 @@ def gradient_at(x, sheet, planes, band, scratch, gradient):
     its matrix knows, they would throw whole parts of a garment to and fro from step to step.
     """
     for block in range(len(sheet.fan_start) - 1):
-        _model(x, block, sheet, planes, band, scratch, False)
-        for lane in range(LANES):
-            for axis in range(3):
-                gradient[LANES * block + lane, axis] = scratch[GRADIENT + LANES * axis + lane]
+        put_points(gradient, LANES * block, _model(x, block, sheet, planes, band, scratch, False)[0])
 
 
 @kernel
@@ -112,91 +78,90 @@ def stick(sheet, carried, friction, planes):
 
 @part
 def _model(x, block, sheet, planes, band, scratch, curvature):
-    """Gradient of the block's vertices into the scratch, where ``curvature`` their Hessian too.
+    """Gradient of the block's vertices, where ``curvature`` their Hessian too, else what is no matter.
 
     A literal: what is not asked for is not in the compiled loop.
     """
-    for lane in range(LANES):
-        _put3(scratch, OWN, lane, at(x, LANES * block + lane))
-    _outside(block, sheet, planes, band, scratch, curvature)
+    own = points_in(x, LANES * block)
+    gradient, hessian = _outside(own, block, sheet, planes, band, curvature)
     for row in range(sheet.fan_start[block], sheet.fan_start[block + 1]):
-        for lane in range(LANES):
-            _put3(scratch, OTHERS, lane, at(x, sheet.fan_other[2 * LANES * row + lane]))
-            _put3(scratch, OTHERS + 3 * LANES, lane, at(x, sheet.fan_other[2 * LANES * row + LANES + lane]))
-        _triangle(row, sheet, scratch, curvature)
-    _bending(x, block, sheet, scratch)
-    for entry in range(sheet.crease_start[block], sheet.crease_start[block + 1]):
-        _crease(x, sheet, entry, scratch, curvature)
+        first = sub(points_at(x, sheet.fan_other, 2 * LANES * row), own)
+        second = sub(points_at(x, sheet.fan_other, 2 * LANES * row + LANES), own)
+        gradient, hessian = _triangle(first, second, row, sheet, gradient, hessian, curvature)
+    for row in range(sheet.bend_start[block], sheet.bend_start[block + 1]):
+        # The quadratic bending, a constant matrix whose rows sum to zero.
+        way = sub(points_at(x, sheet.bend_other, LANES * row), own)
+        gradient = add(gradient, scaled(row_at(sheet.bend_value, LANES * row), way))
+    begin, end = sheet.crease_start[block], sheet.crease_start[block + 1]
+    if begin < end:
+        put3(scratch, GRADIENT, gradient)
+        if curvature:
+            put3(scratch, HESSIAN, hessian[:3])
+            put3(scratch, HESSIAN + 3 * LANES, hessian[3:])
+        for entry in range(begin, end):
+            _crease(x, sheet, entry, scratch, curvature)
+        gradient = rows3_at(scratch, GRADIENT)
+        if curvature:
+            hessian = rows3_at(scratch, HESSIAN) + rows3_at(scratch, HESSIAN + 3 * LANES)
+    return gradient, hessian
 
 
 @part
-def _outside(block, sheet, planes, band, scratch, curvature):
+def _outside(x, block, sheet, planes, band, curvature):
     """Weight, the body's planes and the waistband, as in ``drape.solver.elements.outside``, friction, and bending's
-    diagonal."""
-    k, own = sheet.constants, sheet.own
-    least = own.dtype.type(SLIP_M * SLIP_M)
-    for lane in range(LANES):
-        x = row3(scratch, OWN, lane)
-        place = 4 * LANES * block + lane
-        normal, other = row3(planes, PLANES * block + 3 * LANES, lane), row3(planes, PLANES * block + 9 * LANES, lane)
-        depth = k.gap - dot(sub(x, row3(planes, PLANES * block, lane)), normal)
-        stiffness = own[place + 2 * LANES] if depth > k.zero else k.zero
-        deep = k.gap - dot(sub(x, row3(planes, PLANES * block + 6 * LANES, lane)), other)
-        stiff = own[place + 2 * LANES] if deep > k.zero else k.zero
-        way = sub(x, at(band, LANES * block + lane))
-        held, slack = planes[PLANES * block + HELD_ROW + lane], planes[PLANES * block + SLACK_ROW + lane]
-        length = np.sqrt(max(dot(way, way), slack * slack))
-        pull = held * (k.one - slack / length)  # stiffness times the way past the slack, per way
-        lost = held * slack / length**3 if length > slack else k.zero
-        slip = sub(x, row3(planes, PLANES * block + CARRIED, lane))
-        slip = sub(slip, scaled(dot(slip, normal), normal))
-        grip = planes[PLANES * block + FRICTION_ROW + lane] * max(depth, k.zero)
-        grip = grip / np.sqrt(max(dot(slip, slip), least))
-        if not curvature:
-            contact = own[place + 2 * LANES]
-            known = own[place + 3 * LANES] + own.dtype.type(HOLD) * contact
-            less = known / max(grip + (held if length > slack else k.zero), known)
-            pull, grip = less * pull, less * grip
-            share = contact / max(stiffness + stiff * dot(other, other), contact)
-            stiffness, stiff = share * stiffness, share * stiff
-        force = add(mix(-stiffness * depth, normal, -stiff * deep, other), mix(pull, way, grip, slip))
-        _put3(scratch, GRADIENT, lane, (force[0], force[1] + own[place], force[2]))
-        if not curvature:
-            continue
-        still = k.least + own[place + LANES] + pull + grip
-        hessian = (still, k.zero, k.zero, still, k.zero, still)
-        hessian = outer(outer(hessian, stiffness - grip, normal), stiff, other)
-        _put6(scratch, HESSIAN, lane, outer(hessian, lost, way))
+    diagonal, of the points ``x``: their gradient and Hessian."""
+    k, own, place = sheet.constants, 4 * LANES * block, PLANES * block
+    least = sheet.own.dtype.type(SLIP_M * SLIP_M)
+    contact, leash = row_at(sheet.own, own + 2 * LANES), row_at(sheet.own, own + 3 * LANES)
+    normal, other = rows3_at(planes, place + 3 * LANES), rows3_at(planes, place + 9 * LANES)
+    depth = k.gap - dot(sub(x, rows3_at(planes, place)), normal)
+    stiffness = where_above(depth, k.zero, contact, k.zero)
+    deep = k.gap - dot(sub(x, rows3_at(planes, place + 6 * LANES)), other)
+    stiff = where_above(deep, k.zero, contact, k.zero)
+    way = sub(x, points_in(band, LANES * block))
+    held, slack = row_at(planes, place + HELD_ROW), row_at(planes, place + SLACK_ROW)
+    length = root(most(dot(way, way), slack * slack))
+    pull = held * (k.one - slack / length)  # stiffness times the way past the slack, per way
+    slip = sub(x, rows3_at(planes, place + CARRIED))
+    slip = sub(slip, scaled(dot(slip, normal), normal))
+    grip = row_at(planes, place + FRICTION_ROW) * most(depth, k.zero)
+    grip = grip / root(most(dot(slip, slip), least))
+    if not curvature:
+        known = leash + sheet.own.dtype.type(HOLD) * contact
+        less = known / most(grip + where_above(length, slack, held, k.zero), known)
+        pull, grip = less * pull, less * grip
+        share = contact / most(stiffness + stiff * dot(other, other), contact)
+        stiffness, stiff = share * stiffness, share * stiff
+    force = add(mix(-stiffness * depth, normal, -stiff * deep, other), mix(pull, way, grip, slip))
+    force = (force[0], force[1] + row_at(sheet.own, own), force[2])
+    still = k.least + row_at(sheet.own, own + LANES) + pull + grip
+    none = k.zero * still
+    hessian = outer(outer((still, none, none, still, none, still), stiffness - grip, normal), stiff, other)
+    lost = where_above(length, slack, held * slack / (length * length * length), k.zero)
+    return force, outer(hessian, lost, way)
 
 
 @part
-def _triangle(row, sheet, scratch, curvature):
-    """Adds one triangle of each vertex: Gauss-Newton of Green's strain, and its stress where it pulls."""
-    k = sheet.constants
+def _triangle(first, second, row, sheet, gradient, h, curvature):
+    """``gradient`` and Hessian ``h`` with one triangle of each vertex, of edges ``first`` and ``second``: Gauss-Newton
+    of Green's strain, and its stress where it pulls."""
+    k, entry = sheet.constants, 5 * LANES * row
     twice = k.one + k.one
-    for lane in range(LANES):
-        own = row3(scratch, OWN, lane)
-        first = sub(row3(scratch, OTHERS, lane), own)
-        second = sub(row3(scratch, OTHERS + 3 * LANES, lane), own)
-        entry = 5 * LANES * row + lane
-        p1, t1 = sheet.fan_slope[entry], sheet.fan_slope[entry + LANES]
-        p2, t2 = sheet.fan_slope[entry + 2 * LANES], sheet.fan_slope[entry + 3 * LANES]
-        area = sheet.fan_slope[entry + 4 * LANES]
-        p, t = mix(p1, first, p2, second), mix(t1, first, t2, second)
-        pp, tt, pt = dot(p, p) - k.one, dot(t, t) - k.one, dot(p, t)
-        spp, stt, spt = area * (k.warp * pp + k.cross * tt), area * (k.cross * pp + k.weft * tt), area * k.shear * pt
-        mp, mt = -p1 - p2, -t1 - t2  # slopes of the own corner
-        cp, ct = mp * spp + mt * spt, mp * spt + mt * stt
-        before, force = row3(scratch, GRADIENT, lane), mix(cp, p, ct, t)
-        _put3(scratch, GRADIENT, lane, (before[0] + force[0], before[1] + force[1], before[2] + force[2]))
-        if not curvature:
-            continue
+    p1, t1 = row_at(sheet.fan_slope, entry), row_at(sheet.fan_slope, entry + LANES)
+    p2, t2 = row_at(sheet.fan_slope, entry + 2 * LANES), row_at(sheet.fan_slope, entry + 3 * LANES)
+    area = row_at(sheet.fan_slope, entry + 4 * LANES)
+    p, t = mix(p1, first, p2, second), mix(t1, first, t2, second)
+    pp, tt, pt = dot(p, p) - k.one, dot(t, t) - k.one, dot(p, t)
+    spp, stt, spt = area * (k.warp * pp + k.cross * tt), area * (k.cross * pp + k.weft * tt), area * k.shear * pt
+    mp, mt = -p1 - p2, -t1 - t2  # slopes of the own corner
+    cp, ct = mp * spp + mt * spt, mp * spt + mt * stt
+    gradient = add(gradient, mix(cp, p, ct, t))
+    if curvature:
         kpp = area * (twice * k.warp * mp * mp + k.shear * mt * mt)
         ktt = area * (twice * k.weft * mt * mt + k.shear * mp * mp)
         kpt = area * (twice * k.cross + k.shear) * mp * mt
-        pull = max(cp * mp + ct * mt, k.zero)
+        pull = most(cp * mp + ct * mt, k.zero)
         by_p, by_t = mix(kpp, p, kpt, t), mix(kpt, p, ktt, t)
-        h = _row6(scratch, HESSIAN, lane)
         h = (
             h[0] + by_p[0] * p[0] + by_t[0] * t[0] + pull,
             h[1] + by_p[0] * p[1] + by_t[0] * t[1],
@@ -205,23 +170,7 @@ def _triangle(row, sheet, scratch, curvature):
             h[4] + by_p[1] * p[2] + by_t[1] * t[2],
             h[5] + by_p[2] * p[2] + by_t[2] * t[2] + pull,
         )
-        _put6(scratch, HESSIAN, lane, h)
-
-
-@part
-def _bending(x, block, sheet, scratch):
-    """Adds the force of the quadratic bending, a constant matrix whose rows sum to zero."""
-    k = sheet.constants
-    for lane in range(LANES):
-        own = row3(scratch, OWN, lane)
-        a, b, c = k.zero, k.zero, k.zero
-        for row in range(sheet.bend_start[block], sheet.bend_start[block + 1]):
-            value, j = sheet.bend_value[LANES * row + lane], sheet.bend_other[LANES * row + lane]
-            a += value * (x[j, 0] - own[0])
-            b += value * (x[j, 1] - own[1])
-            c += value * (x[j, 2] - own[2])
-        before = row3(scratch, GRADIENT, lane)
-        _put3(scratch, GRADIENT, lane, (before[0] + a, before[1] + b, before[2] + c))
+    return gradient, h
 
 
 @part
@@ -233,7 +182,9 @@ def _crease(x, sheet, entry, scratch, curvature):
     points = (at(x, corner[0]), at(x, corner[1]), at(x, corner[2]), at(x, corner[3]))
     _, vectors, scalars = fold(points, cosine, sine, k)
     force, turn = fold_gradient(vectors, scalars, cosine, sine, k)[place], angle_gradient(vectors, k)[place]
-    before = row3(scratch, GRADIENT, lane)
-    _put3(scratch, GRADIENT, lane, mix(k.one, before, stiffness, force))
+    _put_lane3(scratch, GRADIENT, lane, mix(k.one, _lane3(scratch, GRADIENT, lane), stiffness, force))
     if curvature:
-        _put6(scratch, HESSIAN, lane, outer(_row6(scratch, HESSIAN, lane), stiffness, turn))
+        a, b = _lane3(scratch, HESSIAN, lane), _lane3(scratch, HESSIAN + 3 * LANES, lane)
+        a, b = outer(a + b, stiffness, turn)[:3], outer(a + b, stiffness, turn)[3:]
+        _put_lane3(scratch, HESSIAN, lane, a)
+        _put_lane3(scratch, HESSIAN + 3 * LANES, lane, b)

@@ -13,6 +13,7 @@ from drape.cloth.energies import ClothMesh
 from drape.folds import reference
 from drape.folds.constants import Constants, Dressed
 from drape.folds.contact import SkinGraph, Touched, carried, gripped, nearest_at_rest, skin_graph
+from drape.folds.sheet import LANES
 from drape.folds.step import Effort, Frame, fold
 from drape.folds.sweeps import SLIP_M
 from drape.push.samples import Samples, sample_table
@@ -97,6 +98,11 @@ def test_its_force_is_coulombs(slip_m: float):
     assert not reference.rubbed(x, made, lifted, slice(None))[0].any()
 
 
+def in_blocks(rows: np.ndarray) -> np.ndarray:
+    """``rows``, and again from the first one on up to a whole number of blocks."""
+    return np.resize(rows, (len(rows) + -len(rows) % LANES, *rows.shape[1:]))
+
+
 def test_what_lies_on_the_skin_is_carried_as_a_solid_where_it_moves_as_one():
     rest, dressed = sleeve()
     one = frame(rest, 0)
@@ -104,7 +110,8 @@ def test_what_lies_on_the_skin_is_carried_as_a_solid_where_it_moves_as_one():
     graph = SkinGraph(*map(np.asarray, dressed.graph))
     skin = one.skin.astype(np.float64)
     moved = np.asarray(sample_table(skin[:, :3] @ turn.T + way, skin[:, 4:7] @ turn.T), dtype=np.float64)
-    touched, x = Touched(own, np.full_like(own, -1)), np.ascontiguousarray(one.vertices, dtype=np.float64)
+    own, x = in_blocks(own), in_blocks(one.vertices.astype(np.float64))
+    touched = Touched(own, np.full_like(own, -1))
     grip, found = np.empty_like(x), np.empty_like(x)
     gripped(x, x, touched, skin, graph, grip)
     carried(grip, touched, moved, graph, found)
@@ -116,9 +123,9 @@ def test_what_lies_on_the_skin_is_carried_as_a_solid_where_it_moves_as_one():
 def test_a_sample_without_neighbours_carries_along_its_normal():
     graph = SkinGraph(np.zeros((1, 8), np.int32), np.ones(1), np.zeros((1, 3)))
     skin = np.asarray(sample_table(np.zeros((1, 3)), np.array([[0.0, 1.0, 0.0]])), dtype=np.float64)
-    touched, found = Touched(np.zeros(1, np.int32), np.full(1, -1, np.int32)), np.empty((1, 3))
-    carried(np.array([[0.01, 0.02, 0.03]]), touched, skin, graph, found)
-    assert_allclose(found, [[0.0, 0.01, 0.0]], atol=1e-15)
+    touched, found = Touched(np.zeros(LANES, np.int32), np.full(LANES, -1, np.int32)), np.empty((LANES, 3))
+    carried(in_blocks(np.array([[0.01, 0.02, 0.03]])), touched, skin, graph, found)
+    assert_allclose(found, np.tile([0.0, 0.01, 0.0], (LANES, 1)), atol=1e-15)
 
 
 def test_skin_that_moves_on_takes_along_what_lies_on_it_by_friction_alone():
