@@ -14,12 +14,11 @@ Represent. 18(2)).
 
 from __future__ import annotations
 
-import numpy as np
-
 from drape.folds.sheet import LANES
-from drape.folds.sweeps import PLANES, row3
-from drape.solver.compiled import kernel
-from drape.solver.elements import add, at, dot, scaled, sub
+from drape.folds.sweeps import PLANES
+from drape.solver.compiled import kernel, part
+from drape.solver.elements import add, dot, scaled, sub
+from drape.solver.lanes import points_in, put, put_points, root, rows3_at, where_above
 
 CLEARANCE_M = 0.0025  # that of the push-out, and less than contact's gap: cloth at rest is not lifted
 OTHER = 0.25  # of the way out of another part
@@ -31,22 +30,18 @@ def lift(x, planes, clearance, way):
     writes how far, in ``way`` [m] (P,)."""
     one, other = x.dtype.type(1), x.dtype.type(OTHER)
     for block in range(len(x) // LANES):
-        for lane in range(LANES):
-            v = LANES * block + lane
-            before = at(x, v)
-            after = _above(before, planes, PLANES * block + 6 * LANES, lane, clearance, other)
-            after = _above(after, planes, PLANES * block, lane, clearance, one)
-            x[v, 0], x[v, 1], x[v, 2] = after
-            moved = sub(after, before)
-            way[v] = np.sqrt(dot(moved, moved))
+        before = points_in(x, LANES * block)
+        after = _above(before, planes, PLANES * block + 6 * LANES, clearance, other)
+        after = _above(after, planes, PLANES * block, clearance, one)
+        put_points(x, LANES * block, after)
+        moved = sub(after, before)
+        put(way, LANES * block, root(dot(moved, moved)))
 
 
-@kernel
-def _above(point, planes, row, lane, clearance, share):
-    """``point`` with a ``share`` of its way to ``clearance`` over the plane that begins at ``row``, where it is lower.
-
-    A plane that is not there has no normal.
-    """
-    normal = row3(planes, row + 3 * LANES, lane)
-    low = clearance - dot(sub(point, row3(planes, row, lane)), normal)
-    return add(point, scaled(share * low if low > clearance - clearance else low - low, normal))
+@part
+def _above(points, planes, row, clearance, share):
+    """``points`` with a ``share`` of their way to ``clearance`` over the planes that begin at ``row``, where they are
+    lower. A plane that is not there has no normal."""
+    normal = rows3_at(planes, row + 3 * LANES)
+    low = clearance - dot(sub(points, rows3_at(planes, row)), normal)
+    return add(points, scaled(share * where_above(low, clearance - clearance, low, clearance - clearance), normal))

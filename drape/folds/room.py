@@ -24,8 +24,9 @@ import scipy.sparse
 from drape.cloth.energies import ClothMesh
 from drape.folds.clusters import POINT_ROWS, boxes_of, clusters, find_close, laid, less, squared
 from drape.folds.sheet import LANES
-from drape.folds.sweeps import HELD_ROW, PLANES, SLACK_ROW, row3
+from drape.folds.sweeps import HELD_ROW, PLANES, SLACK_ROW
 from drape.solver.compiled import kernel, part
+from drape.solver.lanes import row3
 
 NEAR_M = 0.02  # along the cloth: nearer vertices, and those of one triangle, are one sheet
 FOLDED = 0.6  # of the way along the cloth: what is no nearer than that through the air is one sheet, pressed together

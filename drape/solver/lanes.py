@@ -307,6 +307,12 @@ def rows3_at(array, start):
 
 
 @part
+def row3(array, start, lane):
+    """The vector of one ``lane`` of the three rows from ``start`` on."""
+    return array[start + lane], array[start + LANES + lane], array[start + 2 * LANES + lane]
+
+
+@part
 def put3(array, start, a):
     """Writes the vector ``a`` of three rows from ``start`` on."""
     put(array, start, a[0])
