@@ -100,9 +100,8 @@ def swing(
     state = State(past.network, past.swung - (origin - past.origin).astype(dtype), past.speed)
     young = dtype.type(constants.young_n_per_m)
     numbers = Numbers(dtype.type(step_s), dtype.type(damping), young, ROUNDS, TURNS)
-    swung, speed, far = advance(
-        state, network, ground, touched, constants.held, constants.mesh, constants.graph, numbers
-    )
+    near = Near(touched, constants.held)
+    swung, speed, far = advance(state, network, ground, near, constants.mesh, constants.graph, numbers)
     if not far <= FAR_M:
         return vertices, _still(constants, network, ground, time_s, origin)
     after = Memory(time_s, origin, network, swung, speed, touched, since_s)
@@ -145,13 +144,21 @@ class Numbers(NamedTuple):
     turns: int
 
 
+class Near(NamedTuple):
+    """The samples (N,) below the nodes, and the share (N,) of the hold there that each has."""
+
+    touched: np.ndarray
+    held: np.ndarray
+
+
 @kernel
-def advance(state, network, skin, touched, held, mesh, graph, numbers):
+def advance(state, network, skin, near, mesh, graph, numbers):
     """The swung nodes [m] (N, 3), their speed [m/s], and how far [m] the farthest is from still cloth, NaN where one
     is."""
     h = numbers.step_s
     one, zero = network.dtype.type(1), network.dtype.type(0)
-    hold = _holds(network, skin, touched, held)
+    touched = near.touched
+    hold = _holds(network, skin, near)
     inertia, deep = np.zeros_like(hold), np.zeros_like(hold)
     u, rhs, swung = np.zeros_like(network), np.zeros_like(network), network.copy()
     for n in range(len(mesh.order)):
@@ -193,20 +200,20 @@ def advance(state, network, skin, touched, held, mesh, graph, numbers):
 
 
 @kernel
-def _holds(network, skin, touched, held):
-    """How stiffly [N/m] (N,) nodes are held where the network has them, times the share ``held`` (N,)."""
+def _holds(network, skin, near):
+    """How stiffly [N/m] (N,) nodes are held where the network has them, times the share of each."""
     dtype = network.dtype.type
     hold = np.empty(len(network), network.dtype)
     for i in range(len(network)):
-        off = sub(at(network, i), at(skin, touched[i]))
-        j = touched[i]
+        j = near.touched[i]
+        off = sub(at(network, i), at(skin, j))
         height = dot(off, (skin[j, 4], skin[j, 5], skin[j, 6]))
         if dot(off, off) > dtype(TOUCH_M * TOUCH_M):  # above another part of the body than the sample's
             height = dtype(FREE_M)
         share = (height - dtype(NEAR_M)) / dtype(FREE_M - NEAR_M)
         share = min(max(share, dtype(0)), dtype(1))
         free = share * share * (dtype(3) - share - share)
-        hold[i] = held[i] * dtype(HOLD_N_PER_M) * (dtype(1) - free) / max(free, dtype(LEAST_FREE))
+        hold[i] = near.held[i] * dtype(HOLD_N_PER_M) * (dtype(1) - free) / max(free, dtype(LEAST_FREE))
     return hold
 
 
