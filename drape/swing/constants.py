@@ -15,6 +15,7 @@ from drape.garment.cache import Garment
 from drape.push.skin import body_skin
 from drape.swing.mesh import swing_mesh
 from drape.swing.nodes import STIFFEST_N_PER_M
+from drape.swing.slack import held_share
 from drape.swing.step import SWING_HZ, Constants
 
 HELD_M = 0.008  # over the skin at rest: cloth that lies lower never swings
@@ -39,4 +40,5 @@ def constants(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -
         nearest[mesh.vertex],
         min(0.5 * (made_of.warp_n_per_m + made_of.weft_n_per_m), STIFFEST_N_PER_M),
         made_of.damping_s * (2.0 * np.pi * SWING_HZ) ** 2,
+        held_share(cloth, rest, skin.point)[mesh.vertex].astype(dtype),
     )

@@ -7,7 +7,7 @@ Cloth that hangs freely is a coarse mesh with its mass. Its nodes go on where th
 air slows v along the surface's normal, the fabric damps it; weight pulls them back to where still cloth would be, and
 the cloth's length holds them (``nodes``), both by implicit Euler. The vertices are moved by what the nodes are away
 from the still cloth, so that on a still body all comes to rest at the network's drape. Nodes that this has near the
-skin are held there.
+skin are held there, those of a wide skirt hardly (``slack``).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from drape.swing.nodes import GAP_M, TOUCH_M, Ground, Springs, fall_back, keep_l
 
 NEAR_M, FREE_M = 0.008, 0.04  # over the skin: lower nodes are held, higher ones free
 HOLD_N_PER_M, LEAST_FREE = 2.0, 0.01  # of a node that is half free; what is left of freedom at the skin
-ROUNDS, TURNS = 20, 4  # of conjugate gradients, and sweeps there and back for length
+ROUNDS, TURNS = 20, 6  # of conjugate gradients, and sweeps there and back for length
 PAUSE_S = 0.25  # after a longer one a frame has no past
 CUT_M = 0.30  # a node that the network moves farther between two frames is in another clip
 SHORTEST_STEP_S = 1.0 / 240.0
@@ -42,18 +42,20 @@ LEAST_M = 1e-6  # nearer is none either, but rounding
 @dataclass(frozen=True, eq=False)
 class Constants:
     """What the kernels read of a garment in a fabric: its ``mesh``, the skin's ``graph``, the sample (N,) that is
-    nearest to each node at rest, stiffness [N/m] and damping [1/s]."""
+    nearest to each node at rest, stiffness [N/m] and damping [1/s]; the share (N,) of the hold near the skin that each
+    node has."""
 
     mesh: SwingMesh
     graph: SkinGraph
     index: np.ndarray
     young_n_per_m: float
     damping_per_s: float
+    held: np.ndarray
 
     @property
     def nbytes(self) -> int:
         """Memory of the mesh."""
-        return sum(array.nbytes for array in self.mesh) + self.index.nbytes
+        return sum(array.nbytes for array in self.mesh) + self.index.nbytes + self.held.nbytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +100,8 @@ def swing(
     state = State(past.network, past.swung - (origin - past.origin).astype(dtype), past.speed)
     young = dtype.type(constants.young_n_per_m)
     numbers = Numbers(dtype.type(step_s), dtype.type(damping), young, ROUNDS, TURNS)
-    swung, speed, far = advance(state, network, ground, touched, constants.mesh, constants.graph, numbers)
+    near = Near(touched, constants.held)
+    swung, speed, far = advance(state, network, ground, near, constants.mesh, constants.graph, numbers)
     if not far <= FAR_M:
         return vertices, _still(constants, network, ground, time_s, origin)
     after = Memory(time_s, origin, network, swung, speed, touched, since_s)
@@ -141,13 +144,21 @@ class Numbers(NamedTuple):
     turns: int
 
 
+class Near(NamedTuple):
+    """The samples (N,) below the nodes, and the share (N,) of the hold there that each has."""
+
+    touched: np.ndarray
+    held: np.ndarray
+
+
 @kernel
-def advance(state, network, skin, touched, mesh, graph, numbers):
+def advance(state, network, skin, near, mesh, graph, numbers):
     """The swung nodes [m] (N, 3), their speed [m/s], and how far [m] the farthest is from still cloth, NaN where one
     is."""
     h = numbers.step_s
     one, zero = network.dtype.type(1), network.dtype.type(0)
-    hold = _holds(network, skin, touched)
+    touched = near.touched
+    hold = _holds(network, skin, near)
     inertia, deep = np.zeros_like(hold), np.zeros_like(hold)
     u, rhs, swung = np.zeros_like(network), np.zeros_like(network), network.copy()
     for n in range(len(mesh.order)):
@@ -189,20 +200,20 @@ def advance(state, network, skin, touched, mesh, graph, numbers):
 
 
 @kernel
-def _holds(network, skin, touched):
-    """How stiffly [N/m] (N,) nodes are held where the network has them."""
+def _holds(network, skin, near):
+    """How stiffly [N/m] (N,) nodes are held where the network has them, times the share of each."""
     dtype = network.dtype.type
     hold = np.empty(len(network), network.dtype)
     for i in range(len(network)):
-        off = sub(at(network, i), at(skin, touched[i]))
-        j = touched[i]
+        j = near.touched[i]
+        off = sub(at(network, i), at(skin, j))
         height = dot(off, (skin[j, 4], skin[j, 5], skin[j, 6]))
         if dot(off, off) > dtype(TOUCH_M * TOUCH_M):  # above another part of the body than the sample's
             height = dtype(FREE_M)
         share = (height - dtype(NEAR_M)) / dtype(FREE_M - NEAR_M)
         share = min(max(share, dtype(0)), dtype(1))
         free = share * share * (dtype(3) - share - share)
-        hold[i] = dtype(HOLD_N_PER_M) * (dtype(1) - free) / max(free, dtype(LEAST_FREE))
+        hold[i] = near.held[i] * dtype(HOLD_N_PER_M) * (dtype(1) - free) / max(free, dtype(LEAST_FREE))
     return hold
 
 
@@ -243,6 +254,6 @@ def warm_up() -> None:
         start, nobody, empty, start, nobody, empty,
     )  # fmt: skip
     graph = SkinGraph(np.zeros((1, NEIGHBOURS), np.int32), np.ones(1, np.float32), zero)
-    made = Constants(mesh, graph, index, 1.0, 0.0)
+    made = Constants(mesh, graph, index, 1.0, 0.0, none)
     _, memory = swing(made, None, Frame(zero, np.zeros((1, 8)), 0.0), np.zeros(3))
     swing(made, memory, Frame(zero + np.float32(1e-3), np.zeros((1, 8)), 0.1), np.zeros(3))

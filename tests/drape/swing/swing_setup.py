@@ -38,7 +38,8 @@ def constants(mesh: SwingMesh, *, damping_per_s: float = 0.0) -> Constants:
     """Of the strip beside skin that is out of reach."""
     dtype = mesh.mass_kg.dtype
     graph = SkinGraph(np.zeros((1, NEIGHBOURS), np.int32), np.ones(1, dtype), np.zeros((1, 3), dtype))
-    return Constants(mesh, graph, np.zeros(len(mesh.vertex), np.int32), 300.0, damping_per_s)
+    count = len(mesh.vertex)
+    return Constants(mesh, graph, np.zeros(count, np.int32), 300.0, damping_per_s, np.ones(count, dtype))
 
 
 def frame(rest: np.ndarray, time_s: float) -> Frame:
