@@ -4,12 +4,12 @@
     python -m benchmarks.tradeoff --garments tshirt dress trousers --fabrics jersey denim satin --save
     python -m benchmarks.tradeoff --garments tshirt --quick
 
-Every combination of passes, folds and push-out drapes the same clips, frame by frame on the service's own road
-(``service.stages``), in turn with the others and with the rival: skinning and a SciPy push-out, of which ``time_ratio``
-is the share of processor time. Ends of the axis are rows of that rival (``skinning_push``) and of the optimum
-(``physics``). Figures are those of ``benchmarks.folds``, over frames at rest (motion 0) whose physics was minimised.
-That physics may pass through itself, which what is served may not: what that costs of gain is told by the rows that
-may ("through itself").
+Every combination of passes, folds and push-out, which with folds is their lift, drapes the same clips, frame by frame
+on the service's own road (``service.stages``), in turn with the others and with the rival: skinning and a SciPy push-
+out, of which ``time_ratio`` is the share of processor time. Ends of the axis are rows of that rival (``skinning_push``)
+and of the optimum (``physics``). Figures are those of ``benchmarks.folds``, over frames at rest (motion 0) whose
+physics was minimised. That physics may pass through itself, which what is served may not: what that costs of gain is
+told by the rows that may ("through itself").
 
 ``tiers`` of the record are chosen by one rule (``tiers_of``); ``--write`` puts them into the model's manifest, and
 ``--plot FILE`` draws the front.

@@ -4,11 +4,11 @@
     python -m benchmarks.skin_pixels --garments $DRAPE_DATA/garments --motions $DRAPE_DATA/motions --frames 12 --save
     python -m benchmarks.skin_pixels --garments $DRAPE_DATA/garments/female_jeans.obj --quick --sheets docs/images
 
-All drapes but skinning and ``unpushed`` are pushed out of the skin, as the service does. ``network``: all corrections,
-the delivered mesh. The others are folds on the network without corrections, a single pose each: ``folds`` on the
-delivered triangles (of garments that are coarse: as it was before they folded on the finer mesh), ``wrapped``, what the
-service sends of the finer mesh's folds as the delivered one, ``unpushed``, what it sends without the push-out, and
-``fine``, that finer mesh. Skin is counted by ``benchmarks.quality.skin_pixels``; ``--sheets`` draws the pose in which
+All drapes but skinning and ``unpushed`` are pushed out of the skin. ``network``: all corrections, the delivered mesh.
+The others are folds on the network without corrections, a single pose each: ``folds`` on the delivered triangles (of
+garments that are coarse: as it was before they folded on the finer mesh), ``wrapped``, the finer mesh's folds as the
+delivered one, ``unpushed``, the same as the service sends it, off the skin by folds alone, and ``fine``, that finer
+mesh. Skin is counted by ``benchmarks.quality.skin_pixels``; ``--sheets`` draws the pose in which
 ``network`` shows most of it.
 """
 
