@@ -178,7 +178,5 @@ def test_the_default_of_the_product_is_folds(make_settings: Callable[..., Settin
     assert (Settings().tier, Settings().folds, Settings().passes) == ("balanced", None, None)
     made = Drapery(make_settings(folds=None))
     plan = made.plan(made.garments.get("tube"), DrapeOptions())
-    assert made.engine.manifest.name == TINY and [stage.name for stage in plan.stages] == [
-        "network", "folds", "collision",
-    ]  # fmt: skip
+    assert made.engine.manifest.name == TINY and [stage.name for stage in plan.stages] == ["network", "folds"]
     made.close()

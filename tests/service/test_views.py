@@ -70,9 +70,9 @@ def test_frames_of_8_bits_are_those_of_16_to_half_a_step_at_half_the_bytes(drape
 @pytest.mark.parametrize(
     ("asked", "stages"),
     [
-        ({"inertia": "mesh"}, "network swing folds collision encode"),
-        ({"inertia": "network"}, "motion network folds collision encode"),
-        ({"motion": 0.0}, "network folds collision encode"),
+        ({"inertia": "mesh"}, "network swing folds encode"),
+        ({"inertia": "network"}, "motion network folds encode"),
+        ({"motion": 0.0}, "network folds encode"),
         ({"motion": 0.0, "pixels_per_m": FAR}, "network collision encode"),
         ({"motion": 0.0, "pixels_per_m": FAR, "push_out": False}, "network encode"),
         ({"motion": 0.0, "geometry": "jets", "push_out": False}, "network encode"),
