@@ -56,6 +56,11 @@ class Plan:
         return bool(self.options.folds) and (bool(self.options.cloth_contact) or len(self.scene.layers) == 1)
 
     @property
+    def projected(self) -> bool:
+        """Whether the collision projection brings the cloth out: where that is asked for and folds do not."""
+        return bool(self.options.push_out) and not self.lifted
+
+    @property
     def visible(self) -> tuple[bool, ...]:
         """Which layers of the scene come."""
         hidden = self.options.hidden or ()

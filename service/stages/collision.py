@@ -34,7 +34,7 @@ class Collision(Stage):
         return {"push_out": self.settings.push_out if options.push_out is None else options.push_out}
 
     def wanted(self, plan: Plan) -> bool:
-        return bool(plan.options.push_out) and not plan.lifted
+        return plan.projected
 
     def joins_layers(self, plan: Plan) -> bool:
         return True

@@ -210,7 +210,7 @@ class Folds(Stage):
 
 def _read(plan: Plan) -> list[bool]:
     """Of which layers the delivered mesh is read: a hidden one's by the push-out alone."""
-    return [seen or (bool(plan.options.push_out) and not plan.lifted) for seen in plan.visible]
+    return [seen or plan.projected for seen in plan.visible]
 
 
 @dataclass(eq=False)
