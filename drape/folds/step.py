@@ -116,7 +116,7 @@ def fold(
     The same input gives the same bits. ``memory`` is left as it is.
     """
     dtype = constants.sheet.own.dtype
-    network = frame.vertices[constants.sheet.vertex].astype(dtype)
+    network = np.take(frame.vertices, constants.sheet.vertex, axis=0).astype(dtype)  # in a third of the time of [...]
     skin = np.array(frame.skin, dtype=dtype, order="C")  # a copy: kernels are compiled for arrays that may be written
     none = _without_past(constants, network, frame.time_s)
     past = memory if memory is not None and _leads_to(memory, network, frame.time_s) else none
@@ -160,7 +160,7 @@ def _advanced(
     rounds = 0 if effort.sweeps == 0 else effort.settle if settled else 1
     share = fading(effort, step_s)
     place = constants.sheet.place
-    calm = calmness(past.network[place], network[place])
+    calm = calmness(np.take(past.network, place, axis=0), np.take(network, place, axis=0))
     k = constants.sheet.constants
     pace = paced(effort.sweeps, calm, stiff=float(k.warp + k.weft) > STIFF_N_PER_M)  # each is half of the fabric's
     momentum = SETTLING_MOMENTUM if settled and rounds >= LONG_ROUNDS else pace.momentum
@@ -173,10 +173,10 @@ def _advanced(
     touched = Touched(past.touched.own.copy(), past.touched.other.copy())
     kept = Kept(dtype(share) * past.residual, dtype(share == 1.0) * past.velocity, past.grip.copy())
     x, far, lifted_m = advance(network, kept, touched, skin, cloth, numbers)
-    lifted_m = lifted_m[place]
+    lifted_m = np.take(lifted_m, place)
     after = Memory(time_s, network, kept.residual, kept.velocity, touched, kept.grip, (past.turn + 1) % TURNS)
     report = Report(settled, False, float((lifted_m > LIFTED_M).mean()), float(lifted_m.max()))
-    return (x[place] if far <= FAR_M else None), after, report
+    return (np.take(x, place, axis=0) if far <= FAR_M else None), after, report
 
 
 def fading(effort: Effort, step_s: float) -> float:

@@ -210,11 +210,18 @@ def message_kind(message: bytes) -> int:
 
 def quantise(positions: np.ndarray, count: int = STEP_COUNT) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Steps (V, n) uint16 from 0 to ``count``, low corner (n,) and step size (n,) of the columns of ``positions``."""
-    low = positions.min(axis=0).astype(np.float32)
-    extent = positions.max(axis=0).astype(np.float32) - low
-    step = np.maximum(extent / np.float32(count), np.float32(1e-9))  # a flat box must not divide by zero
-    steps = np.rint((positions.astype(np.float32) - low) / step)
-    return np.clip(steps, 0, count).astype(np.uint16), low, step
+    columns = np.array(
+        positions.T, dtype=np.float32, order="C"
+    )  # a copy: along rows of three NumPy takes eight times as long
+    low = columns.min(axis=1)
+    step = np.maximum((columns.max(axis=1) - low) / np.float32(count), np.float32(1e-9))  # a flat box: not by zero
+    columns -= low[:, None]
+    columns /= step[:, None]
+    np.rint(columns, out=columns)
+    np.clip(columns, 0, count, out=columns)
+    steps = np.empty(positions.shape, np.uint16)
+    steps.T[...] = columns
+    return steps, low, step
 
 
 def dequantise(steps: np.ndarray, low: np.ndarray, step: np.ndarray) -> np.ndarray:
