@@ -1,8 +1,8 @@
 """When streams step down: to which tier they are held while poses come faster than they can be draped.
 
 Down by one step as soon as a share of the poses was late, that is replaced by newer ones while only the worker was in
-the way, and by two where that was a large share; up again after a while without, where what the next step takes leaves
-room, and after twice as long where the last try failed. Nothing is ever computed that was not asked for:
+the way, and by as many as it takes to spare that share; up again after a while without, where what the next step takes
+leaves room, and after twice as long where the last try failed. Nothing is ever computed that was not asked for:
 ``service.tiers.capped``. Below the least tier there is what it can spare, ``service.tiers.spared``, and below that its
 folds are carried along.
 """
@@ -12,7 +12,8 @@ from __future__ import annotations
 import math
 
 WINDOW_S = 0.5  # over which poses are counted
-LATE_SHARE, FAR_TOO_LATE = 0.05, 0.3  # of them that step down, by one and by two
+LATE_SHARE = 0.05  # of them that step down
+SPARED = 0.125  # of a frame's time by one step, about: 7 to 23 % (docs/reference/performance.md)
 CALM_S, CALM_LIMIT_S = 2.0, 64.0  # without late poses before a step up, at first and at most
 ROOM = 0.8  # of the time that the worker may be busy after a step up
 GUESS = 1.5  # times what a frame takes now, where the next tier has not been measured yet
@@ -51,9 +52,10 @@ class StepDown:
             return
         seconds = now_s - self._start_s
         self._frame_s[self.level] = self._busy_s / self._frames
-        if self._late > LATE_SHARE * (self._frames + self._late):
+        late = self._late / (self._frames + self._late)
+        if late > LATE_SHARE:
             self._quiet_since_s = now_s
-            self._down(now_s, 2 if self._late > FAR_TOO_LATE * (self._frames + self._late) else 1)
+            self._down(now_s, max(1, int(late / SPARED)))
         elif self.level < self.top and now_s - self._quiet_since_s >= self._calm_s and self._has_room(seconds):
             self.level += 1
             self._raised_s = self._quiet_since_s = now_s

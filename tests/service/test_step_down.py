@@ -49,8 +49,8 @@ def test_late_poses_step_down_at_once_and_calm_steps_up_slowly():
     assert held.level == TOP
 
 
-def test_where_far_too_much_is_late_it_is_two_steps():
-    for late, level in ((4, 4), (5, 3)):
+def test_the_more_is_late_the_more_steps_it_goes_down():
+    for late, level in ((1, 4), (2, 4), (4, 3), (10, 1), (17, 0)):
         held = StepDown(5, 0.0)
         passed(held, 0.0, 1, late=late)
         assert held.level == level
