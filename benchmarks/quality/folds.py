@@ -7,7 +7,8 @@
 
 Every start gets the same solver: ``skinning`` with the nearest-vertex push, and the network after none and all of its
 corrections. ``ms`` is the median processor time of a frame's folds on one thread; energies are those of the referee,
-over frames spread over the clip and without push-out; jitter is against the start.
+over frames spread over the clip and without push-out; jitter is against the start, skin counted in pictures from four
+sides.
 ``--physics`` adds ``gain`` and ``detail_share`` against the optimum of up to six frames of the clip, minutes each;
 ``--apart`` adds ``gain_apart`` against what of it cloth can have that does not pass through itself.
 """
@@ -18,6 +19,8 @@ import argparse
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +28,7 @@ import numpy as np
 import torch
 
 from benchmarks.quality.intersections import intersection_count
+from benchmarks.quality.skin_pixels import PosedBody, covered_faces, skin_pixels_pct
 from benchmarks.shared import apart, common, physics
 from benchmarks.shared.network import Network, add_precision
 from benchmarks.shared.physics_cache import CACHE_DIR, stored_minimum
@@ -58,7 +62,7 @@ COLUMNS = {
     "garment": "s", "fabric": "s", "clip": "s", "fps": ".0f", "method": "s", "sweeps": "d", "ms": ".2f",
     "energy_j": ".4f", "gain": ".3f", "gain_apart": ".3f", "edge_pct": ".2f", "edge_p999": ".3f",
     "detail_mm": ".2f", "detail_share": ".2f", "dihedral_deg": ".1f", "jitter_ratio": ".2f", "colliding_pct": ".2f",
-    "self_intersections": ".0f", "resets": "d",
+    "skin_pixels_pct": ".3f", "self_intersections": ".0f", "resets": "d",
 }  # fmt: skip
 
 
@@ -110,7 +114,8 @@ def folded(made: Constants, start: np.ndarray, clip: Clip, sweeps: int, *, cloth
 
 @dataclass(frozen=True, eq=False)
 class Referee:
-    """What a garment in a fabric is judged by over a clip."""
+    """What a garment in a fabric is judged by over a clip; ``covered`` (Fb,): faces of the body, as of
+    ``skin_pixels.covered_faces``."""
 
     garment: Garment
     clip: Clip
@@ -119,6 +124,22 @@ class Referee:
     material: Material
     low_pass: LowPass
     height_m: np.ndarray
+    covered: np.ndarray
+
+    @classmethod
+    def of(cls, garment: Garment, cloth: Fabric, clip: Clip, body: BodyModel, skinned: np.ndarray) -> Referee:
+        """The referee of ``garment`` made of ``cloth``; heights are from those of ``skinned`` [m] (F, V, 3)."""
+        state, faces, rest = garment.rest_state(), garment.fine_faces.astype(np.int64), garment.vertices
+        mesh = ClothMesh.of(state, faces, len(rest))
+        height = metrics.mean_height(skinned[clip.measured].astype(np.float64), mesh)
+        covered = covered_faces(body.v_template, body.faces, rest.astype(np.float64), faces)
+        low_pass = LowPass.of(state, faces, len(rest))
+        return cls(garment, clip, body, mesh, Material.of(cloth), low_pass, height, covered)
+
+    @cached_property
+    def pictured(self) -> tuple[PosedBody, ...]:
+        """Every ``body_vertices`` of the clip in pictures, which all drapes share."""
+        return tuple(PosedBody.of(posed, self.body.faces) for posed in self.clip.body_vertices)
 
     def figures(self, found: Folded, start: np.ndarray) -> dict[str, Any]:
         """The columns of a row, but for what needs physics."""
@@ -132,6 +153,10 @@ class Referee:
         strained = meshes.edge_lengths(found.vertices.astype(np.float64), edges) / meshes.edge_lengths(rest, edges)
         few = slice(None, None, max(1, len(seen) // COLLIDED))
         colliding = metrics.colliding_triangle_pct(seen[few], self.clip.body_vertices[few], self.body.faces)
+        skin = [
+            skin_pixels_pct(body, self.covered, vertices, faces)
+            for body, vertices in zip(self.pictured[few], seen[few], strict=True)
+        ]
         return {
             "ms": float(np.median(found.ms[1:])),
             "first_ms": float(found.ms[0]),
@@ -143,6 +168,7 @@ class Referee:
             "dihedral_deg": float(dihedral_deg(seen, faces).mean()),
             "jitter_ratio": jitter_ratio(found.vertices, start),
             "colliding_pct": float(colliding.mean()),
+            "skin_pixels_pct": float(np.nanmean(skin)),
             "self_intersections": float(intersection_count(seen[few], faces).mean()),
             "resets": found.resets,
             "frames": len(start),
@@ -177,27 +203,29 @@ def measure(
     options: argparse.Namespace,
 ) -> list[dict[str, Any]]:
     """The rows of ``garment`` made of ``cloth`` on one clip."""
-    state, faces, count = garment.rest_state(), garment.fine_faces.astype(np.int64), len(garment.vertices)
-    mesh, material = ClothMesh.of(state, faces, count), Material.of(cloth)
     from_each = starts(garment, cloth, clip, body, networks)
-    height = metrics.mean_height(from_each["skinning"][clip.measured].astype(np.float64), mesh)
-    referee = Referee(garment, clip, body, mesh, material, LowPass.of(state, faces, count), height)
+    referee = Referee.of(garment, cloth, clip, body, from_each["skinning"])
     made = constants(garment, body, cloth)
     named = {"garment": garment.name, "fabric": cloth.name, "clip": clip.name, "fps": clip.fps}
     rows, drawn = [], {}
     for method, start in from_each.items():
-        for sweeps in options.sweeps:
-            found = folded(made, start, clip, sweeps, cloth_contact=options.cloth_contact)
-            rows.append({**named, "method": method, "sweeps": sweeps, **referee.figures(found, start)})
+        for sweeps, contact in product(options.sweeps, options.cloth_contact):
+            if contact and not sweeps:
+                continue
+            found = folded(made, start, clip, sweeps, cloth_contact=contact)
+            knobs = {"method": method, "sweeps": sweeps, "cloth_contact": contact}
+            rows.append(named | knobs | referee.figures(found, start))
             if method == "network_0" and sweeps in SHEET_SWEEPS:
                 drawn[sweeps] = found.vertices
     if options.physics:
-        add_physics(rows, bound(referee, from_each))
+        least = bound(referee, from_each)
+        add_physics(rows, least)
+        rows.append(named | physics_row(referee, least))
     if options.apart:
         least = bound(referee, from_each, keeps_apart=True)
         for row in rows:
             row["gain_apart"] = metrics.gain(plain_row(rows)["energy_j"], row["energy_j"], least.energy_j)
-            row["self_intersections_apart"] = float(intersection_count(least.vertices, mesh.faces).mean())
+            row["self_intersections_apart"] = float(intersection_count(least.vertices, referee.cloth.faces).mean())
     if options.sheets:
         picture = fold_sheet(drawn, referee)
         save_png(options.sheets / f"folds_{garment.name}_{cloth.name}.png", picture, colours=SHEET_COLOURS)
@@ -249,6 +277,22 @@ def plain_row(rows: list[dict[str, Any]]) -> dict[str, Any]:
     return next(row for row in rows if row["method"] == "skinning" and not row["sweeps"])
 
 
+def physics_row(referee: Referee, least: Bound) -> dict[str, Any]:
+    """What of a row the optimum has; ``ms`` is the processor time of one of its frames."""
+    rest, faces = referee.garment.vertices.astype(np.float64), referee.cloth.faces
+    return {
+        "method": "physics",
+        "sweeps": 0,
+        "ms": 1e3 * least.processor_s,
+        "energy_j": least.energy_j,
+        "gain": 1.0,
+        "edge_pct": float(metrics.edge_strain_pct(least.vertices, rest, faces).mean()),
+        "detail_mm": least.detail_mm,
+        "detail_share": 1.0,
+        "self_intersections": float(intersection_count(least.vertices, faces).mean()),
+    }
+
+
 def add_physics(rows: list[dict[str, Any]], least: Bound) -> None:
     """Adds ``gain`` and ``detail_share`` to ``rows``: 0 is skinning's, the row without sweeps, 1 that of ``least``."""
     plain = plain_row(rows)
@@ -283,7 +327,10 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--sweeps", nargs="+", type=int, default=list(SWEEPS))
     parser.add_argument("--fps", type=float, default=FPS)
     parser.add_argument("--frames", type=int, help=f"of a clip at most (default {FRAMES}, quick {QUICK_FRAMES})")
-    parser.add_argument("--cloth-contact", action="store_true", help="cloth keeps to the room between its sheets")
+    parser.add_argument(
+        "--cloth-contact", action="store_const", const=(False, True), default=(False,),
+        help="also cloth that keeps to the room between its sheets",
+    )  # fmt: skip
     parser.add_argument("--physics", action="store_true", help="also gain and share of detail, slow")
     parser.add_argument(
         "--apart", action="store_true", help="also gain beside cloth that keeps apart from itself, slow"

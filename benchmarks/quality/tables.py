@@ -74,7 +74,8 @@ TRADE = {
     "cpu_ms": ("processor [ms]", ".1f"), "p95_ms": ("p95 [ms]", ".1f"), "gain": ("gain", ".3f"),
     "gain_p05": ("of the worst twentieth", ".3f"), "error_mm": ("to physics [mm]", ".1f"),
     "edge_pct": ("edge %", ".2f"), "detail_share": ("detail share", ".2f"), "jitter_ratio": ("jitter", ".2f"),
-    "colliding_pct": ("colliding %", ".2f"), "self_intersections": ("self-intersections", ".0f"),
+    "colliding_pct": ("colliding %", ".2f"), "skin_pixels_pct": ("skin, pixels %", ".3f"),
+    "self_intersections": ("self-intersections", ".0f"),
 }  # fmt: skip
 PUSH = {
     "colliding_triangle_pct": ("colliding triangles %", ".3f"), "edge_pct": ("edge %", ".2f"),
@@ -181,17 +182,18 @@ def referee_table(record: Record) -> str:
 
 
 def folds_table(record: Record) -> str:
-    """One line per garment, fabric, clip and start: it alone, and with two and eight steps."""
+    """One line per garment, fabric, clip and start: it alone, and with two and eight steps; then physics, if known."""
     folds = _measured(record["rows"], GAIN) | FOLDS | _measured(record["rows"], SHARE)
     start = {key: column for key, column in folds.items() if key not in AFTER}
     named: dict[tuple[str, ...], dict[int, Record]] = {}
     for row in record["rows"]:
-        key = row["garment"], row["fabric"], row["clip"], row["method"].replace("_", " ")
+        apart = ", cloth feels cloth" if row.get("cloth_contact") else ""
+        key = row["garment"], row["fabric"], row["clip"], row["method"].replace("_", " ") + apart
         named.setdefault(key, {})[row["sweeps"]] = row
     lines = []
     for key, rows in named.items():
-        folded = [" / ".join(cells(rows[n], folds)) for n in (2, 8)]
-        lines.append([*key, " / ".join(cells(rows[0], start)), *folded])
+        alone = " / ".join(cells(rows[0], start)) if 0 in rows else ""
+        lines.append([*key, alone, *(" / ".join(cells(rows[n], folds)) if n in rows else "" for n in (2, 8))])
     titles = ["garment", "fabric", "clip", "start", " / ".join(heads(start)), f"2 steps: {' / '.join(heads(folds))}"]
     return table([*titles, "8 steps"], lines, record)
 

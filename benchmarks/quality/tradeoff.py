@@ -39,11 +39,8 @@ from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, find_motions, open_garment
 from drape.cloth import metrics
-from drape.cloth.detail import LowPass
-from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_table import fabric
-from drape.cloth.material import Material
 from drape.errors import InputError
 from drape.garment.cache import Garment
 from drape.garment.fine import fine_garment
@@ -58,15 +55,17 @@ PASSES, FOLDS = (0, None), (0, 1, 2, 4, 8, 16)
 FABRICS = ("jersey", "denim", "satin")
 FPS, FRAMES, QUICK_FRAMES = 30.0, 48, 8
 CROSSED = 2  # of the frames with an optimum, whose crossings are counted
+TAKEN = ("energy_j", "edge_pct", "jitter_ratio", "colliding_pct", "skin_pixels_pct")  # of the referee's figures
 ENOUGH = 0.002  # of gain: what gives less is not worth more time
 KNOBS = ("passes", "folds", "push_out", "cloth_contact")
 COLUMNS = {
     "tier": "s", "knobs": "s", "garment": "s", "fabric": "s", "clip": "s", "p50_ms": ".2f", "p95_ms": ".2f",
     "cpu_ms": ".2f", "time_ratio": ".2f", "gain": ".3f", "error_mm": ".2f", "edge_pct": ".2f", "detail_share": ".2f",
-    "jitter_ratio": ".2f", "colliding_pct": ".2f", "self_intersections": ".0f", "pareto": "d",
+    "jitter_ratio": ".2f", "colliding_pct": ".2f", "skin_pixels_pct": ".3f", "self_intersections": ".0f",
+    "pareto": "d",
 }  # fmt: skip
 MEANS = ("p50_ms", "p95_ms", "cpu_ms", "time_ratio", "gain", "error_mm", "edge_pct", "detail_share", "jitter_ratio",
-         "colliding_pct", "self_intersections")  # fmt: skip
+         "colliding_pct", "skin_pixels_pct", "self_intersections")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -136,16 +135,12 @@ class Case:
 
     @classmethod
     def of(cls, garment: Garment, cloth: Fabric, clip: Clip, body: BodyModel, networks: dict[str, Network]) -> Case:
-        state, faces, count = garment.rest_state(), garment.fine_faces.astype(np.int64), len(garment.vertices)
-        mesh = ClothMesh.of(state, faces, count)
         from_each = folds.starts(garment, cloth, clip, body, networks)
-        height = metrics.mean_height(from_each["skinning"][clip.measured].astype(np.float64), mesh)
-        low_pass = LowPass.of(state, faces, count)
-        referee = Referee(garment, clip, body, mesh, Material.of(cloth), low_pass, height)
+        referee = Referee.of(garment, cloth, clip, body, from_each["skinning"])
         least = folds.bound(referee, from_each)
         seen = clip.measured[least.few]
         few = replace(clip, measured=seen, body_vertices=clip.body_vertices[least.few])
-        referee = replace(referee, clip=few, height_m=height[least.few])
+        referee = replace(referee, clip=few, height_m=referee.height_m[least.few])
         return cls(garment, cloth, referee, from_each["skinning"], least)
 
     def row(self, vertices: np.ndarray, start: np.ndarray) -> dict[str, Any]:
@@ -162,7 +157,7 @@ class Case:
             "detail_share": metrics.gain(-plain["detail_mm"], -figures["detail_mm"], -self.least.detail_mm),
             "error_mm": 1e3 * float(np.linalg.norm(seen - self.least.vertices, axis=-1).mean()),
             "self_intersections": float(intersection_count(seen[:CROSSED], self.referee.cloth.faces).mean()),
-            **{name: figures[name] for name in ("energy_j", "edge_pct", "jitter_ratio", "colliding_pct")},
+            **{name: figures[name] for name in TAKEN},
         }
 
 

@@ -25,7 +25,8 @@ SERVING = {
     "case": ("case", "s"), "server": ("server", "s"), "tier": ("tier", "s"), "clients": ("clients", "d"),
     "goodput_pct": ("goodput %", ".0f"), "stepped_pct": ("with less than asked %", ".0f"),
     "frame_age_p50_ms": ("age p50 [ms]", ".0f"), "frame_age_p99_ms": ("p99", ".0f"),
-    "overhead_p50_ms": ("beside the model p50 [ms]", ".1f"), "gap_max_ms": ("longest gap [ms]", ".0f"),
+    "overhead_p50_ms": ("beside the model p50 [ms]", ".1f"), "overhead_p99_ms": ("p99 [ms]", ".1f"),
+    "gap_max_ms": ("longest gap [ms]", ".0f"),
     "cpu_ms": ("processor a pose [ms]", ".1f"),
 }  # fmt: skip
 TIMES = {"p50_ms": "p50 [ms]", "p95_ms": "p95", "p99_ms": "p99", "min_ms": "least"}

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.quality import folds
 from benchmarks.quality.tables import folds_table
-from benchmarks.shared import apart
+from benchmarks.shared import apart, physics
 
 
 @pytest.fixture(scope="module")
@@ -16,30 +16,48 @@ def record():
         patch.setattr(folds, "OPTIMA", 1)
         patch.setattr(folds, "CACHE_DIR", None)
         patch.setattr(apart, "STEPS", 2)
-        return folds.main(["--quick", "--frames", "6", "--sweeps", "0", "1", "8", "--threads", "1", "--apart"])
+        patch.setattr(physics, "STEPS", 12)
+        ways = ["--threads", "1", "--apart", "--physics", "--cloth-contact"]
+        return folds.main(["--quick", "--frames", "6", "--sweeps", "0", "1", "8", *ways])
 
 
 def test_rows_are_of_every_start_and_folds_lower_the_energy(record):
-    rows = {(row["method"], row["sweeps"]): row for row in record["rows"]}
+    rows = {(row["method"], row["sweeps"]): row for row in record["rows"] if not row.get("cloth_contact")}
+    least = rows.pop(("physics", 0))
     assert {method for method, _ in rows} == {"skinning", "network_0", "network_all"}
+    assert least["gain"] == least["detail_share"] == 1.0 and least["ms"] > 10.0
     for method, sweeps in rows:
         row = rows[method, sweeps]
-        assert row["energy_j"] <= rows[method, 0]["energy_j"] and row["edge_pct"] <= rows[method, 0]["edge_pct"]
-        assert np.isfinite([row[key] for key in ("ms", "detail_mm", "jitter_ratio", "colliding_pct")]).all()
+        assert least["energy_j"] < row["energy_j"] <= rows[method, 0]["energy_j"]
+        assert row["gain"] <= 1.0 and row["edge_pct"] <= rows[method, 0]["edge_pct"]
+        assert np.isfinite(
+            [row[key] for key in ("ms", "detail_mm", "jitter_ratio", "colliding_pct", "skin_pixels_pct")]
+        ).all()
         assert (row["ms"] > 0.0) == bool(sweeps) and row["resets"] == 0
     assert rows["network_0", 0]["jitter_ratio"] == 1.0
     assert rows["network_0", 1]["detail_mm"] > rows["network_0", 0]["detail_mm"]
 
 
 def test_gains_are_also_beside_cloth_that_keeps_apart(record):
-    gains = {(row["method"], row["sweeps"]): row["gain_apart"] for row in record["rows"]}
+    own = [row for row in record["rows"] if row.get("cloth_contact") is False]
+    gains = {(row["method"], row["sweeps"]): row["gain_apart"] for row in own}
     assert gains["skinning", 0] == 0.0 < gains["network_0", 0] < gains["network_0", 8]
+
+
+def test_cloth_that_feels_itself_crosses_less_often(record):
+    crossed = {
+        apart: sum(row["self_intersections"] for row in record["rows"] if row.get("cloth_contact") is apart)
+        for apart in (False, True)
+    }
+    assert {row["sweeps"] for row in record["rows"] if row.get("cloth_contact")} == {1, 8}
+    assert crossed[True] < crossed[False]
 
 
 def test_the_table_has_a_line_for_each_start(record):
     rows = [row | {"sweeps": {1: 2}.get(row["sweeps"], row["sweeps"])} for row in record["rows"]]
     lines = folds_table(record | {"rows": rows}).splitlines()
-    assert sum("tshirt" in line for line in lines[:5]) == 3 and "network 0" in lines[3]
+    assert sum("tshirt" in line for line in lines) == 7 and "network 0" in lines[4]
+    assert "skinning, cloth feels cloth" in lines[3] and "physics" in lines[8]
 
 
 def test_jitter_is_a_ratio_of_third_differences_and_none_where_the_start_is_still():

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import asyncio
 
+import numpy as np
 import pytest
 
-from benchmarks.speed.serving import LATE_S, Seen, crowd, figures, server, with_others
+from benchmarks.speed.serving import LATE_S, Seen, crowd, figures, model_times, server, with_others
 from drape.catalog import find_motions
 from drape.motion.readers import read_motion
 from tests.fixtures.serving import body, live, live_settings, make_settings, settings, tiny_folder, tube
@@ -19,10 +20,18 @@ CLIP = read_motion(find_motions(["walk"])[0])
 def test_figures_are_of_all_clients_together():
     quick = Seen(sent=4, came_s=[0.0, 0.03, 0.06], age_s=[0.01, 0.02, 0.03], residence_ms=[5.0, 6.0, 7.0], stepped=3)
     slow = Seen(sent=4, came_s=[0.0, 0.5], age_s=[2.0 * LATE_S, LATE_S], residence_ms=[9.0, 10.0])
-    found = figures([quick, slow], 4.0)
+    found = figures([quick, slow], np.array([3.0, 4.0, 5.0]))
     assert (found["goodput_pct"], found["served_pct"], found["stepped_pct"]) == (50.0, 62.5, 60.0)
     assert found["gap_max_ms"] == pytest.approx(500.0) and found["overhead_p50_ms"] == pytest.approx(3.0)
-    assert figures([Seen(sent=3)], 1.0) == {"goodput_pct": 0.0}
+    assert found["overhead_p99_ms"] == pytest.approx(9.96 - 4.98)
+    assert figures([Seen(sent=3)], np.ones(2)) == {"goodput_pct": 0.0}
+
+
+def test_the_model_alone_takes_its_time_for_each_frame_of_every_tier():
+    found = model_times("tshirt", CLIP, 0.1)
+    assert list(found) == ["fast", "balanced", "accurate"]
+    for took_ms in found.values():
+        assert took_ms.shape == (3,) and (took_ms > 0.5).all()
 
 
 def test_clients_of_a_service_are_measured(live: str):
