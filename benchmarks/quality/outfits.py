@@ -60,7 +60,7 @@ IN_EACH_OTHER_M = 0.02  # at most, of two garments at rest, where each was cut f
 SHOWN_M = 0.03  # farther out, a vertex is another part of the body's: a hip beside a sleeve
 TARGET_PCT, TARGET_WORST_PCT = 0.05, 0.5
 INNER = (0.78, 0.30, 0.32)
-PICTURE_SIZE, PICTURE_MARGIN = (420, 300), 1.15
+PICTURE_SIZE, PICTURE_MARGIN, PICTURE_COLOURS = (336, 240), 1.15, 32
 COLUMNS = {
     "outfit": "s", "clip": "s", "method": "s", "through_pct": ".3f", "through_worst_pct": ".2f", "worst": "s",
     "inner_out_pct": ".2f", "inner_out_worst_pct": ".2f", "edge_pct": ".2f", "self_intersections": ".0f",
@@ -297,7 +297,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
             drawn.append(picture(worn, found))
     drapery.close()
     if options.picture:
-        save_png(options.picture, sheet([list(row) for row in zip(*drawn, strict=True)]))
+        save_png(options.picture, sheet([list(row) for row in zip(*drawn, strict=True)]), colours=PICTURE_COLOURS)
     print()
     common.print_table(rows, COLUMNS)
     above = missed(rows)
