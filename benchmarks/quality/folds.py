@@ -78,15 +78,19 @@ class Clip:
     body_vertices: np.ndarray
 
     @classmethod
-    def read(cls, path: Path, fps: float, frames: int, body: BodyModel) -> Clip:
+    def read(cls, path: Path, fps: float, frames: int, body: BodyModel, *, looked_at: int = MEASURED) -> Clip:
         """The first ``frames`` of the motion at ``path``, resampled to ``fps``."""
         motion = read_motion(path)
         motion = motion if abs(motion.fps - fps) < 1e-6 else motion.resampled(fps)
-        poses = motion.poses[:frames]
+        return cls.of(motion.name, fps, motion.poses[:frames], body, looked_at=looked_at)
+
+    @classmethod
+    def of(cls, name: str, fps: float, poses: np.ndarray, body: BodyModel, *, looked_at: int = MEASURED) -> Clip:
+        """``poses`` (F, 24, 3) [rad], of which ``looked_at`` frames at most, spread over them, are measured."""
         table = shaped_skin(body).table(*body.bones(poses), np.zeros((len(poses), body.shape_count)))
-        measured = np.unique(np.linspace(0, len(poses) - 1, MEASURED).astype(int))
+        measured = np.unique(np.linspace(0, len(poses) - 1, looked_at).astype(int))
         skin = table.reshape(len(poses), -1, table.shape[-1])
-        return cls(motion.name, fps, poses, skin, measured, body.posed_vertices(poses[measured]))
+        return cls(name, fps, poses, skin, measured, body.posed_vertices(poses[measured]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,6 +3,7 @@
 A body and a garment are drawn from four sides. A pixel shows skin where the body is nearest, on a face that the rest
 pose covers, and cloth lies less than 3 cm behind it. What the rest pose covers is read off pictures too: faces in front
 of which there is always cloth, from eight sides, and that lie 3 cm from those that are bare: a hem may move so far.
+An inner garment that shows through an outer one is counted in the same way, in the body's place.
 """
 
 from __future__ import annotations
@@ -72,6 +73,16 @@ class PosedBody:
         camera = Camera.around(vertices)
         return cls(vertices, faces, camera, tuple(camera.see(vertices, faces, azimuth) for azimuth in VIEWS_DEG))
 
+    def wearing(self, vertices: np.ndarray, faces: np.ndarray) -> PosedBody:
+        """The garment ``vertices`` [m] (V, 3), ``faces`` (F, 3) as what others are looked at on, in this body's
+        pictures: where the body is before it nothing of it is seen."""
+        views = []
+        for skin, azimuth_deg in zip(self.views, VIEWS_DEG, strict=True):
+            cloth = self.camera.see(vertices, faces, azimuth_deg)
+            shown = np.where(cloth.depth > skin.depth, cloth.face, -1)
+            views.append(ZBuffer(np.maximum(cloth.depth, skin.depth), shown))
+        return PosedBody(vertices, faces, self.camera, tuple(views))
+
 
 def skin_pixels_pct(body: PosedBody, covered: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Share [%] (4,) of skin in the pixels of the cloth ``vertices`` [m] (V, 3), ``faces`` (F, 3), from four sides.
@@ -83,7 +94,7 @@ def skin_pixels_pct(body: PosedBody, covered: np.ndarray, vertices: np.ndarray, 
     for skin, azimuth_deg in zip(body.views, VIEWS_DEG, strict=True):
         cloth = body.camera.see(vertices, faces, azimuth_deg)
         in_front = skin.depth > cloth.depth
-        bare = in_front & covered[np.maximum(skin.face, 0)]
+        bare = in_front & (skin.face >= 0) & covered[np.maximum(skin.face, 0)]
         shown = bare & (cloth.depth > skin.depth - BEHIND_M)
         seen = np.count_nonzero(bare) + np.count_nonzero(~in_front & (cloth.face >= 0))
         found.append(100.0 * np.count_nonzero(shown) / seen if seen else np.nan)
