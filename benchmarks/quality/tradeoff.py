@@ -3,13 +3,14 @@
     python -m benchmarks.tradeoff
     python -m benchmarks.tradeoff --garments tshirt dress trousers --fabrics jersey denim satin --save
     python -m benchmarks.tradeoff --garments tshirt --quick
+    python -m benchmarks.tradeoff --newton /elsewhere/bin/python
 
 Every combination of passes, folds and push-out, which with folds is their lift, drapes the same clips, frame by frame
 on the service's own road (``service.stages``), in turn with the others and with the rival: skinning and a SciPy push-
 out, of which ``time_ratio`` is the share of processor time. Ends of the axis are rows of that rival (``skinning_push``)
-and of the optimum (``physics``). Figures are those of ``benchmarks.folds``, over frames at rest (motion 0) whose
-physics was minimised. That physics may pass through itself, which what is served may not: what that costs of gain is
-told by the rows that may ("through itself").
+and of the optimum (``physics``), and with ``--newton PYTHON`` of a simulator (``newton_vbd``: ``newton_rows``). Figures
+are those of ``benchmarks.folds``, over frames at rest (motion 0) whose physics was minimised. That physics may pass
+through itself, which what is served may not: what that costs of gain is told by the rows that may ("through itself").
 
 ``tiers`` of the record are chosen by one rule (``tiers_of``); ``--write`` puts them into the model's manifest, and
 ``--plot FILE`` draws the front.
@@ -33,7 +34,8 @@ from benchmarks.quality.folds import Bound, Clip, Folded, Referee
 from benchmarks.quality.intersections import intersection_count
 from benchmarks.shared import common
 from benchmarks.shared.network import Network
-from benchmarks.speed.rivals import SkinningPush
+from benchmarks.shared.physics import held_by_waist
+from benchmarks.speed.rivals import NewtonClip, SkinningPush
 from drape.artifacts import load_manifest, model_folder
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
@@ -57,6 +59,9 @@ FPS, FRAMES, QUICK_FRAMES = 30.0, 48, 8
 CROSSED = 2  # of the frames with an optimum, whose crossings are counted
 TAKEN = ("energy_j", "edge_pct", "jitter_ratio", "colliding_pct", "skin_pixels_pct")  # of the referee's figures
 ENOUGH = 0.002  # of gain: what gives less is not worth more time
+# Steps of a frame and iterations of each: as Newton's examples have it, and the nearest to physics of what was tried.
+# With fewer sweeps cloth slides off: 1 step of 10 iterations, 8 of 2 and 16 of 2 are worse than skinning.
+NEWTON_PACES = ((8, 10), (32, 3))
 KNOBS = ("passes", "folds", "push_out", "cloth_contact")
 COLUMNS = {
     "tier": "s", "knobs": "s", "garment": "s", "fabric": "s", "clip": "s", "p50_ms": ".2f", "p95_ms": ".2f",
@@ -161,8 +166,9 @@ class Case:
         }
 
 
-def measure(case: Case, drapery: Drapery, knobs: Sequence[Knobs]) -> list[dict[str, Any]]:
-    """The rows of ``case``: all ``knobs``, the rival, and physics."""
+def measure(case: Case, drapery: Drapery, knobs: Sequence[Knobs], newton: str | None = None) -> list[dict[str, Any]]:
+    """The rows of ``case``: all ``knobs``, the rival, physics, and a simulator where the interpreter ``newton`` has
+    it."""
     clip, body = case.referee.clip, drapery.body
     scene, count = drapery.garments.add(case.garment, "user"), drapery.engine.pass_count
     for unknown in drapery.garments.missing([scene]):
@@ -191,8 +197,35 @@ def measure(case: Case, drapery: Drapery, knobs: Sequence[Knobs]) -> list[dict[s
         | {"tier": "physics", "knobs": "", "gain": 1.0, "detail_share": 1.0, "error_mm": 0.0,
            "energy_j": case.least.energy_j, "cpu_ms": 1e3 * case.least.processor_s}
     )  # fmt: skip
+    rows += newton_rows(case, body, start, newton)
     for row in rows:
         row["time_ratio"] = row["cpu_ms"] / float(np.median(cpu_ms[1:]))
+    return rows
+
+
+def newton_rows(case: Case, body: BodyModel, start: np.ndarray, newton: str | None) -> list[dict[str, Any]]:
+    """A row of Newton's VBD solver for each of ``NEWTON_PACES`` that comes through the clip; says why others do not.
+
+    It starts where the rival has the first frame and simulates the cloth's motion, in which it differs from physics,
+    which rests in every frame; it has no contact of cloth with cloth.
+    """
+    clip, mesh, skinned = case.referee.clip, case.referee.cloth, case.skinned
+    scene = NewtonClip(
+        mesh, case.garment.vertices.astype(np.float64), skinned[0], case.referee.material, case.fabric.friction,
+        body.faces, body.posed_vertices(clip.poses), clip.fps, held_by_waist(case.garment, body, skinned),
+    )  # fmt: skip
+    found = scene.run(newton, NEWTON_PACES)
+    if isinstance(found, str):
+        print(f"newton_vbd is left out: {found}", flush=True)
+        return []
+    rows = []
+    for i, (steps, iterations) in enumerate(NEWTON_PACES):
+        knobs, vertices = f"{steps} steps, {iterations} iterations", found["vertices"][i]
+        if not np.isfinite(vertices).all():
+            print(f"newton_vbd, {knobs}, is left out: its cloth flew apart", flush=True)
+            continue
+        took = times(found["wall_ms"][i], found["cpu_ms"][i])
+        rows.append({"tier": "newton_vbd", "knobs": knobs, **took, **case.row(vertices, start)})
     return rows
 
 
@@ -286,6 +319,13 @@ def plot(mean: Sequence[dict[str, Any]], chosen: Sequence[dict[str, Any]], path:
             for row in line:
                 axes.annotate(str(row["folds"]), (row["time_ratio"], 1.0 - row["gain"]), fontsize=8,
                               xytext=(3, 3), textcoords="offset points")  # fmt: skip
+    simulated = [row for row in shown if row["tier"] == "newton_vbd"]
+    if simulated:
+        axes.plot([row["time_ratio"] for row in simulated], [1.0 - row["gain"] for row in simulated],
+                  marker="s", color="0.4", linestyle="", label="Newton VBD")  # fmt: skip
+    for row in simulated:
+        axes.annotate(row["knobs"], (row["time_ratio"], 1.0 - row["gain"]), fontsize=8, ha="right",
+                      xytext=(-5, 3), textcoords="offset points")  # fmt: skip
     for name, row in zip(NAMES, chosen, strict=True):
         axes.annotate(name, (row["time_ratio"], 1.0 - row["gain"]), weight="bold",
                       xytext=(-10, -16), textcoords="offset points")  # fmt: skip
@@ -312,6 +352,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--fabrics", nargs="+", default=list(FABRICS), metavar="NAME")
     parser.add_argument("--folds", nargs="+", type=int, default=list(FOLDS))
     parser.add_argument("--frames", type=int, help=f"of a clip at most (default {FRAMES}, quick {QUICK_FRAMES})")
+    parser.add_argument("--newton", metavar="PYTHON", help="an interpreter that has the package newton, for its rows")
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the front there")
     parser.add_argument("--write", action="store_true", help="put the tiers into the model's manifest")
     common.add_options(parser)
@@ -341,7 +382,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
         for path in find_garments(options.garments):
             garment = fine_garment(open_garment(path, body))  # what the service drapes
             for cloth in map(fabric, options.fabrics):
-                rows += measure(Case.of(garment, cloth, clip, body, networks), drapery, knobs)
+                rows += measure(Case.of(garment, cloth, clip, body, networks), drapery, knobs, options.newton)
                 print(f"{garment.name}, {cloth.name}, {clip.name}: done", flush=True)
     drapery.close()
     common.print_table(rows, COLUMNS)

@@ -11,6 +11,7 @@ import pytest
 from benchmarks.quality import folds, tradeoff
 from benchmarks.quality.tradeoff import Case, Knobs, Runner, manifest_tiers, means, plot, tiers_of, times, write_tiers
 from benchmarks.shared.network import Network
+from benchmarks.speed.rivals import NewtonClip
 from drape.artifacts import load_manifest
 from drape.catalog import find_motions
 from drape.cloth.fabric_table import fabric
@@ -33,13 +34,17 @@ def drapery(make_settings):
 
 
 @pytest.fixture(scope="module")
-def rows(drapery, body, tube, tiny_folder):
+def case(body, tube, tiny_folder):
     networks = {
         name: Network(tiny_folder / "models" / TINY, body, threads=1, passes=passes)
         for name, passes in (("network_0", 0), ("network_all", None))
     }
     clip = folds.Clip.read(find_motions(["walk"])[0], 30.0, FRAMES, body)
-    case = Case.of(tube, fabric("jersey"), clip, body, networks)
+    return Case.of(tube, fabric("jersey"), clip, body, networks)
+
+
+@pytest.fixture(scope="module")
+def rows(case, drapery):
     return tradeoff.measure(case, drapery, [Knobs(0, n, push) for push in (False, True) for n in (0, 2, 8)])
 
 
@@ -56,6 +61,28 @@ def test_every_combination_is_measured_beside_the_rival_and_physics(rows):
         if not push:  # without folds the push-out is a projection, which costs more than the lift of eight small steps
             assert none["cpu_ms"] < eight["cpu_ms"]
     assert by_knobs["passes 0, folds 0"]["jitter_ratio"] == 1.0
+
+
+def test_a_simulator_is_left_out_with_a_reason_where_there_is_none(case, body, capsys):
+    assert tradeoff.newton_rows(case, body, case.skinned, None) == []
+    assert "newton_vbd is left out: no interpreter with newton: give --newton PYTHON" in capsys.readouterr().out
+    assert tradeoff.newton_rows(case, body, case.skinned, "/nowhere/python") == []
+    assert "newton_vbd is left out: FileNotFoundError" in capsys.readouterr().out
+
+
+def test_a_simulator_has_a_row_for_each_pace_that_it_comes_through(case, body, capsys, monkeypatch):
+    def run(clip: NewtonClip, python: str | None, paces: tuple) -> dict:
+        assert python == "python" and clip.fps == 30.0 and (clip.start == case.skinned[0]).all()
+        assert clip.body_vertices.shape == (FRAMES, body.vertex_count, 3)
+        flown = np.where(np.arange(FRAMES) == 2, np.nan, 0.0)[:, None, None] + case.skinned
+        ms = np.arange(2.0 * FRAMES).reshape(2, FRAMES)
+        return {"vertices": np.stack([case.skinned, flown]), "wall_ms": ms, "cpu_ms": ms}
+
+    monkeypatch.setattr(NewtonClip, "run", run)
+    (row,) = tradeoff.newton_rows(case, body, case.skinned, "python")
+    assert (row["tier"], row["knobs"], row["cpu_ms"]) == ("newton_vbd", "8 steps, 10 iterations", 2.0)
+    assert row["gain"] == pytest.approx(0.0) and row["jitter_ratio"] == 1.0, "it is where skinning is"
+    assert "newton_vbd, 32 steps, 3 iterations, is left out" in capsys.readouterr().out
 
 
 def test_a_runner_goes_the_services_own_road(drapery, body, tube):
@@ -109,6 +136,19 @@ def test_what_is_served_and_what_may_pass_through_itself_are_measured():
     found = [str(knobs) for knobs in tradeoff.combinations((0, 2))]
     assert found[:2] == ["passes 0, folds 0", "passes 0, folds 2"] and len(found) == len(set(found)) == 10
     assert found[-1] == "passes all, folds 2, through itself" and "passes all, folds 2, push-out" in found
+
+
+def test_a_simulator_is_an_end_of_the_axis_and_no_tier(tmp_path):
+    served = [row(1, 0.4, 0.9), row(2, 0.6, 0.95)]
+    figures = {"time_ratio": 4.0, "gain": 0.99, "error_mm": 9.0}
+    simulated = [{"tier": "newton_vbd", "knobs": f"{n} steps, 10 iterations"} | figures for n in (2, 8)]
+    mean = means([*served, *simulated, simulated[0]])
+    assert [found["knobs"] for found in mean[2:]] == ["2 steps, 10 iterations", "8 steps, 10 iterations"]
+    assert [found["folds"] for found in tiers_of(mean)] == [1, 2, 2]
+    assert [found["pareto"] for found in means([row(9, 5.0, 0.98), *simulated])] == [True] * 3
+    plot(mean, tiers_of(mean), tmp_path / "with.png")
+    plot(mean[:2], tiers_of(mean), tmp_path / "without.png")
+    assert (tmp_path / "with.png").read_bytes() != (tmp_path / "without.png").read_bytes()
 
 
 def test_tiers_are_written_into_the_manifest_and_refused_where_the_service_would(tmp_path, body):
