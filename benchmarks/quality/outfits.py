@@ -38,6 +38,7 @@ from drape.graph.feeds import garment_feed
 from drape.graph.packing import pack_body
 from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
+from drape.push.projection import CLEARANCE_M
 from model_export.folder import add_push_out
 from service.engine import PUSH_OVER, Engine
 from service.packing import Packer, ScenePlan
@@ -47,7 +48,6 @@ from service.runtime import Device
 OUTFITS = ("trousers+tshirt", "trousers+longsleeve", "tank+longsleeve", "shorts+tshirt")
 FRAMES, QUICK_FRAMES = 8, 1
 SECONDS, QUICK_SECONDS = 6.0, 0.5
-CLEARANCE_M = 0.0025
 SHOWN_M = 0.03  # farther out, a vertex is another part of the body's: a hip beside a sleeve
 INNER = (0.78, 0.30, 0.32)
 PICTURE_SIZE, PICTURE_M = (420, 300), 1.6
