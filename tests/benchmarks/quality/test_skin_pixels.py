@@ -26,12 +26,14 @@ from tests.benchmarks.quality.quality_setup import bending, network
 from tests.benchmarks.quality.quality_setup import body as body_model
 from tests.drape.geometry.geometry_shapes import icosphere
 from tests.fixtures.serving import body, make_settings, tiny_folder, tube
-from tests.fixtures.tiny_model import ROUNDING_M, tube_garment
+from tests.fixtures.tiny_model import tube_garment
 
 __all__ = ["body", "make_settings", "tiny_folder", "tube"]  # fixtures
 RADIUS_M = 0.15
 BALL, FACES = icosphere(3, radius_m=RADIUS_M)
 ALL = np.ones(len(FACES), bool)
+TIGHT_M = 0.13  # a tube that presses on the skin and on itself: lift, room, rounds and a projection all show
+SAME_M = 5e-4  # origins differ and so does rounding, 0.03 mm; without any of these it is 2 mm and more
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +108,7 @@ def test_the_quick_form_measures_a_garment_whose_mesh_is_fine_enough(record: dic
 
 @pytest.fixture(scope="module")
 def coarse() -> Garment:
-    return tube_garment(body_model(), name="coarse", subdivided=True)
+    return tube_garment(body_model(), name="coarse", radius_m=TIGHT_M, subdivided=True)
 
 
 @pytest.fixture(scope="module")
@@ -151,4 +153,4 @@ def test_what_is_measured_is_what_is_served(
     shape, place, now_s = np.zeros(bench.body.shape_count), np.zeros((1, 3)), np.zeros(1)
     served = run(plan, [PoseInput(pose[None], place, shape, now_s) for pose in bench.poses.poses]).world()
     drapery.close()
-    assert_allclose(drapes(coarse, bench)[method][0], served, rtol=0.0, atol=ROUNDING_M)
+    assert_allclose(drapes(coarse, bench)[method][0], served, rtol=0.0, atol=SAME_M)
