@@ -16,6 +16,7 @@ from drape.artifacts import DEFAULT_MODEL, MODELS_DIR
 from drape.body.assets import DEFAULT_BODY
 from drape.errors import InputError
 from drape.garment.cache import GARMENTS_DIR, OWN_GARMENTS_DIR
+from drape.push.projection import CLEARANCE_M
 from drape.wire.options import Inertia, TierName
 from service.runtime import Device
 
@@ -58,7 +59,7 @@ class Settings(BaseSettings):
     folds: int | None = Field(default=None, ge=0, le=16)
     push_out: bool = True
     inertia: Inertia = "mesh"
-    clearance_m: float = Field(default=0.0025, gt=0.0, le=0.05)
+    clearance_m: float = Field(default=CLEARANCE_M, gt=0.0, le=0.05)
 
     max_connections: int = Field(default=512, ge=1)
     max_connections_per_address: int = Field(default=128, ge=1)

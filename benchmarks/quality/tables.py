@@ -32,8 +32,7 @@ BESIDE = {"edge_pct": ".2f", "hang_mm": ".1f", "detail_mm": ".2f"}
 SHARES = {"skin_pixels_pct": ("mean", ".3f"), "worst_pct": ("worst", ".2f")}
 SKIN = {
     "skinning": "skinning", "network": "network, pushed out", "folds": "folds on delivered triangles",
-    "wrapped": "folds on finer ones, delivered wrapped",
-    "unpushed": "the same, not pushed out", "fine": "the finer mesh",
+    "wrapped": "folds on finer ones, delivered wrapped", "fine": "folds on the finest mesh",
 }  # fmt: skip
 RANKS = {
     "garment": ("garment", "s"), "method": ("method", "s"), "fabrics": ("fabrics", "d"), "edge_pct": ("edge %", ".2f"),

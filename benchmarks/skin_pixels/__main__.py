@@ -4,11 +4,11 @@
     python -m benchmarks.skin_pixels --garments $DRAPE_DATA/garments --motions $DRAPE_DATA/motions --frames 12 --save
     python -m benchmarks.skin_pixels --garments $DRAPE_DATA/garments/female_jeans.obj --quick --sheets docs/images
 
-All drapes but skinning and ``unpushed`` are pushed out of the skin. ``network``: all corrections, the delivered mesh.
-The others are folds on the network without corrections, a single pose each: ``folds`` on the delivered triangles (of
-garments that are coarse: as it was before they folded on the finer mesh), ``wrapped``, the finer mesh's folds as the
-delivered one, ``unpushed``, the same as the service sends it, off the skin by folds alone, and ``fine``, that finer
-mesh. Skin is counted by ``benchmarks.quality.skin_pixels``; ``--sheets`` draws the pose in which
+``network`` is what is served without folds: all corrections, the delivered mesh, projected out of the skin. The others
+are folds as they are served, on the network without corrections, a single pose each: in cloth that feels itself, and
+lifted off the skin in the end, so that nothing is projected. ``fine`` is the mesh that they are made on, and
+``wrapped``, of garments that were delivered coarse, the delivered mesh around it; ``folds`` would be theirs on the
+delivered triangles. Skin is counted by ``benchmarks.quality.skin_pixels``; ``--sheets`` draws the pose in which
 ``network`` shows most of it.
 """
 
@@ -44,6 +44,7 @@ from drape.motion.hard_poses import HardPoses, hard_poses
 from drape.motion.readers import read_motion
 from drape.push.projection import push_out_of_bodies
 from drape.push.skin import body_skin, shaped_skin
+from service.stages.folds import SETTLE
 
 FRAMES, QUICK_FRAMES = 12, 1
 STEPS = 2  # of folds
@@ -87,31 +88,28 @@ def drapes(garment: Garment, bench: Bench) -> dict[str, tuple[np.ndarray, np.nda
     skinned = skin_points(rest, fine.skin_weights.astype(np.float64), *bench.body.bones(poses))
     started = bench.uncorrected.drape(garment, poses).vertices
     delivered = np.s_[:, : garment.vertex_count]
-    found = {
-        "skinning": (skinned, fine.faces),
-        "network": pushed(bench.corrected.drape(garment, poses).vertices[delivered], garment, bench),
-    }
-    folds = sent = folded(started, fine, bench)
+    corrected = bench.corrected.drape(garment, poses).vertices[delivered]
+    found = {"skinning": (skinned, fine.faces), "network": (pushed(corrected, garment, bench), garment.faces)}
+    folds = folded(started, fine, bench)
     if has_finer(garment):
         wrapping = Wrapping(garment)
-        found["folds"] = pushed(folded(started[delivered], garment, bench), garment, bench)
-        sent = np.stack([wrapping.wrap(cloth) for cloth in folds])
-        found["wrapped"] = pushed(sent, garment, bench)
-    return found | {"unpushed": (sent, garment.faces), "fine": pushed(folds, fine, bench)}
+        found["folds"] = folded(started[delivered], garment, bench), garment.faces
+        found["wrapped"] = np.stack([wrapping.wrap(cloth) for cloth in folds]), garment.faces
+    return found | {"fine": (folds, fine.faces)}
 
 
 def folded(start: np.ndarray, garment: Garment, bench: Bench) -> np.ndarray:
-    """The delivered mesh of ``garment`` from ``start`` [m] (F, V, 3), with the folds of single poses."""
-    made, effort = constants(garment, bench.body), Effort(bench.steps)
+    """The delivered mesh of ``garment`` from ``start`` [m] (F, V, 3), with the folds of single poses, off the skin."""
+    made, effort = constants(garment, bench.body), Effort(bench.steps, SETTLE, cloth_contact=True)  # as is served
     frames = (Frame(vertices, skin, 0.0) for vertices, skin in zip(start, bench.skin, strict=True))
     return np.stack([fold(made, None, frame, effort)[0] for frame in frames]).astype(np.float64)
 
 
-def pushed(vertices: np.ndarray, garment: Garment, bench: Bench) -> tuple[np.ndarray, np.ndarray]:
-    """The delivered mesh of ``garment`` at ``vertices`` [m] (F, V, 3), pushed out of the bodies; and its faces."""
+def pushed(vertices: np.ndarray, garment: Garment, bench: Bench) -> np.ndarray:
+    """The delivered mesh of ``garment`` at ``vertices`` [m] (F, V, 3), pushed out of the bodies."""
     skin, rest = body_skin(bench.body), garment.vertices[: garment.vertex_count]
     posed = np.stack([body.vertices for body in bench.bodies])
-    return push_out_of_bodies(vertices, posed, skin, pack_push(garment_feed(garment), rest, skin)), garment.faces
+    return push_out_of_bodies(vertices, posed, skin, pack_push(garment_feed(garment), rest, skin))
 
 
 def measure(garment: Garment, bench: Bench, sheets: Path | None = None) -> list[dict[str, Any]]:

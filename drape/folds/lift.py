@@ -20,7 +20,6 @@ from drape.solver.compiled import kernel, part
 from drape.solver.elements import add, dot, scaled, sub
 from drape.solver.lanes import points_in, put, put_points, root, rows3_at, where_above
 
-CLEARANCE_M = 0.0025  # that of the push-out, and less than contact's gap: cloth at rest is not lifted
 OTHER = 0.25  # of the way out of another part
 
 

@@ -21,11 +21,12 @@ from drape.cloth.material import Material
 from drape.folds.constants import Constants, Dressed
 from drape.folds.contact import NEIGHBOURS, TURNS, SkinGraph, Touched, carried, follow, gripped, touch
 from drape.folds.frames import FRAMES, in_frames, in_world, mend, surface_frames
-from drape.folds.lift import CLEARANCE_M, lift
+from drape.folds.lift import lift
 from drape.folds.room import Near, hold_within
 from drape.folds.sheet import LANES, Sheet
 from drape.folds.sweeps import PLANES, SCRATCH, descend, gradient_at, leash, stick
 from drape.folds.whole import Whole, whole_step
+from drape.push.projection import CLEARANCE_M, MOVED_M
 from drape.solver.compiled import kernel
 from drape.solver.elements import at, dot, scaled, sub
 from drape.solver.lanes import points_in, put_points
@@ -45,7 +46,6 @@ MENDS, MEND_M = 2, 0.03  # rounds of following the neighbours where a residual i
 PAUSE_S = 0.25  # after a longer one a frame has no past
 SHORTEST_STEP_S = 1.0 / 240.0  # frames that come closer together count as this far apart
 FIRST_STEP_S = 1.0 / 30.0  # of a frame without a past
-LIFTED_M = 1e-4  # a vertex that was lifted by less counts as left alone
 FADE_S = 1.0  # in which folds that are only carried along come down to 1/e
 
 
@@ -175,7 +175,7 @@ def _advanced(
     x, far, lifted_m = advance(network, kept, touched, skin, cloth, numbers)
     lifted_m = np.take(lifted_m, place)
     after = Memory(time_s, network, kept.residual, kept.velocity, touched, kept.grip, (past.turn + 1) % TURNS)
-    report = Report(settled, False, float((lifted_m > LIFTED_M).mean()), float(lifted_m.max()))
+    report = Report(settled, False, float((lifted_m > MOVED_M).mean()), float(lifted_m.max()))
     return (np.take(x, place, axis=0) if far <= FAR_M else None), after, report
 
 

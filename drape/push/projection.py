@@ -29,7 +29,8 @@ from drape.push.field import attend_columns, columns, largest, query_columns, ra
 from drape.push.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE, Samples, region_centres, sample_table
 from drape.push.tables import BLOCK_SIZE, GROUP_SIZE, OTHER_STEPS, OWN_CLUSTERS
 
-CLEARANCE_M = 0.0025
+CLEARANCE_M = 0.0025  # also of the lift of folds, and less than their contact's gap: cloth at rest is not lifted
+MOVED_M = 1e-4  # a vertex that is moved by less counts as left alone
 REGION_COUNT = 2  # of other parts that a group of blocks is tested against
 BESIDE_M2 = (0.026**2, 0.016**2)  # a point this far beside the samples has left the surface that they are
 DEPTH_M = (-0.035, -0.025)  # deeper inside is not this surface

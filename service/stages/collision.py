@@ -12,13 +12,12 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.garment.cache import Garment
+from drape.push.projection import MOVED_M
 from drape.wire.options import DrapeOptions
 from service.engine import SKIN, Engine
 from service.push import PosedJets, Pushed, Pusher
 from service.settings import Settings
 from service.stages.batch import Batch, Jets, Layer, Plan, Stage, joined
-
-MOVED_M = 1e-4  # a vertex pushed less than this counts as left alone
 
 
 class Collision(Stage):

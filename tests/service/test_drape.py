@@ -14,12 +14,12 @@ from drape.cloth.fabric_table import fabric
 from drape.garment.cache import Garment
 from drape.garment.files.glb import read_glb
 from drape.geometry.closest import signed_distance
+from drape.push.projection import MOVED_M
 from drape.wire.options import DrapeOptions, FabricNumbers, Geometry
 from service.drapery import Drapery
 from service.settings import Settings
 from service.stages import run
 from service.stages.batch import Batch, PoseInput
-from service.stages.collision import MOVED_M
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import outfit_settings
 from tests.fixtures.tiny_model import ROUNDING_M, expected_vertices

@@ -16,6 +16,7 @@ from drape.body.model import BodyModel
 from drape.errors import InputError
 from drape.folds import step
 from drape.geometry.closest import signed_distance
+from drape.push.projection import MOVED_M
 from drape.wire.options import DrapeOptions
 from service.app import create_app
 from service.drapery import Drapery
@@ -23,7 +24,6 @@ from service.settings import Settings
 from service.stages import carried, run, walk
 from service.stages import folds as folds_stage
 from service.stages.batch import PoseInput
-from service.stages.collision import MOVED_M
 from service.stages.folds import SETTLE, Folds
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import outfit_settings, serve

@@ -9,10 +9,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.folds.constants import Constants
-from drape.folds.lift import CLEARANCE_M, OTHER, lift
+from drape.folds.lift import OTHER, lift
 from drape.folds.sheet import LANES
-from drape.folds.step import LIFTED_M, Effort, Frame, fold
+from drape.folds.step import Effort, Frame, fold
 from drape.folds.sweeps import PLANES
+from drape.push.projection import CLEARANCE_M, MOVED_M
 from drape.push.samples import sample_table
 from tests.drape.folds.folds_setup import RADIUS_M, frame, sleeve
 
@@ -74,7 +75,7 @@ def test_a_frame_ends_clear_of_the_skin_and_tells_what_was_lifted():
     assert radius_m(above).min() > RADIUS_M + 0.01 + CLEARANCE_M - 2e-4, "planes, where the skin is round"
     assert left.lifted_share == left.lifted_max_m == 0.0
     way = np.linalg.norm(above - below, axis=1)
-    assert_allclose(report.lifted_share, (way > LIFTED_M).mean())
+    assert_allclose(report.lifted_share, (way > MOVED_M).mean())
     assert_allclose(report.lifted_max_m, way.max(), rtol=1e-9)
     place = constants.sheet.place
     assert_allclose(
