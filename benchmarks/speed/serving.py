@@ -11,8 +11,9 @@ same clip at the same rate, measured alone before (``model_ms`` and ``model_p99_
 
 ``cpu_ms``: processor time of the server's process per pose that was sent.
 
-Cases: ``streams`` of each tier, a ``still`` body beside a ``moving`` one, ``overload`` (three times the streams that
-``accurate`` carries, with and without the step down), ``beside`` other requests, and the streams of the ``twin``.
+Cases: ``streams`` of each tier, single frames by ``POST /drape``, streams of ``two garments``, a ``still`` body beside
+a ``moving`` one, ``overload`` (three times the streams that ``accurate`` carries, with and without the step down),
+``beside`` other requests, and the streams of the ``twin``.
 """
 
 from __future__ import annotations
@@ -28,7 +29,6 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import httpx
@@ -40,16 +40,20 @@ from drape.catalog import find_motions
 from drape.errors import DrapeError
 from drape.motion.clip import MotionClip
 from drape.motion.readers import read_motion
+from drape.wire.clips import pack_clip
 from drape.wire.options import DrapeOptions
 from service.drapery import Drapery
 from service.settings import Settings
 from service.stages import run
-from service.stages.batch import Memories, PoseInput
+from service.stages.batch import Plan, PoseInput
 from service.still import REST_S
+from service.tiers import NAMES
 
 FPS, LATE_S, WARM_S = 30.0, 0.1, 1.0
 SECONDS, QUICK_SECONDS = 8.0, 1.5
 CLIENTS, QUICK_CLIENTS = (1, 2, 4, 8), (1,)
+PAIR = ("tshirt", "dress")
+POST, POSTED = "POST /drape", {"passes": 0, "folds": 0}
 CARRIED_PCT = 97.0  # goodput of streams that are carried
 COLUMNS = {
     "case": "s", "server": "s", "tier": "s", "clients": "d", "fps": ".0f", "goodput_pct": ".1f", "stepped_pct": ".0f",
@@ -78,11 +82,10 @@ class Server:
 
     def cpu_s(self) -> float:
         """Processor time [s] that it has taken; NaN where the system does not tell."""
-        told = Path(f"/proc/{self.pid}/stat")
-        if not told.is_file():
+        try:
+            return time.clock_gettime((~self.pid << 3) | 2)  # Linux' number for the clock of another process
+        except (AttributeError, OSError):
             return float("nan")
-        fields = told.read_text().rpartition(")")[2].split()
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 @dataclass(eq=False)
@@ -151,9 +154,10 @@ async def client(
 
 async def crowd(
     url: str, clip: MotionClip, count: int, seconds: float, warm_s: float = WARM_S,
-    *, begun: Callable[[], None] | None = None, **options: Any,
+    *, begun: Callable[[], None] | None = None, garments: Sequence[str] = (), **options: Any,
 ) -> list[Seen]:  # fmt: skip
-    """What ``count`` clients saw at the same time, after ``warm_s`` that do not count; ``begun`` is called then."""
+    """What ``count`` clients saw at the same time, after ``warm_s`` that do not count; ``begun`` is called then. Of
+    several ``garments`` each client has the next one."""
     seen, begin_s = [Seen() for _ in range(count)], time.perf_counter() + warm_s
 
     async def call() -> None:
@@ -161,12 +165,14 @@ async def crowd(
         if begun is not None:
             begun()
 
-    await asyncio.gather(call(), *(client(url, clip, one, begin_s, seconds, options) for one in seen))
+    named = [options | {"garment": garments[i % len(garments)]} if garments else options for i in range(count)]
+    calls = (client(url, clip, one, begin_s, seconds, own) for one, own in zip(seen, named, strict=True))
+    await asyncio.gather(call(), *calls)
     return seen
 
 
-def figures(seen: Sequence[Seen], model_ms: np.ndarray) -> dict[str, float]:
-    """The columns of what clients saw, beside the frames of the model alone, ``model_ms`` (F,)."""
+def figures(seen: Sequence[Seen], model_ms: np.ndarray | None) -> dict[str, float]:
+    """The columns of what clients saw, beside the model's frames alone, ``model_ms`` (F,), where known."""
     ages = np.concatenate([one.age_s for one in seen])
     inside = np.concatenate([one.residence_ms for one in seen])
     gaps = [np.diff(one.came_s).max() for one in seen if len(one.came_s) > 1]
@@ -179,35 +185,64 @@ def figures(seen: Sequence[Seen], model_ms: np.ndarray) -> dict[str, float]:
         "stepped_pct": 100.0 * sum(one.stepped for one in seen) / len(ages),
         "frame_age_p50_ms": 1e3 * float(np.median(ages)),
         "frame_age_p99_ms": 1e3 * float(np.percentile(ages, 99.0)),
-        "overhead_p50_ms": float(np.median(inside) - np.median(model_ms)),
-        "overhead_p99_ms": float(np.percentile(inside, 99.0) - np.percentile(model_ms, 99.0)),
         "gap_max_ms": 1e3 * float(max(gaps, default=np.nan)),
+    } | ({} if model_ms is None else beside_model(inside, model_ms))
+
+
+def beside_model(inside_ms: np.ndarray, model_ms: np.ndarray) -> dict[str, float]:
+    """How much longer frames are in the service than the model takes."""
+    return {
+        "overhead_p50_ms": float(np.median(inside_ms) - np.median(model_ms)),
+        "overhead_p99_ms": float(np.percentile(inside_ms, 99.0) - np.percentile(model_ms, 99.0)),
     }
 
 
 def model_times(garment: str, clip: MotionClip, seconds: float) -> dict[str, np.ndarray]:
-    """What each frame (F,) of ``clip`` at ``FPS`` takes alone in this process [ms], by tier: stages without serving.
-
-    Pauses between frames are those of a stream, as what a pause leaves of the processor's caches is the frame's to pay.
-    """
+    """What each frame (F,) of ``clip`` at ``FPS`` takes alone in this process [ms], stages without serving: by tier,
+    and of ``POSTED``, each of whose frames has no past."""
     drapery, found = Drapery(Settings()), {}
+    entry = drapery.garments.get(garment)
     for tier in drapery.tiers:
-        plan = drapery.plan(drapery.garments.get(garment), DrapeOptions(tier=tier.name), messages=True)  # type: ignore[arg-type]
-        for stage in plan.stages:
-            stage.prepare(plan)
-        betas, took_ms = np.zeros(drapery.body.shape_count), []
-        memories: Memories = {}
+        plan = drapery.plan(entry, DrapeOptions(tier=tier.name), messages=True)  # type: ignore[arg-type]
+        found[tier.name] = alone(plan, drapery.body.shape_count, clip, seconds)
+    found[POST] = alone(
+        drapery.plan(entry, DrapeOptions.model_validate(POSTED)), drapery.body.shape_count, clip, seconds, past=False
+    )
+    drapery.close()
+    return found
+
+
+def alone(plan: Plan, shape_count: int, clip: MotionClip, seconds: float, *, past: bool = True) -> np.ndarray:
+    """What each frame (F,) of ``clip`` under ``plan`` takes [ms] with pauses as those of a stream: what a pause leaves
+    of the processor's caches is the frame's to pay."""
+    for stage in plan.stages:
+        stage.prepare(plan)
+    betas, took_ms, memories = np.zeros(shape_count), [], dict[tuple[str, str], Any]()
+    begin_s = time.perf_counter()
+    for frame in range(1 + max(2, int(seconds * FPS))):
+        pose = clip.poses[frame % len(clip.poses)][None]
+        start_s = time.perf_counter()
+        batch = run(plan, [PoseInput(pose, np.zeros((1, 3)), betas, np.array([frame / FPS]), memories)])
+        took_ms.append(1e3 * (time.perf_counter() - start_s))
+        if past:
+            memories = dict(batch.memories[0])
+        time.sleep(max(0.0, begin_s + (frame + 1) / FPS - time.perf_counter()))
+    return np.array(took_ms[1:])  # the first pays for what is made once
+
+
+def posts(url: str, garment: str, clip: MotionClip, seconds: float) -> np.ndarray:
+    """What ``POST /drape`` of one frame, binary there and back, takes [ms] (F,), one after the other at ``FPS``."""
+    took_ms, binary = [], "application/octet-stream"
+    with httpx.Client(base_url=url, headers={"Content-Type": binary, "Accept": binary}) as http:
         begin_s = time.perf_counter()
         for frame in range(1 + max(2, int(seconds * FPS))):
             pose = clip.poses[frame % len(clip.poses)][None]
+            body = pack_clip({"garment": garment} | POSTED, pose, None)
             start_s = time.perf_counter()
-            batch = run(plan, [PoseInput(pose, np.zeros((1, 3)), betas, np.array([frame / FPS]), memories)])
+            http.post("/drape", content=body).raise_for_status()
             took_ms.append(1e3 * (time.perf_counter() - start_s))
-            memories = batch.memories[0]
             time.sleep(max(0.0, begin_s + (frame + 1) / FPS - time.perf_counter()))
-        found[tier.name] = np.array(took_ms[1:])  # the first has no past
-    drapery.close()
-    return found
+    return np.array(took_ms[1:])
 
 
 def others(clip: MotionClip, garment: str) -> dict[str, Callable[[httpx.Client], Any]]:
@@ -258,20 +293,30 @@ class Bench:
 
     def measure(
         self, case: str, at: Server, tier: str, count: int = 1, *, name: str = "service",
-        beside: Callable[[httpx.Client], Any] | None = None,
+        beside: Callable[[httpx.Client], Any] | None = None, **others: Any,
     ) -> dict[str, Any]:  # fmt: skip
-        """Adds the row of ``count`` clients of ``tier``, ``beside`` a request that is made again and again."""
-        spent, options = Spent(at), {"garment": self.garment, "tier": tier}
+        """Adds the row of ``count`` clients of ``tier``, ``beside`` a request that is made again and again; ``others``
+        are more of their options."""
+        spent, options = Spent(at), {"garment": self.garment, "tier": tier} | others
         if beside is None:
             going = crowd(at.url, self.clip, count, self.seconds, self.warm_s, begun=spent.begin, **options)
         else:
             going = with_others(at.url, self.clip, self.seconds, beside, begun=spent.begin, **options)
         seen = asyncio.run(going)
         row = {"case": case, "server": name, "tier": tier, "clients": count, "fps": FPS}
-        row |= figures(seen, self.model_ms[tier]) | {"cpu_ms": spent.ms_per_frame(sum(one.sent for one in seen))}
+        alone = self.model_ms[tier] if name == "service" and not others and len(self.clip.poses) > 1 else None
+        row |= figures(seen, alone) | {"cpu_ms": spent.ms_per_frame(sum(one.sent for one in seen))}
         self.rows.append(row)
         common.print_table([row], COLUMNS)
         return row
+
+    def posted(self, at: Server) -> None:
+        """Adds the row of single frames, one request each: ages are from request to answer."""
+        took_ms = posts(at.url, self.garment, self.clip, self.seconds)
+        row = {"case": POST, "server": "service", "tier": "", "clients": 1, "fps": FPS, "goodput_pct": 100.0}
+        row |= {"frame_age_p50_ms": float(np.median(took_ms)), "frame_age_p99_ms": float(np.percentile(took_ms, 99.0))}
+        self.rows.append(row | beside_model(took_ms, self.model_ms[POST]))
+        common.print_table(self.rows[-1:], COLUMNS)
 
     def carried(self, at: Server, tier: str, counts: Sequence[int], *, name: str = "service") -> int:
         """How many of ``counts`` clients the server carries, with their rows."""
@@ -291,9 +336,11 @@ def measure(options: argparse.Namespace) -> tuple[Bench, dict[str, int]]:
     bench = Bench(clip, options.garment, options.seconds, model_times(options.garment, clip, options.seconds))
     carried: dict[str, int] = {}
     with server(stream_step_down=False) as at:
-        for tier in reversed(bench.model_ms):
+        for tier in reversed(NAMES):
             carried[f"service {tier}"] = bench.carried(at, tier, options.clients)
         still = bench.standing()
+        bench.posted(at)
+        bench.measure("two garments, folds 2", at, "balanced", 2, garments=PAIR, folds=2)
         bench.measure("moving", at, "balanced")
         still.measure("still", at, "balanced")
     if options.quick:

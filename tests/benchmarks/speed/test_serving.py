@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 
+import httpx
 import numpy as np
 import pytest
 
-from benchmarks.speed.serving import LATE_S, Seen, crowd, figures, model_times, server, with_others
+from benchmarks.speed.serving import LATE_S, Seen, crowd, figures, model_times, posts, server, with_others
 from drape.catalog import find_motions
+from drape.errors import DrapeError
 from drape.motion.readers import read_motion
 from tests.fixtures.serving import body, live, live_settings, make_settings, settings, tiny_folder, tube
 from tests.fixtures.tiny_model import TINY
@@ -29,7 +31,7 @@ def test_figures_are_of_all_clients_together():
 
 def test_the_model_alone_takes_its_time_for_each_frame_of_every_tier():
     found = model_times("tshirt", CLIP, 0.1)
-    assert list(found) == ["fast", "balanced", "accurate"]
+    assert list(found) == ["fast", "balanced", "accurate", "POST /drape"]
     for took_ms in found.values():
         assert took_ms.shape == (3,) and (took_ms > 0.5).all()
 
@@ -41,6 +43,20 @@ def test_clients_of_a_service_are_measured(live: str):
     for one in seen:
         assert one.sent >= 3 and 0 < len(one.came_s) <= one.sent + 1
         assert min(one.residence_ms) > 0.0 and min(one.age_s) > 1e-3 * min(one.residence_ms)
+
+
+def test_clients_have_the_next_garment_each(live: str):
+    both = asyncio.run(crowd(live, CLIP, 2, 0.4, garments=("tube", "tube"), garment="nobody", tier="fast"))
+    assert all(one.came_s for one in both)
+    with pytest.raises(DrapeError, match="nobody"):
+        asyncio.run(crowd(live, CLIP, 2, 0.4, garments=("tube", "nobody"), tier="fast"))
+
+
+def test_single_frames_are_posted(live: str):
+    took_ms = posts(live, "tube", CLIP, 0.1)
+    assert took_ms.shape == (3,) and (took_ms > 0.5).all()
+    with pytest.raises(httpx.HTTPStatusError, match="404"):
+        posts(live, "nobody", CLIP, 0.1)
 
 
 def test_a_client_is_measured_beside_other_requests(live: str):
