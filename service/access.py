@@ -103,7 +103,7 @@ def _unknown(got: str) -> Unauthorized:
     return Unauthorized("key", expected="an API key or a ticket", got=got, cure=cure)
 
 
-def _admitted(connection: HTTPConnection) -> Client:
+async def _admitted(connection: HTTPConnection) -> Client:  # not by a thread of the framework
     return connection.app.state.drape.access.admit(connection.headers)
 
 

@@ -6,12 +6,12 @@ import itertools
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from fastapi.responses import StreamingResponse
+from fastapi.responses import Response, StreamingResponse
 from pydantic_core import to_json
 
 from drape.export.glb_file import PIECE_BYTES, GlbFile
 from service.negotiation import BINARY, GLB, JSON
-from service.piecework import Piecework
+from service.piecework import BRIEF_BYTES, Piecework
 
 PIECE_NUMBERS = 4096  # half a millisecond of the encoder, which holds the interpreter lock
 
@@ -25,8 +25,10 @@ def json_answer(
 
 def binary_answer(
     array: np.ndarray, piecework: Piecework, headers: Mapping[str, str], *, tail: bytes = b""
-) -> StreamingResponse:
+) -> Response:
     """``array`` as little-endian float32, then ``tail``."""
+    if array.nbytes <= BRIEF_BYTES:
+        return Response(b"".join([*number_bytes(array), tail]), media_type=BINARY, headers={**headers})
     headers = {**headers, "Content-Length": str(4 * array.size + len(tail))}
     pieces = itertools.chain(number_bytes(array), (tail,))
     return StreamingResponse(piecework.each(pieces), media_type=BINARY, headers=headers)

@@ -201,12 +201,13 @@ class Drapery:
         for garment in self.garments.missing((*plan.scene.layers, *plan.draped)):
             feed = await asyncio.to_thread(self.garments.feed, garment)
             await self.aside(self.garments.take_in, garment, feed)
-        for stage in plan.stages:
-            await asyncio.to_thread(stage.prepare, plan)
+        await asyncio.to_thread(lambda: [stage.prepare(plan) for stage in plan.stages])
 
     async def drape(self, plan: Plan, clip: PoseInput) -> Batch:
         """The draped clip, chunk by chunk."""
         parts = [part async for part in self.parts(plan, clip)]
+        if len(parts) == 1:
+            return parts[0]
         return await asyncio.to_thread(Batch.of_parts, clip, parts)
 
     async def parts(self, plan: Plan, clip: PoseInput) -> AsyncIterator[Batch]:
@@ -238,7 +239,8 @@ class Drapery:
             async with self._clip_turn:
                 self._check_wait(start, waited_s + time.monotonic() - begun_s)
                 rows = slice(start, min(frames, start + self._chunk_frames(frame_s)))
-                result, took_s = await self._last(compute(rows))
+                alone = rows.stop - rows.start == 1 and not self._streaming
+                result, took_s = await self._last(compute(rows), whole=alone)
             waited_s += time.monotonic() - begun_s - took_s
             yield result
             frame_s, start = took_s / (rows.stop - rows.start), rows.stop
@@ -254,8 +256,8 @@ class Drapery:
                 cure="Ask again when there are fewer, or for fewer frames or a lower tier, or raise DRAPE_CLIP_WAIT_S.",
             )
 
-    async def _last(self, steps: Iterator[Result]) -> tuple[Result, float]:
-        """The last of ``steps``, each ``aside`` in its turn, and how long they took there [s]."""
+    async def _last(self, steps: Iterator[Result], *, whole: bool) -> tuple[Result, float]:
+        """The last of ``steps``, each ``aside`` in its turn, or all in one, and how long they took there [s]."""
         took_s = 0.0
 
         def step() -> Result | None:
@@ -265,6 +267,16 @@ class Drapery:
             took_s += time.perf_counter() - begun_s
             return found
 
+        def through() -> Result | None:
+            last = found = step()
+            while found is not None:
+                last, found = found, step()
+            return last
+
+        if whole:
+            last = await self.aside(through)
+            assert last is not None
+            return last, took_s
         last = await self.aside(step)
         while (after := await self.aside(step)) is not None:
             last = after

@@ -17,7 +17,7 @@ from drape.body.skeleton import JOINT_COUNT
 from drape.wire.options import wire_names
 from service.errors import TooLarge
 from service.negotiation import JSON
-from service.piecework import Piecework
+from service.piecework import BRIEF_TEXT, Piecework
 from service.schemas import Request as Schema
 from service.validation import not_json, validation_refusal
 
@@ -46,6 +46,9 @@ def document_of(text: bytes, *, otherwise: str = NO_JSON) -> Any:
 
 async def check_marks(text: bytes, piecework: Piecework, *, most_marks: int) -> None:
     """Refuses a ``text`` of more than ``most_marks`` marks (``MARKS``), counted piece by piece until there are more."""
+    if len(text) <= BRIEF_TEXT:
+        _counted(sum(_marks(text)), most_marks)
+        return
     marks = 0
     async for more in piecework.each(_marks(text)):
         marks = _counted(marks + more, most_marks)

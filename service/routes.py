@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Annotated, Any, TypeVar
@@ -45,6 +46,7 @@ from service.json_body import (
 from service.limits import check_answer
 from service.motions import floor_m
 from service.openapi import BYTES, body_schema, clip_schema, responses
+from service.piecework import BRIEF_BYTES
 from service.placing import Placed
 from service.poses import motion_arrays, shape_array
 from service.stages.batch import PoseInput
@@ -59,6 +61,7 @@ NUMBER_TEXT_BYTES = 20  # of one coordinate in JSON
 KINDS = (negotiation.BINARY, negotiation.GLB, negotiation.JSON)
 CLIP_REFUSALS = (InputError, NotFound, NotAcceptable, TooSlow, TooLarge, MotionError, BodyError)
 Asked = TypeVar("Asked", bound=schemas.PosedOptions)
+Result = TypeVar("Result")
 Betas = Annotated[str | None, Query(max_length=1000, description="Shape coefficients, comma-separated.")]
 
 
@@ -255,7 +258,7 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
         if jets:
             return jets_response(draped, headers, state.piecework)
         worn = layer_list(scene) if isinstance(scene, Outfit) else None
-        placed = await asyncio.to_thread(draped.placed, asked.origin)
+        placed = await _of_array(draped.vertices, draped.placed, asked.origin)
         if kind == negotiation.GLB:
             file = await asyncio.to_thread(_garment_file, scene, placed, asked, clip, drapery)
             return file_answer(*file, state.piecework, await _said(placed) | headers)
@@ -299,19 +302,20 @@ async def _clip(
     whole: type[schemas.PosedRequest], options: type[Asked], request: Request, state: State
 ) -> tuple[Asked, PoseInput]:
     """The body of ``request``, JSON as a ``whole`` or a CLIP message, and its checked motion."""
-    body, most, run = state.drapery.body, state.drapery.settings.max_frames, state.piecework.run
+    body, most, brief = state.drapery.body, state.drapery.settings.max_frames, state.piecework.brief
     if content_type(request) == negotiation.BINARY:
-        text, poses, trans = unpack_clip(await request.body())
-        document = await run(partial(document_of, text, otherwise="a clip whose last part is not JSON"))
-        asked = await run(validated, options, document)
+        sent = await request.body()
+        text, poses, trans = unpack_clip(sent)
+        document = await brief(text, partial(document_of, text, otherwise="a clip whose last part is not JSON"))
+        asked = await brief(text, validated, options, document)
     else:
-        text = await json_text(request)
-        await check_marks(text, state.piecework, most_marks=clip_marks(most))
-        read = await run(validated, whole, await run(parsed, text))
+        sent = await json_text(request)
+        await check_marks(sent, state.piecework, most_marks=clip_marks(most))
+        read = await brief(sent, validated, whole, await brief(sent, parsed, sent))
         poses, trans = read.poses, read.trans
         assert isinstance(read, options)
         asked = read
-    poses, trans = await run(partial(motion_arrays, poses, trans, max_frames=most))
+    poses, trans = await brief(sent, partial(motion_arrays, poses, trans, max_frames=most))
     return asked, PoseInput(poses, trans, shape_array(asked.betas, body), np.arange(len(poses)) / asked.fps)
 
 
@@ -359,7 +363,12 @@ def _body_file(body: BodyModel, clip: PoseInput, asked: schemas.PosedOptions) ->
 
 async def _said(placed: Placed) -> dict[str, str]:
     """The headers of ``placed``, for which every coordinate is looked at."""
-    return await asyncio.to_thread(lambda: placed.headers)
+    return await _of_array(placed.vertices, lambda: placed.headers)
+
+
+async def _of_array(array: np.ndarray, function: Callable[..., Result], *arguments: object) -> Result:
+    """``function(*arguments)``, which reads ``array``: at once where that is small, else on a thread."""
+    return function(*arguments) if array.nbytes <= BRIEF_BYTES else await asyncio.to_thread(function, *arguments)
 
 
 async def _vertices_answer(

@@ -88,7 +88,7 @@ class State:
             self.clips -= 1
 
 
-def _state(request: Request) -> State:
+async def _state(request: Request) -> State:  # not by a thread of the framework
     return request.app.state.drape
 
 

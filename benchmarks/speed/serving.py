@@ -200,22 +200,22 @@ def beside_model(inside_ms: np.ndarray, model_ms: np.ndarray) -> dict[str, float
 
 def model_times(garment: str, clip: MotionClip, seconds: float) -> dict[str, np.ndarray]:
     """What each frame (F,) of ``clip`` at ``FPS`` takes alone in this process [ms], stages without serving: by tier,
-    and of ``POSTED``, each of whose frames has no past."""
+    and of ``POSTED``, warm: each of whose frames has no past and comes right after the last."""
     drapery, found = Drapery(Settings()), {}
     entry = drapery.garments.get(garment)
     for tier in drapery.tiers:
         plan = drapery.plan(entry, DrapeOptions(tier=tier.name), messages=True)  # type: ignore[arg-type]
         found[tier.name] = alone(plan, drapery.body.shape_count, clip, seconds)
     found[POST] = alone(
-        drapery.plan(entry, DrapeOptions.model_validate(POSTED)), drapery.body.shape_count, clip, seconds, past=False
+        drapery.plan(entry, DrapeOptions.model_validate(POSTED)), drapery.body.shape_count, clip, seconds, warm=True
     )
     drapery.close()
     return found
 
 
-def alone(plan: Plan, shape_count: int, clip: MotionClip, seconds: float, *, past: bool = True) -> np.ndarray:
-    """What each frame (F,) of ``clip`` under ``plan`` takes [ms] with pauses as those of a stream: what a pause leaves
-    of the processor's caches is the frame's to pay."""
+def alone(plan: Plan, shape_count: int, clip: MotionClip, seconds: float, *, warm: bool = False) -> np.ndarray:
+    """What each frame (F,) of ``clip`` under ``plan`` takes [ms]; unless they are ``warm``, and have no past, with the
+    pauses of a stream: what a pause leaves of the processor's caches is the frame's to pay."""
     for stage in plan.stages:
         stage.prepare(plan)
     betas, took_ms, memories = np.zeros(shape_count), [], dict[tuple[str, str], Any]()
@@ -225,24 +225,22 @@ def alone(plan: Plan, shape_count: int, clip: MotionClip, seconds: float, *, pas
         start_s = time.perf_counter()
         batch = run(plan, [PoseInput(pose, np.zeros((1, 3)), betas, np.array([frame / FPS]), memories)])
         took_ms.append(1e3 * (time.perf_counter() - start_s))
-        if past:
+        if not warm:
             memories = dict(batch.memories[0])
-        time.sleep(max(0.0, begin_s + (frame + 1) / FPS - time.perf_counter()))
+            time.sleep(max(0.0, begin_s + (frame + 1) / FPS - time.perf_counter()))
     return np.array(took_ms[1:])  # the first pays for what is made once
 
 
 def posts(url: str, garment: str, clip: MotionClip, seconds: float) -> np.ndarray:
-    """What ``POST /drape`` of one frame, binary there and back, takes [ms] (F,), one after the other at ``FPS``."""
+    """What ``POST /drape`` of one frame, binary there and back, takes [ms] (F,), one right after the other."""
     took_ms, binary = [], "application/octet-stream"
     with httpx.Client(base_url=url, headers={"Content-Type": binary, "Accept": binary}) as http:
-        begin_s = time.perf_counter()
         for frame in range(1 + max(2, int(seconds * FPS))):
             pose = clip.poses[frame % len(clip.poses)][None]
             body = pack_clip({"garment": garment} | POSTED, pose, None)
             start_s = time.perf_counter()
             http.post("/drape", content=body).raise_for_status()
             took_ms.append(1e3 * (time.perf_counter() - start_s))
-            time.sleep(max(0.0, begin_s + (frame + 1) / FPS - time.perf_counter()))
     return np.array(took_ms[1:])
 
 
