@@ -9,7 +9,7 @@ import numpy as np
 from drape.cloth.energies import ClothMesh
 from drape.folds.constants import Dressed
 from drape.folds.contact import APART_M, HOLLOW_M, REACH_M, STEPS, TURNS, SkinGraph, Touched
-from drape.folds.lift import OTHER
+from drape.folds.lift import DEEP_M, OTHER, TOO_DEEP_M
 from drape.folds.room import FOLDED, HELD, LEAST_M, NEAR_M, ROOM_M, STIFFEST, TIGHT_M
 from drape.folds.sheet import ALIKE
 from drape.folds.step import (
@@ -256,14 +256,15 @@ def energy(x: np.ndarray, made: Problem, around: Around) -> float:
 
 def lifted(x: np.ndarray, around: Around, clearance_m: float) -> np.ndarray:
     """``x`` [m] (V, 3) above its planes: a share of what it lacks to ``clearance_m`` over those of other parts, then
-    all of what it lacks over its own."""
+    all of what it lacks over its own, where that is not too deep."""
     there = (around.n_per_m > 0.0)[:, None]
     for point, normal, share in (
         (around.point, around.normal, OTHER * there),
         (around.own.point, around.own.normal, 1.0),
     ):
         low_m = np.maximum(clearance_m - ((x - point) * normal).sum(axis=1, keepdims=True), 0.0)
-        x = x + share * low_m * normal
+        left = np.clip((TOO_DEEP_M - low_m) / (TOO_DEEP_M - DEEP_M), 0.0, 1.0)
+        x = x + share * left * low_m * normal
     return x
 
 
