@@ -52,10 +52,10 @@ class StepDown:
             return
         seconds = now_s - self._start_s
         self._frame_s[self.level] = self._busy_s / self._frames
-        late = self._late / (self._frames + self._late)
-        if late > LATE_SHARE:
+        share = self._late / (self._frames + self._late)
+        if share > LATE_SHARE:
             self._quiet_since_s = now_s
-            self._down(now_s, max(1, int(late / SPARED)))
+            self._down(now_s, max(1, int(share / SPARED)))
         elif self.level < self.top and now_s - self._quiet_since_s >= self._calm_s and self._has_room(seconds):
             self.level += 1
             self._raised_s = self._quiet_since_s = now_s

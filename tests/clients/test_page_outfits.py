@@ -80,6 +80,13 @@ def last_opening(page: Page) -> dict:
     return json.loads(page.wait_for("window.openings.at(-1)"))
 
 
+def click_that_opens(page: Page, button: str) -> None:
+    """Clicks ``button`` and waits for the opening that follows: frames of the last one still come until then."""
+    count = page.evaluate("window.openings.length")
+    page.evaluate(f"document.getElementById('{button}').click()")
+    page.wait_for(f"window.openings.length > {count}")
+
+
 def more_frames(page: Page) -> None:
     """Waits until the stream answers the last opening with frames that are drawn."""
     page.wait_for("document.body.dataset.state === 'open' && !document.getElementById('message').textContent")
@@ -168,13 +175,13 @@ def test_a_tier_is_chosen_by_name_and_told(page: Page, drapery: Drapery):
 
 
 def test_garments_are_taken_off_and_put_on(page: Page):
-    page.evaluate("document.getElementById('remove').click()")
+    click_that_opens(page, "remove")
     assert worn(page) == ["tank"]
     more_frames(page)
     opening = last_opening(page)
     assert opening["garment"] == "tank" and "garments" not in opening
     assert page.evaluate("document.getElementById('remove').disabled")
-    page.evaluate("document.getElementById('add').click()")
+    click_that_opens(page, "add")
     assert worn(page) == ["tank", "shorts"]
     more_frames(page)
     assert last_opening(page)["garments"] == ["tank", "shorts"]
