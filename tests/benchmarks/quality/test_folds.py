@@ -14,9 +14,10 @@ from benchmarks.shared import apart, physics
 def record():
     with pytest.MonkeyPatch.context() as patch:  # a step or two of one frame, kept nowhere
         patch.setattr(folds, "OPTIMA", 1)
+        patch.setattr(folds, "COLLIDED", 1)
         patch.setattr(folds, "CACHE_DIR", None)
         patch.setattr(apart, "STEPS", 2)
-        patch.setattr(physics, "STEPS", 12)
+        patch.setattr(physics, "STEPS", 5)
         ways = ["--threads", "1", "--apart", "--physics", "--cloth-contact"]
         return folds.main(["--quick", "--frames", "6", "--sweeps", "0", "1", "8", *ways])
 
