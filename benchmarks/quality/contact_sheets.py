@@ -119,7 +119,7 @@ def main() -> int:
     with DrapeClient(options.url) as client:
         clip = clip_of(client, options.motion)
         if options.line_up:
-            save_png(options.out / "hero.png", line_up(client, options.garments, clip), colours=96)
+            save_png(options.out / "hero.png", line_up(client, options.garments, clip), colours=192)
             return 0
         for wanted in options.garments:
             garment = client.upload_garment(wanted) if Path(wanted).suffix else wanted
