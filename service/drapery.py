@@ -108,8 +108,7 @@ class Drapery:
                 )
                 for geometry in ("vertices", "jets") if bound else ("vertices",):
                     plan = self.plan(entry, DrapeOptions(push_out=True, geometry=geometry), messages=True)
-                    for garment in self.garments.missing((*plan.scene.layers, *plan.draped)):
-                        self.garments.take_in(garment, self.garments.feed(garment))
+                    self.take_in(plan)
                     for stage in plan.stages:
                         stage.prepare(plan)
                     run(plan, [rest])
@@ -195,6 +194,11 @@ class Drapery:
         ]
         carried = alone and bool(plan.options.folds)
         return (replace(steps[0], stepped=True, carried=True) if carried else steps[0], *steps)
+
+    def take_in(self, plan: Plan) -> None:
+        """Lets the stages take in what ``plan`` drapes and they do not know yet: ``prepare`` does so beside frames."""
+        for garment in self.garments.missing((*plan.scene.layers, *plan.draped)):
+            self.garments.take_in(garment, self.garments.feed(garment))
 
     async def prepare(self, plan: Plan) -> None:
         """Makes what the plan's stages need, beside the frames that are being computed."""

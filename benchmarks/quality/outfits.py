@@ -102,8 +102,7 @@ class Worn:
             "projected": [drapery.plan(both, DrapeOptions(folds=0))],
         }
         for plan in (plan for plans in found.values() for plan in plans):
-            for unknown in drapery.garments.missing((*plan.scene.layers, *plan.draped)):
-                drapery.garments.take_in(unknown, drapery.garments.feed(unknown))
+            drapery.take_in(plan)
         return found
 
 

@@ -173,9 +173,9 @@ def measure(case: Case, drapery: Drapery, knobs: Sequence[Knobs], newton: str | 
     it."""
     clip, body = case.referee.clip, drapery.body
     scene, count = drapery.garments.add(case.garment, "user"), drapery.engine.pass_count
-    for unknown in drapery.garments.missing([scene]):
-        drapery.garments.take_in(unknown, drapery.garments.feed(unknown))
     plans = [drapery.plan(scene, one.options(count, fabric=case.fabric.name)) for one in knobs]
+    for plan in plans:
+        drapery.take_in(plan)
     runners = [Runner.of(plan, clip, body.shape_count) for plan in plans]
     rival = SkinningPush(case.garment, body)
     pushed, wall_ms, cpu_ms = np.empty_like(runners[0].vertices), *np.empty((2, len(clip.poses)))

@@ -170,8 +170,7 @@ def test_what_is_measured_is_what_is_served(
     scene = drapery.garments.add(coarse, "user")
     options = DrapeOptions(passes=drapery.engine.pass_count, folds=folds, resolution=resolution)
     plan = drapery.plan(scene, options)
-    for unknown in drapery.garments.missing((*plan.scene.layers, *plan.draped)):
-        drapery.garments.take_in(unknown, drapery.garments.feed(unknown))
+    drapery.take_in(plan)
     for stage in plan.stages:
         stage.prepare(plan)
     shape, place, now_s = np.zeros(bench.body.shape_count), np.zeros((1, 3)), np.zeros(1)
