@@ -58,8 +58,6 @@ def test_every_combination_is_measured_beside_the_rival_and_physics(rows):
         none, two, eight = (by_knobs[f"passes 0, folds {n}{push}"] for n in (0, 2, 8))
         assert none["gain"] < two["gain"] < eight["gain"] <= 1.0, "more steps are nearer to physics"
         assert two["error_mm"] > 0.0
-        if not push:  # without folds the push-out is a projection, which costs more than the lift of eight small steps
-            assert none["cpu_ms"] < eight["cpu_ms"]
     assert by_knobs["passes 0, folds 0"]["jitter_ratio"] == 1.0
 
 
