@@ -52,7 +52,7 @@ $(VENV)/.serve-stamp: pyproject.toml | $(BIN)/python
 # torch first and alone: later requirements then find it and cannot pull another build of it.
 $(VENV)/.setup-stamp: pyproject.toml | $(BIN)/python
 	@scripts/install_torch $(BIN)/python 2.13.0 $(TORCH_INDEX)
-	$(PIP) install --quiet -e '.[service,cpu,train,recover,clients,dev]'
+	$(PIP) install --quiet -e '.[service,cpu,otel,train,recover,clients,dev]'
 	$(BIN)/python -m drape.folds
 	@touch $(VENV)/.serve-stamp $@
 

@@ -28,6 +28,7 @@ from service.request_log import RequestLog
 from service.sessions import Streams
 from service.settings import Settings, load_settings
 from service.state import State
+from service.tracing import make_tracing
 from service.version import product_version
 
 
@@ -38,11 +39,12 @@ def create_app(
     settings = settings or load_settings()
     access = Access(settings)
     metrics = Metrics() if drapery is None else drapery.metrics
+    tracing = make_tracing(settings.trace) if drapery is None else drapery.tracing
     life = lifecycle or Lifecycle(stuck_s=settings.stuck_s)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        loaded = drapery or Drapery(settings, metrics=metrics)
+        loaded = drapery or Drapery(settings, metrics=metrics, tracing=tracing)
         piecework = Piecework()
         uploads, streams = Uploads(loaded, piecework, access), Streams(loaded, piecework)
         handover = Handover(loaded, access.tickets)
@@ -92,7 +94,7 @@ def create_app(
             ],
         )
     app.add_middleware(Doors, settings=settings)
-    app.add_middleware(RequestLog, metrics=metrics)
+    app.add_middleware(RequestLog, metrics=metrics, tracing=tracing)
     probes.install(app, life, metrics, ADMITTED)
     reference.install(app)
     openapi.install(app)

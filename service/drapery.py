@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextvars
 import logging
 import math
 import time
@@ -30,6 +31,7 @@ from service.settings import Settings
 from service.stages import make_plan, make_stages, run, walk
 from service.stages.batch import Batch, Memories, Plan, PoseInput, Quality
 from service.tiers import capped, chosen, read_tiers, spared, tier_of
+from service.tracing import Tracing, make_tracing
 from service.workshop import Workshop
 
 STREAM_WAIT_S = 0.02
@@ -61,9 +63,17 @@ class Drapery:
     streams, of which no step begins while a stream's frame is computed. No bit depends on it.
     """
 
-    def __init__(self, settings: Settings, *, body: BodyModel | None = None, metrics: Metrics | None = None) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        *,
+        body: BodyModel | None = None,
+        metrics: Metrics | None = None,
+        tracing: Tracing | None = None,
+    ) -> None:
         self.settings = settings
         self.metrics = metrics or Metrics()
+        self.tracing = tracing or make_tracing(settings.trace)
         self.hurried = False  # clips end now: the service is being restarted
         self.body = body or load_body(settings.body)
         folder = settings.models_dir / settings.model
@@ -95,6 +105,7 @@ class Drapery:
         for executor in (self._for_streams, self._aside):
             executor.shutdown(wait=True, cancel_futures=True)
         self.workshop.close()
+        self.tracing.close()
 
     def warm_up(self) -> None:
         """One frame of one garment, with all that its streams need, so that the first request pays for no lazy set-up;
@@ -128,7 +139,7 @@ class Drapery:
     async def aside(self, function: Callable[..., Result], *arguments: object) -> Result:
         """``function(*arguments)`` on the thread of what streams do not wait for, not begun beside a stream's frame."""
         await self._frame_done.wait()
-        return await asyncio.get_running_loop().run_in_executor(self._aside, partial(function, *arguments))
+        return await asyncio.get_running_loop().run_in_executor(self._aside, _here(function, *arguments))
 
     async def stream_frames(self, plan: Plan, inputs: Sequence[PoseInput]) -> list[tuple[bytes | DrapeError, Memories]]:
         """``frames`` on a thread of the streams, or at once where all stand still."""
@@ -139,7 +150,7 @@ class Drapery:
         done = self._frame_done = asyncio.Event()
         try:
             loop = asyncio.get_running_loop()
-            return await loop.run_in_executor(self._for_streams, partial(self.frames, plan, inputs))
+            return await loop.run_in_executor(self._for_streams, _here(self.frames, plan, inputs))
         finally:
             done.set()
 
@@ -332,10 +343,14 @@ class Drapery:
     def _walk(self, plan: Plan, inputs: Sequence[PoseInput]) -> Iterator[Batch]:
         """``service.stages.walk``, measured."""
         done = Quality.untouched(0)
-        for batch in walk(plan, inputs, lambda name, took_s: self.metrics.stage.labels(name).observe(took_s)):
+        for batch in walk(plan, inputs, self._took):
             done = batch.quality
             yield batch
         self.metrics.drawn(done.pushed_share, done.push_max_m, done.left_m, done.folds_resets)
+
+    def _took(self, stage: str, took_s: float) -> None:
+        self.metrics.stage.labels(stage).observe(took_s)
+        self.tracing.stage(stage, took_s)
 
     async def pose_body(self, clip: PoseInput) -> np.ndarray:
         """World vertices [m] (F, Vb, 3) float32 of the body."""
@@ -347,3 +362,8 @@ class Drapery:
         return await asyncio.to_thread(
             np.concatenate, [part async for part in self._in_chunks(len(clip.poses), compute)]
         )
+
+
+def _here(function: Callable[..., Result], *arguments: object) -> Callable[[], Result]:
+    """``function(*arguments)`` in a copy of the caller's context, for another thread: whose request it is for."""
+    return partial(contextvars.copy_context().run, partial(function, *arguments))

@@ -15,7 +15,7 @@ import uuid
 from collections.abc import AsyncIterator, Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from drape.errors import ArtifactError, DrapeError, InputError, MeshError, NotFound
 from service import errors, job_records
@@ -28,6 +28,9 @@ from service.job_records import JobRecord
 from service.keys import ANYONE, Client
 from service.piecework import Piecework
 from service.settings import ROOT, Settings
+
+if TYPE_CHECKING:
+    from opentelemetry.trace import Link
 
 MOST_ATTEMPTS = 3  # of one upload, where the service ends while it runs
 SHARES = {"start": 0.15, "read": 0.03, "rest": 0.32, "fit": 0.4, "cloth": 0.03, "store": 0.0, "prepare": 0.07}
@@ -46,6 +49,7 @@ class Job:
     garment: str | None = None
     problem: dict[str, Any] | None = None
     stage: str | None = None  # of SHARES, while it runs
+    link: Link | None = None  # to the request that it came with
     work: asyncio.Task[str] | None = None
     folder: Path | None = None  # where it lies in another service
 
@@ -196,7 +200,7 @@ class Uploads:
     ) -> Job:
         """Stores the file that ``pieces`` make and queues it; refuses when too many wait, and an empty one."""
         self.check_place(client)
-        job = Job(id=uuid.uuid4().hex[:12], name=slug(name), owner=client.name)
+        job = Job(uuid.uuid4().hex[:12], slug(name), client.name, link=self._drapery.tracing.here())
         file = self._staging / job.id / f"{job.name}.{file_format}"
         self._jobs[job.id] = job  # at once, so that files that are being stored count
         try:
@@ -231,9 +235,10 @@ class Uploads:
             if job.state == "cancelled":
                 continue
             job.state, job.stage = "running", "start"
-            job.work = asyncio.create_task(self._take_in(job, folder, accepted))
             try:
-                job.garment = await job.work
+                with self._drapery.tracing.work("upload", [job.link], job=job.id):
+                    job.work = asyncio.create_task(self._take_in(job, folder, accepted))
+                    job.garment = await job.work
                 job.state = "done"
             except asyncio.CancelledError:
                 task = asyncio.current_task()
@@ -265,6 +270,7 @@ class Uploads:
 
         def begun(stage: str) -> None:
             job.stage = stage
+            self._drapery.tracing.event(stage)
 
         report = await run_sandbox(folder / accepted.file, accepted.avatar, out, self._settings, begun)
         begun("prepare")

@@ -1,4 +1,4 @@
-"""Every request has an id and leaves one line and one count: ``RequestLog``."""
+"""Every request has an id and leaves one line, one count and, where asked for, one span: ``RequestLog``."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from service.errors import Draining, InternalError, problem_response
 from service.logs import ASKER, Asker
 from service.metrics import Metrics
 from service.probes import PATHS
+from service.tracing import Tracing
 
 HEADER = "X-Request-Id"
 LEFT = 499  # what a log says where the client went away before its answer; nobody gets it
@@ -34,16 +35,30 @@ def request_id(headers: Headers) -> str:
 class RequestLog:
     """The outermost middleware. A client that goes away leaves a line and no traceback; a fault of ours leaves one."""
 
-    def __init__(self, app: ASGIApp, metrics: Metrics) -> None:
-        self.app, self._metrics = app, metrics
+    def __init__(self, app: ASGIApp, metrics: Metrics, tracing: Tracing) -> None:
+        self.app, self._metrics, self._tracing = app, metrics, tracing
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):
             await self.app(scope, receive, send)
             return
-        begun_s, status = time.perf_counter(), 0
-        asker = Asker(request_id(Headers(scope=scope)), scope["client"][0] if scope.get("client") else "")
+        headers, method = Headers(scope=scope), scope.get("method", "WS")
+        asker = Asker(request_id(headers), scope["client"][0] if scope.get("client") else "")
         token = ASKER.set(asker)
+        try:
+            with self._tracing.request(method, headers, asker.request) as answered:
+                begun_s, status = time.perf_counter(), LEFT
+                try:
+                    status = await self._answered(scope, receive, send, asker)
+                finally:
+                    answered.told(method, _template(scope), status)
+                    self._tell(scope, method, status, time.perf_counter() - begun_s)
+        finally:
+            ASKER.reset(token)
+
+    async def _answered(self, scope: Scope, receive: Receive, send: Send, asker: Asker) -> int:
+        """The status that the request was answered with; ``LEFT`` where it was not."""
+        status = 0
 
         async def told(message: Message) -> None:
             nonlocal status
@@ -64,12 +79,10 @@ class RequestLog:
             log.exception("a request failed")
             if scope["type"] == "http" and not status:
                 await problem_response(InternalError())(scope, receive, told)
-        finally:
-            self._tell(scope, status or LEFT, time.perf_counter() - begun_s)
-            ASKER.reset(token)
+        return status or LEFT
 
-    def _tell(self, scope: Scope, status: int, took_s: float) -> None:
-        method, path = scope.get("method", "WS"), _template(scope)
+    def _tell(self, scope: Scope, method: str, status: int, took_s: float) -> None:
+        path = _template(scope)
         self._metrics.requests.labels(method, path, str(status)).inc()
         if scope["type"] == "http":
             self._metrics.request_seconds.labels(path).observe(took_s)

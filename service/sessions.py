@@ -12,6 +12,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,6 +26,9 @@ from service.piecework import Piecework
 from service.stages import carried
 from service.stages.batch import Memories, Plan, PoseInput
 from service.step_down import StepDown
+
+if TYPE_CHECKING:
+    from opentelemetry.trace import Link
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +46,7 @@ class Session:
     ``steps``: the plan as each tier holds it, the least first; ``memories``: what the stages keep of the frames so far
     (``service.stages``). Of ``dropped`` poses those that are ``late`` waited for a worker alone. One that ``moves``
     can go on at another process; while it is ``moving`` nothing is begun for it here. A client that takes ``same`` need
-    not get a frame again that it has: ``shown``, the message that was computed for it.
+    not get a frame again that it has: ``shown``, the message that was computed for it. ``link`` leads to its request.
     """
 
     plan: Plan
@@ -54,6 +58,7 @@ class Session:
     moves: bool = False
     same: bool = False
     shown: bytes | None = None
+    link: Link | None = None
     moving: bool = False
     dropped: int = 0
     late: int = 0
@@ -266,8 +271,10 @@ class Streams:
         if any(session.ready() for session in self._sessions):
             self._wake.set()  # for another worker, which may not have waited when it was told
         self._busy += 1
+        links = [session.link for session in batch]
+        tier = self._drapery.tier_of(plan)
         try:
-            with self._piecework.held():
+            with self._piecework.held(), self._drapery.tracing.work("frames", links, frames=len(batch), tier=tier):
                 start_s = time.monotonic()
                 results = await self._drapery.stream_frames(plan, inputs)
                 now_s = time.monotonic()

@@ -36,6 +36,7 @@ class Settings(BaseSettings):
     probe_port: int | None = Field(default=None, ge=0, le=65535)
     stuck_s: float = Field(default=15.0, gt=0.0)
     log_format: Literal["json", "text"] = "json"
+    trace: bool = False
 
     model: str = DEFAULT_MODEL
     models_dir: Path = MODELS_DIR

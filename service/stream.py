@@ -147,7 +147,10 @@ async def _open_session(text: str, state: State, client: Client, session: Sessio
     for step in {plan, *steps}:
         await drapery.prepare(step)
     if session is None:
-        return Session(plan, betas, drapery.settings.stream_credit, steps, moves=asked.moves, same=asked.same)
+        link = drapery.tracing.here()
+        return Session(
+            plan, betas, drapery.settings.stream_credit, steps, moves=asked.moves, same=asked.same, link=link
+        )
     session.reopen(plan, betas, steps)
     session.moves, session.same = asked.moves, asked.same
     return session

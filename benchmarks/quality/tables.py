@@ -204,6 +204,21 @@ def trade_table(record: Record) -> str:
     return rows_table(TRADE, ({**row, "tier": row["tier"].replace("_", " ")} for row in ordered), record)
 
 
+OTHER_KNOBS = {
+    "garment": ("garment", "s"), "clip": ("clip", "s"), "way": ("`balanced` in jersey", "s"),
+    "ms": ("processor [ms]", ".1f"),
+    "cost": ("of what is served", ".2f"), "kbytes": ("kB/s", ".0f"), "gain": ("gain", ".3f"),
+    "error_mm": ("to physics [mm]", ".1f"), "edge_pct": ("edge %", ".2f"), "detail_share": ("detail share", ".2f"),
+    "jitter_ratio": ("jitter", ".2f"), "skin_pixels_pct": ("skin, pixels %", ".3f"),
+    "self_intersections": ("self-intersections", ".0f"),
+}  # fmt: skip
+
+
+def other_knobs_table(record: Record) -> str:
+    """One line per way that one knob was turned."""
+    return rows_table(OTHER_KNOBS, record["rows"], record)
+
+
 def skin_table(record: Record) -> str:
     """One line per garment: the skin that shows on average and in the worst view, by how it was draped."""
     lines = []
@@ -274,5 +289,6 @@ TABLES = (
     ("push_out", "docs/explanation/push_out.md", "push_out", push_table),
     ("folds", "docs/explanation/folds.md", "folds", folds_table),
     ("tradeoff", "docs/reference/tradeoff.md", "tradeoff", trade_table),
+    ("other_knobs", "docs/reference/tradeoff.md", "other_knobs", other_knobs_table),
     ("skin_pixels", "docs/explanation/folds.md", "skin", skin_table),
 )

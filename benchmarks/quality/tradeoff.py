@@ -51,7 +51,7 @@ from drape.wire.options import DrapeOptions
 from service.drapery import Drapery
 from service.settings import Settings
 from service.stages import run
-from service.stages.batch import Plan, PoseInput
+from service.stages.batch import Batch, Plan, PoseInput
 from service.tiers import NAMES, Tier, read_tiers
 
 PASSES, FOLDS = (0, None), (0, 1, 2, 4, 8, 16)
@@ -117,7 +117,7 @@ class Runner:
         vertices = np.empty((frames, plan.scene.vertex_count, 3), np.float32)
         return cls(plan, clip, np.zeros(shape_count), vertices, np.empty(frames), np.empty(frames), {})
 
-    def step(self, frame: int) -> None:
+    def step(self, frame: int) -> Batch:
         """Drapes the next ``frame``."""
         times_s = np.array([frame / self.clip.fps])
         pose = PoseInput(self.clip.poses[frame : frame + 1], np.zeros((1, 3)), self.betas, times_s, self.memories)
@@ -128,6 +128,7 @@ class Runner:
             1e3 * (time.perf_counter() - wall),
         )
         self.vertices[frame], self.memories = batch.world()[0], batch.memories[0]
+        return batch
 
 
 @dataclass(frozen=True, eq=False)
