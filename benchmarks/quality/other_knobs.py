@@ -8,8 +8,8 @@ Each way differs from what is served (``balanced``, as a stream's message) in on
 by frame in turn, at rest (motion 0), and are measured as ``benchmarks.tradeoff`` measures, after their message was
 unpacked. ``kbytes`` are those of a second of stream. Of a lower rate every ``every``-th frame is draped, and those
 between are drawn by a client on the line between two; ``ms`` is then a shown frame's share. Where the garment is a mesh
-file, it is taken in again with half and twice its patches. What is sent as delivered hangs in the finer mesh: only its
-way from physics is told.
+file, it is taken in again with three quarters and with twice its patches. What is sent as delivered hangs in the finer
+mesh: only its way from physics is told.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ WAYS = (
     Way("coordinates of 8 bits", options={"bits": 8}),
     Way("15 a second, lines between", every=2),
     Way("7.5 a second, lines between", every=4),
-    Way("half the patches", patches=0.5),
+    Way("three quarters of the patches", patches=0.75),
     Way("twice the patches", patches=2.0),
     Way("sent as delivered", options={"resolution": "delivered"}),
 )

@@ -9,6 +9,7 @@ name in the ``avatars.json`` beside the garment. Phenotypes are evaluated from a
 from __future__ import annotations
 
 import json
+import lzma
 import zipfile
 from dataclasses import dataclass
 from functools import lru_cache
@@ -111,7 +112,7 @@ def load_phenotypes(path: Path = AVATARS_FILE) -> PhenotypeSpace:
                 base_vertices=stored["base_vertices"].astype(np.int64),
                 base_vertex_count=int(header["base_vertex_count"]),
             )
-    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except (OSError, KeyError, ValueError, EOFError, lzma.LZMAError, zipfile.BadZipFile) as error:
         raise ArtifactError(
             path.name,
             expected="the baked phenotypes",

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import io
 import json
 import lzma
 import os
@@ -30,6 +29,7 @@ import numpy as np
 from drape.cloth.fabric_table import DEFAULT_FABRIC
 from drape.cloth.rest_state import RestState
 from drape.errors import ArtifactError, NotFound, Unavailable, refusing
+from drape.files.packed import packed
 from drape.geometry import jets, meshes
 
 FORMAT_VERSION = 1
@@ -173,16 +173,11 @@ def save_garment(garment: Garment, folder: Path) -> Path:
         del arrays["fine_faces"]
         header["fine_faces"] = "faces"
     arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_LZMA) as archive:
-        for name, array in arrays.items():
-            with archive.open(f"{name}.npy", "w") as member:
-                np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
-    path = folder / garment.file_name()
+    content, path = packed(arrays), folder / garment.file_name()
     temporary = path.with_name(path.name + f".{os.getpid()}.part")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(buffer.getvalue())
+        temporary.write_bytes(content)
         os.replace(temporary, path)
     except OSError as error:
         with contextlib.suppress(OSError):
