@@ -124,51 +124,51 @@ def server(module: str = "service", **settings: object) -> Iterator[Server]:
             process.wait(timeout=30)
 
 
-async def client(
-    url: str, clip: MotionClip, seen: Seen, begin_s: float, seconds: float, options: dict[str, Any]
-) -> None:
+async def client(stream: DrapeStream, clip: MotionClip, seen: Seen, begin_s: float, seconds: float) -> None:
     """Sends ``clip`` at ``FPS``, and fills ``seen`` from ``begin_s`` on for ``seconds``."""
-    async with await DrapeStream.open(url, **options) as stream:
 
-        async def take() -> None:
-            while True:
-                received = await stream.receive()
-                if time.perf_counter() < begin_s:
-                    continue
-                seen.came_s.append(time.perf_counter())
-                seen.age_s.append(received.age_s)
-                seen.residence_ms.append(1e-3 * received.frame.residence_us)
-                seen.stepped += received.frame.stepped
+    async def take() -> None:
+        while True:
+            received = await stream.receive()
+            if time.perf_counter() < begin_s:
+                continue
+            seen.came_s.append(time.perf_counter())
+            seen.age_s.append(received.age_s)
+            seen.residence_ms.append(1e-3 * received.frame.residence_us)
+            seen.stepped += received.frame.stepped
 
-        taking = asyncio.create_task(take())
-        start_s, number = time.perf_counter(), 0
-        while time.perf_counter() < begin_s + seconds:
-            await stream.send(clip.poses[number % len(clip.poses)])
-            seen.sent += time.perf_counter() >= begin_s
-            number += 1
-            await asyncio.sleep(max(0.0, start_s + number / FPS - time.perf_counter()))
-        await asyncio.sleep(2.0 * LATE_S)
-        taking.cancel()
-        with contextlib.suppress(asyncio.CancelledError, DrapeError):
-            await taking
+    taking = asyncio.create_task(take())
+    start_s, number = time.perf_counter(), 0
+    while time.perf_counter() < begin_s + seconds:
+        await stream.send(clip.poses[number % len(clip.poses)])
+        seen.sent += time.perf_counter() >= begin_s
+        number += 1
+        await asyncio.sleep(max(0.0, start_s + number / FPS - time.perf_counter()))
+    await asyncio.sleep(2.0 * LATE_S)
+    taking.cancel()
+    with contextlib.suppress(asyncio.CancelledError, DrapeError):
+        await taking
 
 
 async def crowd(
     url: str, clip: MotionClip, count: int, seconds: float, warm_s: float = WARM_S,
     *, begun: Callable[[], None] | None = None, garments: Sequence[str] = (), **options: Any,
 ) -> list[Seen]:  # fmt: skip
-    """What ``count`` clients saw at the same time, after ``warm_s`` that do not count; ``begun`` is called then. Of
-    several ``garments`` each client has the next one."""
-    seen, begin_s = [Seen() for _ in range(count)], time.perf_counter() + warm_s
-
-    async def call() -> None:
-        await asyncio.sleep(begin_s - time.perf_counter())
-        if begun is not None:
-            begun()
-
+    """What ``count`` clients saw at the same time, after all are open and ``warm_s`` that do not count; ``begun`` is
+    called then. Of several ``garments`` each client has the next one."""
+    seen = [Seen() for _ in range(count)]
     named = [options | {"garment": garments[i % len(garments)]} if garments else options for i in range(count)]
-    calls = (client(url, clip, one, begin_s, seconds, own) for one, own in zip(seen, named, strict=True))
-    await asyncio.gather(call(), *calls)
+    async with contextlib.AsyncExitStack() as kept:
+        streams = [await kept.enter_async_context(await DrapeStream.open(url, **own)) for own in named]
+        begin_s = time.perf_counter() + warm_s
+
+        async def call() -> None:
+            await asyncio.sleep(begin_s - time.perf_counter())
+            if begun is not None:
+                begun()
+
+        calls = (client(stream, clip, one, begin_s, seconds) for stream, one in zip(streams, seen, strict=True))
+        await asyncio.gather(call(), *calls)
     return seen
 
 

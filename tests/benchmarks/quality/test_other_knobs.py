@@ -17,10 +17,9 @@ from benchmarks.shared.network import Network
 from drape.body.model import BodyModel
 from drape.catalog import find_motions
 from drape.cloth.fabric_table import fabric
-from drape.garment.cache import Garment
 from drape.garment.fine import fine_garment
 from service.drapery import Drapery
-from tests.fixtures.meshes import garment_obj
+from tests.drape.garment.garment_files import obj_text, shirt
 from tests.fixtures.serving import body, make_settings, tiny_folder, tube
 from tests.fixtures.tiny_model import TINY, tube_garment
 
@@ -82,11 +81,11 @@ def test_bytes_and_places_are_those_of_the_message(rows: dict[str, dict[str, Any
 
 
 def test_a_mesh_is_taken_in_with_other_numbers_of_patches_and_a_cached_garment_is_not(
-    body: BodyModel, tube: Garment, tiny_folder: Path, tmp_path: Path
+    body: BodyModel, tiny_folder: Path, tmp_path: Path
 ):
     (cached,) = (tiny_folder / "shipped").glob("*.npz")
     assert list(with_patches(cached, body)) == [1.0]
-    (tmp_path / "tube.obj").write_bytes(garment_obj(tube))
-    found = with_patches(tmp_path / "tube.obj", body, [WAYS[0], Way("more", patches=2.0)])
+    (tmp_path / "shirt.obj").write_bytes(obj_text(*shirt(body, body.v_template)))
+    found = with_patches(tmp_path / "shirt.obj", body, [WAYS[0], Way("more", patches=2.0)])
     assert found[2.0].patch_count > 1.5 * found[1.0].patch_count
     assert_array_equal(found[1.0].vertices, found[2.0].vertices)
