@@ -157,7 +157,9 @@ async def crowd(
     """What ``count`` clients saw at the same time, after all are open and ``warm_s`` that do not count; ``begun`` is
     called then. Of several ``garments`` each client has the next one."""
     seen = [Seen() for _ in range(count)]
-    named = [options | {"garment": garments[i % len(garments)]} if garments else options for i in range(count)]
+    named: list[dict[str, Any]] = [
+        options | {"garment": garments[i % len(garments)]} if garments else options for i in range(count)
+    ]
     async with contextlib.AsyncExitStack() as kept:
         streams = [await kept.enter_async_context(await DrapeStream.open(url, **own)) for own in named]
         begin_s = time.perf_counter() + warm_s
