@@ -11,7 +11,7 @@ same clip at the same rate, measured alone before (``model_ms`` and ``model_p99_
 
 ``cpu_ms``: processor time of the server's process per pose that was sent.
 
-Cases: ``streams`` of each tier, single frames by ``POST /drape``, streams of ``two garments``, a ``still`` body beside
+Cases: ``streams`` of each tier, single frames by ``POST /drape`` (httpx, and a bare client), streams of ``two garments``, a ``still`` body beside
 a ``moving`` one, ``overload`` (three times the streams that ``accurate`` carries, with and without the step down),
 ``beside`` other requests, and the streams of the ``twin``.
 """
@@ -29,6 +29,8 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from http import HTTPStatus
+from http.client import HTTPConnection
 from typing import Any
 
 import httpx
@@ -55,6 +57,7 @@ SECONDS, QUICK_SECONDS = 8.0, 1.5
 CLIENTS, QUICK_CLIENTS = (1, 2, 4, 8), (1,)
 PAIR = ("tshirt", "dress")
 POST, POSTED = "POST /drape", {"passes": 0, "folds": 0}
+BARE = "POST /drape, bare client"  # of the standard library: httpx has half a millisecond of its own
 CARRIED_PCT = 97.0  # goodput of streams that are carried
 COLUMNS = {
     "case": "s", "server": "s", "tier": "s", "clients": "d", "fps": ".0f", "goodput_pct": ".1f", "stepped_pct": ".0f",
@@ -233,15 +236,24 @@ def alone(plan: Plan, shape_count: int, clip: MotionClip, seconds: float, *, war
     return np.array(took_ms[1:])  # the first pays for what is made once
 
 
-def posts(url: str, garment: str, clip: MotionClip, seconds: float) -> np.ndarray:
-    """What ``POST /drape`` of one frame, binary there and back, takes [ms] (F,), one right after the other."""
-    took_ms, binary = [], "application/octet-stream"
-    with httpx.Client(base_url=url, headers={"Content-Type": binary, "Accept": binary}) as http:
+def posts(url: str, garment: str, clip: MotionClip, seconds: float, *, bare: bool = False) -> np.ndarray:
+    """What ``POST /drape`` of one frame, binary there and back, takes [ms] (F,), one right after the other; by httpx,
+    or by the standard library's client."""
+    took_ms, headers = [], dict.fromkeys(("Content-Type", "Accept"), "application/octet-stream")
+    connection = HTTPConnection(url.partition("://")[2])
+    with contextlib.closing(connection), httpx.Client(base_url=url, headers=headers) as client:
         for frame in range(1 + max(2, int(seconds * FPS))):
             pose = clip.poses[frame % len(clip.poses)][None]
             body = pack_clip({"garment": garment} | POSTED, pose, None)
             start_s = time.perf_counter()
-            http.post("/drape", content=body).raise_for_status()
+            if bare:
+                connection.request("POST", "/drape", body, headers)
+                answer = connection.getresponse()
+                answer.read()
+                if answer.status != HTTPStatus.OK:
+                    raise RuntimeError(f"the service answered {answer.status}")
+            else:
+                client.post("/drape", content=body).raise_for_status()
             took_ms.append(1e3 * (time.perf_counter() - start_s))
     return np.array(took_ms[1:])
 
@@ -312,12 +324,14 @@ class Bench:
         return row
 
     def posted(self, at: Server) -> None:
-        """Adds the row of single frames, one request each: ages are from request to answer."""
-        took_ms = posts(at.url, self.garment, self.clip, self.seconds)
-        row = {"case": POST, "server": "service", "tier": "", "clients": 1, "fps": FPS, "goodput_pct": 100.0}
-        row |= {"frame_age_p50_ms": float(np.median(took_ms)), "frame_age_p99_ms": float(np.percentile(took_ms, 99.0))}
-        self.rows.append(row | beside_model(took_ms, self.model_ms[POST]))
-        common.print_table(self.rows[-1:], COLUMNS)
+        """Adds the rows of single frames, one request each: ages are from request to answer."""
+        for case in (POST, BARE):
+            took_ms = posts(at.url, self.garment, self.clip, self.seconds, bare=case == BARE)
+            row = {"case": case, "server": "service", "tier": "", "clients": 1, "fps": FPS, "goodput_pct": 100.0}
+            row["frame_age_p50_ms"] = float(np.median(took_ms))
+            row["frame_age_p99_ms"] = float(np.percentile(took_ms, 99.0))
+            self.rows.append(row | beside_model(took_ms, self.model_ms[POST]))
+            common.print_table(self.rows[-1:], COLUMNS)
 
     def carried(self, at: Server, tier: str, counts: Sequence[int], *, name: str = "service") -> int:
         """How many of ``counts`` clients the server carries, with their rows."""

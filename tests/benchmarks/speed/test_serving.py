@@ -52,11 +52,12 @@ def test_clients_have_the_next_garment_each(live: str):
         asyncio.run(crowd(live, CLIP, 2, 0.4, garments=("tube", "nobody"), tier="fast"))
 
 
-def test_single_frames_are_posted(live: str):
-    took_ms = posts(live, "tube", CLIP, 0.1)
+@pytest.mark.parametrize("bare", [False, True])
+def test_single_frames_are_posted(live: str, bare: bool):
+    took_ms = posts(live, "tube", CLIP, 0.1, bare=bare)
     assert took_ms.shape == (3,) and (took_ms > 0.5).all()
-    with pytest.raises(httpx.HTTPStatusError, match="404"):
-        posts(live, "nobody", CLIP, 0.1)
+    with pytest.raises((httpx.HTTPStatusError, RuntimeError), match="404"):
+        posts(live, "nobody", CLIP, 0.1, bare=bare)
 
 
 def test_a_client_is_measured_beside_other_requests(live: str):
