@@ -11,9 +11,9 @@ same clip at the same rate, measured alone before (``model_ms`` and ``model_p99_
 
 ``cpu_ms``: processor time of the server's process per pose that was sent.
 
-Cases: ``streams`` of each tier, single frames by ``POST /drape`` (httpx, and a bare client), streams of ``two garments``, a ``still`` body beside
-a ``moving`` one, ``overload`` (three times the streams that ``accurate`` carries, with and without the step down),
-``beside`` other requests, and the streams of the ``twin``.
+Cases: ``streams`` of each tier, single frames by ``POST /drape`` (httpx, and a bare client), streams of
+``two garments``, a ``still`` body beside a ``moving`` one, ``overload`` (three times the streams that ``accurate``
+carries, with and without the step down), ``beside`` other requests, and the streams of the ``twin``.
 """
 
 from __future__ import annotations
@@ -239,7 +239,8 @@ def alone(plan: Plan, shape_count: int, clip: MotionClip, seconds: float, *, war
 def posts(url: str, garment: str, clip: MotionClip, seconds: float, *, bare: bool = False) -> np.ndarray:
     """What ``POST /drape`` of one frame, binary there and back, takes [ms] (F,), one right after the other; by httpx,
     or by the standard library's client."""
-    took_ms, headers = [], dict.fromkeys(("Content-Type", "Accept"), "application/octet-stream")
+    took_ms: list[float] = []
+    headers: dict[str, str] = dict.fromkeys(("Content-Type", "Accept"), "application/octet-stream")
     connection = HTTPConnection(url.partition("://")[2])
     with contextlib.closing(connection), httpx.Client(base_url=url, headers=headers) as client:
         for frame in range(1 + max(2, int(seconds * FPS))):
