@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import errno
 import socket
 
@@ -16,6 +17,7 @@ from service.settings import Settings
 from service.stream import ABORT
 
 SEND_BUFFER_BYTES = 256 * 1024  # what the kernel may hold back for a slow reader
+LOOK_S = 0.25  # between two looks at whether the service should end
 
 
 class StreamProtocol(WebSocketsSansIOProtocol):
@@ -68,7 +70,13 @@ def bind(host: str, port: int) -> socket.socket:
 
 
 class DrainingServer(uvicorn.Server):
-    """Tells streams to connect again before it closes connections."""
+    """Tells streams to connect again before it closes connections, and turns less often where nothing happens."""
+
+    async def main_loop(self) -> None:
+        """Looks for its end every ``LOOK_S``. Uvicorn's own loop turns ten times a second, which costs as much as a
+        fifth of what a stream of a body that stands still does."""
+        while not await self.on_tick(0):
+            await asyncio.sleep(LOOK_S)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Takes no more connections, lets the application drain, and ends within 10 s."""
