@@ -57,7 +57,7 @@ class Dressed:
 @dataclass(frozen=True, eq=False)
 class Constants:
     """What the kernels read: tables, the whole's factor, skin; the sample ``index`` (P,) nearest to a place at
-    rest; what is ``near`` along the cloth; ``friction`` with the skin."""
+    rest; what is ``near`` along the cloth; ``friction`` with the skin; the mesh's ``faces`` (F, 3)."""
 
     sheet: Sheet
     level: Whole
@@ -65,6 +65,7 @@ class Constants:
     index: np.ndarray
     near: Near
     friction: float
+    faces: np.ndarray
 
     @classmethod
     def of(cls, dressed: Dressed, *, dtype: type[np.floating] = np.float32) -> Constants:
@@ -74,12 +75,13 @@ class Constants:
         graph = dressed.graph._replace(
             reach_m2=dressed.graph.reach_m2.astype(dtype), rest=dressed.graph.rest.astype(dtype)
         )
-        return cls(made, level, graph, dressed.index[made.vertex], near_along(dressed.cloth), dressed.friction)
+        faces = np.ascontiguousarray(dressed.cloth.faces, np.int32)
+        return cls(made, level, graph, dressed.index[made.vertex], near_along(dressed.cloth), dressed.friction, faces)
 
     @property
     def nbytes(self) -> int:
         """Memory of the arrays."""
-        return _nbytes((self.sheet, self.level, self.graph, self.index, self.near))
+        return _nbytes((self.sheet, self.level, self.graph, self.index, self.near, self.faces))
 
 
 def constants(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> Constants:

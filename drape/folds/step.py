@@ -21,6 +21,7 @@ from drape.cloth.material import Material
 from drape.folds.constants import Constants, Dressed
 from drape.folds.contact import NEIGHBOURS, TURNS, SkinGraph, Touched, carried, follow, gripped, touch
 from drape.folds.frames import FRAMES, in_frames, in_world, mend, surface_frames
+from drape.folds.layers import covered
 from drape.folds.lift import lift
 from drape.folds.room import Near, hold_within
 from drape.folds.sheet import LANES, Sheet
@@ -359,4 +360,6 @@ def warm_up() -> None:
     cloth = ClothMesh.from_rest(square, np.array(faces))
     graph = SkinGraph(np.zeros((1, NEIGHBOURS), np.int32), np.ones(1), np.zeros((1, 3)))
     small = Constants.of(Dressed(cloth, Material(), np.zeros(4), graph, np.zeros(4, np.int32)))
-    fold(small, None, Frame(square, np.zeros((1, 8)), 0.0), Effort(sweeps=1))
+    skin = np.zeros((1, 8))
+    x, memory, _ = fold(small, None, Frame(square, skin, 0.0), Effort(sweeps=1))
+    covered(x, small.faces, memory.touched.own[small.sheet.place], skin, small.graph)

@@ -159,7 +159,7 @@ class Folds(Stage):
                 reports.append(report)
                 if height is not None:
                     own = memory.touched.own[made.sheet.place]
-                    height[row] = covered(vertices[row], own, ground[row], made.graph)
+                    height[row] = covered(vertices[row], made.faces, own, ground[row], made.graph)
             after.append(memory)
         return replace(batch.layers[i], vertices=vertices), after, reports, height
 
