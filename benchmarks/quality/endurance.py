@@ -30,6 +30,7 @@ from drape.cloth.fabric_table import fabric
 from drape.folds.constants import constants
 from drape.folds.step import Effort, Frame, fold, warm_up
 from drape.garment.cache import Garment
+from drape.garment.fine import fine_garment
 from drape.geometry import meshes
 from drape.motion.clip import MotionClip
 from drape.motion.readers import read_motion
@@ -132,7 +133,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
             clip = motion if abs(motion.fps - fps) < 1e-6 else motion.resampled(fps)
             if options.quick:
                 clip = clip.window(0, QUICK_FRAMES)
-            for garment in (open_garment(path, body) for path in find_garments(options.garments)):
+            for garment in (fine_garment(open_garment(path, body)) for path in find_garments(options.garments)):
                 for cloth in map(fabric, options.fabrics):
                     rows.append(endure(garment, cloth, clip, body, network.made_of(cloth), options.steps))
                     common.print_table(rows[-1:], COLUMNS)

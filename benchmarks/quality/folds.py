@@ -47,6 +47,7 @@ from drape.cloth.material import Material
 from drape.folds.constants import Constants, constants
 from drape.folds.step import Effort, Frame, fold, warm_up
 from drape.garment.cache import Garment
+from drape.garment.fine import fine_garment
 from drape.geometry import meshes
 from drape.geometry.skinning import skin_points
 from drape.motion.readers import read_motion
@@ -366,7 +367,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     rows: list[dict[str, Any]] = []
     for path in find_motions(options.motions):
         clip = Clip.read(path, options.fps, options.frames, body)
-        for garment in (open_garment(path, body) for path in find_garments(options.garments)):
+        for garment in (fine_garment(open_garment(path, body)) for path in find_garments(options.garments)):
             for cloth in map(fabric, options.fabrics):
                 found = measure(garment, cloth, clip, body, networks, options)
                 common.print_table(found, COLUMNS)
