@@ -1,25 +1,26 @@
 """Layers: the skin that an outer garment feels is raised by the cloth that lies on it.
 
 A sample of the skin goes up along its normal to the highest vertex of the inner garments that lies over it, within its
-spacing: by the vertex's height times the cosine between both normals, since cloth that spans a crease, or is folded
-over in it, lies on neither of its walls, which would else be raised into each other and crumple what is worn over them.
-A quarter of the mean of its neighbours then takes the place of a quarter of that, so that no sample stands alone.
-Planes of the raised samples are blended as those of the skin are: an outer garment rests on the inner one as that does
-on the body, with the same gap, and where nothing is worn below nothing changes. The skin tells on which side a layer
-is, so that this cannot be lost.
+spacing. Cloth that spans a crease (trousers before the belly of one who squats) is far from both of its walls, which
+raised by that would stand in each other and crumple what is worn over them. So a sample goes no farther than half of
+the way to skin that faces it, but where the cloth faces as the skin does, by its height times the cosine between both
+normals at least. Planes of the raised samples are blended as those of the skin are: an outer garment rests on the inner
+one as that does on the body, with the same gap, and where nothing is worn below nothing changes. The skin tells on
+which side a layer is, so that this cannot be lost.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from drape.folds.contact import NEIGHBOURS, SkinGraph
+from drape.folds.contact import NEIGHBOURS, PER_CELL, SkinGraph, cells_of
 from drape.push.samples import sample_table
 from drape.solver.compiled import kernel
-from drape.solver.elements import at, cross, dot, sub
+from drape.solver.elements import add, at, cross, dot, scaled, sub
 
 HIGHEST_M = 0.06  # cloth higher than that hangs free, and is left to the push-out
-EVENED = 0.25  # of a sample's height: what its neighbours have on the mean
+SPANNED_M = 0.005  # how much farther cloth is than it faces where a look at what is across is worth while
+ASIDE = 3.0  # in spacings: how far off a sample's normal is what it faces
 
 
 def raised(skin: np.ndarray, height: np.ndarray) -> np.ndarray:
@@ -42,23 +43,56 @@ def covered(vertices: np.ndarray, faces: np.ndarray, own: np.ndarray, skin: np.n
 @kernel
 def _raise(x, faces, own, skin, graph, height):
     kind = x.dtype.type
-    highest, evened, zero = kind(HIGHEST_M), kind(EVENED), kind(0)
+    highest, spanned = kind(HIGHEST_M), kind(SPANNED_M)
     lies = _normals(x, faces)
-    alone = np.zeros_like(height)
+    far = np.zeros_like(height)
     for v in range(len(x)):
         for n in range(-1, NEIGHBOURS):
             s = own[v] if n < 0 else graph.neighbour[own[v], n]
             normal = (skin[s, 4], skin[s, 5], skin[s, 6])
             way = sub(at(x, v), at(skin, s))
             up = dot(way, normal)
-            if up > alone[s] and dot(way, way) - up * up < graph.reach_m2[s]:
-                alone[s] = max(alone[s], min(up, highest) * dot(at(lies, v), normal))
+            if up > height[s] and dot(way, way) - up * up < graph.reach_m2[s]:
+                up = min(up, highest)
+                far[s] = max(far[s], up)
+                height[s] = max(height[s], up * dot(at(lies, v), normal))
+    cells = cells_of(skin, PER_CELL)
     for s in range(len(skin)):
-        if alone[s] > zero:
-            mean = zero
-            for n in range(NEIGHBOURS):
-                mean += alone[graph.neighbour[s, n]] / kind(NEIGHBOURS)
-            height[s] = alone[s] + evened * (mean - alone[s])
+        if far[s] > height[s] + spanned:
+            height[s] = max(height[s], _half_way(s, far[s], skin, graph, cells))
+        else:
+            height[s] = far[s]
+
+
+@kernel
+def _half_way(s, far, skin, graph, cells):
+    """Half of the distance [m] along the normal from sample ``s`` to skin that faces it, ``far`` [m] at most."""
+    start, member, low, size = cells
+    normal, aside = (skin[s, 4], skin[s, 5], skin[s, 6]), skin.dtype.type(ASIDE * ASIDE) * graph.reach_m2[s]
+    middle, reach = add(at(skin, s), scaled(far, normal)), far + np.sqrt(aside)
+    nearest = far + far
+    first = (
+        max(int((middle[0] - reach - low[0]) * PER_CELL), 0),
+        max(int((middle[1] - reach - low[1]) * PER_CELL), 0),
+        max(int((middle[2] - reach - low[2]) * PER_CELL), 0),
+    )
+    last = (
+        min(int((middle[0] + reach - low[0]) * PER_CELL) + 1, size[0]),
+        min(int((middle[1] + reach - low[1]) * PER_CELL) + 1, size[1]),
+        min(int((middle[2] + reach - low[2]) * PER_CELL) + 1, size[2]),
+    )
+    for i in range(first[0], last[0]):
+        for j in range(first[1], last[1]):
+            for k in range(first[2], last[2]):
+                c = (i * size[1] + j) * size[2] + k
+                for m in range(start[c], start[c + 1]):
+                    other = member[m]
+                    way = sub(at(skin, other), at(skin, s))
+                    along = dot(way, normal)
+                    facing = dot(normal, (skin[other, 4], skin[other, 5], skin[other, 6]))
+                    if 0.0 < along < nearest and facing < 0.0 and dot(way, way) - along * along < aside:
+                        nearest = along
+    return skin.dtype.type(0.5) * nearest
 
 
 @kernel

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.folds.constants import Constants
 from drape.folds.contact import NEIGHBOURS, SkinGraph
-from drape.folds.layers import EVENED, HIGHEST_M, covered, raised
+from drape.folds.layers import HIGHEST_M, covered, raised
 from drape.folds.step import Effort, fold
 from drape.push.samples import sample_table
 from tests.drape.folds.folds_setup import EASE_M, RADIUS_M, frame, sleeve
@@ -34,29 +34,53 @@ def flakes(places: np.ndarray, slope: float = 0.0) -> tuple[np.ndarray, np.ndarr
     return (places[:, None] + turned).reshape(-1, 3), np.arange(3 * len(places), dtype=np.int32).reshape(-1, 3)[:, ::-1]
 
 
-def test_a_sample_is_raised_to_the_highest_cloth_over_it_and_evened_with_its_neighbours():
+def test_a_sample_is_raised_to_the_highest_cloth_over_it():
     skin, graph = floor()
     places = np.array([[0.001, 0.010, 0.0], [0.001, 0.006, 0.0], [0.03, 0.004, 0.0], [0.08, -0.002, 0.0]])
-    own = np.repeat([0, 0, 1, 4], 3).astype(np.int32)
-    alone = np.array([0.010, 0.010, 0.004, 0.0, 0.0, 0.0])
-    mean = 0.5 * (alone[[0, 0, 1, 2, 3, 4]] + alone[[1, 2, 3, 4, 5, 5]])  # the floor's ends are their own neighbours
-    evened = np.where(alone > 0.0, alone + EVENED * (mean - alone), 0.0)
-    assert_allclose(covered(*flakes(places), own, skin, graph), evened, atol=1e-12)
+    height = covered(*flakes(places), np.repeat([0, 0, 1, 4], 3).astype(np.int32), skin, graph)
+    assert_allclose(height, [0.010, 0.010, 0.004, 0.0, 0.0, 0.0], atol=1e-9)
     high = covered(*flakes(np.array([[0.0, 0.5, 0.0]])), np.zeros(3, np.int32), skin, graph)
     assert high.max() == pytest.approx(HIGHEST_M)
 
 
-def test_cloth_that_spans_a_crease_raises_its_walls_by_the_cosine():
+def crease(width_m: float) -> tuple[np.ndarray, SkinGraph]:
+    """A level floor and, ``width_m`` over it, a ceiling, sample over sample, as a table, and the graph of both."""
     skin, graph = floor()
-    own, places = np.zeros(3, np.int32), np.array([[0.0, 0.010, 0.0]])
-    level = covered(*flakes(places), own, skin, graph)
-    assert_allclose(covered(*flakes(places, 1.0), own, skin, graph), np.cos(1.0) * level, rtol=2e-3)
+    above = np.asarray(sample_table(skin[:, :3] + [0.0, width_m, 0.0], np.tile([0.0, -1.0, 0.0], (len(skin), 1))))
+    both = SkinGraph(
+        np.concatenate([graph.neighbour, graph.neighbour + len(skin)]).astype(np.int32),
+        np.tile(graph.reach_m2, 2),
+        np.concatenate([graph.rest, graph.rest]),
+    )
+    return np.concatenate([skin, above]), both
+
+
+def test_walls_of_a_crease_that_cloth_spans_go_half_of_the_way_to_each_other():
+    own, places, upright = np.zeros(3, np.int32), np.array([[0.0, 0.030, 0.0]]), 0.5 * np.pi
+    for width_m, expected in ((0.04, 0.020), (0.02, 0.010), (0.5, 0.030)):
+        height = covered(*flakes(places, upright), own, *crease(width_m))
+        assert_allclose(height[:2], expected, atol=1e-5, err_msg=str(width_m))
     vertices, faces = flakes(places)
-    assert covered(vertices, faces[:, ::-1], own, skin, graph).max() == 0.0, "folded over"
-    upright, faces = flakes(places, 0.5 * np.pi)
-    assert covered(upright, faces, own, skin, graph).max() < 1e-6
-    upright[:] = places
-    assert covered(upright, faces, own, skin, graph).max() == 0.0, "no area, no normal, and finite"
+    assert_allclose(
+        covered(vertices, faces, own, *crease(0.02))[0], 0.030, atol=1e-5, err_msg="it faces as the floor does"
+    )
+    folded = covered(vertices, faces[:, ::-1], own, *crease(0.02))
+    assert_allclose(folded[0], 0.010, atol=1e-5, err_msg="folded over")
+    slanting = covered(*flakes(places, 1.2), own, *crease(0.01))
+    assert_allclose(slanting[0], 0.030 * np.cos(1.2), atol=1e-5, err_msg="no lower than by the cosine")
+    vertices[:] = places
+    assert_allclose(covered(vertices, faces, own, *crease(0.02))[0], 0.010, atol=1e-6, err_msg="no area, no normal")
+
+
+def test_heights_far_from_home_and_of_numbers_that_are_none_are_finite():
+    skin, graph = crease(0.04)
+    own, (vertices, faces) = np.zeros(3, np.int32), flakes(np.array([[0.0, 0.030, 0.0]]), 0.5 * np.pi)
+    away = np.array([1e4, 0.0, -1e4])
+    moved = np.concatenate([skin[:, :3] + away, skin[:, 3:]], axis=1)
+    assert_allclose(covered(vertices + away, faces, own, moved, graph)[0], 0.020, atol=1e-5)
+    broken = skin.copy()
+    broken[3] = np.nan
+    assert np.isfinite(covered(vertices, faces, own, broken, graph)).all()
 
 
 def test_raised_samples_are_a_table_of_samples_again(rng):
