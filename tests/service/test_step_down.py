@@ -92,8 +92,10 @@ def test_a_step_up_that_failed_is_tried_again_later_and_later():
     assert waits == [min(CALM_S * 2**i, CALM_LIMIT_S) for i in range(8)]
 
 
-async def flood(socket: ClientConnection, sequence: int, seconds: float, rate: float) -> tuple[int, list[wire.Frame]]:
-    """The next sequence after ``seconds`` of poses at ``rate``, and the frames that came meanwhile."""
+async def flood(
+    socket: ClientConnection, sequence: int, seconds: float, rate: float, *, together: int = 1
+) -> tuple[int, list[wire.Frame]]:
+    """The next sequence after ``seconds`` of poses at ``rate``, so many ``together``, and what came meanwhile."""
     frames: list[wire.Frame] = []
 
     async def take() -> None:
@@ -105,8 +107,9 @@ async def flood(socket: ClientConnection, sequence: int, seconds: float, rate: f
 
     taking, end = asyncio.create_task(take()), time.monotonic() + seconds
     while time.monotonic() < end:
-        await send(socket, sequence)
-        sequence += 1
+        for _ in range(together):
+            await send(socket, sequence)
+            sequence += 1
         await asyncio.sleep(1.0 / rate)
     taking.cancel()
     return sequence, frames
@@ -148,7 +151,8 @@ def test_below_the_least_tier_there_is_what_folds_can_spare(
 
         async def talk(socket: ClientConnection) -> None:
             assert (await opened(socket, tier="fast", cloth_contact=cloth_contact))["tier"] == "fast"
-            _, flooded = await flood(socket, 1, 8.0 * WINDOW_S, 2000.0)
+            # One by one a quick processor would drape them all.
+            _, flooded = await flood(socket, 1, 8.0 * WINDOW_S, 2000.0, together=16)
             assert not flooded[0].stepped and flooded[-1].stepped
 
         run(url, talk)
