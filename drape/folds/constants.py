@@ -57,7 +57,7 @@ class Dressed:
 @dataclass(frozen=True, eq=False)
 class Constants:
     """What the kernels read: tables, the whole's factor, skin; the sample ``index`` (P,) nearest to a place at
-    rest; what is ``near`` along the cloth; ``friction`` with the skin; the mesh's ``faces`` (F, 3)."""
+    rest; what is ``near`` along the cloth; ``friction`` with the skin."""
 
     sheet: Sheet
     level: Whole
@@ -65,7 +65,6 @@ class Constants:
     index: np.ndarray
     near: Near
     friction: float
-    faces: np.ndarray
 
     @classmethod
     def of(cls, dressed: Dressed, *, dtype: type[np.floating] = np.float32) -> Constants:
@@ -75,13 +74,12 @@ class Constants:
         graph = dressed.graph._replace(
             reach_m2=dressed.graph.reach_m2.astype(dtype), rest=dressed.graph.rest.astype(dtype)
         )
-        faces = np.ascontiguousarray(dressed.cloth.faces, np.int32)
-        return cls(made, level, graph, dressed.index[made.vertex], near_along(dressed.cloth), dressed.friction, faces)
+        return cls(made, level, graph, dressed.index[made.vertex], near_along(dressed.cloth), dressed.friction)
 
     @property
     def nbytes(self) -> int:
         """Memory of the arrays."""
-        return _nbytes((self.sheet, self.level, self.graph, self.index, self.near, self.faces))
+        return _nbytes((self.sheet, self.level, self.graph, self.index, self.near))
 
 
 def constants(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> Constants:

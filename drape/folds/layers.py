@@ -14,9 +14,11 @@ from __future__ import annotations
 import numpy as np
 
 from drape.folds.contact import NEIGHBOURS, PER_CELL, SkinGraph, cells_of
+from drape.folds.frames import FRAMES, surface_frames
+from drape.folds.sheet import LANES, Sheet
 from drape.push.samples import sample_table
 from drape.solver.compiled import kernel
-from drape.solver.elements import add, at, cross, dot, scaled, sub
+from drape.solver.elements import add, at, dot, scaled, sub
 
 HIGHEST_M = 0.06  # cloth higher than that hangs free, and is left to the push-out
 SPANNED_M = 0.005  # how much farther cloth is than it faces where a look at what is across is worth while
@@ -29,24 +31,28 @@ def raised(skin: np.ndarray, height: np.ndarray) -> np.ndarray:
     return np.asarray(sample_table(skin[..., :3] + height[..., None] * normal, normal))
 
 
-def covered(vertices: np.ndarray, faces: np.ndarray, own: np.ndarray, skin: np.ndarray, graph: SkinGraph) -> np.ndarray:
+def covered(vertices: np.ndarray, sheet: Sheet, own: np.ndarray, skin: np.ndarray, graph: SkinGraph) -> np.ndarray:
     """Heights [m] (S,) of a garment over the samples ``skin`` (S, 8), 0 where none of its vertices is over one.
 
-    ``vertices`` [m] (V, 3) of ``faces`` (F, 3) that face outward, each at the sample ``own`` (V,): it and its
-    neighbours are raised.
+    ``vertices`` [m] (V, 3) of a ``sheet`` whose triangles face outward, each place at the sample ``own`` (P,): it and
+    its neighbours are raised.
     """
-    height = np.zeros(len(skin), vertices.dtype)
-    _raise(vertices, faces, own, np.array(skin, dtype=vertices.dtype, order="C"), graph, height)
+    x = np.take(vertices, sheet.vertex, axis=0)
+    height = np.zeros(len(skin), x.dtype)
+    _raise(x, sheet, own, np.array(skin, dtype=x.dtype, order="C"), graph, height)
     return height
 
 
 @kernel
-def _raise(x, faces, own, skin, graph, height):
+def _raise(x, sheet, own, skin, graph, height):
     kind = x.dtype.type
     highest, spanned = kind(HIGHEST_M), kind(SPANNED_M)
-    lies = _normals(x, faces)
+    frames = np.empty(FRAMES // LANES * len(x), x.dtype)
+    surface_frames(x, sheet, frames)
     far = np.zeros_like(height)
     for v in range(len(x)):
+        row = FRAMES * (v // LANES) + v % LANES
+        lies = (frames[row], frames[row + LANES], frames[row + 2 * LANES])
         for n in range(-1, NEIGHBOURS):
             s = own[v] if n < 0 else graph.neighbour[own[v], n]
             normal = (skin[s, 4], skin[s, 5], skin[s, 6])
@@ -55,7 +61,7 @@ def _raise(x, faces, own, skin, graph, height):
             if up > height[s] and dot(way, way) - up * up < graph.reach_m2[s]:
                 up = min(up, highest)
                 far[s] = max(far[s], up)
-                height[s] = max(height[s], up * dot(at(lies, v), normal))
+                height[s] = max(height[s], up * dot(lies, normal))
     cells = cells_of(skin, PER_CELL)
     for s in range(len(skin)):
         if far[s] > height[s] + spanned:
@@ -93,20 +99,3 @@ def _half_way(s, far, skin, graph, cells):
                     if 0.0 < along < nearest and facing < 0.0 and dot(way, way) - along * along < aside:
                         nearest = along
     return skin.dtype.type(0.5) * nearest
-
-
-@kernel
-def _normals(x, faces):
-    """Unit normals (V, 3) of the vertices ``x`` (V, 3), by the areas of their ``faces``; 0 where there is no area."""
-    found = np.zeros_like(x)
-    for f in range(len(faces)):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        area = cross(sub(at(x, b), at(x, a)), sub(at(x, c), at(x, a)))
-        for v in (a, b, c):
-            for axis in range(3):
-                found[v, axis] += area[axis]
-    for v in range(len(x)):
-        length = np.sqrt(dot(at(found, v), at(found, v)))
-        for axis in range(3):
-            found[v, axis] = found[v, axis] / length if length > 0.0 else length
-    return found

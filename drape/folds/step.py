@@ -362,4 +362,4 @@ def warm_up() -> None:
     small = Constants.of(Dressed(cloth, Material(), np.zeros(4), graph, np.zeros(4, np.int32)))
     skin = np.zeros((1, 8))
     x, memory, _ = fold(small, None, Frame(square, skin, 0.0), Effort(sweeps=1))
-    covered(x, small.faces, memory.touched.own[small.sheet.place], skin, small.graph)
+    covered(x, small.sheet, memory.touched.own, skin, small.graph)

@@ -158,8 +158,7 @@ class Folds(Stage):
                 vertices[row], memory, report = fold(made, memory, frame, efforts[row])
                 reports.append(report)
                 if height is not None:
-                    own = memory.touched.own[made.sheet.place]
-                    height[row] = covered(vertices[row], made.faces, own, ground[row], made.graph)
+                    height[row] = covered(vertices[row], made.sheet, memory.touched.own, ground[row], made.graph)
             after.append(memory)
         return replace(batch.layers[i], vertices=vertices), after, reports, height
 

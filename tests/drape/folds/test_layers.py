@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from drape.cloth.energies import ClothMesh
+from drape.cloth.material import Material
 from drape.folds.constants import Constants
 from drape.folds.contact import NEIGHBOURS, SkinGraph
 from drape.folds.layers import HIGHEST_M, covered, raised
+from drape.folds.sheet import sheet
 from drape.folds.step import Effort, fold
 from drape.push.samples import sample_table
 from tests.drape.folds.folds_setup import EASE_M, RADIUS_M, frame, sleeve
@@ -26,20 +29,32 @@ def floor(count: int = 6) -> tuple[np.ndarray, SkinGraph]:
     return np.asarray(sample_table(point, np.tile([0.0, 1.0, 0.0], (count, 1)))), graph
 
 
-def flakes(places: np.ndarray, slope: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+def flakes(places: np.ndarray, slope: float = 0.0) -> np.ndarray:
     """A triangle of a hundredth of a millimetre around each of ``places`` (N, 3), its normal ``slope`` [rad] from y to
-    z: vertices (3N, 3) and faces."""
-    corners = 1e-5 * np.array([[1.0, 0.0, 0.0], [-0.5, 0.0, 0.8], [-0.5, 0.0, -0.8]])
+    z: vertices (3N, 3)."""
+    corners = 1e-5 * np.array([[1.0, 0.0, 0.0], [-0.5, 0.0, -0.8], [-0.5, 0.0, 0.8]])
     turned = np.stack([corners[:, 0], -np.sin(slope) * corners[:, 2], np.cos(slope) * corners[:, 2]], axis=1)
-    return (places[:, None] + turned).reshape(-1, 3), np.arange(3 * len(places), dtype=np.int32).reshape(-1, 3)[:, ::-1]
+    return (places[:, None] + turned).reshape(-1, 3)
+
+
+def heights(
+    vertices: np.ndarray, own: int | list[int], skin: np.ndarray, graph: SkinGraph, *, flipped: bool = False
+) -> np.ndarray:
+    """Those over ``skin`` of flakes, each at the sample ``own``; ``flipped``: their triangles wound the other way."""
+    count = len(vertices) // 3
+    faces = np.arange(3 * count).reshape(-1, 3)
+    cloth = ClothMesh.from_rest(flakes(np.zeros((count, 3))), faces[:, ::-1] if flipped else faces)
+    made = sheet(cloth, Material(), np.zeros(3 * count), dtype=np.float64)
+    sample = np.repeat(own, 3 * count // np.size(own)).astype(np.int32)
+    return covered(vertices, made, sample[made.vertex], skin, graph)
 
 
 def test_a_sample_is_raised_to_the_highest_cloth_over_it():
     skin, graph = floor()
     places = np.array([[0.001, 0.010, 0.0], [0.001, 0.006, 0.0], [0.03, 0.004, 0.0], [0.08, -0.002, 0.0]])
-    height = covered(*flakes(places), np.repeat([0, 0, 1, 4], 3).astype(np.int32), skin, graph)
+    height = heights(flakes(places), [0, 0, 1, 4], skin, graph)
     assert_allclose(height, [0.010, 0.010, 0.004, 0.0, 0.0, 0.0], atol=1e-9)
-    high = covered(*flakes(np.array([[0.0, 0.5, 0.0]])), np.zeros(3, np.int32), skin, graph)
+    high = heights(flakes(np.array([[0.0, 0.5, 0.0]])), 0, skin, graph)
     assert high.max() == pytest.approx(HIGHEST_M)
 
 
@@ -56,31 +71,30 @@ def crease(width_m: float) -> tuple[np.ndarray, SkinGraph]:
 
 
 def test_walls_of_a_crease_that_cloth_spans_go_half_of_the_way_to_each_other():
-    own, places, upright = np.zeros(3, np.int32), np.array([[0.0, 0.030, 0.0]]), 0.5 * np.pi
+    places, upright = np.array([[0.0, 0.030, 0.0]]), 0.5 * np.pi
     for width_m, expected in ((0.04, 0.020), (0.02, 0.010), (0.5, 0.030)):
-        height = covered(*flakes(places, upright), own, *crease(width_m))
+        height = heights(flakes(places, upright), 0, *crease(width_m))
         assert_allclose(height[:2], expected, atol=1e-5, err_msg=str(width_m))
-    vertices, faces = flakes(places)
-    assert_allclose(
-        covered(vertices, faces, own, *crease(0.02))[0], 0.030, atol=1e-5, err_msg="it faces as the floor does"
-    )
-    folded = covered(vertices, faces[:, ::-1], own, *crease(0.02))
+    level = flakes(places)
+    facing = heights(level, 0, *crease(0.02))
+    assert_allclose(facing[0], 0.030, atol=1e-5, err_msg="it faces as the floor does")
+    folded = heights(level, 0, *crease(0.02), flipped=True)
     assert_allclose(folded[0], 0.010, atol=1e-5, err_msg="folded over")
-    slanting = covered(*flakes(places, 1.2), own, *crease(0.01))
+    slanting = heights(flakes(places, 1.2), 0, *crease(0.01))
     assert_allclose(slanting[0], 0.030 * np.cos(1.2), atol=1e-5, err_msg="no lower than by the cosine")
-    vertices[:] = places
-    assert_allclose(covered(vertices, faces, own, *crease(0.02))[0], 0.010, atol=1e-6, err_msg="no area, no normal")
+    level[:] = places
+    assert_allclose(heights(level, 0, *crease(0.02))[0], 0.010, atol=1e-6, err_msg="no area, no normal")
 
 
 def test_heights_far_from_home_and_of_numbers_that_are_none_are_finite():
     skin, graph = crease(0.04)
-    own, (vertices, faces) = np.zeros(3, np.int32), flakes(np.array([[0.0, 0.030, 0.0]]), 0.5 * np.pi)
+    vertices = flakes(np.array([[0.0, 0.030, 0.0]]), 0.5 * np.pi)
     away = np.array([1e4, 0.0, -1e4])
     moved = np.concatenate([skin[:, :3] + away, skin[:, 3:]], axis=1)
-    assert_allclose(covered(vertices + away, faces, own, moved, graph)[0], 0.020, atol=1e-5)
+    assert_allclose(heights(vertices + away, 0, moved, graph)[0], 0.020, atol=1e-5)
     broken = skin.copy()
     broken[3] = np.nan
-    assert np.isfinite(covered(vertices, faces, own, broken, graph)).all()
+    assert np.isfinite(heights(vertices, 0, broken, graph)).all()
 
 
 def test_raised_samples_are_a_table_of_samples_again(rng):
@@ -97,8 +111,7 @@ def test_an_outer_sleeve_rests_on_an_inner_one():
     one = frame(rest, 0, noise_m=0.0)
     skin = one.skin.astype(np.float32)
     inner, memory, _ = fold(made, None, replace(one, skin=skin), effort)
-    own = memory.touched.own[made.sheet.place]
-    ground = raised(skin, covered(inner, made.faces, own, skin, made.graph))
+    ground = raised(skin, covered(inner, made.sheet, memory.touched.own, skin, made.graph))
     outer, _, _ = fold(made, None, replace(one, skin=ground), effort)
     radius = [np.linalg.norm(x[:, [0, 2]], axis=1) for x in (inner, outer)]
     free = (
