@@ -41,7 +41,7 @@ from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
 from drape.push.projection import push_out_of_bodies
 from drape.push.skin import body_skin, posed_table
-from service.push import Pusher
+from service.graphs.push import Pusher
 
 NEAREST_CLEARANCE_M = 0.002  # of the baseline (docs/reference/quality.md)
 METHODS = ("none", "nearest_vertex", "own_and_other")

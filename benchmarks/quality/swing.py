@@ -48,9 +48,9 @@ from drape.motion.readers import read_motion
 from drape.push.skin import shaped_skin
 from drape.swing.constants import constants as swing_constants
 from drape.swing.step import swing
-from service.engine import Engine
-from service.packing import Packer, ScenePlan
-from service.runtime import Device
+from service.graphs.engine import Engine
+from service.graphs.onnx_runtime import Device
+from service.graphs.packing import Packer, ScenePlan
 from service.stages.motion import Memory, Moment, advance
 
 SPIN, TURNS_PER_S = "spin", 1.0
