@@ -39,7 +39,7 @@ from drape.garment.fine import fine_garment
 from drape.garment.intake import IntakeOptions, intake
 from drape.wire.messages import unpack_frame
 from drape.wire.options import DrapeOptions
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from service.stages.batch import Batch
 
@@ -111,7 +111,7 @@ def draped_frames(count: int, every: int) -> np.ndarray:
 
 
 def measure(
-    case: Case, garments: dict[float, Garment], draperies: dict[Precision, Drapery], ways: Sequence[Way] = WAYS
+    case: Case, garments: dict[float, Garment], draperies: dict[Precision, DrapeRuntime], ways: Sequence[Way] = WAYS
 ) -> list[dict[str, Any]]:
     """A row for each of ``ways`` that there is: of patches where ``garments``, by their number over the usual one, have
     them, and as delivered where that mesh is another than the ``case``'s."""
@@ -125,7 +125,7 @@ def measure(
         worn = garment if way.delivered else fine_garment(garment)
         asked = DrapeOptions(tier="balanced", motion=0.0, fabric=case.fabric.name, **way.options)
         plan = drapery.plan(drapery.garments.add(worn, "user"), asked, messages=True)
-        drapery.take_in(plan)
+        drapery.add_missing(plan)
         kept = draped_frames(len(clip.poses), way.every)
         slower = replace(clip, fps=clip.fps / way.every, poses=clip.poses[kept])
         found.append((way, kept, Streamed.of(plan, slower, drapery.body.shape_count)))
@@ -188,7 +188,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
         "float32": base.model_copy(update={"int8": False}),
         "float16": base.model_copy(update={"half": True}),
     }
-    draperies: dict[Precision, Drapery] = {name: Drapery(one, body=body) for name, one in settings.items()}
+    draperies: dict[Precision, DrapeRuntime] = {name: DrapeRuntime(one, body=body) for name, one in settings.items()}
     networks = {
         f"network_{'all' if passes is None else passes}": Network(folder, body, threads=options.threads, passes=passes)
         for passes in PASSES

@@ -34,7 +34,7 @@ from drape.wire import messages as wire
 from drape.wire.jets import JetFrame, pack_jets, unpack_jets
 from drape.wire.layout import JetLayout, unpack_layout
 from drape.wire.options import DrapeOptions
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.compute.garments import Entry
 from service.settings import Settings
 from service.stages import run
@@ -51,7 +51,7 @@ COLUMNS = {
 }  # fmt: skip
 
 
-def frames_of(drapery: Drapery, entry: Entry, poses: np.ndarray) -> tuple[list[JetFrame], list[wire.Frame]]:
+def frames_of(drapery: DrapeRuntime, entry: Entry, poses: np.ndarray) -> tuple[list[JetFrame], list[wire.Frame]]:
     """Every pose (F, 24, 3) draped and pushed out, as jets and as vertices."""
     trans = np.zeros((len(poses), 3))
     clip = PoseInput(poses, trans, np.zeros(drapery.body.shape_count), np.zeros(len(poses)))
@@ -150,7 +150,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     common.add_options(parser)
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory(prefix="wire-") as folder:
-        drapery = Drapery(Settings(garments_dir=Path(folder), threads=options.threads))
+        drapery = DrapeRuntime(Settings(garments_dir=Path(folder), threads=options.threads))
     names = options.garments or (["shorts"] if options.quick else [entry.id for entry in drapery.garments.entries()])
     poses, labels = hard(drapery.body, options.motions, options.frames or (QUICK_FRAMES if options.quick else FRAMES))
     bodies, body_faces = drapery.body.posed_vertices(poses), drapery.body.faces

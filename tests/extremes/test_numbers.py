@@ -17,7 +17,7 @@ from drape.graph.packing import pack_body
 from drape.wire import messages as wire
 from model_export.folder import _add_packed
 from model_export.precision.half import HALF, halve_matrices
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.graphs.engine import Engine
 from service.graphs.packing import Packer, ScenePlan
 from tests.extremes.frames import check_bounded, draped
@@ -26,13 +26,13 @@ from tests.fixtures.packed import exported, garment
 BUDGET_MM = {"frame": 0.05, "jets_turn": 0.1, "jets_centre": 0.05, "float32": 0.001, "float16": 1.0}
 
 
-def test_subnormal_inputs_drape_as_zeros(drapery: Drapery):
+def test_subnormal_inputs_drape_as_zeros(runtime: DrapeRuntime):
     """Guards against subnormals in a matrix product; how much slower they are is in ``benchmarks.precision``."""
     poses = np.full((2, 24, 3), 1e-40)
     with flushed():
-        batch = draped(drapery, poses, trans=np.full((2, 3), 1e-310), betas=np.full(10, 1e-40))
-    check_bounded(drapery, batch)
-    zero = draped(drapery, np.zeros((2, 24, 3)))
+        batch = draped(runtime, poses, trans=np.full((2, 3), 1e-310), betas=np.full(10, 1e-40))
+    check_bounded(runtime, batch)
+    zero = draped(runtime, np.zeros((2, 24, 3)))
     np.testing.assert_allclose(batch.vertices, zero.vertices, rtol=0.0, atol=1e-6)
 
 

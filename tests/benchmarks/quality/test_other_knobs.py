@@ -18,7 +18,7 @@ from drape.body.model import BodyModel
 from drape.catalog import find_motions
 from drape.cloth.fabric_table import fabric
 from drape.garment.fine import fine_garment
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from tests.drape.garment.garment_files import obj_text, shirt
 from tests.fixtures.serving import body, make_settings, tiny_folder, tube
 from tests.fixtures.tiny_model import TINY, tube_garment
@@ -48,7 +48,7 @@ def rows(body: BodyModel, tiny_folder: Path, make_settings) -> dict[str, dict[st
     }
     clip = folds.Clip.read(find_motions(["walk"])[0], 30.0, FRAMES, body)
     case = Case.of(fine_garment(coarse), fabric("jersey"), clip, body, networks)
-    drapery = Drapery(make_settings(folds=None))
+    drapery = DrapeRuntime(make_settings(folds=None))
     found = measure(case, {1.0: coarse, 2.0: other}, {"int8": drapery, "float32": drapery, "float16": drapery})
     drapery.close()
     return {row["way"]: row for row in found}

@@ -16,7 +16,7 @@ from drape.garment.cache import save_garment
 from drape.graph.packing import pack_body
 from drape.push.skin import posed_table
 from drape.wire.options import DrapeOptions
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.graphs.binding import BoundSession
 from service.graphs.engine import PACKED, Engine
 from service.graphs.onnx_runtime import Device, nodes_off_provider, open_session
@@ -129,14 +129,14 @@ def test_a_service_in_buckets_is_warm_and_answers_alike(make_settings, tmp_path:
     poses, trans = random_motion(3, seed=8)
     clip, found = PoseInput(poses, trans, np.zeros(10), np.zeros(3)), []
     for buckets in (None, True):
-        drapery = Drapery(make_settings(shipped_garments_dir=tmp_path, buckets=buckets, chunk_frames=3))
-        ready = drapery.engine.buckets
-        plans = [drapery.plan(drapery.garments.get(kind), DrapeOptions(push_out=True)) for kind in ("tank", "shorts")]
+        runtime = DrapeRuntime(make_settings(shipped_garments_dir=tmp_path, buckets=buckets, chunk_frames=3))
+        ready = runtime.engine.buckets
+        plans = [runtime.plan(runtime.garments.get(kind), DrapeOptions(push_out=True)) for kind in ("tank", "shorts")]
         found.append([run(plan, [clip]) for plan in plans])
-        assert drapery.engine.buckets == ready  # all that a clip takes was there before the first request
+        assert runtime.engine.buckets == ready  # all that a clip takes was there before the first request
         assert (ready > 0) is bool(buckets)
-        assert drapery.device_bytes > 0
-        drapery.close()
+        assert runtime.device_bytes > 0
+        runtime.close()
     for plain, bound in zip(*found, strict=True):
         assert_array_equal(bound.vertices, plain.vertices)
 
