@@ -11,10 +11,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.artifacts import TensorSpec
 from drape.body.assets import load_body
+from drape.contact.skin import posed_table
 from drape.errors import ArtifactError
 from drape.garment.cache import save_garment
 from drape.graph.packing import pack_body
-from drape.push.skin import posed_table
 from drape.wire.options import DrapeOptions
 from service.binding import BoundSession
 from service.drapery import Drapery
