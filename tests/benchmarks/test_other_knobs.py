@@ -18,7 +18,7 @@ from drape.body.model import BodyModel
 from drape.catalog import find_motions
 from drape.cloth.fabric_table import fabric
 from drape.garment.fine import fine_garment
-from service.drapery import Drapery
+from service.compute.drape_runtime import Drapery
 from tests.drape.garment.garment_files import obj_text, shirt
 from tests.fixtures.serving import body, make_settings, tiny_folder, tube
 from tests.fixtures.tiny_model import TINY, tube_garment
