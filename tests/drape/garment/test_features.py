@@ -11,10 +11,10 @@ from drape.garment import charts, features
 from drape.garment.features import boundary_vertices, patch_features, positional_encoding
 from drape.garment.fitting import rest_garment
 from drape.geometry import jets
-from tests.drape.body.body_files import default_body
 from tests.drape.cloth.cloth_shapes import grid, tube
 from tests.drape.garment.rest_garments import PATCH_COUNT, barrel, barrel_garment, side_by_side
 from tests.drape.geometry.geometry_shapes import icosphere
+from tests.fixtures.garments import default_body
 
 ENCODED = 3 + 6 * len(features.FREQUENCIES)
 SIZES = {
