@@ -28,8 +28,8 @@ from recovery.run import __main__ as command
 from recovery.run.identify import shape_basis
 from recovery.run.job import describe_worn, lost_words, run_job
 from recovery.run.report import Page
+from recovery.run.report_text import cloth_words, cut_words, file_words, verdicts
 from recovery.run.retarget import _worn, lost_parts, retargeted
-from recovery.run.story import cloth_words, cut_words, file_words, verdicts
 from tests.recovery.pattern_setup import default_measurements
 
 SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
