@@ -20,7 +20,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from drape.errors import InputError, NotFound
-from recovery.pattern.geometry import area, check_pattern
+from recovery.pattern.geometry import area, check_pattern, on_chord
 from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Pattern, Placement, Stitch
 
 FILE_UNITS_IN_METER = 100.0
@@ -187,16 +187,8 @@ def _read_edge(where: str, entry: Any, vertices: np.ndarray, absolute: bool) -> 
                 kind, handles = EdgeKind.LINE, []
         else:
             points = _numbers(params, (None, 2), f"{where}: curvature")
-            if absolute:
-                points = _relative(points - vertices[start], chord)
-            handles = [(float(along), float(left)) for along, left in points]
+            handles = on_chord(points, vertices[start], vertices[end]) if absolute else points.tolist()
     return Edge(start, end, kind, tuple(handles), entry.get("label"))
-
-
-def _relative(points: np.ndarray, chord: np.ndarray) -> np.ndarray:
-    along = points @ chord
-    left = points @ np.array([-chord[1], chord[0]])
-    return np.stack([along, left], axis=1) / max(float(chord @ chord), 1e-300)
 
 
 def _arc_height(params: np.ndarray, chord: np.ndarray, where: str) -> float:

@@ -104,7 +104,7 @@ COARSE = DrapeOptions(edge_length_m=0.05, grid_m=0.02)
 def run(tmp_path_factory):
     """The command on a T-shirt's drape; its folder, its outcome, and the pattern that the target was draped from."""
     folder = tmp_path_factory.mktemp("run")
-    truth = tshirt(default_measurements(), length_m=0.70, ease_m=0.15)
+    truth = tshirt(default_measurements(), length_m=0.70, chest_ease_m=0.15)
     draped = drape_pattern(truth, load_body(), COARSE)
     path = write(folder / "target.obj", obj_text(draped.mesh, draped.nodes, panel_texture(draped.mesh)))
     coarse = ["--edge-length", "0.05", "--grid", "0.02", "--adam", "0", "--closing", "2", "--no-retarget"]
