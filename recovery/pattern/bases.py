@@ -1,6 +1,6 @@
 """Base patterns that a recovery begins with: designs without darts and bands, whose panels start flat.
 
-Front and back are drawn as their viewer sees them, so the wearer's left is on the right in front and on the left behind.
+Front and back are drawn as their viewer sees them: the wearer's left is on the right in front and on the left behind.
 """
 
 from __future__ import annotations
