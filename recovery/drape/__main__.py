@@ -18,8 +18,9 @@ from drape.body.assets import DEFAULT_BODY, load_body
 from drape.cloth.material import DEFAULT_MATERIAL
 from drape.errors import refusing
 from drape.garment.intake import IntakeOptions, garment_name, intake
+from recovery.atomic import write
 from recovery.drape.body_distance import add_distance_options, distance_options
-from recovery.drape.output import glb_bytes, obj_text, panel_texture, write
+from recovery.drape.output import glb_bytes, obj_text, panel_texture
 from recovery.drape.pipeline import Draped, DrapeOptions, Hold, drape_pattern
 from recovery.drape.placement import Axes
 from recovery.drape.posing import read_pose

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import copy
 import json
-import os
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -20,6 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from drape.errors import InputError, NotFound
+from recovery.atomic import write
 from recovery.pattern.geometry import area, check_pattern, on_chord
 from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Pattern, Placement, Stitch
 
@@ -259,14 +259,8 @@ def pattern_to_spec(pattern: Pattern, *, units_in_meter: float = FILE_UNITS_IN_M
 
 
 def write_pattern(pattern: Pattern, path: str | Path, *, units_in_meter: float = FILE_UNITS_IN_METER) -> Path:
-    """Writes the specification to ``path`` atomically and returns the path."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".part")
-    text = json.dumps(pattern_to_spec(pattern, units_in_meter=units_in_meter), indent=2)
-    temporary.write_text(text + "\n", encoding="utf-8")
-    os.replace(temporary, path)
-    return path
+    """Writes the specification to ``path`` and returns the path."""
+    return write(Path(path), json.dumps(pattern_to_spec(pattern, units_in_meter=units_in_meter), indent=2) + "\n")
 
 
 def _panel_entry(panel: Panel, units: float) -> dict[str, Any]:

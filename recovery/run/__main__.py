@@ -20,8 +20,8 @@ from drape.body.assets import DEFAULT_BODY
 from drape.cloth.material import DEFAULT_MATERIAL, FABRICS
 from drape.errors import InputError, refusing
 from drape.garment.mesh_checks import UNITS_M, UP_AXES
+from recovery.atomic import write
 from recovery.drape.body_distance import add_distance_options, distance_options
-from recovery.drape.output import write
 from recovery.drape.pipeline import DrapeOptions
 from recovery.drape.posing import read_pose
 from recovery.fit.objective import DEFAULT_WEIGHTS

@@ -19,7 +19,8 @@ from drape.errors import InputError
 from drape.garment.cache import load_garment
 from drape.garment.files.mesh import read_mesh
 from drape.geometry.drawing import drawn
-from recovery.drape.output import obj_text, panel_texture, write
+from recovery.atomic import write
+from recovery.drape.output import obj_text, panel_texture
 from recovery.drape.pipeline import DrapeOptions, drape_pattern
 from recovery.fit.chamfer import chamfer, surface_chamfer, surface_distance
 from recovery.pattern.bases import tshirt
