@@ -25,13 +25,13 @@ from torch import Tensor, nn
 
 from drape.artifacts import GraphSpec, TensorSpec
 from drape.body.skeleton import JOINT_COUNT
+from drape.contact.samples import REGION_SIZE
 from drape.errors import ArtifactError
 from drape.garment.features import REACH_M
 from drape.geometry import jets
 from drape.graph.inputs import ROOT
 from drape.graph.packed import VERTICES_PER_BLOCK, Indices, PackedBodies, PackedTensors, StoredPatches
 from drape.graph.packing import pass_name
-from drape.push.samples import REGION_SIZE
 from drape.wire.messages import STEP_COUNT
 from model_export.onnx_file import write_graph
 from model_export.packed import layers

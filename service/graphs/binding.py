@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from drape.artifacts import TensorSpec
+from drape.contact.samples import POSED_REGIONS
 from drape.errors import ArtifactError
-from drape.push.samples import POSED_REGIONS
 from service.graphs.onnx_runtime import Device, Session
 
 if TYPE_CHECKING:

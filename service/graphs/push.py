@@ -12,13 +12,13 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
+from drape.contact.layers import cloth_samples
+from drape.contact.projection import CLEARANCE_M
+from drape.contact.samples import Samples
+from drape.contact.skin import body_skin
 from drape.errors import NotFound
 from drape.graph.layer_feed import Sheet, layer_arrays, pack_layer
 from drape.graph.push_feed import feed_arrays, pack_push, pushed_jets
-from drape.push.layers import cloth_samples
-from drape.push.projection import CLEARANCE_M
-from drape.push.samples import Samples
-from drape.push.skin import body_skin
 from service.compute.constants_process import IN_PLACE, ConstantsProcess
 from service.graphs.engine import PUSH, PUSH_OVER, PUSHES, SKIN, SKIN_CONSTANTS, Engine
 

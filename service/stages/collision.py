@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from drape.body.model import BodyModel
+from drape.contact.projection import MOVED_M
 from drape.garment.cache import Garment
-from drape.push.projection import MOVED_M
 from drape.wire.options import DrapeOptions
 from service.graphs.engine import SKIN, Engine
 from service.graphs.push import PosedJets, Pushed, Pusher

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from drape.body.model import BodyModel
+from drape.contact.skin import posed_table
 from drape.garment.cache import Garment
 from drape.geometry import jets
 from drape.graph.packing import pack_body
-from drape.push.skin import posed_table
 from drape.wire.options import DrapeOptions
 from service.compute.fabrics import check_known, layer_fabrics
 from service.graphs.engine import JETS, SKIN, Engine, check_finite

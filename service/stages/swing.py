@@ -11,10 +11,10 @@ import numpy as np
 from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
 from drape.errors import InputError
-from drape.folds.step import Frame
 from drape.garment.cache import Garment
-from drape.swing.constants import constants
-from drape.swing.step import Constants, Memory, swing, warm_up
+from drape.live.fold_step import Frame
+from drape.live.swing_constants import constants
+from drape.live.swing_step import Constants, Memory, swing, warm_up
 from service.compute.fabrics import layer_fabrics
 from service.graphs.engine import SKIN, Engine
 from service.settings import Settings

@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose
 
 from drape.artifacts import TensorSpec
 from drape.body.assets import load_body
+from drape.contact.projection import PushFeed
 from drape.garment.tangents import tangent_columns
 from drape.graph.feeds import body_feed, garment_feed
 from drape.graph.inputs import PARTS, AgreementTensors, BodyTensors, ChartTensors, PatchTensors
@@ -14,7 +15,6 @@ from drape.graph.layer_feed import LayerFeed, layer_feed
 from drape.graph.packed import PackedTensors
 from drape.graph.packing import TANGENTS, Place, compose, pack_body, pack_garment, pack_tangents
 from drape.graph.push_feed import SkinShapes, push_feed
-from drape.push.projection import PushFeed
 from tests.fixtures.packed import garment
 from tests.fixtures.poses import random_motion
 

@@ -17,8 +17,8 @@ from numpy.testing import assert_array_equal
 
 from drape.body.model import BodyModel
 from drape.errors import DrapeError
-from drape.folds.constants import constants
 from drape.garment.cache import Garment, load_garment
+from drape.live.fold_constants import constants
 from drape.wire.options import DrapeOptions
 from service.compute.background import NICE
 from service.compute.constants_process import ConstantsProcess, receive, send

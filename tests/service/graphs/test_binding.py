@@ -11,10 +11,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.artifacts import TensorSpec
 from drape.body.assets import load_body
+from drape.contact.skin import posed_table
 from drape.errors import ArtifactError
 from drape.garment.cache import save_garment
 from drape.graph.packing import pack_body
-from drape.push.skin import posed_table
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.graphs.binding import BoundSession
@@ -165,11 +165,11 @@ def session(**limits: int) -> BoundSession:
 
 def test_what_stays_is_written_once_and_what_changes_every_time():
     bound, x, c = session(), np.ones((2, 3), np.float32), np.zeros(3, np.float32)
-    assert_array_equal(bound.run(["y"], {"x": x, "c": c}, still=["c"])[0], np.full((2, 3), 2.0))
+    assert_array_equal(bound.run(["y"], {"x": x, "c": c}, unchanging=["c"])[0], np.full((2, 3), 2.0))
     x[:], c[:] = 2.0, 5.0  # the second against what "still" says
-    assert_array_equal(bound.run(["y"], {"x": x, "c": c}, still=["c"])[0], np.full((2, 3), 4.0))
+    assert_array_equal(bound.run(["y"], {"x": x, "c": c}, unchanging=["c"])[0], np.full((2, 3), 4.0))
     other = np.full(3, 7.0, np.float32)
-    assert_array_equal(bound.run(["y"], {"x": x, "c": other}, still=["c"])[0], np.full((2, 3), 11.0))
+    assert_array_equal(bound.run(["y"], {"x": x, "c": other}, unchanging=["c"])[0], np.full((2, 3), 11.0))
     assert_array_equal(bound.run(["y"], {"x": x, "c": c})[0], np.full((2, 3), 9.0))
     assert bound.buckets == 1 and bound.bytes == 4 * (6 + 3 + 6)
 

@@ -18,10 +18,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.artifacts import load_manifest
 from drape.body.assets import load_body
+from drape.contact.skin import body_skin, skin_table
 from drape.errors import ArtifactError, InputError, NotFound
 from drape.graph.feeds import body_feed, garment_feed
 from drape.graph.packing import TANGENTS, pack_body, pass_name
-from drape.push.skin import body_skin, skin_table
 from drape.wire.options import DrapeOptions
 from model_export.graph import DrapeGraph, drape_inputs
 from model_export.parity import hard_poses
@@ -197,7 +197,7 @@ class _Recorded:
         self._session = session
         self.inputs = tuple(tensor.name for tensor in session.get_inputs())
 
-    def run(self, outputs, feed, *, still=()) -> list[np.ndarray]:
+    def run(self, outputs, feed, *, unchanging=()) -> list[np.ndarray]:
         values = {n: Device().value(v) if isinstance(v, np.ndarray) else v for n, v in feed.items()}
         return [value.numpy() for value in self._session.run_with_ort_values(list(outputs), values)]
 

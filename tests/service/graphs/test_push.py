@@ -10,6 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
+from drape.contact.projection import CLEARANCE_M, push_in_parts
+from drape.contact.skin import body_skin, posed_table
 from drape.errors import NotFound
 from drape.garment.cache import Garment
 from drape.geometry import jets
@@ -19,8 +21,6 @@ from drape.geometry.skinning import skin_points
 from drape.graph.feeds import garment_feed
 from drape.graph.layer_feed import layer_feed, push_over_in_parts
 from drape.graph.push_feed import pack_push, pushed_jets
-from drape.push.projection import CLEARANCE_M, push_in_parts
-from drape.push.skin import body_skin, posed_table
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.graphs.engine import Engine

@@ -11,10 +11,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.body.model import BodyModel
 from drape.cloth.fabric_table import fabric
+from drape.contact.projection import MOVED_M
 from drape.garment.cache import Garment
 from drape.garment.files.glb import read_glb
 from drape.geometry.closest import signed_distance
-from drape.push.projection import MOVED_M
 from drape.wire.options import DrapeOptions, FabricNumbers, Geometry
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings

@@ -16,13 +16,13 @@ from websockets.typing import Subprotocol
 
 from drape.body.model import BodyModel
 from drape.cloth import metrics
+from drape.contact.projection import CLEARANCE_M, blended, push_in_parts
+from drape.contact.skin import body_skin, posed_table
 from drape.garment.cache import Garment, save_garment
 from drape.graph.feeds import garment_feed
 from drape.graph.push_feed import pack_push
 from drape.motion.hard_poses import hard_poses
 from drape.motion.samples import SAMPLES
-from drape.push.projection import CLEARANCE_M, blended, push_in_parts
-from drape.push.skin import body_skin, posed_table
 from drape.wire import messages as wire
 from drape.wire.jets import JetFrame, message_bytes, pack_jets, split_jets, unpack_jets
 from drape.wire.layout import JetLayout, unpack_layout

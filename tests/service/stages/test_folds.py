@@ -13,10 +13,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.body.model import BodyModel
+from drape.contact.projection import MOVED_M
 from drape.errors import InputError
-from drape.folds import step
 from drape.geometry.closest import signed_distance
-from drape.push.projection import MOVED_M
+from drape.live import fold_step as step
 from drape.wire.options import DrapeOptions
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime

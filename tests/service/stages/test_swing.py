@@ -13,7 +13,7 @@ from drape.body.model import BodyModel
 from drape.catalog import find_garments, open_garment
 from drape.cloth.fabric_table import fabric
 from drape.errors import InputError
-from drape.swing.constants import constants
+from drape.live.swing_constants import constants
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.replicas.memory_codec import decoded, encoded
