@@ -12,7 +12,6 @@ from typing import Annotated
 from fastapi import Depends, Request
 
 from service.compute.drape_runtime import DrapeRuntime
-from service.compute.garments import Entry, Scene
 from service.compute.sliced_thread import SlicedThread
 from service.errors import Busy, Draining
 from service.guard.access import Access
@@ -20,6 +19,7 @@ from service.guard.keys import Client
 from service.http.continuations import Continuations
 from service.http.pictures import Previews
 from service.replicas.handover import Handover
+from service.stages.scene import Entry, Scene
 from service.stream.sessions import Streams
 from service.uploads.jobs import Uploads
 from service.uploads.shared_folder import SharedFolder
@@ -67,7 +67,7 @@ class State:
             await asyncio.sleep(0.02)
 
     def _hurry(self) -> None:
-        self.life.hurried = self.runtime.hurried = True
+        self.life.hurried = self.runtime.threads.hurried = True
 
     def check_slot(self) -> None:
         """Refuses when all places for clips are taken, so that waiting answers cannot fill the memory."""

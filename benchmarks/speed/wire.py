@@ -35,10 +35,10 @@ from drape.wire.jets import JetFrame, pack_jets, unpack_jets
 from drape.wire.layout import JetLayout, unpack_layout
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
-from service.compute.garments import Entry
 from service.settings import Settings
 from service.stages import run
 from service.stages.batch import PoseInput
+from service.stages.scene import Entry
 
 FRAMES, QUICK_FRAMES = 12, 3
 OFF_M = 1e-4

@@ -1,10 +1,9 @@
-"""Drapes any mix of garments, clients and frames through the packed graph: what is stored, asked, run and cut apart.
+"""Drapes any mix of garments, clients and frames through the packed graph: ``Packer``.
 
-A ``ScenePlan`` names what a scene needs; the session of a plan holds the nodes that this takes and no other.
-Constants of the garments lie in the ``Store`` once. A batch is a list of (garment, body) items; its index tensors are
-kept while memory allows, since streams repeat their batches. On a CPU vertices are made of the graph's jets by
-kernels (``drape.graph.blend``), three times as fast as in the graph. An item's result does not depend on what else is
-in the batch, not in one bit on a CPU (``tests/service/graphs``), so a batch may be run in parts of any size.
+A ``ScenePlan`` names what a scene needs, and its session holds no other nodes. A batch is a list of items, each a
+garment and a body. The index tensors of batches are kept while memory allows, since streams repeat their batches. On a
+CPU kernels make vertices of the graph's jets (``drape.graph.blend``), three times as fast as the graph does. An item
+has the same bits in any batch on a CPU (``tests/service/graphs``), so a batch may be run in parts of any size.
 """
 
 from __future__ import annotations
@@ -19,205 +18,62 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
-from drape.errors import InputError, NotFound
+from drape.errors import InputError
 from drape.garment.cache import Garment
-from drape.garment.tangents import tangent_columns
 from drape.graph.blend import blended, warm_up
 from drape.graph.buckets import filled, filled_rows
 from drape.graph.feeds import garment_feed
-from drape.graph.packing import (
-    TANGENTS,
-    Composition,
-    PackedGarment,
-    Place,
-    compose,
-    pack_garment,
-    pack_tangents,
-)
+from drape.graph.packing import Composition, Place, compose
 from drape.graph.push_feed import SkinShapes
-from service.graphs.engine import JETS, PACKED, SKIN, SKIN_CONSTANTS, Engine
+from service.graphs.graph_names import JETS, PACKED, SKIN, SKIN_CONSTANTS
+from service.graphs.store import Store
 
 if TYPE_CHECKING:
+    from service.graphs.engine import Engine
     from service.graphs.onnx_runtime import Session, Value
 
-Shape = Literal["vertices", "steps", "jets", "both"]
+Shape = Literal["vertices", "jets", "both"]
 OUTPUTS_OF: dict[Shape, tuple[str, ...]] = {
     "vertices": ("vertices",),
-    "steps": ("steps", "box_low", "box_step"),
     "jets": JETS,
     "both": ("vertices", *JETS),
 }
-NORMALS, BONES = "normals", ("bone_rotation", "bone_translation")
-PER_VERTEX = ("vertices", "steps", NORMALS)
-PER_PATCH = JETS
-PER_BODY = (*BONES, SKIN)
 STORED_INDEX = ("patch_stored", "tile_stored")  # of no use where one garment is all there is
 SHAPE_INDEX = ("body_shape",)  # nor this where all bodies have one shape
 TILES_PER_CALL = 2048  # about 10 MB of columns: what a core's share of the last cache holds
 TILES_PER_BUCKET = 65536  # of devices with memory of their own
 KEPT_BYTES = 32 << 20  # of index tensors
 FABRICS_KEPT = 64  # garments in fabrics that are not their own
-FIRST = "patch_first"  # what a fabric changes of the constants of a garment
 
 Item = tuple[str, int]  # garment, row of its body
 
 
 @dataclass(frozen=True)
 class ScenePlan:
-    """What a scene asks for: vertices, their 16-bit steps in the item's box, posed jets, or jets and vertices;
-    normals; bones; the samples of the posed skin, as the push-out takes them.
+    """What a scene asks of the packed graph: vertices, posed jets or both, and ``skin``, the posed samples of bodies.
 
     ``passes``: how many of the network's corrections run, all of them by default.
     """
 
     shape: Shape = "vertices"
-    normals: bool = False
-    bones: bool = False
     skin: bool = False
     passes: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.shape not in OUTPUTS_OF:
-            raise InputError(
-                "scene shape", expected=" or ".join(OUTPUTS_OF), got=repr(self.shape), cure="Ask for one of these."
-            )
-        if self.normals and self.shape == "jets":
-            raise InputError(
-                "scene normals",
-                expected="none with jets",
-                got="normals and jets",
-                cure="Take normals from the jets, or ask for vertices.",
-            )
 
     @property
     def outputs(self) -> tuple[str, ...]:
         """Outputs of the packed graph that the plan fetches."""
-        more = (*((NORMALS,) if self.normals else ()), *(BONES if self.bones else ()), *((SKIN,) if self.skin else ()))
-        return (*OUTPUTS_OF[self.shape], *more)
+        return (*OUTPUTS_OF[self.shape], *((SKIN,) if self.skin else ()))
 
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """Outputs of one item by name: rows of its vertices (V, ...) or patches (K, ...), its box (3,), its bones.
+    """Outputs of one item by name: rows of its vertices (V, 3) or patches (K, ...), and the skin of its body.
 
     ``finite`` is false where the network's answer holds NaN or infinity.
     """
 
     arrays: dict[str, np.ndarray]
     finite: bool
-
-
-@dataclass(eq=False)
-class _Stored:
-    """``of``: the garment whose tiles these are, where only the fabric differs."""
-
-    garment: Garment
-    packed: PackedGarment
-    of: str | None = None
-
-
-class Store:
-    """Constants of all garments, each array in one piece; a garment's own are views of it."""
-
-    def __init__(self) -> None:
-        self._garments: dict[str, _Stored] = {}
-        self._places: dict[str, Place] = {}
-        self._arrays: dict[str, np.ndarray] = {}
-
-    def __contains__(self, key: str) -> bool:
-        return key in self._garments
-
-    def add(self, key: str, garment: Garment, feed: dict[str, np.ndarray], patch_first: np.ndarray) -> None:
-        """Puts ``garment`` with its ``garment_feed`` under ``key``, in place of what was there.
-
-        ``patch_first`` (K, n) is the encoder's.
-        """
-        self._undress(key)
-        self._garments[key] = _Stored(garment, pack_garment(feed, patch_first))
-        self._lay_out()
-
-    def garment(self, key: str) -> Garment:
-        """The garment ``key``; refuses one that is not in store."""
-        self.packed(key)
-        return self._garments[key].garment
-
-    def dress(self, key: str, name: str, patch_first: np.ndarray) -> None:
-        """Puts the garment ``key`` in store once more, as ``name`` in another fabric: its tiles are shared."""
-        packed = self.packed(key)
-        packed = replace(packed, stored=packed.stored | {FIRST: patch_first})
-        self._garments[name] = _Stored(self._garments[key].garment, packed, key)
-        self._lay_out()
-
-    def remove(self, key: str) -> None:
-        """Forgets the garment ``key``, in all fabrics; or of one that ``dress`` put there this one."""
-        self.packed(key)
-        self._undress(key)
-        del self._garments[key]
-        self._lay_out()
-
-    def _undress(self, key: str) -> None:
-        for name in [name for name, stored in self._garments.items() if stored.of == key]:
-            del self._garments[name]
-
-    def packed(self, key: str) -> PackedGarment:
-        """The garment ``key``; refuses one that is not in store."""
-        if key not in self._garments:
-            raise NotFound(
-                "garment", expected=", ".join(self._garments) or "one in store", got=key, cure="Add the garment first."
-            )
-        return self._garments[key].packed
-
-    def place(self, key: str) -> Place:
-        """First rows of the garment ``key``."""
-        return self._places[key]
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """The stored inputs of the packed graph by name."""
-        return self._arrays
-
-    def want_tangents(self) -> bool:
-        """Makes the constants that normals need where they are missing, and whether any were."""
-        missing = [stored for stored in self._garments.values() if TANGENTS not in stored.packed.stored]
-        for stored in missing:
-            garment = stored.garment
-            if stored.of is not None:  # after its garment, which has them by now
-                stored.packed.stored[TANGENTS] = self._garments[stored.of].packed.stored[TANGENTS]
-                continue
-            charts = garment.chart_patch[: garment.vertex_count]
-            stored.packed.stored[TANGENTS] = pack_tangents(charts, garment.patch_count, tangent_columns(garment))
-        if missing:
-            self._lay_out()
-        return bool(missing)
-
-    @property
-    def bytes(self) -> int:
-        """Memory of everything in store."""
-        whole = sum(stored.packed.bytes for stored in self._garments.values() if stored.of is None)
-        return whole + sum(stored.packed.stored[FIRST].nbytes for stored in self._garments.values() if stored.of)
-
-    def _lay_out(self) -> None:
-        every = list(self._garments.values())
-        whole = [stored for stored in every if stored.of is None]
-        names = set.intersection(*(set(stored.packed.stored) for stored in every)) if every else set()
-        self._arrays = {
-            name: np.concatenate([stored.packed.stored[name] for stored in (whole if _of_tiles(name) else every)])
-            for name in names
-        }
-        patch = tile = 0
-        for key, stored in self._garments.items():
-            packed = stored.packed
-            first = tile if stored.of is None else self._places[stored.of].tile
-            self._places[key] = Place(patch, first)
-            for name, array in self._arrays.items():
-                start = first if _of_tiles(name) else patch
-                packed.stored[name] = array[start : start + len(packed.stored[name])]
-            patch += packed.patch_count
-            tile += packed.tile_count if stored.of is None else 0
-
-
-def _of_tiles(name: str) -> bool:
-    """Whether rows of the stored array ``name`` are tiles, not patches."""
-    return name.startswith("tile")
 
 
 class Packer:
@@ -309,10 +165,6 @@ class Packer:
                 raise InputError(
                     "body row", expected=f"a row in [0, {count})", got=str(row), cure="Give each item its body's row."
                 )
-        if plan.normals:
-            with self._lock:
-                if self._store.want_tangents():
-                    self._forget()
         results: list[Result] = []
         for part in self._parts(items):
             rows = {row: i for i, row in enumerate(dict.fromkeys(row for _, row in part))}
@@ -375,9 +227,8 @@ class Packer:
         return self._engine.open_cut(PACKED, self._fetched(plan), direct=direct, passes=plan.passes, given=given)
 
     def _fetched(self, plan: ScenePlan) -> tuple[str, ...]:
-        """Outputs of the graph that answer ``plan``: on a CPU jets in place of vertices, where nothing else needs them
-        in the graph."""
-        if not self._engine.on_cpu or plan.normals or "vertices" not in plan.outputs:
+        """Outputs of the graph that answer ``plan``: on a CPU jets in place of vertices."""
+        if not self._engine.on_cpu or "vertices" not in plan.outputs:
             return plan.outputs
         return tuple(dict.fromkeys((*JETS, *(name for name in plan.outputs if name != "vertices"))))
 
@@ -420,21 +271,17 @@ def _apart(
 ) -> list[dict[str, np.ndarray]]:
     """The outputs of every item by ``names``."""
     whole = {
-        name: values.reshape(-1, 3) if name in PER_VERTEX else values
+        name: values.reshape(-1, 3) if name == "vertices" else values
         for name, values in zip(names, outputs, strict=True)
     }
     results = []
     for item, row in enumerate(rows):
-        places = {
-            **dict.fromkeys(PER_VERTEX, composition.vertices[item]),
-            **dict.fromkeys(PER_PATCH, composition.patches[item]),
-            **dict.fromkeys(PER_BODY, row),
-        }
-        results.append({name: values[places.get(name, item)] for name, values in whole.items()})
+        places = {"vertices": composition.vertices[item], SKIN: row, **dict.fromkeys(JETS, composition.patches[item])}
+        results.append({name: values[places[name]] for name, values in whole.items()})
     return results
 
 
 def _finite(arrays: dict[str, np.ndarray]) -> bool:
     """Whether the network's answer in the outputs of an item is finite."""
-    checked = [arrays[name] for name in ("vertices", "box_low", *PER_PATCH) if name in arrays]
+    checked = [arrays[name] for name in ("vertices", *JETS) if name in arrays]
     return all(bool(np.isfinite(array).all()) for array in checked)

@@ -10,11 +10,11 @@ from fastapi.responses import StreamingResponse
 from drape.export.glb import GARMENT_COLOURS
 from drape.export.pc2 import pc2_head
 from drape.export.usda import Moving, usda_pieces
-from service.compute.garments import Scene
 from service.compute.sliced_thread import SlicedThread
 from service.http.answers import number_bytes
 from service.http.negotiation import PC2
 from service.stages.placing import Placed
+from service.stages.scene import Scene
 
 
 def export_answer(

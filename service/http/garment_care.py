@@ -9,13 +9,13 @@ from fastapi import APIRouter, Request
 from pydantic import Field
 
 from drape.errors import InputError, NotFound
-from service.compute.garments import Entry
 from service.errors import Forbidden, TooLarge, TooSlow
 from service.guard.access import ClientHere
 from service.guard.keys import Client
 from service.http import schemas
 from service.http.json_body import document_of, json_text, validated
 from service.http.openapi import body_schema, responses
+from service.stages.scene import Entry
 from service.state import State, StateHere
 from service.uploads.shared_folder import end_streams
 
@@ -61,4 +61,4 @@ async def delete_garment(garment_id: str, state: StateHere, client: ClientHere) 
     """Removes an uploaded garment from the service and its disk; streams that wear it are ended (4404)."""
     entry = await _own(garment_id, client, state)
     end_streams(entry, state.streams)
-    await asyncio.shield(state.runtime.aside(state.runtime.garments.remove, entry))
+    await asyncio.shield(state.runtime.threads.aside(state.runtime.garments.remove, entry))

@@ -8,7 +8,6 @@ from drape.errors import InputError, NotFound
 from drape.wire.jets import message_bytes
 from drape.wire.options import Resolution
 from service.compute.drape_runtime import DrapeRuntime
-from service.compute.garments import Outfit, Scene, layer_list
 from service.compute.sliced_thread import SlicedThread
 from service.errors import NotAcceptable, TooLarge
 from service.guard.access import ClientHere
@@ -17,6 +16,7 @@ from service.http import negotiation
 from service.http.answers import messages_answer
 from service.http.openapi import responses
 from service.stages.batch import Batch
+from service.stages.scene import Outfit, Scene, layer_list
 from service.state import StateHere
 
 router = APIRouter()

@@ -25,7 +25,6 @@ from drape.garment.cache import Garment
 from drape.wire.clips import unpack_clip
 from drape.wire.options import Resolution
 from service.compute.drape_runtime import DrapeRuntime
-from service.compute.garments import Outfit, Scene, layer_list
 from service.compute.motions import floor_m
 from service.compute.sliced_thread import BRIEF_BYTES
 from service.errors import Full, NotAcceptable, TooLarge, TooSlow
@@ -50,6 +49,7 @@ from service.http.streamed import ClipJob, plan_headers, quality_headers, stream
 from service.http.validation import check_query
 from service.stages.batch import PoseInput
 from service.stages.placing import Placed
+from service.stages.scene import Outfit, Scene, layer_list
 from service.state import State, StateHere
 from service.uploads.avatars import MOST_CHARACTERS, upload_avatar
 from service.uploads.jobs import Job

@@ -13,7 +13,6 @@ from starlette.types import Receive, Scope, Send
 from drape.export.pc2 import HEAD_BYTES, pc2_head
 from drape.wire.jets import message_bytes
 from service.compute.drape_runtime import DrapeRuntime
-from service.compute.garments import Outfit, layer_list
 from service.guard.keys import Client
 from service.http.answers import number_bytes
 from service.http.continuations import Continuation
@@ -21,6 +20,7 @@ from service.http.jets import jets_headers
 from service.http.negotiation import PC2
 from service.http.schemas import ClipOptions
 from service.stages.batch import Batch, Memories, Plan, PoseInput
+from service.stages.scene import Outfit, layer_list
 from service.state import State
 
 

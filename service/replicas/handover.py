@@ -21,12 +21,12 @@ import numpy as np
 from drape.errors import DrapeError, InputError
 from drape.wire.state import PIECE_BYTES
 from service.compute.drape_runtime import DrapeRuntime
-from service.compute.unchanged import Idle
 from service.errors import Busy, TooLarge, Unauthorized
 from service.guard.keys import Client
 from service.guard.tickets import Tickets
 from service.replicas.memory_codec import decoded, encoded
 from service.stages.batch import Memories, Plan
+from service.stages.unchanged import Idle
 from service.stream.sessions import Session
 from service.version import product_version
 

@@ -14,7 +14,6 @@ from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 
 from drape.errors import DrapeError, InputError
 from drape.wire import messages as wire
-from service.compute.garments import Outfit, layer_list
 from service.errors import Draining, InternalError, TooSlow, close_reason, error_message, problem_response, rule_for
 from service.guard.access import OFFER
 from service.guard.keys import Client
@@ -24,6 +23,7 @@ from service.http.schemas import OpenRequest
 from service.replicas.handover import Incoming
 from service.replicas.stream_handover import brought_along, send_away
 from service.settings import Settings
+from service.stages.scene import Outfit, layer_list
 from service.state import State
 from service.stream.sessions import Session
 from service.watch.metrics import Metrics

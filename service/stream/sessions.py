@@ -19,12 +19,11 @@ import numpy as np
 from drape.errors import DrapeError, InputError
 from drape.wire.messages import SAME, Pose, message_kind
 from service.compute.drape_runtime import STEPS_BELOW, DrapeRuntime
-from service.compute.garments import Scene
 from service.compute.sliced_thread import SlicedThread
-from service.compute.unchanged import shown_message
 from service.errors import Busy
-from service.stages import carried
-from service.stages.batch import Memories, Plan, PoseInput
+from service.stages.batch import Memories, Plan, PoseInput, carried
+from service.stages.scene import Scene
+from service.stages.unchanged import shown_message
 from service.stream.step_down import StepDown
 
 if TYPE_CHECKING:
@@ -170,7 +169,7 @@ class Streams:
         self._sessions: set[Session] = set()
         self._wake = asyncio.Event()
         self._workers: list[asyncio.Task[None]] = []
-        self._count, self._busy = runtime.stream_threads, 0  # workers, and how many of them compute
+        self._count, self._busy = runtime.threads.stream_threads, 0  # workers, and how many of them compute
         self._step_down = StepDown(len(runtime.tiers) + STEPS_BELOW, time.monotonic())
 
     @property

@@ -278,7 +278,7 @@ class Uploads:
         made = out / str(report["file"])
         registry = self._runtime.garments
         self._check_room(client, made.stat().st_size)
-        prepared = await self._runtime.aside(registry.prepare, made)
+        prepared = await self._runtime.threads.aside(registry.prepare, made)
         stored = folder_of(self._root, client.name) / made.name
         stored.parent.mkdir(exist_ok=True)
         await asyncio.to_thread(sync, made)

@@ -13,7 +13,7 @@ from typing import TypeVar
 from drape.errors import DrapeError, NotFound
 from service.compute import garment_files
 from service.compute.drape_runtime import DrapeRuntime
-from service.compute.garments import Entry
+from service.stages.scene import Entry
 from service.stream.sessions import Streams
 from service.uploads.jobs import Uploads
 
@@ -83,7 +83,7 @@ class SharedFolder:
             for path, entry in entries.items():
                 if path is not None and path not in there and not path.exists():
                     end_streams(entry, self._streams)
-                    await self._runtime.aside(self._runtime.garments.forget, entry)
+                    await self._runtime.threads.aside(self._runtime.garments.forget, entry)
             for path, written in there.items():
                 if before.get(path) != written:
                     await self._read_change(path, entries.get(path), written[0] != before.get(path, (0, 0))[0])
@@ -95,7 +95,7 @@ class SharedFolder:
             if entry is not None:
                 registry.read_again(entry)
             elif fresh:
-                registry.add(await self._runtime.aside(registry.prepare, path), "user", path)
+                registry.add(await self._runtime.threads.aside(registry.prepare, path), "user", path)
         except FileNotFoundError:  # removed meanwhile: the next look sees it
             return
         except DrapeError as error:

@@ -120,7 +120,7 @@ def test_an_outfit_that_is_prepared_beside_streams_is_the_same(outfit_settings: 
     found = []
     for streamed_s in (-np.inf, time.monotonic() + 1000.0):
         runtime = DrapeRuntime(outfit_settings)
-        runtime._streamed_s = streamed_s
+        runtime.threads.streamed_s = streamed_s
         apart = DrapeOptions(folds=1, cloth_contact=False)  # layers that do not feel each other are pushed apart
         plan = runtime.plan(runtime.garments.scene(None, ["tube", "coat"]), apart, messages=True)
         for stage in plan.stages:
@@ -128,7 +128,7 @@ def test_an_outfit_that_is_prepared_beside_streams_is_the_same(outfit_settings: 
         assert (runtime.constants_process._process is not None) == np.isfinite(streamed_s)
         (pusher,) = (stage.pusher for stage in plan.stages if isinstance(stage, Collision))
         # A copy: on a CPU a value's array is the memory that its owner gave, and close() drops the owner.
-        found.append({name: np.array(value.numpy()) for name, value in pusher._layers[plan.keys].items()})
+        found.append({name: np.array(value.numpy()) for name, value in pusher._layer(plan.keys).items()})
         runtime.close()
         assert runtime.constants_process._process is None
     assert found[0].keys() == found[1].keys()

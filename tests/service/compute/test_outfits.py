@@ -20,11 +20,11 @@ from drape.errors import InputError, NotFound
 from drape.garment.cache import Garment
 from drape.wire import messages as wire
 from service.compute.drape_runtime import DrapeRuntime
-from service.compute.garments import Outfit
 from service.errors import TooLarge
 from service.graphs.engine import Engine
 from service.graphs.push import KEPT_OUTFITS, Pusher
 from service.settings import Settings
+from service.stages.scene import Outfit
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import outfit_settings, outfit_url
 from tests.fixtures.tiny_model import TINY

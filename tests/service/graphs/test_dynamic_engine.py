@@ -11,7 +11,8 @@ import pytest
 
 from drape.artifacts import load_manifest
 from drape.errors import ArtifactError
-from service.graphs.engine import DYNAMIC, PACKED, Engine
+from service.graphs.engine import Engine
+from service.graphs.graph_names import DYNAMIC, PACKED
 from tests.fixtures.packed import MOVING
 from tests.fixtures.tiny_model import STATE_SIZE, TINY, TINY_DYNAMIC
 

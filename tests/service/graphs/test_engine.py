@@ -17,7 +17,8 @@ from drape.body.model import BodyModel
 from drape.errors import ArtifactError, InputError, Unavailable
 from drape.garment.cache import Garment
 from drape.graph.packing import pack_body
-from service.graphs.engine import ENCODER, PACKED, PUSH, PUSH_OVER, Engine
+from service.graphs.engine import Engine
+from service.graphs.graph_names import ENCODER, PACKED, PUSH, PUSH_OVER
 from service.graphs.onnx_runtime import Device, check_distributions, open_session
 from service.graphs.packing import Packer, ScenePlan
 from tests.fixtures.poses import random_motion

@@ -21,12 +21,13 @@ from drape.body.assets import load_body
 from drape.contact.skin import body_skin, skin_table
 from drape.errors import ArtifactError, InputError, NotFound
 from drape.graph.feeds import body_feed, garment_feed
-from drape.graph.packing import TANGENTS, pack_body, pass_name
+from drape.graph.packing import pack_body, pass_name
 from drape.wire.options import DrapeOptions
 from model_export.graph import DrapeGraph, drape_inputs
 from model_export.parity import hard_poses
 from service.compute.drape_runtime import DrapeRuntime
-from service.graphs.engine import PACKED, Engine
+from service.graphs.engine import Engine
+from service.graphs.graph_names import PACKED
 from service.graphs.onnx_runtime import Device
 from service.graphs.packing import SHAPE_INDEX, STORED_INDEX, Packer, Result, ScenePlan
 from service.graphs.subgraph import cut
@@ -41,7 +42,7 @@ pytestmark = pytest.mark.slow
 BODIES = 64
 TERMS = 4 * 18  # of a vertex: those of four charts, each shorter than a body
 WEIGHTS_FOLDER = "session.model_external_initializers_file_folder_path"  # of models that come as bytes
-PLANS = [ScenePlan(), ScenePlan(normals=True), ScenePlan("steps"), ScenePlan("jets", bones=True)]
+PLANS = [ScenePlan(), ScenePlan("jets"), ScenePlan("both", skin=True)]
 
 
 @pytest.fixture(scope="module")
@@ -116,11 +117,13 @@ def with_passes(readable: DrapeGraph, passes: int) -> DrapeGraph:
 
 
 def test_vertices_that_the_graph_does_not_make_are_those_that_it_would_make(packer: Packer, bodies):
-    items = [(KINDS[i % len(KINDS)], i) for i in range(6)]
+    items, by_graph = [(KINDS[i % len(KINDS)], i) for i in range(6)], make_packer()
+    by_graph._engine.on_cpu = False  # where kernels do not make them
+    wanted = by_graph.run(ScenePlan(), bodies, items)
     for shape in ("vertices", "both"):
         assert "vertices" not in packer._fetched(ScenePlan(shape))
         found = packer.run(ScenePlan(shape), bodies, items)
-        for (kind, _), got, graph in zip(items, found, packer.run(ScenePlan(normals=True), bodies, items), strict=True):
+        for (kind, _), got, graph in zip(items, found, wanted, strict=True):
             want = graph.arrays["vertices"]
             assert got.arrays["vertices"].shape == want.shape == (garment(kind).vertex_count, 3)
             assert_allclose(got.arrays["vertices"], want, rtol=0, atol=TERMS * np.spacing(np.float32(2.0)))
@@ -206,7 +209,7 @@ class _Recorded:
 
 
 @pytest.mark.parametrize("alone", [True, False])
-@pytest.mark.parametrize("plan", PLANS, ids=["vertices", "normals", "steps", "jets"])
+@pytest.mark.parametrize("plan", PLANS, ids=["vertices", "jets", "both"])
 def test_nothing_that_a_plan_does_not_ask_for_is_computed(plan: ScenePlan, alone: bool, tmp_path: Path):
     ran = kernels(plan, alone, tmp_path)
     graph = onnx.load(str(exported()[1] / "packed.onnx")).graph
@@ -218,13 +221,9 @@ def test_nothing_that_a_plan_does_not_ask_for_is_computed(plan: ScenePlan, alone
     gathers = {n.name for n in graph.node if n.op_type == "Gather" and n.input[1] in direct_of(alone)}
     assert sorted(ran) == sorted(ancestors - gathers)
     assert len(ran) < len(graph.node)
-    # Spelled out: without normals no tangents, vertices only for those and for steps, in one garment's call no copy of
-    # its constants.
+    # Spelled out: no vertices, which kernels make, and in one garment's call no copy of its constants.
     inputs = set(make_inputs(plan, alone))
-    assert (TANGENTS in inputs) == plan.normals
-    assert ("tile_positions" in inputs) == (plan.normals or plan.shape == "steps")
-    assert ("block_item" in inputs) == (plan.shape == "steps")
-    assert ("patch_stored" in inputs) == (not alone)
+    assert "tile_positions" not in inputs and ("patch_stored" in inputs) == (not alone)
 
 
 def make_inputs(plan: ScenePlan, alone: bool) -> tuple[str, ...]:
@@ -294,16 +293,12 @@ def test_constants_are_kept_once(bodies):
     for kind in KINDS:
         for name, array in packer.store.packed(kind).stored.items():
             assert np.shares_memory(array, packer.store.arrays()[name])
-    packer.run(ScenePlan(normals=True), bodies, [("tank", 0)])
-    added = sum(packer.store.packed(kind).stored[TANGENTS].nbytes for kind in KINDS)
-    assert added > 0 and packer.store.bytes == before + added
 
 
 def test_garments_come_and_go(bodies):
     packer = make_packer()
     items = [("tank", 0), ("trousers", 1)]
     before = packer.run(ScenePlan(), bodies, items)
-    packer.run(ScenePlan(normals=True), bodies, items)
     packer.add("tube", replace(tube_garment(load_body()), patch_features=garment("tank").patch_features[:12]))
     packer.remove("shorts")
     assert "shorts" not in packer.store and "tube" in packer.store
@@ -311,7 +306,6 @@ def test_garments_come_and_go(bodies):
     for a, b in zip(before, after[:2], strict=True):
         assert_array_equal(a.arrays["vertices"], b.arrays["vertices"])
     assert after[2].arrays["vertices"].shape == (216, 3)
-    assert "normals" in packer.run(ScenePlan(normals=True), bodies, [("tube", 0)])[0].arrays
 
 
 def test_what_is_not_finite_is_told_of_its_own_item(bodies):
@@ -345,13 +339,6 @@ def test_a_garment_that_is_not_in_store_is_refused(packer: Packer, bodies):
         packer.run(ScenePlan(), bodies, [("cape", 0)])
     with pytest.raises(NotFound, match="got cape"):
         packer.remove("cape")
-
-
-def test_plans_that_make_no_sense_are_refused():
-    with pytest.raises(InputError, match="scene shape: expected vertices or steps or jets or both, got 'points'"):
-        ScenePlan("points")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="scene normals: expected none with jets"):
-        ScenePlan("jets", normals=True)
 
 
 def test_a_manifest_with_other_tensors_is_refused(tmp_path: Path):

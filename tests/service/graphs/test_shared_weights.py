@@ -13,7 +13,8 @@ from numpy.testing import assert_array_equal
 
 from drape.artifacts import MODELS_DIR, file_digest, load_manifest
 from drape.errors import ArtifactError
-from service.graphs.engine import PACKED, Engine
+from service.graphs.engine import Engine
+from service.graphs.graph_names import PACKED
 from tests.fixtures.packed import garment
 
 JETS = ["jet", "frame_centre"]

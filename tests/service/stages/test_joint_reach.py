@@ -17,7 +17,7 @@ from service.stages.batch import Plan
 from service.stages.joint_reach import ARMS_DOWN, reach_m, turns_rad
 from tests.fixtures.poses import random_motion
 from tests.fixtures.tiny_model import TINY_DYNAMIC
-from tests.service.compute.test_unchanged import NEEDED, POSES, Stream
+from tests.service.stages.test_unchanged import NEEDED, POSES, Stream
 
 HAND = 22
 

@@ -20,10 +20,10 @@ from drape.wire.options import DrapeOptions
 from service import stages
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
-from service.graphs.engine import JETS, PACKED
+from service.graphs.graph_names import JETS, PACKED
 from service.settings import Settings
-from service.stages import carried, run
-from service.stages.batch import BODY, Batch, Layer, Plan, PoseInput, Stage
+from service.stages import run
+from service.stages.batch import BODY, Batch, Layer, Plan, PoseInput, Stage, carried
 from service.stages.motion import Motion
 from service.stages.network import Network
 from tests.fixtures.poses import smooth_motion

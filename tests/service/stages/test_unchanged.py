@@ -27,9 +27,9 @@ from drape.wire.options import DrapeOptions
 from service.app import create_app
 from service.compute import drape_runtime as drapery_module
 from service.compute.drape_runtime import DrapeRuntime
-from service.compute.unchanged import KEY, REST_FRAMES, REST_S, shown_message
 from service.settings import Settings
 from service.stages.batch import Plan, PoseInput
+from service.stages.unchanged import KEY, REST_FRAMES, REST_S, shown_message
 from tests.architecture.repository import ROOT
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import serve
@@ -78,7 +78,7 @@ class Stream:
             shown=seen,
         )  # fmt: skip
         with patch.object(drapery_module, "walk", wraps=drapery_module.walk) as computed:
-            ((message, self.memories),) = self.runtime.frames(self.plan, [one])
+            ((message, self.memories),) = asyncio.run(self.runtime.stream_frames(self.plan, [one]))
         self.runs += computed.call_count
         assert isinstance(message, bytes), message
         return message
@@ -327,7 +327,7 @@ def test_one_of_several_at_rest_leaves_the_others_what_they_are(runtime: DrapeRu
         still.next()
     moving = PoseInput(POSES[1:2], TRANS[1:2], np.zeros(10), np.array([1.0]), {}, sequence=9)
     rest = PoseInput(POSES[:1], TRANS[:1], np.zeros(10), np.array([still.time_s + 1.0]), still.memories, sequence=7)
-    (first, kept), (second, _) = runtime.frames(plan, [rest, moving])
+    (first, kept), (second, _) = asyncio.run(runtime.stream_frames(plan, [rest, moving]))
     assert isinstance(first, bytes) and isinstance(second, bytes)
     assert wire.unpack_frame(first).sequence == 7 and wire.unpack_frame(second).sequence == 9
     assert kept[KEY] is still.memories[KEY]
