@@ -7,6 +7,7 @@ import logging
 import time
 from collections.abc import AsyncIterator, Iterator, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,18 +22,19 @@ from service.compute.threads import ComputeThreads
 from service.compute.tiers import capped, chosen, read_tiers, spared, tier_of
 from service.errors import InternalError
 from service.graphs.engine import Engine
-from service.settings import Settings
+from service.graphs.onnx_runtime import Device
 from service.stages import make_plan, make_stages, run, walk
 from service.stages.batch import Batch, Memories, Plan, PoseInput, Quality, StageSetup
-from service.stages.scene import Scene
 from service.stages.unchanged import Idle, answer_again, remember
 from service.watch.metrics import Metrics
 from service.watch.tracing import Tracing, make_tracing
 
+if TYPE_CHECKING:
+    from service.settings import Settings
+    from service.stages.scene import Scene
+
 COSTS_KEPT = 1024
 """Scenes and tiers whose cost is remembered."""
-STEPS_BELOW = 2
-"""Steps that ``DrapeRuntime.steps`` has before those of the tiers."""
 
 COST_FRAMES = 7  # that tell what one costs; the first has no past, and pays for what is made once
 COST_STEP_S = 1.0 / 30.0
@@ -57,9 +59,8 @@ class DrapeRuntime:
         self.tracing = tracing or make_tracing(settings.trace)
         self.body = body or load_body(settings.body)
         folder = settings.models_dir / settings.model
-        self.engine = Engine(
-            folder, device=settings.device, int8=settings.int8, half=settings.half, bound=settings.buckets
-        )
+        device = Device(settings.provider, settings.threads, settings.gpu_memory_mb, settings.capture)
+        self.engine = Engine(folder, device=device, int8=settings.int8, half=settings.half, bound=settings.buckets)
         self.engine.check_body(self.body)
         self.tiers = read_tiers(self.engine.manifest.tiers)
         self.threads = ComputeThreads(
@@ -161,6 +162,11 @@ class DrapeRuntime:
     def tier_of(self, plan: Plan) -> str:
         """The name of the tier that ``plan`` is, or "custom"."""
         return tier_of(plan.options, self.tiers, self.engine.pass_count)
+
+    @property
+    def step_count(self) -> int:
+        """How many plans ``steps`` gives."""
+        return 2 + len(self.tiers)
 
     def steps(self, plan: Plan) -> tuple[Plan, ...]:
         """``plan`` held to no more than each tier computes, the least first.

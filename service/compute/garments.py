@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,9 +21,11 @@ from drape.graph.feeds import garment_feed
 from drape.graph.layer_feed import check_layers
 from service.compute import garment_files
 from service.errors import TooLarge
-from service.settings import Settings
 from service.stages.batch import Make, Stage, call_here
 from service.stages.scene import UNCHANGED, About, Entry, Outfit, Scene, Source
+
+if TYPE_CHECKING:
+    from service.settings import Settings
 
 log = logging.getLogger("drape.service")
 

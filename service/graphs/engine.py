@@ -279,17 +279,6 @@ def _code_size(model: str, manifest: Manifest) -> int:
     return code
 
 
-def check_finite(engine: Engine, finite: bool) -> None:
-    """Refuses an answer of the network that holds NaN or infinity."""
-    if not finite:
-        raise ArtifactError(
-            f"{engine.manifest.name} vertices",
-            expected="finite numbers",
-            got="NaN or infinity",
-            cure="Use another model; this one fails on the pose.",
-        )
-
-
 def _compare(model: str, graph: str, side: str, written: dict[str, str], found: dict[str, str]) -> None:
     if set(written) != set(found):
         raise ArtifactError(

@@ -18,7 +18,7 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
-from drape.errors import InputError
+from drape.errors import ArtifactError, InputError
 from drape.garment.cache import Garment
 from drape.graph.blend import blended, warm_up
 from drape.graph.buckets import filled, filled_rows
@@ -285,3 +285,14 @@ def _finite(arrays: dict[str, np.ndarray]) -> bool:
     """Whether the network's answer in the outputs of an item is finite."""
     checked = [arrays[name] for name in ("vertices", *JETS) if name in arrays]
     return all(bool(np.isfinite(array).all()) for array in checked)
+
+
+def check_finite(engine: Engine, finite: bool) -> None:
+    """Refuses an answer of the network that holds NaN or infinity."""
+    if not finite:
+        raise ArtifactError(
+            f"{engine.manifest.name} vertices",
+            expected="finite numbers",
+            got="NaN or infinity",
+            cure="Use another model; this one fails on the pose.",
+        )

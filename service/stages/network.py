@@ -13,9 +13,8 @@ from drape.garment.cache import Garment
 from drape.geometry import jets
 from drape.graph.packing import pack_body
 from drape.wire.options import DrapeOptions
-from service.graphs.engine import check_finite
 from service.graphs.graph_names import JETS, SKIN
-from service.graphs.packing import Packer, Result, ScenePlan, Shape
+from service.graphs.packing import Packer, Result, ScenePlan, Shape, check_finite
 from service.stages.batch import Batch, Jets, Layer, Plan, PoseInput, Stage, StageSetup
 from service.stages.joint_reach import reach_m, turns_rad
 from service.stages.scene import check_known

@@ -13,21 +13,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drape.wire.clips import pack_clip
-from service.app import create_app
+from service.app import create_app, make_state
 from service.compute.drape_runtime import DrapeRuntime
-from service.compute.sliced_thread import SlicedThread
 from service.errors import Busy
 from service.guard.access import Access
-from service.http.continuations import Continuations
 from service.http.json_body import clip_marks
-from service.http.pictures import Previews
-from service.replicas.handover import Handover
 from service.settings import Settings
-from service.state import State
-from service.stream.sessions import Streams
-from service.uploads.jobs import Uploads
-from service.uploads.shared_folder import SharedFolder
-from service.watch.lifecycle import Lifecycle
+from service.watch.probes import Lifecycle
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import serve
 
@@ -224,17 +216,7 @@ def test_too_large_an_answer_is_refused(make_settings: Callable[..., Settings]):
 
 def test_more_clips_than_places_are_refused(make_settings: Callable[..., Settings]):
     runtime = DrapeRuntime(make_settings(max_clips=1))
-    streams, access = Streams(runtime, SlicedThread()), Access(runtime.settings)
-    uploads = Uploads(runtime, SlicedThread(), access)
-    handover, continuations, life = (
-        Handover(runtime, access.tickets),
-        Continuations(runtime.settings),
-        Lifecycle(stuck_s=9.0),
-    )
-    shared_folder = SharedFolder(runtime, streams, uploads)
-    state = State(
-        runtime, uploads, shared_folder, streams, SlicedThread(), access, handover, life, continuations, Previews()
-    )
+    state = make_state(runtime, Access(runtime.settings), Lifecycle(stuck_s=9.0))
     with state.slot(), pytest.raises(Busy, match="fewer than 1 at a time"), state.slot():
         pass
     with state.slot():

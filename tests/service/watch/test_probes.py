@@ -14,9 +14,8 @@ from pathlib import Path
 import httpx
 
 from service.http.server import bind
-from service.watch.lifecycle import Lifecycle
 from service.watch.metrics import Metrics
-from service.watch.probes import MOST_CLIENTS, Probes
+from service.watch.probes import MOST_CLIENTS, Lifecycle, Probes
 from tests.architecture.repository import ROOT
 
 

@@ -1,27 +1,31 @@
-"""Answers whose frames leave as they are ready: of a clip of any length a chunk is held, and the next is computed when
-it has been sent."""
+"""A clip that is draped for a client: the headers of its answer, and its frames as they are ready.
+
+A streamed answer holds one chunk of a clip of any length: the next is computed when the last has been sent."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import AsyncGenerator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
+from fastapi import Response
 from fastapi.responses import StreamingResponse
 from starlette.types import Receive, Scope, Send
 
 from drape.export.pc2 import HEAD_BYTES, pc2_head
 from drape.wire.jets import message_bytes
-from service.compute.drape_runtime import DrapeRuntime
-from service.guard.keys import Client
-from service.http.answers import number_bytes
+from service.http.answers import PC2, messages_answer, number_bytes
 from service.http.continuations import Continuation
-from service.http.jets import jets_headers
-from service.http.negotiation import PC2
-from service.http.schemas import ClipOptions
 from service.stages.batch import Batch, Memories, Plan, PoseInput
-from service.stages.scene import Outfit, layer_list
-from service.state import State
+from service.stages.scene import Outfit, Scene, layer_list
+
+if TYPE_CHECKING:
+    from service.compute.drape_runtime import DrapeRuntime
+    from service.compute.sliced_thread import SlicedThread
+    from service.guard.keys import Client
+    from service.http.schemas import ClipOptions
+    from service.state import State
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,8 +38,8 @@ class ClipJob:
     client: Client
 
     def remember(self, memories: Memories, state: State, token: str | None = None) -> dict[str, str]:
-        """Keeps ``memories`` of the last frame where that was asked for, under ``token`` or one of its own, and tells
-        the header that names them."""
+        """The header that names the end of the clip, which is kept with the ``memories`` of its last frame; empty where
+        nobody asked for it. ``token``: its name, a new one by default."""
         if not self.asked.keep:
             return {}
         token = token or state.continuations.token()
@@ -73,6 +77,23 @@ def quality_headers(draped: Batch) -> dict[str, str]:
     }
 
 
+def jets_headers(frames: int, scene: Scene) -> dict[str, str]:
+    """What an answer of so many JETS messages says of itself."""
+    headers = {"X-Drape-Frames": str(frames), "X-Drape-Patches": str(scene.patch_count), "X-Drape-Origin": "root"}
+    if isinstance(scene, Outfit):
+        worn = layer_list(scene, patches=True)
+        headers["X-Drape-Garments"] = ",".join(f"{layer['id']}:{layer['patches']}" for layer in worn)
+    return headers
+
+
+def jets_response(draped: Batch, headers: dict[str, str], sliced_thread: SlicedThread) -> Response:
+    """The clip as one JETS message per frame; sequence and client time are the frame's number and time [s]."""
+    scene = draped.plan.shown
+    headers = headers | jets_headers(len(draped.messages), scene)
+    headers["X-Drape-Left-M"] = f"{draped.quality.left_m.max():.6f}"
+    return messages_answer(draped.messages, sliced_thread, headers)
+
+
 class _Frames(StreamingResponse):
     """Ends its frames with itself, whether they were all sent or the client went away: their place is free then."""
 
@@ -85,29 +106,39 @@ class _Frames(StreamingResponse):
             await super().__call__(scope, receive, send)
 
 
-async def streamed_answer(clip_job: ClipJob, state: State, kind: str) -> StreamingResponse:
-    """The frames of ``clip_job``, binary or PC2.
+async def streamed_answer(job: ClipJob, state: State, kind: str) -> StreamingResponse:
+    """The frames of ``job``, binary or PC2.
 
     The first chunk is computed before the head is sent, so that a refusal is still an answer of its own.
     """
-    scene, frames = clip_job.plan.shown, len(clip_job.clip.poses)
-    headers = plan_headers(clip_job.plan, state.runtime)
-    if clip_job.asked.geometry == "jets":
-        size = frames * message_bytes(scene.patch_count)
-        headers |= jets_headers(frames, scene)
-    else:
-        size = frames * (12 * scene.vertex_count + (24 if clip_job.asked.origin == "root" else 0))
-        headers |= {"X-Drape-Frames": str(frames), "X-Drape-Vertices": str(scene.vertex_count)}
-        headers["X-Drape-Origin"] = clip_job.asked.origin
+    size, headers = _streamed_size(job), plan_headers(job.plan, state.runtime) | _streamed_headers(job)
     head = b""
     if kind == PC2:
-        head, size = pc2_head(scene.vertex_count, frames), HEAD_BYTES + 12 * frames * scene.vertex_count
+        frames, vertices = len(job.clip.poses), job.plan.shown.vertex_count
+        head, size = pc2_head(vertices, frames), HEAD_BYTES + 12 * frames * vertices
     token = state.continuations.token()
-    if clip_job.asked.keep:
+    if job.asked.keep:
         headers["X-Drape-Past"] = token
-    pieces = _pieces(clip_job, state, token, kind)
+    pieces = _pieces(job, state, token, kind)
     frames_sent = _after(head + await anext(pieces), pieces)
     return _Frames(frames_sent, kind, headers | {"Content-Length": str(size)})
+
+
+def _streamed_size(job: ClipJob) -> int:
+    """Bytes of all frames of ``job`` in a binary answer."""
+    scene, frames = job.plan.shown, len(job.clip.poses)
+    if job.asked.geometry == "jets":
+        return frames * message_bytes(scene.patch_count)
+    return frames * (12 * scene.vertex_count + (24 if job.asked.origin == "root" else 0))
+
+
+def _streamed_headers(job: ClipJob) -> dict[str, str]:
+    """What a streamed answer says of its frames."""
+    scene, frames = job.plan.shown, len(job.clip.poses)
+    if job.asked.geometry == "jets":
+        return jets_headers(frames, scene)
+    headers = {"X-Drape-Frames": str(frames), "X-Drape-Vertices": str(scene.vertex_count)}
+    return headers | {"X-Drape-Origin": job.asked.origin}
 
 
 async def _after(first: bytes, rest: AsyncGenerator[bytes]) -> AsyncGenerator[bytes]:
@@ -117,16 +148,16 @@ async def _after(first: bytes, rest: AsyncGenerator[bytes]) -> AsyncGenerator[by
             yield piece
 
 
-async def _pieces(clip_job: ClipJob, state: State, token: str, kind: str) -> AsyncGenerator[bytes]:
+async def _pieces(job: ClipJob, state: State, token: str, kind: str) -> AsyncGenerator[bytes]:
     """The bytes of the answer; holds a place for a clip meanwhile."""
     tail: list[bytes] = []
     first_root = None
-    with state.access.using(clip_job.client, "clips"), state.slot():
+    with state.access.using(job.client, "clips"), state.slot():
         part = None
-        async for part in state.runtime.parts(clip_job.plan, clip_job.clip):
+        async for part in state.runtime.parts(job.plan, job.clip):
             placed = None
-            if clip_job.asked.geometry == "vertices":
-                placed = part.placed(clip_job.asked.origin)
+            if job.asked.geometry == "vertices":
+                placed = part.placed(job.asked.origin)
                 first_root = part.root[0] if first_root is None else first_root
                 if kind == PC2:
                     placed = placed.counted_from(first_root)
@@ -135,6 +166,6 @@ async def _pieces(clip_job: ClipJob, state: State, token: str, kind: str) -> Asy
             async for piece in state.sliced_thread.each(pieces):
                 yield piece
         assert part is not None
-        clip_job.remember(part.memories[0], state, token)
+        job.remember(part.memories[0], state, token)
         for piece in tail:
             yield piece

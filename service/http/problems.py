@@ -1,4 +1,4 @@
-"""Pydantic's complaints about a request, said as one refusal with name, expected, got and cure."""
+"""Refusals as problem documents (RFC 9457); a complaint of pydantic about a request is one refusal of ours."""
 
 from __future__ import annotations
 
@@ -6,7 +6,13 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from drape.errors import InputError, MotionError
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from starlette.exceptions import HTTPException
+
+from drape.errors import DrapeError, InputError, MotionError, NotFound
+from service.errors import PROBLEM, problem, problem_response
 
 SHOWN = 60  # characters of what came
 
@@ -21,6 +27,33 @@ _CURES: dict[str, str] = {
     "trans": "Send trans as frames x 3 finite numbers, or leave it out.",
     "betas": "Send at most 10 finite shape coefficients, or leave betas out.",
 }
+
+
+_HTTP_REFUSALS: dict[int, tuple[type[DrapeError], str, str]] = {
+    404: (NotFound, "a path of this service", "See /docs for the paths."),
+    405: (InputError, "a method that this path has", "See /docs for the methods."),
+}
+
+
+def install(app: FastAPI) -> None:
+    """Makes every refusal of ``app`` a problem document; faults of ours ``service.watch.logs`` does."""
+
+    @app.exception_handler(DrapeError)
+    async def on_refusal(request: Request, error: DrapeError) -> JSONResponse:
+        return problem_response(error)
+
+    @app.exception_handler(RequestValidationError)
+    async def on_validation(request: Request, error: RequestValidationError) -> JSONResponse:
+        return problem_response(validation_refusal(error.errors()))
+
+    @app.exception_handler(HTTPException)
+    async def on_http(request: Request, error: HTTPException) -> JSONResponse:
+        kind, expected, cure = _HTTP_REFUSALS.get(
+            error.status_code, (InputError, "a request of this service", "See /docs.")
+        )
+        refusal = kind("request", expected=expected, got=f"{request.method} {request.url.path}", cure=cure)
+        document = {**problem(refusal), "status": error.status_code, "title": str(error.detail)}
+        return JSONResponse(document, status_code=error.status_code, media_type=PROBLEM, headers=error.headers)
 
 
 def validation_refusal(errors: Sequence[Any]) -> InputError:
