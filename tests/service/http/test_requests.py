@@ -1,8 +1,9 @@
-"""Bad requests get a sentence that says what to do, and the service goes on."""
+"""Requests that are refused, each with its sentence; and the reference page, which asks no other host."""
 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -17,6 +18,7 @@ from service.app import create_app, make_state
 from service.compute.drape_runtime import DrapeRuntime
 from service.errors import Busy
 from service.guard.access import Access
+from service.http import pages
 from service.http.json_body import clip_marks
 from service.settings import Settings
 from service.watch.probes import Lifecycle
@@ -289,3 +291,27 @@ def test_noise_as_a_body_is_refused_politely(api: httpx.Client, content: bytes, 
     for path in ("/drape", "/bodies/anny_default/posed", "/garments"):
         response = api.post(path, content=content, headers={"Content-Type": kind})
         assert response.status_code in (400, 422)
+
+
+def test_the_reference_and_its_files_come_from_this_service(api: httpx.Client):
+    page = api.get("/docs")
+    assert page.status_code == 200 and "/openapi.json" in page.text
+    assert re.findall(r"https?://", page.text) == []
+    for name in pages.REFERENCE_FILES:
+        assert f"/docs/{name}" in page.text
+        assert api.get(f"/docs/{name}").status_code == 200
+    assert api.get("/docs/other.js").status_code == 404
+    assert api.get("/redoc").status_code == 404
+
+
+def test_without_the_package_a_sentence_says_so(make_settings, monkeypatch: pytest.MonkeyPatch):
+    from service.app import create_app
+    from tests.fixtures.serving import serve
+
+    monkeypatch.setattr(pages, "REFERENCE_PACKAGE", "no_such_package")
+    assert pages.files_folder() is None
+    settings = make_settings()
+    with serve(create_app(settings), settings) as url:
+        for path in ("/docs", f"/docs/{pages.REFERENCE_FILES[0]}"):
+            response = httpx.get(url + path)
+            assert response.status_code == 503 and "fastapi-offline" in response.text
