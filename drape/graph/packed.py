@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from drape.arrays import Array
 from drape.arrays.tensors import Tensors, group, tensor
 from drape.body.skeleton import JOINT_COUNT
+from drape.contact.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE
+from drape.contact.tables import OWN_CLUSTERS
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.garment.consensus import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.geometry import jets
 from drape.graph.inputs import AGREES, BETA_COUNT, DYNAMIC, FEELS
-from drape.push.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE
-from drape.push.tables import OWN_CLUSTERS
 
 COLUMNS = 3 + jets.HEIGHT_COUNT  # rest place, basis
 LOWER_COLUMNS = 3 + jets.IN_PLANE_COUNT  # rest place, basis up to the second order
@@ -61,7 +61,7 @@ class StoredCharts(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class StoredProximity(Tensors):
-    """Where stored patches feel the body at rest, and the skin near it there (``drape.push.proximity``)."""
+    """Where stored patches feel the body at rest, and the skin near it there (``drape.contact.proximity``)."""
 
     place: Array = tensor("felt_place", "patches", 3, STRAIN_POINTS, unit="patch scales")
     cluster: Array = tensor("felt_cluster", "patches", OWN_CLUSTERS, dtype="int32", unit="cluster of samples")

@@ -16,6 +16,8 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
+from drape.contact.proximity import in_halves
+from drape.contact.samples import POSED_REGIONS
 from drape.errors import ArtifactError
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.garment.consensus import MEMBERS
@@ -32,8 +34,6 @@ from drape.graph.packed import (
     StoredProximity,
     StoredTiles,
 )
-from drape.push.proximity import in_halves
-from drape.push.samples import POSED_REGIONS
 
 KINDS = {spec.name: spec.dtype for kind in (StoredPatches, StoredTiles) for spec in kind.specs(PARTS)}
 

@@ -11,8 +11,8 @@ the two.
 - Network and frame give the posed jets, a 3 x 18 matrix per patch. A vertex is the sum over its four charts of
   such a matrix times a constant column, so charts are sorted by patch into tiles of ``CHARTS_PER_TILE`` columns:
   the vertex stage is one small product of a fixed shape per tile and a sum of four rows.
-- Outputs are independent branches: ``service.subgraph`` cuts the graph of a scene out of this one. The jets after each
-  pass are outputs too: with those of an early pass in place of the last one's, what is cut out ends there.
+- Outputs are independent branches: ``service.graphs.subgraph`` cuts the graph of a scene out of this one. The jets
+  after each pass are outputs too: with those of an early pass in place of the last one's, what is cut out ends there.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from torch import Tensor, nn
 
 from drape.artifacts import GraphSpec, TensorSpec
 from drape.body.skeleton import JOINT_COUNT
+from drape.contact.samples import REGION_SIZE
 from drape.errors import ArtifactError
 from drape.garment.features import REACH_M
 from drape.geometry import jets
 from drape.graph.inputs import ROOT
 from drape.graph.packed import VERTICES_PER_BLOCK, Indices, PackedBodies, PackedTensors, StoredPatches
 from drape.graph.packing import pass_name
-from drape.push.samples import REGION_SIZE
 from model_export.onnx_file import write_graph
 from model_export.packed import layers
 from model_export.packed.bodies import Frames, Kinematics

@@ -7,13 +7,13 @@ from numpy.testing import assert_allclose
 
 from drape.artifacts import TensorSpec
 from drape.body.assets import load_body
+from drape.contact.projection import PushFeed
 from drape.graph.feeds import body_feed, garment_feed
 from drape.graph.inputs import PARTS, AgreementTensors, BodyTensors, ChartTensors, PatchTensors
 from drape.graph.layer_feed import LayerFeed, layer_feed
 from drape.graph.packed import PackedTensors
 from drape.graph.packing import Place, compose, pack_body, pack_garment
 from drape.graph.push_feed import SkinShapes, push_feed
-from drape.push.projection import PushFeed
 from tests.fixtures.packed import garment
 from tests.fixtures.poses import random_motion
 
