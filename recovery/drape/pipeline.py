@@ -12,8 +12,7 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
-from drape.cloth.material import DEFAULT_MATERIAL, material
-from drape.cloth.orthotropic import OrthotropicMaterial
+from drape.cloth.material import DEFAULT_MATERIAL, OrthotropicMaterial, material
 from drape.errors import InputError
 from drape.geometry import meshes
 from recovery.drape.body_distance import SIREN_FOLDER, DistanceKind, skin_distance

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from drape.cloth.orthotropic import OrthotropicMaterial
+from drape.cloth.material import OrthotropicMaterial
 from recovery.drape.pipeline import Draped
 from recovery.drape.settle import settle
 from recovery.fit.contours import Contour, Match, open_contours

@@ -13,8 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from drape.cloth.material import FABRICS, material
-from drape.cloth.orthotropic import OrthotropicMaterial
+from drape.cloth.material import FABRICS, OrthotropicMaterial, material
 from drape.errors import InputError
 
 LOG_M = 0.01  # [m] of unknown per unit of a logarithm: a stiffness times e weighs as much as control points moved 1 cm

@@ -21,7 +21,7 @@ import torch
 from tqdm import tqdm
 
 from drape.arrays import check_shape
-from drape.cloth.orthotropic import OrthotropicMaterial
+from drape.cloth.material import OrthotropicMaterial
 from drape.errors import ArtifactError, InputError
 from recovery.fit.cloth import ClothTensors, FreeCloth
 from recovery.fit.curvature import gauss_newton_matrix

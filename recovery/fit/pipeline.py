@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from drape.body.model import BodyModel
-from drape.cloth.orthotropic import OrthotropicMaterial
+from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.fit.belt import held_as_target

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from drape.body.model import BodyModel
-from drape.cloth.orthotropic import OrthotropicMaterial
+from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_in_pose, drape_pattern
 from recovery.drape.posing import read_pose

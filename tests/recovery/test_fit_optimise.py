@@ -11,7 +11,7 @@ import torch
 from numpy.testing import assert_allclose
 
 from benchmarks.recovery.compare import pattern_error
-from drape.cloth.orthotropic import OrthotropicMaterial
+from drape.cloth.material import OrthotropicMaterial
 from drape.errors import ArtifactError, InputError, MeshError
 from recovery.fit.contours import Contour, Match, Place, open_contours
 from recovery.fit.curvature import gauss_newton_matrix
