@@ -39,7 +39,7 @@ from drape.garment.fine import fine_garment
 from drape.garment.intake import IntakeOptions, intake
 from drape.wire.messages import unpack_frame
 from drape.wire.options import DrapeOptions
-from service.drapery import Drapery
+from service.compute.drape_runtime import Drapery
 from service.settings import Settings
 from service.stages.batch import Batch
 

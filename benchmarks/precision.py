@@ -40,8 +40,8 @@ from drape.live.fold_constants import Constants, dressed
 from drape.live.fold_step import Effort, Frame, fold
 from drape.wire import messages as wire
 from drape.wire.jets import JetFrame, pack_jets, unpack_jets
-from service.engine import Engine
-from service.packing import Packer, ScenePlan
+from service.graphs.engine import Engine
+from service.graphs.packing import Packer, ScenePlan
 
 FRAMES, QUICK_FRAMES = 24, 4
 GARMENT = "tshirt"

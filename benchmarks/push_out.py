@@ -41,7 +41,7 @@ from drape.graph.feeds import garment_feed
 from drape.graph.push_feed import push_feed
 from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
-from service.push import Pusher
+from service.graphs.push import Pusher
 
 NEAREST_CLEARANCE_M = 0.002  # of the baseline (docs/reference/quality.md)
 METHODS = ("none", "nearest_vertex", "own_and_other")

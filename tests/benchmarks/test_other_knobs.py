@@ -18,12 +18,12 @@ from drape.body.model import BodyModel
 from drape.catalog import find_motions
 from drape.cloth.fabric_table import fabric
 from drape.garment.fine import fine_garment
-from service.drapery import Drapery
+from service.compute.drape_runtime import Drapery
 from tests.drape.garment.garment_files import obj_text, shirt
-from tests.fixtures.serving import body, make_settings, tiny_folder, tube
+from tests.fixtures.serving import make_settings, tiny_folder
 from tests.fixtures.tiny_model import TINY, tube_garment
 
-__all__ = ["body", "make_settings", "tiny_folder", "tube"]  # fixtures
+__all__ = ["make_settings", "tiny_folder"]  # fixtures
 FRAMES = 5
 
 
