@@ -1,6 +1,6 @@
 """Finds the sewing pattern of a draped T-shirt: python examples/07_recover_pattern.py; no service, but torch.
 
-The target is a drape of a pattern that we know, longer and with longer sleeves than the base that the search begins with.
+The target is a drape of a pattern that we know: longer than the base of the search, with longer sleeves.
 """
 
 import numpy as np
