@@ -13,10 +13,10 @@ from recovery.pattern.bases import base_pattern
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.measurements import measure
 
-EDGE_M = 0.06  # a coarse mesh, so that this takes seconds; 0.025 is usual
+EDGE_M = 0.05  # a coarse mesh, so that this takes seconds; 0.025 is usual
 
 body = load_body()
-options = DrapeOptions(edge_length_m=EDGE_M, grid_m=0.02)
+options = DrapeOptions(edge_length_m=EDGE_M)
 base = base_pattern("tshirt", measure(body))
 true = base_pattern("tshirt", measure(body), ["length_m=0.70", "sleeve_length_m=0.23"])
 target = drape_pattern(true, body, options)
