@@ -273,7 +273,7 @@ def swing_table(record: Record) -> str:
 
 TABLES = (
     ("quality", "docs/reference/quality.md", "quality", quality_table),
-    ("quality", "README.md", "gain", gain_table),
+    ("quality", "docs/reference/quality.md", "gain", gain_table),
     ("quality", "docs/reference/quality.md", "quality_network", network_table),
     ("quality_fine", "docs/reference/quality.md", "quality_fine", network_table),
     ("quality_reference", "docs/reference/quality.md", "quality_reference", reference_table),
