@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
 from drape.errors import ArtifactError
+from drape.files.packed import UNREADABLE
 
 BODY_JOINTS = range(1, 22)  # without the root and the hands, which are rigid
 LEGS = tuple(i for i in BODY_JOINTS if JOINT_NAMES[i].split("_")[-1] in ("hip", "knee", "ankle", "foot"))
@@ -90,7 +91,7 @@ def read_pose_support(path: Path) -> PoseSupport:
     try:
         with np.load(path, allow_pickle=False) as file:
             made = PoseSupport(**{item.name: file[item.name] for item in fields(PoseSupport)})
-    except (OSError, ValueError, KeyError) as error:
+    except UNREADABLE as error:
         raise _unreadable(path, str(error)) from error
     wide = [rows.shape[1] for rows in pose_parts(np.zeros((1, JOINT_COUNT, 3))).values()]
     shapes = [getattr(made, name).shape for name in PARTS]

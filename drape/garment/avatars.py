@@ -9,8 +9,6 @@ name in the ``avatars.json`` beside the garment. Phenotypes are evaluated from a
 from __future__ import annotations
 
 import json
-import lzma
-import zipfile
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -24,6 +22,7 @@ from drape.body.skeleton import JOINT_COUNT
 from drape.errors import ArtifactError, BodyError, NotFound
 from drape.files.avatar_table import SHIPPED_FOLDER, TABLE_NAME, avatar_table, entry_for
 from drape.files.formats import MESH_SUFFIXES
+from drape.files.packed import UNREADABLE, read_packed
 
 AVATARS_FILE = BODIES_DIR / "avatars.npz"
 STANDARD = "standard"
@@ -100,19 +99,18 @@ class PhenotypeSpace:
 def load_phenotypes(path: Path = AVATARS_FILE) -> PhenotypeSpace:
     """The phenotype space stored at ``path``; raises ``ArtifactError`` when the asset is absent or damaged."""
     try:
-        with np.load(path, allow_pickle=False) as stored:
-            header = json.loads(bytes(stored["header"]).decode())
-            return PhenotypeSpace(
-                labels=tuple(header["labels"]),
-                anchors=tuple(tuple(row) for row in header["anchors"]),
-                mean=stored["mean"].astype(np.float64),
-                basis=stored["basis"],
-                coefficients=stored["coefficients"],
-                step_m=float(header["step_m"]),
-                base_vertices=stored["base_vertices"].astype(np.int64),
-                base_vertex_count=int(header["base_vertex_count"]),
-            )
-    except (OSError, KeyError, ValueError, EOFError, lzma.LZMAError, zipfile.BadZipFile) as error:
+        header, arrays = read_packed(path)
+        return PhenotypeSpace(
+            labels=tuple(header["labels"]),
+            anchors=tuple(tuple(row) for row in header["anchors"]),
+            mean=arrays["mean"].astype(np.float64),
+            basis=arrays["basis"],
+            coefficients=arrays["coefficients"],
+            step_m=float(header["step_m"]),
+            base_vertices=arrays["base_vertices"].astype(np.int64),
+            base_vertex_count=int(header["base_vertex_count"]),
+        )
+    except UNREADABLE as error:
         raise ArtifactError(
             path.name,
             expected="the baked phenotypes",

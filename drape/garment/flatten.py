@@ -15,6 +15,7 @@ import scipy.sparse
 import scipy.sparse.linalg
 from scipy.sparse.csgraph import connected_components, dijkstra
 
+from drape.garment.charts import ridge_fit
 from drape.geometry import jets, meshes
 
 # Weights of the projection against the symmetric Dirichlet energy, and after how many steps of SLIM the jets are looked
@@ -27,7 +28,6 @@ LOOSE_PULLS, LOOSE_STEPS = (1.0, 0.0), (1, 1, 1, 1, 1, 1)
 RETURN_AREA, RETURN_SLOPE, RETURN_ROUNDS = 0.2, 1.0, 40
 RING_SHARE = 0.3  # a second rim this long, of the first, means that the piece runs round a limb
 CUT_FLOOR = 0.02  # weight that a cut costs where the chart has none, so that cuts stay short
-RIDGE = 1e-4
 
 
 def signed_areas(uv: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -170,12 +170,12 @@ def _relaxed(
 def _misfit(uv: np.ndarray, points: np.ndarray, weight: np.ndarray) -> float:
     """Weighted square of what jets over ``uv`` leave of ``points`` (n, 3)."""
     total = 0.0
-    root = np.sqrt(weight)[:, None]
+    root = np.sqrt(weight)
     in_plane, height = points[:, :2] - uv, points[:, 2:]
     for order, values in ((jets.IN_PLANE_ORDER, in_plane), (jets.HEIGHT_ORDER, height)):
-        a = jets.basis(uv, order) * root
-        coefficients = np.linalg.solve(a.T @ a + RIDGE * np.eye(a.shape[1]), a.T @ (values * root))
-        total += float(np.sum((values * root - a @ coefficients) ** 2))
+        basis = jets.basis(uv, order)
+        left = values * root[:, None] - (basis * root[:, None]) @ ridge_fit(basis, values, root)
+        total += float(np.sum(left**2))
     return total
 
 

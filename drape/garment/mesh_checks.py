@@ -261,8 +261,8 @@ def _consistent_turn(faces: np.ndarray) -> np.ndarray:
             cure="Cut it open along a seam.",
         )
     turn = np.zeros(count, dtype=bool)
-    for cover in np.unique(np.minimum(label[:count], label[count:])):
-        kept, reversed_ = label[:count] == cover, label[count:] == cover
+    for piece in np.unique(np.minimum(label[:count], label[count:])):
+        kept, reversed_ = label[:count] == piece, label[count:] == piece
         turn |= reversed_ if reversed_.sum() <= kept.sum() else kept
     return turn
 

@@ -94,7 +94,7 @@ class Sewing:
                 )
 
 
-def beside(path: Path) -> Sewing | None:
+def sewing_beside(path: Path) -> Sewing | None:
     """The sewing that lies beside the mesh at ``path``; None where no JSON of this format does, or one of a mesh of
     another kind, which has other rows.
 
