@@ -45,7 +45,7 @@ $(BIN)/python:
 
 $(VENV)/.serve-stamp: pyproject.toml | $(BIN)/python
 	$(PIP) install --quiet -e '.[service,cpu,clients]'
-	$(BIN)/python -m drape.folds
+	$(BIN)/python -m drape.live
 	@touch $@
 
 # The last line compiles the kernels of folds, so that the first start of the service does not wait for that.
@@ -53,7 +53,7 @@ $(VENV)/.serve-stamp: pyproject.toml | $(BIN)/python
 $(VENV)/.setup-stamp: pyproject.toml | $(BIN)/python
 	@scripts/install_torch $(BIN)/python 2.13.0 $(TORCH_INDEX)
 	$(PIP) install --quiet -e '.[service,cpu,otel,train,recover,clients,dev]'
-	$(BIN)/python -m drape.folds
+	$(BIN)/python -m drape.live
 	@touch $(VENV)/.serve-stamp $@
 
 setup: $(VENV)/.setup-stamp
@@ -102,7 +102,7 @@ bench: setup
 # The second line draws other requests and streams every time; what fails prints how to repeat it.
 soak: setup
 	$(BIN)/python -m benchmarks.soak --threads 1 $(ARGS)
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q --hypothesis-profile=soak tests/service/test_openapi.py tests/service/test_stream_machine.py
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q --hypothesis-profile=soak tests/service/http/test_openapi.py tests/service/stream/test_stream_machine.py
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .cache .pytest_cache .ruff_cache .hypothesis

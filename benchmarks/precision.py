@@ -25,9 +25,8 @@ from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.body.skeleton import PARENTS
 from drape.catalog import find_garments, open_garment
+from drape.contact.skin import posed_table
 from drape.errors import ended
-from drape.folds.constants import Constants, dressed
-from drape.folds.step import Effort, Frame, fold
 from drape.garment.cache import Garment
 from drape.geometry import jets, rigid, skinning
 from drape.geometry.rotations import (
@@ -37,11 +36,12 @@ from drape.geometry.rotations import (
     rotvec_to_quaternion,
 )
 from drape.graph.packing import pack_body
-from drape.push.skin import posed_table
+from drape.live.fold_constants import Constants, dressed
+from drape.live.fold_step import Effort, Frame, fold
 from drape.wire import messages as wire
 from drape.wire.jets import JetFrame, pack_jets, unpack_jets
-from service.engine import Engine
-from service.packing import Packer, ScenePlan
+from service.graphs.engine import Engine
+from service.graphs.packing import Packer, ScenePlan
 
 FRAMES, QUICK_FRAMES = 24, 4
 GARMENT = "tshirt"

@@ -8,9 +8,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from benchmarks.measure import tables as quality
 from benchmarks.papers import tables as papers
 from benchmarks.papers.polyfit import tables as polyfit
-from benchmarks.quality import tables as quality
 from benchmarks.recovery import tables as recovery
 from benchmarks.shared.common import RESULTS_DIR, ROOT
 from benchmarks.speed import tables as speed

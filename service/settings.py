@@ -14,11 +14,11 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from drape.artifacts import DEFAULT_MODEL, MODELS_DIR
 from drape.body.assets import DEFAULT_BODY
+from drape.contact.projection import CLEARANCE_M
 from drape.errors import InputError
 from drape.garment.cache import GARMENTS_DIR, OWN_GARMENTS_DIR
-from drape.push.projection import CLEARANCE_M
 from drape.wire.options import Inertia, TierName
-from service.runtime import Device
+from service.graphs.onnx_runtime import Device
 
 ROOT = Path(__file__).resolve().parents[1]
 

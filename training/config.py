@@ -26,7 +26,7 @@ class ModelConfig:
     that disagree. ``corrections``: passes in which charts are brought to agree, feel their strain and are corrected,
     by networks of ``correction_hidden`` units. ``closing_fit``: at the end charts are fitted to their blend once more,
     with the height's order in the plane as well (docs/decisions/0008-representation.md). ``feels_body``: corrections
-    also see how near the posed body is to each patch and which way it pushes (drape.push.proximity).
+    also see how near the posed body is to each patch and which way it pushes (drape.contact.proximity).
     ``fabric``: patches are also described by what they are made of (drape.garment.fabric_features).
     ``state_decay_s`` is the time constant of the recurrent state, ``state_rest_s`` the time after which
     a still body's is zero (training.recurrent).

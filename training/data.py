@@ -12,12 +12,12 @@ from torch import Tensor
 from drape.body.model import BodyModel
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric import Fabric
+from drape.contact.skin import Skin
 from drape.garment.cache import Atlas
 from drape.garment.fabric_features import fabric_features, patch_grain
 from drape.garment.fitting import RestGarment, patch_fields
 from drape.graph.feeds import atlas_feed, body_feed
 from drape.graph.inputs import BodyTensors, PatchTensors
-from drape.push.skin import Skin
 from training.collider import Collider
 from training.consensus import SparseConsensus, blend_matrix
 from training.sparse import SparsePair

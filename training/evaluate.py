@@ -30,6 +30,8 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_table import fabric as fabric_of
 from drape.cloth.material import Material, material
+from drape.contact.projection import push_out_of_bodies
+from drape.contact.skin import body_skin
 from drape.errors import ArtifactError
 from drape.files.data import data_folder
 from drape.garment.cache import Garment
@@ -40,8 +42,6 @@ from drape.graph.push_feed import push_feed
 from drape.motion.clip import MotionClip
 from drape.motion.hard_poses import HardPoses, hard_poses
 from drape.motion.readers import MOTION_SUFFIXES, read_motion
-from drape.push.projection import push_out_of_bodies
-from drape.push.skin import body_skin
 from training import checkpoint
 from training.config import TrainConfig
 from training.data import BodySource, partition_tensors

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from drape.contact.proximity import Planes, body_proximity, planes
 from drape.garment.consensus import strain_points
 from drape.garment.features import saturated
 from drape.geometry import jets
 from drape.geometry.skinning import blend_frames, skin_points
 from drape.graph.inputs import BodyTensors, ChartTensors, PatchTensors
-from drape.push.proximity import Planes, body_proximity, planes
 from training.config import ModelConfig
 from training.consensus import ChartConsensus, agreed_jets, closing_jets, softened, strain_and_force, tangent_terms
 from training.layers import Correction, Decoder, GarmentEncoder, StaticEncoder

@@ -32,12 +32,12 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric import Fabric
 from drape.cloth.material import Material
 from drape.cloth.waistband import STIFFNESS_N_M2
+from drape.contact.skin import body_skin
 from drape.errors import refusing
 from drape.files.data import data_folder
-from drape.folds.constants import Constants, Dressed, leash_n_per_m
-from drape.folds.contact import nearest_at_rest, skin_graph
-from drape.folds.step import Effort, Frame, fold
-from drape.push.skin import body_skin
+from drape.live.fold_constants import Constants, Dressed, leash_n_per_m
+from drape.live.fold_step import Effort, Frame, fold
+from drape.live.skin_contact import nearest_at_rest, skin_graph
 from training.data import TrainingGarment
 from training.poses import PoseBank, draw_betas, read_clips
 from training.starting import finetuned

@@ -14,11 +14,11 @@ from drape.cloth import rest_state
 from drape.cloth.energies import ClothMesh
 from drape.cloth.rest_state import RestState
 from drape.cloth.waistband import waistband
+from drape.contact.skin import body_skin
 from drape.errors import InputError
 from drape.garment.fabric_features import warp_directions
 from drape.garment.fitting import RestGarment, rest_garment
 from drape.geometry import meshes
-from drape.push.skin import body_skin
 from training.config import DataConfig
 from training.data import Partition, TrainingGarment, draw_partition
 from training.garment_design import DESIGNS, build, varied

@@ -16,7 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.shared import common, physics
+from benchmarks.judge import physics
+from benchmarks.shared import common
 from benchmarks.shared.render import PLAIN_CLOTH, RAKING_LIGHT, SKIN, Surface, render, save_png, sheet
 from drape.body.assets import load_body
 from drape.body.model import BodyModel

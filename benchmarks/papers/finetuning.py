@@ -20,8 +20,9 @@ from typing import Any
 import numpy as np
 import torch
 
+from benchmarks.judge import physics
 from benchmarks.papers.generality import physics_energy, train_for
-from benchmarks.shared import common, physics
+from benchmarks.shared import common
 from drape.body.assets import load_body
 from drape.catalog import find_garments, open_garment
 from drape.cloth import metrics

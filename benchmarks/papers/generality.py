@@ -20,8 +20,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.shared import common, physics
-from benchmarks.shared.physics_cache import CACHE_DIR, stored_minimum
+from benchmarks.judge import physics
+from benchmarks.judge.physics_cache import CACHE_DIR, stored_minimum
+from benchmarks.shared import common
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, open_garment

@@ -21,6 +21,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from benchmarks.judge import physics
+from benchmarks.judge.physics_cache import CACHE_DIR, stored_minimum
 from benchmarks.papers.representation_drape import (
     Bench,
     Drapes,
@@ -38,8 +40,7 @@ from benchmarks.papers.representation_space import (
     charts,
     repartitioned,
 )
-from benchmarks.shared import common, physics
-from benchmarks.shared.physics_cache import CACHE_DIR, stored_minimum
+from benchmarks.shared import common
 from drape.body.assets import load_body
 from drape.catalog import find_garments, find_motions, open_garment
 from drape.cloth import metrics

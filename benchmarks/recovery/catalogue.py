@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.quality.intersections import intersecting_pairs
+from benchmarks.measure.intersections import intersecting_pairs
 from benchmarks.shared.render import SKIN, Surface, render, save_png, sheet
 from drape.body.assets import load_body
 from drape.body.model import BodyModel

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.quality.intersections import intersection_count
+from benchmarks.measure.intersections import intersection_count
 from benchmarks.shared import common
 from benchmarks.shared.network import Network
 from benchmarks.shared.render import PLAIN_CLOTH, SKIN, Surface, render, save_png, sheet
@@ -33,14 +33,14 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
 from drape.cloth.material import Material
 from drape.cloth.rest_state import RestState
+from drape.contact.projection import push_out_of_bodies
+from drape.contact.skin import body_skin
 from drape.garment.cache import Garment
 from drape.geometry import meshes
 from drape.geometry.skinning import skin_points
 from drape.graph.push_feed import push_feed
 from drape.motion.hard_poses import HardPoses, hard_poses
 from drape.motion.readers import read_motion
-from drape.push.projection import push_out_of_bodies
-from drape.push.skin import body_skin
 
 COLUMNS = {
     **dict.fromkeys(("garment", "fabric"), "s"),

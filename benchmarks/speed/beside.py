@@ -255,7 +255,7 @@ def measure(
 
 def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     """Prints the table and the record, and returns the record."""
-    from benchmarks.speed.serving import server  # which has these rows in its own record
+    from benchmarks.serving import server  # which has these rows in its own record
 
     parser = argparse.ArgumentParser(prog="python -m benchmarks.speed.beside", description=__doc__)
     parser.add_argument("--garment", default="tshirt")

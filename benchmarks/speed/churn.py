@@ -29,8 +29,8 @@ from typing import Any
 import httpx
 import numpy as np
 
+from benchmarks.serving import Server, server
 from benchmarks.shared import common
-from benchmarks.speed.serving import Server, server
 from clients.stream import DrapeStream
 from drape.catalog import find_motions
 from drape.errors import DrapeError

@@ -16,9 +16,9 @@ import scipy.sparse
 import torch
 from torch import Tensor, nn
 
+from benchmarks.judge.physics import Held
 from benchmarks.shared.common import ROOT
 from benchmarks.shared.kd_tree_push import Collider
-from benchmarks.shared.physics import Held
 from benchmarks.speed.setup import timed
 from drape.arrays.subnormals import flushed
 from drape.body.model import BodyModel

@@ -34,8 +34,8 @@ from drape.wire import messages as wire
 from drape.wire.jets import JetFrame, pack_jets, unpack_jets
 from drape.wire.layout import JetLayout, unpack_layout
 from drape.wire.options import DrapeOptions
-from service.drapery import Drapery
-from service.garments import Entry
+from service.compute.drape_runtime import Drapery
+from service.compute.garments import Entry
 from service.settings import Settings
 from service.stages import run
 from service.stages.batch import PoseInput

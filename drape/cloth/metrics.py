@@ -75,7 +75,7 @@ def static_parts(
 ) -> dict[str, np.ndarray]:
     """Energies [J] (F,) by part of ``vertices`` (F, V, 3), gravity relative to ``height_m`` (F,).
 
-    Contact is over the ``distance`` of training, or over another, as ``drape.solver.body_distance.blended_distance``.
+    Contact is over the ``distance`` of training, or over another one.
     """
     apart = distance(vertices, contact, body_vertices, gap_m=material.contact_gap_m)
     return energies.total(vertices, cloth, material, distance=apart, height_m=height_m[:, None])

@@ -12,7 +12,7 @@ from drape.arrays.subnormals import flushed
 from drape.geometry import jets
 from drape.graph.packed import CHARTS_PER_TILE, COLUMNS
 from drape.graph.packing import PackedGarment
-from drape.solver.compiled import kernel
+from drape.kernels.compiled import kernel
 
 BASIS = jets.HEIGHT_COUNT
 

@@ -15,15 +15,15 @@ from drape.arrays import check_finite, check_shape
 from drape.body.features import Kinematics, feature_count, static_features
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
+from drape.contact.proximity import PatchSkin, patch_skin
+from drape.contact.skin import Skin, body_skin, shaped_skin
+from drape.contact.tables import outward_directions
 from drape.errors import MotionError
 from drape.garment.cache import Atlas, Garment
 from drape.garment.consensus import consensus, strain_places
 from drape.geometry import jets
 from drape.geometry.rotations import matrix_to_quaternion, rotvec_to_matrix
 from drape.graph.inputs import BETA_COUNT, PARTS, AgreementTensors, BodyTensors, ChartTensors, PatchTensors
-from drape.push.proximity import PatchSkin, patch_skin
-from drape.push.skin import Skin, body_skin, shaped_skin
-from drape.push.tables import outward_directions
 
 
 @dataclass(frozen=True)

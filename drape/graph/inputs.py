@@ -12,11 +12,11 @@ from drape.arrays import Array
 from drape.arrays.tensors import Tensors, group, tensor
 from drape.body.features import DYNAMIC_PER_JOINT, feature_count
 from drape.body.skeleton import JOINT_COUNT
+from drape.contact.proximity import PatchSkin
+from drape.contact.samples import REGION_SIZE
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.garment.consensus import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.geometry import jets
-from drape.push.proximity import PatchSkin
-from drape.push.samples import REGION_SIZE
 
 BETA_COUNT = 10
 ROOT = "m, relative to the root joint"
@@ -28,7 +28,7 @@ PAPER, SURROUNDINGS, DYNAMIC, AGREES, FEELS = PARTS = ("paper", "surroundings", 
 class BodyTensors(Tensors):
     """F posed bodies, relative to the root joint's rest place (``drape.graph.feeds.body_feed``).
 
-    ``skin`` is the table of ``drape.push.skin.skin_table``: posed, since this graph is the one to read.
+    ``skin`` is the table of ``drape.contact.skin.skin_table``: posed, since this graph is the one to read.
     """
 
     features: Array = tensor("body_features", "frames", feature_count() + BETA_COUNT)

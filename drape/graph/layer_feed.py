@@ -1,4 +1,4 @@
-"""What a garment worn over others needs for its push-out, laid out as ``drape.push`` and its graph take it."""
+"""What a garment worn over others needs for its push-out, laid out as ``drape.contact`` and its graph take it."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import numpy as np
 from drape.arrays import Array, namespace
 from drape.arrays.tensors import Tensors, group, tensor
 from drape.body.model import BodyModel
+from drape.contact.field import take
+from drape.contact.layers import MEMBERS, ClothSamples, cloth_samples, covered, joined
+from drape.contact.projection import CLEARANCE_M, Pushed, PushFeed, push_in_parts
+from drape.contact.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE, Samples, table_of_columns, unit_cross
+from drape.contact.skin import body_skin
 from drape.errors import ArtifactError, InputError
 from drape.garment.cache import Garment
 from drape.graph.feeds import garment_feed
 from drape.graph.push_feed import pack_push
-from drape.push.field import take
-from drape.push.layers import MEMBERS, ClothSamples, cloth_samples, covered, joined
-from drape.push.projection import CLEARANCE_M, Pushed, PushFeed, push_in_parts
-from drape.push.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE, Samples, table_of_columns, unit_cross
-from drape.push.skin import body_skin
 
 PART_CLUSTERS = POSED_REGIONS * REGION_SIZE // CLUSTER_SIZE
 REGION_ROW = 8 * REGION_SIZE
@@ -133,7 +133,7 @@ def push_over_in_parts(
 ) -> Pushed:
     """``vertices`` [m] (F, V, 3) out of the bodies and of the garments below, draped to ``under`` (F, U, 3).
 
-    ``skin`` (F, R, 12, 8) are the bodies' samples (``drape.push.skin.skin_table``).
+    ``skin`` (F, R, 12, 8) are the bodies' samples (``drape.contact.skin.skin_table``).
     """
     xp = namespace(vertices)
     frames = vertices.shape[0]

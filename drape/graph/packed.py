@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from drape.arrays import Array
 from drape.arrays.tensors import Tensors, group, tensor
 from drape.body.skeleton import JOINT_COUNT
+from drape.contact.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE
+from drape.contact.tables import OWN_CLUSTERS
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.garment.consensus import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.geometry import jets
 from drape.graph.inputs import AGREES, BETA_COUNT, DYNAMIC, FEELS
-from drape.push.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE
-from drape.push.tables import OWN_CLUSTERS
 
 COLUMNS = 3 + jets.HEIGHT_COUNT  # rest place, basis
 LOWER_COLUMNS = 3 + jets.IN_PLANE_COUNT  # rest place, basis up to the second order
@@ -61,7 +61,7 @@ class StoredCharts(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class StoredProximity(Tensors):
-    """Where stored patches feel the body at rest, and the skin near it there (``drape.push.proximity``)."""
+    """Where stored patches feel the body at rest, and the skin near it there (``drape.contact.proximity``)."""
 
     place: Array = tensor("felt_place", "patches", 3, STRAIN_POINTS, unit="patch scales")
     cluster: Array = tensor("felt_cluster", "patches", OWN_CLUSTERS, dtype="int32", unit="cluster of samples")
@@ -86,10 +86,9 @@ class StoredPatches(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class StoredTiles(Tensors):
-    """Columns of chart entries in store; only normals need the tangents."""
+    """Columns of chart entries in store."""
 
     positions: Array = tensor("tile_positions", "stored_tiles", COLUMNS, CHARTS_PER_TILE)
-    tangents: Array = tensor("tile_tangents", "stored_tangents", COLUMNS, 2 * CHARTS_PER_TILE, unit="1/m")
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,10 +102,6 @@ class Indices(Tensors):
     tile_patch: Array = tensor("tile_patch", "tiles", dtype="int32", unit="packed patch")
     vertex_charts: Array = tensor(
         "vertex_charts", CHARTS_PER_VERTEX, "blocks", VERTICES_PER_BLOCK, dtype="int32", unit="column of the tiles"
-    )
-    block_item: Array = tensor("block_item", "blocks", dtype="int32", unit="item of a block of vertices")
-    item_blocks: Array = tensor(
-        "item_blocks", "items", "blocks_per_item", dtype="int32", unit="blocks of an item, the first one repeated"
     )
     anchor_charts: Array | None = tensor(
         "anchor_charts", CHARTS_PER_VERTEX, "anchor_blocks", VERTICES_PER_BLOCK, dtype="int32", unit="anchor column",

@@ -1,4 +1,4 @@
-"""A garment's constants for the push-out, laid out as ``drape.push.projection`` and its graph take them."""
+"""A garment's constants for the push-out, laid out as ``drape.contact.projection`` and its graph take them."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import numpy as np
 
 from drape.arrays import Array, namespace
 from drape.body.model import BodyModel
+from drape.contact.projection import CHARTS_PER_VERTEX, TERMS, TILE_WIDTH, PushFeed
+from drape.contact.samples import POSED_REGIONS, REGION_SIZE, Samples
+from drape.contact.skin import body_skin, shaped_skin
+from drape.contact.tables import GROUP_SIZE, PushTables, push_tables
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment
 from drape.geometry import jets
 from drape.graph.feeds import garment_feed
 from drape.graph.packing import tile_charts
-from drape.push.projection import CHARTS_PER_VERTEX, TERMS, TILE_WIDTH, PushFeed
-from drape.push.samples import POSED_REGIONS, REGION_SIZE, Samples
-from drape.push.skin import body_skin, shaped_skin
-from drape.push.tables import GROUP_SIZE, PushTables, push_tables
 
 KEPT_SHAPES = 64
 RIDGE = 1e-3  # of the mean square of a patch's basis: few vertices do not determine a polynomial
@@ -77,8 +77,8 @@ def pushed_jets(jet: Array, rotation: Array, scale: Array, coefficients: Array) 
     """Jets (F, K, 45) in their frames that hold the push-out: what a stream of jets carries of it.
 
     ``jet`` (F, K, 27 or 45) and frames ``rotation`` (F, K, 3, 3) are a drape's, ``scale`` [m] (K,) the patches',
-    ``coefficients`` (F, K, 3, 10) those of ``drape.push.projection.Pushed``. A cubic is part of a full jet of order 4,
-    so vertices of these jets are exactly those of ``jet`` and the blend of ``coefficients``.
+    ``coefficients`` (F, K, 3, 10) those of ``drape.contact.projection.Pushed``. A cubic is part of a full jet of order
+    4, so vertices of these jets are exactly those of ``jet`` and the blend of ``coefficients``.
     """
     xp = namespace(jet)
     local = (xp.matrix_transpose(rotation) @ coefficients) / scale[:, None, None]

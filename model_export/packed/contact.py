@@ -1,4 +1,4 @@
-"""Body proximity of the patches of the packed graph: ``drape.push.proximity`` with bodies mixed."""
+"""Body proximity of the patches of the packed graph: ``drape.contact.proximity`` with bodies mixed."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from drape.contact.field import attend, queries, surface
+from drape.contact.projection import REGION_BIAS_M2, REGION_COUNT
+from drape.contact.proximity import GAP_M, UNIT_M, attend_others, from_halves, plane_share
+from drape.contact.samples import CLUSTER_SIZE, REGION_SIZE, region_centres
+from drape.contact.skin import skin_table
 from drape.garment.consensus import STRAIN_POINTS, strain_points
 from drape.geometry import jets
 from drape.graph.packed import ShapedSkins, StoredProximity
-from drape.push.field import attend, queries, surface
-from drape.push.projection import REGION_BIAS_M2, REGION_COUNT
-from drape.push.proximity import GAP_M, UNIT_M, attend_others, from_halves, plane_share
-from drape.push.samples import CLUSTER_SIZE, REGION_SIZE, region_centres
-from drape.push.skin import skin_table
 from model_export.packed.bodies import Frames
 from model_export.packed.operators import softsign
 
@@ -42,7 +42,7 @@ class Near:
 
 
 class Contact(nn.Module):
-    """What patches feel of the body, ``drape.push.proximity`` in their own frames: there a pass is a few products.
+    """What patches feel of the body, ``drape.contact.proximity`` in their own frames: there a pass is a few products.
 
     The planes are looked up in the world, once; jets move points along the axes of their patch.
     """

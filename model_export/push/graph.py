@@ -18,10 +18,10 @@ from drape.arrays import Array
 from drape.arrays.tensors import Tensors, group, tensor
 from drape.artifacts import GraphSpec, TensorSpec, file_digest
 from drape.body.skeleton import JOINT_COUNT
+from drape.contact.projection import TERMS, Pushed, PushFeed, push_in_parts
+from drape.contact.samples import REGION_SIZE
+from drape.contact.skin import SkinOnBones, skin_table
 from drape.graph.layer_feed import LayerFeed, push_over_in_parts
-from drape.push.projection import TERMS, Pushed, PushFeed, push_in_parts
-from drape.push.samples import REGION_SIZE
-from drape.push.skin import SkinOnBones, skin_table
 from model_export.onnx_file import OPSET, write_graph
 from model_export.packed.operators import TRANSLATIONS
 from model_export.push.stored import key, stored
@@ -65,7 +65,7 @@ class LayerTensors(Drapes):
 
 
 class PushGraph(nn.Module):
-    """``drape.push.projection.push_out`` with the skin posed by its bones, or given: it is an output too."""
+    """``drape.contact.projection.push_out`` with the skin posed by its bones, or given: it is an output too."""
 
     inputs = PushTensors.specs()
 

@@ -8,13 +8,13 @@ import numpy as np
 
 from drape.arrays.subnormals import flushed
 from drape.body.assets import load_body
+from drape.contact.projection import CLEARANCE_M, push_out
+from drape.contact.skin import body_skin
 from drape.garment.cache import Garment
 from drape.geometry.skinning import skin_points
 from drape.graph.feeds import garment_feed
 from drape.graph.layer_feed import pack_layer, push_over, sheet
 from drape.graph.push_feed import pack_push
-from drape.push.projection import CLEARANCE_M, push_out
-from drape.push.skin import body_skin
 from model_export.parity import hard_poses, session
 from model_export.push.graph import Drapes, LayerTensors, PushTensors
 

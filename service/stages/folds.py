@@ -13,15 +13,15 @@ import numpy as np
 from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
 from drape.errors import InputError
-from drape.folds.constants import Constants, constants
-from drape.folds.contact import Touched
-from drape.folds.layers import covered, raised
-from drape.folds.step import Effort, Frame, Memory, Report, fold, warm_up
 from drape.garment.cache import Garment
 from drape.garment.wrapping import Wrapping
+from drape.live.fold_constants import Constants, constants
+from drape.live.fold_step import Effort, Frame, Memory, Report, fold, warm_up
+from drape.live.layers import covered, raised
+from drape.live.skin_contact import Touched
 from drape.wire.options import DrapeOptions
-from service.engine import SKIN, Engine
-from service.fabrics import layer_fabrics
+from service.compute.fabrics import layer_fabrics
+from service.graphs.engine import SKIN, Engine
 from service.settings import Settings
 from service.stages.batch import FINE, Batch, Layer, Plan, Quality, Stage
 

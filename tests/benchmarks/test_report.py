@@ -7,10 +7,10 @@ import json
 import pytest
 
 from benchmarks import report
+from benchmarks.measure import tables as quality
 from benchmarks.papers import loss_ablation
 from benchmarks.papers import tables as papers
 from benchmarks.papers.representation_space import REPRESENTATIONS
-from benchmarks.quality import tables as quality
 from benchmarks.shared.common import RESULTS_DIR, ROOT
 from benchmarks.shared.markdown import cells, rows_table
 from benchmarks.speed import tables as speed

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from service.drapery import Drapery
+from service.compute.drape_runtime import Drapery
 from service.settings import Settings
 from tests.fixtures.serving import make_settings, tiny_folder
 from tests.fixtures.tiny_model import TINY_DYNAMIC

@@ -10,19 +10,19 @@ import pytest
 from drape.body.assets import load_body
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
+from drape.contact.samples import sample_table
 from drape.errors import MeshError
-from drape.folds.constants import Constants, Dressed
-from drape.folds.contact import nearest_at_rest, skin_graph
-from drape.folds.step import FAR_M, Effort, Frame, fold
 from drape.garment.avatars import standard_avatar
 from drape.garment.consensus import RIDGE, _weighted_fit
 from drape.garment.files.mesh import plain_mesh
 from drape.garment.mesh_checks import check_mesh
 from drape.geometry import jets
-from drape.push.samples import sample_table
+from drape.live.fold_constants import Constants, Dressed
+from drape.live.fold_step import FAR_M, Effort, Frame, fold
+from drape.live.skin_contact import nearest_at_rest, skin_graph
 from tests.drape.cloth.cloth_shapes import tube
-from tests.drape.folds.folds_setup import arm
 from tests.drape.garment.garment_files import shirt
+from tests.drape.live.folds_setup import arm
 
 BODY = load_body()
 CONDITION_LIMIT = 2e5  # of the normal matrix of a chart's fit, its ridge included

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from drape.cloth.fabric_table import FABRICS
-from drape.folds.constants import Constants
-from drape.folds.step import FAR_M, Effort, fold
-from service.drapery import Drapery
-from tests.drape.folds.folds_setup import frame, sleeve
+from drape.live.fold_constants import Constants
+from drape.live.fold_step import FAR_M, Effort, fold
+from service.compute.drape_runtime import Drapery
+from tests.drape.live.folds_setup import frame, sleeve
 from tests.extremes.frames import check_bounded, draped
 from tests.fixtures.poses import random_motion
 

@@ -12,12 +12,12 @@ from numpy.testing import assert_allclose
 
 from drape.body.assets import load_body
 from drape.catalog import find_garments, open_garment
+from drape.contact.skin import body_skin
 from drape.garment.cache import Garment
 from drape.garment.disagreement import disagreement
 from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.graph.feeds import garment_feed
-from drape.push.skin import body_skin
 from tests.training.training_setup import CPU, JERSEY, TINY, body, source
 from training.config import ModelConfig, paper
 from training.consensus import (

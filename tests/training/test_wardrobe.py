@@ -10,12 +10,12 @@ import torch
 import trimesh
 
 from drape.cloth.rest_state import grain_along
+from drape.contact.skin import body_skin
 from drape.errors import InputError
 from drape.garment.cache import GARMENTS_DIR, load_garment
 from drape.garment.partition import patch_count_for
 from drape.geometry import meshes
 from drape.geometry.closest import signed_distance
-from drape.push.skin import body_skin
 from tests.training.training_setup import CPU, TINY_RUN, body
 from training.data import draw_partition
 from training.wardrobe import Wardrobe

@@ -13,8 +13,8 @@ from drape.body.model import BodyModel
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
 from drape.cloth.rest_state import grain_along
+from drape.contact.skin import body_skin
 from drape.garment.fitting import RestGarment, rest_garment
-from drape.push.skin import body_skin
 from tests.fixtures.networks import TINY
 from training.config import DataConfig, MotionConfig, TrainConfig
 from training.data import BodySource, TrainingGarment, draw_partition

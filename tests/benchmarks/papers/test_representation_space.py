@@ -19,11 +19,11 @@ from benchmarks.papers.representation_space import (
     embedding,
 )
 from drape.body.assets import load_body
+from drape.contact.skin import body_skin
 from drape.garment.cache import Atlas
 from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.geometry.skinning import skin_points
-from drape.push.skin import body_skin
 from tests.benchmarks.papers.representation_setup import bench, found, garment
 
 FORMS = list(REPRESENTATIONS.values())

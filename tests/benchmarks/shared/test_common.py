@@ -52,6 +52,6 @@ def test_no_git_is_no_commit(monkeypatch, tmp_path):
 
 
 def test_the_command_is_the_module_that_runs(monkeypatch):
-    spec = importlib.util.find_spec("benchmarks.latency.__main__")
+    spec = importlib.util.find_spec("benchmarks.latency")
     monkeypatch.setattr(sys.modules["__main__"], "__spec__", spec)
     assert common.command("anything", []) == "python -m benchmarks.latency"

@@ -13,7 +13,7 @@ from drape.artifacts import DEFAULT_MODEL, MODELS_DIR, load_manifest
 from drape.cloth.fabric_table import fabric
 from drape.errors import ArtifactError, InputError
 from drape.garment.disagreement import chart_positions
-from tests.benchmarks.quality.quality_setup import bending, body, network, tube
+from tests.benchmarks.quality_setup import bending, body, network, tube
 from tests.fixtures.packed import SMALL, exported, exported_dynamic, garment
 from tests.fixtures.tiny_model import ROUNDING_M, expected_vertices, write_tiny_model
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.shared.physics import Held
+from benchmarks.judge.physics import Held
 from benchmarks.speed.newton_vbd import bending_n, take_rest_state
 from benchmarks.speed.rivals import NewtonClip, newton_cloth, newton_runs
 from drape.cloth.energies import ClothMesh, bending, membrane

@@ -30,9 +30,7 @@ from drape.geometry import rigid
 from drape.geometry.rotations import quaternion_to_matrix
 from tests.architecture.repository import ROOT
 from tests.fixtures.poses import random_motion
-from tests.fixtures.serving import body, tube
 
-__all__ = ["body", "tube"]  # fixtures
 PACKAGES = ROOT / "clients/web/node_modules"
 THREE = PACKAGES / "three"
 SHOW = """

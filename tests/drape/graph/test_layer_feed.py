@@ -12,14 +12,14 @@ from numpy.testing import assert_allclose
 from drape.body.assets import load_body
 from drape.body.skeleton import JOINT_NAMES
 from drape.cloth import metrics
+from drape.contact.layers import joined
+from drape.contact.projection import CLEARANCE_M, push_out_of_bodies
+from drape.contact.samples import sample_table
+from drape.contact.skin import body_skin
 from drape.errors import ArtifactError, InputError
 from drape.garment.cache import GARMENTS_DIR, Garment, load_garment
 from drape.geometry.skinning import skin_points
 from drape.graph.layer_feed import LayerFeed, check_layers, layer_arrays, layer_feed, push_over, sheet
-from drape.push.layers import joined
-from drape.push.projection import CLEARANCE_M, push_out_of_bodies
-from drape.push.samples import sample_table
-from drape.push.skin import body_skin
 from tests.fixtures.cut_garments import cut_garment
 
 

@@ -1,0 +1,298 @@
+"""Newton's method for one drape over one posed body: conjugate gradients, charts, and a line search on the energy.
+
+Far from rest the cloth first settles under its own stiffness (``benchmarks.judge.settling``).
+
+The energy is that of ``drape.cloth.energies``, over the blended planes of ``benchmarks.judge.body_distance``: those of
+the nearest body vertices step where a vertex comes nearer to another one, and then there is no place of rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import scipy.linalg
+
+from benchmarks.judge import descent, hessian, linear, settling
+from benchmarks.judge.body_distance import BlendedPlanes
+from benchmarks.judge.linear import Charts
+from drape.cloth.contact import BodyContact
+from drape.cloth.energies import ClothMesh
+from drape.cloth.material import Material
+from drape.kernels.problem import Options, Problem, Surroundings, problem, surroundings
+
+REACH_M = 0.01  # the most that one step moves a vertex
+SWEEPS = 4  # of vertex block descent before settling and before the first step: they take the worst away
+WORST, WORST_SWEEPS = 0.05, 4  # share of the vertices, those under the most force, swept after every step, so often
+DAMPING = 1e-5  # of the diagonal blocks, on top of the Hessian
+ITERATIONS = 100  # of conjugate gradients per step, at most
+ROUGH, FINE = 0.3, 0.1  # share of the residual that they leave, while blending and while shifting
+EXACT_START, EXACT_LEAST = 0.05, 0.02
+SHIFTING = 0.05  # of the weight: the force below which the Hessian is taken as it is
+SHIFT_N_PER_M, SHIFT_LEAST_N_PER_M = 1.0, 1e-3  # per vertex of mean area
+LATE = 60  # iterations after which a direction that meets negative curvature is worth its step
+HALVINGS = 8
+COARSE_AGE = 4  # steps that an inverse on the charts serves
+STALLS, STALLED_N_PER_M = 6, 16.0  # steps one after the other that lower nothing, and the shift after the first
+COLLAPSED = 0.05  # of its area at rest: a triangle that is laid out anew where no step lowers the energy
+LAYINGS = 6
+# Rounds of settling: of every start, of the lowest, and those that go with a step, where few are wanted.
+ROUGH_ROUNDS, ROUNDS, ROUNDS_PER_STEP = 40, 400, 10
+
+
+class Cloth(NamedTuple):
+    """What does not change between poses: the flat problem, its pattern, charts in float32, the inverse that cloth
+    settles by."""
+
+    problem: Problem
+    pattern: hessian.Pattern
+    charts: Charts
+    solve: Callable[[np.ndarray], np.ndarray]
+
+    @classmethod
+    def of(cls, cloth: ClothMesh, material: Material, charts: Charts | None) -> Cloth:
+        made = problem(cloth, material, dtype=np.float64, options=Options(reach_m=REACH_M))
+        charts = charts or linear.no_charts(cloth.vertex_count, np.float32)
+        patch, weight = charts
+        single = Charts(np.ascontiguousarray(patch, dtype=np.int32), np.ascontiguousarray(weight, dtype=np.float32))
+        return cls(made, hessian.pattern(cloth), single, settling.inverse(cloth, material))
+
+    @property
+    def weight_n(self) -> float:
+        """The cloth's weight [N]."""
+        return float(self.problem.weight_n.sum())
+
+
+class Band(NamedTuple):
+    """What holds a waist over one body: the ``anchor`` (V, 3) [m] of every vertex and its spring (V,) [N/m] or zero."""
+
+    anchor: np.ndarray
+    n_per_m: np.ndarray
+
+
+class Found(NamedTuple):
+    """An end: ``x`` (V, 3), ``energy`` [J] over the blended planes, ``force`` [N] (V, 3) left, at rest or not."""
+
+    x: np.ndarray
+    energy: float
+    force: np.ndarray
+    at_rest: bool
+    steps: int
+
+
+class Descent:
+    """One drape on its way down: where it is, ``now``, and what it has met of least energy, ``best``."""
+
+    def __init__(
+        self, cloth: Cloth, contact: BodyContact, posed: np.ndarray, start: np.ndarray, *, band: Band | None = None
+    ) -> None:
+        self.cloth, self.problem, self.band = cloth, cloth.problem, band
+        self._planes = BlendedPlanes.of_body(contact, posed, len(start), float(cloth.problem.constants.gap))
+        self._met: tuple[np.ndarray, Surroundings, np.ndarray] | None = None  # what ``around`` gave last, of what
+        self.steps = self._layings = 0
+        self.exact = 0.0  # how much of the Hessian's indefinite part is in it, until the force is small
+        self.shift: float | None = None  # from then on [N/m], on the whole Hessian
+        triangles = self.problem.triangles
+        area = np.bincount(triangles.corner.reshape(-1), np.repeat(triangles.area, 3), len(start))
+        self._per_shift = (area / area.mean())[:, None, None] * np.eye(3)
+        self._blocks = np.empty((len(cloth.pattern.column), 3, 3))
+        self._diagonal = np.empty((len(start), 3, 3))
+        self._coarse, self._coarse_age = np.zeros((0, 0), np.float32), COARSE_AGE
+        self.now = self.best = self.found(start)
+        self.start_j = self.now.energy
+
+    def around(self, x: np.ndarray) -> tuple[Surroundings, np.ndarray]:
+        """What acts on ``x`` from outside, and the second derivatives of its distance to the body."""
+        if self._met is not None and self._met[0] is x:
+            return self._met[1:]
+        point, normal, bend = self._planes(x)
+        planes = surroundings(self.problem, point, normal)
+        if self.band is not None:
+            planes = planes._replace(band=self.band.anchor, band_n_per_m=self.band.n_per_m)
+        self._met = x, planes, bend
+        return planes, bend
+
+    def found(self, x: np.ndarray) -> Found:
+        """Energy and force at ``x``."""
+        gradient = np.empty_like(x)
+        energy = descent.energy_and_gradient(x, self.problem, self.around(x)[0], gradient)
+        return Found(x, energy, gradient, False, self.steps)
+
+    def settle(self, rounds: int) -> None:
+        """Goes on as ``settling`` does, in ``rounds`` at most, from where sweeps come to."""
+        for _ in range(SWEEPS):
+            self._sweep(self.problem.order)
+        self._take(settling.settle(self.now, self.found, self.cloth.solve, rounds))
+
+    def run(self, step_limit: int, tolerance_n: float) -> Found:
+        """Until the norm of the force left is at most ``tolerance_n``, ``step_limit`` steps, or no step lowers it."""
+        if self.steps == 0:
+            for _ in range(SWEEPS):
+                self._sweep(self.problem.order)
+        stalls = 0
+        while self.steps < step_limit:
+            force = np.linalg.norm(self.now.force)
+            if force <= tolerance_n and self.now.energy <= self.start_j:
+                return self.now._replace(at_rest=True, steps=self.steps)
+            if self.shift is None and force <= SHIFTING * self.cloth.weight_n:
+                self.shift = SHIFT_N_PER_M
+            self.steps += 1
+            if self._step():
+                size = (self.now.force**2).sum(axis=1)
+                worst = np.argsort(-size, kind="stable")[: max(8, int(WORST * len(size)))]
+                self._sweep(worst.astype(np.int32), WORST_SWEEPS)
+                stalls = 0
+                continue
+            stalls += 1
+            if stalls == STALLS:
+                break
+            if not self._lay_out():
+                # A step so short that it is one of steepest descent.
+                self.shift = max(4.0 * (self.shift or 0.0), STALLED_N_PER_M)
+        at_rest = np.linalg.norm(self.now.force) <= tolerance_n and self.now.energy <= self.start_j
+        return (self.now if at_rest else self.best)._replace(at_rest=bool(at_rest), steps=self.steps)
+
+    def _take(self, there: Found) -> None:
+        self.now = there
+        if there.energy < self.best.energy:
+            self.best = there
+
+    def _sweep(self, order: np.ndarray, times: int = 1) -> None:
+        """Vertex block descent of the vertices ``order`` over the planes of now, if it lowers the energy."""
+        x, around = self.now.x.copy(), self.around(self.now.x)[0]
+        for _ in range(times):
+            descent.sweep(x, self.problem._replace(order=order), around, True)
+        there = self.found(x)
+        if there.energy < self.now.energy:
+            self._take(there)
+
+    def _step(self) -> bool:
+        """One step of Newton with a line search; False where it finds nothing lower."""
+        now = self.now
+        step, iterations = self._direction()
+        slope, share, lowered = float((now.force * step).sum()), 1.0, False
+        for _ in range(HALVINGS):
+            there = self.found(now.x + share * step)
+            lowered = there.energy < now.energy + 1e-4 * share * slope
+            if lowered:
+                self._take(there)
+                break
+            # The least of the parabola through what is known, within a tenth and a half.
+            wanted = -0.5 * share * share * slope / max(there.energy - now.energy - share * slope, 1e-300)
+            share = min(max(wanted, 0.1 * share), 0.5 * share) if np.isfinite(wanted) else 0.1 * share
+        share = share if lowered else 0.0
+        if self.shift is not None:
+            change = 0.5 if share == 1.0 else 4.0 if share < 0.3 else 1.0
+            self.shift = max(change * self.shift, SHIFT_LEAST_N_PER_M)
+        elif share == 1.0 and iterations > 0:
+            self.exact = min(1.0, max(2.0 * self.exact, EXACT_START))
+        elif share < 0.2:
+            self.exact *= 0.5
+        return lowered
+
+    def _direction(self) -> tuple[np.ndarray, int]:
+        """A step [m] (V, 3) along which the energy falls, and the iterations that it took, negative if cut off."""
+        x, problem, pattern = self.now.x, self.problem, self.cloth.pattern
+        around, bend = self.around(x)
+        depth = np.maximum(problem.constants.gap - ((x - around.point) * around.normal).sum(axis=1), 0.0)
+        bend = (problem.contact_n_per_m * depth)[:, None, None] * bend
+        descent.diagonal_blocks(x, problem, around, self._diagonal)
+        inverse = np.linalg.inv(self._diagonal).astype(np.float32)
+        moved, force = np.empty(x.shape, np.float32), (-self.now.force).astype(np.float32)
+        while True:
+            exact, left = (self.exact, ROUGH) if self.shift is None else (1.0, FINE)
+            hessian.assemble(x, problem, around, pattern, exact, self._blocks)
+            self._blocks[pattern.diagonal] += DAMPING * self._diagonal - exact * bend
+            if self.shift is not None:
+                self._blocks[pattern.diagonal] += self.shift * self._per_shift
+            single = self._blocks.astype(np.float32)
+            self._renew_coarse(single)
+            system = linear.System(pattern, single, inverse, self.cloth.charts, self._coarse)
+            count = linear.conjugate_gradients(system, force, np.float32(left), ITERATIONS, moved)
+            # A direction that curves down leads far away, unless it came late.
+            if self.shift is not None:
+                if count > 0 or count < -LATE or self.shift > 1e8:
+                    break
+                self.shift *= 4.0
+            elif count > 0 or count < -8 or self.exact == 0.0:
+                break
+            else:
+                self.exact = 0.5 * self.exact if self.exact > EXACT_LEAST else 0.0
+        step = moved.astype(np.float64)
+        length = np.linalg.norm(step, axis=1, keepdims=True)
+        step *= np.minimum(1.0, REACH_M / np.maximum(length, 1e-12))
+        return step, count
+
+    def _renew_coarse(self, blocks: np.ndarray) -> None:
+        """Takes the inverse on the charts anew when it is old; where it is not positive, none."""
+        self._coarse_age += 1
+        if self.cloth.charts.patch.size == 0 or self._coarse_age < COARSE_AGE:
+            return
+        self._coarse_age = 0
+        size = 3 * (int(self.cloth.charts.patch.max()) + 1)
+        matrix = np.empty((size, size), np.float32)
+        linear.galerkin(self.cloth.charts, self.cloth.pattern, blocks, matrix)
+        factorise, invert = scipy.linalg.get_lapack_funcs(("potrf", "potri"), (matrix,))
+        factor, failed = factorise(matrix, lower=1)
+        if failed:
+            self._coarse = np.zeros((0, 0), np.float32)
+            return
+        lower = np.tril(invert(factor, lower=1)[0])
+        self._coarse = np.ascontiguousarray(lower + np.tril(lower, -1).T)
+
+    def _lay_out(self) -> bool:
+        """Lays the corners of collapsed triangles between their neighbours, from where no step leads down.
+
+        A fold of a triangle without an area has no angle, and costs half of a whole one: a sharp well of the energy.
+        False where none is collapsed.
+        """
+        x, corner = self.now.x.copy(), self.problem.triangles.corner
+        first, second = x[corner[:, 1]] - x[corner[:, 0]], x[corner[:, 2]] - x[corner[:, 0]]
+        area = 0.5 * np.linalg.norm(np.cross(first, second), axis=1)
+        collapsed = corner[area < COLLAPSED * self.problem.triangles.area]
+        self._layings += 1
+        if len(collapsed) == 0 or self._layings > LAYINGS:
+            return False
+        chosen = np.unique(collapsed)
+        total, count = np.zeros(x.shape), np.zeros(len(x))
+        for side in range(3):
+            for other in (side - 1, side - 2):
+                np.add.at(total, corner[:, side], x[corner[:, other]])
+                np.add.at(count, corner[:, side], 1.0)
+        x[chosen] = total[chosen] / count[chosen, None]
+        self._take(self.found(x))
+        near = np.unique(corner[np.isin(corner, chosen).any(axis=1)]).astype(np.int32)
+        for _ in range(10):
+            self._sweep(near)
+        self.shift, self.exact = None, 0.0
+        return True
+
+
+def minimum(
+    cloth: Cloth,
+    contact: BodyContact,
+    posed: np.ndarray,
+    starts: list[np.ndarray],
+    *,
+    step_limit: int,
+    tolerance: float,
+    band: Band | None = None,
+) -> Found:
+    """The lowest drape over ``posed`` (Vb, 3) from ``starts`` (each V, 3), and never above the lowest of them.
+
+    Every start settles a little; the lowest of them settles on, and goes by Newton's method to rest, where the force
+    left is at most ``tolerance`` of the weight, or until it has taken ``step_limit`` steps.
+    """
+    limit_n = tolerance * cloth.weight_n
+    descents = [Descent(cloth, contact, posed, start, band=band) for start in starts]
+    finite = [one for one in descents if np.isfinite(one.start_j)]
+    if not finite:
+        return descents[0].best
+    if len(finite) > 1:
+        for one in finite:
+            one.settle(min(ROUGH_ROUNDS, ROUNDS_PER_STEP * step_limit))
+    lowest = min(finite, key=lambda one: one.best.energy)
+    lowest.start_j = min(one.start_j for one in finite)
+    lowest.settle(min(ROUNDS, ROUNDS_PER_STEP * step_limit))
+    return lowest.run(step_limit, limit_n)

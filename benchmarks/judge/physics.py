@@ -1,0 +1,217 @@
+"""The physics optimum: every vertex free, each frame's energy minimised directly.
+
+From one start or from several, of which the lowest counts: Newton's method with the charts of the garment as coarse
+level (``benchmarks.judge.newton``). It never ends above its starts, says of every frame whether it came to rest, and
+refuses by name what does not come near it. How the method was chosen: docs/reference/quality.md.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from benchmarks.judge.body_distance import blended_distance
+from benchmarks.judge.linear import Charts
+from benchmarks.judge.newton import Band, Cloth, Found, minimum
+from drape.body.model import BodyModel
+from drape.cloth import metrics
+from drape.cloth.contact import BodyContact
+from drape.cloth.energies import ClothMesh
+from drape.cloth.material import Material
+from drape.cloth.waistband import STIFFNESS_N_M2, band_energy, waistband
+from drape.errors import MeshError
+from drape.garment.cache import Garment
+from drape.geometry import meshes
+
+STEPS = 250  # at most
+TOLERANCE = 0.01  # of the weight: the norm of the force left at rest
+LEFT_LIMIT_J_M2 = 0.05  # skinning costs 1 to 5 J per m^2 of cloth
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """A waistband over the posed bodies: ``vertex``, ``length_m`` (n,), and ``anchor`` (F, n, 3), where it is held."""
+
+    vertex: np.ndarray
+    length_m: np.ndarray
+    anchor: np.ndarray
+
+    def over(self, frame: int, vertex_count: int) -> Band:
+        """The springs of one frame."""
+        band = Band(np.zeros((vertex_count, 3)), np.zeros(vertex_count))
+        band.anchor[self.vertex] = self.anchor[frame]
+        band.n_per_m[self.vertex] = STIFFNESS_N_M2 * self.length_m
+        return band
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What is draped: a ``cloth`` of ``material`` over the posed bodies (F, Vb, 3), from ``starts``.
+
+    A start is (F, V, 3) [m]. ``charts`` are the patches of the garment, where it has some, ``held`` its waistband:
+    without friction trousers would slide off the hips. ``name`` is for refusals.
+    """
+
+    cloth: ClothMesh
+    material: Material
+    contact: BodyContact
+    body_vertices: np.ndarray
+    starts: tuple[np.ndarray, ...]
+    charts: Charts | None = None
+    held: Held | None = None
+    name: str = "garment"
+
+    @classmethod
+    def of_garment(
+        cls,
+        garment: Garment,
+        body: BodyModel,
+        cloth: ClothMesh,
+        material: Material,
+        *,
+        contact: BodyContact,
+        body_vertices: np.ndarray,
+        skinned: np.ndarray,
+        starts: tuple[np.ndarray, ...],
+    ) -> Task:
+        """``garment`` by its patches, held at its waist, if it has one, where ``skinned`` (F, V, 3) [m] carries it."""
+        held = held_by_waist(garment, body, skinned)
+        return cls(cloth, material, contact, body_vertices, starts, charts_of(garment), held, garment.name)
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """What the minimiser reached, per frame.
+
+    ``vertices`` [m] (F, V, 3); ``start_j``, ``energy_j`` (F,) the energy of the lowest start and of ``vertices`` [J],
+    never above the start's, over the blended planes, relative to the height of the first start and with the
+    waistband's energy; ``nearest_j`` (F,) that of ``vertices`` over the planes of the nearest body vertices;
+    ``residual_n`` (F,) the norm of the force that is left at the vertices [N]; ``converged``
+    (F,): it is at most the tolerance times the weight; ``steps`` (F,) of Newton; ``processor_s`` (F,) [s]; ``seconds``
+    of the clock for all frames.
+    """
+
+    vertices: np.ndarray
+    start_j: np.ndarray
+    energy_j: np.ndarray
+    nearest_j: np.ndarray
+    residual_n: np.ndarray
+    converged: np.ndarray
+    steps: np.ndarray
+    processor_s: np.ndarray
+    seconds: float
+
+
+def held_by_waist(garment: Garment, body: BodyModel, skinned: np.ndarray) -> Held | None:
+    """The waistband of ``garment``, anchored where ``skinned`` (F, V, 3) has it; None where it hangs from shoulders."""
+    band = waistband(garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64), body)
+    return None if band is None else Held(band.vertex, band.length_m, skinned[:, band.vertex])
+
+
+# Energies [J] (F,) by part of what is minimised: contact over the blended planes, in place of those of the nearest body
+# vertices, as training has them, which also cut through free space far from the body.
+energy_parts = partial(metrics.static_parts, distance=blended_distance)
+
+
+def charts_of(garment: Garment) -> Charts:
+    """The partition of unity of a garment's patches."""
+    return Charts(garment.chart_patch, garment.chart_weight)
+
+
+def corner_slopes(cloth: ClothMesh) -> np.ndarray:
+    """1 / altitude [1/m] (3, F) of every triangle's corners at rest: the gradients of their barycentric coordinates."""
+    a, b, c, d = cloth.inverse_shape
+    return np.stack([np.hypot(a + b, c + d), np.hypot(a, c), np.hypot(b, d)])
+
+
+def vertex_stiffness(cloth: ClothMesh, material: Material) -> np.ndarray:
+    """A bound [N/m] (V,) of the diagonal of the Hessian: membrane, hinges and half of the vertices' contact."""
+    membrane = max(material.warp_n_per_m, material.weft_n_per_m) * cloth.face_area * corner_slopes(cloth) ** 2
+    total = np.bincount(cloth.face_index, weights=membrane.reshape(-1), minlength=cloth.vertex_count)
+    # Per metre a wing turns its hinge by 1 / altitude of its triangle, an end of the edge by about the mean of both.
+    area = cloth.face_area[meshes.hinge_faces(cloth.faces)].T
+    slope = np.sqrt(cloth.hinge_weight * area.sum(axis=0)) / (2.0 * area)
+    turn = np.stack([slope.mean(axis=0), slope.mean(axis=0), *slope])
+    hinge = sum(abs(b) for b in material.bending) * cloth.hinge_weight * turn**2
+    total += np.bincount(cloth.hinge_index, weights=hinge.reshape(-1), minlength=cloth.vertex_count)
+    return total + material.contact_j_m4 * cloth.vertex_area
+
+
+def minimise(task: Task, *, step_limit: int = STEPS, tolerance: float = TOLERANCE) -> Optimum:
+    """The drape of least energy near the starts.
+
+    A frame ends when the force left is at most ``tolerance`` of the weight, after ``step_limit`` steps, or where no
+    step lowers the energy. Raises ``MeshError``, naming the garment, where no start has a finite energy, or where the
+    force left is worth more than ``LEFT_LIMIT_J_M2``.
+    """
+    began = time.perf_counter()
+    starts = [np.asarray(start, dtype=np.float64) for start in task.starts]
+    cloth = Cloth.of(task.cloth, task.material, task.charts)
+    ends: list[Found] = []
+    processor_s = []
+    for frame, posed in enumerate(task.body_vertices):
+        before_s = time.process_time()
+        own = [np.ascontiguousarray(start[frame]) for start in starts]
+        ends.append(
+            minimum(
+                cloth,
+                task.contact,
+                posed,
+                own,
+                step_limit=step_limit,
+                tolerance=tolerance,
+                band=task.held.over(frame, task.cloth.vertex_count) if task.held else None,
+            )
+        )
+        processor_s.append(time.process_time() - before_s)
+    height_m = metrics.mean_height(starts[0], task.cloth)
+
+    def energy(vertices: np.ndarray, parts_of: Callable[..., dict[str, np.ndarray]] = energy_parts) -> np.ndarray:
+        parts = parts_of(vertices, task.cloth, task.material, task.contact, task.body_vertices, height_m=height_m)
+        total = np.stack([*parts.values()]).sum(axis=0)
+        if task.held is None:
+            return total
+        return total + band_energy(vertices[:, task.held.vertex] - task.held.anchor, task.held.length_m)
+
+    vertices = np.stack([end.x for end in ends])
+    start_j, energy_j = np.stack([energy(start) for start in starts]), energy(vertices)
+    # A place has one energy but for rounding: gravity is summed from another height here than on the way.
+    risen = np.flatnonzero(energy_j > start_j.min(axis=0))
+    vertices[risen] = np.stack(starts)[start_j.argmin(axis=0), np.arange(len(vertices))][risen]
+    optimum = Optimum(
+        vertices=vertices,
+        start_j=start_j.min(axis=0),
+        energy_j=np.fmin(energy_j, start_j.min(axis=0)),
+        nearest_j=energy(vertices, metrics.static_parts),
+        residual_n=np.array([np.linalg.norm(end.force) for end in ends]),
+        converged=np.array([end.at_rest and frame not in risen for frame, end in enumerate(ends)]),
+        steps=np.array([end.steps for end in ends]),
+        processor_s=np.array(processor_s),
+        seconds=time.perf_counter() - began,
+    )
+    _refuse_unrest(optimum, np.stack([end.force for end in ends]), task)
+    return optimum
+
+
+def _refuse_unrest(optimum: Optimum, force_n: np.ndarray, task: Task) -> None:
+    """Raises ``MeshError`` if a step along the force that is left could still gain a good part of the energy."""
+    cloth, material = task.cloth, task.material
+    left_j = ((force_n**2).sum(axis=-1) / (2.0 * vertex_stiffness(cloth, material))).sum(axis=-1)
+    left_j = np.where(np.isfinite(optimum.start_j), np.nan_to_num(left_j, nan=np.inf), np.inf)
+    limit_j = LEFT_LIMIT_J_M2 * cloth.vertex_area.sum()
+    worst = int(left_j.argmax())
+    if left_j[worst] <= limit_j:
+        return
+    weight_n = material.gravity_m_s2 * cloth.vertex_mass(material).sum()
+    lowest_mm = 1e3 / corner_slopes(cloth).max()
+    raise MeshError(
+        task.name,
+        expected=f"a physics optimum at rest, the force that is left worth at most {limit_j:.2g} J",
+        got=f"{optimum.residual_n[worst]:.3g} N ({weight_n:.2g} N weight) worth {left_j[worst]:.2g} J in pose {worst}, "
+        f"energy {optimum.start_j[worst]:.4g} to {optimum.energy_j[worst]:.4g} J in {optimum.steps[worst]} steps",
+        cure=f"Take more steps, or mesh it anew: its lowest triangle is {lowest_mm:.2g} mm high.",
+    )

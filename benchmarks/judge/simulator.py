@@ -1,0 +1,144 @@
+"""The simulator that motion is judged by: the full mesh by implicit Euler, with the fabric's friction on the skin.
+
+Each frame is the minimum of energy, contact, inertia and friction: it settles under the cloth's stiffness and mass
+(``benchmarks.judge.settling``) and goes on by Newton's method. Friction is Coulomb's, over what slips between frames
+along the skin, which is carried on by its bones: a force ``mu`` times that of contact, less where the way is shorter
+than ``SLIP_M``. It is a spring, of which stiffness and place are taken anew in every one of ``ROUNDS`` rounds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from benchmarks.judge import newton, settling
+from benchmarks.judge.newton import Cloth, Descent
+from benchmarks.judge.physics import Held
+from drape.body.model import BodyModel
+from drape.cloth.contact import BodyContact
+from drape.cloth.energies import ClothMesh
+from drape.cloth.material import Material
+from drape.geometry import meshes
+from drape.kernels.problem import Surroundings
+from drape.live.swing_step import AIR_KG_M3
+
+FIRST_STEPS, STEPS, TOLERANCE = 120, 12, 0.01  # of Newton's method; force left over the weight
+SETTLE = 50  # rounds before them
+ROUNDS = 3
+SLIP_M = 2e-4  # in a frame: up to here friction grows with the way
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """A ``mesh`` of ``material`` with ``friction`` on the skin, whose motion ends at the rate ``damping_per_s``."""
+
+    mesh: ClothMesh
+    material: Material
+    friction: float
+    damping_per_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """F poses (F, 24, 3) of a ``body`` with the root's places [m] (F, 3), ``fps`` a second."""
+
+    body: BodyModel
+    poses: np.ndarray
+    trans: np.ndarray
+    fps: float
+
+
+class Moving(Descent):
+    """One frame of the simulator: ``target`` [m] (V, 3) is where springs of ``n_per_m`` (V,) lead, inertia's and
+    friction's together."""
+
+    def __init__(self, *inputs: Any, target: np.ndarray, n_per_m: np.ndarray, **others: Any) -> None:
+        self._target, self._n_per_m = target, n_per_m
+        super().__init__(*inputs, **others)
+
+    def around(self, x: np.ndarray) -> tuple[Surroundings, np.ndarray]:
+        planes, bend = super().around(x)
+        return planes._replace(target=self._target, target_n_per_m=self._n_per_m), bend
+
+
+class Skin:
+    """The posed skin of a motion, and where it carries what lies on it."""
+
+    def __init__(self, motion: Motion) -> None:
+        self.posed = motion.body.posed_vertices(motion.poses)
+        self._weights = motion.body.weights
+        self._rotation, self._translation = motion.body.bones(motion.poses)
+
+    def carried(self, x: np.ndarray, frame: int) -> np.ndarray:
+        """Points ``x`` [m] (V, 3) of the frame before, each moved on to ``frame`` with the nearest vertex's skin."""
+        near = self._weights[KDTree(self.posed[frame - 1]).query(x)[1]]
+        (old, old_way), (new, new_way) = (self._blended(near, i) for i in (frame - 1, frame))
+        rest = np.linalg.solve(old, (x - old_way)[..., None])
+        return (new @ rest)[..., 0] + new_way
+
+    def _blended(self, weights: np.ndarray, frame: int) -> tuple[np.ndarray, np.ndarray]:
+        return (
+            np.einsum("vj,jab->vab", weights, self._rotation[frame]),
+            weights @ self._translation[frame],
+        )
+
+
+def grip(one: Descent, x: np.ndarray, stuck: np.ndarray, friction: float) -> tuple[np.ndarray, np.ndarray]:
+    """Springs of friction at ``x``: where they lead [m] (V, 3), and their stiffness [N/m] (V,).
+
+    ``stuck`` (V, 3): where each vertex would be had it not slipped. Their force is ``friction`` times that of contact.
+    """
+    around, _ = one.around(x)
+    normal = around.normal / np.maximum(np.linalg.norm(around.normal, axis=1, keepdims=True), 1e-12)
+    depth = float(one.problem.constants.gap) - ((x - around.point) * normal).sum(axis=1)
+    press_n = one.problem.contact_n_per_m * np.maximum(depth, 0.0)
+    slip = x - stuck
+    slip = slip - (slip * normal).sum(axis=1, keepdims=True) * normal
+    return x - slip, friction * press_n / np.maximum(np.linalg.norm(slip, axis=1), SLIP_M)
+
+
+def simulate(sheet: Sheet, motion: Motion, start: np.ndarray, held: Held | None) -> tuple[np.ndarray, float]:
+    """Vertices [m] (F, V, 3) relative to the root, and the share [%] of the frames that came to rest.
+
+    The first frame is the optimum of its pose that ``start`` (V, 3) leads to.
+    """
+    mesh, material, skin = sheet.mesh, sheet.material, Skin(motion)
+    cloth, contact = Cloth.of(mesh, material, None), BodyContact(motion.body.faces, motion.body.vertex_count)
+    limit_n, inertia = TOLERANCE * cloth.weight_n, mesh.vertex_mass(material) * motion.fps**2
+    moving = cloth._replace(solve=settling.inverse(mesh, material, n_per_m=inertia))
+    bands = [None if held is None else held.over(i, len(start)) for i in range(len(motion.poses))]
+    x = newton.minimum(
+        cloth, contact, skin.posed[0], [start], step_limit=FIRST_STEPS, tolerance=TOLERANCE, band=bands[0]
+    ).x
+    found, rested, speed = [x], 0, np.zeros_like(x)
+    for i in range(1, len(motion.poses)):
+        before = x - (motion.trans[i] - motion.trans[i - 1])
+        ahead = before + slowed(speed, before, sheet, motion.fps) / motion.fps
+        stuck = skin.carried(x, i)
+        now, at_rest = ahead, False
+        for _ in range(ROUNDS if sheet.friction else 1):
+            target, n_per_m = ahead, inertia
+            if sheet.friction:
+                probe = Descent(cloth, contact, skin.posed[i], now, band=bands[i])
+                place, spring = grip(probe, now, stuck, sheet.friction)
+                n_per_m = inertia + spring
+                target = (inertia[:, None] * ahead + spring[:, None] * place) / n_per_m[:, None]
+            step = Moving(moving, contact, skin.posed[i], now, band=bands[i], target=target, n_per_m=n_per_m)
+            step.settle(SETTLE)
+            end = step.run(STEPS, limit_n)
+            now, at_rest = end.x, end.at_rest
+        speed, x, rested = (now - before) * motion.fps, now, rested + at_rest
+        found.append(x)
+    return np.stack(found), 100.0 * rested / (len(found) - 1)
+
+
+def slowed(speed: np.ndarray, x: np.ndarray, sheet: Sheet, fps: float) -> np.ndarray:
+    """``speed`` [m/s] (V, 3) after a frame of air and damping, as in ``drape.live.swing_step``."""
+    speed = speed / (1.0 + sheet.damping_per_s / fps)
+    normal = np.asarray(meshes.vertex_normals(x, sheet.mesh.faces))
+    wind = (speed * normal).sum(axis=1, keepdims=True)
+    slow = AIR_KG_M3 / float(sheet.material.density_kg_m2) * np.abs(wind) / fps
+    return speed - wind * slow / (1.0 + slow) * normal

@@ -1,1 +1,0 @@
-"""The command ``python -m benchmarks.recovery_targets``: ``benchmarks.recovery.targets``."""

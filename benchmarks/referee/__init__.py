@@ -1,1 +1,0 @@
-"""The command ``python -m benchmarks.referee``: how the physics optimum is reached."""

@@ -1,0 +1,399 @@
+"""The stream under load: goodput, age of frames and gaps, of the service and of a naive twin.
+
+    python -m benchmarks.serving [--quick] [--garment dress] [--seconds 8] [--save]
+
+Each case starts a service in a process of its own and speaks to it from this one, over loopback. A client sends a
+clip's poses at 30 a second, takes and acknowledges frames, and does nothing with them. ``goodput_pct``: frames that
+came within ``LATE_S`` of their pose, of the poses that were sent. ``frame_age``: from the pose's sending to its frame's
+arrival. ``gap_max_ms``: the longest pause between two frames of any client, after the first second. ``overhead``: what
+a frame takes in the service beside the model's own time, median to median and percentile to percentile: that is of the
+same clip at the same rate, measured alone before (``model_ms`` and ``model_p99_ms`` of the record).
+
+``cpu_ms``: processor time of the server's process per pose that was sent.
+
+Cases: ``streams`` of each tier, single frames by ``POST /drape`` (httpx, and a bare client), streams of
+``two garments``, a ``still`` body beside a ``moving`` one, ``overload`` (three times the streams that ``accurate``
+carries, with and without the step down), ``beside`` other requests, and the streams of the ``twin``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from http import HTTPStatus
+from http.client import HTTPConnection
+from typing import Any
+
+import httpx
+import numpy as np
+
+from benchmarks.shared import common
+from clients.stream import DrapeStream
+from drape.catalog import find_motions
+from drape.errors import DrapeError, ended
+from drape.motion.clip import MotionClip
+from drape.motion.readers import read_motion
+from drape.wire.clips import pack_clip
+from drape.wire.options import DrapeOptions
+from service.compute.drape_runtime import Drapery
+from service.compute.tiers import NAMES
+from service.compute.unchanged import REST_S
+from service.settings import Settings
+from service.stages import run
+from service.stages.batch import Plan, PoseInput
+
+FPS, LATE_S, WARM_S = 30.0, 0.1, 1.0
+OVERLOADED_S = 3.0  # until streams that all come at once are held where they stay
+SECONDS, QUICK_SECONDS = 8.0, 1.5
+CLIENTS, QUICK_CLIENTS = (1, 2, 4, 8), (1,)
+PAIR = ("tshirt", "dress")
+POST, POSTED = "POST /drape", {"passes": 0, "folds": 0}
+BARE = "POST /drape, bare client"  # of the standard library: httpx has half a millisecond of its own
+CARRIED_PCT = 97.0  # goodput of streams that are carried
+COLUMNS = {
+    "case": "s", "server": "s", "tier": "s", "clients": "d", "fps": ".0f", "goodput_pct": ".1f", "stepped_pct": ".0f",
+    "frame_age_p50_ms": ".0f", "frame_age_p99_ms": ".0f", "overhead_p50_ms": ".2f", "overhead_p99_ms": ".2f",
+    "gap_max_ms": ".0f", "cpu_ms": ".2f",
+}  # fmt: skip
+
+
+@dataclass(eq=False)
+class Seen:
+    """What one client saw: poses sent, and of each frame when it came [s], its age, its time in the service."""
+
+    sent: int = 0
+    came_s: list[float] = field(default_factory=list)
+    age_s: list[float] = field(default_factory=list)
+    residence_ms: list[float] = field(default_factory=list)
+    stepped: int = 0
+
+
+@dataclass(frozen=True)
+class Server:
+    """A running server: its address and its process."""
+
+    url: str
+    pid: int
+
+    def cpu_s(self) -> float:
+        """Processor time [s] that it has taken; NaN where the system does not tell."""
+        try:
+            return time.clock_gettime((~self.pid << 3) | 2)  # Linux' number for the clock of another process
+        except (AttributeError, OSError):
+            return float("nan")
+
+
+@dataclass(eq=False)
+class Spent:
+    """Processor time of a server from ``begin`` on."""
+
+    at: Server
+    before_s: float = 0.0
+
+    def begin(self) -> None:
+        self.before_s = self.at.cpu_s()
+
+    def ms_per_frame(self, frames: int) -> float:
+        return 1e3 * (self.at.cpu_s() - self.before_s) / max(frames, 1)
+
+
+@contextlib.contextmanager
+def server(module: str = "service", **settings: object) -> Iterator[Server]:
+    """``python -m module`` on a free loopback port, with ``settings`` and no garments of anybody's."""
+    with tempfile.TemporaryDirectory() as folder:
+        named = {f"DRAPE_{name.upper()}": str(value) for name, value in settings.items()}
+        environment = os.environ | {"DRAPE_GARMENTS_DIR": folder} | named
+        command = [sys.executable, "-m", module, "--port", "0"]
+        process = subprocess.Popen(
+            command, cwd=common.ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        )
+        try:
+            assert process.stdout is not None
+            said = re.search(r"http://\S+", process.stdout.readline())
+            if said is None:
+                raise RuntimeError(f"{module} did not start")
+            yield Server(said.group(), process.pid)
+        finally:
+            process.terminate()
+            process.wait(timeout=30)
+
+
+async def client(stream: DrapeStream, clip: MotionClip, seen: Seen, begin_s: float, seconds: float) -> None:
+    """Sends ``clip`` at ``FPS``, and fills ``seen`` from ``begin_s`` on for ``seconds``."""
+
+    async def take() -> None:
+        while True:
+            received = await stream.receive()
+            if time.perf_counter() < begin_s:
+                continue
+            seen.came_s.append(time.perf_counter())
+            seen.age_s.append(received.age_s)
+            seen.residence_ms.append(1e-3 * received.frame.residence_us)
+            seen.stepped += received.frame.stepped
+
+    taking = asyncio.create_task(take())
+    start_s, number = time.perf_counter(), 0
+    while time.perf_counter() < begin_s + seconds:
+        await stream.send(clip.poses[number % len(clip.poses)])
+        seen.sent += time.perf_counter() >= begin_s
+        number += 1
+        await asyncio.sleep(max(0.0, start_s + number / FPS - time.perf_counter()))
+    await asyncio.sleep(2.0 * LATE_S)
+    taking.cancel()
+    with contextlib.suppress(asyncio.CancelledError, DrapeError):
+        await taking
+
+
+async def crowd(
+    url: str, clip: MotionClip, count: int, seconds: float, warm_s: float = WARM_S,
+    *, begun: Callable[[], None] | None = None, garments: Sequence[str] = (), **options: Any,
+) -> list[Seen]:  # fmt: skip
+    """What ``count`` clients saw at the same time, after all are open and ``warm_s`` that do not count; ``begun`` is
+    called then. Of several ``garments`` each client has the next one."""
+    seen = [Seen() for _ in range(count)]
+    named: list[dict[str, Any]] = [
+        options | {"garment": garments[i % len(garments)]} if garments else options for i in range(count)
+    ]
+    async with contextlib.AsyncExitStack() as kept:
+        streams = [await kept.enter_async_context(await DrapeStream.open(url, **own)) for own in named]
+        begin_s = time.perf_counter() + warm_s
+
+        async def call() -> None:
+            await asyncio.sleep(begin_s - time.perf_counter())
+            if begun is not None:
+                begun()
+
+        calls = (client(stream, clip, one, begin_s, seconds) for stream, one in zip(streams, seen, strict=True))
+        await asyncio.gather(call(), *calls)
+    return seen
+
+
+def figures(seen: Sequence[Seen], model_ms: np.ndarray | None) -> dict[str, float]:
+    """The columns of what clients saw, beside the model's frames alone, ``model_ms`` (F,), where known."""
+    ages = np.concatenate([one.age_s for one in seen])
+    inside = np.concatenate([one.residence_ms for one in seen])
+    gaps = [np.diff(one.came_s).max() for one in seen if len(one.came_s) > 1]
+    sent = sum(one.sent for one in seen)
+    if not len(ages):
+        return {"goodput_pct": 0.0}
+    return {
+        "goodput_pct": 100.0 * float((ages <= LATE_S).sum()) / sent,
+        "served_pct": 100.0 * len(ages) / sent,
+        "stepped_pct": 100.0 * sum(one.stepped for one in seen) / len(ages),
+        "frame_age_p50_ms": 1e3 * float(np.median(ages)),
+        "frame_age_p99_ms": 1e3 * float(np.percentile(ages, 99.0)),
+        "gap_max_ms": 1e3 * float(max(gaps, default=np.nan)),
+    } | ({} if model_ms is None else beside_model(inside, model_ms))
+
+
+def beside_model(inside_ms: np.ndarray, model_ms: np.ndarray) -> dict[str, float]:
+    """How much longer frames are in the service than the model takes."""
+    return {
+        "overhead_p50_ms": float(np.median(inside_ms) - np.median(model_ms)),
+        "overhead_p99_ms": float(np.percentile(inside_ms, 99.0) - np.percentile(model_ms, 99.0)),
+    }
+
+
+def model_times(garment: str, clip: MotionClip, seconds: float) -> dict[str, np.ndarray]:
+    """What each frame (F,) of ``clip`` at ``FPS`` takes alone in this process [ms], stages without serving: by tier,
+    and of ``POSTED``, warm: each of whose frames has no past and comes right after the last."""
+    drapery, found = Drapery(Settings()), {}
+    entry = drapery.garments.get(garment)
+    for tier in drapery.tiers:
+        plan = drapery.plan(entry, DrapeOptions(tier=tier.name), messages=True)  # type: ignore[arg-type]
+        found[tier.name] = alone(plan, drapery.body.shape_count, clip, seconds)
+    found[POST] = alone(
+        drapery.plan(entry, DrapeOptions.model_validate(POSTED)), drapery.body.shape_count, clip, seconds, warm=True
+    )
+    drapery.close()
+    return found
+
+
+def alone(plan: Plan, shape_count: int, clip: MotionClip, seconds: float, *, warm: bool = False) -> np.ndarray:
+    """What each frame (F,) of ``clip`` under ``plan`` takes [ms]; unless they are ``warm``, and have no past, with the
+    pauses of a stream: what a pause leaves of the processor's caches is the frame's to pay."""
+    for stage in plan.stages:
+        stage.prepare(plan)
+    betas, took_ms, memories = np.zeros(shape_count), [], dict[tuple[str, str], Any]()
+    begin_s = time.perf_counter()
+    for frame in range(1 + max(2, int(seconds * FPS))):
+        pose = clip.poses[frame % len(clip.poses)][None]
+        start_s = time.perf_counter()
+        batch = run(plan, [PoseInput(pose, np.zeros((1, 3)), betas, np.array([frame / FPS]), memories)])
+        took_ms.append(1e3 * (time.perf_counter() - start_s))
+        if not warm:
+            memories = dict(batch.memories[0])
+            time.sleep(max(0.0, begin_s + (frame + 1) / FPS - time.perf_counter()))
+    return np.array(took_ms[1:])  # the first pays for what is made once
+
+
+def posts(url: str, garment: str, clip: MotionClip, seconds: float, *, bare: bool = False) -> np.ndarray:
+    """What ``POST /drape`` of one frame, binary there and back, takes [ms] (F,), one right after the other; by httpx,
+    or by the standard library's client."""
+    took_ms: list[float] = []
+    headers: dict[str, str] = dict.fromkeys(("Content-Type", "Accept"), "application/octet-stream")
+    connection = HTTPConnection(url.partition("://")[2])
+    with contextlib.closing(connection), httpx.Client(base_url=url, headers=headers) as client:
+        for frame in range(1 + max(2, int(seconds * FPS))):
+            pose = clip.poses[frame % len(clip.poses)][None]
+            body = pack_clip({"garment": garment} | POSTED, pose, None)
+            start_s = time.perf_counter()
+            if bare:
+                connection.request("POST", "/drape", body, headers)
+                answer = connection.getresponse()
+                answer.read()
+                if answer.status != HTTPStatus.OK:
+                    raise RuntimeError(f"the service answered {answer.status}")
+            else:
+                client.post("/drape", content=body).raise_for_status()
+            took_ms.append(1e3 * (time.perf_counter() - start_s))
+    return np.array(took_ms[1:])
+
+
+def others(clip: MotionClip, garment: str) -> dict[str, Callable[[httpx.Client], Any]]:
+    """Requests that others make meanwhile, by name."""
+    rows = np.resize(clip.poses, (300, 24, 3)).tolist()
+    document = {"garment": garment, "poses": rows, "folds": 0, "passes": 0}
+    illegal = b'{"garment":"' + garment.encode() + b'","poses":[' + b"[]," * 2_000_000 + b"[]]}"
+    return {
+        "JSON of 300 frames": lambda http: http.post("/drape", json=document, headers={"Accept": "application/json"}),
+        "GLB of 300 frames": lambda http: http.post("/drape", json=document, headers={"Accept": "model/gltf-binary"}),
+        "illegal body": lambda http: http.post("/drape", content=illegal, headers={"Content-Type": "application/json"}),
+        "opening an outfit": lambda http: http.post(
+            "/drape", json={"garments": ["trousers", "tshirt"], "poses": rows[:1]}
+        ),
+    }  # fmt: skip
+
+
+async def with_others(
+    url: str, clip: MotionClip, seconds: float, ask: Callable[[httpx.Client], Any],
+    *, begun: Callable[[], None] | None = None, **options: Any,
+) -> list[Seen]:  # fmt: skip
+    """What one client sees while ``ask`` is asked again and again."""
+    end = asyncio.Event()
+
+    def asking() -> None:
+        with httpx.Client(base_url=url, timeout=120.0) as http:
+            while not end.is_set():
+                ask(http)
+
+    other = asyncio.create_task(asyncio.to_thread(asking))
+    try:
+        return await crowd(url, clip, 1, seconds, begun=begun, **options)
+    finally:
+        end.set()
+        await other
+
+
+@dataclass(eq=False)
+class Bench:
+    """What all cases share, and the rows so far."""
+
+    clip: MotionClip
+    garment: str
+    seconds: float
+    model_ms: dict[str, np.ndarray]
+    warm_s: float = WARM_S
+    rows: list[dict[str, Any]] = field(default_factory=list)
+
+    def measure(
+        self, case: str, at: Server, tier: str, count: int = 1, *, name: str = "service",
+        beside: Callable[[httpx.Client], Any] | None = None, **others: Any,
+    ) -> dict[str, Any]:  # fmt: skip
+        """Adds the row of ``count`` clients of ``tier``, ``beside`` a request that is made again and again; ``others``
+        are more of their options."""
+        spent, options = Spent(at), {"garment": self.garment, "tier": tier} | others
+        if beside is None:
+            going = crowd(at.url, self.clip, count, self.seconds, self.warm_s, begun=spent.begin, **options)
+        else:
+            going = with_others(at.url, self.clip, self.seconds, beside, begun=spent.begin, **options)
+        seen = asyncio.run(going)
+        row = {"case": case, "server": name, "tier": tier, "clients": count, "fps": FPS}
+        alone = self.model_ms[tier] if name == "service" and not others and len(self.clip.poses) > 1 else None
+        row |= figures(seen, alone) | {"cpu_ms": spent.ms_per_frame(sum(one.sent for one in seen))}
+        self.rows.append(row)
+        common.print_table([row], COLUMNS)
+        return row
+
+    def posted(self, at: Server) -> None:
+        """Adds the rows of single frames, one request each: ages are from request to answer."""
+        for case in (POST, BARE):
+            took_ms = posts(at.url, self.garment, self.clip, self.seconds, bare=case == BARE)
+            row = {"case": case, "server": "service", "tier": "", "clients": 1, "fps": FPS, "goodput_pct": 100.0}
+            row["frame_age_p50_ms"] = float(np.median(took_ms))
+            row["frame_age_p99_ms"] = float(np.percentile(took_ms, 99.0))
+            self.rows.append(row | beside_model(took_ms, self.model_ms[POST]))
+            common.print_table(self.rows[-1:], COLUMNS)
+
+    def carried(self, at: Server, tier: str, counts: Sequence[int], *, name: str = "service") -> int:
+        """How many of ``counts`` clients the server carries, with their rows."""
+        rows = [self.measure("streams", at, tier, count, name=name) for count in counts]
+        return max((row["clients"] for row in rows if row["goodput_pct"] >= CARRIED_PCT), default=0)
+
+    def standing(self) -> Bench:
+        """The same with a body that does not move, in the middle of the clip."""
+        poses = self.clip.poses[len(self.clip.poses) // 2][None]
+        return replace(self, clip=MotionClip(poses, np.zeros((1, 3)), FPS, "still"), warm_s=1.5 * REST_S)
+
+
+def measure(options: argparse.Namespace) -> tuple[Bench, dict[str, int]]:
+    """The bench with its rows, and how many clients each server carries by tier."""
+    clip = read_motion(find_motions(["walk"])[0])
+    clip = clip if abs(clip.fps - FPS) < 1e-6 else clip.resampled(FPS)
+    bench = Bench(clip, options.garment, options.seconds, model_times(options.garment, clip, options.seconds))
+    carried: dict[str, int] = {}
+    with server(stream_step_down=False) as at:
+        for tier in reversed(NAMES):
+            carried[f"service {tier}"] = bench.carried(at, tier, options.clients)
+        still = bench.standing()
+        bench.posted(at)
+        bench.measure("two garments, folds 2", at, "balanced", 2, garments=PAIR, folds=2)
+        bench.measure("moving", at, "balanced")
+        still.measure("still", at, "balanced")
+    if options.quick:
+        return bench, carried
+    with server("benchmarks.speed.twin") as at:
+        carried["twin balanced"] = bench.carried(at, "balanced", options.clients[:3], name="twin")
+    most, crowded = max(1, carried["service accurate"]), replace(bench, warm_s=OVERLOADED_S)
+    for step_down in (False, True):
+        with server(stream_step_down=step_down) as at:
+            crowded.measure(f"overload, step down {'on' if step_down else 'off'}", at, "accurate", 3 * most)
+    with server() as at:
+        for name, ask in others(bench.clip, bench.garment).items():
+            bench.measure(f"beside {name}", at, "fast", beside=ask)
+    return bench, carried
+
+
+def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
+    """Prints the table and the record, and returns the record."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.serving", description="The stream under load.")
+    parser.add_argument("--garment", default="tshirt")
+    parser.add_argument("--seconds", type=float, help=f"of each case (default {SECONDS}, quick {QUICK_SECONDS})")
+    parser.add_argument("--clients", nargs="+", type=int)
+    common.add_options(parser)
+    options = parser.parse_args(arguments)
+    options.seconds = options.seconds or (QUICK_SECONDS if options.quick else SECONDS)
+    options.clients = options.clients or (QUICK_CLIENTS if options.quick else CLIENTS)
+    load = os.getloadavg()[0]
+    bench, carried = measure(options)
+    print()
+    common.print_table(bench.rows, COLUMNS)
+    return common.finish(
+        "serving", bench.rows, options, max_clients=carried, load_before=load,
+        model_ms={tier: float(np.median(ms)) for tier, ms in bench.model_ms.items()},
+        model_p99_ms={tier: float(np.percentile(ms, 99.0)) for tier, ms in bench.model_ms.items()},
+        seconds=options.seconds, late_ms=1e3 * LATE_S,
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    sys.exit(ended(main))

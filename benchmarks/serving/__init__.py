@@ -1,1 +1,0 @@
-"""The command ``python -m benchmarks.serving``: ``benchmarks.speed.serving``."""

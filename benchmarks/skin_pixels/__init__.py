@@ -1,1 +1,0 @@
-"""The command ``python -m benchmarks.skin_pixels``: skin that shows through cloth."""

@@ -1,1 +1,0 @@
-"""The command ``python -m benchmarks.tradeoff``: ``benchmarks.quality.tradeoff``."""

@@ -1,0 +1,134 @@
+"""The signed distance of points to a surface given by samples with normals, smooth in points and samples.
+
+With weights w_k = softmax(-|x - b_k|^2 / h^2 + bias_k) over a list of samples b_k, n_k, the mean normal n and the
+mean point b,
+
+    d(x) = 1/2 sum_k w_k n_k . (x - b_k) + 1/2 n . (x - b) / |n|
+
+The first term is the implicit moving-least-squares surface (Kolluri 2008), which lies s^2 / 2R outside a
+surface of radius R for samples s away, the second the plane of mean point and mean normal (Alexa and Adamson
+2004), which lies as far inside: their mean has no error of second order, so that samples may be a quarter of a
+limb's radius apart. ``attend`` is two matrix products and a softmax, attention of points to samples; ``surface``
+reads distance and normal off the means, with coordinates first, so that every operation runs along the points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from drape.arrays import Array, like, namespace
+from drape.geometry.rotations import dot_columns
+
+BANDWIDTH_M = 0.014  # h, about the spacing of the samples
+TINY = 1e-12
+# Of all samples together, by which the mean point and the mean normal are divided at least. Normals fade while weights
+# times coordinates are still exact; in float32 they become subnormal numbers, or zero, from 1e-38 on.
+LEAST_WEIGHTS = (1e-37, 1e-30)
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """What a surface is at N points: ``distance`` [m] (..., N), outside positive; unit ``normal`` (..., 3, N).
+
+    ``beside_m2`` (..., N): square of how far beside the samples a point lies, along the surface: more than their
+    spacing means that the surface ends before it. ``agreement`` (..., N) in [0, 1] of the normals that were
+    mixed: little where two surfaces face each other.
+    """
+
+    distance: Array
+    normal: Array
+    beside_m2: Array
+    agreement: Array
+
+
+def queries(points: Array) -> Array:
+    """Columns (..., 8, P) whose product with a sample's row is -|x - b|^2 / h^2 less x . x.
+
+    Of ``points`` (..., 3, P).
+    """
+    scale = 1.0 / (BANDWIDTH_M * BANDWIDTH_M)
+    turned = like(points, [[2.0 * scale * (row == column) for row in range(3)] for column in range(8)])
+    return turned @ points + like(points, [[-scale * (column == 3)] for column in range(8)])
+
+
+def attend(query: Array, table: Array, bias: Array) -> Array:
+    """Means (..., P, 8) of the samples' rows ``table`` (..., K, 8) (``drape.contact.skin.sample_table``).
+
+    For ``queries``, points first (..., P, 8), with logits ``bias`` (..., K).
+    """
+    logits = query @ namespace(query).matrix_transpose(table) + bias[..., None, :]
+    return softmax(logits) @ table
+
+
+def query_columns(points: Array) -> Array:
+    """Columns (..., 10, P) whose products with the samples' in ``attend_columns`` are the attention logits
+    -|x - b|^2 / h^2 + bias, of ``points`` (..., 3, P)."""
+    xp = namespace(points)
+    scale = 1.0 / (BANDWIDTH_M * BANDWIDTH_M)
+    plain = queries(points)
+    square = dot_columns(points, points) * (-scale)
+    return xp.concat([plain, xp.ones_like(square), square], axis=-2)
+
+
+def attend_columns(query: Array, table: Array, bias: Array) -> Array:
+    """``attend`` for points that lie last: means (..., 8, P) for ``query_columns``, by sums of exponentials.
+
+    A softmax without the search for the largest logit, which costs more than all the rest: so there must be a sample
+    whose ``bias`` is near 0, and means fade to nothing farther than some 10 cm from all of them.
+    """
+    xp = namespace(query)
+    count = table.shape[-2]
+    logits = xp.broadcast_to(bias[..., None, :], (*table.shape[:-2], 1, count))
+    rows = xp.concat([xp.matrix_transpose(table), logits, xp.ones_like(logits)], axis=-2)  # (..., 10, K)
+    sums = rows @ xp.exp(xp.matrix_transpose(rows) @ query)
+    least = like(query, [[LEAST_WEIGHTS[row // 4]] for row in range(8)])
+    return sums[..., :8, :] / xp.maximum(sums[..., 9:, :], least)
+
+
+def surface(points: Array, means: Array) -> Surface:
+    """The surface at ``points`` [m] (..., 3, N) from the means (..., 8, N) there."""
+    xp = namespace(points)
+    normal = means[..., 4:7, :]
+    length = xp.sqrt(xp.clip(dot_columns(normal, normal), min=TINY))
+    unit = normal * (1.0 / length)
+    offset = points - means[..., :3, :]
+    along = dot_columns(unit, offset)
+    implicit = dot_columns(normal, points) - means[..., 7:8, :]
+    beside = dot_columns(offset, offset) - along * along
+    return Surface((0.5 * (implicit + along))[..., 0, :], unit, beside[..., 0, :], length[..., 0, :])
+
+
+def softmax(logits: Array) -> Array:
+    """Softmax over the last axis; torch's own, one kernel, where the namespace has it."""
+    xp = namespace(logits)
+    if hasattr(xp, "softmax"):
+        return xp.softmax(logits, -1)
+    grown = xp.exp(logits - xp.max(logits, axis=-1, keepdims=True))
+    return grown / xp.sum(grown, axis=-1, keepdims=True)
+
+
+def ramp(value: Array, low: float, high: float) -> Array:
+    """0 at ``low``, 1 at ``high``, linear between and constant beyond; ``high`` may lie below ``low``."""
+    return namespace(value).clip((value - low) * (1.0 / (high - low)), min=0.0, max=1.0)
+
+
+def take(rows: Array, index: Array, axis: int = 0) -> Array:
+    """``rows`` at ``index`` (n,), none negative, along ``axis``: one operation of torch, not four."""
+    xp = namespace(rows)
+    return xp.index_select(rows, axis, index) if hasattr(xp, "index_select") else xp.take(rows, index, axis=axis)
+
+
+def columns(table: Array, index: Array) -> Array:
+    """``table`` (F, n, N) at ``index`` (m,) of its last axis: (F, n, m). As one matrix of few rows, which graphs are
+    fast with (``model_export.packed.contact``)."""
+    xp = namespace(table)
+    flat = take(xp.reshape(table, (-1, table.shape[2])), index, axis=1)
+    return xp.reshape(flat, (table.shape[0], table.shape[1], -1))
+
+
+def largest(scores: Array, count: int) -> Array:
+    """Places (..., ``count``) of the largest entries of each row of ``scores`` (..., n), in no order."""
+    xp = namespace(scores)
+    if hasattr(xp, "topk"):
+        return xp.topk(scores, count, dim=-1, sorted=False)[1]
+    return xp.argpartition(scores, -count, axis=-1)[..., -count:]

@@ -1,0 +1,228 @@
+"""The collision projection (push-out): cloth out of its own part of the body, and of those that come near in a pose.
+
+A vertex knows from its rest place on which side of which limb it belongs. Pushing along the normal of whichever
+skin is nearest tears cloth that two parts press from both sides: between arm and trunk one vertex goes with the
+arm, its neighbour with the trunk. So the surface under the cloth at rest ("own") and the rest of the body
+("other parts") are two surfaces (``drape.contact.field``), and the steps are
+
+1. out of other parts, then out of the own part, which has the last word;
+2. the displacement is fitted by the garment's own charts, a polynomial per patch, and blended: cloth beside the
+   pushed vertices comes along, and edges keep their lengths;
+3. what is still missing to the clearance, by the same two surfaces, to first order.
+
+Everything that switches a push fades in and out over a length, so that cloth moves smoothly when the body does.
+The same function runs on numpy, on torch and, exported, in ONNX Runtime: array sizes depend on the sizes of the
+inputs alone. Vectors have their coordinates first, points last: operations then run along the points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drape.arrays import Array, namespace
+from drape.arrays.tensors import Tensors, tensor
+from drape.contact.field import attend_columns, columns, largest, query_columns, ramp, surface, take
+from drape.contact.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE, Samples, region_centres, sample_table
+from drape.contact.tables import BLOCK_SIZE, GROUP_SIZE, OTHER_STEPS, OWN_CLUSTERS
+from drape.geometry import jets
+from drape.geometry.rotations import dot_columns
+
+CLEARANCE_M = 0.0025  # also of the lift of folds, and less than their contact's gap: cloth at rest is not lifted
+MOVED_M = 1e-4  # a vertex that is moved by less counts as left alone
+REGION_COUNT = 2  # of other parts that a group of blocks is tested against
+BESIDE_M2 = (0.026**2, 0.016**2)  # a point this far beside the samples has left the surface that they are
+DEPTH_M = (-0.035, -0.025)  # deeper inside is not this surface
+AGREEMENT = (0.35, 0.65)  # of the mixed normals: below, two surfaces are mixed
+LARGEST_PUSH_M = 0.030
+HAS_OTHER = 2.0  # of 255: a list without a sample like this has no other part
+OTHER_LEAST = 1e-3  # what a sample counts that is no other part, beside ones that are
+CHARTS_PER_VERTEX = 4
+JET_ROUNDS = 4  # of fits, where charts carry all of the push
+JET_OVER = 2.0  # a fit of what is missing is taken this many times: it spreads a push and so falls short of it
+TILE_WIDTH = 64  # columns of ten numbers: wider tiles than those of the drape are faster and still small
+TERMS = jets.coefficient_count(3)  # of a patch's polynomial
+REGION_BIAS_M2 = 0.002  # squared distance [m^2] that one logit of a region outweighs
+
+
+@dataclass(frozen=True, eq=False)
+class PushFeed(Tensors):
+    """Constants of a garment as ``push_out`` takes them: ``drape.graph.push_feed.pack_push`` makes them.
+
+    G groups of 2 blocks of 16 vertices, N = 32 G slots; K patches, Q tiles of 64 charts (``drape.graph.packing``).
+    ``block_vertex`` (G, 32) vertices; ``vertex_slot`` (V,) slots; ``own_cluster`` (G, 2, 10) clusters of the skin under
+    each block with ``own_bias`` (G, 2, 40); ``other`` (G, P, 48) uint8, how much a sample is another part, in
+    255ths, and ``region_bias`` (G, P, 4) of regions. ``patch_block`` (K, B) the blocks that lie in a patch,
+    ``patch_fit`` (K, B, 10) the weights by which their displacements give its polynomial; ``tile_basis`` (Q, 10, 64),
+    ``tile_patch`` (Q,), ``slot_charts`` (4, G, 32) columns of the tiles.
+    """
+
+    block_vertex: Array = tensor("push_block_vertex", "groups", GROUP_SIZE * BLOCK_SIZE, dtype="int32", unit="vertex")
+    vertex_slot: Array = tensor("push_vertex_slot", "vertices", dtype="int32", unit="slot")
+    own_cluster: Array = tensor(
+        "push_own_cluster", "groups", GROUP_SIZE, OWN_CLUSTERS, dtype="int32", unit="cluster of samples"
+    )
+    own_bias: Array = tensor("push_own_bias", "groups", GROUP_SIZE, OWN_CLUSTERS * CLUSTER_SIZE)
+    other: Array = tensor("push_other", "groups", "parts", POSED_REGIONS * REGION_SIZE, dtype="uint8", unit="1 / 255")
+    region_bias: Array = tensor("push_region_bias", "groups", "parts", POSED_REGIONS)
+    patch_block: Array = tensor("push_patch_block", "patches", "patch_blocks", dtype="int32", unit="block")
+    patch_fit: Array = tensor("push_patch_fit", "patches", "patch_blocks", TERMS)
+    tile_basis: Array = tensor("push_tile_basis", "tiles", TERMS, TILE_WIDTH)
+    tile_patch: Array = tensor("push_tile_patch", "tiles", dtype="int32", unit="patch")
+    slot_charts: Array = tensor(
+        "push_slot_charts", CHARTS_PER_VERTEX, "groups", GROUP_SIZE * BLOCK_SIZE, dtype="int32", unit="column"
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Pushed:
+    """What the push-out makes of F drapes: ``vertices`` [m] (F, V, 3), and the same for a drape by jets.
+
+    ``coefficients`` [m] (F, K, 3, 10): a displacement as a cubic of each patch's parameters, in the axes of the
+    vertices. Jets have no step 3, so step 2 is repeated with what is still missing. ``left_m`` (F,): the longest way
+    that a vertex with the blend of ``coefficients`` would still have to go.
+    """
+
+    vertices: Array
+    coefficients: Array
+    left_m: Array
+
+
+def push_out(vertices: Array, skin: Array, feed: PushFeed, clearance_m: Array | float = CLEARANCE_M) -> Array:
+    """``vertices`` [m] (F, V, 3) out of the bodies whose samples are ``skin`` (F, R, 12, 8) (``skin.skin_table``)."""
+    return push_in_parts(vertices, skin, feed, clearance_m).vertices
+
+
+def push_in_parts(vertices: Array, skin: Array, feed: PushFeed, clearance_m: Array | float = CLEARANCE_M) -> Pushed:
+    """``push_out``, and the push for a drape by jets. A graph that is cut to the vertices has none of the latter."""
+    xp = namespace(vertices)
+    start = columns(xp.matrix_transpose(vertices), _flat(feed.block_vertex))  # (F, 3, N)
+    means, has_other = _means(start, skin, feed)
+    both = surface(xp.concat([start, start], axis=2), means)
+    share = ramp(both.beside_m2, *BESIDE_M2) * ramp(both.distance, *DEPTH_M) * ramp(both.agreement, *AGREEMENT)
+    missing = clearance_m - both.distance  # (F, 2 N): to the own part, then to others
+    slots = start.shape[2]
+    own_normal, other_normal = both.normal[:, :, :slots], both.normal[:, :, slots:]
+    own_missing, other_missing = missing[:, None, :slots], missing[:, None, slots:]
+    own_share, other_share = share[:, None, :slots], share[:, None, slots:] * has_other
+
+    def out(moved: Array | None) -> Array:
+        """``moved`` (F, 3, N), None where nothing moved yet, and what is missing then, to first order."""
+        lacking = other_missing if moved is None else other_missing - dot_columns(moved, other_normal)
+        from_other = _way(lacking, other_share) * other_normal
+        moved = from_other if moved is None else moved + from_other
+        return moved + _way(own_missing - dot_columns(moved, own_normal), own_share) * own_normal
+
+    coefficients = fit(out(None), feed)
+    carried = blended(coefficients, feed)
+    moved = out(carried)
+    vertices = xp.matrix_transpose(columns(start + moved, feed.vertex_slot))
+    for _ in range(JET_ROUNDS - 1):
+        coefficients = coefficients + JET_OVER * fit(moved - carried, feed)
+        carried = blended(coefficients, feed)
+        moved = out(carried)
+    rest = moved - carried
+    left = xp.sqrt(xp.max(dot_columns(rest, rest)[:, 0], axis=-1))
+    return Pushed(vertices, coefficients, left)
+
+
+def push_out_of_bodies(
+    vertices: np.ndarray, body_vertices: np.ndarray, skin: Samples, feed: PushFeed, clearance_m: float = CLEARANCE_M
+) -> np.ndarray:
+    """``vertices`` [m] (F, V, 3) out of the posed bodies ``body_vertices`` (F, Vb, 3), one frame after the other."""
+    pushed = np.empty_like(vertices)
+    for frame in range(len(vertices)):
+        one = slice(frame, frame + 1)
+        # Relative to the body: the field multiplies coordinates, and a body may stand far away.
+        origin = body_vertices[frame].mean(axis=0)
+        point, normal = skin.posed(body_vertices[one] - origin)
+        table = np.asarray(sample_table(point, normal)).reshape(1, skin.region_count, REGION_SIZE, -1)
+        pushed[one] = push_out(vertices[one] - origin, table, feed, clearance_m) + origin
+    return pushed
+
+
+def fitted(displacement: Array, feed: PushFeed) -> Array:
+    """``displacement`` (F, 3, N) of the slots as the blend of a least-squares polynomial per patch."""
+    return blended(fit(displacement, feed), feed)
+
+
+def fit(displacement: Array, feed: PushFeed) -> Array:
+    """Coefficients (F, K, 3, 10) of the least-squares polynomial of each patch for ``displacement`` (F, 3, N)."""
+    xp = namespace(displacement)
+    frames, (patches, members, _) = displacement.shape[0], feed.patch_fit.shape
+    of_blocks = xp.mean(xp.reshape(displacement, (frames, 3, -1, BLOCK_SIZE)), axis=3)
+    of_patch = xp.reshape(columns(of_blocks, _flat(feed.patch_block)), (frames, 3, patches, members))
+    return xp.permute_dims(of_patch, (0, 2, 1, 3)) @ feed.patch_fit
+
+
+def blended(coefficients: Array, feed: PushFeed) -> Array:
+    """The displacement (F, 3, N) of the slots that the patches' ``coefficients`` (F, K, 3, 10) say together."""
+    xp = namespace(coefficients)
+    frames, slots = coefficients.shape[0], feed.slot_charts.shape[1] * feed.slot_charts.shape[2]
+    tiles, _, width = feed.tile_basis.shape
+    said = xp.permute_dims(take(coefficients, feed.tile_patch, axis=1) @ feed.tile_basis, (0, 2, 1, 3))
+    taken = columns(xp.reshape(said, (frames, 3, tiles * width)), _flat(feed.slot_charts))
+    return xp.sum(xp.reshape(taken, (frames, 3, CHARTS_PER_VERTEX, slots)), axis=2)
+
+
+def _means(start: Array, skin: Array, feed: PushFeed) -> tuple[Array, Array]:
+    """Means (F, 8, 2 N) of the samples about the slots ``start`` (F, 3, N), of the own part and then of others; and 1
+    where there are others (F, 1, N), else 0."""
+    xp = namespace(start)
+    frames = start.shape[0]
+    query = query_columns(start)
+    own = _own_part(_apart(query, BLOCK_SIZE), skin, feed)
+    table, bias, has_other = _other_parts(start, skin, feed)
+    other = attend_columns(_apart(query, GROUP_SIZE * BLOCK_SIZE), table, bias)
+    # The points last again: what follows runs along them.
+    means = [xp.reshape(xp.permute_dims(part, (0, 2, 1, 3)), (frames, 8, -1)) for part in (own, other)]
+    has_other = xp.broadcast_to(has_other, (*has_other.shape[:2], GROUP_SIZE * BLOCK_SIZE))
+    return xp.concat(means, axis=2), xp.reshape(has_other, (frames, 1, -1))
+
+
+def _apart(rows: Array, size: int) -> Array:
+    """``rows`` (F, n, N) of the slots as those of blocks or groups of ``size`` slots (F, N / size, n, size)."""
+    xp = namespace(rows)
+    return xp.permute_dims(xp.reshape(rows, (*rows.shape[:2], -1, size)), (0, 2, 1, 3))
+
+
+def _own_part(query: Array, skin: Array, feed: PushFeed) -> Array:
+    """Means (F, C, 8, 16) of the skin under the blocks, for their ``query_columns`` (F, C, 10, 16)."""
+    xp = namespace(query)
+    frames, own = query.shape[0], feed.own_bias.shape[2]
+    clusters = xp.reshape(skin, (frames, -1, 8 * CLUSTER_SIZE))
+    table = xp.reshape(take(clusters, _flat(feed.own_cluster), axis=1), (frames, -1, own, 8))
+    return attend_columns(query, table, xp.reshape(feed.own_bias, (-1, own)))
+
+
+def _other_parts(start: Array, skin: Array, feed: PushFeed) -> tuple[Array, Array, Array]:
+    """The 24 samples of other parts nearest to each group: rows (F, G, 24, 8), logits (F, G, 24), and 1 where there are
+    any (F, G, 1)."""
+    xp = namespace(start)
+    frames, regions = skin.shape[0], skin.shape[1]
+    groups = feed.region_bias.shape[0]
+    region = region_centres(skin)
+    centre = xp.mean(xp.reshape(start, (frames, 3, groups, GROUP_SIZE * BLOCK_SIZE)), axis=3)  # (F, 3, G)
+    along = xp.matrix_transpose(centre) @ xp.matrix_transpose(2.0 * region)
+    far = REGION_BIAS_M2 * xp.reshape(feed.region_bias, (groups, regions))
+    top = largest(far - xp.sum(region * region, axis=-1)[:, None] + along, REGION_COUNT)  # (F, G, n)
+    frame = regions * xp.arange(frames, dtype=top.dtype)[:, None, None]
+    group = regions * xp.arange(groups, dtype=top.dtype)[:, None]
+    count = REGION_COUNT * REGION_SIZE
+    rows = take(xp.reshape(skin, (-1, 8 * REGION_SIZE)), _flat(top + frame))
+    other = take(xp.reshape(feed.other, (-1, REGION_SIZE)), _flat(top + group))
+    other = xp.reshape(xp.astype(other, start.dtype), (frames, groups, count))
+    bias = xp.log(other * (1.0 / OTHER_STEPS) + OTHER_LEAST)
+    has_other = xp.astype(xp.max(other, axis=-1, keepdims=True) >= HAS_OTHER, start.dtype)
+    return xp.reshape(rows, (frames, groups, count, 8)), bias, has_other
+
+
+def _flat(index: Array) -> Array:
+    return namespace(index).reshape(index, (-1,))
+
+
+def _way(missing: Array, share: Array) -> Array:
+    """Length [m] of a push that is ``missing`` [m] from the clearance: never negative, saturated."""
+    xp = namespace(missing)
+    return LARGEST_PUSH_M * xp.tanh(xp.clip(missing, min=0.0) * (1.0 / LARGEST_PUSH_M)) * share

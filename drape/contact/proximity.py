@@ -1,0 +1,159 @@
+"""Body proximity of patches: how near the body is at a few points of each, and which way it would push them.
+
+The two surfaces of the collision projection (``drape.contact.projection``), own and other parts of the body, are read
+at the points of a patch, not at the vertices of a block, so the cost does not grow with the mesh. Nothing is pushed:
+closeness and force at every point are what the network's corrections read.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drape.arrays import Array, namespace
+from drape.arrays.tensors import Tensors, tensor
+from drape.contact.field import Surface, attend, largest, queries, ramp, surface, take
+from drape.contact.projection import AGREEMENT, BESIDE_M2, OTHER_LEAST, REGION_BIAS_M2, REGION_COUNT
+from drape.contact.samples import CLUSTER_SIZE, REGION_SIZE, region_centres
+from drape.contact.skin import Skin
+from drape.contact.tables import OWN_CLUSTERS, skin_lists
+from drape.geometry.rotations import dot_columns
+
+GAP_M = 0.006  # proximity begins at this distance; the contact energy at 4 mm
+UNIT_M = 0.01
+DEEP_M = (-0.060, -0.045)  # deeper inside there is no proximity
+OTHER_STEPS = 15  # half a byte: two samples lie in one where they are stored
+REGION_LEAST = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class PatchSkin(Tensors):
+    """Skin near K patches: ``own_cluster`` (K, 10) clusters of samples under each, ``own_bias`` (K, 40) their logits;
+    ``other`` (K, R, 12) uint8, how much a sample is another part than the patch's own, in 15ths; ``region_bias`` (K, R)
+    of regions (``region_bias_of``)."""
+
+    own_cluster: Array = tensor("patch_cluster", "patches", OWN_CLUSTERS, dtype="int64", unit="cluster of samples")
+    own_bias: Array = tensor("patch_cluster_bias", "patches", OWN_CLUSTERS * CLUSTER_SIZE)
+    other: Array = tensor("patch_other", "patches", "regions", REGION_SIZE, dtype="uint8", unit="1 / 15")
+    region_bias: Array = tensor("patch_region_bias", "patches", "regions")
+
+
+def patch_skin(centre: np.ndarray, facing: np.ndarray, skin: Skin) -> PatchSkin:
+    """The lists of patches at rest, ``centre`` [m] (K, 3) and unit outward ``facing`` (K, 3), as numpy arrays."""
+    lists = skin_lists(np.asarray(centre, dtype=np.float64), np.asarray(facing, dtype=np.float64), skin)
+    other = np.rint(OTHER_STEPS * lists.other.reshape(len(centre), -1, REGION_SIZE)).astype(np.uint8)
+    return PatchSkin(
+        own_cluster=lists.own_cluster.astype(np.int64),
+        own_bias=lists.own_bias.astype(np.float32),
+        other=other,
+        region_bias=region_bias_of(other.max(axis=2)),
+    )
+
+
+def region_bias_of(most: np.ndarray) -> np.ndarray:
+    """Logits of regions by the ``most`` that a sample of each is another part, in 15ths: far below 0 where none is.
+
+    Two bytes hold each exactly: 16 values, rounded so here, once for all who choose regions by them.
+    """
+    return np.log(most / OTHER_STEPS + REGION_LEAST).astype(np.float16).astype(np.float32)
+
+
+def in_halves(other: np.ndarray) -> np.ndarray:
+    """``other`` (..., 12) of ``PatchSkin`` as bytes (..., 6): sample i in the low half, i + 6 in the high half."""
+    half = other.shape[-1] // 2
+    return other[..., :half] | (other[..., half:] << 4)
+
+
+def from_halves(stored: Array) -> Array:
+    """The other way round: ``in_halves`` (..., 6) as numbers (..., 12) of the type of ``stored``, a floating one."""
+    xp = namespace(stored)
+    high = xp.floor(stored * (1.0 / 16.0))
+    return xp.concat([stored - 16.0 * high, high], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Planes:
+    """Tangent planes of the body at n points of K patches: own part, then other parts.
+
+    ``normal`` (F, K, 2, 3, n); ``offset`` [m] (F, K, 2, n), so that normal . x + offset is the distance of x;
+    ``share`` (F, K, 2, n) in [0, 1] of a plane that is really there.
+    """
+
+    normal: Array
+    offset: Array
+    share: Array
+
+
+def planes(points: Array, skin: Array, lists: PatchSkin) -> Planes:
+    """The planes near ``points`` [m] (F, K, n, 3) of posed patches; ``skin`` (F, R, 12, 8) of ``skin_table``."""
+    xp = namespace(points)
+    query = xp.matrix_transpose(queries(xp.matrix_transpose(points)))
+    return tangent_planes(points, _own(query, skin, lists), _other(points, query, skin, lists))
+
+
+def tangent_planes(points: Array, own: Array, other: Array) -> Planes:
+    """The planes at ``points`` from the means (F, K, n, 8) of the samples of the own part and of others."""
+    xp = namespace(points)
+    means = xp.stack([own, other], axis=2)  # (F, K, 2, n, 8)
+    columns = xp.matrix_transpose(points)[:, :, None]
+    found = surface(columns, xp.matrix_transpose(means))
+    return Planes(found.normal, found.distance - dot_columns(found.normal, columns)[..., 0, :], plane_share(found))
+
+
+def plane_share(found: Surface) -> Array:
+    """How much of a tangent plane of ``found`` is there, in [0, 1]."""
+    return ramp(found.beside_m2, *BESIDE_M2) * ramp(found.distance, *DEEP_M) * ramp(found.agreement, *AGREEMENT)
+
+
+def body_proximity(points: Array, near: Planes) -> tuple[Array, Array]:
+    """What ``points`` [m] (F, K, n, 3) feel of the planes: closeness (F, K, 2 n) and force (F, K, n, 3).
+
+    Closeness is tanh((gap - distance) / 1 cm) to the own part, then to others; the force the sum over both of
+    (gap - distance) / 1 cm along the normal, where positive. Each counts by the plane's share.
+    """
+    xp = namespace(points)
+    frames, count = points.shape[0], points.shape[2]
+    distance = dot_columns(near.normal, xp.matrix_transpose(points)[:, :, None])[..., 0, :] + near.offset
+    missing = (GAP_M - distance) * (1.0 / UNIT_M)  # (F, K, 2, n)
+    closeness = xp.reshape(near.share * xp.tanh(missing), (frames, -1, 2 * count))
+    pull = (near.share * xp.clip(missing, min=0.0))[:, :, :, None] * near.normal
+    return closeness, xp.matrix_transpose(xp.sum(pull, axis=2))
+
+
+def _own(query: Array, skin: Array, lists: PatchSkin) -> Array:
+    """Means (F, K, n, 8) of the skin under the patches."""
+    xp = namespace(query)
+    frames, patches = query.shape[0], query.shape[1]
+    clusters = xp.reshape(skin, (frames, -1, 8 * CLUSTER_SIZE))
+    taken = take(clusters, xp.reshape(lists.own_cluster, (-1,)), axis=1)
+    return attend(query, xp.reshape(taken, (frames, patches, lists.own_bias.shape[1], 8)), lists.own_bias)
+
+
+def _other(points: Array, query: Array, skin: Array, lists: PatchSkin) -> Array:
+    """Means (F, K, n, 8) of the other parts nearest to each patch; without a normal where there are none."""
+    xp = namespace(points)
+    frames, regions = skin.shape[0], skin.shape[1]
+    patches = lists.region_bias.shape[0]
+    region = region_centres(skin)
+    centre = xp.mean(points, axis=2)  # (F, K, 3)
+    squared = xp.sum(region * region, axis=-1)[:, None] - 2.0 * (centre @ xp.matrix_transpose(region))
+    top = largest(REGION_BIAS_M2 * lists.region_bias - squared, REGION_COUNT)  # (F, K, 2)
+    frame = regions * xp.arange(frames, dtype=top.dtype)[:, None, None]
+    patch = regions * xp.arange(patches, dtype=top.dtype)[:, None]
+    table = take(xp.reshape(skin, (-1, 8 * REGION_SIZE)), xp.reshape(top + frame, (-1,)))
+    other = take(xp.reshape(lists.other, (-1, REGION_SIZE)), xp.reshape(top + patch, (-1,)))
+    count = REGION_COUNT * REGION_SIZE
+    return attend_others(
+        query, xp.reshape(table, (frames, patches, count, 8)), xp.reshape(other, (frames, patches, count))
+    )
+
+
+def attend_others(query: Array, table: Array, other: Array) -> Array:
+    """Means (..., n, 8) of samples ``table`` (..., c, 8) that are another part by ``other`` (..., c) 15ths."""
+    xp = namespace(query)
+    share = xp.astype(other, query.dtype)
+    means = attend(query, table, xp.log(share * (1.0 / OTHER_STEPS) + OTHER_LEAST))
+    there = xp.astype(xp.max(share, axis=-1, keepdims=True) >= 1.0, query.dtype)
+    # Normals that are zero agree with nothing, which fades the surface out.
+    return xp.concat([means[..., :4], means[..., 4:] * there[..., None]], axis=-1)

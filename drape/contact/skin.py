@@ -1,0 +1,204 @@
+"""The body's skin as samples with smooth normals: what cloth is kept out of.
+
+Samples are spread evenly over the skin, closer where limbs are thin. Point and two tangents of a sample
+are sums over body vertices with fixed weights, so they follow any pose and shape of the body exactly, and
+where the body is skinned linearly they are also sums over its bones: one small product poses them all.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar, cast
+
+import numpy as np
+
+from drape.arrays import Array, namespace
+from drape.arrays.tensors import Tensors, tensor
+from drape.body.model import BodyModel
+from drape.body.skeleton import BONE_ENDS, JOINT_COUNT, JOINT_NAMES
+from drape.cloth.contact import OPENING_M
+from drape.contact.field import take
+from drape.contact.samples import (
+    POSED_REGIONS,
+    REGION_SIZE,
+    Samples,
+    at_rest,
+    place,
+    ring_operator,
+    sample_table,
+    table_of_columns,
+    unit_cross,
+)
+from drape.errors import BodyError
+from drape.geometry import closest
+
+SPACING_LIMITS_M = (0.012, 0.020)
+SPACING_PER_RADIUS = 0.55  # a limb has eleven samples around it, whatever its thickness, within the limits
+HEAD_SPACING_M = 0.025
+HEAD = JOINT_NAMES.index("head")
+
+
+class Skin(Samples):
+    """Samples of a body's skin in T-pose."""
+
+    def on_bones(self, body: BodyModel, betas: np.ndarray | None = None) -> SkinOnBones:
+        """The samples as sums over bones, for the shape ``betas``.
+
+        Refuses (``BodyError``) a body with pose blend shapes, which bones alone do not carry.
+        """
+        if body.posedirs is not None:
+            raise BodyError(
+                f"body {body.name}",
+                expected="linear blend skinning only",
+                got="pose blend shapes",
+                cure="Pose the samples from the posed body vertices.",
+            )
+        rest = body.rest_vertices(betas)
+        moments = [self.operator @ (body.weights * rest[:, axis : axis + 1]) for axis in range(3)]
+        dense = np.stack([*moments, self.operator @ body.weights], axis=-1)  # (3 S, 24, 4)
+        parts, size = self.region_count // POSED_REGIONS, POSED_REGIONS * REGION_SIZE
+        regions = dense.reshape(3, parts, size, JOINT_COUNT, 4).transpose(1, 0, 2, 3, 4)
+        weights = (self.operator @ body.weights).reshape(3, parts, size, JOINT_COUNT)
+        used = np.abs(weights).max(axis=(0, 2)) > 0.0  # (P, 24), of the weights: the same for all shapes
+        count = int(used.sum(axis=1).max())
+        bones = np.argsort(~used, axis=1, kind="stable")[:, :count]
+        kept = np.take_along_axis(regions, bones[:, None, None, :, None], axis=3)
+        rows = np.ascontiguousarray(kept.reshape(parts, 3 * size, count, 4).transpose(0, 2, 3, 1))
+        return SkinOnBones(rows.astype(np.float32), bones.astype(np.int32))
+
+
+@dataclass(frozen=True, eq=False)
+class SkinOnBones(Tensors):
+    """Samples as products with bone transforms, in P parts of 4 regions, for one shape of a linearly skinned body.
+
+    ``rows`` (P, n, 4, 144): 48 points, 48 first and 48 second tangents of a part as sums over its n ``bones`` (P, n),
+    x y z 1 each.
+    """
+
+    rows: Array = tensor("skin_rows", "parts", "part_bones", 4, 3 * POSED_REGIONS * REGION_SIZE, unit="m or 1")
+    bones: Array = tensor("skin_bones", "parts", "part_bones", dtype="int32", unit="bone index")
+
+
+class ShapedSkin:
+    """The samples of ``body`` in any shape at once: rows over bones are linear in its shape components."""
+
+    def __init__(self, body: BodyModel) -> None:
+        skin = body_skin(body)
+        plain = skin.on_bones(body)
+        changes = [skin.on_bones(body, unit).rows - plain.rows for unit in np.eye(body.shape_count)]
+        self.bones = plain.bones
+        self.rows = np.stack([plain.rows, *changes])  # (1 + shapes, P, n, 4, 144)
+
+    def of(self, betas: np.ndarray) -> np.ndarray:
+        """Rows (U, P, n, 4, 144) float32 of bodies of the shapes ``betas`` (U, >= shapes)."""
+        return self.rows[0] + np.tensordot(betas[:, : len(self.rows) - 1].astype(np.float32), self.rows[1:], axes=1)
+
+    def table(self, rotations: np.ndarray, translations: np.ndarray, betas: np.ndarray) -> np.ndarray:
+        """``skin_table`` (F, R, 12, 8) float32 of F bodies of shapes ``betas`` (F, >= shapes)."""
+        rotations, translations = rotations.astype(np.float32), translations.astype(np.float32)
+        shaped = np.asarray(betas.any(axis=1))
+        plain = skin_table(self.rows[0], self.bones, rotations[~shaped], translations[~shaped])
+        if not shaped.any():
+            return plain
+        # Rows of a shape are ten times what a frame needs: only of those that have one.
+        found = np.empty((len(shaped), *plain.shape[1:]), dtype=plain.dtype)
+        found[~shaped] = plain
+        found[shaped] = skin_table(self.of(betas[shaped]), self.bones, rotations[shaped], translations[shaped])
+        return found
+
+
+def skin_table(rows: Array, bones: Array, rotations: Array, translations: Array) -> Array:
+    """The table (F, R, 12, 8) of ``sample_table`` from ``SkinOnBones`` and transforms (F, 24, 3, 3), (F, 24, 3).
+
+    ``rows`` may have an axis of frames before its own.
+    """
+    xp = namespace(rows)
+    stacked = xp.concat([rotations, translations[..., None]], axis=-1)  # (F, 24, 3, 4)
+    parts, count = bones.shape
+    by_axis = xp.reshape(xp.permute_dims(stacked, (0, 2, 1, 3)), (-1, JOINT_COUNT, 4))
+    taken = take(by_axis, xp.reshape(bones, (-1,)), axis=1)
+    # Three rows times many columns: the shape that products of small matrices are fast in.
+    width, size = 4 * count, POSED_REGIONS * REGION_SIZE
+    of_parts = xp.permute_dims(xp.reshape(taken, (-1, 3, parts, width)), (0, 2, 1, 3))
+    posed = of_parts @ xp.reshape(rows, (-1, parts, width, 3 * size))
+    # All samples of a kind side by side: three rows of thousands, which is what all that follows runs along.
+    kinds = xp.permute_dims(xp.reshape(posed, (-1, parts, 3, 3, size)), (0, 3, 2, 1, 4))
+    point, first, second = (xp.reshape(kinds[:, k], (-1, 3, parts * size)) for k in range(3))
+    table = table_of_columns(point, unit_cross(first, second))
+    return xp.reshape(table, (-1, POSED_REGIONS * parts, REGION_SIZE, 8))
+
+
+def posed_table(body: BodyModel, poses: np.ndarray, betas: np.ndarray) -> np.ndarray:
+    """The table (F, R, 12, 8) float32 of ``sample_table`` for ``poses`` (F, 24, 3) [rad] and one shape ``betas``.
+
+    Relative to the root, and of the posed vertices: of bodies with pose blend shapes too.
+    """
+    skin = body_skin(body)
+    posed = body.posed_vertices(poses, None, betas) - body.rest_joints(betas)[0]
+    table = sample_table(*skin.posed(posed)).astype(np.float32)
+    return table.reshape(len(poses), skin.region_count, -1, table.shape[-1])
+
+
+Made = TypeVar("Made", "Skin", "ShapedSkin")
+_KEPT: OrderedDict[tuple[str, str], Skin | ShapedSkin] = OrderedDict()
+MOST_KEPT = 4
+
+
+def body_skin(body: BodyModel) -> Skin:
+    """The samples of ``body``, kept between calls."""
+    return _kept("skin", body, skin_samples)
+
+
+def shaped_skin(body: BodyModel) -> ShapedSkin:
+    """The ``ShapedSkin`` of ``body``, kept between calls."""
+    return _kept("shaped", body, ShapedSkin)
+
+
+def _kept(kind: str, body: BodyModel, make: Callable[[BodyModel], Made]) -> Made:
+    """What ``make`` gives for ``body``: by its digest, since a body read twice is the same."""
+    found = _KEPT.get((kind, body.digest))
+    if found is None:
+        found = _KEPT[kind, body.digest] = make(body)
+        if len(_KEPT) > MOST_KEPT:
+            _KEPT.popitem(last=False)
+    return cast(Made, found)
+
+
+def skin_samples(body: BodyModel, *, seed: int = 0) -> Skin:
+    """Samples of ``body`` in T-pose; the same every time for one ``seed``. Takes half a second."""
+    rest, faces = body.v_template, body.faces
+    spacing = np.clip(SPACING_PER_RADIUS * limb_radius(body), *SPACING_LIMITS_M)
+    spacing[body.weights[:, HEAD] > 0.5] = HEAD_SPACING_M
+
+    def free(point: np.ndarray, normal: np.ndarray, face: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        return _faces_open_space(body, point, normal, np.einsum("nk,nk->n", weight, body.weights[faces[face], HEAD]))
+
+    placed = place(rest, faces, spacing, keep=free, seed=seed)
+    made = at_rest(ring_operator(rest, faces, placed), rest, placed)
+    return Skin(made.operator, made.point, made.normal, made.spacing_m)
+
+
+def limb_radius(body: BodyModel) -> np.ndarray:
+    """Distance [m] (Vb,) of each vertex of the template to the axis of the bone that moves it most."""
+    joints, rest = body.joints_template, body.v_template
+    bone = body.weights.argmax(axis=1)
+    radius = np.empty(len(rest))
+    for joint, end in enumerate(BONE_ENDS):
+        members = bone == joint
+        start = joints[joint]
+        axis = joints[end] - start if end >= 0 else np.zeros(3)
+        offset = rest[members] - start
+        along = np.clip(offset @ axis / max(float(axis @ axis), 1e-12), 0.0, 1.0)
+        radius[members] = np.linalg.norm(offset - along[:, None] * axis, axis=1)
+    return radius
+
+
+def _faces_open_space(body: BodyModel, point: np.ndarray, normal: np.ndarray, head: np.ndarray) -> np.ndarray:
+    """False for samples inside the mouth and the eye sockets of the head."""
+    free = np.ones(len(point), dtype=bool)
+    members = np.flatnonzero(head > 0.5)
+    probe = point[members] + OPENING_M * normal[members]
+    free[members] = closest.signed_distance(probe, body.v_template, body.faces) > 0.5 * OPENING_M
+    return free

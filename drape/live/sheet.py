@@ -1,0 +1,155 @@
+"""A cloth as the kernels of folds read it: vertices of one colour side by side, ``LANES`` at a time.
+
+No two vertices of a colour share an element, so those of a block are stepped together, and every table has its numbers
+of a block's vertices next to each other: that is what vector units take. A block that a colour does not fill has empty
+places behind its vertices, which nothing pulls. Everything below is in the order of places, block after block.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from drape.cloth.energies import ClothMesh
+from drape.cloth.material import Material
+from drape.kernels.lanes import LANES
+from drape.kernels.problem import Constants, Hinges, Problem, Triangles, problem
+
+ALIKE = 0.99  # of the longest edge's length
+
+
+class Sheet(NamedTuple):
+    """B blocks of ``LANES`` places, P = B ``LANES``; tables are flat, a block's row after row, each of ``LANES``.
+
+    ``vertex`` (P,): the garment's vertex at each place, 0 at empty ones; ``place`` (V,) the way back.
+
+    Triangles: ``fan_start`` (B + 1,) counts, ``fan_other`` two rows of places each: the two other corners,
+    ``fan_slope`` five rows each: their slopes along warp and weft, and the area. Bending of hinges flat at rest:
+    ``bend_start`` (B + 1,), ``bend_other`` one row each: a place, ``bend_value`` what it weighs in the matrix [N/m].
+    ``own`` four rows per block: weight [N], bending's diagonal, contact's and the waistband's stiffness [N/m].
+
+    Hinges that are not flat at rest: ``creases`` by places, and of each block the entries ``crease_start`` (B + 1,) of
+    ``crease_lane`` and ``crease_member``, the latter 4 hinge + corner.
+    """
+
+    constants: Constants
+    vertex: np.ndarray
+    place: np.ndarray
+    fan_start: np.ndarray
+    fan_other: np.ndarray
+    fan_slope: np.ndarray
+    bend_start: np.ndarray
+    bend_other: np.ndarray
+    bend_value: np.ndarray
+    own: np.ndarray
+    creases: Hinges
+    crease_start: np.ndarray
+    crease_lane: np.ndarray
+    crease_member: np.ndarray
+
+
+def sheet(
+    cloth: ClothMesh, material: Material, band_n_per_m: np.ndarray, *, dtype: type[np.floating] = np.float32
+) -> Sheet:
+    """The tables of ``cloth`` made of ``material``, its waistband as stiff as ``band_n_per_m`` [N/m] (V,)."""
+    made = problem(cloth, material, dtype=dtype)
+    blocks = _blocks(made)
+    real = blocks >= 0
+    vertex = np.where(real, blocks, 0).astype(np.int32)
+    place = np.empty(cloth.vertex_count, np.int32)
+    place[blocks[real]] = np.flatnonzero(real.reshape(-1))
+    fan_start, fan_row, fan_real = _rows(made.triangles.start, blocks)
+    fan_row = longest_first(made.triangles)[fan_row]
+    other = np.where(
+        fan_real[:, None], place[made.triangles.other[fan_row]].transpose(0, 2, 1), _own_places(fan_start)[:, None]
+    )
+    slope = np.where(fan_real[:, None], made.triangles.slope[fan_row].transpose(0, 2, 1), 0.0)
+    bend = made.quadratic
+    bend_start, bend_row, bend_real = _rows(bend.start, blocks)
+    bend_other = np.where(bend_real, place[_taken(bend.vertex, bend_row)], _own_places(bend_start))
+    bend_value = np.where(bend_real, _taken(bend.value, bend_row), 0.0)
+    own = np.stack([made.weight_n, bend.diagonal, made.contact_n_per_m, band_n_per_m])
+    own = np.where(real[:, None], own[:, vertex].transpose(1, 0, 2), 0.0)
+    creases = made.creases
+    crease_start, crease_lane, crease_member = _entries(creases.start, creases.member, blocks)
+    return Sheet(
+        constants=made.constants,
+        vertex=vertex.reshape(-1),
+        place=place,
+        fan_start=fan_start,
+        fan_other=np.ascontiguousarray(other, np.int32).reshape(-1),
+        fan_slope=np.ascontiguousarray(slope, dtype).reshape(-1),
+        bend_start=bend_start,
+        bend_other=np.ascontiguousarray(bend_other, np.int32).reshape(-1),
+        bend_value=np.ascontiguousarray(bend_value, dtype).reshape(-1),
+        own=np.ascontiguousarray(own, dtype).reshape(-1),
+        creases=creases._replace(corner=place[creases.corner]),
+        crease_start=crease_start,
+        crease_lane=crease_lane,
+        crease_member=crease_member,
+    )
+
+
+def longest_first(triangles: Triangles) -> np.ndarray:
+    """Rows (3F,) of the fans of ``triangles``, each vertex's with the one whose first edge is longest at rest in front.
+
+    It is that edge which says how a vertex's frame is turned, and a short one turns with every ripple. Of edges
+    that are ``ALIKE`` it is the first, whatever the rounding.
+    """
+    p1, t1, p2, t2, _ = np.asarray(triangles.slope, np.float64).T
+    length = np.hypot(p2, t2) / np.abs(p1 * t2 - p2 * t1)
+    vertex = np.repeat(np.arange(len(triangles.start) - 1), np.diff(triangles.start))
+    order = np.arange(len(vertex))
+    most = np.zeros(len(triangles.start) - 1)
+    np.maximum.at(most, vertex, length)
+    short = length < ALIKE * most[vertex]
+    longest = np.lexsort((short, vertex))[triangles.start[:-1][np.diff(triangles.start) > 0]]
+    first = triangles.start[vertex[longest]]
+    order[first], order[longest] = longest, first
+    return order
+
+
+def _blocks(made: Problem) -> np.ndarray:
+    """Vertices (B, ``LANES``) of each block, -1 at empty places; those of a colour by the number of their triangles."""
+    valence = np.diff(made.triangles.start)
+    blocks = []
+    for start, end in zip(made.colour_start[:-1], made.colour_start[1:], strict=True):
+        members = made.order[start:end]
+        members = members[np.argsort(valence[members], kind="stable")]
+        blocks.append(np.concatenate([members, np.full(-len(members) % LANES, -1)]).reshape(-1, LANES))
+    return np.concatenate(blocks)
+
+
+def _rows(start: np.ndarray, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows of a table whose entries of vertex v begin at ``start[v]``, as blocks have them.
+
+    Where each block's rows begin (B + 1,), the entry (n, ``LANES``) in each, and whether there is one.
+    """
+    count = np.where(blocks >= 0, np.diff(start)[blocks], 0)
+    rows = count.max(axis=1)
+    first = np.concatenate([[0], np.cumsum(rows)])
+    block = np.repeat(np.arange(len(blocks)), rows)
+    number = np.arange(first[-1]) - first[block]
+    real = number[:, None] < count[block]
+    return first.astype(np.int32), np.where(real, start[blocks[block]] + number[:, None], 0), real
+
+
+def _own_places(start: np.ndarray) -> np.ndarray:
+    """The place (n, ``LANES``) that each row of a table belongs to."""
+    block = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    return LANES * block[:, None] + np.arange(LANES)
+
+
+def _taken(values: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """``values[index]``, zeros where there are no values."""
+    return values[index] if len(values) else np.zeros(index.shape, values.dtype)
+
+
+def _entries(start: np.ndarray, member: np.ndarray, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where each block's entries of ``member`` begin (B + 1,), their lanes and themselves."""
+    first, row, real = _rows(start, blocks)
+    _, lane = np.nonzero(real)
+    held = np.add.reduceat(np.append(real.sum(axis=1), 0), first)[:-1] * (np.diff(first) > 0)
+    begins = np.concatenate([[0], np.cumsum(held)])
+    return begins.astype(np.int32), lane.astype(np.int32), _taken(member, row)[real].astype(np.int32)

@@ -1,0 +1,92 @@
+"""Frames of the network's surface, compiled: what a vertex is away from it is carried along in them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drape.kernels.compiled import kernel, part
+from drape.kernels.elements import add, cross, dot, scaled, sub
+from drape.kernels.lanes import points_at, points_in, put3, put_points, root, rows3_at, where_above, where_other
+from drape.live.sheet import LANES
+
+FRAMES = 9 * LANES  # per block: normal, edge and their product
+
+
+@kernel
+def surface_frames(surface, sheet, frames):
+    """Frames of ``surface`` [m] (P, 3), flat, nine rows a block: the normal, an edge laid into the plane, and their
+    product.
+
+    The edge is that of the vertex's first triangle, its longest one at rest. A vertex without an area or an edge gets
+    a frame of zeros.
+    """
+    k = sheet.constants
+    for block in range(len(sheet.fan_start) - 1):
+        own = points_in(surface, LANES * block)
+        normal = scaled(k.zero, own)
+        edge = normal
+        begin = sheet.fan_start[block]
+        for row in range(begin, sheet.fan_start[block + 1]):
+            first = sub(points_at(surface, sheet.fan_other, 2 * LANES * row), own)
+            second = sub(points_at(surface, sheet.fan_other, 2 * LANES * row + LANES), own)
+            normal = add(normal, cross(first, second))
+            if row == begin:
+                edge = first
+        normal = _unit(normal, k)
+        edge = _unit(sub(edge, scaled(dot(edge, normal), normal)), k)
+        put3(frames, FRAMES * block, normal)
+        put3(frames, FRAMES * block + 3 * LANES, edge)
+        put3(frames, FRAMES * block + 6 * LANES, cross(normal, edge))
+
+
+@part
+def _unit(a, k):
+    square = dot(a, a)
+    return scaled(where_above(square, k.zero, k.one / root(where_above(square, k.zero, square, k.one)), k.zero), a)
+
+
+@part
+def in_frames(frames, block, a):
+    """The world vectors ``a``, three rows, in the frames of a block."""
+    n, e, b = (
+        rows3_at(frames, FRAMES * block),
+        rows3_at(frames, FRAMES * block + 3 * LANES),
+        rows3_at(frames, FRAMES * block + 6 * LANES),
+    )
+    return dot(n, a), dot(e, a), dot(b, a)
+
+
+@part
+def in_world(frames, block, a):
+    """What is ``a``, three rows, in the frames of a block, in world axes."""
+    n, e, b = (
+        rows3_at(frames, FRAMES * block),
+        rows3_at(frames, FRAMES * block + 3 * LANES),
+        rows3_at(frames, FRAMES * block + 6 * LANES),
+    )
+    return add(add(scaled(a[0], n), scaled(a[1], e)), scaled(a[2], b))
+
+
+@kernel
+def mend(off, sheet, most):
+    """Gives vectors ``off`` (P, 3) that differ by more than ``most`` from the mean of their neighbours' that mean.
+
+    Where a surface folds over its frames turn about from one frame to the next, and what they carry with them.
+    """
+    k, before, places = sheet.constants, off.copy(), np.arange(len(off)).astype(np.int32)
+    for block in range(len(sheet.fan_start) - 1):
+        own = points_in(before, LANES * block)
+        mean = scaled(k.zero, own)
+        count = mean[0]
+        for row in range(2 * sheet.fan_start[block], 2 * sheet.fan_start[block + 1]):
+            # An empty row has the place itself.
+            real = where_other(sheet.fan_other, LANES * row, places, LANES * block, k.zero * own[0] + k.one)
+            mean = add(mean, scaled(real, points_at(before, sheet.fan_other, LANES * row)))
+            count = count + real
+        mean = scaled(k.one / where_above(count, k.zero, count, k.one), mean)
+        way = sub(own, mean)
+        square = where_above(count, k.zero, dot(way, way), k.zero)
+        far = most * most
+        a, b, c = mean
+        a, b = where_above(square, far, a, own[0]), where_above(square, far, b, own[1])
+        put_points(off, LANES * block, (a, b, where_above(square, far, c, own[2])))

@@ -1,0 +1,44 @@
+"""What swing needs of a garment in a fabric, and of a body: made once, and the same for every stream."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.cloth.energies import ClothMesh
+from drape.cloth.fabric import Fabric
+from drape.cloth.fabric_table import fabric as fabric_named
+from drape.cloth.material import Material
+from drape.contact.skin import body_skin
+from drape.garment.cache import Garment
+from drape.live.fold_constants import delivered_rest
+from drape.live.skin_contact import nearest_at_rest, skin_graph
+from drape.live.swing_mesh import swing_mesh
+from drape.live.swing_nodes import STIFFEST_N_PER_M
+from drape.live.swing_slack import held_share
+from drape.live.swing_step import SWING_HZ, Constants
+
+HELD_M = 0.008  # over the skin at rest: cloth that lies lower never swings
+
+
+def constants(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> Constants | None:
+    """The constants of the delivered mesh of ``garment`` on ``body``, made of ``fabric``, if any, else its own; None
+    where none of it hangs freely. A second at most."""
+    made_of = fabric_named(garment.fabric) if fabric is None else fabric
+    material, count, skin = Material.of(made_of), garment.vertex_count, body_skin(body)
+    rest = garment.vertices[:count].astype(np.float64)
+    cloth = ClothMesh.of(delivered_rest(garment), garment.faces.astype(np.int64), count)
+    nearest = nearest_at_rest(rest, skin)
+    held = ((rest - skin.point[nearest]) * skin.normal[nearest]).sum(axis=1) < HELD_M
+    mesh = swing_mesh(cloth, material, rest, held)
+    if mesh is None:
+        return None
+    graph, dtype = skin_graph(skin), mesh.mass_kg.dtype
+    return Constants(
+        mesh,
+        graph._replace(reach_m2=graph.reach_m2.astype(dtype), rest=graph.rest.astype(dtype)),
+        nearest[mesh.vertex],
+        min(0.5 * (made_of.warp_n_per_m + made_of.weft_n_per_m), STIFFEST_N_PER_M),
+        made_of.damping_s * (2.0 * np.pi * SWING_HZ) ** 2,
+        held_share(cloth, rest, skin.point)[mesh.vertex].astype(dtype),
+    )

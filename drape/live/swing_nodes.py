@@ -1,0 +1,198 @@
+"""The equations of a swing mesh, compiled.
+
+*Falling back.* A piece of cloth that hangs is a string in every column: with T the weight below, s the way down, and u
+how far nodes are from where still cloth would be,
+
+    m (u - u') / h^2 + K u = 0,   u K u = sum of A T |ds u|^2,   u' where inertia leads.
+
+*Length.* Cloth does not give, but folds at no cost (tension field theory): with G Green's strain of a coarse triangle
+and G0 that of the still cloth, the energy per area is Y / 2 |(G - G0+)+|^2, ( )+ the part with positive principal
+values. Y is the cloth's stiffness, as far as a few sweeps can follow it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from drape.kernels.compiled import kernel
+from drape.kernels.elements import add, at, dot, mix, outer, scaled, solved, sub
+
+STIFFEST_N_PER_M = 300.0
+CONTACT_J_M4 = 3.0e4  # a tenth of the folds': half a spacing of skin is behind a node
+GAP_M = 0.004
+TOUCH_M = 0.06  # from the sample that was walked to: a farther one says nothing of the skin there
+REACH_M = 0.01  # the most that a sweep moves a node
+SOLVED, LEAST = 1e-20, 1e-30  # of the squared residual at first, and of all [N m]
+LOOSE = 0.05  # of the stiffness of a triangle that pulls, which one that does not resists a step with
+
+
+@kernel
+def fall_back(u, mesh, inertia, hold, rhs, rounds):
+    """``u`` [m] (N, 3) to the solution of (inertia + hold + K) u = ``rhs`` [N] over the nodes that move, in place, by
+    ``rounds`` of conjugate gradients; ``inertia``, ``hold`` (N,) [N/m]."""
+    zero = u.dtype.type(0)
+    r, q, p = np.zeros_like(u), np.zeros_like(u), np.zeros_like(u)
+    diagonal = np.zeros(len(u), u.dtype)
+    for n in range(len(mesh.order)):
+        i = mesh.order[n]
+        diagonal[i] = inertia[i] + hold[i]
+        for e in range(mesh.pull_start[i], mesh.pull_start[i + 1]):
+            if mesh.pull_node[e] == i:
+                diagonal[i] += mesh.pull[e]
+    _pulled(u, mesh, inertia, hold, q)
+    old = zero
+    for n in range(len(mesh.order)):
+        i = mesh.order[n]
+        for axis in range(3):
+            r[i, axis] = rhs[i, axis] - q[i, axis]
+            p[i, axis] = r[i, axis] / diagonal[i]
+            old += r[i, axis] * p[i, axis]
+    if old != old:
+        u[:] = old  # no number, which the caller looks for
+    # Beyond what floats can tell, squares of what is left would go under.
+    end = max(u.dtype.type(SOLVED) * old, u.dtype.type(LEAST))
+    for _ in range(rounds):
+        if not old > end:
+            return
+        _pulled(p, mesh, inertia, hold, q)
+        down = zero
+        for n in range(len(mesh.order)):
+            i = mesh.order[n]
+            down += p[i, 0] * q[i, 0] + p[i, 1] * q[i, 1] + p[i, 2] * q[i, 2]
+        a, new = old / down, zero
+        for n in range(len(mesh.order)):
+            i = mesh.order[n]
+            for axis in range(3):
+                u[i, axis] += a * p[i, axis]
+                r[i, axis] -= a * q[i, axis]
+                new += r[i, axis] * r[i, axis] / diagonal[i]
+        b, old = new / old, new
+        for n in range(len(mesh.order)):
+            i = mesh.order[n]
+            for axis in range(3):
+                p[i, axis] = r[i, axis] / diagonal[i] + b * p[i, axis]
+
+
+@kernel
+def _pulled(u, mesh, inertia, hold, out):
+    for n in range(len(mesh.order)):
+        i = mesh.order[n]
+        s = inertia[i] + hold[i]
+        total = scaled(s, at(u, i))
+        for e in range(mesh.pull_start[i], mesh.pull_start[i + 1]):
+            total = add(total, scaled(mesh.pull[e], at(u, mesh.pull_node[e])))
+        out[i, 0], out[i, 1], out[i, 2] = total[0], total[1], total[2]
+
+
+@kernel
+def stretched(c, mesh, bound):
+    """Into ``bound`` (n, 3) by how much [strain pp, tt, pt] each coarse triangle at ``c`` [m] (N, 3) is pulled long."""
+    zero, one, half = c.dtype.type(0), c.dtype.type(1), c.dtype.type(0.5)
+    for i in range(len(mesh.start) - 1):
+        own = at(c, i)
+        for e in range(mesh.start[i], mesh.start[i + 1]):
+            first, second = sub(at(c, mesh.other[e, 0]), own), sub(at(c, mesh.other[e, 1]), own)
+            p = mix(mesh.slope[e, 0], first, mesh.slope[e, 1], second)
+            t = mix(mesh.slope[e, 2], first, mesh.slope[e, 3], second)
+            pulled = _above(half * (dot(p, p) - one), half * (dot(t, t) - one), half * dot(p, t), zero, half)
+            bound[e, 0], bound[e, 1], bound[e, 2] = pulled[0], pulled[1], pulled[2]
+
+
+@kernel
+def _above(pp, tt, pt, zero, half):
+    """The part of a symmetric matrix with its positive principal values, (pp, tt, pt), and how many of them are."""
+    mean, radius = half * (pp + tt), np.sqrt(half * half * (pp - tt) * (pp - tt) + pt * pt)
+    if mean >= radius:
+        return pp, tt, pt, 2
+    if mean <= -radius:
+        return zero, zero, zero, 0
+    upp = half + half * half * (pp - tt) / radius
+    high = mean + radius
+    return high * upp, high * (half + half - upp), high * half * pt / radius, 1
+
+
+@kernel
+def length(c, i, mesh, young, bound):
+    """Gradient [N] and Hessian [N/m] (00, 01, 02, 11, 12, 22) of the length's energy by node ``i`` of ``c`` [m]."""
+    zero, one, half = c.dtype.type(0), c.dtype.type(1), c.dtype.type(0.5)
+    two, loose = one + one, c.dtype.type(LOOSE)
+    own = at(c, i)
+    g, h = (zero, zero, zero), (zero, zero, zero, zero, zero, zero)
+    for e in range(mesh.start[i], mesh.start[i + 1]):
+        first, second = sub(at(c, mesh.other[e, 0]), own), sub(at(c, mesh.other[e, 1]), own)
+        p = mix(mesh.slope[e, 0], first, mesh.slope[e, 1], second)
+        t = mix(mesh.slope[e, 2], first, mesh.slope[e, 3], second)
+        mp, mt = -mesh.slope[e, 0] - mesh.slope[e, 1], -mesh.slope[e, 2] - mesh.slope[e, 3]
+        stiff = mesh.slope[e, 4] * young
+        gpp, gtt = half * (dot(p, p) - one) - bound[e, 0], half * (dot(t, t) - one) - bound[e, 1]
+        high = _above(gpp, gtt, half * dot(p, t) - bound[e, 2], zero, half)
+        full = one if high[3] == 2 else loose
+        if high[3] == 1 and high[0] + high[1] > zero:
+            trace = high[0] + high[1]
+            upp, utt, upt = high[0] / trace, high[1] / trace, high[2] / trace
+            by_p, by_t = mp * upp + mt * upt, mp * upt + mt * utt  # (m . u) u, u the principal axis
+            h = outer(h, stiff * (one - full), mix(by_p, p, by_t, t))
+        cp, ct = stiff * (mp * high[0] + mt * high[2]), stiff * (mp * high[2] + mt * high[1])
+        g = add(g, mix(cp, p, ct, t))
+        share = full * stiff
+        h = outer(h, share * (mp * mp + half * mt * mt), p)
+        h = outer(h, share * (mt * mt + half * mp * mp), t)
+        across = half * share * mp * mt
+        h = (
+            h[0] + two * across * p[0] * t[0],
+            h[1] + across * (p[0] * t[1] + p[1] * t[0]),
+            h[2] + across * (p[0] * t[2] + p[2] * t[0]),
+            h[3] + two * across * p[1] * t[1],
+            h[4] + across * (p[1] * t[2] + p[2] * t[1]),
+            h[5] + two * across * p[2] * t[2],
+        )
+        pull = max(cp * mp + ct * mt, zero)
+        h = (h[0] + pull, h[1], h[2], h[3] + pull, h[4], h[5] + pull)
+    return g, h
+
+
+class Springs(NamedTuple):
+    """``target`` [m] (N, 3) pulls at each node with ``n_per_m`` (N,)."""
+
+    target: np.ndarray
+    n_per_m: np.ndarray
+
+
+class Ground(NamedTuple):
+    """``skin`` (S, 8); the samples (N,) below each node of ``still`` cloth and the one ``touched`` now; ``deep`` [m]
+    (N,): how far below the gap still cloth is there."""
+
+    skin: np.ndarray
+    still: np.ndarray
+    touched: np.ndarray
+    deep: np.ndarray
+
+
+@kernel
+def keep_length(c, mesh, young, bound, springs, ground, turns):
+    """``turns`` sweeps there and back over the nodes ``c`` [m] (N, 3), in place, each to its own quadratic minimum."""
+    skin = ground.skin
+    zero, gap, near = c.dtype.type(0), c.dtype.type(GAP_M), c.dtype.type(TOUCH_M)
+    reach = c.dtype.type(REACH_M)
+    count = len(mesh.order)
+    for turn in range(2 * turns):
+        for n in range(count):
+            i = mesh.order[n] if turn % 2 == 0 else mesh.order[count - 1 - n]
+            x = at(c, i)
+            g, h = length(c, i, mesh, young, bound)
+            s = springs.n_per_m[i]
+            g = add(g, scaled(s, sub(x, at(springs.target, i))))
+            h = (h[0] + s, h[1], h[2], h[3] + s, h[4], h[5] + s)
+            j = ground.touched[i]
+            normal, off = (skin[j, 4], skin[j, 5], skin[j, 6]), sub(x, at(skin, j))
+            depth = gap - ground.deep[i] - dot(off, normal)
+            if depth > zero and (j == ground.still[i] or dot(off, off) < near * near):
+                stiff = c.dtype.type(2.0 * CONTACT_J_M4) * mesh.area_m2[i]
+                g, h = add(g, scaled(-stiff * depth, normal)), outer(h, stiff, normal)
+            step = solved(h, g)
+            share = reach / np.sqrt(max(dot(step, step), reach * reach))
+            c[i, 0] -= share * step[0]
+            c[i, 1] -= share * step[1]
+            c[i, 2] -= share * step[2]

@@ -1,1 +1,0 @@
-"""The local solver: energies of ``drape.cloth`` lowered vertex by vertex, with numba; no torch."""

@@ -1,1 +1,0 @@
-"""The swing of cloth by its own inertia, on a coarse mesh."""

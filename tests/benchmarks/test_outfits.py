@@ -1,0 +1,139 @@
+"""The outfits benchmark: its quick run on the small network, its measures, what it refuses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from benchmarks import outfits
+from benchmarks.measure.skin_pixels import PosedBody
+from benchmarks.outfits import COLUMNS, METHODS, Drapes, Watched, Worn, at_rest, inner_out_pct, missed, picture
+from drape.body.assets import load_body
+from drape.errors import InputError
+from drape.garment.cache import save_garment
+from drape.geometry import meshes
+from tests.drape.geometry.geometry_shapes import icosphere
+from tests.fixtures.packed import exported, garment
+
+BALL, FACES = icosphere(3, radius_m=0.15)
+
+
+def plane(height: float, size: float) -> tuple[np.ndarray, np.ndarray]:
+    """A square of triangles in the plane y = ``height``, facing up."""
+    side = np.linspace(-size, size, 9)
+    x, z = np.meshgrid(side, side, indexing="ij")
+    vertices = np.stack([x.reshape(-1), np.full(81, height), z.reshape(-1)], axis=1)
+    corner = (9 * np.arange(8)[:, None] + np.arange(8)).reshape(-1)
+    faces = np.concatenate([
+        np.stack([corner, corner + 1, corner + 10], axis=1), np.stack([corner, corner + 10, corner + 9], axis=1)
+    ])  # fmt: skip
+    assert meshes.face_normals(vertices, faces)[:, 1].min() > 0.99
+    return vertices, faces
+
+
+def test_what_is_out_is_counted_within_reach_and_not_beside():
+    outer, faces = plane(0.0, 1.0)
+    inner = np.array([[0.1, 0.01, 0.1], [0.1, -0.01, 0.1], [0.1, 0.5, 0.1], [1.5, 0.01, 0.0]])
+    assert_allclose(inner_out_pct(inner[None], outer[None], faces), [25.0])
+
+
+def balls() -> Any:
+    """Two garments that are balls, all of the inner one covered."""
+    ball = SimpleNamespace(vertices=BALL, vertex_count=len(BALL), faces=FACES)
+    return SimpleNamespace(name="balls", inner=ball, outer=ball, covered=np.ones(len(FACES), bool))
+
+
+def scaled(*factors: tuple[float, float]) -> Drapes:
+    """Balls, the inner and the outer so many times as large, around one that is 0.9 times as large."""
+    body = PosedBody.of(0.9 * BALL, FACES)
+    labels = tuple(f"ball:{frame}" for frame in range(len(factors)))
+    clip = SimpleNamespace(measured=np.arange(len(factors)))
+    watched: Any = SimpleNamespace(clip=clip, bodies=(body,) * len(factors), labels=labels)
+    vertices = np.stack([np.concatenate([inner * BALL, outer * BALL]) for inner, outer in factors])
+    return Drapes.of(balls(), watched, vertices)
+
+
+def test_what_shows_is_of_pixels_and_the_worst_frame_is_named():
+    drapes = scaled((1.0, 1.03), (1.0, 0.98), (0.85, 0.87))
+    assert_array_equal(drapes.through[[0, 2]], 0.0)  # in the last frame the body hides both
+    figures = drapes.figures(balls())
+    assert 80.0 < figures["through_worst_pct"] < 100.0 and figures["worst"] == "ball:1"
+    assert_allclose(figures["through_pct"], figures["through_worst_pct"] / 3.0)
+    assert_allclose([figures["inner_out_worst_pct"], figures["inner_out_pct"]], [100.0, 100.0 / 3.0])
+    assert_allclose(figures["edge_pct"], (3.0 + 2.0 + 13.0) / 3.0)
+    assert figures["self_intersections"] == 0.0
+
+
+def test_the_picture_is_of_the_frame_that_shows_most():
+    hidden, shows = scaled((1.0, 1.03), (1.0, 1.03)), scaled((1.0, 1.03), (1.0, 0.98))
+    found = [{"over": hidden, "alone": hidden}, {"over": hidden, "alone": shows}]
+    alone, over = picture(balls(), found)
+    reddish = [(image[..., 0] > image[..., 2] + 0.1).mean() for image in (alone, over)]
+    assert reddish[0] > 0.2 and reddish[1] == 0.0, "nothing shows over each other: where most shows alone"
+    swapped = picture(balls(), [{"over": shows, "alone": hidden}])
+    assert (swapped[1][..., 0] > swapped[1][..., 2] + 0.1).any()
+
+
+def test_targets_are_for_what_is_served():
+    row = {"outfit": "a+b", "clip": "walk", "method": "over", "through_pct": 0.05, "through_worst_pct": 0.5}
+    assert missed([row, row | {"method": "alone", "through_pct": 9.0}]) == []
+    for name in ("through_pct", "through_worst_pct"):
+        assert missed([row | {name: 0.6}]) == ["a+b in walk"]
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("outfits") / "outfit.png"
+
+
+@pytest.fixture(scope="module")
+def record(drawn: Path) -> dict[str, Any]:
+    chosen = ["--model", str(exported()[1]), "--outfits", "tank+longsleeve", "--picture", str(drawn)]
+    with pytest.MonkeyPatch.context() as patched:
+        drawn.parent.joinpath("shipped").mkdir()
+        patched.setenv("DRAPE_SHIPPED_GARMENTS_DIR", str(drawn.parent / "shipped"))  # all of them take 10 s to load
+        return outfits.main(["--quick", "--threads", "1", *chosen])
+
+
+@pytest.mark.slow
+def test_the_quick_run_measures_every_method_in_a_stream_and_in_poses(record: dict[str, Any], drawn: Path):
+    assert drawn.read_bytes()[1:4] == b"PNG"
+    rows = record["rows"]
+    assert [(row["clip"], row["method"]) for row in rows] == [(c, m) for c in ("walk", "poses") for m in METHODS]
+    for row in rows:
+        streamed = row["clip"] == "walk"
+        kept = COLUMNS.keys() - ({"times_singles"} if row["method"] != "over" else set())
+        assert row.keys() == kept - (set() if streamed else {"jitter_ratio"})
+        assert 0.0 <= row["through_pct"] <= row["through_worst_pct"] <= 100.0
+        assert row["worst"] in record["frames"][row["clip"]] and row["processor_ms"] > 0.0
+    alone, over, projected = rows[:3]
+    assert over["inner_out_pct"] < alone["inner_out_pct"] and projected["inner_out_pct"] < alone["inner_out_pct"]
+    assert record["frames"]["walk"] == ["walk:0", "walk:7"] and len(record["frames"]["poses"]) == 1
+    assert 0.0 < record["covered_pct"]["tank+longsleeve"] < 100.0
+
+
+def test_an_outfit_is_two_garments_that_overlap(tmp_path: Path):
+    body = load_body()
+    for text in ("tank", "tank+shorts+tshirt"):
+        with pytest.raises(InputError, match="inner\\+outer"):
+            Worn.of(text, body)
+    worn = Worn.of("trousers+tshirt", body)
+    assert (worn.inner.name, worn.outer.name) == ("trousers", "tshirt")
+    height = at_rest(worn.inner)[0][worn.inner.faces].mean(axis=1)[:, 1]
+    assert height[worn.covered].min() > height[~worn.covered].mean(), "the waist, not the legs"
+    tank = garment("tank")
+    floating = replace(tank, vertices=tank.vertices + np.array([0.0, 1.0, 0.0], np.float32))
+    with pytest.raises(InputError, match="an outer garment over the inner"):
+        Worn.of(f"trousers+{save_garment(floating, tmp_path)}", body)
+
+
+def test_poses_have_no_past_and_are_all_measured():
+    poses = Watched.poses(2, load_body())
+    assert not poses.streamed and len(poses.labels) == len(poses.bodies) == 2
+    assert_array_equal(poses.clip.measured, [0, 1])

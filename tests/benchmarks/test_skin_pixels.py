@@ -1,0 +1,179 @@
+"""Skin in pictures of balls whose answer is known, and the command in its quick form."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from benchmarks.measure.skin_pixels import BEHIND_M, HEM_M, Camera, PosedBody, covered_faces, skin_pixels_pct
+from benchmarks.measure.tables import skin_table
+from benchmarks.skin_pixels import COLUMNS, Bench, drapes, main, measure
+from drape.contact.skin import posed_table
+from drape.garment.cache import Garment
+from drape.geometry.raster import Surface, render
+from drape.motion.hard_poses import HardPoses
+from drape.wire.options import DrapeOptions, Resolution
+from service.compute.drape_runtime import Drapery
+from service.settings import Settings
+from service.stages import run
+from service.stages.batch import PoseInput
+from tests.benchmarks.quality_setup import bending, network
+from tests.benchmarks.quality_setup import body as body_model
+from tests.drape.geometry.geometry_shapes import icosphere
+from tests.fixtures.serving import make_settings, tiny_folder
+from tests.fixtures.tiny_model import tube_garment
+
+__all__ = ["make_settings", "tiny_folder"]  # fixtures
+RADIUS_M = 0.15
+BALL, FACES = icosphere(3, radius_m=RADIUS_M)
+ALL = np.ones(len(FACES), bool)
+TIGHT_M = 0.13  # a tube that presses on the skin and on itself: lift, room, rounds and a projection all show
+SAME_M = 5e-4  # origins differ and so does rounding, 0.03 mm; without any of these it is 2 mm and more
+
+
+@pytest.fixture(scope="module")
+def ball() -> PosedBody:
+    return PosedBody.of(BALL, FACES)
+
+
+def test_the_camera_sees_all_of_a_body_and_how_near_it_is():
+    camera = Camera.around(BALL)
+    for azimuth_deg in (0.0, 45.0, 130.0):
+        seen = camera.see(BALL, FACES, azimuth_deg)
+        area_m2 = np.count_nonzero(seen.face >= 0) * (0.003**2)
+        assert_allclose(area_m2, np.pi * RADIUS_M**2, rtol=0.02, atol=0)
+        assert_allclose(seen.depth.max(), RADIUS_M, rtol=0.02, atol=0)
+        assert_array_equal(np.isfinite(seen.depth), seen.face >= 0)
+
+
+def test_cloth_outside_hides_the_skin_and_cloth_inside_shows_it(ball: PosedBody):
+    assert_array_equal(skin_pixels_pct(ball, ALL, 1.05 * BALL, FACES), np.zeros(4))
+    near = skin_pixels_pct(ball, ALL, 0.95 * BALL, FACES)
+    assert ((near > 70.0) & (near < 91.0)).all()  # a disc of 0.95 of the radius, less a rim that it stands back from
+    far = skin_pixels_pct(ball, ALL, 0.5 * BALL, FACES)
+    assert_array_equal(far, np.zeros(4))  # it lies too deep for skin that came through
+    assert not (1.0 - 0.5) * RADIUS_M < BEHIND_M
+    assert np.isnan(skin_pixels_pct(ball, ~ALL, 0.5 * BALL, FACES)).all()
+
+
+def test_a_dent_shows_from_its_side_by_its_share(ball: PosedBody):
+    dented = 1.03 * BALL
+    front = BALL[:, 2] > 0.9 * RADIUS_M
+    dented[front] = 0.99 * BALL[front]
+    share = skin_pixels_pct(ball, ALL, dented, FACES)
+    # A cap of this height has 0.19 of the disc's area; chords at its rim cover some of it.
+    assert 8.0 < share[0] < 22.0 and share[2] == 0.0
+
+
+def test_faces_are_covered_off_the_hems(ball: PosedBody):
+    centre = BALL[FACES].mean(axis=1)
+    cap = FACES[centre[:, 1] < 0.05]
+    covered = covered_faces(BALL, FACES, 1.04 * BALL, cap)
+    assert covered[(centre[:, 1] < 0.05 - HEM_M - 0.02) & (centre[:, 1] > -0.1)].all()
+    assert not covered[centre[:, 1] > 0.05 - HEM_M + 0.02].any()
+    assert covered_faces(BALL, FACES, 1.04 * BALL, FACES).mean() > 0.95, "no hem, nothing bare"
+
+
+def test_an_inner_garment_is_looked_at_in_the_bodys_place(ball: PosedBody):
+    over = 1.05 * BALL
+    worn = ball.wearing(over, FACES)
+    near = skin_pixels_pct(worn, ALL, 1.02 * BALL, FACES)
+    assert ((near > 70.0) & (near < 100.0)).all(), "the outer garment lies inside the inner one"
+    assert_array_equal(skin_pixels_pct(worn, ALL, 1.08 * BALL, FACES), np.zeros(4))
+
+
+def test_of_an_inner_garment_inside_the_body_nothing_shows(ball: PosedBody):
+    sunk = ball.wearing(0.98 * BALL, FACES)
+    for seen, skin in zip(sunk.views, ball.views, strict=True):
+        assert (seen.face == -1).all()
+        assert_array_equal(seen.depth, skin.depth)
+    assert np.isnan(skin_pixels_pct(sunk, ALL, 0.95 * BALL, FACES)).all(), "nor of the outer one, farther in"
+    assert_array_equal(skin_pixels_pct(sunk, ALL, 1.05 * BALL, FACES), np.zeros(4))
+
+
+def test_half_of_the_inner_garment_is_behind_the_body(ball: PosedBody):
+    front = BALL[:, 2] > 0.0
+    worn = ball.wearing(np.where(front[:, None], 1.05, 0.9) * BALL, FACES)
+    share = skin_pixels_pct(worn, ALL, 1.02 * BALL, FACES)
+    assert share[0] > 70.0 and share[2] < 1.0
+
+
+def test_the_pictures_agree_with_the_shaded_ones():
+    camera = Camera.around(BALL)
+    seen = camera.see(BALL, FACES, 90.0)
+    extent_m = 0.003 * camera.size[0]
+    image = render([Surface(BALL, FACES)], size=camera.size, azimuth_deg=90.0, centre=camera.centre, extent_m=extent_m)
+    assert_array_equal((image < 1.0).any(axis=-1), seen.face >= 0)
+
+
+@pytest.fixture(scope="module")
+def sheets(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("sheets")
+
+
+@pytest.fixture(scope="module")
+def record(sheets: Path) -> dict[str, Any]:
+    return main(["--quick", "--threads", "1", "--sheets", str(sheets)])
+
+
+def test_the_quick_form_measures_a_garment_whose_mesh_is_fine_enough(record: dict[str, Any], sheets: Path):
+    rows = record["rows"]
+    assert [row["method"] for row in rows] == ["skinning", "network", "fine"] and len(record["poses"]) == 1
+    for row in rows:
+        assert row.keys() == COLUMNS.keys()
+        assert 0.0 <= row["skin_pixels_pct"] <= row["worst_pct"] < (5.0 if row["method"] == "skinning" else 0.2)
+    assert (sheets / "skin_tshirt.png").stat().st_size > 1000
+
+
+@pytest.fixture(scope="module")
+def coarse() -> Garment:
+    return tube_garment(body_model(), name="coarse", radius_m=TIGHT_M, subdivided=True)
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    """Two poses of the small network, whose corrections run for folds too, and one step."""
+    body, poses = body_model(), bending(3)[1:]
+    skin = posed_table(body, poses, np.zeros(body.shape_count)).reshape(2, -1, 8)
+    bodies = tuple(PosedBody.of(posed, body.faces) for posed in body.posed_vertices(poses))
+    return Bench(body, HardPoses(poses, ("bend:1", "bend:2")), bodies, skin, network(), network(), 1)
+
+
+def test_a_coarse_garment_is_measured_on_both_meshes(record: dict[str, Any], coarse: Garment, bench: Bench):
+    rows = {row["method"]: row for row in measure(coarse, bench)}
+    assert list(rows) == ["skinning", "network", "folds", "wrapped", "fine"]
+    delivered, fine = coarse.vertex_count, len(coarse.vertices)
+    assert [row["vertices"] for row in rows.values()] == [fine, delivered, delivered, delivered, fine]
+    both = skin_table(record | {"rows": [*record["rows"], *rows.values()]}).splitlines()
+    assert both[2].startswith("| tshirt | 6834 | ") and both[2].count(" / ") == 3
+    assert both[3].startswith(f"| coarse | {delivered} to {fine} | ") and both[3].count(" / ") == 5
+
+
+@pytest.mark.parametrize(
+    ("method", "folds", "resolution"),
+    [("network", 0, "delivered"), ("wrapped", 1, "delivered"), ("fine", 1, "fine")],
+)
+def test_what_is_measured_is_what_is_served(
+    method: str,
+    folds: int,
+    resolution: Resolution,
+    coarse: Garment,
+    bench: Bench,
+    make_settings: Callable[..., Settings],
+):
+    drapery = Drapery(make_settings())
+    scene = drapery.garments.add(coarse, "user")
+    options = DrapeOptions(passes=drapery.engine.pass_count, folds=folds, resolution=resolution)
+    plan = drapery.plan(scene, options)
+    drapery.take_in(plan)
+    for stage in plan.stages:
+        stage.prepare(plan)
+    shape, place, now_s = np.zeros(bench.body.shape_count), np.zeros((1, 3)), np.zeros(1)
+    served = run(plan, [PoseInput(pose[None], place, shape, now_s) for pose in bench.poses.poses]).world()
+    drapery.close()
+    assert_allclose(drapes(coarse, bench)[method][0], served, rtol=0.0, atol=SAME_M)

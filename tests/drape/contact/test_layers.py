@@ -1,0 +1,123 @@
+"""Samples on cloth: on its surface, the same as sparse and as small products, joined, and hidden under other cloth."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from drape.contact import layers
+from drape.contact.layers import ClothSamples, cloth_samples, covered, joined
+from drape.contact.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE
+from drape.errors import InputError, MeshError
+from drape.geometry import closest, meshes
+from drape.geometry.rotations import rotvec_to_matrix
+
+RADIUS, HEIGHT = 0.15, 0.4
+
+
+def tube(radius: float, columns: int = 48, rows: int = 22, height: float = HEIGHT) -> tuple[np.ndarray, np.ndarray]:
+    """An open cylinder about the y axis, faces outwards."""
+    angle = 2.0 * np.pi * np.arange(columns) / columns
+    ring = np.stack([np.sin(angle), np.zeros(columns), np.cos(angle)], axis=1)
+    level = np.linspace(-0.5 * height, 0.5 * height, rows)
+    vertices = (radius * ring[None] + level[:, None, None] * [0.0, 1.0, 0.0]).reshape(-1, 3)
+    corner = np.arange(columns * (rows - 1)).reshape(rows - 1, columns)
+    right = np.roll(corner, -1, axis=1)
+    lower = np.stack([corner, right, right + columns], axis=-1)
+    upper = np.stack([corner, right + columns, corner + columns], axis=-1)
+    return vertices, np.concatenate([lower, upper]).reshape(-1, 3)
+
+
+@cache
+def samples() -> ClothSamples:
+    return cloth_samples(*tube(RADIUS))
+
+
+def test_samples_lie_on_the_cloth_and_look_outwards():
+    vertices, faces = tube(RADIUS)
+    made = samples()
+    assert made.count % (POSED_REGIONS * REGION_SIZE) == 0
+    assert_allclose(closest.closest_point(made.point, vertices, faces).distance, 0.0, rtol=0, atol=1e-12)
+    across = made.point * [1.0, 0.0, 1.0]
+    outward = across / np.linalg.norm(across, axis=1, keepdims=True)
+    assert (made.normal * outward).sum(axis=1).min() > 0.98
+
+
+def test_small_products_and_the_sparse_operator_are_the_same(rng):
+    vertices, _ = tube(RADIUS)
+    made, moved = samples(), rng.normal(size=tube(RADIUS)[0].shape)
+    posed = np.einsum("cnk,cnx->ckx", made.rows, moved[made.member])
+    parts = [posed[:, k * CLUSTER_SIZE : (k + 1) * CLUSTER_SIZE].reshape(-1, 3) for k in range(3)]
+    assert_allclose(np.concatenate(parts), made.operator @ moved, rtol=0, atol=1e-5 * np.abs(made.rows).max())
+    assert made.member.shape[1] == layers.MEMBERS and made.member.max() < len(vertices)
+
+
+def test_samples_follow_rigid_motion_exactly(rng):
+    vertices, _ = tube(RADIUS)
+    turn, shift = rotvec_to_matrix(rng.normal(size=3)), rng.normal(size=3)
+    point, normal = samples().posed((vertices @ turn.T + shift)[None])
+    assert_allclose(point[0], samples().point @ turn.T + shift, rtol=0, atol=1e-9)
+    assert_allclose(normal[0], samples().normal @ turn.T, rtol=0, atol=1e-9)
+
+
+def test_a_fine_mesh_takes_no_more_members_and_gives_the_same_surface():
+    vertices, faces = tube(RADIUS, columns=190, rows=80)
+    fine = cloth_samples(vertices, faces)
+    assert fine.member.shape[1] == layers.MEMBERS
+    assert 0.8 < fine.count / samples().count < 1.25
+    radius = np.linalg.norm(fine.point[:, [0, 2]], axis=1)
+    assert_allclose(radius, RADIUS, rtol=0, atol=1e-4)
+    assert (fine.normal[:, [0, 2]] * fine.point[:, [0, 2]]).sum(axis=1).min() / RADIUS > 0.95
+
+
+def test_joined_samples_are_those_of_their_meshes(rng):
+    inner, outer = samples(), cloth_samples(*tube(0.2, rows=10))
+    count = len(tube(RADIUS)[0])
+    moved = rng.normal(size=(2, count + len(tube(0.2, rows=10)[0]), 3))
+    both = joined([inner, outer])
+    first = inner.posed(moved[:, :count])
+    second = outer.posed(moved[:, count:])
+    for got, a, b in zip(both.posed(moved), first, second, strict=True):
+        assert_allclose(got, np.concatenate([a, b], axis=1), rtol=0, atol=1e-12)
+    chosen = both.of_regions(np.array([3, 0]))
+    index = np.concatenate([np.arange(36, 48), np.arange(12)])
+    assert_allclose(chosen.posed(moved)[0], both.posed(moved)[0][:, index], rtol=0, atol=1e-12)
+    assert_array_equal(chosen.spacing_m, both.spacing_m[index])
+    with pytest.raises(InputError, match="at least one"):
+        joined([])
+
+
+def test_cloth_hides_what_lies_under_it_and_nothing_beside_it():
+    over, faces = tube(RADIUS + 0.02, height=0.2)
+    hidden = covered(samples(), over, faces)
+    height = np.abs(samples().point[:, 1])
+    assert hidden[height < 0.095].all() and not hidden[height > 0.105].any()
+    assert not covered(samples(), *tube(RADIUS + layers.COVER_M + 0.01)).any()
+    assert not covered(samples(), *tube(RADIUS - layers.BEHIND_M - 0.01)).any()
+    assert covered(samples(), *tube(RADIUS - 0.5 * layers.BEHIND_M))[height < 0.18].all()
+
+
+def test_the_border_of_a_mesh_is_where_one_triangle_ends():
+    vertices, faces = tube(RADIUS)
+    inside, above = np.array([[0.0, 0.01, RADIUS + 0.05]]), np.array([[0.0, 0.5 * HEIGHT + 0.01, RADIUS]])
+    corner = vertices[-1:] + np.array([0.0, 0.02, 0.0])
+    found = closest.closest_point(np.concatenate([inside, above, corner, vertices[:1]]), vertices, faces)
+    assert_array_equal(closest.on_border(found, faces), [False, True, True, True])
+    closed = closest.closest_point(np.zeros((1, 3)), *meshes_box())
+    assert not closest.on_border(closed, meshes_box()[1]).any()
+
+
+def meshes_box() -> tuple[np.ndarray, np.ndarray]:
+    """A tetrahedron: it has no border."""
+    vertices = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    return vertices, np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+
+
+def test_broken_meshes_are_refused():
+    vertices, faces = tube(RADIUS)
+    with pytest.raises(MeshError, match="faces"):
+        cloth_samples(vertices[:5], faces)
+    assert meshes.check_faces(faces, len(vertices)).shape == faces.shape

@@ -1,0 +1,193 @@
+"""What patches feel of the body: closed forms for a plane, the body itself at rest, arms that come down."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import torch
+from numpy.testing import assert_allclose, assert_array_equal
+
+from drape.body.assets import load_body
+from drape.body.skeleton import JOINT_NAMES
+from drape.contact.proximity import (
+    GAP_M,
+    OTHER_STEPS,
+    UNIT_M,
+    PatchSkin,
+    Planes,
+    body_proximity,
+    from_halves,
+    in_halves,
+    patch_skin,
+    planes,
+    region_bias_of,
+)
+from drape.contact.samples import region_centres
+from drape.contact.skin import body_skin, shaped_skin, skin_table
+from drape.contact.tables import outward_directions
+from drape.geometry import closest
+from drape.geometry.skinning import blend_frames
+from drape.graph.feeds import body_feed, garment_feed
+from drape.graph.push_feed import KEPT_SHAPES, SkinShapes
+from tests.fixtures.packed import garment
+from tests.fixtures.rounding import moved_by_rounding
+
+BODY = load_body()
+ARMS_DOWN = 1.15  # [rad] where no patch has two regions within rounding of each other to choose from
+ROW_SIZE = 8
+FLOAT64_SHARE = 2.0**-29  # of the rounding of float32
+
+
+def pose(arms: float) -> np.ndarray:
+    """The T-pose with both arms turned down by ``arms`` [rad]."""
+    made = np.zeros((1, 24, 3))
+    made[0, JOINT_NAMES.index("left_shoulder"), 2] = -arms
+    made[0, JOINT_NAMES.index("right_shoulder"), 2] = arms
+    return made
+
+
+@cache
+def lists(kind: str) -> PatchSkin:
+    centre, skin = garment(kind).patch_centre.astype(np.float64), body_skin(BODY)
+    return patch_skin(centre, outward_directions(centre, skin), skin)
+
+
+def posed(kind: str, arms: float) -> tuple[np.ndarray, np.ndarray, PatchSkin]:
+    """Points (1, K, 7, 3) of the rigidly moved patches of a garment, the body's skin, and the patches' lists."""
+    feed, constants = (
+        body_feed(BODY, pose(arms), np.zeros((1, 3)), skin=True).arrays,
+        garment_feed(garment(kind), body=BODY),
+    )
+    rotation, centre = blend_frames(
+        constants["patch_centre"][None], constants["patch_weights"], constants["patch_heaviest"],
+        feed["bone_rotation"], feed["bone_translation"], feed["bone_quaternion"],
+    )  # fmt: skip
+    turn = rotation @ constants["patch_rotation"]
+    points = constants["patch_place"] @ turn.swapaxes(-1, -2) + centre[:, :, None]
+    return points.astype(np.float32), feed["body_skin"], lists(kind)
+
+
+def test_a_plane_is_felt_as_its_closed_form():
+    distance = np.array([-0.02, 0.0, 0.003, 0.02])
+    points = np.stack([np.zeros(4), distance + 0.5, np.zeros(4)], axis=-1)[None, None]
+    up = np.broadcast_to(np.array([0.0, 1.0, 0.0])[:, None], (1, 1, 2, 3, 4))
+    share = np.stack([np.ones(4), np.full(4, 0.25)])[None, None]
+    closeness, force = body_proximity(points, Planes(up, np.full((1, 1, 2, 4), -0.5), share))
+    missing = (GAP_M - distance) / UNIT_M
+    assert_allclose(closeness[0, 0], np.concatenate([np.tanh(missing), 0.25 * np.tanh(missing)]), rtol=0, atol=1e-12)
+    assert_allclose(force[0, 0, :, 1], 1.25 * np.maximum(missing, 0.0), rtol=0, atol=1e-12)
+    assert_array_equal(force[0, 0, :, [0, 2]], 0.0)
+
+
+def test_the_own_plane_at_rest_is_the_skin():
+    points, skin, own = posed("tank", 0.0)
+    near = planes(points, skin, own)
+    places = points[0].reshape(-1, 3).astype(np.float64)
+    distance = (near.normal[0, :, 0].transpose(0, 2, 1) * points[0]).sum(-1) + near.offset[0, :, 0]
+    there = near.share[0, :, 0].ravel() > 0.9
+    exact = closest.signed_distance(places + BODY.rest_joints()[0], BODY.v_template, BODY.faces)
+    assert there.mean() > 0.7  # the rest are hems and straps away from the skin
+    error = np.abs(distance.ravel() - exact)[there]
+    assert np.quantile(error, 0.95) < 0.004
+
+
+def test_other_parts_are_felt_when_an_arm_comes_down_and_not_before():
+    far, near = (
+        body_proximity(points, planes(points, skin, own))[0]
+        for points, skin, own in (posed("tshirt", 0.0), posed("tshirt", ARMS_DOWN))
+    )
+    other = slice(7, 14)
+    assert (far[0, :, other] > 0.1).mean() < 0.02
+    assert (near[0, :, other] > 0.1).mean() > 5.0 * max((far[0, :, other] > 0.1).mean(), 1e-3)
+
+
+def test_torch_and_numpy_feel_the_same():
+    """In float64 to its rounding; in float32 each to what rounding the table of samples does to float64.
+
+    Logits are differences of numbers like |b|^2 / h^2, some 2,000 for a hand, so their weights are good to 2,000 halves
+    of a unit in the last place, and share and closeness to four digits, in whichever order a processor adds them.
+    """
+    points, skin, own = posed("tank", ARMS_DOWN)
+
+    def by_numpy(points: np.ndarray, skin: np.ndarray, bias: np.ndarray) -> tuple[np.ndarray, ...]:
+        return body_proximity(points, planes(points, skin, replace(own, own_bias=bias)))
+
+    def by_torch(*arrays: np.ndarray) -> list[np.ndarray]:
+        points, skin, bias = (torch.from_numpy(array) for array in arrays)
+        rest = (own.own_cluster.astype(np.int64), own.other, own.region_bias)
+        cluster, other, region_bias = (torch.from_numpy(np.array(value)) for value in rest)
+        return [
+            x.numpy()
+            for x in body_proximity(points, planes(points, skin, PatchSkin(cluster, bias, other, region_bias)))
+        ]
+
+    inputs = (points, skin, own.own_bias)
+    exact, moved = moved_by_rounding(by_numpy, *inputs)
+    assert max(moved) < 1e-3  # no other region is chosen
+    for precise, far, one, other, wide in zip(
+        exact,
+        moved,
+        by_numpy(*inputs),
+        by_torch(*inputs),
+        by_torch(*(x.astype(np.float64) for x in inputs)),
+        strict=True,
+    ):
+        bound = ROW_SIZE * far  # a logit is a sum of so many products, each of which rounds
+        assert one.dtype == other.dtype == np.float32 and wide.dtype == np.float64
+        assert_allclose(one, precise, rtol=0, atol=bound)
+        assert_allclose(other, precise, rtol=0, atol=bound)
+        assert_allclose(wide, precise, rtol=0, atol=bound * FLOAT64_SHARE)
+
+
+def test_lists_are_what_their_shapes_say():
+    own, count, skin = lists("tank"), garment("tank").patch_count, body_skin(BODY)
+    assert own.own_cluster.shape == (count, 10) and own.own_bias.shape == (count, 40)
+    assert own.other.shape == (count, skin.region_count, 12) and own.region_bias.shape == (count, skin.region_count)
+    assert own.other.dtype == np.uint8 and own.other.max() == OTHER_STEPS and own.other.min() == 0
+
+
+def test_two_samples_fit_in_a_byte():
+    other = lists("tank").other
+    stored = in_halves(other)
+    assert stored.dtype == np.uint8 and stored.nbytes == other.nbytes // 2
+    for numbers in (stored.astype(np.float32), torch.from_numpy(stored).float()):
+        assert_array_equal(from_halves(numbers), other)
+
+
+def test_regions_without_another_part_lie_far_below():
+    bias = region_bias_of(np.array([0.0, 1.0, OTHER_STEPS]))
+    assert_allclose(np.exp(bias), [1e-6, 1.0 / OTHER_STEPS, 1.0], rtol=5e-3)
+    assert_array_equal(bias, bias.astype(np.float16))  # as the packed graph stores them
+
+
+def test_skins_of_any_shape_are_those_of_their_bones():
+    rng = np.random.default_rng(0)
+    betas = rng.normal(size=(3, BODY.shape_count))
+    poses = rng.normal(0.0, 0.3, size=(3, 24, 3))
+    bones = [BODY.bones(poses[i : i + 1], None, betas[i]) for i in range(3)]
+    rotation, translation = (np.concatenate(parts) for parts in zip(*bones, strict=True))
+    got = shaped_skin(BODY).table(rotation, translation, betas)
+    for i in range(3):
+        shape = body_skin(BODY).on_bones(BODY, betas[i])
+        want = skin_table(
+            shape.rows, shape.bones, rotation[i : i + 1].astype(np.float32), translation[i : i + 1].astype(np.float32)
+        )
+        assert_allclose(got[i], want[0], rtol=0, atol=2e-4)
+
+
+def test_bodies_share_the_rows_of_their_shapes():
+    store, rng = SkinShapes(BODY), np.random.default_rng(1)
+    betas = rng.normal(size=(2, 10)).astype(np.float32)
+    feed = store.feed(betas[[0, 1, 0, 0]])
+    assert feed["body_shape"].tolist() == [0, 1, 0, 0] and feed["skin_rows"].shape[0] == 2
+    assert_array_equal(feed["skin_rows"][1], store.feed(betas[1:])["skin_rows"][0])
+    for i in range(KEPT_SHAPES + 3):
+        store.feed(np.full((1, 10), 0.01 * i, dtype=np.float32))
+    assert len(store._kept) == KEPT_SHAPES
+
+
+def test_the_centre_of_a_region_is_the_mean_of_its_samples():
+    skin = posed("tank", ARMS_DOWN)[1]
+    assert_allclose(region_centres(skin), skin[..., :3].mean(axis=2), rtol=0, atol=1e-6)

@@ -1,0 +1,80 @@
+"""The kernels of a swing mesh against NumPy, finite differences and a dense solution."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from drape.live.swing_mesh import SwingMesh
+from drape.live.swing_nodes import Ground, Springs, fall_back, keep_length, length, stretched
+from tests.drape.live.swing_setup import hanging
+from tests.reference.swing import length_energy, pull_matrix
+
+YOUNG = 250.0
+
+
+@pytest.fixture(scope="module")
+def moved() -> tuple[np.ndarray, np.ndarray, SwingMesh, np.ndarray]:
+    """Still nodes, the same pulled, folded and twisted, their mesh and bound."""
+    rest, mesh = hanging()
+    random = np.random.default_rng(3)
+    still = rest[mesh.vertex] + 0.004 * random.normal(size=(len(mesh.vertex), 3))
+    c = still * [0.9, 1.03, 1.0] + 0.006 * random.normal(size=still.shape)
+    bound = np.empty((len(mesh.other), 3))
+    stretched(still, mesh, bound)
+    return still, c, mesh, bound
+
+
+def test_length_s_gradient_is_that_of_its_energy(moved: tuple[np.ndarray, np.ndarray, SwingMesh, np.ndarray]):
+    still, c, mesh, bound = moved
+    seen = 0
+    for i in range(len(c)):
+        gradient, hessian = length(c, i, mesh, YOUNG, bound)
+        for axis in range(3):
+            ahead, behind = c.copy(), c.copy()
+            ahead[i, axis] += 1e-6
+            behind[i, axis] -= 1e-6
+            slope = (length_energy(ahead, still, mesh, YOUNG) - length_energy(behind, still, mesh, YOUNG)) / 2e-6
+            assert_allclose(gradient[axis], slope, rtol=1e-4, atol=1e-6)
+            seen += abs(slope) > 1e-3
+        h = hessian
+        full = np.array([[h[0], h[1], h[2]], [h[1], h[3], h[4]], [h[2], h[4], h[5]]])
+        assert np.linalg.eigvalsh(full).min() > -1e-9 * abs(full).max()
+    assert seen > len(c), "most of it is pulled"
+
+
+def test_still_cloth_has_no_energy_and_folds_have_none(moved: tuple[np.ndarray, np.ndarray, SwingMesh, np.ndarray]):
+    still, _, mesh, _ = moved
+    assert length_energy(still, still, mesh, YOUNG) < 1e-20
+    assert length_energy(0.5 * still, still, mesh, YOUNG) < 1e-20
+
+
+def test_sweeps_lower_what_they_minimise(moved: tuple[np.ndarray, np.ndarray, SwingMesh, np.ndarray]):
+    still, c, mesh, bound = moved
+    count, inertia = len(c), 900.0 * mesh.mass_kg
+    far = np.array([[0.0, 5.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0]])
+    x, ground = c.copy(), Ground(far, np.full(count, -1, np.int32), np.zeros(count, np.int32), np.zeros(count))
+    found = []
+    for _ in range(12):
+        spring = 0.5 * float((inertia[:, None] * (x - c) ** 2)[mesh.order].sum())
+        found.append(length_energy(x, still, mesh, YOUNG) + spring)
+        keep_length(x, mesh, YOUNG, bound, Springs(c, inertia), ground, 1)
+    assert (np.diff(found) < 0.0).all() and found[-1] < 0.2 * found[0]
+
+
+def test_falling_back_solves_its_equation():
+    _, mesh = hanging()
+    count, random = len(mesh.vertex), np.random.default_rng(5)
+    inertia, hold = 900.0 * mesh.mass_kg, random.uniform(0.0, 2.0, count)
+    rhs = random.normal(size=(count, 3))
+    u = np.zeros((count, 3))
+    fall_back(u, mesh, inertia, hold, rhs, 60)
+    free = mesh.order
+    matrix = pull_matrix(mesh)[np.ix_(free, free)] + np.diag((inertia + hold)[free])
+    assert_allclose(u[free], np.linalg.solve(matrix, rhs[free]), rtol=1e-6, atol=1e-9)
+    small = 1e-9 * u
+    fall_back(small, mesh, inertia, hold, 1e-9 * rhs, 500)
+    assert_allclose(small[free], 1e-9 * u[free], rtol=1e-4, atol=1e-18)  # and no rounds beyond what floats can tell
+    held = np.setdiff1d(np.arange(count), free)
+    assert len(held) and (u[held] == 0.0).all()

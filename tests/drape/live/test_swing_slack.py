@@ -1,0 +1,58 @@
+"""Rings of cloth around a body of one or two upright cylinders."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+from drape.cloth.energies import ClothMesh
+from drape.live.swing_slack import LEAST, LOOSE, TIGHT, held_share, rings
+
+AROUND, HIGH = 48, 21
+
+
+def tube(top_m: float, hem_m: float, x: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices [m] and faces of a tube from y = 0, of radius ``top_m``, to y = -0.6, of radius ``hem_m``, around x."""
+    turn, down = np.meshgrid(2.0 * np.pi * np.arange(AROUND) / AROUND, np.linspace(0.0, 1.0, HIGH))
+    radius = top_m + down * (hem_m - top_m)
+    vertices = np.stack([x + radius * np.cos(turn), -0.6 * down, radius * np.sin(turn)], axis=-1).reshape(-1, 3)
+    row, i = np.meshgrid(np.arange(HIGH - 1) * AROUND, np.arange(AROUND), indexing="ij")
+    a, b = (row + i).reshape(-1), (row + (i + 1) % AROUND).reshape(-1)
+    faces = np.concatenate([np.stack([a, b, a + AROUND], axis=1), np.stack([b, b + AROUND, a + AROUND], axis=1)])
+    return vertices, faces
+
+
+def limbs(*x: float) -> np.ndarray:
+    """Points [m] of cylinders of a radius of 0.1 m around ``x``."""
+    return np.concatenate([tube(0.1, 0.1, one)[0] for one in x])
+
+
+def share(top_m: float, hem_m: float) -> np.ndarray:
+    rest, faces = tube(top_m, hem_m)
+    return held_share(ClothMesh.from_rest(rest, faces), rest, limbs(0.0)).reshape(HIGH, AROUND)
+
+
+def test_a_ring_is_as_long_as_its_circle():
+    rest, faces = tube(0.1, 0.4)
+    (ring,) = rings(faces, rest, -0.31)
+    assert_allclose(ring.length_m, 2.0 * np.pi * 0.255, rtol=5e-3)
+    assert_allclose(ring.hull.area, ring.length_m, rtol=5e-3)
+    assert not rings(faces, rest, 0.1)
+    half = faces[(rest[faces, 2] > 0.0).any(axis=1)]
+    assert not rings(half, rest, -0.31), "an open front"
+
+
+def test_only_what_is_wide_is_let_go():
+    assert_allclose(share(0.11, 0.15), 1.0)
+    wide = share(0.11, 0.44)
+    slack = np.linspace(1.1, 4.4, HIGH)
+    assert_allclose(wide[slack < TIGHT - 0.1], 1.0, atol=0.02)
+    assert_allclose(wide[slack > LOOSE + 0.2], LEAST, atol=0.02)
+    assert (np.diff(wide.mean(axis=1)) <= 1e-9).all()
+
+
+def test_two_tubes_go_with_a_limb_each():
+    (left, faces), (right, _) = tube(0.25, 0.3, -0.4), tube(0.25, 0.3, 0.4)
+    rest, both = np.concatenate([left, right]), np.concatenate([faces, faces + len(left)])
+    assert len(rings(both, rest, -0.31)) == 2
+    assert_allclose(held_share(ClothMesh.from_rest(rest, both), rest, limbs(-0.4, 0.4)), 1.0)

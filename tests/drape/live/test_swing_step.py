@@ -1,0 +1,130 @@
+"""Frames of swing: against the closed form of a hanging string, energy, rest, and what begins anew."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.special import jn_zeros
+
+from drape.live.swing_mesh import SwingMesh
+from drape.live.swing_step import CUT_M, PAUSE_S, STILL_S, Constants, Memory, swing
+from tests.drape.live.swing_setup import LENGTH_M, constants, frame, hanging
+from tests.reference.swing import pull_matrix
+
+STILL = np.zeros(3)
+
+
+@pytest.fixture(scope="module")
+def scene() -> tuple[np.ndarray, Constants]:
+    rest, mesh = hanging()
+    return rest, constants(mesh)
+
+
+def pushed(made: Constants, rest: np.ndarray, *, way_m: float = 0.01, fps: float = 120.0) -> Memory:
+    """What is remembered of a strip after its upper edge was moved along z for a tenth of a second, and stood."""
+    memory = None
+    for i in range(int(0.1 * fps) + 1):
+        origin = np.array([0.0, 0.0, way_m * min(1.0, 10.0 * i / fps)])
+        _, memory = swing(made, memory, frame(rest, i / fps), origin)
+    assert memory is not None
+    return memory
+
+
+def lowest(rest: np.ndarray) -> np.ndarray:
+    return rest[:, 1] < -LENGTH_M + 1e-6
+
+
+@pytest.mark.parametrize("length_m", [0.6, 0.9])
+def test_a_strip_swings_as_a_hanging_string(length_m: float):
+    """The first period of a string that hangs by its own weight is 4 pi / j01 sqrt(L / g) (Daniel Bernoulli, 1733)."""
+    rest, mesh = hanging(length_m=length_m)
+    made, fps = constants(mesh), 240.0
+    memory = pushed(made, rest, fps=fps)
+    height, time_s = [], memory.time_s
+    for i in range(1, int(3.0 * fps)):
+        x, memory = swing(made, _awake(memory), frame(rest, time_s + i / fps), memory.origin)
+        height.append(float((x - rest)[rest[:, 1] < -length_m + 1e-6, 2].mean()))
+    crossing = np.flatnonzero(np.diff(np.sign(height)))
+    period_s = 2.0 * np.diff(crossing).mean() / fps
+    assert len(crossing) >= 3
+    assert_allclose(period_s, 4.0 * np.pi / jn_zeros(0, 1)[0] * np.sqrt(length_m / 9.81), rtol=0.08)
+
+
+def _awake(memory: Memory) -> Memory:
+    """``memory`` of a body that has just moved: one that stands slows its cloth."""
+    return replace(memory, still_since_s=memory.time_s)
+
+
+def test_energy_never_grows_on_a_still_body():
+    rest, mesh = hanging()
+    made = constants(mesh)
+    memory, energies = pushed(made, rest), []
+    for i in range(1, 200):
+        _, memory = swing(made, _awake(memory), frame(rest, 0.1 + i / 120.0), memory.origin)
+        energies.append(_energy(mesh, memory))
+    assert energies[0] > 1e-6 and (np.diff(energies) <= 1e-9 * energies[0]).all()
+    assert energies[-1] < energies[0]
+
+
+def _energy(mesh: SwingMesh, memory: Memory) -> float:
+    """Kinetic and of the weight [J], while cloth keeps its length."""
+    u, free = memory.swung - memory.network, mesh.order
+    kinetic = 0.5 * float((mesh.mass_kg[free, None] * memory.speed[free] ** 2).sum())
+    return kinetic + 0.5 * float(np.einsum("ia,ij,ja->", u, pull_matrix(mesh), u))
+
+
+def test_every_bit_is_still_after_two_seconds(scene: tuple[np.ndarray, Constants]):
+    rest, made = scene
+    made = replace(made, damping_per_s=1.8)  # jersey's
+    memory = pushed(made, rest, way_m=0.05, fps=30.0)
+    swung = []
+    for _ in range(75):
+        x, memory = swing(made, memory, frame(rest, memory.time_s + 1.0 / 30.0), memory.origin)
+        swung.append(1e3 * float(np.linalg.norm(x - rest, axis=1).max()))
+    assert max(swung[:10]) > 5.0, "it swung"
+    assert_array_equal(swung[round(STILL_S * 30.0) :], 0.0)
+    assert swung[round(STILL_S * 30.0) - 2] < 1.0, "and was at rest before that [mm]"
+
+
+def test_a_body_that_glides_drags_its_cloth_and_a_share_is_a_share(scene: tuple[np.ndarray, Constants]):
+    rest, made = scene
+    memory, behind, half = None, rest, rest
+    for i in range(12):
+        origin = np.array([0.0, 0.0, 1.5 * (i / 30.0) ** 2])
+        before = memory
+        behind, memory = swing(made, before, frame(rest, i / 30.0), origin)
+        half, _ = swing(made, before, frame(rest, i / 30.0), origin, share=0.5)
+    hem = (behind - rest)[lowest(rest)]
+    assert (hem[:, 2] < -0.02).all(), "it lags"
+    assert (hem[:, 1] > 0.0).all(), "and rises, as it keeps its length"
+    assert_allclose(half - rest, 0.5 * (behind - rest), atol=1e-6)
+    held = rest[:, 1] > -1e-9
+    assert_allclose(behind[held], rest[held], atol=1e-3)
+
+
+def test_the_same_input_gives_the_same_bits(scene: tuple[np.ndarray, Constants]):
+    rest, made = scene
+    memory = pushed(made, rest, fps=30.0)
+    kept = {name: np.copy(value) for name, value in vars(memory).items()}
+    first, after = swing(made, memory, frame(rest, 0.2), STILL)
+    again, _ = swing(made, memory, frame(rest, 0.2), STILL)
+    assert_array_equal(first, again)
+    assert all(np.array_equal(value, kept[name]) for name, value in vars(memory).items())
+    assert after.time_s == 0.2
+
+
+@pytest.mark.parametrize("case", ["pause", "back", "cut", "nan"])
+def test_what_leads_nowhere_hangs_still(scene: tuple[np.ndarray, Constants], case: str):
+    rest, made = scene
+    memory = pushed(made, rest, fps=30.0)
+    time_s = memory.time_s + {"pause": 1.01 * PAUSE_S, "back": -0.01}.get(case, 1.0 / 30.0)
+    there = rest + np.float32(1.01 * CUT_M) if case == "cut" else rest
+    if case == "nan":
+        memory = replace(memory, speed=np.full_like(memory.speed, np.nan))
+    x, after = swing(made, memory, frame(there, time_s), memory.origin)
+    assert_array_equal(x, there)
+    assert not after.speed.any() and after.time_s == time_s
+    assert_array_equal(after.swung, after.network)

@@ -1,0 +1,350 @@
+"""``drape.live.fold_step.fold`` once more, in NumPy float64 and vertex order, to be read and compared with."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from drape.cloth.energies import ClothMesh
+from drape.kernels.problem import Problem, Surroundings, problem, surroundings
+from drape.live.fold_constants import Dressed
+from drape.live.fold_step import (
+    FIRST_STEP_S,
+    LONG_ROUNDS,
+    MEND_M,
+    MENDS,
+    SETTLING_MOMENTUM,
+    SHORTEST_STEP_S,
+    STIFF_N_PER_M,
+    Effort,
+    Frame,
+    Memory,
+    calmness,
+    fading,
+    paced,
+)
+from drape.live.lift import DEEP_M, OTHER, TOO_DEEP_M
+from drape.live.room import FOLDED, HELD, LEAST_M, NEAR_M, ROOM_M, STIFFEST, TIGHT_M
+from drape.live.sheet import ALIKE
+from drape.live.skin_contact import APART_M, HOLLOW_M, REACH_M, STEPS, TURNS, SkinGraph, Touched
+from drape.live.sweeps import HOLD, SLIP_M
+from drape.live.whole import CLAMP_M, stiffness
+from tests.reference import solver as reference
+
+
+def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) -> tuple[np.ndarray, Memory]:
+    """Vertices [m] (V, 3) of ``frame`` and its memory, in their order; ``memory`` is one that leads here, or None."""
+    network, still = frame.vertices.astype(np.float64), np.zeros(frame.vertices.shape)
+    nowhere = Touched(dressed.index, np.full_like(dressed.index, -1))
+    past = memory or Memory(frame.time_s, network, still, still, nowhere, still, 0)
+    step_s = max(frame.time_s - past.time_s, SHORTEST_STEP_S) if memory else FIRST_STEP_S
+    frames = surface_frames(network, dressed.cloth)
+    share = fading(effort, step_s)
+    off = _to_world(frames, share * past.residual)
+    for _ in range(MENDS):
+        off = mended(off, dressed.cloth.faces)
+    x = network + off
+    way = (share == 1.0) * step_s * _to_world(frames, past.velocity)
+    stuck = carried(past.grip, frame.skin, dressed.graph, past.touched.own)
+    friction = dressed.friction if effort.friction and memory else 0.0
+    touched = follow(network, frame.skin, dressed.graph, past.touched)
+    stiff = 0.5 * float(dressed.material.membrane[0] + dressed.material.membrane[1]) > STIFF_N_PER_M
+    pace = paced(effort.sweeps, calmness(past.network, network), stiff=stiff)
+    long = memory is None and effort.settle >= LONG_ROUNDS
+    momentum = SETTLING_MOMENTUM if long else pace.momentum
+    made = problem(dressed.cloth, dressed.material, dtype=np.float64)
+    made = made._replace(hinges=made.creases)  # the others bend by the quadratic matrix
+    held, slack = dressed.band_n_per_m, np.full(len(network), made.constants.slack)
+    if effort.cloth_contact:
+        held, slack = held_within(room(network, dressed.cloth), held, made)
+    for number in range(0 if effort.sweeps == 0 else 1 if memory else effort.settle):
+        here = touch(x, frame.skin, dressed.graph, touched, past.turn if memory else -1)
+        touched = Touched(touched.own, here.other)
+        around = touching(made, dressed, x, frame.skin, here)
+        around = around._replace(
+            own=around.own._replace(band=network, band_n_per_m=held), slack=slack, stuck=stuck, friction=friction
+        )
+        for _ in range(0 if memory or number else effort.settle):
+            x = sweep(x, made, around)
+        for _ in range(pace.steps):
+            ahead = x + momentum * _limited(way, float(made.constants.reach))
+            ahead = ahead + whole_step(dressed, made, around, ahead, pace.share)
+            x, way = ahead, ahead - x
+        for _ in range(pace.sweeps):
+            if pace.steps:
+                x = sweep(x, made, around)
+                continue
+            ahead = sweep(x + momentum * _limited(way, float(made.constants.reach)), made, around)
+            x, way = ahead, ahead - x
+    if effort.clearance_m > 0.0:
+        if effort.sweeps == 0:
+            here = touch(x, frame.skin, dressed.graph, touched, past.turn if memory else -1)
+            touched = Touched(touched.own, here.other)
+            around = touching(made, dressed, x, frame.skin, here)
+        x = lifted(x, around, effort.clearance_m)
+    residual, velocity = _to_local(frames, x - network), _to_local(frames, way) / step_s
+    grip = gripped(x, stuck if memory else x, frame.skin, dressed.graph, touched.own)
+    return x, Memory(frame.time_s, network, residual, velocity, touched, grip, (past.turn + 1) % TURNS)
+
+
+def surface_frames(surface: np.ndarray, cloth: ClothMesh) -> np.ndarray:
+    """Frames (V, 3, 3) of ``surface`` [m] (V, 3), rows: the normal, an edge laid into the plane, and their product.
+
+    The edge goes to the next corner of a triangle: of those of a vertex the one that is longest at rest.
+    """
+    faces = cloth.faces
+    across = np.cross(surface[faces[:, 1]] - surface[faces[:, 0]], surface[faces[:, 2]] - surface[faces[:, 0]])
+    normal = np.zeros_like(surface)
+    np.add.at(normal, faces, across[:, None])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    a, b, c, d = cloth.inverse_shape
+    shape = np.linalg.inv(np.stack([np.stack([a, c], axis=-1), np.stack([b, d], axis=-1)], axis=-2))  # columns: edges
+    first, second = shape[..., 0], shape[..., 1]
+    length = np.linalg.norm(np.stack([first, second - first, -second], axis=1), axis=-1).reshape(-1)
+    longest = np.zeros(len(surface))
+    np.maximum.at(longest, faces.reshape(-1), length)
+    order = np.lexsort((length < ALIKE * longest[faces.reshape(-1)], faces.reshape(-1)))
+    entry = order[np.unique(faces.reshape(-1)[order], return_index=True)[1]]
+    edge = surface[faces[entry // 3, (entry + 1) % 3]] - surface
+    edge -= (edge * normal).sum(axis=1, keepdims=True) * normal
+    edge /= np.linalg.norm(edge, axis=1, keepdims=True)
+    return np.stack([normal, edge, np.cross(normal, edge)], axis=1)
+
+
+def mended(off: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """``off`` (V, 3) with the mean of the neighbours' where it is farther than ``MEND_M`` from that, each counted once
+    for every triangle that it shares."""
+    total, count = np.zeros_like(off), np.zeros(len(off))
+    for corner in range(3):
+        for other in (corner - 1, corner - 2):
+            np.add.at(total, faces[:, corner], off[faces[:, other]])
+            np.add.at(count, faces[:, corner], 1.0)
+    mean = total / count[:, None]
+    return np.where(np.linalg.norm(off - mean, axis=1, keepdims=True) > MEND_M, mean, off)
+
+
+def follow(network: np.ndarray, skin: np.ndarray, graph: SkinGraph, touched: Touched) -> Touched:
+    """``touched`` with the samples that the ``network``'s vertices [m] (V, 3) are at now."""
+    walks = [_walked(point, skin, graph, own, len(skin)) for point, own in zip(network, touched.own, strict=True)]
+    return Touched(np.array(walks), touched.other)
+
+
+def touch(x: np.ndarray, skin: np.ndarray, graph: SkinGraph, touched: Touched, turn: int) -> Touched:
+    """The samples that ``x`` [m] (V, 3) is at, by walks from the network's and searches for other parts."""
+    own, other = touched.own.copy(), touched.other.copy()
+    for v, point in enumerate(x):
+        own[v] = _walked(point, skin, graph, own[v], STEPS)
+        apart = np.linalg.norm(graph.rest - graph.rest[own[v]], axis=1)
+        hollow = (apart > HOLLOW_M) & ((skin[:, :3] - skin[own[v], :3]) @ skin[own[v], 4:7] > 0.0)
+        distance = np.linalg.norm(skin[:, :3] - point, axis=1)
+        allowed = (distance < REACH_M) & (hollow | (apart > APART_M))
+        if turn < 0 or v % TURNS == turn:
+            other[v] = np.where(allowed, distance, np.inf).argmin() if allowed.any() else -1
+        elif other[v] >= 0:
+            end = _walked(point, skin, graph, other[v], STEPS)
+            other[v] = end if allowed[end] else -1
+    return Touched(own, other)
+
+
+def _walked(point: np.ndarray, skin: np.ndarray, graph: SkinGraph, start: int, steps: int) -> int:
+    """Where a walk from ``start`` ends, each of its ``steps`` to the nearest of sample and neighbours."""
+    for _ in range(steps):
+        around = np.append(start, graph.neighbour[start])
+        best = int(around[np.linalg.norm(skin[around, :3] - point, axis=1).argmin()])
+        if best == start:
+            break
+        start = best
+    return start
+
+
+def room(network: np.ndarray, cloth: ClothMesh) -> np.ndarray:
+    """Distances [m] (V,) of vertices of ``network`` [m] (V, 3) to the nearest that is not of the sheet."""
+    a, b, c, d = cloth.inverse_shape
+    shape = np.linalg.inv(np.stack([np.stack([a, c], axis=-1), np.stack([b, d], axis=-1)], axis=-2))
+    first, second = shape[..., 0], shape[..., 1]
+    along = np.full((len(network), len(network)), np.inf)
+    np.fill_diagonal(along, 0.0)
+    for start, end, edge in ((0, 1, first), (1, 2, second - first), (0, 2, second)):
+        i, j, length = cloth.faces[:, start], cloth.faces[:, end], np.linalg.norm(edge, axis=1)
+        along[i, j] = along[j, i] = length
+    beside = np.isfinite(along)
+    for middle in range(len(network)):
+        along = np.minimum(along, along[:, middle, None] + along[None, middle])
+    apart = np.linalg.norm(network[:, None] - network[None], axis=2)
+    same = beside | (along <= NEAR_M) | (apart >= FOLDED * along)
+    return np.where(same, ROOM_M, np.minimum(apart, ROOM_M)).min(axis=1)
+
+
+def held_within(room_m: np.ndarray, held_n_per_m: np.ndarray, made: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """Stiffness [N/m] and slack [m] (V,) of what holds vertices of ``room_m`` (V,), ``held_n_per_m`` where wide."""
+    tight = np.clip((ROOM_M - room_m) / (ROOM_M - TIGHT_M), 0.0, 1.0)
+    stiff = np.minimum(ROOM_M / np.maximum(room_m, LEAST_M) - 1.0, STIFFEST)
+    slack = made.constants.slack + tight * (LEAST_M - made.constants.slack)
+    return held_n_per_m + HELD * stiff * made.contact_n_per_m, slack
+
+
+class Around(NamedTuple):
+    """What acts on vertices from outside: their ``own`` part of the body and the rest, and the planes of other parts,
+    ``point`` and ``normal`` (V, 3), whose springs ``n_per_m`` (V,) are zero where there is none; what holds gives
+    ``slack`` [m] (V,). Against ``friction`` vertices leave where they were ``stuck`` [m] (V, 3)."""
+
+    own: Surroundings
+    point: np.ndarray
+    normal: np.ndarray
+    n_per_m: np.ndarray
+    slack: np.ndarray
+    stuck: np.ndarray
+    friction: float
+
+
+def touching(made: Problem, dressed: Dressed, x: np.ndarray, skin: np.ndarray, touched: Touched) -> Around:
+    """The planes of the own part of the body and of others."""
+    point, normal = planes(x, skin, dressed, np.maximum(touched.other, 0))
+    return Around(
+        surroundings(made, *planes(x, skin, dressed, touched.own)),
+        *(point, normal, np.where(touched.other >= 0, made.contact_n_per_m, 0.0)),
+        np.full(len(x), made.constants.slack),
+        *(x, 0.0),
+    )
+
+
+def planes(x: np.ndarray, skin: np.ndarray, dressed: Dressed, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points [m] and unit normals (V, 3) of the planes at the samples ``index`` (V,), blended with the neighbours'."""
+    points, normals = np.empty_like(x), np.empty_like(x)
+    for v, (point, own) in enumerate(zip(x, index, strict=True)):
+        around = np.append(own, np.setdiff1d(dressed.graph.neighbour[own], own))
+        square = ((skin[around, :3] - point) ** 2).sum(axis=1)
+        weight = np.clip(1.0 - (square - square[0]) / dressed.graph.reach_m2[own], 0.0, 1.0) ** 2
+        weight /= weight.sum()
+        blended = weight @ skin[around, 4:7]
+        normal = blended / np.linalg.norm(blended)
+        chord = point - skin[around, :3]
+        distance = 0.5 * weight @ ((skin[around, 4:7] + normal) * chord).sum(axis=1)
+        points[v], normals[v] = point - distance * normal, normal
+    return points, normals
+
+
+def whole_step(dressed: Dressed, made: Problem, around: Around, x: np.ndarray, share: float) -> np.ndarray:
+    """The way [m] (V, 3) that the whole cloth takes at ``x``, a ``share`` of its answer, by a dense matrix."""
+    matrix = stiffness(dressed.cloth, dressed.material, dressed.springs_n_per_m).toarray()
+    known = dressed.band_n_per_m + HOLD * made.contact_n_per_m
+    step = -np.linalg.solve(matrix, gradient_known(x, made, around, known))
+    return share * step * (CLAMP_M / max(float(np.linalg.norm(step, axis=1).max()), CLAMP_M))
+
+
+def sweep(x: np.ndarray, made: Problem, around: Around) -> np.ndarray:
+    """One sweep of vertex block descent from ``x`` [m] (V, 3), bending by the quadratic matrix and at creases."""
+    moved, bend = x.copy(), made.quadratic
+    for v in made.order:
+        gradient, block = reference.vertex_block(v, moved, _with_slack(made, around.slack[v]), around.own)
+        (push,), (stiffness,) = _pushed(moved, made, around, slice(v, v + 1))
+        (rub,), (grip,) = rubbed(moved, made, around, slice(v, v + 1))
+        push, block = push + rub, block + grip
+        block = block + stiffness + bend.diagonal[v] * np.eye(3)
+        step = -np.linalg.solve(block, gradient + push + _bending(moved, made, v))
+        moved[v] += _limited(step, float(made.constants.reach))
+    return moved
+
+
+def energy(x: np.ndarray, made: Problem, around: Around) -> float:
+    """Energy [J] at ``x`` [m] (V, 3), where all hinges of ``made`` bend by their angle."""
+    depth = np.maximum(made.constants.gap - ((x - around.point) * around.normal).sum(axis=1), 0.0)
+    found, _ = reference.energy_and_gradient(x, _with_slack(made, around.slack), around.own)
+    return found + 0.5 * float((around.n_per_m * depth**2).sum())
+
+
+def lifted(x: np.ndarray, around: Around, clearance_m: float) -> np.ndarray:
+    """``x`` [m] (V, 3) above its planes: a share of what it lacks to ``clearance_m`` over those of other parts, then
+    all of what it lacks over its own, where that is not too deep."""
+    there = (around.n_per_m > 0.0)[:, None]
+    for point, normal, share in (
+        (around.point, around.normal, OTHER * there),
+        (around.own.point, around.own.normal, 1.0),
+    ):
+        low_m = np.maximum(clearance_m - ((x - point) * normal).sum(axis=1, keepdims=True), 0.0)
+        left = np.clip((TOO_DEEP_M - low_m) / (TOO_DEEP_M - DEEP_M), 0.0, 1.0)
+        x = x + share * left * low_m * normal
+    return x
+
+
+def _pushed(x: np.ndarray, made: Problem, around: Around, which: slice) -> tuple[np.ndarray, np.ndarray]:
+    """Gradient [N] (n, 3) and Hessian [N/m] (n, 3, 3) of the contact of the vertices ``which`` with other parts."""
+    n, n_per_m = around.normal[which], around.n_per_m[which]
+    depth = np.maximum(made.constants.gap - ((x[which] - around.point[which]) * n).sum(axis=1), 0.0)
+    block = (n_per_m * (depth > 0.0))[:, None, None] * n[:, :, None] * n[:, None, :]
+    return -(n_per_m * depth)[:, None] * n, block
+
+
+def rubbed(x: np.ndarray, made: Problem, around: Around, which: slice) -> tuple[np.ndarray, np.ndarray]:
+    """Coulomb friction of the vertices ``which`` with their own part of the body [N] (n, 3), as a gradient, and what
+    stands for its Hessian [N/m] (n, 3, 3): ``friction`` times the force of contact, less in a shorter way than
+    ``SLIP_M``, along the tangent plane."""
+    n, stiff = around.own.normal[which], made.contact_n_per_m[which]
+    press_n = stiff * np.maximum(made.constants.gap - ((x[which] - around.own.point[which]) * n).sum(axis=1), 0.0)
+    slip = x[which] - around.stuck[which]
+    slip -= (slip * n).sum(axis=1, keepdims=True) * n
+    grip = around.friction * press_n / np.maximum(np.linalg.norm(slip, axis=1), SLIP_M)
+    return grip[:, None] * slip, grip[:, None, None] * (np.eye(3) - n[:, :, None] * n[:, None, :])
+
+
+def carried(grip: np.ndarray, skin: np.ndarray, graph: SkinGraph, own: np.ndarray) -> np.ndarray:
+    """Where the posed ``skin`` has taken what lies ``grip`` [m] (V, 3) in the frames of its samples ``own`` (V,)."""
+    return skin[own, :3] + _to_world(_skin_frames(skin, graph, own), grip)
+
+
+def gripped(x: np.ndarray, stuck: np.ndarray, skin: np.ndarray, graph: SkinGraph, own: np.ndarray) -> np.ndarray:
+    """How what was ``stuck`` lies in the frames of the samples ``own`` (V,), having come after ``x`` [m] (V, 3)."""
+    frames = _skin_frames(skin, graph, own)
+    slip = _to_local(frames, x - stuck) * [0.0, 1.0, 1.0]
+    slip *= SLIP_M / np.maximum(np.linalg.norm(slip, axis=1, keepdims=True), SLIP_M)
+    return _to_local(frames, x - skin[own, :3]) - slip
+
+
+def _skin_frames(skin: np.ndarray, graph: SkinGraph, own: np.ndarray) -> np.ndarray:
+    """Rows: a sample's normal, the way to its first neighbour laid into the plane, and their product."""
+    normal = skin[own, 4:7].astype(np.float64)
+    edge = skin[graph.neighbour[own, 0], :3] - skin[own, :3].astype(np.float64)
+    edge -= (edge * normal).sum(axis=1, keepdims=True) * normal
+    length = np.linalg.norm(edge, axis=1, keepdims=True)
+    edge = edge / np.where(length > 0.0, length, 1.0)
+    return np.stack([normal, edge, np.cross(normal, edge)], axis=1)
+
+
+def gradient_known(x: np.ndarray, made: Problem, around: Around, known_n_per_m: np.ndarray) -> np.ndarray:
+    """The gradient [N] (V, 3) that steps of the whole take: leash and friction together are no stiffer than
+    ``known_n_per_m`` (V,), two planes no stiffer than one."""
+    rub, grip = rubbed(x, made, around, slice(None))
+    held, contact = around.own.band_n_per_m, made.contact_n_per_m
+    held_now = held * (np.linalg.norm(x - around.own.band, axis=1) > around.slack)
+    less = known_n_per_m / np.maximum(held_now + 0.5 * np.trace(grip, axis1=1, axis2=2), known_n_per_m)
+    closed = contact * (made.constants.gap > ((x - around.own.point) * around.own.normal).sum(axis=1))
+    closed = closed + around.n_per_m * (made.constants.gap > ((x - around.point) * around.normal).sum(axis=1))
+    share = contact / np.maximum(closed, contact)
+    made = made._replace(contact_n_per_m=share * contact)
+    around = around._replace(own=around.own._replace(band_n_per_m=less * held), n_per_m=share * around.n_per_m)
+    _, gradient = reference.energy_and_gradient(x, _with_slack(made, around.slack), around.own)
+    gradient += _pushed(x, made, around, slice(None))[0] + less[:, None] * rub
+    return gradient + np.stack([_bending(x, made, v) for v in range(len(x))])
+
+
+def _with_slack(made: Problem, slack: np.ndarray) -> Problem:
+    return made._replace(constants=made.constants._replace(slack=slack))
+
+
+def _bending(x: np.ndarray, made: Problem, v: int) -> np.ndarray:
+    """Row v of the quadratic bending's matrix times ``x``."""
+    entries = slice(made.quadratic.start[v], made.quadratic.start[v + 1])
+    return made.quadratic.value[entries] @ x[made.quadratic.vertex[entries]] + made.quadratic.diagonal[v] * x[v]
+
+
+def _limited(way: np.ndarray, reach: float) -> np.ndarray:
+    return way * (reach / np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), reach))
+
+
+def _to_world(frames: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    return np.einsum("vji,vj->vi", frames, vectors)
+
+
+def _to_local(frames: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    return np.einsum("vji,vi->vj", frames, vectors)
