@@ -1,6 +1,6 @@
 """The avatar that a garment was modelled on, in correspondence with the standard body.
 
-An avatar is told in one of five ways (``read_avatar``): the word ``standard`` (the standard
+An avatar is given in one of five ways (``read_avatar``): the word ``standard`` (the standard
 body itself, in T-pose), a phenotype of the package anny, SMPL parameters, a mesh file, or a
 name in the ``avatars.json`` beside the garment. Phenotypes are evaluated from a baked asset
 (``training.bake_avatars``), so neither anny nor torch is needed here.
@@ -206,10 +206,11 @@ def avatar_for(path: Path) -> tuple[str, Any] | None:
 def parse_avatar(
     avatar: str | Path | dict[str, Any] | None, *, beside: Path | None = None, allow_paths: bool = True
 ) -> dict[str, Any] | Path | str | None:
-    """What ``avatar`` means: a dictionary, a mesh file, ``standard``, or None where nothing tells.
+    """The meaning of ``avatar``: a dictionary, a mesh file, ``standard``, or None where the garment has no avatar.
 
-    Text may be JSON, a path to a mesh or to a JSON file, or a name in the table beside the
-    garment (or in DRAPE_DATA/garments). With None the table is asked for the garment's own name.
+    Text may be JSON, a path to a mesh or to a JSON file, or a name in the table ``beside`` the garment, in
+    DRAPE_DATA/garments or in the shipped one. None looks the garment's own name up in the tables. Raises ``NotFound``
+    for text that is none of these, and ``BodyError`` for broken JSON. Paths are refused unless ``allow_paths``.
     """
     if avatar is None:
         found = avatar_for(beside) if beside is not None else None

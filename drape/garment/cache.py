@@ -1,11 +1,10 @@
 """The garment as the product keeps it: patches, charts and skin weights, content-addressed on disk.
 
-A cache file is one npz of plain arrays (the fields of ``Garment``), packed by LZMA, which is a fifth
-smaller than numpy's own packing and read by ``numpy.load`` like it. What is text, the manifest included, lies
-as one JSON object in the bytes of the array ``header``; there too it is said where ``fine_faces`` are the
-``faces`` and left out. The file's name is ``NAME-DIGEST16.npz``; the digest covers the source mesh, the body, the
-intake options and ``FORMAT_VERSION``, not the file's name or time. To inspect one:
-``python -m drape.garment.cache FILE``.
+A cache file is one npz of plain arrays (the fields of ``Garment``), packed by LZMA: a fifth smaller than numpy's own
+packing, and ``numpy.load`` reads it too. The bytes of the array ``header`` are one JSON object of all text, the
+manifest included. Where ``fine_faces`` equal ``faces`` they are left out, and the header says so. The file's name is
+``NAME-DIGEST16.npz``; the digest covers the source mesh, the body, the intake options and ``FORMAT_VERSION``, not the
+file's name or time. ``python -m drape.garment.cache FILE`` prints what a file holds.
 """
 
 from __future__ import annotations
@@ -90,9 +89,9 @@ class Garment(Atlas):
 
     ``skin_weights`` (N, 24) and ``shapedirs`` (N, 3, S) serve plain skinning.
 
-    ``rest_edges`` (G, 2, 2), ``rest_angle`` (H,) and ``rest_stiffening`` (H,): the ``RestState`` of ``fine_faces``,
-    None in garments taken in before there was one; ``rest_state`` gives it for all. ``fabric``: the cloth that it is
-    of, a name or the numbers of ``drape.cloth.fabric_table.fabric``.
+    ``rest_edges`` (G, 2, 2), ``rest_angle`` (H,) and ``rest_stiffening`` (H,): the ``RestState`` of ``fine_faces``.
+    They are None in garments from before there was one; ``rest_state`` returns it for all. ``fabric``: a name, or the
+    numbers of ``drape.cloth.fabric_table.fabric``.
     """
 
     name: str
@@ -115,9 +114,9 @@ class Garment(Atlas):
     fabric: str | Mapping[str, Any] = DEFAULT_FABRIC
 
     def rest_state(self) -> RestState:
-        """The cloth of ``fine_faces`` without stress; where none is stored, ``rest_detail.rest_of`` the rest mesh.
+        """The cloth of ``fine_faces`` without stress; where none is stored, that which ``rest_detail.rest_of`` finds.
 
-        Raises ``ArtifactError`` where what is stored is not of that mesh.
+        Raises ``ArtifactError`` where the stored arrays do not fit the mesh.
         """
         return self._rest_state
 

@@ -97,14 +97,14 @@ def _weighted_fit(basis: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 
 def _held(patch: np.ndarray, weight: np.ndarray, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Of each patch the rows and slots of the charts (A, 4) that are its own and weigh anything."""
+    """The rows and the slots of each patch's charts among ``patch`` (A, 4), without those of no ``weight``."""
     rows, slots = np.nonzero(weight > 0.0)
     return [(rows[part], slots[part]) for part in rows_of_patches(patch[rows, slots], count)]
 
 
 def _anchors(patch: np.ndarray, uv: np.ndarray, weight: np.ndarray, count: int) -> np.ndarray:
-    """Up to ``ANCHORS_PER_PATCH`` vertices of every patch's own, each the farthest in (u, v) from those before it;
-    fewer where a chart would reach over more than it has places for."""
+    """Rows (A,) of the anchors: up to ``ANCHORS_PER_PATCH`` vertices of each patch, each farthest in (u, v) from those
+    before it. A chart that would hold more anchors than it has places for loses those that it weighs least."""
     every, heaviest = np.arange(len(patch)), np.argmax(weight, axis=1)
     owner, place = patch[every, heaviest], uv[every, heaviest].astype(np.float64)
     groups = rows_of_patches(owner, count)

@@ -35,7 +35,7 @@ from drape.garment.fitting import fit_garment
 from drape.garment.grain import texture
 from drape.garment.intake_options import DEFAULT_OPTIONS, IntakeOptions, read_fabric
 from drape.garment.mesh_checks import Unit, Up
-from drape.garment.rest_detail import Cloth, Rest, doubled_faces, rest_of, subdivided_like
+from drape.garment.rest_detail import Rest, RestCloth, doubled_faces, rest_of, subdivided_like
 from drape.garment.rest_mesh import RestMesh, describe_rest, rest_mesh, with_unused
 from drape.garment.sewing import Sewing, sewing_beside, sewn_hinges
 
@@ -178,7 +178,7 @@ def with_rest_state(garment: Garment, rest: RestMesh, options: IntakeOptions, se
     if sewn is not None and painted is not None:
         painted = replace(painted, grain_along_v=True)
         hinges = sewn_hinges(sewn, compact, rest.kept, faces, painted)
-    cloth = Cloth(points, faces, modelled, painted, doubled, options.uv_unit_m, rest.resized, hinges)
+    cloth = RestCloth(points, faces, modelled, painted, doubled, options.uv_unit_m, rest.resized, hinges)
     state, figures = rest_of(cloth, options.rest)
     arrays = {"rest_edges": state.edges, "rest_angle": state.hinge_angle, "rest_stiffening": state.stiffening}
     return replace(

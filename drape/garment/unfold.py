@@ -3,7 +3,7 @@
 A chart is a bijection where every one of its triangles keeps its orientation in (u, v) and its rim does not cross
 itself. A projection onto the patch's plane folds where the cloth turns past the plane's normal: at armholes,
 crotches, lapels. Such a chart is laid flat instead (``drape.garment.flatten``). What the in-plane polynomials of
-order two cannot follow rides in the residual, as ever.
+order two cannot follow stays in the residual, as in other charts.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from drape.garment.charts import ChartBlend, ridge_fit, rows_of_patches
 from drape.garment.flatten import lay_flat, rims_cross, signed_areas
-from drape.geometry import jets, meshes
+from drape.geometry import jets, mesh_graphs
 
 TRIM, TRIM_ROUNDS = 0.85, 12  # a chart that cannot be laid flat is made smaller by this factor, so often
 FADE = 0.35  # patch scales from a vertex that leaves a chart over which the chart's weight comes back
@@ -62,7 +62,7 @@ def folded_charts(blend: ChartBlend, uv: np.ndarray, faces: np.ndarray) -> np.nd
 
 @dataclass(frozen=True)
 class Flattened:
-    """Charts without fold-over: who belongs to them, where, and which patches (K,) bool were laid flat."""
+    """Charts without fold-over: ``blend``, places ``uv`` (N, 4, 2), and which patches (K,) bool were laid flat."""
 
     blend: ChartBlend
     uv: np.ndarray
@@ -102,7 +102,7 @@ def without_folds(blend: ChartBlend, local: np.ndarray, scale: np.ndarray, faces
 
 def _chart(points: np.ndarray, triangles: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rows (m,) of one chart's ``points`` (n, 3) that stay, their places (m, 2), and factors (n,) of the weights."""
-    graph = meshes.edge_graph(points, triangles)
+    graph = mesh_graphs.edge_graph(points, triangles)
     reach = dijkstra(graph, directed=False, indices=[int(np.argmax(weight))])[0]
     limit = float(reach[np.isfinite(reach)].max()) * 1.0001
     kept, placed = np.zeros(0, dtype=np.int64), np.zeros((0, 2))

@@ -14,7 +14,6 @@ from drape.catalog import find_garments, open_garment
 from drape.errors import ArtifactError
 from drape.files.data import DATA_VARIABLE
 from drape.garment.cache import save_garment
-from drape.garment.disagreement import chart_positions
 from drape.geometry.skinning import skin_points
 from drape.graph.feeds import body_feed
 from drape.motion.clip import MotionClip
@@ -24,6 +23,7 @@ from tests.fixtures.tiny_model import skinned_vertices, tube_garment
 from tests.training.training_setup import TINY, TINY_RUN, body, source
 from training import checkpoint
 from training.config import as_published
+from training.disagreement import chart_positions
 from training.evaluate import evaluate, held_out_clips, load_network, main, posed_patches
 from training.model import OneFit
 

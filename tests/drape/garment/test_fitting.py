@@ -59,7 +59,7 @@ def test_error_of_the_fit_is_of_the_order_of_the_ridge(samples, monkeypatch):
     uv, values, blend, height = samples
     errors = []
     for ridge in (1e-3, 1e-4, 1e-5):
-        monkeypatch.setattr(fitting, "RIDGE", ridge)
+        monkeypatch.setattr(charts, "RIDGE", ridge)
         errors.append(np.abs(jets.unpack(fit_jets(uv, values, blend, 3))[2] - height).max())
     assert_allclose(np.log10(np.array(errors[:-1]) / errors[1:]), 1.0, rtol=0.0, atol=0.05)
 
@@ -75,7 +75,7 @@ def test_quartic_height_field_is_one_patch_to_the_ridge(monkeypatch):
     fields = patch_fields(rest, count=1)
     assert_allclose(fields["patch_rotation"][0][:, 2], [0.0, 0.0, 1.0], rtol=0.0, atol=1e-6)
     assert fit_error(rest, fields)["point_rmse_m"] < 3e-5  # of 80 mm
-    monkeypatch.setattr(fitting, "RIDGE", 1e-12)
+    monkeypatch.setattr(charts, "RIDGE", 1e-12)
     assert fit_error(rest, patch_fields(rest, count=1))["point_rmse_m"] < 1e-7
 
 

@@ -28,7 +28,7 @@ from drape.garment.intake import (
     with_rest_state,
 )
 from drape.garment.mesh_checks import UNITS_M
-from drape.garment.rest_detail import Cloth, Rest, rest_of
+from drape.garment.rest_detail import Rest, RestCloth, rest_of
 from drape.garment.rest_mesh import rest_mesh, with_unused, without_unused
 from drape.geometry import meshes
 from drape.geometry.closest import signed_distance
@@ -185,10 +185,10 @@ def test_garment_on_the_standard_body_is_unchanged_but_for_clearance():
 
 
 def test_unused_vertices_keep_their_places(garment, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch):
-    cloths: list[Cloth] = []
+    cloths: list[RestCloth] = []
     taken_in = garment.rest_state()
 
-    def seen(cloth: Cloth, rest: Rest):
+    def seen(cloth: RestCloth, rest: Rest):
         cloths.append(cloth)
         return rest_of(cloth, rest)
 

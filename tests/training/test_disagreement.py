@@ -11,11 +11,11 @@ from numpy.testing import assert_allclose
 from drape.body.assets import load_body
 from drape.errors import InputError
 from drape.garment.cache import Garment
-from drape.garment.disagreement import LEAST_WEIGHT, chart_normals, chart_positions, disagreement
 from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_matrix
 from tests.drape.cloth.cloth_shapes import grid
 from tests.fixtures.tiny_model import tube_garment
+from training.disagreement import LEAST_WEIGHT, chart_normals, chart_positions, disagreement
 
 PATCHES = 5
 

@@ -19,15 +19,15 @@ from drape.garment.unfold import chart_triangles
 from drape.geometry import jets, meshes
 from drape.geometry.rotations import cross
 
-LEAST_WEIGHT = 0.02  # weight in the blend above which a chart's word counts
+LEAST_WEIGHT = 0.02  # weight in the blend above which a chart counts
 
 
 @dataclass(frozen=True, eq=False)
 class Disagreement:
-    """Of the n vertices that at least two charts of weight above ``LEAST_WEIGHT`` hold.
+    """How far charts disagree at the n vertices that at least two of them hold with a weight above ``LEAST_WEIGHT``.
 
-    ``gap_m`` (F, m) from what each of their m chart entries says to the blended vertex; ``normal_rad`` (F, n) the
-    largest angle between the normals of two of a vertex's charts.
+    ``gap_m`` (F, m): the distance from the blended vertex to where each of its m chart entries puts it.
+    ``normal_rad`` (F, n): the largest angle between the normals of two of a vertex's charts.
     """
 
     gap_m: np.ndarray
