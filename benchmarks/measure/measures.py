@@ -31,13 +31,13 @@ from drape.cloth.rest_state import RestState, modelled
 from drape.contact.projection import push_out_of_bodies
 from drape.contact.skin import body_skin, shaped_skin
 from drape.garment.cache import Garment
-from drape.garment.disagreement import disagreement
 from drape.garment.fine import fine_garment
 from drape.geometry.skinning import skin_points
 from drape.graph.push_feed import push_feed
 from drape.live.fold_constants import constants
 from drape.live.fold_step import Effort, Frame, fold
 from drape.motion.hard_poses import HardPoses
+from training.disagreement import disagreement
 
 METHODS = ("skinning", "skinning_push", "network", "network_push", "folds", "physics")
 STEPS = 2  # of folds, as the service takes by default

@@ -24,7 +24,7 @@ from drape.garment.mesh_checks import (
     orient_outward,
     place,
 )
-from drape.geometry import closest, meshes
+from drape.geometry import closest, mesh_graphs, meshes
 from recovery.fit.contours import TRUNK, bone_chains, open_contours, place_of
 
 CRUMB_SHARE = 0.02  # of the area: smaller pieces are left out with a note
@@ -79,7 +79,7 @@ def labelled(mesh: GarmentMesh, label: str) -> GarmentMesh:
 
 def one_piece(mesh: GarmentMesh) -> GarmentMesh:
     """``mesh`` without crumbs and unused vertices; refuses two pieces of cloth."""
-    piece = meshes.connected_components(mesh.faces, len(mesh.vertices))[mesh.faces[:, 0]]
+    piece = mesh_graphs.connected_components(mesh.faces, len(mesh.vertices))[mesh.faces[:, 0]]
     area = np.bincount(piece, meshes.face_areas(mesh.vertices, mesh.faces))
     whole = np.flatnonzero(area > CRUMB_SHARE * area.sum())
     if len(whole) > 1:
