@@ -43,10 +43,10 @@ from drape.garment.cache import Garment
 from drape.graph.feeds import garment_feed
 from drape.graph.packing import PackedBody, pack_body
 from drape.graph.push_feed import SkinShapes
-from service.engine import PACKED, Engine
-from service.packing import SHAPE_INDEX, STORED_INDEX, Packer, ScenePlan
-from service.push import Pusher
-from service.runtime import PROVIDER_NAMES, Device
+from service.graphs.engine import PACKED, Engine
+from service.graphs.onnx_runtime import PROVIDER_NAMES, Device
+from service.graphs.packing import SHAPE_INDEX, STORED_INDEX, Packer, ScenePlan
+from service.graphs.push import Pusher
 from training.model import OneFit
 
 COLUMNS = {

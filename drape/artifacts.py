@@ -91,8 +91,8 @@ class Manifest:
     network was trained on. ``parity_error_m``: largest vertex distance torch vs
     onnxruntime at export. ``quality``: rows of benchmarks.quality. ``training``: commit,
     command, frames seen, losses at the end. ``network``: its sizes, as ``training.config.ModelConfig`` names
-    them. ``weights``: None where every graph holds its own. ``tiers``: rows of ``service.tiers.Tier``, the least first.
-    ``poses``: the file of ``drape.body.pose_support``, None where none was made.
+    them. ``weights``: None where every graph holds its own. ``tiers``: rows of ``service.compute.tiers.Tier``, the
+    least first. ``poses``: the file of ``drape.body.pose_support``, None where none was made.
     """
 
     name: str

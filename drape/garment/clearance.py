@@ -117,6 +117,4 @@ def _layered_laplacian(
         pairs = pairs[np.einsum("nc,nc->n", normals[pairs[:, 0]], normals[pairs[:, 1]]) > 0.5]
     joined = np.unique(np.sort(np.concatenate([edges, pairs]), axis=1), axis=0)
     weight = 1.0 / np.maximum(meshes.edge_lengths(vertices, joined), 2e-3) ** 2
-    graph = scipy.sparse.coo_matrix((weight, (joined[:, 0], joined[:, 1])), shape=(len(vertices),) * 2)
-    graph = (graph + graph.T).tocsr()
-    return scipy.sparse.diags(np.asarray(graph.sum(axis=1)).reshape(-1)) - graph
+    return meshes.weighted_laplacian(meshes.edge_matrix(joined, weight, len(vertices)))

@@ -13,9 +13,9 @@ from drape.body.model import BodyModel
 from drape.cloth.fabric_table import DEFAULT_FABRIC
 from drape.garment import charts, features, skin
 from drape.garment.cache import Garment
-from drape.garment.partition import mesh_edges, partition, patch_count_for, vertex_graph
+from drape.garment.partition import partition, patch_count_for, vertex_graph
 from drape.garment.unfold import fit_planes, folded_charts, folded_triangles, without_folds
-from drape.geometry import jets
+from drape.geometry import jets, meshes
 
 RIDGE = 1e-4  # of the jet fit, on coefficients of unit-scaled coordinates
 CHART_RADIUS = 1.2  # patch scale over sqrt(area per patch): |u|, |v| <= 1 over most of a chart
@@ -103,8 +103,7 @@ def patch_fields(
         cover, uv = flat.cover, flat.uv
         jet = fit_planes(fit_jets(uv, height, cover, count), flat, local, scale)
     residual = local - scale[cover.patch][..., None] * jets.evaluate(jet[cover.patch], uv)
-    edges = mesh_edges(rest.faces)
-    pairs = np.sort(label[edges], axis=1)
+    pairs = np.sort(label[meshes.unique_edges(rest.faces)], axis=1)
     return {
         "patch_rotation": rotation.astype(np.float32),
         "patch_centre": centre.astype(np.float32),

@@ -41,9 +41,7 @@ def rims_cross(uv: np.ndarray, triangles: np.ndarray) -> bool:
 
     A piece that is a disc and has no triangle upside down covers no place twice unless its rim crosses itself.
     """
-    halves = meshes.half_edges(triangles)[:, :2]
-    edges, uses = np.unique(np.sort(halves, axis=1), axis=0, return_counts=True)
-    rim = edges[uses == 1]
+    rim = meshes.boundary_edges(triangles)
     start, along = uv[rim[:, 0]], uv[rim[:, 1]] - uv[rim[:, 0]]
 
     def side(points: np.ndarray) -> np.ndarray:
@@ -54,14 +52,6 @@ def rims_cross(uv: np.ndarray, triangles: np.ndarray) -> bool:
     parted = side(start) * side(uv[rim[:, 1]]) < 0.0
     joined = (rim[:, None, :, None] == rim[None, :, None, :]).any(axis=(2, 3))
     return bool((parted & parted.T & ~joined).any())
-
-
-def edge_graph(points: np.ndarray, triangles: np.ndarray) -> scipy.sparse.csr_matrix:
-    """Symmetric graph (n, n) of the edges' lengths between ``points`` (n, 3)."""
-    edges = meshes.unique_edges(triangles)
-    length = np.maximum(np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1), 1e-9)
-    graph = scipy.sparse.coo_matrix((length, (edges[:, 0], edges[:, 1])), shape=(len(points),) * 2).tocsr()
-    return graph + graph.T
 
 
 def lay_flat(
@@ -89,7 +79,7 @@ def lay_flat(
 
 def _cut(points: np.ndarray, disc: np.ndarray, weight: np.ndarray, start: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """Vertices of the path from the rim ``start`` to one of ``ends`` along which the chart weighs least."""
-    graph = edge_graph(points, disc).tocoo()
+    graph = meshes.edge_graph(points, disc).tocoo()
     cost = graph.data * (0.5 * (weight[graph.row] + weight[graph.col]) / weight.max() + CUT_FLOOR)
     priced = scipy.sparse.csr_matrix((cost, (graph.row, graph.col)), shape=graph.shape)
     distance, before, _ = dijkstra(priced, indices=start, min_only=True, return_predecessors=True)

@@ -43,6 +43,7 @@ from drape.garment.rest_detail import Cloth, Rest, doubled_faces, rest_of, subdi
 from drape.garment.rest_pose import refine, to_standard
 from drape.garment.sewing import Sewing, beside, sewn_hinges
 from drape.geometry import meshes
+from drape.geometry.closest import nearest_vertices
 
 INTAKE_VERSION = 2  # raised when a change here changes the garments that come out
 PATCH_SHARE_RANGE = (0.75, 2.2)  # what the network is trained on
@@ -173,9 +174,7 @@ def without_unused(mesh: GarmentMesh) -> tuple[GarmentMesh, np.ndarray]:
     used = np.unique(mesh.faces)
     if len(used) == len(mesh.vertices):
         return mesh, np.arange(len(used))
-    from scipy.spatial import KDTree
-
-    kept = np.asarray(KDTree(mesh.vertices[used]).query(mesh.vertices)[1])
+    _, kept = nearest_vertices(mesh.vertices, mesh.vertices[used])
     kept[used] = np.arange(len(used))
     return replace(mesh, vertices=mesh.vertices[used], faces=kept[mesh.faces]), kept
 

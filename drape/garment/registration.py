@@ -12,13 +12,12 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
-from scipy.spatial import KDTree
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
 from drape.errors import BodyError
 from drape.geometry import meshes, skinning
-from drape.geometry.closest import closest_point
+from drape.geometry.closest import closest_point, nearest_vertices
 
 RESIDUAL_LIMIT_MM = 15.0
 HEIGHTS_M = (1.2, 2.3)
@@ -126,7 +125,7 @@ def _fit(body: BodyModel, target: _Target, lift_rad: float) -> tuple[np.ndarray,
         posed = posed_by(body, parameters)
         normals = meshes.vertex_normals(posed, body.faces)
         # Every point of the target looks for the body: parts that the target lacks do not pull.
-        distance, near = map(np.asarray, KDTree(posed).query(target.points, k=4))
+        distance, near = nearest_vertices(target.points, posed, 4)
         agree = np.einsum("nc,nkc->nk", target.point_normals, normals[near]) > NORMAL_AGREEMENT
         first = np.argmax(agree, axis=1)
         rows = np.arange(len(near))

@@ -159,9 +159,7 @@ def distortion(vertices: np.ndarray, faces: np.ndarray) -> float:
         e1, e2 = (vertices[faces[:, (k + n) % 3]] - vertices[corner] for n in (1, 2))
         turn = np.arctan2(np.linalg.norm(np.cross(e1, e2), axis=1), (e1 * e2).sum(axis=1))
         np.subtract.at(defect, corner, turn)
-    rims = meshes.boundary_loops(faces)
-    if rims:
-        defect[np.concatenate(rims)] = 0.0
+    defect[meshes.boundary_vertices(faces)] = 0.0
     spread = smoother(vertices, faces, 0.5 * PANEL_RADIUS_M)(np.column_stack([defect, area]))
     curvature = np.abs(spread[:, 0]) / np.maximum(spread[:, 1], 1e-12) * np.pi * PANEL_RADIUS_M**2
     order = np.argsort(curvature)
@@ -186,14 +184,12 @@ def _stiffening(cloth: Cloth, crease: np.ndarray) -> np.ndarray:
     """Factors (H,): ``HEM_STIFFENING`` where cloth lies double, in a material so called or between crease and rim."""
     sides, hinges = meshes.hinge_faces(cloth.faces), meshes.hinges(cloth.faces)
     double = cloth.doubled[sides].all(axis=1)
-    rims = meshes.boundary_loops(cloth.faces)
-    if rims and crease.any():
-        edges = meshes.unique_edges(cloth.faces)
-        length = np.maximum(meshes.edge_lengths(cloth.modelled, edges), 1e-9)
-        graph = scipy.sparse.coo_matrix((length, edges.T), shape=(len(cloth.vertices),) * 2).tocsr()
+    rim = meshes.boundary_vertices(cloth.faces)
+    if len(rim) and crease.any():
+        graph = meshes.edge_graph(cloth.modelled, cloth.faces)
         away = [
             csgraph.dijkstra(graph, directed=False, indices=np.unique(near), limit=HEM_M, min_only=True)
-            for near in (hinges[crease, :2], np.concatenate(rims))
+            for near in (hinges[crease, :2], rim)
         ]
         hem = away[0] + away[1] <= HEM_M
         double |= hem[hinges[:, :2]].all(axis=1)

@@ -19,13 +19,12 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse
 import scipy.sparse.linalg
-from scipy.spatial import KDTree
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.garment.avatars import Avatar
 from drape.geometry import meshes
-from drape.geometry.closest import closest_point
+from drape.geometry.closest import closest_point, nearest_vertices
 
 WEIGHT_SMOOTHING_M = 0.05  # along the garment; longer spreads an armpit's strain further
 SHAPE_SMOOTHING_M = 0.03  # longer keeps the avatar's bust on a body that has none, which then creases
@@ -91,7 +90,7 @@ def to_standard(vertices: np.ndarray, faces: np.ndarray, avatar: Avatar, body: B
 def surface_weights(points: np.ndarray, avatar: Avatar) -> scipy.sparse.csr_matrix:
     """Rows (V, body V) that average the body near each point: a Gaussian round it, over skin that faces its way."""
     normals = meshes.vertex_normals(avatar.vertices, avatar.faces)
-    distance, near = KDTree(avatar.vertices).query(points, k=NEAR_COUNT)
+    distance, near = nearest_vertices(points, avatar.vertices, NEAR_COUNT)
     closest = closest_point(points, avatar.vertices, avatar.faces)
     facing = np.einsum("vk,vkc->vc", closest.barycentric, normals[avatar.faces[closest.face]])
     agreement = np.maximum(np.einsum("vc,vkc->vk", facing, normals[near]), 0.0)
@@ -115,10 +114,8 @@ def smoother(vertices: np.ndarray, faces: np.ndarray, length_m: float):
     """A function that smooths fields (V, C) along the mesh over ``length_m``: (I + length^2 L)^-1, constants kept."""
     edges = meshes.unique_edges(faces)
     inverse_square = (length_m / np.maximum(meshes.edge_lengths(vertices, edges), 1e-4)) ** 2
-    graph = scipy.sparse.coo_matrix((inverse_square, (edges[:, 0], edges[:, 1])), shape=(len(vertices),) * 2)
-    graph = graph + graph.T
     # About six neighbours lie in the plane: a third of the sum is the Laplacian's scale.
-    laplacian = scipy.sparse.diags(np.asarray(graph.sum(axis=1)).reshape(-1)) - graph
+    laplacian = meshes.weighted_laplacian(meshes.edge_matrix(edges, inverse_square, len(vertices)))
     solve = scipy.sparse.linalg.factorized((scipy.sparse.identity(len(vertices)) + laplacian / 3.0).tocsc())
     return lambda fields: np.column_stack([solve(np.ascontiguousarray(column)) for column in fields.T])
 

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.sparse.csgraph import dijkstra
 
 from drape.garment.charts import Cover
-from drape.garment.flatten import edge_graph, lay_flat, rims_cross, signed_areas
-from drape.geometry import jets
+from drape.garment.flatten import lay_flat, rims_cross, signed_areas
+from drape.geometry import jets, meshes
 
 TRIM, TRIM_ROUNDS = 0.85, 12  # a chart that cannot be laid flat is made smaller by this factor, so often
 FADE = 0.35  # patch scales from a vertex that leaves a chart over which the chart's weight comes back
@@ -105,7 +105,7 @@ def without_folds(cover: Cover, local: np.ndarray, scale: np.ndarray, faces: np.
 
 def _chart(points: np.ndarray, triangles: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rows (m,) of one chart's ``points`` (n, 3) that stay, their places (m, 2), and factors (n,) of the weights."""
-    graph = edge_graph(points, triangles)
+    graph = meshes.edge_graph(points, triangles)
     reach = dijkstra(graph, directed=False, indices=[int(np.argmax(weight))])[0]
     limit = float(reach[np.isfinite(reach)].max()) * 1.0001
     kept, placed = np.zeros(0, dtype=np.int64), np.zeros((0, 2))

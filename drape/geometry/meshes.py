@@ -17,19 +17,19 @@ from drape.geometry.rotations import cross
 # --- topology --------------------------------------------------------------------------------------------------------
 
 
-def check_faces(faces: np.ndarray, vertex_count: int) -> np.ndarray:
-    """``faces`` as int64 (F, 3); refuses another shape and indices outside [0, vertex_count)."""
+def check_faces(faces: np.ndarray, vertex_count: int, *, name: str = "faces") -> np.ndarray:
+    """``faces`` as int64 (F, 3). Raises ``MeshError`` for another shape and for indices outside [0, vertex_count)."""
     faces = np.asarray(faces)
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
         raise MeshError(
-            "faces",
+            name,
             expected="integers of shape (F, 3)",
             got=f"{faces.dtype} of shape {faces.shape}",
             cure="Triangulate the mesh.",
         )
     if faces.size and (faces.min() < 0 or faces.max() >= vertex_count):
         raise MeshError(
-            "faces",
+            name,
             expected=f"indices in [0, {vertex_count})",
             got=f"[{faces.min()}, {faces.max()}]",
             cure="Repair the mesh.",
@@ -44,12 +44,28 @@ def half_edges(faces: np.ndarray) -> np.ndarray:
 
 def unique_edges(faces: np.ndarray) -> np.ndarray:
     """Undirected edges (E, 2), the smaller index first, in lexicographic order."""
+    return edge_uses(faces)[0]
+
+
+def edge_uses(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The edges (E, 2) of ``unique_edges``, and how many faces (E,) each has."""
     if len(faces) == 0:
-        return np.zeros((0, 2), dtype=np.int64)
-    return np.unique(np.sort(half_edges(faces)[:, :2], axis=1), axis=0)
+        return np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64)
+    return np.unique(np.sort(half_edges(faces)[:, :2], axis=1), axis=0, return_counts=True)
 
 
-def _edge_pairs(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def boundary_edges(faces: np.ndarray) -> np.ndarray:
+    """The edges (B, 2) of ``unique_edges`` that one face alone has: the surface ends there."""
+    edges, uses = edge_uses(faces)
+    return edges[uses == 1]
+
+
+def boundary_vertices(faces: np.ndarray) -> np.ndarray:
+    """Vertices on a boundary edge, sorted."""
+    return np.unique(boundary_edges(faces))
+
+
+def edge_pairs(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Half-edges (3F, 3), and two index arrays of those that share an edge; m faces on one edge give m - 1 pairs."""
     halves = half_edges(faces)
     ends = np.sort(halves[:, :2], axis=1)
@@ -60,13 +76,13 @@ def _edge_pairs(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def hinges(faces: np.ndarray) -> np.ndarray:
     """Hinges (H, 4) = (i, j, k, l): the shared edge i -> j, the vertex k opposite in one face, l in the other."""
-    halves, first, second = _edge_pairs(faces)
+    halves, first, second = edge_pairs(faces)
     return np.column_stack([halves[first], halves[second, 2]])
 
 
 def hinge_faces(faces: np.ndarray) -> np.ndarray:
     """The two faces (H, 2) of every hinge, in the order of ``hinges``."""
-    _, first, second = _edge_pairs(faces)
+    _, first, second = edge_pairs(faces)
     return np.column_stack([first // 3, second // 3])
 
 
@@ -106,9 +122,24 @@ def connected_components(faces: np.ndarray, vertex_count: int) -> np.ndarray:
 def adjacency(faces: np.ndarray, vertex_count: int) -> scipy.sparse.csr_matrix:
     """Symmetric matrix (V, V) with one at every edge."""
     edges = unique_edges(faces)
-    rows = np.concatenate([edges[:, 0], edges[:, 1]])
-    columns = np.concatenate([edges[:, 1], edges[:, 0]])
-    return scipy.sparse.csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(vertex_count, vertex_count))
+    return edge_matrix(edges, np.ones(len(edges)), vertex_count)
+
+
+def edge_matrix(edges: np.ndarray, values: np.ndarray, vertex_count: int) -> scipy.sparse.csr_matrix:
+    """Symmetric matrix (V, V) with ``values`` (E,) at ``edges`` (E, 2), each edge given once."""
+    one_way = scipy.sparse.coo_matrix((values, (edges[:, 0], edges[:, 1])), shape=(vertex_count,) * 2).tocsr()
+    return one_way + one_way.T
+
+
+def edge_graph(vertices: np.ndarray, faces: np.ndarray) -> scipy.sparse.csr_matrix:
+    """Symmetric matrix (V, V) with the length [m] of every edge, at least 1e-9: zero would say that there is none."""
+    edges = unique_edges(faces)
+    return edge_matrix(edges, np.maximum(edge_lengths(vertices, edges), 1e-9), len(vertices))
+
+
+def weighted_laplacian(weights: scipy.sparse.csr_matrix) -> scipy.sparse.csr_matrix:
+    """D - W of a symmetric matrix W (V, V) of weights, D the diagonal of its row sums."""
+    return scipy.sparse.diags(np.asarray(weights.sum(axis=1)).reshape(-1)) - weights
 
 
 def umbrella_laplacian(faces: np.ndarray, vertex_count: int) -> scipy.sparse.csr_matrix:

@@ -11,8 +11,8 @@ the two.
 - Network and frame give the posed jets, a 3 x 18 matrix per patch. A vertex is the sum over its four charts of
   such a matrix times a constant column, so charts are sorted by patch into tiles of ``CHARTS_PER_TILE`` columns:
   the vertex stage is one small product of a fixed shape per tile and a sum of four rows.
-- Outputs are independent branches: ``service.subgraph`` cuts the graph of a scene out of this one. The jets after each
-  pass are outputs too: with those of an early pass in place of the last one's, what is cut out ends there.
+- Outputs are independent branches: ``service.graphs.subgraph`` cuts the graph of a scene out of this one. The jets
+  after each pass are outputs too: with those of an early pass in place of the last one's, what is cut out ends there.
 """
 
 from __future__ import annotations

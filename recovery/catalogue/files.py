@@ -11,17 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from drape.garment.sewing import Edge, Seam, Sewing
+from recovery.atomic import write
 from recovery.catalogue.build import SewnGarment
 from recovery.catalogue.settling import HEM_BENDING, HEM_M
-from recovery.drape.output import glb_bytes, obj_text, write
-from recovery.pattern.mesh import PatternMesh
-from recovery.pattern.pieces import make_sheet
-
-
-def panel_layout(mesh: PatternMesh) -> np.ndarray:
-    """Texture coordinates [m] (P, 2): the panels side by side, as they lie on the cloth."""
-    sheet = make_sheet(mesh.pattern, allowance_m=0.0)
-    return mesh.rest + sheet.offsets[mesh.panel]
+from recovery.drape.output import glb_bytes, obj_text, panel_texture
 
 
 def edge_kind(name: str) -> str:
@@ -65,7 +58,7 @@ def sewing(garment: SewnGarment, *, name: str, size: str, body: str) -> Sewing:
 
 def write_garment(garment: SewnGarment, folder: Path, *, name: str, size: str, body: str) -> list[Path]:
     """Writes ``NAME.obj``, ``NAME.glb`` and ``NAME.json`` to ``folder`` and returns their paths."""
-    texture = (panel_layout(garment.mesh), 1.0)
+    texture = panel_texture(garment.mesh, unit_m=1.0)
     return [
         write(folder / f"{name}.obj", obj_text(garment.mesh, garment.nodes, texture)),
         write(folder / f"{name}.glb", glb_bytes(garment.mesh, garment.nodes, texture)),

@@ -18,12 +18,13 @@ from drape.body.assets import DEFAULT_BODY, load_body
 from drape.cloth.material import DEFAULT_MATERIAL
 from drape.errors import refusing
 from drape.garment.intake import IntakeOptions, garment_name, intake
-from recovery.drape.output import glb_bytes, obj_text, panel_texture, write
+from recovery.atomic import write
+from recovery.drape.body_distance import add_distance_options, distance_options
+from recovery.drape.output import glb_bytes, obj_text, panel_texture
 from recovery.drape.pipeline import Draped, DrapeOptions, Hold, drape_pattern
 from recovery.drape.placement import Axes
 from recovery.drape.posing import read_pose
 from recovery.drape.settle import TOLERANCE_N
-from recovery.drape.skin import add_distance_options, distance_options
 from recovery.pattern.garmentcode import read_pattern
 
 NOT_AT_REST_EXIT_CODE = 3

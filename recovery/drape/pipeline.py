@@ -16,13 +16,13 @@ from drape.cloth.material import DEFAULT_MATERIAL, material
 from drape.cloth.orthotropic import OrthotropicMaterial
 from drape.errors import InputError
 from drape.geometry import meshes
+from recovery.drape.body_distance import SIREN_FOLDER, DistanceKind, skin_distance
 from recovery.drape.placement import Axes, Placed, place, scaled
 from recovery.drape.posing import to_pose
 from recovery.drape.relax import Relaxation
 from recovery.drape.repair import uncrossed
 from recovery.drape.settle import ITERATION_LIMIT, Drape, settle
 from recovery.drape.sewing import Sewn, in_numpy, sew
-from recovery.drape.skin import SIREN_FOLDER, DistanceKind, skin_distance
 from recovery.pattern.mesh import PatternMesh, mesh_pattern
 from recovery.pattern.model import Pattern
 from recovery.sim.sdf import SignedDistance

@@ -125,12 +125,12 @@ class PatternSearch:
         cloth: FreeCloth | None = None,
         likely: np.ndarray | None = None,
     ) -> None:
-        if len(free.controls) != len(mesh.controls) or free.controls.free_curves != mesh.controls.free_curves:
+        if len(free.controls) != len(mesh.controls):
             raise InputError(
                 "free controls",
                 expected=f"the {len(mesh.controls)} control points of the mesh",
                 got=f"{len(free.controls)}",
-                cure="Make both from the same pattern and with the same free_curves.",
+                cure="Make both from the same pattern.",
             )
         self.mesh, self.free, self.forward, self.objective, self.cloth = mesh, free, forward, objective, cloth
         self.count = free.count + (cloth.count if cloth is not None else 0)

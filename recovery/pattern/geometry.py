@@ -131,11 +131,28 @@ def chord(panel: Panel, number: int) -> tuple[np.ndarray, np.ndarray]:
     return panel.vertices[edge.start], panel.vertices[edge.end] - panel.vertices[edge.start]
 
 
+def off_chord(relative: np.ndarray, start: np.ndarray, chord: np.ndarray) -> np.ndarray:
+    """Points [m] (N, 2) for (along, left) shares (N, 2) of the ``chord`` [m] (2,) that begins at ``start`` [m] (2,)."""
+    return start + relative[:, :1] * chord + relative[:, 1:] * np.array([-chord[1], chord[0]])
+
+
+def on_chord(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[tuple[float, float], ...]:
+    """The (along, left) shares of ``points`` [m] (N, 2) by the chord from ``start`` to ``end`` [m] (2,)."""
+    chord, arm = end - start, points - start
+    along, left = arm @ chord, arm @ np.array([-chord[1], chord[0]])
+    squared = max(float(chord @ chord), 1e-300)
+    return tuple(zip((along / squared).tolist(), (left / squared).tolist(), strict=True))
+
+
 def edge_points(panel: Panel, number: int, t: np.ndarray) -> np.ndarray:
     """Points [m] (T, 2) of edge ``number`` at ``t`` (T,) in [0, 1]."""
-    start, along = chord(panel, number)
-    relative = relative_curve(panel.edges[number], t)
-    return start + relative[:, :1] * along + relative[:, 1:] * np.array([-along[1], along[0]])
+    return off_chord(relative_curve(panel.edges[number], t), *chord(panel, number))
+
+
+def edge_controls(panel: Panel, number: int) -> np.ndarray:
+    """Start, handles and end [m] (2 + H, 2) of edge ``number``."""
+    relative = np.array([(0.0, 0.0), *panel.edges[number].handles, (1.0, 0.0)])
+    return off_chord(relative, *chord(panel, number))
 
 
 def edge_tangents(panel: Panel, number: int, t: np.ndarray) -> np.ndarray:

@@ -6,19 +6,16 @@ back's crotch point is lowered until both inseams are as long.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-
-from scipy.optimize import brentq
 
 from drape.errors import InputError
 from recovery.pattern import geometry
-from recovery.pattern.bands import BAND_SHORTER, sew_band
+from recovery.pattern.bands import sew_waistband
 from recovery.pattern.darts import Dart, sew_darts, waist_pieces, waist_with_darts
 from recovery.pattern.design import Assembly, Design
-from recovery.pattern.drafting import BACK, FRONT, Drafted, Point, Side, draft
+from recovery.pattern.drafting import FRONT, Drafted, Point, Side, before_and_behind, draft, root
 from recovery.pattern.measurements import BodyMeasurements
-from recovery.pattern.tops import FORWARD, STAND_OFF_M, UP
-from recovery.pattern.wrapping import Tube
 
 SHIFT_M = 0.01  # the back is wider by twice this, and so the side seam lies in the middle of the side
 EXTENSION = {"front": 0.05, "back": 0.105}  # of the crotch beyond the middle, shares of the hips
@@ -35,7 +32,8 @@ class LegCut:
     """Lengths [m]: ``rise_drop_m`` of the waistband's upper edge below the waist, ``inseam_m`` None to the ankles.
 
     ``knee_girth_m`` and ``hem_girth_m`` of the cloth; shorts have no knee. ``waist_ease_m`` is negative where
-    the band is to sit tight.
+    the band is to sit tight; a ``band_m`` of 0 leaves the band out. Without ``darts`` the side seam takes in all
+    that the hips have more than the waist.
     """
 
     name: str
@@ -48,6 +46,7 @@ class LegCut:
     crotch_ease_m: float = 0.015
     band_m: float = 0.04
     waist_ease_m: float = 0.0
+    darts: bool = True
 
 
 def trousers(body: BodyMeasurements, cut: LegCut) -> Design:
@@ -55,14 +54,14 @@ def trousers(body: BodyMeasurements, cut: LegCut) -> Design:
     top = body.waist_y - cut.rise_drop_m - cut.band_m
     crotch = body.crotch_y - cut.crotch_ease_m
     hem = body.ankle_y + ABOVE_ANKLE_M if cut.inseam_m is None else crotch - cut.inseam_m
-    _check(body, cut, hem)
+    _check(body, cut, top, hem)
     quarter = 0.25 * (body.hip_girth + cut.hip_ease_m)
     outer = {"front": quarter - SHIFT_M, "back": quarter + SHIFT_M}
     reach = {label: share * body.hip_girth for label, share in EXTENSION.items()}
     top_half = 0.5 * (body.girth_at(top) + cut.waist_ease_m)
     # What hips have more than the waist, on one side of the body, is shared by the side seam and two darts.
     excess = sum(outer.values()) - sum(INSET_M.values()) - top_half
-    darts = {label: max(0.0, share * excess) for label, share in DART_SHARE.items()}
+    darts = {label: max(0.0, share * excess) if cut.darts else 0.0 for label, share in DART_SHARE.items()}
     side_inset = 0.5 * (excess - sum(darts.values()))
     middle = 0.5 * (outer["front"] - reach["front"])  # of the leg, in front
 
@@ -124,14 +123,10 @@ def trousers(body: BodyMeasurements, cut: LegCut) -> Design:
         panel = draft(label, sides(label, low), rotation=FRONT, z=0.0)
         return geometry.edge_length(panel.panel, panel.numbers["inseam"])
 
-    wanted = inseam("front", crotch)
-    low = {"front": crotch, "back": _root(lambda y: inseam("back", y) - wanted, crotch - 0.08, crotch + 0.03)}
+    low = {"front": crotch, "back": _equal_inseam(cut, inseam, crotch)}
     work = Assembly()
     panels: dict[tuple[str, str], Drafted] = {}
-    for label, face, z in (
-        ("front", FRONT, body.front_z + STAND_OFF_M),
-        ("back", BACK, body.back_z - STAND_OFF_M),
-    ):
+    for label, face, z in before_and_behind(body):
         outline = sides(label, low[label])
         for side in ("left", "right"):
             panels[side, label] = work.add(
@@ -152,29 +147,43 @@ def trousers(body: BodyMeasurements, cut: LegCut) -> Design:
         sew_darts(work, panel)
     for label in ("front", "back"):
         work.sew(f"crotch_{label}", panels["left", label], "crotch", panels["right", label], "crotch")
-    order = [("right", "back"), ("right", "front"), ("left", "front"), ("left", "back")]
-    tube = Tube((0.0, top + 0.01, 0.5 * (body.front_z + body.back_z)), UP, FORWARD, body.girth_at(top) / 5.0)
-    pieces = [piece for key in order for piece in waist_pieces(panels[key], "waist")]
-    sew_band(work, "waistband", pieces, tube, width_m=cut.band_m, shorter=BAND_SHORTER, above=True)
-    return Design(
-        work.pattern(cut.name, cut.fabric),
-        cut.fabric,
-        work.edge_names,
-        tuple(work.seam_names),
-        wraps=work.wraps,
-        eased={"waistband_seam": 1.0 / (1.0 - BAND_SHORTER) - 1.0},
-        ease_m={"hips": cut.hip_ease_m, "waist": cut.waist_ease_m},
-    )
+    if cut.band_m:
+        order = [("right", "back"), ("right", "front"), ("left", "front"), ("left", "back")]
+        pieces = [piece for key in order for piece in waist_pieces(panels[key], "waist")]
+        sew_waistband(work, body, top, pieces, cut.band_m)
+    return work.design(cut.name, cut.fabric, {"hips": cut.hip_ease_m, "waist": cut.waist_ease_m})
 
 
-def _check(body: BodyMeasurements, cut: LegCut, hem: float) -> None:
+def _equal_inseam(cut: LegCut, inseam: Callable[[str, float], float], crotch: float) -> float:
+    """The height [m] of the back's crotch point at which both inseams, lengths by panel and height, are as long."""
+    wanted = inseam("front", crotch)
+    lowest, highest = crotch - 0.08, crotch + 0.03
+    if not inseam("back", lowest) < wanted < inseam("back", highest):
+        raise InputError(
+            cut.name,
+            expected="legs long enough for equal inseams",
+            got=f"{wanted:.3f} m in front, {inseam('back', lowest):.3f} to {inseam('back', highest):.3f} m behind",
+            cure="Lengthen the legs or narrow the hem.",
+        )
+    return root(lambda y: inseam("back", y) - wanted, lowest, highest)
+
+
+def _check(body: BodyMeasurements, cut: LegCut, top: float, hem: float) -> None:
+    if top < body.hip_y:
+        raise InputError(
+            f"{cut.name}: rise_drop_m",
+            expected=f"a waist above the hips, which are {body.waist_y - body.hip_y:.3f} m below the body's waist",
+            got=f"{body.waist_y - top:.3f} m below it",
+            cure="Lessen the drop.",
+        )
     thigh = body.hip_girth + cut.hip_ease_m
     thigh = 0.5 * thigh + sum(EXTENSION.values()) * body.hip_girth
-    least = {"hip_ease_m": (thigh, body.thigh_girth)}
-    if hem < body.knee_y:
-        least["hem_girth_m"] = (cut.hem_girth_m, 1.8 * body.wrist_girth)  # a foot passes
-        if cut.knee_girth_m is not None:
-            least["knee_girth_m"] = (cut.knee_girth_m, body.calf_girth)
+    least = {
+        "hip_ease_m": (thigh, body.thigh_girth),
+        "hem_girth_m": (cut.hem_girth_m, 1.8 * body.wrist_girth),  # a foot passes
+    }
+    if hem < body.knee_y and cut.knee_girth_m is not None:
+        least["knee_girth_m"] = (cut.knee_girth_m, body.calf_girth)
     for name, (cloth, needed) in least.items():
         if cloth < needed:
             raise InputError(
@@ -183,7 +192,3 @@ def _check(body: BodyMeasurements, cut: LegCut, hem: float) -> None:
                 got=f"{cloth:.3f} m of cloth",
                 cure="Add ease, or draft a larger size.",
             )
-
-
-def _root(function, low: float, high: float) -> float:
-    return float(brentq(function, low, high, xtol=1e-9))  # pyright: ignore[reportArgumentType]

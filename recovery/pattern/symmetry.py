@@ -134,17 +134,10 @@ def _matched(first: Panel, second: Panel, symmetry: Symmetry) -> tuple[np.ndarra
     points = ([], [])
     for number in range(count):
         other = symmetry.edge(number, count)
-        points[0].append(_edge_controls(first, number)[:-1])
-        mine = _edge_controls(second, other)
+        points[0].append(geometry.edge_controls(first, number)[:-1])
+        mine = geometry.edge_controls(second, other)
         points[1].append((mine[::-1] if turned else mine)[:-1])
     return np.concatenate(points[0]), np.concatenate(points[1])
-
-
-def _edge_controls(panel: Panel, number: int) -> np.ndarray:
-    """Start, handles and end [m] (2 + H, 2) of an edge."""
-    start, chord = geometry.chord(panel, number)
-    relative = np.array([(0.0, 0.0), *panel.edges[number].handles, (1.0, 0.0)])
-    return start + relative[:, :1] * chord + relative[:, 1:] * np.array([-chord[1], chord[0]])
 
 
 # --- what the symmetries leave free ----------------------------------------------------------------------------------
@@ -187,14 +180,13 @@ def symmetrised(pattern: Pattern, symmetries: Symmetries) -> Pattern:
     return with_controls(pattern, every, _mean_positions(every, pattern, symmetries))
 
 
-def free_controls(pattern: Pattern, symmetries: Symmetries, *, free_curves: bool = False) -> FreeControls:
-    """What ``symmetries`` leave free of the control points of ``pattern``.
+def free_controls(pattern: Pattern, symmetries: Symmetries) -> FreeControls:
+    """What ``symmetries`` leave free of the corners of ``pattern``.
 
     The axis of a symmetric panel and the motion between two panels stay what they are; a panel's own place in its
-    plane means nothing and is left in. Pass a pattern that is ``symmetrised``, or curves that are no
-    control points keep their differences.
+    plane means nothing and is left in. Pass a pattern that is ``symmetrised``: curves keep their differences.
     """
-    controls = control_points(pattern, free_curves=free_curves)
+    controls = control_points(pattern)
     tie = _projection(controls, pattern, symmetries)
     # The image of the tie, by Gram and Schmidt from its columns in order: a column is one coordinate and its images.
     columns: list[np.ndarray] = []

@@ -20,10 +20,10 @@ from drape.body.assets import DEFAULT_BODY
 from drape.cloth.material import DEFAULT_MATERIAL, FABRICS
 from drape.errors import InputError, refusing
 from drape.garment.mesh_checks import UNITS_M, UP_AXES
-from recovery.drape.output import write
+from recovery.atomic import write
+from recovery.drape.body_distance import add_distance_options, distance_options
 from recovery.drape.pipeline import DrapeOptions
 from recovery.drape.posing import read_pose
-from recovery.drape.skin import add_distance_options, distance_options
 from recovery.fit.objective import DEFAULT_WEIGHTS
 from recovery.fit.optimise import FitOptions
 from recovery.run.job import FIT_INSIDE, Job, run_job
@@ -137,7 +137,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; 2 and one sentence on what is wrong, 3 where the garment is not at rest."""
     given = parse(arguments)
     outcome = run_job(job_of(given), progress=True)
-    from recovery.run.story import page_of, record_of  # matplotlib takes a second to load
+    from recovery.run.report_text import page_of, record_of  # matplotlib takes a second to load
 
     for path in [
         *outcome.files,

@@ -14,7 +14,8 @@ from drape.errors import InputError
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake import IntakeOptions, garment_name, intake
 from drape.garment.mesh_checks import Unit, Up
-from recovery.drape.output import glb_bytes, obj_text, panel_texture, write
+from recovery.atomic import write
+from recovery.drape.output import glb_bytes, obj_text, panel_texture
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.fit.chamfer import Chamfer, SurfaceDistance, surface_chamfer, surface_distance
 from recovery.fit.objective import DEFAULT_WEIGHTS, Weights

@@ -20,8 +20,8 @@ from drape.live.fold_step import Effort, Frame, Memory, Report, fold, warm_up
 from drape.live.layers import covered, raised
 from drape.live.skin_contact import Touched
 from drape.wire.options import DrapeOptions
-from service.engine import SKIN, Engine
-from service.fabrics import layer_fabrics
+from service.compute.fabrics import layer_fabrics
+from service.graphs.engine import SKIN, Engine
 from service.settings import Settings
 from service.stages.batch import FINE, Batch, Layer, Plan, Quality, Stage
 

@@ -18,8 +18,8 @@ from benchmarks.speed.setup import network_of, poses, shipped, timed, with_patch
 from drape.artifacts import MODELS_DIR
 from drape.body.assets import load_body
 from drape.graph.packing import pack_body
-from service.engine import Engine
-from service.packing import Packer, ScenePlan
+from service.graphs.engine import Engine
+from service.graphs.packing import Packer, ScenePlan
 from tests.fixtures.packed import exported, lively
 
 

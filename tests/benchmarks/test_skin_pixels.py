@@ -18,7 +18,7 @@ from drape.garment.cache import Garment
 from drape.geometry.raster import Surface, render
 from drape.motion.hard_poses import HardPoses
 from drape.wire.options import DrapeOptions, Resolution
-from service.drapery import Drapery
+from service.compute.drape_runtime import Drapery
 from service.settings import Settings
 from service.stages import run
 from service.stages.batch import PoseInput

@@ -17,8 +17,8 @@ from drape.catalog import find_motions
 from drape.cloth.fabric_table import fabric
 from drape.errors import ArtifactError, InputError
 from drape.wire.options import DrapeOptions
-from service.drapery import Drapery
-from service.tiers import NAMES
+from service.compute.drape_runtime import Drapery
+from service.compute.tiers import NAMES
 from tests.fixtures.serving import body, make_settings, tiny_folder, tube
 from tests.fixtures.tiny_model import TINY, write_tiny_model
 

@@ -15,8 +15,8 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from drape.garment.cache import save_garment
 from drape.motion.samples import stretch
 from service.app import create_app
-from service.drapery import Drapery
-from service.engine import PACKED
+from service.compute.drape_runtime import Drapery
+from service.graphs.engine import PACKED
 from service.settings import Settings
 from tests.clients.browser import Page, open_page
 from tests.clients.test_page import set_control, share

@@ -19,9 +19,9 @@ from drape.wire import messages as wire
 from drape.wire.jets import JetFrame, pack_jets, unpack_jets
 from model_export.folder import _add_packed
 from model_export.precision.half import HALF, halve_matrices
-from service.drapery import Drapery
-from service.engine import Engine
-from service.packing import Packer, ScenePlan
+from service.compute.drape_runtime import Drapery
+from service.graphs.engine import Engine
+from service.graphs.packing import Packer, ScenePlan
 from tests.extremes.frames import check_bounded, draped
 from tests.fixtures.packed import exported, garment
 

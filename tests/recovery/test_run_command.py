@@ -19,7 +19,8 @@ from drape.errors import InputError
 from drape.garment.cache import load_garment
 from drape.garment.files.mesh import read_mesh
 from drape.geometry.drawing import drawn
-from recovery.drape.output import obj_text, panel_texture, write
+from recovery.atomic import write
+from recovery.drape.output import obj_text, panel_texture
 from recovery.drape.pipeline import DrapeOptions, drape_pattern
 from recovery.fit.chamfer import chamfer, surface_chamfer, surface_distance
 from recovery.pattern.bases import tshirt
@@ -28,8 +29,8 @@ from recovery.run import __main__ as command
 from recovery.run.identify import shape_basis
 from recovery.run.job import describe_worn, lost_words, run_job
 from recovery.run.report import Page
+from recovery.run.report_text import cloth_words, cut_words, file_words, verdicts
 from recovery.run.retarget import _worn, lost_parts, retargeted
-from recovery.run.story import cloth_words, cut_words, file_words, verdicts
 from tests.recovery.pattern_setup import default_measurements
 
 SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
@@ -104,7 +105,7 @@ COARSE = DrapeOptions(edge_length_m=0.05, grid_m=0.02)
 def run(tmp_path_factory):
     """The command on a T-shirt's drape; its folder, its outcome, and the pattern that the target was draped from."""
     folder = tmp_path_factory.mktemp("run")
-    truth = tshirt(default_measurements(), length_m=0.70, ease_m=0.15)
+    truth = tshirt(default_measurements(), length_m=0.70, chest_ease_m=0.15)
     draped = drape_pattern(truth, load_body(), COARSE)
     path = write(folder / "target.obj", obj_text(draped.mesh, draped.nodes, panel_texture(draped.mesh)))
     coarse = ["--edge-length", "0.05", "--grid", "0.02", "--adam", "0", "--closing", "2", "--no-retarget"]

@@ -18,8 +18,8 @@ from drape.body.assets import load_body
 from drape.errors import ArtifactError, InputError, MeshError
 from drape.geometry.meshes import subdivide
 from recovery.drape.__main__ import main
+from recovery.drape.body_distance import DistanceKind, skin_distance
 from recovery.drape.pipeline import DrapeOptions
-from recovery.drape.skin import DistanceKind, skin_distance
 from recovery.pattern.bases import skirt
 from recovery.pattern.garmentcode import write_pattern
 from recovery.run.__main__ import job_of, parse
@@ -251,7 +251,7 @@ def test_the_command_drapes_on_the_network_in_its_folder(tmp_path, monkeypatch, 
     pattern = tmp_path / "skirt.json"
     write_pattern(skirt(default_measurements()), pattern)
     quick = SirenOptions(width=64, layers=3, points=20_000, batch=512, steps=250, rate=5e-3)
-    monkeypatch.setattr("recovery.drape.skin.DEFAULT_SIREN", quick)
+    monkeypatch.setattr("recovery.drape.body_distance.DEFAULT_SIREN", quick)
     digest = siren_digest(body.v_template, body.faces, quick)
     out, folder = tmp_path / "out", tmp_path / "sirens"
     words = [str(pattern), "--out", str(out), "--edge-length", "0.08", "--iterations", "0", "--no-garment"]

@@ -15,7 +15,7 @@ from drape.cloth import rest_state
 from drape.geometry import meshes
 from drape.motion.samples import squat
 from tests.drape.cloth.cloth_shapes import tube
-from tests.drape.garment.rest_garments import shipped
+from tests.fixtures.garments import shipped
 
 
 def test_colours_are_pale_where_cloth_is_flat_and_red_where_it_is_bent():

@@ -1,4 +1,4 @@
-"""Small rest garments and shipped ones, shared by the garment tests."""
+"""Small rest garments, shared by the garment tests."""
 
 from __future__ import annotations
 
@@ -7,13 +7,11 @@ import functools
 import numpy as np
 from scipy.spatial import KDTree
 
-from drape.catalog import short_name
-from drape.garment.cache import GARMENTS_DIR, Garment, load_garment
+from drape.garment.cache import Garment
 from drape.garment.fitting import RestGarment, fit_garment, rest_garment
-from tests.drape.body.body_files import default_body
 from tests.drape.cloth.cloth_shapes import tube
+from tests.fixtures.garments import default_body
 
-SHIPPED = tuple(sorted(short_name(path) for path in GARMENTS_DIR.glob("*.npz")))
 PATCH_COUNT = 24
 
 
@@ -73,10 +71,3 @@ def barrel_garment() -> Garment:
         count=PATCH_COUNT,
         **barrel_mesh(),
     )
-
-
-@functools.cache
-def shipped(name: str) -> Garment:
-    """A shipped garment by name, read once."""
-    (path,) = GARMENTS_DIR.glob(f"{name}-*.npz")
-    return load_garment(path)

@@ -8,7 +8,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.garment import charts
 from drape.garment.cache import CHARTS_PER_VERTEX
-from drape.garment.partition import mesh_edges, partition, vertex_graph
+from drape.garment.partition import partition, vertex_graph
+from drape.geometry import meshes
 from tests.drape.cloth.cloth_shapes import grid, random_rotation
 from tests.drape.garment.rest_garments import barrel, nearest, side_by_side, vertex_areas
 
@@ -87,7 +88,7 @@ def test_blend_weights_are_continuous_over_the_surface(count):
     for refinement in (2, 4, 8):
         vertices, faces = plane(refinement)
         cover = charts.cover(vertex_graph(vertices, faces), nearest(vertices, places), spacing_m=0.1)
-        dense, edges = dense_weights(cover, count), mesh_edges(faces)
+        dense, edges = dense_weights(cover, count), meshes.unique_edges(faces)
         steps.append(np.abs(dense[edges[:, 0]] - dense[edges[:, 1]]).max(axis=1))
     largest = [step.max() for step in steps]
     # A jump would keep its height under refinement; the largest step falls with the edge.

@@ -13,16 +13,9 @@ from drape.garment.cache import GARMENTS_DIR, Garment, load_garment
 from drape.garment.fitting import RestGarment, fit_error, fit_garment, fit_jets, patch_fields
 from drape.garment.partition import patch_count_for
 from drape.geometry import jets
-from tests.drape.body.body_files import default_body
 from tests.drape.cloth.cloth_shapes import grid, random_rotation, tube
-from tests.drape.garment.rest_garments import (
-    PATCH_COUNT,
-    barrel,
-    barrel_garment,
-    barrel_mesh,
-    shipped,
-    vertex_areas,
-)
+from tests.drape.garment.rest_garments import PATCH_COUNT, barrel, barrel_garment, barrel_mesh, vertex_areas
+from tests.fixtures.garments import default_body, shipped
 
 EXACT = 1e-12
 MICROMETRE = 1e-6

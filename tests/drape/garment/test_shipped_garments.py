@@ -11,8 +11,7 @@ from drape.garment.fitting import fit_error, rest_garment
 from drape.geometry.closest import signed_distance
 from recovery.catalogue.garments import CATALOGUE
 from recovery.pattern.triangulate import signed_areas
-from tests.drape.body.body_files import default_body
-from tests.drape.garment.rest_garments import SHIPPED, shipped
+from tests.fixtures.garments import SHIPPED, default_body, shipped
 from tests.recovery.pattern_setup import default_measurements
 
 CLEARANCE_M = 0.006

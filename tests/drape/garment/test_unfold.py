@@ -20,9 +20,9 @@ from drape.garment.unfold import (
     without_folds,
 )
 from drape.geometry import jets
-from tests.drape.body.body_files import default_body
 from tests.drape.cloth.cloth_shapes import grid, tube
-from tests.drape.garment.rest_garments import barrel, shipped
+from tests.drape.garment.rest_garments import barrel
+from tests.fixtures.garments import default_body, shipped
 
 PLACE = np.array([0.0, 0.3, 0.4])  # before the chest of the body
 
