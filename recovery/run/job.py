@@ -17,10 +17,11 @@ from drape.garment.mesh_checks import Unit, Up
 from recovery.atomic import write
 from recovery.drape.output import glb_bytes, obj_text, panel_texture
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
+from recovery.drape.posing import posed_joints
 from recovery.fit.chamfer import Chamfer, SurfaceDistance, surface_chamfer, surface_distance
 from recovery.fit.objective import DEFAULT_WEIGHTS, Weights
 from recovery.fit.optimise import FitOptions
-from recovery.fit.pipeline import Recovered, posed_joints, recover_pattern
+from recovery.fit.pipeline import Recovered, recover_pattern
 from recovery.pattern.bases import BASES, base_pattern
 from recovery.pattern.export import export_pattern
 from recovery.pattern.garmentcode import read_pattern
@@ -134,8 +135,7 @@ def prepare(job: Job) -> tuple[GarmentMesh, Wearer, Pattern, list[str]]:
         wearer = read_wearer(job.body, betas=job.betas, pose=job.pose)
         mesh = placed_target(mesh, wearer.skin, unit=job.unit, up=job.up)
     mesh = replace(mesh, vertices=mesh.vertices - wearer.trans)
-    joints = wearer.shaped.joints_template if wearer.pose is None else posed_joints(wearer.shaped, wearer.pose)
-    there, holes = openings(mesh, joints)
+    there, holes = openings(mesh, posed_joints(wearer.shaped, wearer.pose))
     check_base(job.base, there)
     notes = [f"On reading: {note}." for note in (*mesh.notes, *holes)]
     if wearer.residual_mm > 0.0:

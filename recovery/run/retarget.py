@@ -13,9 +13,8 @@ from drape.body.model import BodyModel
 from drape.cloth.orthotropic import OrthotropicMaterial
 from drape.errors import InputError
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_in_pose, drape_pattern
-from recovery.drape.posing import read_pose
+from recovery.drape.posing import posed_joints, read_pose
 from recovery.fit.contours import bone_chains, encircles, open_contours
-from recovery.fit.pipeline import posed_joints
 from recovery.pattern.model import Pattern
 from recovery.run.wearer import shaped_body
 
