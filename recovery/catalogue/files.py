@@ -14,7 +14,7 @@ from drape.garment.sewing import Edge, Seam, Sewing
 from recovery.atomic import write
 from recovery.catalogue.build import SewnGarment
 from recovery.catalogue.settling import HEM_BENDING, HEM_M
-from recovery.drape.output import glb_bytes, obj_text, panel_texture
+from recovery.drape.output import panel_texture, write_shape
 
 
 def edge_kind(name: str) -> str:
@@ -59,8 +59,5 @@ def sewing(garment: SewnGarment, *, name: str, size: str, body: str) -> Sewing:
 def write_garment(garment: SewnGarment, folder: Path, *, name: str, size: str, body: str) -> list[Path]:
     """Writes ``NAME.obj``, ``NAME.glb`` and ``NAME.json`` to ``folder`` and returns their paths."""
     texture = panel_texture(garment.mesh, unit_m=1.0)
-    return [
-        write(folder / f"{name}.obj", obj_text(garment.mesh, garment.nodes, texture)),
-        write(folder / f"{name}.glb", glb_bytes(garment.mesh, garment.nodes, texture)),
-        write(folder / f"{name}.json", sewing(garment, name=name, size=size, body=body).to_json()),
-    ]
+    told = write(folder / f"{name}.json", sewing(garment, name=name, size=size, body=body).to_json())
+    return [*write_shape(folder, name, garment.mesh, garment.nodes, texture), told]

@@ -19,7 +19,7 @@ from drape.geometry import meshes
 from recovery.drape.body_distance import SIREN_FOLDER, DistanceKind, skin_distance
 from recovery.drape.placement import Axes, Placed, place, scaled
 from recovery.drape.posing import to_pose
-from recovery.drape.relax import Relaxation
+from recovery.drape.relax import principal_stretches
 from recovery.drape.repair import uncrossed
 from recovery.drape.settle import ITERATION_LIMIT, Drape, settle
 from recovery.drape.sewing import Sewn, in_numpy, sew
@@ -184,7 +184,7 @@ def drape_figures(mesh: PatternMesh, drape: Drape, skin: SignedDistance) -> dict
     distance = in_numpy(skin)
     edges = meshes.unique_edges(mesh.faces)
     middles = distance(drape.nodes[edges].mean(axis=1))[0]
-    stretch = Relaxation(mesh.faces, mesh.rest[mesh.panel_faces], distance, gap_m=0.0).stretch(drape.nodes)
+    stretch = principal_stretches(mesh.faces, mesh.rest[mesh.panel_faces], drape.nodes)
     return {
         "converged": drape.report.converged,
         "force_left_n": drape.report.residual_n,

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from drape.errors import InputError
-from recovery.drape.relax import Distance, Relaxation
+from recovery.drape.relax import Distance, Relaxation, principal_stretches
 from recovery.pattern.mesh import PatternMesh
 from recovery.sim.sdf import SignedDistance
 
@@ -84,7 +84,7 @@ def sew(
     nodes = mesh.nodes_from(x)
     for _ in range(MERGED_ROUNDS):
         nodes = merged.step(nodes)
-    stretch = merged.stretch(nodes)
+    stretch = principal_stretches(mesh.faces, mesh.rest[mesh.panel_faces], nodes)
     if (most := float(np.quantile(stretch[:, 0], 0.9))) > MOST_STRETCH:
         raise InputError(
             "pattern",

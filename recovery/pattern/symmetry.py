@@ -278,33 +278,28 @@ def _move_matrix(
 
 def _with_mean_arcs(pattern: Pattern, symmetries: Symmetries) -> Pattern:
     """Arcs that correspond get the mean of their heights; a reflection run backwards keeps a height's sign."""
-    heights = {
-        (panel, number): [edge.handles[0][1]]
-        for panel, one in enumerate(pattern.panels)
-        for number, edge in enumerate(one.edges)
-        if edge.kind is EdgeKind.CIRCLE
-    }
-    root = {key: key for key in heights}
-
-    def top(key: tuple[int, int]) -> tuple[int, int]:
-        while root[key] != key:
-            key = root[key]
-        return key
-
-    for symmetry in (*symmetries.between, *symmetries.within):
-        count = len(pattern.panels[symmetry.first].edges)
-        for key in [key for key in heights if key[0] == symmetry.first]:
-            root[top((symmetry.second, symmetry.edge(key[1], count)))] = top(key)
-    gathered: dict[tuple[int, int], list[float]] = {}
-    for key, height in heights.items():
-        gathered.setdefault(top(key), []).extend(height)
+    heights = [
+        np.array([edge.handles[0][1] if edge.kind is EdgeKind.CIRCLE else 0.0 for edge in panel.edges])
+        for panel in pattern.panels
+    ]
+    for first, own in enumerate(heights):
+        images = {s.second: _edges(s, len(own)) for s in symmetries.between if s.first == first}
+        mean = np.mean([own, *(heights[second][edges] for second, edges in images.items())], axis=0)
+        for symmetry in symmetries.within:
+            if symmetry.first == first:
+                mean = 0.5 * (mean + mean[_edges(symmetry, len(own))])
+        for second, edges in {first: np.arange(len(own)), **images}.items():
+            heights[second][edges] = mean
     panels = []
-    for panel, one in enumerate(pattern.panels):
+    for panel, row in zip(pattern.panels, heights, strict=True):
         edges = [
-            replace(edge, handles=((0.5, float(np.mean(gathered[top((panel, number))]))),))
-            if (panel, number) in heights
-            else edge
-            for number, edge in enumerate(one.edges)
+            replace(edge, handles=((0.5, float(height)),)) if edge.kind is EdgeKind.CIRCLE else edge
+            for edge, height in zip(panel.edges, row, strict=True)
         ]
-        panels.append(replace(one, edges=tuple(edges)))
+        panels.append(replace(panel, edges=tuple(edges)))
     return replace(pattern, panels=tuple(panels))
+
+
+def _edges(symmetry: Symmetry, count: int) -> np.ndarray:
+    """The edges (count,) of the second panel that correspond to those of the first."""
+    return np.array([symmetry.edge(number, count) for number in range(count)])
