@@ -1,4 +1,4 @@
-"""Writes a sewn garment: mesh files that intake takes, and a JSON of what a mesh file cannot say.
+"""Writes a sewn garment: mesh files for intake, and a JSON for what a mesh file has no place for.
 
 ``NAME.obj``: v are nodes [m], vt the panels laid out side by side in metres, unscaled, the grain along +y; a corner's
 pair v/vt is the map of the seams. ``NAME.glb``: the same, split at the seams. ``NAME.json``: its ``Sewing``.
@@ -23,7 +23,7 @@ def edge_kind(name: str) -> str:
 
 
 def sewing(garment: SewnGarment, *, name: str, size: str, body: str) -> Sewing:
-    """What ``NAME.json`` says."""
+    """The content of ``NAME.json``."""
     made, mesh = garment.design, garment.mesh
     sewn = {ref for stitch in made.pattern.stitches for ref in (stitch.first, stitch.second)}
     seams = []

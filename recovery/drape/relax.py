@@ -2,8 +2,8 @@
 
 Local-global iterations (Sorkine and Alexa 2007; Bouaziz et al. 2014): every triangle keeps the rotation nearest to its
 deformation, then one linear system moves all vertices towards those rotations, towards the ends of their threads
-and out of the body. It is no drape, there is neither gravity nor fabric in it; it brings cloth from where
-panels were laid to where a simulator can start.
+and out of the body. It knows neither gravity nor fabric, so the result is no drape: it brings cloth from the place of
+the panels to a shape that a simulator can start from.
 """
 
 from __future__ import annotations

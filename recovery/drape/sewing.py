@@ -61,10 +61,9 @@ def sew(
 ) -> Sewn:
     """Nodes of the sewn garment from ``placed`` panel vertices [m] (P, 3) that are clear of the body.
 
-    ``gap_m`` is what panel vertices, all or each (P,), keep from the skin meanwhile; ``creases`` are nodes of seams
-    that stay folded, a collar's for one.
-
-    Raises ``InputError`` where a seam cannot close, or only by stretching the cloth beyond what any garment bears.
+    Panel vertices, all or each (P,), keep ``gap_m`` [m] from the skin meanwhile; ``creases`` are nodes of seams that
+    stay folded, a collar's for one. Raises ``InputError`` if a seam cannot close, or only by stretching the cloth
+    beyond what any garment bears.
     """
     panels = Relaxation(mesh.panel_faces, mesh.rest[mesh.panel_faces], distance, gap_m=gap_m, threads=mesh.seam_pairs)
     x, start = placed, panels.thread_lengths(placed)

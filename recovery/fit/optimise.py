@@ -76,9 +76,9 @@ DEFAULT_OPTIONS = FitOptions()
 
 
 class Evaluation(NamedTuple):
-    """Where the search stands: unknowns ``values`` [m] (Z,), nodes [m] (N, 3), loss and parts [m^2] (4,), gradient.
+    """A point of the search: unknowns ``values`` [m] (Z,), nodes [m] (N, 3), loss and parts [m^2] (4,), gradient.
 
-    The unknowns are the free numbers of the control points, and five more where the cloth is free.
+    The unknowns are the free numbers of the control points, and five more if the cloth is free.
     """
 
     values: np.ndarray
@@ -91,9 +91,9 @@ class Evaluation(NamedTuple):
 class Fitted:
     """The best pattern of a search, its control points [m] (K, 2), its drape [m] (N, 3), and the ``cloth`` it is of.
 
-    ``history`` (I + 1, 5): total loss, surface, contours, seams [m^2] of every accepted step, and how often it
-    was halved or damped. ``finished`` is False where no step was left that comes to rest without folds, or that lessens
-    the loss: the end of a search as well as it can be known.
+    ``history`` (I + 1, 5): total loss, surface, contours, seams [m^2] of every accepted step, and how often it was
+    halved or damped. ``finished`` is False if the search ended early, because no step lessened the loss or came to rest
+    without folds.
     """
 
     pattern: Pattern
@@ -105,10 +105,10 @@ class Fitted:
 
 
 class PatternSearch:
-    """Adam on the free control points ``free`` of ``mesh``, whose drape ``forward`` gives and ``objective`` judges.
+    """The search for the control points ``free`` of ``mesh``; ``forward`` drapes them and ``objective`` is their loss.
 
-    With ``cloth`` its constants are unknowns too. ``likely`` are the unknowns [m] (Z,) that the objective's reach is
-    counted from, by default those that the search begins at.
+    With ``cloth`` its constants are unknowns too. The objective's reach is counted from the unknowns ``likely`` [m]
+    (Z,), by default from those that the search begins at.
     """
 
     def __init__(

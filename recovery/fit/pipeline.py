@@ -199,9 +199,9 @@ def _apart_mm(squared: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """What no round changes: the target, the body with its distances in the T-pose (``bare``) and in its pose.
+    """The facts that no round changes: the target, and the body with its distances in the T-pose and in its pose.
 
-    ``drape`` has the edge length of the first round.
+    ``bare`` is the distance in the T-pose, ``skin`` that in the pose. ``drape`` has the edge length of the first round.
     """
 
     target: Target

@@ -1,9 +1,9 @@
 """Fits shape and pose of the standard body inside a garment that came without one.
 
-A garment says where the skin is not, and where it hangs, the shoulders or the waist, where it is. Gauss-Newton on
-distances along the skin's normals: cloth inside the body costs in full, cloth outside less the farther it is, and what
-the garment does not tell stays near the mean shape and the T-pose. Openings tell where limbs are: a bone goes through
-the middle of a cuff.
+No skin lies outside the cloth, and it touches the cloth at the shoulders or the waist, from which the garment hangs.
+Gauss-Newton on distances along the skin's normals: cloth inside the body costs in full, cloth outside less the farther
+it is. Priors keep what the garment does not tell near the mean shape and the T-pose. Openings tell where limbs are: a
+bone goes through the middle of a cuff.
 """
 
 from __future__ import annotations

@@ -39,9 +39,9 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """What is asked for; ``body`` is a name, a file, or ``fit``; ``base`` a base pattern's name or a JSON file.
+    """The request: ``body`` is a name, a file, or ``fit``; ``base`` is a base pattern's name or a JSON file.
 
-    ``settings`` of a base are texts NAME=NUMBER, lengths in metres; ``find_fabric``: the cloth is unknown as well.
+    ``settings`` of a base are texts NAME=NUMBER, lengths in metres. With ``find_fabric`` the cloth is unknown as well.
     ``meshes_m`` are the edge lengths [m] of the rounds, by default three times that of ``drape``.
     """
 
@@ -67,10 +67,10 @@ class Job:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What came of a job. ``target`` and ``nodes`` [m] (N, 3) lie in the body's frame, ``wearer.trans`` left out.
+    """The result of a job. ``target`` and ``nodes`` [m] (N, 3) lie in the body's frame, without ``wearer.trans``.
 
-    ``anew`` is the recovered pattern sewn from flat panels and draped in the T-pose, None where that was refused;
-    ``anew_distance`` how far that is from the search's drape, None in a pose. ``warnings`` are sentences.
+    ``anew`` is the recovered pattern sewn from flat panels and draped in the T-pose, None if that was refused;
+    ``anew_distance`` is its distance from the search's drape, None in a pose. ``warnings`` are sentences.
     """
 
     job: Job

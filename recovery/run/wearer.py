@@ -1,4 +1,4 @@
-"""Whom the target was draped on: a named body, a file in SMPL's schema, a surface, or nobody: one is fitted inside."""
+"""The wearer of a target: a named body, a file in SMPL's schema, a surface, or a body fitted inside the garment."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def fitted_wearer(path: Path, body: BodyModel) -> Wearer:
 
 
 def check_closed(faces: np.ndarray, name: str) -> None:
-    """Refuses a body with holes: what is inside must be defined."""
+    """Refuses a body with holes, which has no inside."""
     loops = meshes.boundary_loops(faces)
     if loops:
         raise BodyError(
@@ -109,7 +109,7 @@ def inside_wearer(
 ) -> tuple[GarmentMesh, Wearer]:
     """``mesh`` in metres, y up, and the shipped body fitted inside it; ``base``, drafted for that body, tells its size.
 
-    ``up`` is y unless it is said to be z: without a body nothing tells.
+    ``up`` "auto" is y, because without a body nothing tells the axis.
     """
     vertices = mesh.vertices
     notes = []
