@@ -44,7 +44,7 @@ from drape.graph.feeds import garment_feed
 from drape.graph.packing import PackedBody, pack_body
 from drape.graph.push_feed import SkinShapes
 from service.graphs.engine import Engine
-from service.graphs.graph_names import PACKED
+from service.graphs.graph_names import JETS, PACKED
 from service.graphs.onnx_runtime import PROVIDER_NAMES, Device
 from service.graphs.packing import SHAPE_INDEX, STORED_INDEX, Packer, ScenePlan
 from service.graphs.push import Pusher
@@ -206,9 +206,8 @@ def stages(bench: Bench, packer: Packer, key: str, pose: np.ndarray, whole: Timi
     if bench.engine.feels_body:
         feed |= SkinShapes(bench.body).feed(rows["betas"])
     feed |= at_rest(bench.engine)
-    ends = {"bones": ("bone_rotation", "bone_translation"), "patches": ("jet", "frame_rotation", "frame_centre")}
     done, last = {"pose": timed(lambda: bench.shape.rows(pose), seconds=bench.seconds / 4).p50_ms}, 0.0
-    for stage, outputs in (ends | {"vertices": ("vertices",)}).items():
+    for stage, outputs in {"patches": JETS, "vertices": ("vertices",)}.items():
         session = bench.engine.open_cut(PACKED, outputs, direct=(*STORED_INDEX, *SHAPE_INDEX))
         values = {name: bench.engine.value(np.ascontiguousarray(feed[name])) for name in session.inputs}
 

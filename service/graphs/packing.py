@@ -275,8 +275,8 @@ def _apart(
         for name, values in zip(names, outputs, strict=True)
     }
     results = []
-    for item, row in enumerate(rows):
-        places = {"vertices": composition.vertices[item], SKIN: row, **dict.fromkeys(JETS, composition.patches[item])}
+    for vertices, patches, row in zip(composition.vertices, composition.patches, rows, strict=True):
+        places = {"vertices": vertices, SKIN: row} | dict.fromkeys(JETS, patches)
         results.append({name: values[places[name]] for name, values in whole.items()})
     return results
 

@@ -91,7 +91,7 @@ class Store:
     def _lay_out(self) -> None:
         every = list(self._garments.values())
         whole = [stored for stored in every if stored.of is None]
-        names = set.intersection(*(set(stored.packed.stored) for stored in every)) if every else set()
+        names = every[0].packed.stored if every else ()
         self._arrays = {
             name: np.concatenate([stored.packed.stored[name] for stored in (whole if _of_tiles(name) else every)])
             for name in names

@@ -44,6 +44,8 @@ def bodies() -> dict[str, np.ndarray]:
 
 
 def made(engine: Engine) -> Packer:
+    """A packer whose vertices the graph makes, as on devices that are bound."""
+    engine.on_cpu = False
     packer = Packer(engine, load_body())
     for kind in KINDS:
         packer.add(kind, garment(kind))
