@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -12,6 +11,7 @@ from typing import Any
 import onnx
 
 from drape.artifacts import GraphSpec, Manifest, file_digest, load_manifest, read_parameters, staged_folder
+from drape.files.atomic import whole_file
 from drape.garment.cache import Garment
 from model_export.packed.parity import packed_parity_error
 from model_export.parity import TOLERANCE_M, check_parity
@@ -29,9 +29,8 @@ def write_quality(folder: Path, rows: list[dict[str, Any]]) -> None:
 
 
 def _write_manifest(folder: Path, manifest: Manifest) -> None:
-    temporary = folder / "manifest.json.part"
-    temporary.write_text(manifest.to_json())
-    os.replace(temporary, folder / "manifest.json")
+    with whole_file(folder / "manifest.json") as file:
+        file.write(manifest.to_json().encode())
 
 
 def add_push_out(folder: Path, garment: Garment) -> Manifest:

@@ -22,8 +22,8 @@ OPSET = 20
 SAMPLE = {
     "shapes": 5, "parts": 11, "part_bones": 13, "frames": 17, "all_parts": 23, "cloth_parts": 29, "regions": 31,
     "bodies": 37, "clients": 41, "patches": 43, "stored_patches": 47, "vertices": 53, "anchors": 59, "points": 61,
-    "anchor_blocks": 67, "tiles": 71, "stored_tiles": 73, "stored_tangents": 79, "items": 83, "blocks": 89,
-    "blocks_per_item": 97, "groups": 101, "patch_blocks": 103, "under_vertices": 107,
+    "anchor_blocks": 67, "tiles": 71, "stored_tiles": 73, "blocks": 89, "groups": 101, "patch_blocks": 103,
+    "under_vertices": 107,
 }  # fmt: skip
 MOST = 1 << 22
 

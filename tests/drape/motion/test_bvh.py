@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from drape.body.skeleton import PARENTS
 from drape.errors import MotionError
 from drape.geometry.rigid import forward_kinematics
 from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix
@@ -13,7 +14,7 @@ from drape.motion.bvh import read_bvh
 from drape.motion.readers import read_motion
 from drape.motion.retarget import global_rotations
 from drape.motion.samples import walk
-from drape.motion.skeleton import BONE_CHILD, BONE_DIRECTIONS, PARENTS
+from drape.motion.t_pose import BONE_CHILD, BONE_DIRECTIONS
 from tests.drape.motion.motion_files import BODY, BODY_PARENTS, SCHEMES, scheme_names, t_pose_offsets, write_bvh
 
 # Files hold nine decimals of degrees and of the unit of length.
