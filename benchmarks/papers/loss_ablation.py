@@ -38,13 +38,13 @@ from drape.cloth.contact import plane_distance
 from drape.cloth.material import material
 from drape.errors import ArtifactError, ended
 from drape.files.data import data_folder
-from drape.garment.disagreement import disagreement
 from drape.geometry.meshes import edge_lengths, unique_edges
 from drape.motion.hard_poses import HardPoses, hard_poses
 from training import checkpoint, losses
 from training.collider import nearest_collider
 from training.config import DataConfig, ModelConfig, TrainConfig, as_published
 from training.data import BodyBatch, Partition, TrainingGarment
+from training.disagreement import disagreement
 from training.evaluate import held_out_clips, posed_patches
 from training.garment_design import DESIGNS, cut_garment
 from training.model import OneFit, Posed
