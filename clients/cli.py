@@ -202,7 +202,7 @@ def _moving(
 
 
 def _npy_head(points: int, frames: int) -> bytes:
-    """What comes before float32 (frames, points, 3) in a .npy file."""
+    """The head of a .npy file of float32 (frames, points, 3)."""
     buffer = io.BytesIO()
     shape = {"descr": "<f4", "fortran_order": False, "shape": (frames, points, 3)}
     np.lib.format.write_array_header_1_0(buffer, shape)

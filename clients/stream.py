@@ -11,8 +11,8 @@
 
 Frames answer the newest pose; poses that a newer one replaced are counted in ``frame.dropped``. A service that ends
 hands the stream over to its successor, with what the cloth remembers: frames go on, and poses that it had not answered
-are sent again. Of a body that stands still few poses are sent: once the service has said that a pose changes nothing,
-the same pose again is answered here, by the frame that is shown.
+are sent again. A body that stands still sends few poses: once the service has said that a pose changes nothing, the
+client itself answers the same pose with the frame that is shown.
 """
 
 from __future__ import annotations

@@ -90,8 +90,10 @@ def export(
 
 
 def static_training(model: OneFit, folder: Path) -> dict[str, Any]:
-    """What is to be told of the training of the static part of a dynamic ``model``, under "static": what the model in
-    ``folder`` says of its own, where its weights are the same; nothing otherwise."""
+    """The training of the static part of a dynamic ``model``, under "static", as the model in ``folder`` tells it.
+
+    Empty where the static weights there are others.
+    """
     if not model.config.dynamic or not (folder / "manifest.json").is_file():
         return {}
     manifest = load_manifest(folder)
@@ -138,5 +140,5 @@ def commit() -> str:
 
 
 def command_line() -> str:
-    """How this program was called, without folders of this machine."""
+    """The command line of this program, without folders of this machine."""
     return " ".join(["python -m model_export", *(Path(a).name if "/" in a else a for a in sys.argv[1:])])

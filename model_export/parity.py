@@ -68,7 +68,7 @@ def parity_error(
         rng = np.random.default_rng(count)
         feed = body_feed(body, poses, np.zeros((count, 3)), scale * rng.normal(size=body.shape_count), skin=True)
         arrays = feed.arrays | garment_feed(garment, body=body) | {"patch_embedding": embedding}
-        # Of a dynamic model: any code of the size that motion makes.
+        # For a dynamic model: any code of the size that motion makes.
         arrays["dynamic_code"] = rng.normal(0.0, 0.3, size=(count, model.config.body_code_size)).astype(np.float32)
         with torch.no_grad():
             expected = DrapeGraph(model)({name: torch.from_numpy(arrays[name]) for name in names})[0].numpy()

@@ -3,8 +3,8 @@
 The drape graph and the packed graph compute one network, so most matrices of theirs are the same numbers. A tensor of
 at least ``LEAST_BYTES`` goes to ``weights.bin``; tensors of equal content have one place there. The packed graph also
 takes matrices that another graph holds transposed: a Gemm says with ``transB`` which way its matrix lies. No bit of a
-result changes, because the runtime brings constant matrices into a layout of its own before the first frame. What the
-exporter notes on every node, call stacks with folders of the machine that exported, is left out.
+result changes, because the runtime brings constant matrices into a layout of its own before the first frame. The
+exporter notes call stacks on every node, with folders of its machine; they are left out.
 
 Matrices that the packed graph holds with rows in another order are stored twice. A Gather of two constants would make
 one of the other, but ONNX Runtime 1.31 does not fold it when it opens the graph, and results then differ in last bits.
@@ -37,7 +37,7 @@ class _Store:
     places: dict[bytes, int] = field(default_factory=dict)
 
     def place(self, content: bytes) -> int:
-        """Where ``content`` begins, written now if it is new."""
+        """The offset of ``content``, which is written now if it is new."""
         if content not in self.places:
             self.data.extend(bytes(-len(self.data) % ALIGNMENT))
             self.places[content] = len(self.data)
@@ -76,7 +76,7 @@ def share_weights(
 
 
 def _find(value: np.ndarray, store: _Store) -> ParameterSpec:
-    """Where ``value`` is in the file, which gets it at the end if it has it neither way round."""
+    """The place of ``value`` in the file, written at its end if neither ``value`` nor its transpose is there."""
     assert value.dtype == np.float32
     turned = np.ascontiguousarray(value.T).tobytes()
     if value.ndim == 2 and value.tobytes() not in store.places and turned in store.places:

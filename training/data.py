@@ -40,7 +40,7 @@ class Partition:
     grain: np.ndarray
 
     def encoded(self, fabric: Fabric | None) -> Tensor:
-        """What the garment encoder takes (K, D) if the garment is made of ``fabric``; None: of a network without."""
+        """Inputs (K, D) of the garment encoder for a garment of ``fabric``; None for networks that know no fabrics."""
         if fabric is None:
             return self.features
         made_of = torch.from_numpy(fabric_features(fabric, self.grain)).to(self.features.device)

@@ -42,7 +42,7 @@ SNAP_SHARE = 0.45  # a vertex moves onto the cut when the cut passes this near a
 
 @dataclass(frozen=True)
 class Design:
-    """Where a garment is cut and how it stands off; ``None`` leaves that cut out.
+    """The cuts of a garment and its distance from the body; ``None`` leaves a cut out.
 
     ``hem_y`` lowest height of the torso; ``waist_y`` upper edge of trousers, and where the cloth of a
     dress or a skirt leaves the body; ``band_y`` upper edge of a skirt, ``skirt_hem_y`` lower edge of both;

@@ -1,4 +1,4 @@
-"""What training minimises: the cloth's total energy on the posed body, and the disagreement of overlapping charts."""
+"""Losses of training: the cloth's total energy on the posed body, and the disagreement of overlapping charts."""
 
 from __future__ import annotations
 
@@ -71,8 +71,8 @@ def held_up(coefficients: Tensor, partition: Partition, garment: TrainingGarment
 def soften(energy: Tensor, knee: float) -> Tensor:
     """``knee log(1 + e / knee)``: the energy itself while small, its logarithm where nothing can be done.
 
-    Where an arm lies in the trunk, cloth between them touches whatever the network does;
-    left alone, such frames own the gradient.
+    Cloth between an arm and the trunk it lies in touches whatever the network does; without this such frames own the
+    gradient.
     """
     return knee * torch.log1p(energy / knee)
 

@@ -77,7 +77,7 @@ class OneFit(nn.Module):
         return [closeness, softened(torch.cat([plane[..., 0, :], plane[..., 1, :], height], dim=-1) / 4.0)]
 
     def _points(self, jet: Tensor, rotation: Tensor, centre: Tensor, patches: PatchTensors) -> Tensor:
-        """Where the strain points of posed patches are [m] (F, K, 7, 3)."""
+        """Places [m] (F, K, 7, 3) of the strain points of posed patches."""
         assert patches.place is not None
         moved = jets.full(jet).unflatten(-1, (3, -1)) @ self.felt_terms  # (F, K, 3, 7)
         local = patches.place + patches.scale[:, None, None] * moved.mT
@@ -145,7 +145,7 @@ class OneFit(nn.Module):
             strain, force = strain_and_force(jet, charts, self.tangent_terms)
             body_felt = []
             if self.config.feels_body:
-                # What is felt tells where things are; the energy's own gradient goes round it.
+                # Proximity is an input alone: no gradient flows through it.
                 with torch.no_grad():
                     points = self._points(jet, rotation, centre, patches)
                     if near is None:

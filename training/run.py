@@ -34,7 +34,7 @@ from training import checkpoint, parallel
 from training.config import PRESETS, TrainConfig
 from training.dynamics import DynamicTrainer
 from training.poses import PoseBank, read_clips
-from training.starting import dressed, finetuned, started
+from training.starting import finetuned, started, with_garments
 from training.targets import SettledBank
 from training.trainer import BaseTrainer, Trainer
 from training.windows import WindowBank
@@ -157,7 +157,7 @@ def _run(arguments: argparse.Namespace) -> None:
         config, weights = finetuned(arguments.finetune, arguments.garment)
     else:
         config, weights = started(PRESETS[arguments.preset](), arguments.start, arguments.encoder)
-        config = dressed(config, arguments.garment)
+        config = with_garments(config, arguments.garment)
     if arguments.beside:
         files = [str(path) for path in find_garments(arguments.beside)]
         config = replace(config, data=replace(config.data, garments=(*config.data.garments, *files)))

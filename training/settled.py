@@ -1,12 +1,12 @@
-"""Targets for drapes without corrections: where the solver of folds comes to from the network's own drape.
+"""Targets for drapes without corrections: the network's own drape, settled by the solver of folds.
 
     python -m training.settled --model onefit --beside runs/sewn_garments --out runs/settled --minutes 40
     python -m training.run --finetune onefit --beside runs/sewn_garments --settled runs/settled --out runs/settled_model
 
-Patches cannot fold. Where cloth has too much length they are pushed together, and in energy that costs as much as being
-stretched: a smooth drape of least energy hangs the same in all fabrics. Cloth that may fold hangs by what it weighs and
-by how it stretches, so its solver is let go on until it rests, free but for where it lies on the skin, and the network
-learns the place of that, which in the mean of squares is the smooth part of it.
+Patches cannot fold. Cloth with too much length pushes them together, and that costs as much energy as stretching: a
+smooth drape of least energy hangs the same in all fabrics. Cloth that may fold hangs by its weight and by how it
+stretches. So the solver goes on until the cloth rests, free except where it lies on the skin, and the network learns
+those places: in the mean of squares, their smooth part.
 
 A file holds some poses of one garment in one fabric, drawn as those of a training step are.
 """
@@ -70,9 +70,9 @@ class Settler:
         return Constants.of(Dressed(cloth, Material.of(fabric), held, self._graph, index))
 
     def settled(self, constants: Constants, vertices: np.ndarray, skin: np.ndarray) -> np.ndarray:
-        """Where ``vertices`` [m] (F, V, 3) come to on bodies of samples ``skin`` (F, ..., 8), relative to one origin.
+        """Settled places [m] (F, V, 3) of ``vertices`` on bodies of samples ``skin`` (F, ..., 8), about one origin.
 
-        A drape that is lost on the way is not finite.
+        A drape that the solver loses is not finite.
         """
         found = []
         for start, samples in zip(vertices, skin.reshape(len(skin), -1, skin.shape[-1]), strict=True):

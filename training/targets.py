@@ -1,4 +1,4 @@
-"""Settled drapes as files: what training.settled makes and a trainer learns from."""
+"""Settled drapes as files: ``training.settled`` makes them, a trainer learns from them."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Settled:
 
     @classmethod
     def read(cls, path: Path) -> Settled:
-        """What ``path`` holds; refuses (``ArtifactError``) what was not written here."""
+        """The drapes in ``path``; refuses (``ArtifactError``) a file that ``save`` did not write."""
         try:
             with np.load(path, allow_pickle=False) as found:
                 said = json.loads(str(found["said"]))

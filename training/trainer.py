@@ -54,7 +54,7 @@ class Draped:
 
 
 class BaseTrainer:
-    """The state of a run: model, optimiser, random sources, and how far it is; what it learns from is a subclass's.
+    """The state of a run: model, optimiser, random sources, progress. A subclass says what it learns from.
 
     ``weights``: those of a model to start from.
     """
@@ -100,7 +100,7 @@ class BaseTrainer:
         self.generator = torch.Generator().manual_seed(seed + 1000003 * parallel.rank())
 
     def _set_statistics(self) -> None:
-        """Sets what the network knows of the sizes of its inputs."""
+        """Sets the statistics of the network's inputs."""
         raise NotImplementedError
 
     def objective(self) -> Objective:
@@ -108,7 +108,7 @@ class BaseTrainer:
         raise NotImplementedError
 
     def draw_fabric(self) -> None:
-        """What the garment of this step is made of."""
+        """Draws the fabric of this step."""
         if self.fabrics is not None:
             self._wear(self.fabrics.draw(self.rng))
 
@@ -173,7 +173,7 @@ class BaseTrainer:
         return Draped(posed, said, losses.garment_vertices(said, partition, garment, batch.tensors, variant=variant))
 
     def _planes(self, vertices: Tensor, batch: BodyBatch) -> losses.ContactPlanes:
-        """What ``vertices`` [m] (F, V, 3) touch, at some of them drawn now."""
+        """Planes that some of ``vertices`` [m] (F, V, 3), drawn now, touch."""
         return losses.contact_planes(vertices, batch, share=self.config.data.contact_share, generator=self.generator)
 
     def _energy(self, vertices: Tensor, garment: TrainingGarment, planes: losses.ContactPlanes) -> dict[str, Tensor]:

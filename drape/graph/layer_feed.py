@@ -1,4 +1,4 @@
-"""What a garment worn over others needs for its push-out, laid out as ``drape.contact`` and its graph take it."""
+"""Constants with which a garment worn over others is pushed out, as ``drape.contact`` and its graph take them."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ from drape.motion.t_pose import BONE_CHILD, BONE_DIRECTIONS
 LEG_LENGTH_RANGE = (0.45, 1.30)
 """Hip to ankle [m] of people from about 1.0 m to 2.6 m; outside it the unit is wrong."""
 
-# What motion files are written in [m per unit]; the last is CMU's (1/0.45 inch).
+# Units of motion files [m]; the last is CMU's (1/0.45 inch).
 _UNITS = (1.0, 0.01, 0.001, 0.0254, 0.0254 / 0.45)
 _ADULT_LEG_LENGTH = 0.80
 

@@ -1,4 +1,4 @@
-"""What a stream takes along to another process, in pieces: ``split_state`` and ``join_state``.
+"""The state of a stream that moves to another process, in pieces: ``split_state`` and ``join_state``.
 
 A piece is the 16 bytes of every message, of the kind STATE with the piece's number as its sequence and the number of
 pieces as its count, and then bytes that only the service reads. A client hands them on as they came.
@@ -23,7 +23,7 @@ def split_state(blob: bytes, most: int = PIECE_BYTES) -> list[bytes]:
 
 
 def join_state(messages: Sequence[bytes]) -> bytes:
-    """What was split into ``messages``; refuses (``InputError``) what are not all pieces in their order."""
+    """The state that was split into ``messages``; refuses (``InputError``) anything but all pieces in their order."""
     for index, message in enumerate(messages):
         kind = message_kind(message)
         prefix = _PREFIX.unpack_from(message)

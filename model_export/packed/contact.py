@@ -42,7 +42,7 @@ class NearPlanes:
 
 
 class Contact(nn.Module):
-    """What patches feel of the body, ``drape.contact.proximity`` in their own frames: there a pass is a few products.
+    """Body proximity of patches in their own frames, where a pass is a few products (``drape.contact.proximity``).
 
     The planes are looked up in the world, once; jets move points along the axes of their patch.
     """

@@ -59,9 +59,9 @@ def wide_layers(model: OneFit) -> dict[str, nn.Linear]:
 
 
 def calibrated(model: OneFit, garments: Sequence[Garment], source: BodySource, poses: np.ndarray) -> dict[str, Wide]:
-    """What ``wide_layers`` see when ``garments`` are draped at ``poses`` (F, 24, 3) [rad], with a margin.
+    """Largest inputs of ``wide_layers`` when ``garments`` are draped at ``poses`` (F, 24, 3) [rad], with a margin.
 
-    Of networks that know fabrics in the softest, the stiffest and one between.
+    Networks that know fabrics drape the softest, the stiffest and one between.
     """
     layers = wide_layers(model)
     with _watched(layers) as seen:
