@@ -21,10 +21,10 @@ def save(path: Path, payload: dict[str, Any], config: TrainConfig) -> None:
         torch.save(payload | {"config": asdict(config)}, file)
 
 
-def load(path: Path, *, device: str = "cpu") -> tuple[dict[str, Any], TrainConfig]:
+def load(path: Path) -> tuple[dict[str, Any], TrainConfig]:
     """The payload at ``path`` and its configuration; only tensors and plain values are read."""
     try:
-        payload = torch.load(path, map_location=device, weights_only=True)
+        payload = torch.load(path, map_location="cpu", weights_only=True)
         config = config_from(payload.pop("config"))
     except (OSError, RuntimeError, KeyError, TypeError, EOFError, pickle.UnpicklingError) as error:
         raise ArtifactError(

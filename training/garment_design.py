@@ -299,12 +299,12 @@ def _taubin(vertices: np.ndarray, faces: np.ndarray, *, passes: int) -> np.ndarr
     return vertices
 
 
-def clear(vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, clearance_m: float = CLEARANCE_M) -> np.ndarray:
-    """Vertices pushed to at least ``clearance_m`` from the body; the push is smoothed so that no spikes stay."""
+def clear(vertices: np.ndarray, faces: np.ndarray, body: BodyModel) -> np.ndarray:
+    """Vertices pushed to at least ``CLEARANCE_M`` from the body; the push is smoothed so that no spikes stay."""
     smooth = smoothing_matrix(faces, len(vertices))
     for _ in range(40):
         distance, outward = _outward(vertices, body)
-        lack = np.maximum(0.0, clearance_m + 2e-4 - distance)
+        lack = np.maximum(0.0, CLEARANCE_M + 2e-4 - distance)
         if lack.max() < 2e-4:
             break
         push = lack[:, None] * outward
