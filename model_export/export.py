@@ -35,7 +35,7 @@ from training.model import OneFit
 
 
 def load_model(path: Path) -> tuple[OneFit, dict[str, Any]]:
-    """The network of a checkpoint in evaluation mode, and what the manifest says of its training."""
+    """The network of a checkpoint in evaluation mode, and the manifest's entry on its training."""
     state, config = checkpoint.load(path)
     model = OneFit(config.model)
     model.load_state_dict(state["model"])
@@ -59,7 +59,7 @@ def export(
     training: dict[str, Any],
     quality: list[dict[str, Any]] | None = None,
 ) -> Manifest:
-    """Writes ``target`` and returns its manifest; refuses above ``TOLERANCE_M`` and leaves the old folder then."""
+    """Writes ``target`` and returns its manifest; above ``TOLERANCE_M`` it refuses and leaves the old folder."""
     model.eval()
     with staged_folder(target) as staged:
         graphs, weights = share_weights(staged, write_graphs(model, staged), parameters(model))
@@ -105,7 +105,7 @@ def static_training(model: OneFit, folder: Path) -> dict[str, Any]:
 
 
 def sizes(model: OneFit) -> dict[str, Any]:
-    """The configuration of ``model`` in the values that JSON has: lists for tuples."""
+    """The configuration of ``model`` for JSON, with lists for tuples."""
     found = asdict(model.config)
     return {name: list(value) if isinstance(value, tuple) else value for name, value in found.items()}
 

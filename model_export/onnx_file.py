@@ -36,7 +36,7 @@ def write_graph(
     *,
     translations: dict[Callable, Callable] | None = None,
 ) -> GraphSpec:
-    """Writes ``module`` as the ONNX file ``path`` whose named axes are symbolic, and what the manifest says of it.
+    """Writes ``module`` as the ONNX file ``path`` with symbolic named axes; returns its entry in the manifest.
 
     The module takes its inputs as one dictionary by name, as an ONNX session does.
     """
@@ -74,7 +74,7 @@ def _zeros(shape: tuple[int, ...], dtype: str) -> torch.Tensor:
 def _settle_lengths(graph: onnx.GraphProto, inputs: tuple[TensorSpec, ...]) -> None:
     """Reads the length of every named axis off the smallest input that has it; the exporter takes any of them.
 
-    Vectors of indices apart: a graph that is cut out of this one may do without those, and without large inputs.
+    Vectors of indices are no source: a graph cut out of this one may lack them, as it may lack large inputs.
     """
     specs = {spec.name: spec for spec in inputs}
     matrices = [spec for spec in inputs if len(spec.shape) > 1 or spec.dtype == "float32"]

@@ -31,7 +31,7 @@ BORROWERS = ("packed", "packed_half", "packed_int8")
 
 @dataclass
 class _Store:
-    """The bytes of the file so far, and where in it each content begins."""
+    """The bytes of the file so far, and the offset of each content."""
 
     data: bytearray = field(default_factory=bytearray)
     places: dict[bytes, int] = field(default_factory=dict)
@@ -48,7 +48,7 @@ class _Store:
 def share_weights(
     folder: Path, graphs: dict[str, GraphSpec], parameters: Mapping[str, np.ndarray] | None = None
 ) -> tuple[dict[str, GraphSpec], WeightsSpec | None]:
-    """Rewrites the files of ``graphs`` in ``folder`` around ``weights.bin``; returns what the manifest says of them.
+    """Rewrites the files of ``graphs`` in ``folder`` around ``weights.bin``; returns their entries in the manifest.
 
     The float32 ``parameters`` of the network are found in that file by their content, or added, so that training can
     go on from it. Without them and where no tensor is large there is no such file, and None.
@@ -85,14 +85,14 @@ def _find(value: np.ndarray, store: _Store) -> ParameterSpec:
 
 
 def forget_origin(proto: onnx.ModelProto) -> None:
-    """Drops what the exporter notes of the Python code behind the graph and its nodes."""
+    """Drops the exporter's notes on the Python code behind the graph and its nodes."""
     for part in (proto.graph, *proto.graph.node):
         part.ClearField("doc_string")
         part.ClearField("metadata_props")
 
 
 def _move(tensor: onnx.TensorProto, store: _Store) -> None:
-    """Puts the content of a large ``tensor`` into the file and leaves where it lies."""
+    """Puts the content of a large ``tensor`` into the file; the tensor keeps its place there."""
     content = _content(tensor)
     if len(content) < LEAST_BYTES:
         return
@@ -103,7 +103,7 @@ def _move(tensor: onnx.TensorProto, store: _Store) -> None:
 
 
 def _borrow(graph: onnx.GraphProto, store: _Store) -> None:
-    """Turns matrices of Gemms in ``graph`` that the file has transposed."""
+    """Transposes matrices of Gemms in ``graph`` whose transposes the file has."""
     for tensor in graph.initializer:
         users = [node for node in graph.node if tensor.name in node.input]
         of_gemms = all(node.op_type == "Gemm" and list(node.input).index(tensor.name) == 1 for node in users)

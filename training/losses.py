@@ -35,8 +35,8 @@ def garment_vertices(
 def disagreement(coefficients: Tensor, partition: Partition, sample: Tensor) -> Tensor:
     """Mean squared distance [m^2] between the places that the charts of a vertex give it, over ``sample`` vertices.
 
-    ``coefficients``: ``model.posed_coefficients`` of a drape, or the difference of those of two drapes on the same
-    bodies for what charts say of the way between them.
+    ``coefficients``: ``model.posed_coefficients`` of a drape, or the difference of two drapes on the same bodies.
+    The difference measures what charts say of the way from one drape to the other.
     """
     patch = partition.chart_patch[sample]
     row = partition.chart_row[sample]
@@ -101,8 +101,8 @@ def contact_planes(vertices: Tensor, body: BodyBatch, *, share: float, generator
 def energy_loss(
     vertices: Tensor, garment: TrainingGarment, planes: ContactPlanes, material: Material
 ) -> dict[str, Tensor]:
-    """Energy parts [J] (F,). Contact is that of the sample of ``planes`` scaled up: unbiased, and the nearest-neighbour
-    search is what costs."""
+    """Energy parts [J] (F,). Contact is that of the sample of ``planes``, scaled up: an unbiased estimate, since the
+    search for nearest vertices is dear."""
     parts = energies.total(vertices, garment.cloth, material)
     touched = vertices.index_select(1, planes.sample)
     depth = torch.clamp(material.contact_gap_m - plane_distance(touched, planes.point, planes.normal), min=0.0)

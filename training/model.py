@@ -22,7 +22,7 @@ from training.recurrent import DynamicEncoder
 
 @dataclass(frozen=True)
 class Posed:
-    """Posed patches: frames (F, K, 3, 3) and (F, K, 3), and what was added to the rest jets (F, K, 27 or 45)."""
+    """Posed patches: frames (F, K, 3, 3) and (F, K, 3), and the changes (F, K, 27 or 45) of the rest jets."""
 
     rotation: Tensor
     centre: Tensor

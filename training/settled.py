@@ -82,7 +82,7 @@ class Settler:
 
 
 def make(trainer: Trainer, settler: Settler) -> Settled | None:
-    """A garment, a fabric and poses as ``trainer`` draws them, settled; None where one of the drapes is lost."""
+    """A garment in a fabric at poses that ``trainer`` draws, settled; None if the solver lost one of the drapes."""
     rng, config = trainer.rng, trainer.config
     trainer.draw_fabric()
     assert trainer.fabric is not None

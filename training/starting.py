@@ -77,8 +77,7 @@ def finetuned(model: Path, garments: list[str] | None) -> tuple[TrainConfig, Wei
 
 
 def with_garments(config: TrainConfig, garments: list[str] | None) -> TrainConfig:
-    """``config`` trained on ``garments``, files or names of designs, and on no neighbours of theirs; on its own where
-    there are none."""
+    """``config`` with ``garments``, files or names of designs, and no neighbours of theirs; unchanged without any."""
     if not garments:
         return config
     return replace(config, data=replace(config.data, garments=tuple(garments), variants=0, own_share=1.0))

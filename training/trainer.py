@@ -31,7 +31,7 @@ SAMPLE_VERTICES = 384  # per step, for the disagreement of charts
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """A loss [J/m^2], what it is made of ``parts`` [J/m^2], and the disagreement [m^2] of charts, for the report."""
+    """A loss [J/m^2], its ``parts`` [J/m^2], and the disagreement [m^2] of charts, for the report."""
 
     loss: Tensor
     parts: dict[str, Tensor]
@@ -230,7 +230,7 @@ class BaseTrainer:
 
 
 def take_weights(model: OneFit, weights: Mapping[str, Tensor]) -> None:
-    """Loads ``weights`` into ``model``; those of a static model leave its recurrent encoder as it is."""
+    """Loads ``weights`` into ``model``. Weights of a static model leave the recurrent encoder as it is."""
     try:
         missing, unknown = model.load_state_dict(_widened(weights, model), strict=False)
     except RuntimeError as error:
@@ -248,7 +248,7 @@ def take_weights(model: OneFit, weights: Mapping[str, Tensor]) -> None:
 def _widened(weights: Mapping[str, Tensor], model: OneFit) -> dict[str, Tensor]:
     """``weights`` with columns of zeros for features of the garment encoder that their network did not have.
 
-    So the first drape is that of before, whatever the fabric.
+    So the first drape is unchanged, whatever the fabric.
     """
     found = dict(weights)
     for name, made in model.garment.state_dict(prefix="garment.").items():
@@ -262,7 +262,7 @@ def _widened(weights: Mapping[str, Tensor], model: OneFit) -> dict[str, Tensor]:
 
 
 class Trainer(BaseTrainer):
-    """Learns the drape of single poses from ``bank``; without corrections that of ``settled`` ones, where there are."""
+    """Learns the drape of single poses from ``bank``. Steps without corrections learn ``settled`` drapes, if any."""
 
     def __init__(
         self,

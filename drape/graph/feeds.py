@@ -86,7 +86,7 @@ def kinematics(body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.
 def garment_feed(garment: Garment, *, fine: bool = False, body: BodyModel | None = None) -> dict[str, np.ndarray]:
     """``atlas_feed`` of a garment's delivered vertices, or of all vertices of the subdivided mesh with ``fine``.
 
-    And ``skin_weights`` (V, 24), which the paper's variant alone takes. ``body``: the one the garment was made for.
+    ``skin_weights`` (V, 24) are for the paper's variant. ``body``: the one the garment was made for.
     """
     count = len(garment.vertices) if fine else garment.vertex_count
     feed = atlas_feed(garment, count=count, skin=None if body is None else body_skin(body))
@@ -97,7 +97,7 @@ def atlas_feed(atlas: Atlas, *, count: int | None = None, skin: Skin | None = No
     """Constant graph inputs of a partition, its embedding excepted: ``PatchTensors``, ``ChartTensors`` of the first
     ``count`` vertices, all by default, and ``AgreementTensors``, with ``patch_slot`` (K, 56) of ``Consensus`` besides.
 
-    With the ``skin`` of the body that it was made for also what its patches feel of it. A graph names those it takes.
+    With the ``skin`` of the body it was made for, the skin near its patches too. A graph takes some of these by name.
     """
     shapedirs = np.zeros((atlas.patch_count, 3, BETA_COUNT), dtype=np.float32)
     shapedirs[..., : atlas.patch_shapedirs.shape[2]] = atlas.patch_shapedirs

@@ -75,7 +75,7 @@ class StoredProximity(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class StoredPatches(Tensors):
-    """Constants of patches in store: ``first`` is their half of the decoder's first layer."""
+    """Constants of stored patches; ``first`` is their half of the decoder's first layer."""
 
     first: Array = tensor("patch_first", "patches", "width")
     weights: Array = tensor("patch_weights", "patches", JOINT_COUNT)

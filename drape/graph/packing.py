@@ -202,7 +202,7 @@ def pack_garment(feed: dict[str, np.ndarray], patch_first: np.ndarray) -> Packed
 
 
 def _small(index: np.ndarray) -> np.ndarray:
-    """``index`` in two bytes each where they hold it: a call's own are made of it."""
+    """``index`` in two bytes a number if they hold it."""
     return index.astype(np.uint16 if index.max(initial=0) <= np.iinfo(np.uint16).max else np.int32)
 
 
@@ -269,7 +269,7 @@ class Place:
 
 @dataclass(frozen=True, eq=False)
 class Composition:
-    """Index tensors of a list of (garment, body) items, and where each item's rows lie in the outputs."""
+    """Index tensors of a list of (garment, body) items, and the rows of each item in the outputs."""
 
     arrays: dict[str, np.ndarray]
     patches: tuple[slice, ...]

@@ -98,7 +98,7 @@ class JetLayout:
     def subdivided(self, faces: np.ndarray) -> tuple[JetLayout, np.ndarray]:
         """The layout with a vertex more on every edge of ``faces`` (F, 3), and the faces (4 F, 3) of the finer mesh.
 
-        The vertices of before come first, in their order.
+        The first vertices are those of this layout, in their order.
         """
         _, finer, parents = meshes.subdivide(self.rest, faces)
         corners = np.column_stack([parents, parents[:, 0]])
@@ -115,7 +115,7 @@ class JetLayout:
 
 
 def _merged(patch: np.ndarray, weight: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Charts (P, C) in which each patch of a row comes once, with its mean parameters; as few columns as that takes."""
+    """Charts (P, C) with each patch of a row once, at its mean parameters, in as few columns as possible."""
     order = np.argsort(patch, axis=1, kind="stable")
     patch = np.take_along_axis(patch, order, axis=1)
     weight = np.take_along_axis(weight, order, axis=1).astype(np.float64)

@@ -165,7 +165,7 @@ def pack_pose(pose: Pose) -> bytes:
 
 
 def posed(message: bytes) -> bytes:
-    """Pose and translation in a POSE ``message``, without its number and time: equal where the body stands the same."""
+    """The bytes of pose and translation in a POSE ``message``: the same while the body stands still."""
     return message[POSE_BYTES - 4 * 75 :]
 
 

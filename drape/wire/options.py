@@ -33,7 +33,7 @@ class Worn(BaseModel):
 
 
 class FabricNumbers(BaseModel):
-    """A fabric by the numbers of ``drape.cloth.fabric.Fabric``. That class refuses numbers of no cloth."""
+    """A fabric by the numbers of ``drape.cloth.fabric.Fabric``, which checks them."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 

@@ -16,7 +16,7 @@ _PREFIX = record(PREFIX)
 
 
 def split_state(blob: bytes, most: int = PIECE_BYTES) -> list[bytes]:
-    """The STATE messages of ``blob``, of at most ``most`` bytes each, the first first; none of an empty one."""
+    """STATE messages of at most ``most`` bytes that hold ``blob`` in order; none if it is empty."""
     size = most - _PREFIX.size
     parts = [blob[start : start + size] for start in range(0, len(blob), size)]
     return [_PREFIX.pack(MAGIC, WIRE_VERSION, STATE, 0, index, len(parts)) + part for index, part in enumerate(parts)]

@@ -110,7 +110,7 @@ class FirstGraph(nn.Module):
 class PackedGraph(nn.Module):
     """``drape.graph.packed.PackedTensors`` by name -> all of ``packed_outputs``.
 
-    Only for vector jets: the paper's variant skins vertices, which is another vertex stage.
+    Only for vector jets: the paper's variant has another vertex stage, which skins vertices.
     """
 
     axis_sums: Tensor

@@ -66,7 +66,7 @@ def tables() -> dict[str, Tensor]:
 
 
 def _per_point(matrix: Tensor) -> Tensor:
-    """``matrix`` (n, m) between the kinds of number of a point as one (7 n, 7 m) between those of all points."""
+    """``matrix`` (n, m) of one point as a matrix (7 n, 7 m) of all points, numbers sorted by kind."""
     return torch.kron(matrix.contiguous(), torch.eye(STRAIN_POINTS))
 
 
