@@ -31,8 +31,8 @@ class NearPlanes:
     """Tangent planes near the patches, in their own frames; numbers lie by axis, then part of the body, then point.
 
     ``missing`` = ``offset`` + sum over axes of ``normal`` x place [patch scales] is the depth [cm] of a point below the
-    height at which it feels the plane. ``share`` (P, 14), from 0 to 1, tells whether there is a plane; ``pull`` (P, 14) is the share times
-    the factor that makes ``normal`` (P, 42) unit normals again.
+    height at which it feels the plane. ``share`` (P, 14), from 0 to 1, tells whether there is a plane. ``pull`` (P, 14)
+    is the share times the factor that makes ``normal`` (P, 42) unit normals again.
     """
 
     normal: Tensor
