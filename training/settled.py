@@ -27,7 +27,6 @@ from torch import Tensor
 
 from drape.arrays.subnormals import flushed
 from drape.body.model import BodyModel
-from drape.catalog import find_garments
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric import Fabric
 from drape.cloth.material import Material
@@ -40,7 +39,7 @@ from drape.live.fold_step import Effort, Frame, fold
 from drape.live.skin_contact import nearest_at_rest, skin_graph
 from training.data import TrainingGarment
 from training.poses import PoseBank, draw_betas, read_clips
-from training.starting import finetuned
+from training.starting import finetuned, with_more_garments
 from training.targets import Settled, digest
 from training.trainer import Trainer
 
@@ -115,9 +114,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     torch.set_num_threads(1)
     config, weights = finetuned(options.model, options.garment)
-    if options.beside:
-        files = [str(path) for path in find_garments(options.beside)]
-        config = replace(config, data=replace(config.data, garments=(*config.data.garments, *files)))
+    config = with_more_garments(config, options.beside)
     folders = options.motions or [folder for folder in [data_folder("motions")] if folder is not None]
     bank = PoseBank(read_clips(folders, held_out=config.data.held_out), config.data)
     options.out.mkdir(parents=True, exist_ok=True)

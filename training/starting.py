@@ -8,6 +8,7 @@ from pathlib import Path
 from torch import Tensor
 
 from drape.artifacts import MODELS_DIR, model_folder
+from drape.catalog import find_garments
 from drape.errors import InputError
 from training import checkpoint
 from training.config import ModelConfig, TrainConfig, finetune, go_on
@@ -81,3 +82,9 @@ def with_garments(config: TrainConfig, garments: list[str] | None) -> TrainConfi
     if not garments:
         return config
     return replace(config, data=replace(config.data, garments=tuple(garments), variants=0, own_share=1.0))
+
+
+def with_more_garments(config: TrainConfig, files: list[str] | None) -> TrainConfig:
+    """``config`` with garments besides its own: ``files`` and folders of them."""
+    more = [str(path) for path in find_garments(files)] if files else []
+    return replace(config, data=replace(config.data, garments=(*config.data.garments, *more)))
