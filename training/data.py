@@ -18,7 +18,7 @@ from drape.garment.fabric_features import fabric_features, patch_grain
 from drape.garment.fitting import RestGarment, patch_fields
 from drape.graph.feeds import atlas_feed, body_feed
 from drape.graph.inputs import BodyTensors, PatchTensors
-from training.collider import Collider
+from training.collider import BodySurface
 from training.consensus import SparseConsensus, blend_matrix
 from training.sparse import SparsePair
 
@@ -116,7 +116,7 @@ class BodySource:
     def __init__(self, body: BodyModel, *, device: torch.device) -> None:
         self.body = body
         self.device = device
-        self._collider = Collider(body)
+        self._collider = BodySurface(body)
 
     def pose(self, poses: np.ndarray, betas: np.ndarray) -> BodyBatch:
         """A batch from poses (F, 24, 3) [rad] and shapes (F, S)."""
