@@ -33,9 +33,8 @@ def test_edges_and_hinges_fulfil_euler(shape):
     assert len(loops) == loop_count
     assert len(hinges) == len(edges) - sum(len(loop) for loop in loops)
     assert 3 * len(faces) == len(edges) + len(hinges) == uses.sum()
-    assert_array_equal(
-        edges, sorted({(min(a, b), max(a, b)) for f in faces.tolist() for a, b in zip(f, f[1:] + f[:1])})
-    )
+    sides = {tuple(sorted((face[k], face[k - 1]))) for face in faces.tolist() for k in range(3)}
+    assert_array_equal(edges, sorted(sides))
     assert_array_equal(meshes.boundary_edges(faces), edges[uses == 1])
     assert_array_equal(meshes.boundary_vertices(faces), np.unique(np.concatenate([*loops, np.zeros(0, int)])))
 
