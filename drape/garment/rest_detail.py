@@ -20,7 +20,7 @@ from scipy.sparse import csgraph
 from drape.cloth import rest_state
 from drape.cloth.rest_state import RestState
 from drape.errors import MeshError
-from drape.garment.grain import Grain, Texture, panel_unit, read_grain, texture
+from drape.garment.grain import Texture, panel_unit, read_grain, texture
 from drape.garment.rest_pose import smoother, subdivide_smooth
 from drape.garment.sewing import SewnHinges
 from drape.geometry import mesh_graphs, meshes
@@ -110,7 +110,8 @@ def rest_of(cloth: RestCloth, rest: Rest = "auto") -> tuple[RestState, RestFigur
         if rest == "flat" and not grain.from_uv.any():
             _refuse_round(cloth)
         if unit is not None and not cloth.resized:
-            state, lengths = _with_panels(state, grain, unit), "panels"
+            edges = np.where(grain.from_uv[:, None, None], unit * grain.panel_edges, state.edges)
+            state, lengths = replace(state, edges=edges), "panels"
     figures = RestFigures(
         kept_share=float(kept.mean()) if len(kept) else 0.0,
         hem_share=float((state.stiffening > 1.0).mean()) if len(kept) else 0.0,
@@ -194,11 +195,6 @@ def _stiffening(cloth: RestCloth, crease: np.ndarray) -> np.ndarray:
         hem = away[0] + away[1] <= HEM_M
         double |= hem[hinges[:, :2]].all(axis=1)
     return np.where(double, HEM_STIFFENING, 1.0)
-
-
-def _with_panels(state: RestState, grain: Grain, unit_m: float) -> RestState:
-    """``state`` with the lengths of the panels where uv are a flattening."""
-    return replace(state, edges=np.where(grain.from_uv[:, None, None], unit_m * grain.panel_edges, state.edges))
 
 
 def cloth_of(

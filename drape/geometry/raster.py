@@ -77,10 +77,9 @@ def z_buffer(
     azimuth_deg: float,
     centre: np.ndarray,
     extent_m: float,
-    elevation_deg: float = 8.0,
 ) -> ZBuffer:
     """The buffer of a view as ``render`` draws it: both sides of the mesh ``vertices`` [m] (V, 3), ``faces`` (F, 3)."""
-    camera, screen = _projected(vertices, view_matrix(azimuth_deg, elevation_deg), centre, size, extent_m)
+    camera, screen = _projected(vertices, view_matrix(azimuth_deg), centre, size, extent_m)
     depth = np.full(size[0] * size[1], -np.inf)
     nearest = np.full(len(depth), -1)
     for t, pixel, z, _ in _fragments(camera, screen, faces, size):

@@ -47,9 +47,7 @@ class GarmentMesh:
         return replace(self, faces=self.faces[keep], uv_faces=uv_faces, face_material=self.face_material[keep])
 
 
-def plain_mesh(
-    name: str, vertices: np.ndarray, faces: np.ndarray | list[list[int]], *, notes: tuple[str, ...] = ()
-) -> GarmentMesh:
+def plain_mesh(name: str, vertices: np.ndarray, faces: np.ndarray | list[list[int]]) -> GarmentMesh:
     """A mesh without uv and with one material."""
     faces = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
     return GarmentMesh(
@@ -60,7 +58,6 @@ def plain_mesh(
         uv_faces=np.zeros((0, 3), dtype=np.int64),
         material_names=("default",),
         face_material=np.zeros(len(faces), dtype=np.int64),
-        notes=notes,
     )
 
 

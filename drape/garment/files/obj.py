@@ -7,7 +7,7 @@ import re
 import numpy as np
 
 from drape.errors import MeshError
-from drape.garment.files.mesh import VERTEX_LIMIT, GarmentMesh, check_count, mesh_fault
+from drape.garment.files.mesh import GarmentMesh, check_count, mesh_fault
 
 # Statements that say nothing of the surface.
 _SILENT = frozenset(
@@ -16,7 +16,7 @@ _SILENT = frozenset(
 _INTEGER = re.compile(r"[+-]?\d{1,18}\Z")  # more digits are no index, and no int64
 
 
-def read_obj(payload: bytes, *, name: str, vertex_limit: int = VERTEX_LIMIT) -> GarmentMesh:
+def read_obj(payload: bytes, *, name: str, vertex_limit: int) -> GarmentMesh:
     """The mesh of a Wavefront OBJ; vertices and texture coordinates in the file's order, polygons as triangle fans."""
     return _ObjReader(name, vertex_limit).read(payload)
 

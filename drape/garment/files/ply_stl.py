@@ -6,7 +6,7 @@ import io
 
 import numpy as np
 
-from drape.garment.files.mesh import VERTEX_LIMIT, GarmentMesh, check_count, mesh_fault, plain_mesh, weld
+from drape.garment.files.mesh import GarmentMesh, check_count, mesh_fault, plain_mesh, weld
 
 _PLY_SIZES = {
     "char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2,
@@ -14,7 +14,7 @@ _PLY_SIZES = {
 }  # fmt: skip
 
 
-def read_ply(payload: bytes, *, name: str, vertex_limit: int = VERTEX_LIMIT) -> GarmentMesh:
+def read_ply(payload: bytes, *, name: str, vertex_limit: int) -> GarmentMesh:
     """The mesh of a PLY file, by trimesh, once the header's counts fit the bytes."""
     end = payload[:65536].find(b"end_header")
     if end < 0 or payload[:3] != b"ply":
@@ -41,7 +41,7 @@ def read_ply(payload: bytes, *, name: str, vertex_limit: int = VERTEX_LIMIT) -> 
     return _by_trimesh(payload, "ply", name)
 
 
-def read_stl(payload: bytes, *, name: str, vertex_limit: int = VERTEX_LIMIT) -> GarmentMesh:
+def read_stl(payload: bytes, *, name: str, vertex_limit: int) -> GarmentMesh:
     """The mesh of an STL file; equal corners become one vertex, in the order of their first appearance."""
     declared = int.from_bytes(payload[80:84], "little") if len(payload) >= 84 else -1
     if declared >= 0 and len(payload) == 84 + 50 * declared:

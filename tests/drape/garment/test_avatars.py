@@ -14,7 +14,6 @@ from drape.body.skeleton import JOINT_NAMES
 from drape.errors import ArtifactError, BodyError, DrapeError, NotFound
 from drape.garment import avatars, registration
 from drape.garment.avatars import (
-    avatar_for,
     load_phenotypes,
     mesh_avatar,
     parse_avatar,
@@ -119,9 +118,7 @@ def write_table(folder: Path) -> Path:
 
 def test_longest_name_in_the_table_wins(tmp_path: Path):
     garment = write_table(tmp_path)
-    assert avatar_for(garment) == ("female", FEMALE)
-    assert avatar_for(tmp_path / "femme.obj") == ("fem", {"gender": 0.9})
-    assert avatar_for(tmp_path / "other.obj") is None
+    assert parse_avatar(None, beside=tmp_path / "femme.obj") == {"gender": 0.9}
     assert parse_avatar(None, beside=garment) == FEMALE
     assert parse_avatar(None, beside=tmp_path / "own_dress.obj") == "standard"
     assert parse_avatar(None, beside=tmp_path / "other.obj") is None
@@ -154,7 +151,7 @@ def test_a_client_of_the_service_names_no_files(tmp_path: Path, monkeypatch: pyt
 def test_broken_table_is_refused(text: str, tmp_path: Path):
     (tmp_path / "avatars.json").write_text(text)
     with pytest.raises(BodyError, match=r"avatars\.json"):
-        avatar_for(tmp_path / "female_tshirt.obj")
+        parse_avatar(None, beside=tmp_path / "female_tshirt.obj")
 
 
 def test_damaged_asset_is_refused(tmp_path: Path):

@@ -110,9 +110,10 @@ def test_smoothing_keeps_constants_and_lone_vertices_and_shrinks_waves():
     assert np.abs(smooth @ wave).max() < 0.8 * np.abs(wave).max()
 
 
-def test_passes_smooth_the_weights_over_the_mesh():
+def test_passes_smooth_the_weights_over_the_mesh(monkeypatch):
     rest = barrel()
-    sharp = skin.bind_to_body(rest.vertices, rest.faces, default_body(), passes=0)
+    monkeypatch.setattr(skin, "SMOOTHING_PASSES", 0)
+    sharp = skin.bind_to_body(rest.vertices, rest.faces, default_body())
     edges = np.sort(rest.faces[:, :2], axis=1)
 
     def roughness(binding):
