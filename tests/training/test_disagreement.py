@@ -8,21 +8,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from drape.body.assets import load_body
 from drape.errors import InputError
 from drape.garment.cache import Garment
 from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_matrix
 from tests.drape.cloth.cloth_shapes import grid
-from tests.fixtures.tiny_model import tube_garment
+from tests.fixtures import garments
 from training.disagreement import LEAST_WEIGHT, chart_normals, chart_positions, disagreement
 
 PATCHES = 5
-
-
-@pytest.fixture(scope="module")
-def tube() -> Garment:
-    return tube_garment(load_body())
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +33,7 @@ def sheet() -> Garment:
     jet = 0.1 * rng.normal(size=(PATCHES, jets.JET_COUNT))
     weight = rng.uniform(0.1, 1.0, size=patch.shape)
     return replace(
-        tube_garment(load_body()),
+        garments.tube(),
         vertices=rest,
         fine_faces=faces,
         patch_rotation=rotation,

@@ -14,7 +14,7 @@ from drape.garment.cache import Garment
 from drape.garment.fine import corner_weights, fine_garment, has_finer
 from drape.garment.rest_mesh import with_unused
 from drape.geometry import meshes
-from tests.fixtures.tiny_model import tube_garment
+from tests.fixtures.garments import tube_garment
 
 
 @pytest.fixture(scope="module")
