@@ -32,7 +32,7 @@ from drape.garment.cache import FORMAT_VERSION, OWN_GARMENTS_DIR, Garment, load_
 from drape.garment.clearance import CLEARANCE_M
 from drape.garment.files.mesh import GarmentMesh, read_mesh
 from drape.garment.fitting import fit_garment
-from drape.garment.grain import texture
+from drape.garment.grain import corner_uv
 from drape.garment.intake_options import DEFAULT_OPTIONS, IntakeOptions, read_fabric
 from drape.garment.mesh_checks import Unit, Up
 from drape.garment.rest_detail import Rest, RestCloth, doubled_faces, rest_of, subdivided_like
@@ -183,14 +183,14 @@ def with_rest_state(garment: Garment, rest: RestMesh, options: IntakeOptions, se
     row = np.concatenate([rest.kept, np.arange(len(compact.vertices), len(rest.vertices))])
     faces = garment.fine_faces.astype(np.int64)
     modelled = subdivided_like(compact.vertices, compact.faces, len(faces))[row]
-    painted = texture(compact.uv, compact.uv_faces, len(faces))
+    on_corners = corner_uv(compact.uv, compact.uv_faces, len(faces))
     doubled = doubled_faces(compact.material_names, compact.face_material, len(faces))
     points = garment.vertices.astype(np.float64)
     hinges = None
-    if sewn is not None and painted is not None:
-        painted = replace(painted, grain_along_v=True)
-        hinges = sewn_hinges(sewn, compact, rest.kept, faces, painted)
-    cloth = RestCloth(points, faces, modelled, painted, doubled, options.uv_unit_m, rest.resized, hinges)
+    if sewn is not None and on_corners is not None:
+        on_corners = replace(on_corners, grain_along_v=True)
+        hinges = sewn_hinges(sewn, compact, rest.kept, faces, on_corners)
+    cloth = RestCloth(points, faces, modelled, on_corners, doubled, options.uv_unit_m, rest.resized, hinges)
     state, figures = rest_of(cloth, options.rest)
     arrays = {"rest_edges": state.edges, "rest_angle": state.hinge_angle, "rest_stiffening": state.stiffening}
     return replace(

@@ -1,4 +1,4 @@
-"""How a garment at rest hangs on the body: skin weights and shape movement of every vertex.
+"""Binds a garment at rest to the body: skin weights and shape movement of every vertex.
 
 A vertex takes the weights of the body points near it, by a Gaussian kernel whose width
 grows with its distance from the body: next to the skin that is the nearest triangle, on

@@ -1,4 +1,4 @@
-"""What README and docs say of the tiers is what the shipped model's manifest says.
+"""Statements of README and docs about the tiers agree with the shipped model's manifest.
 
 A page states a tier in a fixed form, ``TIER`` = CORRECTIONS and N step(s) of folds, for example "`balanced` = all
 corrections and 1 step of folds". CORRECTIONS is "all corrections", "no corrections" or "N correction(s)"; where "the

@@ -1,4 +1,4 @@
-"""What a name on the command line finds."""
+"""Names on a command line find shipped files, files and folders."""
 
 from __future__ import annotations
 

@@ -14,13 +14,13 @@ from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_matrix
 from tests.drape.cloth.cloth_shapes import grid
 from tests.fixtures import garments
+from tests.fixtures.laws import each, made
 from training.disagreement import LEAST_WEIGHT, chart_normals, chart_positions, disagreement
 
 PATCHES = 5
 
 
-@pytest.fixture(scope="module")
-def sheet() -> Garment:
+def flat_sheet() -> Garment:
     """A flat sheet under five charts: tilted frames of any scale, and (u, v) any linear map of the plane."""
     rng = np.random.default_rng(5)
     rest, faces = grid(6, 5, cell_m=0.02)
@@ -57,9 +57,11 @@ def at_rest(garment: Garment, frames: int = 1) -> tuple[np.ndarray, np.ndarray, 
     )
 
 
-@pytest.mark.parametrize("name", ["tube", "sheet"])
-def test_charts_at_rest_agree_exactly(name, request):
-    garment = request.getfixturevalue(name)
+SHEET = made(sheet=flat_sheet)
+
+
+@each(garment=made(tube=garments.tube) | SHEET)
+def test_charts_at_rest_agree_exactly(garment):
     found = disagreement(garment, *at_rest(garment, frames=2))
     assert_allclose(found.gap_m, 0.0, rtol=0.0, atol=1e-8)
     assert_allclose(found.normal_rad, 0.0, rtol=0.0, atol=1e-6)
@@ -103,6 +105,7 @@ def test_a_turned_patch_disagrees_by_its_angle_where_another_counts(tube):
     assert_allclose(found.normal_rad[0, by_it], expected, rtol=1e-5, atol=1e-6)
 
 
+@each(sheet=SHEET)
 def test_normals_are_those_of_the_surface_that_each_chart_makes(sheet, rng):
     """Against central differences of the chart's map along the sheet, for any jet, frame and linear (u, v)."""
     jet = 0.3 * rng.normal(size=(2, PATCHES, jets.JET_COUNT))

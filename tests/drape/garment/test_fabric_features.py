@@ -1,4 +1,4 @@
-"""What the garment encoder reads of a fabric."""
+"""The features of a fabric: they turn with the grain, and tell cloths apart."""
 
 from __future__ import annotations
 

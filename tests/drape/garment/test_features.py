@@ -1,4 +1,4 @@
-"""What the garment encoder reads: sizes, independence of the patches, hems and positions."""
+"""The features of patches: sizes, independence of the patches, hems and positions."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_hem_distance_is_along_the_surface_and_points_there(given):
     assert_allclose(part(rows, "hem distance")[:, 0], 10.0 * want, rtol=0.02, atol=1e-3)
     nearness = np.exp(-((want / 0.08) ** 2))
     assert_allclose(part(rows, "hem nearness")[:, 0], nearness, rtol=0.0, atol=0.05)
-    # Of patches at the hem, the direction leads away from the middle.
+    # At the hem the direction leads away from the middle.
     near = nearness > 0.1
     assert near.any()
     world = np.einsum("kab,kb->ka", given["rotation"], part(rows, "hem direction"))

@@ -1,4 +1,4 @@
-"""The subdivided mesh as a delivered one: where its vertices lie, and what it is painted and made of."""
+"""The subdivided mesh as a delivered one: where its vertices lie, and what it is on_corners and made of."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def coarse() -> Garment:
     return tube_garment(load_body(), subdivided=True)
 
 
-def painted(garment: Garment) -> np.ndarray:
+def on_corners(garment: Garment) -> np.ndarray:
     """Texture coordinates (F, 3, 2) of the corners of every triangle."""
     return np.asarray(garment.uv, dtype=np.float64)[garment.uv_faces]
 
@@ -40,7 +40,7 @@ def test_the_fine_mesh_begins_with_the_delivered_vertices_and_keeps_paint_and_ma
     assert fine.vertices is coarse.vertices
     assert_array_equal(fine.faces, coarse.fine_faces)
     assert fine.uv.dtype == coarse.uv.dtype and len(fine.uv_faces) == len(fine.faces) == 4 * len(coarse.faces)
-    whole, parts = painted(coarse), painted(fine).reshape(-1, 4, 3, 2)
+    whole, parts = on_corners(coarse), on_corners(fine).reshape(-1, 4, 3, 2)
     assert_allclose(parts[:, 3].mean(axis=1), whole.mean(axis=1), rtol=0, atol=1e-6)  # the middle part
     for corner in range(3):
         assert_allclose(parts[:, corner, 0], whole[:, corner], rtol=0, atol=1e-6)

@@ -169,7 +169,7 @@ def test_fabrics_are_read_from_the_command_line():
 
 
 def test_unit_and_axis_do_not_matter():
-    # What centimetres give, to the last bit: rounding decides which vertices the clearance counts as short.
+    # Bits as from centimetres: rounding decides which vertices the clearance counts as short.
     metres = rest_mesh(plain_mesh("shirt", VERTICES * 100.0 * UNITS_M["cm"], FACES), AVATAR, BODY)
     turned = np.stack([VERTICES[:, 0], -VERTICES[:, 2], VERTICES[:, 1]], axis=1) * 100.0
     centimetres = rest_mesh(plain_mesh("shirt", turned, FACES), AVATAR, BODY)

@@ -1,4 +1,4 @@
-"""How a rest garment hangs on the body: weights near the skin, far from it, and mirrored."""
+"""Bindings of a rest garment to the body: weights near the skin, far from it, and mirrored."""
 
 from __future__ import annotations
 
