@@ -22,6 +22,7 @@ from drape.garment.avatars import (
     smpl_avatar,
 )
 from drape.geometry import meshes
+from tests.drape.cloth.cloth_shapes import tube
 from tests.drape.garment.garment_files import obj_text
 
 BODY = load_body()
@@ -186,13 +187,11 @@ def test_other_mesh_is_registered(rng: np.random.Generator):
 def test_unlike_body_is_refused(tmp_path: Path):
     angle, height = np.meshgrid(np.linspace(0, 2 * np.pi, 40, endpoint=False), np.linspace(0, 1.8, 40))
     pillar = np.stack([0.4 * np.cos(angle), height, 0.4 * np.sin(angle)], axis=-1).reshape(-1, 3)
-    from tests.drape.garment.garment_files import tube_faces
-
     with pytest.raises(BodyError, match="fits to 15 mm"):
-        registration.register(pillar, tube_faces(40, 40)[:, ::-1], BODY)
+        registration.register(pillar, tube(40, 39)[1], BODY)
     with pytest.raises(BodyError, match="500 vertices"):
-        registration.register(pillar[:80], tube_faces(2, 40), BODY)
-    (tmp_path / "flat.obj").write_bytes(obj_text(pillar[:80], tube_faces(2, 40)))
+        registration.register(pillar[:80], tube(40, 1)[1], BODY)
+    (tmp_path / "flat.obj").write_bytes(obj_text(pillar[:80], tube(40, 1)[1]))
     with pytest.raises(BodyError, match="a person"):
         mesh_avatar(tmp_path / "flat.obj", BODY)
 

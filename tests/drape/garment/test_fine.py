@@ -58,9 +58,7 @@ def test_weights_place_fine_vertices_in_delivered_triangles(coarse: Garment):
     points = coarse.vertices.astype(np.float64)
     assert_allclose(weights @ points[: coarse.vertex_count], points, rtol=0, atol=1e-7)  # the tube's are midpoints
     assert (np.diff(weights.indptr) <= 3).all()
-    faces, vertices = coarse.fine_faces, points
-    for _ in range(1):  # a second round
-        vertices, faces, _ = meshes.subdivide(vertices, faces)
+    vertices, faces, _ = meshes.subdivide(points, coarse.fine_faces)  # a second round
     twice = replace(coarse, vertices=vertices, fine_faces=faces)
     found = corner_weights(twice)
     assert (np.diff(found.indptr) <= 3).all()
