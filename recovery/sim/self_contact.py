@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse
 import torch
 
-from drape.geometry import meshes
+from drape.geometry import mesh_graphs, meshes
 from drape.kernels.triangle_pairs import pairs_within
 from recovery.sim.linearised import Springs
 
@@ -42,7 +42,7 @@ class SelfContact:
         self.thickness_m, self.stiffness = thickness_m, stiffness_n_per_m
         self.count = len(fixed)
         self._free = ~np.repeat(fixed, 3)
-        graph = meshes.adjacency(faces, self.count)
+        graph = mesh_graphs.adjacency(faces, self.count)
         ring = (graph + scipy.sparse.identity(self.count, format="csr")).tocsr()
         ring.sort_indices()
         self._keys = np.repeat(np.arange(self.count), np.diff(ring.indptr)) * self.count + ring.indices

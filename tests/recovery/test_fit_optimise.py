@@ -321,7 +321,7 @@ def test_progress_is_shown_on_request(capsys):
 
 
 def test_wrong_options_and_other_controls_are_refused():
-    for wrong in (("closing", -1), ("rate_m", 0.5), ("last_rate_m", 0.0), ("beta1", 1.0), ("floor", 0.0)):
+    for wrong in (("closing", -1), ("rate_m", 0.5), ("last_rate_m", 0.0)):
         with pytest.raises(InputError, match="fit options"):
             replace(FitOptions(), **dict([wrong]))
     with pytest.raises(InputError, match="fit options"):
