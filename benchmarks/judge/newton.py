@@ -2,7 +2,7 @@
 
 Far from rest the cloth first settles under its own stiffness (``benchmarks.judge.settling``).
 
-The energy is that of ``drape.cloth.energies``, over the blended planes of ``benchmarks.judge.body_distance``: those of
+The energy is that of ``drape.cloth.energies``, over the blended planes of ``benchmarks.judge.blended_planes``: those of
 the nearest body vertices step where a vertex comes nearer to another one, and then there is no place of rest.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 import scipy.linalg
 
 from benchmarks.judge import descent, hessian, linear, settling
-from benchmarks.judge.body_distance import BlendedPlanes
+from benchmarks.judge.blended_planes import BlendedPlanes
 from benchmarks.judge.linear import Charts
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh

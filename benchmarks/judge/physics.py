@@ -14,7 +14,7 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.judge.body_distance import blended_distance
+from benchmarks.judge.blended_planes import blended_distance
 from benchmarks.judge.linear import Charts
 from benchmarks.judge.newton import Band, Cloth, Found, minimum
 from drape.body.model import BodyModel

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from benchmarks.judge import body_distance, descent, hessian, linear, newton, physics, settling
+from benchmarks.judge import blended_planes, descent, hessian, linear, newton, physics, settling
 from benchmarks.judge.physics import Optimum, Task
 from benchmarks.shared import common
 from drape.cloth import bending, contact, energies, membrane, waistband
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 T = TypeVar("T", bound="DataclassInstance")
 CACHE_DIR = common.ROOT / "runs" / "physics_cache"  # ignored by git
 SOURCES: tuple[ModuleType, ...] = (
-    physics, newton, settling, whole, energies, membrane, bending, contact, waistband, meshes, body_distance, descent,
+    physics, newton, settling, whole, energies, membrane, bending, contact, waistband, meshes, blended_planes, descent,
     elements, hessian, linear, problem,
 )  # fmt: skip
 

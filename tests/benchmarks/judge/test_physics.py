@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from benchmarks.judge import physics
-from benchmarks.judge.body_distance import BlendedPlanes
+from benchmarks.judge.blended_planes import BlendedPlanes
 from benchmarks.judge.newton import Cloth, Descent
 from benchmarks.judge.physics import Task
 from drape.catalog import find_garments, open_garment
