@@ -1,7 +1,7 @@
 """The signed distance of a closed mesh as a network of sines (Sitzmann et al. 2020), trained on that mesh.
 
-The way of Yu, Cordier and Seo (2024, section 3.4.4), who leave sizes and training open. ``GridDistance`` is more exact
-and ready in seconds (docs/explanation/recovery.md); this is for comparing with the paper.
+Yu, Cordier and Seo (2024, section 3.4.4) use one, and leave its size and training open. It serves the comparison with
+their paper: ``GridDistance`` is more exact and ready in seconds (docs/explanation/recovery.md).
 
 With u the point scaled to the body's box, h_0 = u and h_k = sin(W_k h_(k-1) + b_k), the distance is w . h_L + b.
 Sitzmann's factor omega is part of W_k. The gradient, w diag(cos) W_L ... diag(cos) W_1, is written out, so that
@@ -46,7 +46,7 @@ SLOPE_WEIGHT = 0.1  # of the gradient's error in the loss
 WARM_STEPS = 50
 ADAM_BETAS = (0.9, 0.99)
 HELD_OUT = 20_000
-BAND_M = 0.03  # the error that is told is that of points this near to the skin
+BAND_M = 0.03  # the error is measured at points this near to the skin
 
 Say = Callable[[str], None]
 
@@ -88,11 +88,11 @@ UNKNOWN = SirenError(math.nan, math.nan, math.nan)
 
 
 class SirenDistance:
-    """A signed distance from weights (H, I), ..., (1, H) and biases (H,), ..., (1,) of the layers, used in float64.
+    """A signed distance by the weights (H, I), ..., (1, H) and biases (H,), ..., (1,) of layers, used in float64.
 
     ``low`` and ``high`` [m] (3,) are the corners of the box that it was trained in; outside it the distance to the box
-    is added. ``error`` was measured after the training, at points held out; ``trained_s`` is the processor's time [s]
-    that both took.
+    is added. ``error`` was measured after the training, at points held out; both took ``trained_s`` [s] of the
+    processor.
     """
 
     def __init__(
@@ -181,7 +181,7 @@ def load_siren(path: Path, digest: str) -> SirenDistance:
 
 
 def siren_digest(vertices: np.ndarray, faces: np.ndarray, options: SirenOptions = DEFAULT_SIREN) -> str:
-    """sha256 of a body and of how a network is trained on it, hexadecimal."""
+    """sha256, hexadecimal, of a body and of the options of a training on it."""
     found = hashlib.sha256(repr((FORMAT_VERSION, asdict(options), np.shape(vertices), np.shape(faces))).encode())
     found.update(np.ascontiguousarray(vertices, dtype=np.float64).tobytes())
     found.update(np.ascontiguousarray(faces, dtype=np.int64).tobytes())
