@@ -46,8 +46,7 @@ def near_boxes(x: np.ndarray, first: np.ndarray, second: np.ndarray, reach_m: fl
     """Numbers (N, 2) of rows of ``first`` and ``second``, vertices of elements, that share none of them and whose boxes
     are at most ``reach_m`` apart along every axis; of one set of elements each pair once, the lower number first.
     """
-    boxes = [np.stack([x[element].min(axis=1), x[element].max(axis=1)]) for element in (first, second)]
-    own, other = boxes
+    own, other = (np.stack([x[element].min(axis=1), x[element].max(axis=1)]) for element in (first, second))
     if not len(second):
         return np.zeros((0, 2), np.int32)
     axis = int(np.ptp(x, axis=0).argmax())
@@ -55,11 +54,12 @@ def near_boxes(x: np.ndarray, first: np.ndarray, second: np.ndarray, reach_m: fl
     begin, longest = other[0, order, axis], (other[1] - other[0])[:, axis].max()
     start = np.searchsorted(begin, own[0, :, axis] - reach_m - longest)
     end = np.searchsorted(begin, own[1, :, axis] + reach_m, side="right")
-    return _near_boxes(own, other, first, second, order, start, end, reach_m, first is second)
+    return _near_boxes((own, other), (first, second), order, (start, end), reach_m, first is second)
 
 
 @kernel
-def _near_boxes(own, other, first, second, order, start, end, reach, same):
+def _near_boxes(boxes, elements, order, window, reach, same):
+    (own, other), (first, second), (start, end) = boxes, elements, window
     found, filled = np.empty((16 * len(first) + 16, 2), np.int32), 0
     for e in range(len(first)):
         for place in range(start[e], end[e]):
