@@ -9,7 +9,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import igl
 import numpy as np
 import pytest
 import torch
@@ -17,7 +16,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.body.assets import load_body
 from drape.errors import ArtifactError, InputError, MeshError
-from drape.geometry.meshes import subdivide
 from recovery.drape.__main__ import main
 from recovery.drape.body_distance import DistanceKind
 from recovery.drape.pipeline import DrapeOptions
@@ -25,7 +23,6 @@ from recovery.pattern.bases import skirt
 from recovery.pattern.garmentcode import write_pattern
 from recovery.run.__main__ import job_of, parse
 from recovery.sim import siren
-from recovery.sim.contact import SkinContact
 from recovery.sim.sdf import GridDistance, Sphere
 from recovery.sim.siren import (
     SirenDistance,
@@ -37,6 +34,7 @@ from recovery.sim.siren import (
     siren_error,
     stored_siren,
 )
+from tests.drape.geometry.geometry_shapes import icosphere
 from tests.recovery.pattern_setup import default_measurements
 
 RADIUS_M = 0.1
@@ -47,11 +45,9 @@ TINY = SirenOptions(width=16, layers=2, points=2000, steps=20)
 
 @cache
 def ball() -> tuple[np.ndarray, np.ndarray]:
-    """A sphere of 5,120 triangles off the origin; 0.1 mm inside the exact one at most."""
-    vertices, faces = (np.asarray(part) for part in igl.icosahedron())
-    for _ in range(4):
-        vertices, faces, _ = subdivide(vertices, faces)
-    return RADIUS_M * vertices / np.linalg.norm(vertices, axis=1, keepdims=True) + CENTRE, faces
+    """A sphere off the origin; 0.1 mm inside the exact one at most."""
+    vertices, faces = icosphere(5, radius_m=RADIUS_M)
+    return vertices + CENTRE, faces
 
 
 @cache
@@ -108,16 +104,6 @@ def test_the_gradient_has_derivatives_backward_and_forward(rng):
     assert_allclose(forward, differences, rtol=0, atol=1e-6 * float(forward.abs().max()))
     (backward,) = torch.autograd.grad((found(leaf)[1] * along).sum(), leaf)
     assert_allclose(forward, backward, rtol=0, atol=1e-12 * float(forward.abs().max()))
-
-
-def test_contact_with_it_is_the_derivative_of_its_energy(rng):
-    contact, area = SkinContact(trained()), torch.full((300,), 1e-4, dtype=torch.float64)
-    arm = rng.normal(size=(300, 3))
-    arm *= rng.uniform(RADIUS_M - 0.01, RADIUS_M + 0.01, size=(300, 1)) / np.linalg.norm(arm, axis=1, keepdims=True)
-    leaf = torch.from_numpy(arm + CENTRE).requires_grad_(True)
-    (slope,) = torch.autograd.grad(contact.energy(leaf, area), leaf)
-    assert float(slope.abs().max()) > 0.0
-    assert_allclose(contact.force(leaf.detach(), area), -slope, rtol=0, atol=1e-12 * float(slope.abs().max()))
 
 
 def test_a_short_training_learns_a_sphere(rng):
