@@ -85,7 +85,8 @@ def _read(path: Path) -> Optimum | None:
     try:
         with np.load(path, allow_pickle=False) as stored:
             found: dict[str, Any] = {item.name: stored[item.name] for item in fields(Optimum)}
-            return Optimum(**found | {"seconds": float(found["seconds"])})
+            found["seconds"] = float(found["seconds"])
+            return Optimum(**found)
     except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         print(f"{path.parent.name}: {path.name} cannot be read ({error}); making it again", flush=True)
         return None

@@ -117,7 +117,8 @@ def two_sheets(rng):
 @pytest.mark.parametrize("place", ["about a ball", "between two surfaces and deep inside"])
 def test_a_place_has_one_blend_whatever_the_way_there(uneven, rng, place):
     body, x = (uneven, around(uneven, rng)) if place == "about a ball" else two_sheets(rng)
-    planes, turned = BlendedPlanes(*body, len(x), GAP_M), 0
+    points, normals = body
+    planes, turned = BlendedPlanes(points, normals, len(x), GAP_M), 0
     before = np.full(len(x), np.inf)
     for size in (0.0, 1e-5, 1e-3, 2e-3, 2e-3, 4e-3, 1e-3, 8e-3, 2e-3, 1e-4):
         x = x + size * rng.normal(size=x.shape)

@@ -87,7 +87,7 @@ def test_sweeps_give_the_same_bits_again():
     for x in ends:
         for _ in range(3):
             descent.sweep(x, scene.problem, scene.around, False)
-    assert_array_equal(*ends)
+    assert_array_equal(ends[0], ends[1])
 
 
 def test_the_quadratic_bending_is_that_of_the_hinges_where_they_are_nearly_flat():

@@ -121,7 +121,7 @@ def test_numpy_and_torch_agree(rng, element):
 @pytest.mark.parametrize(("axis", "place"), [("warp", 0), ("weft", 1), ("shear", 3)])
 def test_each_strain_costs_its_own_stiffness(axis, place):
     strain = {"warp": (0.02, 0.0, 0.0), "weft": (0.0, 0.02, 0.0), "shear": (0.0, 0.0, 0.02)}[axis]
-    pp, tt, pt = membrane.stress(np.array(strain), STIFFNESS)
+    pp, tt, pt = membrane.stress([np.array(value) for value in strain], STIFFNESS)
     found = 0.5 * (pp * strain[0] + tt * strain[1] + 2.0 * pt * strain[2])
     assert_allclose(found, 0.5 * STIFFNESS[place] * 0.02**2, rtol=1e-12)
 
