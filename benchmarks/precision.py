@@ -36,8 +36,8 @@ from drape.geometry.rotations import (
     rotvec_to_quaternion,
 )
 from drape.graph.packing import pack_body
-from drape.live.fold_constants import Constants, dressed
-from drape.live.fold_step import Effort, Frame, fold
+from drape.live.fold_constants import FoldConstants, worn_cloth
+from drape.live.fold_step import FoldEffort, Frame, fold
 from drape.wire import messages as wire
 from drape.wire.jets import JetFrame, pack_jets, unpack_jets
 from service.engine import Engine
@@ -160,11 +160,11 @@ def _networked(body: BodyModel, garment: Garment, poses: np.ndarray, *, int8: bo
 def _folded(
     body: BodyModel, garment: Garment, vertices: np.ndarray, poses: np.ndarray, fps: float, dtype: type[np.floating]
 ) -> np.ndarray:
-    made, memory, found = Constants.of(dressed(garment, body), dtype=dtype), None, []
+    made, memory, found = FoldConstants.of(worn_cloth(garment, body), dtype=dtype), None, []
     skin = posed_table(body, poses, np.zeros(body.shape_count))
     for number, drape in enumerate(vertices):
         one = Frame(drape.astype(dtype), skin[number].reshape(-1, 8), number / fps)
-        x, memory, _ = fold(made, memory, one, Effort(sweeps=2))
+        x, memory, _ = fold(made, memory, one, FoldEffort(steps=2))
         found.append(x)
     return np.stack(found).astype(np.float64)
 

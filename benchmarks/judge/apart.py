@@ -27,8 +27,8 @@ from drape.cloth import metrics
 from drape.cloth.contact import BodyContact
 from drape.cloth.waistband import band_energy
 from drape.geometry import meshes
-from drape.kernels.elements import at, dot, sub
-from drape.live.skin_contact import cells_of
+from drape.kernels.elements import add, at, dot, sub
+from drape.kernels.grid import cells_within, column, grid_of
 
 REACH_M = 0.002  # distance at which cloth feels cloth: about two layers of it
 NEAR_M = 0.009  # distance up to which pairs are looked at
@@ -137,21 +137,18 @@ def _near_pairs(x, first, second, near):
         largest = max(largest, size[f])
     same = first.shape[1] == second.shape[1]
     cell = near + (2.0 if same else 1.0) * largest
-    start, member, low, count = cells_of(middle, 1.0 / cell)
+    grid, around = grid_of(middle, 1.0 / cell), (cell, cell, cell)
     found, filled = np.empty((16 * len(first), 4), np.int32), 0
     for e in range(len(first)):
         own, own_size = at(x, first[e, 0]), 0.0
         if same:
             own, own_size = at(middle, e), size[e]
-        place = (int((own[0] - low[0]) // cell), int((own[1] - low[1]) // cell), int((own[2] - low[2]) // cell))
-        for i in range(max(place[0] - 1, 0), min(place[0] + 2, count[0])):
-            for j in range(max(place[1] - 1, 0), min(place[1] + 2, count[1])):
-                row = (i * count[1] + j) * count[2]
-                begin, end = max(place[2] - 1, 0), min(place[2] + 2, count[2])
-                if begin >= end:
-                    continue
-                for entry in range(start[row + begin], start[row + end]):
-                    f = member[entry]
+        low, high = cells_within(grid, sub(own, around), add(own, around))
+        for i in range(low[0], high[0]):
+            for j in range(low[1], high[1]):
+                begin, end = column(grid, i, j, low, high)
+                for entry in range(begin, end):
+                    f = grid.member[entry]
                     if same and f <= e:
                         continue
                     way = sub(own, at(middle, f))

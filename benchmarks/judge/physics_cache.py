@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from benchmarks.judge import body_distance, descent, hessian, linear, newton, physics, settling
+from benchmarks.judge import body_distance, descent, hessian, linear, newton, physics, settling, surroundings
 from benchmarks.judge.physics import Optimum, Task
 from benchmarks.shared import common
 from drape.cloth import contact, energies, waistband
@@ -35,7 +35,7 @@ T = TypeVar("T", bound="DataclassInstance")
 CACHE_DIR = common.ROOT / "runs" / "physics_cache"  # ignored by git
 SOURCES: tuple[ModuleType, ...] = (
     physics, newton, settling, whole, energies, contact, waistband, meshes, body_distance, descent, elements, hessian,
-    linear, problem,
+    linear, problem, surroundings,
 )  # fmt: skip
 
 

@@ -24,8 +24,8 @@ import numpy as np
 from drape.arrays import Array, namespace
 from drape.arrays.tensors import Tensors, tensor
 from drape.contact.field import attend_columns, columns, largest, query_columns, ramp, surface, take
+from drape.contact.push_tables import BLOCK_SIZE, GROUP_SIZE, OTHER_STEPS, OWN_CLUSTERS
 from drape.contact.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE, Samples, region_centres, sample_table
-from drape.contact.tables import BLOCK_SIZE, GROUP_SIZE, OTHER_STEPS, OWN_CLUSTERS
 from drape.geometry import jets
 from drape.geometry.rotations import dot_columns
 

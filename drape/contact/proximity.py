@@ -15,9 +15,9 @@ from drape.arrays import Array, namespace
 from drape.arrays.tensors import Tensors, tensor
 from drape.contact.field import Surface, attend, largest, queries, ramp, surface, take
 from drape.contact.projection import AGREEMENT, BESIDE_M2, OTHER_LEAST, REGION_BIAS_M2, REGION_COUNT
+from drape.contact.push_tables import OWN_CLUSTERS, skin_lists
 from drape.contact.samples import CLUSTER_SIZE, REGION_SIZE, region_centres
 from drape.contact.skin import Skin
-from drape.contact.tables import OWN_CLUSTERS, skin_lists
 from drape.geometry.rotations import dot_columns
 
 GAP_M = 0.006  # proximity begins at this distance; the contact energy at 4 mm

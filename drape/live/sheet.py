@@ -14,7 +14,7 @@ import numpy as np
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.kernels.lanes import LANES
-from drape.kernels.problem import Constants, Hinges, Problem, Triangles, problem
+from drape.kernels.problem import Hinges, KernelConstants, Problem, Triangles, problem
 
 ALIKE = 0.99  # of the longest edge's length
 
@@ -33,7 +33,7 @@ class Sheet(NamedTuple):
     ``crease_lane`` and ``crease_member``, the latter 4 hinge + corner.
     """
 
-    constants: Constants
+    constants: KernelConstants
     vertex: np.ndarray
     place: np.ndarray
     fan_start: np.ndarray

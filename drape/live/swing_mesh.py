@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import dijkstra
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.geometry import meshes
+from drape.kernels.problem import rest_edges, unfolded
 
 SPACING_M = 0.07  # nearer nodes give the same swing for more time
 REACH = 2.0  # spacings, within which a node moves a vertex
@@ -94,23 +95,15 @@ def swing_mesh(
 
 def along_cloth(cloth: ClothMesh) -> Any:
     """Sparse symmetric (V, V): lengths [m] at rest of edges, and of diagonals between two triangles laid flat."""
-    a, b, c, d = cloth.inverse_shape
-    shape = np.linalg.inv(np.stack([np.stack([a, c], axis=-1), np.stack([b, d], axis=-1)], axis=-2))
-    place = np.stack([np.zeros((len(shape), 2)), shape[..., 0], shape[..., 1]], axis=1)  # corners (F, 3, 2)
+    edges, flat = rest_edges(cloth), unfolded(cloth)
+    place = np.concatenate([np.zeros((len(edges), 1, 2)), edges], axis=1)  # corners (F, 3, 2)
     faces, hinges = cloth.faces, cloth.hinge_index.reshape(4, -1).T
     ends = [(faces[:, i], faces[:, (i + 1) % 3]) for i in range(3)]
     lengths = [np.linalg.norm(place[:, i] - place[:, (i + 1) % 3], axis=1) for i in range(3)]
-    sides = meshes.hinge_faces(faces)
-    along, up, edge = [], [], []
-    for side in range(2):
-        own = sides[:, side]
-        i, j, third = (place[own, (faces[own] == hinges[:, k, None]).argmax(axis=1)] for k in (0, 1, 2 + side))
-        edge.append(np.linalg.norm(j - i, axis=1))
-        along.append(((j - i) * (third - i)).sum(axis=1) / edge[side])
-        up.append(np.abs((j - i)[:, 0] * (third - i)[:, 1] - (j - i)[:, 1] * (third - i)[:, 0]) / edge[side])
+    along, up = flat.along / flat.length, flat.height
     high = np.maximum(up[0] + up[1], 1e-12)
     crossing = along[0] + (along[1] - along[0]) * up[0] / high
-    inside = (crossing > 0.0) & (crossing < np.minimum(*edge))
+    inside = (crossing > 0.0) & (crossing < flat.length.min(axis=0))
     ends.append((hinges[inside, 2], hinges[inside, 3]))
     lengths.append(np.hypot(along[0] - along[1], high)[inside])
     first, second, length = (np.concatenate(parts) for parts in (*zip(*ends, strict=True), lengths))

@@ -15,10 +15,10 @@ from drape.cloth.fabric import Fabric
 from drape.errors import InputError
 from drape.garment.cache import Garment
 from drape.garment.wrapping import Wrapping
-from drape.live.fold_constants import Constants, constants
-from drape.live.fold_step import Effort, Frame, Memory, Report, fold, warm_up
-from drape.live.layers import covered, raised
-from drape.live.skin_contact import Touched
+from drape.live.fold_constants import FoldConstants, fold_constants
+from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport, Frame, fold, warm_up
+from drape.live.raised_skin import heights_over, raised
+from drape.live.skin_contact import TouchedSamples
 from drape.wire.options import DrapeOptions
 from service.engine import SKIN, Engine
 from service.fabrics import layer_fabrics
@@ -37,12 +37,12 @@ class Folds(Stage):
     """
 
     name = "folds"
-    kept = (Memory, Touched)
+    kept = (FoldMemory, TouchedSamples)
 
     def __init__(self, engine: Engine, body: BodyModel, settings: Settings) -> None:
         super().__init__(engine, body, settings)
         self._garments: dict[str, Garment] = {}
-        self._constants: OrderedDict[tuple[str, str], Constants] = OrderedDict()
+        self._constants: OrderedDict[tuple[str, str], FoldConstants] = OrderedDict()
         self._wrappings: dict[str, Wrapping] = {}
         self._looking, self._making = threading.Lock(), threading.Lock()
         self.kept_bytes = KEPT_BYTES
@@ -78,7 +78,7 @@ class Folds(Stage):
     def depends_on(self, plan: Plan) -> object:
         return layer_fabrics(plan.options, len(plan.keys))
 
-    def rested(self, memory: Memory, time_s: float) -> Memory:
+    def rested(self, memory: FoldMemory, time_s: float) -> FoldMemory:
         return replace(memory, time_s=time_s)
 
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
@@ -107,15 +107,15 @@ class Folds(Stage):
         plan = batch.plan
         assert plan.options.folds and plan.options.settle is not None
         clearance_m = self.settings.clearance_m if plan.options.push_out else 0.0
-        effort = Effort(
+        effort = FoldEffort(
             plan.options.folds,
             plan.options.settle,
             cloth_contact=bool(plan.options.cloth_contact),
             clearance_m=clearance_m,
         )
-        safe = replace(effort, sweeps=max(plan.options.folds, plan.options.safe_folds or 0))
+        safe = replace(effort, steps=max(plan.options.folds, plan.options.safe_folds or 0))
         if plan.carried:
-            effort = safe = replace(effort, sweeps=0)
+            effort = safe = replace(effort, steps=0)
         efforts = [safe if novelty > 1.0 else effort for novelty in batch.quality.novelty]
         layers, read, told = list(batch.layers), _read(plan), _Told.of(batch)
         assert batch.skin is not None
@@ -139,13 +139,13 @@ class Folds(Stage):
         self,
         batch: Batch,
         i: int,
-        made: Constants,
-        efforts: Sequence[Effort],
-        memories: Sequence[Memory | None],
+        made: FoldConstants,
+        efforts: Sequence[FoldEffort],
+        memories: Sequence[FoldMemory | None],
         ground: np.ndarray,
         *,
         covers: bool,
-    ) -> tuple[Layer, list[Memory | None], list[Report], np.ndarray | None]:
+    ) -> tuple[Layer, list[FoldMemory | None], list[FoldReport], np.ndarray | None]:
         """Layer ``i`` with folds over ``ground`` (F, S, 8) by the frames' ``efforts``, the memories of the inputs after
         it, a report of each frame, and, where it ``covers`` others' ground, how high [m] (F, S)."""
         drape = batch.layers[i].vertices
@@ -158,7 +158,7 @@ class Folds(Stage):
                 vertices[row], memory, report = fold(made, memory, frame, efforts[row])
                 reports.append(report)
                 if height is not None:
-                    height[row] = covered(vertices[row], made.sheet, memory.touched.own, ground[row], made.graph)
+                    height[row] = heights_over(vertices[row], made.sheet, memory.touched.own, ground[row], made.graph)
             after.append(memory)
         return replace(batch.layers[i], vertices=vertices), after, reports, height
 
@@ -179,7 +179,7 @@ class Folds(Stage):
                 kept = self._wrappings[key] = Wrapping(self._garments[key])
             return kept
 
-    def _of(self, key: str, fabric: Fabric | None) -> Constants:
+    def _of(self, key: str, fabric: Fabric | None) -> FoldConstants:
         """The constants of the garment ``key`` made of ``fabric``, made once; the latest used are kept."""
         name = key, "" if fabric is None else fabric.digest
         kept = self._found(name)
@@ -188,14 +188,14 @@ class Folds(Stage):
         with self._making:  # one at a time; frames, whose constants are there, do not wait
             kept = self._found(name)
             if kept is None:
-                kept = self.workshop.call(constants, self._garments[key], self.body, fabric)
+                kept = self.workshop.call(fold_constants, self._garments[key], self.body, fabric)
                 with self._looking:
                     self._constants[name] = kept
                     while len(self._constants) > 1 and self._bytes > self.kept_bytes:
                         self._constants.popitem(last=False)
         return kept
 
-    def _found(self, name: tuple[str, str]) -> Constants | None:
+    def _found(self, name: tuple[str, str]) -> FoldConstants | None:
         with self._looking:
             kept = self._constants.get(name)
             if kept is not None:
@@ -227,7 +227,7 @@ class _Told:
         frames = len(batch.root)
         return cls(np.zeros(frames), np.zeros(frames), np.zeros(frames))
 
-    def add(self, reports: Sequence[Report], vertices: int, *, seen: bool) -> None:
+    def add(self, reports: Sequence[FoldReport], vertices: int, *, seen: bool) -> None:
         """Adds a layer of so many ``vertices``, whose lift is told where it is ``seen``."""
         self.resets += [report.reset for report in reports]
         if seen:

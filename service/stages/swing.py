@@ -13,8 +13,8 @@ from drape.cloth.fabric import Fabric
 from drape.errors import InputError
 from drape.garment.cache import Garment
 from drape.live.fold_step import Frame
-from drape.live.swing_constants import constants
-from drape.live.swing_step import Constants, Memory, swing, warm_up
+from drape.live.swing_constants import swing_constants
+from drape.live.swing_step import SwingConstants, SwingMemory, swing, warm_up
 from service.engine import SKIN, Engine
 from service.fabrics import layer_fabrics
 from service.settings import Settings
@@ -27,12 +27,12 @@ class Swing(Stage):
     """Moves each layer's vertices by the swing of its nodes, times the knob; what lies near the skin stays."""
 
     name = "swing"
-    kept = (Memory,)
+    kept = (SwingMemory,)
 
     def __init__(self, engine: Engine, body: BodyModel, settings: Settings) -> None:
         super().__init__(engine, body, settings)
         self._garments: dict[str, Garment] = {}
-        self._constants: dict[tuple[str, str], Constants | None] = {}
+        self._constants: dict[tuple[str, str], SwingConstants | None] = {}
         self._looking, self._making = threading.Lock(), threading.Lock()
         warm_up()
 
@@ -54,7 +54,7 @@ class Swing(Stage):
     def depends_on(self, plan: Plan) -> object:
         return layer_fabrics(plan.options, len(plan.keys))
 
-    def rested(self, memory: Memory, time_s: float) -> Memory:
+    def rested(self, memory: SwingMemory, time_s: float) -> SwingMemory:
         return replace(memory, time_s=time_s)
 
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
@@ -95,7 +95,7 @@ class Swing(Stage):
                 batch = batch.remember((self.name, key), after)
             yield replace(batch, layers=tuple(layers))
 
-    def _of(self, key: str, fabric: Fabric | None) -> Constants | None:
+    def _of(self, key: str, fabric: Fabric | None) -> SwingConstants | None:
         """The constants of the garment ``key`` made of ``fabric``, made once; the latest used are kept."""
         name = key, "" if fabric is None else fabric.digest
         found, kept = self._found(name)
@@ -104,14 +104,14 @@ class Swing(Stage):
         with self._making:  # one at a time; frames, whose constants are there, do not wait
             found, kept = self._found(name)
             if not found:
-                kept = self.workshop.call(constants, self._garments[key], self.body, fabric)
+                kept = self.workshop.call(swing_constants, self._garments[key], self.body, fabric)
                 with self._looking:
                     self._constants[name] = kept
                     while len(self._constants) > KEPT:
                         del self._constants[next(iter(self._constants))]
         return kept
 
-    def _found(self, name: tuple[str, str]) -> tuple[bool, Constants | None]:
+    def _found(self, name: tuple[str, str]) -> tuple[bool, SwingConstants | None]:
         """Whether there are constants of that ``name``, which may be none, and they."""
         with self._looking:
             if name not in self._constants:

@@ -18,7 +18,7 @@ from numpy.testing import assert_array_equal
 from drape.body.model import BodyModel
 from drape.errors import DrapeError
 from drape.garment.cache import Garment, load_garment
-from drape.live.fold_constants import constants
+from drape.live.fold_constants import fold_constants
 from drape.wire.options import DrapeOptions
 from service.background import NICE
 from service.drapery import Drapery
@@ -47,7 +47,7 @@ def test_where_it_is_not_wanted_calls_are_made_here():
 
 
 def test_kernels_take_constants_of_the_workshop_as_their_own(workshop: Workshop, tube: Garment, body: BodyModel):
-    here, there = constants(tube, body), workshop.call(constants, tube, body)
+    here, there = fold_constants(tube, body), workshop.call(fold_constants, tube, body)
     for name in ("sheet", "level", "graph", "index", "near"):
         one, other = getattr(here, name), getattr(there, name)
         assert numba.typeof(one) == numba.typeof(other), "another type would be compiled in a frame"

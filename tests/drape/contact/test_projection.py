@@ -23,8 +23,8 @@ from drape.contact.projection import (
     push_out,
     push_out_of_bodies,
 )
+from drape.contact.push_tables import BLOCK_SIZE, GROUP_SIZE, other_part, push_tables
 from drape.contact.skin import body_skin, skin_table
-from drape.contact.tables import BLOCK_SIZE, GROUP_SIZE, other_part, push_tables
 from drape.errors import ArtifactError, MeshError
 from drape.garment.cache import GARMENTS_DIR, Garment, load_garment
 from drape.geometry import closest, jets, meshes

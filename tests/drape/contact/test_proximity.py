@@ -24,9 +24,9 @@ from drape.contact.proximity import (
     planes,
     region_bias_of,
 )
+from drape.contact.push_tables import outward_directions
 from drape.contact.samples import region_centres
 from drape.contact.skin import body_skin, shaped_skin, skin_table
-from drape.contact.tables import outward_directions
 from drape.geometry import closest
 from drape.geometry.skinning import blend_frames
 from drape.graph.feeds import body_feed, garment_feed

@@ -8,7 +8,7 @@ import scipy.sparse
 from drape.cloth.energies import ClothMesh
 from drape.cloth.rest_state import RestState, modelled
 from drape.contact.samples import Samples, sample_table
-from drape.live.fold_constants import Dressed
+from drape.live.fold_constants import WornCloth
 from drape.live.fold_step import Frame
 from drape.live.skin_contact import nearest_at_rest, skin_graph
 from tests.drape.cloth.cloth_shapes import tube
@@ -31,13 +31,13 @@ def arm(around: int = 14, along: int = 9) -> Samples:
     return Samples(none, point, normal, np.full(len(point), 2.0 * np.pi * RADIUS_M / around))
 
 
-def sleeve(material: str = "rib", *, creased: bool = True) -> tuple[np.ndarray, Dressed]:
+def sleeve(material: str = "rib", *, creased: bool = True) -> tuple[np.ndarray, WornCloth]:
     """A tube with ease over the arm, its vertices [m] (V, 3), held at its upper rim; a hem is folded at rest."""
     rest, faces = tube(11, 6, radius_m=RADIUS_M + EASE_M, height_m=HEIGHT_M)
     state = modelled(rest, faces)
     kept = np.arange(len(state.hinge_angle)) % 5 == 0 if creased else np.zeros(len(state.hinge_angle), bool)
     state = RestState(state.edges, np.where(kept, 0.5, 0.0), state.stiffening)
-    dressed = Dressed(
+    dressed = WornCloth(
         cloth=ClothMesh.of(state, faces, len(rest)),
         material=MATERIALS[material],
         band_n_per_m=np.where(rest[:, 1] > HEIGHT_M - 1e-6, 10.0, 0.0),

@@ -13,9 +13,9 @@ from drape.catalog import find_garments, open_garment
 from drape.cloth.waistband import SLACK_M
 from drape.contact.skin import body_skin
 from drape.kernels.problem import problem
-from drape.live.fold_constants import LEASH_N_M3, LEAST, Constants, constants, dressed, leash_n_per_m
+from drape.live.clock import CUT_M, PAUSE_S
+from drape.live.fold_constants import LEASH_N_M3, LEAST, FoldConstants, fold_constants, leash_n_per_m, worn_cloth
 from drape.live.fold_step import (
-    CUT_M,
     FADE_S,
     FAR_M,
     FAST_M,
@@ -23,30 +23,29 @@ from drape.live.fold_step import (
     LONG_ROUNDS,
     MEND_M,
     MOMENTUM,
-    PAUSE_S,
     SLOW_M,
     STIFF_MOMENTUM,
     STIFF_SHARE,
-    Effort,
+    FoldEffort,
+    FoldMemory,
+    FoldReport,
     Frame,
-    Memory,
-    Report,
     calmness,
     fold,
     paced,
 )
 from drape.live.sheet import LANES
-from drape.live.skin_contact import Touched
+from drape.live.skin_contact import TouchedSamples
 from drape.live.surface_frames import mend
 from tests.drape.live.folds_setup import frame, sleeve, turn_about_y
 from tests.reference import folds as reference
 
-EFFORT = Effort(sweeps=2, settle=2)
+EFFORT = FoldEffort(steps=2, settle=2)
 
 
 def folded(
-    constants: Constants, frames: list[Frame], effort: Effort = EFFORT
-) -> list[tuple[np.ndarray, Memory, Report]]:
+    constants: FoldConstants, frames: list[Frame], effort: FoldEffort = EFFORT
+) -> list[tuple[np.ndarray, FoldMemory, FoldReport]]:
     """What ``fold`` gives of ``frames``, one after the other."""
     found, memory = [], None
     for one in frames:
@@ -59,7 +58,7 @@ def folded(
 @pytest.mark.parametrize("creased", [False, True])
 def test_the_compiled_step_equals_the_readable_one(material, creased):
     rest, dressed = sleeve(material, creased=creased)
-    constants, effort = Constants.of(dressed, dtype=np.float64), EFFORT
+    constants, effort = FoldConstants.of(dressed, dtype=np.float64), EFFORT
     if creased:
         effort = replace(effort, settle=LONG_ROUNDS)
     memory, wanted_memory = None, None
@@ -80,7 +79,7 @@ def test_the_compiled_step_equals_the_readable_one(material, creased):
 def test_float32_follows_float64():
     rest, dressed = sleeve()
     frames = [frame(rest, number) for number in range(3)]
-    single, double = (folded(Constants.of(dressed, dtype=dtype), frames) for dtype in (np.float32, np.float64))
+    single, double = (folded(FoldConstants.of(dressed, dtype=dtype), frames) for dtype in (np.float32, np.float64))
     for (x, memory, _), (wanted, _, _) in zip(single, double, strict=True):
         assert x.dtype == memory.residual.dtype == memory.velocity.dtype == memory.grip.dtype == np.float32
         assert memory.touched.own.dtype == memory.touched.other.dtype == np.int32
@@ -89,7 +88,7 @@ def test_float32_follows_float64():
 
 def test_the_same_input_gives_the_same_bits_and_a_memory_is_not_touched():
     rest, dressed = sleeve()
-    constants = Constants.of(dressed)
+    constants = FoldConstants.of(dressed)
     _, memory, _ = fold(constants, None, frame(rest, 0), EFFORT)
     arrays = (memory.network, memory.residual, memory.velocity, memory.grip, *memory.touched)
     kept = [array.copy() for array in arrays]
@@ -102,7 +101,7 @@ def test_the_same_input_gives_the_same_bits_and_a_memory_is_not_touched():
 
 def test_folds_turn_with_the_body():
     rest, dressed = sleeve()
-    constants, rotation = Constants.of(dressed, dtype=np.float64), turn_about_y(1.1)
+    constants, rotation = FoldConstants.of(dressed, dtype=np.float64), turn_about_y(1.1)
     plain = folded(constants, [frame(rest, number) for number in range(3)])
     turned = folded(constants, [frame(rest, number, rotation=rotation) for number in range(3)])
     for (x, memory, _), (y, other, _) in zip(plain, turned, strict=True):
@@ -113,11 +112,11 @@ def test_folds_turn_with_the_body():
 def test_folds_lower_the_energy_and_more_of_them_lower_it_further():
     rest, dressed = sleeve(creased=False)
     constants, made = (
-        Constants.of(dressed, dtype=np.float64),
+        FoldConstants.of(dressed, dtype=np.float64),
         problem(dressed.cloth, dressed.material, dtype=np.float64),
     )
     one = frame(rest, 0)
-    nowhere = Touched(dressed.index, np.full_like(dressed.index, -1))
+    nowhere = TouchedSamples(dressed.index, np.full_like(dressed.index, -1))
     touched = reference.touch(one.vertices, one.skin, dressed.graph, nowhere, -1)
 
     def energy(x: np.ndarray) -> float:
@@ -126,7 +125,7 @@ def test_folds_lower_the_energy_and_more_of_them_lower_it_further():
         return reference.energy(x, made, around._replace(own=held))
 
     before = energy(one.vertices)
-    after = [energy(fold(constants, None, one, Effort(sweeps=sweeps, settle=1))[0]) for sweeps in (1, 4, 16)]
+    after = [energy(fold(constants, None, one, FoldEffort(steps=sweeps, settle=1))[0]) for sweeps in (1, 4, 16)]
     assert before > 4.0 * after[0] and after[0] > after[1] > after[2]
     standing, memory = [], None
     for number in range(12):
@@ -137,7 +136,7 @@ def test_folds_lower_the_energy_and_more_of_them_lower_it_further():
 
 def test_the_way_of_the_folds_goes_with_the_clock():
     rest, dressed = sleeve()
-    constants = Constants.of(dressed, dtype=np.float64)
+    constants = FoldConstants.of(dressed, dtype=np.float64)
     _, memory, _ = fold(constants, None, frame(rest, 0), EFFORT)
     next_frame = frame(rest, 1)
     half = replace(memory, velocity=0.5 * memory.velocity)
@@ -150,7 +149,7 @@ def test_the_way_of_the_folds_goes_with_the_clock():
 @pytest.mark.parametrize("later_s", [-0.01, PAUSE_S + 0.01])
 def test_a_jump_of_the_clock_forgets(later_s):
     rest, dressed = sleeve()
-    constants = Constants.of(dressed)
+    constants = FoldConstants.of(dressed)
     _, memory, first = fold(constants, None, frame(rest, 0), EFFORT)
     jumped = replace(frame(rest, 1), time_s=later_s)
     x, _, report = fold(constants, memory, jumped, EFFORT)
@@ -160,7 +159,7 @@ def test_a_jump_of_the_clock_forgets(later_s):
 
 def test_a_cut_forgets():
     rest, dressed = sleeve()
-    constants = Constants.of(dressed)
+    constants = FoldConstants.of(dressed)
     _, memory, _ = fold(constants, None, frame(rest, 0), EFFORT)
     for way_m, settled in ((0.9 * CUT_M, False), (1.1 * CUT_M, True)):
         moved = frame(rest, 0, noise_m=0.0)
@@ -176,7 +175,7 @@ def test_a_cut_forgets():
 @pytest.mark.parametrize("broken", [np.nan, np.inf, 2.0 * FAR_M])
 def test_what_is_no_fold_begins_anew(broken):
     rest, dressed = sleeve()
-    constants = Constants.of(dressed)
+    constants = FoldConstants.of(dressed)
     _, memory, _ = fold(constants, None, frame(rest, 0), EFFORT)
     residual = memory.residual.copy()
     residual[:] = broken
@@ -189,13 +188,13 @@ def test_what_is_no_fold_begins_anew(broken):
 
 def test_where_no_start_leads_to_folds_the_network_is_left_as_it_is():
     rest, dressed = sleeve()
-    constants = Constants.of(dressed)
+    constants = FoldConstants.of(dressed)
     heavy = constants.sheet.own.copy()
     heavy[:] = np.nan
-    broken = replace(constants, sheet=constants.sheet._replace(own=heavy))
+    broken = constants._replace(sheet=constants.sheet._replace(own=heavy))
     one = frame(rest, 0)
     x, memory, report = fold(broken, None, one, EFFORT)
-    assert report == Report(settled=True, reset=True)
+    assert report == FoldReport(settled=True, reset=True)
     assert_array_equal(x, one.vertices)
     assert not memory.residual.any() and not memory.velocity.any()
 
@@ -205,7 +204,7 @@ def test_where_no_start_leads_to_folds_the_network_is_left_as_it_is():
 def test_fast_motion_has_its_own_pace(way_m, calm, material):
     rest, dressed = sleeve(material)
     assert_allclose(calmness(rest, rest + np.array([0.0, way_m, 0.0])), calm, rtol=0.0, atol=1e-9)
-    constants = Constants.of(dressed, dtype=np.float64)
+    constants = FoldConstants.of(dressed, dtype=np.float64)
     _, memory, _ = fold(constants, None, frame(rest, 0), EFFORT)
     _, wanted_memory = reference.fold(dressed, None, frame(rest, 0), EFFORT)
     still = frame(rest, 1)
@@ -228,8 +227,8 @@ def test_what_an_effort_stands_for():
 
 def test_folds_that_are_carried_along_fade_with_the_clock_and_come_back():
     rest, dressed = sleeve()
-    constants = Constants.of(dressed, dtype=np.float64)
-    carried, place = Effort(sweeps=0), constants.sheet.place
+    constants = FoldConstants.of(dressed, dtype=np.float64)
+    carried, place = FoldEffort(steps=0), constants.sheet.place
     _, memory, _ = folded(constants, [frame(rest, number) for number in range(3)])[-1]
     wanted_memory, begun_m = None, np.abs(memory.residual[place]).max()
     for one in (frame(rest, number) for number in range(3)):
@@ -256,7 +255,7 @@ def test_folds_that_are_carried_along_fade_with_the_clock_and_come_back():
 
 def test_a_residual_far_from_its_neighbours_follows_them(rng):
     rest, dressed = sleeve()
-    sheet = Constants.of(dressed, dtype=np.float64).sheet
+    sheet = FoldConstants.of(dressed, dtype=np.float64).sheet
     off = 0.01 * rng.normal(size=rest.shape)
     off[7] += 0.05
     found = off[sheet.vertex]
@@ -271,8 +270,8 @@ def test_cloth_is_held_where_the_network_has_it_and_a_waistband_more():
     body = load_body()
     for name, banded in (("tshirt", False), ("trousers", True)):
         garment = open_garment(find_garments([name])[0], body)
-        made = constants(garment, body)
-        found = dressed(garment, body)
+        made = fold_constants(garment, body)
+        found = worn_cloth(garment, body)
         leash = LEASH_N_M3 * found.cloth.vertex_area
         assert (found.band_n_per_m >= 0.999 * LEAST * leash).all()
         assert ((found.band_n_per_m > 2.0 * leash).mean() > 0.004) == banded
@@ -295,7 +294,7 @@ def test_a_sleeve_that_slips_is_held_by_its_leash():
     area = loose.cloth.vertex_area
     leash, weight = 400.0, float(loose.material.density_kg_m2 * loose.material.gravity_m_s2)
     held = replace(loose, band_n_per_m=leash * area)
-    made = Constants.of(held, dtype=np.float64)
+    made = FoldConstants.of(held, dtype=np.float64)
     one = frame(rest, 0, noise_m=0.0)
     far = np.asarray(one.skin).copy()
     far[:, :3] += 5.0  # no body is near

@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.contact.projection import CLEARANCE_M, MOVED_M
 from drape.contact.samples import sample_table
-from drape.live.fold_constants import Constants
-from drape.live.fold_step import Effort, Frame, fold
+from drape.live.fold_constants import FoldConstants
+from drape.live.fold_step import FoldEffort, Frame, fold
 from drape.live.lift import DEEP_M, OTHER, TOO_DEEP_M, lift
 from drape.live.sheet import LANES
 from drape.live.sweeps import PLANES
@@ -67,12 +67,12 @@ def test_out_of_another_part_it_goes_a_share_and_its_own_comes_last():
 def test_a_frame_ends_clear_of_the_skin_and_tells_what_was_lifted():
     """A sleeve whose arm has grown by half a centimetre since the network saw it."""
     rest, dressed = sleeve(creased=False)
-    constants = Constants.of(dressed, dtype=np.float64)
+    constants = FoldConstants.of(dressed, dtype=np.float64)
     one = frame(rest, 0, noise_m=0.0)
     skin = one.skin.copy()
     thick = np.asarray(sample_table(skin[:, :3] + 0.005 * skin[:, 4:7], skin[:, 4:7]))
     grown = Frame(one.vertices, thick, one.time_s)
-    effort = Effort(sweeps=1, settle=1)
+    effort = FoldEffort(steps=1, settle=1)
 
     def radius_m(x: np.ndarray) -> np.ndarray:
         return np.linalg.norm(x[:, [0, 2]], axis=1)

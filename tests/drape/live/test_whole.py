@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.cloth.energies import ClothMesh, membrane
 from drape.cloth.rest_state import flat
 from drape.kernels.problem import problem
-from drape.live.fold_constants import Constants, Dressed
+from drape.live.fold_constants import FoldConstants, WornCloth
 from drape.live.sheet import LANES
 from drape.live.sweeps import PLANES, SCRATCH, gradient_at, leash
 from drape.live.whole import CLAMP_M, SPRING, solve, stiffness, whole_step
@@ -23,21 +23,21 @@ DTYPES = [np.float32, np.float64]
 
 
 @pytest.fixture(scope="module")
-def dressed() -> Dressed:
+def dressed() -> WornCloth:
     return sleeve("rib", creased=False)[1]
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
 def test_the_factor_solves_what_the_matrix_says(rng, dressed, dtype):
-    constants = Constants.of(dressed, dtype=dtype)
-    level, place = constants.level, constants.sheet.place
+    constants = FoldConstants.of(dressed, dtype=dtype)
+    factor, place = constants.factor, constants.sheet.place
     force = rng.normal(size=(len(place), 3))
     y = np.zeros((len(constants.sheet.vertex), 3))
     y[place] = force
-    y = y[level.place].astype(dtype)
-    solve(level, y)
+    y = y[factor.place].astype(dtype)
+    solve(factor, y)
     found = np.zeros((len(constants.sheet.vertex), 3))
-    found[level.place] = y
+    found[factor.place] = y
     matrix = stiffness(dressed.cloth, dressed.material, dressed.springs_n_per_m)
     wanted = np.linalg.solve(matrix.toarray(), force)
     assert_allclose(
@@ -72,9 +72,9 @@ def test_a_vertex_without_area_has_no_springs(dressed):
     assert springs[3] == 0.0 and np.isfinite(springs).all()
 
 
-def pressed(dressed: Dressed, depth_m: float, *, dtype: type[np.floating] = np.float64, factor: float = 1.0):
+def pressed(dressed: WornCloth, depth_m: float, *, dtype: type[np.floating] = np.float64, factor: float = 1.0):
     """How far [m] (V, 3) a step moves a sleeve without weight that is ``depth_m`` [m] too deep in planes."""
-    constants = Constants.of(dressed, dtype=dtype)
+    constants = FoldConstants.of(dressed, dtype=dtype)
     sheet = constants.sheet
     own = sheet.own.reshape(-1, 4, LANES).copy()
     own[:, 0] = 0.0
@@ -91,7 +91,7 @@ def pressed(dressed: Dressed, depth_m: float, *, dtype: type[np.floating] = np.f
     gradient = np.empty_like(x)
     gradient_at(x, sheet, planes, x.copy(), np.empty(SCRATCH, dtype), gradient)
     before = x.copy()
-    level = constants.level._replace(inverse=constants.level.inverse * dtype(factor))
+    level = constants.factor._replace(inverse=constants.factor.inverse * dtype(factor))
     whole_step(x, level, gradient, dtype(0.5))
     return (x - before)[sheet.place], gradient[sheet.place]
 
