@@ -102,7 +102,7 @@ bench: setup
 # The second line draws other requests and streams every time; what fails prints how to repeat it.
 soak: setup
 	$(BIN)/python -m benchmarks.soak --threads 1 $(ARGS)
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q --hypothesis-profile=soak tests/service/test_openapi.py tests/service/test_stream_machine.py
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q --hypothesis-profile=soak tests/service/http/test_openapi.py tests/service/stream/test_stream_machine.py
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .cache .pytest_cache .ruff_cache .hypothesis

@@ -39,9 +39,9 @@ from drape.graph.feeds import kinematics
 from drape.graph.packing import pack_body
 from drape.motion.clip import MotionClip
 from drape.motion.readers import read_motion
-from service.engine import Engine
-from service.packing import Packer, ScenePlan
-from service.runtime import Device
+from service.graphs.engine import Engine
+from service.graphs.onnx_runtime import Device
+from service.graphs.packing import Packer, ScenePlan
 from service.stages.motion import Memory, Moment, advance
 
 FPS = 30.0

@@ -43,10 +43,10 @@ from drape.garment.cache import Garment
 from drape.graph.feeds import garment_feed
 from drape.graph.packing import PackedBody, pack_body
 from drape.graph.push_feed import SkinShapes
-from service.engine import PACKED, Engine
-from service.packing import SHAPE_INDEX, STORED_INDEX, Packer, ScenePlan
-from service.push import Pusher
-from service.runtime import PROVIDER_NAMES, Device
+from service.graphs.engine import JETS, PACKED, Engine
+from service.graphs.onnx_runtime import PROVIDER_NAMES, Device
+from service.graphs.packing import SHAPE_INDEX, STORED_INDEX, Packer, ScenePlan
+from service.graphs.push import Pusher
 from training.model import OneFit
 
 COLUMNS = {
@@ -108,9 +108,7 @@ def single_rows(bench: Bench, name: str, options: argparse.Namespace) -> list[di
         subnormal_row(bench, name, garment),
     ]
     rows[0]["push_out_ms"] = rows[1]["push_out_ms"]
-    for plan in (ScenePlan(normals=True), ScenePlan("steps"), ScenePlan("jets")):
-        label = "_normals" if plan.normals else f"_{plan.shape}"
-        rows.append({"name": f"onnx{label}", **bench.clock(packer, [name], plan).row()})
+    rows.append({"name": "onnx_jets", **bench.clock(packer, [name], ScenePlan("jets")).row()})
     if bench.halved.half:
         by_half = bench.packer({name: garment}, half=True)
         rows.append({"name": "onnx_fp16", **bench.clock(by_half, [name], ScenePlan()).row()})
@@ -207,9 +205,8 @@ def stages(bench: Bench, packer: Packer, key: str, pose: np.ndarray, whole: Timi
     if bench.engine.feels_body:
         feed |= SkinShapes(bench.body).feed(rows["betas"])
     feed |= at_rest(bench.engine)
-    ends = {"bones": ("bone_rotation", "bone_translation"), "patches": ("jet", "frame_rotation", "frame_centre")}
     done, last = {"pose": timed(lambda: bench.shape.rows(pose), seconds=bench.seconds / 4).p50_ms}, 0.0
-    for stage, outputs in (ends | {"vertices": ("vertices",)}).items():
+    for stage, outputs in {"patches": JETS, "vertices": ("vertices",)}.items():
         session = bench.engine.open_cut(PACKED, outputs, direct=(*STORED_INDEX, *SHAPE_INDEX))
         values = {name: bench.engine.value(np.ascontiguousarray(feed[name])) for name in session.inputs}
 

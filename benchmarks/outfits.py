@@ -43,7 +43,7 @@ from drape.geometry import closest, meshes
 from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
 from drape.wire.options import DrapeOptions
-from service.drapery import Drapery
+from service.compute.drape_runtime import Drapery
 from service.settings import Settings
 from service.stages.batch import Plan
 

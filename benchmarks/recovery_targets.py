@@ -24,7 +24,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +65,7 @@ TEMPLATES = {  # file and size beside the body that it was drawn for
     "skirt": ("skirt_4_panels", 1.05),
 }
 OWN: dict[str, Callable[[BodyModel], Pattern]] = {
-    "shorts": lambda body: trousers(measure(body), length_m=0.22, hem_girth_m=0.62, name="shorts")
+    "shorts": lambda body: replace(trousers(measure(body), inseam_m=0.22, hem_girth_m=0.62), name="shorts")
 }
 GARMENTS = (*TEMPLATES, *OWN)
 

@@ -44,12 +44,12 @@ from drape.motion.clip import MotionClip
 from drape.motion.readers import read_motion
 from drape.wire.clips import pack_clip
 from drape.wire.options import DrapeOptions
-from service.drapery import Drapery
+from service.compute.drape_runtime import Drapery
+from service.compute.tiers import NAMES
+from service.compute.unchanged import REST_S
 from service.settings import Settings
 from service.stages import run
 from service.stages.batch import Plan, PoseInput
-from service.still import REST_S
-from service.tiers import NAMES
 
 FPS, LATE_S, WARM_S = 30.0, 0.1, 1.0
 OVERLOADED_S = 3.0  # until streams that all come at once are held where they stay

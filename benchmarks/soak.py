@@ -26,8 +26,8 @@ from drape.errors import DrapeError, ended
 from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix, rotvec_to_quaternion, sixd_to_matrix
 from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
-from service.drapery import Drapery
-from service.poses import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M
+from service.compute.drape_runtime import Drapery
+from service.http.poses import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M
 from service.settings import Settings
 from service.stages import run
 from service.stages.batch import PoseInput

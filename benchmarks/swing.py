@@ -49,9 +49,9 @@ from drape.live.fold_step import FoldEffort, Frame, fold
 from drape.live.swing_constants import swing_constants
 from drape.live.swing_step import swing
 from drape.motion.readers import read_motion
-from service.engine import Engine
-from service.packing import Packer, ScenePlan
-from service.runtime import Device
+from service.graphs.engine import Engine
+from service.graphs.onnx_runtime import Device
+from service.graphs.packing import Packer, ScenePlan
 from service.stages.motion import Memory, Moment, advance
 
 SPIN, TURNS_PER_S = "spin", 1.0

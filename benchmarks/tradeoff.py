@@ -49,11 +49,11 @@ from drape.errors import InputError, ended
 from drape.garment.cache import Garment
 from drape.garment.fine import fine_garment
 from drape.wire.options import DrapeOptions
-from service.drapery import Drapery
+from service.compute.drape_runtime import Drapery
+from service.compute.tiers import NAMES, Tier, read_tiers
 from service.settings import Settings
 from service.stages import run
 from service.stages.batch import Batch, Plan, PoseInput
-from service.tiers import NAMES, Tier, read_tiers
 
 PASSES, FOLDS = (0, None), (0, 1, 2, 4, 8, 16)
 FABRICS = ("jersey", "denim", "satin")
@@ -288,7 +288,7 @@ def _covers(row: dict[str, Any], below: dict[str, Any]) -> bool:
 
 
 def manifest_tiers(chosen: Sequence[dict[str, Any]], where: dict[str, Any]) -> list[dict[str, Any]]:
-    """Rows of ``service.tiers.Tier`` with their figures; jets get all passes, but those of the least tier none."""
+    """Rows of ``service.compute.tiers.Tier`` with their figures; jets get all passes, in the least tier none."""
     kept = ("time_ratio", "cpu_ms", "gain", "gain_p05", "error_mm", "edge_pct", "detail_share", "jitter_ratio")
     return common.finite(
         [

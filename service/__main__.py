@@ -32,13 +32,13 @@ def _serve(overrides: dict[str, object]) -> int:
     # Imported here, so that --help and a missing package do not need everything.
     try:
         from service.app import create_app
-        from service.drapery import Drapery
-        from service.lifecycle import Lifecycle
-        from service.logs import set_up
-        from service.metrics import Metrics
-        from service.probes import Probes
-        from service.server import bind, make_server
+        from service.compute.drape_runtime import Drapery
+        from service.http.server import bind, make_server
         from service.settings import check_exposed, load_settings
+        from service.watch.lifecycle import Lifecycle
+        from service.watch.logs import set_up
+        from service.watch.metrics import Metrics
+        from service.watch.probes import Probes
     except ModuleNotFoundError as error:
         print(
             f"service: expected the packages of the extra 'service', got no {error.name}. Run make serve.",

@@ -9,27 +9,30 @@ from contextlib import asynccontextmanager
 from fastapi import FastAPI
 from fastapi.middleware.cors import CORSMiddleware
 
-from service import errors, garment_care, jets, openapi, preview, probes, reference, routes, stream
-from service.access import ADMITTED, Access
-from service.access import router as access_routes
-from service.drapery import Drapery
-from service.following import Follower
-from service.handover import Handover
-from service.jobs import Uploads
-from service.lifecycle import Lifecycle
-from service.limits import BodyLimit
-from service.metrics import Metrics
-from service.origins import Doors
-from service.page import Page
-from service.pasts import Pasts
-from service.pictures import Previews
-from service.piecework import Piecework
-from service.request_log import RequestLog
-from service.sessions import Streams
+from service import errors
+from service.compute.drape_runtime import Drapery
+from service.compute.sliced_thread import Piecework
+from service.guard.access import ADMITTED, Access
+from service.guard.access import router as access_routes
+from service.guard.limits import BodyLimit
+from service.guard.origin_guard import Doors
+from service.http import garment_care, jets, openapi, preview, reference, routes
+from service.http.continuations import Pasts
+from service.http.page import Page
+from service.http.pictures import Previews
+from service.replicas.handover import Handover
 from service.settings import Settings, load_settings
 from service.state import State
-from service.tracing import make_tracing
+from service.stream import routes as stream
+from service.stream.sessions import Streams
+from service.uploads.jobs import Uploads
+from service.uploads.shared_folder import Follower
 from service.version import product_version
+from service.watch import probes
+from service.watch.lifecycle import Lifecycle
+from service.watch.metrics import Metrics
+from service.watch.request_log import RequestLog
+from service.watch.tracing import make_tracing
 
 
 def create_app(

@@ -12,7 +12,7 @@ from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
 from drape.errors import ArtifactError, BodyError, DrapeError, InputError, MeshError, MotionError, NotFound, Unavailable
-from service.validation import validation_refusal
+from service.http.validation import validation_refusal
 
 PROBLEM = "application/problem+json"
 REASON_BYTES = 123  # what a WebSocket close frame can carry
@@ -146,7 +146,7 @@ _HTTP_REFUSALS: dict[int, tuple[type[DrapeError], str, str]] = {
 
 
 def install(app: FastAPI) -> None:
-    """Makes every refusal of ``app`` a problem document; faults of ours ``service.request_log`` does."""
+    """Makes every refusal of ``app`` a problem document; faults of ours ``service.watch.request_log`` does."""
 
     @app.exception_handler(DrapeError)
     async def on_refusal(request: Request, error: DrapeError) -> JSONResponse:

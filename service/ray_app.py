@@ -1,167 +1,17 @@
-"""The service on Ray Serve: ``python -m service.ray_app --replicas 1 4``, or ``serve run service.ray_app:app``.
-
-Each replica is a process with the whole application. A stream stays with its replica; a replica that leaves hands its
-streams over (``State.drain``), and they come back to the same address. Nothing else in this project knows Ray, and
-Ray is imported only where it is used.
-"""
+"""The service on Ray Serve: ``python -m service.ray_app --replicas 1 4``, or ``serve run service.ray_app:app``."""
 
 from __future__ import annotations
 
 import argparse
-import asyncio
-import gc
-import os
-import signal
 import sys
-import threading
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from fastapi import FastAPI
-
-from drape.errors import DrapeError, InputError, Unavailable
-from service import ray_router
-from service.app import create_app
-from service.drapery import Drapery
-from service.lifecycle import Lifecycle
-from service.logs import set_up
-from service.metrics import Metrics
-from service.scaling import AGE, STREAMS, FrameAges, Load, Policy
-from service.settings import Settings, check_exposed, load_settings
-from service.state import State
+from drape.errors import DrapeError
+from service.replicas.ray_deployment import application, prepare_ray, run
+from service.settings import check_exposed, load_settings
 
 if TYPE_CHECKING:
     from ray.serve import Application  # pyright: ignore[reportMissingImports]
-
-NAME = "drape"
-GRACE_S = 15.0  # for a replica to hand its streams over and to answer what it has begun
-UP_S, DOWN_S = 10.0, 120.0  # for how long more, or fewer, replicas must be wanted
-LOOK_BACK_S = 15.0
-LOOK_S = 2.0  # what replicas know of each other's uploads is not older
-STORE_BYTES = 100 * 2**20  # of Ray's object store, which holds no frame
-
-
-class Replica:
-    """The application in a process of Ray, which asks it for its health and its load."""
-
-    def __init__(self, settings: Settings) -> None:
-        self._deadline_s = settings.frame_deadline_s
-        self._life, metrics = Lifecycle(stuck_s=settings.stuck_s), Metrics()
-        drapery = Drapery(settings, metrics=metrics)
-        self._app = create_app(settings, drapery=drapery, lifecycle=self._life)
-        self._ages = FrameAges(metrics.frame_age)
-        self._load = Load(0.0, 0)
-        self._known: frozenset[str] = frozenset()
-        self._tasks: set[asyncio.Task[None]] = set()
-        self._settings = settings
-
-    def __serve_build_asgi_app__(self) -> FastAPI:
-        """The application, whose lifespan Ray runs; the process is Ray's and has nothing else to do."""
-        set_up(self._settings.log_format)
-        gc.collect()
-        gc.freeze()  # as service.__main__ says
-        loop = asyncio.get_running_loop()
-        ray_router.WATCHERS.append(lambda replicas: loop.call_soon_threadsafe(self._serving, replicas))
-        self._begin(self._watch())
-        return self._app
-
-    def check_health(self) -> None:
-        """Raises where Ray should replace this process: its loop stands still, or it has drained and is kept."""
-        wrong = self._life.unhealthy() or (self._life.unready() if self._life.draining else None)
-        if wrong is not None:
-            raise wrong
-
-    def record_autoscaling_stats(self) -> dict[str, float]:
-        """The load, as ``policy`` reads it."""
-        streams = self._state.streams.count if hasattr(self._app.state, "drape") else 0
-        self._load = Load(self._ages.p99_s(), streams)
-        return {AGE: self._load.age_s, STREAMS: float(streams)}
-
-    async def here(self) -> int:
-        """The id of this process."""
-        return os.getpid()
-
-    @property
-    def _state(self) -> State:
-        return self._app.state.drape
-
-    def _begin(self, work: Any) -> None:
-        task = asyncio.create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-
-    async def _watch(self) -> None:
-        """Asks a replica for nothing, through a handle of its own: from then on Ray tells it which replicas serve."""
-        from ray import serve  # pyright: ignore[reportMissingImports]
-
-        ours = serve.get_replica_context()
-        await serve.get_deployment_handle(ours.deployment, ours.app_name).here.remote()
-
-    def _serving(self, replicas: frozenset[str]) -> None:
-        """Drains where this replica no longer belongs to ``replicas``; gives new ones some of its late streams."""
-        from ray import serve  # pyright: ignore[reportMissingImports]
-
-        mine, before = serve.get_replica_context().replica_tag, self._known
-        self._known = replicas
-        if mine in before and mine not in replicas:
-            self._begin(self._state.drain())
-        elif mine in before and self._load.age_s > self._deadline_s:
-            self._state.streams.release(surplus(self._state.streams.count, before, replicas))
-
-
-def surplus(streams: int, before: frozenset[str], now: frozenset[str]) -> int:
-    """How many of a replica's ``streams`` those replicas should have that are new since ``before``."""
-    return streams * len(now - before) // len(now)
-
-
-def check_replicas(settings: Settings, least: int, most: int) -> None:
-    """Refuses (``InputError``) numbers of replicas that are none, and several that could not read each other's states
-    or would take the same port."""
-    if not 1 <= least <= most:
-        got = f"{least} {most}"
-        raise InputError("--replicas", expected="the least and the most, from 1", got=got, cure="Say --replicas 1 4.")
-    if most > 1 and settings.ticket_secret is None:
-        raise InputError(
-            "DRAPE_TICKET_SECRET",
-            expected=f"one secret for {most} replicas, which take over each other's streams and tickets",
-            got="none",
-            cure="Set it: export DRAPE_TICKET_SECRET=$(openssl rand -hex 32).",
-        )
-
-
-def application(settings: Settings, least: int, most: int) -> Application:
-    """What Ray serves: ``least`` to ``most`` replicas with ``settings``; refuses as ``check_replicas``."""
-    check_replicas(settings, least, most)
-    serve = _serve()
-    # Other replicas may run on the same machine, so that one counts no processors but those that Ray gives it.
-    streaming = settings.stream_threads or settings.threads
-    from ray.serve.config import AutoscalingConfig, AutoscalingPolicy, RequestRouterConfig  # pyright: ignore
-
-    policy = AutoscalingPolicy(policy_function=Policy, policy_kwargs={"deadline_s": settings.frame_deadline_s})
-    deployment = serve.deployment(
-        serve.ingress()(Replica),
-        name=NAME,
-        autoscaling_config=AutoscalingConfig(
-            min_replicas=least,
-            max_replicas=most,
-            upscale_delay_s=UP_S,
-            downscale_delay_s=DOWN_S,
-            look_back_period_s=LOOK_BACK_S,
-            policy=policy,
-        ),
-        # The application refuses by itself what is too much, with a sentence; Ray would let it wait.
-        max_ongoing_requests=settings.max_connections,
-        request_router_config=RequestRouterConfig(request_router_class="service.ray_router:Router"),  # pyright: ignore
-        ray_actor_options={"num_cpus": max(settings.threads, streaming), "num_gpus": int(settings.provider == "cuda")},
-        graceful_shutdown_timeout_s=GRACE_S,
-        graceful_shutdown_wait_loop_s=0.2,
-        health_check_period_s=5.0,
-        max_constructor_retry_count=2,
-    )
-    # Streams come back to the address that they have: there is no successor by name.
-    changes: dict[str, Any] = {"successor": "", "stream_threads": streaming}
-    if most > 1 and "garments_look_s" not in settings.model_fields_set:
-        changes["garments_look_s"] = LOOK_S
-    return deployment.bind(settings.model_copy(update=changes))
 
 
 def app(arguments: dict[str, str]) -> Application:
@@ -188,61 +38,12 @@ def main(arguments: list[str] | None = None) -> int:
         if address is None:
             prepare_ray()
         serving = application(settings, least, most)
-        _run(serving, settings, address)
+        run(serving, settings, address)
     except DrapeError as error:
         print(f"service: {error}", file=sys.stderr)
         return 2
     return 0
 
 
-def prepare_ray() -> None:
-    """Sets what a cluster that is started from this process reads of the environment; before Ray is imported."""
-    os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = "0"  # otherwise all of Ray's ports are open to the network
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # otherwise Ray tells its makers of every start
-    os.environ.setdefault("RAY_worker_niceness", "0")  # otherwise whatever else runs goes before frames
-
-
-def start_ray(address: str | None = None, **more: Any) -> None:
-    """Joins the cluster at ``address``, or starts one of this machine's own, with ``more`` for ``ray.init``."""
-    import ray  # pyright: ignore[reportMissingImports]
-
-    own: dict[str, Any] = {"include_dashboard": False, "object_store_memory": STORE_BYTES}
-    ray.init(address=address, namespace=NAME, **(more if address else own | more))
-
-
-def _run(serving: Application, settings: Settings, address: str | None) -> None:
-    serve, told = _serve(), threading.Event()
-    import ray  # pyright: ignore[reportMissingImports]
-
-    start_ray(address)
-    try:
-        serve.start(http_options={"host": settings.host, "port": settings.port, "location": "HeadOnly"})
-        serve.run(serving, name=NAME)
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, lambda *_: told.set())
-        print(f"drape on http://{settings.host}:{settings.port} with model {settings.model}, on Ray", flush=True)
-        told.wait()
-    except RuntimeError as error:  # of a replica that does not start Ray tells no more
-        cure = "Start python -m service with the same settings: it says why."
-        raise Unavailable("replicas", expected="ones that start", got=str(error)[:300], cure=cure) from error
-    finally:
-        serve.shutdown()
-        ray.shutdown()
-
-
-def _serve() -> Any:
-    """Ray Serve; refuses with its cure where it is not installed."""
-    try:
-        from ray import serve  # pyright: ignore[reportMissingImports]
-    except ModuleNotFoundError as error:
-        raise Unavailable(
-            "Ray", expected="the extra 'ray'", got=f"no {error.name}", cure="pip install '.[service,cpu,ray]'"
-        ) from error
-    return serve
-
-
 if __name__ == "__main__":
-    # As a module with its name: what is defined in __main__ would travel to replicas as a copy.
-    from service.ray_app import main as named
-
-    sys.exit(named())
+    sys.exit(main())

@@ -18,7 +18,7 @@ from drape.contact.projection import CLEARANCE_M
 from drape.errors import InputError
 from drape.garment.cache import GARMENTS_DIR, OWN_GARMENTS_DIR
 from drape.wire.options import Inertia, TierName
-from service.runtime import Device
+from service.graphs.onnx_runtime import Device
 
 ROOT = Path(__file__).resolve().parents[1]
 

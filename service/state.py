@@ -11,19 +11,19 @@ from typing import Annotated
 
 from fastapi import Depends, Request
 
-from service.access import Access
-from service.drapery import Drapery
+from service.compute.drape_runtime import Drapery
+from service.compute.garments import Entry, Scene
+from service.compute.sliced_thread import Piecework
 from service.errors import Busy, Draining
-from service.following import Follower
-from service.garments import Entry, Scene
-from service.handover import Handover
-from service.jobs import Uploads
-from service.keys import Client
-from service.lifecycle import Lifecycle
-from service.pasts import Pasts
-from service.pictures import Previews
-from service.piecework import Piecework
-from service.sessions import Streams
+from service.guard.access import Access
+from service.guard.keys import Client
+from service.http.continuations import Pasts
+from service.http.pictures import Previews
+from service.replicas.handover import Handover
+from service.stream.sessions import Streams
+from service.uploads.jobs import Uploads
+from service.uploads.shared_folder import Follower
+from service.watch.lifecycle import Lifecycle
 
 HURRY_S = 3.0
 STREAMS_S = 2.0  # for streams to go

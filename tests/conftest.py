@@ -1,4 +1,9 @@
-"""What every test folder shares: seeded randomness, skips that say their cure, and a time budget per folder."""
+"""Fixtures of every test (a body, a tiny garment, seeded randomness), skips that say their cure, budgets of time.
+
+``body`` is the shipped body and ``tube`` a garment of 216 vertices: a test names them as arguments, nothing to import.
+``tests.fixtures.garments`` has both, and the shipped garments, for set-ups outside of tests.
+``tests.fixtures.laws.each`` multiplies laws by cases: one decorator, applied to every law that the cases share.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +20,10 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from drape.body.model import BodyModel
 from drape.files.data import HOW_TO_SET_DATA, data_folder
+from drape.garment.cache import Garment
+from tests.fixtures import garments
 from tests.fixtures.fuzzing import SOAK
 from tests.fixtures.run_folder import RUN_FOLDER
 
@@ -115,6 +123,18 @@ def process_unchanged() -> Iterator[None]:
 def rng() -> np.random.Generator:
     """A generator with a fixed seed; tests that want another draw take their own."""
     return np.random.default_rng(20260101)
+
+
+@pytest.fixture(scope="session")
+def body() -> BodyModel:
+    """The shipped body."""
+    return garments.default_body()
+
+
+@pytest.fixture(scope="session")
+def tube() -> Garment:
+    """A garment of 216 vertices in 12 patches, fitted to the shipped body."""
+    return garments.tube()
 
 
 @pytest.fixture

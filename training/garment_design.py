@@ -25,10 +25,11 @@ from drape.body.assets import BODIES_DIR, load_body
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.garment.cache import FORMAT_VERSION, GARMENTS_DIR, Garment, save_garment
-from drape.garment.features import boundary_vertices
+from drape.garment.files.mesh import plain_mesh
 from drape.garment.fitting import fit_garment
 from drape.garment.intake import INTAKE_VERSION
 from drape.garment.skin import smoothing_matrix
+from drape.geometry import meshes
 from drape.geometry.closest import closest_point, signed_distance
 
 CUT_DIR = GARMENTS_DIR.parents[1] / "runs" / "cut_garments"
@@ -196,7 +197,7 @@ def _attach_skirt(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Joins the helper skirt below the bodice: rows of a regular grid from the bodice's lower edge to the hem."""
     skirt_vertices, skirt_faces, _ = helper_surface("skirt")
-    rim = boundary_vertices(faces)
+    rim = meshes.boundary_vertices(faces)
     assert design.waist_y is not None and design.skirt_hem_y is not None  # what makes a design a dress
     top, bottom = design.waist_y, design.skirt_hem_y
     waist = rim[np.abs(vertices[rim, 1] - top) < 0.02]
@@ -255,7 +256,7 @@ def _stand_off(vertices: np.ndarray, faces: np.ndarray, design: Design) -> np.nd
     for _ in range(8):
         normals = smooth @ normals
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    rim = boundary_vertices(faces)
+    rim = meshes.boundary_vertices(faces)
     # Only hems hang loose: a neckline, an armhole or a waistband keeps to the body.
     hems = rim[(vertices[rim, 1] < np.median(vertices[:, 1]) - 0.1) | (np.abs(vertices[rim, 0]) > 0.25)]
     reach, _ = KDTree(vertices[hems]).query(vertices)
@@ -270,7 +271,7 @@ def _bridge_cleft(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     The helper surface follows the skin into the cleft; there plain smoothing, which shrinks hollows,
     is what is wanted.
     """
-    rim = boundary_vertices(faces)
+    rim = meshes.boundary_vertices(faces)
     x, y, _ = vertices.T
     share = np.exp(-((x / CLEFT_HALF_WIDTH_M) ** 2)) * np.clip((CLEFT_TOP_M - y) / 0.08, 0.0, 1.0)
     share[rim] = 0.0
@@ -282,9 +283,8 @@ def _bridge_cleft(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 def _taubin(vertices: np.ndarray, faces: np.ndarray, *, passes: int) -> np.ndarray:
     """Smoothed vertices without shrinkage (Taubin 1995); rims are smoothed along themselves only."""
-    rim = boundary_vertices(faces)
-    sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    edges, uses = np.unique(sides, axis=0, return_counts=True)
+    rim = meshes.boundary_vertices(faces)
+    edges, uses = meshes.edge_uses(faces)
     on_rim = np.zeros(len(vertices), dtype=bool)
     on_rim[rim] = True
     # A rim vertex listens to the rim, an inner one to all its neighbours.
@@ -369,13 +369,9 @@ def cut_garment(design: Design, body: BodyModel) -> Garment:
     """``design`` on ``body`` as the product keeps a garment: fitted patches, no texture coordinates, no rest state."""
     vertices, faces = build(design, body)
     key = vertices.tobytes() + faces.tobytes() + body.digest.encode() + f"{FORMAT_VERSION}.{INTAKE_VERSION}".encode()
-    return fit_garment(
-        name=design.name, vertices=vertices, vertex_count=len(vertices), faces=faces, fine_faces=faces,
-        uv=np.zeros((0, 2)), uv_faces=np.zeros((0, 3)),
-        material_names=("cloth",), face_material=np.zeros(len(faces)),
-        body=body, digest=hashlib.sha256(key).hexdigest(),
-        manifest={"source": "cut from MakeHuman's helper surfaces (CC0)", "design": asdict(design)},
-    )  # fmt: skip
+    mesh = replace(plain_mesh(design.name, vertices, faces), material_names=("cloth",))
+    manifest = {"source": "cut from MakeHuman's helper surfaces (CC0)", "design": asdict(design)}
+    return fit_garment(mesh, vertices, faces, body, digest=hashlib.sha256(key).hexdigest(), manifest=manifest)
 
 
 def main(arguments: list[str] | None = None) -> None:

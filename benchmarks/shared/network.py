@@ -14,9 +14,9 @@ from drape.cloth.fabric import Fabric
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment
 from drape.graph.packing import pack_body
-from service.engine import Engine
-from service.packing import Packer, ScenePlan
-from service.runtime import Device
+from service.graphs.engine import Engine
+from service.graphs.onnx_runtime import Device
+from service.graphs.packing import Packer, ScenePlan
 
 FRAMES_PER_CALL = 8  # the vertex stage holds some megabytes per frame
 PRECISIONS = ("int8", "float32")  # of the packed graph on a CPU; the first is served

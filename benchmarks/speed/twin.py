@@ -16,10 +16,10 @@ import uvicorn
 from fastapi import FastAPI, WebSocket, WebSocketDisconnect
 
 from drape.wire import messages as wire
-from service.drapery import Drapery
-from service.json_body import document_of, validated
-from service.schemas import OpenRequest
-from service.server import bind
+from service.compute.drape_runtime import Drapery
+from service.http.json_body import document_of, validated
+from service.http.schemas import OpenRequest
+from service.http.server import bind
 from service.settings import Settings
 from service.stages import run
 from service.stages.batch import Memories, PoseInput

@@ -1,35 +1,28 @@
-"""What the garment encoder reads of each patch: smooth on the body, no arbitrary axis or sign."""
+"""The features of each patch that the garment encoder reads: smooth on the body, without an arbitrary axis or sign."""
 
 from __future__ import annotations
 
 import numpy as np
 import scipy.sparse
 from scipy.sparse.csgraph import dijkstra
-from scipy.spatial import KDTree
 
 from drape.arrays import Array, like, namespace
 from drape.body.model import BodyModel
-from drape.geometry import jets
+from drape.geometry import jets, meshes
+from drape.geometry.closest import nearest_vertices
 from drape.geometry.rotations import matrix_to_sixd
 
 FREQUENCIES = (1.0, 2.0, 4.0, 8.0)  # of the positional encoding, cycles per 2 m / pi
-REACH_M = 0.3  # of a joint on a patch
+JOINT_REACH_M = 0.3  # joints farther from a patch than this tell it little
 BOUNDARY_REACH_M = 0.25  # farther hems are all alike
 
 
-def boundary_vertices(faces: np.ndarray) -> np.ndarray:
-    """Vertices on an open edge, sorted."""
-    sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    edges, uses = np.unique(sides, axis=0, return_counts=True)
-    return np.unique(edges[uses == 1])
-
-
 def saturated(offsets: Array) -> Array:
-    """Offsets [m] (..., 3) with their length r turned into tanh(r / 0.3): what is far says little about a patch."""
+    """Offsets [m] (..., 3) with their length r turned into tanh(r / 0.3): far joints say little about a patch."""
     xp = namespace(offsets)
     # A maximum and not a sum: graph optimisers take "+ 1e-12" for "+ 0" and drop the guard.
     reach = xp.sqrt(xp.maximum(xp.sum(offsets * offsets, axis=-1, keepdims=True), like(offsets, 1e-12)))
-    return offsets * (xp.tanh(reach / REACH_M) / reach)
+    return offsets * (xp.tanh(reach / JOINT_REACH_M) / reach)
 
 
 def positional_encoding(points: np.ndarray) -> np.ndarray:
@@ -58,11 +51,10 @@ def patch_features(
     local = np.einsum("kba,kjb->kja", rotation, joints[None] - centre[:, None])  # joints in the patch frame
     joint_offsets = saturated(local).reshape(len(centre), -1)
 
-    tree = KDTree(body.v_template)
-    _, near = tree.query(centre, k=8)
+    _, near = nearest_vertices(centre, body.v_template, 8)
     offset = np.einsum("kba,kb->ka", rotation, body.v_template[near].mean(axis=1) - centre)
 
-    rim = boundary_vertices(faces)
+    rim = meshes.boundary_vertices(faces)
     if len(rim):
         distance, _, source = dijkstra(graph, directed=False, indices=rim, min_only=True, return_predecessors=True)
         distance, source = distance[seeds], source[seeds]

@@ -1,8 +1,8 @@
 """Decides whether a mesh can be draped, and brings it to metres, y up, normals outward.
 
-Unit, up axis and height of the floor are told by where the garment lies on its avatar: at the
-right scale it surrounds the body a few centimetres away, at any other it does not. What was
-changed is recorded in the mesh's notes; what cannot be changed safely is refused.
+Unit, up axis and height of the floor are found from where the garment lies on its avatar: at the right scale it
+surrounds the body a few centimetres away, at any other it does not. The mesh's notes record every change; a fault
+that cannot be cured safely is refused.
 """
 
 from __future__ import annotations
@@ -13,14 +13,13 @@ from typing import Literal
 
 import numpy as np
 from scipy.sparse import coo_matrix, csgraph
-from scipy.spatial import KDTree
 
 from drape.arrays import check_finite
 from drape.errors import MeshError
 from drape.garment.avatars import Avatar
 from drape.garment.files.mesh import VERTEX_LIMIT, GarmentMesh, check_count
-from drape.geometry import meshes
-from drape.geometry.closest import closest_point
+from drape.geometry import mesh_graphs, meshes
+from drape.geometry.closest import closest_point, nearest_vertices
 
 UNITS_M = {"m": 1.0, "cm": 0.01, "dm": 0.1, "mm": 0.001, "inch": 0.0254}
 UP_AXES = ("y", "z")
@@ -105,14 +104,8 @@ def check_arrays(mesh: GarmentMesh) -> None:
         )
     check_finite("garment vertices", mesh.vertices, error=MeshError)
     check_finite("garment uv", mesh.uv, error=MeshError)
-    for what, table, count in (("faces", mesh.faces, len(mesh.vertices)), ("uv faces", mesh.uv_faces, len(mesh.uv))):
-        if len(table) and (table.min() < 0 or table.max() >= count):
-            raise MeshError(
-                f"garment {what}",
-                expected=f"indices in [0, {count})",
-                got=f"[{table.min()}, {table.max()}]",
-                cure="Repair the mesh.",
-            )
+    meshes.check_faces(mesh.faces, len(mesh.vertices), name="garment faces")
+    meshes.check_faces(mesh.uv_faces, len(mesh.uv), name="garment uv faces")
 
 
 def check_faces(mesh: GarmentMesh, *, repair: bool) -> GarmentMesh:
@@ -145,7 +138,7 @@ def check_faces(mesh: GarmentMesh, *, repair: bool) -> GarmentMesh:
 
 def check_edges(mesh: GarmentMesh) -> None:
     """Refuses edges with more than two faces."""
-    ends, counts = np.unique(np.sort(meshes.half_edges(mesh.faces)[:, :2], axis=1), axis=0, return_counts=True)
+    ends, counts = meshes.edge_uses(mesh.faces)
     heavy = np.flatnonzero(counts > 2)
     if len(heavy):
         edge = heavy[0]
@@ -173,12 +166,13 @@ def place(
     readings = itertools.product(
         tuple(UNITS_M) if unit == "auto" else (unit,), UP_AXES if up == "auto" else (up,), floors
     )
-    measure = Misfit(avatar)
+    normals = meshes.vertex_normals(avatar.vertices, avatar.faces)
     ranked = sorted(
-        (measure(reading.apply(sample, avatar)), reading) for reading in itertools.starmap(Placement, readings)
+        (misfit(reading.apply(sample, avatar), avatar, normals), reading)
+        for reading in itertools.starmap(Placement, readings)
     )
     best, chosen = ranked[0]
-    plain = next((misfit for misfit, reading in ranked if reading.plain), np.inf)
+    plain = next((found for found, reading in ranked if reading.plain), np.inf)
     if plain <= PLAIN_PREFERENCE * best:
         best, chosen = plain, Placement("m", "y", False)
     if not best <= (MISFIT_LIMIT if named else MISFIT_LIMIT_UNNAMED):
@@ -190,7 +184,7 @@ def place(
             got=f"an extent of {extent} around {np.round(sample.mean(axis=0), 3).tolist()}",
             cure="Say which avatar it was modelled on (avatar), its unit (unit) and its up axis (up).",
         )
-    rival = next((r for misfit, r in ranked if r.unit != chosen.unit and misfit < RIVAL_MARGIN * best), None)
+    rival = next((r for found, r in ranked if r.unit != chosen.unit and found < RIVAL_MARGIN * best), None)
     if rival is not None and not chosen.plain:
         raise MeshError(
             "garment unit",
@@ -209,26 +203,19 @@ def _check_option(name: str, value: str, allowed: tuple[str, ...]) -> None:
         raise MeshError(name, expected=f"one of {', '.join(allowed)}", got=repr(value), cure="Correct the option.")
 
 
-class Misfit:
-    """How badly points lie round an avatar: mean distance from its skin, four times as much inside, over their extent.
+def misfit(points: np.ndarray, avatar: Avatar, normals: np.ndarray) -> float:
+    """How badly ``points`` [m] (N, 3) lie round ``avatar`` with vertex ``normals``; infinite beyond ``EXTENT_M``.
 
-    The extent makes a garment read too small look as bad as it is: it is near the skin only
-    because it is small.
+    It is the mean distance from the skin, inside it four times as much, over the extent of the points: a garment read
+    too small is near the skin only because it is small, and the extent takes that back.
     """
-
-    def __init__(self, avatar: Avatar) -> None:
-        self.tree = KDTree(avatar.vertices)
-        self.normals = meshes.vertex_normals(avatar.vertices, avatar.faces)
-        self.vertices = avatar.vertices
-
-    def __call__(self, points: np.ndarray) -> float:
-        extent = float(np.ptp(points, axis=0).max())
-        if not EXTENT_M[0] <= extent <= EXTENT_M[1]:
-            return float("inf")
-        distance, near = self.tree.query(points)
-        outside = np.einsum("nc,nc->n", points - self.vertices[near], self.normals[near])
-        depth = np.maximum(-outside - SKIN_DEPTH_M, 0.0)
-        return float((distance + 4.0 * depth).mean() / extent)
+    extent = float(np.ptp(points, axis=0).max())
+    if not EXTENT_M[0] <= extent <= EXTENT_M[1]:
+        return float("inf")
+    distance, near = nearest_vertices(points, avatar.vertices)
+    outside = np.einsum("nc,nc->n", points - avatar.vertices[near], normals[near])
+    depth = np.maximum(-outside - SKIN_DEPTH_M, 0.0)
+    return float((distance + 4.0 * depth).mean() / extent)
 
 
 def orient_outward(mesh: GarmentMesh, avatar: Avatar) -> GarmentMesh:
@@ -239,7 +226,7 @@ def orient_outward(mesh: GarmentMesh, avatar: Avatar) -> GarmentMesh:
     centres = mesh.vertices[faces].mean(axis=1)
     nearest = closest_point(centres, avatar.vertices, avatar.faces)
     outward = meshes.face_normals(avatar.vertices, avatar.faces)[nearest.face]
-    piece = meshes.connected_components(faces, len(mesh.vertices))[faces[:, 0]]
+    piece = mesh_graphs.connected_components(faces, len(mesh.vertices))[faces[:, 0]]
     agreement = np.bincount(piece, np.einsum("fc,fc->f", normals, outward))
     inward = agreement[piece] < 0.0
     turn = turn ^ inward
@@ -254,17 +241,13 @@ def orient_outward(mesh: GarmentMesh, avatar: Avatar) -> GarmentMesh:
 
 def _consistent_turn(faces: np.ndarray) -> np.ndarray:
     """Which faces (F,) to reverse so that neighbours agree, the fewest per piece; refuses where none does it."""
-    halves = meshes.half_edges(faces)[:, :2]
-    pairs = meshes.hinge_faces(faces)
-    ends = np.sort(halves, axis=1)
-    order = np.lexsort((ends[:, 1], ends[:, 0]))
-    same = (ends[order[1:]] == ends[order[:-1]]).all(axis=1)
-    clash = (halves[order[:-1][same]] == halves[order[1:][same]]).all(axis=1)
+    halves, first, second = meshes.edge_pairs(faces)
+    clash = (halves[first, :2] == halves[second, :2]).all(axis=1)
     if not clash.any():
         return np.zeros(len(faces), dtype=bool)
     # Two copies of every face, one reversed; a clash joins a face to its neighbour's reverse.
     count = len(faces)
-    a, b = pairs.T
+    a, b = first // 3, second // 3
     shift = np.where(clash, count, 0)
     rows, columns = np.concatenate([a, a + count]), np.concatenate([b + shift, b + count - shift])
     graph = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(2 * count, 2 * count))
@@ -278,15 +261,15 @@ def _consistent_turn(faces: np.ndarray) -> np.ndarray:
             cure="Cut it open along a seam.",
         )
     turn = np.zeros(count, dtype=bool)
-    for cover in np.unique(np.minimum(label[:count], label[count:])):
-        kept, reversed_ = label[:count] == cover, label[count:] == cover
+    for piece in np.unique(np.minimum(label[:count], label[count:])):
+        kept, reversed_ = label[:count] == piece, label[count:] == piece
         turn |= reversed_ if reversed_.sum() <= kept.sum() else kept
     return turn
 
 
 def describe(mesh: GarmentMesh) -> list[str]:
-    """What is worth knowing of a mesh that is accepted: pieces, openings, loose vertices."""
-    label = meshes.connected_components(mesh.faces, len(mesh.vertices))
+    """Notes on a mesh that is accepted: its pieces, its openings and its unused vertices."""
+    label = mesh_graphs.connected_components(mesh.faces, len(mesh.vertices))
     used = np.unique(mesh.faces)
     pieces = np.unique(label[used])
     notes = []

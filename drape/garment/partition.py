@@ -14,6 +14,7 @@ import scipy.sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from drape.errors import MeshError
+from drape.geometry import mesh_graphs, meshes
 
 MAX_SWEEPS = 120
 MOVE_SHARE = 0.5
@@ -42,14 +43,7 @@ def vertex_graph(vertices: np.ndarray, faces: np.ndarray) -> scipy.sparse.csr_ma
     edges = np.unique(np.concatenate([np.stack([low, high], axis=1), np.sort(diagonal, axis=1)]), axis=0)
     edges = edges[edges[:, 0] != edges[:, 1]]
     length = np.maximum(np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1), 1e-9)
-    graph = scipy.sparse.coo_matrix((length, (edges[:, 0], edges[:, 1])), shape=(len(vertices),) * 2).tocsr()
-    return graph + graph.T
-
-
-def mesh_edges(faces: np.ndarray) -> np.ndarray:
-    """Unique undirected edges (E, 2)."""
-    sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    return np.unique(sides, axis=0)
+    return mesh_graphs.edge_matrix(edges, length, len(vertices))
 
 
 def partition(
@@ -81,7 +75,7 @@ def partition(
     slot = np.full(len(vertices), -1)
     slot[seeds] = np.arange(len(seeds))
     label = slot[nearest]
-    edges = mesh_edges(faces)
+    edges = meshes.unique_edges(faces)
     label = _minimise(label, vertices, weight, edges, len(seeds), rng)
     return _connect(label, edges, len(seeds))
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse
-from scipy.spatial import KDTree
 
 from drape.body.model import BodyModel
-from drape.garment.partition import mesh_edges
+from drape.geometry import mesh_graphs
+from drape.geometry.closest import nearest_vertices
 
 KERNEL_BASE_M = 0.006
 KERNEL_GROWTH = 0.5
@@ -50,8 +50,7 @@ def bind_to_body(
 def body_kernel(vertices: np.ndarray, body: BodyModel) -> scipy.sparse.csr_matrix:
     """Sparse rows (N, body vertices) that sum to one: the Gaussian neighbourhood on the body."""
     points = thinned_vertices(body)
-    tree = KDTree(body.v_template[points])
-    distance, index = tree.query(vertices, k=NEIGHBOURS)
+    distance, index = nearest_vertices(vertices, body.v_template[points], NEIGHBOURS)
     nearest = distance[:, :1]
     width = KERNEL_BASE_M + KERNEL_GROWTH * nearest
     value = np.exp(-0.5 * (distance**2 - nearest**2) / width**2)
@@ -71,9 +70,7 @@ def thinned_vertices(body: BodyModel) -> np.ndarray:
 
 def smoothing_matrix(faces: np.ndarray, count: int) -> scipy.sparse.csr_matrix:
     """One umbrella pass (N, N): half the vertex, half the mean of its neighbours; lone vertices stay."""
-    edges = mesh_edges(faces)
-    adjacency = scipy.sparse.coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count)).tocsr()
-    adjacency = adjacency + adjacency.T
+    adjacency = mesh_graphs.adjacency(faces, count)
     degree = np.asarray(adjacency.sum(axis=1)).ravel()
     mean = scipy.sparse.diags(0.5 / np.maximum(degree, 1)) @ adjacency
     return (mean + scipy.sparse.diags(np.where(degree > 0, 0.5, 1.0))).tocsr()

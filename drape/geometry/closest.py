@@ -1,4 +1,4 @@
-"""Exact nearest points on a triangle mesh, and signed distances to a closed one (libigl, float64)."""
+"""Exact nearest points on a triangle mesh, signed distances to a closed one (libigl, float64), and nearest vertices."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ from typing import NamedTuple
 
 import igl
 import numpy as np
+from scipy.spatial import KDTree
 
 from drape.arrays import check_finite, check_shape
 from drape.errors import MeshError
-from drape.geometry.meshes import check_faces, half_edges
+from drape.geometry.meshes import boundary_edges, check_faces
 
 ON_EDGE = 1e-9  # barycentric coordinate below which a point lies on the edge opposite
 NEEDLE = 1e-12  # squared sine below which a triangle has no barycentric coordinates; its nearest corner stands in
@@ -35,12 +36,18 @@ def closest_point(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -
     return ClosestPoints(np.sqrt(np.asarray(squared).reshape(-1)), face, weights, nearest)
 
 
+def nearest_vertices(points: np.ndarray, vertices: np.ndarray, count: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Distances [m] to the vertices nearest to each of ``points`` (N, 3), and their rows: both (N,), or (N, ``count``)
+    from the nearest on."""
+    distance, index = KDTree(vertices).query(points, k=count)
+    return np.asarray(distance), np.asarray(index)
+
+
 def on_border(found: ClosestPoints, faces: np.ndarray) -> np.ndarray:
     """Which of the nearest points (N,) lie on an edge that one triangle alone has: the cloth ends there."""
     corners = np.asarray(faces, dtype=np.int64)
     count = int(corners.max()) + 1
-    edges, times = np.unique(np.sort(half_edges(corners)[:, :2], axis=1), axis=0, return_counts=True)
-    border = edges[times == 1]
+    border = boundary_edges(corners)
     keys, rim = border @ (count, 1), np.zeros(count, dtype=bool)
     rim[border] = True
     own, weight = corners[found.face], found.barycentric

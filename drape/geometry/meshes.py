@@ -7,8 +7,6 @@ indices, counter-clockwise seen from outside.
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse
-from scipy.sparse import csgraph
 
 from drape.arrays import Array, device, like, namespace
 from drape.errors import MeshError
@@ -17,19 +15,19 @@ from drape.geometry.rotations import cross
 # --- topology --------------------------------------------------------------------------------------------------------
 
 
-def check_faces(faces: np.ndarray, vertex_count: int) -> np.ndarray:
-    """``faces`` as int64 (F, 3); refuses another shape and indices outside [0, vertex_count)."""
+def check_faces(faces: np.ndarray, vertex_count: int, *, name: str = "faces") -> np.ndarray:
+    """``faces`` as int64 (F, 3). Raises ``MeshError`` for another shape and for indices outside [0, vertex_count)."""
     faces = np.asarray(faces)
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
         raise MeshError(
-            "faces",
+            name,
             expected="integers of shape (F, 3)",
             got=f"{faces.dtype} of shape {faces.shape}",
             cure="Triangulate the mesh.",
         )
     if faces.size and (faces.min() < 0 or faces.max() >= vertex_count):
         raise MeshError(
-            "faces",
+            name,
             expected=f"indices in [0, {vertex_count})",
             got=f"[{faces.min()}, {faces.max()}]",
             cure="Repair the mesh.",
@@ -44,12 +42,28 @@ def half_edges(faces: np.ndarray) -> np.ndarray:
 
 def unique_edges(faces: np.ndarray) -> np.ndarray:
     """Undirected edges (E, 2), the smaller index first, in lexicographic order."""
+    return edge_uses(faces)[0]
+
+
+def edge_uses(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The edges (E, 2) of ``unique_edges``, and how many faces (E,) each has."""
     if len(faces) == 0:
-        return np.zeros((0, 2), dtype=np.int64)
-    return np.unique(np.sort(half_edges(faces)[:, :2], axis=1), axis=0)
+        return np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64)
+    return np.unique(np.sort(half_edges(faces)[:, :2], axis=1), axis=0, return_counts=True)
 
 
-def _edge_pairs(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def boundary_edges(faces: np.ndarray) -> np.ndarray:
+    """The edges (B, 2) of ``unique_edges`` that one face alone has: the surface ends there."""
+    edges, uses = edge_uses(faces)
+    return edges[uses == 1]
+
+
+def boundary_vertices(faces: np.ndarray) -> np.ndarray:
+    """Vertices on a boundary edge, sorted."""
+    return np.unique(boundary_edges(faces))
+
+
+def edge_pairs(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Half-edges (3F, 3), and two index arrays of those that share an edge; m faces on one edge give m - 1 pairs."""
     halves = half_edges(faces)
     ends = np.sort(halves[:, :2], axis=1)
@@ -60,13 +74,13 @@ def _edge_pairs(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def hinges(faces: np.ndarray) -> np.ndarray:
     """Hinges (H, 4) = (i, j, k, l): the shared edge i -> j, the vertex k opposite in one face, l in the other."""
-    halves, first, second = _edge_pairs(faces)
+    halves, first, second = edge_pairs(faces)
     return np.column_stack([halves[first], halves[second, 2]])
 
 
 def hinge_faces(faces: np.ndarray) -> np.ndarray:
     """The two faces (H, 2) of every hinge, in the order of ``hinges``."""
-    _, first, second = _edge_pairs(faces)
+    _, first, second = edge_pairs(faces)
     return np.column_stack([first // 3, second // 3])
 
 
@@ -96,27 +110,6 @@ def boundary_loops(faces: np.ndarray) -> list[np.ndarray]:
             at = step
         loops.append(np.array(loop, dtype=np.int64))
     return sorted(loops, key=len, reverse=True)
-
-
-def connected_components(faces: np.ndarray, vertex_count: int) -> np.ndarray:
-    """Component number (V,) of every vertex, counted from 0; a vertex without a face is its own."""
-    return csgraph.connected_components(adjacency(faces, vertex_count), directed=False)[1].astype(np.int64)
-
-
-def adjacency(faces: np.ndarray, vertex_count: int) -> scipy.sparse.csr_matrix:
-    """Symmetric matrix (V, V) with one at every edge."""
-    edges = unique_edges(faces)
-    rows = np.concatenate([edges[:, 0], edges[:, 1]])
-    columns = np.concatenate([edges[:, 1], edges[:, 0]])
-    return scipy.sparse.csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(vertex_count, vertex_count))
-
-
-def umbrella_laplacian(faces: np.ndarray, vertex_count: int) -> scipy.sparse.csr_matrix:
-    """Matrix (V, V) whose product with positions is (mean of the neighbours) - (own position); zero rows where none."""
-    graph = adjacency(faces, vertex_count)
-    degree = np.asarray(graph.sum(axis=1)).reshape(-1)
-    averaging = scipy.sparse.diags(1.0 / np.maximum(degree, 1.0)) @ graph
-    return (averaging - scipy.sparse.diags((degree > 0).astype(np.float64))).tocsr()
 
 
 def subdivide(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,65 +1,72 @@
-"""Writes a draped garment: OBJ with the panels as texture coordinates, GLB, and the report."""
+"""A draped garment as OBJ and as GLB: nodes as vertices, the panels side by side as texture, a material per panel."""
 
 from __future__ import annotations
 
-import json
-import os
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import trimesh
-from trimesh.visual import TextureVisuals
 
+from drape.export import obj
+from drape.export.glb import add_garment
+from drape.export.glb_file import GlbFile
+from recovery.atomic import write
 from recovery.pattern.mesh import PatternMesh
 from recovery.pattern.pieces import make_sheet
 
 
-def panel_texture(mesh: PatternMesh) -> tuple[np.ndarray, float]:
-    """Texture coordinates (P, 2) in the unit square: the panels side by side; and how many metres one unit is."""
+@dataclass(frozen=True, eq=False)
+class GarmentSurface:
+    """A sewn garment as ``drape.export`` writes it; the fields are those of ``drape.export.surface.Surface``."""
+
+    name: str
+    vertex_count: int
+    faces: np.ndarray
+    uv: np.ndarray
+    uv_faces: np.ndarray
+    material_names: tuple[str, ...]
+    face_material: np.ndarray
+
+
+def panel_texture(mesh: PatternMesh, unit_m: float | None = None) -> tuple[np.ndarray, float]:
+    """Texture coordinates (P, 2) of the panels side by side, and how many metres [m] one unit of them is.
+
+    By default the unit is that in which all panels fit into the unit square.
+    """
     sheet = make_sheet(mesh.pattern, allowance_m=0.0)
-    unit = float(max(sheet.width_m, sheet.height_m))
+    unit = float(max(sheet.width_m, sheet.height_m)) if unit_m is None else unit_m
     return (mesh.rest + sheet.offsets[mesh.panel]) / unit, unit
 
 
 def obj_text(mesh: PatternMesh, nodes: np.ndarray, texture: tuple[np.ndarray, float]) -> str:
     """The garment at ``nodes`` [m] (N, 3) as an OBJ: vertices are nodes, texture vertices are panel vertices.
 
-    Both keep their numbers, so a corner's pair v/vt is the one-to-many map of the seams; a material per panel.
-    ``texture`` is what ``panel_texture`` gives.
+    Both keep their numbers, so a corner's pair v/vt is the one-to-many map of the seams. ``texture`` is what
+    ``panel_texture`` gives.
     """
     uv, unit = texture
-    lines = [f"# {mesh.pattern.name}: metres, y up; one unit of vt is {unit:.9g} m of cloth"]
-    lines += [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in nodes]
-    lines += [f"vt {u:.9g} {v:.9g}" for u, v in uv]
-    for number, panel in enumerate(mesh.pattern.panels):
-        mine = mesh.face_panel == number
-        lines += [f"usemtl {'_'.join(panel.name.split())}"]
-        corners = np.stack([mesh.faces[mine], mesh.panel_faces[mine]], axis=2) + 1
-        lines += ["f " + " ".join(f"{node}/{vertex}" for node, vertex in face) for face in corners]
-    return "\n".join(lines) + "\n"
+    text = obj.obj_text([_surface(mesh, uv)], [nodes])
+    return f"# {mesh.pattern.name}: one unit of vt is {unit:.9g} m of cloth\n{text}"
 
 
 def glb_bytes(mesh: PatternMesh, nodes: np.ndarray, texture: tuple[np.ndarray, float]) -> bytes:
-    """The same as a GLB; a vertex per panel vertex, because glTF has no separate texture vertices."""
-    uv, _ = texture
-    surface = trimesh.Trimesh(
-        nodes[mesh.node_of_panel_vertex],
-        mesh.panel_faces,
-        process=False,
-        visual=TextureVisuals(uv=uv),
-    )
-    payload = surface.export(file_type="glb")
-    assert isinstance(payload, bytes)
-    return payload
+    """The same as a GLB, whose vertices are split along the seams: glTF has no separate texture vertices."""
+    file = GlbFile()
+    add_garment(file, _surface(mesh, texture[0]), nodes[None], 1.0)
+    return file.to_bytes()
 
 
-def write(path: Path, content: str | bytes | dict[str, Any]) -> Path:
-    """Writes text, bytes or JSON to ``path`` atomically and returns it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if isinstance(content, dict):
-        content = json.dumps(content, indent=1) + "\n"
-    temporary = path.with_name(path.name + ".part")
-    temporary.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
-    os.replace(temporary, path)
-    return path
+def write_shape(
+    folder: Path, name: str, mesh: PatternMesh, nodes: np.ndarray, texture: tuple[np.ndarray, float]
+) -> list[Path]:
+    """Writes NAME.obj and NAME.glb of the garment at ``nodes`` [m] (N, 3) to ``folder`` and returns their paths."""
+    return [
+        write(folder / f"{name}.obj", obj_text(mesh, nodes, texture)),
+        write(folder / f"{name}.glb", glb_bytes(mesh, nodes, texture)),
+    ]
+
+
+def _surface(mesh: PatternMesh, uv: np.ndarray) -> GarmentSurface:
+    pattern = mesh.pattern
+    materials = tuple(panel.name for panel in pattern.panels)
+    return GarmentSurface(pattern.name, mesh.node_count, mesh.faces, uv, mesh.panel_faces, materials, mesh.face_panel)

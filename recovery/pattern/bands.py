@@ -7,9 +7,12 @@ from collections.abc import Sequence
 from recovery.pattern import geometry
 from recovery.pattern.design import Assembly
 from recovery.pattern.drafting import Drafted, Side
-from recovery.pattern.wrapping import Tube, draft_round
+from recovery.pattern.measurements import BodyMeasurements
+from recovery.pattern.wrapping import Tube, Vector, draft_round
 
-BAND_SHORTER = 0.02  # of a waistband: the waist is eased into it
+WAISTBAND_SHORTER = 0.02  # the waist is eased into it
+UP: Vector = (0.0, 1.0, 0.0)
+FORWARD: Vector = (0.0, 0.0, 1.0)
 
 Edge = tuple[Drafted, str]
 
@@ -24,11 +27,12 @@ def sew_band(
     shorter: float,
     above: bool,
     free: str = "opening",
+    seam: str | None = None,
 ) -> Drafted:
     """A strip of ``width_m`` sewn to the edges ``to``, listed as they follow each other along the tube's u.
 
     It is ``shorter`` than they are by that share, and stands ``above`` them (a waistband) or hangs below (a cuff).
-    Its seam is named after it, its free edge ``free`` and its name.
+    Its free edge is named ``free`` and its name, its seam ``seam`` or after it.
     """
     lengths = [(1.0 - shorter) * geometry.edge_length(drafted.panel, drafted.numbers[side]) for drafted, side in to]
     total = sum(lengths)
@@ -48,8 +52,18 @@ def sew_band(
         sides = [Side(f"{free}_{name}", (-wide, free_v)), Side("end", (wide, free_v))]
         sides += [Side(f"{name}_{i}", (places[i + 1], sewn_v)) for i in reversed(range(len(lengths)))]
         sides += [Side("start", (places[0], sewn_v))]
+    seam = seam or f"{name}_seam"
+    if shorter:
+        assembly.eased[seam] = 1.0 / (1.0 - shorter) - 1.0
     band = assembly.add(*draft_round(name, sides, tube))
     for number, (drafted, side) in enumerate(to):
-        assembly.sew(f"{name}_seam", band, f"{name}_{number}", drafted, side)
+        assembly.sew(seam, band, f"{name}_{number}", drafted, side)
     assembly.sew(f"{name}_closing", band, "start", band, "end")
     return band
+
+
+def sew_waistband(assembly: Assembly, body: BodyMeasurements, top: float, to: Sequence[Edge], width_m: float) -> None:
+    """A band of ``width_m`` above the edges ``to``, the waist of a garment at the height ``top`` [m]."""
+    middle = (0.0, top + 0.01, 0.5 * (body.front_z + body.back_z))
+    tube = Tube(middle, UP, FORWARD, body.girth_at(top) / 5.0)
+    sew_band(assembly, "waistband", to, tube, width_m=width_m, shorter=WAISTBAND_SHORTER, above=True)

@@ -25,22 +25,17 @@ class Controls:
     """Control points of a pattern, panel by panel, in the order of the outline.
 
     ``positions`` [m] (K, 2); ``panel`` (K,) its number; ``edge`` (K,) the edge that starts at the point or that the
-    handle shapes; ``handle`` (K,): 0 for a corner, 1 or 2 for a handle. ``free_curves`` says whether handles
-    of Bezier edges are controls of their own or follow their chord; arcs always follow.
+    handle shapes; ``handle`` (K,): 0 for a corner, 1 or 2 for a handle of a Bezier edge. Curves without a handle here
+    follow their chord; arcs always do.
     """
 
     positions: np.ndarray
     panel: np.ndarray
     edge: np.ndarray
     handle: np.ndarray
-    free_curves: bool
 
     def __len__(self) -> int:
         return len(self.positions)
-
-
-def _has_handles(edge: Edge, free_curves: bool) -> bool:
-    return free_curves and edge.kind in (EdgeKind.QUADRATIC, EdgeKind.CUBIC)
 
 
 def control_points(pattern: Pattern, *, free_curves: bool = False) -> Controls:
@@ -48,14 +43,11 @@ def control_points(pattern: Pattern, *, free_curves: bool = False) -> Controls:
     positions, rows = [], []
     for panel_number, panel in enumerate(pattern.panels):
         for number, edge in enumerate(panel.edges):
-            start, chord = geometry.chord(panel, number)
-            positions.append(start)
-            rows.append((panel_number, number, 0))
-            for place, (along, left) in enumerate(edge.handles if _has_handles(edge, free_curves) else (), start=1):
-                positions.append(start + along * chord + left * np.array([-chord[1], chord[0]]))
-                rows.append((panel_number, number, place))
+            handles = len(edge.handles) if free_curves and edge.kind is not EdgeKind.CIRCLE else 0
+            positions.append(geometry.edge_controls(panel, number)[: 1 + handles])
+            rows += [(panel_number, number, place) for place in range(1 + handles)]
     panel_index, edge_index, handle_index = np.array(rows, dtype=np.int64).T
-    return Controls(np.array(positions), panel_index, edge_index, handle_index, free_curves)
+    return Controls(np.concatenate(positions), panel_index, edge_index, handle_index)
 
 
 def with_controls(pattern: Pattern, controls: Controls, positions: np.ndarray) -> Pattern:
@@ -72,54 +64,40 @@ def with_controls(pattern: Pattern, controls: Controls, positions: np.ndarray) -
         vertices[starts[controls.edge[corner]]] = positions[corner]
         edges = list(panel.edges)
         for number, edge in enumerate(panel.edges):
-            if _has_handles(edge, controls.free_curves):
-                handles = positions[mine & (controls.edge == number) & (controls.handle > 0)]
-                edges[number] = replace(edge, handles=_relative(handles, vertices[edge.start], vertices[edge.end]))
+            handles = positions[mine & (controls.edge == number) & (controls.handle > 0)]
+            if len(handles):
+                handles = geometry.on_chord(handles, vertices[edge.start], vertices[edge.end])
+                edges[number] = replace(edge, handles=handles)
         panels.append(replace(panel, vertices=vertices, edges=tuple(edges)))
     return replace(pattern, panels=tuple(panels))
 
 
-def _relative(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[tuple[float, float], ...]:
-    chord = end - start
-    arm = points - start
-    along, left = arm @ chord, arm @ np.array([-chord[1], chord[0]])
-    return tuple(zip((along / (chord @ chord)).tolist(), (left / (chord @ chord)).tolist(), strict=True))
+def edge_matrix(edge: Edge, t: np.ndarray) -> np.ndarray:
+    """Matrix (2 T, 4): points of the edge at ``t`` (T,) from its start and its end.
 
-
-def edge_matrix(edge: Edge, t: np.ndarray, *, free_curves: bool) -> np.ndarray:
-    """Matrix (2 T, 2 (2 + H)): points of the edge at ``t`` (T,) from its start, its H free handles, and its end.
-
-    Coordinates are interleaved, x before y. A curve that follows its chord needs the chord turned left, which mixes
-    x and y.
+    Coordinates are interleaved, x before y. A curve follows its chord: it needs the chord turned left, which mixes x
+    and y.
     """
-    t = np.asarray(t, dtype=np.float64)
-    if _has_handles(edge, free_curves) or edge.kind is EdgeKind.LINE:
-        return np.kron(geometry.bernstein(edge.kind, t), np.eye(2))
-    along, left = geometry.relative_curve(edge, t).T
+    along, left = geometry.relative_curve(edge, np.asarray(t, dtype=np.float64)).T
     turned = np.array([[0.0, -1.0], [1.0, 0.0]])
     from_end = np.kron(along[:, None], np.eye(2)) + np.kron(left[:, None], turned)
     from_start = np.kron(np.ones((len(t), 1)), np.eye(2)) - from_end
     return np.concatenate([from_start, from_end], axis=1)
 
 
-def boundary_matrix(panel: Panel, parameters: list[np.ndarray], *, free_curves: bool) -> np.ndarray:
-    """Matrix (2 B, 2 k): boundary points of a panel from its k control points.
+def boundary_matrix(panel: Panel, parameters: list[np.ndarray]) -> np.ndarray:
+    """Matrix (2 B, 2 C): boundary points of a panel from its C corners, in the order of the outline.
 
     ``parameters`` holds for each edge the t of its points from the start on, the end left out.
     """
-    firsts, count = [], 0
-    for edge in panel.edges:
-        firsts.append(count)
-        count += 1 + (len(edge.handles) if _has_handles(edge, free_curves) else 0)
-    matrix = np.zeros((2 * sum(len(t) for t in parameters), 2 * count))
+    corners = len(panel.edges)
+    matrix = np.zeros((2 * sum(len(t) for t in parameters), 2 * corners))
     row = 0
     for number, (edge, t) in enumerate(zip(panel.edges, parameters, strict=True)):
-        own = edge_matrix(edge, t, free_curves=free_curves)
-        last = firsts[(number + 1) % len(firsts)]
-        points = [*range(firsts[number], firsts[number] + own.shape[1] // 2 - 1), last]
-        columns = (2 * np.array(points)[:, None] + np.arange(2)).reshape(-1)
-        matrix[row : row + len(own), columns] += own
-        row += len(own)
+        ends = np.array([number, (number + 1) % corners])
+        columns = (2 * ends[:, None] + np.arange(2)).reshape(-1)
+        matrix[row : row + 2 * len(t), columns] += edge_matrix(edge, t)
+        row += 2 * len(t)
     return matrix
 
 

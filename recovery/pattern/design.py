@@ -1,9 +1,10 @@
-"""A garment as its maker means it: the pattern, names of its edges, what is gathered, how panels start."""
+"""A design: a pattern with the names of its edges and seams, its ease, and the panels that start bent."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import numpy as np
 
@@ -20,12 +21,12 @@ EASE_SLACK = 0.03  # by which a named ease may be missed
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """``pattern`` with what a pattern alone does not say.
+    """``pattern`` with the intentions of its maker.
 
-    ``edge_names`` names edges: those that begin with "hem" are turned up, those with "opening" are bound.
-    ``seam_names`` has one name per stitch, ``eased`` says of a name by which share its second edge is longer than its
-    first, ``seam_angles`` [rad] by how much a seam is folded at rest. ``wraps`` are panels that start
-    bent, ``over`` those that lie over others; ``ease_m`` says what was added to which girth.
+    Edges whose name in ``edge_names`` begins with "hem" are turned up, those with "opening" are bound. ``seam_names``
+    has one name per stitch. By seam name, ``eased`` is the share by which the second edge is longer than the first, and
+    ``seam_angles`` [rad] the fold at rest. Panels in ``wraps`` start bent, those in ``over`` lie over others.
+    ``ease_m`` [m] is what was added to the body's girths.
     """
 
     pattern: Pattern
@@ -45,7 +46,7 @@ class Design:
 
 
 class Assembly:
-    """Panels, wraps, seams and names of a design that is being drafted."""
+    """Panels, wraps, seams and names of a design that is being drafted; ``eased`` as in the design."""
 
     def __init__(self) -> None:
         self.panels: list[Panel] = []
@@ -53,9 +54,10 @@ class Assembly:
         self.seam_names: list[str] = []
         self.edge_names: dict[EdgeRef, str] = {}
         self.wraps: dict[str, Wrap] = {}
+        self.eased: dict[str, float] = {}
 
     def add(self, drafted: Drafted, wrap: Wrap | None = None) -> Drafted:
-        """``drafted``, kept; its edges are named as its sides are."""
+        """Takes in the panel of ``drafted`` and returns it; its edges are named as its sides are."""
         self.panels.append(drafted.panel)
         for side in drafted.numbers:
             self.edge_names[drafted.edge(side)] = side
@@ -70,9 +72,37 @@ class Assembly:
         self.stitches.append(Stitch(first.edge(first_side), second.edge(second_side), right_to_wrong=over))
         self.seam_names.append(name)
 
-    def pattern(self, name: str, fabric: str) -> Pattern:
-        """All panels and stitches."""
-        return Pattern(name, tuple(self.panels), tuple(self.stitches), material=fabric)
+    def sew_sides(self, parts: Sequence[str], front: Drafted, back: Drafted) -> None:
+        """Sews each of ``parts`` of the front to the back's, on both sides of the wearer.
+
+        The wearer's left is on the viewer's right in front and on the viewer's left behind.
+        """
+        for seen, worn in (("right", "left"), ("left", "right")):
+            for part in parts:
+                self.sew(f"{part}_{worn}", front, f"{part}_{seen}", back, f"{part}_{worn}")
+
+    def design(
+        self,
+        name: str,
+        fabric: str,
+        ease_m: Mapping[str, float],
+        *,
+        over: frozenset[str] = frozenset(),
+        seam_angles: Mapping[str, float] = MappingProxyType({}),
+    ) -> Design:
+        """The design of all panels and stitches so far."""
+        pattern = Pattern(name, tuple(self.panels), tuple(self.stitches), material=fabric)
+        return Design(
+            pattern,
+            fabric,
+            self.edge_names,
+            tuple(self.seam_names),
+            wraps=self.wraps,
+            over=over,
+            eased=self.eased,
+            seam_angles=seam_angles,
+            ease_m=ease_m,
+        )
 
 
 def check_seams(design: Design) -> None:

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import brentq
 
-from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Placement, Stitch
+from recovery.pattern.geometry import on_chord
+from recovery.pattern.measurements import BodyMeasurements
+from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Placement
 
 Point = tuple[float, float]
 KINDS = (EdgeKind.LINE, EdgeKind.QUADRATIC, EdgeKind.CUBIC)
 FRONT, BACK = (0.0, 0.0, 0.0), (0.0, 180.0, 0.0)  # rotations [deg] of panels before and behind the body
+STAND_OFF_M = 0.06  # panels hang this far before and behind the body
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,7 @@ def draft(
     flip: bool = False,
     apart_m: float = 0.0,
 ) -> Drafted:
-    """The panel bounded by ``sides``, counter-clockwise, drawn where it hangs as its viewer sees it.
+    """The panel bounded by ``sides``, counter-clockwise, drawn in its place as its viewer sees it.
 
     ``rotation`` is ``FRONT`` or ``BACK``, ``z`` [m] its distance before the origin; ``flip`` mirrors left and right;
     ``apart_m`` moves it to the right, or flipped to the left. The panel's own origin is the middle of the box of its
@@ -57,10 +61,7 @@ def draft(
     edges = []
     for number, side in enumerate(sides):
         following = (number + 1) % len(sides)
-        start, chord = points[number], points[following] - points[number]
-        arm = np.array(side.handles, dtype=np.float64).reshape(-1, 2) - start
-        along, left = arm @ chord, arm @ np.array([-chord[1], chord[0]])
-        handles = tuple(zip((along / (chord @ chord)).tolist(), (left / (chord @ chord)).tolist(), strict=True))
+        handles = on_chord(np.array(side.handles).reshape(-1, 2), points[number], points[following])
         edges.append(Edge(number, following, KINDS[len(handles)], handles))
     seen = float(middle[0]) + (-apart_m if flip else apart_m)
     across = -seen if rotation == BACK else seen
@@ -99,6 +100,11 @@ def ring_handles(centre_y: float, radius: float, start: float, end: float) -> tu
     )
 
 
-def sew(first: Drafted, first_side: str, second: Drafted, second_side: str) -> Stitch:
-    """The stitch of two named sides, right side on right side."""
-    return Stitch(first.edge(first_side), second.edge(second_side))
+def before_and_behind(body: BodyMeasurements) -> tuple[tuple[str, tuple[float, float, float], float], ...]:
+    """Name, rotation [deg] and distance z [m] of the panel that hangs before ``body`` and of the one behind it."""
+    return ("front", FRONT, body.front_z + STAND_OFF_M), ("back", BACK, body.back_z - STAND_OFF_M)
+
+
+def root(function: Callable[[float], float], low: float, high: float) -> float:
+    """The zero of ``function`` between ``low`` and ``high``, where it has different signs, within a nanometre."""
+    return float(brentq(function, low, high, xtol=1e-9))  # pyright: ignore[reportArgumentType]

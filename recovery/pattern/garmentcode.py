@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import copy
 import json
-import os
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -20,7 +19,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from drape.errors import InputError, NotFound
-from recovery.pattern.geometry import area, check_pattern
+from recovery.atomic import write
+from recovery.pattern.geometry import area, check_pattern, on_chord
 from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Pattern, Placement, Stitch
 
 FILE_UNITS_IN_METER = 100.0
@@ -187,16 +187,8 @@ def _read_edge(where: str, entry: Any, vertices: np.ndarray, absolute: bool) -> 
                 kind, handles = EdgeKind.LINE, []
         else:
             points = _numbers(params, (None, 2), f"{where}: curvature")
-            if absolute:
-                points = _relative(points - vertices[start], chord)
-            handles = [(float(along), float(left)) for along, left in points]
+            handles = on_chord(points, vertices[start], vertices[end]) if absolute else points.tolist()
     return Edge(start, end, kind, tuple(handles), entry.get("label"))
-
-
-def _relative(points: np.ndarray, chord: np.ndarray) -> np.ndarray:
-    along = points @ chord
-    left = points @ np.array([-chord[1], chord[0]])
-    return np.stack([along, left], axis=1) / max(float(chord @ chord), 1e-300)
 
 
 def _arc_height(params: np.ndarray, chord: np.ndarray, where: str) -> float:
@@ -267,14 +259,8 @@ def pattern_to_spec(pattern: Pattern, *, units_in_meter: float = FILE_UNITS_IN_M
 
 
 def write_pattern(pattern: Pattern, path: str | Path, *, units_in_meter: float = FILE_UNITS_IN_METER) -> Path:
-    """Writes the specification to ``path`` atomically and returns the path."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".part")
-    text = json.dumps(pattern_to_spec(pattern, units_in_meter=units_in_meter), indent=2)
-    temporary.write_text(text + "\n", encoding="utf-8")
-    os.replace(temporary, path)
-    return path
+    """Writes the specification to ``path`` and returns the path."""
+    return write(Path(path), json.dumps(pattern_to_spec(pattern, units_in_meter=units_in_meter), indent=2) + "\n")
 
 
 def _panel_entry(panel: Panel, units: float) -> dict[str, Any]:

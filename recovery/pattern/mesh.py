@@ -14,7 +14,7 @@ from drape.errors import MeshError
 from drape.geometry import meshes
 from recovery.pattern import geometry
 from recovery.pattern.coordinates import Controls, boundary_matrix, control_points, mean_value_weights
-from recovery.pattern.model import EdgeRef, Pattern
+from recovery.pattern.model import EdgeRef, Panel, Pattern
 from recovery.pattern.triangulate import corner_angles_deg, signed_areas, triangulate
 
 MOST_FLIPS = 200  # of inner edges at sewn corners
@@ -81,40 +81,30 @@ class PatternMesh:
         }
 
 
-def mesh_pattern(pattern: Pattern, edge_length_m: float, *, free_curves: bool = False) -> PatternMesh:
+def mesh_pattern(pattern: Pattern, edge_length_m: float) -> PatternMesh:
     """Checks ``pattern``, triangulates its panels with sides of about ``edge_length_m``, joins them at the stitches.
 
-    ``free_curves`` makes the handles of Bezier edges control points of their own. Raises ``InputError`` for an unfit
-    pattern and ``MeshError`` where sewing does not give a surface.
+    Raises ``InputError`` for an unfit pattern and ``MeshError`` where sewing does not give a surface.
     """
     geometry.check_pattern(pattern)
     counts = geometry.segment_counts(pattern, edge_length_m)
-    controls = control_points(pattern, free_curves=free_curves)
+    controls = control_points(pattern)
     rest, faces, blocks = [], [], []
     edge_vertices: dict[EdgeRef, np.ndarray] = {}
     first = 0
-    for panel in pattern.panels:
-        refs = [EdgeRef(panel.name, number) for number in range(len(panel.edges))]
-        parameters = [
-            geometry.equal_parameters(edge, counts[ref])[:-1] for edge, ref in zip(panel.edges, refs, strict=True)
-        ]
-        matrix = boundary_matrix(panel, parameters, free_curves=free_curves)
-        own = control_points(_alone(pattern, panel.name), free_curves=free_curves).positions
-        boundary = (matrix @ own.reshape(-1)).reshape(-1, 2)
-        points, triangles = triangulate(boundary, edge_length_m)
-        inner = np.kron(mean_value_weights(points[len(boundary) :], boundary), np.eye(2)) @ matrix
-        block = np.concatenate([matrix, inner])
+    for number, panel in enumerate(pattern.panels):
+        refs = [EdgeRef(panel.name, edge) for edge in range(len(panel.edges))]
+        own = controls.positions[controls.panel == number]
+        block, triangles = _panel_mesh(panel, own, [counts[ref] for ref in refs], edge_length_m)
         # The vertices are what the map gives, so that they agree to the last bit.
         rest.append((block @ own.reshape(-1)).reshape(-1, 2))
         blocks.append(block)
         faces.append(triangles + first)
-        place = 0
-        for ref in refs:
-            along = np.arange(place, place + counts[ref] + 1)
-            edge_vertices[ref] = first + along % len(boundary)
-            place += counts[ref]
-        first += len(points)
-    sizes = [len(block) for block in rest]
+        ends = np.cumsum([0, *(counts[ref] for ref in refs)])
+        for ref, start, end in zip(refs, ends[:-1], ends[1:], strict=True):
+            edge_vertices[ref] = first + np.arange(start, end + 1) % ends[-1]
+        first += len(rest[-1])
+    sizes = [len(vertices) for vertices in rest]
     panel_index = np.repeat(np.arange(len(sizes)), sizes)
     panel_faces = np.concatenate(faces)
     face_panel = panel_index[panel_faces[:, 0]]
@@ -143,8 +133,19 @@ def mesh_pattern(pattern: Pattern, edge_length_m: float, *, free_curves: bool = 
     )
 
 
-def _alone(pattern: Pattern, name: str) -> Pattern:
-    return Pattern(name, (pattern.panel(name),))
+def _panel_mesh(
+    panel: Panel, corners: np.ndarray, counts: list[int], edge_length_m: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The map (2 P, 2 C) from a panel's ``corners`` [m] (C, 2) to its vertices, those of the outline first; triangles.
+
+    ``counts`` (C,) are the segments of its edges.
+    """
+    parameters = [geometry.equal_parameters(edge, count)[:-1] for edge, count in zip(panel.edges, counts, strict=True)]
+    matrix = boundary_matrix(panel, parameters)
+    boundary = (matrix @ corners.reshape(-1)).reshape(-1, 2)
+    points, triangles = triangulate(boundary, edge_length_m)
+    inner = np.kron(mean_value_weights(points[len(boundary) :], boundary), np.eye(2)) @ matrix
+    return np.concatenate([matrix, inner]), triangles
 
 
 def _seam_pairs(pattern: Pattern, edge_vertices: Mapping[EdgeRef, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -199,7 +200,7 @@ def _flip(points: np.ndarray, faces: np.ndarray, number: int, start: int) -> boo
 
 
 def _turned_panels(pattern: Pattern) -> np.ndarray:
-    """Which panels (number of panels,) show their wrong side outside, so that neighbouring triangles agree.
+    """True for panels (number of panels,) that show their wrong side outside, so that neighbouring triangles agree.
 
     The first panel of every connected part shows its right side.
     """

@@ -9,12 +9,23 @@ import numpy as np
 from recovery.pattern import geometry
 from recovery.pattern.bands import sew_band
 from recovery.pattern.design import Assembly, Design
-from recovery.pattern.drafting import BACK, FRONT, Drafted, Point, Side, draft, on_ring, ring_handles
+from recovery.pattern.drafting import (
+    BACK,
+    FRONT,
+    Drafted,
+    Point,
+    Side,
+    before_and_behind,
+    draft,
+    on_ring,
+    ring_handles,
+)
 from recovery.pattern.measurements import BodyMeasurements
-from recovery.pattern.tops import CAP_EASE, STAND_OFF_M, TopCut, band_ease, bodice, lines, set_sleeves
+from recovery.pattern.tops import HOLLOWS, TopCut, bodice, lines, set_sleeves
 from recovery.pattern.wrapping import Cone, Tube, Vector, draft_round
 
 NECK_LEAN_DEG = 24.0  # of the neckline's plane: lower in front
+BUTTONS_APART_M = 0.004  # from the middle to each front
 STAND_RADIUS_M, FALL_RADIUS_M, FALL_SLANT = 0.088, 0.098, 0.75
 FOLD_RAD = -2.4  # of the fall over the stand, nearly flat on it; negative: away from the outside
 
@@ -37,29 +48,21 @@ def shirt(body: BodyMeasurements, cut: TopCut, collar: CollarCut = CollarCut()) 
     """The shirt that ``cut`` and ``collar`` describe, for ``body``. Raises ``InputError`` as ``tops.top`` does."""
     neck, tip, underarm, hem = lines(body, cut)
     work = Assembly()
-    whole = bodice(
-        neck, tip, underarm, hem, depth=cut.back_neck_depth_m, hollow=0.6, inset=cut.armhole_inset, lower="hem"
+    (_, _, front_z), (_, _, back_z) = before_and_behind(body)
+    half, whole = (
+        bodice(neck, tip, underarm, hem, depth=depth, hollow=hollow, inset=cut.armhole_inset, lower="hem")
+        for depth, hollow in zip((cut.neck_depth_m, cut.back_neck_depth_m), HOLLOWS, strict=True)
     )
-    back = work.add(draft("back", [*whole[:-1], _tail(hem, collar.tail_m)], rotation=BACK, z=body.back_z - STAND_OFF_M))
-    half = bodice(neck, tip, underarm, hem, depth=cut.neck_depth_m, hollow=0.75, inset=cut.armhole_inset, lower="hem")[
-        :4
-    ]
+    back = work.add(draft("back", [*whole[:-1], _tail(hem, collar.tail_m)], rotation=BACK, z=back_z))
     low = (0.0, hem[1] - collar.tail_m)
     sides = [
         Side("hem", low, ((0.4 * hem[0], low[1]), (0.6 * hem[0], hem[1]))),
-        *(Side(side.name.removesuffix("_right"), side.start, side.handles) for side in half),
+        *(Side(side.name.removesuffix("_right"), side.start, side.handles) for side in half[:4]),
         Side("centre", (0.0, neck[1] - cut.neck_depth_m)),
     ]
     fronts = {
         side: work.add(
-            draft(
-                f"front_{side}",
-                sides,
-                rotation=FRONT,
-                z=body.front_z + STAND_OFF_M,
-                flip=side == "right",
-                apart_m=0.004,
-            )
+            draft(f"front_{side}", sides, rotation=FRONT, z=front_z, flip=side == "right", apart_m=BUTTONS_APART_M)
         )
         for side in ("left", "right")
     }
@@ -67,29 +70,12 @@ def shirt(body: BodyMeasurements, cut: TopCut, collar: CollarCut = CollarCut()) 
     for side, front in fronts.items():
         work.sew(f"side_{side}", front, "side", back, f"side_{side}")
         work.sew(f"shoulder_{side}", front, "shoulder", back, f"shoulder_{side}")
-    eased = {"armhole": -CAP_EASE / (1.0 + CAP_EASE)}
     if cut.sleeve is not None:
-        set_sleeves(
-            work,
-            body,
-            cut.sleeve,
-            tip,
-            {side: ((front, "armhole"), (back, f"armhole_{side}")) for side, front in fronts.items()},
-        )
-        eased["cuff_seam"] = band_ease(cut.sleeve.cuff_shorter)
+        armholes = {side: ((front, "armhole"), (back, f"armhole_{side}")) for side, front in fronts.items()}
+        set_sleeves(work, body, cut.sleeve, tip, armholes)
     _collar(work, body, cut, collar, fronts, back)
-    ease = {"chest": cut.chest_ease_m} | ({"arm": cut.sleeve.arm_ease_m} if cut.sleeve else {})
-    return Design(
-        work.pattern(cut.name, cut.fabric),
-        cut.fabric,
-        work.edge_names,
-        tuple(work.seam_names),
-        wraps=work.wraps,
-        over=frozenset({"collar_fall"}),
-        eased=eased,
-        seam_angles={"collar_fold": FOLD_RAD},
-        ease_m=ease,
-    )
+    over, angles = frozenset({"collar_fall"}), {"collar_fold": FOLD_RAD}
+    return work.design(cut.name, cut.fabric, cut.ease_m, over=over, seam_angles=angles)
 
 
 def _tail(hem: Point, tail: float) -> Side:

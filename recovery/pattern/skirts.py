@@ -1,4 +1,4 @@
-"""Skirts with a waistband: an A-line of two panels, and a full circle of two halves."""
+"""Skirts: an A-line of two panels and a full circle of two halves, both with a waistband, and a fitted one without."""
 
 from __future__ import annotations
 
@@ -7,22 +7,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from drape.errors import InputError
-from recovery.pattern.bands import BAND_SHORTER, sew_band
+from recovery.pattern.bands import sew_waistband
 from recovery.pattern.darts import waist_pieces
 from recovery.pattern.design import Assembly, Design
-from recovery.pattern.drafting import BACK, FRONT, Drafted, Side, draft, on_ring, ring_handles
+from recovery.pattern.drafting import Drafted, Side, before_and_behind, draft, on_ring, ring_handles
 from recovery.pattern.measurements import BodyMeasurements
-from recovery.pattern.tops import FORWARD, STAND_OFF_M, UP
-from recovery.pattern.wrapping import Flutes, Tube, draft_round
+from recovery.pattern.wrapping import Flutes, draft_round
 
 QUARTER = 0.5 * np.pi
+WAIST_DIPS_M = (0.012, 0.018)  # of a fitted skirt's waist in the middle, in front and behind
 
 
 @dataclass(frozen=True)
 class SkirtCut:
-    """Lengths [m]: ``length_m`` from waistband to hem, ``drop_m`` of the band's upper edge below the waist.
+    """Lengths [m]: ``length_m`` from waistband to hem, ``drop_m`` of the skirt's upper edge below the waist.
 
     ``flare_m`` is added to the half width of each panel from waist to hem at least; a circle starts in ``flutes``.
+    A fitted skirt has neither.
     """
 
     name: str
@@ -54,7 +55,7 @@ def a_line(body: BodyMeasurements, cut: SkirtCut) -> Design:
     centre, outer = top + inner, inner + cut.length_m
     work = Assembly()
     panels = []
-    for label, face, z in (("front", FRONT, body.front_z + STAND_OFF_M), ("back", BACK, body.back_z - STAND_OFF_M)):
+    for label, face, z in before_and_behind(body):
         sides = [
             Side("hem", on_ring(centre, outer, -half), ring_handles(centre, outer, -half, half)),
             Side("side_right", on_ring(centre, outer, half)),
@@ -64,8 +65,7 @@ def a_line(body: BodyMeasurements, cut: SkirtCut) -> Design:
         ]
         panels.append(work.add(draft(label, sides, rotation=face, z=z)))
     front, back = panels
-    for side, other in (("right", "left"), ("left", "right")):
-        work.sew(f"side_{other}", front, f"side_{side}", back, f"side_{other}")
+    work.sew_sides(["side"], front, back)
     return _banded(work, body, cut, top, front, back, {"hips": cut.hip_ease_m, "waist": cut.waist_ease_m})
 
 
@@ -95,9 +95,40 @@ def circle(body: BodyMeasurements, cut: SkirtCut) -> Design:
         ]
         panels.append(work.add(*draft_round(label, sides, Flutes(axis, inner, outer, cut.flutes, turn))))
     front, back = panels
-    for side, other in (("right", "left"), ("left", "right")):
-        work.sew(f"side_{other}", front, f"side_{side}", back, f"side_{other}")
+    work.sew_sides(["side"], front, back)
     return _banded(work, body, cut, top, front, back, {"waist": cut.waist_ease_m})
+
+
+def fitted(body: BodyMeasurements, cut: SkirtCut) -> Design:
+    """A skirt of two panels without band: curved from waist to hips, straight to the hem, ``flare_m`` wider there."""
+    top = body.waist_y - cut.drop_m
+    rise, hem = top - body.hip_y, top - cut.length_m
+    if cut.hip_ease_m < 0.0 or rise < 0.0 or hem > body.hip_y - 0.01:
+        raise InputError(
+            cut.name,
+            expected="ease at the hips, a waist above and a hem below them",
+            got=f"{cut.hip_ease_m:.3f} m of ease, {rise:.3f} m above and {body.hip_y - hem:.3f} m below",
+            cure="Add ease or length, or lessen drop_m.",
+        )
+    waist, hips = 0.25 * (body.girth_at(top) + cut.waist_ease_m), 0.25 * (body.hip_girth + cut.hip_ease_m)
+    # The side swings up so that the hem stays square to it.
+    lift = cut.flare_m * cut.flare_m / (2.0 * (body.hip_y - hem)) + 0.05 * cut.flare_m
+    x, y = hips + cut.flare_m, hem + lift
+    bend = ((hips, body.hip_y + 0.45 * rise), (waist + 0.4 * (hips - waist), top - 0.3 * rise))
+    work = Assembly()
+    panels = []
+    for (label, face, z), dip in zip(before_and_behind(body), WAIST_DIPS_M, strict=True):
+        sides = [
+            Side("hem", (-x, y), ((0.0, hem - lift),)),
+            Side("side_right", (x, y)),
+            Side("hip_right", (hips, body.hip_y), bend),
+            Side("opening_waist", (waist, top), ((0.0, top - 2.0 * dip),)),
+            Side("hip_left", (-waist, top), tuple((-a, b) for a, b in reversed(bend))),
+            Side("side_left", (-hips, body.hip_y)),
+        ]
+        panels.append(work.add(draft(label, sides, rotation=face, z=z)))
+    work.sew_sides(["side", "hip"], *panels)
+    return work.design(cut.name, cut.fabric, {"hips": cut.hip_ease_m, "waist": cut.waist_ease_m})
 
 
 def _banded(
@@ -111,14 +142,5 @@ def _banded(
 ) -> Design:
     order = [(back, "waist_right"), (front, "waist_left"), (front, "waist_right"), (back, "waist_left")]
     edges = [piece for drafted, side in order for piece in waist_pieces(drafted, side)]
-    tube = Tube((0.0, top + 0.01, 0.5 * (body.front_z + body.back_z)), UP, FORWARD, body.girth_at(top) / 5.0)
-    sew_band(work, "waistband", edges, tube, width_m=cut.band_m, shorter=BAND_SHORTER, above=True)
-    return Design(
-        work.pattern(cut.name, cut.fabric),
-        cut.fabric,
-        work.edge_names,
-        tuple(work.seam_names),
-        wraps=work.wraps,
-        eased={"waistband_seam": 1.0 / (1.0 - BAND_SHORTER) - 1.0},
-        ease_m=ease,
-    )
+    sew_waistband(work, body, top, edges, cut.band_m)
+    return work.design(cut.name, cut.fabric, ease)

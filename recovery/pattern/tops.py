@@ -6,31 +6,29 @@ upper arm makes them. Drawn for a body in the T-pose, as it stands in the catalo
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-
-from scipy.optimize import brentq
 
 from drape.errors import InputError
 from recovery.pattern import geometry
-from recovery.pattern.bands import Edge, sew_band
+from recovery.pattern.bands import FORWARD, UP, Edge, sew_band
 from recovery.pattern.design import Assembly, Design
-from recovery.pattern.drafting import BACK, FRONT, Drafted, Point, Side, draft
+from recovery.pattern.drafting import FRONT, STAND_OFF_M, Drafted, Point, Side, before_and_behind, draft, root
 from recovery.pattern.measurements import BodyMeasurements
 from recovery.pattern.wrapping import Tube, draft_round
 
-STAND_OFF_M = 0.06  # front and back hang this far before and behind the body
 NECK_SLOPE = 0.6
 CAP_EASE = 0.015  # by which a cap is longer than its armhole
-UP: tuple[float, float, float] = (0.0, 1.0, 0.0)
-FORWARD: tuple[float, float, float] = (0.0, 0.0, 1.0)
+NARROWEST_HEM = 0.2  # of a sleeve, as a share of its girth at the upper arm
+HOLLOWS = (0.75, 0.6)  # how far towards the shoulder the armhole runs level, in front and behind
 
 
 @dataclass(frozen=True)
 class Sleeve:
     """``length_m`` from the shoulder's tip, band included; widths as ease over upper arm and wrist or as a hem girth.
 
-    ``cuff_m`` is the width of a band that is a share ``cuff_shorter`` shorter than the sleeve's hem.
+    ``cuff_m`` is the width of a band that is a share ``cuff_shorter`` shorter than the sleeve's hem. With ``halves``
+    the sleeve is cut in two along the top of the arm, without cuffs: its panels start flat.
     """
 
     length_m: float
@@ -38,17 +36,18 @@ class Sleeve:
     hem_girth_m: float
     cuff_m: float = 0.0
     cuff_shorter: float = 0.0
+    halves: bool = False
 
 
 @dataclass(frozen=True)
 class TopCut:
-    """What makes one top differ from another, lengths [m].
+    """The measures in which tops differ, lengths [m].
 
-    ``length_m`` from the side of the neck to the hem, bands included; ``shoulder_out_m`` the tip beyond the joint,
-    ``shoulder_drop_m`` below the neck; ``armhole_drop_m`` below the armpit, ``armhole_inset`` how far it
-    hollows in over the width from shoulder to side; ``neck_out_m`` the neck's half width beyond
-    the body's. Bands of a width of 0 are left out. ``flare_m`` widens each panel's half at the hem; a ``skirt_m`` > 0
-    cuts the garment that far below the armpit and gathers the rest by ``gather``.
+    ``length_m`` runs from the side of the neck to the hem, bands included. The shoulder's tip lies ``shoulder_out_m``
+    beyond the joint and ``shoulder_drop_m`` below the neck. The armhole ends ``armhole_drop_m`` below the armpit and
+    hollows in by ``armhole_inset``, a share of the width from shoulder to side. The neck's half width is the body's and
+    ``neck_out_m``. Bands of a width of 0 are left out. ``flare_m`` widens each panel's half at the hem. A ``skirt_m``
+    > 0 cuts the garment that far below the armpit and gathers the rest by ``gather``.
     """
 
     name: str
@@ -71,9 +70,14 @@ class TopCut:
     skirt_m: float = 0.0
     gather: float = 0.0
 
+    @property
+    def ease_m(self) -> dict[str, float]:
+        """Lengths [m] that are added to the body's girths."""
+        return {"chest": self.chest_ease_m} | ({"arm": self.sleeve.arm_ease_m} if self.sleeve else {})
+
 
 def lines(body: BodyMeasurements, cut: TopCut) -> tuple[Point, Point, Point, Point]:
-    """Where neck, shoulder tip, armpit and hem lie on the wearer's left [m]; refuses lines that do not meet."""
+    """Neck, shoulder tip, armpit and hem on the wearer's left [m]. Raises ``InputError`` for lines that do not meet."""
     half = 0.25 * (body.chest_girth + cut.chest_ease_m)
     # Beside the neck the body falls away by about NECK_SLOPE.
     neck = (body.neck_half_width + cut.neck_out_m, body.neck_y - NECK_SLOPE * cut.neck_out_m)
@@ -93,77 +97,40 @@ def lines(body: BodyMeasurements, cut: TopCut) -> tuple[Point, Point, Point, Poi
 def top(body: BodyMeasurements, cut: TopCut) -> Design:
     """The top that ``cut`` describes, for ``body``. Raises ``InputError`` where its lines do not meet."""
     neck, tip, underarm, hem = lines(body, cut)
-    half = underarm[0]
     work = Assembly()
-    eased: dict[str, float] = {}
-    cut_y = underarm[1] - cut.skirt_m
-    bottom = (half, cut_y) if cut.skirt_m else hem
+    waist = (underarm[0], underarm[1] - cut.skirt_m)
     lower = "waistline" if cut.skirt_m else ("hemline" if cut.hem_band_m else "hem")
-    bodices = {}
-    for label, face, depth, z in (
-        ("front", FRONT, cut.neck_depth_m, body.front_z + STAND_OFF_M),
-        ("back", BACK, cut.back_neck_depth_m, body.back_z - STAND_OFF_M),
+    bodices = []
+    for (label, face, z), depth, hollow in zip(
+        before_and_behind(body), (cut.neck_depth_m, cut.back_neck_depth_m), HOLLOWS, strict=True
     ):
-        sides = bodice(
-            neck,
-            tip,
-            underarm,
-            bottom,
-            depth=depth,
-            hollow=0.75 if label == "front" else 0.6,
-            inset=cut.armhole_inset,
-            lower=lower,
-        )
-        bodices[label] = work.add(draft(label, sides, rotation=face, z=z))
-    front, back = bodices["front"], bodices["back"]
-    for side, other in (("right", "left"), ("left", "right")):
-        # The wearer's left is on the viewer's right in front and on the viewer's left behind.
-        work.sew(f"side_{other}", front, f"side_{side}", back, f"side_{other}")
-        work.sew(f"shoulder_{other}", front, f"shoulder_{side}", back, f"shoulder_{other}")
+        bottom = waist if cut.skirt_m else hem
+        sides = bodice(neck, tip, underarm, bottom, depth=depth, hollow=hollow, inset=cut.armhole_inset, lower=lower)
+        bodices.append(work.add(draft(label, sides, rotation=face, z=z)))
+    front, back = bodices
+    work.sew_sides(["side", "shoulder"], front, back)
     if cut.sleeve is not None:
         armholes = {
             side: ((front, f"armhole_{other}"), (back, f"armhole_{side}"))
             for side, other in (("left", "right"), ("right", "left"))
         }
         set_sleeves(work, body, cut.sleeve, tip, armholes)
-        eased["armhole"] = -CAP_EASE / (1.0 + CAP_EASE)
-        if cut.sleeve.cuff_m:
-            eased["cuff_seam"] = band_ease(cut.sleeve.cuff_shorter)
     else:
-        _name_openings(work, front, back)
+        _name_openings(work, bodices, "armhole", "opening_armhole_left", "opening_armhole_right")
     if cut.neck_band_m:
         edges = [(back, "neck_right"), (front, "neck_left"), (front, "neck_right"), (back, "neck_left")]
         tube = Tube((0.0, body.neck_y - 0.02, 0.3 * (body.front_z + body.back_z)), UP, FORWARD, 0.11)
         sew_band(work, "neckband", edges, tube, width_m=cut.neck_band_m, shorter=cut.neck_shorter, above=True)
-        eased["neckband_seam"] = band_ease(cut.neck_shorter)
     else:
-        for panel in (front, back):
-            for side in ("neck_left", "neck_right"):
-                work.edge_names[panel.edge(side)] = "opening_neck"
+        _name_openings(work, bodices, "neck", "opening_neck", "opening_neck")
     if cut.skirt_m:
-        _gathered_skirt(work, body, cut, half, cut_y, hem[1], front=front, back=back)
-        eased["waist_seam"] = cut.gather
+        _gathered_skirt(work, body, cut, waist, hem[1], bodices)
     if cut.hem_band_m:
         tube = Tube((0.0, hem[1] - cut.hem_band_m, 0.0), UP, (1.0, 0.0, 0.0), 0.26)
         # The strip starts at one side seam.
         edges = [(front, "hemline"), (back, "hemline")]
         sew_band(work, "hemband", edges, tube, width_m=cut.hem_band_m, shorter=cut.hem_shorter, above=False, free="hem")
-        eased["hemband_seam"] = band_ease(cut.hem_shorter)
-    ease = {"chest": cut.chest_ease_m} | ({"arm": cut.sleeve.arm_ease_m} if cut.sleeve else {})
-    return Design(
-        work.pattern(cut.name, cut.fabric),
-        cut.fabric,
-        work.edge_names,
-        tuple(work.seam_names),
-        wraps=work.wraps,
-        eased=eased,
-        ease_m=ease,
-    )
-
-
-def band_ease(shorter: float) -> float:
-    """By which share the edge is longer than the band that is ``shorter``."""
-    return 1.0 / (1.0 - shorter) - 1.0
+    return work.design(cut.name, cut.fabric, cut.ease_m)
 
 
 def bodice(
@@ -191,10 +158,10 @@ def bodice(
     return [*right, *left, Side(lower, (-hem[0], hem[1]), bend)]
 
 
-def _name_openings(work: Assembly, front: Drafted, back: Drafted) -> None:
-    for panel in (front, back):
-        for side in ("armhole_left", "armhole_right"):
-            work.edge_names[panel.edge(side)] = "opening_" + side
+def _name_openings(work: Assembly, bodices: Sequence[Drafted], part: str, left: str, right: str) -> None:
+    for panel in bodices:
+        work.edge_names[panel.edge(f"{part}_left")] = left
+        work.edge_names[panel.edge(f"{part}_right")] = right
 
 
 # --- sleeves ---------------------------------------------------------------------------------------------------------
@@ -203,7 +170,7 @@ def _name_openings(work: Assembly, front: Drafted, back: Drafted) -> None:
 def set_sleeves(
     work: Assembly, body: BodyMeasurements, sleeve: Sleeve, tip: Point, armholes: Mapping[str, tuple[Edge, Edge]]
 ) -> None:
-    """Two one-piece sleeves, and their cuffs, for the ``armholes`` of the wearer's sides: edge in front, edge behind.
+    """Two sleeves, and their cuffs, for the ``armholes`` of the wearer's sides: edge in front, edge behind.
 
     Raises ``InputError`` for a sleeve shorter than its cap or narrower than the arm.
     """
@@ -211,18 +178,23 @@ def set_sleeves(
     lengths = [geometry.edge_length(p.panel, p.numbers[side]) for p, side in armholes["left"]]
     height, widths = cap([(1.0 + CAP_EASE) * length for length in lengths], girth)
     long = sleeve.length_m - sleeve.cuff_m
-    if height > long - 0.02 or girth < 1.02 * body.arm_girth:
+    least = NARROWEST_HEM * girth
+    if height > long - 0.02 or girth < 1.02 * body.arm_girth or sleeve.hem_girth_m < least:
         raise InputError(
             "sleeve",
-            expected=f"longer than its cap of {height:.3f} m, wider than the arm's {body.arm_girth:.3f} m",
-            got=f"{long:.3f} m, {girth:.3f} m",
+            expected=f"longer than its cap of {height:.3f} m, wider than the arm's {body.arm_girth:.3f} m, a hem of "
+            f"{least:.3f} m",
+            got=f"{long:.3f} m, {girth:.3f} m, {sleeve.hem_girth_m:.3f} m",
             cure="Lengthen the sleeve or add ease to the arm: a wider sleeve has a lower cap.",
         )
+    work.eased["armhole"] = -CAP_EASE / (1.0 + CAP_EASE)
+    if sleeve.halves:
+        _set_halves(work, body, sleeve, tip, armholes, height, widths)
+        return
     hem = 0.5 * sleeve.hem_girth_m
-    cuffed = "cuffline" if sleeve.cuff_m else "hem"
     fore, hind = widths
     sides = [
-        Side(cuffed, (-hem, -long)),
+        Side("cuffline" if sleeve.cuff_m else "hem", (-hem, -long)),
         Side("under_back", (hem, -long)),
         _half_cap("cap_back", hind, height, 1.0),
         _half_cap("cap_front", fore, height, -1.0),
@@ -237,17 +209,42 @@ def set_sleeves(
         work.sew(f"underarm_{name}", piece, "under_front", piece, "under_back")
         if sleeve.cuff_m:
             end = Tube((sign * (tip[0] + sleeve.length_m), body.arm_y, body.arm_z), axis, UP, 0.06)
-            sew_band(
-                work,
-                f"cuff_{name}",
-                [(piece, "cuffline")],
-                end,
-                width_m=sleeve.cuff_m,
-                shorter=sleeve.cuff_shorter,
-                above=False,
-                free="hem",
-            )
-            work.seam_names = [n.replace(f"cuff_{name}_seam", "cuff_seam") for n in work.seam_names]
+            width, shorter, edges = sleeve.cuff_m, sleeve.cuff_shorter, [(piece, "cuffline")]
+            called = {"free": "hem", "seam": "cuff_seam"}
+            sew_band(work, f"cuff_{name}", edges, end, width_m=width, shorter=shorter, above=False, **called)
+
+
+def _set_halves(
+    work: Assembly,
+    body: BodyMeasurements,
+    sleeve: Sleeve,
+    tip: Point,
+    armholes: Mapping[str, tuple[Edge, Edge]],
+    height: float,
+    widths: tuple[float, float],
+) -> None:
+    """The same sleeves cut along the top of the arm: flat halves before and behind it, the weft along the arm."""
+    x, y = tip
+    depth = body.arm_girth / 6.0 + STAND_OFF_M
+    taper = 0.5 * (sum(widths) - sleeve.hem_girth_m)  # the same on both halves, so that their seams are as long
+    halves = []
+    for (label, face, _), z, width in zip(
+        before_and_behind(body), (body.arm_z + depth, body.arm_z - depth), widths, strict=True
+    ):
+        curve = _half_cap("cap", width, height, -1.0)
+        sides = [
+            Side("cap", (x, y), tuple((x - down, y + across) for across, down in curve.handles)),
+            Side("under", (x + height, y - width)),
+            Side("hem", (x + sleeve.length_m, y - width + taper)),
+            Side("over", (x + sleeve.length_m, y)),
+        ]
+        for side in ("left", "right"):
+            flip = (side == "left") != (face == FRONT)
+            halves.append(work.add(draft(f"sleeve_{side}_{label}", sides, rotation=face, z=z, flip=flip)))
+            work.sew("armhole", halves[-1], "cap", *armholes[side][int(label == "back")])
+    for front, back in (halves[::2], halves[1::2]):
+        for seam in ("over", "under"):
+            work.sew(f"{seam}_{front.panel.name}", front, seam, back, seam)
 
 
 def _half_cap(name: str, width: float, height: float, sign: float) -> Side:
@@ -270,7 +267,7 @@ def cap(armholes: list[float], girth: float) -> tuple[float, tuple[float, float]
         return geometry.edge_length(probe.panel, 0)
 
     def width(target: float, height: float) -> float:
-        return _root(lambda value: length(value, height) - target, 1e-3, 2.0 * target)
+        return root(lambda value: length(value, height) - target, 1e-3, 2.0 * target)
 
     def excess(height: float) -> float:
         return sum(width(target, height) for target in armholes) - girth
@@ -284,42 +281,28 @@ def cap(armholes: list[float], girth: float) -> tuple[float, tuple[float, float]
             got=f"{girth:.3f} m",
             cure="Lower the armhole for a wider sleeve, or take ease from the arm.",
         )
-    height = _root(excess, low, high)
+    height = root(excess, low, high)
     fore, hind = (width(target, height) for target in armholes)
     return height, (fore, hind)
-
-
-def _root(function, low: float, high: float) -> float:
-    return float(brentq(function, low, high, xtol=1e-9))  # pyright: ignore[reportArgumentType]
 
 
 # --- gathered skirt --------------------------------------------------------------------------------------------------
 
 
 def _gathered_skirt(
-    work: Assembly,
-    body: BodyMeasurements,
-    cut: TopCut,
-    half: float,
-    top_y: float,
-    hem_y: float,
-    *,
-    front: Drafted,
-    back: Drafted,
+    work: Assembly, body: BodyMeasurements, cut: TopCut, waist: Point, hem_y: float, bodices: Sequence[Drafted]
 ) -> None:
-    wide = half * (1.0 + cut.gather)
-    pieces = {}
-    for label, face, z, bodice in (
-        ("front", FRONT, body.front_z + STAND_OFF_M, front),
-        ("back", BACK, body.back_z - STAND_OFF_M, back),
-    ):
-        sides = [
-            Side("hem", (-wide - cut.flare_m, hem_y)),
-            Side("skirt_side_right", (wide + cut.flare_m, hem_y)),
-            Side("waist", (wide, top_y - 0.01)),
-            Side("skirt_side_left", (-wide, top_y - 0.01)),
-        ]
-        pieces[label] = work.add(draft(f"skirt_{label}", sides, rotation=face, z=z))
-        work.sew("waist_seam", bodice, "waistline", pieces[label], "waist")
-    for side, other in (("right", "left"), ("left", "right")):
-        work.sew(f"skirt_side_{other}", pieces["front"], f"skirt_side_{side}", pieces["back"], f"skirt_side_{other}")
+    """Front and back of a skirt that hangs from the ``bodices`` at the ``waist``, wider than they are."""
+    wide = waist[0] * (1.0 + cut.gather)
+    sides = [
+        Side("hem", (-wide - cut.flare_m, hem_y)),
+        Side("skirt_side_right", (wide + cut.flare_m, hem_y)),
+        Side("waist", (wide, waist[1] - 0.01)),
+        Side("skirt_side_left", (-wide, waist[1] - 0.01)),
+    ]
+    pieces = []
+    for (label, face, z), above in zip(before_and_behind(body), bodices, strict=True):
+        pieces.append(work.add(draft(f"skirt_{label}", sides, rotation=face, z=z)))
+        work.sew("waist_seam", above, "waistline", pieces[-1], "waist")
+    work.sew_sides(["skirt_side"], *pieces)
+    work.eased["waist_seam"] = cut.gather

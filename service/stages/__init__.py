@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 
 from drape.body.model import BodyModel
 from drape.wire.options import DrapeOptions
-from service.engine import Engine
-from service.hidden import narrowed
+from service.compute.constants_process import IN_PLACE, Workshop
+from service.compute.hidden import narrowed
+from service.graphs.engine import Engine
 from service.settings import Settings
 from service.stages.batch import BODY, FINE, Batch, Memories, Plan, PoseInput, Stage
 from service.stages.collision import Collision
@@ -23,10 +24,9 @@ from service.stages.motion import Motion
 from service.stages.network import Network
 from service.stages.novelty import Novelty
 from service.stages.swing import Swing
-from service.workshop import IN_PLACE, Workshop
 
 if TYPE_CHECKING:
-    from service.garments import Scene
+    from service.compute.garments import Scene
 
 STAGES: tuple[type[Stage], ...] = (Novelty, Motion, Network, Swing, Folds, Collision, Encode)
 

@@ -11,13 +11,13 @@ import numpy as np
 from drape.body.model import BodyModel
 from drape.garment.cache import Garment
 from drape.wire.options import DrapeOptions
-from service.engine import Engine
-from service.placing import Origin, Placed
+from service.compute.constants_process import IN_PLACE, Workshop
+from service.graphs.engine import Engine
 from service.settings import Settings
-from service.workshop import IN_PLACE, Workshop
+from service.stages.placing import Origin, Placed
 
 if TYPE_CHECKING:
-    from service.garments import Entry, Scene
+    from service.compute.garments import Entry, Scene
 
 FINE = "fine"  # what a stage needs where it computes on the subdivided meshes
 BODY = ""  # the owner of what is remembered of a body, where others are garments by their digest

@@ -14,8 +14,8 @@ from drape.body.model import BodyModel
 from drape.contact.projection import MOVED_M
 from drape.garment.cache import Garment
 from drape.wire.options import DrapeOptions
-from service.engine import SKIN, Engine
-from service.push import PosedJets, Pushed, Pusher
+from service.graphs.engine import SKIN, Engine
+from service.graphs.push import PosedJets, Pushed, Pusher
 from service.settings import Settings
 from service.stages.batch import Batch, Jets, Layer, Plan, Stage, joined
 

@@ -20,8 +20,8 @@ from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport, Frame, fold
 from drape.live.raised_skin import heights_over, raised
 from drape.live.skin_contact import TouchedSamples
 from drape.wire.options import DrapeOptions
-from service.engine import SKIN, Engine
-from service.fabrics import layer_fabrics
+from service.compute.fabrics import layer_fabrics
+from service.graphs.engine import SKIN, Engine
 from service.settings import Settings
 from service.stages.batch import FINE, Batch, Layer, Plan, Quality, Stage
 

@@ -16,7 +16,7 @@ from drape.body.features import Kinematics, motion_features
 from drape.body.model import BodyModel
 from drape.graph.feeds import kinematics
 from drape.wire.options import DrapeOptions
-from service.engine import Engine
+from service.graphs.engine import Engine
 from service.settings import Settings
 from service.stages.batch import BODY, Batch, Plan, Stage
 

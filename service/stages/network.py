@@ -14,12 +14,12 @@ from drape.garment.cache import Garment
 from drape.geometry import jets
 from drape.graph.packing import pack_body
 from drape.wire.options import DrapeOptions
-from service.engine import JETS, SKIN, Engine, check_finite
-from service.fabrics import check_known, layer_fabrics
-from service.limbs import reach_m, turns_rad
-from service.packing import Packer, Result, ScenePlan, Shape
+from service.compute.fabrics import check_known, layer_fabrics
+from service.graphs.engine import JETS, SKIN, Engine, check_finite
+from service.graphs.packing import Packer, Result, ScenePlan, Shape
 from service.settings import Settings
 from service.stages.batch import Batch, Jets, Layer, Plan, PoseInput, Stage
+from service.stages.joint_reach import reach_m, turns_rad
 
 SHAPES: dict[frozenset[str], Shape] = {
     frozenset({"vertices"}): "vertices",
@@ -68,7 +68,7 @@ class Network(Stage):
                         self._reach_m.pop(next(iter(self._reach_m)))
 
     def moved_m(self, plan: Plan, before: np.ndarray, after: np.ndarray) -> float:
-        """By how far it lets each joint move any of the garments (``service.limbs``), and how far they turn."""
+        """By how far it lets each joint move any of the garments (``joint_reach``), and how far they turn."""
         reaches = [self._reach_m.get(key) for key in self._measured(plan)]
         known = [reach for reach in reaches if reach is not None]
         if len(known) < len(reaches):

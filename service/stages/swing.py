@@ -15,8 +15,8 @@ from drape.garment.cache import Garment
 from drape.live.fold_step import Frame
 from drape.live.swing_constants import swing_constants
 from drape.live.swing_step import SwingConstants, SwingMemory, swing, warm_up
-from service.engine import SKIN, Engine
-from service.fabrics import layer_fabrics
+from service.compute.fabrics import layer_fabrics
+from service.graphs.engine import SKIN, Engine
 from service.settings import Settings
 from service.stages.batch import Batch, Plan, Stage
 

@@ -54,8 +54,9 @@ def test_core_loads_no_inference_engine_or_web_framework():
     assert not loaded_with("drape", whole=True) & {"onnxruntime", "fastapi", "starlette"}
 
 
-def test_ray_is_known_to_its_two_modules_alone():
-    own = {"service/ray_app.py", "service/ray_router.py", "tests/service/test_ray_app.py"}
+def test_ray_is_known_to_its_own_modules_alone():
+    own = {f"service/{name}.py" for name in ("ray_app", "replicas/ray_deployment", "replicas/ray_router")}
+    own.add("tests/service/replicas/test_ray_deployment.py")
     imports = re.compile(r"^\s*(?:import|from) ray\b", re.MULTILINE)
     sources = {path.relative_to(ROOT).as_posix(): path for path in repository_files() if path.suffix == ".py"}
     assert {name for name, path in sources.items() if imports.search(path.read_text(encoding="utf-8"))} == own

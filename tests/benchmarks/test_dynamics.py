@@ -16,7 +16,7 @@ from drape.cloth.contact import BodyContact
 from drape.cloth.material import material
 from drape.garment.cache import save_garment
 from drape.motion.clip import MotionClip
-from service.engine import Engine
+from service.graphs.engine import Engine
 from tests.benchmarks.quality_setup import tube as tube_garment
 from tests.fixtures.packed import exported, exported_dynamic
 from tests.fixtures.poses import smooth_motion

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from service.app import create_app
-from service.keys import digest
+from service.guard.keys import digest
 from service.settings import Settings
 from tests.clients.browser import open_page
 from tests.fixtures.serving import serve

@@ -15,8 +15,8 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from drape.garment.cache import save_garment
 from drape.motion.samples import stretch
 from service.app import create_app
-from service.drapery import Drapery
-from service.engine import PACKED
+from service.compute.drape_runtime import Drapery
+from service.graphs.engine import PACKED
 from service.settings import Settings
 from tests.clients.browser import Page, open_page
 from tests.clients.test_page import set_control, share
@@ -69,6 +69,8 @@ def page(drapery: Drapery) -> Iterator[Page]:
     ):
         page.wait_for("Number(document.body?.dataset.frames) >= 2")
         page.evaluate(SPY)
+        set_control(page, "colour", "value", "#2f6fb0", "input")  # the page's own are greys
+        set_control(page, "colour-1", "value", "#a3343a", "input")
         yield page
 
 

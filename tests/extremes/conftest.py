@@ -6,12 +6,12 @@ from collections.abc import Callable
 
 import pytest
 
-from service.drapery import Drapery
+from service.compute.drape_runtime import Drapery
 from service.settings import Settings
-from tests.fixtures.serving import body, make_settings, tiny_folder, tube
+from tests.fixtures.serving import make_settings, tiny_folder
 from tests.fixtures.tiny_model import TINY_DYNAMIC
 
-__all__ = ["body", "make_settings", "tiny_folder", "tube"]
+__all__ = ["make_settings", "tiny_folder"]
 
 
 @pytest.fixture(scope="session")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from drape.wire.options import DrapeOptions
-from service.drapery import Drapery
+from service.compute.drape_runtime import Drapery
 from service.stages import run
 from service.stages.batch import Batch, PoseInput
 

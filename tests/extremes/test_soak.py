@@ -10,7 +10,7 @@ from numpy.testing import assert_array_equal
 
 from benchmarks import soak
 from benchmarks.soak import SHAPE_EVERY, Fuzz, soak_frames, soak_rows
-from service.drapery import Drapery
+from service.compute.drape_runtime import Drapery
 
 SOON_S = 100.0
 

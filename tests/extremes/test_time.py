@@ -8,7 +8,7 @@ import pytest
 from drape.cloth.fabric_table import FABRICS
 from drape.live.fold_constants import FoldConstants
 from drape.live.fold_step import FAR_M, FoldEffort, fold
-from service.drapery import Drapery
+from service.compute.drape_runtime import Drapery
 from tests.drape.live.folds_setup import frame, sleeve
 from tests.extremes.frames import check_bounded, draped
 from tests.fixtures.poses import random_motion

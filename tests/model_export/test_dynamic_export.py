@@ -21,8 +21,8 @@ from model_export import export as exporting
 from model_export.export import static_training
 from model_export.graph import DrapeGraph, drape_inputs, drape_outputs
 from model_export.parity import session
-from service.engine import Engine
-from service.packing import Packer, ScenePlan
+from service.graphs.engine import Engine
+from service.graphs.packing import Packer, ScenePlan
 from service.stages.motion import Memory, Moment, advance
 from tests.fixtures.packed import MOVING, exported, exported_dynamic
 from tests.fixtures.packed import garment as fixture_garment

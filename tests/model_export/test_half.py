@@ -20,8 +20,8 @@ from model_export import folder as changing
 from model_export.folder import add_half
 from model_export.precision import half as half_module
 from model_export.precision.half import HALF, LEAST, halve_matrices
-from service.engine import PACKED, Engine
-from service.packing import Packer, ScenePlan
+from service.graphs.engine import PACKED, Engine
+from service.graphs.packing import Packer, ScenePlan
 from tests.fixtures.packed import exported, garment
 from tests.fixtures.poses import random_motion
 

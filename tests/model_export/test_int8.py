@@ -28,8 +28,8 @@ from model_export.precision.int8 import (
     round_matrices,
     wide_layers,
 )
-from service.engine import PACKED, ROUNDED, Engine
-from service.packing import Packer, ScenePlan
+from service.graphs.engine import PACKED, ROUNDED, Engine
+from service.graphs.packing import Packer, ScenePlan
 from tests.fixtures.packed import exported, garment
 from tests.fixtures.poses import random_motion
 from training.data import BodySource

@@ -17,14 +17,15 @@ from drape.garment.cache import load_garment
 from drape.garment.files.mesh import read_mesh
 from drape.garment.grain import texture
 from drape.garment.intake import intake
-from drape.garment.sewing import beside, sewn_hinges
+from drape.garment.sewing import sewing_beside, sewn_hinges
 from drape.geometry import meshes
 from recovery.catalogue.__main__ import main
 from recovery.catalogue.build import QUICK, SewnGarment, body_distance, build, design
 from recovery.catalogue.closing import carried
-from recovery.catalogue.files import panel_layout, write_garment
+from recovery.catalogue.files import write_garment
 from recovery.catalogue.garments import CATALOGUE
 from recovery.catalogue.settling import HEM_BENDING, hinge_bending, seam_angles
+from recovery.drape.output import panel_texture
 from recovery.pattern.mesh import mesh_pattern
 from recovery.sim.model import ClothModel
 from tests.recovery.pattern_setup import default_measurements
@@ -98,7 +99,7 @@ def test_files_hold_seams_panels_hems_and_fabric_and_intake_takes_them(tmp_path)
     read = read_mesh(obj)
     assert_allclose(read.vertices, garment.nodes, atol=1e-8)
     # Texture coordinates are metres: areas there are those of the panels.
-    assert_allclose(read.uv, panel_layout(garment.mesh), atol=1e-8)
+    assert_allclose(read.uv, panel_texture(garment.mesh, unit_m=1.0)[0], atol=1e-8)
     edges = read.uv[read.uv_faces[:, 1]] - read.uv[read.uv_faces[:, 0]]
     rest = garment.mesh.rest[garment.mesh.panel_faces]
     assert_allclose(edges, rest[:, 1] - rest[:, 0], atol=1e-7)
@@ -131,7 +132,7 @@ def test_intake_has_the_hinges_that_were_simulated(tmp_path):
     model = ClothModel(mesh.faces, panel_faces=mesh.panel_faces)
     nodes = mesh.nodes_from(mesh.placed())
     obj = write_garment(SewnGarment(made, mesh, nodes, {}), tmp_path, name="shirt", size="M", body="b")[0]
-    told, read = beside(obj), read_mesh(obj)
+    told, read = sewing_beside(obj), read_mesh(obj)
     painted = texture(read.uv, read.uv_faces, len(read.faces))
     assert told is not None and painted is not None
     told.check(read)

@@ -15,8 +15,9 @@ from drape.garment.cache import load_garment
 from drape.garment.files.mesh import read_mesh
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.motion.samples import walk
+from recovery.atomic import write
 from recovery.drape.__main__ import main
-from recovery.drape.output import glb_bytes, obj_text, panel_texture, write
+from recovery.drape.output import glb_bytes, obj_text, panel_texture
 from recovery.drape.posing import LARGEST_TURN_RAD, between, carried, read_pose
 from recovery.pattern.bases import skirt
 from recovery.pattern.garmentcode import write_pattern

@@ -115,7 +115,7 @@ def test_a_pattern_without_symmetry_has_none_and_everything_stays_free():
     lonely = Pattern("one", (curved(),))
     assert names(lonely) == (set(), set())
     assert names(pattern)[0] == set()
-    free = free_controls(lonely, find_symmetries(lonely), free_curves=True)
+    free = free_controls(lonely, find_symmetries(lonely))
     assert free.count == 2 * len(free.controls)
     assert_allclose(free.origin, free.controls.positions)
     assert find_symmetries(lonely).describe(lonely) == []
@@ -152,12 +152,11 @@ def test_arcs_of_tied_panels_get_one_height():
     assert find_symmetries(exact, tolerance_m=1e-9).between
 
 
-@pytest.mark.parametrize("free_curves", [False, True])
 @pytest.mark.parametrize("draft", [tshirt, trousers, skirt])
-def test_what_is_free_keeps_the_symmetries_wherever_it_goes(draft, free_curves):
+def test_what_is_free_keeps_the_symmetries_wherever_it_goes(draft):
     pattern = draft(default_measurements())
     found = find_symmetries(pattern)
-    free = free_controls(pattern, found, free_curves=free_curves)
+    free = free_controls(pattern, found)
     assert_allclose(free.basis.T @ free.basis, np.eye(free.count), atol=1e-12)
     assert_allclose(free.origin, free.controls.positions, atol=1e-12)
     values = 0.01 * np.random.default_rng(3).normal(size=free.count)

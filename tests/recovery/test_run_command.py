@@ -19,18 +19,20 @@ from drape.errors import InputError
 from drape.garment.cache import load_garment
 from drape.garment.files.mesh import read_mesh
 from drape.geometry.drawing import drawn
-from recovery.drape.output import obj_text, panel_texture, write
+from recovery.atomic import write
+from recovery.drape.output import obj_text, panel_texture
 from recovery.drape.pipeline import DrapeOptions, drape_pattern
 from recovery.fit.chamfer import chamfer, surface_chamfer, surface_distance
+from recovery.fit.cloth import named
 from recovery.pattern.bases import tshirt
 from recovery.pattern.garmentcode import read_pattern
 from recovery.run import __main__ as command
 from recovery.run.identify import shape_basis
 from recovery.run.job import describe_worn, lost_words, run_job
 from recovery.run.report import Page
-from recovery.run.retarget import _worn, lost_parts, retargeted
-from recovery.run.story import cloth_words, cut_words, file_words, verdicts
-from tests.recovery.pattern_setup import default_measurements
+from recovery.run.report_text import cloth_words, cut_words, file_words, verdicts
+from recovery.run.retarget import lost_parts, retargeted
+from tests.recovery.pattern_setup import default_measurements, tube
 
 SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
 HALVES, OTHER_HALVES = np.array([[0, 1, 2], [0, 2, 3]]), np.array([[0, 1, 3], [1, 2, 3]])
@@ -104,7 +106,7 @@ COARSE = DrapeOptions(edge_length_m=0.05, grid_m=0.02)
 def run(tmp_path_factory):
     """The command on a T-shirt's drape; its folder, its outcome, and the pattern that the target was draped from."""
     folder = tmp_path_factory.mktemp("run")
-    truth = tshirt(default_measurements(), length_m=0.70, ease_m=0.15)
+    truth = tshirt(default_measurements(), length_m=0.70, chest_ease_m=0.15)
     draped = drape_pattern(truth, load_body(), COARSE)
     path = write(folder / "target.obj", obj_text(draped.mesh, draped.nodes, panel_texture(draped.mesh)))
     coarse = ["--edge-length", "0.05", "--grid", "0.02", "--adam", "0", "--closing", "2", "--no-retarget"]
@@ -220,16 +222,17 @@ def test_an_arm_beside_its_sleeve_is_noticed():
     assert lost_parts(trunk, tube_faces, joints, ["trunk", "trunk"]) == ()
     assert lost_parts(trunk, tube_faces, joints, ["trunk", "trunk", "right_arm"]) == ("right_arm",)
     assert lost_parts(trunk + np.array([0.7, 0.0, 0.0]), tube_faces, joints, ["trunk"]) == ("trunk",)
-    assert lost_parts(np.zeros((0, 3)), np.zeros((0, 3), dtype=int), joints, ["trunk"]) == ()
     assert lost_words(["right_arm"]) == "the right arm is not in the garment's opening"
     assert lost_words(["left_arm", "right_arm"]).startswith("the left arm and the right arm are")
 
 
-def test_a_place_that_refuses_the_garment_says_so():
-    def refuse():
+def test_a_place_that_refuses_the_garment_says_so(monkeypatch):
+    def refuse(*given, **more):
         raise InputError("pattern", expected="cloth", got="none", cure="Size it up.")
 
-    worn = _worn("a giant", SQUARE, HALVES, refuse)
+    monkeypatch.setattr("recovery.run.retarget.drape_pattern", refuse)
+    body = load_body()
+    worn = next(retargeted(tube(), None, body, body, COARSE, ["trunk"], cloth=named("jersey")))
     assert worn.refusal.endswith("Size it up.") and len(worn.nodes) == len(worn.faces) == 0 and worn.figures == {}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -18,8 +19,8 @@ from drape.body.assets import load_body
 from drape.errors import ArtifactError, InputError, MeshError
 from drape.geometry.meshes import subdivide
 from recovery.drape.__main__ import main
+from recovery.drape.body_distance import DistanceKind
 from recovery.drape.pipeline import DrapeOptions
-from recovery.drape.skin import DistanceKind, skin_distance
 from recovery.pattern.bases import skirt
 from recovery.pattern.garmentcode import write_pattern
 from recovery.run.__main__ import job_of, parse
@@ -233,7 +234,7 @@ def test_the_kind_decides_what_a_body_is_given_as(tmp_path):
     options = DrapeOptions(grid_m=0.04, siren=tiny, siren_folder=tmp_path)
     assert isinstance(options.skin(vertices, faces), GridDistance)
     assert not list(tmp_path.iterdir())
-    chosen = skin_distance(vertices, faces, DistanceKind.SIREN, grid_m=0.04, siren=tiny, folder=tmp_path)
+    chosen = replace(options, distance=DistanceKind.SIREN).skin(vertices, faces)
     assert isinstance(chosen, SirenDistance) and len(list(tmp_path.iterdir())) == 1
 
 
@@ -251,7 +252,7 @@ def test_the_command_drapes_on_the_network_in_its_folder(tmp_path, monkeypatch, 
     pattern = tmp_path / "skirt.json"
     write_pattern(skirt(default_measurements()), pattern)
     quick = SirenOptions(width=64, layers=3, points=20_000, batch=512, steps=250, rate=5e-3)
-    monkeypatch.setattr("recovery.drape.skin.DEFAULT_SIREN", quick)
+    monkeypatch.setattr("recovery.drape.body_distance.DEFAULT_SIREN", quick)
     digest = siren_digest(body.v_template, body.faces, quick)
     out, folder = tmp_path / "out", tmp_path / "sirens"
     words = [str(pattern), "--out", str(out), "--edge-length", "0.08", "--iterations", "0", "--no-garment"]

@@ -23,13 +23,13 @@ from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
 from drape.wire import messages as wire
-from service.accepted import Accepted, staging_folder, taken_over
-from service.access import Access
 from service.app import create_app
-from service.drapery import Drapery
+from service.compute.drape_runtime import Drapery
 from service.errors import Busy, Draining
-from service.jobs import MOST_ATTEMPTS
+from service.guard.access import Access
 from service.settings import Settings
+from service.uploads.accepted import Accepted, staging_folder, taken_over
+from service.uploads.jobs import MOST_ATTEMPTS
 from tests.architecture.repository import ROOT
 from tests.fixtures.serving import files_in, serve
 

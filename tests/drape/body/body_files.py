@@ -1,8 +1,7 @@
-"""Bodies for tests: the shipped one, a small random one, and pickles laid out as SMPL's licensed files are."""
+"""Bodies for tests: a small random one, and pickles laid out as SMPL's licensed files are."""
 
 from __future__ import annotations
 
-import functools
 import io
 import pickle
 import sys
@@ -13,17 +12,9 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse
 
-from drape.body.assets import load_body
-from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, PARENTS
 
 VERTEX_COUNT = 60
-
-
-@functools.cache
-def default_body() -> BodyModel:
-    """The shipped body, read once."""
-    return load_body()
 
 
 def smpl_arrays(rng: np.random.Generator, *, posedirs: bool = False) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from drape.body import features
 from drape.body.skeleton import JOINT_COUNT, PARENTS
 from drape.geometry.rigid import forward_kinematics
 from drape.geometry.rotations import matrix_to_sixd, rotvec_to_matrix
-from tests.drape.body.body_files import default_body
+from tests.fixtures.garments import default_body
 
 EXACT = 1e-12
 DT_S = 1.0 / 30.0

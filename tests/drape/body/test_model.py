@@ -10,7 +10,8 @@ from drape.body.assets import body_from_arrays
 from drape.body.skeleton import BONE_ENDS, JOINT_COUNT, JOINT_NAMES, PARENTS
 from drape.errors import BodyError, MotionError
 from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix
-from tests.drape.body.body_files import default_body, smpl_arrays
+from tests.drape.body.body_files import smpl_arrays
+from tests.fixtures.garments import default_body
 
 EXACT = 1e-12
 REST = np.zeros((1, JOINT_COUNT, 3))

@@ -9,7 +9,7 @@ import pytest
 from clients import calls
 from drape.errors import BodyError
 from drape.files.avatar_table import SHIPPED_FOLDER, TABLE_NAME, avatar_table, entry_for
-from service.avatars import upload_avatar
+from service.uploads.avatars import upload_avatar
 
 
 def test_the_longest_key_of_the_first_table_that_fits_counts(tmp_path):

@@ -8,13 +8,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.body.skeleton import JOINT_COUNT
 from drape.garment import charts, features
-from drape.garment.features import boundary_vertices, patch_features, positional_encoding
+from drape.garment.features import patch_features, positional_encoding
 from drape.garment.fitting import rest_garment
-from drape.geometry import jets
-from tests.drape.body.body_files import default_body
+from drape.geometry import jets, meshes
 from tests.drape.cloth.cloth_shapes import grid, tube
 from tests.drape.garment.rest_garments import PATCH_COUNT, barrel, barrel_garment, side_by_side
 from tests.drape.geometry.geometry_shapes import icosphere
+from tests.fixtures.garments import default_body
 
 ENCODED = 3 + 6 * len(features.FREQUENCIES)
 SIZES = {
@@ -171,7 +171,7 @@ def test_positional_encoding_holds_points_sines_and_cosines(rng):
 )
 def test_boundary_vertices_lie_on_open_edges(shape, want):
     vertices, faces = shape()
-    rim = boundary_vertices(faces)
+    rim = meshes.boundary_vertices(faces)
     assert len(rim) == want
     assert_array_equal(rim, np.unique(rim))
     if want == 24:

@@ -14,7 +14,8 @@ from scipy.sparse.csgraph import connected_components
 
 from drape.errors import MeshError
 from drape.garment import partition as partition_module
-from drape.garment.partition import mesh_edges, partition, patch_count_for, vertex_graph
+from drape.garment.partition import partition, patch_count_for, vertex_graph
+from drape.geometry import meshes
 from tests.drape.cloth.cloth_shapes import grid, tube
 from tests.drape.garment.rest_garments import side_by_side, vertex_areas
 from tests.drape.geometry.geometry_shapes import icosphere
@@ -28,7 +29,7 @@ SHAPES = {
 
 def piece_count(label, faces):
     """Connected pieces when every edge between clusters is cut."""
-    edges = mesh_edges(faces)
+    edges = meshes.unique_edges(faces)
     inside = edges[label[edges[:, 0]] == label[edges[:, 1]]]
     shape = (len(label), len(label))
     graph = scipy.sparse.coo_matrix((np.ones(len(inside)), (inside[:, 0], inside[:, 1])), shape=shape)
@@ -92,7 +93,7 @@ def test_torn_clusters_are_mended_however_deep_the_stray_piece():
     label = np.digitize(vertices[:, 0] / 0.01, [119.5, 129.5, 219.5])
     label = np.array([0, 1, 0, 2])[label]
     assert piece_count(label, faces) == 4
-    check_clusters(partition_module._connect(label, mesh_edges(faces), 3), faces, 3)
+    check_clusters(partition_module._connect(label, meshes.unique_edges(faces), 3), faces, 3)
 
 
 @pytest.mark.parametrize("name", SHAPES)
@@ -199,7 +200,7 @@ def test_graph_is_symmetric_and_holds_edges_and_diagonals_by_their_length():
         rtol=1e-12,
         atol=0.0,
     )
-    edges = {tuple(edge) for edge in mesh_edges(faces).tolist()}
+    edges = {tuple(edge) for edge in meshes.unique_edges(faces).tolist()}
     assert edges < set(zip(low.tolist(), high.tolist(), strict=True))
     # A grid of quads: both diagonals of each, and one more across every inner side of a row or column.
     assert graph.nnz == 2 * (len(edges) + 6 + (3 * 1 + 2 * 2))
@@ -215,4 +216,4 @@ def test_diagonals_take_out_the_bias_of_one_way_triangles():
 
 def test_edges_are_unique_and_ordered():
     faces = np.array([[0, 1, 2], [2, 1, 3]])
-    assert_array_equal(mesh_edges(faces), [[0, 1], [0, 2], [1, 2], [1, 3], [2, 3]])
+    assert_array_equal(meshes.unique_edges(faces), [[0, 1], [0, 2], [1, 2], [1, 3], [2, 3]])

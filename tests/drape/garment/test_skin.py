@@ -12,9 +12,9 @@ from scipy.spatial import KDTree
 from drape.body.skeleton import JOINT_NAMES
 from drape.garment import skin
 from drape.geometry.closest import closest_point
-from tests.drape.body.body_files import default_body
 from tests.drape.cloth.cloth_shapes import grid
 from tests.drape.garment.rest_garments import barrel, nearest
+from tests.fixtures.garments import default_body
 
 EXACT = 1e-12
 TWIN = {"left": "right", "right": "left"}

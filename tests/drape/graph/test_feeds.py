@@ -16,8 +16,8 @@ from drape.geometry import jets
 from drape.geometry.rotations import matrix_to_rotvec, quaternion_to_matrix, rotvec_to_matrix
 from drape.geometry.skinning import skin_points
 from drape.graph.feeds import BETA_COUNT, body_feed, garment_feed, kinematics
-from tests.drape.body.body_files import default_body
 from tests.drape.garment.rest_garments import barrel_garment
+from tests.fixtures.garments import default_body
 
 FLOAT32 = 2e-6
 

@@ -1,0 +1,333 @@
+"""The text of a recovery's report: the answer first, then warnings before cutting, then the evidence."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from drape.geometry import meshes
+from recovery.fit.pipeline import Recovered
+from recovery.pattern import geometry
+from recovery.run import pictures
+from recovery.run.identify import CAP_M, corner_names, weak_words
+from recovery.run.job import Outcome, describe_worn
+from recovery.run.report import Page
+
+SEAM_LIMIT = 0.02  # of length: more needs easing in or is a fault
+OTHER_FOLDS_MM = 2.0
+GOOD_RMS_MM, FAIR_RMS_MM = 2.0, 8.0
+UNSURE_M = 0.01
+CUT_PCT = 15.0  # of edges with their middle in the body; a T-shirt has 6 to 12 at edges of 5 cm, and none of it shows
+FAR_SHARE = 5.0  # the largest distance over the root mean square that is worth a sentence
+
+
+def page_of(outcome: Outcome) -> str:
+    """The report as one HTML page."""
+    page = Page(f"Sewing pattern of {outcome.name}")
+    page.say(*summary(outcome))
+    good, look = verdicts(outcome)
+    page.notes(good, good=True)
+    page.section("Before you cut")
+    page.say("Look at these points first." if look else "Nothing stands out.")
+    page.notes(look)
+    _shape(page, outcome)
+    _pattern(page, outcome)
+    _told(page, outcome)
+    _elsewhere(page, outcome)
+    _made(page, outcome)
+    return page.text()
+
+
+def summary(outcome: Outcome) -> list[str]:
+    """Three sentences: what it is, how near, how the base was changed."""
+    pattern, distance, graded = outcome.pattern, outcome.distance, outcome.found.graded
+    return [
+        f"A pattern of {len(pattern.panels)} panels and {len(pattern.stitches)} seams was found from the base "
+        f"{outcome.job.base}.",
+        f"Sewn and draped on the same body, the garment lies {distance.mean_mm:.1f} mm from the target on average; the "
+        f"base lay {outcome.before.mean_mm:.0f} mm away.",
+        f"On the way panels became {_percent(graded.widths)} in width and {_percent(graded.heights)} in height, before "
+        "single corners were moved.",
+    ]
+
+
+def _percent(factors: np.ndarray) -> str:
+    low, high = 100.0 * (factors.min() - 1.0), 100.0 * (factors.max() - 1.0)
+    return f"{low:+.0f} %" if high - low < 1.0 else f"{low:+.0f} to {high:+.0f} %"
+
+
+def verdicts(outcome: Outcome) -> tuple[list[str], list[str]]:
+    """Sentences on what is well, and on what to look at."""
+    good, look = [], list(outcome.warnings)
+    rms, largest = outcome.distance.rms_mm, outcome.distance.largest_mm
+    line = f"Target and result are {rms:.1f} mm apart (root mean square)."
+    if rms <= GOOD_RMS_MM:
+        good.append(line)
+    elif rms <= FAIR_RMS_MM:
+        look.append(f"{line} Lengths and widths can be trusted; single folds are not the target's.")
+    else:
+        look.append(f"{line} That is far: another base, fabric or body may be nearer to the truth.")
+    if largest > FAR_SHARE * rms:
+        look.append(f"At one place they are {largest:.0f} mm apart: see the red spots in the picture.")
+    loose = [seam for seam in geometry.seams(outcome.pattern) if abs(seam.mismatch) > SEAM_LIMIT]
+    if loose:
+        worst = max(loose, key=lambda seam: abs(seam.mismatch))
+        look.append(
+            f"{len(loose)} of {len(outcome.pattern.stitches)} seams join edges that differ by more than "
+            f"{100 * SEAM_LIMIT:.0f} %, most of all {worst.stitch.first} with {100 * worst.first_m:.1f} cm and "
+            f"{worst.stitch.second} with {100 * worst.second_m:.1f} cm: ease the longer edge in, or even them out."
+        )
+    if not loose:
+        good.append(f"All seams join edges of equal length within {100 * SEAM_LIMIT:.0f} %.")
+    unsure = int((outcome.told.slack_m > UNSURE_M).sum())
+    if unsure:
+        look.append(
+            f"{unsure} of {len(outcome.told.slack_m)} corners could move by more than a centimetre without a "
+            "difference that the target shows: see what the target cannot tell."
+        )
+    if not outcome.found.fitted.finished:
+        look.append("The search ended because no further step helped or came to rest, not because it had converged.")
+    if outcome.anew is not None:
+        rest = outcome.anew.rest.report
+        if rest.converged:
+            good.append("Sewn anew from flat panels, the garment comes to rest on the body.")
+        else:
+            look.append(f"Sewn anew, the garment is not at rest: {rest.residual_n:.1e} N are left at a node.")
+        look += cut_words(outcome.anew.figures["rest"]["edges_in_body_pct"], outcome.job.drape.edge_length_m)
+    if outcome.anew_distance is not None and outcome.anew_distance.mean_mm > max(
+        OTHER_FOLDS_MM, 2.0 * outcome.distance.mean_mm
+    ):
+        look.append(
+            f"Sewn anew it lies {outcome.anew_distance.mean_mm:.1f} mm from the search's drape: it fell into other "
+            "folds."
+        )
+    return good, look
+
+
+def cut_words(edges_in_body_pct: float, edge_length_m: float) -> list[str]:
+    """A sentence where the drape goes through the body: contact is that of nodes, and edges are chords."""
+    if edges_in_body_pct <= CUT_PCT:
+        return []
+    return [
+        f"{edges_in_body_pct:.0f} % of the edges of the sewn garment cut the body, which shows through in pictures: "
+        f"edges of {100 * edge_length_m:.0f} cm are too long for cloth this tight. Find the pattern with shorter ones "
+        f"(--edge-length {0.6 * edge_length_m:.2g}), or look at the sleeves."
+    ]
+
+
+def _shape(page: Page, outcome: Outcome) -> None:
+    page.section("Target and result")
+    skin = outcome.wearer.skin
+    page.picture(
+        pictures.target_and_result(
+            pictures.Mesh(outcome.target.vertices, outcome.target.faces),
+            pictures.Mesh(outcome.nodes, outcome.found.search.mesh.faces),
+            pictures.Mesh(skin.vertices - outcome.wearer.trans, skin.faces),
+        ),
+        "Above the target, in the middle the recovered garment, below its distance from the target. Under the cloth "
+        "the body is drawn a centimetre thinner than it is.",
+    )
+    d, far, floor = outcome.distance, outcome.chamfer, outcome.floor
+    page.say(
+        "Distances run from points of either surface to the other surface. The Chamfer distance compares drawn points "
+        "instead, so it never reaches zero: its floor is what the target has against itself, drawn anew."
+    )
+    page.table(
+        ("measure", "value"),
+        [
+            ("mean distance", f"{d.mean_mm:.2f} mm"),
+            ("root mean square", f"{d.rms_mm:.2f} mm"),
+            ("95 % of the points within", f"{d.p95_mm:.2f} mm"),
+            ("largest distance", f"{d.largest_mm:.1f} mm"),
+            ("Chamfer distance, squared", f"{far.squared_cm2:.4f} cm² (floor {floor.squared_cm2:.4f})"),
+            ("Chamfer distance, mean", f"{far.mean_mm:.2f} mm (floor {floor.mean_mm:.2f})"),
+        ],
+    )
+    page.picture(pictures.search_history(outcome.found.fitted.history), "How the search came nearer to the target.")
+
+
+def _pattern(page: Page, outcome: Outcome) -> None:
+    page.section("The panels")
+    page.picture(
+        pictures.panels_over_base(outcome.base, outcome.pattern),
+        "Recovered panels, filled, over the base's, dashed; all at one scale.",
+    )
+    rows = []
+    for old, new in zip(outcome.base.panels, outcome.pattern.panels, strict=True):
+        size = np.ptp(geometry.outline(new), axis=0)
+        change = geometry.area(new) / geometry.area(old) - 1.0
+        rows.append((new.name, f"{100 * size[0]:.1f}", f"{100 * size[1]:.1f}", f"{100 * change:+.1f} %"))
+    page.table(("panel", "width [cm]", "height [cm]", "area against the base"), rows)
+    page.say("Seams, with the lengths of both edges.")
+    rows = [
+        (
+            f"{seam.stitch.first} to {seam.stitch.second}",
+            f"{100 * seam.first_m:.2f}",
+            f"{100 * seam.second_m:.2f}",
+            f"{1e3 * (seam.second_m - seam.first_m):+.1f}",
+            f"{100 * seam.mismatch:+.2f} %",
+        )
+        for seam in geometry.seams(outcome.pattern)
+    ]
+    page.table(("seam", "first [cm]", "second [cm]", "difference [mm]", "of the length"), rows)
+
+
+def _told(page: Page, outcome: Outcome) -> None:
+    told = outcome.told
+    page.section("What the target cannot tell")
+    sure = int((told.slack_m <= UNSURE_M).sum())
+    page.say(
+        f"A scan shows where the cloth is, not where along it a seam runs. If what the target shows may change by "
+        f"{1e3 * told.tolerance_m:.1f} mm (root mean square), {sure} of {len(told.slack_m)} corners are known to a "
+        "centimetre. These can go farthest:"
+    )
+    names = corner_names(outcome.pattern)
+    worst = np.argsort(-told.slack_m, kind="stable")[:8]
+    far = [
+        (names[k], f"more than {100 * CAP_M:.0f} cm" if told.slack_m[k] >= CAP_M else f"{1e3 * told.slack_m[k]:.0f} mm")
+        for k in worst
+    ]
+    page.table(("corner", "may move by"), far)
+    page.picture(
+        pictures.what_is_told(told, outcome.pattern),
+        "Discs: how far [mm] each corner may move unseen. Right: how far the cloth moves, and how much of it the "
+        "target shows, for every change of shape, strongest first. Openings and folds count more than flat cloth, so "
+        "that the target can show more than the cloth moves on average.",
+    )
+    page.say("The changes of shape that the target shows least:")
+    page.notes(weak_words(told, outcome.pattern))
+    page.say(
+        f"Of {len(told.seen)} independent changes of shape that the symmetries leave, the target shows the best one "
+        f"at {told.seen[-1]:.2g} and the poorest at {told.seen[0]:.2g} mm per mm (condition "
+        f"{_condition(told.seen):.0f}); the cloth itself moves by {told.cloth[0]:.2g} to {told.cloth[-1]:.2g}. "
+        "These are derivatives: they hold for small changes."
+    )
+
+
+def _condition(values: np.ndarray) -> float:
+    return float(values.max() / max(float(values.min()), 1e-12))
+
+
+def _elsewhere(page: Page, outcome: Outcome) -> None:
+    if not outcome.worn:
+        return
+    page.section("On other bodies and in other poses")
+    page.say("The same pattern, sewn and draped again by the simulator; nothing was fitted here.")
+    page.picture(pictures.worn_elsewhere(outcome.worn), "Above from the front, below from behind.")
+    page.table(("where", "how"), [(w.what, w.refusal or describe_worn(w)) for w in outcome.worn])
+
+
+def _made(page: Page, outcome: Outcome) -> None:
+    page.section("How it was made")
+    page.say(f"The target has {len(outcome.target.vertices):,} vertices and was draped on {outcome.wearer.source}.")
+    page.say(cloth_words(outcome.found, sought=outcome.job.find_fabric))
+    mesh = outcome.found.search.mesh
+    page.say(
+        f"The simulator's mesh has {mesh.node_count:,} nodes; {outcome.found.search.free.count} numbers were free; the "
+        f"search took {len(outcome.found.fitted.history) - 1} steps, everything {outcome.seconds:.0f} s."
+    )
+    page.table(("file", "what it is"), [(path.name, file_words(path.name)) for path in outcome.files])
+
+
+def cloth_words(found: Recovered, *, sought: bool) -> str:
+    """Sentences on the cloth that was assumed, or ``sought`` and found."""
+    cloth = found.fitted.cloth
+    figures = (
+        f"{1e3 * cloth.density_kg_m2:.0f} g/m², stretch stiffness {cloth.h00:.0f} N/m across and {cloth.h11:.0f} "
+        f"along, bending stiffness {1e6 * cloth.bending_j:.0f} µJ"
+    )
+    if not sought:
+        return f"The cloth was taken to be {found.fabric.name}: {figures}. It was given, not recovered."
+    tried = ", ".join(f"{name} {1e3 * np.sqrt(0.5 * loss):.2f} mm" for name, loss in found.fabric_losses.items())
+    return (
+        f"The cloth was found to be {found.fabric.describe()}: {figures}. A drape at rest only tells stiffness over "
+        f"weight, so the weight is that of the named fabric. What each named one left to the target: {tried}."
+    )
+
+
+def file_words(name: str) -> str:
+    """The purpose of a written file."""
+    if name.endswith("_rest.obj"):
+        return "the garment sewn anew, in the T-pose"
+    kinds = {
+        "json": "the pattern with its seams; recovery.drape and recovery.pattern read it",
+        "svg": "the pieces at true size, for a browser or a plotter",
+        "dxf": "the pieces for a cutter (AAMA layers)",
+        "pdf": "the pieces at true size on A4 sheets",
+        "obj": "the simulated garment, panels as texture coordinates",
+        "glb": "the same for viewers",
+        "npz": "the garment cache: put it among the service's garments and it moves",
+    }
+    return kinds.get(name.rpartition(".")[2], "")
+
+
+def record_of(outcome: Outcome) -> dict[str, Any]:
+    """The report's numbers."""
+    told, fitted, mesh = outcome.told, outcome.found.fitted, outcome.found.search.mesh
+    anew = outcome.anew
+    return {
+        "name": outcome.name,
+        "target": {
+            "file": outcome.job.target.name,
+            "vertices": len(outcome.target.vertices),
+            "area_m2": float(meshes.face_areas(outcome.target.vertices, outcome.target.faces).sum()),
+        },
+        "base": outcome.job.base,
+        "body": {
+            "source": outcome.wearer.source,
+            "betas": outcome.wearer.betas.tolist(),
+            "pose": None if outcome.wearer.pose is None else outcome.wearer.pose.tolist(),
+            "trans": outcome.wearer.trans.tolist(),
+            "residual_mm": outcome.wearer.residual_mm,
+        },
+        "fabric": {
+            "name": outcome.found.fabric.name,
+            "words": outcome.found.fabric.describe(),
+            "sought": outcome.job.find_fabric,
+            "constants": asdict(fitted.cloth),
+        },
+        "warnings": outcome.warnings,
+        "distance": outcome.distance._asdict(),
+        "base_distance": outcome.before._asdict(),
+        "chamfer": outcome.chamfer._asdict(),
+        "chamfer_floor": outcome.floor._asdict(),
+        "graded": {
+            "widths": outcome.found.graded.widths.tolist(),
+            "heights": outcome.found.graded.heights.tolist(),
+            "misfit": outcome.found.graded.misfit,
+        },
+        "search": {
+            "nodes": mesh.node_count,
+            "free": outcome.found.search.free.count,
+            "steps": len(fitted.history) - 1,
+            "loss_m2": float(fitted.history[:, 0].min()),
+            "finished": fitted.finished,
+        },
+        "seams": [
+            {
+                "first": str(seam.stitch.first),
+                "second": str(seam.stitch.second),
+                "first_m": seam.first_m,
+                "second_m": seam.second_m,
+                "mismatch": seam.mismatch,
+            }
+            for seam in geometry.seams(outcome.pattern)
+        ],
+        "identifiability": {
+            "cloth": told.cloth.tolist(),
+            "seen": told.seen.tolist(),
+            "tolerance_m": told.tolerance_m,
+            "corners": dict(enumerate(corner_names(outcome.pattern))),
+            "slack_m": told.slack_m.tolist(),
+        },
+        "sewn_anew": None if anew is None else anew.figures,
+        "sewn_anew_distance": None if outcome.anew_distance is None else outcome.anew_distance._asdict(),
+        "worn": [
+            {"what": worn.what, "refusal": worn.refusal, "lost": list(worn.lost), **worn.figures}
+            for worn in outcome.worn
+        ],
+        "files": [path.name for path in outcome.files],
+        "seconds": round(outcome.seconds, 1),
+    }

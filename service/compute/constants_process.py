@@ -1,0 +1,143 @@
+"""Tables and constants that are made beside streams, in a process of its own: ``Workshop``.
+
+What makes them holds the interpreter lock for tens of milliseconds at a time, and a frame asks for it some fifty times.
+``python -m service.compute.constants_process`` is that process: calls come in on its standard input,
+pickled, results go out on its standard output, and it ends where that ends. Arrays travel beside the pickles,
+uncopied, with the lock released.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import pickle
+import struct
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from typing import IO, Any, ParamSpec, TypeVar
+
+from service.compute.background import step_back
+from service.settings import ROOT
+
+P = ParamSpec("P")
+Result = TypeVar("Result")
+COUNT = struct.Struct("<Q")
+log = logging.getLogger("drape.service")
+
+
+class Workshop:
+    """Calls functions of modules in its process while that is ``wanted``, otherwise where it is asked.
+
+    The process is started when it is first wanted. One call at a time; from any thread.
+    """
+
+    def __init__(self, wanted: Callable[[], bool]) -> None:
+        self._wanted = wanted
+        self._one = threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def call(self, function: Callable[P, Result], *arguments: P.args, **named: P.kwargs) -> Result:
+        """``function(*arguments, **named)``, or what it raises; here as well where the process is lost."""
+        if not self._wanted():
+            return function(*arguments, **named)
+        try:
+            with self._one:
+                succeeded, result = self._asked((function, arguments, named))
+        except (OSError, EOFError):
+            log.warning("the workshop's process ended; its call is made in the service")
+            return function(*arguments, **named)
+        if not succeeded:
+            raise result
+        return result
+
+    def _asked(self, call: Any) -> tuple[bool, Any]:
+        if self._process is None:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "service.compute.constants_process"],
+                cwd=ROOT,
+                env=os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"},
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                start_new_session=True,
+            )
+        assert self._process.stdin is not None and self._process.stdout is not None
+        try:
+            send(self._process.stdin, call)
+            return receive(self._process.stdout)
+        except (OSError, EOFError):
+            self._end()
+            raise
+
+    def _end(self) -> None:
+        process, self._process = self._process, None
+        if process is None:
+            return
+        process.kill()
+        process.wait()
+        for file in (process.stdin, process.stdout):
+            with contextlib.suppress(OSError):  # what was not sent
+                file.close()  # pyright: ignore[reportOptionalMemberAccess]
+
+    def close(self) -> None:
+        """Ends the process; a call that it had is made where it was asked."""
+        if (process := self._process) is not None:
+            process.kill()
+        with self._one:
+            self._end()
+
+
+IN_PLACE = Workshop(lambda: False)
+
+
+def send(file: IO[bytes], thing: Any) -> None:
+    """Writes ``thing`` for ``receive``: its pickle, and the memory of its arrays."""
+    buffers: list[pickle.PickleBuffer] = []
+    parts = [pickle.dumps(thing, protocol=5, buffer_callback=buffers.append), *(one.raw() for one in buffers)]
+    file.write(COUNT.pack(len(parts)))
+    for part in parts:
+        file.write(COUNT.pack(len(part)))
+        file.write(part)
+    file.flush()
+
+
+def receive(file: IO[bytes]) -> Any:
+    """What ``send`` wrote; ``EOFError`` where nothing more comes."""
+    text, *buffers = [_read(file, _number(file)) for _ in range(_number(file))]
+    return pickle.loads(text, buffers=buffers)
+
+
+def _number(file: IO[bytes]) -> int:
+    return COUNT.unpack(_read(file, COUNT.size))[0]
+
+
+def _read(file: IO[bytes], size: int) -> bytearray:
+    place = bytearray(size)
+    into = memoryview(place)
+    while into:
+        taken = file.readinto(into)  # pyright: ignore[reportAttributeAccessIssue]
+        if not taken:
+            raise EOFError
+        into = into[taken:]
+    return place
+
+
+def main() -> None:
+    """Does what standard input asks until it ends."""
+    step_back()
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what is printed is no answer
+    with contextlib.suppress(EOFError):
+        while True:
+            function, arguments, named = receive(sys.stdin.buffer)
+            try:
+                answer = True, function(*arguments, **named)
+            except Exception as error:
+                answer = False, error
+            send(answers, answer)
+
+
+if __name__ == "__main__":
+    main()

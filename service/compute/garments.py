@@ -1,0 +1,337 @@
+"""The garments that can be draped: shipped and uploaded caches, taken in by every stage."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_COUNT
+from drape.errors import ArtifactError, DrapeError, InputError, NotFound
+from drape.garment.cache import CHARTS_PER_VERTEX, Garment, load_garment
+from drape.garment.fine import fine_garment
+from drape.geometry.jets import JET_COUNT
+from drape.graph.feeds import garment_feed
+from drape.graph.layer_feed import check_layers
+from drape.wire.layout import JetLayout, pack_layout
+from service.compute import garment_files
+from service.compute.constants_process import IN_PLACE, Workshop
+from service.compute.garment_files import UNCHANGED, About
+from service.errors import TooLarge
+from service.settings import Settings
+from service.stages.batch import Stage
+
+PATCH_LIMIT = 65536  # what a chart of a LAYOUT can name
+Source = Literal["shipped", "user"]
+
+log = logging.getLogger("drape.service")
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """A garment in service. ``owner`` is the key that uploaded it, if keys were asked for."""
+
+    id: str
+    garment: Garment
+    source: Source
+    path: Path | None = None
+    owner: str | None = None
+    about: About = UNCHANGED
+
+    @property
+    def published(self) -> bool:
+        """Whether every key may see it."""
+        return self.about.published
+
+    @property
+    def name(self) -> str:
+        """What people call it: the title that its owner gave it, or the name it came with."""
+        return self.about.title or self.garment.name
+
+    def seen_by(self, viewer: str | None) -> bool:
+        """Whether the key ``viewer`` (None: whoever has none) may know of it."""
+        return self.owner is None or self.published or self.owner == viewer
+
+    @property
+    def layers(self) -> tuple[Entry, ...]:
+        """Itself: what an outfit has several of."""
+        return (self,)
+
+    def only(self, ids: Sequence[str]) -> Entry:
+        """Itself, of which nothing can be left out."""
+        return self
+
+    @cached_property
+    def fine(self) -> Entry:
+        """With the subdivided mesh delivered; itself where intake did not subdivide."""
+        garment = fine_garment(self.garment)
+        return self if garment is self.garment else replace(self, garment=garment)
+
+    @property
+    def vertex_count(self) -> int:
+        return self.garment.vertex_count
+
+    @property
+    def patch_count(self) -> int:
+        return self.garment.patch_count
+
+    @cached_property
+    def jet_layout(self) -> bytes:
+        """The LAYOUT message (``drape.wire.layout``): what a client needs to make vertices of its jets."""
+        garment, rows = self.garment, slice(0, self.garment.vertex_count)
+        if garment.patch_count > PATCH_LIMIT:
+            raise TooLarge(
+                f"garment {garment.name} patches",
+                expected=f"at most {PATCH_LIMIT} for jets",
+                got=str(garment.patch_count),
+                cure="Ask for vertices.",
+            )
+        return pack_layout(
+            JetLayout(
+                garment.patch_rotation,
+                garment.patch_centre,
+                garment.patch_scale,
+                garment.vertices[rows],
+                garment.chart_patch[rows],
+                garment.chart_weight[rows],
+                garment.chart_uv[rows],
+            )
+        )
+
+
+@dataclass(frozen=True)
+class Outfit:
+    """Garments worn over each other, the innermost first."""
+
+    layers: tuple[Entry, ...]
+
+    def only(self, ids: Sequence[str]) -> Outfit:
+        """Its layers of ``ids``; of one alone it is still told whose it is."""
+        return Outfit(tuple(entry for entry in self.layers if entry.id in ids))
+
+    @property
+    def fine(self) -> Outfit:
+        """With the subdivided mesh of every layer."""
+        return Outfit(tuple(entry.fine for entry in self.layers))
+
+    @property
+    def vertex_count(self) -> int:
+        """Of all layers."""
+        return sum(entry.vertex_count for entry in self.layers)
+
+    @property
+    def patch_count(self) -> int:
+        """Of all layers."""
+        return sum(entry.patch_count for entry in self.layers)
+
+
+Scene = Entry | Outfit
+
+
+class Registry:
+    """Garments by id. Shipped caches must load; of the uploaded ones a bad file is set aside and named in /health."""
+
+    def __init__(
+        self, body: BodyModel, settings: Settings, stages: Sequence[Stage] = (), workshop: Workshop = IN_PLACE
+    ) -> None:
+        self._body, self._settings, self._stages, self._workshop = body, settings, stages, workshop
+        self._entries: dict[str, Entry] = {}
+        self._taken_in: set[str] = set()
+        self.refused: list[str] = []
+        for path in sorted(settings.shipped_garments_dir.glob("*.npz")):
+            self.add(self.prepare(path), "shipped")
+        for path in garment_files.stored(settings.garments_dir):
+            try:
+                self.add(self.prepare(path), "user", path)
+            except DrapeError as error:
+                log.warning("garment set aside: %s", error)
+                self.refused.append(f"{path.name}: {error}")
+
+    def entries(self) -> list[Entry]:
+        """All garments, shipped ones first."""
+        return list(self._entries.values())
+
+    def visible(self, viewer: str | None) -> list[Entry]:
+        """Those that the key ``viewer`` may know of."""
+        return [entry for entry in self.entries() if entry.seen_by(viewer)]
+
+    def get(self, name: str, viewer: str | None = None) -> Entry:
+        """The garment with the id ``name``; refuses an unknown one, and one that ``viewer`` may not know of."""
+        entry = self._entries.get(name)
+        if entry is None or not entry.seen_by(viewer):
+            known = ", ".join(sorted(entry.id for entry in self.visible(viewer))[:20]) or "none yet"
+            raise NotFound(
+                "garment",
+                expected=f"one of: {known}",
+                got=name[:120],
+                cure="GET /garments lists them; POST /garments adds one.",
+            )
+        return entry
+
+    def scene(self, garment: str | None, garments: Sequence[str] | None, viewer: str | None = None) -> Scene:
+        """What is worn: the one ``garment``, or ``garments`` over each other, innermost first.
+
+        Refuses both and neither, unknown ones, one that is named twice, and more layers than ``DRAPE_MAX_LAYERS``.
+        """
+        if garment is not None and garments is not None:
+            cure = "Name one garment, or the layers of an outfit."
+            raise InputError("garments", expected="garment or garments", got="both", cure=cure)
+        worn = garments if garment is None else [garment]
+        if worn is None:
+            raise InputError("garment", expected="a value", got="nothing", cure="See /docs for the request's fields.")
+        if len(worn) == 1:
+            return self.get(worn[0], viewer)
+        limit = self._settings.max_layers
+        if len(worn) > limit:
+            cure = "Leave the inner ones out that cannot be seen."
+            raise TooLarge("garments", expected=f"at most {limit} layers", got=str(len(worn)), cure=cure)
+        entries = tuple(self.get(name, viewer) for name in worn)
+        check_layers([entry.garment for entry in entries])
+        return Outfit(entries)
+
+    def prepare(self, path: Path) -> Garment:
+        """A checked garment that every stage has taken in; what takes time, and safe beside frames."""
+        garment, feed = self._workshop.call(_loaded, path, self._body, self._settings.max_vertices)
+        self.take_in(garment, feed)
+        return garment
+
+    def feed(self, garment: Garment) -> dict[str, np.ndarray]:
+        """The ``garment_feed`` of ``garment`` on the body; from any thread."""
+        return self._workshop.call(garment_feed, garment, body=self._body)
+
+    def take_in(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
+        """Lets every stage take in ``garment``, whose ``garment_feed`` is ``feed``; by one thread at a time."""
+        for stage in self._stages:
+            stage.add(garment, feed)
+        self._taken_in.add(garment.digest)
+
+    def missing(self, entries: Iterable[Entry]) -> list[Garment]:
+        """The garments of ``entries`` that no stage knows: subdivided meshes that nobody asked for before."""
+        return [entry.garment for entry in entries if entry.garment.digest not in self._taken_in]
+
+    def add(self, garment: Garment, source: Source, path: Path | None = None) -> Entry:
+        """Puts a prepared garment in service under its name, or name and digest where the name is taken.
+
+        ``path`` is where it is stored; in the folder of a key it belongs to that, and its id tells nothing of others.
+        """
+        about = UNCHANGED if path is None else garment_files.read_about(path)
+        owner = garment_files.owner_of(path)
+        name = slug(garment.name)
+        taken = self._entries.get(name)
+        if owner is not None:
+            name = f"{name}-{hashlib.sha256(f'{owner} {garment.digest}'.encode()).hexdigest()[:8]}"
+        elif taken is not None and taken.garment.digest == garment.digest:
+            source, path = taken.source, path if taken.source == "user" else None
+        elif taken is not None or not (path is None or garment_files.claim(path, name)):
+            name = f"{name}-{garment.digest[:8]}"
+        entry = self._entries[name] = Entry(name, garment, source, path, owner, about)
+        return entry
+
+    def change(self, entry: Entry, *, name: str | None, published: bool | None) -> Entry:
+        """``entry`` with another name or published, on disk and in service."""
+        assert entry.path is not None
+        title = entry.about.title if name is None else name
+        garment_files.write_about(entry.path, About(title, entry.published if published is None else published))
+        return self.read_again(entry)
+
+    def read_again(self, entry: Entry) -> Entry:
+        """``entry`` as its file says it now."""
+        assert entry.path is not None
+        changed = self._entries[entry.id] = replace(entry, about=garment_files.read_about(entry.path))
+        return changed
+
+    def remove(self, entry: Entry) -> None:
+        """Takes ``entry`` off the disk and out of service."""
+        if entry.path is not None:
+            garment_files.remove(entry.path, entry.id)
+        self.forget(entry)
+
+    def forget(self, entry: Entry) -> None:
+        """Takes ``entry`` out of service; constants go with the last garment that has them."""
+        self._entries.pop(entry.id, None)
+        if all(other.garment.digest != entry.garment.digest for other in self.entries()):
+            for garment in (entry.garment, entry.fine.garment):
+                if garment.digest in self._taken_in:
+                    self._taken_in.discard(garment.digest)
+                    for stage in self._stages:
+                        stage.remove(garment)
+
+
+def _loaded(path: Path, body: BodyModel, max_vertices: int) -> tuple[Garment, dict[str, np.ndarray]]:
+    """The checked garment of a file, and its ``garment_feed``."""
+    garment = load_garment(path)
+    check_garment(garment, body, max_vertices=max_vertices)
+    return garment, garment_feed(garment, body=body)
+
+
+def layer_list(scene: Scene, *, patches: bool = False) -> list[dict[str, str | int]]:
+    """Id and vertices, and ``patches``, of each layer, in the order in which an answer holds them."""
+    layers: list[dict[str, str | int]] = [{"id": entry.id, "vertices": entry.vertex_count} for entry in scene.layers]
+    for layer, entry in zip(layers, scene.layers, strict=True):
+        if patches:
+            layer["patches"] = entry.patch_count
+    return layers
+
+
+def slug(name: str) -> str:
+    """``name`` with only letters, digits, dot, dash and underscore."""
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.")[:80] or "garment"
+
+
+def check_garment(garment: Garment, body: BodyModel, *, max_vertices: int) -> None:
+    """Refuses a cache that was made for another body, is too large, or whose arrays do not fit together."""
+    label = f"garment {garment.name}"
+    cure = "Run the intake again."
+    if garment.body_digest != body.digest:
+        raise ArtifactError(
+            f"{label} body_digest", expected=f"{body.digest} ({body.name})", got=garment.body_digest, cure=cure
+        )
+    delivered, patches = garment.vertex_count, garment.patch_count
+    if delivered > max_vertices:
+        raise TooLarge(
+            f"{label} vertices", expected=f"at most {max_vertices}", got=str(delivered), cure="Simplify the mesh."
+        )
+    rows = len(garment.vertices)
+    shapes = {
+        "vertices": (rows, 3),
+        "chart_patch": (rows, CHARTS_PER_VERTEX),
+        "chart_weight": (rows, CHARTS_PER_VERTEX),
+        "chart_uv": (rows, CHARTS_PER_VERTEX, 2),
+        "chart_residual": (rows, CHARTS_PER_VERTEX, 3),
+        "patch_rotation": (patches, 3, 3),
+        "patch_centre": (patches, 3),
+        "patch_scale": (patches,),
+        "patch_jet": (patches, JET_COUNT),
+        "patch_weights": (patches, JOINT_COUNT),
+        "face_material": (len(garment.faces),),
+    }
+    for name, shape in shapes.items():
+        array = getattr(garment, name)
+        if array.shape != shape:
+            raise ArtifactError(f"{label} {name}", expected=f"shape {shape}", got=f"shape {array.shape}", cure=cure)
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise ArtifactError(f"{label} {name}", expected="finite numbers", got="NaN or infinity", cure=cure)
+    if not 0 < delivered <= rows or patches == 0:
+        raise ArtifactError(
+            f"{label} vertex_count",
+            expected=f"1 to {rows}, and patches",
+            got=f"{delivered}, {patches} patches",
+            cure=cure,
+        )
+    bounds = {"faces": delivered, "chart_patch": patches}
+    if garment.uv_faces.size:
+        bounds["uv_faces"] = len(garment.uv)
+    for name, limit in bounds.items():
+        array = getattr(garment, name)
+        if array.size and (array.min() < 0 or array.max() >= limit):
+            raise ArtifactError(
+                f"{label} {name}", expected=f"indices in [0, {limit})", got=f"[{array.min()}, {array.max()}]", cure=cure
+            )

@@ -1,0 +1,303 @@
+"""Opens a model folder, checks it, keeps every opened part of its graphs."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from drape.artifacts import Manifest, TensorSpec, load_manifest
+from drape.body.model import BodyModel
+from drape.body.pose_support import read_pose_support
+from drape.cloth.fabric import Fabric
+from drape.errors import ArtifactError, InputError
+from drape.garment.cache import Garment
+from drape.garment.fabric_features import encoder_features
+from drape.graph.packing import pass_name
+from service.graphs.binding import BoundSession
+from service.graphs.onnx_runtime import (
+    PROVIDER_NAMES,
+    Device,
+    Session,
+    check_distributions,
+    nodes_off_provider,
+    open_session,
+)
+from service.graphs.subgraph import cut
+
+if TYPE_CHECKING:
+    import onnxruntime
+
+ENCODER, PACKED, DYNAMIC = "garment_encoder", "packed", "dynamic_encoder"
+ROUNDED, HALF = "packed_int8", "packed_half"  # in place of the packed graph, on processors and on GPUs
+PUSH, PUSH_OVER = "push_out", "push_over"
+PUSHES = (PUSH, PUSH_OVER)
+FIRST = "patch_first"  # output of the encoder that the packed graph reads
+SKIN = "skin"  # output of the graphs that pose it
+SKIN_CONSTANTS = ("skin_rows", "skin_bones")  # inputs of those, of a body's shape
+JETS = ("jet", "frame_rotation", "frame_centre")  # outputs of the graph that drapes
+REQUIRED_OUTPUTS = {
+    ENCODER: (FIRST,),
+    PACKED: ("vertices", *JETS),
+    PUSH: ("pushed", "jet_push", "left", SKIN),
+    PUSH_OVER: ("pushed", "jet_push", "left", SKIN),
+    DYNAMIC: ("dynamic_code", "next_state"),
+}
+# ONNX Runtime's names for element types.
+_TYPES = {
+    "float32": "tensor(float)",
+    "float64": "tensor(double)",
+    "float16": "tensor(float16)",
+    "int16": "tensor(int16)",
+    "int64": "tensor(int64)",
+    "int32": "tensor(int32)",
+    "uint16": "tensor(uint16)",
+    "uint8": "tensor(uint8)",
+}
+
+
+class Engine:
+    """An opened model, static or dynamic: every part of its graphs is opened once, by any thread, and safe to run from
+    one at a time. Of a ``dynamic`` model the packed graph takes ``dynamic_code`` (B, ``code_size``), zeros for bodies
+    at rest.
+
+    Where the model has them, the packed graph is the one in ``int8`` on a CPU, and the one with weights of 16 bits
+    (``half``) on a GPU. ``bound``: parts of graphs run in buckets (``service.graphs.binding``), by default on a GPU.
+    Refuses (``ArtifactError``) a folder without the graphs that the service runs.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        device: Device | None = None,
+        int8: bool = True,
+        half: bool | None = None,
+        bound: bool | None = None,
+    ) -> None:
+        check_distributions()
+        self._device = device or Device()
+        self.on_cpu = self._device.provider == "cpu"
+        on_gpu = not self.on_cpu
+        self.bound = on_gpu if bound is None else bound
+        self.manifest: Manifest = load_manifest(folder)
+        self.dynamic = self.manifest.dynamic
+        _check_graphs(folder.name, self.manifest)
+        poses = self.manifest.poses
+        self.pose_support = None if poses is None else read_pose_support(folder / poses.file)
+        self.state_size = self.manifest.state_size
+        self.code_size = _code_size(folder.name, self.manifest)
+        self.int8 = int8 and not on_gpu and ROUNDED in self.manifest.graphs
+        self.half = (on_gpu if half is None else half) and HALF in self.manifest.graphs
+        self.nodes_off_provider = 0  # of parts opened so far; on a GPU each waits for a copy
+        # Read now: a folder replaced later must not mix its graphs with those of this one.
+        files = {name: self.manifest.graphs[name].file for name in (*_run_graphs(self.manifest), self._chosen(PACKED))}
+        self._files = {name: (folder / file).read_bytes() for name, file in files.items()}
+        weights = self.manifest.weights
+        self._weights = {weights.file: (folder / weights.file).read_bytes()} if weights else {}
+        self._opened: dict[tuple[Any, ...], Session] = {}
+        self._opening = threading.Lock()
+        self.open_cut(ENCODER, [FIRST])
+        if self.dynamic:
+            self.open_cut(DYNAMIC, REQUIRED_OUTPUTS[DYNAMIC])
+        self.provider = PROVIDER_NAMES[self._device.provider]
+
+    def _chosen(self, graph: str) -> str:
+        """The graph that computes ``graph``."""
+        if graph != PACKED:
+            return graph
+        return HALF if self.half else ROUNDED if self.int8 else PACKED
+
+    def check_body(self, body: BodyModel) -> None:
+        """Refuses a body that the model was not trained on."""
+        if body.digest != self.manifest.body_digest:
+            raise ArtifactError(
+                f"{self.manifest.name} body_digest",
+                expected=f"{self.manifest.body_digest} ({self.manifest.body})",
+                got=f"{body.digest} ({body.name})",
+                cure="Set DRAPE_BODY to the model's body, or export a model for this body.",
+            )
+
+    def first(self, garment: Garment, fabric: Fabric | None = None) -> np.ndarray:
+        """What the packed graph reads of a garment's patches, (K, n) float32: constant per garment, fabric, model."""
+        wanted = self.manifest.graphs[ENCODER].inputs[0].shape[-1]
+        features = encoder_features(garment, int(wanted), fabric)
+        return self.open_cut(ENCODER, [FIRST]).run([FIRST], {"patch_features": features})[0]
+
+    def advance(self, features: np.ndarray, state: np.ndarray, dt_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Codes (n, C) and next states (n, H), float32, of motion (n, 24, 12), states (n, H) and steps (n,) [s]."""
+        inputs = {"motion_features": features, "state": state, "dt_s": dt_s}
+        feed = {name: np.ascontiguousarray(value, dtype=np.float32) for name, value in inputs.items()}
+        outputs = REQUIRED_OUTPUTS[DYNAMIC]
+        code, after = self.open_cut(DYNAMIC, outputs).run(outputs, feed)
+        if not (np.isfinite(code).all() and np.isfinite(after).all()):
+            raise ArtifactError(
+                f"{self.manifest.name} next_state",
+                expected="finite numbers",
+                got="NaN or infinity",
+                cure="Use another model, or motion 0; this one fails on the motion.",
+            )
+        return code, after
+
+    @property
+    def knows_fabrics(self) -> bool:
+        """Whether the network drapes by what a garment is made of."""
+        return bool(self.manifest.network.get("fabric", False))
+
+    @property
+    def feels_body(self) -> bool:
+        """Whether the packed graph poses the skin of its bodies, for what patches feel of it."""
+        return SKIN in _names(self.manifest.graphs[PACKED].outputs)
+
+    @property
+    def pass_count(self) -> int:
+        """Corrections of which a scene may choose how many run; 0 where the model leaves no choice."""
+        outputs = _names(self.manifest.graphs[PACKED].outputs)
+        return next(count for count in range(len(outputs) + 1) if pass_name(count + 1) not in outputs)
+
+    def check_passes(self, passes: int | None) -> int | None:
+        """``passes``, None where that is all of them; refuses (``InputError``) what the model cannot do."""
+        count = self.pass_count
+        if passes is not None and not 0 <= passes <= count:
+            expected = f"0 to {count}" if count else f"none: the passes of model {self.manifest.name} are fixed"
+            raise InputError("passes", expected=expected, got=str(passes), cure="Leave it out for all passes.")
+        return None if passes == count else passes
+
+    def open_cut(
+        self,
+        graph: str,
+        outputs: Sequence[str],
+        *,
+        direct: Collection[str] = (),
+        passes: int | None = None,
+        given: Collection[str] = (),
+    ) -> Session:
+        """The session of what ``outputs`` of ``graph`` need and nothing else (``graphs.subgraph``), opened once.
+
+        Of the packed graph, after ``passes`` corrections; all of them by default. ``given`` outputs are inputs.
+        """
+        passes = self.check_passes(passes)
+        key = graph, tuple(outputs), tuple(direct), passes, tuple(given)
+        if key not in self._opened:
+            with self._opening:
+                if key not in self._opened:
+                    self._opened[key] = self._open(self._chosen(graph), outputs, direct, passes, given)
+        return self._opened[key]
+
+    def _open(
+        self, graph: str, outputs: Sequence[str], direct: Collection[str], passes: int | None, given: Collection[str]
+    ) -> Session:
+        name, spec = self.manifest.name, self.manifest.graphs[graph]
+        instead = None if passes is None else {pass_name(self.pass_count): pass_name(passes)}
+        model = cut(self._files[graph], outputs, direct=direct, instead=instead, given=given)
+        # Operations of the push-outs are too small to be shared: two threads take longer than one.
+        device = replace(self._device, threads=1) if graph in PUSHES else self._device
+        per_frame = graph not in (ENCODER, DYNAMIC)
+        capture = device.captures and per_frame
+        session = open_session(f"{name}/{spec.file}", model, self._weights, device, capture=capture)
+        self.nodes_off_provider += nodes_off_provider(session, device)
+        found = {t.name: t.type for t in session.get_inputs()}
+        taken = (*spec.inputs, *(t for t in spec.outputs if t.name in given))
+        _compare(name, graph, "inputs", {t.name: t.dtype for t in taken if t.name in found}, found)
+        found = {t.name: t.type for t in session.get_outputs()}
+        _compare(name, graph, "outputs", {t.name: t.dtype for t in spec.outputs if t.name in found}, found)
+        bound = self.bound and per_frame
+        return BoundSession(session, device, taken, spec.outputs) if bound else Session(session, device)
+
+    def value(self, array: np.ndarray) -> onnxruntime.OrtValue:
+        """``array`` where the graphs compute; on the CPU it shares the array's memory."""
+        return self._device.value(array)
+
+    @property
+    def held_bytes(self) -> int:
+        """Memory where the graphs compute that sessions hold between calls, besides weights and workspace."""
+        return sum(session.bytes for session in tuple(self._opened.values()))
+
+    @property
+    def buckets(self) -> int:
+        """Sets of shapes that sessions hold memory for."""
+        return sum(session.buckets for session in tuple(self._opened.values()))
+
+    def forget(self, graph: str) -> None:
+        """Makes the sessions of ``graph`` drop what they hold: constants that were fed are about to go."""
+        for (name, *_), session in tuple(self._opened.items()):
+            if name == graph:
+                session.forget()
+
+
+def _names(tensors: Sequence[TensorSpec]) -> set[str]:
+    return {tensor.name for tensor in tensors}
+
+
+def _run_graphs(manifest: Manifest) -> tuple[str, ...]:
+    """The graphs that a model must have to be served; its readable ``drape`` is the reference of its export only."""
+    return (ENCODER, PACKED, *PUSHES, *((DYNAMIC,) if manifest.dynamic else ()))
+
+
+def _check_graphs(model: str, manifest: Manifest) -> None:
+    """Refuses a model without a graph that is run, or one of these without an output that is read."""
+    for name in _run_graphs(manifest):
+        spec = manifest.graphs.get(name)
+        if spec is None:
+            raise ArtifactError(
+                f"{model} graphs",
+                expected=f"a graph {name!r}",
+                got=str(sorted(manifest.graphs)),
+                cure="Export the model again.",
+            )
+        missing = set(REQUIRED_OUTPUTS[name]) - _names(spec.outputs)
+        if missing:
+            raise ArtifactError(
+                f"{model} {name} outputs",
+                expected=", ".join(sorted(missing)),
+                got="none",
+                cure="Export the model again.",
+            )
+
+
+def _code_size(model: str, manifest: Manifest) -> int:
+    """Numbers of a dynamic code, 0 of a static model; refuses graphs that are not what the manifest says."""
+    code = {t.name: t.shape[-1] for t in manifest.graphs[PACKED].inputs}.get("dynamic_code", 0)
+    states = [t.shape[-1] for t in manifest.graphs[DYNAMIC].inputs if t.name == "state"] if manifest.dynamic else [0]
+    fits = (code != 0) == manifest.dynamic and states == [manifest.state_size]
+    if not fits or not isinstance(code, int):
+        raise ArtifactError(
+            f"{model} dynamic",
+            expected="a packed graph with a dynamic_code and a state of state_size, or neither",
+            got=f"dynamic {manifest.dynamic}, dynamic_code of {code}, states {states} and {manifest.state_size}",
+            cure="Export the model again.",
+        )
+    return code
+
+
+def check_finite(engine: Engine, finite: bool) -> None:
+    """Refuses an answer of the network that holds NaN or infinity."""
+    if not finite:
+        raise ArtifactError(
+            f"{engine.manifest.name} vertices",
+            expected="finite numbers",
+            got="NaN or infinity",
+            cure="Use another model; this one fails on the pose.",
+        )
+
+
+def _compare(model: str, graph: str, side: str, written: dict[str, str], found: dict[str, str]) -> None:
+    if set(written) != set(found):
+        raise ArtifactError(
+            f"{model} {graph} {side}",
+            expected=f"{sorted(written)} as in the manifest",
+            got=str(sorted(found)),
+            cure="Export the model again.",
+        )
+    for name, dtype in written.items():
+        if _TYPES.get(dtype) != found[name]:
+            raise ArtifactError(
+                f"{model} {graph} {name}",
+                expected=f"{dtype} as in the manifest",
+                got=found[name],
+                cure="Export the model again.",
+            )

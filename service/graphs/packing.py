@@ -1,0 +1,390 @@
+"""Drapes any mix of garments, clients and frames through the packed graph: what is stored, asked, run and cut apart.
+
+A ``ScenePlan`` names what a scene needs; the session of a plan holds the nodes that this takes and no other.
+Constants of the garments lie in the ``Store`` once. A batch is a list of (garment, body) items; its index tensors are
+kept while memory allows, since streams repeat their batches. On a CPU vertices are made of the graph's jets by
+kernels (``drape.graph.blend``), three times as fast as in the graph. An item's result does not depend on what else is
+in the batch, not in one bit on a CPU (``tests/service/graphs``), so a batch may be run in parts of any size.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.cloth.fabric import Fabric
+from drape.errors import InputError, NotFound
+from drape.garment.cache import Garment
+from drape.graph.blend import blended, warm_up
+from drape.graph.buckets import filled, filled_rows
+from drape.graph.feeds import garment_feed
+from drape.graph.packing import Composition, PackedGarment, Place, compose, pack_garment
+from drape.graph.push_feed import SkinShapes
+from service.graphs.engine import JETS, PACKED, SKIN, SKIN_CONSTANTS, Engine
+
+if TYPE_CHECKING:
+    from service.graphs.onnx_runtime import Session, Value
+
+Shape = Literal["vertices", "jets", "both"]
+OUTPUTS_OF: dict[Shape, tuple[str, ...]] = {
+    "vertices": ("vertices",),
+    "jets": JETS,
+    "both": ("vertices", *JETS),
+}
+STORED_INDEX = ("patch_stored", "tile_stored")  # of no use where one garment is all there is
+SHAPE_INDEX = ("body_shape",)  # nor this where all bodies have one shape
+TILES_PER_CALL = 2048  # about 10 MB of columns: what a core's share of the last cache holds
+TILES_PER_BUCKET = 65536  # of devices with memory of their own
+KEPT_BYTES = 32 << 20  # of index tensors
+FABRICS_KEPT = 64  # garments in fabrics that are not their own
+FIRST = "patch_first"  # what a fabric changes of the constants of a garment
+
+Item = tuple[str, int]  # garment, row of its body
+
+
+@dataclass(frozen=True)
+class ScenePlan:
+    """The outputs that a scene asks for: vertices, posed jets or both, and with ``skin`` the samples of the posed skin.
+
+    ``passes``: how many of the network's corrections run, all of them by default.
+    """
+
+    shape: Shape = "vertices"
+    skin: bool = False
+    passes: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.shape not in OUTPUTS_OF:
+            raise InputError(
+                "scene shape", expected=" or ".join(OUTPUTS_OF), got=repr(self.shape), cure="Ask for one of these."
+            )
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Outputs of the packed graph that the plan fetches."""
+        return (*OUTPUTS_OF[self.shape], *((SKIN,) if self.skin else ()))
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """Outputs of one item by name: rows of its vertices (V, 3) or patches (K, ...), the skin of its body.
+
+    ``finite`` is false where the network's answer holds NaN or infinity.
+    """
+
+    arrays: dict[str, np.ndarray]
+    finite: bool
+
+
+@dataclass(eq=False)
+class _Stored:
+    """``of``: the garment whose tiles these are, where only the fabric differs."""
+
+    garment: Garment
+    packed: PackedGarment
+    of: str | None = None
+
+
+class Store:
+    """Constants of all garments, each array in one piece; a garment's own are views of it."""
+
+    def __init__(self) -> None:
+        self._garments: dict[str, _Stored] = {}
+        self._places: dict[str, Place] = {}
+        self._arrays: dict[str, np.ndarray] = {}
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._garments
+
+    def add(self, key: str, garment: Garment, feed: dict[str, np.ndarray], patch_first: np.ndarray) -> None:
+        """Puts ``garment`` with its ``garment_feed`` under ``key``, in place of what was there.
+
+        ``patch_first`` (K, n) is the encoder's.
+        """
+        self._undress(key)
+        self._garments[key] = _Stored(garment, pack_garment(feed, patch_first))
+        self._lay_out()
+
+    def garment(self, key: str) -> Garment:
+        """The garment ``key``; refuses one that is not in store."""
+        self.packed(key)
+        return self._garments[key].garment
+
+    def dress(self, key: str, name: str, patch_first: np.ndarray) -> None:
+        """Puts the garment ``key`` in store once more, as ``name`` in another fabric: its tiles are shared."""
+        packed = self.packed(key)
+        packed = replace(packed, stored=packed.stored | {FIRST: patch_first})
+        self._garments[name] = _Stored(self._garments[key].garment, packed, key)
+        self._lay_out()
+
+    def remove(self, key: str) -> None:
+        """Forgets the garment ``key``, in all fabrics; or of one that ``dress`` put there this one."""
+        self.packed(key)
+        self._undress(key)
+        del self._garments[key]
+        self._lay_out()
+
+    def _undress(self, key: str) -> None:
+        for name in [name for name, stored in self._garments.items() if stored.of == key]:
+            del self._garments[name]
+
+    def packed(self, key: str) -> PackedGarment:
+        """The garment ``key``; refuses one that is not in store."""
+        if key not in self._garments:
+            raise NotFound(
+                "garment", expected=", ".join(self._garments) or "one in store", got=key, cure="Add the garment first."
+            )
+        return self._garments[key].packed
+
+    def place(self, key: str) -> Place:
+        """First rows of the garment ``key``."""
+        return self._places[key]
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The stored inputs of the packed graph by name."""
+        return self._arrays
+
+    @property
+    def bytes(self) -> int:
+        """Memory of everything in store."""
+        whole = sum(stored.packed.bytes for stored in self._garments.values() if stored.of is None)
+        return whole + sum(stored.packed.stored[FIRST].nbytes for stored in self._garments.values() if stored.of)
+
+    def _lay_out(self) -> None:
+        every = list(self._garments.values())
+        whole = [stored for stored in every if stored.of is None]
+        names = every[0].packed.stored if every else ()
+        self._arrays = {
+            name: np.concatenate([stored.packed.stored[name] for stored in (whole if _of_tiles(name) else every)])
+            for name in names
+        }
+        patch = tile = 0
+        for key, stored in self._garments.items():
+            packed = stored.packed
+            first = tile if stored.of is None else self._places[stored.of].tile
+            self._places[key] = Place(patch, first)
+            for name, array in self._arrays.items():
+                start = first if _of_tiles(name) else patch
+                packed.stored[name] = array[start : start + len(packed.stored[name])]
+            patch += packed.patch_count
+            tile += packed.tile_count if stored.of is None else 0
+
+
+def _of_tiles(name: str) -> bool:
+    """Whether rows of the stored array ``name`` are tiles, not patches."""
+    return name.startswith("tile")
+
+
+class Packer:
+    """Runs plans on the packed graph of an engine's model; safe to call from any thread, but on a device with memory of
+    its own, whose buckets take one call at a time."""
+
+    def __init__(
+        self, engine: Engine, body: BodyModel, *, kept_bytes: int = KEPT_BYTES, tiles_per_call: int | None = None
+    ) -> None:
+        self._engine, self._body = engine, body
+        self._lock = threading.RLock()  # of the store and of what is kept, not held while the graph runs
+        # Of bodies with pose blend shapes the graph reads only how many parts and bones there are.
+        self._skins = SkinShapes(replace(body, posedirs=None)) if engine.feels_body else None
+        self._store = Store()
+        self._kept: OrderedDict[tuple[Item, ...], tuple[Composition, dict[str, Value]]] = OrderedDict()
+        self._kept_bytes, self._limit = 0, kept_bytes
+        self._worn: OrderedDict[str, None] = OrderedDict()  # garments in other fabrics than their own, latest last
+        self._tiles_per_call = tiles_per_call or (TILES_PER_BUCKET if engine.bound else TILES_PER_CALL)
+        self._values: dict[str, Any] = {}
+        if engine.on_cpu:
+            warm_up()
+
+    @property
+    def store(self) -> Store:
+        """Constants of the garments; change it through this class."""
+        return self._store
+
+    @property
+    def kept_bytes(self) -> int:
+        """Memory of the index tensors that are kept."""
+        return self._kept_bytes
+
+    def add(self, key: str, garment: Garment, feed: dict[str, np.ndarray] | None = None) -> None:
+        """Encodes ``garment`` and puts it in store under ``key``; ``feed`` is its ``garment_feed`` on this body."""
+        if feed is None:
+            feed = garment_feed(garment, body=self._body if self._engine.feels_body else None)
+        first = self._engine.first(garment)
+        with self._lock:
+            self._store.add(key, garment, feed, first)
+            self._forget()
+
+    def dressed(self, key: str, fabric: Fabric) -> str:
+        """Where the garment ``key`` made of ``fabric`` lies in store; put there the first time, a millisecond or two.
+
+        Of ``FABRICS_KEPT`` at most the latest used are kept.
+        """
+        name = f"{key} of {fabric.digest}"
+        with self._lock:
+            if name not in self._store:
+                for old in list(self._worn)[: len(self._worn) + 1 - FABRICS_KEPT]:
+                    del self._worn[old]
+                    if old in self._store:
+                        self._store.remove(old)
+                self._store.dress(key, name, self._engine.first(self._store.garment(key), fabric))
+                self._forget()
+            self._worn[name] = None
+            self._worn.move_to_end(name)
+            return name
+
+    def remove(self, key: str) -> None:
+        """Forgets the garment ``key``."""
+        with self._lock:
+            self._store.remove(key)
+            self._forget()
+
+    def prepare(self, plan: ScenePlan, *, skin_given: bool, shapes: bool) -> None:
+        """Opens what frames of ``plan`` run through, of bodies of one shape and, where asked, of several ``shapes``.
+
+        It takes a fifth of a second each, and may be called from any thread.
+        """
+        one_shape = self._skins is not None
+        kinds = {(not self._engine.bound, one_shape), (False, one_shape), *([(False, False)] if shapes else [])}
+        for alone, one_shape in sorted(kinds):
+            self._session(plan, alone=alone, one_shape=one_shape, skin_given=skin_given)
+
+    def run(self, plan: ScenePlan, bodies: dict[str, np.ndarray], items: Sequence[Item]) -> list[Result]:
+        """Results of ``items``, in their order. ``bodies`` are ``PackedBody.rows``, joined over clients.
+
+        Refuses a garment that is not in store and a row that ``bodies`` do not have. Of a dynamic model ``bodies``
+        may hold ``dynamic_code`` (B, C); without it all are at rest. A posed ``skin`` (B, R, 12, 8) in ``bodies`` is
+        taken for body proximity in place of the one that the bones carry: of bodies with pose blend shapes.
+        """
+        count = min(len(rows) for rows in bodies.values())
+        if self._engine.dynamic:
+            bodies = {"dynamic_code": np.zeros((count, self._engine.code_size), np.float32)} | bodies
+        for key, row in items:
+            self._store.packed(key)
+            if not 0 <= row < count:
+                raise InputError(
+                    "body row", expected=f"a row in [0, {count})", got=str(row), cure="Give each item its body's row."
+                )
+        results: list[Result] = []
+        for part in self._parts(items):
+            rows = {row: i for i, row in enumerate(dict.fromkeys(row for _, row in part))}
+            local = {name: np.ascontiguousarray(values[list(rows)]) for name, values in bodies.items()}
+            results += self._run_part(plan, local, tuple((key, rows[row]) for key, row in part))
+        return results
+
+    def _parts(self, items: Sequence[Item]) -> list[list[Item]]:
+        """``items`` in parts that fit a call; a part has at least one."""
+        parts: list[list[Item]] = []
+        tiles = self._tiles_per_call
+        for item in items:
+            size = self._store.packed(item[0]).tile_count
+            if tiles + size > self._tiles_per_call:
+                parts.append([])
+                tiles = 0
+            parts[-1].append(item)
+            tiles += size
+        return parts
+
+    def _run_part(self, plan: ScenePlan, bodies: dict[str, np.ndarray], items: tuple[Item, ...]) -> list[Result]:
+        first = items[0][0]
+        # Of a batch of one the constants are the graph's inputs; where they would lie on a device twice, none are.
+        alone = len(items) == 1 and not self._engine.bound
+        if self._engine.bound and len(items) > 1:
+            bodies = filled_rows(bodies)
+        given = SKIN in bodies
+        if self._skins is not None:
+            with self._lock:
+                bodies = bodies | self._skins.feed(bodies["betas"])
+        one_shape = self._skins is not None and len(bodies["skin_rows"]) == 1
+        session = self._session(plan, alone=alone, one_shape=one_shape, skin_given=given)
+        feed: dict[str, Value] = {}
+        with self._lock:
+            composition, indices = self._composed(items, alone)
+            garments = [self._store.packed(key) for key, _ in items]  # which may be removed while the graph runs
+            stored = garments[0].stored if alone else self._store.arrays()
+            for name in session.inputs:
+                if name in bodies:
+                    feed[name] = bodies[name]
+                elif name in indices:
+                    feed[name] = indices[name]
+                else:
+                    feed[name] = self._constant(name, stored[name], first if alone else "")
+        still = (*SKIN_CONSTANTS, *indices)
+        fetched = self._fetched(plan)
+        results = _apart(fetched, session.run(fetched, feed, still=still), composition, [row for _, row in items])
+        if "vertices" in plan.outputs and "vertices" not in fetched:
+            for garment, arrays in zip(garments, results, strict=True):
+                arrays["vertices"] = blended(garment, *(arrays[name] for name in JETS))
+        answers = [{name: arrays[name] for name in plan.outputs} for arrays in results]
+        return [Result(arrays, _finite(arrays)) for arrays in answers]
+
+    def _session(self, plan: ScenePlan, *, alone: bool, one_shape: bool, skin_given: bool) -> Session:
+        """What computes ``plan``: of one item ``alone``, of bodies of ``one_shape``, whose posed skin may be given."""
+        direct = (STORED_INDEX if alone else ()) + (SHAPE_INDEX if one_shape else ())
+        given = (SKIN,) if skin_given else ()
+        return self._engine.open_cut(PACKED, self._fetched(plan), direct=direct, passes=plan.passes, given=given)
+
+    def _fetched(self, plan: ScenePlan) -> tuple[str, ...]:
+        """Outputs of the graph that answer ``plan``: on a CPU jets in place of vertices."""
+        if not self._engine.on_cpu or "vertices" not in plan.outputs:
+            return plan.outputs
+        return tuple(dict.fromkeys((*JETS, *(name for name in plan.outputs if name != "vertices"))))
+
+    def _composed(self, items: tuple[Item, ...], alone: bool) -> tuple[Composition, dict[str, Value]]:
+        """Index tensors of ``items``, the latest used of them kept as far as memory allows."""
+        kept = self._kept.pop(items, None)
+        if kept is None:
+            places = [Place(0, 0)] if alone else [self._store.place(key) for key, _ in items]
+            made = compose([(self._store.packed(key), p, row) for (key, row), p in zip(items, places, strict=True)])
+            indices: dict[str, Value] = {}
+            if self._engine.bound:  # written into the bucket that the batch falls into
+                made = filled(made) if len(items) > 1 else made
+                indices.update(made.arrays)
+            else:
+                indices.update({name: self._engine.value(array) for name, array in made.arrays.items()})
+            kept = made, indices
+            self._kept_bytes += made.bytes
+        self._kept[items] = kept
+        while self._kept_bytes > self._limit and self._kept:
+            _, (dropped, _) = self._kept.popitem(last=False)
+            self._kept_bytes -= dropped.bytes
+        return kept
+
+    def _constant(self, name: str, array: np.ndarray, key: str) -> Any:
+        """A stored array where the graph computes, handed over once."""
+        label = f"{key} {name}"
+        if label not in self._values:
+            self._values[label] = self._engine.value(array)
+        return self._values[label]
+
+    def _forget(self) -> None:
+        self._engine.forget(PACKED)
+        self._kept.clear()
+        self._values.clear()
+        self._kept_bytes = 0
+
+
+def _apart(
+    names: Sequence[str], outputs: Sequence[np.ndarray], composition: Composition, rows: Sequence[int]
+) -> list[dict[str, np.ndarray]]:
+    """The outputs of every item by ``names``."""
+    whole = {
+        name: values.reshape(-1, 3) if name == "vertices" else values
+        for name, values in zip(names, outputs, strict=True)
+    }
+    results = []
+    for vertices, patches, row in zip(composition.vertices, composition.patches, rows, strict=True):
+        places = {"vertices": vertices, SKIN: row} | dict.fromkeys(JETS, patches)
+        results.append({name: values[places[name]] for name, values in whole.items()})
+    return results
+
+
+def _finite(arrays: dict[str, np.ndarray]) -> bool:
+    """Whether the network's answer in the outputs of an item is finite."""
+    checked = [arrays[name] for name in ("vertices", *JETS) if name in arrays]
+    return all(bool(np.isfinite(array).all()) for array in checked)

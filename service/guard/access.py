@@ -1,0 +1,128 @@
+"""Who asks, and how much of everything they may have: ``Access``.
+
+A key or a ticket comes as ``Authorization: Bearer``; a stream of a page, which can set no header, offers
+``ticket.TICKET`` among its sub-protocols. It is never echoed.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, Depends
+from pydantic import BaseModel
+from starlette.datastructures import Headers
+from starlette.requests import HTTPConnection
+
+from drape.errors import InputError
+from service.errors import Busy, Unauthorized
+from service.guard.keys import ANYONE, Client, digest, load_keys
+from service.guard.tickets import LIFE_S, Tickets
+from service.http.openapi import responses
+from service.settings import Settings
+
+OFFER = "ticket."
+BURST_S = 2.0
+router = APIRouter()
+
+
+class Access:
+    """Keys, tickets, and what each key has in use. Without a file of keys everybody is ``ANYONE``, without limits."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._clients = load_keys(settings.keys_file) if settings.keys_file else {}
+        self._names = {client.name: client for client in self._clients.values()}
+        secret = settings.ticket_secret
+        self.tickets = Tickets(secret.get_secret_value() if secret else None)
+        self._used: Counter[tuple[str, str]] = Counter()
+        self._buckets: dict[str, tuple[float, float]] = {}  # tokens, and when [s] they were counted
+
+    def client(self, name: str | None) -> Client:
+        """The client of the key ``name``; of one that is gone its name alone."""
+        return ANYONE if name is None else self._names.get(name, Client(name))
+
+    def admit(self, headers: Headers, offered: Sequence[str] = (), *, stream: bool = False) -> Client:
+        """Who asks; refuses (``Unauthorized``) who has no key or ticket, and (``Busy``) who asks too often."""
+        if not self._clients:
+            return ANYONE
+        scheme, _, said = headers.get("authorization", "").partition(" ")
+        tickets = [one.removeprefix(OFFER) for one in offered if one.startswith(OFFER)]
+        if scheme.lower() == "bearer" and said:
+            client = self._client(said.strip(), stream=stream)
+        elif tickets:
+            client = self._client(tickets[0], stream=stream)
+        else:
+            raise _unknown("none")
+        self._count(client)
+        return client
+
+    def _client(self, said: str, *, stream: bool) -> Client:
+        if (client := self._clients.get(digest(said))) is not None:
+            return client
+        if "." not in said:
+            raise _unknown("one that this service does not know")
+        client = self._names.get(self.tickets.name(said, spend=stream))
+        if client is None:
+            raise _unknown("a ticket of a key that is gone")
+        return client
+
+    def _count(self, client: Client) -> None:
+        """Takes one of the client's requests a second."""
+        assert client.name is not None and client.limits is not None
+        rate, now = client.limits.rate, time.monotonic()
+        most = max(1.0, BURST_S * rate)
+        tokens, before_s = self._buckets.get(client.name, (most, now))
+        tokens = min(most, tokens + rate * (now - before_s))
+        self._buckets[client.name] = max(tokens - 1.0, 0.0) if tokens >= 1.0 else tokens, now
+        if tokens < 1.0:
+            cure = "Ask less often, or in larger pieces."
+            raise Busy("requests", expected=f"at most {rate:g} a second", got="more", cure=cure)
+
+    @contextmanager
+    def using(self, client: Client, what: Literal["streams", "clips"]) -> Iterator[None]:
+        """One of the client's ``what``; refuses when its key has no more."""
+        if client.limits is None or client.name is None:
+            yield
+            return
+        held, most = (client.name, what), getattr(client.limits, what)
+        if self._used[held] >= most:
+            cure = "Close one, or try again in a second."
+            raise Busy(what, expected=f"at most {most} of one key at a time", got="one more", cure=cure)
+        self._used[held] += 1
+        try:
+            yield
+        finally:
+            self._used[held] -= 1
+
+
+def _unknown(got: str) -> Unauthorized:
+    cure = "Send Authorization: Bearer KEY; a stream of a page offers a ticket of POST /tickets."
+    return Unauthorized("key", expected="an API key or a ticket", got=got, cure=cure)
+
+
+async def _admitted(connection: HTTPConnection) -> Client:  # not by a thread of the framework
+    return connection.app.state.drape.access.admit(connection.headers)
+
+
+ClientHere = Annotated[Client, Depends(_admitted)]
+ADMITTED = [Depends(_admitted)]
+
+
+class Ticket(BaseModel):
+    """A ticket and for how long [s] it is good."""
+
+    ticket: str
+    expires_s: float
+
+
+@router.post("/tickets", responses=responses(InputError))
+async def make_ticket(connection: HTTPConnection, client: ClientHere) -> Ticket:
+    """A ticket of the asking key, for a page that must not have the key."""
+    if client.name is None:
+        raise InputError("ticket", expected="a service with keys", got="one without", cure="Ask without a ticket.")
+    if "." in connection.headers.get("authorization", ""):
+        raise Unauthorized("key", expected="an API key", got="a ticket", cure="Make tickets where the key is.")
+    return Ticket(ticket=connection.app.state.drape.access.tickets.make(client.name), expires_s=LIFE_S)

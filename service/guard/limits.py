@@ -1,0 +1,129 @@
+"""Limits on request bodies, their pace and all bytes held of them, and on answers."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+
+from starlette.datastructures import Headers
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from drape.errors import DrapeError
+from service.errors import Busy, Draining, TooLarge, TooSlow, problem_response
+from service.http.negotiation import JSON
+from service.settings import Settings
+from service.watch.lifecycle import Lifecycle
+
+UPLOAD_PATH = "/garments"
+LOOK_S = 0.5  # between two looks at whether the service ends
+
+
+def check_answer(size: int, what: str, settings: Settings) -> None:
+    """Refuses (``TooLarge``) an answer of about ``size`` bytes, for ``what``."""
+    limit = settings.max_answer_bytes
+    if size > limit:
+        raise TooLarge(
+            "answer",
+            expected=f"at most {limit} bytes",
+            got=f"about {size} for {what}",
+            cure="Send the clip in pieces.",
+        )
+
+
+class BodyLimit:
+    """Watches each body as it is read: its size, its pace, and what all requests hold together.
+
+    Nothing is read before the route asks for it, so a request that is refused by its head costs no memory. A file in
+    a raw body goes to disk piece by piece and is not held. What a body breaks is raised where it is read.
+    """
+
+    def __init__(self, app: ASGIApp, settings: Settings, lifecycle: Lifecycle) -> None:
+        self.app, self._settings, self._life = app, settings, lifecycle
+        self._held = 0
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        headers = Headers(scope=scope)
+        body = _Body(self._settings, self._life, upload=scope["path"] == UPLOAD_PATH)
+        to_disk = body.upload and JSON not in headers.get("content-type", "").lower()
+        declared = headers.get("content-length", "")
+        try:
+            if declared.isdigit() and len(declared) < 20:
+                body.check_size(int(declared))
+                if not to_disk:
+                    self._check_held(int(declared))
+        except DrapeError as error:
+            await problem_response(error)(scope, receive, send)
+            return
+
+        async def watched() -> Message:
+            if body.ended:
+                return await receive()
+            message = await body.next(receive)
+            if not to_disk:
+                size = len(message.get("body", b""))
+                self._check_held(size)
+                self._held += size
+            return message
+
+        try:
+            await self.app(scope, watched, send)
+        finally:
+            self._held -= 0 if to_disk else body.taken
+
+    def _check_held(self, more: int) -> None:
+        limit = self._settings.max_held_bytes
+        if more and self._held + more > limit:
+            raise Busy(
+                "request bodies",
+                expected=f"at most {limit} bytes of all requests together",
+                got=f"{self._held} and {more} more",
+                cure="Try again in a second, or send a garment as the raw body.",
+            )
+
+
+class _Body:
+    """One body: how much of it has come, since when, and whether it has ended. ``taken`` are bytes handed on."""
+
+    def __init__(self, settings: Settings, lifecycle: Lifecycle, *, upload: bool) -> None:
+        self._settings, self._life, self.upload = settings, lifecycle, upload
+        self._limit = settings.max_upload_bytes if upload else settings.max_body_bytes
+        self._begun_s = time.monotonic()
+        self.taken, self.ended = 0, False
+
+    def check_size(self, size: int) -> None:
+        """Refuses a body of ``size`` bytes or more where that is too many."""
+        if size > self._limit:
+            cure = f"Send less, or raise DRAPE_MAX_{'UPLOAD' if self.upload else 'BODY'}_BYTES."
+            expected = f"at most {self._limit} bytes"
+            raise TooLarge("request body", expected=expected, got=f"{size} or more", cure=cure)
+
+    async def next(self, receive: Receive) -> Message:
+        """Its next piece; refuses one that is too slow or makes it too large."""
+        idle_s, pace = self._settings.body_idle_s, self._settings.body_bytes_s
+        until_s = min(self._begun_s + idle_s + self.taken / pace, time.monotonic() + idle_s)
+        message = None
+        while message is None:
+            with contextlib.suppress(TimeoutError):
+                left_s = max(0.0, until_s - time.monotonic())
+                message = await asyncio.wait_for(receive(), min(LOOK_S, left_s))
+            if message is not None:
+                break
+            if self._life.hurried:
+                raise Draining
+            if time.monotonic() < until_s:
+                continue
+            raise TooSlow(
+                "request body",
+                expected=f"a piece within {idle_s:g} s, and {pace} bytes a second",
+                got=f"{self.taken} bytes in {time.monotonic() - self._begun_s:.1f} s",
+                cure="Send faster, or raise DRAPE_BODY_IDLE_S or lower DRAPE_BODY_BYTES_S.",
+            )
+        size = len(message.get("body", b""))
+        self.check_size(self.taken + size)
+        self.taken += size
+        self.ended = message["type"] != "http.request" or not message.get("more_body", False)
+        return message

@@ -1,0 +1,89 @@
+"""Answers of many numbers, made and sent in pieces: no piece keeps the streams waiting, none is held for long."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+from fastapi.responses import Response, StreamingResponse
+from pydantic_core import to_json
+
+from drape.export.glb_file import PIECE_BYTES, GlbFile
+from service.compute.sliced_thread import BRIEF_BYTES, Piecework
+from service.http.negotiation import BINARY, GLB, JSON
+
+PIECE_NUMBERS = 4096  # half a millisecond of the encoder, which holds the interpreter lock
+
+
+def json_answer(
+    document: Mapping[str, object], piecework: Piecework, headers: Mapping[str, str] | None = None
+) -> StreamingResponse:
+    """``document``, whose arrays become lists, as JSON."""
+    return StreamingResponse(piecework.each(json_pieces(document)), media_type=JSON, headers=headers)
+
+
+def binary_answer(
+    array: np.ndarray, piecework: Piecework, headers: Mapping[str, str], *, tail: bytes = b""
+) -> Response:
+    """``array`` as little-endian float32, then ``tail``."""
+    if array.nbytes <= BRIEF_BYTES:
+        return Response(b"".join([*number_bytes(array), tail]), media_type=BINARY, headers={**headers})
+    headers = {**headers, "Content-Length": str(4 * array.size + len(tail))}
+    pieces = itertools.chain(number_bytes(array), (tail,))
+    return StreamingResponse(piecework.each(pieces), media_type=BINARY, headers=headers)
+
+
+def number_bytes(array: np.ndarray) -> Iterator[bytes]:
+    """``array`` as little-endian float32, in pieces."""
+    return (part.astype("<f4", copy=False).tobytes() for part in _parts(array, PIECE_BYTES // 4))
+
+
+def file_answer(file: GlbFile, head: bytes, piecework: Piecework, headers: Mapping[str, str]) -> StreamingResponse:
+    """``file``, which begins with its ``head``."""
+    headers = {**headers, "Content-Length": str(len(head) + file.binary_bytes)}
+    pieces = itertools.chain((head,), file.pieces())
+    return StreamingResponse(piecework.each(pieces), media_type=GLB, headers=headers)
+
+
+def messages_answer(messages: Sequence[bytes], piecework: Piecework, headers: Mapping[str, str]) -> StreamingResponse:
+    """``messages`` one after the other, a few at a time."""
+    size = sum(len(message) for message in messages)
+    count = max(1, PIECE_BYTES * len(messages) // max(size, 1))
+    pieces = (b"".join(messages[start : start + count]) for start in range(0, len(messages), count))
+    headers = {**headers, "Content-Length": str(size)}
+    return StreamingResponse(piecework.each(pieces), media_type=BINARY, headers=headers)
+
+
+def json_pieces(document: Mapping[str, object]) -> Iterator[bytes]:
+    """The text of ``document``; a float32 is written as the double that equals it, so none is rounded."""
+    before = b"{"
+    for key, value in document.items():
+        before += to_json(key) + b":"
+        for piece in number_pieces(value) if isinstance(value, np.ndarray) else (to_json(value),):
+            yield before + piece
+            before = b""
+        before = b","
+    yield b"}"
+
+
+def number_pieces(array: np.ndarray) -> Iterator[bytes]:
+    """``array`` as nested lists of at most ``PIECE_NUMBERS`` numbers a piece."""
+    if array.size <= PIECE_NUMBERS:
+        yield to_json(array.tolist())
+        return
+    before = b"["
+    for part in _parts(array, PIECE_NUMBERS):
+        # A single row may be long itself.
+        for piece in number_pieces(part[0]) if len(part) == 1 else (to_json(part.tolist())[1:-1],):
+            yield before + piece
+            before = b""
+        before = b","
+    yield b"]"
+
+
+def _parts(array: np.ndarray, numbers: int) -> Iterator[np.ndarray]:
+    """``array`` cut along its first axis, about ``numbers`` and at least one row each."""
+    rows = max(1, numbers * len(array) // max(array.size, 1))
+    for start in range(0, len(array), rows):
+        yield array[start : start + rows]

@@ -1,0 +1,107 @@
+"""JSON that clients send: counted before it is parsed, so that no body holds the interpreter lock for long.
+
+A parser makes an object of every bracket and comma and keeps the lock until it is through: a mebibyte of empty lists
+took seconds. What a request can rightly hold is known, so more is refused unparsed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, TypeVar
+
+from fastapi import Request
+from pydantic import ValidationError
+from pydantic_core import from_json
+
+from drape.body.skeleton import JOINT_COUNT
+from drape.wire.options import wire_names
+from service.compute.sliced_thread import BRIEF_TEXT, Piecework
+from service.errors import TooLarge
+from service.http.negotiation import JSON
+from service.http.schemas import Request as Schema
+from service.http.validation import not_json, validation_refusal
+
+MARKS = b",:[{"
+_OTHER_BYTES = bytes(byte for byte in range(256) if byte not in MARKS)
+FRAME_MARKS = 4 * JOINT_COUNT + 5  # of 24 x 3 numbers in poses and 3 in trans
+SMALL_MARKS = 10_000  # of a request without poses
+PIECE_BYTES = 256 * 1024  # half a millisecond of counting
+NO_JSON = "text that is not JSON"
+
+Asked = TypeVar("Asked", bound=Schema)
+
+
+def clip_marks(max_frames: int) -> int:
+    """Marks that a clip of ``max_frames`` may have, and a quarter more: that long it is refused by its frames."""
+    return 5 * max_frames * FRAME_MARKS // 4 + SMALL_MARKS
+
+
+def document_of(text: bytes, *, otherwise: str = NO_JSON) -> Any:
+    """The parsed ``text``; refuses more than ``SMALL_MARKS`` marks, and what is no JSON as ``otherwise``."""
+    marks = 0
+    for more in _marks(text):
+        marks = _counted(marks + more, SMALL_MARKS)
+    return parsed(text, otherwise=otherwise)
+
+
+async def check_marks(text: bytes, piecework: Piecework, *, most_marks: int) -> None:
+    """Refuses a ``text`` of more than ``most_marks`` marks (``MARKS``), counted piece by piece until there are more."""
+    if len(text) <= BRIEF_TEXT:
+        _counted(sum(_marks(text)), most_marks)
+        return
+    marks = 0
+    async for more in piecework.each(_marks(text)):
+        marks = _counted(marks + more, most_marks)
+
+
+def _marks(text: bytes) -> Iterator[int]:
+    """How many marks each piece of ``text`` has."""
+    for start in range(0, len(text), PIECE_BYTES):
+        yield len(text[start : start + PIECE_BYTES].translate(None, _OTHER_BYTES))
+
+
+def _counted(marks: int, most_marks: int) -> int:
+    if marks > most_marks:
+        raise TooLarge(
+            "request body",
+            expected=f"at most {most_marks} commas, colons and opening brackets",
+            got="more",
+            cure="Send less in one request.",
+        )
+    return marks
+
+
+def parsed(text: bytes, *, otherwise: str = NO_JSON) -> Any:
+    """The parsed ``text``, whose marks were counted; refuses what is no JSON as ``otherwise``."""
+    try:
+        return from_json(text, cache_strings="none")
+    except ValueError as error:
+        raise not_json(otherwise) from error
+
+
+def validated(model: type[Asked], document: Any) -> Asked:
+    """``document`` as a ``model``; refuses the first thing that is wrong with it."""
+    if isinstance(document, dict):
+        known = set(wire_names(model).values())
+        for unknown in [key for key in document if key not in known][1:]:
+            del document[unknown]  # pydantic makes an error of each, and one is told
+    try:
+        return model.model_validate(document)
+    except ValidationError as error:
+        raise validation_refusal(error.errors(include_url=False)) from error
+
+
+async def json_text(request: Request) -> bytes:
+    """The body of ``request``; refuses one that does not say that it is JSON, and an empty one."""
+    kind = content_type(request)
+    body = await request.body()
+    if kind != JSON and not (kind.startswith("application/") and kind.endswith("+json")):
+        raise not_json("a body of another type")
+    if not body:
+        raise not_json("nothing")
+    return body
+
+
+def content_type(request: Request) -> str:
+    """The media type of the body without its parameters, in lower case; empty where none was said."""
+    return request.headers.get("content-type", "").partition(";")[0].strip().lower()

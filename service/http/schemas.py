@@ -1,0 +1,282 @@
+"""What requests may hold, and what answers hold."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from annotated_types import Len
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+
+from drape.body.skeleton import JOINT_COUNT
+from drape.files.formats import MESH_NAMES
+from drape.graph.feeds import BETA_COUNT
+from drape.wire.options import FIRST_ONLY, DrapeOptions, FabricNumbers, Identifier, TierName, Worn
+from service.compute.tiers import Tier
+from service.http.poses import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M
+from service.stages.placing import Origin
+
+if TYPE_CHECKING:
+    from service.compute.garments import Entry
+
+
+def _number(limit: float) -> Any:
+    """A finite number; of ``limit`` the schema tells, and ``service.http.poses`` refuses what is beyond it."""
+    told: dict[str, Any] = {"minimum": -limit, "maximum": limit}
+    return Annotated[float, Field(allow_inf_nan=False, strict=True, json_schema_extra=told)]
+
+
+Angles = Annotated[list[_number(ANGLE_LIMIT_RAD)], Len(3, 3), FIRST_ONLY]
+Place = Annotated[list[_number(PLACE_LIMIT_M)], Len(3, 3), FIRST_ONLY]
+PoseRows = Annotated[list[Angles], Len(JOINT_COUNT, JOINT_COUNT), FIRST_ONLY]
+Betas = Annotated[list[_number(BETA_LIMIT)], Len(0, BETA_COUNT), FIRST_ONLY]
+
+
+class Request(BaseModel):
+    """Base of what clients send: unknown fields are refused, so that a typing mistake is not ignored."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class PosedOptions(Request):
+    """Of a body in motion all but its poses: its shape, and what an answer counts from."""
+
+    betas: Betas | None = Field(default=None, description="Body shape; zeros if left out.")
+    fps: Annotated[float, Field(gt=0.0, le=1000.0, allow_inf_nan=False)] = 30.0
+    origin: Origin = Field(
+        default="world",
+        description="What positions count from: the world's origin, or each frame's root joint, whose place the answer "
+        "then holds in float64. Far from the origin only the latter keeps the shape.",
+    )
+
+
+class PosedRequest(PosedOptions):
+    """A body in motion: rotation vectors [rad] relative to the parent, root translation [m], shape."""
+
+    poses: Annotated[list[PoseRows], Len(1), FIRST_ONLY]
+    trans: Annotated[list[Place], FIRST_ONLY] | None = Field(
+        default=None, description="Root translation [m] per frame; zeros if left out."
+    )
+
+
+class ClipOptions(DrapeOptions, Worn, PosedOptions):
+    """Of a garment, or several over each other, on a body in motion all but the poses."""
+
+    body: bool = Field(default=False, description="In a GLB, include the body as a second, skinned mesh.")
+    streamed: bool = Field(
+        default=False,
+        description="Of a binary answer: frames leave as they are ready, of any number of bytes; no header tells what "
+        "is known at the end alone.",
+    )
+    keep: bool = Field(default=False, description="Keep what the cloth remembers: X-Drape-Past names it.")
+    past: Annotated[str, Field(max_length=120)] | None = Field(
+        default=None, description="The X-Drape-Past of the frames that came before these: the clip goes on from there."
+    )
+    quantised: bool = Field(
+        default=True,
+        description="In a GLB, positions in steps of 16 bits and normals of 8 (KHR_mesh_quantization), half as large; "
+        "false: float32.",
+    )
+
+
+class DrapeRequest(ClipOptions, PosedRequest):
+    """A garment, or several over each other, on a body in motion."""
+
+
+class UploadRequest(Request):
+    """A garment file inside JSON, for clients that cannot send raw bytes."""
+
+    name: Identifier
+    format: Literal[MESH_NAMES]  # pyright: ignore[reportInvalidTypeForm]
+    data_base64: str
+    avatar: str | dict[str, Any] | None = None
+
+
+class OpenRequest(DrapeOptions, Worn, Request):
+    """The first message of a stream."""
+
+    type: Literal["open"]
+    betas: Betas | None = None
+    moves: bool = Field(default=False, description="Whether the client can go on at another process, with its state.")
+    same: bool = Field(default=False, description="Whether the client takes a SAME for a frame that it shows already.")
+
+
+class Problem(BaseModel):
+    """A refusal (RFC 9457): what was wrong, what was expected, what came, and what cures it."""
+
+    type: str
+    title: str
+    status: int
+    detail: str = Field(description="One sentence of name, expected, got and cure.")
+    name: str
+    expected: str
+    got: str
+    cure: str
+
+
+class Health(BaseModel):
+    """Whether the service works, and with what."""
+
+    model_config = ConfigDict(protected_namespaces=())
+
+    status: Literal["ok"]
+    version: str
+    model: str
+    model_digest: str
+    dynamic: bool
+    provider: str
+    int8: bool = Field(description="Whether the widest matrices of the network are multiplied in int8.")
+    half: bool = Field(description="Whether the network's matrices are multiplied in float16.")
+    elsewhere: int = Field(description="Operations that do not run on the provider; on a GPU each waits for a copy.")
+    device_bytes: int = Field(description="Memory of the garments' constants and of buckets where the graphs compute.")
+    buckets: int = Field(description="Sets of shapes with memory of their own; on a GPU each a captured graph.")
+    body: str
+    garments: int
+    passes: int = Field(description="Corrections of the network of which a request may choose how many; 0: no choice.")
+    fabrics: bool = Field(description="Whether the model drapes by what garments are made of.")
+    layers: int = Field(description="Garments that an outfit may have.")
+    max_frames: int = Field(description="Frames that a request may have; longer clips go in pieces.")
+    max_body_bytes: int = Field(description="Bytes that its body may have.")
+    sessions: int
+    refused_garments: list[str] = Field(description="Stored garments that could not be loaded, with the reason.")
+
+
+class FabricInfo(FabricNumbers):
+    """A fabric that a request may name, its numbers and where they come from."""
+
+    id: str
+    thickness_m: float
+    friction: float
+    source: str
+
+
+class TierInfo(BaseModel):
+    """A tier: passes of the network under steps of folds, and the passes that jets, which have no folds, get."""
+
+    id: TierName
+    default: bool = Field(description="Whether a request that names none gets it.")
+    passes: int
+    folds: int
+    alone: int = Field(description="Passes where there are no folds: with jets, or folds 0.")
+    figures: dict[str, Any] = Field(description="What benchmarks.tradeoff measured of it, and on which machine.")
+
+    @classmethod
+    def of(cls, tier: Tier, pass_count: int, *, default: TierName) -> TierInfo:
+        """``tier`` of a model that leaves ``pass_count`` passes to choose."""
+        passes, alone = (min(pass_count, pass_count if p is None else p) for p in (tier.passes, tier.alone))
+        named = TypeAdapter(TierName).validate_python(tier.name)
+        return cls(
+            id=named, default=named == default, passes=passes, folds=tier.folds, alone=alone, figures=dict(tier.figures)
+        )
+
+
+class GarmentInfo(BaseModel):
+    """One garment that can be draped."""
+
+    id: str
+    name: str
+    digest: str
+    vertices: int
+    faces: int
+    fine_vertices: int = Field(description="Of the mesh of resolution fine; as many where delivered is fine enough.")
+    patches: int
+    source: Literal["shipped", "user"]
+    published: bool = Field(description="Whether keys besides its owner's see it.")
+    materials: list[str]
+    fabric: str | dict[str, Any] = Field(description="What it is made of where a request names nothing else.")
+    manifest: dict[str, Any]
+
+    @staticmethod
+    def of(entry: Entry) -> GarmentInfo:
+        """What is told of ``entry``."""
+        garment = entry.garment
+        return GarmentInfo(
+            id=entry.id,
+            name=entry.name,
+            digest=garment.digest,
+            vertices=garment.vertex_count,
+            faces=len(garment.faces),
+            fine_vertices=len(garment.vertices),
+            patches=garment.patch_count,
+            source=entry.source,
+            published=entry.owner is None or entry.published,
+            materials=list(garment.material_names),
+            fabric=garment.fabric if isinstance(garment.fabric, str) else dict(garment.fabric),
+            manifest=garment.manifest,
+        )
+
+
+class JobInfo(BaseModel):
+    """The state of an upload. ``problem`` is the refusal where it failed, ``garment`` the new id where it is done;
+    while it runs, ``stage`` is what its process does now and ``share`` how much lies behind it."""
+
+    id: str
+    name: str
+    state: Literal["queued", "running", "done", "failed", "cancelled"]
+    stage: str | None = None
+    share: float = Field(default=0.0, description="By what the stages take of usual garments; 0 to 1.")
+    garment: str | None = None
+    problem: dict[str, Any] | None = None
+
+
+class BodyInfo(BaseModel):
+    """One body."""
+
+    id: str
+    digest: str
+    vertices: int
+    faces: int
+    shapes: int
+
+
+class BodyDocument(BodyInfo):
+    """A body of some shape: rest joints [m] and the height of its soles, to place a clip on the ground."""
+
+    joints: list[list[float]]
+    floor_m: float
+
+
+class MotionInfo(BaseModel):
+    """One shipped clip."""
+
+    id: str
+    name: str
+    frames: int
+    fps: float
+
+
+class MotionDocument(MotionInfo):
+    """A clip with its numbers."""
+
+    poses: list[list[list[float]]]
+    trans: list[list[float]]
+
+
+class MeshDocument(BaseModel):
+    """A mesh at rest: positions [m], triangles, texture coordinates (empty where there are none)."""
+
+    id: str
+    vertices: list[list[float]]
+    faces: list[list[int]]
+    uv: list[list[float]]
+    uv_faces: list[list[int]]
+    materials: list[str]
+    face_material: list[int]
+
+
+class LayerInfo(BaseModel):
+    """One garment of an outfit."""
+
+    id: str
+    vertices: int
+
+
+class VerticesDocument(BaseModel):
+    """Positions [m], frame by frame, in the world's axes."""
+
+    fps: float
+    frames: int
+    vertices: int
+    origin: Origin = Field(description="What positions count from: the world's origin, or each frame's root.")
+    roots: list[list[float]] | None = Field(default=None, description="With origin root: where it is [m], float64.")
+    garments: list[LayerInfo] | None = Field(default=None, description="Of an outfit: whose vertices follow whose.")
+    positions: list[list[list[float]]]

@@ -1,0 +1,108 @@
+"""Uvicorn as the stream needs it: no compression, small buffers, and a line that can be cut."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import socket
+
+import uvicorn
+from fastapi import FastAPI
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.http11 import Request
+
+from drape.errors import InputError, Unavailable
+from service.guard.connections import http_protocol
+from service.settings import Settings
+from service.stream.routes import ABORT
+
+SEND_BUFFER_BYTES = 256 * 1024  # what the kernel may hold back for a slow reader
+LOOK_S = 0.25  # between two looks at whether the service should end
+
+
+class StreamProtocol(WebSocketsSansIOProtocol):
+    """Puts ``transport.abort`` into the scope.
+
+    A client that has stopped reading keeps its connection open for ever otherwise: closing
+    waits for what is buffered, and pings are not answered by an application that is stuck.
+    """
+
+    def handle_connect(self, event: Request) -> None:
+        super().handle_connect(event)
+        scope = getattr(self, "scope", None)
+        if scope is not None:
+            scope["extensions"][ABORT] = {"call": self.transport.abort}
+
+
+def bind(host: str, port: int) -> socket.socket:
+    """A listening socket; refuses with a sentence where the address is taken or not ours."""
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
+    except OSError as error:
+        raise InputError(
+            "host", expected="an address of this machine", got=host, cure=f"Check --host ({error.strerror})."
+        ) from error
+    listener = socket.socket(family, kind, protocol)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        # Accepted connections inherit it.
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+        listener.bind(address)
+        listener.listen(256)
+    except OSError as error:
+        listener.close()
+        if error.errno == errno.EADDRINUSE:
+            raise Unavailable(
+                f"port {port}",
+                expected="a free port",
+                got="one that another program listens on",
+                cure="Stop that program, or choose another: --port 8123.",
+            ) from error
+        raise InputError(
+            f"{host}:{port}",
+            expected="an address that can be bound",
+            got=str(error.strerror),
+            cure="Check --host and --port.",
+        ) from error
+    return listener
+
+
+class DrainingServer(uvicorn.Server):
+    """Tells streams to connect again before it closes connections, and turns less often where nothing happens."""
+
+    async def main_loop(self) -> None:
+        """Looks for its end every ``LOOK_S``. Uvicorn's own loop turns ten times a second, which costs as much as a
+        fifth of what a stream of a body that stands still does."""
+        while not await self.on_tick(0):
+            await asyncio.sleep(LOOK_S)
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Takes no more connections, lets the application drain, and ends within 10 s."""
+        for server in self.servers:
+            server.close()
+        app = self.config.app
+        if isinstance(app, FastAPI):
+            await app.state.drape.drain()
+        await super().shutdown(sockets)
+
+
+def make_server(app: FastAPI, settings: Settings) -> uvicorn.Server:
+    """A server for ``app``; hand it the listening socket in ``run(sockets=[...])``."""
+    return DrainingServer(
+        uvicorn.Config(
+            app,
+            http=http_protocol(settings),
+            ws=StreamProtocol,
+            ws_per_message_deflate=False,  # 40 times slower for a few per cent
+            ws_max_size=settings.stream_message_bytes,
+            ws_ping_interval=20.0,
+            ws_ping_timeout=20.0,
+            log_level="info",
+            access_log=False,
+            server_header=False,
+            log_config=None,  # as service.watch.logs has set it up
+            timeout_graceful_shutdown=5,
+        )
+    )

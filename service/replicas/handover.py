@@ -1,0 +1,150 @@
+"""What a stream takes along to another process: ``Handover``.
+
+Signed under the secret of the tickets, for one key, one release, one model and one body, and good for ``LIFE_S``. It
+holds what the stages remember, how many poses were dropped and to which tier streams were held; times in it are the
+client's own. Whoever has none, or one that does not fit, begins anew.
+"""
+
+from __future__ import annotations
+
+import hmac
+import json
+import struct
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from drape.errors import DrapeError, InputError
+from drape.wire.state import PIECE_BYTES
+from service.compute.drape_runtime import Drapery
+from service.compute.unchanged import Still
+from service.errors import Busy, TooLarge, Unauthorized
+from service.guard.keys import Client
+from service.guard.tickets import Tickets
+from service.replicas.memory_codec import decoded, encoded
+from service.stages.batch import Memories, Plan
+from service.stream.sessions import Session
+from service.version import product_version
+
+LIFE_S = 60.0
+_SIGNATURE_BYTES = 32
+_LENGTH = struct.Struct("<I")
+_CURE = "Open the stream without it: it begins anew."
+
+
+@dataclass(frozen=True, eq=False)
+class Brought:
+    """What came along: the stages' memories, the poses that were dropped so far, the tier that streams were held to."""
+
+    memories: Memories
+    dropped: int
+    tier: int
+
+
+class Handover:
+    """Makes and reads the states of streams, and counts the bytes that are held of those which come in."""
+
+    def __init__(self, drapery: Drapery, tickets: Tickets) -> None:
+        self._drapery, self._tickets = drapery, tickets
+        self._classes = (Still, *(kind for stage in drapery.stages for kind in stage.kept))
+        self._held = 0
+
+    def state(self, session: Session, client: Client, tier: int, *, now_s: float | None = None) -> bytes:
+        """The signed state of ``session``, streams held to ``tier``; empty where no other process could read it, or it
+        would be longer than ``DRAPE_STREAM_STATE_BYTES``."""
+        if not self._tickets.shared:
+            return b""
+        head = self._bound(client, session.plan, session.betas)
+        head |= {"expires_s": (time.time() if now_s is None else now_s) + LIFE_S}
+        head |= {"dropped": session.dropped, "tier": tier}
+        text = json.dumps(head).encode()
+        kept = tuple((*key, memory) for key, memory in session.memories.items())
+        raw = _LENGTH.pack(len(text)) + text + encoded(kept, self._classes, _plans(session.plan, session.steps))
+        whole = self._tickets.sign(raw) + raw
+        return whole if len(whole) <= self._drapery.settings.stream_state_bytes else b""
+
+    def brought(
+        self,
+        blob: bytes,
+        client: Client,
+        plan: Plan,
+        steps: Sequence[Plan],
+        betas: np.ndarray,
+        *,
+        now_s: float | None = None,
+    ) -> Brought:
+        """What ``blob`` holds for a stream of ``plan`` and ``betas``; refuses (``Unauthorized``) one that is forged,
+        expired or of another key, and (``InputError``) one of another release, model, scene or shape."""
+        raw = blob[_SIGNATURE_BYTES:]
+        if not hmac.compare_digest(blob[:_SIGNATURE_BYTES], self._tickets.sign(raw)):
+            raise _foreign("one that this service did not sign")
+        start = _LENGTH.size + _LENGTH.unpack_from(raw)[0]
+        head: dict[str, Any] = json.loads(raw[_LENGTH.size : start])
+        if (time.time() if now_s is None else now_s) > head["expires_s"]:
+            raise _foreign("one that has expired")
+        if head["key"] != client.name:
+            raise _foreign("one of another key")
+        for name, ours in self._bound(client, plan, betas).items():
+            if head[name] != ours:
+                raise InputError("state", expected=f"the same {name}", got="another", cure=_CURE)
+        kept = decoded(raw[start:], self._classes, _plans(plan, steps))
+        return Brought({(stage, owner): memory for stage, owner, memory in kept}, head["dropped"], head["tier"])
+
+    def _bound(self, client: Client, plan: Plan, betas: np.ndarray) -> dict[str, Any]:
+        """What must be the same on both sides, as JSON has it."""
+        return {
+            "release": product_version(),
+            "key": client.name,
+            "model": self._drapery.engine.manifest.digest,
+            "body": self._drapery.body.digest,
+            "garments": [*plan.keys, *plan.draped_keys],
+            "options": plan.options.model_dump(mode="json"),
+            "shape": betas.tolist(),
+        }
+
+    @contextmanager
+    def incoming(self) -> Iterator[Incoming]:
+        """Room for the pieces of one state, until the end of the block."""
+        pieces = Incoming(self)
+        try:
+            yield pieces
+        finally:
+            self._held -= pieces.size
+
+    def hold(self, size: int, more: int) -> None:
+        """Counts ``more`` bytes of a state of which ``size`` have come; refuses what is too much, of it or of all."""
+        limits = self._drapery.settings
+        if size + more > limits.stream_state_bytes + PIECE_BYTES:
+            expected = f"at most {limits.stream_state_bytes} bytes"
+            raise TooLarge("state", expected=expected, got=f"{size + more} or more", cure=_CURE)
+        if self._held + more > limits.max_held_bytes:
+            expected = f"at most {limits.max_held_bytes} bytes of all streams together"
+            raise Busy("states", expected=expected, got=f"{self._held} and {more} more", cure="Try again in a second.")
+        self._held += more
+
+
+class Incoming:
+    """The pieces of one state so far, ``size`` bytes."""
+
+    def __init__(self, handover: Handover) -> None:
+        self._handover = handover
+        self.messages: list[bytes] = []
+        self.size = 0
+
+    def take(self, message: bytes) -> None:
+        """One piece more."""
+        self._handover.hold(self.size, len(message))
+        self.size += len(message)
+        self.messages.append(message)
+
+
+def _plans(plan: Plan, steps: Sequence[Plan]) -> tuple[Plan, ...]:
+    return (plan, *steps)
+
+
+def _foreign(got: str) -> DrapeError:
+    return Unauthorized("state", expected="a fresh one of this service and key", got=got, cure=_CURE)

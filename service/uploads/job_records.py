@@ -1,0 +1,57 @@
+"""What became of uploads, for whoever asks later or another service that has the same folder: a file for each."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from service.compute.garment_files import replace_text
+
+FOLDER = ".jobs"
+KEPT = 256
+Outcome = Literal["done", "failed", "cancelled"]
+
+
+@dataclass(frozen=True)
+class JobRecord:
+    """An upload that has ended: its garment's id, or the problem that ended it."""
+
+    id: str
+    name: str
+    owner: str | None
+    state: Outcome
+    garment: str | None = None
+    problem: dict[str, Any] | None = None
+
+    def write(self, root: Path) -> None:
+        """Stores it under ``root``; of more than ``KEPT`` the oldest are removed."""
+        folder = root / FOLDER
+        folder.mkdir(exist_ok=True)
+        replace_text(_path(root, self.id), json.dumps(asdict(self)))
+        times: list[tuple[int, Path]] = []
+        for path in folder.glob("*.json"):
+            try:
+                times.append((path.stat().st_mtime_ns, path))
+            except FileNotFoundError:  # removed by another service
+                continue
+        for _, path in sorted(times)[:-KEPT]:
+            path.unlink(missing_ok=True)
+
+
+def read_record(root: Path, job_id: str) -> JobRecord | None:
+    """What is kept under ``root`` of the upload ``job_id``, if anything."""
+    try:
+        return JobRecord(**json.loads(_path(root, job_id).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        return None
+
+
+def remove_record(root: Path, job_id: str) -> None:
+    """Forgets the upload ``job_id``."""
+    _path(root, job_id).unlink(missing_ok=True)
+
+
+def _path(root: Path, job_id: str) -> Path:
+    return root / FOLDER / f"{job_id}.json"

@@ -1,0 +1,397 @@
+"""Uploads: a file waits, is taken in by a limited process of its own, and becomes a garment or a refusal."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import os
+import re
+import shutil
+import signal
+import sys
+import uuid
+from collections.abc import AsyncIterator, Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from drape.errors import ArtifactError, DrapeError, InputError, MeshError, NotFound
+from service import errors
+from service.compute.drape_runtime import Drapery
+from service.compute.garment_files import OWNED, folder_of, sizes
+from service.compute.garments import slug
+from service.compute.sliced_thread import Piecework
+from service.guard.access import Access
+from service.guard.keys import ANYONE, Client
+from service.settings import ROOT, Settings
+from service.uploads import job_records
+from service.uploads.accepted import CANCEL, Accepted, elsewhere, staging_folder, sync, taken_over, touch
+from service.uploads.job_records import JobRecord
+
+if TYPE_CHECKING:
+    from opentelemetry.trace import Link
+
+MOST_ATTEMPTS = 3  # of one upload, where the service ends while it runs
+SHARES = {"start": 0.15, "read": 0.03, "rest": 0.32, "fit": 0.4, "cloth": 0.03, "store": 0.0, "prepare": 0.07}
+"""Stages of an upload, those of the intake between a process's start and the garment's constants, and their shares."""
+log = logging.getLogger("drape.service")
+
+
+@dataclass(eq=False)
+class Job:
+    """One upload and how far it is."""
+
+    id: str
+    name: str
+    owner: str | None = None
+    state: Literal["queued", "running", "done", "failed", "cancelled"] = "queued"
+    garment: str | None = None
+    problem: dict[str, Any] | None = None
+    stage: str | None = None  # of SHARES, while it runs
+    link: Link | None = None  # to the request that it came with
+    work: asyncio.Task[str] | None = None
+    folder: Path | None = None  # where it lies in another service
+
+    @property
+    def share(self) -> float:
+        """How much of the work lies behind it, by what the stages before this one take of usual garments."""
+        if self.state == "done":
+            return 1.0
+        names = list(SHARES)
+        return sum(SHARES[name] for name in names[: names.index(self.stage)]) if self.stage in SHARES else 0.0
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing more happens to it."""
+        return self.state not in ("queued", "running")
+
+
+class Uploads:
+    """A queue with ``DRAPE_INTAKE_WORKERS`` workers; files lie in a staging folder of this process until they are
+    garments. Uploads to other services that have the same folder are known too."""
+
+    def __init__(self, drapery: Drapery, piecework: Piecework, access: Access) -> None:
+        self._access = access
+        self._drapery, self._settings, self._piecework = drapery, drapery.settings, piecework
+        self._jobs: dict[str, Job] = {}
+        self._queue: asyncio.Queue[tuple[Job, Path, Accepted]] = asyncio.Queue()
+        self._root = self._settings.garments_dir
+        self._staging = staging_folder(self._root)
+        self._workers: list[asyncio.Task[None]] = []
+        self._begin = asyncio.Event()
+        self._begin.set()
+
+    def start(self) -> None:
+        """Goes on with what ended processes had accepted, clears what else they left, and starts the workers."""
+        self._go_on(self._taken_over())
+        self._workers = [
+            asyncio.create_task(self._work(), name=f"uploads {number}")
+            for number in range(self._settings.intake_workers)
+        ]
+
+    def _taken_over(self) -> list[tuple[Accepted, Path]]:
+        shared = self._settings.garments_look_s > 0.0
+        return list(taken_over(self._root, self._staging, shared=shared))
+
+    def _go_on(self, uploads: Iterable[tuple[Accepted, Path]]) -> None:
+        for accepted, folder in uploads:
+            job = self._jobs[accepted.id] = Job(accepted.id, accepted.name, accepted.owner)
+            self._queue.put_nowait((job, folder, accepted))
+
+    async def follow(self) -> None:
+        """What other services that have the folder need: says that this one runs, ends what they were asked to cancel,
+        and goes on with what ended ones had accepted."""
+        touch(self._staging)
+        for job in [job for job in self._jobs.values() if not job.ended]:
+            if (self._staging / job.id / CANCEL).exists():
+                await self.cancel(job)
+        if self._begin.is_set():
+            self._go_on(await asyncio.to_thread(self._taken_over))
+
+    def pause(self) -> None:
+        """Begins no further upload: the next start of the service goes on with them."""
+        self._begin.clear()
+
+    async def stop(self) -> None:
+        """Ends the workers and their processes; what was accepted stays for the next start, nothing else."""
+        for worker in self._workers:
+            worker.cancel()
+        await asyncio.gather(*self._workers, return_exceptions=True)
+        if not self.waiting:
+            shutil.rmtree(self._staging, ignore_errors=True)
+
+    @property
+    def waiting(self) -> int:
+        """Uploads that wait or run."""
+        return sum(not job.ended for job in list(self._jobs.values()))
+
+    @property
+    def runs(self) -> bool:
+        """Whether all workers take uploads in."""
+        return bool(self._workers) and not any(worker.done() for worker in self._workers)
+
+    def get(self, job_id: str, viewer: str | None = None) -> Job:
+        """The upload ``job_id``; refuses an unknown one, and one of another key than ``viewer``."""
+        job = self._jobs.get(job_id) or (self._elsewhere(job_id) if re.fullmatch("[0-9a-f]{12}", job_id) else None)
+        if job is None or job.owner != viewer:
+            cure = "Upload the file again."
+            raise NotFound("job", expected="the id of an upload", got=job_id[:120], cure=cure)
+        return job
+
+    def _elsewhere(self, job_id: str) -> Job | None:
+        """An upload to another service, or one of before: as the disk says it."""
+        there = elsewhere(self._root, self._staging, job_id)
+        if there is not None:
+            accepted, folder = there
+            job = Job(job_id, accepted.name, accepted.owner, folder=folder)
+            if accepted.attempts:
+                job.state, job.stage = "running", "start"
+            if (folder / CANCEL).exists():
+                job.state = "cancelled"
+            return job
+        kept = job_records.read_record(self._root, job_id)
+        return kept and Job(kept.id, kept.name, kept.owner, kept.state, kept.garment, kept.problem)
+
+    async def cancel(self, job: Job) -> None:
+        """Ends ``job`` and removes its files; one that has ended is forgotten, and its garment stays.
+
+        One of another service is ended by that, within ``DRAPE_GARMENTS_LOOK_S``.
+        """
+        if job.ended:
+            self._jobs.pop(job.id, None)
+            await asyncio.to_thread(job_records.remove_record, self._root, job.id)
+            return
+        if job.folder is not None:
+            with contextlib.suppress(FileNotFoundError):  # it has just ended
+                (job.folder / CANCEL).touch()
+            return
+        job.state = "cancelled"
+        if job.work is not None:
+            job.work.cancel()
+            await asyncio.wait([job.work])
+        await self._keep(job)
+        await asyncio.to_thread(shutil.rmtree, self._staging / job.id, ignore_errors=True)
+
+    async def _keep(self, job: Job) -> None:
+        """Stores what became of ``job``, where every service that has the folder finds it."""
+        assert job.state not in ("queued", "running")
+        record = JobRecord(job.id, job.name, job.owner, job.state, job.garment, job.problem)
+        try:
+            await asyncio.to_thread(record.write, self._root)
+        except OSError as error:  # a full disk: it is known here as long as this service runs
+            log.warning("upload %s: its record was not kept: %s", job.id, error)
+        else:
+            self._jobs.pop(job.id, None)
+
+    def check_place(self, client: Client = ANYONE) -> None:
+        """Refuses when too many uploads wait, are stored or run, and when there is no room for another garment."""
+        self._check_room(client)
+        if self.waiting >= self._settings.intake_queue:
+            raise errors.Busy(
+                "uploads",
+                expected=f"fewer than {self._settings.intake_queue} waiting",
+                got=str(self.waiting),
+                cure="Try again in a minute.",
+            )
+
+    async def submit(
+        self, name: str, file_format: str, pieces: AsyncIterator[bytes], avatar: str | None, client: Client = ANYONE
+    ) -> Job:
+        """Stores the file that ``pieces`` make and queues it; refuses when too many wait, and an empty one."""
+        self.check_place(client)
+        job = Job(uuid.uuid4().hex[:12], slug(name), client.name, link=self._drapery.tracing.here())
+        file = self._staging / job.id / f"{job.name}.{file_format}"
+        self._jobs[job.id] = job  # at once, so that files that are being stored count
+        try:
+            if not await self._stored(file, pieces):
+                cure = "Send the file as the body."
+                raise MeshError("request body", expected="the bytes of a mesh file", got="nothing", cure=cure)
+            accepted = Accepted(job.id, job.name, job.owner, file.name, avatar)
+            await asyncio.to_thread(accepted.write, file.parent)
+        except BaseException:
+            del self._jobs[job.id]
+            shutil.rmtree(file.parent, ignore_errors=True)
+            raise
+        finished = [key for key, kept in self._jobs.items() if kept.ended]
+        for key in finished[: max(0, len(self._jobs) - job_records.KEPT)]:
+            del self._jobs[key]
+        self._queue.put_nowait((job, file.parent, accepted))
+        return job
+
+    async def _stored(self, file: Path, pieces: AsyncIterator[bytes]) -> int:
+        """Writes ``pieces`` to ``file`` as they come; how many bytes."""
+        file.parent.mkdir(parents=True)
+        with file.open("wb") as target:
+            size = sum([await self._piecework.run(target.write, piece) async for piece in pieces])
+            target.flush()
+            await asyncio.to_thread(os.fsync, target.fileno())
+            return size
+
+    async def _work(self) -> None:
+        while True:
+            job, folder, accepted = await self._queue.get()
+            await self._begin.wait()
+            if job.state == "cancelled":
+                continue
+            job.state, job.stage = "running", "start"
+            try:
+                with self._drapery.tracing.work("upload", [job.link], job=job.id):
+                    job.work = asyncio.create_task(self._take_in(job, folder, accepted))
+                    job.garment = await job.work
+                job.state = "done"
+            except asyncio.CancelledError:
+                task = asyncio.current_task()
+                if job.state != "cancelled" or (task is not None and task.cancelling()):
+                    raise
+            except DrapeError as error:
+                job.problem, job.state = errors.problem(error), "failed"
+                log.info("upload %s refused: %s", job.id, error)
+            except Exception:
+                log.exception("upload %s failed", job.id)
+                job.problem, job.state = errors.problem(errors.InternalError()), "failed"
+            job.work = job.stage = None
+            # Not where the worker is ended: the next start goes on with it. The record comes first, so that other
+            # services always find one of both.
+            await self._keep(job)
+            shutil.rmtree(folder, ignore_errors=True)
+
+    async def _take_in(self, job: Job, folder: Path, accepted: Accepted) -> str:
+        """The id of the garment made from what was ``accepted`` and lies in ``folder``."""
+        if accepted.attempts >= MOST_ATTEMPTS:
+            raise MeshError(
+                f"upload {accepted.file}",
+                expected=f"an intake that ends within {MOST_ATTEMPTS} starts of the service",
+                got="none",
+                cure="Upload the file again.",
+            )
+        await asyncio.to_thread(accepted.tried, folder)
+        out, client = folder / "out", self._access.client(accepted.owner)
+
+        def begun(stage: str) -> None:
+            job.stage = stage
+            self._drapery.tracing.event(stage)
+
+        report = await run_sandbox(folder / accepted.file, accepted.avatar, out, self._settings, begun)
+        begun("prepare")
+        made = out / str(report["file"])
+        registry = self._drapery.garments
+        self._check_room(client, made.stat().st_size)
+        prepared = await self._drapery.aside(registry.prepare, made)
+        stored = folder_of(self._root, client.name) / made.name
+        stored.parent.mkdir(exist_ok=True)
+        await asyncio.to_thread(sync, made)
+        known = stored.exists()
+        os.replace(made, stored)
+        try:
+            await asyncio.to_thread(sync, stored.parent)
+        except asyncio.CancelledError:
+            if not known:  # another upload of the same file has it
+                stored.unlink(missing_ok=True)
+            raise
+        return registry.add(prepared, "user", stored).id
+
+    def _check_room(self, client: Client, more: int = 0) -> None:
+        """Refuses (``Full``) a garment, of ``more`` bytes, that the disk or its key has no room for."""
+        stored = sizes([self._root, *self._root.glob(f"{OWNED}*/")])
+        rules = [("bytes of all garments", self._settings.max_stored_bytes, sum(stored), more)]
+        if client.limits is not None:
+            own = sizes([folder_of(self._root, client.name)])
+            rules.append(("bytes of a key's garments", client.limits.bytes, sum(own), more))
+            rules.append(("garments of a key", client.limits.garments, len(own), 1))
+        for name, most, there, asked in rules:
+            if there + asked > most or there >= most:
+                cure = "Delete garments that are no longer worn: DELETE /garments/ID."
+                raise errors.Full(name, expected=f"at most {most}", got=f"{there} and another", cure=cure)
+
+
+async def run_sandbox(
+    file: Path,
+    avatar: str | None,
+    out: Path,
+    settings: Settings,
+    begun: Callable[[str], None] = lambda stage: None,
+) -> dict[str, Any]:
+    """What the intake process reports; raises its refusal, or one for the limit that it ran into. ``begun`` is told
+    each stage as the process begins it."""
+    command = [sys.executable, "-m", "service.uploads.sandbox", str(file), "--out", str(out), "--body", settings.body]
+    command += ["--memory-mb", str(settings.intake_memory_mb), "--cpu-s", str(settings.intake_cpu_s)]
+    # One thread each: their stacks and buffers count against the memory limit.
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+    process = await asyncio.create_subprocess_exec(
+        *command,
+        cwd=ROOT,
+        env=environment,
+        stdin=asyncio.subprocess.PIPE,  # a command line takes no avatar above 128 KiB, and anybody may read it
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    label = f"upload {file.name}"
+    try:
+        report = await asyncio.wait_for(_conversation(process, (avatar or "").encode(), begun), settings.intake_wall_s)
+    except TimeoutError:
+        raise errors.TooLarge(
+            label,
+            expected=f"an intake within {settings.intake_wall_s:g} s",
+            got="no end by then",
+            cure="Simplify the mesh.",
+        ) from None
+    finally:
+        if process.returncode is None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            await process.wait()
+    if report is not None and "problem" in report:
+        raise _refusal(report["problem"])
+    if report is not None and "file" in report:
+        return report
+    if process.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
+        raise errors.TooLarge(
+            label,
+            expected=f"an intake within {settings.intake_cpu_s} s of processor time",
+            got="more",
+            cure="Simplify the mesh.",
+        )
+    raise MeshError(
+        label,
+        expected="a mesh",
+        got=f"a file on which the intake ends with status {process.returncode}",
+        cure="Export the mesh again.",
+    )
+
+
+async def _conversation(
+    process: asyncio.subprocess.Process, said: bytes, begun: Callable[[str], None]
+) -> dict[str, Any] | None:
+    """The last line of JSON of ``process``, which hears ``said``; stages before it are told to ``begun``."""
+    assert process.stdin is not None and process.stdout is not None
+    with contextlib.suppress(ConnectionError):  # it has ended
+        process.stdin.write(said)
+        await process.stdin.drain()
+        process.stdin.close()
+    last: dict[str, Any] | None = None
+    async for line in process.stdout:
+        last = _document(line)
+        if last is not None and last.get("stage") in SHARES:
+            begun(last["stage"])
+    await process.wait()
+    return last
+
+
+def _document(line: bytes) -> dict[str, Any] | None:
+    try:
+        found = json.loads(line)
+    except ValueError:
+        return None
+    return found if isinstance(found, dict) else None
+
+
+_KINDS: dict[str, type[DrapeError]] = {kind.__name__: kind for kind in (*errors.TABLE, ArtifactError)}
+
+
+def _refusal(said: dict[str, str]) -> DrapeError:
+    """The error that the intake process put in words."""
+    kind = _KINDS.get(said["kind"], InputError)
+    return kind(said["name"], expected=said["expected"], got=said["got"], cure=said["cure"])

@@ -1,0 +1,83 @@
+"""One intake in a process with limits: ``python -m service.uploads.sandbox FILE --out DIR``; prints lines of JSON.
+
+Standard input holds the avatar, or nothing where the standard body is meant. ``{"stage": NAME}`` is a line before, for
+each of ``drape.garment.intake.STAGES`` as it begins. A mesh file of a few hundred bytes can ask
+for gigabytes, so strangers' files are never parsed in the serving process. The last line is ``{"file": NAME}`` or
+``{"problem": {kind, name, expected, got, cure}}``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import shutil
+import sys
+from pathlib import Path
+
+from drape.errors import DrapeError, MeshError
+from service.compute.background import step_back
+
+FILE_LIMIT_BYTES = 2**30
+
+
+def set_limits(*, memory_mb: int, cpu_s: int) -> None:
+    """Address space, processor time, size of files; no core dumps."""
+    memory = memory_mb * 2**20
+    resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+    resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s + 2))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (FILE_LIMIT_BYTES, FILE_LIMIT_BYTES))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def take_in(file: Path, out: Path, *, avatar: str | None, body: str) -> Path:
+    """The cache file that the intake makes of ``file``."""
+    from drape.body.assets import load_body
+    from drape.garment.intake import intake
+
+    return out / intake(file, avatar=avatar, body=load_body(body), folder=out, begun=_say).file_name()
+
+
+def _say(stage: str) -> None:
+    print(json.dumps({"stage": stage}), flush=True)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("file", type=Path)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--body", required=True)
+    parser.add_argument("--memory-mb", type=int, required=True)
+    parser.add_argument("--cpu-s", type=int, required=True)
+    options = parser.parse_args()
+    step_back()
+    set_limits(memory_mb=options.memory_mb, cpu_s=options.cpu_s)
+    try:
+        made = take_in(options.file, options.out, avatar=sys.stdin.buffer.read().decode() or None, body=options.body)
+    except DrapeError as error:
+        return _refuse(options.out, error)
+    except MemoryError:
+        limit = f"a mesh that fits into {options.memory_mb} MB"
+        return _refuse(
+            options.out,
+            MeshError(options.file.name, expected=limit, got="one that does not", cure="Simplify the mesh."),
+        )
+    print(json.dumps({"file": made.name}))
+    return 0
+
+
+def _refuse(out: Path, error: DrapeError) -> int:
+    shutil.rmtree(out, ignore_errors=True)
+    said = {
+        "kind": type(error).__name__,
+        "name": error.name,
+        "expected": error.expected,
+        "got": error.got,
+        "cure": error.cure,
+    }
+    print(json.dumps({"problem": said}))
+    return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

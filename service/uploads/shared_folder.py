@@ -1,0 +1,109 @@
+"""What other services did to the folder of uploads that this one shares with them."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+from drape.errors import DrapeError, NotFound
+from service.compute import garment_files
+from service.compute.drape_runtime import Drapery
+from service.compute.garments import Entry
+from service.stream.sessions import Streams
+from service.uploads.jobs import Uploads
+
+LEAST_S = 0.25  # between two looks, however many ask for garments that nobody knows
+
+Found = TypeVar("Found")
+log = logging.getLogger("drape.service")
+
+
+def end_streams(entry: Entry, streams: Streams) -> None:
+    """Ends (4404) the streams that wear ``entry``."""
+    streams.end(
+        lambda scene: entry.id in [layer.id for layer in scene.layers],
+        NotFound("garment", expected="one in service", got=f"{entry.id}, which was deleted", cure="Open another."),
+    )
+
+
+class Follower:
+    """Looks into the folder every ``DRAPE_GARMENTS_LOOK_S``, and where a garment is asked for that this service does
+    not know; 0 never, as for a service that has its folder alone."""
+
+    def __init__(self, drapery: Drapery, streams: Streams, uploads: Uploads) -> None:
+        self._drapery, self._streams, self._uploads = drapery, streams, uploads
+        self._every_s = drapery.settings.garments_look_s
+        self._turn = asyncio.Lock()
+        self._begun_s = -LEAST_S  # the latest look
+        self._known: dict[Path, tuple[int, int]] = {}  # when each file was written, as of the latest look
+        self._task: asyncio.Task[None] | None = None
+
+    def start(self) -> None:
+        """Begins to look."""
+        if self._every_s:
+            self._task = asyncio.create_task(self._go_on(), name="following")
+
+    async def stop(self) -> None:
+        """Looks no more."""
+        if self._task is not None:
+            self._task.cancel()
+            await asyncio.gather(self._task, return_exceptions=True)
+
+    @property
+    def runs(self) -> bool:
+        """Whether it looks, where it should."""
+        return self._task is None or not self._task.done()
+
+    async def found(self, asked: Callable[[], Found]) -> Found:
+        """``asked()``; where that refuses a garment as unknown, again after a look."""
+        try:
+            return asked()
+        except NotFound:
+            if not self._every_s:
+                raise
+        await self.look()
+        return asked()
+
+    async def look(self) -> None:
+        """Takes over what changed. A look that begins after this call satisfies it, whoever asked for that."""
+        asked_s = time.monotonic()
+        async with self._turn:
+            if self._begun_s >= asked_s:
+                return
+            await asyncio.sleep(self._begun_s + LEAST_S - time.monotonic())
+            self._begun_s = time.monotonic()
+            there = await asyncio.to_thread(garment_files.stored, self._drapery.settings.garments_dir)
+            before, self._known = self._known, there
+            entries = {entry.path: entry for entry in self._drapery.garments.entries() if entry.source == "user"}
+            for path, entry in entries.items():
+                if path is not None and path not in there and not path.exists():
+                    end_streams(entry, self._streams)
+                    await self._drapery.aside(self._drapery.garments.forget, entry)
+            for path, written in there.items():
+                if before.get(path) != written:
+                    await self._take_in(path, entries.get(path), written[0] != before.get(path, (0, 0))[0])
+
+    async def _take_in(self, path: Path, entry: Entry | None, fresh: bool) -> None:
+        """Lets the registry read ``path``, or, of a cache that is not ``fresh``, what is said of it."""
+        registry = self._drapery.garments
+        try:
+            if entry is not None:
+                registry.read_again(entry)
+            elif fresh:
+                registry.add(await self._drapery.aside(registry.prepare, path), "user", path)
+        except FileNotFoundError:  # removed meanwhile: the next look sees it
+            return
+        except DrapeError as error:
+            log.warning("garment set aside: %s", error)
+
+    async def _go_on(self) -> None:
+        while True:
+            await asyncio.sleep(self._every_s)
+            with contextlib.suppress(OSError):  # a folder on a network that is away for a moment
+                await self.look()
+                await self._uploads.follow()

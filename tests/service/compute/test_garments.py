@@ -1,0 +1,92 @@
+"""The registry takes in what fits together and names what does not."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drape.body.model import BodyModel
+from drape.errors import ArtifactError
+from drape.garment.cache import Garment, save_garment
+from service.compute.drape_runtime import Drapery
+from service.compute.garments import check_garment, slug
+from service.errors import TooLarge
+from service.settings import Settings
+from tests.fixtures.tiny_model import tube_garment
+
+
+def spoiled(array: np.ndarray, value: float) -> np.ndarray:
+    copy = array.copy()
+    copy.flat[0] = value
+    return copy
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        (lambda g: {"body_digest": "0" * 64}, "body_digest"),
+        (lambda g: {"chart_patch": spoiled(g.chart_patch, 12)}, r"chart_patch: expected indices in \[0, 12\)"),
+        (lambda g: {"chart_patch": spoiled(g.chart_patch, -1)}, "chart_patch: expected indices"),
+        (lambda g: {"faces": spoiled(g.faces, 216)}, r"faces: expected indices in \[0, 216\)"),
+        (lambda g: {"uv_faces": spoiled(g.uv_faces, 10_000)}, "uv_faces: expected indices"),
+        (lambda g: {"chart_weight": g.chart_weight[:, :3]}, "chart_weight: expected shape"),
+        (lambda g: {"patch_jet": g.patch_jet[:, :26]}, "patch_jet: expected shape"),
+        (lambda g: {"chart_residual": spoiled(g.chart_residual, np.nan)}, "chart_residual: expected finite"),
+        (lambda g: {"vertices": spoiled(g.vertices, np.inf)}, "vertices: expected finite"),
+        (lambda g: {"vertex_count": 0}, "vertex_count"),
+        (lambda g: {"vertex_count": 1000}, "vertex_count"),
+    ],
+)
+def test_a_cache_that_does_not_fit_together_is_refused_by_name(
+    body: BodyModel, tube: Garment, changes: Callable[[Garment], dict], word: str
+):
+    with pytest.raises(ArtifactError, match=word):
+        check_garment(dataclasses.replace(tube, **changes(tube)), body, max_vertices=1000)
+
+
+def test_too_many_vertices_are_refused(body: BodyModel, tube: Garment):
+    check_garment(tube, body, max_vertices=216)
+    with pytest.raises(TooLarge, match="at most 215"):
+        check_garment(tube, body, max_vertices=215)
+
+
+def test_a_broken_upload_is_set_aside_and_a_broken_shipped_cache_stops_the_start(
+    make_settings: Callable[..., Settings], tmp_path: Path, body: BodyModel, tube: Garment
+):
+    settings = make_settings(garments_dir=tmp_path)
+    (tmp_path / "broken-0.npz").write_bytes(b"PK not an archive")
+    save_garment(dataclasses.replace(tube, name="other", body_digest="0" * 64), tmp_path)
+    save_garment(dataclasses.replace(tube, name="good"), tmp_path)
+    drapery = Drapery(settings)
+    assert [entry.id for entry in drapery.garments.entries()] == ["tube", "good"]
+    assert sorted(line.split(":")[0].split("-")[0] for line in drapery.garments.refused) == ["broken", "other"]
+    drapery.close()
+    with pytest.raises(ArtifactError, match=r"broken-0\.npz"):
+        Drapery(make_settings(shipped_garments_dir=tmp_path))
+
+
+def test_equal_names_get_different_ids_and_the_same_garment_the_same(
+    make_settings: Callable[..., Settings], tmp_path: Path, body: BodyModel, tube: Garment
+):
+    drapery = Drapery(make_settings())
+    wide = dataclasses.replace(tube_garment(body, radius_m=0.25), digest="ab" * 32)
+    first = drapery.garments.add(drapery.garments.prepare(save_garment(wide, tmp_path)), "user")
+    again = drapery.garments.add(drapery.garments.prepare(save_garment(wide, tmp_path)), "user")
+    assert first.id == again.id == "tube-abababab"
+    assert drapery.garments.get("tube").source == "shipped"
+    shipped = drapery.garments.add(drapery.garments.prepare(save_garment(tube, tmp_path)), "user")
+    assert (shipped.id, shipped.source) == ("tube", "shipped")
+    assert len(drapery.garments.entries()) == 2
+    drapery.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [("T shirt/../x", "T-shirt-..-x"), ("...", "garment"), ("ärmel", "rmel"), ("a" * 200, "a" * 80)],
+)
+def test_ids_are_safe_in_paths_and_addresses(name: str, expected: str):
+    assert slug(name) == expected

@@ -1,0 +1,182 @@
+"""Tiers: what a name, a budget, or nothing at all comes to, and that it is told."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, replace
+
+import httpx
+import numpy as np
+import pytest
+
+from drape.artifacts import load_manifest
+from drape.errors import ArtifactError, InputError
+from drape.wire.options import DrapeOptions
+from service.app import create_app
+from service.compute.drape_runtime import STEPS_BELOW, Drapery
+from service.compute.tiers import NAMES, TIERS, Tier, capped, chosen, read_tiers, spared, tier_of
+from service.settings import Settings
+from tests.fixtures.serving import outfit_settings, serve
+from tests.fixtures.tiny_model import TINY, write_tiny_model
+
+__all__ = ["outfit_settings"]  # a fixture
+
+PASSES = 4  # of a model that leaves the choice
+OWN = (Tier("fast", 0, 1, 0), Tier("balanced", 0, 3, None), Tier("accurate", 1, 4, None, {"gain_trained": 0.99}))
+REST = {"garment": "tube", "poses": np.zeros((1, 24, 3)).tolist()}
+
+
+@pytest.fixture(scope="module")
+def own_settings(make_settings: Callable[..., Settings], body, tmp_path_factory) -> Settings:
+    """Of a model whose manifest has tiers; folds are what the tier says."""
+    folder = tmp_path_factory.mktemp("tiers")
+    model = write_tiny_model(folder, body)
+    manifest = replace(load_manifest(model), tiers=[asdict(tier) for tier in OWN])
+    (model / "manifest.json").write_text(manifest.to_json())
+    return make_settings(models_dir=folder, folds=None)
+
+
+@pytest.fixture
+def drapery(own_settings: Settings) -> Iterator[Drapery]:
+    made = Drapery(own_settings)
+    yield made
+    made.close()
+
+
+def values(options: DrapeOptions, pass_count: int = PASSES, **settings: object) -> tuple[int | None, int | None]:
+    found = chosen(options, TIERS, Settings(**settings), pass_count)  # pyright: ignore[reportArgumentType]
+    assert found.tier is None and found.budget_ms is None
+    return found.passes, found.folds
+
+
+@pytest.mark.parametrize(
+    ("asked", "settings", "want"),
+    [
+        ({}, {}, (0, 2)),
+        ({}, {"tier": "fast"}, (0, 1)),
+        ({}, {"folds": 0}, (None, 0)),
+        ({}, {"passes": 3}, (3, 2)),
+        ({"tier": "accurate"}, {"tier": "fast", "passes": 3, "folds": 0}, (0, 4)),
+        ({"passes": 2}, {}, (2, 2)),
+        ({"folds": 0}, {}, (None, 0)),
+        ({"tier": "fast", "folds": 0}, {}, (0, 0)),
+        ({"geometry": "jets"}, {}, (None, 0)),
+        ({"geometry": "jets", "tier": "fast"}, {}, (0, 0)),
+        ({"tier": "fast", "folds": 5, "passes": 1}, {}, (1, 5)),
+    ],
+)
+def test_what_is_named_wins_then_its_tier_then_the_settings(asked: dict, settings: dict, want: tuple):
+    assert values(DrapeOptions(**asked), **settings) == want
+
+
+def test_a_model_of_fixed_passes_is_asked_for_none_of_them():
+    assert values(DrapeOptions(), pass_count=0) == (None, 2)
+    assert tier_of(chosen(DrapeOptions(), TIERS, Settings(), 0), TIERS, 0) == "balanced"
+
+
+@pytest.mark.parametrize("geometry", ["vertices", "jets"])
+def test_the_tier_of_what_was_chosen_is_told_by_name(geometry):
+    for name in NAMES:
+        found = chosen(DrapeOptions(tier=name, geometry=geometry), TIERS, Settings(), PASSES)  # type: ignore[arg-type]
+        told = tier_of(found, TIERS, PASSES)
+        assert told == name or (geometry == "jets" and {told, name} <= {"balanced", "accurate"}), "jets have no folds"
+    odd = chosen(DrapeOptions(folds=3, passes=1, geometry="vertices"), TIERS, Settings(), PASSES)
+    assert tier_of(odd, TIERS, PASSES) == "custom"
+
+
+def test_a_cap_never_asks_for_more_than_was_asked():
+    fast, balanced, accurate = TIERS
+    for folds in (0, 1, 2, 16):
+        for passes in (0, 2, None):
+            asked = chosen(DrapeOptions(folds=folds, passes=passes), TIERS, Settings(), PASSES)
+            for tier in TIERS:
+                held = capped(asked, tier)
+                assert held.folds is not None and held.folds <= min(folds, tier.folds)
+                assert passes is None or (held.passes is not None and held.passes <= passes)
+    high = chosen(DrapeOptions(tier="accurate"), TIERS, Settings(), PASSES)
+    assert [capped(high, tier).folds for tier in (fast, balanced, accurate)] == [1, 2, 4]
+    jets = chosen(DrapeOptions(geometry="jets"), TIERS, Settings(), PASSES)
+    assert (capped(jets, fast).passes, capped(jets, balanced)) == (0, jets)
+
+
+def test_what_is_spared_is_cloth_against_cloth_where_there_are_folds():
+    asked = chosen(DrapeOptions(tier="fast", push_out=True), TIERS, Settings(), PASSES)
+    assert spared(asked) == asked.model_copy(update={"cloth_contact": False})
+    for without in (DrapeOptions(folds=0), DrapeOptions(geometry="jets")):
+        plain = chosen(without, TIERS, Settings(), PASSES)
+        assert spared(plain) == plain
+
+
+def test_layers_spare_nothing(outfit_settings: Settings):
+    drapery = Drapery(outfit_settings)
+    try:
+        for worn, differs in ((["tube"], True), (["tube", "coat"], False)):
+            plan = drapery.plan(drapery.garments.scene(None, worn), DrapeOptions(tier="fast"), messages=True)
+            carried, lowest, least, *_ = steps = drapery.steps(plan)
+            assert len(steps) == STEPS_BELOW + len(drapery.tiers)
+            assert lowest.options.push_out and lowest.options.cloth_contact != differs
+            assert (lowest != least) == differs == carried.carried
+            assert carried == (replace(lowest, carried=True) if differs else lowest)
+    finally:
+        drapery.close()
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        [asdict(OWN[0])],
+        [asdict(tier) for tier in reversed(OWN)],
+        [asdict(replace(OWN[0], folds=0)), *map(asdict, OWN[1:])],
+        [asdict(OWN[0]), asdict(replace(OWN[1], passes=2)), asdict(OWN[2])],
+        [asdict(OWN[0]), asdict(OWN[1]), asdict(OWN[2]) | {"speed": 9}],
+        [{"name": name} for name in NAMES],
+    ],
+    ids=["too few", "out of order", "without folds", "less than below", "unknown field", "no numbers"],
+)
+def test_tiers_that_are_none_stop_the_start(rows: list[dict]):
+    with pytest.raises(ArtifactError, match="tiers of the manifest: expected fast, balanced, accurate"):
+        read_tiers(rows)
+
+
+def test_tiers_come_from_the_manifest_and_are_listed(drapery: Drapery):
+    assert drapery.tiers == OWN and read_tiers([]) == TIERS
+    with serve(create_app(drapery.settings, drapery=drapery), drapery.settings) as url:
+        fast, balanced, accurate = httpx.get(url + "/tiers").json()
+        assert fast == {"id": "fast", "default": False, "passes": 0, "folds": 1, "alone": 0, "figures": {}}
+        assert (balanced["default"], balanced["alone"]) == (True, drapery.engine.pass_count)
+        assert accurate["figures"] == {"gain_trained": 0.99}
+        for more, tier, folds in (
+            ({}, "balanced", "3"), ({"tier": "fast"}, "fast", "1"), ({"folds": 7}, "custom", "7"),
+            ({"budget_ms": 1e6}, "accurate", "4"), ({"budget_ms": 1e-6}, "fast", "1"),
+        ):  # fmt: skip
+            headers = httpx.post(url + "/drape", json=REST | more).headers
+            assert (headers["X-Drape-Tier"], headers["X-Drape-Folds"]) == (tier, folds)
+        for wrong in ({"tier": "best"}, {"budget_ms": 0.0}, {"budget_ms": 5.0, "tier": "fast"}):
+            assert httpx.post(url + "/drape", json=REST | wrong).status_code in (400, 422)
+
+
+def test_a_budget_between_two_tiers_gets_the_lower_one(drapery: Drapery):
+    scene = drapery.garments.get("tube")
+    names = ("fast", "balanced", "accurate")
+    plans = [drapery.plan(scene, DrapeOptions(tier=name, safe_folds=0)) for name in names]  # a budget holds every frame
+    for plan, cost_ms in zip(plans, (2.0, 4.0, 9.0), strict=True):
+        drapery._frame_ms[plan.keys, plan.options, plan.messages] = cost_ms
+    for budget_ms, want in ((1.0, 0), (2.0, 0), (3.9, 0), (4.0, 1), (8.9, 1), (9.0, 2)):
+        assert asyncio.run(drapery.plan_within(scene, DrapeOptions(budget_ms=budget_ms))) == plans[want]
+    with pytest.raises(InputError, match="budget_ms: expected a tier or a budget, got both"):
+        asyncio.run(drapery.plan_within(scene, DrapeOptions(budget_ms=3.0, tier="fast")))
+
+
+def test_the_cost_of_a_frame_is_measured_once(drapery: Drapery):
+    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions(folds=2, passes=1))
+    first = asyncio.run(drapery.frame_ms(plan))
+    assert 0.0 < first < 1e4 and asyncio.run(drapery.frame_ms(plan)) == first
+
+
+def test_the_default_of_the_product_is_folds(make_settings: Callable[..., Settings]):
+    assert (Settings().tier, Settings().folds, Settings().passes) == ("balanced", None, None)
+    made = Drapery(make_settings(folds=None))
+    plan = made.plan(made.garments.get("tube"), DrapeOptions())
+    assert made.engine.manifest.name == TINY and [stage.name for stage in plan.stages] == ["network", "folds"]
+    made.close()

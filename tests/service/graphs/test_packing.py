@@ -1,0 +1,388 @@
+"""Packed batches: the same bits alone and in any mix, only what a plan asks for, bounded memory, refusals."""
+
+from __future__ import annotations
+
+import copy
+import json
+import shutil
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+import torch
+from numpy.testing import assert_allclose, assert_array_equal
+
+from drape.artifacts import load_manifest
+from drape.body.assets import load_body
+from drape.contact.skin import body_skin, skin_table
+from drape.errors import ArtifactError, InputError, NotFound
+from drape.graph.feeds import body_feed, garment_feed
+from drape.graph.packing import pack_body, pass_name
+from drape.wire.options import DrapeOptions
+from model_export.graph import DrapeGraph, drape_inputs
+from model_export.parity import hard_poses
+from service.compute.drape_runtime import Drapery
+from service.graphs.engine import PACKED, Engine
+from service.graphs.onnx_runtime import Device
+from service.graphs.packing import SHAPE_INDEX, STORED_INDEX, Packer, Result, ScenePlan
+from service.graphs.subgraph import cut
+from service.stages import run
+from service.stages.batch import PoseInput
+from tests.fixtures.packed import KINDS, described, exported, garment
+from tests.fixtures.poses import random_motion
+from tests.fixtures.tiny_model import expected_vertices, tube_garment
+from training.model import OneFit
+
+pytestmark = pytest.mark.slow
+BODIES = 64
+TERMS = 4 * 18  # of a vertex: those of four charts, each shorter than a body
+WEIGHTS_FOLDER = "session.model_external_initializers_file_folder_path"  # of models that come as bytes
+PLANS = [ScenePlan(), ScenePlan("both", skin=True), ScenePlan("jets"), ScenePlan(passes=0)]
+
+
+@pytest.fixture(scope="module")
+def bodies() -> dict[str, np.ndarray]:
+    """Sixty-four clients, each with its own pose and shape."""
+    body = load_body()
+    poses, _ = random_motion(BODIES, seed=4)
+    poses[0] = 0.0
+    shapes = np.random.default_rng(1).normal(size=(BODIES, body.shape_count))
+    rows = [pack_body(body, shapes[i]).rows(poses[i : i + 1]) for i in range(BODIES)]
+    return {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
+
+
+def make_packer(threads: int = 1, *, in_graph: bool = False, **options: int) -> Packer:
+    """A packer of ``KINDS``; ``in_graph``: vertices are made by the graph, as where it does not run on a CPU."""
+    engine = Engine(exported()[1], device=Device(threads=threads))
+    engine.on_cpu = not in_graph
+    packer = Packer(engine, load_body(), **options)
+    for kind in KINDS:
+        packer.add(kind, garment(kind))
+    return packer
+
+
+@pytest.fixture(scope="module")
+def packer() -> Packer:
+    return make_packer()
+
+
+def test_it_drapes_as_the_readable_graph(packer: Packer):
+    body = load_body()
+    poses, _ = random_motion(3, seed=2)
+    betas = np.linspace(-1.0, 1.0, body.shape_count)
+    rows, root = pack_body(body, betas).rows(poses), body.rest_joints(betas)[0]
+    items = [("shorts", 1), ("tank", 2), ("shorts", 0)]
+    for (kind, row), result in zip(items, packer.run(ScenePlan(), rows, items), strict=True):
+        want = expected_vertices(body, garment(kind), poses[row : row + 1], np.zeros((1, 3)), betas)[0] - root
+        assert result.finite
+        assert_allclose(result.arrays["vertices"], want, rtol=0, atol=1e-5)
+
+
+def test_all_passes_are_the_default_and_fewer_are_the_readable_network_with_fewer(packer: Packer):
+    model, folder, _ = exported()
+    count, body = Engine(folder).pass_count, load_body()
+    assert count == model.config.corrections > 0
+    poses, _ = random_motion(3, seed=2)
+    rows, items = pack_body(body).rows(poses), [("shorts", 1), ("tank", 2), ("shorts", 0)]
+    whole = [r.arrays["vertices"] for r in packer.run(ScenePlan(), rows, items)]
+    every = [r.arrays["vertices"] for r in packer.run(ScenePlan(passes=count), rows, items)]
+    for a, b in zip(whole, every, strict=True):
+        assert_array_equal(a, b)
+    readable = DrapeGraph(model).eval()
+    feed = body_feed(body, poses, np.zeros((3, 3)), skin=True)
+    for passes in range(count):
+        found = packer.run(ScenePlan(passes=passes), rows, items)
+        for (kind, row), result, before in zip(items, found, whole, strict=True):
+            one = {name: value[row : row + 1] for name, value in feed.arrays.items()}
+            with torch.no_grad():
+                embedding = model.garment(torch.from_numpy(described(kind))).numpy()
+            arrays = {**one, **garment_feed(garment(kind), body=body), "patch_embedding": embedding}
+            with torch.no_grad():
+                taken = {spec.name: torch.from_numpy(arrays[spec.name]) for spec in drape_inputs(model)}
+                want = with_passes(readable, passes)(taken)[0].numpy()[0]
+            got = result.arrays["vertices"]
+            assert_allclose(got, want, rtol=0, atol=1e-5)
+            assert np.abs(got - before).max() > 1e-3, "must differ for the test to mean something"
+
+
+def with_passes(readable: DrapeGraph, passes: int) -> DrapeGraph:
+    """``readable`` with only the first ``passes`` corrections of its network."""
+    shorter = copy.deepcopy(readable)
+    for part in shorter.modules():
+        if isinstance(part, OneFit):
+            part.corrections = part.corrections[:passes]
+    return shorter
+
+
+def test_vertices_that_the_graph_does_not_make_are_those_that_it_would_make(packer: Packer, bodies):
+    items = [(KINDS[i % len(KINDS)], i) for i in range(6)]
+    by_graph = make_packer(in_graph=True)
+    for shape in ("vertices", "both"):
+        assert "vertices" not in packer._fetched(ScenePlan(shape))
+        found = packer.run(ScenePlan(shape), bodies, items)
+        for (kind, _), got, graph in zip(items, found, by_graph.run(ScenePlan(shape), bodies, items), strict=True):
+            want = graph.arrays["vertices"]
+            assert got.arrays["vertices"].shape == want.shape == (garment(kind).vertex_count, 3)
+            assert_allclose(got.arrays["vertices"], want, rtol=0, atol=TERMS * np.spacing(np.float32(2.0)))
+
+
+def test_passes_that_the_model_does_not_have_are_refused(packer: Packer, tmp_path: Path):
+    rows = pack_body(load_body()).rows(np.zeros((1, 24, 3)))
+    for passes in (-1, Engine(exported()[1]).pass_count + 1):
+        with pytest.raises(InputError, match="passes: expected 0 to"):
+            packer.run(ScenePlan(passes=passes), rows, [("tank", 0)])
+
+
+def test_fewer_passes_take_fewer_weights():
+    data = (exported()[1] / "packed.onnx").read_bytes()
+    last = pass_name(Engine(exported()[1]).pass_count)
+    held = []
+    for instead in ({}, {last: pass_name(0)}):
+        graph = onnx.load_from_string(cut(data, ["vertices"], instead=instead)).graph
+        held.append(sum(int(np.prod(tensor.dims)) for tensor in graph.initializer))
+    assert held[0] - held[1] >= sum(p.numel() for p in exported()[0].corrections.parameters())
+
+
+@pytest.mark.parametrize(("threads", "in_graph"), [(1, False), (2, False), (1, True)])
+def test_an_item_has_the_same_bits_alone_and_in_any_batch(bodies, threads: int, in_graph: bool):
+    packer = make_packer(threads, in_graph=in_graph)
+    generator = np.random.default_rng(threads)
+    alone: dict[tuple[ScenePlan, str, int], dict[str, np.ndarray]] = {}
+    for size in (1, 2, 3, 7, 20, BODIES):
+        plan = PLANS[generator.integers(len(PLANS))]
+        items = [(KINDS[generator.integers(len(KINDS))], int(generator.integers(BODIES))) for _ in range(size)]
+        for (kind, row), result in zip(items, packer.run(plan, bodies, items), strict=True):
+            key = (plan, kind, row)
+            if key not in alone:
+                one = {name: values[row : row + 1] for name, values in bodies.items()}
+                alone[key] = packer.run(plan, one, [(kind, 0)])[0].arrays
+            assert result.arrays.keys() == alone[key].keys() == set(plan.outputs)
+            for name, value in result.arrays.items():
+                assert_array_equal(value, alone[key][name], err_msg=f"{name} of {kind} in a batch of {size}")
+
+
+def test_parts_of_a_batch_and_threads_change_no_bit(bodies):
+    items = [(KINDS[i % len(KINDS)], i) for i in range(8)]
+    whole, parts, threaded = (
+        [r.arrays["vertices"] for r in made.run(ScenePlan(), bodies, items)]
+        for made in (make_packer(tiles_per_call=1 << 20), make_packer(tiles_per_call=1), make_packer(2))
+    )
+    for a, b, c in zip(whole, parts, threaded, strict=True):
+        assert_array_equal(a, b)
+        assert_array_equal(a, c)
+
+
+def kernels(packer: Packer, plan: ScenePlan, alone: bool, folder: Path) -> list[str]:
+    """Names of the nodes that ONNX Runtime ran for ``plan``, from its own profile."""
+    engine, fetched = packer._engine, packer._fetched(plan)
+    data = cut((exported()[1] / "packed.onnx").read_bytes(), fetched, direct=direct_of(alone))
+    options = onnxruntime.SessionOptions()
+    options.enable_profiling, options.profile_file_prefix = True, str(folder / "profile")
+    options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL  # names stay
+    options.add_session_config_entry(WEIGHTS_FOLDER, str(exported()[1]))
+    session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+    key = PACKED, fetched, direct_of(alone), plan.passes, ()
+    engine._opened[key] = _Recorded(session)  # type: ignore[assignment]
+    rows = pack_body(load_body()).rows(np.zeros((1, 24, 3)))
+    packer.run(plan, rows, [("tank", 0)] if alone else [("tank", 0), ("shorts", 0)])
+    events = json.loads(Path(session.end_profiling()).read_text())
+    return [e["name"].removesuffix("_kernel_time") for e in events if e["name"].endswith("_kernel_time")]
+
+
+class _Recorded:
+    """A session as the packer takes it, around one that profiles."""
+
+    def __init__(self, session: onnxruntime.InferenceSession) -> None:
+        self._session = session
+        self.inputs = tuple(tensor.name for tensor in session.get_inputs())
+
+    def run(self, outputs, feed, *, still=()) -> list[np.ndarray]:
+        values = {n: Device().value(v) if isinstance(v, np.ndarray) else v for n, v in feed.items()}
+        return [value.numpy() for value in self._session.run_with_ort_values(list(outputs), values)]
+
+    def forget(self) -> None:
+        """Holds nothing."""
+
+
+@pytest.mark.parametrize("alone", [True, False])
+@pytest.mark.parametrize(
+    ("plan", "in_graph"),
+    [(ScenePlan(), False), (ScenePlan(), True), (ScenePlan("both", skin=True), False), (ScenePlan("jets"), False)],
+    ids=["vertices", "vertices in the graph", "both", "jets"],
+)
+def test_nothing_that_a_plan_does_not_ask_for_is_computed(plan: ScenePlan, alone: bool, in_graph: bool, tmp_path: Path):
+    packer = make_packer(in_graph=in_graph)
+    ran = kernels(packer, plan, alone, tmp_path)
+    graph = onnx.load(str(exported()[1] / "packed.onnx")).graph
+    ancestors, needed = set(), set(packer._fetched(plan))
+    for node in reversed(graph.node):
+        if needed.intersection(node.output):
+            ancestors.add(node.name)
+            needed.update(node.input)
+    gathers = {n.name for n in graph.node if n.op_type == "Gather" and n.input[1] in direct_of(alone)}
+    assert sorted(ran) == sorted(ancestors - gathers)
+    assert len(ran) < len(graph.node)
+    # Spelled out: columns of vertices only where the graph makes these, no copy of the constants of one garment's call.
+    session = make_packer()._engine.open_cut(PACKED, packer._fetched(plan), direct=direct_of(alone))
+    assert ("tile_positions" in session.inputs) == (in_graph and plan.shape != "jets")
+    assert ("patch_stored" in session.inputs) == (not alone)
+
+
+def direct_of(alone: bool) -> tuple[str, ...]:
+    """The indices that a call does without: of one garment, where all bodies have one shape."""
+    return (*(STORED_INDEX if alone else ()), *SHAPE_INDEX)
+
+
+def test_the_posed_skin_is_that_of_the_bones_and_bodies_may_differ_in_shape():
+    body, poses = load_body(), hard_poses(3, seed=2)
+    betas = [np.zeros(10), np.linspace(-1.0, 1.0, 10), np.zeros(10)]
+    rows = [pack_body(body, shape).rows(poses[i : i + 1]) for i, shape in enumerate(betas)]
+    joined = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
+    packer = make_packer()
+    items = [("tank", 0), ("shorts", 1), ("tank", 2)]
+    together = packer.run(ScenePlan(skin=True), joined, items)
+    for i, (result, shape) in enumerate(zip(together, betas, strict=True)):
+        alone = packer.run(ScenePlan(skin=True), rows[i], [(items[i][0], 0)])[0]
+        for name, value in result.arrays.items():
+            assert_array_equal(value, alone.arrays[name])
+        rotations, translations = body.bones(poses[i : i + 1], None, shape)
+        on_bones = body_skin(body).on_bones(body, shape)
+        relative = translations - body.rest_joints(shape)[0]
+        want = skin_table(on_bones.rows, on_bones.bones, rotations.astype(np.float32), relative.astype(np.float32))
+        assert_allclose(result.arrays["skin"][..., :4], want[0, ..., :4], rtol=0, atol=2e-6)
+        assert_allclose(result.arrays["skin"], want[0], rtol=0, atol=5e-4)  # normals of folds are short cross products
+
+
+def test_onnxruntime_itself_would_run_everything(tmp_path: Path):
+    """Why graphs are cut: should this fail, a newer runtime prunes by itself and ``service.graphs.subgraph`` can go."""
+    values = {name: onnx.helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, [3]) for name in "xyz"}
+    nodes = [onnx.helper.make_node("Neg", ["x"], ["y"]), onnx.helper.make_node("Sin", ["x"], ["z"])]
+    graph = onnx.helper.make_graph(nodes, "two", [values["x"]], [values["y"], values["z"]])
+    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 20)], ir_version=10)
+    options = onnxruntime.SessionOptions()
+    options.enable_profiling, options.profile_file_prefix = True, str(tmp_path / "profile")
+    session = onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
+    run_options = onnxruntime.RunOptions()
+    run_options.only_execute_path_to_fetches = True
+    session.run(["y"], {"x": np.ones(3, np.float32)}, run_options)
+    events = json.loads(Path(session.end_profiling()).read_text())
+    assert [e for e in events if e.get("args", {}).get("op_name") == "Sin" and "_kernel" in e["name"]]
+
+
+def test_memory_of_compositions_is_bounded_and_numbers_stay(bodies):
+    bounded, free = make_packer(kept_bytes=300_000), make_packer()
+    for batch in range(6):
+        items = [(KINDS[(batch + i) % len(KINDS)], i) for i in range(3)]
+        kept, new = bounded.run(ScenePlan(), bodies, items), free.run(ScenePlan(), bodies, items)
+        assert bounded.kept_bytes <= 300_000
+        for a, b in zip(kept, new, strict=True):
+            assert_array_equal(a.arrays["vertices"], b.arrays["vertices"])
+    assert free.kept_bytes > 300_000
+
+
+def test_constants_are_kept_once(bodies):
+    packer = make_packer()
+    before = packer.store.bytes
+    packer.run(ScenePlan(), bodies, [("tank", 0), ("shorts", 1)])
+    assert packer.store.bytes == before
+    for kind in KINDS:
+        for name, array in packer.store.packed(kind).stored.items():
+            assert np.shares_memory(array, packer.store.arrays()[name])
+
+
+def test_garments_come_and_go(bodies):
+    packer = make_packer()
+    items = [("tank", 0), ("trousers", 1)]
+    before = packer.run(ScenePlan(), bodies, items)
+    packer.add("tube", replace(tube_garment(load_body()), patch_features=garment("tank").patch_features[:12]))
+    packer.remove("shorts")
+    assert "shorts" not in packer.store and "tube" in packer.store
+    after = packer.run(ScenePlan(), bodies, [*items, ("tube", 2)])
+    for a, b in zip(before, after[:2], strict=True):
+        assert_array_equal(a.arrays["vertices"], b.arrays["vertices"])
+    assert after[2].arrays["vertices"].shape == (216, 3)
+
+
+def test_what_is_not_finite_is_told_of_its_own_item(bodies):
+    packer = make_packer()
+    quaternion = bodies["joint_quaternion"].copy()
+    quaternion[3, 7] = np.nan
+    for plan in PLANS:
+        results = packer.run(plan, bodies | {"joint_quaternion": quaternion}, [("tank", 2), ("tank", 3), ("shorts", 4)])
+        assert [result.finite for result in results] == [True, False, True]
+
+
+def test_prepare_opens_the_sessions_of_a_plan():
+    packer = make_packer()
+    packer.prepare(ScenePlan("jets"), skin_given=False, shapes=False)
+    opened = {key[1:3] for key in packer._engine._opened if key[0] == PACKED}
+    assert opened == {(ScenePlan("jets").outputs, direct_of(alone)) for alone in (True, False)}
+
+
+def test_no_items_give_no_results(packer: Packer, bodies):
+    assert packer.run(ScenePlan(), bodies, []) == []
+
+
+@pytest.mark.parametrize("row", [-1, BODIES])
+def test_a_body_that_is_not_there_is_refused(packer: Packer, bodies, row: int):
+    with pytest.raises(InputError, match=rf"body row: expected a row in \[0, {BODIES}\), got {row}"):
+        packer.run(ScenePlan(), bodies, [("tank", 0), ("tank", row)])
+
+
+def test_a_garment_that_is_not_in_store_is_refused(packer: Packer, bodies):
+    with pytest.raises(NotFound, match="garment: expected tank, shorts, trousers, got cape"):
+        packer.run(ScenePlan(), bodies, [("cape", 0)])
+    with pytest.raises(NotFound, match="got cape"):
+        packer.remove("cape")
+
+
+def test_a_shape_that_is_none_is_refused():
+    with pytest.raises(InputError, match="scene shape: expected vertices or jets or both, got 'points'"):
+        ScenePlan("points")  # type: ignore[arg-type]
+
+
+def test_a_manifest_with_other_tensors_is_refused(tmp_path: Path):
+    folder = Path(shutil.copytree(exported()[1], tmp_path / "small"))
+    manifest = load_manifest(folder)
+    spec = manifest.graphs[PACKED]
+    tensors = tuple(replace(t, dtype="float16") if t.name == "patch_first" else t for t in spec.inputs)
+    changed = replace(manifest, graphs={**manifest.graphs, PACKED: replace(spec, inputs=tensors)})
+    (folder / "manifest.json").write_text(changed.to_json())
+    packer = Packer(Engine(folder), load_body())
+    packer.add("tank", garment("tank"))
+    with pytest.raises(ArtifactError, match="packed patch_first: expected float16 as in the manifest"):
+        packer.prepare(ScenePlan(), skin_given=False, shapes=False)
+
+
+def test_the_service_refuses_what_is_not_finite(make_settings):
+    drapery = Drapery(make_settings())
+    entry = drapery.garments.get("tube")
+    broken = replace(entry.garment, patch_features=np.full_like(entry.garment.patch_features, np.nan))
+    plan = drapery.plan(entry, DrapeOptions())
+    for stage in drapery.stages:
+        stage.add(broken, garment_feed(broken, body=drapery.body))
+    rest = PoseInput(np.zeros((1, 24, 3)), np.zeros((1, 3)), np.zeros(drapery.body.shape_count), np.zeros(1))
+    with pytest.raises(ArtifactError, match="tiny vertices: expected finite numbers"):
+        run(plan, [rest])
+    drapery.close()
+
+
+def test_two_threads_get_the_bits_of_one(bodies: dict[str, np.ndarray]):
+    packer, plan = make_packer(), ScenePlan()
+    batches = [[(kind, row) for kind in KINDS[: 1 + row % len(KINDS)]] for row in range(8)]
+    alone = [packer.run(plan, bodies, items) for items in batches]
+    packer._forget()
+
+    def all_of_them(_: int) -> list[list[Result]]:
+        return [packer.run(plan, bodies, items) for items in batches]
+
+    with ThreadPoolExecutor(2) as threads:
+        for found in threads.map(all_of_them, range(4)):
+            for items, wanted in zip(found, alone, strict=True):
+                for one, other in zip(items, wanted, strict=True):
+                    assert_array_equal(one.arrays["vertices"], other.arrays["vertices"])
+    assert packer.kept_bytes == sum(made.bytes for made, _ in packer._kept.values())

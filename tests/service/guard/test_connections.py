@@ -1,0 +1,228 @@
+"""Connections that are held open for nothing end by themselves, and cost next to nothing until then."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import socket
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+
+from clients.stream import DrapeStream
+from service.app import create_app
+from service.guard.connections import HEAD_BYTES
+from service.settings import Settings
+from tests.fixtures.serving import serve
+
+HEAD = "Host: 127.0.0.1\r\nContent-Type: {kind}\r\nContent-Length: {size}\r\n\r\n"
+
+
+@pytest.fixture(scope="module")
+def tight(make_settings: Callable[..., Settings]) -> Settings:
+    return make_settings(
+        head_s=0.5,
+        body_idle_s=0.5,
+        body_bytes_s=2**20,
+        read_s=0.5,
+        max_connections_per_address=24,
+        max_held_bytes=2**20,
+    )
+
+
+@pytest.fixture(scope="module")
+def address(tight: Settings) -> Iterator[tuple[str, int]]:
+    with serve(create_app(tight), tight) as url:
+        host, port = url.removeprefix("http://").split(":")
+        yield host, int(port)
+
+
+def said_until_closed(one: socket.socket, within_s: float = 8.0) -> str:
+    """What the service said before it closed the connection; fails if it does not."""
+    one.settimeout(within_s)
+    parts = []
+    with contextlib.suppress(ConnectionResetError):
+        while part := one.recv(65536):
+            parts.append(part)
+    one.close()
+    return b"".join(parts).decode()
+
+
+def refused(text: str, status: int) -> str:
+    """The sentence of the problem document in a raw answer."""
+    assert text.startswith(f"HTTP/1.1 {status} "), text
+    return json.loads(text.split("\r\n\r\n", 1)[1])["detail"]
+
+
+def opened(address: tuple[str, int], sent: bytes) -> socket.socket:
+    one = socket.create_connection(address)
+    one.sendall(sent)
+    return one
+
+
+def post(path: str, kind: str = "application/json", size: int = 1000) -> bytes:
+    return f"POST {path} HTTP/1.1\r\n{HEAD.format(kind=kind, size=size)}".encode()
+
+
+def test_heads_that_never_end_are_refused(address: tuple[str, int]):
+    begun_s = time.monotonic()
+    half = [opened(address, sent) for sent in (b"", b"GET / HTTP/1.1\r\nHost: ", b"\r\n", b"POST /drape HTTP")]
+    for one in half:
+        assert "request head: expected a whole head within 0.5 s" in refused(said_until_closed(one), 408)
+    assert time.monotonic() - begun_s < 4.0
+
+
+def test_a_head_that_drips_is_refused_too(address: tuple[str, int]):
+    one = opened(address, b"GET / HTTP/1.1\r\n")
+    with contextlib.suppress(OSError):
+        for _ in range(20):
+            one.sendall(b"X-A: b\r\n")
+            time.sleep(0.1)
+        pytest.fail("a dripping head was kept")
+    one.close()
+
+
+def test_blank_lines_between_requests_hold_no_connection(address: tuple[str, int]):
+    one = opened(address, b"GET /livez HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+    time.sleep(0.2)
+    one.sendall(b"\r\n")
+    text = said_until_closed(one)
+    assert text.startswith("HTTP/1.1 200") and "HTTP/1.1 408" in text
+
+
+def test_a_head_that_is_too_long_is_refused(address: tuple[str, int]):
+    one = opened(address, b"GET / HTTP/1.1\r\nX-A: " + b"a" * (HEAD_BYTES + 65536))
+    assert f"request head: expected at most {HEAD_BYTES} bytes" in refused(said_until_closed(one), 413)
+
+
+@pytest.mark.parametrize(("path", "kind"), [("/drape", "application/json"), ("/garments?name=a.obj", "text/plain")])
+def test_bodies_that_stop_are_refused_and_their_connections_closed(
+    address: tuple[str, int], tight: Settings, path: str, kind: str
+):
+    text = said_until_closed(opened(address, post(path, kind) + b"[" * 100))
+    assert "request body: expected a piece within 0.5 s" in refused(text, 408)
+    assert [file for file in Path(tight.garments_dir).rglob("*") if file.is_file()] == []
+
+
+def test_a_body_that_drips_is_refused(address: tuple[str, int]):
+    one = opened(address, post("/drape"))
+    begun_s = time.monotonic()
+    with contextlib.suppress(OSError):
+        while time.monotonic() - begun_s < 5.0:
+            one.sendall(b" ")
+            time.sleep(0.1)
+        pytest.fail("a dripping body was kept")
+    one.close()
+
+
+def test_an_answer_before_the_body_reaches_a_client_that_still_sends(address: tuple[str, int]):
+    one = opened(address, post("/nothing", size=400_000))
+    for _ in range(4):
+        one.sendall(b" " * 65536)
+        time.sleep(0.05)
+    assert said_until_closed(one).startswith("HTTP/1.1 40")
+
+
+def test_a_connection_whose_body_ended_after_its_answer_goes_on(address: tuple[str, int]):
+    one = opened(address, post("/nothing", size=10) + b"12345")
+    time.sleep(0.2)
+    one.sendall(b"67890" + b"GET /livez HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n")
+    text = said_until_closed(one)
+    assert text.startswith("HTTP/1.1 40") and "HTTP/1.1 200" in text
+
+
+def test_connections_are_counted(address: tuple[str, int], tight: Settings):
+    held = [socket.create_connection(address) for _ in range(tight.max_connections_per_address)]
+    time.sleep(0.1)
+    sentence = refused(said_until_closed(socket.create_connection(address)), 429)
+    assert "connections: expected at most 24 from one address, got one more" in sentence
+    for one in held:
+        one.close()
+    time.sleep(0.1)
+    assert httpx.get(f"http://{address[0]}:{address[1]}/livez").status_code == 200
+
+
+def test_connections_are_counted_in_all(make_settings: Callable[..., Settings]):
+    settings = make_settings(max_connections=2)
+    with serve(create_app(settings), settings) as url:
+        host, port = url.removeprefix("http://").split(":")
+        held = [socket.create_connection((host, int(port))) for _ in range(2)]
+        time.sleep(0.1)
+        assert "at most 2 in all" in refused(said_until_closed(socket.create_connection((host, int(port)))), 429)
+        for one in held:
+            one.close()
+        time.sleep(0.1)
+
+
+def test_bytes_of_all_bodies_together_are_limited_and_come_free(address: tuple[str, int], tight: Settings):
+    url = f"http://{address[0]}:{address[1]}"
+    size = tight.max_held_bytes
+    declared = httpx.post(url + "/drape", content=b" " * (size + 1), headers={"Content-Type": "application/json"})
+    assert declared.status_code == 429 and "request bodies: expected at most" in declared.json()["detail"]
+
+    def pieces() -> Iterator[bytes]:
+        yield from (b" " * 65536 for _ in range(size // 65536 + 2))
+
+    undeclared = httpx.post(url + "/drape", content=pieces(), headers={"Content-Type": "application/json"})
+    assert undeclared.status_code == 429
+    for _ in range(3):  # nothing is held of what was refused
+        half = httpx.post(url + "/drape", content=b" " * (size // 2), headers={"Content-Type": "application/json"})
+        assert half.status_code == 400
+    # A file in a raw body goes to disk and is not held.
+    assert httpx.post(url + "/garments?name=a.obj", content=b"#" * (size + 1)).status_code == 202
+
+
+def test_places_are_looked_for_before_a_body_is_read(make_settings: Callable[..., Settings], monkeypatch):
+    settings = make_settings(intake_queue=1, max_clips=1)
+    app = create_app(settings)
+    with serve(app, settings) as url:
+        host, port = url.removeprefix("http://").split(":")
+        waiting = opened((host, int(port)), post("/garments?name=a.obj", "text/plain") + b"#")
+        time.sleep(0.3)
+        for kind in ("text/plain", "application/json"):
+            one = opened((host, int(port)), post("/garments?name=b.obj", kind))
+            one.settimeout(3.0)
+            assert one.recv(64).startswith(b"HTTP/1.1 429")
+            one.close()
+        waiting.close()
+        with app.state.drape.slot():
+            for path in ("/drape", "/bodies/anny_default/posed"):
+                one = opened((host, int(port)), post(path))
+                one.settimeout(3.0)
+                assert one.recv(64).startswith(b"HTTP/1.1 429")
+                one.close()
+
+
+def test_an_answer_that_nobody_reads_ends(address: tuple[str, int]):
+    poses = json.dumps({"garment": "tube", "poses": [[[0.0] * 3] * 24] * 1000}).encode()
+    one = socket.socket()
+    one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    one.connect(address)
+    one.sendall(post("/drape", size=len(poses)) + poses)
+    url = f"http://{address[0]}:{address[1]}/metrics"
+    deadline = time.monotonic() + 8.0
+    while 'path="/drape",status="200"' not in httpx.get(url).text:
+        assert time.monotonic() < deadline, "an answer that nobody reads was kept"
+        time.sleep(0.1)
+    one.close()
+
+
+def test_a_stream_has_no_time_for_another_head(address: tuple[str, int], tight: Settings):
+    """Its connection began as one of HTTP, whose times end with that."""
+    host, port = address
+
+    async def talk() -> list[int]:
+        async with await DrapeStream.open(f"http://{host}:{port}", "tube") as stream:
+            counts = []
+            for _ in range(2):
+                await asyncio.sleep(1.5 * tight.head_s)
+                await stream.send(np.zeros((24, 3)))
+                counts.append(len((await stream.receive()).frame.positions))
+            return counts
+
+    assert asyncio.run(talk()) == [216, 216]

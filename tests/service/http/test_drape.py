@@ -1,0 +1,186 @@
+"""POST /drape and /bodies/{id}/posed answer with the right numbers in the right formats."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import httpx
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from drape.body.model import BodyModel
+from drape.cloth.fabric_table import fabric
+from drape.contact.projection import MOVED_M
+from drape.garment.cache import Garment
+from drape.garment.files.glb import read_glb
+from drape.geometry.closest import signed_distance
+from drape.wire.options import DrapeOptions, FabricNumbers, Geometry
+from service.compute.drape_runtime import Drapery
+from service.settings import Settings
+from service.stages import run
+from service.stages.batch import Batch, PoseInput
+from tests.fixtures.poses import random_motion
+from tests.fixtures.serving import outfit_settings
+from tests.fixtures.tiny_model import ROUNDING_M, expected_vertices
+
+__all__ = ["outfit_settings"]  # fixture
+BINARY, GLB, JSON = "application/octet-stream", "model/gltf-binary", "application/json"
+
+
+def ask(api: httpx.Client, accept: str | None = None, path: str = "/drape", **fields: object) -> httpx.Response:
+    document = {"garment": "tube", **fields} if path == "/drape" else fields
+    return api.post(path, json=document, headers={} if accept is None else {"Accept": accept})
+
+
+def vertices_of(response: httpx.Response) -> np.ndarray:
+    assert response.status_code == 200, response.text
+    shape = int(response.headers["X-Drape-Frames"]), int(response.headers["X-Drape-Vertices"]), 3
+    return np.frombuffer(response.content, "<f4").reshape(shape)
+
+
+def test_answer_is_that_of_the_readable_graph(api: httpx.Client, body: BodyModel, tube: Garment):
+    poses, trans = random_motion(11)
+    betas = np.random.default_rng(1).normal(size=10)
+    response = ask(api, poses=poses.tolist(), trans=trans.tolist(), betas=betas.tolist(), push_out=False)
+    assert response.headers["content-type"] == BINARY
+    assert response.headers["X-Drape-Push-Out"] == "0"
+    expected = expected_vertices(body, tube, poses, trans, betas)
+    assert_allclose(vertices_of(response), expected, rtol=0, atol=ROUNDING_M)
+
+
+def test_a_body_that_moves_away_keeps_its_precision(api: httpx.Client):
+    poses, _ = random_motion(1)
+    far = vertices_of(ask(api, poses=poses.tolist(), trans=[[1000.0, 0.0, 0.0]], push_out=False))
+    near = vertices_of(ask(api, poses=poses.tolist(), push_out=False))
+    half_step_m = 0.5 * float(np.spacing(np.float32(1000.0)))  # 0.03 mm
+    assert_allclose(far - [1000.0, 0.0, 0.0], near, rtol=0, atol=half_step_m + ROUNDING_M)
+
+
+@pytest.mark.parametrize("accept", [None, "*/*", BINARY, "application/*;q=0.9, model/gltf-binary;q=0.1"])
+def test_binary_is_what_everybody_gets_who_does_not_ask(api: httpx.Client, accept: str | None):
+    response = ask(api, accept, poses=np.zeros((2, 24, 3)).tolist())
+    assert response.headers["content-type"] == BINARY
+    assert len(response.content) == 2 * 216 * 12
+
+
+def test_json_holds_the_same_numbers(api: httpx.Client):
+    poses, trans = random_motion(3)
+    fields = {"poses": poses.tolist(), "trans": trans.tolist(), "fps": 24.0}
+    document = ask(api, JSON, **fields).json()
+    assert (document["fps"], document["frames"], document["vertices"]) == (24.0, 3, 216)
+    assert_array_equal(np.float32(document["positions"]), vertices_of(ask(api, BINARY, **fields)))
+
+
+def test_glb_is_a_glb(api: httpx.Client):
+    response = ask(api, f"{JSON};q=0.5, {GLB}", poses=np.zeros((2, 24, 3)).tolist(), body=True)
+    assert response.headers["content-type"] == GLB
+    assert response.content[:4] == b"glTF"
+    assert int.from_bytes(response.content[8:12], "little") == len(response.content)
+
+
+@pytest.mark.parametrize("origin", ["world", "root"])
+def test_a_quantised_glb_shows_what_float32_does_in_half_the_bytes(api: httpx.Client, origin: str):
+    poses, trans = random_motion(9)
+    fields = {"poses": poses.tolist(), "trans": np.add(trans, [5.0, 0.0, 2.0]).tolist(), "origin": origin}
+    small, large = (ask(api, GLB, quantised=quantised, **fields).content for quantised in (True, False))
+    read, plain = (read_glb(content, name="clip", vertex_limit=1000).vertices for content in (small, large))
+    assert_allclose(read, plain, rtol=0, atol=2e-5)  # a step of the box of a metre, and float32 at 5 m
+    assert len(large) - len(small) > 0.4 * 8 * 216 * 24
+
+
+def test_posed_body_is_the_body(api: httpx.Client, body: BodyModel):
+    poses, trans = random_motion(3)
+    betas = [0.5, -1.0]
+    path = f"/bodies/{body.name}/posed"
+    response = ask(api, path=path, poses=poses.tolist(), trans=trans.tolist(), betas=betas)
+    expected = body.posed_vertices(poses, trans, np.array(betas))
+    assert_allclose(vertices_of(response), expected, rtol=0, atol=ROUNDING_M)
+    assert ask(api, GLB, path=path, poses=poses.tolist()).content[:4] == b"glTF"
+    assert ask(api, JSON, path=path, poses=poses[:1].tolist()).json()["vertices"] == body.vertex_count
+
+
+@pytest.fixture(scope="module")
+def drapery(make_settings: Callable[..., Settings]) -> Drapery:
+    return Drapery(make_settings())
+
+
+def test_push_out_brings_cloth_out_of_the_body_and_says_how_far(drapery: Drapery, body: BodyModel):
+    poses, trans = random_motion(4, spread_rad=0.35)
+    entry, clip = drapery.garments.get("tube"), PoseInput(poses, trans, np.zeros(10), np.arange(4) / 30.0)
+    plain, pushed = (run(drapery.plan(entry, DrapeOptions(push_out=push)), [clip]) for push in (False, True))
+    posed = body.posed_vertices(poses, trans, clip.betas)
+
+    def inside(draped: Batch) -> np.ndarray:
+        world = draped.vertices + draped.root[:, None]
+        return np.stack([signed_distance(x, b, body.faces) for x, b in zip(world, posed, strict=True)]) < 0.0
+
+    before, after = inside(plain), inside(pushed)
+    assert before.any(axis=1).sum() >= 3, "the fixture must collide for the test to mean something"
+    assert after.mean() < 0.4 * before.mean()
+    way = np.linalg.norm(pushed.vertices - plain.vertices, axis=-1)
+    assert_allclose(pushed.quality.push_max_m, way.max(axis=1), rtol=1e-3, atol=1e-6)
+    assert_allclose(pushed.quality.pushed_share, (way > MOVED_M).mean(axis=1), rtol=0, atol=0.01)
+    assert (plain.quality.push_max_m == 0.0).all()
+
+
+@pytest.mark.parametrize("worn", [["tube"], ["tube", "coat"]])
+@pytest.mark.parametrize("geometry", ["vertices", "jets"])
+def test_frames_do_not_depend_on_their_company(outfit_settings: Settings, worn: list[str], geometry: Geometry):
+    """Alone, or in a batch with other shapes: the same bits."""
+    drapery = Drapery(outfit_settings)
+    poses, trans = random_motion(6)
+    options = DrapeOptions(push_out=True, geometry=geometry)
+    plan = drapery.plan(drapery.garments.scene(None, worn), options)
+    shapes = [np.zeros(10), np.full(10, 0.5), np.linspace(-1, 1, 10)]
+    inputs = [PoseInput(poses[i : i + 2], trans[i : i + 2], shapes[i // 2], np.zeros(2)) for i in (0, 2, 4)]
+    together, alone = run(plan, inputs), [run(plan, [one]) for one in inputs]
+    if geometry == "jets":
+        for name, array in vars(together.jets).items():
+            assert_array_equal(array, np.concatenate([getattr(one.jets, name) for one in alone]))
+    assert_array_equal(together.vertices, np.concatenate([one.vertices for one in alone]))
+    assert_array_equal(together.root, np.concatenate([one.root for one in alone]))
+    for name, array in vars(together.quality).items():
+        assert_array_equal(array, np.concatenate([getattr(one.quality, name) for one in alone]))
+    drapery.close()
+
+
+@pytest.mark.parametrize("chunk", [1, 4, 64])
+def test_chunks_join_seamlessly(make_settings: Callable[..., Settings], api: httpx.Client, chunk: int):
+    import asyncio
+
+    poses, trans = random_motion(9)
+    drapery = Drapery(make_settings(chunk_frames=chunk))
+    clip = PoseInput(poses, trans, np.zeros(10), np.arange(9) / 30.0)
+    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions(push_out=True))
+    draped = asyncio.run(drapery.drape(plan, clip))
+    assert_array_equal(draped.world(), vertices_of(ask(api, poses=poses.tolist(), trans=trans.tolist(), push_out=True)))
+    drapery.close()
+
+
+def test_a_request_names_a_fabric_of_the_table_or_gives_numbers(api: httpx.Client, body: BodyModel, tube: Garment):
+    poses, trans = random_motion(2)
+    fields = {"poses": poses.tolist(), "trans": trans.tolist(), "push_out": False}
+    listed = {row["id"]: row for row in api.get("/fabrics").json()}
+    assert api.get("/health").json()["fabrics"] is True
+    assert len(listed) >= 10 and listed["denim"]["source"]
+    numbers = {name: listed["denim"][name] for name in FabricNumbers.model_fields}
+    expected = expected_vertices(body, tube, poses, trans, fabric=fabric("denim"))
+    for chosen in ("denim", ["denim"], numbers):
+        assert_allclose(vertices_of(ask(api, **fields, fabric=chosen)), expected, rtol=0, atol=ROUNDING_M)
+
+
+@pytest.mark.parametrize(
+    ("chosen", "status", "said"),
+    [
+        ("chain mail", 404, "fabric: expected one of"),
+        (["denim", None], 400, "one for all, or 1"),
+        ({"warp_n_per_m": 1.0}, 400, "weft_n_per_m"),
+    ],
+)
+def test_what_is_no_fabric_is_refused_before_anything_is_draped(
+    api: httpx.Client, chosen: object, status: int, said: str
+):
+    response = ask(api, poses=np.zeros((1, 24, 3)).tolist(), fabric=chosen)
+    assert response.status_code == status
+    assert said in response.text

@@ -1,0 +1,225 @@
+"""The road of a frame: a plan takes the stages that it needs and no other, and a new stage is a file and a line."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import httpx
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from websockets.sync.client import connect
+from websockets.typing import Subprotocol
+
+from drape.errors import InputError
+from drape.wire import messages as wire
+from drape.wire.options import DrapeOptions
+from service import stages
+from service.app import create_app
+from service.compute.drape_runtime import Drapery
+from service.graphs.engine import JETS, PACKED
+from service.settings import Settings
+from service.stages import carried, run
+from service.stages.batch import BODY, Batch, Layer, Plan, PoseInput, Stage
+from service.stages.motion import Motion
+from service.stages.network import Network
+from tests.fixtures.poses import smooth_motion
+from tests.fixtures.serving import outfit_settings, serve
+from tests.fixtures.tiny_model import TINY_DYNAMIC
+
+__all__ = ["outfit_settings"]  # fixture
+TIMES_S = np.arange(10) / 30.0
+POSES, TRANS = smooth_motion(TIMES_S)
+CLIP = PoseInput(POSES, TRANS, np.zeros(10), TIMES_S)
+STEP_M = 0.01
+
+
+class Counting(Stage):
+    """Lifts each garment by a centimetre per frame that it has been worn: the smallest stage with a memory."""
+
+    name = "counting"
+
+    def needs(self, plan: Plan) -> frozenset[str]:
+        return frozenset({"vertices"})
+
+    def depends_on(self, plan: Plan) -> object:
+        return plan.options.passes
+
+    def run(self, batch: Batch) -> Batch:
+        for i, (key, layer) in enumerate(zip(batch.plan.keys, batch.layers, strict=True)):
+            assert layer.vertices is not None
+            before = [memory or 0 for memory in batch.remembered((self.name, key))]
+            worn = [n + np.arange(1, len(one.poses) + 1) for n, one in zip(before, batch.inputs, strict=True)]
+            lift = np.float32(STEP_M) * np.concatenate(worn)[:, None, None] * np.array([0.0, 1.0, 0.0], np.float32)
+            lifted = Layer(layer.vertices + lift, layer.jets)
+            batch = replace(batch, layers=(*batch.layers[:i], lifted, *batch.layers[i + 1 :]))
+            batch = batch.remember((self.name, key), [int(count[-1]) for count in worn])
+        return batch
+
+
+@pytest.fixture
+def counting(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The line in ``STAGES``."""
+    *first, last = stages.STAGES
+    monkeypatch.setattr(stages, "STAGES", (*first, Counting, last))
+
+
+@pytest.fixture(scope="module")
+def drapery(make_settings: Callable[..., Settings]) -> Iterator[Drapery]:
+    made = Drapery(make_settings(model=TINY_DYNAMIC))
+    yield made
+    made.close()
+
+
+# --- plans ---
+
+
+@pytest.mark.parametrize(
+    ("options", "messages", "taken", "needs"),
+    [
+        ({}, False, ["motion", "network", "collision"], {"vertices", "skin"}),
+        ({"inertia": "mesh"}, False, ["network", "swing", "collision"], {"vertices", "skin"}),
+        ({"push_out": False, "motion": 0.0}, False, ["network"], {"vertices"}),
+        ({"push_out": False, "motion": 0.0, "inertia": "mesh"}, False, ["network"], {"vertices"}),
+        ({"push_out": False, "motion": 0.0, "geometry": "jets"}, True, ["network", "encode"], {"jets"}),
+        ({"motion": 0.0, "geometry": "jets"}, False, ["network", "collision"], {"jets", "vertices", "skin"}),
+    ],
+)
+def test_a_plan_takes_what_it_needs_and_nothing_else(
+    drapery: Drapery, options: dict, messages: bool, taken: list[str], needs: set[str]
+):
+    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions(**options), messages=messages)
+    assert [stage.name for stage in plan.stages] == taken and plan.needs == needs
+    ran: list[str] = []
+
+    class Heard:
+        """A stage that says when it runs."""
+
+        def __init__(self, stage: Stage) -> None:
+            self.stage, self.name = stage, stage.name
+
+        def steps(self, batch: Batch) -> Iterator[Batch]:
+            ran.append(self.stage.name)
+            return self.stage.steps(batch)
+
+    batch = run(replace(plan, stages=tuple(Heard(stage) for stage in plan.stages)), [CLIP])  # type: ignore[misc]
+    assert ran == taken
+    assert (batch.skin is not None) == ("skin" in needs) and len(batch.messages) == (len(POSES) if messages else 0)
+    assert (batch.layers[0].jets is None) == ("jets" not in needs)
+    assert (batch.layers[0].vertices is None) == ("vertices" not in needs)
+
+
+@pytest.mark.parametrize("worn", [["tube"], ["tube", "coat"]])
+@pytest.mark.parametrize("options", [{}, {"push_out": False}, {"geometry": "jets"}, {"passes": 0}])
+def test_frames_open_no_session_once_their_plan_is_prepared(outfit_settings: Settings, worn: list[str], options: dict):
+    drapery = Drapery(outfit_settings)
+    plan = drapery.plan(drapery.garments.scene(None, worn), DrapeOptions(**options), messages=True)
+    asyncio.run(drapery.prepare(plan))
+    opened = set(drapery.engine._opened)
+    one, other = CLIP.part(slice(0, 1), {}), replace(CLIP.part(slice(1, 2), {}), betas=np.ones(10))
+    for inputs in ([one], [CLIP], [one, other]):
+        run(plan, inputs)
+    assert set(drapery.engine._opened) == opened
+    drapery.close()
+
+
+def test_the_network_computes_no_vertex_for_jets_alone(make_settings: Callable[..., Settings]):
+    drapery = Drapery(make_settings())
+    run(drapery.plan(drapery.garments.get("tube"), DrapeOptions(geometry="jets", push_out=False)), [CLIP])
+    (part,) = [s for (graph, outputs, *_), s in drapery.engine._opened.items() if (graph, outputs) == (PACKED, JETS)]
+    assert "patch_first" in part.inputs
+    assert not {"tile_positions", "vertex_charts", "tile_tangents"} & set(part.inputs)
+    drapery.close()
+
+
+def test_what_is_left_open_is_the_services_own(drapery: Drapery, make_settings: Callable[..., Settings]):
+    entry = drapery.garments.get("tube")
+    assert drapery.plan(entry, DrapeOptions()).options == DrapeOptions(
+        push_out=True, motion=1.0, inertia="network", folds=0
+    )
+    other = Drapery(make_settings(push_out=False, passes=0))
+    entry = other.garments.get("tube")
+    plan = other.plan(entry, DrapeOptions())
+    still = DrapeOptions(push_out=False, passes=0, motion=0.0, inertia="network", folds=0)
+    assert plan.options == still, "a static model has learned no motion"
+    assert plan == other.plan(entry, DrapeOptions(passes=0)) and hash(plan) == hash(other.plan(entry, DrapeOptions()))
+    assert plan != other.plan(entry, DrapeOptions(passes=1))
+    with pytest.raises(InputError, match="passes: expected 0 to 1, got 9"):
+        other.plan(entry, DrapeOptions(passes=9))
+    other.close()
+
+
+def test_memories_go_where_what_they_hold_for_goes(counting: None, make_settings: Callable[..., Settings]):
+    drapery = Drapery(make_settings(model=TINY_DYNAMIC))
+    entry = drapery.garments.get("tube")
+    plan = drapery.plan(entry, DrapeOptions())
+    own = ("counting", entry.garment.digest)
+    memories = {Motion.key: 1, own: 2, ("counting", "taken off"): 3}
+    assert Motion.key == ("motion", BODY)
+    assert carried(memories, plan, plan) == {Motion.key: 1, own: 2}
+    assert carried(memories, plan, drapery.plan(entry, DrapeOptions(push_out=False))) == {Motion.key: 1, own: 2}
+    assert carried(memories, plan, drapery.plan(entry, DrapeOptions(passes=0))) == {Motion.key: 1}
+    assert carried(memories, plan, drapery.plan(entry, DrapeOptions(motion=0.0))) == {own: 2}
+    drapery.close()
+
+
+# --- a stage of one's own ---
+
+
+def lifts(frames: np.ndarray, plain: np.ndarray) -> np.ndarray:
+    """How far [cm] each frame's vertices (F, V, 3) lie above those without the stage."""
+    return (frames - plain)[..., 1].mean(axis=1) / STEP_M
+
+
+@pytest.mark.usefixtures("counting")
+def test_a_new_stage_remembers_over_the_chunks_of_a_clip(outfit_settings: Settings):
+    drapery = Drapery(outfit_settings.model_copy(update={"chunk_frames": 4}))
+    scene = drapery.garments.scene(None, ["tube", "coat"])
+    plan = drapery.plan(scene, DrapeOptions(push_out=False))
+    assert [stage.name for stage in plan.stages] == ["network", "counting"]
+    plain = run(replace(plan, stages=plan.stages[:1]), [CLIP]).vertices
+    whole = run(plan, [CLIP]).vertices
+    assert_allclose(lifts(whole, plain), np.arange(1, 11), rtol=1e-3)
+    chunked = asyncio.run(drapery.drape(plan, CLIP))
+    assert_array_equal(chunked.vertices, whole)
+    assert chunked.memories == ({("counting", entry.garment.digest): 10 for entry in scene.layers},)
+    drapery.close()
+
+
+@pytest.mark.usefixtures("counting")
+def test_a_new_stage_remembers_per_stream_and_garment(outfit_settings: Settings):
+    with serve(create_app(outfit_settings), outfit_settings) as url:
+        document = {"garment": "tube", "poses": POSES[:1].tolist(), "push_out": False}
+        answer = httpx.post(url + "/drape", json=document)
+        first = np.frombuffer(answer.content, "<f4").reshape(-1, 3)[:, 1].mean()
+        address, protocol = url.replace("http", "ws") + "/stream", [Subprotocol(wire.SUBPROTOCOL)]
+        with connect(address, subprotocols=protocol) as one, connect(address, subprotocols=protocol) as two:
+
+            def opened(socket, *garments: str) -> None:
+                socket.send(json.dumps({"type": "open", "garments": garments, "push_out": False}))
+                assert json.loads(socket.recv(timeout=20.0))["type"] == "opened"
+
+            def lift(socket, sequence: int, vertices: slice) -> int:
+                socket.send(wire.pack_pose(wire.Pose(sequence, sequence / 30.0, np.zeros(3), POSES[0])))
+                frame = wire.unpack_frame(socket.recv(timeout=20.0))
+                socket.send(wire.pack_ack(sequence))
+                return round((frame.vertices()[vertices, 1].mean() - first) / STEP_M) + 1
+
+            tube = slice(0, 216)
+            for socket in (one, two):
+                opened(socket, "tube")
+            assert [lift(one, i, tube) for i in range(3)] == [1, 2, 3]
+            assert lift(two, 0, tube) == 1, "another stream has a memory of its own"
+            opened(one, "tube", "coat")
+            assert lift(one, 4, tube) == 4, "what is worn on is remembered"
+            opened(one, "coat")
+            opened(one, "tube")
+            assert lift(one, 5, tube) == 1, "what was taken off is forgotten"
+
+
+def test_the_stages_are_in_the_order_of_the_tuple(drapery: Drapery):
+    assert [type(stage) for stage in drapery.stages] == list(stages.STAGES)
+    assert stages.STAGES.index(Motion) < stages.STAGES.index(Network)

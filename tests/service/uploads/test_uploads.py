@@ -1,0 +1,336 @@
+"""Uploads become garments or refusals; strangers' files never reach the serving process."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import json
+import os
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+
+from clients.client import DrapeClient
+from drape.errors import BodyError, DrapeError, MeshError, NotFound
+from drape.garment.cache import Garment, save_garment
+from service.app import create_app
+from service.compute.drape_runtime import Drapery
+from service.compute.sliced_thread import Piecework
+from service.errors import TooLarge
+from service.guard.access import Access
+from service.settings import Settings
+from service.uploads import jobs
+from service.uploads.accepted import Accepted
+from service.uploads.avatars import upload_avatar
+from service.uploads.jobs import SHARES, Job, Uploads, run_sandbox
+from tests.fixtures.meshes import garment_obj, huge_count_glb
+from tests.fixtures.serving import files_in, serve
+
+
+@pytest.fixture(scope="module")
+def upload_settings(make_settings: Callable[..., Settings]) -> Settings:
+    return make_settings(intake_queue=6)
+
+
+@pytest.fixture(scope="module")
+def uploads(upload_settings: Settings) -> Iterator[httpx.Client]:
+    with serve(create_app(upload_settings), upload_settings) as url, httpx.Client(base_url=url, timeout=60.0) as client:
+        yield client
+
+
+def finished(client: httpx.Client, response: httpx.Response, seen: list[dict] | None = None) -> dict:
+    """The job of an accepted upload when it has ended; ``seen`` gets it as it was before."""
+    assert response.status_code == 202, response.text
+    job = response.json()
+    assert response.headers["Location"] == f"/jobs/{job['id']}"
+    deadline = time.monotonic() + 90.0
+    while job["state"] in ("queued", "running"):
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+        if seen is not None:
+            seen.append(job)
+        job = client.get(response.headers["Location"]).json()
+    return job
+
+
+def post(client: httpx.Client, content: bytes, **query: str) -> httpx.Response:
+    return client.post("/garments", content=content, params=query, headers={"Content-Type": "application/octet-stream"})
+
+
+def test_junk_fails_with_a_sentence_and_leaves_nothing(uploads: httpx.Client, upload_settings: Settings):
+    junk = {
+        "noise.obj": os.urandom(2000),
+        "words.obj": b"v one two three\nf 1 2 3\n",
+        "empty.stl": b"solid nothing\nendsolid nothing\n",
+        "half.glb": b"glTF\x02\0\0\0\xff\0\0\0",
+        "zip.ply": b"PK\x03\x04" + os.urandom(200),
+    }
+    for name, content in junk.items():
+        job = finished(uploads, post(uploads, content, name=name, avatar="standard"))
+        assert job["state"] == "failed", name
+        assert job["garment"] is None
+        problem = job["problem"]
+        assert problem["cure"] and problem["expected"] in problem["detail"]
+        assert str(upload_settings.garments_dir) not in problem["detail"]
+    assert [garment["source"] for garment in uploads.get("/garments").json()] == ["shipped"]
+    assert files_in(upload_settings.garments_dir) == []
+
+
+def test_a_small_file_that_asks_for_gigabytes_is_refused(uploads: httpx.Client):
+    job = finished(uploads, post(uploads, huge_count_glb(), name="bomb.glb", avatar="standard"))
+    assert job["state"] == "failed"
+    assert job["problem"]["cure"]
+    assert uploads.get("/health").json()["status"] == "ok"
+
+
+@pytest.mark.slow
+def test_a_good_file_becomes_a_garment_that_can_be_draped(
+    uploads: httpx.Client, upload_settings: Settings, tube: Garment
+):
+    seen: list[dict] = []
+    job = finished(uploads, post(uploads, garment_obj(tube), name="My Tube.obj", avatar="standard"), seen)
+    assert job["state"] == "done", job
+    stages = [list(SHARES).index(one["stage"]) for one in seen if one["stage"] is not None]
+    assert stages == sorted(stages) and len(set(stages)) > 1
+    shares = [one["share"] for one in [*seen, job]]
+    assert shares == sorted(shares) and shares[-1] == 1.0
+    info = uploads.get(f"/garments/{job['garment']}").json()
+    assert (info["vertices"], info["source"]) == (216, "user")
+    mesh = uploads.get(f"/garments/{job['garment']}/mesh").json()
+    np.testing.assert_array_equal(mesh["faces"], tube.faces)
+    draped = uploads.post("/drape", json={"garment": job["garment"], "poses": np.zeros((2, 24, 3)).tolist()})
+    assert draped.headers["X-Drape-Vertices"] == "216"
+    # Intake pushes the rest mesh 6 mm clear of the body, and the tiny model lifts it a little.
+    moved = np.frombuffer(draped.content, "<f4").reshape(2, -1, 3)[0] - np.array(mesh["vertices"])
+    assert np.abs(moved).max() < 0.1
+    (stored,) = files_in(upload_settings.garments_dir)
+    assert stored.name.startswith(job["garment"])
+    stored.unlink()
+
+
+@pytest.mark.parametrize(
+    ("query", "content", "status", "word"),
+    [
+        ({}, b"x", 400, "format: expected one of obj, glb, ply, stl, got nothing"),
+        ({"name": "shirt.fbx"}, b"x", 400, "format: expected one of obj, glb, ply, stl, got the name shirt.fbx."),
+        ({"name": "shirt.obj", "avtar": "standard"}, b"x", 400, "avtar: expected no such parameter"),
+        ({"name": "shirt", "format": "zip"}, b"x", 400, "format: expected one of obj, glb, ply, stl, got zip"),
+        ({"format": "obj"}, b"x", 400, "name: expected the garment's name"),
+        ({"name": "shirt.obj"}, b"", 422, "bytes of a mesh file"),
+        ({"name": "shirt.obj", "avatar": "/etc/passwd"}, b"x", 404, "avatar: expected a JSON object"),
+        ({"name": "shirt.obj", "avatar": "body.obj"}, b"x", 404, "avatar"),
+        ({"name": "shirt.obj", "avatar": "{not json"}, b"x", 422, "avatar: expected a JSON object"),
+        ({"name": "shirt.obj", "avatar": '{"age": 1' + "0" * 5000 + "}"}, b"x", 422, "avatar: expected a JSON object"),
+    ],
+)
+def test_an_upload_that_cannot_work_is_refused_at_once(
+    uploads: httpx.Client, query: dict, content: bytes, status: int, word: str
+):
+    response = post(uploads, content, **query)
+    assert response.status_code == status
+    assert word in response.json()["detail"]
+
+
+def test_json_uploads_are_the_same(uploads: httpx.Client):
+    document = {
+        "name": "noise",
+        "format": "obj",
+        "data_base64": base64.b64encode(b"f 1 2 3").decode(),
+        "avatar": {"betas": [0]},
+    }
+    assert finished(uploads, uploads.post("/garments", json=document))["state"] == "failed"
+    response = uploads.post("/garments", json=document | {"data_base64": "not base64!"})
+    assert response.status_code == 400 and "data_base64: expected base64" in response.json()["detail"]
+    response = uploads.post("/garments", json=document | {"data_base64": "QUJ€"})
+    assert (
+        response.status_code == 400 and "data_base64: expected base64, got 'ascii' codec" in response.json()["detail"]
+    )
+    response = uploads.post("/garments", json=document | {"data_base64": ""})
+    assert response.status_code == 422 and "bytes of a mesh file, got nothing" in response.json()["detail"]
+    response = uploads.post("/garments", json=document | {"avatar": {"name": "n" * 200_000}})
+    assert response.status_code == 413 and "avatar: expected at most 10000 characters" in response.json()["detail"]
+    response = uploads.post("/garments", json=document | {"size": 3})
+    assert response.status_code == 400 and "size: expected no such field" in response.json()["detail"]
+    response = uploads.post("/garments", json=document | {"format": "fbx"})
+    assert response.status_code == 400 and "format" in response.json()["detail"]
+
+
+def test_content_types_name_the_format(uploads: httpx.Client):
+    response = uploads.post("/garments?name=shirt", content=b"junk", headers={"Content-Type": "model/gltf-binary"})
+    job = finished(uploads, response)
+    assert job["state"] == "failed" and job["name"] == "shirt"
+
+
+def test_a_page_of_another_origin_cannot_upload(uploads: httpx.Client):
+    headers = {"Origin": "https://elsewhere.example", "Content-Type": "text/plain"}
+    response = uploads.post("/garments?name=a.obj", content=b"x", headers=headers)
+    assert response.status_code == 403
+    assert "DRAPE_ALLOWED_ORIGINS" in response.json()["cure"]
+
+
+def test_a_full_queue_is_refused(make_settings: Callable[..., Settings]):
+    settings = make_settings(intake_queue=1)
+    with serve(create_app(settings), settings) as url, httpx.Client(base_url=url) as client:
+        first = post(client, b"v 0 0 0\n", name="a.obj")
+        second = post(client, b"v 0 0 0\n", name="b.obj")
+        assert second.status_code == 429 and "uploads" in second.json()["detail"]
+        finished(client, first)
+
+
+# --- the process that takes in ---
+
+
+def sandboxed(settings: Settings, content: bytes, name: str, folder: Path) -> dict:
+    file = folder / name
+    file.write_bytes(content)
+    return asyncio.run(run_sandbox(file, "standard", folder / "out", settings))
+
+
+@pytest.mark.parametrize("avatar", ['{"betas": [1e308]}', '{"trans": [1e300, 0, 0]}', '{"ä": 1}' + 9000 * " "])
+def test_what_is_said_of_the_avatar_reaches_the_intake(
+    make_settings: Callable[..., Settings], tube: Garment, tmp_path: Path, avatar: str
+):
+    file = tmp_path / "tube.obj"
+    file.write_bytes(garment_obj(tube))
+    with pytest.raises(BodyError, match=r"avatar betas|avatar trans|phenotype ä"):
+        asyncio.run(run_sandbox(file, avatar, tmp_path / "out", make_settings()))
+
+
+def test_limits_end_the_process_with_a_sentence(make_settings: Callable[..., Settings], tube: Garment, tmp_path: Path):
+    content = garment_obj(tube)
+    with pytest.raises(TooLarge, match=r"within 0\.2 s, got no end by then"):
+        sandboxed(make_settings(intake_wall_s=0.2), content, "tube.obj", tmp_path)
+    with pytest.raises(DrapeError, match=r"Simplify the mesh|Export the mesh again"):
+        sandboxed(make_settings(intake_memory_mb=256), content, "tube.obj", tmp_path)
+    assert not (tmp_path / "out").exists() or not any((tmp_path / "out").iterdir())
+
+
+def test_processor_time_is_limited(make_settings: Callable[..., Settings], tmp_path: Path):
+    # Many points keep the reader busy for longer than the second it gets.
+    content = b"v 0.123456 0.123456 0.123456\n" * 3_000_000
+    with pytest.raises((TooLarge, MeshError)):
+        sandboxed(make_settings(intake_cpu_s=1), content, "points.obj", tmp_path)
+
+
+def test_no_process_outlives_its_upload(make_settings: Callable[..., Settings], tube: Garment, tmp_path: Path):
+    with pytest.raises(TooLarge):
+        sandboxed(make_settings(intake_wall_s=0.2), garment_obj(tube), "tube.obj", tmp_path)
+    listed = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True).stdout
+    assert str(tmp_path) not in listed
+
+
+def test_what_ended_services_left_behind_is_cleared(make_settings: Callable[..., Settings], tmp_path: Path):
+    ended = subprocess.Popen(["true"])
+    ended.wait()
+    stale, running = tmp_path / f".staging-{ended.pid}", tmp_path / f".staging-{os.getppid()}"
+    for folder in (stale, running):
+        (folder / "job").mkdir(parents=True)
+    settings = make_settings(garments_dir=tmp_path)
+    with serve(create_app(settings), settings):
+        assert not stale.exists()
+        assert running.exists()
+
+
+# --- whose avatar ---
+
+
+def test_the_rule_of_avatars_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.delenv("DRAPE_DATA", raising=False)
+    table = {"female": {"gender": 1.0}, "female_coat": {"gender": 0.9}, "stand": "standard", "scan": "scans/body.obj"}
+    (tmp_path / "avatars.json").write_text(json.dumps(table))
+    assert json.loads(upload_avatar(None, "female_tshirt", tmp_path) or "") == {"gender": 1.0}
+    assert json.loads(upload_avatar(None, "female_coat_3", tmp_path) or "") == {"gender": 0.9}
+    assert upload_avatar(None, "stand-in", tmp_path) == "standard"
+    assert upload_avatar(None, "scan1", tmp_path) == str(tmp_path / "scans/body.obj")
+    assert upload_avatar(None, "unisex", tmp_path) is None
+    assert upload_avatar("female", "unisex", tmp_path) == json.dumps({"gender": 1.0})
+    assert upload_avatar({"betas": [1]}, "x", tmp_path) == '{"betas": [1]}'
+    assert upload_avatar(' {"gender": 0}', "x", tmp_path) == '{"gender": 0}'
+    with pytest.raises(NotFound, match="female_coat"):
+        upload_avatar("nobody", "x", tmp_path)
+    with pytest.raises(BodyError):
+        upload_avatar("{" * 5000, "x", tmp_path)
+
+
+def test_the_data_folder_has_a_table_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "garments").mkdir()
+    (tmp_path / "garments/avatars.json").write_text('{"male": {"gender": 0.0}}')
+    monkeypatch.setenv("DRAPE_DATA", str(tmp_path))
+    assert upload_avatar(None, "male_jeans", tmp_path / "uploads") == '{"gender": 0.0}'
+
+
+def test_two_workers_run_two_uploads_and_a_client_that_leaves_cancels_its_own(
+    make_settings: Callable[..., Settings], tube: Garment
+):
+    settings = make_settings(intake_workers=2)
+    with serve(create_app(settings), settings) as url, DrapeClient(url) as client:
+        api = httpx.Client(base_url=url)
+        other = post(api, garment_obj(tube), name="other.obj", avatar="standard").json()
+        path = settings.garments_dir / "mine.obj"
+        path.write_bytes(garment_obj(tube))
+        mine: list[str] = []
+
+        def told(job: dict) -> None:
+            mine.append(job["id"])
+            if job["state"] == "running" and api.get(f"/jobs/{other['id']}").json()["state"] == "running":
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            client.upload_garment(path, "standard", progress=told)
+        assert api.get(f"/jobs/{mine[0]}").json()["state"] == "cancelled"
+        assert api.get(f"/jobs/{other['id']}").json()["state"] == "running"
+        api.delete(f"/jobs/{other['id']}")
+        api.close()
+
+
+def test_cancelled_uploads_end_and_leave_nothing(uploads: httpx.Client, upload_settings: Settings, tube: Garment):
+    running, waiting = (post(uploads, garment_obj(tube), name="tube.obj", avatar="standard").json() for _ in range(2))
+    deadline = time.monotonic() + 30.0
+    while uploads.get(f"/jobs/{running['id']}").json()["stage"] != "start":
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    assert uploads.get(f"/jobs/{waiting['id']}").json()["state"] == "queued"
+    for job in (waiting, running):
+        assert uploads.delete(f"/jobs/{job['id']}").status_code == 204
+        found = uploads.get(f"/jobs/{job['id']}").json()
+        assert (found["state"], found["stage"], found["garment"], found["share"]) == ("cancelled", None, None, 0.0)
+    assert files_in(upload_settings.garments_dir) == []
+    mine = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True).stdout
+    assert str(upload_settings.garments_dir) not in mine
+    assert uploads.delete(f"/jobs/{running['id']}").status_code == 204  # it has ended: it is forgotten
+    assert uploads.get(f"/jobs/{running['id']}").status_code == 404
+    assert finished(uploads, post(uploads, b"v 0 0 0\n", name="next.obj", avatar="standard"))["state"] == "failed"
+
+
+def test_a_garment_that_is_cancelled_as_it_is_stored_is_not_kept(
+    make_settings: Callable[..., Settings], tube: Garment, monkeypatch: pytest.MonkeyPatch
+):
+    settings = make_settings()
+    drapery = Drapery(settings)
+    uploads = Uploads(drapery, Piecework(), Access(settings))
+    accepted = Accepted("one", "tube", None, "tube.obj", "standard")
+    folder = settings.garments_dir / "work"
+    (folder / "out").mkdir(parents=True)
+    made = save_garment(tube, folder / "out")
+
+    async def as_taken_in(*_: object) -> dict[str, str]:
+        return {"file": made.name}
+
+    async def cancelled() -> None:
+        job = Job("one", "tube")
+        work = asyncio.create_task(uploads._take_in(job, folder, accepted))
+        while not (settings.garments_dir / made.name).exists():
+            await asyncio.sleep(0)
+        work.cancel()
+        await asyncio.wait([work])
+        assert work.cancelled()
+
+    monkeypatch.setattr(jobs, "run_sandbox", as_taken_in)
+    asyncio.run(cancelled())
+    assert not (settings.garments_dir / made.name).exists()
+    drapery.close()

@@ -1,0 +1,124 @@
+"""What an operator sees: series by name that follow what streams and requests did, and a dashboard of them."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+
+import httpx
+import numpy as np
+from prometheus_client.parser import text_string_to_metric_families
+from websockets.asyncio.client import connect
+from websockets.typing import Subprotocol
+
+from drape.wire import messages as wire
+from service.stream.sessions import Session
+from service.watch.metrics import Metrics
+from tests.architecture.repository import ROOT
+
+REST = np.zeros((1, 24, 3)).tolist()
+
+
+def series(url: str) -> dict[str, float]:
+    """Every sample by name and labels."""
+    found = {}
+    for family in text_string_to_metric_families(httpx.get(url + "/metrics").text):
+        for sample in family.samples:
+            labels = ",".join(f"{key}={value}" for key, value in sorted(sample.labels.items()))
+            found[f"{sample.name}{{{labels}}}"] = sample.value
+    return found
+
+
+def gained(before: dict[str, float], after: dict[str, float], name: str) -> float:
+    return after.get(name, 0.0) - before.get(name, 0.0)
+
+
+def test_a_stream_and_a_clip_are_counted(live: str):
+    async def stream() -> None:
+        protocols = [Subprotocol(wire.SUBPROTOCOL)]
+        async with connect(live.replace("http", "ws") + "/stream", subprotocols=protocols) as socket:
+            await socket.send(json.dumps({"type": "open", "garment": "tube"}))
+            await socket.recv()
+            assert series(live)["drape_streams{}"] >= 1.0
+            for sequence in range(3):
+                await socket.send(wire.pack_pose(wire.Pose(sequence, 0.0, np.zeros(3), np.zeros((24, 3)))))
+                frame = await socket.recv()
+                assert isinstance(frame, bytes)
+                await socket.send(wire.pack_ack(wire.unpack_frame(frame).sequence))
+            # What was refused is answered after the acknowledgements were read.
+            await socket.send(json.dumps({"type": "open", "garment": "cape"}))
+            await socket.recv()
+
+    before = series(live)
+    asyncio.run(stream())
+    assert httpx.post(live + "/drape", json={"garment": "tube", "poses": REST * 2}).status_code == 200
+    assert httpx.get(live + "/garments/cape").status_code == 404
+    after = series(live)
+    expected = {
+        "drape_poses_total{}": 3,
+        "drape_poses_dropped_total{}": 0,
+        "drape_frames_sent_total{}": 3,
+        "drape_frame_age_seconds_count{}": 3,
+        "drape_frame_acknowledged_seconds_count{}": 3,
+        "drape_batch_frames_sum{}": 3,
+        "drape_frames_total{}": 5,
+        "drape_pushed_share_count{}": 5,
+        "drape_push_max_meters_count{}": 5,
+        "drape_jets_left_meters_count{}": 5,
+        "drape_stage_seconds_count{stage=encode}": 3,
+        "drape_folds_resets_total{}": 0,
+        "drape_evictions_total{kind=NotFound}": 1,
+        "drape_requests_total{method=POST,path=/drape,status=200}": 1,
+        "drape_requests_total{method=GET,path=/garments/{garment_id},status=404}": 1,
+        "drape_request_seconds_count{path=/drape}": 1,
+    }
+    assert {name: gained(before, after, name) for name in expected} == expected
+    assert gained(before, after, "drape_frames_on_time_total{}") <= 3
+    assert after["drape_garments{}"] == 1.0
+    assert (after["drape_clips{}"], after["drape_uploads_waiting{}"], after["drape_poses_waiting{}"]) == (0.0, 0.0, 0.0)
+    assert after["process_resident_memory_bytes{}"] > 1e7
+
+
+def test_frames_on_time_are_those_within_the_deadline():
+    metrics = Metrics()
+    for age_s in (0.01, 0.05, 0.2):
+        metrics.sent(age_s, deadline_s=0.05)
+    text = metrics.text().decode()
+    assert "drape_frames_sent_total 3.0" in text and "drape_frames_on_time_total 2.0" in text
+
+
+FRAME = wire.pack_frame(wire.Frame(7, 0.0, 0.0, np.zeros(3), np.zeros((1, 3), np.float32)))
+
+
+def test_the_way_of_a_frame_is_known_when_it_is_taken():
+    session = Session(plan=None, betas=np.zeros(1), credit=1)  # pyright: ignore[reportArgumentType]
+    session.put(wire.Pose(7, 0.0, np.zeros(3), np.zeros((24, 3))))
+    session.take()
+    session.deliver(0, FRAME, {}, since_s=1.0)
+    assert session.outbox_since_s == 1.0
+    way_s = session.acknowledge(7)
+    assert way_s is not None and 0.0 <= way_s < 10.0
+
+
+def test_no_series_is_of_one_garment_or_client(live: str):
+    labels = {label for name in series(live) for label in re.findall(r"(\w+)=", name)}
+    assert labels <= {"method", "path", "status", "stage", "kind", "le"}
+    for unknown in range(5):
+        httpx.get(f"{live}/nothing/{unknown}")
+    assert not any("nothing" in name for name in series(live))
+
+
+def test_the_dashboard_asks_for_series_that_there_are():
+    board = json.loads((ROOT / "deploy/grafana.json").read_text(encoding="utf-8"))
+    asked = [target["expr"] for panel in board["panels"] for target in panel["targets"]]
+    names = {name for expression in asked for name in re.findall(r"\b(?:drape|process)_[a-z_]+", expression)}
+    metrics = Metrics()
+    there = {sample.name for family in metrics.registry.collect() for sample in family.samples}
+    there |= {
+        f"{family.name}{end}"
+        for family in metrics.registry.collect()
+        for end in ("_total", "_bucket", "_sum", "_count")
+    }
+    assert len(names) > 15 and names - there == set()
+    assert len({panel["id"] for panel in board["panels"]}) == len(board["panels"])
