@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.judge import apart, physics
+from benchmarks.judge import ipc_optimum, physics
 from benchmarks.judge.physics_cache import CACHE_DIR, stored_minimum
 from benchmarks.measure.intersections import intersection_count
 from benchmarks.measure.skin_pixels import PosedBody, covered_faces, skin_pixels_pct
@@ -265,7 +265,7 @@ def bound(referee: Referee, from_each: dict[str, np.ndarray], *, keeps_apart: bo
         starts=(best[-1],) if keeps_apart else (best[0], best[-1]),
     )  # fmt: skip
     if keeps_apart:
-        optimum, _ = apart.stored_minimum(task, CACHE_DIR)
+        optimum, _ = ipc_optimum.stored_minimum(task, CACHE_DIR)
     else:
         optimum, _ = stored_minimum(task, physics.STEPS, CACHE_DIR)
     parts = physics.energy_parts(

@@ -85,6 +85,8 @@ class Found(NamedTuple):
 class Descent:
     """One drape on its way down: where it is, ``now``, and what it has met of least energy, ``best``."""
 
+    reach_m: float | np.ndarray = REACH_M
+
     def __init__(
         self, cloth: Cloth, contact: BodyContact, posed: np.ndarray, start: np.ndarray, *, band: Band | None = None
     ) -> None:
@@ -97,7 +99,6 @@ class Descent:
         triangles = self.problem.triangles
         area = np.bincount(triangles.corner.reshape(-1), np.repeat(triangles.area, 3), len(start))
         self._per_shift = (area / area.mean())[:, None, None] * np.eye(3)
-        self._blocks = np.empty((len(cloth.pattern.column), 3, 3))
         self._diagonal = np.empty((len(start), 3, 3))
         self._coarse, self._coarse_age = np.zeros((0, 0), np.float32), COARSE_AGE
         self.now = self.best = self.found(start)
@@ -161,9 +162,11 @@ class Descent:
 
     def _sweep(self, order: np.ndarray, times: int = 1) -> None:
         """Vertex block descent of the vertices ``order`` over the planes of now, if it lowers the energy."""
-        x, around = self.now.x.copy(), self.around(self.now.x)[0]
+        origin, around = self.now.x, self.around(self.now.x)[0]
+        x = origin.copy()
         for _ in range(times):
             descent.sweep(x, self.problem._replace(order=order), around, True)
+            x = self._swept(origin, x)
         there = self.found(x)
         if there.energy < self.now.energy:
             self._take(there)
@@ -194,21 +197,25 @@ class Descent:
 
     def _direction(self) -> tuple[np.ndarray, int]:
         """A step [m] (V, 3) along which the energy falls, and the iterations that it took, negative if cut off."""
-        x, problem, pattern = self.now.x, self.problem, self.cloth.pattern
+        x, problem, (pattern, others) = self.now.x, self.problem, self._other_blocks()
         around, bend = self.around(x)
         depth = np.maximum(problem.constants.gap - ((x - around.point) * around.normal).sum(axis=1), 0.0)
         bend = (problem.contact_n_per_m * depth)[:, None, None] * bend
         descent.diagonal_blocks(x, problem, around, self._diagonal)
-        inverse = np.linalg.inv(self._diagonal).astype(np.float32)
+        own = self._diagonal if others is None else self._diagonal + others[pattern.diagonal]
+        inverse = np.linalg.inv(own).astype(np.float32)
+        blocks = np.empty((len(pattern.column), 3, 3))
         moved, force = np.empty(x.shape, np.float32), (-self.now.force).astype(np.float32)
         while True:
             exact, left = (self.exact, ROUGH) if self.shift is None else (1.0, FINE)
-            hessian.assemble(x, problem, around, pattern, exact, self._blocks)
-            self._blocks[pattern.diagonal] += DAMPING * self._diagonal - exact * bend
+            hessian.assemble(x, problem, around, pattern, exact, blocks)
+            if others is not None:
+                blocks += others
+            blocks[pattern.diagonal] += DAMPING * self._diagonal - exact * bend
             if self.shift is not None:
-                self._blocks[pattern.diagonal] += self.shift * self._per_shift
-            single = self._blocks.astype(np.float32)
-            self._renew_coarse(single)
+                blocks[pattern.diagonal] += self.shift * self._per_shift
+            single = blocks.astype(np.float32)
+            self._renew_coarse(pattern, single)
             system = linear.System(pattern, single, inverse, self.cloth.charts, self._coarse)
             count = linear.conjugate_gradients(system, force, np.float32(left), ITERATIONS, moved)
             # A direction that curves down leads far away, unless it came late.
@@ -220,12 +227,22 @@ class Descent:
                 break
             else:
                 self.exact = 0.5 * self.exact if self.exact > EXACT_LEAST else 0.0
-        step = moved.astype(np.float64)
-        length = np.linalg.norm(step, axis=1, keepdims=True)
-        step *= np.minimum(1.0, REACH_M / np.maximum(length, 1e-12))
-        return step, count
+        return self._limited(moved.astype(np.float64)), count
 
-    def _renew_coarse(self, blocks: np.ndarray) -> None:
+    def _other_blocks(self) -> tuple[hessian.Pattern, np.ndarray | None]:
+        """Where the Hessian's blocks are, and what is added to those of the cloth: here nothing."""
+        return self.cloth.pattern, None
+
+    def _limited(self, step: np.ndarray) -> np.ndarray:
+        """``step`` [m] (V, 3) with every vertex's way shortened to what it may go, ``reach_m`` () or (V, 1)."""
+        length = np.linalg.norm(step, axis=1, keepdims=True)
+        return step * np.minimum(1.0, self.reach_m / np.maximum(length, 1e-12))
+
+    def _swept(self, origin: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Where a sweep from ``origin`` to ``x`` may end: here anywhere."""
+        return x
+
+    def _renew_coarse(self, pattern: hessian.Pattern, blocks: np.ndarray) -> None:
         """Takes the inverse on the charts anew when it is old; where it is not positive, none."""
         self._coarse_age += 1
         if self.cloth.charts.patch.size == 0 or self._coarse_age < COARSE_AGE:
@@ -233,7 +250,7 @@ class Descent:
         self._coarse_age = 0
         size = 3 * (int(self.cloth.charts.patch.max()) + 1)
         matrix = np.empty((size, size), np.float32)
-        linear.galerkin(self.cloth.charts, self.cloth.pattern, blocks, matrix)
+        linear.galerkin(self.cloth.charts, pattern, blocks, matrix)
         factorise, invert = scipy.linalg.get_lapack_funcs(("potrf", "potri"), (matrix,))
         factor, failed = factorise(matrix, lower=1)
         if failed:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -30,6 +30,10 @@ from drape.geometry import meshes
 STEPS = 250  # at most
 TOLERANCE = 0.01  # of the weight: the norm of the force left at rest
 LEFT_LIMIT_J_M2 = 0.05  # skinning costs 1 to 5 J per m^2 of cloth
+
+
+PartsOf = Callable[..., dict[str, np.ndarray]]
+Descend = Callable[[Cloth, np.ndarray, list[np.ndarray], Band | None], Found]
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +152,20 @@ def minimise(task: Task, *, step_limit: int = STEPS, tolerance: float = TOLERANC
     step lowers the energy. Raises ``MeshError``, naming the garment, where no start has a finite energy, or where the
     force left is worth more than ``LEFT_LIMIT_J_M2``.
     """
+    forces: list[np.ndarray] = []
+
+    def descend(cloth: Cloth, posed: np.ndarray, starts: list[np.ndarray], band: Band | None) -> Found:
+        end = minimum(cloth, task.contact, posed, starts, step_limit=step_limit, tolerance=tolerance, band=band)
+        forces.append(end.force)
+        return end
+
+    optimum = never_above(reached(task, descend), task)
+    _refuse_unrest(optimum, np.stack(forces), task)
+    return optimum
+
+
+def reached(task: Task, descend: Descend) -> Optimum:
+    """Where ``descend`` ends over each posed body of ``task``, given the cloth, that body, the starts and the band."""
     began = time.perf_counter()
     starts = [np.asarray(start, dtype=np.float64) for start in task.starts]
     cloth = Cloth.of(task.cloth, task.material, task.charts)
@@ -155,46 +173,50 @@ def minimise(task: Task, *, step_limit: int = STEPS, tolerance: float = TOLERANC
     processor_s = []
     for frame, posed in enumerate(task.body_vertices):
         before_s = time.process_time()
-        own = [np.ascontiguousarray(start[frame]) for start in starts]
-        ends.append(
-            minimum(
-                cloth,
-                task.contact,
-                posed,
-                own,
-                step_limit=step_limit,
-                tolerance=tolerance,
-                band=task.held.over(frame, task.cloth.vertex_count) if task.held else None,
-            )
-        )
+        band = task.held.over(frame, task.cloth.vertex_count) if task.held else None
+        ends.append(descend(cloth, posed, [np.ascontiguousarray(start[frame]) for start in starts], band))
         processor_s.append(time.process_time() - before_s)
-    height_m = metrics.mean_height(starts[0], task.cloth)
-
-    def energy(vertices: np.ndarray, parts_of: Callable[..., dict[str, np.ndarray]] = energy_parts) -> np.ndarray:
-        parts = parts_of(vertices, task.cloth, task.material, task.contact, task.body_vertices, height_m=height_m)
-        total = np.stack([*parts.values()]).sum(axis=0)
-        if task.held is None:
-            return total
-        return total + band_energy(vertices[:, task.held.vertex] - task.held.anchor, task.held.length_m)
-
     vertices = np.stack([end.x for end in ends])
-    start_j, energy_j = np.stack([energy(start) for start in starts]), energy(vertices)
-    # A place has one energy but for rounding: gravity is summed from another height here than on the way.
-    risen = np.flatnonzero(energy_j > start_j.min(axis=0))
-    vertices[risen] = np.stack(starts)[start_j.argmin(axis=0), np.arange(len(vertices))][risen]
-    optimum = Optimum(
+    return Optimum(
         vertices=vertices,
-        start_j=start_j.min(axis=0),
-        energy_j=np.fmin(energy_j, start_j.min(axis=0)),
-        nearest_j=energy(vertices, metrics.static_parts),
+        start_j=np.stack([total_j(start, task) for start in starts]).min(axis=0),
+        energy_j=total_j(vertices, task),
+        nearest_j=total_j(vertices, task, metrics.static_parts),
         residual_n=np.array([np.linalg.norm(end.force) for end in ends]),
-        converged=np.array([end.at_rest and frame not in risen for frame, end in enumerate(ends)]),
+        converged=np.array([end.at_rest for end in ends]),
         steps=np.array([end.steps for end in ends]),
         processor_s=np.array(processor_s),
         seconds=time.perf_counter() - began,
     )
-    _refuse_unrest(optimum, np.stack([end.force for end in ends]), task)
-    return optimum
+
+
+def total_j(vertices: np.ndarray, task: Task, parts_of: PartsOf = energy_parts) -> np.ndarray:
+    """Energy [J] (F,) of ``vertices`` (F, V, 3), relative to the height of the first start, with the waistband's."""
+    height_m = metrics.mean_height(np.asarray(task.starts[0], dtype=np.float64), task.cloth)
+    parts = parts_of(vertices, task.cloth, task.material, task.contact, task.body_vertices, height_m=height_m)
+    total = np.stack([*parts.values()]).sum(axis=0)
+    if task.held is None:
+        return total
+    return total + band_energy(vertices[:, task.held.vertex] - task.held.anchor, task.held.length_m)
+
+
+def never_above(optimum: Optimum, task: Task) -> Optimum:
+    """``optimum`` with the lowest start in place of what ended above it.
+
+    A place has one energy but for rounding: gravity is summed from another height here than on the way.
+    """
+    risen = np.flatnonzero(optimum.energy_j > optimum.start_j)
+    starts = np.stack(task.starts).astype(np.float64)
+    lowest = np.stack([total_j(start, task) for start in starts]).argmin(axis=0)
+    vertices, converged = optimum.vertices.copy(), optimum.converged.copy()
+    vertices[risen], converged[risen] = starts[lowest, np.arange(len(vertices))][risen], False
+    return replace(
+        optimum,
+        vertices=vertices,
+        energy_j=np.fmin(optimum.energy_j, optimum.start_j),
+        nearest_j=total_j(vertices, task, metrics.static_parts),
+        converged=converged,
+    )
 
 
 def _refuse_unrest(optimum: Optimum, force_n: np.ndarray, task: Task) -> None:

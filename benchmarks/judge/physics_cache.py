@@ -23,7 +23,7 @@ import numpy as np
 from benchmarks.judge import body_distance, descent, hessian, linear, newton, physics, settling, surroundings
 from benchmarks.judge.physics import Optimum, Task
 from benchmarks.shared import common
-from drape.cloth import contact, energies, waistband
+from drape.cloth import bending, contact, energies, membrane, waistband
 from drape.geometry import meshes
 from drape.kernels import elements, problem
 from drape.live import whole
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 T = TypeVar("T", bound="DataclassInstance")
 CACHE_DIR = common.ROOT / "runs" / "physics_cache"  # ignored by git
 SOURCES: tuple[ModuleType, ...] = (
-    physics, newton, settling, whole, energies, contact, waistband, meshes, body_distance, descent, elements, hessian,
-    linear, problem, surroundings,
+    physics, newton, settling, whole, energies, membrane, bending, contact, waistband, meshes, body_distance, descent,
+    elements, hessian, linear, problem, surroundings,
 )  # fmt: skip
 
 
