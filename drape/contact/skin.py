@@ -1,8 +1,8 @@
-"""The body's skin as samples with smooth normals: what cloth is kept out of.
+"""The body's skin as samples with smooth normals, which cloth is kept out of.
 
-Samples are spread evenly over the skin, closer where limbs are thin. Point and two tangents of a sample
-are sums over body vertices with fixed weights, so they follow any pose and shape of the body exactly, and
-where the body is skinned linearly they are also sums over its bones: one small product poses them all.
+Samples are spread evenly over the skin, closer on thin limbs. The point and the two tangents of a sample are sums over
+body vertices with fixed weights: they follow any pose and shape of the body exactly. On a linearly skinned body they
+are sums over its bones as well, and one small product poses them all.
 """
 
 from __future__ import annotations
@@ -157,7 +157,7 @@ def shaped_skin(body: BodyModel) -> ShapedSkin:
 
 
 def _kept(kind: str, body: BodyModel, make: Callable[[BodyModel], Made]) -> Made:
-    """What ``make`` gives for ``body``: by its digest, since a body read twice is the same."""
+    """What ``make`` returns for ``body``, kept by the body's digest: a body that is read twice is the same."""
     found = _KEPT.get((kind, body.digest))
     if found is None:
         found = _KEPT[kind, body.digest] = make(body)

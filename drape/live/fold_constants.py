@@ -64,7 +64,7 @@ class FoldConstants(NamedTuple):
     """What the kernels of folds read: the cloth's ``sheet``, the ``factor`` of its stiffness, the skin's ``graph``.
 
     ``neighbours``: which vertices are of one sheet; ``index`` (P,): the sample nearest to each place at rest;
-    ``friction`` with the skin.
+    ``friction`` with the skin, in frames with a past.
     """
 
     sheet: Sheet

@@ -97,14 +97,12 @@ class FoldEffort:
     energy is looked at: the folds go along with the network's surface and fade, and a frame without a past has none.
 
     ``cloth_contact``: whether cloth keeps within the room that the network's drape leaves between its sheets.
-    ``friction``: whether the skin takes cloth along, in a frame with a past. ``clearance_m`` [m]: a vertex nearer to
-    its own part of the skin is lifted; 0 lifts none.
+    ``clearance_m`` [m]: a vertex nearer to its own part of the skin is lifted; 0 lifts none.
     """
 
     steps: int
     settle: int = 8
     cloth_contact: bool = False
-    friction: bool = True
     clearance_m: float = CLEARANCE_M
 
 
@@ -159,7 +157,7 @@ def _advanced(
     schedule = FoldSchedule(
         dtype(step_s), dtype(momentum), dtype(pace.share), rounds, pace.steps, pace.sweeps,
         -1 if settled else past.turn, effort.cloth_contact and rounds > 0,
-        dtype(constants.friction if effort.friction and not settled else 0.0), dtype(effort.clearance_m),
+        dtype(0.0 if settled else constants.friction), dtype(effort.clearance_m),
     )  # fmt: skip
     touched = TouchedSamples(past.touched.own.copy(), past.touched.other.copy())
     state = FoldState(dtype(share) * past.residual, dtype(share == 1.0) * past.velocity, past.grip.copy())

@@ -49,7 +49,7 @@ def fold(
     x = network + off
     way = (share == 1.0) * step_s * _to_world(frames, past.velocity)
     stuck = stuck_places(past.grip, frame.skin, dressed.graph, past.touched.own)
-    friction = dressed.friction if effort.friction and memory else 0.0
+    friction = dressed.friction if memory else 0.0
     touched = follow(network, frame.skin, dressed.graph, past.touched)
     stiff = 0.5 * float(dressed.material.membrane[0] + dressed.material.membrane[1]) > STIFF_N_PER_M
     pace = paced(effort.steps, calmness(past.network, network), stiff=stiff)

@@ -13,21 +13,15 @@ from drape.contact.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE
 from drape.errors import InputError, MeshError
 from drape.geometry import closest, meshes
 from drape.geometry.rotations import rotvec_to_matrix
+from tests.drape.cloth import cloth_shapes
 
 RADIUS, HEIGHT = 0.15, 0.4
 
 
 def tube(radius: float, columns: int = 48, rows: int = 22, height: float = HEIGHT) -> tuple[np.ndarray, np.ndarray]:
-    """An open cylinder about the y axis, faces outwards."""
-    angle = 2.0 * np.pi * np.arange(columns) / columns
-    ring = np.stack([np.sin(angle), np.zeros(columns), np.cos(angle)], axis=1)
-    level = np.linspace(-0.5 * height, 0.5 * height, rows)
-    vertices = (radius * ring[None] + level[:, None, None] * [0.0, 1.0, 0.0]).reshape(-1, 3)
-    corner = np.arange(columns * (rows - 1)).reshape(rows - 1, columns)
-    right = np.roll(corner, -1, axis=1)
-    lower = np.stack([corner, right, right + columns], axis=-1)
-    upper = np.stack([corner, right + columns, corner + columns], axis=-1)
-    return vertices, np.concatenate([lower, upper]).reshape(-1, 3)
+    """An open cylinder about the y axis and its middle."""
+    vertices, faces = cloth_shapes.tube(columns, rows - 1, radius_m=radius, height_m=height)
+    return vertices - [0.0, 0.5 * height, 0.0], faces
 
 
 @cache
@@ -105,14 +99,9 @@ def test_the_border_of_a_mesh_is_where_one_triangle_ends():
     corner = vertices[-1:] + np.array([0.0, 0.02, 0.0])
     found = closest.closest_point(np.concatenate([inside, above, corner, vertices[:1]]), vertices, faces)
     assert_array_equal(closest.on_border(found, faces), [False, True, True, True])
-    closed = closest.closest_point(np.zeros((1, 3)), *meshes_box())
-    assert not closest.on_border(closed, meshes_box()[1]).any()
-
-
-def meshes_box() -> tuple[np.ndarray, np.ndarray]:
-    """A tetrahedron: it has no border."""
-    vertices = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
-    return vertices, np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+    corners = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    closed = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+    assert not closest.on_border(closest.closest_point(np.zeros((1, 3)), corners, closed), closed).any()
 
 
 def test_broken_meshes_are_refused():
