@@ -1,1 +1,1 @@
-"""Keeping cloth out of the body: samples of the skin, what a garment's vertices know of them, and the push-out."""
+"""Cloth out of the body: samples of skin and cloth, their signed distance, tables of garments, and the push-out."""

@@ -1,4 +1,4 @@
-"""What the push-out needs to know of a garment, computed once: blocks of vertices, and the skin that each hangs on."""
+"""Tables of a garment for the push-out, computed once: blocks of vertices, and the skin that each hangs on."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ class Samples:
 
 
 class Placed(NamedTuple):
-    """Where S samples lie at rest: on the triangles ``face`` (S,) with barycentric ``weight`` (S, 3).
+    """S samples at rest, on the triangles ``face`` (S,) with barycentric ``weight`` (S, 3).
 
     Their ``point`` [m] and unit ``normal`` (S, 3), and the ``spacing_m`` (S,) to their neighbours.
     """

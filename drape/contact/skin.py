@@ -123,7 +123,7 @@ def skin_table(rows: Array, bones: Array, rotations: Array, translations: Array)
     width, size = 4 * count, POSED_REGIONS * REGION_SIZE
     of_parts = xp.permute_dims(xp.reshape(taken, (-1, 3, parts, width)), (0, 2, 1, 3))
     posed = of_parts @ xp.reshape(rows, (-1, parts, width, 3 * size))
-    # All samples of a kind side by side: three rows of thousands, which is what all that follows runs along.
+    # All samples of a kind side by side: the operations that follow run along three rows of thousands.
     kinds = xp.permute_dims(xp.reshape(posed, (-1, parts, 3, 3, size)), (0, 3, 2, 1, 4))
     point, first, second = (xp.reshape(kinds[:, k], (-1, 3, parts * size)) for k in range(3))
     table = table_of_columns(point, unit_cross(first, second))
@@ -157,7 +157,7 @@ def shaped_skin(body: BodyModel) -> ShapedSkin:
 
 
 def _kept(kind: str, body: BodyModel, make: Callable[[BodyModel], Made]) -> Made:
-    """What ``make`` returns for ``body``, kept by the body's digest: a body that is read twice is the same."""
+    """``make(body)``, kept by the body's digest: a body that is read twice is the same."""
     found = _KEPT.get((kind, body.digest))
     if found is None:
         found = _KEPT[kind, body.digest] = make(body)

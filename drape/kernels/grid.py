@@ -38,7 +38,7 @@ class Grid(NamedTuple):
 def grid_of(points, per_m):
     """The grid of the first three numbers of each of ``points`` [m] (N, 3 or more), cells of 1 / ``per_m``.
 
-    It is empty where a point is no number, or where points lie ``WIDEST_M`` apart.
+    It is empty if a coordinate is not finite, or if points lie ``WIDEST_M`` apart.
     """
     low, count = np.empty(3), np.zeros(3, np.int64)
     for axis in range(3):

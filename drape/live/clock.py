@@ -1,4 +1,4 @@
-"""The clock of cloth that moves: a frame, what is remembered of it, and whether the next frame follows it.
+"""The clock of cloth that moves: a frame, the memory of it, and whether the next frame follows it.
 
 Folds and swing keep a memory each. Both are forgotten at a cut: after a pause, when the clock goes back, and when the
 network moves a vertex farther than any motion does.
@@ -28,8 +28,7 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class FrameMemory:
-    """What folds and swing both remember of a frame: its time [s], and where the ``network`` had its points [m]
-    (P, 3)."""
+    """A frame as folds and swing both remember it: its time [s], and the ``network``'s points [m] (P, 3)."""
 
     time_s: float
     network: np.ndarray

@@ -1,7 +1,7 @@
 """Clusters of ``LANES`` vertices side by side on the cloth, and boxes around them that tell which may come near.
 
-Clusters follow from the cloth alone and are the same in every frame. What is known of pairs of vertices along the cloth
-is therefore stored by pairs of clusters, and a frame compares two clusters in loops over lanes. A group is ``LANES``
+Clusters follow from the cloth alone and are the same in every frame. Distances along the cloth are therefore stored by
+pairs of clusters, and a frame compares two clusters in loops over lanes. A group is ``LANES``
 clusters in a row; the boxes around groups rule out most clusters at once.
 """
 

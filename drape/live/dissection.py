@@ -99,8 +99,10 @@ def _at_the_other(start, neighbour, part, nodes):
 
 @kernel
 def runs(start, row, costs):
-    """Where runs of columns begin (N + 1,) that together take the least time by ``costs``; column j of a lower triangle
-    has the rows ``row[start[j]:start[j + 1]]`` below its diagonal."""
+    """The beginnings (N + 1,) of runs of columns that together take the least time by ``costs``.
+
+    Column j of the lower triangle has the rows ``row[start[j] : start[j + 1]]`` below its diagonal.
+    """
     count = len(start) - 1
     least, begin, met = np.full(count + 1, np.inf), np.zeros(count + 1, np.int64), np.full(count, -1, np.int64)
     least[0] = 0.0

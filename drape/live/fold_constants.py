@@ -1,4 +1,4 @@
-"""What folds need to know of a garment in a fabric and of a body, made once for all streams."""
+"""Constants of folds: a garment in a fabric on a body, made once for all streams."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class WornCloth:
 
 
 class FoldConstants(NamedTuple):
-    """What the kernels of folds read: the cloth's ``sheet``, the ``factor`` of its stiffness, the skin's ``graph``.
+    """The arrays that kernels read: the cloth's ``sheet``, the ``factor`` of its stiffness, the skin's ``graph``.
 
     ``neighbours``: which vertices are of one sheet; ``index`` (P,): the sample nearest to each place at rest;
     ``friction`` with the skin, in frames with a past.

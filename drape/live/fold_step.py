@@ -62,7 +62,7 @@ FADE_S = 1.0  # in which folds without steps come down to 1/e
 
 @dataclass(frozen=True, eq=False)
 class FoldMemory(FrameMemory):
-    """What folds remember of a frame, in the order of the constants' places.
+    """A frame as folds remember it, in the order of the constants' places.
 
     In the frames of the network's surface the ``residual`` [m] and ``velocity`` [m/s] (P, 3) of the folds; the samples
     ``touched``; ``grip`` [m] (P, 3): where friction holds each place, in the frame of its own sample. In the next frame
@@ -78,7 +78,7 @@ class FoldMemory(FrameMemory):
 
 @dataclass(frozen=True)
 class FoldReport:
-    """What a frame tells: it ``settled`` where it had no past to go on from; it was ``reset`` where its result was no
+    """The outcome of a frame. It ``settled`` if it had no past to go on from. It was ``reset`` if its result was no
     fold, and it was begun anew from the network's drape. ``lifted_share`` of the vertices were lifted off the skin, the
     farthest by ``lifted_max_m`` [m]."""
 
@@ -90,7 +90,7 @@ class FoldReport:
 
 @dataclass(frozen=True)
 class FoldEffort:
-    """How much is computed in a frame.
+    """The work that a frame gets.
 
     ``steps`` of the whole cloth, and half as many sweeps over its vertices, at least one; ``paced`` changes both in
     fast motion. A frame without a past gets ``settle`` sweeps, and then ``settle`` times all of these. With 0 steps no
@@ -201,8 +201,8 @@ def paced(steps: int, calm: float, *, stiff: bool) -> Pace:
 
 
 class FoldGuides(NamedTuple):
-    """What leads the cloth of a frame: the ``network``'s places and those where its own were ``stuck`` to the skin, [m]
-    (P, 3), and the samples of the ``skin`` (S, 8)."""
+    """The guides of a frame's cloth: the ``network``'s places, the places where the skin has taken what was ``stuck``
+    to it, both [m] (P, 3), and the samples of the ``skin`` (S, 8)."""
 
     network: np.ndarray
     stuck: np.ndarray
@@ -218,9 +218,9 @@ class FoldState(NamedTuple):
 
 
 class FoldSchedule(NamedTuple):
-    """What a frame computes: ``rounds`` of ``steps`` of the whole, a ``share`` of each, with ``momentum``, and of
-    ``sweeps``; ``step_s`` [s] after the frame before. ``turn`` as of ``touch``, negative without a past; whether cloth
-    keeps ``within`` its room; ``friction`` with the skin; the ``clearance`` [m] that cloth is lifted to."""
+    """The computation of a frame ``step_s`` [s] after the one before: ``rounds``, each of ``steps`` of the whole, a
+    ``share`` of each, with ``momentum``, and of ``sweeps``. ``turn`` is that of ``touch``, negative without a past.
+    ``within``: whether cloth keeps within its room; ``friction`` with the skin; the ``clearance`` [m] of the lift."""
 
     step_s: np.floating
     momentum: np.floating

@@ -10,8 +10,8 @@ has there. With d the distance from a vertex of the network to the nearest other
     stiffness = leash + HELD min(ROOM_M / d - 1, STIFFEST) contact's stiffness,
 
 and the leash's energy has these. Where there is room nothing changes. Two vertices are of one sheet where the way
-through the air is nearly as long as that along the cloth: the network only presses such cloth together. What the
-network keeps apart stays apart, from whichever side it is pressed. The room follows from the network alone, and needs
+through the air is nearly as long as that along the cloth: the network only presses such cloth together. Sheets that the
+network keeps apart stay apart, from whichever side they are pressed. The room follows from the network alone, and needs
 neither a memory nor sides.
 """
 

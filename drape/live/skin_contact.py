@@ -103,7 +103,7 @@ NEARER, FOOT, UNIT, SCRATCH = 0, 0, 3 * LANES, 6 * LANES
 
 
 class WalkLanes(NamedTuple):
-    """What ``LANES`` walks need: in each lane a place ``vertex`` and the ``sample`` (``LANES``,) that it is at, whose
+    """``LANES`` walks at once: in each lane a place ``vertex`` and the ``sample`` (``LANES``,) that it is at, whose
     neighbours are ``near`` (8 ``LANES``,), a row each; ``scratch`` for rows of numbers."""
 
     vertex: np.ndarray

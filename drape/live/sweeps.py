@@ -4,9 +4,9 @@ Block by block every vertex goes to the minimum of its own quadratic model,
 
     x -= H^-1 g,   |H^-1 g| <= k.reach,
 
-g the gradient of the energy by the vertex, H its Hessian with all terms that could make it indefinite left out. The
-energy is that of ``drape.kernels.elements``, and on each vertex with weight w, contact's stiffness c and bending's
-diagonal d
+g the gradient of the energy by the vertex, H its Hessian without the terms that could make it indefinite. The energy is
+that of triangles and creases (``drape.kernels.elements``) and of quadratic bending (``drape.kernels.problem``), and for
+each vertex with weight w and contact's stiffness c
 
     w x_y + c/2 (gap - n.(x - p))+^2 for each of two planes + held/2 (|x - b| - slack)+^2 + friction.
 
@@ -104,8 +104,8 @@ def stick(sheet, stuck, friction, planes):
 def _model(x, block, sheet, planes, network, scratch, curvature):
     """The gradient of the block's vertices, and where ``curvature`` is True their Hessian.
 
-    ``curvature`` is a literal, so that a loop which needs no Hessian is compiled without it. What stands in its place
-    then has no meaning.
+    ``curvature`` is a literal, so that a loop which needs no Hessian is compiled without it. The second result then has
+    no meaning.
     """
     own = points_in(x, LANES * block)
     gradient, hessian = _outside(own, block, sheet, planes, network, curvature)

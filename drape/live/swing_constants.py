@@ -1,4 +1,4 @@
-"""What swing needs to know of a garment in a fabric and of a body, made once for all streams."""
+"""Constants of swing: a garment in a fabric on a body, made once for all streams."""
 
 from __future__ import annotations
 

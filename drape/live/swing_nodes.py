@@ -5,7 +5,7 @@ nodes are from where still cloth would be,
 
     m (u - u') / h^2 + K u = 0,   u K u = sum of A T |du/ds|^2,
 
-u' where inertia leads. K are the rows ``pull`` of the mesh.
+u' where inertia leads. The rows of K are ``pull`` of the mesh.
 
 *Length.* Cloth does not stretch, and folds at no cost (tension field theory). With G Green's strain of a coarse
 triangle and G0 that of the still cloth, the energy per area is
@@ -58,7 +58,7 @@ def fall_back(u, mesh, inertia, hold, rhs, rounds):
             p[i, axis] = r[i, axis] / diagonal[i]
             old += r[i, axis] * p[i, axis]
     if old != old:
-        u[:] = old  # no number, which the caller looks for
+        u[:] = old  # NaN, which the caller looks for
     # Beyond what floats can tell, squares of what is left would go under.
     end = max(u.dtype.type(SOLVED) * old, u.dtype.type(LEAST))
     for _ in range(rounds):

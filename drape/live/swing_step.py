@@ -38,10 +38,10 @@ LEAST_M = 1e-6  # a node nearer to it only rounds
 
 @dataclass(frozen=True, eq=False)
 class SwingConstants:
-    """What the kernels of swing read of a garment in a fabric.
+    """The arrays and numbers that kernels read of a garment in a fabric.
 
-    ``mesh``; the skin's ``graph`` and the sample ``index`` (N,) nearest to each node at rest; the fabric's stiffness
-    [N/m] and damping [1/s]; ``held`` (N,): the share of the hold near the skin that each node has.
+    The coarse ``mesh``; the skin's ``graph`` and the sample ``index`` (N,) nearest to each node at rest; the fabric's
+    stiffness [N/m] and damping [1/s]; ``held`` (N,): the share of the hold near the skin that each node has.
     """
 
     mesh: SwingMesh
@@ -59,7 +59,7 @@ class SwingConstants:
 
 @dataclass(frozen=True, eq=False)
 class SwingMemory(FrameMemory):
-    """What swing remembers of a frame: the ``origin`` of its coordinates in the world [m] (3,); where the nodes
+    """A frame as swing remembers it: the ``origin`` of its coordinates in the world [m] (3,); where the nodes
     ``swung`` to [m] and their ``speed`` [m/s] (N, 3); the samples ``touched`` (N,) below them; since when [s] the
     network has not moved."""
 
@@ -125,8 +125,8 @@ class SwingState(NamedTuple):
 
 
 class SwingSchedule(NamedTuple):
-    """What a frame computes: the step [s], damping [1/s] and stiffness [N/m]; ``rounds`` of conjugate gradients and
-    ``turns`` of sweeps."""
+    """The computation of a frame: the step [s], damping [1/s] and stiffness [N/m]; ``rounds`` of conjugate gradients
+    and ``turns`` of sweeps."""
 
     step_s: np.floating
     damping: np.floating

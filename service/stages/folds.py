@@ -15,8 +15,9 @@ from drape.cloth.fabric import Fabric
 from drape.errors import InputError
 from drape.garment.cache import Garment
 from drape.garment.wrapping import Wrapping
+from drape.live.clock import Frame
 from drape.live.fold_constants import FoldConstants, fold_constants
-from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport, Frame, fold, warm_up
+from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport, fold, warm_up
 from drape.live.raised_skin import heights_over, raised
 from drape.live.skin_contact import TouchedSamples
 from drape.wire.options import DrapeOptions

@@ -12,7 +12,7 @@ from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
 from drape.errors import InputError
 from drape.garment.cache import Garment
-from drape.live.fold_step import Frame
+from drape.live.clock import Frame
 from drape.live.swing_constants import swing_constants
 from drape.live.swing_step import SwingConstants, SwingMemory, swing, warm_up
 from service.compute.fabrics import layer_fabrics
