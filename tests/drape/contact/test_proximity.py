@@ -25,7 +25,7 @@ from drape.contact.proximity import (
 )
 from drape.contact.push_tables import outward_directions
 from drape.contact.samples import region_centres
-from drape.contact.skin import body_skin, shaped_skin, skin_table
+from drape.contact.skin import body_skin
 from drape.geometry import closest
 from drape.geometry.skinning import blend_frames
 from drape.graph.feeds import body_feed, garment_feed
@@ -148,18 +148,6 @@ def test_regions_without_another_part_lie_far_below():
     bias = region_bias_of(np.array([0.0, 1.0, OTHER_STEPS]))
     assert_allclose(np.exp(bias), [1e-6, 1.0 / OTHER_STEPS, 1.0], rtol=5e-3)
     assert_array_equal(bias, bias.astype(np.float16))  # as the packed graph stores them
-
-
-def test_skins_of_any_shape_are_those_of_their_bones():
-    rng = np.random.default_rng(0)
-    betas = rng.normal(size=(3, BODY.shape_count))
-    poses = rng.normal(0.0, 0.3, size=(3, 24, 3))
-    bones = [BODY.bones(poses[i : i + 1], None, betas[i]) for i in range(3)]
-    rotation, translation = (np.concatenate(parts) for parts in zip(*bones, strict=True))
-    got = shaped_skin(BODY).table(rotation, translation, betas)
-    for i, pose in enumerate(zip(rotation.astype(np.float32), translation.astype(np.float32), strict=True)):
-        shape = body_skin(BODY).on_bones(BODY, betas[i])
-        assert_allclose(got[i], skin_table(shape.rows, shape.bones, *(x[None] for x in pose))[0], rtol=0, atol=2e-4)
 
 
 def test_bodies_share_the_rows_of_their_shapes():

@@ -117,11 +117,11 @@ def test_the_same_input_gives_the_same_bits(scene: tuple[np.ndarray, SwingConsta
     assert after.time_s == 0.2
 
 
-@pytest.mark.parametrize("case", ["pause", "back", "cut", "nan"])
+@pytest.mark.parametrize("case", ["pause", "back", "again", "cut", "nan"])
 def test_what_leads_nowhere_hangs_still(scene: tuple[np.ndarray, SwingConstants], case: str):
     rest, made = scene
     memory = pushed(made, rest, fps=30.0)
-    time_s = memory.time_s + {"pause": 1.01 * PAUSE_S, "back": -0.01}.get(case, 1.0 / 30.0)
+    time_s = memory.time_s + {"pause": 1.01 * PAUSE_S, "back": -0.01, "again": 0.0}.get(case, 1.0 / 30.0)
     there = rest + np.float32(1.01 * CUT_M) if case == "cut" else rest
     if case == "nan":
         memory = replace(memory, speed=np.full_like(memory.speed, np.nan))
