@@ -42,11 +42,12 @@ def grid_of(points, per_m):
     """
     low, count = np.empty(3), np.zeros(3, np.int64)
     for axis in range(3):
-        low[axis], high = points[0, axis], points[0, axis]
+        low[axis], high, finite = points[0, axis], points[0, axis], True
         for s in range(len(points)):
             low[axis], high = min(low[axis], points[s, axis]), max(high, points[s, axis])
+            finite &= points[s, axis] - points[s, axis] == 0.0
         extent = high - low[axis]
-        count[axis] = int(extent * per_m) + 1 if extent < WIDEST_M else 0
+        count[axis] = int(extent * per_m) + 1 if finite and extent < WIDEST_M else 0
     start, member = np.zeros(count[0] * count[1] * count[2] + 1, np.int32), np.empty(len(points), np.int32)
     if len(start) > 1:
         cell = np.empty(len(points), np.int32)

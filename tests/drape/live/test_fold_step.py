@@ -51,8 +51,8 @@ from tests.reference import folds as reference
 UP = np.array([0.0, 1.0, 0.0])
 
 
-def frames(count: int, **kind: np.ndarray) -> list[Frame]:
-    return [frame(sleeve()[0], number, **kind) for number in range(count)]
+def frames(count: int, rotation: np.ndarray | None = None) -> list[Frame]:
+    return [frame(sleeve()[0], number, rotation=rotation) for number in range(count)]
 
 
 def after_one() -> FoldMemory:
@@ -99,7 +99,7 @@ def test_the_same_input_gives_the_same_bits_and_a_memory_is_not_touched():
 
 def test_folds_turn_with_the_body():
     made, rotation = constants(dtype=np.float64), turn_about_y(1.1)
-    plain, turned = folded(made, frames(3)), folded(made, frames(3, rotation=rotation))
+    plain, turned = folded(made, frames(3)), folded(made, frames(3, rotation))
     for (x, memory, _), (y, other, _) in zip(plain, turned, strict=True):
         assert_allclose(y, x @ rotation.T, rtol=0.0, atol=1e-9)
         assert_allclose(other.residual, memory.residual, rtol=0.0, atol=1e-9)
@@ -228,7 +228,7 @@ def test_a_residual_far_from_its_neighbours_follows_them(rng):
 
 @each(garment=(("tshirt", False), ("trousers", True)))
 def test_cloth_is_held_where_the_network_has_it_and_a_waistband_more(garment, body):
-    made, worn = (make(shipped(garment[0]), body) for make in (fold_constants, worn_cloth))
+    made, worn = fold_constants(shipped(garment[0]), body), worn_cloth(shipped(garment[0]), body)
     leash = LEASH_N_M3 * worn.cloth.vertex_area
     assert (worn.band_n_per_m >= 0.999 * LEAST * leash).all()
     assert ((worn.band_n_per_m > 2.0 * leash).mean() > 0.004) == garment[1]
