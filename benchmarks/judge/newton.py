@@ -17,10 +17,11 @@ import scipy.linalg
 from benchmarks.judge import descent, hessian, linear, settling
 from benchmarks.judge.blended_planes import BlendedPlanes
 from benchmarks.judge.linear import Charts
+from benchmarks.judge.surroundings import Surroundings, surroundings
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
-from drape.kernels.problem import Options, Problem, Surroundings, problem, surroundings
+from drape.kernels.problem import Problem, problem
 
 REACH_M = 0.01  # the most that one step moves a vertex
 SWEEPS = 4  # of vertex block descent before settling and before the first step: they take the worst away
@@ -52,7 +53,7 @@ class Cloth(NamedTuple):
 
     @classmethod
     def of(cls, cloth: ClothMesh, material: Material, charts: Charts | None) -> Cloth:
-        made = problem(cloth, material, dtype=np.float64, options=Options(reach_m=REACH_M))
+        made = problem(cloth, material, dtype=np.float64, reach_m=REACH_M)
         charts = charts or linear.no_charts(cloth.vertex_count, np.float32)
         patch, weight = charts
         single = Charts(np.ascontiguousarray(patch, dtype=np.int32), np.ascontiguousarray(weight, dtype=np.float32))

@@ -17,12 +17,12 @@ from scipy.spatial import KDTree
 from benchmarks.judge import newton, settling
 from benchmarks.judge.newton import Cloth, Descent
 from benchmarks.judge.physics import Held
+from benchmarks.judge.surroundings import Surroundings
 from drape.body.model import BodyModel
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.geometry import meshes
-from drape.kernels.problem import Surroundings
 from drape.live.swing_step import AIR_KG_M3
 
 FIRST_STEPS, STEPS, TOLERANCE = 120, 12, 0.01  # of Newton's method; force left over the weight
