@@ -38,9 +38,6 @@ def quick_tank() -> SewnGarment:
     return build(design("tank", default_measurements()), body_distance(body, QUICK), QUICK)
 
 
-# --- between meshes --------------------------------------------------------------------------------------------------
-
-
 def test_a_shape_is_carried_to_a_finer_mesh_by_place_in_the_panels():
     pattern = CATALOGUE["skirt"](default_measurements()).pattern
     coarse, fine = mesh_pattern(pattern, 0.06), mesh_pattern(pattern, 0.03)
@@ -60,9 +57,6 @@ def test_meshes_of_two_patterns_are_refused():
         carried(coarse, coarse.nodes_from(coarse.placed()), fine)
 
 
-# --- what the maker adds ---------------------------------------------------------------------------------------------
-
-
 def test_hems_bend_twice_as_hard_and_the_collar_is_folded():
     made = CATALOGUE["shirt"](default_measurements())
     mesh = mesh_pattern(made.pattern, 0.02)
@@ -78,9 +72,6 @@ def test_hems_bend_twice_as_hard_and_the_collar_is_folded():
     line = np.unique(mesh.node_of_panel_vertex[mesh.seam_pairs[mesh.seam_of_pair == fold]])
     assert set(folded) == set(line)
     assert set(angles) == {0.0, made.seam_angles["collar_fold"]}
-
-
-# --- the way to the files --------------------------------------------------------------------------------------------
 
 
 def test_a_garment_is_sewn_round_the_body_and_stays_outside_of_it():

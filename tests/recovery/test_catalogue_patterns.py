@@ -31,9 +31,6 @@ OPENINGS = {
 }
 
 
-# --- every garment of the catalogue ----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_a_garment_sews_up_to_one_surface_with_its_openings(name):
     made = CATALOGUE[name](default_measurements())
@@ -68,9 +65,6 @@ def test_the_grade_adds_four_centimetres_to_a_girth_and_nothing_to_m():
     assert_allclose(large.chest_girth - body.chest_girth, 0.08)
     assert_allclose(large.girth_at(0.0) - body.girth_at(0.0), 2 * GROWTH_M["waist_girth"])
     assert graded(body, "S").hip_girth < body.hip_girth
-
-
-# --- refusals --------------------------------------------------------------------------------------------------------
 
 
 def test_a_size_beyond_the_grade_is_refused():
@@ -112,9 +106,6 @@ def test_a_panel_wider_than_the_cloth_is_refused():
 def test_cuts_that_no_garment_has_are_refused(make, message):
     with pytest.raises(InputError, match=message):
         make(default_measurements())
-
-
-# --- where panels start ----------------------------------------------------------------------------------------------
 
 
 def lengths(points: np.ndarray, place) -> np.ndarray:

@@ -24,8 +24,6 @@ from recovery.pattern.garmentcode import write_pattern
 from recovery.pattern.mesh import mesh_pattern
 from tests.recovery.pattern_setup import default_measurements, tube
 
-# --- files -----------------------------------------------------------------------------------------------------------
-
 
 def test_the_obj_holds_nodes_and_panels_and_which_belongs_to_which(tmp_path):
     mesh = mesh_pattern(tube(), 0.1)
@@ -48,9 +46,6 @@ def test_the_glb_shows_the_same_surface(tmp_path):
     nodes = mesh.nodes_from(mesh.placed())
     read = read_mesh(write(tmp_path / "tube.glb", glb_bytes(mesh, nodes, panel_texture(mesh))))
     assert_allclose(read.vertices[read.faces], nodes[mesh.faces], atol=1e-6)
-
-
-# --- poses -----------------------------------------------------------------------------------------------------------
 
 
 def test_poses_are_read_from_samples_motion_and_json(tmp_path):
@@ -100,9 +95,6 @@ def test_turning_the_whole_body_turns_the_garment_rigidly():
     expected = (nodes - pelvis) @ rotvec_to_matrix(after[0]).T + pelvis
     assert_allclose(carried(nodes, mesh.faces, body, before, after), expected, atol=1e-9)
     assert_allclose(carried(nodes, mesh.faces, body, after, after), nodes, atol=1e-9)
-
-
-# --- the command -----------------------------------------------------------------------------------------------------
 
 
 def short_skirt(folder: Path) -> list[str]:

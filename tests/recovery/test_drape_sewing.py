@@ -12,7 +12,6 @@ from numpy.testing import assert_allclose
 
 from drape.body.assets import load_body
 from drape.errors import InputError
-from drape.files.data import data_folder
 from recovery.drape.placement import CLEARANCE_M, Axes, best_lift, check_placed, cleared, place, scaled
 from recovery.drape.relax import Distance
 from recovery.drape.repair import uncrossed
@@ -50,9 +49,6 @@ def body_distance() -> Distance:
     """The shipped body on a coarse grid."""
     body = load_body()
     return in_numpy(GridDistance.from_mesh(body.v_template, body.faces, spacing_m=0.04))
-
-
-# --- placing ---------------------------------------------------------------------------------------------------------
 
 
 def test_scaling_a_pattern_scales_its_lengths_and_the_places_of_its_panels():
@@ -124,14 +120,10 @@ def test_a_garment_far_from_neck_and_waist_is_refused():
 
 
 @pytest.mark.data
-def test_files_of_the_data_folder_stand_round_the_trunk():
-    folder = data_folder("patterns")
-    files = sorted(folder.glob("*.json")) if folder else []
-    if not files:
-        pytest.skip("No patterns/*.json in DRAPE_DATA: docs/guide/data.md says where to get them.")
+def test_files_of_the_data_folder_stand_round_the_trunk(pattern_files):
     body = load_body()
     size = default_measurements()
-    for path in files:
+    for path in pattern_files:
         mesh = mesh_pattern(uncrossed(read_pattern(path))[0], 0.08)
         placed = place(mesh, body, body_distance())
         top = placed.positions[:, 1].max()
@@ -161,9 +153,6 @@ def test_seams_that_are_right_are_left_alone(name):
     pattern = BASES[name](default_measurements())
     found, notes = uncrossed(pattern)
     assert notes == () and found.stitches == pattern.stitches
-
-
-# --- sewing ----------------------------------------------------------------------------------------------------------
 
 
 def test_a_tube_is_sewn_round_a_ball_without_stretching():
@@ -197,34 +186,19 @@ def test_a_body_between_the_seams_is_refused():
 def test_a_pattern_far_too_small_is_refused():
     """0.8 m of cloth round a ball of 1.6 m."""
     mesh = tube_mesh()
-    radius = 0.255
     apart = mesh.placed() + np.where(mesh.panel == 0, 0.1, -0.1)[:, None] * [0.0, 0.0, 1.0]
     with pytest.raises(InputError, match="Size the pattern up"):
-        sew(mesh, apart, cylinder(radius))
+        sew(mesh, apart, in_numpy(cylinder(0.255)))
 
 
-def cylinder(radius: float) -> Distance:
+def cylinder(radius: float) -> SignedDistance:
     """The distance of an upright cylinder without ends."""
-
-    def distance(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        length = np.hypot(points[:, 0], points[:, 2])
-        normal = np.stack([points[:, 0], 0 * length, points[:, 2]], axis=1) / np.maximum(length, 1e-12)[:, None]
-        return length - radius, normal
-
-    return distance
-
-
-def torch_cylinder(radius: float) -> SignedDistance:
-    """The same for the simulator."""
 
     def distance(points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         length = torch.sqrt(points[:, 0] ** 2 + points[:, 2] ** 2)
         return length - radius, points * torch.tensor([1.0, 0.0, 1.0]) / length[:, None]
 
     return distance
-
-
-# --- at rest ---------------------------------------------------------------------------------------------------------
 
 
 def far(points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -271,7 +245,7 @@ def test_a_tube_hangs_from_its_rim_by_its_own_weight():
 def test_a_belt_closes_round_the_body_before_it_holds():
     """A tube of 0.8 m starts inside a body of 1.0 m: it lies on the skin, and then nothing moves its rim."""
     mesh = tube_mesh()
-    drape = settle(mesh, 0.95 * upright(mesh), torch_cylinder(0.16), WOVEN, belt=True)
+    drape = settle(mesh, 0.95 * upright(mesh), cylinder(0.16), WOVEN, belt=True)
     assert drape.report.converged
     # Nodes that the repulsion throws off and on do not keep the steps going: a third of the limit would be the belt's.
     assert drape.steps < STEP_LIMIT // 2
@@ -289,7 +263,7 @@ def unsettled() -> tuple[ClothModel, ClothState, Parameters, SkinContact]:
     """A snug tube on a cylinder, its nodes 1 mm off at random."""
     mesh, noise = tube_mesh(), np.random.default_rng(1)
     nodes = upright(mesh)
-    contact = SkinContact(torch_cylinder(0.16), friction=0.0)
+    contact = SkinContact(cylinder(0.16), friction=0.0)
     model = ClothModel(mesh.faces, panel_faces=mesh.panel_faces, fixed=topmost_opening(mesh.faces, nodes))
     parameters = model.parameters(mesh.rest, WOVEN)
     rest, report = to_rest(model, model.state(nodes), parameters, contact)

@@ -60,9 +60,6 @@ def sizes(pattern: Pattern, base: Pattern) -> np.ndarray:
     return np.array([np.ptp(now.positions[rows], axis=0) / np.ptp(before.positions[rows], axis=0) for rows in mine])
 
 
-# --- contours --------------------------------------------------------------------------------------------------------
-
-
 def test_the_loops_of_a_tube_have_the_lengths_of_polygons():
     radii, heights, sides = (0.3, 0.25, 0.2), (-0.4, 0.0, 0.3), 24
     hem, waist = open_contours(*tube(radii, heights, sides))
@@ -151,9 +148,6 @@ def test_contours_find_their_counterparts_and_holes_are_left():
         match_contours(source, target[:2], joints())
     with pytest.raises(InputError, match="base garment"):
         match_contours([hole], target, joints())
-
-
-# --- grading ---------------------------------------------------------------------------------------------------------
 
 
 def test_the_contours_of_a_skirt_are_its_free_edges():

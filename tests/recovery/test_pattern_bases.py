@@ -37,9 +37,6 @@ def patterns() -> dict[str, Pattern]:
     }
 
 
-# --- measurements ----------------------------------------------------------------------------------------------------
-
-
 def test_the_tape_reads_the_perimeter_of_a_circle_and_spans_hollows():
     ball = trimesh.creation.icosphere(subdivisions=5, radius=0.3)
     points = section(ball.vertices, ball.faces, 1, 0.1)
@@ -71,8 +68,6 @@ def test_a_larger_body_measures_larger():
             assert_allclose(getattr(larger, name), 1.1 * value, rtol=0.01, atol=0.012)
 
 
-# --- drafting --------------------------------------------------------------------------------------------------------
-
 SIDES = [Side("low", (0.1, 0.0)), Side("curve", (0.5, 0.0), ((0.6, 0.2), (0.5, 0.3))), Side("top", (0.4, 0.4))]
 
 
@@ -98,9 +93,6 @@ def test_a_mirrored_draft_is_the_mirror_image_and_runs_the_same_way_round():
         image = flipped.panel.placement.apply(geometry.edge_points(flipped.panel, flipped.edge(side).edge, t[::-1]))
         assert_allclose(image, points * [-1.0, 1.0, 1.0], atol=1e-15)
     assert [side.name for side in mirror(mirror(SIDES))] == [side.name for side in SIDES]
-
-
-# --- base patterns ---------------------------------------------------------------------------------------------------
 
 
 def test_seams_of_the_bases_match():

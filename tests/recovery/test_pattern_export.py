@@ -57,9 +57,6 @@ def polygon_mm(points: np.ndarray) -> float:
     return float(np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1).sum())
 
 
-# --- pieces ----------------------------------------------------------------------------------------------------------
-
-
 def test_the_seam_allowance_is_parallel_to_the_sewing_line():
     square = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], dtype=float)
     wide = offset(square, 0.05)
@@ -119,9 +116,6 @@ def test_pieces_lie_on_the_sheet_without_overlap():
 def test_seam_allowances_are_small_lengths(allowance):
     with pytest.raises(InputError, match="allowance_m"):
         make_sheet(tube(), allowance_m=allowance)
-
-
-# --- SVG -------------------------------------------------------------------------------------------------------------
 
 
 def path_length(d: str) -> float:
@@ -196,9 +190,6 @@ def test_the_svg_read_back_has_the_lengths_of_the_pattern(pattern, tmp_path):
     assert "cut 1" in texts and "seam allowance 10 mm" in texts and pattern.material in texts
 
 
-# --- DXF -------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("dialect", ["aama", "gerber"])
 @pytest.mark.parametrize("unit_mm", [1.0, 10.0])
 def test_the_dxf_read_back_has_the_lengths_of_the_pattern(dialect, unit_mm, tmp_path, caplog):
@@ -250,9 +241,6 @@ def test_blocks_keep_their_own_names(tmp_path):
     document = ezdxf.readfile(tmp_path / "names.dxf")
     blocks = [insert.dxf.name for insert in document.modelspace().query("INSERT")]
     assert len(set(blocks)) == 5 and max(map(len, blocks)) <= 31
-
-
-# --- PDF -------------------------------------------------------------------------------------------------------------
 
 
 def pdf_streams(path: Path) -> list[str]:
@@ -324,9 +312,6 @@ def test_the_same_pattern_gives_the_same_pdf(tmp_path):
     for name in ("one.pdf", "two.pdf"):
         write_pdf(make_sheet(tube()), tmp_path / name)
     assert (tmp_path / "one.pdf").read_bytes() == (tmp_path / "two.pdf").read_bytes()
-
-
-# --- all formats, and the command line -------------------------------------------------------------------------------
 
 
 def test_options_that_do_not_exist_are_refused(tmp_path):

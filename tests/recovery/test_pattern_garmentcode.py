@@ -11,7 +11,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from drape.errors import InputError, NotFound
-from drape.files.data import data_folder
 from recovery.pattern import garmentcode, geometry
 from recovery.pattern.model import EdgeKind, EdgeRef, Pattern
 from tests.recovery.pattern_setup import assert_same_pattern, curved, rectangle, tube
@@ -292,12 +291,8 @@ def test_files_that_are_missing_or_no_json_are_refused(tmp_path):
 
 
 @pytest.mark.data
-def test_every_pattern_of_the_data_folder_goes_through():
-    folder = data_folder("patterns")
-    files = sorted(folder.glob("*.json")) if folder else []
-    if not files:
-        pytest.skip("No patterns/*.json in DRAPE_DATA: docs/guide/data.md says where to get them.")
-    for path in files:
+def test_every_pattern_of_the_data_folder_goes_through(pattern_files):
+    for path in pattern_files:
         pattern = garmentcode.read_pattern(path)
         read_back = garmentcode.pattern_from_spec(json.loads(json.dumps(garmentcode.pattern_to_spec(pattern))))
         assert_same_pattern(read_back, pattern)

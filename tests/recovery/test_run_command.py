@@ -37,8 +37,6 @@ from tests.recovery.pattern_setup import default_measurements, tube
 SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
 HALVES, OTHER_HALVES = np.array([[0, 1, 2], [0, 2, 3]]), np.array([[0, 1, 3], [1, 2, 3]])
 
-# --- distances -------------------------------------------------------------------------------------------------------
-
 
 def test_two_meshes_of_one_surface_are_at_the_floor():
     """Of n points drawn per area the nearest lies 1 / (2 sqrt n) away on average, 1 / (pi n) squared."""
@@ -57,18 +55,12 @@ def test_parallel_squares_are_their_distance_apart():
     assert_allclose(chamfer(first, second), (1e4 * 2e-6, 1.0), rtol=1e-6)
 
 
-# --- options ---------------------------------------------------------------------------------------------------------
-
-
 def test_a_scan_without_a_body_may_go_farther_from_its_base():
     words = ["t.obj", "--base", "tshirt", "--out", "out"]
     for more, reach in (([], 0.045), (["--body", "fit"], 0.3), (["--body", "fit", "--reach", "0.1"], 0.1)):
         assert command.job_of(command.parse([*words, *more])).weights.reach_m == reach
     with pytest.raises(InputError, match="--reach: expected more than 0"):
         command.job_of(command.parse([*words, "--reach", "0"]))
-
-
-# --- words -----------------------------------------------------------------------------------------------------------
 
 
 def test_a_page_holds_its_pictures_and_escapes_its_words():
@@ -96,8 +88,6 @@ def test_files_have_words():
     kinds = ("a.json", "a.svg", "a.dxf", "a.pdf", "a.obj", "a.glb", "a_rest.obj", "a-1.npz")
     assert len({file_words(name) for name in kinds}) == len(kinds) and all(map(file_words, kinds))
 
-
-# --- the command -----------------------------------------------------------------------------------------------------
 
 COARSE = DrapeOptions(edge_length_m=0.05, grid_m=0.02)
 

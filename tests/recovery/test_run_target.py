@@ -55,9 +55,6 @@ def both(first: GarmentMesh, second: GarmentMesh) -> tuple[GarmentMesh, dict[str
     return mesh, {"cloth": first.faces, "skin": moved}
 
 
-# --- the file --------------------------------------------------------------------------------------------------------
-
-
 def test_copies_of_vertices_flat_faces_and_crumbs_are_repaired_and_noted(tmp_path):
     mesh = skirt_tube()
     crumb = plain_mesh("crumb", np.array([[0, 0, 0.3], [0.01, 0, 0.3], [0, 0.01, 0.3]]), [[0, 1, 2]])
@@ -103,9 +100,6 @@ def test_one_piece_keeps_a_whole_mesh_as_it_is():
     kept = one_piece(mesh)
     assert_allclose(kept.vertices, mesh.vertices)
     assert (kept.faces == mesh.faces).all() and kept.notes == ()
-
-
-# --- on the body -----------------------------------------------------------------------------------------------------
 
 
 def test_centimetres_z_up_and_inside_out_are_repaired_and_noted():
@@ -159,9 +153,6 @@ def test_a_hole_is_noted_and_left_alone():
     holed = replace(mesh, faces=np.delete(mesh.faces, 410, axis=0))
     found, notes = openings(holed, load_body().joints_template)
     assert found == OPENINGS["skirt"] and "1 holes" in notes[0]
-
-
-# --- the wearer ------------------------------------------------------------------------------------------------------
 
 
 def test_a_body_with_a_hole_is_refused(tmp_path):
