@@ -18,24 +18,9 @@ from recovery.pattern.coordinates import control_points
 from recovery.pattern.mesh import PatternMesh, mesh_pattern
 from recovery.pattern.model import Pattern
 from recovery.pattern.symmetry import find_symmetries
-from tests.recovery.pattern_setup import default_measurements
+from tests.recovery.pattern_setup import default_measurements, round_tube
 
 QUICK = DrapeOptions(edge_length_m=0.07, grid_m=0.03, iteration_limit=0)
-
-
-def tube(radii, heights, sides: int = 24) -> tuple[np.ndarray, np.ndarray]:
-    """A tube round the y axis through rings of these radii and heights [m], open at both ends."""
-    angle = 2.0 * np.pi * np.arange(sides) / sides
-    rings = [
-        np.stack([r * np.sin(angle), np.full(sides, y), r * np.cos(angle)], axis=1)
-        for r, y in zip(radii, heights, strict=True)
-    ]
-    faces = []
-    for ring in range(len(rings) - 1):
-        for k in range(sides):
-            a, b = ring * sides + k, ring * sides + (k + 1) % sides
-            faces += [[a, b, b + sides], [a, b + sides, a + sides]]
-    return np.concatenate(rings), np.array(faces)
 
 
 def joints() -> np.ndarray:
@@ -62,7 +47,7 @@ def sizes(pattern: Pattern, base: Pattern) -> np.ndarray:
 
 def test_the_loops_of_a_tube_have_the_lengths_of_polygons():
     radii, heights, sides = (0.3, 0.25, 0.2), (-0.4, 0.0, 0.3), 24
-    hem, waist = open_contours(*tube(radii, heights, sides))
+    hem, waist = open_contours(*round_tube(radii, heights, sides))
     for contour, radius, height in ((hem, 0.3, -0.4), (waist, 0.2, 0.3)):
         assert_allclose(contour.length_m, 2.0 * sides * radius * np.sin(np.pi / sides), rtol=1e-12)
         assert_allclose(contour.centre, [0.0, height, 0.0], atol=1e-12)

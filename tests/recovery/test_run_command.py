@@ -32,7 +32,7 @@ from recovery.run.job import describe_worn, lost_words, run_job
 from recovery.run.report import Page
 from recovery.run.report_text import cloth_words, cut_words, file_words, verdicts
 from recovery.run.retarget import lost_parts, retargeted
-from tests.recovery.pattern_setup import default_measurements, tube
+from tests.recovery.pattern_setup import default_measurements, round_tube, tube
 
 SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
 HALVES, OTHER_HALVES = np.array([[0, 1, 2], [0, 2, 3]]), np.array([[0, 1, 3], [1, 2, 3]])
@@ -201,13 +201,7 @@ def test_the_garment_is_taken_to_other_bodies_and_poses(run, monkeypatch):
 
 def test_an_arm_beside_its_sleeve_is_noticed():
     """A tube round the trunk, and one that hangs beside the arm."""
-    turn = 2.0 * np.pi * np.arange(24) / 24
-    ring = np.stack([0.25 * np.cos(turn), 0.0 * turn, 0.25 * np.sin(turn)], axis=1)
-    here, there = np.arange(24), np.roll(np.arange(24), -1)
-    tube_faces = np.concatenate(
-        [np.stack([here, 24 + there, there], axis=1), np.stack([here, 24 + here, 24 + there], axis=1)]
-    )
-    trunk = np.concatenate([ring + np.array([0.0, 0.1, 0.0]), ring + np.array([0.0, 0.3, 0.0])])
+    trunk, tube_faces = round_tube((0.25, 0.25), (0.1, 0.3))
     joints = load_body().joints_template
     assert lost_parts(trunk, tube_faces, joints, ["trunk", "trunk"]) == ()
     assert lost_parts(trunk, tube_faces, joints, ["trunk", "trunk", "right_arm"]) == ("right_arm",)
