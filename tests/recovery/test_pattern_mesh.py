@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 from numpy.testing import assert_allclose
 
 from drape.cloth.material import OrthotropicMaterial
@@ -181,18 +180,6 @@ def test_the_mesh_is_a_linear_function_of_the_control_points(rng):
         edge = pattern.panel(ref.panel).edges[ref.edge]
         t = geometry.equal_parameters(edge, len(along) - 1)
         assert_allclose(moved[along], geometry.edge_points(after.panel(ref.panel), ref.edge, t), atol=1e-13)
-
-
-def test_torch_differentiates_through_the_map():
-    mesh = mesh_pattern(tube(), 0.1)
-    weights = torch.from_numpy(mesh.weights.toarray())
-    controls = torch.from_numpy(mesh.controls.positions.copy()).requires_grad_(True)
-    rest = (weights @ controls.reshape(-1)).reshape(-1, 2)
-    assert_allclose(rest.detach(), mesh.rest, atol=1e-14)
-    pull = torch.from_numpy(np.random.default_rng(1).normal(size=mesh.rest.shape))
-    (rest * pull).sum().backward()
-    assert controls.grad is not None
-    assert_allclose(controls.grad.reshape(-1), mesh.weights.T @ pull.numpy().reshape(-1), rtol=1e-12)
 
 
 def test_a_moderate_edit_folds_nothing_and_a_wild_one_is_found():
