@@ -20,8 +20,8 @@ from drape.garment.intake import intake
 from recovery.catalogue.build import QUICK, BuildOptions, body_distance, build, design
 from recovery.catalogue.files import write_garment
 from recovery.catalogue.garments import CATALOGUE
-from recovery.pattern.grade import STEPS
 from recovery.pattern.measurements import measure
+from recovery.pattern.sizes import STEPS
 
 NOT_AT_REST_EXIT_CODE = 3
 

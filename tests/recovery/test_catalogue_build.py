@@ -21,7 +21,7 @@ from drape.garment.sewing import sewing_beside, sewn_hinges
 from drape.geometry import meshes
 from recovery.catalogue.__main__ import main
 from recovery.catalogue.build import QUICK, SewnGarment, body_distance, build, design
-from recovery.catalogue.closing import carried
+from recovery.catalogue.closing import on_finer_mesh
 from recovery.catalogue.files import write_garment
 from recovery.catalogue.garments import CATALOGUE
 from recovery.catalogue.settling import HEM_BENDING, hinge_bending, seam_angles
@@ -43,7 +43,7 @@ def test_a_shape_is_carried_to_a_finer_mesh_by_place_in_the_panels():
     coarse, fine = mesh_pattern(pattern, 0.06), mesh_pattern(pattern, 0.03)
     # Panels as placed are linear in their coordinates: away from seams nothing is lost.
     placed = coarse.placed()
-    nodes = carried(coarse, coarse.nodes_from(placed), fine)
+    nodes = on_finer_mesh(coarse, coarse.nodes_from(placed), fine)
     inner = np.setdiff1d(np.arange(fine.node_count), fine.node_of_panel_vertex[fine.seam_pairs])
     far = fine.nodes_from(fine.placed())
     gap = np.linalg.norm(nodes - far, axis=1)[inner]
@@ -54,7 +54,7 @@ def test_meshes_of_two_patterns_are_refused():
     body = default_measurements()
     coarse, fine = (mesh_pattern(CATALOGUE[name](body).pattern, 0.08) for name in ("skirt", "shorts"))
     with pytest.raises(InputError, match="meshes: expected two meshes of one pattern"):
-        carried(coarse, coarse.nodes_from(coarse.placed()), fine)
+        on_finer_mesh(coarse, coarse.nodes_from(coarse.placed()), fine)
 
 
 def test_hems_bend_twice_as_hard_and_the_collar_is_folded():

@@ -15,9 +15,9 @@ from recovery.catalogue.garments import CATALOGUE
 from recovery.pattern import geometry
 from recovery.pattern.darts import Dart, waist_with_darts
 from recovery.pattern.design import check_laid_flat, check_seams
-from recovery.pattern.grade import GROWTH_M, graded
 from recovery.pattern.legs import LegCut, trousers
 from recovery.pattern.mesh import mesh_pattern
+from recovery.pattern.sizes import GROWTH_M, in_size
 from recovery.pattern.skirts import SkirtCut, a_line, circle
 from recovery.pattern.tops import Sleeve, TopCut, cap, lines, top
 from recovery.pattern.wrapping import Cone, Flutes, Tube
@@ -52,7 +52,7 @@ def test_sizes_grow_by_the_grade_and_their_seams_still_match(name):
     body = default_measurements()
     areas = []
     for size in ("S", "XL"):
-        made = CATALOGUE[name](graded(body, size))
+        made = CATALOGUE[name](in_size(body, size))
         check_seams(made)
         areas.append(sum(geometry.area(panel) for panel in made.pattern.panels))
     assert (np.diff(areas) > 0.0).all()
@@ -60,16 +60,16 @@ def test_sizes_grow_by_the_grade_and_their_seams_still_match(name):
 
 def test_the_grade_adds_four_centimetres_to_a_girth_and_nothing_to_m():
     body = default_measurements()
-    assert graded(body, "M") is body
-    large = graded(body, "XL")
+    assert in_size(body, "M") is body
+    large = in_size(body, "XL")
     assert_allclose(large.chest_girth - body.chest_girth, 0.08)
     assert_allclose(large.girth_at(0.0) - body.girth_at(0.0), 2 * GROWTH_M["waist_girth"])
-    assert graded(body, "S").hip_girth < body.hip_girth
+    assert in_size(body, "S").hip_girth < body.hip_girth
 
 
 def test_a_size_beyond_the_grade_is_refused():
     with pytest.raises(NotFound, match="size: expected one of S, M, L, XL, got XXL"):
-        graded(default_measurements(), "XXL")
+        in_size(default_measurements(), "XXL")
 
 
 def test_seams_that_do_not_match_are_refused_unless_the_ease_is_named():

@@ -18,7 +18,7 @@ from drape.motion.samples import walk
 from recovery.atomic import write
 from recovery.drape.__main__ import main
 from recovery.drape.output import glb_bytes, obj_text, panel_texture
-from recovery.drape.posing import LARGEST_TURN_RAD, between, carried, read_pose
+from recovery.drape.posing import LARGEST_TURN_RAD, moved_with_bones, pose_steps, read_pose
 from recovery.pattern.bases import skirt
 from recovery.pattern.garmentcode import write_pattern
 from recovery.pattern.mesh import mesh_pattern
@@ -77,12 +77,12 @@ def test_poses_that_are_not_there_are_refused(tmp_path):
 
 def test_the_way_to_a_pose_ends_there_in_small_even_turns(rng):
     pose = 0.8 * rng.normal(size=(24, 3))
-    way = between(pose)
+    way = pose_steps(pose)
     assert_allclose(way[-1], pose)
     steps = np.diff(way, axis=0, prepend=np.zeros((1, 24, 3)))
     assert_allclose(steps, np.broadcast_to(steps[0], steps.shape), atol=1e-12)
     assert np.linalg.norm(steps[0][1:], axis=1).max() <= LARGEST_TURN_RAD
-    assert len(between(np.zeros((24, 3)))) == 1
+    assert len(pose_steps(np.zeros((24, 3)))) == 1
 
 
 def test_turning_the_whole_body_turns_the_garment_rigidly():
@@ -93,8 +93,8 @@ def test_turning_the_whole_body_turns_the_garment_rigidly():
     after[0] = [0.2, 1.1, -0.4]
     pelvis = body.joints_template[0]
     expected = (nodes - pelvis) @ rotvec_to_matrix(after[0]).T + pelvis
-    assert_allclose(carried(nodes, mesh.faces, body, before, after), expected, atol=1e-9)
-    assert_allclose(carried(nodes, mesh.faces, body, after, after), nodes, atol=1e-9)
+    assert_allclose(moved_with_bones(nodes, mesh.faces, body, before, after), expected, atol=1e-9)
+    assert_allclose(moved_with_bones(nodes, mesh.faces, body, after, after), nodes, atol=1e-9)
 
 
 def short_skirt(folder: Path) -> list[str]:

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from drape.body.assets import load_body
 from drape.errors import InputError
-from recovery.drape.placement import CLEARANCE_M, Axes, best_lift, check_placed, cleared, place, scaled
+from recovery.drape.placement import CLEARANCE_M, Axes, best_lift, check_placed, moved_clear, place_panels, scaled
 from recovery.drape.relax import Distance
 from recovery.drape.repair import uncrossed
 from recovery.drape.settle import STEP_LIMIT, TOLERANCE_N, settle, to_rest, topmost_opening
@@ -82,7 +82,7 @@ def test_a_panel_in_the_body_moves_along_its_normal_until_it_is_clear():
     mesh = tube_mesh()
     flat = mesh.placed()
     inside = flat - np.where(mesh.panel == 0, 0.15, 0.0)[:, None] * [0.0, 0.0, 1.0]
-    moved, way = cleared(mesh, inside, BALL)
+    moved, way = moved_clear(mesh, inside, BALL)
     assert BALL(moved)[0].min() >= CLEARANCE_M
     assert_allclose(moved[mesh.panel == 1], flat[mesh.panel == 1])
     assert_allclose(moved[mesh.panel == 0] - inside[mesh.panel == 0], [[0.0, 0.0, way]] * (mesh.panel == 0).sum())
@@ -95,13 +95,13 @@ def test_a_panel_in_the_body_moves_along_its_normal_until_it_is_clear():
 def test_a_panel_with_its_right_side_to_the_body_is_refused():
     mesh = tube_mesh()
     with pytest.raises(InputError, match="panel front"):
-        cleared(mesh, mesh.placed(), in_numpy(Plane((0.0, 0.0, 2.0), (0.0, 0.0, 1.0))))
+        moved_clear(mesh, mesh.placed(), in_numpy(Plane((0.0, 0.0, 2.0), (0.0, 0.0, 1.0))))
 
 
 @pytest.mark.parametrize("name", sorted(BASES))
 def test_base_patterns_stand_where_they_were_drafted(name):
     body = load_body()
-    placed = place(mesh_pattern(BASES[name](default_measurements()), 0.08), body, body_distance())
+    placed = place_panels(mesh_pattern(BASES[name](default_measurements()), 0.08), body, body_distance())
     assert placed.axes is Axes.BODY
     assert placed.hangs_from == ("shoulders" if name == "tshirt" else "waist")
     assert abs(placed.lift_m) <= 0.02 and placed.outward_m <= 0.02
@@ -116,7 +116,7 @@ def test_a_garment_far_from_neck_and_waist_is_refused():
         ),
     )
     with pytest.raises(InputError, match="neck or the waist"):
-        place(mesh_pattern(high, 0.1), load_body(), body_distance())
+        place_panels(mesh_pattern(high, 0.1), load_body(), body_distance())
 
 
 @pytest.mark.data
@@ -125,7 +125,7 @@ def test_files_of_the_data_folder_stand_round_the_trunk(pattern_files):
     size = default_measurements()
     for path in pattern_files:
         mesh = mesh_pattern(uncrossed(read_pattern(path))[0], 0.08)
-        placed = place(mesh, body, body_distance())
+        placed = place_panels(mesh, body, body_distance())
         top = placed.positions[:, 1].max()
         nearest = size.neck_y if placed.hangs_from == "shoulders" else size.waist_y
         assert abs(top - nearest) < 0.12, path.name

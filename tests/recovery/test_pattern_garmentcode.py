@@ -152,7 +152,7 @@ def test_other_units_and_a_given_unit():
     other["properties"]["units_in_meter"] = 200
     half = garmentcode.pattern_from_spec(other)
     assert_allclose(half.panel("front").vertices * 2.0, garmentcode.pattern_from_spec(spec()).panel("front").vertices)
-    assert half.carried["parameters"]["wide"]["value"] == 0.01
+    assert half.template["parameters"]["wide"]["value"] == 0.01
     assert_same_pattern(garmentcode.pattern_from_spec(other, units_in_meter=100), garmentcode.pattern_from_spec(spec()))
 
 
@@ -166,7 +166,7 @@ def test_centring_moves_the_origin_to_the_mean_corner():
 
 def test_template_parameters_are_carried_in_metres_and_mirrored_with_their_panel():
     pattern = garmentcode.pattern_from_spec(spec())
-    wide = pattern.carried["parameters"]["wide"]
+    wide = pattern.template["parameters"]["wide"]
     assert (wide["value"], wide["range"]) == (0.02, [-0.05, 0.1])
     assert wide["influence"][0]["edge_list"][0]["along"] == [-1, 1]
     written = garmentcode.pattern_to_spec(pattern)

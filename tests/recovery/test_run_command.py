@@ -7,6 +7,7 @@ import io
 import json
 import re
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from drape.garment.files.mesh import read_mesh
 from drape.geometry.drawing import drawn
 from recovery.atomic import write
 from recovery.drape.output import obj_text, panel_texture
-from recovery.drape.pipeline import DrapeOptions, drape_pattern
+from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.fit.chamfer import chamfer, surface_chamfer, surface_distance
 from recovery.fit.cloth import named
 from recovery.pattern.bases import tshirt
@@ -216,7 +217,8 @@ def test_a_place_that_refuses_the_garment_says_so(monkeypatch):
 
     monkeypatch.setattr("recovery.run.retarget.drape_pattern", refuse)
     body = load_body()
-    worn = next(retargeted(tube(), None, body, body, COARSE, ["trunk"], cloth=named("jersey")))
+    never_sewn = cast(Draped, None)  # bodies come before poses, which alone need it
+    worn = next(retargeted(tube(), never_sewn, body, body, COARSE, ["trunk"], cloth=named("jersey")))
     assert worn.refusal.endswith("Size it up.") and len(worn.nodes) == len(worn.faces) == 0 and worn.figures == {}
 
 
