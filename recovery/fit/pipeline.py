@@ -169,10 +169,8 @@ def _recovered(task: _Task, base: Draped, graded: Graded, rounds: list[Round], l
     """The best of ``rounds`` with all that led there."""
     best = min([one for one in rounds if one.search.cloth is not None] or rounds, key=lambda one: one.least[0])
     fabric = nearest_fabric(best.fitted.cloth)
-    apart = [_apart_mm(surface) for surface in (rounds[0].fitted.history[0, 1], best.least[1])]
-    task.say(
-        f"fitted    surfaces {apart[0]:.2f} mm apart at the start, {apart[1]:.2f} mm at the end (root mean square)"
-    )
+    first, last = _apart_mm(rounds[0].fitted.history[0, 1]), _apart_mm(best.least[1])
+    task.say(f"fitted    surfaces {first:.2f} mm apart at the start, {last:.2f} mm at the end (root mean square)")
     if task.free_cloth:
         task.say(f"cloth     {fabric.describe()}")
     return Recovered(
