@@ -60,7 +60,7 @@ class SewnGarment:
 
 
 def body_distance(body: BodyModel, options: BuildOptions = BuildOptions()) -> GridDistance:
-    """The signed distance of ``body`` in its rest pose; seconds, and the same for all garments."""
+    """The signed distance of ``body`` in its rest pose. It takes seconds and serves all garments."""
     return GridDistance.from_mesh(body.v_template, body.faces, spacing_m=options.grid_m)
 
 

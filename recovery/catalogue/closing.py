@@ -1,4 +1,4 @@
-"""Brings a design's panels round the body, sews them on a coarse mesh, and carries the shape over to a fine one."""
+"""Brings a design's panels round the body, sews them on a coarse mesh, and moves the shape to a fine mesh."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def sew_design(design: Design, mesh: PatternMesh, distance: Distance) -> Sewn:
 
 
 def on_finer_mesh(coarse: PatternMesh, nodes: np.ndarray, fine: PatternMesh) -> np.ndarray:
-    """Nodes [m] (N, 3) of ``fine`` where the cloth of ``coarse`` at ``nodes`` has them, by place in the panels."""
+    """Nodes [m] (N, 3) of ``fine`` on the cloth of ``coarse`` at ``nodes``, by their places in the panels."""
     if [p.name for p in coarse.pattern.panels] != [p.name for p in fine.pattern.panels]:
         raise InputError(
             "meshes",

@@ -1,4 +1,4 @@
-"""Takes a draped garment from one pose of its body to another: carried by the bones, in small steps, off the skin."""
+"""Takes a draped garment from one pose of its body to another: with its bones, in small steps, off the skin."""
 
 from __future__ import annotations
 
