@@ -1,4 +1,4 @@
-"""Writes the committed records into the documents, between ``<!-- NAME:begin -->`` and ``<!-- NAME:end -->``.
+"""Writes the tables of the committed records into ``docs/records``, a page for each page that speaks of them.
 
 python -m benchmarks.report
 """
@@ -8,35 +8,42 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from benchmarks.measure import tables as quality
-from benchmarks.papers import tables as papers
-from benchmarks.papers.polyfit import tables as polyfit
-from benchmarks.recovery import tables as recovery
-from benchmarks.shared.common import RESULTS_DIR, ROOT
-from benchmarks.speed import tables as speed
-from benchmarks.training import tables as training
+from benchmarks.harness import RESULTS_DIR, ROOT
+from benchmarks.papers import records as papers
+from benchmarks.records import TABLES as TABLES_OF_OURS
 
-# Record, document, name between the markers, and what makes the text of the record.
-TABLES = (*quality.TABLES, *speed.TABLES, *training.TABLES, *recovery.TABLES, *papers.TABLES, *polyfit.TABLES)
+TABLES = (*TABLES_OF_OURS, *papers.TABLES)
+FOLDER = ROOT / "docs" / "records"
 
 
-def insert(path: Path, name: str, text: str) -> bool:
-    """Puts ``text`` between the markers called ``name`` in ``path``; False where the file has none."""
-    begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
-    content = path.read_text(encoding="utf-8")
-    if begin not in content or end not in content:
-        return False
-    head, rest = content.split(begin, 1)
-    path.write_text(f"{head}{begin}\n{text}\n{end}{rest.split(end, 1)[1]}", encoding="utf-8")
-    return True
+def pages() -> dict[str, str]:
+    """The text of each page of records by its name, which is that of the document that speaks of them."""
+    texts: dict[str, str] = {}
+    for bench, document, name, made in TABLES:
+        record = json.loads((RESULTS_DIR / f"{bench}.json").read_text(encoding="utf-8"))
+        page = Path(document).name
+        source = f"From [`{bench}.json`](../../benchmarks/results/{bench}.json)."
+        section = f"\n## {name.replace('_', ' ')}\n\n{source}\n\n{made(record)}\n"
+        texts[page] = texts.get(page, _head(document)) + section
+    return texts
+
+
+def _head(document: str) -> str:
+    subject = (ROOT / document).read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
+    link = f"[{subject}](../{Path(document).relative_to('docs')})"
+    return f"# Records: {subject}\n\nWritten by `python -m benchmarks.report`. What they mean: {link}.\n"
 
 
 def main() -> None:
     """Command line entry."""
-    for bench, document, name, made in TABLES:
-        record = json.loads((RESULTS_DIR / f"{bench}.json").read_text(encoding="utf-8"))
-        done = insert(ROOT / document, name, made(record))
-        print(f"{document} {name}: {'written' if done else 'no markers'}")
+    FOLDER.mkdir(exist_ok=True)
+    texts = pages()
+    for path in FOLDER.glob("*.md"):
+        if path.name not in texts:
+            path.unlink()
+    for name, text in texts.items():
+        (FOLDER / name).write_text(text, encoding="utf-8")
+        print(f"docs/records/{name}: {len(text)} characters")
 
 
 if __name__ == "__main__":

@@ -20,9 +20,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from benchmarks.harness import ROOT
 from benchmarks.judge import body_distance, descent, hessian, linear, newton, physics, settling
 from benchmarks.judge.physics import Optimum, Task
-from benchmarks.shared import common
 from drape.cloth import contact, energies, waistband
 from drape.geometry import meshes
 from drape.kernels import elements, problem
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 T = TypeVar("T", bound="DataclassInstance")
-CACHE_DIR = common.ROOT / "runs" / "physics_cache"  # ignored by git
+CACHE_DIR = ROOT / "runs" / "physics_cache"  # ignored by git
 SOURCES: tuple[ModuleType, ...] = (
     physics, newton, settling, whole, energies, contact, waistband, meshes, body_distance, descent, elements, hessian,
     linear, problem,

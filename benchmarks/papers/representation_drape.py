@@ -10,49 +10,44 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from benchmarks.measure.judged import Judged
+from benchmarks.papers.held_out import judged
 from benchmarks.papers.representation_minimise import Minimum, minimise
 from benchmarks.papers.representation_space import Charts, PatchSpace, Representation, VertexSpace, block_scaling
 from drape.body.model import BodyModel
-from drape.cloth import energies, metrics
-from drape.cloth.contact import BodyContact, nearest_vertex_push
-from drape.cloth.energies import ClothMesh
+from drape.cloth import energies
 from drape.cloth.material import Material
 from drape.garment.cache import Garment
 from drape.garment.fitting import RestGarment
 from drape.garment.skin import BodyBinding
 from drape.geometry.rotations import matrix_to_quaternion
-from drape.geometry.skinning import blend_frames, skin_points
+from drape.geometry.skinning import blend_frames
 
 
 @dataclass(frozen=True, eq=False)
 class Bench:
     """One garment on F posed bodies: what all forms of patch share."""
 
-    garment: Garment
+    judge: Judged
     rest: RestGarment
-    cloth: ClothMesh
-    material: Material
-    contact: BodyContact
     bones: tuple[np.ndarray, np.ndarray]
-    body_vertices: np.ndarray
-    body_normals: np.ndarray
-    skinned: np.ndarray
-    pushed: np.ndarray
-    height_m: np.ndarray
 
-    @property
-    def frame_count(self) -> int:
-        return len(self.skinned)
+    @classmethod
+    def of(cls, garment: Garment, body: BodyModel, poses: np.ndarray, cloth: Material) -> Bench:
+        """The bench of ``garment`` in ``cloth`` on ``body`` at ``poses`` (F, 24, 3) [rad]."""
+        binding = BodyBinding(garment.skin_weights.astype(np.float64), garment.shapedirs.astype(np.float64))
+        rest = RestGarment(garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64), binding, body)
+        return cls(judged(garment, body, poses, cloth), rest, body.bones(poses))
 
 
 class Objective:
     """The energy of one frame in the variables of a space."""
 
     def __init__(self, bench: Bench, frame: int, space: PatchSpace | VertexSpace) -> None:
-        self._space = space
-        self._cloth, self._material = bench.cloth.like(torch.zeros(1)), bench.material
-        self._contact, self._height_m = bench.contact, float(bench.height_m[frame])
-        self._body = bench.body_vertices[frame][None], bench.body_normals[frame][None]
+        judge = bench.judge
+        self._space, self._contact, self._material = space, judge.cloth.contact, judge.cloth.material
+        self._cloth, self._height_m = judge.cloth.mesh.like(torch.zeros(1)), float(judge.height_m[frame])
+        self._body = judge.body_vertices[frame][None], judge.body_normals[frame][None]
         self._planes = None
 
     def refresh(self, z: Tensor) -> None:
@@ -81,40 +76,14 @@ class Drapes:
     seconds: float
 
 
-def open_bench(garment: Garment, body: BodyModel, poses: np.ndarray, cloth_material: Material) -> Bench:
-    """The bench of ``garment`` on ``body`` in ``poses`` (F, 24, 3) [rad]."""
-    binding = BodyBinding(garment.skin_weights.astype(np.float64), garment.shapedirs.astype(np.float64))
-    rest = RestGarment(garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64), binding, body)
-    cloth = ClothMesh.from_rest(rest.vertices, rest.faces)
-    contact = BodyContact(body.faces, body.vertex_count)
-    rotations, translations = body.bones(poses)
-    still = np.broadcast_to(rest.vertices, (len(poses), *rest.vertices.shape))
-    skinned = skin_points(still, rest.binding.weights, rotations, translations)
-    skin = body.posed_vertices(poses)
-    normals = np.asarray(contact.normals(skin))
-    return Bench(
-        garment=garment,
-        rest=rest,
-        cloth=cloth,
-        material=cloth_material,
-        contact=contact,
-        bones=(rotations, translations),
-        body_vertices=skin,
-        body_normals=normals,
-        skinned=skinned,
-        pushed=nearest_vertex_push(skinned, skin, normals),
-        height_m=metrics.mean_height(skinned, cloth),
-    )
-
-
 def frame_spaces(bench: Bench, form: Representation, found: Charts) -> list[PatchSpace]:
     """What ``form`` can make of each frame, every patch scaled by itself."""
     scaling = block_scaling(form, found)
     if not form.skinned:
         return [PatchSpace(form, found, *frame, scaling) for frame in posed_frames(bench, found)]
     rotations, translations = bench.bones
-    weights = bench.rest.binding.weights
-    matrices = (weights @ rotations.reshape(bench.frame_count, -1, 9)).reshape(bench.frame_count, -1, 3, 3)
+    weights, frames = bench.rest.binding.weights, len(rotations)
+    matrices = (weights @ rotations.reshape(frames, -1, 9)).reshape(frames, -1, 3, 3)
     skins = zip(matrices, weights @ translations, strict=True)
     return [PatchSpace(form, found, found.rotation, found.centre, scaling, skin=skin) for skin in skins]
 
@@ -122,7 +91,7 @@ def frame_spaces(bench: Bench, form: Representation, found: Charts) -> list[Patc
 def posed_frames(bench: Bench, found: Charts) -> list[tuple[np.ndarray, np.ndarray]]:
     """Rotation (K, 3, 3) and centre (K, 3) [m] of the patches in each frame, moved rigidly by the bones."""
     rotations, translations = bench.bones
-    rest = np.broadcast_to(found.centre, (bench.frame_count, *found.centre.shape))
+    rest = np.broadcast_to(found.centre, (len(rotations), *found.centre.shape))
     heaviest, quaternions = found.bones.argmax(axis=1), matrix_to_quaternion(rotations)
     rotation, centre = blend_frames(rest, found.bones, heaviest, rotations, translations, quaternions)
     return list(zip(rotation @ found.rotation, centre, strict=True))
@@ -139,15 +108,3 @@ def drape(bench: Bench, spaces: Sequence[PatchSpace | VertexSpace], *, step_limi
     with torch.no_grad():
         vertices = [space.positions(found.z).double().numpy() for space, found in zip(spaces, minima, strict=True)]
     return Drapes(spaces, np.stack(vertices), minima, seconds)
-
-
-def static_parts(bench: Bench, vertices: np.ndarray) -> dict[str, np.ndarray]:
-    """Energies [J] (F,) by part of ``vertices`` [m] (F, V, 3), in float64, contact planes looked up anew."""
-    return metrics.static_parts(
-        vertices, bench.cloth, bench.material, bench.contact, bench.body_vertices, height_m=bench.height_m
-    )
-
-
-def total_j(bench: Bench, vertices: np.ndarray) -> float:
-    """Mean energy [J] of the frames."""
-    return float(np.stack(list(static_parts(bench, vertices).values())).sum(axis=0).mean())

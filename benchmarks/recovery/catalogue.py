@@ -1,6 +1,6 @@
-"""The sewn catalogue, judged: collisions, self-intersections, detail before and after intake, intake's time, a picture.
+"""The sewn catalogue, judged: collisions, self-intersections, detail before and after intake, intake's time.
 
-    python -m benchmarks.recovery.catalogue DIR [--picture FILE.png]
+    python -m benchmarks.recovery.catalogue DIR
 
 DIR is what ``python -m recovery.catalogue build --out DIR`` wrote. Detail is that of ``drape.cloth.detail``.
 """
@@ -15,16 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.measure.intersections import intersecting_pairs
-from benchmarks.shared.render import SKIN, Surface, render, save_png, sheet
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.cloth.detail import LowPass
 from drape.cloth.rest_state import flat
 from drape.garment.files.mesh import read_mesh
 from drape.garment.intake import intake
-
-GREY = (0.62, 0.66, 0.70)
-VIEWS_DEG = (0.0, 90.0, 180.0)
 
 
 def detail_mm(vertices: np.ndarray, faces: np.ndarray) -> float:
@@ -66,40 +62,13 @@ def judge(path: Path, body: BodyModel) -> dict[str, float | int | str]:
     }
 
 
-def pictures(path: Path, body: BodyModel, size: int) -> list[np.ndarray]:
-    """Front, side and back."""
-    mesh = read_mesh(path)
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    low[0], high[0] = max(low[0], -0.42), min(high[0], 0.42)  # of long sleeves the wrists may leave the picture
-    extent = 1.12 * float((high - low)[:2].max())
-    surfaces = [Surface(body.v_template, body.faces, SKIN), Surface(mesh.vertices, mesh.faces, GREY)]
-    return [
-        render(
-            surfaces,
-            size=(size, size),
-            azimuth_deg=azimuth,
-            elevation_deg=4.0,
-            centre=0.5 * (low + high),
-            extent_m=extent,
-        )
-        for azimuth in VIEWS_DEG
-    ]
-
-
 def main() -> None:
     """Runs the command."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--picture", type=Path)
-    parser.add_argument("--size", type=int, default=230, help="of one view [pixels]")
     given = parser.parse_args()
     body = load_body()
     paths = sorted(given.folder.glob("*.obj"))
-    if given.picture is not None:
-        views = [pictures(path, body, given.size) for path in paths]
-        blank = [np.ones_like(views[0][0])] * len(VIEWS_DEG)
-        views += [blank] * (-len(views) % 2)
-        save_png(given.picture, sheet([a + b for a, b in zip(views[::2], views[1::2], strict=True)]))
     for path in paths:
         print(json.dumps(judge(path, body)), flush=True)
 

@@ -1,23 +1,18 @@
-"""Cloth by Newton's VBD solver (https://github.com/newton-physics/newton): one frame for ``benchmarks.latency``, a clip
-for ``benchmarks.tradeoff``.
+"""A clip of cloth by Newton's VBD solver (https://github.com/newton-physics/newton), for ``benchmarks.tradeoff``.
 
     PYTHON -m benchmarks.speed.newton_vbd SCENE.npz OUT.npz
 
-Runs in an environment that has ``newton`` (1.8) and NumPy and nothing of ours. SCENE holds the rest mesh, a start, the
-posed body and the cloth.
+Runs in an environment that has ``newton`` (1.8) and NumPy and nothing of ours. SCENE holds the cloth's rest state, a
+start, the clip of the body, and ``paces`` (P, 2): steps and iterations of a frame.
 
-One frame: OUT gets, for every count of ``iterations`` (I,), ``step_ms`` and ``collide_ms`` (I, R) of R repeats and the
-``vertices`` [m] (I, V, 3) after one step from the start at rest. A step's time includes its collision detection, which
-``collide_ms`` gives alone.
+The body is ``body_vertices`` [m] (F, B, 3) and moves in a straight line within a frame, by a part of it before every
+step, with its speed told to friction and damping. The first frame is settled, which is not timed: ``SETTLE_STEPS``
+steps that each forget their speed. The others go on from the frame before with their speed. The cloth's rest state is
+that of sewn sheets: see ``take_rest_state``. ``pinned`` (n,) vertices go where ``anchor`` (F, n, 3) has them.
 
-A clip, where SCENE has ``paces`` (P, 2), steps and iterations of a frame: the body is ``body_vertices`` [m] (F, B, 3)
-and moves in a straight line within a frame, by a part of it before every step, with its speed told to friction and
-damping. The first frame is settled, which is not timed: ``SETTLE_STEPS`` steps that each forget their speed. The others
-go on from the frame before with their speed. The cloth's rest state is that of sewn sheets: see ``take_rest_state``.
-``pinned`` (n,) vertices go where ``anchor`` (F, n, 3) has them. OUT gets
-``vertices`` [m] (P, F, V, 3) float32, and ``wall_ms`` and ``cpu_ms`` (P, F) of a frame, which hold the motion of the
-collision mesh and the detection before every step, but not the pose of the body. Warp runs kernels of a processor on
-one thread.
+OUT gets ``vertices`` [m] (P, F, V, 3) float32, and ``wall_ms`` and ``cpu_ms`` (P, F) of a frame, which hold the motion
+of the collision mesh and the detection before every step, but not the pose of the body. Warp runs kernels of a
+processor on one thread.
 """
 
 from __future__ import annotations
@@ -30,29 +25,13 @@ from typing import Any
 
 import numpy as np
 
-STEP_S = 1.0 / 30.0
-REPEATS = 5
-RADIUS_M = 0.002
 # In steps of a thirtieth of a second ten iterations do not carry what the shoulders hold to the hem: cloth falls off.
 SETTLE_STEPS, SETTLE_ITERATIONS, SETTLE_STEP_S = 120, 5, 1.0 / 960.0
 REACH_M = 0.02  # past the radius: how far from the skin, and in it, contact is looked for
 
 
-def bending_n(rest: np.ndarray, edges: np.ndarray, bending_j: float) -> np.ndarray:
-    """Newton's hinge stiffness [N] (E,) of ours [J]; ``edges`` (E, 4): opposite corners, then both ends.
-
-    Its energy is k l theta^2 / 2, ours about b l^2 / (A1 + A2) theta^2 / 2, so k = b l / (A1 + A2). Border edges: 0.
-    """
-    first, second, start, end = (rest[np.maximum(edges[:, column], 0)] for column in range(4))
-    along = end - start
-    areas = sum(0.5 * np.linalg.norm(np.cross(along, corner - start), axis=1) for corner in (first, second))
-    return np.where((edges[:, :2] >= 0).all(axis=1), bending_j * np.linalg.norm(along, axis=1) / areas, 0.0)
-
-
-def cloth_and_body(
-    warp: Any, newton: Any, scene: Mapping[str, np.ndarray], body: Any, *, radius_m: float, skin: Any = None
-) -> Any:
-    """The model of the scene's cloth and of the mesh ``body``, which is ``skin`` (Newton's default where None)."""
+def cloth_and_body(warp: Any, newton: Any, scene: Mapping[str, np.ndarray], body: Any, skin: Any) -> Any:
+    """The model of the scene's cloth and of the mesh ``body``, which is ``skin``."""
     rest, faces = scene["rest"], scene["faces"]
     builder = newton.ModelBuilder(up_axis=newton.Axis.Y, gravity=(0.0, -9.81, 0.0))
     builder.add_cloth_mesh(
@@ -68,19 +47,16 @@ def cloth_and_body(
         tri_kd=0.0,
         edge_ke=1.0,
         edge_kd=0.0,
-        particle_radius=radius_m,
+        particle_radius=float(scene["radius"]),
     )
-    for vertex in scene["pinned"].tolist() if "pinned" in scene else ():
+    for vertex in scene["pinned"].tolist():
         builder.particle_mass[vertex] = 0.0
         builder.particle_flags[vertex] &= ~newton.ParticleFlags.ACTIVE
     builder.add_shape_mesh(body=-1, mesh=body, cfg=skin)
     builder.color(include_bending=True)
     model = builder.finalize(device="cpu")
     hinges = model.edge_bending_properties.numpy()
-    if "face_area" in scene:
-        hinges[:, 0] = take_rest_state(model, scene)
-    else:
-        hinges[:, 0] = bending_n(rest, model.edge_indices.numpy(), float(scene["bending"]))
+    hinges[:, 0] = take_rest_state(model, scene)
     model.edge_bending_properties.assign(hinges)
     return model
 
@@ -111,35 +87,6 @@ def matched(edges: np.ndarray, ends: np.ndarray, count: int) -> np.ndarray:
     return np.where(keys[order[place]] == wanted, order[place], -1)
 
 
-def body_mesh(newton: Any, scene: Mapping[str, np.ndarray], vertices: np.ndarray) -> Any:
-    """The scene's body with its ``vertices`` (B, 3) there."""
-    return newton.Mesh(vertices.astype(np.float32), scene["body_faces"].reshape(-1).astype(np.int32))
-
-
-def one_frame(warp: Any, newton: Any, scene: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """What OUT gets of one frame."""
-    model = cloth_and_body(warp, newton, scene, body_mesh(newton, scene, scene["body_vertices"]), radius_m=RADIUS_M)
-    model.soft_contact_ke, model.soft_contact_kd, model.soft_contact_mu = 1e2, 1e-2, 0.2
-    counts = scene["iterations"]
-    steps, detections = np.zeros((len(counts), REPEATS + 1)), np.zeros((len(counts), REPEATS + 1))
-    vertices = np.zeros((len(counts), len(scene["rest"]), 3))
-    for row, iterations in enumerate(counts.tolist()):
-        solver = newton.solvers.SolverVBD(model, iterations=iterations)
-        before, after, control = model.state(), model.state(), model.control()
-        for turn in range(REPEATS + 1):
-            before.particle_q = warp.array(scene["start"].astype(np.float32), dtype=warp.vec3, device="cpu")
-            before.particle_qd.zero_()
-            began = time.perf_counter()
-            contacts = model.collide(before)
-            detected = time.perf_counter()
-            solver.step(before, after, control, contacts, STEP_S)
-            steps[row, turn] = 1e3 * (time.perf_counter() - began)
-            detections[row, turn] = 1e3 * (detected - began)
-        vertices[row] = after.particle_q.numpy()
-    # The first call of each solver compiles.
-    return {"iterations": counts, "step_ms": steps[:, 1:], "collide_ms": detections[:, 1:], "vertices": vertices}
-
-
 class Stage:
     """A scene's clip in Newton: a body that moves, and the cloth, a step at a time."""
 
@@ -147,11 +94,11 @@ class Stage:
         self.newton, self.scene = newton, scene
         self.places = scene["body_vertices"].astype(np.float32)
         self.fps, self.pinned = float(scene["fps"]), scene["pinned"]
-        mesh = body_mesh(newton, scene, self.places[0])
+        mesh = newton.Mesh(self.places[0], scene["body_faces"].reshape(-1).astype(np.int32))
         # Newton takes the mean of both sides for stiffness and damping, and the geometric one for friction.
         stiff, damped, rough = (float(scene[name]) for name in ("contact_ke", "contact_kd", "friction"))
         skin = newton.ModelBuilder.ShapeConfig(ke=stiff, kd=damped, mu=rough)
-        self.model = cloth_and_body(warp, newton, scene, mesh, radius_m=float(scene["radius"]), skin=skin)
+        self.model = cloth_and_body(warp, newton, scene, mesh, skin)
         self.model.soft_contact_ke, self.model.soft_contact_kd, self.model.soft_contact_mu = stiff, damped, rough
         # The box outside of which no contact is looked for is that of the mesh as it was first: of the whole clip here.
         bounds = self.places.min(axis=(0, 1)), self.places.max(axis=(0, 1))
@@ -223,7 +170,7 @@ def main() -> None:
     warp.config.quiet = True
     with np.load(sys.argv[1]) as read:
         scene = {name: read[name] for name in read.files}
-    found: dict[str, Any] = whole_clip(warp, newton, scene) if "paces" in scene else one_frame(warp, newton, scene)
+    found: dict[str, Any] = whole_clip(warp, newton, scene)
     np.savez(sys.argv[2], **found)
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import json
+import re
+from pathlib import Path
 
 import pytest
 
@@ -11,33 +12,22 @@ from benchmarks.measure import tables as quality
 from benchmarks.papers import loss_ablation
 from benchmarks.papers import tables as papers
 from benchmarks.papers.representation_space import REPRESENTATIONS
-from benchmarks.shared.common import RESULTS_DIR, ROOT
 from benchmarks.shared.markdown import cells, rows_table
 from benchmarks.speed import tables as speed
 
 WHERE = {"machine": "a machine", "commit": "abc", "command": "python -m benchmarks.quality"}
 
 
-@pytest.mark.parametrize(
-    ("bench", "document", "name", "made"), report.TABLES, ids=[f"{bench}-{name}" for bench, _, name, _ in report.TABLES]
-)
-def test_a_document_holds_what_the_record_gives(bench: str, document: str, name: str, made):
-    record = json.loads((RESULTS_DIR / f"{bench}.json").read_text(encoding="utf-8"))
-    text = (ROOT / document).read_text(encoding="utf-8")
-    begin, end = f"<!-- {name}:begin -->\n", f"\n<!-- {name}:end -->"
-    assert text.count(begin) == text.count(end) == 1
-    table = made(record)
-    assert text.split(begin)[1].split(end)[0] == table
-    for part in table.split("\n\n"):  # every line of a table has a cell for every head
-        assert len({line.count("|") for line in part.split("\n")}) == 1
+@pytest.mark.parametrize("name", sorted({Path(document).name for _, document, _, _ in report.TABLES}))
+def test_a_page_of_records_holds_what_the_records_give(name: str):
+    text = (report.FOLDER / name).read_text(encoding="utf-8")
+    assert text == report.pages()[name]
+    for table in re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE):  # every line has a cell for every head
+        assert len({line.count("|") for line in table.splitlines()}) == 1
 
 
-def test_a_table_takes_the_place_between_its_markers(tmp_path):
-    page = tmp_path / "page.md"
-    page.write_text("before\n<!-- gain:begin -->\nold\n<!-- gain:end -->\nafter\n")
-    assert report.insert(page, "gain", "new")
-    assert page.read_text() == "before\n<!-- gain:begin -->\nnew\n<!-- gain:end -->\nafter\n"
-    assert not report.insert(page, "quality", "x")
+def test_no_page_of_records_is_left_over():
+    assert {path.name for path in report.FOLDER.glob("*.md")} == set(report.pages())
 
 
 def test_what_was_not_measured_is_a_dash_and_the_source_stands_below():

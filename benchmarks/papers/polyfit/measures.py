@@ -11,7 +11,7 @@ from torch import nn
 from benchmarks.papers.polyfit import fit
 from benchmarks.papers.polyfit.families import Patches
 from benchmarks.papers.polyfit.garment_patches import NamedGarment, sample_patches
-from benchmarks.papers.polyfit.train import Prepared, fitted, prepare
+from benchmarks.papers.polyfit.train import fitted, prepare
 from drape.garment.partition import partition, patch_count_for
 from drape.geometry.rotations import rotvec_to_quaternion
 
@@ -51,7 +51,7 @@ def evaluate(model: nn.Module | None, patches: Patches, *, order: int = 4) -> di
     return summary(parts)
 
 
-def mean_normal_frames(patches: Patches) -> Prepared:
+def mean_normal_frames(patches: Patches) -> Patches:
     """Patches in the frames that the product uses without PolyFit: along the mean normal."""
     own = prepare(patches)
     normal = own.normals.mean(dim=-2)
@@ -62,7 +62,7 @@ def mean_normal_frames(patches: Patches) -> Prepared:
     cross = torch.linalg.cross(side * normal, up)
     quaternion = torch.cat([1.0 + side * normal[:, 2:], cross], dim=-1)
     quaternion = quaternion / quaternion.norm(dim=-1, keepdim=True)
-    return Prepared(fit.turned(own.points, quaternion), fit.turned(own.normals, quaternion))
+    return Patches(fit.turned(own.points, quaternion), fit.turned(own.normals, quaternion))
 
 
 def evaluate_mean_normal(patches: Patches) -> dict[str, float]:
