@@ -44,7 +44,6 @@ from drape.contact.projection import push_out_of_bodies
 from drape.contact.skin import body_skin
 from drape.errors import InputError
 from drape.garment.cache import Garment
-from drape.garment.disagreement import disagreement
 from drape.garment.fine import fine_garment
 from drape.garment.fitting import patch_fields, rest_garment
 from drape.graph.push_feed import push_feed
@@ -52,6 +51,7 @@ from drape.live.fold_constants import constants
 from drape.live.fold_step import Effort
 from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
+from training.disagreement import disagreement
 
 METHODS = ("skinning", "skinning_push", "network", "network_push", "folds", "physics")
 STEPS = 2  # of folds

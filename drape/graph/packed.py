@@ -86,10 +86,9 @@ class StoredPatches(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class StoredTiles(Tensors):
-    """Columns of chart entries in store; only normals need the tangents."""
+    """Columns of chart entries in store."""
 
     positions: Array = tensor("tile_positions", "stored_tiles", COLUMNS, CHARTS_PER_TILE)
-    tangents: Array = tensor("tile_tangents", "stored_tangents", COLUMNS, 2 * CHARTS_PER_TILE, unit="1/m")
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,10 +102,6 @@ class Indices(Tensors):
     tile_patch: Array = tensor("tile_patch", "tiles", dtype="int32", unit="packed patch")
     vertex_charts: Array = tensor(
         "vertex_charts", CHARTS_PER_VERTEX, "blocks", VERTICES_PER_BLOCK, dtype="int32", unit="column of the tiles"
-    )
-    block_item: Array = tensor("block_item", "blocks", dtype="int32", unit="item of a block of vertices")
-    item_blocks: Array = tensor(
-        "item_blocks", "items", "blocks_per_item", dtype="int32", unit="blocks of an item, the first one repeated"
     )
     anchor_charts: Array | None = tensor(
         "anchor_charts", CHARTS_PER_VERTEX, "anchor_blocks", VERTICES_PER_BLOCK, dtype="int32", unit="anchor column",

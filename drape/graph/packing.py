@@ -3,8 +3,8 @@
 A chart entry (vertex, patch, weight, rest place y, parameters u, v) contributes ``C @ column`` to its vertex, where C
 (3, 18) are the posed jets of the patch and the column is ``w [y / s, basis(u, v)]``. Columns of one patch
 lie side by side in tiles of ``CHARTS_PER_TILE``, the rest of its last tile is zero, so the vertex stage
-is one product of a fixed shape per tile and a sum of ``CHARTS_PER_VERTEX`` columns per vertex. Vertices of a
-garment are padded to whole blocks by repeating its first one, so that boxes can be taken block by block.
+is one product of a fixed shape per tile and a sum of ``CHARTS_PER_VERTEX`` columns per vertex. A garment's vertices
+fill whole blocks of ``VERTICES_PER_BLOCK``; the last block is filled up by repeating the first vertex.
 """
 
 from __future__ import annotations
@@ -36,7 +36,6 @@ from drape.graph.packed import (
 )
 
 KINDS = {spec.name: spec.dtype for kind in (StoredPatches, StoredTiles) for spec in kind.specs(PARTS)}
-TANGENTS = "tile_tangents"  # the one stored array that only normals need
 
 
 def pass_name(index: int) -> str:
@@ -151,12 +150,6 @@ def tile_charts(chart_patch: np.ndarray, patch_count: int, *, width: int = CHART
     column = np.empty(len(flat), dtype=np.int64)
     column[order] = start[flat[order]] + rank
     return Tiling(np.repeat(np.arange(patch_count), tiles).astype(np.int32), column.reshape(chart_patch.shape), width)
-
-
-def pack_tangents(chart_patch: np.ndarray, patch_count: int, columns: np.ndarray) -> np.ndarray:
-    """``tile_tangents`` (Q, 18, 64) of a garment, from the columns (V, 4, 18, 2) of ``drape.garment.tangents``."""
-    tiling = tile_charts(chart_patch, patch_count)
-    return np.concatenate([tiling.lay(columns[..., 0]), tiling.lay(columns[..., 1])], axis=2)
 
 
 def pack_garment(feed: dict[str, np.ndarray], patch_first: np.ndarray) -> PackedGarment:
@@ -288,30 +281,23 @@ class Composition:
 
 def compose(items: Sequence[tuple[PackedGarment, Place, int]]) -> Composition:
     """Index tensors of ``items``: garment, its place in the store, row of its body."""
-    patch_stored, patch_body, patch_bone, tile_stored, tile_patch, charts, block_item = ([] for _ in range(7))
+    patch_stored, patch_body, patch_bone, tile_stored, tile_patch, charts = ([] for _ in range(6))
     anchor_charts, member_anchor = [], []
     patches, vertices = [], []
     patch = tile = block = anchor_block = 0
-    firsts = []
-    for item, (garment, place, body) in enumerate(items):
+    for garment, place, body in items:
         patch_stored.append(np.arange(place.patch, place.patch + garment.patch_count, dtype=np.int32))
         patch_body.append(np.full(garment.patch_count, body, dtype=np.int32))
         patch_bone.append(garment.heaviest + np.int32(JOINT_COUNT * body))
         tile_stored.append(np.arange(place.tile, place.tile + garment.tile_count, dtype=np.int32))
         tile_patch.append(garment.tile_patch + np.int32(patch))
         charts.append(garment.vertex_charts + np.int32(CHARTS_PER_TILE * tile))
-        block_item.append(np.full(garment.block_count, item, dtype=np.int32))
         anchor_charts.append(garment.anchor_charts + np.int32(MEMBERS * patch))
         member_anchor.append(garment.member_anchor + np.int32(VERTICES_PER_BLOCK * anchor_block))
         anchor_block += garment.anchor_charts.shape[1]
         patches.append(slice(patch, patch + garment.patch_count))
         vertices.append(slice(VERTICES_PER_BLOCK * block, VERTICES_PER_BLOCK * block + garment.vertex_count))
-        firsts.append(block)
         patch, tile, block = patch + garment.patch_count, tile + garment.tile_count, block + garment.block_count
-    widest = max(garment.block_count for garment, _, _ in items)
-    counts = np.array([garment.block_count for garment, _, _ in items])[:, None]
-    offsets = np.arange(widest)[None]
-    item_blocks = np.array(firsts)[:, None] + np.where(offsets < counts, offsets, 0)
     indices = Indices(
         stored=np.concatenate(patch_stored),
         body=np.concatenate(patch_body),
@@ -319,8 +305,6 @@ def compose(items: Sequence[tuple[PackedGarment, Place, int]]) -> Composition:
         tile_stored=np.concatenate(tile_stored),
         tile_patch=np.concatenate(tile_patch),
         vertex_charts=np.concatenate(charts, axis=1),
-        block_item=np.concatenate(block_item),
-        item_blocks=item_blocks.astype(np.int32),
         anchor_charts=np.concatenate(anchor_charts, axis=1),
         member_anchor=np.concatenate(member_anchor),
     )

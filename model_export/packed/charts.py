@@ -8,11 +8,9 @@ from torch import Tensor, nn
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.garment.consensus import FIT_COUNT, MEMBERS
 from drape.geometry import jets
-from drape.graph.packed import CHARTS_PER_TILE, COLUMNS, VERTICES_PER_BLOCK, Indices, StoredCharts
+from drape.graph.packed import COLUMNS, VERTICES_PER_BLOCK, Indices, StoredCharts
 from model_export.packed.bodies import Frames
 
-# Rows of (x, x', y, y', z, z') that the four factors of a cross product take: u_yzx v_zxy - u_zxy v_yzx.
-_CROSS = (2, 4, 0, 5, 1, 3, 4, 0, 2, 3, 5, 1)
 # Rows of (place, 1, u, v, uu, uv, vv) whose products are the basis of orders 3 and 4.
 _HIGHER = (6, 6, 8, 8, 6, 6, 7, 7, 8), (4, 5, 4, 5, 6, 7, 7, 8, 8)
 
@@ -20,7 +18,6 @@ _HIGHER = (6, 6, 8, 8, 6, 6, 7, 7, 8), (4, 5, 4, 5, 6, 7, 7, 8, 8)
 class Charts(nn.Module):
     """What charts say together, and what each would have to say to say it alone."""
 
-    cross_terms: Tensor
     placed: Tensor
     placed_full: Tensor
     frame_only: Tensor
@@ -70,29 +67,14 @@ class Charts(nn.Module):
         taken = torch.index_select(columns, 1, charts.reshape(-1))
         return self.chart_sums @ taken.reshape(3 * CHARTS_PER_VERTEX, -1)
 
-    def blend(self, coefficients: Tensor, columns: Tensor, vertex_charts: Tensor, *, count: int = 1) -> Tensor:
-        """Sums (blocks, 64, 3 * count) over every vertex's charts of tiles (Q, 3, 18) @ (Q, 18, 64 * count)."""
-        product = coefficients @ columns
-        if count == 1:
-            return self._blended(product, vertex_charts).mT.reshape(-1, VERTICES_PER_BLOCK, 3)
-        parts = [self._blended(part, vertex_charts) for part in product.split(CHARTS_PER_TILE, dim=-1)]
-        return torch.stack(parts, dim=1).reshape(3 * count, -1).mT.reshape(-1, VERTICES_PER_BLOCK, 3 * count)
-
-    def normals(self, tangents: Tensor) -> Tensor:
-        """Unit cross products (blocks, 64, 3) of the tangents (blocks, 64, 6), which lie as x, x', y, y', z, z'."""
-        a, b, c, d = (tangents @ self.cross_terms).split(3, dim=-1)
-        normal = a * b - c * d
-        squared = (normal * normal).sum(dim=-1, keepdim=True)
-        return normal / torch.sqrt(torch.clamp(squared, min=1e-24))
+    def blend(self, coefficients: Tensor, columns: Tensor, vertex_charts: Tensor) -> Tensor:
+        """Sums (blocks, 64, 3) over every vertex's charts of the tiles (Q, 3, 18) @ (Q, 18, 32)."""
+        return self._blended(coefficients @ columns, vertex_charts).mT.reshape(-1, VERTICES_PER_BLOCK, 3)
 
 
 def tables() -> dict[str, Tensor]:
     """Buffers of ``Charts``."""
-    turned = torch.zeros(6, 12)
-    for column, row in enumerate(_CROSS):
-        turned[row, column] = 1.0
     return {
-        "cross_terms": turned,
         **_jet_tables(),
         "chart_sums": torch.kron(torch.eye(3), torch.ones(1, CHARTS_PER_VERTEX)),
         "higher_first": torch.tensor(_HIGHER[0]),

@@ -27,15 +27,14 @@ from drape.artifacts import GraphSpec, TensorSpec
 from drape.body.skeleton import JOINT_COUNT
 from drape.contact.samples import REGION_SIZE
 from drape.errors import ArtifactError
-from drape.garment.features import REACH_M
+from drape.garment.features import JOINT_REACH_M
 from drape.geometry import jets
 from drape.graph.inputs import ROOT
 from drape.graph.packed import VERTICES_PER_BLOCK, Indices, PackedBodies, PackedTensors, StoredPatches
 from drape.graph.packing import pass_name
-from drape.wire.messages import STEP_COUNT
 from model_export.onnx_file import write_graph
 from model_export.packed import layers
-from model_export.packed.bodies import Bones, Frames, Kinematics
+from model_export.packed.bodies import Frames, Kinematics
 from model_export.packed.charts import Charts
 from model_export.packed.contact import Contact, posed_skins
 from model_export.packed.operators import TRANSLATIONS, rows
@@ -58,15 +57,9 @@ def packed_outputs(model: OneFit) -> tuple[TensorSpec, ...]:
     passes = model.config.corrections + 1 if model.config.closing_fit and model.config.corrections else 0
     return (
         TensorSpec("vertices", ("blocks", VERTICES_PER_BLOCK, 3), "float32", ROOT),
-        TensorSpec("normals", ("blocks", VERTICES_PER_BLOCK, 3), "float32", "1"),
-        TensorSpec("steps", ("blocks", VERTICES_PER_BLOCK, 3), "uint16", "box_step"),
-        TensorSpec("box_low", ("items", 3), "float32", ROOT),
-        TensorSpec("box_step", ("items", 3), "float32", "m"),
         TensorSpec("jet", ("patches", model.jet_count), "float32", "patch scales"),
         TensorSpec("frame_rotation", ("patches", 3, 3), "float32", "1"),
         TensorSpec("frame_centre", ("patches", 3), "float32", ROOT),
-        TensorSpec("bone_rotation", ("bodies", JOINT_COUNT, 3, 3), "float32", "1"),
-        TensorSpec("bone_translation", ("bodies", JOINT_COUNT, 3), "float32", ROOT),
         *((SKIN_OUTPUT,) if model.config.feels_body else ()),
         # Jets before the first correction and after each; none where no closing fit takes them.
         *(TensorSpec(pass_name(i), ("patches", jets.JET_COUNT), "float32", "patch scales") for i in range(passes)),
@@ -89,7 +82,7 @@ def write_packed(model: OneFit, path: Path) -> GraphSpec:
 
 @dataclass(frozen=True)
 class PosedPatches:
-    """Posed jets (P, 3, 18), jets in the frames (P, 27 or 45), the frames, and the bones of the bodies.
+    """Posed jets (P, 3, 18), jets in the frames (P, 27 or 45), and the frames.
 
     ``skin`` (B, R, 12, 8) of the bodies, where patches feel it.
     ``passes``: jets (P, 27) before the first correction and after each, where a closing fit follows them.
@@ -98,7 +91,6 @@ class PosedPatches:
     coefficients: Tensor
     jet: Tensor
     frames: Frames
-    bones: Bones
     skin: Tensor | None = None
     passes: tuple[Tensor, ...] = ()
 
@@ -151,12 +143,8 @@ class PackedGraph(nn.Module):
         posed = self.pose(given.bodies, given.patches.each(lambda table: rows(table, index.stored)), index)
         coefficients = rows(posed.coefficients, index.tile_patch)  # (Q, 3, 18)
         vertices = self.charts.blend(coefficients, rows(tiles.positions, index.tile_stored), index.vertex_charts)
-        tangents = rows(tiles.tangents, index.tile_stored)
-        tangents = self.charts.blend(coefficients, tangents, index.vertex_charts, count=2)
-        steps, low, step = _quantised(vertices, index)
         return (
-            vertices, self.charts.normals(tangents), steps, low, step, posed.jet,
-            posed.frames.rotation, posed.frames.centre.reshape(-1, 3), posed.bones.rotation, posed.bones.translation,
+            vertices, posed.jet, posed.frames.rotation, posed.frames.centre.reshape(-1, 3),
             *(() if posed.skin is None else (posed.skin,)), *posed.passes,
         )  # fmt: skip
 
@@ -200,7 +188,7 @@ class PackedGraph(nn.Module):
             assert stored is not None and columns is not None
             jet = charts.closed(charts.posed(frames, jet) @ columns, stored, index, frames)
         kept = tuple(passes) if self.closes and len(passes) > 1 else ()
-        return PosedPatches(charts.posed(frames, jet), jet, frames, bones, skin, kept)
+        return PosedPatches(charts.posed(frames, jet), jet, frames, skin, kept)
 
     def _with_surroundings(self, x: Tensor, joints: Tensor, frames: Frames, base: Tensor | None) -> Tensor:
         """``x`` plus the layer on ``training.model.patch_surroundings`` of posed joints (P, 3, 24), and on ``base``."""
@@ -209,25 +197,6 @@ class PackedGraph(nn.Module):
         # A maximum and not a sum: the exporter's optimiser takes "+ 1e-12" for "+ 0" and drops the guard.
         squared = ((offset * offset).reshape(-1, 3 * JOINT_COUNT) @ self.axis_sums).reshape(-1, 1, JOINT_COUNT)
         reach = torch.sqrt(torch.clamp(squared, min=1e-12))
-        saturated = (offset * (torch.tanh(reach * (1.0 / REACH_M)) / reach)).reshape(-1, 3 * JOINT_COUNT)
+        saturated = (offset * (torch.tanh(reach * (1.0 / JOINT_REACH_M)) / reach)).reshape(-1, 3 * JOINT_COUNT)
         parts = [saturated, frames.rotation.reshape(-1, 9), *([] if base is None else [base])]
         return torch.addmm(x, torch.cat(parts, dim=-1), self.from_surroundings)
-
-
-def _quantised(vertices: Tensor, index: Indices) -> tuple[Tensor, Tensor, Tensor]:
-    """``drape.wire.quantise`` of every item: steps (blocks, 64, 3), low corners and steps [m] (I, 3).
-
-    A vertex that is not finite makes the low corner of its item NaN.
-    """
-    item_blocks, block_item = index.item_blocks, index.block_item
-    per_item = item_blocks.shape[1]
-
-    def of_items(values: Tensor) -> Tensor:
-        return rows(values, item_blocks.reshape(-1)).reshape(-1, per_item, 3)
-
-    low = of_items(vertices.amin(dim=1)).amin(dim=1)
-    high = of_items(vertices.amax(dim=1)).amax(dim=1)
-    step = torch.clamp((high - low) / STEP_COUNT, min=1e-9)
-    places = (vertices - rows(low, block_item)[:, None]) / rows(step, block_item)[:, None]
-    steps = torch.clamp(torch.round(places), 0, STEP_COUNT).to(torch.uint16)
-    return steps, low + 0.0 * of_items(vertices.sum(dim=1)).sum(dim=1), step

@@ -11,9 +11,8 @@ from drape.arrays.subnormals import flushed
 from drape.body.assets import load_body
 from drape.garment.cache import Garment
 from drape.garment.fabric_features import encoder_features
-from drape.garment.tangents import tangent_columns
 from drape.graph.feeds import body_feed, garment_feed
-from drape.graph.packing import TANGENTS, Place, compose, pack_body, pack_garment, pack_tangents
+from drape.graph.packing import Place, compose, pack_body, pack_garment
 from drape.graph.push_feed import SkinShapes
 from model_export.graph import DrapeGraph, EncoderGraph, drape_inputs
 from model_export.parity import hard_poses, session
@@ -29,12 +28,9 @@ def packed_parity_error(model: OneFit, encoder: Path, packed: Path, garment: Gar
     feeds = [_first_vertices(garment_feed(garment, body=body), share) for share in (1.0, 0.5, 0.01)]
     features = encoder_features(garment, model.config.encoder_feature_count)
     first = np.asarray(session(encoder).run(["patch_first"], {"patch_features": features})[0])
-    columns = tangent_columns(garment)
     garments, places, patch, tile = [], [], 0, 0
     for feed in feeds:
         made = pack_garment(feed, first)
-        charts = feed["chart_patch"]
-        made.stored[TANGENTS] = pack_tangents(charts, garment.patch_count, columns[: len(charts)])
         garments.append(made)
         places.append(Place(patch, tile))
         patch, tile = patch + made.patch_count, tile + made.tile_count

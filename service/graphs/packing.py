@@ -21,36 +21,22 @@ from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
 from drape.errors import InputError, NotFound
 from drape.garment.cache import Garment
-from drape.garment.tangents import tangent_columns
 from drape.graph.blend import blended, warm_up
 from drape.graph.buckets import filled, filled_rows
 from drape.graph.feeds import garment_feed
-from drape.graph.packing import (
-    TANGENTS,
-    Composition,
-    PackedGarment,
-    Place,
-    compose,
-    pack_garment,
-    pack_tangents,
-)
+from drape.graph.packing import Composition, PackedGarment, Place, compose, pack_garment
 from drape.graph.push_feed import SkinShapes
 from service.graphs.engine import JETS, PACKED, SKIN, SKIN_CONSTANTS, Engine
 
 if TYPE_CHECKING:
     from service.graphs.onnx_runtime import Session, Value
 
-Shape = Literal["vertices", "steps", "jets", "both"]
+Shape = Literal["vertices", "jets", "both"]
 OUTPUTS_OF: dict[Shape, tuple[str, ...]] = {
     "vertices": ("vertices",),
-    "steps": ("steps", "box_low", "box_step"),
     "jets": JETS,
     "both": ("vertices", *JETS),
 }
-NORMALS, BONES = "normals", ("bone_rotation", "bone_translation")
-PER_VERTEX = ("vertices", "steps", NORMALS)
-PER_PATCH = JETS
-PER_BODY = (*BONES, SKIN)
 STORED_INDEX = ("patch_stored", "tile_stored")  # of no use where one garment is all there is
 SHAPE_INDEX = ("body_shape",)  # nor this where all bodies have one shape
 TILES_PER_CALL = 2048  # about 10 MB of columns: what a core's share of the last cache holds
@@ -64,15 +50,12 @@ Item = tuple[str, int]  # garment, row of its body
 
 @dataclass(frozen=True)
 class ScenePlan:
-    """What a scene asks for: vertices, their 16-bit steps in the item's box, posed jets, or jets and vertices;
-    normals; bones; the samples of the posed skin, as the push-out takes them.
+    """The outputs that a scene asks for: vertices, posed jets or both, and with ``skin`` the samples of the posed skin.
 
     ``passes``: how many of the network's corrections run, all of them by default.
     """
 
     shape: Shape = "vertices"
-    normals: bool = False
-    bones: bool = False
     skin: bool = False
     passes: int | None = None
 
@@ -81,24 +64,16 @@ class ScenePlan:
             raise InputError(
                 "scene shape", expected=" or ".join(OUTPUTS_OF), got=repr(self.shape), cure="Ask for one of these."
             )
-        if self.normals and self.shape == "jets":
-            raise InputError(
-                "scene normals",
-                expected="none with jets",
-                got="normals and jets",
-                cure="Take normals from the jets, or ask for vertices.",
-            )
 
     @property
     def outputs(self) -> tuple[str, ...]:
         """Outputs of the packed graph that the plan fetches."""
-        more = (*((NORMALS,) if self.normals else ()), *(BONES if self.bones else ()), *((SKIN,) if self.skin else ()))
-        return (*OUTPUTS_OF[self.shape], *more)
+        return (*OUTPUTS_OF[self.shape], *((SKIN,) if self.skin else ()))
 
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """Outputs of one item by name: rows of its vertices (V, ...) or patches (K, ...), its box (3,), its bones.
+    """Outputs of one item by name: rows of its vertices (V, 3) or patches (K, ...), the skin of its body.
 
     ``finite`` is false where the network's answer holds NaN or infinity.
     """
@@ -175,20 +150,6 @@ class Store:
         """The stored inputs of the packed graph by name."""
         return self._arrays
 
-    def want_tangents(self) -> bool:
-        """Makes the constants that normals need where they are missing, and whether any were."""
-        missing = [stored for stored in self._garments.values() if TANGENTS not in stored.packed.stored]
-        for stored in missing:
-            garment = stored.garment
-            if stored.of is not None:  # after its garment, which has them by now
-                stored.packed.stored[TANGENTS] = self._garments[stored.of].packed.stored[TANGENTS]
-                continue
-            charts = garment.chart_patch[: garment.vertex_count]
-            stored.packed.stored[TANGENTS] = pack_tangents(charts, garment.patch_count, tangent_columns(garment))
-        if missing:
-            self._lay_out()
-        return bool(missing)
-
     @property
     def bytes(self) -> int:
         """Memory of everything in store."""
@@ -198,7 +159,7 @@ class Store:
     def _lay_out(self) -> None:
         every = list(self._garments.values())
         whole = [stored for stored in every if stored.of is None]
-        names = set.intersection(*(set(stored.packed.stored) for stored in every)) if every else set()
+        names = every[0].packed.stored if every else ()
         self._arrays = {
             name: np.concatenate([stored.packed.stored[name] for stored in (whole if _of_tiles(name) else every)])
             for name in names
@@ -309,10 +270,6 @@ class Packer:
                 raise InputError(
                     "body row", expected=f"a row in [0, {count})", got=str(row), cure="Give each item its body's row."
                 )
-        if plan.normals:
-            with self._lock:
-                if self._store.want_tangents():
-                    self._forget()
         results: list[Result] = []
         for part in self._parts(items):
             rows = {row: i for i, row in enumerate(dict.fromkeys(row for _, row in part))}
@@ -373,9 +330,8 @@ class Packer:
         return self._engine.open_cut(PACKED, self._fetched(plan), direct=direct, passes=plan.passes, given=given)
 
     def _fetched(self, plan: ScenePlan) -> tuple[str, ...]:
-        """Outputs of the graph that answer ``plan``: on a CPU jets in place of vertices, where nothing else needs them
-        in the graph."""
-        if not self._engine.on_cpu or plan.normals or "vertices" not in plan.outputs:
+        """Outputs of the graph that answer ``plan``: on a CPU jets in place of vertices."""
+        if not self._engine.on_cpu or "vertices" not in plan.outputs:
             return plan.outputs
         return tuple(dict.fromkeys((*JETS, *(name for name in plan.outputs if name != "vertices"))))
 
@@ -418,21 +374,17 @@ def _apart(
 ) -> list[dict[str, np.ndarray]]:
     """The outputs of every item by ``names``."""
     whole = {
-        name: values.reshape(-1, 3) if name in PER_VERTEX else values
+        name: values.reshape(-1, 3) if name == "vertices" else values
         for name, values in zip(names, outputs, strict=True)
     }
     results = []
-    for item, row in enumerate(rows):
-        places = {
-            **dict.fromkeys(PER_VERTEX, composition.vertices[item]),
-            **dict.fromkeys(PER_PATCH, composition.patches[item]),
-            **dict.fromkeys(PER_BODY, row),
-        }
-        results.append({name: values[places.get(name, item)] for name, values in whole.items()})
+    for vertices, patches, row in zip(composition.vertices, composition.patches, rows, strict=True):
+        places = {"vertices": vertices, SKIN: row} | dict.fromkeys(JETS, patches)
+        results.append({name: values[places[name]] for name, values in whole.items()})
     return results
 
 
 def _finite(arrays: dict[str, np.ndarray]) -> bool:
     """Whether the network's answer in the outputs of an item is finite."""
-    checked = [arrays[name] for name in ("vertices", "box_low", *PER_PATCH) if name in arrays]
+    checked = [arrays[name] for name in ("vertices", *JETS) if name in arrays]
     return all(bool(np.isfinite(array).all()) for array in checked)

@@ -67,5 +67,5 @@ def test_readme_runs_something():
 def test_every_setting_of_the_service_is_documented():
     settings = importlib.import_module("service.settings").Settings
     prefix = settings.model_config.get("env_prefix", "")
-    page = (ROOT / "docs/guide/service.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/guide/operate.md").read_text(encoding="utf-8")
     assert [name for name in settings.model_fields if (prefix + name).upper() not in page] == []

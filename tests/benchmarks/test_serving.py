@@ -12,10 +12,10 @@ from benchmarks.serving import LATE_S, Seen, crowd, figures, model_times, posts,
 from drape.catalog import find_motions
 from drape.errors import DrapeError
 from drape.motion.readers import read_motion
-from tests.fixtures.serving import body, live, live_settings, make_settings, settings, tiny_folder, tube
+from tests.fixtures.serving import live, live_settings, make_settings, settings, tiny_folder
 from tests.fixtures.tiny_model import TINY
 
-__all__ = ["body", "live", "live_settings", "make_settings", "settings", "tiny_folder", "tube"]  # fixtures
+__all__ = ["live", "live_settings", "make_settings", "settings", "tiny_folder"]  # fixtures
 CLIP = read_motion(find_motions(["walk"])[0])
 
 

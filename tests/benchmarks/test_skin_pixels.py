@@ -25,10 +25,10 @@ from service.stages.batch import PoseInput
 from tests.benchmarks.quality_setup import bending, network
 from tests.benchmarks.quality_setup import body as body_model
 from tests.drape.geometry.geometry_shapes import icosphere
-from tests.fixtures.serving import body, make_settings, tiny_folder, tube
+from tests.fixtures.serving import make_settings, tiny_folder
 from tests.fixtures.tiny_model import tube_garment
 
-__all__ = ["body", "make_settings", "tiny_folder", "tube"]  # fixtures
+__all__ = ["make_settings", "tiny_folder"]  # fixtures
 RADIUS_M = 0.15
 BALL, FACES = icosphere(3, radius_m=RADIUS_M)
 ALL = np.ones(len(FACES), bool)

@@ -19,10 +19,10 @@ from drape.errors import ArtifactError, InputError
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import Drapery
 from service.compute.tiers import NAMES
-from tests.fixtures.serving import body, make_settings, tiny_folder, tube
+from tests.fixtures.serving import make_settings, tiny_folder
 from tests.fixtures.tiny_model import TINY, write_tiny_model
 
-__all__ = ["body", "make_settings", "tiny_folder", "tube"]  # fixtures
+__all__ = ["make_settings", "tiny_folder"]  # fixtures
 FRAMES = 4
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.architecture.repository import ROOT
 from tests.clients.browser import Page, open_page
 
 pytestmark = pytest.mark.browser
@@ -22,6 +23,7 @@ def page(live: str) -> Iterator[Page]:
     assert chromium is not None  # the marker has seen to it
     with open_page(chromium, live + "/?garment=tube&clip=reach") as page:
         page.wait_for("Number(document.body?.dataset.frames) >= 3")
+        set_control(page, "colour", "value", "#2f6fb0", "input")  # the page's own are greys
         yield page
 
 
@@ -42,6 +44,12 @@ def set_control(page: Page, element: str, name: str, value: object, event: str) 
         control.dispatchEvent(new Event({json.dumps(event)}));
         }})()"""
     )
+
+
+def test_it_opens_on_garments_that_are_shipped():
+    source = (ROOT / "clients/web/src/main.js").read_text(encoding="utf-8")
+    worn = source.partition('const WORN = "')[2].partition('"')[0].split(",")
+    assert len(worn) == 2 and all(list((ROOT / "assets/garments").glob(f"{name}-*.npz")) for name in worn)
 
 
 def test_it_draws_with_webgl_and_says_so(page: Page):

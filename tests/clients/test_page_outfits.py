@@ -69,6 +69,8 @@ def page(drapery: Drapery) -> Iterator[Page]:
     ):
         page.wait_for("Number(document.body?.dataset.frames) >= 2")
         page.evaluate(SPY)
+        set_control(page, "colour", "value", "#2f6fb0", "input")  # the page's own are greys
+        set_control(page, "colour-1", "value", "#a3343a", "input")
         yield page
 
 

@@ -6,6 +6,7 @@ import { Viewer } from "./viewer.js";
 import { Wardrobe } from "./wardrobe.js";
 import { FLAG_PUSHED, FLAG_STEPPED, FLAG_UNLIKE, MESH_SUFFIXES, unpackLayout } from "./wire.js";
 
+const WORN = "trousers,tshirt"; // where the address names nothing, the innermost first
 const SHAPE_COUNT = 3;
 const SEND_RATE = 60; // poses per second at most
 const STATS_S = 0.5;
@@ -336,7 +337,7 @@ const start = failing(async () => {
   element("clip").replaceChildren(...clips.map((clip) => new Option(`${clip.name} (${(clip.frames / clip.fps).toFixed(1)} s)`, clip.id)));
   if (wanted.has("clip")) element("clip").value = wanted.get("clip");
   else if (clips.some((clip) => clip.id === "walk")) element("clip").value = "walk";
-  await listGarments((wanted.get("garment") ?? "dress").split(","), health.layers);
+  await listGarments((wanted.get("garment") ?? WORN).split(","), health.layers);
   await Promise.all([chooseShape(), chooseGarments()]);
 });
 

@@ -17,6 +17,13 @@ function drawsInSoftware(renderer) {
   return names !== null && /swiftshader|llvmpipe|software/i.test(gl.getParameter(names.UNMASKED_RENDERER_WEBGL));
 }
 
+// Fibres scatter light at grazing angles in a paler tone of the cloth's own colour.
+function dyed(cloth, colour) {
+  cloth.color.set(colour);
+  cloth.sheenColor?.set(colour).lerp(new THREE.Color(0xffffff), 0.4);
+  return cloth;
+}
+
 export class Viewer {
   // With keepQuality the picture stays as it is on a slow machine, for pictures.
   constructor(canvas, { keepQuality = false } = {}) {
@@ -33,7 +40,7 @@ export class Viewer {
     if (!plain) {
       const generator = new THREE.PMREMGenerator(this.renderer);
       this.scene.environment = generator.fromScene(new RoomEnvironment(), 0.04).texture;
-      this.scene.environmentIntensity = 0.5;
+      this.scene.environmentIntensity = 0.3;
       generator.dispose();
     }
 
@@ -57,8 +64,8 @@ export class Viewer {
 
   #makeStudio() {
     this.studio = new THREE.Group();
-    const sun = new THREE.DirectionalLight(0xfff4e6, 1.8);
-    sun.position.set(1.8, 3.6, 2.4);
+    const sun = new THREE.DirectionalLight(0xfff4e6, 2.4);
+    sun.position.set(3.0, 3.2, 1.5); // from the side, so that folds cast shade
     sun.castShadow = true;
     sun.shadow.mapSize.set(1024, 1024);
     sun.shadow.radius = 5;
@@ -68,7 +75,7 @@ export class Viewer {
     const rim = new THREE.DirectionalLight(0xdfe9ff, 0.7);
     rim.position.set(-2.5, 2.2, -2.5);
     this.sun = sun;
-    this.fill = new THREE.HemisphereLight(0xffffff, 0xd8cfc2, 2.4); // stands in for the environment
+    this.fill = new THREE.HemisphereLight(0xffffff, 0xc4b8a8, 1.9); // stands in for the environment
     this.fill.visible = false;
     this.studio.add(sun, sun.target, rim, rim.target, this.fill);
     this.scene.add(this.studio);
@@ -92,10 +99,11 @@ export class Viewer {
 
   #cloth(color) {
     if (this.plainness > 0) return new THREE.MeshLambertMaterial({ color, side: THREE.DoubleSide });
-    return new THREE.MeshPhysicalMaterial({
-      color, roughness: 0.85, side: THREE.DoubleSide, shadowSide: THREE.DoubleSide,
-      sheen: 0.35, sheenRoughness: 0.6, sheenColor: new THREE.Color(0xffffff),
+    const cloth = new THREE.MeshPhysicalMaterial({
+      side: THREE.DoubleSide, shadowSide: THREE.DoubleSide,
+      roughness: 1, specularIntensity: 0.15, sheen: 0.7, sheenRoughness: 0.45,
     });
+    return dyed(cloth, color);
   }
 
   #makeBodyMaterial() {
@@ -118,7 +126,7 @@ export class Viewer {
   }
 
   setColour(layer, colour) {
-    this.layers[layer]?.cloth.material.color.set(colour);
+    if (this.layers[layer]) dyed(this.layers[layer].cloth.material, colour);
   }
 
   // One step plainer: without shadows and sheen, then with fewer pixels.

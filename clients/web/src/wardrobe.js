@@ -1,5 +1,5 @@
 // Which garments are worn over each other, the innermost first: a row of controls for each.
-const COLOURS = ["#2f6fb0", "#a3343a", "#2e6b4a", "#6a4a8c"];
+const COLOURS = ["#66656b", "#969c8c", "#8a6a5a", "#6f7f8f"]; // charcoal, sage, clay, steel
 
 export class Wardrobe {
   // onChange(): other garments or another order; onColour(layer, colour).

@@ -19,9 +19,9 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
 from drape.cloth.material import Material
 from drape.cloth.rest_state import modelled
-from drape.garment.disagreement import disagreement
 from drape.geometry.skinning import skin_points
 from tests.benchmarks.quality_setup import bench, body, tube
+from training.disagreement import disagreement
 
 METHODS = tuple(method for method in EVERY if method != "folds")  # of a cloth that is no fabric
 DETAIL_MM = {"skinning": 1.0, "network": 1.5, "network_push": 0.5, "physics": 3.0}

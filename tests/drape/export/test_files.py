@@ -14,9 +14,6 @@ from drape.export.usda import POINT_BYTES, Moving, usda_pieces
 from drape.garment.cache import Garment
 from drape.garment.files.obj import read_obj
 from tests.fixtures.exports import read_pc2, read_usda
-from tests.fixtures.serving import body, tube
-
-__all__ = ["body", "tube"]  # fixtures
 
 
 def clip(tube: Garment, frames: int = 3) -> np.ndarray:

@@ -20,8 +20,7 @@ def test_rungs_rise_by_at_most_a_half_and_hold_what_is_asked():
 def composition(rng: np.random.Generator) -> Composition:
     sizes = {
         "patch_stored": (9,), "patch_body": (9,), "patch_bone": (9,), "member_anchor": (9, 5), "tile_stored": (13,),
-        "tile_patch": (13,), "vertex_charts": (4, 17, 6), "anchor_charts": (4, 25, 6), "block_item": (17,),
-        "item_blocks": (3, 10),
+        "tile_patch": (13,), "vertex_charts": (4, 17, 6), "anchor_charts": (4, 25, 6),
     }  # fmt: skip
     arrays = {name: rng.integers(0, 99, size=size).astype(np.int32) for name, size in sizes.items()}
     return Composition(arrays, (slice(0, 9),), (slice(0, 17),))
@@ -42,7 +41,7 @@ def test_what_is_filled_in_repeats_the_first_and_the_rest_stays(composition: Com
                 array.take(range(before.shape[axis], array.shape[axis]), axis=axis),
             )
             assert_array_equal(more, np.broadcast_to(first, more.shape))
-    assert found.arrays["item_blocks"].shape == (8, 12)
+    assert found.arrays["anchor_charts"].shape == (4, 32, 6)
 
 
 def test_rows_of_bodies_are_filled_alike(rng: np.random.Generator):

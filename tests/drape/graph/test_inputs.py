@@ -8,12 +8,11 @@ from numpy.testing import assert_allclose
 from drape.artifacts import TensorSpec
 from drape.body.assets import load_body
 from drape.contact.projection import PushFeed
-from drape.garment.tangents import tangent_columns
 from drape.graph.feeds import body_feed, garment_feed
 from drape.graph.inputs import PARTS, AgreementTensors, BodyTensors, ChartTensors, PatchTensors
 from drape.graph.layer_feed import LayerFeed, layer_feed
 from drape.graph.packed import PackedTensors
-from drape.graph.packing import TANGENTS, Place, compose, pack_body, pack_garment, pack_tangents
+from drape.graph.packing import Place, compose, pack_body, pack_garment
 from drape.graph.push_feed import SkinShapes, push_feed
 from tests.fixtures.packed import garment
 from tests.fixtures.poses import random_motion
@@ -46,13 +45,11 @@ def test_feeds_are_what_the_readable_graph_declares():
 def test_packing_is_what_the_packed_graph_declares():
     body, whole = load_body(), garment("tank")
     packed = pack_garment(garment_feed(whole, body=body), np.zeros((whole.patch_count, WIDTH)))
-    charts = whole.chart_patch[: whole.vertex_count]
-    packed.stored[TANGENTS] = pack_tangents(charts, whole.patch_count, tangent_columns(whole))
     bodies = pack_body(body).rows(random_motion(FRAMES, seed=1)[0])
     bodies |= SkinShapes(body).feed(bodies["betas"]) | {"dynamic_code": np.zeros((FRAMES, 5), np.float32)}
     items = compose([(packed, Place(0, 0), frame) for frame in range(FRAMES)])
     lengths = check(PackedTensors.specs(PARTS, width=WIDTH), packed.stored | bodies | items.arrays)
-    assert (lengths["bodies"], lengths["items"], lengths["code"]) == (FRAMES, FRAMES, 5)
+    assert (lengths["bodies"], lengths["code"]) == (FRAMES, 5)
     assert lengths["patches"] == FRAMES * lengths["stored_patches"]
 
 

@@ -21,7 +21,7 @@ from drape.body.assets import load_body
 from drape.contact.skin import body_skin, skin_table
 from drape.errors import ArtifactError, InputError, NotFound
 from drape.graph.feeds import body_feed, garment_feed
-from drape.graph.packing import TANGENTS, pack_body, pass_name
+from drape.graph.packing import pack_body, pass_name
 from drape.wire.options import DrapeOptions
 from model_export.graph import DrapeGraph, drape_inputs
 from model_export.parity import hard_poses
@@ -41,7 +41,7 @@ pytestmark = pytest.mark.slow
 BODIES = 64
 TERMS = 4 * 18  # of a vertex: those of four charts, each shorter than a body
 WEIGHTS_FOLDER = "session.model_external_initializers_file_folder_path"  # of models that come as bytes
-PLANS = [ScenePlan(), ScenePlan(normals=True), ScenePlan("steps"), ScenePlan("jets", bones=True)]
+PLANS = [ScenePlan(), ScenePlan("both", skin=True), ScenePlan("jets"), ScenePlan(passes=0)]
 
 
 @pytest.fixture(scope="module")
@@ -55,8 +55,11 @@ def bodies() -> dict[str, np.ndarray]:
     return {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
 
 
-def make_packer(threads: int = 1, **options: int) -> Packer:
-    packer = Packer(Engine(exported()[1], device=Device(threads=threads)), load_body(), **options)
+def make_packer(threads: int = 1, *, in_graph: bool = False, **options: int) -> Packer:
+    """A packer of ``KINDS``; ``in_graph``: vertices are made by the graph, as where it does not run on a CPU."""
+    engine = Engine(exported()[1], device=Device(threads=threads))
+    engine.on_cpu = not in_graph
+    packer = Packer(engine, load_body(), **options)
     for kind in KINDS:
         packer.add(kind, garment(kind))
     return packer
@@ -117,10 +120,11 @@ def with_passes(readable: DrapeGraph, passes: int) -> DrapeGraph:
 
 def test_vertices_that_the_graph_does_not_make_are_those_that_it_would_make(packer: Packer, bodies):
     items = [(KINDS[i % len(KINDS)], i) for i in range(6)]
+    by_graph = make_packer(in_graph=True)
     for shape in ("vertices", "both"):
         assert "vertices" not in packer._fetched(ScenePlan(shape))
         found = packer.run(ScenePlan(shape), bodies, items)
-        for (kind, _), got, graph in zip(items, found, packer.run(ScenePlan(normals=True), bodies, items), strict=True):
+        for (kind, _), got, graph in zip(items, found, by_graph.run(ScenePlan(shape), bodies, items), strict=True):
             want = graph.arrays["vertices"]
             assert got.arrays["vertices"].shape == want.shape == (garment(kind).vertex_count, 3)
             assert_allclose(got.arrays["vertices"], want, rtol=0, atol=TERMS * np.spacing(np.float32(2.0)))
@@ -143,9 +147,9 @@ def test_fewer_passes_take_fewer_weights():
     assert held[0] - held[1] >= sum(p.numel() for p in exported()[0].corrections.parameters())
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-def test_an_item_has_the_same_bits_alone_and_in_any_batch(bodies, threads: int):
-    packer = make_packer(threads)
+@pytest.mark.parametrize(("threads", "in_graph"), [(1, False), (2, False), (1, True)])
+def test_an_item_has_the_same_bits_alone_and_in_any_batch(bodies, threads: int, in_graph: bool):
+    packer = make_packer(threads, in_graph=in_graph)
     generator = np.random.default_rng(threads)
     alone: dict[tuple[ScenePlan, str, int], dict[str, np.ndarray]] = {}
     for size in (1, 2, 3, 7, 20, BODIES):
@@ -172,9 +176,8 @@ def test_parts_of_a_batch_and_threads_change_no_bit(bodies):
         assert_array_equal(a, c)
 
 
-def kernels(plan: ScenePlan, alone: bool, folder: Path) -> list[str]:
+def kernels(packer: Packer, plan: ScenePlan, alone: bool, folder: Path) -> list[str]:
     """Names of the nodes that ONNX Runtime ran for ``plan``, from its own profile."""
-    packer = make_packer()
     engine, fetched = packer._engine, packer._fetched(plan)
     data = cut((exported()[1] / "packed.onnx").read_bytes(), fetched, direct=direct_of(alone))
     options = onnxruntime.SessionOptions()
@@ -206,11 +209,16 @@ class _Recorded:
 
 
 @pytest.mark.parametrize("alone", [True, False])
-@pytest.mark.parametrize("plan", PLANS, ids=["vertices", "normals", "steps", "jets"])
-def test_nothing_that_a_plan_does_not_ask_for_is_computed(plan: ScenePlan, alone: bool, tmp_path: Path):
-    ran = kernels(plan, alone, tmp_path)
+@pytest.mark.parametrize(
+    ("plan", "in_graph"),
+    [(ScenePlan(), False), (ScenePlan(), True), (ScenePlan("both", skin=True), False), (ScenePlan("jets"), False)],
+    ids=["vertices", "vertices in the graph", "both", "jets"],
+)
+def test_nothing_that_a_plan_does_not_ask_for_is_computed(plan: ScenePlan, alone: bool, in_graph: bool, tmp_path: Path):
+    packer = make_packer(in_graph=in_graph)
+    ran = kernels(packer, plan, alone, tmp_path)
     graph = onnx.load(str(exported()[1] / "packed.onnx")).graph
-    ancestors, needed = set(), set(make_packer()._fetched(plan))
+    ancestors, needed = set(), set(packer._fetched(plan))
     for node in reversed(graph.node):
         if needed.intersection(node.output):
             ancestors.add(node.name)
@@ -218,18 +226,10 @@ def test_nothing_that_a_plan_does_not_ask_for_is_computed(plan: ScenePlan, alone
     gathers = {n.name for n in graph.node if n.op_type == "Gather" and n.input[1] in direct_of(alone)}
     assert sorted(ran) == sorted(ancestors - gathers)
     assert len(ran) < len(graph.node)
-    # Spelled out: without normals no tangents, vertices only for those and for steps, in one garment's call no copy of
-    # its constants.
-    inputs = set(make_inputs(plan, alone))
-    assert (TANGENTS in inputs) == plan.normals
-    assert ("tile_positions" in inputs) == (plan.normals or plan.shape == "steps")
-    assert ("block_item" in inputs) == (plan.shape == "steps")
-    assert ("patch_stored" in inputs) == (not alone)
-
-
-def make_inputs(plan: ScenePlan, alone: bool) -> tuple[str, ...]:
-    packer = make_packer()
-    return packer._engine.open_cut(PACKED, packer._fetched(plan), direct=direct_of(alone)).inputs
+    # Spelled out: columns of vertices only where the graph makes these, no copy of the constants of one garment's call.
+    session = make_packer()._engine.open_cut(PACKED, packer._fetched(plan), direct=direct_of(alone))
+    assert ("tile_positions" in session.inputs) == (in_graph and plan.shape != "jets")
+    assert ("patch_stored" in session.inputs) == (not alone)
 
 
 def direct_of(alone: bool) -> tuple[str, ...]:
@@ -257,22 +257,20 @@ def test_the_posed_skin_is_that_of_the_bones_and_bodies_may_differ_in_shape():
         assert_allclose(result.arrays["skin"], want[0], rtol=0, atol=5e-4)  # normals of folds are short cross products
 
 
-def test_onnxruntime_itself_would_run_everything():
+def test_onnxruntime_itself_would_run_everything(tmp_path: Path):
     """Why graphs are cut: should this fail, a newer runtime prunes by itself and ``service.graphs.subgraph`` can go."""
-    model = cut((exported()[1] / "packed.onnx").read_bytes(), ["bone_rotation", "bone_translation"])
+    values = {name: onnx.helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, [3]) for name in "xyz"}
+    nodes = [onnx.helper.make_node("Neg", ["x"], ["y"]), onnx.helper.make_node("Sin", ["x"], ["z"])]
+    graph = onnx.helper.make_graph(nodes, "two", [values["x"]], [values["y"], values["z"]])
+    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 20)], ir_version=10)
     options = onnxruntime.SessionOptions()
-    options.enable_profiling = True
-    options.profile_file_prefix = str(exported()[1] / "profile")
-    options.add_session_config_entry(WEIGHTS_FOLDER, str(exported()[1]))
-    session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
-    rows = pack_body(load_body()).rows(np.zeros((1, 24, 3)))
+    options.enable_profiling, options.profile_file_prefix = True, str(tmp_path / "profile")
+    session = onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
     run_options = onnxruntime.RunOptions()
     run_options.only_execute_path_to_fetches = True
-    session.run(["bone_rotation"], {t.name: rows[t.name] for t in session.get_inputs()}, run_options)
-    events = json.loads(Path(path := session.end_profiling()).read_text())
-    Path(path).unlink()
-    subtractions = [e for e in events if e.get("args", {}).get("op_name") == "Sub" and "_kernel" in e["name"]]
-    assert len(subtractions) == 1  # of the translation, which nobody fetched
+    session.run(["y"], {"x": np.ones(3, np.float32)}, run_options)
+    events = json.loads(Path(session.end_profiling()).read_text())
+    assert [e for e in events if e.get("args", {}).get("op_name") == "Sin" and "_kernel" in e["name"]]
 
 
 def test_memory_of_compositions_is_bounded_and_numbers_stay(bodies):
@@ -294,16 +292,12 @@ def test_constants_are_kept_once(bodies):
     for kind in KINDS:
         for name, array in packer.store.packed(kind).stored.items():
             assert np.shares_memory(array, packer.store.arrays()[name])
-    packer.run(ScenePlan(normals=True), bodies, [("tank", 0)])
-    added = sum(packer.store.packed(kind).stored[TANGENTS].nbytes for kind in KINDS)
-    assert added > 0 and packer.store.bytes == before + added
 
 
 def test_garments_come_and_go(bodies):
     packer = make_packer()
     items = [("tank", 0), ("trousers", 1)]
     before = packer.run(ScenePlan(), bodies, items)
-    packer.run(ScenePlan(normals=True), bodies, items)
     packer.add("tube", replace(tube_garment(load_body()), patch_features=garment("tank").patch_features[:12]))
     packer.remove("shorts")
     assert "shorts" not in packer.store and "tube" in packer.store
@@ -311,7 +305,6 @@ def test_garments_come_and_go(bodies):
     for a, b in zip(before, after[:2], strict=True):
         assert_array_equal(a.arrays["vertices"], b.arrays["vertices"])
     assert after[2].arrays["vertices"].shape == (216, 3)
-    assert "normals" in packer.run(ScenePlan(normals=True), bodies, [("tube", 0)])[0].arrays
 
 
 def test_what_is_not_finite_is_told_of_its_own_item(bodies):
@@ -347,11 +340,9 @@ def test_a_garment_that_is_not_in_store_is_refused(packer: Packer, bodies):
         packer.remove("cape")
 
 
-def test_plans_that_make_no_sense_are_refused():
-    with pytest.raises(InputError, match="scene shape: expected vertices or steps or jets or both, got 'points'"):
+def test_a_shape_that_is_none_is_refused():
+    with pytest.raises(InputError, match="scene shape: expected vertices or jets or both, got 'points'"):
         ScenePlan("points")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="scene normals: expected none with jets"):
-        ScenePlan("jets", normals=True)
 
 
 def test_a_manifest_with_other_tensors_is_refused(tmp_path: Path):

@@ -1,0 +1,20 @@
+"""Drapes one pose: python examples/01_drape.py [URL]; a service runs (make serve)."""
+
+import sys
+
+import numpy as np
+
+from clients.client import DrapeClient
+
+pose = np.zeros((1, 24, 3))  # SMPL's joints as rotation vectors [rad]; zeros are the T-pose
+pose[0, 16], pose[0, 17] = (0, 0, -1.1), (0, 0, 1.1)  # both shoulders: arms down
+
+with DrapeClient(*sys.argv[1:]) as client:
+    print("garments:", [garment["id"] for garment in client.garments()])
+    vertices = client.drape("tshirt", pose, settle=16)  # a single pose settles; a clip need not
+    faces = np.array(client.mesh("tshirt")["faces"])
+
+with open("tshirt.obj", "w") as file:
+    file.writelines("v {:.5f} {:.5f} {:.5f}\n".format(*vertex) for vertex in vertices[0])
+    file.writelines("f {} {} {}\n".format(*face) for face in faces + 1)
+print(f"tshirt.obj: {len(vertices[0])} vertices [m], hem at {vertices[0, :, 1].min():.2f} m")

@@ -1,0 +1,36 @@
+"""Finds the sewing pattern of a draped T-shirt: python examples/07_recover_pattern.py; no service, but torch.
+
+The target is a drape of a pattern that we know: longer than the base of the search, with longer sleeves.
+"""
+
+import numpy as np
+
+from drape.body.assets import load_body
+from recovery.drape.pipeline import DrapeOptions, drape_pattern
+from recovery.fit.optimise import FitOptions
+from recovery.fit.pipeline import recover_pattern
+from recovery.pattern.bases import base_pattern
+from recovery.pattern.coordinates import control_points
+from recovery.pattern.measurements import measure
+
+EDGE_M = 0.05  # a coarse mesh, so that this takes seconds; 0.025 is usual
+
+body = load_body()
+options = DrapeOptions(edge_length_m=EDGE_M)
+base = base_pattern("tshirt", measure(body))
+true = base_pattern("tshirt", measure(body), ["length_m=0.70", "sleeve_length_m=0.23"])
+target = drape_pattern(true, body, options)
+
+fit = FitOptions(iterations=0, closing=2)
+found = recover_pattern(
+    target.nodes, target.mesh.faces, base, body, drape=options, fit=fit, meshes_m=[EDGE_M], report=print
+)
+
+
+def error_mm(pattern) -> float:
+    """The mean distance of the corners of ``pattern`` from the true ones."""
+    return 1000 * float(np.linalg.norm(control_points(pattern).positions - corners, axis=1).mean())
+
+
+corners = control_points(true).positions
+print(f"corners: the base {error_mm(base):.1f} mm off, the recovered pattern {error_mm(found.fitted.pattern):.2f} mm")

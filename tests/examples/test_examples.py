@@ -1,0 +1,50 @@
+"""Every numbered example runs as its first line says."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from service.app import create_app
+from service.settings import ROOT, Settings
+from tests.fixtures.serving import serve
+
+EXAMPLES = sorted((ROOT / "examples").glob("0*.py"))
+ALONE = {"07_recover_pattern", "08_train"}  # without a service
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of the shipped model with the two garments that the examples wear."""
+    shipped = tmp_path_factory.mktemp("shipped")
+    for name in ("tshirt", "trousers"):
+        (path,) = Path(Settings().shipped_garments_dir).glob(f"{name}-*.npz")
+        (shipped / path.name).symlink_to(path)
+    settings = Settings(
+        shipped_garments_dir=shipped, garments_dir=tmp_path_factory.mktemp("uploads"), stream_step_down=False
+    )
+    with serve(create_app(settings), settings) as address:
+        yield address
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_runs(path: Path, request: pytest.FixtureRequest, tmp_path: Path):
+    arguments = [] if path.stem in ALONE else [request.getfixturevalue("url")]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    command = [sys.executable, str(path), *arguments]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and done.stdout.strip(), done.stderr
+    for written in tmp_path.glob("*.*"):
+        assert written.stat().st_size > 1000
+
+
+def test_examples_are_eight_and_short():
+    assert [path.name[:2] for path in EXAMPLES] == [f"0{number}" for number in range(1, 9)]
+    assert max(len(path.read_text(encoding="utf-8").splitlines()) for path in EXAMPLES) <= 40
