@@ -11,14 +11,13 @@ from __future__ import annotations
 
 import os
 import sys
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.clock import WARM_CALLS, Clock, Timing, timed
+from benchmarks.clock import Timing, timed
 from benchmarks.harness import Benchmark, Option, Run
 from benchmarks.speed import rivals
 from benchmarks.speed.setup import network_of, poses, shipped, shipped_names, with_patches, with_vertices
@@ -54,7 +53,6 @@ class Bench:
 
     engine: Engine
     halved: Engine
-    keeping: Engine  # subnormal numbers
     model: OneFit
     body: BodyModel
     shape: PackedBody
@@ -92,7 +90,6 @@ def single_rows(bench: Bench, name: str) -> list[Row]:
     rows: list[Row] = [
         {"name": "onnx", **whole.row(), "stage_ms": stages(bench, packer, name, pose, whole)},
         *pushed_rows(bench, packer, name, garment),
-        subnormal_row(bench, name, garment),
     ]
     rows[0]["push_out_ms"] = rows[1]["push_out_ms"]
     rows.append({"name": "onnx_jets", **bench.clock(packer, [name], ScenePlan("jets")).row()})
@@ -120,29 +117,6 @@ def pushed_rows(bench: Bench, packer: Packer, key: str, garment: Garment) -> lis
         count = bench.engine.pass_count if passes is None else passes
         rows.append({"name": "onnx_pushed", "passes": count, **both.row(), "push_out_ms": alone.p50_ms})
     return rows
-
-
-def subnormal_row(bench: Bench, key: str, garment: Garment) -> Row:
-    """The first of ``pushed_rows`` with subnormal numbers kept, call by call in turn with them taken as zero.
-
-    ``ratio``: how many times as long the median of the packed graph, of the push-out and of both then is.
-    """
-    sides = [replace(bench, engine=engine) for engine in (bench.engine, bench.keeping)]
-    calls = [(draping(one, one.packer({key: garment}), key, None), pushing(one, key, garment)) for one in sides]
-    clocks = [(Clock(), Clock()) for _ in calls]
-    end = time.perf_counter() + 2.0 * bench.seconds
-    while len(clocks[0][0].wall_ms) < 10 + WARM_CALLS or time.perf_counter() < end:
-        for (drape, push), (draping_took, pushing_took) in zip(calls, clocks, strict=True):
-            with draping_took:
-                draped = drape()
-            with pushing_took:
-                push(*draped)
-    times = np.array([[one.wall_ms[WARM_CALLS:] for one in side] for side in clocks]).transpose(2, 0, 1)
-    whole = times.sum(axis=2)
-    flushed, kept = np.median(np.concatenate([times, whole[:, :, None]], axis=2), axis=0)
-    ratio = dict(zip(("packed", "push_out", "both"), (kept / flushed).tolist(), strict=True))
-    row = Timing.of(whole[:, 1].tolist()).row()
-    return {"name": "onnx_subnormals", **row, "push_out_ms": float(kept[1]), "ratio": ratio}
 
 
 Draped = tuple[np.ndarray, np.ndarray]  # vertices, posed skin
@@ -250,9 +224,8 @@ def main(run: Run) -> None:
     options, body, load = run.options, load_body(), os.getloadavg()[0]
     device = Device(options.provider, options.threads)
     engine, halved = (Engine(options.model, device=device, half=half) for half in (False, True))
-    keeping = Engine(options.model, device=replace(device, keep_subnormals=True))
     seconds, model = 0.3 if options.quick else 3.0, network_of(options.model)
-    bench = Bench(engine, halved, keeping, model, body, pack_body(body), seconds, options.threads)
+    bench = Bench(engine, halved, model, body, pack_body(body), seconds, options.threads)
     run.rows = [row for name in SINGLE for row in single_rows(bench, name)]
     run.rows += batch_rows(bench, BATCHES[:4:3] if options.quick else BATCHES)
     run.rows += growth_rows(bench, quick=options.quick)

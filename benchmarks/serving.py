@@ -11,9 +11,9 @@ same clip at the same rate, measured alone before (``model_ms`` and ``model_p99_
 
 ``cpu_ms``: processor time of the server's process per pose that was sent.
 
-Cases: ``streams`` of each tier, single frames by ``POST /drape`` (httpx, and a bare client), streams of
-``two garments``, a ``still`` body beside a ``moving`` one, ``overload`` (three times the streams that ``accurate``
-carries, with and without the step down), ``beside`` other requests, and the streams of the ``twin``.
+Cases: ``streams`` of each tier; single frames by ``POST /drape`` (httpx, and a bare client); streams of ``two
+garments``; a ``still`` body beside a ``moving`` one; ``overload``, three times the streams that ``accurate`` carries,
+with and without the step down; and the streams of the ``twin``.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ import numpy as np
 from benchmarks.harness import ROOT, Benchmark, Option, Run
 from benchmarks.scenes import FPS, at_rate
 from benchmarks.served import Stream
+from benchmarks.tables import Row
 from clients.stream import DrapeStream
 from drape.catalog import find_motions
 from drape.errors import DrapeError
@@ -258,41 +259,6 @@ def posts(url: str, garment: str, clip: MotionClip, seconds: float, *, bare: boo
     return np.array(took_ms[1:])
 
 
-def others(clip: MotionClip, garment: str) -> dict[str, Callable[[httpx.Client], Any]]:
-    """Requests that others make meanwhile, by name."""
-    rows = np.resize(clip.poses, (300, 24, 3)).tolist()
-    document = {"garment": garment, "poses": rows, "folds": 0, "passes": 0}
-    illegal = b'{"garment":"' + garment.encode() + b'","poses":[' + b"[]," * 2_000_000 + b"[]]}"
-    return {
-        "JSON of 300 frames": lambda http: http.post("/drape", json=document, headers={"Accept": "application/json"}),
-        "GLB of 300 frames": lambda http: http.post("/drape", json=document, headers={"Accept": "model/gltf-binary"}),
-        "illegal body": lambda http: http.post("/drape", content=illegal, headers={"Content-Type": "application/json"}),
-        "opening an outfit": lambda http: http.post(
-            "/drape", json={"garments": ["trousers", "tshirt"], "poses": rows[:1]}
-        ),
-    }  # fmt: skip
-
-
-async def with_others(
-    url: str, clip: MotionClip, seconds: float, ask: Callable[[httpx.Client], Any],
-    *, begun: Callable[[], None] | None = None, **options: Any,
-) -> list[Seen]:  # fmt: skip
-    """What one client sees while ``ask`` is asked again and again."""
-    end = asyncio.Event()
-
-    def asking() -> None:
-        with httpx.Client(base_url=url, timeout=120.0) as http:
-            while not end.is_set():
-                ask(http)
-
-    other = asyncio.create_task(asyncio.to_thread(asking))
-    try:
-        return await crowd(url, clip, 1, seconds, begun=begun, **options)
-    finally:
-        end.set()
-        await other
-
-
 @dataclass(eq=False)
 class Bench:
     """What all cases share; their rows go to ``run``."""
@@ -304,18 +270,10 @@ class Bench:
     model_ms: dict[str, np.ndarray]
     warm_s: float = WARM_S
 
-    def measure(
-        self, case: str, at: Server, tier: str, count: int = 1, *, name: str = "service",
-        beside: Callable[[httpx.Client], Any] | None = None, **others: Any,
-    ) -> dict[str, Any]:  # fmt: skip
-        """Adds the row of ``count`` clients of ``tier``, ``beside`` a request that is made again and again; ``others``
-        are more of their options."""
+    def measure(self, case: str, at: Server, tier: str, count: int = 1, *, name: str = "service", **others: Any) -> Row:
+        """Adds the row of ``count`` clients of ``tier``; ``others`` are more of their options."""
         spent, options = Spent(at), {"garment": self.garment, "tier": tier} | others
-        if beside is None:
-            going = crowd(at.url, self.clip, count, self.seconds, self.warm_s, begun=spent.begin, **options)
-        else:
-            going = with_others(at.url, self.clip, self.seconds, beside, begun=spent.begin, **options)
-        seen = asyncio.run(going)
+        seen = asyncio.run(crowd(at.url, self.clip, count, self.seconds, self.warm_s, begun=spent.begin, **options))
         row = {"case": case, "server": name, "tier": tier, "clients": count, "fps": FPS}
         alone = self.model_ms[tier] if name == "service" and not others and len(self.clip.poses) > 1 else None
         row |= figures(seen, alone) | {"cpu_ms": spent.ms_per_frame(sum(one.sent for one in seen))}
@@ -361,9 +319,6 @@ def measure(bench: Bench, options: argparse.Namespace) -> dict[str, int]:
     for step_down in (False, True):
         with server(stream_step_down=step_down) as at:
             crowded.measure(f"overload, step down {'on' if step_down else 'off'}", at, "accurate", 3 * most)
-    with server() as at:
-        for name, ask in others(bench.clip, bench.garment).items():
-            bench.measure(f"beside {name}", at, "fast", beside=ask)
     return carried
 
 

@@ -3,18 +3,15 @@
     python -m benchmarks.tradeoff
     python -m benchmarks.tradeoff --garments tshirt dress trousers --fabrics jersey denim satin --save
     python -m benchmarks.tradeoff --garments tshirt --quick
-    python -m benchmarks.tradeoff --newton /elsewhere/bin/python
 
 Every combination of passes, folds and push-out drapes the same clips, frame by frame through the stages of the service
 (with folds, the push-out is their lift off the skin). Combinations take turns with each other and with the rival:
 skinning and a SciPy push-out. ``time_ratio`` is processor time over the rival's. The rival (``skinning_push``) and the
-optimum (``physics``) have rows too, as ends of the axis; with ``--newton PYTHON`` a simulator does, for the first
-garment in the first fabric (``newton_vbd``). Figures are those of ``benchmarks.folds``, over frames at rest (motion 0)
-whose physics was minimised. Cloth of that physics may pass through itself, served cloth may not; rows "through itself"
-tell what the difference costs.
+optimum (``physics``) have rows too, as ends of the axis. Figures are those of ``benchmarks.folds``, over frames at rest
+(motion 0) whose physics was minimised. Cloth of that physics may pass through itself, served cloth may not; rows
+"through itself" tell what the difference costs.
 
-``tiers`` of the record are chosen by one rule (``tiers_of``); ``--write`` puts them into the model's manifest, and
-``--plot FILE`` draws the front.
+``tiers`` of the record are chosen by one rule (``tiers_of``); ``--write`` puts them into the model's manifest.
 """
 
 from __future__ import annotations
@@ -32,12 +29,10 @@ from benchmarks import folds
 from benchmarks.clock import Clock
 from benchmarks.folds import Bound
 from benchmarks.harness import Benchmark, Option, Run, finite, inputs, machine
-from benchmarks.judge.physics import held_by_waist
 from benchmarks.measure.intersections import intersection_count
 from benchmarks.network import Network
 from benchmarks.scenes import Scene, fabrics_option, read_clips, scenes
 from benchmarks.served import Stream
-from benchmarks.speed.rivals import NewtonClip
 from benchmarks.speed.skinning_push import SkinningPush
 from benchmarks.tables import Row, text_table
 from drape.artifacts import load_manifest, model_folder
@@ -52,10 +47,6 @@ PASSES = tuple(folds.PASSES.values())
 CROSSED = 2  # of the frames with an optimum, whose crossings are counted
 TAKEN = ("energy_j", "edge_pct", "jitter_ratio", "colliding_pct", "skin_pixels_pct")  # of the referee's figures
 ENOUGH = 0.002  # of gain: what gives less is not worth more time
-# Steps of a frame and iterations of each: as Newton's examples have it, and the nearest to physics of what was tried.
-# With fewer sweeps cloth slides off: 8 steps of 2 iterations and 16 of 2 are worse than skinning.
-NEWTON_PACES = ((8, 10), (32, 3))
-NEWTON_HELP = "an interpreter that has the package newton"
 KNOBS = ("passes", "folds", "push_out", "cloth_contact")
 COLUMNS = {
     "tier": "s", "knobs": "s", "garment": "s", "fabric": "s", "clip": "s", "p50_ms": ".2f", "p95_ms": ".2f",
@@ -121,9 +112,8 @@ class Case:
         return folds.figures(self.least.judge, self.skinned, self.skinned, self.scene.clip.measured[self.least.few])
 
 
-def measure(case: Case, drapery: Drapery, knobs: Sequence[Knobs], newton: str | None = None) -> list[Row]:
-    """The rows of ``case``: all ``knobs``, the rival, physics, and a simulator where the interpreter ``newton`` has
-    it."""
+def measure(case: Case, drapery: Drapery, knobs: Sequence[Knobs]) -> list[Row]:
+    """The rows of ``case``: all ``knobs``, the rival, and physics."""
     clip, body, garment = case.scene.clip, case.scene.body, case.scene.garment
     scene, count = drapery.garments.add(garment, "user"), drapery.engine.pass_count
     plans = [drapery.plan(scene, one.options(count, fabric=case.scene.fabric.name)) for one in knobs]
@@ -147,36 +137,8 @@ def measure(case: Case, drapery: Drapery, knobs: Sequence[Knobs], newton: str | 
     physics = {"gain": 1.0, "detail_share": 1.0, "error_mm": 0.0, "energy_j": case.least.energy_j}
     took = {"tier": "physics", "knobs": "", "cpu_ms": 1e3 * case.least.processor_s}
     rows.append(case.scene.name | took | physics)
-    if newton is not None:
-        rows += newton_rows(case, start, newton)
     for row in rows:
         row["time_ratio"] = row["cpu_ms"] / times(clock)["cpu_ms"]
-    return rows
-
-
-def newton_rows(case: Case, start: np.ndarray, newton: str | None) -> list[Row]:
-    """A row of Newton's VBD solver for each of ``NEWTON_PACES`` that comes through the clip; says why others do not.
-
-    It starts where the rival has the first frame and simulates the cloth's motion, in which it differs from physics,
-    which rests in every frame; it has no contact of cloth with cloth.
-    """
-    one, cloth, body = case.scene, case.least.judge.cloth, case.scene.body
-    scene = NewtonClip(
-        cloth.mesh, cloth.rest, case.skinned[0], cloth.material, one.fabric.friction, body.faces,
-        body.posed_vertices(one.clip.poses), one.clip.fps, held_by_waist(one.garment, body, case.skinned),
-    )  # fmt: skip
-    found = scene.run(newton, NEWTON_PACES)
-    if isinstance(found, str):
-        print(f"newton_vbd is left out: {found}", flush=True)
-        return []
-    rows = []
-    for i, (steps, iterations) in enumerate(NEWTON_PACES):
-        knobs, vertices = f"{steps} steps, {iterations} iterations", found["vertices"][i]
-        if not np.isfinite(vertices).all():
-            print(f"newton_vbd, {knobs}, is left out: its cloth flew apart", flush=True)
-            continue
-        took = times(Clock(found["wall_ms"][i], found["cpu_ms"][i]))
-        rows.append({"tier": "newton_vbd", "knobs": knobs, **took, **case.row(vertices, start)})
     return rows
 
 
@@ -251,45 +213,6 @@ def write_tiers(folder: Path, tiers: list[Row]) -> None:
     (folder / "manifest.json").write_text(manifest.to_json())
 
 
-def plot(mean: Sequence[Row], chosen: Sequence[Row], path: Path) -> None:
-    """Time as a share of the rival's against what is left of the way to physics, both logarithmic."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(figsize=(8.0, 5.0))
-    shown = [row for row in mean if row["gain"] < 1.0 and row["tier"] != "skinning_push"]
-    for push in (True, False):
-        for passes in PASSES:
-            same = [row for row in shown if row["push_out"] is push and row["passes"] == passes]
-            line = [row for row in same if row["folds"] is not None and row["cloth_contact"]]
-            name = f"{'all' if passes is None else 'no'} corrections{', push-out' if push else ''}"
-            axes.plot([row["time_ratio"] for row in line], [1.0 - row["gain"] for row in line],
-                      marker="o", label=name, linestyle="-" if push else ":")  # fmt: skip
-            for row in line:
-                axes.annotate(str(row["folds"]), (row["time_ratio"], 1.0 - row["gain"]), fontsize=8,
-                              xytext=(3, 3), textcoords="offset points")  # fmt: skip
-    simulated = [row for row in shown if row["tier"] == "newton_vbd"]
-    if simulated:
-        axes.plot([row["time_ratio"] for row in simulated], [1.0 - row["gain"] for row in simulated],
-                  marker="s", color="0.4", linestyle="", label="Newton VBD")  # fmt: skip
-    for row in simulated:
-        axes.annotate(row["knobs"], (row["time_ratio"], 1.0 - row["gain"]), fontsize=8, ha="right",
-                      xytext=(-5, 3), textcoords="offset points")  # fmt: skip
-    for name, row in zip(NAMES, chosen, strict=True):
-        axes.annotate(name, (row["time_ratio"], 1.0 - row["gain"]), weight="bold",
-                      xytext=(-10, -16), textcoords="offset points")  # fmt: skip
-    axes.axvline(1.0, color="0.7", linewidth=1.0)
-    axes.set(xscale="log", yscale="log", xlabel="processor time of a frame, skinning + SciPy push-out = 1",
-             ylabel="1 - gain (0: physics)", title="Numbers at the points: steps of folds")  # fmt: skip
-    axes.legend(fontsize=8)
-    figure.tight_layout()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
-    pyplot.close(figure)
-
-
 def combinations(steps: Sequence[int]) -> list[Knobs]:
     """What is measured with each number of ``steps``: as served, without push-out, and without that and without cloth
     that feels itself."""
@@ -305,8 +228,6 @@ def combinations(steps: Sequence[int]) -> list[Knobs]:
     fabrics_option("jersey", "denim", "satin"),
     Option("--folds", (0, 1, 2, 4, 8, 16), "steps of folds", (0, 1, 2)),
     Option("--frames", 48, "of a clip at most", 8),
-    Option("--newton", None, f"{NEWTON_HELP}, for its rows"),
-    Option("--plot", None, "draw the front into this file", kind=Path),
     Option("--write", False, "put the tiers into the model's manifest"),
 )
 def main(run: Run) -> None:
@@ -315,14 +236,8 @@ def main(run: Run) -> None:
     folder = model_folder(options.model)
     drapery = Drapery(Settings(models_dir=folder.parent, model=folder.name, threads=options.threads), body=body)
     networks, knobs = folds.open_networks(options, body), combinations(options.folds)
-    if options.newton is None:
-        print(f"no rows of newton_vbd: they need --newton PYTHON, {NEWTON_HELP}", flush=True)
-    first: dict[str, Any] | None = None
     for scene in scenes(options, read_clips(options, body), body):
-        here = {key: scene.name[key] for key in ("garment", "fabric")}
-        first = first or here  # the simulator takes seconds a frame, and has this one alone
-        newton = options.newton if here == first else None
-        run.rows += measure(Case.of(scene, networks), drapery, knobs, newton)
+        run.rows += measure(Case.of(scene, networks), drapery, knobs)
         print(f"{', '.join(scene.name.values())}: done", flush=True)
     drapery.close()
     mean = means(run.rows)
@@ -333,8 +248,6 @@ def main(run: Run) -> None:
     run.notes += ["", text_table(mean, COLUMNS | {"gain_p05": ".3f"}), json.dumps(tiers)]
     if options.write:
         write_tiers(folder, tiers)
-    if options.plot:
-        plot(mean, chosen, options.plot)
     run.extra |= {"means": mean, "tiers": tiers, "frames": options.frames, "model": options.model}
 
 

@@ -69,12 +69,11 @@ COLUMNS = {
 
 @dataclass(frozen=True)
 class LossSet:
-    """Terms that are summed. ``house``: the energy and the disagreement of training.run, its bending by hinges or
-    by ``jet_bending``; ``paper``: terms of equation 10; ``metric``: equation 3 beside the house energy."""
+    """Terms that are summed: ``house``, the energy and the disagreement of training.run; ``metric``, equation 3 beside
+    it; ``paper``, terms of equation 10."""
 
     name: str
     house: bool = False
-    jet_bending: bool = False
     metric: bool = False
     paper: tuple[str, ...] = ()
 
@@ -85,7 +84,6 @@ LOSS_SETS = {
     for found in (
         LossSet("house", house=True),
         LossSet("house_metric", house=True, metric=True),
-        LossSet("house_jet_bending", house=True, jet_bending=True),
         LossSet("paper", paper=PAPER_TERMS),
         *(LossSet(f"no_{term}", paper=tuple(t for t in PAPER_TERMS if t != term)) for term in PAPER_TERMS),
     )
@@ -148,21 +146,18 @@ class LossTrainer(Trainer):
     ) -> dict[str, Tensor]:
         """The loss of ``Trainer``, by term, with the changes that were chosen."""
         vertices, posed = draped.vertices, draped.posed
-        config, area = self.config, float(garment.rest.areas.sum())
+        config = self.config
         parts = self._energy(vertices, garment, self._planes(vertices, batch))
         terms = {"contact": losses.soften(parts["contact"], config.contact_knee_j_m2).mean()}
         terms |= {name: parts[name].mean() for name in ("membrane", "bending", "gravity")}
         share = config.early_agreement + (1.0 - config.early_agreement) * self.progress()
         terms["disagreement"] = config.disagreement_weight * share * self._disagreement(draped.coefficients, partition)
-        if self.chosen.jet_bending or self.chosen.metric:
+        if self.chosen.metric:
             sample = torch.randperm(vertices.shape[1], generator=self.generator)[:SAMPLE_VERTICES].to(self.device)
             samples, surface = self._charts(posed, garment, partition, batch, sample)
-            if self.chosen.jet_bending:
-                own = garment.cloth.vertex_area[sample] * (vertices.shape[1] / len(sample))
-                terms["bending"] = paper_losses.jet_bending(surface.jet, samples, own, self.material).mean() / area
-            if self.chosen.metric:
-                depth = self._depth(vertices, sample, batch)
-                terms["metric"] = METRIC_WEIGHT * self._metric(surface, samples, depth).mean()
+            terms["metric"] = (
+                METRIC_WEIGHT * self._metric(surface, samples, self._depth(vertices, sample, batch)).mean()
+            )
         return terms
 
     def _depth(self, vertices: Tensor, sample: Tensor, batch: BodyBatch) -> Tensor:

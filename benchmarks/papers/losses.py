@@ -1,4 +1,4 @@
-"""The losses of OneFit (section 3, equations 2 to 7) on overlapping charts, and bending from the jets.
+"""The losses of OneFit (section 3, equations 2 to 7) on overlapping charts.
 
 The published method cuts the garment into patches that touch; here charts overlap, so "points on the boundary
 of two patches" are the vertices where two charts both say something. First and second fundamental forms are
@@ -25,7 +25,6 @@ from training.data import Partition
 from training.model import Posed
 
 STRETCH_DEPTH_M, STRETCH_EPOCHS = 0.01, 100.0  # of k_ext, under equation 3
-HINGE_POISSON = -1.0 / 3.0  # with it a plate bends as hinges on equilateral triangles do, in all directions
 
 
 # Section 4.1. The weight of the normals in equation 5 is not published: 1 makes 30 degrees count as 2 mm.
@@ -226,33 +225,3 @@ def boundary(surface: ChartSurface, weight: Tensor) -> Tensor:
 def gravity(vertices: Tensor, cloth: ClothMesh, material: Material) -> Tensor:
     """Equation 7: -m g^T x [J], summed over the vertices."""
     return energies.gravity(vertices, cloth, material)
-
-
-# --- bending from the second fundamental form -----------------------------------------------------------------------
-
-
-def second_form(jet: Tensor, uv: Tensor, scale: Tensor) -> Tensor:
-    """Second fundamental form h = n . x_ij (..., 2, 2) [m per unit^2] of jets (..., 27) at ``uv`` (..., 2)."""
-    normal = jets.normal(jet, uv)
-    uu, mixed, vv = (
-        (normal * jets.evaluate(jet, uv, u_times=a, v_times=b)).sum(dim=-1) for a, b in ((2, 0), (1, 1), (0, 2))
-    )
-    rows = torch.stack([torch.stack([uu, mixed], dim=-1), torch.stack([mixed, vv], dim=-1)], dim=-2)
-    return scale[..., None, None] * rows
-
-
-def jet_bending(
-    jet: Tensor, samples: ChartSamples, area: Tensor, material: Material, *, poisson: float = HINGE_POISSON
-) -> Tensor:
-    """Plate energy [J] of the whole jets (F, n, 4, 27) against the rest jets, instead of the hinges' of a mesh.
-
-    With b = g_T^-1 (h - h_T) the change of curvature, the density is k/2 (tr(b)^2 - 2 (1 - poisson) det(b)),
-    k = ``material.bending_j``: k/2 (curvature)^2 on a cylinder, as the hinges'. ``area`` [m^2] (n,) of each point;
-    charts count by their weight. Equal to ``energies.bending`` on fine meshes of equilateral triangles.
-    """
-    change = second_form(jet, samples.uv, samples.scale) - second_form(samples.rest_jet, samples.uv, samples.scale)
-    bent = torch.linalg.solve(samples.rest_metric, change)
-    trace = bent[..., 0, 0] + bent[..., 1, 1]
-    determinant = bent[..., 0, 0] * bent[..., 1, 1] - bent[..., 0, 1] * bent[..., 1, 0]
-    density = 0.5 * material.bending_j * (trace.square() - 2.0 * (1.0 - poisson) * determinant)
-    return (area[:, None] * samples.weight * density).sum(dim=(-2, -1))

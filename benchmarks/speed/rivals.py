@@ -1,30 +1,17 @@
-"""Rivals of the product: the same network in torch, the floor of its operations, and a clip in Newton's simulator.
-
-The first two stand beside the packed graph in ``benchmarks.latency``, the simulator beside the service in
-``benchmarks.tradeoff``.
-"""
+"""What stands beside the packed graph in ``benchmarks.latency``: the same network in torch, and the floor."""
 
 from __future__ import annotations
 
-import subprocess
-import tempfile
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from benchmarks.clock import timed
-from benchmarks.harness import ROOT
-from benchmarks.judge.physics import Held
 from benchmarks.tables import Row
 from drape.arrays.subnormals import flushed
 from drape.body.model import BodyModel
-from drape.cloth.energies import ClothMesh
-from drape.cloth.material import Material
 from drape.garment.cache import Garment
 from drape.garment.consensus import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.garment.fabric_features import encoder_features
@@ -35,9 +22,6 @@ from drape.graph.packing import PackedGarment, Place, compose, pack_body, pack_g
 from drape.graph.push_feed import SkinShapes
 from model_export.packed.graph import FirstGraph, PackedGraph
 from training.model import OneFit
-
-NEWTON_LIMIT_S = 3600
-NEWTON_CONTACT_N_PER_M, NEWTON_CONTACT_KD = 1300.0, 1e-2
 
 
 class EagerDrape(nn.Module):
@@ -115,82 +99,3 @@ def floor_row(model: OneFit, garment: PackedGarment, *, threads: int) -> Row:
         "gemm_gflops": 2e-9 * gemm,
         "copy_gb_s": 1e-9 * copy,
     }
-
-
-def newton_runs(python: str | None, scene: dict[str, Any]) -> dict[str, np.ndarray] | str:
-    """What ``benchmarks.speed.newton_vbd`` finds of ``scene`` in the interpreter ``python``, or why nothing."""
-    if python is None:
-        return "no interpreter with newton: give --newton PYTHON"
-    with tempfile.TemporaryDirectory() as folder:
-        path, out = Path(folder) / "scene.npz", Path(folder) / "out.npz"
-        np.savez(path, **scene)
-        command = [python, str(ROOT / "benchmarks/speed/newton_vbd.py"), str(path), str(out)]
-        try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=NEWTON_LIMIT_S, check=False)
-        except (OSError, subprocess.TimeoutExpired) as error:
-            return type(error).__name__
-        if done.returncode:
-            lines = done.stderr.strip().splitlines() or ["no message"]
-            return lines[-1][:160]
-        with np.load(out) as found:
-            return {name: found[name] for name in found.files}
-
-
-def newton_cloth(cloth: Material) -> dict[str, Any]:
-    """``cloth`` as Newton knows it, whose membrane is isotropic: ``membrane`` (mu) and ``area`` (lambda) [N/m].
-
-    They are those of the isotropic cloth nearest to ours, which is ours averaged over the directions that its warp
-    could have: an isotropic one keeps its own. Bending is averaged too, which leaves ``bending_j`` of the harmonics.
-    """
-    warp, weft, cross, shear = cloth.membrane
-    return {
-        "membrane": (warp + weft - 2.0 * cross + shear) / 8.0,
-        "area": (warp + weft + 6.0 * cross - shear) / 8.0,
-        "bending": cloth.bending_j,
-        "density": cloth.density_kg_m2,
-    }
-
-
-@dataclass(frozen=True, eq=False)
-class NewtonClip:
-    """A clip for Newton: ``cloth`` of ``friction`` that starts at ``start`` [m] (V, 3) and is at rest in ``mesh``, over
-    bodies ``body_vertices`` [m] (F, B, 3) at ``fps``, and is ``held`` at its waist where it has one.
-
-    Sheets, hinges and their stiffness by direction are ours; the membrane is isotropic (``newton_cloth``). Contact
-    begins at our distance, with 1,300 N/m, and the skin's speed is told
-    to friction. What was tried, on a T-shirt in jersey in its sixth frame of the walk, as energy [J], of which physics
-    has 0.04 and skinning 1.09. Sweeps: 8 steps of 10 iterations 0.72, 16 of 5 0.24, 32 of 3 0.14, 32 of 1 0.38, 16 of 2
-    1.09, 8 of 2 3.9. Contact in 8 steps of 10: our own 70 N/m 0.99; in 32 of 3: 10,000 N/m 0.14, begun at 6 mm 0.13,
-    without friction 0.15. The fabric's damping hinders convergence: 5.7 for the 0.99.
-    """
-
-    mesh: ClothMesh
-    rest: np.ndarray
-    start: np.ndarray
-    cloth: Material
-    friction: float
-    body_faces: np.ndarray
-    body_vertices: np.ndarray
-    fps: float
-    held: Held | None = None
-
-    def scene(self, paces: Sequence[tuple[int, int]]) -> dict[str, Any]:
-        """What ``benchmarks.speed.newton_vbd`` reads; ``paces`` are steps and iterations of a frame."""
-        frames, held, mesh = len(self.body_vertices), self.held, self.mesh
-        along, *turned = self.cloth.bending
-        return {
-            "rest": self.rest, "faces": self.mesh.faces, "start": self.start, "paces": np.array(paces),
-            "body_faces": self.body_faces, "body_vertices": self.body_vertices, "fps": self.fps,
-            "pinned": np.zeros(0, int) if held is None else held.vertex,
-            "anchor": np.zeros((frames, 0, 3)) if held is None else held.anchor,
-            "radius": self.cloth.contact_gap_m, "friction": self.friction, **newton_cloth(self.cloth),
-            "contact_ke": NEWTON_CONTACT_N_PER_M, "contact_kd": NEWTON_CONTACT_KD,
-            "inverse_shape": mesh.inverse_shape, "face_area": mesh.face_area, "vertex_kg": mesh.vertex_mass(self.cloth),
-            "hinge_edge": np.asarray(mesh.hinge_index).reshape(4, -1)[:2].T,
-            "hinge_j": mesh.hinge_weight * (along + mesh.hinge_turn @ np.array(turned)),
-            "hinge_angle": np.arctan2(mesh.hinge_sine, mesh.hinge_cosine),
-        }  # fmt: skip
-
-    def run(self, python: str | None, paces: Sequence[tuple[int, int]]) -> dict[str, np.ndarray] | str:
-        """``vertices`` (P, F, V, 3) and times ``wall_ms``, ``cpu_ms`` (P, F) in ``python``, or why there are none."""
-        return newton_runs(python, self.scene(paces))

@@ -37,7 +37,6 @@ from drape.garment.fitting import fit_error, patch_fields
 POINTS = 128
 PATCH_PARTITIONS = 2  # random partitions of every garment that patches without overlap are drawn from
 SEED = 777_000
-SEARCHED = 1024  # patches whose best frame is searched
 COMPARED = ("gaussian", "families", "finetuned", "adapted", "pointnet", "dgcnn")
 ORDERS = (1, 2, 3, 4, 5, 6)
 PAPER: dict[str, dict[str, dict[str, float]]] = {
@@ -79,7 +78,7 @@ def networks(folder: Path, *, quick: bool) -> dict[str, nn.Module]:
 
 
 def fit_rows(models: dict[str, nn.Module], garments: Patches, synthetic: Patches) -> list[Row]:
-    """Tables 3, 6 and 8, with two rows more: the frame of the mean normal, and a search for the best frame."""
+    """Tables 3, 6 and 8, with one row more: the frame of the mean normal, which the product uses."""
     named: dict[str, nn.Module | None] = {name: models[name] for name in COMPARED} | {"pca": None}
     measured = {
         name: measures.evaluate(model, garments)
@@ -92,14 +91,7 @@ def fit_rows(models: dict[str, nn.Module], garments: Patches, synthetic: Patches
             ms = {"ms": measures.milliseconds_per_patch(named[name], garments)} if table == "8" else {}
             rows.append({"table": table, "model": name, **measured[name], **ms, **paper})
     rows.append({"table": "6", "model": "adapted", **measured["adapted"]})
-    rows.append({"table": "6", "model": "mean normal", **measures.evaluate_mean_normal(garments)})
-    return [*rows, {"table": "6", "model": "best by search", **measures.search(thinned(garments, SEARCHED))}]
-
-
-def thinned(patches: Patches, count: int) -> Patches:
-    """About ``count`` of ``patches``, evenly."""
-    step = max(1, len(patches.points) // count)
-    return Patches(patches.points[::step], patches.normals[::step])
+    return [*rows, {"table": "6", "model": "mean normal", **measures.evaluate_mean_normal(garments)}]
 
 
 def order_rows(model: nn.Module, patches: Patches) -> list[Row]:

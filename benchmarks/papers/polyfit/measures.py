@@ -13,10 +13,8 @@ from benchmarks.papers.polyfit.families import Patches
 from benchmarks.papers.polyfit.garment_patches import NamedGarment, sample_patches
 from benchmarks.papers.polyfit.train import fitted, prepare
 from drape.garment.partition import partition, patch_count_for
-from drape.geometry.rotations import rotvec_to_quaternion
 
 BATCH = 512
-SEARCH_STEPS, SEARCH_RATE = 60, 0.03
 CLUSTER_POINTS = 400  # per patch of table 7
 
 
@@ -69,24 +67,6 @@ def evaluate_mean_normal(patches: Patches) -> dict[str, float]:
     """The fit of ``patches`` in the frames of their mean normals."""
     with torch.no_grad():
         return summary([figures(*fitted(None, mean_normal_frames(patches), order=4))])
-
-
-def search(patches: Patches) -> dict[str, float]:
-    """The best frame of every patch by descent on its own height error: what no network can beat by much."""
-    own = prepare(patches)
-    turn = torch.zeros(len(own.points), 3, requires_grad=True)
-    optimiser = torch.optim.Adam([turn], lr=SEARCH_RATE)
-    for step in range(SEARCH_STEPS):
-        optimiser.param_groups[0]["lr"] = SEARCH_RATE * (1.0 - step / SEARCH_STEPS)
-        quaternion = rotvec_to_quaternion(turn)
-        loss = fit.height_rmse(fit.fit_jet(fit.turned(own.points, quaternion), order=4)).sum()
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-    with torch.no_grad():
-        quaternion = rotvec_to_quaternion(turn)
-        result = fit.fit_jet(fit.turned(own.points, quaternion), order=4)
-        return summary([figures(result, fit.turned(own.normals, quaternion))])
 
 
 def milliseconds_per_patch(model: nn.Module | None, patches: Patches, *, repeats: int = 5) -> float:
