@@ -40,7 +40,7 @@ from drape.geometry import closest, meshes
 from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
 from drape.wire.options import DrapeOptions
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from service.stages.batch import Plan
 
@@ -83,7 +83,7 @@ class Worn:
             raise InputError("--outfits", expected="an outer garment over the inner", got=text, cure="Turn them round.")
         return cls(text, inner, outer, covered)
 
-    def plans(self, drapery: Drapery, folds: int) -> dict[str, list[Plan]]:
+    def plans(self, drapery: DrapeRuntime, folds: int) -> dict[str, list[Plan]]:
         """What is asked of the service, by method; the garments that it needs are taken in."""
         inner, outer = (drapery.garments.add(garment, "user") for garment in (self.inner, self.outer))
         both = drapery.garments.scene(None, [inner.id, outer.id])
@@ -94,7 +94,7 @@ class Worn:
             "projected": [drapery.plan(both, DrapeOptions(folds=0))],
         }
         for plan in (plan for plans in found.values() for plan in plans):
-            drapery.take_in(plan)
+            drapery.add_missing(plan)
         return found
 
 
@@ -154,7 +154,7 @@ def at_rest(garment: Garment) -> tuple[np.ndarray, np.ndarray]:
     return garment.vertices[: garment.vertex_count].astype(np.float64), garment.faces.astype(np.int64)
 
 
-def measure(worn: Worn, watched: Watched, drapery: Drapery, folds: int) -> list[Row]:
+def measure(worn: Worn, watched: Watched, drapery: DrapeRuntime, folds: int) -> list[Row]:
     """A row for each method."""
     clip, shapes = watched.clip, drapery.body.shape_count
     streams = {method: [Stream(plan, shapes) for plan in plans] for method, plans in worn.plans(drapery, folds).items()}
@@ -226,7 +226,7 @@ def main(run: Run) -> None:
     watched = [Watched.of(clip, streamed=True) for clip in clips] + [
         Watched.of(Clip.hard(chosen, body), streamed=False)
     ]
-    drapery = Drapery(Settings(models_dir=folder.parent, model=folder.name, threads=options.threads), body=body)
+    drapery = DrapeRuntime(Settings(models_dir=folder.parent, model=folder.name, threads=options.threads), body=body)
     for worn, frames in product(outfits, watched):
         run.add(measure(worn, frames, drapery, options.folds))
     drapery.close()

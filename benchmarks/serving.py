@@ -47,7 +47,7 @@ from drape.motion.clip import MotionClip
 from drape.motion.readers import read_motion
 from drape.wire.clips import pack_clip
 from drape.wire.options import DrapeOptions
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.compute.tiers import NAMES
 from service.compute.unchanged import REST_S
 from service.settings import Settings
@@ -208,7 +208,7 @@ def model_times(garment: str, clip: MotionClip, seconds: float) -> dict[str, np.
 
     By tier, and for ``POST``: warm frames of its options.
     """
-    drapery = Drapery(Settings())
+    drapery = DrapeRuntime(Settings())
     entry, shapes = drapery.garments.get(garment), drapery.body.shape_count
     asked = {tier.name: DrapeOptions.model_validate({"tier": tier.name}) for tier in drapery.tiers}
     found = {

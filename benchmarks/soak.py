@@ -23,7 +23,7 @@ from drape.errors import DrapeError
 from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix, rotvec_to_quaternion, sixd_to_matrix
 from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.http.poses import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M
 from service.settings import Settings
 from service.stages.batch import Batch, PoseInput
@@ -60,7 +60,9 @@ class Fuzz:
         return PoseInput(self._pose[None], place, self._betas, np.array([self._time_s])), anew
 
 
-def soak_frames(drapery: Drapery, *, count: int, until_s: float, seed: int, folds: int = 2) -> tuple[int, str | None]:
+def soak_frames(
+    drapery: DrapeRuntime, *, count: int, until_s: float, seed: int, folds: int = 2
+) -> tuple[int, str | None]:
     """How many of ``count`` frames were draped until ``time.monotonic`` was ``until_s``, and the first failure."""
     (entry,) = drapery.garments.entries()
     plan = drapery.plan(entry, DrapeOptions(push_out=True, folds=folds, settle=2), messages=True)
@@ -78,7 +80,7 @@ def soak_frames(drapery: Drapery, *, count: int, until_s: float, seed: int, fold
     return count, None
 
 
-def _check(batch: Batch, one: PoseInput, drapery: Drapery) -> None:
+def _check(batch: Batch, one: PoseInput, drapery: DrapeRuntime) -> None:
     """Raises ``AssertionError`` where ``batch`` is no drape of the frame ``one``."""
     box = drapery.body.posed_vertices(one.poses, None, one.betas)[0] - drapery.body.rest_joints(one.betas)[0]
     vertices = batch.vertices[0]
@@ -129,7 +131,7 @@ def main(run: Run) -> None:
         shipped.mkdir()
         shutil.copy(find_garments([options.garment])[0], shipped)
         settings = Settings(shipped_garments_dir=shipped, garments_dir=Path(folder), threads=options.threads)
-        drapery = Drapery(settings)
+        drapery = DrapeRuntime(settings)
     until_s, frames = time.monotonic() + 0.1 * options.seconds, 0
     rows, failed = soak_rows(count=options.rows, until_s=until_s, seed=options.seed)
     if failed is None:

@@ -39,7 +39,7 @@ from drape.artifacts import load_manifest, model_folder
 from drape.body.assets import load_body
 from drape.errors import InputError
 from drape.wire.options import DrapeOptions
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.compute.tiers import NAMES, Tier, read_tiers
 from service.settings import Settings
 
@@ -112,13 +112,13 @@ class Case:
         return folds.figures(self.least.judge, self.skinned, self.skinned, self.scene.clip.measured[self.least.few])
 
 
-def measure(case: Case, drapery: Drapery, knobs: Sequence[Knobs]) -> list[Row]:
+def measure(case: Case, drapery: DrapeRuntime, knobs: Sequence[Knobs]) -> list[Row]:
     """The rows of ``case``: all ``knobs``, the rival, and physics."""
     clip, body, garment = case.scene.clip, case.scene.body, case.scene.garment
     scene, count = drapery.garments.add(garment, "user"), drapery.engine.pass_count
     plans = [drapery.plan(scene, one.options(count, fabric=case.scene.fabric.name)) for one in knobs]
     for plan in plans:
-        drapery.take_in(plan)
+        drapery.add_missing(plan)
     streams = [Stream(plan, body.shape_count) for plan in plans]
     rival, clock = SkinningPush(garment, body), Clock()
     vertices: list[list[np.ndarray]] = [[] for _ in range(len(plans) + 1)]
@@ -234,7 +234,7 @@ def main(run: Run) -> None:
     """Rows of every scene, their means, and the tiers."""
     options, body = run.options, load_body()
     folder = model_folder(options.model)
-    drapery = Drapery(Settings(models_dir=folder.parent, model=folder.name, threads=options.threads), body=body)
+    drapery = DrapeRuntime(Settings(models_dir=folder.parent, model=folder.name, threads=options.threads), body=body)
     networks, knobs = folds.open_networks(options, body), combinations(options.folds)
     for scene in scenes(options, read_clips(options, body), body):
         run.rows += measure(Case.of(scene, networks), drapery, knobs)

@@ -10,28 +10,28 @@ from fastapi.responses import Response, StreamingResponse
 from pydantic_core import to_json
 
 from drape.export.glb_file import PIECE_BYTES, GlbFile
-from service.compute.sliced_thread import BRIEF_BYTES, Piecework
+from service.compute.sliced_thread import BRIEF_BYTES, SlicedThread
 from service.http.negotiation import BINARY, GLB, JSON
 
 PIECE_NUMBERS = 4096  # half a millisecond of the encoder, which holds the interpreter lock
 
 
 def json_answer(
-    document: Mapping[str, object], piecework: Piecework, headers: Mapping[str, str] | None = None
+    document: Mapping[str, object], sliced_thread: SlicedThread, headers: Mapping[str, str] | None = None
 ) -> StreamingResponse:
     """``document``, whose arrays become lists, as JSON."""
-    return StreamingResponse(piecework.each(json_pieces(document)), media_type=JSON, headers=headers)
+    return StreamingResponse(sliced_thread.each(json_pieces(document)), media_type=JSON, headers=headers)
 
 
 def binary_answer(
-    array: np.ndarray, piecework: Piecework, headers: Mapping[str, str], *, tail: bytes = b""
+    array: np.ndarray, sliced_thread: SlicedThread, headers: Mapping[str, str], *, tail: bytes = b""
 ) -> Response:
     """``array`` as little-endian float32, then ``tail``."""
     if array.nbytes <= BRIEF_BYTES:
         return Response(b"".join([*number_bytes(array), tail]), media_type=BINARY, headers={**headers})
     headers = {**headers, "Content-Length": str(4 * array.size + len(tail))}
     pieces = itertools.chain(number_bytes(array), (tail,))
-    return StreamingResponse(piecework.each(pieces), media_type=BINARY, headers=headers)
+    return StreamingResponse(sliced_thread.each(pieces), media_type=BINARY, headers=headers)
 
 
 def number_bytes(array: np.ndarray) -> Iterator[bytes]:
@@ -39,20 +39,24 @@ def number_bytes(array: np.ndarray) -> Iterator[bytes]:
     return (part.astype("<f4", copy=False).tobytes() for part in _parts(array, PIECE_BYTES // 4))
 
 
-def file_answer(file: GlbFile, head: bytes, piecework: Piecework, headers: Mapping[str, str]) -> StreamingResponse:
+def file_answer(
+    file: GlbFile, head: bytes, sliced_thread: SlicedThread, headers: Mapping[str, str]
+) -> StreamingResponse:
     """``file``, which begins with its ``head``."""
     headers = {**headers, "Content-Length": str(len(head) + file.binary_bytes)}
     pieces = itertools.chain((head,), file.pieces())
-    return StreamingResponse(piecework.each(pieces), media_type=GLB, headers=headers)
+    return StreamingResponse(sliced_thread.each(pieces), media_type=GLB, headers=headers)
 
 
-def messages_answer(messages: Sequence[bytes], piecework: Piecework, headers: Mapping[str, str]) -> StreamingResponse:
+def messages_answer(
+    messages: Sequence[bytes], sliced_thread: SlicedThread, headers: Mapping[str, str]
+) -> StreamingResponse:
     """``messages`` one after the other, a few at a time."""
     size = sum(len(message) for message in messages)
     count = max(1, PIECE_BYTES * len(messages) // max(size, 1))
     pieces = (b"".join(messages[start : start + count]) for start in range(0, len(messages), count))
     headers = {**headers, "Content-Length": str(size)}
-    return StreamingResponse(piecework.each(pieces), media_type=BINARY, headers=headers)
+    return StreamingResponse(sliced_thread.each(pieces), media_type=BINARY, headers=headers)
 
 
 def json_pieces(document: Mapping[str, object]) -> Iterator[bytes]:
