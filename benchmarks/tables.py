@@ -34,7 +34,7 @@ def text_table(rows: Sequence[Row], columns: Columns) -> str:
     kept = {key: form for key, form in columns.items() if any(key in row for row in rows)}
     lines = [heads(kept), *(cells(row, kept, missing="") for row in rows)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    left = [form == "s" or form[1] == "s" for form in kept.values()]
+    left = ["s" in (form if isinstance(form, str) else form[1]) for form in kept.values()]
     drawn = []
     for line in lines:
         sides = zip(line, widths, left, strict=True)
