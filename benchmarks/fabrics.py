@@ -5,13 +5,12 @@ strips along warp, weft and bias against the constants, drape coefficient and no
 tested with a membrane that the cloth's own weight stretches by less than 0.02 %, because a stiffer one locks on
 triangles; the coarsest mesh also says what the whole membrane gives.
 
-    python -m benchmarks.fabrics [--quick] [--fabric NAME ...] [--picture FILE]
+    python -m benchmarks.fabrics [--quick] [--fabric NAME ...]
 """
 
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -92,8 +91,8 @@ def stretch_error_pct(cloth: Fabric, edge_m: float) -> float:
     return 100.0 * worst
 
 
-def measure(name: str, edge_m: float, *, thorough: bool) -> tuple[dict[str, Any], fabric_tests.Drape]:
-    """The row of one fabric on one mesh and its drape; ``thorough`` adds further seeds and the whole membrane."""
+def measure(name: str, edge_m: float, *, thorough: bool) -> dict[str, Any]:
+    """The row of one fabric on one mesh; ``thorough`` adds further seeds and the whole membrane."""
     cloth = fabric(name)
     overhang = fabric_tests.DISC_RADIUS_M - fabric_tests.PEDESTAL_RADIUS_M
     soft = cloth.softened(fabric_tests.GRAVITY_M_S2 * cloth.density_kg_m2 * overhang / OWN_WEIGHT_STRAIN)
@@ -122,7 +121,7 @@ def measure(name: str, edge_m: float, *, thorough: bool) -> tuple[dict[str, Any]
         others = [fabric_tests.cusick(soft, edge_m, seed=seed).coefficient_pct for seed in range(1, SEEDS)]
         row["seed_spread_pct"] = float(np.ptp([drape.coefficient_pct, *others]))
         row["full_membrane_pct"] = fabric_tests.cusick(cloth, edge_m).coefficient_pct
-    return row, drape
+    return row
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
@@ -145,16 +144,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     common.add_options(parser)
     parser.add_argument("--fabric", nargs="+", choices=PUBLISHED, help="only these")
-    parser.add_argument("--picture", type=Path, help="draw the discs of the finest mesh into this PNG")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
     names = options.fabric or (QUICK_FABRICS if options.quick else PUBLISHED)
     edges = QUICK_EDGES_M if options.quick else EDGES_M
-    rows, drapes = [], {}
+    rows = []
     for name in names:
         for edge in edges:
-            row, drapes[name] = measure(name, edge, thorough=edge == EDGES_M[0])
-            rows.append(row)
+            rows.append(measure(name, edge, thorough=edge == EDGES_M[0]))
             common.print_table(rows[-1:], COLUMNS)
     common.print_table(rows, COLUMNS)
     found = summary(rows)
@@ -163,10 +160,6 @@ def main() -> int:
         f"{found['order']:.2f}, nodes inside 4 to 9 in {found['inside_nodes']}; bending length within "
         f"{abs(found['worst_bending_error_pct']):.1f} % of Peirce's"
     )
-    if options.picture:
-        from benchmarks.cloth.fabric_picture import draw
-
-        draw(options.picture, drapes)
     common.finish("fabrics", rows, options, summary=found)
     return 0
 

@@ -4,18 +4,15 @@
     python -m benchmarks.quality --garments tshirt dress --motions walk squat --frames 6
     python -m benchmarks.quality --garments $DRAPE_DATA/garments --motions $DRAPE_DATA/motions --save
     python -m benchmarks.quality --patches 2 --out fine.json
-    python -m benchmarks.quality --garments tshirt --reference --out reference.json
-    python -m benchmarks.quality --precision float32 --sheets docs/images
+    python -m benchmarks.quality --precision float32
     python -m benchmarks.quality --garments tshirt --fabrics jersey poplin --passes 0 --out fabrics.json
 
 A garment is a name under assets/garments, a cache file, a mesh, or a folder of either; a
 motion is a name under assets/motions, a file, or a folder. Everything is measured at rest
-(motion knob 0) on the garment's subdivided mesh; jitter on continuous windows of the motions. ``--reference`` adds the
-distance to the drape of a second simulator (benchmarks.measure.reference), minutes per garment; ``--sheets`` draws what
-was measured. The network is the graph that the service runs on a CPU, in int8 unless ``--precision`` says otherwise.
+(motion knob 0) on the garment's subdivided mesh; jitter on continuous windows of the motions. The network is
+the graph that the service runs on a CPU, in int8 unless ``--precision`` says otherwise.
 ``--fabrics`` measures every garment in each of them, with its rest state; of a network that knows fabrics, jersey is
-what it is otherwise measured in. Of one that does not, it is the cloth of before fabrics (``--material``). From three
-fabrics on a second table says whether the network orders them as physics does (benchmarks.measure.ranks).
+what it is otherwise measured in. Of one that does not, it is the cloth of before fabrics (``--material``).
 """
 
 from __future__ import annotations
@@ -24,7 +21,6 @@ import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,10 +28,8 @@ import torch
 
 from benchmarks.judge import physics
 from benchmarks.judge.physics_cache import CACHE_DIR
-from benchmarks.measure import reference as quality_reference
 from benchmarks.measure.jitter import typical_windows
 from benchmarks.measure.measures import Bench, measure, summary
-from benchmarks.measure.ranks import RANKED, rank_correlations
 from benchmarks.shared import common
 from benchmarks.shared.network import Network, add_precision
 from drape.artifacts import model_folder
@@ -52,7 +46,7 @@ from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
 
 SETS = ("trained", "unseen")
-FRAMES, QUICK_FRAMES, REFERENCE_FRAMES = 12, 2, 3
+FRAMES, QUICK_FRAMES = 12, 2
 QUICK_STEPS = 30
 COLUMNS = {
     "garment": "s", "set": "s", "fabric": "s", "method": "s", "edge_pct": ".2f", "area_pct": ".2f",
@@ -61,14 +55,11 @@ COLUMNS = {
     "chart_normal_p99_deg": ".2f", "jitter_ratio": ".2f", "jitter_worst": ".2f", "hang_mm": ".1f", "detail_mm": ".3f",
     "dihedral_deg": ".1f", "detail_share": ".2f", "energy_j": ".4f", "membrane_j": ".4f", "gain": ".3f",
 }  # fmt: skip
-RANK_COLUMNS = {"garment": "s", "method": "s", "fabrics": "d"} | dict.fromkeys(RANKED, ".2f")
-REFERENCE_COLUMNS = {"reference_mm": ".1f", "reference_p95_mm": ".1f", "reference_surface_mm": ".1f"}
 # The table's head, where the key is longer than its numbers; the record keeps the keys.
 HEADS = {
     "edge_over_physics_pp": "edge_over", "area_over_physics_pp": "area_over", "colliding_vertex_pct": "vertex_pct",
     "colliding_triangle_pct": "triangle_pct", "self_intersections": "self", "chart_gap_p99_mm": "gap_mm",
-    "chart_normal_p99_deg": "normal_deg", "jitter_ratio": "jitter", "jitter_worst": "worst", "reference_mm": "ref_mm",
-    "reference_p95_mm": "ref_p95", "reference_surface_mm": "ref_surface",
+    "chart_normal_p99_deg": "normal_deg", "jitter_ratio": "jitter", "jitter_worst": "worst",
 }  # fmt: skip
 
 
@@ -94,16 +85,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--no-physics-cache",
         action="store_true",
-        help="minimise and simulate again instead of taking stored drapes, store none",
-    )
-    parser.add_argument(
-        "--reference", action="store_true", help="also simulate the first poses: columns reference_mm, slow"
-    )
-    parser.add_argument(
-        "--reference-frames", type=int, help=f"poses of --reference (default {REFERENCE_FRAMES}, or all if fewer)"
-    )
-    parser.add_argument(
-        "--sheets", type=Path, metavar="FOLDER", help="draw strain_GARMENT.png of the first poses there"
+        help="minimise again instead of taking stored drapes, store none",
     )
     add_precision(parser)
     common.add_options(parser)
@@ -112,22 +94,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
         options.garments = options.garments or ["tshirt"]
     options.frames = options.frames or (QUICK_FRAMES if options.quick else FRAMES)
     options.steps = options.steps or (QUICK_STEPS if options.quick else physics.STEPS)
-    options.reference_frames = reference_frames(options.reference, options.reference_frames, options.frames)
     return options
-
-
-def reference_frames(wanted: bool, given: int | None, frames: int) -> int:
-    """How many of the ``frames`` poses are simulated: none unless ``wanted``."""
-    if given is None:
-        return min(REFERENCE_FRAMES, frames) if wanted else 0
-    if not wanted or not 1 <= given <= frames:
-        raise InputError(
-            "--reference-frames",
-            expected=f"1 to {frames}, beside --reference",
-            got=str(given) if wanted else f"{given} without --reference",
-            cure="Add --reference, or take more --frames.",
-        )
-    return given
 
 
 def open_bench(options: argparse.Namespace, body: BodyModel) -> Bench:
@@ -154,9 +121,6 @@ def open_bench(options: argparse.Namespace, body: BodyModel) -> Bench:
         step_limit=options.steps,
         windows=windows[:1] if options.quick else windows,
         physics_folder=None if options.no_physics_cache else CACHE_DIR,
-        reference_frames=options.reference_frames,
-        reference_folder=None if options.no_physics_cache else quality_reference.CACHE_DIR,
-        sheets=options.sheets,
         uncorrected=Network(
             model_folder(options.model), body, threads=options.threads, precision=options.precision, passes=0
         ),
@@ -166,18 +130,11 @@ def open_bench(options: argparse.Namespace, body: BodyModel) -> Bench:
 def in_fabrics(bench: Bench, options: argparse.Namespace) -> list[Bench]:
     """``bench`` in each of ``--fabrics``, or in what the network drapes by default.
 
-    Refuses (``NotFound``) what is no fabric, and (``InputError``) ``--reference``, whose simulator has one cloth.
+    Refuses (``NotFound``) what is no fabric.
     """
     names = options.fabrics
     if names is None:
         names = [DEFAULT_FABRIC] if bench.network.engine.knows_fabrics and options.material is None else []
-    if names and options.reference:
-        raise InputError(
-            "--reference",
-            expected="one isotropic cloth, which its simulator has",
-            got=f"fabrics {', '.join(names)}",
-            cure=f"Leave out --fabrics, and add --material {DEFAULT_MATERIAL}.",
-        )
     chosen = {made.name: made for made in map(fabric, names)}
     return [bench.of_fabric(made) for made in chosen.values()] or [bench]
 
@@ -192,7 +149,6 @@ def print_table(rows: list[dict[str, Any]]) -> None:
     """The rows under short heads."""
     named = [{HEADS.get(key, key): value for key, value in row.items()} for row in rows]
     columns = {key: form for key, form in COLUMNS.items() if key != "fabric" or any(key in row for row in rows)}
-    columns |= {key: form for key, form in REFERENCE_COLUMNS.items() if any(key in row for row in rows)}
     common.print_table(named, {HEADS.get(key, key): form for key, form in columns.items()})
 
 
@@ -237,21 +193,10 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
         raise InputError("garments", expected="at least one usable", got=str(refused), cure="Check the files.")
     print()
     print_table([*rows, *summary(rows)])
-    ranks = rank_correlations(rows)
-    if ranks:
-        print("\nSpearman's rank correlation with physics over the fabrics")
-        common.print_table(ranks, RANK_COLUMNS)
     for row in (row for row in rows if row["method"] == "physics"):
         print(
             f"physics {_named(row)}: residual {row['residual_n']:.3f} N of {row['weight_n']:.2f} N weight, "
             f"{row['converged_pct']:.0f} % of the poses at rest ({100.0 * physics.TOLERANCE:g} % of the weight)"
-        )
-    for row in (row for row in rows if "reference_at_rest_pct" in row):
-        print(
-            f"simulated {row['garment']} from {row['method']}: {row['reference_start_mm']:.1f} mm away after "
-            f"{row['reference_steps']:.0f} steps, {row['reference_seconds']:.0f} s; {row['reference_at_rest_pct']:.0f} "
-            f"% of the poses at rest, {row['reference_speed_mm_s']:.1f} mm/s at most, "
-            f"{row['reference_balanced_pct']:.0f} % of the vertices balanced, {row['reference_residual_n']:.3f} N left"
         )
     if not bench.windows:
         print("no jitter: no clip has a second without a glitch")
@@ -262,9 +207,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
         rows,
         options,
         summary=summary(rows),
-        rank_correlation=ranks,
         frames=list(bench.poses.labels),
-        reference_frames=options.reference_frames,
         windows=[window.label for window in bench.windows],
         model=options.model,
         **bench.network.record(),

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from benchmarks.shared import common
-from drape.cloth.orthotropic import OrthotropicMaterial
+from drape.cloth.material import OrthotropicMaterial
 from recovery.sim.contact import SkinContact
 from recovery.sim.linearised import simulate
 from recovery.sim.model import ClothModel

@@ -1,4 +1,4 @@
-"""Every request that a client can make, and how its answer is read; shared by the sync and the async client."""
+"""A request of a client, how it is made of clips and options, and how answers are read."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from drape.motion.grounding import placed_on_ground
 from drape.wire.clips import check_motion, pack_clip
 from drape.wire.jets import JetFrame, split_jets
 from drape.wire.layout import JetLayout, unpack_layout
-from drape.wire.options import Resolution, options_document
+from drape.wire.options import options_document
 
 Answer = TypeVar("Answer")
 Motion = MotionClip | np.ndarray
@@ -32,12 +32,12 @@ BINARY, GLB = "application/octet-stream", "model/gltf-binary"
 DEFAULT_URL = "http://127.0.0.1:8000"
 DEFAULT_FPS = 30.0
 DRAPE = "/drape"
-_STREAMED = {"streamed": True}  # so that the answer may be of any length
+STREAMED: Options = {"streamed": True}  # so that the answer may be of any length
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """Of a body in motion what a clip does not say: translations [m] (F, 3) in place of its own, shape, frame rate."""
+    """What a request says besides a clip: translations [m] (F, 3) in place of the clip's own, shape, frame rate."""
 
     trans: np.ndarray | None = None
     betas: np.ndarray | None = None
@@ -96,60 +96,31 @@ class Call(Generic[Answer]):
         raise refusal(response)
 
 
-# --- requests ---
-
-
 def key_headers(key: str | None) -> dict[str, str]:
     """What every request says of who asks."""
     return {} if key is None else {"Authorization": f"Bearer {key}"}
 
 
-def health() -> Call[dict[str, Any]]:
-    return Call("GET", "/health", httpx.Response.json)
+def fetched(
+    *names: str,
+    read: Callable[[httpx.Response], Any] = httpx.Response.json,
+    accept: str = "application/json",
+    betas: np.ndarray | None = None,
+    **params: str,
+) -> Call[Any]:
+    """What lies under the path of ``names``, of a body in the shape ``betas``."""
+    if betas is not None:
+        params["betas"] = ",".join(repr(float(beta)) for beta in betas)
+    return Call("GET", path_of(*names), read, params, {"Accept": accept})
 
 
-def listed(what: str) -> Call[list[dict[str, Any]]]:
-    """All ``what`` that the service has: "garments", "tiers", "fabrics", "bodies" or "motions"."""
-    return Call("GET", f"/{what}", httpx.Response.json)
-
-
-def body(name: str, betas: np.ndarray | None) -> Call[dict[str, Any]]:
-    return Call("GET", f"/bodies/{_quoted(name)}", httpx.Response.json, params=_betas_query(betas))
-
-
-def motion(name: str, betas: np.ndarray | None) -> Call[MotionClip]:
-    return Call("GET", f"/motions/{_quoted(name)}", _read_clip, params=_betas_query(betas))
-
-
-def _betas_query(betas: np.ndarray | None) -> dict[str, str]:
-    return {} if betas is None else {"betas": ",".join(repr(float(beta)) for beta in betas)}
-
-
-def mesh(garment: str, resolution: Resolution) -> Call[dict[str, Any]]:
-    path, headers = f"/garments/{_quoted(garment)}/mesh", {"Accept": "application/json"}
-    return Call("GET", path, httpx.Response.json, params={"resolution": resolution}, headers=headers)
-
-
-def preview(garment: str, size: int) -> Call[bytes]:
-    path = f"/garments/{_quoted(garment)}/preview.png"
-    return Call("GET", path, lambda response: response.content, params={"size": str(size)})
-
-
-def jet_layout(garment: str, resolution: Resolution) -> Call[JetLayout]:
-    path, headers = f"/garments/{_quoted(garment)}/jets", {"Accept": BINARY}
-    return Call("GET", path, _read_layout, params={"resolution": resolution}, headers=headers)
-
-
-def job(job_id: str) -> Call[dict[str, Any]]:
-    return Call("GET", f"/jobs/{_quoted(job_id)}", httpx.Response.json)
-
-
-def cancel(job_id: str) -> Call[None]:
-    return Call("DELETE", f"/jobs/{_quoted(job_id)}", lambda response: None)
+def path_of(*names: str) -> str:
+    """The path of ``names``, which may hold any letter."""
+    return "".join(f"/{quote(name, safe='')}" for name in names)
 
 
 def _says_itself(entry: Any) -> bool:
-    """Whether a table's entry means the same to the service: an object or ``standard``, not a mesh file."""
+    """Whether the service understands a table's entry by itself: an object or ``standard``, not a mesh file."""
     return isinstance(entry, dict) or entry == "standard"
 
 
@@ -180,47 +151,30 @@ def upload(path: Path, avatar: str | dict[str, Any] | None, name: str | None) ->
     )
 
 
-def drape(garment: str | Sequence[str], motion: Motion, body: Body, options: Options) -> Call[np.ndarray]:
-    """World vertices [m] (F, V, 3) float32; ``options`` by the names of ``drape.wire.options.DrapeOptions``."""
-    return _draped(_read_vertices, garment, motion, body, options_document(options) | _STREAMED)
-
-
-def drape_outfit(garments: Sequence[str], motion: Motion, body: Body, options: Options) -> Call[list[np.ndarray]]:
-    """World vertices [m] (F, V, 3) float32 of each of ``garments``."""
-    return _draped(_read_layers, garments, motion, body, options_document(options) | _STREAMED)
-
-
-def drape_jets(garment: str | Sequence[str], motion: Motion, body: Body, options: Options) -> Call[list[JetFrame]]:
-    """Posed patches of one garment, or of several over each other, frame by frame."""
-    asked = options_document({**options, "geometry": "jets"}) | _STREAMED
-    return _draped(_read_jets, garment, motion, body, asked)
-
-
-def drape_glb(
+def draped(
+    read: Callable[[httpx.Response], Answer],
     garment: str | Sequence[str],
     motion: Motion,
     body: Body,
     options: Options,
     *,
-    with_body: bool = False,
-    quantised: bool = True,
-) -> Call[bytes]:
-    """The bytes of an animated GLB."""
-    asked = options_document(options) | {"body": with_body, "quantised": quantised}
-    return _draped(_read_bytes, garment, motion, body, asked, accept=GLB)
-
-
-def _draped(
-    read: Callable[[httpx.Response], Answer],
-    garment: str | Sequence[str],
-    motion: Motion,
-    body: Body,
-    asked: dict[str, Any],
-    *,
     accept: str = BINARY,
+    more: Options = STREAMED,
 ) -> Call[Answer]:
-    clip, about = _motion(motion, body)
-    return Call("POST", DRAPE, read, headers={"Accept": accept}, json=about | worn(garment) | asked, clip=clip)
+    """A drape; ``options`` by the names of ``drape.wire.options.DrapeOptions``, ``more`` by those of the service."""
+    clip, about = motion_of(motion, body)
+    asked = {**about, **worn(garment), **options_document(options), **more}
+    return Call("POST", DRAPE, read, headers={"Accept": accept}, json=asked, clip=clip)
+
+
+def at_root(call: Call[np.ndarray]) -> Call[tuple[np.ndarray, np.ndarray]]:
+    """``call`` for vertices [m] (F, V, 3) float32 counted from the roots [m] (F, 3) float64, and these."""
+
+    def read(response: httpx.Response) -> tuple[np.ndarray, np.ndarray]:
+        vertices = call.read(response)
+        return vertices, np.frombuffer(response.content, dtype="<f8", offset=vertices.nbytes).reshape(-1, 3)
+
+    return Call(call.method, call.path, read, headers=call.headers, json=call.json | {"origin": "root"}, clip=call.clip)
 
 
 def worn(garment: str | Sequence[str]) -> dict[str, Any]:
@@ -228,18 +182,7 @@ def worn(garment: str | Sequence[str]) -> dict[str, Any]:
     return {"garment": garment} if isinstance(garment, str) else {"garments": list(garment)}
 
 
-def posed_body(name: str, motion: Motion, body: Body) -> Call[np.ndarray]:
-    """World vertices [m] (F, Vb, 3) float32 of the body ``name``."""
-    clip, about = _motion(motion, body)
-    path = f"/bodies/{_quoted(name)}/posed"
-    return Call("POST", path, _read_vertices, headers={"Accept": BINARY}, json=about, clip=clip)
-
-
-def _quoted(name: str) -> str:
-    return quote(name, safe="")
-
-
-def _motion(motion: Motion, body: Body) -> tuple[Clip, dict[str, Any]]:
+def motion_of(motion: Motion, body: Body) -> tuple[Clip, dict[str, Any]]:
     """The frames of a clip or of poses (F, 24, 3), and what JSON says of them; NaN is refused here."""
     fps, places = body.fps, body.trans
     poses = motion.poses if isinstance(motion, MotionClip) else motion
@@ -264,30 +207,35 @@ def placed(clip: MotionClip, document: Mapping[str, Any]) -> MotionClip:
     return placed_on_ground(clip, np.array(document["joints"]), floor=document["floor_m"])
 
 
-def _read_bytes(response: httpx.Response) -> bytes:
+def read_bytes(response: httpx.Response) -> bytes:
+    """The answer as it is."""
     return response.content
 
 
-def _read_vertices(response: httpx.Response) -> np.ndarray:
+def read_vertices(response: httpx.Response) -> np.ndarray:
+    """World vertices [m] (F, V, 3) float32."""
     shape = (int(response.headers["X-Drape-Frames"]), int(response.headers["X-Drape-Vertices"]), 3)
     return np.frombuffer(response.content, dtype="<f4", count=math.prod(shape)).reshape(shape)
 
 
-def _read_layers(response: httpx.Response) -> list[np.ndarray]:
-    """The vertices of each garment; one garment has no header that counts its own."""
-    vertices = _read_vertices(response)
+def read_layers(response: httpx.Response) -> list[np.ndarray]:
+    """The vertices of each garment; a single garment has no header that counts them."""
+    vertices = read_vertices(response)
     counts = [int(part.rpartition(":")[2]) for part in response.headers.get("X-Drape-Garments", "").split(",") if part]
     return np.split(vertices, np.cumsum(counts, dtype=int)[:-1], axis=1)
 
 
-def _read_layout(response: httpx.Response) -> JetLayout:
+def read_layout(response: httpx.Response) -> JetLayout:
+    """What makes vertices of a garment's jets."""
     return unpack_layout(response.content)
 
 
-def _read_jets(response: httpx.Response) -> list[JetFrame]:
+def read_jets(response: httpx.Response) -> list[JetFrame]:
+    """Posed patches, frame by frame."""
     return split_jets(response.content)
 
 
-def _read_clip(response: httpx.Response) -> MotionClip:
+def read_clip(response: httpx.Response) -> MotionClip:
+    """A sample clip."""
     document = response.json()
     return MotionClip(np.array(document["poses"]), np.array(document["trans"]), document["fps"], document["name"])

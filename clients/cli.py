@@ -82,7 +82,7 @@ def _parser() -> argparse.ArgumentParser:
         help="a garment's id, or a file to take in first; several are worn over each other, the innermost first",
     )
     drape.add_argument("--avatar", help="for a file: the body it was modelled on")
-    drape.add_argument("--motion", required=True, help="a sample clip's name, or a file .npz, .bvh or .amc")
+    drape.add_argument("--motion", required=True, help="a sample clip's name, or a file .npz or .bvh")
     drape.add_argument(
         "--out",
         required=True,
@@ -211,7 +211,7 @@ def _npy_head(points: int, frames: int) -> bytes:
 
 def _clip(client: DrapeClient, options: argparse.Namespace, betas: np.ndarray | None) -> MotionClip:
     motion = options.motion
-    if Path(motion).suffix.lower() not in (*MOTION_SUFFIXES, ".asf"):
+    if Path(motion).suffix.lower() not in MOTION_SUFFIXES:
         return client.motion(motion, betas)
     if not Path(motion).is_file():
         cure = "Check the path."

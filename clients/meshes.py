@@ -12,7 +12,7 @@ from clients.calls import Call
 from drape.errors import InputError
 from drape.export.glb import GARMENT_COLOURS, add_garment
 from drape.export.glb_file import GlbFile
-from drape.export.ride import Ride
+from drape.export.root_motion import RootMotion
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,9 +59,9 @@ def glb_of(call: Call[bytes], meshes: Sequence[Mesh], vertices: np.ndarray, root
     """The GLB that ``call`` asks for, of ``vertices`` [m] (F, V, 3), which count from the ``roots`` [m] (F, 3)."""
     assert call.clip is not None
     file = GlbFile()
-    ride = Ride(call.clip.poses[:, 0], roots) if call.json["quantised"] else None
+    root_motion = RootMotion(call.clip.poses[:, 0], roots) if call.json["quantised"] else None
     for number, (mesh, own) in enumerate(zip(meshes, layers(meshes, vertices), strict=True)):
         colour = GARMENT_COLOURS[number % len(GARMENT_COLOURS)]
         places = (own + roots[:, None]).astype(np.float32)
-        add_garment(file, mesh, places, call.json["fps"], colour, ride=ride)
+        add_garment(file, mesh, places, call.json["fps"], colour, root_motion=root_motion)
     return file.to_bytes()

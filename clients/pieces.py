@@ -3,7 +3,7 @@ they are the undivided clip, bit for bit."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, TypeVar
 
 import httpx
@@ -22,11 +22,6 @@ def most_frames(health: dict[str, Any]) -> int:
     """Frames that a request to the service may have that says ``health`` of itself."""
     in_body = (int(health["max_body_bytes"]) - OPTION_BYTES) // FRAME_BYTES
     return max(1, min(int(health["max_frames"]), in_body))
-
-
-def slices(frames: int, most: int) -> Iterator[slice]:
-    """``frames`` in pieces of at most ``most``."""
-    return (slice(start, min(frames, start + most)) for start in range(0, max(frames, 1), most))
 
 
 def piece(call: Call[Answer], rows: slice, past: str | None) -> Call[tuple[Answer, str | None]]:

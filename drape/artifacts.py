@@ -50,8 +50,10 @@ class GraphSpec:
 
 @dataclass(frozen=True)
 class ParameterSpec:
-    """Where a parameter of the network, float32 of ``shape``, begins in the file of weights [bytes]; a ``turned``
-    matrix lies there transposed, as the graphs multiply with it."""
+    """The ``offset`` [bytes] in the file of weights at which a parameter of the network begins, float32 of ``shape``.
+
+    A ``turned`` matrix is stored transposed, as the graphs multiply with it.
+    """
 
     offset: int
     shape: tuple[int, ...]
@@ -64,8 +66,8 @@ class ParameterSpec:
 
 @dataclass(frozen=True)
 class WeightsSpec:
-    """The file of tensors that lie outside the ONNX files (ONNX external data), its hash, and where in it the
-    ``parameters`` of the network are by their names in training."""
+    """The file of tensors outside the ONNX files (ONNX external data), its hash, and the places in it of the network's
+    ``parameters``, by their names in training."""
 
     file: str
     sha256: str
@@ -82,7 +84,7 @@ class FileSpec:
 
 @dataclass(frozen=True)
 class Manifest:
-    """What a model folder says of itself.
+    """The record ``manifest.json`` of a model folder.
 
     ``graphs``: "garment_encoder" (patch features -> embedding, run once per garment)
     and "drape" (pose + garment -> vertices); of a ``dynamic`` model also "dynamic_encoder"

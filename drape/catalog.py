@@ -62,7 +62,7 @@ def was_trained_on(garment: Garment, names: Sequence[str]) -> bool:
 
 
 def open_garment(path: Path, body: BodyModel) -> Garment:
-    """The garment cached at ``path``, or the mesh there after intake; refused if it was made for another body."""
+    """The garment cached at ``path``, or made from the mesh there; refused if it was made for another body."""
     if path.suffix == ".npz":
         garment = load_garment(path)
     else:

@@ -80,10 +80,12 @@ class DynamicTrainer(BaseTrainer):
             for part in (slice(0, HISTORY), slice(HISTORY, None))
         )
         with torch.no_grad():
-            _, history = self.drape(earlier, garment, partition, codes[:, :HISTORY].flatten(0, 1))
-            _, static_history = self.drape(earlier, garment, partition)
-            still, static = self.drape(frames, garment, partition)
-        posed, vertices = self.drape(frames, garment, partition, codes[:, HISTORY:].flatten(0, 1))
+            history = self.drape(earlier, garment, partition, codes[:, :HISTORY].flatten(0, 1)).vertices
+            static_history = self.drape(earlier, garment, partition).vertices
+            still = self.drape(frames, garment, partition)
+            static = still.vertices
+        draped = self.drape(frames, garment, partition, codes[:, HISTORY:].flatten(0, 1))
+        vertices = draped.vertices
 
         # Both drapes meet the same planes: which body vertex is nearest must not tell their energies apart.
         planes = self._planes(vertices, frames)
@@ -102,7 +104,7 @@ class DynamicTrainer(BaseTrainer):
             at_rest = self._inertia(history, vertices, windows, garment, candidate=static)
             weight = self._weight(unmoved, windows).flatten()
         # What motion changes must be the same to all charts.
-        charts = self._disagreement(posed, partition, less=still)
+        charts = self._disagreement(draped.coefficients - still.coefficients, partition)
         loss = (weight * (above + inertia)).mean() + config.disagreement_weight * weight.mean() * charts
         parts |= {"above": above, "inertia": inertia, "inertia_at_rest": at_rest}
         return Objective(loss, {name: value.mean() for name, value in parts.items()}, charts)

@@ -35,7 +35,6 @@ from drape.contact.skin import body_skin
 from drape.errors import ArtifactError
 from drape.files.data import data_folder
 from drape.garment.cache import Garment
-from drape.garment.disagreement import disagreement
 from drape.garment.fabric_features import rest_grain
 from drape.geometry.skinning import skin_points
 from drape.graph.push_feed import push_feed
@@ -45,6 +44,7 @@ from drape.motion.readers import MOTION_SUFFIXES, read_motion
 from training import checkpoint
 from training.config import TrainConfig
 from training.data import BodySource, partition_tensors
+from training.disagreement import disagreement
 from training.losses import vertices_from
 from training.model import OneFit, Posed, paper_vertices, posed_coefficients
 

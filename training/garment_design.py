@@ -25,6 +25,7 @@ from drape.body.assets import BODIES_DIR, load_body
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.garment.cache import FORMAT_VERSION, GARMENTS_DIR, Garment, save_garment
+from drape.garment.files.mesh import plain_mesh
 from drape.garment.fitting import fit_garment
 from drape.garment.intake import INTAKE_VERSION
 from drape.garment.skin import smoothing_matrix
@@ -368,13 +369,9 @@ def cut_garment(design: Design, body: BodyModel) -> Garment:
     """``design`` on ``body`` as the product keeps a garment: fitted patches, no texture coordinates, no rest state."""
     vertices, faces = build(design, body)
     key = vertices.tobytes() + faces.tobytes() + body.digest.encode() + f"{FORMAT_VERSION}.{INTAKE_VERSION}".encode()
-    return fit_garment(
-        name=design.name, vertices=vertices, vertex_count=len(vertices), faces=faces, fine_faces=faces,
-        uv=np.zeros((0, 2)), uv_faces=np.zeros((0, 3)),
-        material_names=("cloth",), face_material=np.zeros(len(faces)),
-        body=body, digest=hashlib.sha256(key).hexdigest(),
-        manifest={"source": "cut from MakeHuman's helper surfaces (CC0)", "design": asdict(design)},
-    )  # fmt: skip
+    mesh = replace(plain_mesh(design.name, vertices, faces), material_names=("cloth",))
+    manifest = {"source": "cut from MakeHuman's helper surfaces (CC0)", "design": asdict(design)}
+    return fit_garment(mesh, vertices, faces, body, digest=hashlib.sha256(key).hexdigest(), manifest=manifest)
 
 
 def main(arguments: list[str] | None = None) -> None:

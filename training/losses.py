@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from drape.cloth import energies
 from drape.cloth.contact import plane_distance
@@ -16,7 +16,7 @@ from drape.graph.inputs import BodyTensors
 from training.collider import nearest_collider
 from training.consensus import framewise
 from training.data import BodyBatch, Partition, TrainingGarment
-from training.model import Posed, paper_vertices, posed_coefficients
+from training.model import FRAME_ROWS, paper_vertices
 
 
 def vertices_from(coefficients: Tensor, partition: Partition) -> Tensor:
@@ -25,21 +25,19 @@ def vertices_from(coefficients: Tensor, partition: Partition) -> Tensor:
 
 
 def garment_vertices(
-    posed: Posed, partition: Partition, garment: TrainingGarment, body: BodyTensors, *, variant: str
+    coefficients: Tensor, partition: Partition, garment: TrainingGarment, body: BodyTensors, *, variant: str
 ) -> Tensor:
-    """Vertices [m] (F, V, 3) of either variant."""
-    vertices = vertices_from(posed_coefficients(posed, partition.patches.scale), partition)
+    """Vertices [m] (F, V, 3) of either variant; ``coefficients``: ``model.posed_coefficients``."""
+    vertices = vertices_from(coefficients, partition)
     return paper_vertices(vertices, garment.skin_weights, body) if variant == "paper" else vertices
 
 
-def disagreement(posed: Posed, partition: Partition, sample: Tensor, *, less: Posed | None = None) -> Tensor:
-    """Mean squared distance [m^2] between what a vertex's charts say of it, over ``sample`` vertices.
+def disagreement(coefficients: Tensor, partition: Partition, sample: Tensor) -> Tensor:
+    """Mean squared distance [m^2] between the places that the charts of a vertex give it, over ``sample`` vertices.
 
-    With ``less``, another drape on the same bodies: between what they say of the way from there.
+    ``coefficients``: ``model.posed_coefficients`` of a drape, or the difference of those of two drapes on the same
+    bodies for what charts say of the way between them.
     """
-    coefficients = posed_coefficients(posed, partition.patches.scale)
-    if less is not None:
-        coefficients = coefficients - posed_coefficients(less, partition.patches.scale)
     patch = partition.chart_patch[sample]
     row = partition.chart_row[sample]
     weight = partition.chart_weight[sample]
@@ -57,16 +55,13 @@ def second_difference(vertices: Tensor) -> Tensor:
     return (before - 2.0 * at + after).square().sum(dim=-1).mean()
 
 
-def held_up(posed: Posed, partition: Partition, garment: TrainingGarment) -> Tensor:
+def held_up(coefficients: Tensor, partition: Partition, garment: TrainingGarment) -> Tensor:
     """Energy [J] (F,) of the garment's waistband (``drape.cloth.waistband``), zero without one."""
     if garment.band is None:
-        return posed.jet.new_zeros(len(posed.jet))
+        return coefficients.new_zeros(len(coefficients))
     vertex, length = garment.band
-    scale = partition.patches.scale
-    # Where the rigid charts carry the band is home; jets are what moves it from there.
-    moved = posed_coefficients(posed, scale) - posed_coefficients(
-        replace(posed, jet=torch.zeros_like(posed.jet)), scale
-    )
+    # The band's home is where its charts carry it as rigid bodies; the jets, without the frames, move it from there.
+    moved = nn.functional.pad(coefficients[..., FRAME_ROWS:, :], (0, 0, FRAME_ROWS, 0))
     patch = partition.chart_patch[vertex]
     row = partition.chart_weight[vertex][..., None] * partition.chart_row[vertex]  # (n, 4, 19)
     gathered = torch.index_select(moved.flatten(2), 1, patch.reshape(-1)).reshape(len(moved), len(vertex), -1, 3)

@@ -208,6 +208,9 @@ def rest_frames(body: BodyTensors, patches: PatchTensors) -> tuple[Tensor, Tenso
     return patches.rotation[None].expand(centre.shape[0], -1, -1, -1), centre
 
 
+FRAME_ROWS = 4  # of posed coefficients: centre and rotation
+
+
 def posed_coefficients(posed: Posed, scale: Tensor) -> Tensor:
     """World coefficients (F, K, 19, 3): a vertex is ``sum_i w_i [1, y, basis] @ C`` over its charts.
 

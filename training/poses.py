@@ -11,7 +11,7 @@ from drape.body.skeleton import JOINT_NAMES
 from drape.errors import MotionError
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.motion.clip import MotionClip, flagged_steps
-from drape.motion.readers import read_motion
+from drape.motion.readers import MOTION_SUFFIXES, read_motion
 from training.config import DataConfig
 
 LEGS = tuple(i for i, n in enumerate(JOINT_NAMES) if n.split("_")[-1] in ("hip", "knee", "ankle", "foot"))
@@ -33,7 +33,7 @@ def read_clips(folders: list[Path], *, held_out: tuple[str, ...]) -> list[Motion
     clips = []
     for folder in folders:
         for path in sorted(folder.iterdir()):
-            if path.suffix.lower() in (".npz", ".bvh", ".amc") and path.stem not in held_out:
+            if path.suffix.lower() in MOTION_SUFFIXES and path.stem not in held_out:
                 clips.append(read_motion(path))
     return clips
 

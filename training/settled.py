@@ -90,7 +90,7 @@ def make(trainer: Trainer, settler: Settler) -> Settled | None:
     poses, betas = trainer.bank.draw(FRAMES, rng), draw_betas(FRAMES, trainer.body.shape_count, config.data, rng)
     with torch.no_grad():
         body = trainer.source.pose(poses, betas)
-        _, start = trainer.drape(body, garment, partition, passes=0)
+        start = trainer.drape(body, garment, partition, passes=0).vertices
     assert body.tensors.skin is not None
     made = settler.constants(garment, trainer.fabric)
     vertices = settler.settled(made, start.numpy(), body.tensors.skin.numpy())

@@ -21,7 +21,7 @@ from training import losses, parallel
 from training.config import TrainConfig
 from training.data import BodyBatch, BodySource, Partition, TrainingGarment
 from training.fabrics import FabricBank, stretch_share
-from training.model import OneFit, Posed
+from training.model import OneFit, Posed, posed_coefficients
 from training.poses import PoseBank, draw_betas, rows_of_three
 from training.targets import SettledBank, distance
 from training.wardrobe import Wardrobe
@@ -42,6 +42,15 @@ class Objective:
         found = {name: float(value.detach()) for name, value in self.parts.items()}
         found["disagreement_mm"] = 1e3 * math.sqrt(max(float(self.charts.detach()), 0.0))
         return found | {"loss": float(self.loss.detach())}
+
+
+@dataclass(frozen=True, eq=False)
+class Draped:
+    """Posed patches of F bodies, their ``posed_coefficients``, and vertices [m] (F, V, 3) relative to the root."""
+
+    posed: Posed
+    coefficients: Tensor
+    vertices: Tensor
 
 
 class BaseTrainer:
@@ -152,14 +161,16 @@ class BaseTrainer:
         partition: Partition,
         dynamic_code: Tensor | None = None,
         passes: int | None = None,
-    ) -> tuple[Posed, Tensor]:
-        """Posed patches of ``batch`` and vertices [m] (F, V, 3) relative to the root; ``passes`` as of ``OneFit``."""
+    ) -> Draped:
+        """``garment`` on the bodies of ``batch``; ``passes`` as of ``OneFit``."""
         config = self.config
         embedding = self.model.garment(partition.encoded(self.fabric))
         posed = self.model(
             batch.tensors, partition.patches, embedding, dynamic_code, charts=partition.consensus, passes=passes
         )
-        return posed, losses.garment_vertices(posed, partition, garment, batch.tensors, variant=config.model.variant)
+        said = posed_coefficients(posed, partition.patches.scale)
+        variant = config.model.variant
+        return Draped(posed, said, losses.garment_vertices(said, partition, garment, batch.tensors, variant=variant))
 
     def _planes(self, vertices: Tensor, batch: BodyBatch) -> losses.ContactPlanes:
         """What ``vertices`` [m] (F, V, 3) touch, at some of them drawn now."""
@@ -179,11 +190,11 @@ class BaseTrainer:
     def _stretch_share(self) -> float:
         return 1.0 if self.fabric is None else stretch_share(self.fabric)
 
-    def _disagreement(self, posed: Posed, partition: Partition, *, less: Posed | None = None) -> Tensor:
-        """Mean squared disagreement [m^2] of the charts of ``posed`` at some vertices drawn now."""
+    def _disagreement(self, coefficients: Tensor, partition: Partition) -> Tensor:
+        """``losses.disagreement`` [m^2] at some vertices drawn now."""
         count = partition.chart_patch.shape[0]
         sample = torch.randperm(count, generator=self.generator)[:SAMPLE_VERTICES].to(self.device)
-        return losses.disagreement(posed, partition, sample, less=less)
+        return losses.disagreement(coefficients, partition, sample)
 
     def state(self) -> dict:
         return {
@@ -305,11 +316,12 @@ class Trainer(BaseTrainer):
         self._wear(target.fabric)
         partition = garment.partitions[int(self.rng.integers(len(garment.partitions)))]
         batch = self.source.pose(target.poses, target.betas)
-        posed, vertices = self.drape(batch, garment, partition, passes=0)
+        draped = self.drape(batch, garment, partition, passes=0)
+        vertices = draped.vertices
         parts = self._energy(vertices, garment, self._planes(vertices, batch))
         contact = losses.soften(parts.pop("contact"), config.contact_knee_j_m2).mean()
         energy = torch.stack(list(parts.values())).sum(dim=0).mean()
-        apart, charts = distance(vertices, target, garment.cloth), self._disagreement(posed, partition)
+        apart, charts = distance(vertices, target, garment.cloth), self._disagreement(draped.coefficients, partition)
         # The mean of a cloth that folds on the skin lies below it: contact counts in full.
         found = config.settled_weight * apart + config.settled_energy * energy + contact
         means = {"settled_mm": 1e3 * apart.sqrt(), "settled_energy": energy, "settled_contact": contact}
@@ -322,12 +334,13 @@ class Trainer(BaseTrainer):
         if passes == 0 and self.settled is not None:
             return self._toward(self.settled)
         garment, partition, batch = self._draw(in_a_row=smooth)
-        posed, vertices = self.drape(batch, garment, partition, passes=passes)
+        draped = self.drape(batch, garment, partition, passes=passes)
+        vertices = draped.vertices
         parts = self._energy(vertices, garment, self._planes(vertices, batch))
-        parts["waistband"] = losses.held_up(posed, partition, garment) / self._unit(garment)
+        parts["waistband"] = losses.held_up(draped.coefficients, partition, garment) / self._unit(garment)
         contact = losses.soften(parts["contact"], config.contact_knee_j_m2)
         energy = (parts["membrane"] + parts["bending"] + parts["gravity"] + contact + parts["waistband"]).mean()
-        charts = self._disagreement(posed, partition)
+        charts = self._disagreement(draped.coefficients, partition)
         # Charts that must agree from the start learn slower.
         share = config.early_agreement + (1.0 - config.early_agreement) * self.progress()
         agree = config.disagreement_weight * share * charts

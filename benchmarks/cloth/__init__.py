@@ -1,1 +1,1 @@
-"""What cloth is: proof of the fabrics by the tests of textile laboratories, and a picture of it."""
+"""Proof of the fabrics by the tests of textile laboratories."""

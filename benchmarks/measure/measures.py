@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,29 +14,25 @@ from benchmarks.judge.physics_cache import stored_minimum
 from benchmarks.measure.hem import hang_mm
 from benchmarks.measure.intersections import intersection_count
 from benchmarks.measure.jitter import Window, jitter
-from benchmarks.measure.reference import Bodies, reference_figures
-from benchmarks.measure.sheets import Drapes, cloth_sheet, strain_sheet
 from benchmarks.shared.network import Draped, Network
-from benchmarks.shared.render import save_png
 from drape.body.model import BodyModel
 from drape.cloth import metrics
 from drape.cloth.contact import BodyContact, nearest_vertex_push
 from drape.cloth.detail import LowPass, dihedral_deg
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric import Fabric
-from drape.cloth.fabric_table import DEFAULT_FABRIC
 from drape.cloth.material import Material
 from drape.cloth.rest_state import RestState, modelled
 from drape.contact.projection import push_out_of_bodies
 from drape.contact.skin import body_skin, shaped_skin
 from drape.garment.cache import Garment
-from drape.garment.disagreement import disagreement
 from drape.garment.fine import fine_garment
 from drape.geometry.skinning import skin_points
 from drape.graph.push_feed import push_feed
 from drape.live.fold_constants import constants
 from drape.live.fold_step import Effort, Frame, fold
 from drape.motion.hard_poses import HardPoses
+from training.disagreement import disagreement
 
 METHODS = ("skinning", "skinning_push", "network", "network_push", "folds", "physics")
 STEPS = 2  # of folds, as the service takes by default
@@ -47,9 +42,7 @@ STEPS = 2  # of folds, as the service takes by default
 class Bench:
     """What all garments share: the posed bodies, the contact surface, the drape network and the cloth.
 
-    ``windows`` are what jitter is measured on; ``physics_folder`` keeps optima between runs, None does not. The
-    simulator of ``quality_reference`` drapes the first ``reference_frames`` poses over ``reference_bodies`` and keeps
-    them in ``reference_folder``. Sheets of strain and of folds go to ``sheets``.
+    ``windows`` are what jitter is measured on; ``physics_folder`` keeps optima between runs, None does not.
 
     ``fabric``: what the garments are made of, in their own rest state; None for the cloth ``material`` of before
     fabrics, whose rest is the mesh as modelled. ``of_fabric`` sets it with the networks and the material.
@@ -66,9 +59,6 @@ class Bench:
     step_limit: int
     windows: Sequence[Window] = ()
     physics_folder: Path | None = None
-    reference_frames: int = 0
-    reference_folder: Path | None = None
-    sheets: Path | None = None
     fabric: Fabric | None = None
     uncorrected: Network | None = None
 
@@ -83,11 +73,6 @@ class Bench:
         if self.fabric is not None:
             return garment.rest_state()
         return modelled(garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64))
-
-    @cached_property
-    def reference_bodies(self) -> Bodies:
-        """Signed distances of the poses; garments share them."""
-        return Bodies(self.body_vertices, self.body.faces)
 
 
 def measure(garment: Garment, bench: Bench, *, trained: bool) -> list[dict[str, Any]]:
@@ -136,31 +121,8 @@ def measure(garment: Garment, bench: Bench, *, trained: bool) -> list[dict[str, 
         "seconds": optimum.seconds,
         "cached": was_cached,
     }
-    if bench.reference_frames:
-        figures = reference_figures(
-            positions,
-            rest,
-            faces,
-            bench.material,
-            bench.reference_bodies,
-            frames=bench.reference_frames,
-            folder=bench.reference_folder,
-        )
-        for method, columns in figures.items():
-            rows[method] |= columns
-    if bench.sheets:
-        drawn, name = Drapes(garment, positions, bench.body_vertices, bench.body.faces), sheet_name(garment, bench)
-        save_png(bench.sheets / f"strain_{name}.png", strain_sheet(drawn))
-        save_png(bench.sheets / f"cloth_{name}.png", cloth_sheet(drawn), colours=128)
     rest_crossings = float(intersection_count(rest, faces))
     return [rows[method] | {"self_intersections_rest": rest_crossings} for method in methods]
-
-
-def sheet_name(garment: Garment, bench: Bench) -> str:
-    """What the sheets of ``garment`` are called; a fabric other than the default stands behind it."""
-    if bench.fabric is None or bench.fabric.name == DEFAULT_FABRIC:
-        return garment.name
-    return f"{garment.name}_{bench.fabric.name}"
 
 
 def drapes(

@@ -34,23 +34,6 @@ SKIN = {
     "skinning": "skinning", "network": "network, pushed out", "folds": "folds on delivered triangles",
     "wrapped": "folds on finer ones, delivered wrapped", "fine": "folds on the finest mesh",
 }  # fmt: skip
-RANKS = {
-    "garment": ("garment", "s"), "method": ("method", "s"), "fabrics": ("fabrics", "d"), "edge_pct": ("edge %", ".2f"),
-    "hang_mm": ("hang of the hem", ".2f"), "detail_mm": ("detail", ".2f"),
-}  # fmt: skip
-# Of benchmarks.quality --reference; the long table has them where they were measured.
-REFERENCE = {
-    "reference_mm": ("to the reference, mean [mm]", ".1f"),
-    "reference_p95_mm": ("p95 [mm]", ".1f"),
-    "reference_surface_mm": ("to its surface [mm]", ".1f"),
-}
-ENDS = {
-    "garment": ("garment", "s"), "method": ("from", "s"), "reference_start_mm": ("ends at, mean [mm]", ".1f"),
-    "reference_start_surface_mm": ("at, to the surface [mm]", ".1f"), "reference_steps": ("steps", ".0f"),
-    "reference_at_rest_pct": ("poses at rest %", ".0f"), "reference_speed_mm_s": ("fastest pose [mm/s]", ".1f"),
-    "reference_balanced_pct": ("vertices balanced %", ".0f"), "reference_residual_n": ("force left [N]", ".2f"),
-    "weight_n": ("weight [N]", ".2f"),
-}  # fmt: skip
 STOP = {
     "garment": ("garment", "s"), "clip": ("clip", "s"), "swings": ("swings through", "d"),
     "millimetre_s": ("within 1 mm after [s]", ".2f"), "rest_s": ("every bit still after [s]", ".2f"),
@@ -61,13 +44,6 @@ POTENTIAL = {
     "given_dynamic_j": ("after the same frames: moving [J]", ".4f"), "given_static_j": ("static", ".4f"),
     "own_dynamic_j": ("each after its own: moving", ".4f"), "own_static_j": ("static", ".4f"),
 }  # fmt: skip
-REFEREE = {
-    "poses": ("poses", "d"), "start_j": ("start [J]", ".3f"), "energy_j": ("end [J]", ".4f"),
-    "old_energy_j": ("before [J]", ".4f"), "not_above_old": ("poses not above before", "d"),
-    "at_rest": ("poses at rest", "d"), "force_left_share": ("most force left, of the weight", ".4f"),
-    "steps": ("steps", ".0f"), "processor_s": ("processor [s] a pose", ".1f"),
-    "old_processor_s": ("before", ".1f"), "planes_apart_pct": ("planes apart %", ".2f"),
-}  # fmt: skip
 TRADE = {
     "tier": ("tier", "s"), "knobs": ("what runs", "s"), "time_ratio": ("time, rival = 1", ".2f"),
     "cpu_ms": ("processor [ms]", ".1f"), "p95_ms": ("p95 [ms]", ".1f"), "gain": ("gain", ".3f"),
@@ -76,18 +52,13 @@ TRADE = {
     "colliding_pct": ("colliding %", ".2f"), "skin_pixels_pct": ("skin, pixels %", ".3f"),
     "self_intersections": ("self-intersections", ".0f"),
 }  # fmt: skip
-PUSH = {
-    "colliding_triangle_pct": ("colliding triangles %", ".3f"), "edge_pct": ("edge %", ".2f"),
-    "edge_added_pp": ("added [pp]", ".2f"), "energy_j": ("energy [J]", ".3f"), "jitter_ratio": ("jitter", ".2f"),
-    "p50_ms": ("p50 [ms]", ".2f"), "processor_ms": ("processor [ms]", ".2f"),
-}  # fmt: skip
 
 
 def quality_table(record: Record) -> str:
     """Every garment and method of ``benchmarks.quality``."""
     rows = record["rows"]
     first = {"garment": QUALITY["garment"]} | _measured(rows, FABRIC)
-    return rows_table(first | QUALITY | _measured(rows, DETAIL, REFERENCE), rows, record)
+    return rows_table(first | QUALITY | _measured(rows, DETAIL), rows, record)
 
 
 def _measured(rows: list[Record], *groups: Columns) -> dict[str, tuple[str, str]]:
@@ -101,24 +72,6 @@ def _by_method(rows: list[Record]) -> dict[tuple[str, str, str], dict[str, Recor
     for row in rows:
         groups.setdefault((row["garment"], row.get("set", ""), row.get("fabric", "")), {})[row["method"]] = row
     return groups
-
-
-def reference_table(record: Record) -> str:
-    """How far every method is from the second simulator's drape, and the floor: its two ends from each other."""
-    lines = []
-    for row in record["rows"]:
-        lines.append([row["garment"], row["method"], *cells(row, REFERENCE)])
-        if "reference_floor_mm" in row:
-            floor = {key.replace("reference", "reference_floor"): column for key, column in REFERENCE.items()}
-            lines.append([row["garment"], f"simulated from {row['method']}: the floor", *cells(row, floor)])
-    return table(["garment", "drape", *heads(REFERENCE)], lines, record)
-
-
-def reference_end_table(record: Record) -> str:
-    """How the second simulator came to rest from each of its starts."""
-    weights = {row["garment"]: row["weight_n"] for row in record["rows"] if row.get("weight_n")}
-    ended = [row for row in record["rows"] if "reference_start_mm" in row]
-    return rows_table(ENDS, [row | {"weight_n": weights[row["garment"]]} for row in ended])
 
 
 def network_table(record: Record) -> str:
@@ -163,23 +116,6 @@ def potential_table(record: Record) -> str:
     return rows_table(POTENTIAL, [row for row in record["rows"] if row["kind"] == "potential"])
 
 
-def push_table(record: Record) -> str:
-    """One line per set of garments and way out of the body."""
-    lines = (
-        [f"{row['garment']}, {row['set']}", row["method"].replace("_", " "), *cells(row, PUSH)]
-        for row in record["summary"]
-    )
-    return table(["garments", "way", *heads(PUSH)], lines, record)
-
-
-def referee_table(record: Record) -> str:
-    """How near to rest, how low and how fast the physics optimum is: a line per garment and fabric, and the counts."""
-    lines = []
-    for row in record["summary"]:
-        lines.append([row["garment"], row["fabric"] or "one cloth", *cells(row, REFEREE)])
-    return table(["garment", "of", *heads(REFEREE)], lines, record)
-
-
 def folds_table(record: Record) -> str:
     """One line per garment, fabric, clip and start: it alone, and with two and eight steps; then physics, if known."""
     folds = _measured(record["rows"], GAIN) | FOLDS | _measured(record["rows"], SHARE)
@@ -204,21 +140,6 @@ def trade_table(record: Record) -> str:
     return rows_table(TRADE, ({**row, "tier": row["tier"].replace("_", " ")} for row in ordered), record)
 
 
-OTHER_KNOBS = {
-    "garment": ("garment", "s"), "clip": ("clip", "s"), "way": ("`balanced` in jersey", "s"),
-    "ms": ("processor [ms]", ".1f"),
-    "cost": ("of what is served", ".2f"), "kbytes": ("kB/s", ".0f"), "gain": ("gain", ".3f"),
-    "error_mm": ("to physics [mm]", ".1f"), "edge_pct": ("edge %", ".2f"), "detail_share": ("detail share", ".2f"),
-    "jitter_ratio": ("jitter", ".2f"), "skin_pixels_pct": ("skin, pixels %", ".3f"),
-    "self_intersections": ("self-intersections", ".0f"),
-}  # fmt: skip
-
-
-def other_knobs_table(record: Record) -> str:
-    """One line per way that one knob was turned."""
-    return rows_table(OTHER_KNOBS, record["rows"], record)
-
-
 def skin_table(record: Record) -> str:
     """One line per garment: the skin that shows on average and in the worst view, by how it was draped."""
     lines = []
@@ -238,11 +159,6 @@ def fabrics_table(record: Record) -> str:
         lines.append([*line, *cells(rows["physics"], {"converged_pct": ("", ".0f")})])
     beside = [f"{name}: network / physics" for name in ("edge %", "hem lower than skinned [mm]", "detail [mm]")]
     return table(["garment", "set", "fabric", "gain", "pushed out", *beside, "poses at rest %"], lines, record)
-
-
-def ranks_table(record: Record) -> str:
-    """How alike the network and physics order the fabrics, by Spearman's rank correlation."""
-    return rows_table(RANKS, record["rank_correlation"])
 
 
 FOUR = {"edge_over_physics_pp": ("", ".2f"), "detail_share": ("", ".2f")}
@@ -276,19 +192,12 @@ TABLES = (
     ("quality", "docs/reference/quality.md", "gain", gain_table),
     ("quality", "docs/reference/quality.md", "quality_network", network_table),
     ("quality_fine", "docs/reference/quality.md", "quality_fine", network_table),
-    ("quality_reference", "docs/reference/quality.md", "quality_reference", reference_table),
-    ("quality_reference", "docs/reference/quality.md", "quality_reference_ends", reference_end_table),
-    ("referee", "docs/reference/quality.md", "referee", referee_table),
-    ("referee_fabrics", "docs/reference/quality.md", "referee_fabrics", referee_table),
     ("quality_fabrics", "docs/reference/quality.md", "quality_fabrics", fabrics_table),
-    ("quality_fabrics", "docs/reference/quality.md", "quality_ranks", ranks_table),
     ("quality_four", "docs/reference/quality.md", "quality_four", four_table),
     ("swing", "docs/explanation/swing.md", "swing", swing_table),
     ("dynamics", "docs/guide/training.md", "dynamics_stop", stop_table),
     ("dynamics", "docs/guide/training.md", "dynamics_potential", potential_table),
-    ("push_out", "docs/explanation/push_out.md", "push_out", push_table),
     ("folds", "docs/explanation/folds.md", "folds", folds_table),
     ("tradeoff", "docs/reference/tradeoff.md", "tradeoff", trade_table),
-    ("other_knobs", "docs/reference/tradeoff.md", "other_knobs", other_knobs_table),
     ("skin_pixels", "docs/explanation/folds.md", "skin", skin_table),
 )

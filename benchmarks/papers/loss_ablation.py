@@ -38,19 +38,19 @@ from drape.cloth.contact import plane_distance
 from drape.cloth.material import material
 from drape.errors import ArtifactError, ended
 from drape.files.data import data_folder
-from drape.garment.disagreement import disagreement
 from drape.geometry.meshes import edge_lengths, unique_edges
 from drape.motion.hard_poses import HardPoses, hard_poses
 from training import checkpoint, losses
 from training.collider import nearest_collider
 from training.config import DataConfig, ModelConfig, TrainConfig, as_published
 from training.data import BodyBatch, Partition, TrainingGarment
+from training.disagreement import disagreement
 from training.evaluate import held_out_clips, posed_patches
 from training.garment_design import DESIGNS, cut_garment
 from training.model import OneFit, Posed
 from training.poses import PoseBank, read_clips
 from training.run import sample_motions, train
-from training.trainer import SAMPLE_VERTICES, Objective, Trainer
+from training.trainer import SAMPLE_VERTICES, Draped, Objective, Trainer
 
 EPOCHS = 100.0  # what a run counts as, for k_ext: its full value is reached at the end
 METRIC_WEIGHT = 14.0  # [J/m^2 per m^2] beside the house energy: 1 % stretch of a T-shirt costs what its membrane does
@@ -122,16 +122,17 @@ class LossTrainer(Trainer):
     def objective(self) -> Objective:
         """The weighted terms of ``self.chosen`` on a batch that is drawn now, means over it; the loss is their sum."""
         garment, partition, batch = self._draw()
-        posed, vertices = self.drape(batch, garment, partition, passes=self._passes())
-        posed = replace(posed, jet=posed.jet.float())
-        terms = (self._house if self.chosen.house else self._paper)(vertices, posed, garment, partition, batch)
+        draped = self.drape(batch, garment, partition, passes=self._passes())
+        draped = replace(draped, posed=replace(draped.posed, jet=draped.posed.jet.float()))
+        terms = (self._house if self.chosen.house else self._paper)(draped, garment, partition, batch)
         with torch.no_grad():
-            charts = self._disagreement(posed, partition)
+            charts = self._disagreement(draped.coefficients, partition)
         return Objective(torch.stack(list(terms.values())).sum(), terms, charts)
 
     def _paper(
-        self, vertices: Tensor, posed: Posed, garment: TrainingGarment, partition: Partition, batch: BodyBatch
+        self, draped: Draped, garment: TrainingGarment, partition: Partition, batch: BodyBatch
     ) -> dict[str, Tensor]:
+        vertices, posed = draped.vertices, draped.posed
         count, share = vertices.shape[1], self.config.data.contact_share
         near = torch.randperm(count, generator=self.generator)[: max(1, round(share * count))].to(self.device)
         depth = self._depth(vertices, near, batch)
@@ -149,15 +150,16 @@ class LossTrainer(Trainer):
         return {name: paper_losses.total({name: value}, self.weights) for name, value in kept.items()}
 
     def _house(
-        self, vertices: Tensor, posed: Posed, garment: TrainingGarment, partition: Partition, batch: BodyBatch
+        self, draped: Draped, garment: TrainingGarment, partition: Partition, batch: BodyBatch
     ) -> dict[str, Tensor]:
         """The loss of ``Trainer``, by term, with the changes that were chosen."""
         config, area = self.config, float(garment.rest.areas.sum())
+        vertices, posed = draped.vertices, draped.posed
         parts = self._energy(vertices, garment, self._planes(vertices, batch))
         terms = {"contact": losses.soften(parts["contact"], config.contact_knee_j_m2).mean()}
         terms |= {name: parts[name].mean() for name in ("membrane", "bending", "gravity")}
         share = config.early_agreement + (1.0 - config.early_agreement) * self.progress()
-        terms["disagreement"] = config.disagreement_weight * share * self._disagreement(posed, partition)
+        terms["disagreement"] = config.disagreement_weight * share * self._disagreement(draped.coefficients, partition)
         if self.chosen.jet_bending or self.chosen.metric:
             sample = torch.randperm(vertices.shape[1], generator=self.generator)[:SAMPLE_VERTICES].to(self.device)
             samples, surface = self._charts(posed, garment, partition, batch, sample)

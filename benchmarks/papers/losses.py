@@ -17,7 +17,7 @@ from torch import Tensor
 from drape.cloth import energies
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
-from drape.garment.charts import Cover
+from drape.garment.charts import ChartBlend
 from drape.garment.fitting import RestGarment, fit_jets
 from drape.geometry import jets, meshes
 from drape.graph.inputs import BodyTensors
@@ -70,7 +70,7 @@ def rest_jets(partition: Partition) -> Tensor:
     )
     patch = patch.astype(np.int64)
     height = row[..., 3] / partition.patches.scale.cpu().double().numpy()[patch]
-    jet = fit_jets(row[..., 5:7], height, Cover(patch, weight), len(partition.patches.scale))
+    jet = fit_jets(row[..., 5:7], height, ChartBlend(patch, weight), len(partition.patches.scale))
     return torch.from_numpy(jet).to(partition.chart_row)
 
 

@@ -118,29 +118,6 @@ def plot(record: Record, path: Path) -> None:
     pyplot.close(figure)
 
 
-PRECISION = {
-    "kind": ("kind", "s"), "name": ("", "s"), "p99_mm": ("p99 [mm]", ".5f"), "max_mm": ("max [mm]", ".5f"),
-    "ratio": ("time over that of normal numbers", ".1f"),
-}  # fmt: skip
-
-
-def precision_table(record: Record) -> str:
-    """Rounding of every stage, encoding and place, and what subnormals cost."""
-    return rows_table(PRECISION, record["rows"], record)
-
-
-BESIDE = {
-    "neighbour": ("neighbour", "s"), "asked": ("times asked", "d"), "quiet_p50_ms": ("quiet p50 [ms]", ".0f"),
-    "quiet_p99_ms": ("p99", ".0f"), "wait_p50_ms": ("beside it p50", ".0f"), "wait_p99_ms": ("p99 ", ".0f"),
-    "gap_max_ms": ("longest gap [ms]", ".0f"), "moved_ms": ("p99 moved by [ms]", ".1f"),
-}  # fmt: skip
-
-
-def beside_table(record: Record) -> str:
-    """One line per neighbour of a stream."""
-    return rows_table(BESIDE, record["rows"])
-
-
 CHURN = {
     "clients": ("clients", "d"), "minutes": ("minutes", ".0f"), "streams": ("streams", "d"), "frames": ("frames", "d"),
     "requests": ("requests", "d"), "uploads": ("uploads", "d"), "refused": ("refused", "d"), "failed": ("failed", "d"),
@@ -156,13 +133,11 @@ def churn_table(record: Record) -> str:
 
 
 TABLES = (
-    ("precision", "docs/explanation/extremes.md", "precision", precision_table),
     ("latency", "docs/reference/performance.md", "latency_single", single_table),
     ("latency", "docs/reference/performance.md", "latency_stages", stage_table),
     ("latency", "docs/reference/performance.md", "latency_batches", batch_table),
     ("latency", "docs/reference/performance.md", "latency_growth", growth_table),
     ("serving", "docs/reference/performance.md", "serving", serving_table),
-    ("beside", "docs/reference/performance.md", "beside", beside_table),
     ("churn", "docs/reference/performance.md", "churn", churn_table),
 )
 

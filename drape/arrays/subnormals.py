@@ -1,9 +1,9 @@
-"""Subnormal numbers as zero, in one thread for a while.
+"""A context in which a thread takes subnormal numbers for zero.
 
 Weights that fall off like exp(-x^2) end in numbers below the least normal one, and on many processors an operation on
 those takes a hundred times as long. Torch and ONNX Runtime have switches of their own, but torch's cannot be read and
 put back, and ONNX Runtime's reaches a calling thread only if that thread opened the first session of the process. So
-what is set is the control register of the processor, by which all of them and numpy compute.
+this module sets the control register of the processor, which rules all of them and numpy.
 """
 
 from __future__ import annotations
@@ -24,11 +24,10 @@ _FENV_BYTES = 64  # more than any fenv_t has
 
 @contextmanager
 def flushed() -> Iterator[None]:
-    """Within it the thread that entered, and threads that it starts, compute with zero in place of subnormal numbers;
-    afterwards that thread as before.
+    """A context in which this thread, and threads that it starts, compute with zero in place of subnormal numbers.
 
-    Nothing happens on systems other than Linux on x86-64 and arm64: there it is slower, and the same but for numbers
-    below 1.2e-38.
+    It does nothing on systems other than Linux on x86-64 and arm64: there the same work is slower, and differs by
+    numbers below 1.2e-38.
     """
     if _REGISTER is None:
         yield

@@ -36,7 +36,7 @@ class _Tensor:
 
 def tensor(name: str, *shape: str | int, dtype: str = "float32", unit: str = "1", part: str = "") -> Any:
     """A field of a group: the tensor ``name`` of a graph. Axes of ``shape`` that are names are symbolic, or bound by
-    ``specs``. With a ``part`` it is there for networks with that part alone, and None for others."""
+    ``specs``. A tensor with a ``part`` belongs to networks with that part, and is None for others."""
     return _field(_Tensor(TensorSpec(name, shape, dtype, unit), part))
 
 
@@ -64,7 +64,10 @@ class Tensors:
 
     @classmethod
     def from_flat(cls, arrays: Mapping[str, Array]) -> Self:
-        """The group of those of ``arrays`` that it names; what is of a part and is not there is None."""
+        """The group made of ``arrays`` by name; a tensor of a part is None where ``arrays`` lack it.
+
+        Raises ``KeyError`` where a tensor of every network is missing.
+        """
         found: dict[str, Any] = {}
         for item in fields(cast(Any, cls)):
             declared = item.metadata[_DECLARED]
@@ -83,7 +86,7 @@ class Tensors:
         return found
 
     def each(self, change: Callable[[Array], Array]) -> Self:
-        """The same group of what ``change`` makes of every tensor."""
+        """The same group with ``change`` applied to every tensor."""
         made = {
             item.name: value.each(change) if isinstance(value, Tensors) else change(value)
             for item, value in self._values()

@@ -11,10 +11,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import os
 import pickle
-import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +22,7 @@ from drape.arrays import check_finite, check_shape
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, PARENTS
 from drape.errors import ArtifactError, BodyError, NotFound
+from drape.files.packed import UNREADABLE, write_whole
 
 BODIES_DIR = Path(__file__).resolve().parents[2] / "assets" / "bodies"
 DEFAULT_BODY = "anny_default"
@@ -43,8 +41,7 @@ def save_body(
     f: np.ndarray,
     about: dict[str, Any],
 ) -> None:
-    """Writes ``stem.npz`` and ``stem.json`` atomically; lengths in metres."""
-    stem.parent.mkdir(parents=True, exist_ok=True)
+    """Writes ``stem.npz`` and ``stem.json``, each of which a reader sees whole; lengths in metres."""
     regressor = scipy.sparse.csr_matrix(J_regressor)
     buffer = io.BytesIO()
     np.savez_compressed(
@@ -57,15 +54,9 @@ def save_body(
         f=f.astype(np.int32),
     )
     payload = buffer.getvalue()
-    _write_atomic(stem.with_suffix(".npz"), payload)
+    write_whole(stem.with_suffix(".npz"), payload)
     record = {**about, "sha256": hashlib.sha256(payload).hexdigest()}
-    _write_atomic(stem.with_suffix(".json"), (json.dumps(record, indent=1) + "\n").encode())
-
-
-def _write_atomic(path: Path, payload: bytes) -> None:
-    temporary = path.with_name(path.name + ".part")
-    temporary.write_bytes(payload)
-    os.replace(temporary, path)
+    write_whole(stem.with_suffix(".json"), (json.dumps(record, indent=1) + "\n").encode())
 
 
 def list_bodies(folder: Path = BODIES_DIR) -> list[str]:
@@ -206,8 +197,7 @@ def _read_npz(payload: bytes, name: str) -> dict[str, np.ndarray]:
     try:
         with np.load(io.BytesIO(payload), allow_pickle=False) as stored:
             return {key: stored[key] for key in stored.files if key in (*REQUIRED, "posedirs")}
-    except (ValueError, TypeError, OSError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        # TypeError: a bare .npy under the name .npz is an array, which no `with` takes.
+    except UNREADABLE as error:
         raise BodyError(
             name, expected="an npz of plain arrays", got=str(error), cure="Export the body without pickled objects."
         ) from error

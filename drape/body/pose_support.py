@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
 from drape.errors import ArtifactError
+from drape.files.packed import UNREADABLE
 
 BODY_JOINTS = range(1, 22)  # without the root and the hands, which are rigid
 LEGS = tuple(i for i in BODY_JOINTS if JOINT_NAMES[i].split("_")[-1] in ("hip", "knee", "ankle", "foot"))
@@ -25,7 +26,7 @@ SIXD = 6  # numbers of a rotation
 STEPS = 127  # of a stored number, which is one of a rotation matrix
 _FIRST_COLUMNS, _UP = (0, 3, 6, 1, 4, 7), (3, 4, 5)  # entries of a matrix: its 6D form; the world's up in its frame
 _ENTRIES = (*([9 * joint + i for joint in joints for i in _FIRST_COLUMNS] for joints in (LEGS, TRUNK)), _UP)
-_TAKEN = np.concatenate(_ENTRIES)  # of a pose's matrices, one after the other
+_TAKEN = np.concatenate(_ENTRIES)  # the entries of a pose's matrices that are compared, part after part
 _ENDS = np.cumsum([len(part) for part in _ENTRIES]).tolist()
 _SLICES = tuple(slice(end - len(part), end) for part, end in zip(_ENTRIES, _ENDS, strict=True))
 _JOINTS = np.array([max(1, len(part) // SIXD) for part in _ENTRIES], dtype=np.float32)
@@ -47,7 +48,7 @@ class PoseSupport:
 
     @cached_property
     def _kept(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-        """Of each part the kept rows, turned (n, m), and their squares (m,), float32."""
+        """The kept rows of each part, transposed (n, m), and the squares of their lengths (m,), float32."""
         rows = [getattr(self, name).astype(np.float32) / np.float32(STEPS) for name in PARTS]
         return tuple((np.ascontiguousarray(one.T), (one**2).sum(axis=1)) for one in rows)
 
@@ -71,8 +72,7 @@ class PoseSupport:
 
 
 def pose_rows(poses: np.ndarray) -> np.ndarray:
-    """All numbers of ``poses`` (F, 24, 3) [rad] that are looked at, part after part in the order of ``PARTS``
-    (F, 129)."""
+    """The compared numbers (F, 129) of ``poses`` (F, 24, 3) [rad], part after part in the order of ``PARTS``."""
     # One call in C for a frame, where the formula of drape.geometry in numpy takes fifty; it refuses to read an array
     # that nobody may write, hence the copy.
     matrices = Rotation.from_rotvec(np.array(poses, dtype=np.float64).reshape(-1, 3)).as_matrix()
@@ -86,11 +86,11 @@ def pose_parts(poses: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def read_pose_support(path: Path) -> PoseSupport:
-    """What ``PoseSupport.to_bytes`` wrote; raises ``ArtifactError`` where the file is something else."""
+    """The pose support that ``to_bytes`` wrote; raises ``ArtifactError`` where the file holds something else."""
     try:
         with np.load(path, allow_pickle=False) as file:
             made = PoseSupport(**{item.name: file[item.name] for item in fields(PoseSupport)})
-    except (OSError, ValueError, KeyError) as error:
+    except UNREADABLE as error:
         raise _unreadable(path, str(error)) from error
     wide = [rows.shape[1] for rows in pose_parts(np.zeros((1, JOINT_COUNT, 3))).values()]
     shapes = [getattr(made, name).shape for name in PARTS]

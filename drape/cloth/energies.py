@@ -13,7 +13,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from drape.arrays import Array, device, namespace
+from drape.cloth.bending import fold, hinge
 from drape.cloth.material import Material
+from drape.cloth.membrane import RestTriangles, rest_triangles
+from drape.cloth.membrane import energy as membrane_energy
 from drape.cloth.rest_state import RestState, modelled
 from drape.errors import InputError
 from drape.geometry import meshes
@@ -57,8 +60,7 @@ class ClothMesh:
         """The constants of the rest state ``rest`` of ``faces`` (F, 3)."""
         faces = meshes.check_faces(faces, vertex_count)
         area, sides = rest.face_area, meshes.hinge_faces(faces)
-        (a, b), (c, d) = np.moveaxis(rest.edges[:, 0], 1, 0), np.moveaxis(rest.edges[:, 1], 1, 0)
-        double = a * d - b * c  # D = [[a, c], [b, d]]
+        triangles = rest_triangles(rest.edges[:, 0].T, rest.edges[:, 1].T)
         spread = np.zeros(vertex_count)
         np.add.at(spread, faces.reshape(-1), np.repeat(area / 3.0, 3))
         third = rest.edges[:, 1] - rest.edges[:, 0]
@@ -74,7 +76,7 @@ class ClothMesh:
         return cls(
             faces=faces,
             face_index=np.ascontiguousarray(faces.T).reshape(-1),
-            inverse_shape=np.stack([d, -b, -c, a]) / double,
+            inverse_shape=triangles.inverse,
             face_area=area,
             vertex_area=spread,
             hinge_index=np.ascontiguousarray(hinges.T).reshape(-1),
@@ -118,22 +120,14 @@ def _shared_edges(edges: np.ndarray, faces: np.ndarray, hinges: np.ndarray, side
 
 
 def membrane(positions: Array, mesh: ClothMesh, material: Material) -> Array:
-    """St.Venant-Kirchhoff membrane energy.
-
-    Per triangle F = [x1 - x0, x2 - x0] D^-1 (3 x 2), columns warp p and weft t, E = (F^T F - I) / 2,
-    energy = area/2 (warp Epp^2 + 2 cross Epp Ett + weft Ett^2 + shear Ept^2); of an isotropic cloth
-    area (mu |E|^2 + lambda/2 tr(E)^2).
-    """
+    """Membrane energy of ``drape.cloth.membrane`` along warp and weft, summed over the triangles."""
     return _membrane(_planes(positions), mesh, material)
 
 
 def bending(positions: Array, mesh: ClothMesh, material: Material) -> Array:
-    """Hinge energy: sum of k l^2 / (A1 + A2) (1 - cos(theta - theta0)), theta the signed dihedral angle.
+    """Bending energy of ``drape.cloth.bending``, summed over the hinges.
 
-    k is the rigidity of hinges of that direction (``fabric.hinge_harmonics``), times the hinge's stiffening.
-    For small changes k/2 l^2 / (A1 + A2) (theta - theta0)^2. On a mesh of
-    equilateral triangles that is a plate of rigidity k [N m]: k/2 (curvature)^2 per
-    area on a cylinder (Seung & Nelson 1988), and 1.15 k per hinge.
+    The rigidity is that of hinges in their direction (``fabric.hinge_harmonics``), times the hinge's stiffening.
     """
     return _bending(_planes(positions), mesh, material)
 
@@ -229,41 +223,14 @@ def _corners(planes: Array, index: Array, count: int) -> list[Array]:
 
 
 def _membrane(planes: Array, mesh: ClothMesh, material: Material) -> Array:
-    xp = namespace(planes)
-    x0, x1, x2 = _corners(planes, mesh.face_index, 3)
-    e1, e2 = x1 - x0, x2 - x0
-    a, b, c, d = xp.unstack(mesh.inverse_shape, axis=0)
-    along, across = a * e1 + b * e2, c * e1 + d * e2
-    warp_strain = 0.5 * (xp.sum(along * along, axis=0) - 1.0)
-    weft_strain = 0.5 * (xp.sum(across * across, axis=0) - 1.0)
-    shear_strain = 0.5 * xp.sum(along * across, axis=0)
-    warp, weft, cross, shear = material.membrane
-    density = warp_strain * (warp * warp_strain + (2.0 * cross) * weft_strain)
-    density = density + weft * (weft_strain * weft_strain) + shear * (shear_strain * shear_strain)
-    return xp.sum((0.5 * mesh.face_area) * density, axis=-1)
-
-
-def _hinge_angles(planes: Array, hinge_index: Array, mean_edge_m: float) -> tuple[Array, Array]:
-    """Cosine and sine (..., H) of the signed dihedral angle, positive where the fold points along the normals.
-
-    With e = xj - xi, a = xk - xi, b = xl - xi the normals are n1 = e x a and
-    n2 = b x e, and n1 x n2 = -(n1 . b) e, so that no second cross product is needed.
-    """
-    xp = namespace(planes)
-    xi, xj, xk, xl = _corners(planes * (1.0 / mean_edge_m), hinge_index, 4)
-    e = xp.unstack(xj - xi, axis=0)
-    a = xp.unstack(xk - xi, axis=0)
-    b = xp.unstack(xl - xi, axis=0)
-    n1, n2 = _cross(e, a), _cross(b, e)
-    scale = 1.0 / xp.sqrt(_dot(n1, n1) * _dot(n2, n2) + DEGENERATE)
-    return _dot(n1, n2) * scale, -xp.sqrt(_dot(e, e) + DEGENERATE) * _dot(n1, b) * scale
+    corners, rest = _corners(planes, mesh.face_index, 3), RestTriangles(mesh.inverse_shape, mesh.face_area)
+    return namespace(planes).sum(membrane_energy(corners, rest, material.membrane), axis=-1)
 
 
 def _bending(planes: Array, mesh: ClothMesh, material: Material) -> Array:
     xp = namespace(planes)
-    cosine, sine = _hinge_angles(planes, mesh.hinge_index, mesh.mean_edge_m)
-    fold = 1.0 - (cosine * mesh.hinge_cosine + sine * mesh.hinge_sine)
-    weighted = mesh.hinge_weight * fold
+    hinges = hinge(_corners(planes * (1.0 / mesh.mean_edge_m), mesh.hinge_index, 4), DEGENERATE)
+    weighted = mesh.hinge_weight * fold(hinges, mesh.hinge_cosine, mesh.hinge_sine)
     turned = weighted @ mesh.hinge_turn  # (..., 2)
     mean, second, fourth = (_scalar(b) for b in material.bending)
     return mean * xp.sum(weighted, axis=-1) + second * turned[..., 0] + fourth * turned[..., 1]
@@ -272,11 +239,3 @@ def _bending(planes: Array, mesh: ClothMesh, material: Material) -> Array:
 def _scalar(constant: float | Array) -> float | Array:
     """A constant (..., 1) of as many cloths as (...), which is what is left of the hinges once they are summed."""
     return constant if isinstance(constant, float | int) else constant[..., 0]
-
-
-def _cross(a: tuple[Array, ...], b: tuple[Array, ...]) -> tuple[Array, Array, Array]:
-    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
-
-
-def _dot(a: tuple[Array, ...], b: tuple[Array, ...]) -> Array:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

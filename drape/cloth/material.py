@@ -8,11 +8,38 @@ import numpy as np
 
 from drape.arrays import Array
 from drape.cloth.fabric import Fabric, hinge_harmonics
-from drape.cloth.orthotropic import OrthotropicMaterial
 from drape.errors import InputError, NotFound
 
 POSITIVE = ("warp_n_per_m", "weft_n_per_m", "shear_n_per_m", "density_kg_m2")
 SIGNED = ("cross_n_per_m", "bending_2_j", "bending_4_j")
+
+
+@dataclass(frozen=True)
+class OrthotropicMaterial:
+    """Constants of a woven cloth: ``h00`` .. ``h22`` [N/m], plate rigidity ``bending_j`` [J], ``density_kg_m2``."""
+
+    h00: float
+    h01: float
+    h11: float
+    h22: float
+    bending_j: float
+    density_kg_m2: float
+
+    def __post_init__(self) -> None:
+        numbers = np.array(list(vars(self).values()), dtype=np.float64)
+        stiff = self.h00 > 0.0 and self.h11 > 0.0 and self.h22 > 0.0 and self.h01**2 < self.h00 * self.h11
+        if not (np.isfinite(numbers).all() and stiff and self.bending_j >= 0.0 and self.density_kg_m2 > 0.0):
+            raise InputError(
+                "orthotropic material",
+                expected="h00, h11, h22, density > 0, h01^2 < h00 h11, bending >= 0",
+                got=str(self),
+                cure="Give a stiffness that resists every strain.",
+            )
+
+    @property
+    def stretch_n_per_m(self) -> np.ndarray:
+        """(H00, H01, H11, H22) [N/m]."""
+        return np.array([self.h00, self.h01, self.h11, self.h22])
 
 
 @dataclass(frozen=True)

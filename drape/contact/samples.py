@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 from drape.arrays import Array, check_shape, like, namespace
 from drape.contact.blocks import blocks
 from drape.errors import InputError
-from drape.geometry import meshes
+from drape.geometry import mesh_graphs, meshes
 from drape.geometry.rotations import cross_columns, dot_columns
 
 DENSE_PER_DISC = 12  # random points drawn for each sample kept
@@ -183,7 +183,7 @@ def ring_operator(rest: np.ndarray, faces: np.ndarray, placed: Placed) -> scipy.
         (np.ones(3 * count), (np.repeat(np.arange(count), 3), corners.reshape(-1))), shape=(count, vertex_count)
     )
     itself = scipy.sparse.identity(vertex_count, format="csr")
-    row, column = scipy.sparse.csr_matrix(touching @ (meshes.adjacency(faces, vertex_count) + itself)).nonzero()
+    row, column = scipy.sparse.csr_matrix(touching @ (mesh_graphs.adjacency(faces, vertex_count) + itself)).nonzero()
     keys = np.unique(np.concatenate([sample[facing] * vertex_count + near[facing], row * vertex_count + column]))
     return operator(rest, faces, placed, keys // vertex_count, keys % vertex_count)
 

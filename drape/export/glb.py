@@ -19,7 +19,7 @@ import numpy as np
 
 from drape.errors import InputError
 from drape.export.glb_file import INDEX_BUFFER, VERTEX_BUFFER, GlbFile
-from drape.export.ride import Ride, keys
+from drape.export.root_motion import RootMotion, keys
 from drape.export.surface import Surface
 from drape.geometry import meshes
 
@@ -73,18 +73,18 @@ def add_garment(
     fps: float,
     colour: tuple[float, float, float, float] = GARMENT_COLOURS[0],
     *,
-    ride: Ride | None = None,
+    root_motion: RootMotion | None = None,
 ) -> None:
     """The garment at ``frames`` (F, V, 3) [m], animated if there are several.
 
-    With the ``ride`` of the body's root quantised: no coordinate is off by more than half a step, 1/65534 of the
-    box's longer half. Without it float32. Raises ``InputError`` for a ride of another number of frames.
+    With a ``root_motion`` it is quantised: no coordinate is off by more than half a step, 1/65534 of the box's longer
+    half. Without one it is in float32. Raises ``InputError`` for a motion of another number of frames.
     """
     corners = split_seams(garment)
-    if ride is not None and len(ride) != len(frames):
+    if root_motion is not None and len(root_motion) != len(frames):
         cure = "Give the root's motion of these frames."
-        raise InputError("ride", expected=f"{len(frames)} frames", got=str(len(ride)), cure=cure)
-    made = _in_floats if ride is None else partial(_in_steps, ride=ride)
+        raise InputError("root motion", expected=f"{len(frames)} frames", got=str(len(root_motion)), cure=cure)
+    made = _in_floats if root_motion is None else partial(_in_steps, root_motion=root_motion)
     shape = made(file, garment, corners, frames)
     base, moves = shape.parts[0], shape.parts[1:]
     if corners.uv is not None:
@@ -115,7 +115,7 @@ def add_garment(
 
 @dataclass(frozen=True, eq=False)
 class _Shape:
-    """Accessors of the first frame and of the way to each later one; what the node of the mesh is, and how it moves."""
+    """Accessors of the first frame and of the way from there to each later one; fields of the node, and its motion."""
 
     parts: list[dict[str, int]]
     node: dict[str, Any] = field(default_factory=dict)
@@ -137,40 +137,42 @@ def _in_floats(file: GlbFile, garment: Surface, corners: Corners, frames: np.nda
     return _Shape(parts)
 
 
-def _in_steps(file: GlbFile, garment: Surface, corners: Corners, frames: np.ndarray, *, ride: Ride) -> _Shape:
+def _in_steps(
+    file: GlbFile, garment: Surface, corners: Corners, frames: np.ndarray, *, root_motion: RootMotion
+) -> _Shape:
     """The clip in steps, and the node that makes places of them and moves with the root."""
     file.quantised()
-    centre, scale = _box(frames, ride)
+    centre, scale = _box(frames, root_motion)
     places, turned = [], []
-    for steps, normal in _steps(frames, garment.faces, ride, centre, scale):
+    for steps, normal in _steps(frames, garment.faces, root_motion, centre, scale):
         # A way is between what two frames were rounded to: their errors do not add up.
         places.append((steps[corners.source] - places[0]) if places else steps[corners.source])
         turned.append(normal[corners.source])
     positions = file.quantised_rows(np.stack(places).astype(np.int16), bounds=True)
     normals = file.quantised_rows(np.stack(turned).astype(np.int8))
     parts = [{"POSITION": p, "NORMAL": n} for p, n in zip(positions, normals, strict=True)]
-    motion = {"translation": ride.places_of(centre).astype(np.float32), "rotation": keys(ride.turn)}
+    motion = {"translation": root_motion.places_of(centre).astype(np.float32), "rotation": keys(root_motion.turn)}
     return _Shape(parts, {"scale": [scale] * 3}, motion)
 
 
-def _box(frames: np.ndarray, ride: Ride) -> tuple[np.ndarray, float]:
+def _box(frames: np.ndarray, root_motion: RootMotion) -> tuple[np.ndarray, float]:
     """The centre (3,) [m] of the first frame in the root's frame, and the longest of its half edges and of all ways
     from there along an axis [m]: what ``STEPS`` steps reach."""
-    first = ride.towards_root(frames[0], 0)
+    first = root_motion.towards_root(frames[0], 0)
     centre = 0.5 * (first.min(axis=0) + first.max(axis=0))
     reach = np.abs(first - centre).max()
     for frame in range(1, len(frames)):
-        reach = max(reach, np.abs(ride.towards_root(frames[frame], frame) - first).max())
+        reach = max(reach, np.abs(root_motion.towards_root(frames[frame], frame) - first).max())
     return centre, float(max(reach, 1e-6)) * (1.0 + 1.0 / STEPS)  # rounding may make a way longer by a step
 
 
 def _steps(
-    frames: np.ndarray, faces: np.ndarray, ride: Ride, centre: np.ndarray, scale: float
+    frames: np.ndarray, faces: np.ndarray, root_motion: RootMotion, centre: np.ndarray, scale: float
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Each frame's places in steps from the centre (V, 3), and the first one's normals or the ways from them."""
     first, table = np.zeros(0), meshes.face_table(faces, frames.shape[1])
     for frame, points in enumerate(frames):
-        local = ride.towards_root(points, frame)
+        local = root_motion.towards_root(points, frame)
         normals = vertex_normals(local, faces, table=table).astype(np.float64)
         if frame:
             normals = _way_of_normals(first, normals)
@@ -180,9 +182,9 @@ def _steps(
 
 
 def _way_of_normals(first: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """What leads from ``first`` (V, 3) to the direction of ``normals``, each part within [-1, 1].
+    """The way from ``first`` (V, 3) to the direction of ``normals``, each part within [-1, 1].
 
-    Players make normals unit vectors again, so one that would be too far is shortened until it is not.
+    Players make normals unit vectors again, so a normal that lies too far away is shortened.
     """
     room = 1.0 + np.sign(normals) * first
     share = (room / np.maximum(np.abs(normals), 1e-9)).min(axis=1, keepdims=True)

@@ -14,7 +14,7 @@ from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES, PARENTS
 from drape.export.glb import flat_indices, vertex_normals
 from drape.export.glb_file import INDEX_BUFFER, VERTEX_BUFFER, GlbFile
-from drape.export.ride import keys
+from drape.export.root_motion import keys
 
 BODY_COLOUR = (0.80, 0.70, 0.63, 1.0)
 

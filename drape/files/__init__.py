@@ -1,1 +1,1 @@
-"""What lies on a disk: file formats, data of one's own, and the avatar that a file name tells."""
+"""Files on a disk: formats of meshes, packed arrays, the folder of one's own data, and avatars by file name."""

@@ -1,4 +1,4 @@
-"""The rule by which a garment's file name tells its avatar: ``avatars.json`` maps beginnings of names to avatars.
+"""The rule that finds a garment's avatar by its file name: ``avatars.json`` maps beginnings of names to avatars.
 
 An entry is a phenotype or SMPL parameters (an object), ``standard``, or a mesh file beside the
 table. Intake, service and clients ask the same rule; the shipped table knows ``female`` and

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-HEAD_BYTES = 2048  # of a file; what tells a format by its content
+HEAD_BYTES = 2048  # the beginning of a file, by which its format is known
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """The avatar that a garment was modelled on, in correspondence with the standard body.
 
-An avatar is told in one of five ways (``read_avatar``): the word ``standard`` (the standard
+An avatar is given in one of five ways (``read_avatar``): the word ``standard`` (the standard
 body itself, in T-pose), a phenotype of the package anny, SMPL parameters, a mesh file, or a
 name in the ``avatars.json`` beside the garment. Phenotypes are evaluated from a baked asset
 (``training.bake_avatars``), so neither anny nor torch is needed here.
@@ -9,8 +9,6 @@ name in the ``avatars.json`` beside the garment. Phenotypes are evaluated from a
 from __future__ import annotations
 
 import json
-import lzma
-import zipfile
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -24,6 +22,7 @@ from drape.body.skeleton import JOINT_COUNT
 from drape.errors import ArtifactError, BodyError, NotFound
 from drape.files.avatar_table import SHIPPED_FOLDER, TABLE_NAME, avatar_table, entry_for
 from drape.files.formats import MESH_SUFFIXES
+from drape.files.packed import UNREADABLE, read_packed
 
 AVATARS_FILE = BODIES_DIR / "avatars.npz"
 STANDARD = "standard"
@@ -100,19 +99,18 @@ class PhenotypeSpace:
 def load_phenotypes(path: Path = AVATARS_FILE) -> PhenotypeSpace:
     """The phenotype space stored at ``path``; raises ``ArtifactError`` when the asset is absent or damaged."""
     try:
-        with np.load(path, allow_pickle=False) as stored:
-            header = json.loads(bytes(stored["header"]).decode())
-            return PhenotypeSpace(
-                labels=tuple(header["labels"]),
-                anchors=tuple(tuple(row) for row in header["anchors"]),
-                mean=stored["mean"].astype(np.float64),
-                basis=stored["basis"],
-                coefficients=stored["coefficients"],
-                step_m=float(header["step_m"]),
-                base_vertices=stored["base_vertices"].astype(np.int64),
-                base_vertex_count=int(header["base_vertex_count"]),
-            )
-    except (OSError, KeyError, ValueError, EOFError, lzma.LZMAError, zipfile.BadZipFile) as error:
+        header, arrays = read_packed(path)
+        return PhenotypeSpace(
+            labels=tuple(header["labels"]),
+            anchors=tuple(tuple(row) for row in header["anchors"]),
+            mean=arrays["mean"].astype(np.float64),
+            basis=arrays["basis"],
+            coefficients=arrays["coefficients"],
+            step_m=float(header["step_m"]),
+            base_vertices=arrays["base_vertices"].astype(np.int64),
+            base_vertex_count=int(header["base_vertex_count"]),
+        )
+    except UNREADABLE as error:
         raise ArtifactError(
             path.name,
             expected="the baked phenotypes",
@@ -208,10 +206,11 @@ def avatar_for(path: Path) -> tuple[str, Any] | None:
 def parse_avatar(
     avatar: str | Path | dict[str, Any] | None, *, beside: Path | None = None, allow_paths: bool = True
 ) -> dict[str, Any] | Path | str | None:
-    """What ``avatar`` means: a dictionary, a mesh file, ``standard``, or None where nothing tells.
+    """The meaning of ``avatar``: a dictionary, a mesh file, ``standard``, or None where the garment has no avatar.
 
-    Text may be JSON, a path to a mesh or to a JSON file, or a name in the table beside the
-    garment (or in DRAPE_DATA/garments). With None the table is asked for the garment's own name.
+    Text may be JSON, a path to a mesh or to a JSON file, or a name in the table ``beside`` the garment, in
+    DRAPE_DATA/garments or in the shipped one. None looks the garment's own name up in the tables. Raises ``NotFound``
+    for text that is none of these, and ``BodyError`` for broken JSON. Paths are refused unless ``allow_paths``.
     """
     if avatar is None:
         found = avatar_for(beside) if beside is not None else None

@@ -1,23 +1,17 @@
 """The garment as the product keeps it: patches, charts and skin weights, content-addressed on disk.
 
-A cache file is one npz of plain arrays (the fields of ``Garment``), packed by LZMA, which is a fifth
-smaller than numpy's own packing and read by ``numpy.load`` like it. What is text, the manifest included, lies
-as one JSON object in the bytes of the array ``header``; there too it is said where ``fine_faces`` are the
-``faces`` and left out. The file's name is ``NAME-DIGEST16.npz``; the digest covers the source mesh, the body, the
-intake options and ``FORMAT_VERSION``, not the file's name or time. To inspect one:
-``python -m drape.garment.cache FILE``.
+A cache file is one npz of plain arrays (the fields of ``Garment``), packed by LZMA: a fifth smaller than numpy's own
+packing, and ``numpy.load`` reads it too. The bytes of the array ``header`` are one JSON object of all text, the
+manifest included. Where ``fine_faces`` equal ``faces`` they are left out, and the header says so. The file's name is
+``NAME-DIGEST16.npz``; the digest covers the source mesh, the body, the intake options and ``FORMAT_VERSION``, not the
+file's name or time. ``python -m drape.garment.cache FILE`` prints what a file holds.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
-import lzma
-import os
 import sys
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
@@ -28,8 +22,8 @@ import numpy as np
 
 from drape.cloth.fabric_table import DEFAULT_FABRIC
 from drape.cloth.rest_state import RestState
-from drape.errors import ArtifactError, NotFound, Unavailable, refusing
-from drape.files.packed import packed
+from drape.errors import ArtifactError, NotFound, refusing
+from drape.files.packed import UNREADABLE, packed, read_packed, write_whole
 from drape.geometry import jets, meshes
 
 FORMAT_VERSION = 1
@@ -95,9 +89,9 @@ class Garment(Atlas):
 
     ``skin_weights`` (N, 24) and ``shapedirs`` (N, 3, S) serve plain skinning.
 
-    ``rest_edges`` (G, 2, 2), ``rest_angle`` (H,) and ``rest_stiffening`` (H,): the ``RestState`` of ``fine_faces``,
-    None in garments taken in before there was one; ``rest_state`` gives it for all. ``fabric``: the cloth that it is
-    of, a name or the numbers of ``drape.cloth.fabric_table.fabric``.
+    ``rest_edges`` (G, 2, 2), ``rest_angle`` (H,) and ``rest_stiffening`` (H,): the ``RestState`` of ``fine_faces``.
+    They are None in garments from before there was one; ``rest_state`` returns it for all. ``fabric``: a name, or the
+    numbers of ``drape.cloth.fabric_table.fabric``.
     """
 
     name: str
@@ -120,9 +114,9 @@ class Garment(Atlas):
     fabric: str | Mapping[str, Any] = DEFAULT_FABRIC
 
     def rest_state(self) -> RestState:
-        """The cloth of ``fine_faces`` without stress; where none is stored, ``rest_detail.rest_of`` the rest mesh.
+        """The cloth of ``fine_faces`` without stress; where none is stored, that which ``rest_detail.rest_of`` finds.
 
-        Raises ``ArtifactError`` where what is stored is not of that mesh.
+        Raises ``ArtifactError`` where the stored arrays do not fit the mesh.
         """
         return self._rest_state
 
@@ -148,12 +142,6 @@ class Garment(Atlas):
                 )
         return RestState(*(np.asarray(array, dtype=np.float64) for array in stored))
 
-    def reconstruct(self) -> np.ndarray:
-        """Rest vertices [m] (N, 3) blended from the charts; equals ``vertices`` to rounding."""
-        rotation = self.patch_rotation[self.chart_patch].astype(np.float64)
-        placed = np.einsum("vkab,vkb->vka", rotation, self.chart_local()) + self.patch_centre[self.chart_patch]
-        return np.einsum("vk,vka->va", self.chart_weight.astype(np.float64), placed)
-
     def file_name(self) -> str:
         return f"{self.name}-{self.digest[:16]}.npz"
 
@@ -173,41 +161,17 @@ def save_garment(garment: Garment, folder: Path) -> Path:
         del arrays["fine_faces"]
         header["fine_faces"] = "faces"
     arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
-    content, path = packed(arrays), folder / garment.file_name()
-    temporary = path.with_name(path.name + f".{os.getpid()}.part")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(content)
-        os.replace(temporary, path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-        got = str(error.strerror or error)
-        raise Unavailable(
-            str(folder), expected="a folder that can be written", got=got, cure="Choose another folder."
-        ) from error
+    path = folder / garment.file_name()
+    write_whole(path, packed(arrays))
     return path
 
 
 def load_garment(path: Path) -> Garment:
     """The garment stored at ``path``; raises ``ArtifactError`` when the file is damaged or of another format."""
     try:
-        with np.load(path, allow_pickle=False) as stored:
-            header = json.loads(bytes(stored["header"]).decode())
-            arrays = {key: stored[key] for key in stored.files if key != "header"}
-            version = header.pop("format_version", None)
-    except (
-        OSError,
-        ValueError,
-        TypeError,
-        AttributeError,
-        KeyError,
-        EOFError,
-        zipfile.BadZipFile,
-        zlib.error,
-        lzma.LZMAError,
-    ) as error:
-        # TypeError: a bare .npy is an array, which no `with` takes. AttributeError: a header that is not an object.
+        header, arrays = read_packed(path)
+        version = header.pop("format_version", None)
+    except UNREADABLE as error:
         raise ArtifactError(
             f"garment cache {path.name}", expected="a garment npz", got=str(error), cure="Run the intake again."
         ) from error

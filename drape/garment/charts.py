@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import scipy.sparse
@@ -10,13 +11,32 @@ from scipy.sparse.csgraph import dijkstra
 
 from drape.garment.cache import CHARTS_PER_VERTEX
 
+RIDGE = 1e-4  # of a fit of jets, on coefficients of unit-scaled coordinates
+
 
 @dataclass(frozen=True)
-class Cover:
+class ChartBlend:
     """Patches per vertex: ``patch`` (N, 4) int32, ``weight`` (N, 4) summing to one, unused slots weigh zero."""
 
     patch: np.ndarray
     weight: np.ndarray
+
+
+def rows_of_patches(patch: np.ndarray, count: int) -> list[np.ndarray]:
+    """The rows of each of ``count`` patches in ``patch`` (n,), ascending; rows with a negative number are nobody's."""
+    order = np.argsort(patch, kind="stable")
+    bounds = np.searchsorted(patch[order], np.arange(count + 1))
+    return [order[start:end] for start, end in pairwise(bounds)]
+
+
+def ridge_fit(basis: np.ndarray, values: np.ndarray, root: np.ndarray) -> np.ndarray:
+    """Coefficients (m, ...) of ``values`` (n, ...) in the columns of ``basis`` (n, m).
+
+    Least squares with a ridge; each row weighs the square of its ``root`` (n,).
+    """
+    a = basis * root[:, None]
+    target = values * root.reshape(-1, *[1] * (values.ndim - 1))
+    return np.linalg.solve(a.T @ a + RIDGE * np.eye(a.shape[1]), a.T @ target)
 
 
 def cluster_centres(label: np.ndarray, vertices: np.ndarray, area: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -32,7 +52,7 @@ def cluster_centres(label: np.ndarray, vertices: np.ndarray, area: np.ndarray) -
     return centre, seed
 
 
-def cover(graph: scipy.sparse.csr_matrix, seeds: np.ndarray, *, spacing_m: float) -> Cover:
+def blend_charts(graph: scipy.sparse.csr_matrix, seeds: np.ndarray, *, spacing_m: float) -> ChartBlend:
     """The four geodesically nearest patches of each vertex and their blend weights.
 
     With d5 the distance to the first patch left out, ``w = max(0, 1 - (d / d5)^2)^2``,
@@ -64,7 +84,7 @@ def cover(graph: scipy.sparse.csr_matrix, seeds: np.ndarray, *, spacing_m: float
     full = np.zeros((count, CHARTS_PER_VERTEX))
     patch[:, :slots] = np.where(finite[:slots], ordered[:slots], ordered[:1]).T
     full[:, :slots] = weight.T
-    return Cover(patch, full / full.sum(axis=1, keepdims=True))
+    return ChartBlend(patch, full / full.sum(axis=1, keepdims=True))
 
 
 def patch_frames(

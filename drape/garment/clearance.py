@@ -15,7 +15,7 @@ import scipy.sparse.linalg
 from scipy.spatial import KDTree
 
 from drape.errors import MeshError
-from drape.geometry import meshes
+from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import ClosestPoints, closest_point, signed_distance
 
 CLEARANCE_M = 0.006
@@ -117,4 +117,4 @@ def _layered_laplacian(
         pairs = pairs[np.einsum("nc,nc->n", normals[pairs[:, 0]], normals[pairs[:, 1]]) > 0.5]
     joined = np.unique(np.sort(np.concatenate([edges, pairs]), axis=1), axis=0)
     weight = 1.0 / np.maximum(meshes.edge_lengths(vertices, joined), 2e-3) ** 2
-    return meshes.weighted_laplacian(meshes.edge_matrix(joined, weight, len(vertices)))
+    return mesh_graphs.weighted_laplacian(mesh_graphs.edge_matrix(joined, weight, len(vertices)))

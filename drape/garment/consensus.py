@@ -10,11 +10,11 @@ says nearly what its neighbours say.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
 from drape.garment.cache import CHARTS_PER_VERTEX
+from drape.garment.charts import rows_of_patches
 from drape.geometry import jets
 
 ANCHORS_PER_PATCH = 12  # within the patch itself; its chart reaches over three times as many of its neighbours'
@@ -97,24 +97,18 @@ def _weighted_fit(basis: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 
 def _held(patch: np.ndarray, weight: np.ndarray, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Of each patch the rows and slots of the charts (A, 4) that are its own and weigh anything."""
+    """The rows and the slots of each patch's charts among ``patch`` (A, 4), without those of no ``weight``."""
     rows, slots = np.nonzero(weight > 0.0)
-    held = patch[rows, slots]
-    order = np.argsort(held, kind="stable")
-    starts = np.searchsorted(held[order], np.arange(count + 1))
-    parts = [order[a:b] for a, b in pairwise(starts)]
-    return [(rows[part], slots[part]) for part in parts]
+    return [(rows[part], slots[part]) for part in rows_of_patches(patch[rows, slots], count)]
 
 
 def _anchors(patch: np.ndarray, uv: np.ndarray, weight: np.ndarray, count: int) -> np.ndarray:
-    """Up to ``ANCHORS_PER_PATCH`` vertices of every patch's own, each the farthest in (u, v) from those before it;
-    fewer where a chart would reach over more than it has places for."""
+    """Rows (A,) of the anchors: up to ``ANCHORS_PER_PATCH`` vertices of each patch, each farthest in (u, v) from those
+    before it. A chart that would hold more anchors than it has places for loses those that it weighs least."""
     every, heaviest = np.arange(len(patch)), np.argmax(weight, axis=1)
     owner, place = patch[every, heaviest], uv[every, heaviest].astype(np.float64)
-    order = np.argsort(owner, kind="stable")
-    starts = np.searchsorted(owner[order], np.arange(count + 1))
-    groups = [order[a:b] for a, b in pairwise(starts) if b > a]
-    anchor = np.sort(np.concatenate([own[_farthest_first(place[own])] for own in groups]))
+    groups = rows_of_patches(owner, count)
+    anchor = np.sort(np.concatenate([own[_farthest_first(place[own])] for own in groups if len(own)]))
     while True:
         held = _held(patch[anchor], weight[anchor], count)
         rows, slots = max(held, key=lambda part: len(part[0]))

@@ -54,9 +54,10 @@ def rest_grain(garment: Garment) -> np.ndarray:
 
 
 def encoder_features(garment: Garment, width: int, fabric: Fabric | None = None) -> np.ndarray:
-    """What a garment encoder of ``width`` features reads of ``garment`` made of ``fabric``, or of its own, (K, width).
+    """The input (K, width) of a garment encoder for ``garment`` made of ``fabric``, or of its own fabric.
 
-    A network from before fabrics reads nothing of it. Raises ``ArtifactError`` for any other width.
+    A network that was trained before there were fabrics reads the patch features alone. Raises ``ArtifactError`` for
+    any other width.
     """
     features = np.ascontiguousarray(garment.patch_features, dtype=np.float32)
     if features.shape[1] == width:

@@ -1,4 +1,4 @@
-"""What the garment encoder reads of each patch: smooth on the body, no arbitrary axis or sign."""
+"""The features of each patch that the garment encoder reads: smooth on the body, without an arbitrary axis or sign."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from drape.geometry.closest import nearest_vertices
 from drape.geometry.rotations import matrix_to_sixd
 
 FREQUENCIES = (1.0, 2.0, 4.0, 8.0)  # of the positional encoding, cycles per 2 m / pi
-REACH_M = 0.3  # of a joint on a patch
+JOINT_REACH_M = 0.3  # joints farther from a patch than this tell it little
 BOUNDARY_REACH_M = 0.25  # farther hems are all alike
 
 
 def saturated(offsets: Array) -> Array:
-    """Offsets [m] (..., 3) with their length r turned into tanh(r / 0.3): what is far says little about a patch."""
+    """Offsets [m] (..., 3) with their length r turned into tanh(r / 0.3): far joints say little about a patch."""
     xp = namespace(offsets)
     # A maximum and not a sum: graph optimisers take "+ 1e-12" for "+ 0" and drop the guard.
     reach = xp.sqrt(xp.maximum(xp.sum(offsets * offsets, axis=-1, keepdims=True), like(offsets, 1e-12)))
-    return offsets * (xp.tanh(reach / REACH_M) / reach)
+    return offsets * (xp.tanh(reach / JOINT_REACH_M) / reach)
 
 
 def positional_encoding(points: np.ndarray) -> np.ndarray:

@@ -16,15 +16,15 @@ SUFFIX = "-fine"  # of the digest
 
 
 def has_finer(garment: Garment) -> bool:
-    """Whether intake subdivided the delivered triangles, as it does where they are long or few."""
+    """Whether intake subdivided the delivered triangles, which it does where they are long or few."""
     return len(garment.vertices) > garment.vertex_count
 
 
 def fine_garment(garment: Garment) -> Garment:
     """``garment`` with all its vertices and ``fine_faces`` as the delivered ones, under a digest of its own.
 
-    Its first vertices are those that were delivered, in their order. Texture coordinates are linear in every delivered
-    triangle, a triangle's parts are of its material. Where nothing was subdivided it is ``garment`` itself. Raises
+    Its first vertices are the delivered ones, in their order. Texture coordinates are linear in every delivered
+    triangle, whose parts have its material. A garment that was not subdivided is returned as it is. Raises
     ``ArtifactError`` where ``fine_faces`` are no subdivision of ``faces``.
     """
     if not has_finer(garment):
@@ -46,8 +46,8 @@ def fine_garment(garment: Garment) -> Garment:
 
 
 def corner_weights(garment: Garment) -> sp.csr_matrix:
-    """Where the vertices of ``fine_faces`` lie in the delivered triangles: rows (N, V) of at most three weights that
-    sum to one. Raises ``ArtifactError`` where ``fine_faces`` are no subdivision of ``faces``."""
+    """Matrix (N, V) that places the vertices of ``fine_faces`` in the delivered triangles, at most three weights a row,
+    which sum to one. Raises ``ArtifactError`` where ``fine_faces`` are no subdivision of ``faces``."""
     weights = sp.csr_matrix(sp.identity(garment.vertex_count))
     for parents in _rounds(garment):
         weights = sp.csr_matrix(0.5 * (weights[parents[:, 0]] + weights[parents[:, 1]]))

@@ -10,14 +10,13 @@ import numpy as np
 import scipy.sparse
 
 from drape.body.model import BodyModel
-from drape.cloth.fabric_table import DEFAULT_FABRIC
 from drape.garment import charts, features, skin
 from drape.garment.cache import Garment
+from drape.garment.files.mesh import GarmentMesh
 from drape.garment.partition import partition, patch_count_for, vertex_graph
 from drape.garment.unfold import fit_planes, folded_charts, folded_triangles, without_folds
 from drape.geometry import jets, meshes
 
-RIDGE = 1e-4  # of the jet fit, on coefficients of unit-scaled coordinates
 CHART_RADIUS = 1.2  # patch scale over sqrt(area per patch): |u|, |v| <= 1 over most of a chart
 SHAPE_STEP_M = 2.0**-18  # what body shape moves is kept to four micrometres: finer digits only fill the files
 DEFAULT_SEED = 0
@@ -94,15 +93,15 @@ def patch_fields(
     shapedirs = _cluster_mean(label, rest.areas, moves, count).reshape(count, 3, -1)
     rotation = charts.patch_frames(label, rest.normals, rest.areas, weights @ rest.body.bone_directions)
     scale = np.full(count, CHART_RADIUS * np.sqrt(area / count))
-    cover = charts.cover(rest.graph, seeds, spacing_m=float(np.sqrt(area / count)))
-    local = np.einsum("vkba,vkb->vka", rotation[cover.patch], rest.vertices[:, None] - centre[cover.patch])
-    uv, height = local[..., :2] / scale[cover.patch][..., None], local[..., 2] / scale[cover.patch]
-    jet = projected = fit_jets(uv, height, cover, count)
+    blend = charts.blend_charts(rest.graph, seeds, spacing_m=float(np.sqrt(area / count)))
+    local = np.einsum("vkba,vkb->vka", rotation[blend.patch], rest.vertices[:, None] - centre[blend.patch])
+    uv, height = local[..., :2] / scale[blend.patch][..., None], local[..., 2] / scale[blend.patch]
+    jet = projected = fit_jets(uv, height, blend, count)
     if unfold:
-        flat = without_folds(cover, local, scale, rest.faces)
-        cover, uv = flat.cover, flat.uv
-        jet = fit_planes(fit_jets(uv, height, cover, count), flat, local, scale)
-    residual = local - scale[cover.patch][..., None] * jets.evaluate(jet[cover.patch], uv)
+        flat = without_folds(blend, local, scale, rest.faces)
+        blend, uv = flat.blend, flat.uv
+        jet = fit_planes(fit_jets(uv, height, blend, count), flat, local, scale)
+    residual = local - scale[blend.patch][..., None] * jets.evaluate(jet[blend.patch], uv)
     pairs = np.sort(label[meshes.unique_edges(rest.faces)], axis=1)
     return {
         "patch_rotation": rotation.astype(np.float32),
@@ -116,9 +115,9 @@ def patch_fields(
             vertices=rest.vertices, faces=rest.faces, graph=rest.graph, body=rest.body,
         ),
         "patch_neighbours": np.unique(pairs[pairs[:, 0] != pairs[:, 1]], axis=0).astype(np.int32),
-        "chart_patch": cover.patch,
+        "chart_patch": blend.patch,
         "chart_uv": uv.astype(np.float32),
-        "chart_weight": cover.weight.astype(np.float32),
+        "chart_weight": blend.weight.astype(np.float32),
         "chart_residual": residual.astype(np.float32),
     }  # fmt: skip
 
@@ -128,26 +127,19 @@ def _cluster_mean(label: np.ndarray, area: np.ndarray, values: np.ndarray, count
     return (collect @ values) / np.bincount(label, area, count)[:, None]
 
 
-def fit_jets(uv: np.ndarray, height: np.ndarray, cover: charts.Cover, count: int) -> np.ndarray:
+def fit_jets(uv: np.ndarray, height: np.ndarray, blend: charts.ChartBlend, count: int) -> np.ndarray:
     """Rest jets (K, 27): in-plane the identity, height a ridge least-squares 4-jet (Cazals and Pouget 2003).
 
     ``uv`` (N, 4, 2) and ``height`` (N, 4) in units of the patch scale; samples weigh as in the blend.
     """
-    basis = jets.basis(uv, jets.HEIGHT_ORDER)
-    weight = np.sqrt(cover.weight)
-    rows = (basis * weight[..., None]).reshape(-1, jets.HEIGHT_COUNT)
-    target = (height * weight).reshape(-1)
-    owner = np.where(cover.weight > 0, cover.patch, -1).reshape(-1)
-    order = np.argsort(owner, kind="stable")
-    bounds = np.searchsorted(owner[order], np.arange(count + 1))
+    basis = jets.basis(uv, jets.HEIGHT_ORDER).reshape(-1, jets.HEIGHT_COUNT)
+    height, root = height.reshape(-1), np.sqrt(blend.weight).reshape(-1)
     jet = np.zeros((count, jets.JET_COUNT))
     jet[:, 1] = 1.0  # p = u
     jet[:, jets.IN_PLANE_COUNT + 2] = 1.0  # q = v
-    for k in range(count):
-        members = order[bounds[k] : bounds[k + 1]]
-        a = rows[members]
-        normal = a.T @ a + RIDGE * np.eye(jets.HEIGHT_COUNT)
-        jet[k, 2 * jets.IN_PLANE_COUNT :] = np.linalg.solve(normal, a.T @ target[members])
+    owner = np.where(blend.weight > 0, blend.patch, -1).reshape(-1)
+    for k, rows in enumerate(charts.rows_of_patches(owner, count)):
+        jet[k, 2 * jets.IN_PLANE_COUNT :] = charts.ridge_fit(basis[rows], height[rows], root[rows])
     return jet
 
 
@@ -170,58 +162,49 @@ def fit_error(rest: RestGarment, fields: dict[str, np.ndarray]) -> dict[str, flo
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
     cosine = np.clip(np.sum(normal * rest.normals, axis=1), -1.0, 1.0)
     folded = (jets.normal(jet[patch], uv)[..., 2] <= 0) & (weight > 0)
-    cover = charts.Cover(patch, weight)
+    blend = charts.ChartBlend(patch, weight)
     return {
         "point_rmse_m": float(np.sqrt(np.mean(point_error**2))),
         "point_max_m": float(point_error.max()),
         "normal_error_deg": float(np.degrees(np.arccos(cosine)).mean()),
         "folded_chart_entries": int(folded.sum()),
-        "folded_chart_triangles": int(folded_triangles(cover, uv, rest.faces).sum()),
-        "folded_charts": int(folded_charts(cover, uv, rest.faces).sum()),
+        "folded_chart_triangles": int(folded_triangles(blend, uv, rest.faces).sum()),
+        "folded_charts": int(folded_charts(blend, uv, rest.faces).sum()),
     }
 
 
 def fit_garment(
-    *,
-    name: str,
+    mesh: GarmentMesh,
     vertices: np.ndarray,
-    vertex_count: int,
-    faces: np.ndarray,
     fine_faces: np.ndarray,
-    uv: np.ndarray,
-    uv_faces: np.ndarray,
-    material_names: tuple[str, ...],
-    face_material: np.ndarray,
     body: BodyModel,
+    *,
     digest: str,
     manifest: dict[str, Any],
     count: int | None = None,
     share: float = 1.0,
-    seed: int = DEFAULT_SEED,
 ) -> Garment:
-    """The finished garment of a rest mesh on ``body``: patches, charts, skin weights, fit error in the manifest.
+    """The garment of ``mesh`` at rest on ``body``: patches, charts and skin weights, the fit's error in the manifest.
 
-    ``vertices`` (N, 3) [m] are the delivered vertices followed by those of the
-    subdivision; ``faces`` index the former, ``fine_faces`` all.
+    ``vertices`` [m] (N, 3) are those of ``mesh`` at rest and then those that subdivision added, ``fine_faces`` (G, 3)
+    its triangles. ``count`` and ``share`` as in ``patch_fields``.
     """
     rest = rest_garment(vertices, fine_faces, body)
-    fields = patch_fields(rest, count=count, share=share, seed=seed, unfold=True)
+    fields = patch_fields(rest, count=count, share=share, unfold=True)
     garment = Garment(
-        name=name,
+        name=mesh.name,
         digest=digest,
         body_digest=body.digest,
-        vertex_count=vertex_count,
+        vertex_count=len(mesh.vertices),
         vertices=rest.vertices.astype(np.float32),
-        faces=np.asarray(faces, dtype=np.int32),
+        faces=mesh.faces.astype(np.int32),
         fine_faces=np.asarray(fine_faces, dtype=np.int32),
-        uv=np.asarray(uv, dtype=np.float32).reshape(-1, 2),
-        uv_faces=np.asarray(uv_faces, dtype=np.int32).reshape(-1, 3),
-        material_names=tuple(material_names),
-        face_material=np.asarray(face_material, dtype=np.int32),
+        uv=mesh.uv.astype(np.float32),
+        uv_faces=mesh.uv_faces.astype(np.int32),
+        material_names=mesh.material_names,
+        face_material=mesh.face_material.astype(np.int32),
         skin_weights=rest.binding.weights.astype(np.float32),
         shapedirs=(SHAPE_STEP_M * np.rint(rest.binding.shapedirs / SHAPE_STEP_M)).astype(np.float32),
-        manifest={},
-        fabric=DEFAULT_FABRIC,
         **fields,
     )
     figures = fit_error(rest, fields) | {"patch_count": garment.patch_count, "area_m2": float(rest.areas.sum())}

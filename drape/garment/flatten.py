@@ -15,7 +15,8 @@ import scipy.sparse
 import scipy.sparse.linalg
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from drape.geometry import jets, meshes
+from drape.garment.charts import ridge_fit
+from drape.geometry import jets, mesh_graphs, meshes
 
 # Weights of the projection against the symmetric Dirichlet energy, and after how many steps of SLIM the jets are looked
 # at: the places that they fit best are kept. More pull fits tighter creases and drapes worse, since places crowd along
@@ -27,7 +28,6 @@ LOOSE_PULLS, LOOSE_STEPS = (1.0, 0.0), (1, 1, 1, 1, 1, 1)
 RETURN_AREA, RETURN_SLOPE, RETURN_ROUNDS = 0.2, 1.0, 40
 RING_SHARE = 0.3  # a second rim this long, of the first, means that the piece runs round a limb
 CUT_FLOOR = 0.02  # weight that a cut costs where the chart has none, so that cuts stay short
-RIDGE = 1e-4
 
 
 def signed_areas(uv: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -57,10 +57,11 @@ def rims_cross(uv: np.ndarray, triangles: np.ndarray) -> bool:
 def lay_flat(
     points: np.ndarray, plane: np.ndarray, triangles: np.ndarray, weight: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Rows (m,) of ``points`` (n, 3) that are kept and their places (m, 2): no place twice. None without a disc.
+    """The kept rows (m,) of ``points`` (n, 3), and their places (m, 2), which cover no point of the plane twice.
 
-    ``plane`` (n, 2) are the places to stay near, ``weight`` (n,) what each vertex counts in the chart: cuts run
-    where it is small. Left out are the vertices of cuts, of smaller pieces, and those where parts touch by a corner.
+    ``plane`` (n, 2): places to stay near. ``weight`` (n,): what each vertex counts in the chart; cuts run where it is
+    small. Vertices of cuts and of smaller pieces are left out, and those where parts touch by a corner. None where no
+    disc is left to lay out.
     """
     disc = _largest_piece(triangles)
     while len(disc):
@@ -79,7 +80,7 @@ def lay_flat(
 
 def _cut(points: np.ndarray, disc: np.ndarray, weight: np.ndarray, start: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """Vertices of the path from the rim ``start`` to one of ``ends`` along which the chart weighs least."""
-    graph = meshes.edge_graph(points, disc).tocoo()
+    graph = mesh_graphs.edge_graph(points, disc).tocoo()
     cost = graph.data * (0.5 * (weight[graph.row] + weight[graph.col]) / weight.max() + CUT_FLOOR)
     priced = scipy.sparse.csr_matrix((cost, (graph.row, graph.col)), shape=graph.shape)
     distance, before, _ = dijkstra(priced, indices=start, min_only=True, return_predecessors=True)
@@ -168,14 +169,14 @@ def _relaxed(
 
 
 def _misfit(uv: np.ndarray, points: np.ndarray, weight: np.ndarray) -> float:
-    """Weighted square of what jets over ``uv`` leave of ``points`` (n, 3)."""
+    """The weighted sum of squares by which jets over ``uv`` (n, 2) miss ``points`` (n, 3)."""
     total = 0.0
-    root = np.sqrt(weight)[:, None]
+    root = np.sqrt(weight)
     in_plane, height = points[:, :2] - uv, points[:, 2:]
     for order, values in ((jets.IN_PLANE_ORDER, in_plane), (jets.HEIGHT_ORDER, height)):
-        a = jets.basis(uv, order) * root
-        coefficients = np.linalg.solve(a.T @ a + RIDGE * np.eye(a.shape[1]), a.T @ (values * root))
-        total += float(np.sum((values * root - a @ coefficients) ** 2))
+        basis = jets.basis(uv, order)
+        left = values * root[:, None] - (basis * root[:, None]) @ ridge_fit(basis, values, root)
+        total += float(np.sum(left**2))
     return total
 
 
@@ -213,7 +214,7 @@ def _tutte(surface: np.ndarray, target: np.ndarray, mesh: np.ndarray, ring: np.n
     places[ring] = np.sqrt(area / np.pi) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     free = np.setdiff1d(np.arange(count), ring)
     if len(free):
-        mean = meshes.umbrella_laplacian(mesh, count)[free]
+        mean = mesh_graphs.umbrella_laplacian(mesh, count)[free]
         solved = scipy.sparse.linalg.spsolve(mean[:, free].tocsc(), -mean[:, ring] @ places[ring])
         places[free] = np.asarray(solved).reshape(-1, 2)
     if not np.isfinite(places).all() or (signed_areas(places, mesh) <= 0.0).any():

@@ -8,7 +8,7 @@ import numpy as np
 
 from drape.cloth.rest_state import UP, grain_along
 from drape.errors import InputError
-from drape.geometry import meshes
+from drape.geometry import mesh_graphs, meshes
 
 STRETCH_LIMIT = 1.15  # both singular values of uv -> cloth lie within this of the mesh's scale ...
 FLAT_SHARE = 0.8  # ... over this share of its area, and an island is a flattening; sleeves of a worn shirt: 0.85
@@ -70,7 +70,7 @@ def texture(uv: np.ndarray, uv_faces: np.ndarray, face_count: int) -> Texture | 
     # A GLB splits vertices at hard edges too: an island ends where uv do.
     _, place = np.unique(uv, axis=0, return_inverse=True)
     welded = place.reshape(-1)[uv_faces]
-    island = meshes.connected_components(welded, len(uv))[welded[:, 0]]
+    island = mesh_graphs.connected_components(welded, len(uv))[welded[:, 0]]
     return Texture(corners, np.unique(np.repeat(island, 4**rounds), return_inverse=True)[1].reshape(-1))
 
 

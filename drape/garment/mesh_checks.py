@@ -1,8 +1,8 @@
 """Decides whether a mesh can be draped, and brings it to metres, y up, normals outward.
 
-Unit, up axis and height of the floor are told by where the garment lies on its avatar: at the
-right scale it surrounds the body a few centimetres away, at any other it does not. What was
-changed is recorded in the mesh's notes; what cannot be changed safely is refused.
+Unit, up axis and height of the floor are found from where the garment lies on its avatar: at the right scale it
+surrounds the body a few centimetres away, at any other it does not. The mesh's notes record every change; a fault
+that cannot be cured safely is refused.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from drape.arrays import check_finite
 from drape.errors import MeshError
 from drape.garment.avatars import Avatar
 from drape.garment.files.mesh import VERTEX_LIMIT, GarmentMesh, check_count
-from drape.geometry import meshes
+from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import closest_point, nearest_vertices
 
 UNITS_M = {"m": 1.0, "cm": 0.01, "dm": 0.1, "mm": 0.001, "inch": 0.0254}
@@ -226,7 +226,7 @@ def orient_outward(mesh: GarmentMesh, avatar: Avatar) -> GarmentMesh:
     centres = mesh.vertices[faces].mean(axis=1)
     nearest = closest_point(centres, avatar.vertices, avatar.faces)
     outward = meshes.face_normals(avatar.vertices, avatar.faces)[nearest.face]
-    piece = meshes.connected_components(faces, len(mesh.vertices))[faces[:, 0]]
+    piece = mesh_graphs.connected_components(faces, len(mesh.vertices))[faces[:, 0]]
     agreement = np.bincount(piece, np.einsum("fc,fc->f", normals, outward))
     inward = agreement[piece] < 0.0
     turn = turn ^ inward
@@ -261,15 +261,15 @@ def _consistent_turn(faces: np.ndarray) -> np.ndarray:
             cure="Cut it open along a seam.",
         )
     turn = np.zeros(count, dtype=bool)
-    for cover in np.unique(np.minimum(label[:count], label[count:])):
-        kept, reversed_ = label[:count] == cover, label[count:] == cover
+    for piece in np.unique(np.minimum(label[:count], label[count:])):
+        kept, reversed_ = label[:count] == piece, label[count:] == piece
         turn |= reversed_ if reversed_.sum() <= kept.sum() else kept
     return turn
 
 
 def describe(mesh: GarmentMesh) -> list[str]:
-    """What is worth knowing of a mesh that is accepted: pieces, openings, loose vertices."""
-    label = meshes.connected_components(mesh.faces, len(mesh.vertices))
+    """Notes on a mesh that is accepted: its pieces, its openings and its unused vertices."""
+    label = mesh_graphs.connected_components(mesh.faces, len(mesh.vertices))
     used = np.unique(mesh.faces)
     pieces = np.unique(label[used])
     notes = []

@@ -14,7 +14,7 @@ import scipy.sparse
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from drape.errors import MeshError
-from drape.geometry import meshes
+from drape.geometry import mesh_graphs, meshes
 
 MAX_SWEEPS = 120
 MOVE_SHARE = 0.5
@@ -43,7 +43,7 @@ def vertex_graph(vertices: np.ndarray, faces: np.ndarray) -> scipy.sparse.csr_ma
     edges = np.unique(np.concatenate([np.stack([low, high], axis=1), np.sort(diagonal, axis=1)]), axis=0)
     edges = edges[edges[:, 0] != edges[:, 1]]
     length = np.maximum(np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1), 1e-9)
-    return meshes.edge_matrix(edges, length, len(vertices))
+    return mesh_graphs.edge_matrix(edges, length, len(vertices))
 
 
 def partition(

@@ -16,7 +16,7 @@ import scipy.sparse.linalg
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
 from drape.errors import BodyError
-from drape.geometry import meshes, skinning
+from drape.geometry import mesh_graphs, meshes, skinning
 from drape.geometry.closest import closest_point, nearest_vertices
 
 RESIDUAL_LIMIT_MM = 15.0
@@ -28,11 +28,8 @@ ARM_LIFTS_RAD = (0.6, 0.0, 1.1)  # how far the arms hang below the horizontal at
 GOOD_RESIDUAL_MM = 6.0  # a start that reaches this is not followed by another
 STEPS = 24
 NORMAL_AGREEMENT = 0.3
-SHAPE_PRIOR, POSE_PRIOR = (
-    5e-4,
-    2e-3,
-)  # [m] per unit of beta and per radian: keep near zero what the surface does not tell
-REACH_M = 0.08
+SHAPE_PRIOR, POSE_PRIOR = 5e-4, 2e-3  # [m] per unit of beta and per radian: keep near zero what the surface leaves open
+MATCH_REACH_M = 0.08  # points of the target farther from the body than this do not pull; four times as far at first
 
 
 def body_units(vertices: np.ndarray, *, name: str = "avatar") -> tuple[float, np.ndarray]:
@@ -129,7 +126,7 @@ def _fit(body: BodyModel, target: _Target, lift_rad: float) -> tuple[np.ndarray,
         agree = np.einsum("nc,nkc->nk", target.point_normals, normals[near]) > NORMAL_AGREEMENT
         first = np.argmax(agree, axis=1)
         rows = np.arange(len(near))
-        reach = REACH_M if step > 8 else 4.0 * REACH_M
+        reach = MATCH_REACH_M if step > 8 else 4.0 * MATCH_REACH_M
         keep = agree[rows, first] & (distance[rows, first] < reach)
         index, goal, normal = near[rows, first][keep], target.points[keep], target.point_normals[keep]
         if len(index) < 100:
@@ -206,7 +203,7 @@ def _snap(fitted: np.ndarray, body: BodyModel, target: _Target) -> np.ndarray:
     normals = meshes.vertex_normals(fitted, body.faces)
     agree = np.einsum("vc,vc->v", normals, target.normals[nearest.face]) > 0.6
     trust = (agree & (nearest.distance < 0.04)).astype(np.float64)
-    umbrella = meshes.umbrella_laplacian(body.faces, len(fitted))
+    umbrella = mesh_graphs.umbrella_laplacian(body.faces, len(fitted))
     system = scipy.sparse.diags(trust + 1e-4) + 4.0 * (umbrella.T @ umbrella)
     pull = trust[:, None] * (nearest.point - fitted)
     return fitted + scipy.sparse.linalg.splu(system.tocsc()).solve(pull)

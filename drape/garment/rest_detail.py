@@ -23,7 +23,7 @@ from drape.errors import MeshError
 from drape.garment.grain import Grain, Texture, panel_unit, read_grain, texture
 from drape.garment.rest_pose import smoother, subdivide_smooth
 from drape.garment.sewing import SewnHinges
-from drape.geometry import meshes
+from drape.geometry import mesh_graphs, meshes
 
 Rest = Literal["auto", "flat", "modelled"]
 SMOOTHING_M = 0.05
@@ -40,7 +40,7 @@ PANEL_RADIUS_M, DISTORTION_LIMIT = 0.10, 1.2
 
 
 @dataclass(frozen=True, eq=False)
-class Cloth:
+class RestCloth:
     """What a rest state is made of.
 
     ``vertices`` [m] (N, 3) at rest and ``faces`` (G, 3); ``modelled`` [m] (N, 3): the same cloth as it was delivered,
@@ -60,7 +60,7 @@ class Cloth:
 
 
 @dataclass(frozen=True)
-class Figures:
+class RestFigures:
     """How a rest state came about: shares of hinges and of area in [0, 1], and where grain and lengths are from."""
 
     kept_share: float
@@ -85,7 +85,7 @@ def subdivided_like(vertices: np.ndarray, faces: np.ndarray, face_count: int) ->
     return vertices
 
 
-def rest_of(cloth: Cloth, rest: Rest = "auto") -> tuple[RestState, Figures]:
+def rest_of(cloth: RestCloth, rest: Rest = "auto") -> tuple[RestState, RestFigures]:
     """The rest state of ``cloth``, and how it came about.
 
     ``modelled``: lengths and angles of the mesh. ``flat``: its lengths and no angle; raises ``MeshError`` for cloth
@@ -111,7 +111,7 @@ def rest_of(cloth: Cloth, rest: Rest = "auto") -> tuple[RestState, Figures]:
             _refuse_round(cloth)
         if unit is not None and not cloth.resized:
             state, lengths = _with_panels(state, grain, unit), "panels"
-    figures = Figures(
+    figures = RestFigures(
         kept_share=float(kept.mean()) if len(kept) else 0.0,
         hem_share=float((state.stiffening > 1.0).mean()) if len(kept) else 0.0,
         grain="uv" if grain.from_uv.any() else "vertical",
@@ -168,7 +168,7 @@ def distortion(vertices: np.ndarray, faces: np.ndarray) -> float:
     return (1.0 - min(middle / (4.0 * np.pi), 0.99)) ** -2.0
 
 
-def _refuse_round(cloth: Cloth) -> None:
+def _refuse_round(cloth: RestCloth) -> None:
     found = distortion(cloth.modelled, cloth.faces)
     if found > DISTORTION_LIMIT:
         raise MeshError(
@@ -180,13 +180,13 @@ def _refuse_round(cloth: Cloth) -> None:
         )
 
 
-def _stiffening(cloth: Cloth, crease: np.ndarray) -> np.ndarray:
+def _stiffening(cloth: RestCloth, crease: np.ndarray) -> np.ndarray:
     """Factors (H,): ``HEM_STIFFENING`` where cloth lies double, in a material so called or between crease and rim."""
     sides, hinges = meshes.hinge_faces(cloth.faces), meshes.hinges(cloth.faces)
     double = cloth.doubled[sides].all(axis=1)
     rim = meshes.boundary_vertices(cloth.faces)
     if len(rim) and crease.any():
-        graph = meshes.edge_graph(cloth.modelled, cloth.faces)
+        graph = mesh_graphs.edge_graph(cloth.modelled, cloth.faces)
         away = [
             csgraph.dijkstra(graph, directed=False, indices=np.unique(near), limit=HEM_M, min_only=True)
             for near in (hinges[crease, :2], rim)
@@ -206,11 +206,11 @@ def cloth_of(
     fine_faces: np.ndarray,
     painted: tuple[np.ndarray, np.ndarray],
     materials: tuple[Sequence[str], np.ndarray],
-) -> Cloth:
+) -> RestCloth:
     """The cloth of a garment at rest, of which no more is known than its rest mesh, so that lengths are that mesh's.
 
     ``painted``: its uv (T, 2) and uv_faces (F, 3); ``materials``: names, and the number (F,) of each delivered face.
     """
     faces, points = np.asarray(fine_faces, dtype=np.int64), np.asarray(vertices, dtype=np.float64)
     doubled = doubled_faces(*materials, len(faces))
-    return Cloth(points, faces, points, texture(*painted, len(faces)), doubled, resized=True)
+    return RestCloth(points, faces, points, texture(*painted, len(faces)), doubled, resized=True)

@@ -23,12 +23,12 @@ import scipy.sparse.linalg
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.garment.avatars import Avatar
-from drape.geometry import meshes
+from drape.geometry import mesh_graphs, meshes
 from drape.geometry.closest import closest_point, nearest_vertices
 
 WEIGHT_SMOOTHING_M = 0.05  # along the garment; longer spreads an armpit's strain further
 SHAPE_SMOOTHING_M = 0.03  # longer keeps the avatar's bust on a body that has none, which then creases
-NEAR_COUNT = 48  # body vertices that may carry a garment vertex
+NEAR_COUNT = 48  # body vertices that a garment vertex may follow
 SPREAD_MIN_M = 0.015
 SPREAD_PER_DISTANCE = 0.7  # cloth far from the skin follows a wider part of it
 LEGS = {
@@ -36,13 +36,13 @@ LEGS = {
     for side in ("left", "right")
 }
 TROUSERS_CROTCH_M = 0.08  # trousers hang at most this far below the body's crotch before their legs part
-SKIRT_SHARE = 0.2  # of a piece of cloth below the crotch that each leg must carry for it to be a skirt
+SKIRT_SHARE = 0.2  # of a piece of cloth below the crotch that must lie at each leg for it to be a skirt
 HIP_BAND_M = 0.10
 PN_LIMIT = 0.15  # a subdivision vertex leaves its edge by at most this share of the edge's length
 
 
 @dataclass(frozen=True, eq=False)
-class Moved:
+class MovedGarment:
     """Garment vertices [m] (V, 3) on the standard body in T-pose, and how ``loose`` each is, (V,) in [0, 1]."""
 
     vertices: np.ndarray
@@ -65,26 +65,26 @@ def bone_motions(source: np.ndarray, target: np.ndarray, weights: np.ndarray) ->
     return rotations, target_mean - np.einsum("jab,jb->ja", rotations, source_mean)
 
 
-def to_standard(vertices: np.ndarray, faces: np.ndarray, avatar: Avatar, body: BodyModel) -> Moved:
+def to_standard(vertices: np.ndarray, faces: np.ndarray, avatar: Avatar, body: BodyModel) -> MovedGarment:
     """The garment (V, 3), (F, 3) modelled on ``avatar``, moved to the standard body in T-pose.
 
     A garment modelled on the standard body itself comes back unchanged.
     """
     skirt = skirt_blend(vertices, faces, avatar, body)
     if not avatar.moved:
-        return Moved(vertices.copy(), skirt)
+        return MovedGarment(vertices.copy(), skirt)
     weights = body.weights
     rotations, translations = bone_motions(avatar.vertices, body.v_template, weights)
     skinned = np.einsum("vj,jab,vb->va", weights, rotations, avatar.vertices, optimize=True) + weights @ translations
-    carry = surface_weights(vertices, avatar)
-    garment_weights = smoother(vertices, faces, WEIGHT_SMOOTHING_M)(carry @ weights)
-    displacement = smoother(vertices, faces, SHAPE_SMOOTHING_M)(carry @ (body.v_template - skinned))
+    averaging = surface_weights(vertices, avatar)
+    garment_weights = smoother(vertices, faces, WEIGHT_SMOOTHING_M)(averaging @ weights)
+    displacement = smoother(vertices, faces, SHAPE_SMOOTHING_M)(averaging @ (body.v_template - skinned))
     garment_weights = garment_weights / garment_weights.sum(axis=1, keepdims=True)
     moved = np.einsum("vj,jab,vb->va", garment_weights, rotations, vertices, optimize=True)
     moved += garment_weights @ translations + displacement
     if skirt.any():
         moved += skirt[:, None] * (_shape_only(vertices, avatar, body) - moved)
-    return Moved(moved, skirt)
+    return MovedGarment(moved, skirt)
 
 
 def surface_weights(points: np.ndarray, avatar: Avatar) -> scipy.sparse.csr_matrix:
@@ -115,7 +115,7 @@ def smoother(vertices: np.ndarray, faces: np.ndarray, length_m: float):
     edges = meshes.unique_edges(faces)
     inverse_square = (length_m / np.maximum(meshes.edge_lengths(vertices, edges), 1e-4)) ** 2
     # About six neighbours lie in the plane: a third of the sum is the Laplacian's scale.
-    laplacian = meshes.weighted_laplacian(meshes.edge_matrix(edges, inverse_square, len(vertices)))
+    laplacian = mesh_graphs.weighted_laplacian(mesh_graphs.edge_matrix(edges, inverse_square, len(vertices)))
     solve = scipy.sparse.linalg.factorized((scipy.sparse.identity(len(vertices)) + laplacian / 3.0).tocsc())
     return lambda fields: np.column_stack([solve(np.ascontiguousarray(column)) for column in fields.T])
 
@@ -123,8 +123,8 @@ def smoother(vertices: np.ndarray, faces: np.ndarray, length_m: float):
 def skirt_blend(vertices: np.ndarray, faces: np.ndarray, avatar: Avatar, body: BodyModel) -> np.ndarray:
     """How much each vertex belongs to a skirt: 0 from the hip joints upwards, 1 from the crotch downwards.
 
-    A skirt is a connected piece of cloth between the legs that both carry; trousers fall in
-    two pieces there.
+    A skirt is a connected piece of cloth below the crotch that lies round both legs; trousers fall into two pieces
+    there.
     """
     joints = body.regressor @ avatar.vertices
     sides = {side: body.weights[:, bones].sum(axis=1) for side, bones in LEGS.items()}
@@ -142,9 +142,9 @@ def skirt_blend(vertices: np.ndarray, faces: np.ndarray, avatar: Avatar, body: B
     side = np.stack(
         [np.einsum("vk,vk->v", closest.barycentric, sides[s][avatar.faces[closest.face]]) for s in ("left", "right")]
     )
-    piece = meshes.connected_components(faces[below], len(vertices))
+    piece = mesh_graphs.connected_components(faces[below], len(vertices))
     used = np.unique(faces[below])
-    component = meshes.connected_components(faces, len(vertices))
+    component = mesh_graphs.connected_components(faces, len(vertices))
     ramp = np.clip((hips - vertices[:, 1]) / (hips - crotch), 0.0, 1.0)
     for number in np.unique(piece[used]):
         members = used[piece[used] == number]

@@ -1,8 +1,8 @@
-"""How a garment is sewn: what its maker knows of it and a mesh file cannot say, as JSON beside the mesh.
+"""How a garment is sewn, as JSON beside its mesh: what its maker knows and a mesh file cannot say.
 
-``NAME.json`` beside ``NAME.obj`` says by rows of the OBJ's v and vt, from 0, which lines are seams and how far they are
-folded at rest, which edges are turned up or bound, and of what fabric it is; uv are its panels, the grain along +v. One
-dataclass writes and reads it.
+``NAME.json`` beside ``NAME.obj`` names lines by rows of the OBJ's v and vt, counted from 0: which are seams and how far
+they are folded at rest, which are edges that are turned up or bound. It also names the fabric. The uv of such a mesh
+are its panels, with the grain along +v. The dataclass ``Sewing`` writes and reads the file.
 """
 
 from __future__ import annotations
@@ -94,9 +94,10 @@ class Sewing:
                 )
 
 
-def beside(path: Path) -> Sewing | None:
-    """The sewing that lies beside the mesh at ``path``; None where no JSON of this format does, or one of a mesh of
-    another kind, which has other rows.
+def sewing_beside(path: Path) -> Sewing | None:
+    """The sewing in the JSON beside the mesh at ``path``.
+
+    None where there is no JSON of this format, or where it names a mesh of another file format, whose rows are others.
 
     Raises ``InputError`` for one of another version, or that does not hold together.
     """
@@ -134,23 +135,23 @@ def read_sewing(record: Mapping[str, Any]) -> Sewing:
         ) from error
 
 
-# --- what a rest state is made of ------------------------------------------------------------------------------------
+# --- angles and hems for a rest state --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class SewnHinges:
-    """Of every hinge (H,): its ``angle`` at rest [rad], and the ``stiffening`` of its fabric."""
+    """The ``angle`` at rest [rad] (H,) of every hinge, and the ``stiffening`` (H,) of its fabric."""
 
     angle: np.ndarray
     stiffening: np.ndarray
 
 
 def sewn_hinges(sewing: Sewing, mesh: GarmentMesh, kept: np.ndarray, faces: np.ndarray, painted: Texture) -> SewnHinges:
-    """Angles and stiffening of the hinges of ``faces`` (G, 3), which subdivision made of those of ``mesh``.
+    """Angles and stiffening of the hinges of ``faces`` (G, 3), which are a subdivision of the faces of ``mesh``.
 
-    ``kept`` (V,): the row in ``mesh`` of every delivered vertex; ``faces`` count the delivered ones, then those that
-    subdivision added. ``painted``: the uv of ``faces``. A hinge is folded where both its ends lie on a folded seam, and
-    is of double cloth where both are near an edge that is turned up or bound, on all panels that meet there.
+    ``kept`` (V,): the row in ``mesh`` of every delivered vertex. ``faces`` count the delivered vertices, then those
+    that subdivision added. ``painted``: the uv of ``faces``. A hinge is folded where both ends lie on a folded seam.
+    It is of double cloth where both ends are near an edge that is turned up or bound, on all panels that meet there.
     """
     ends = meshes.hinges(faces)[:, :2]
     angle = np.zeros(len(ends))
@@ -183,9 +184,10 @@ def sewn_hinges(sewing: Sewing, mesh: GarmentMesh, kept: np.ndarray, faces: np.n
 def near_lines(
     points: np.ndarray, panel: np.ndarray, lines: Sequence[tuple[int, np.ndarray]], within_m: float
 ) -> np.ndarray:
-    """Which ``points`` [m] (N, 2), each in the panel of its number (N,), lie within ``within_m`` of a line of it.
+    """Which ``points`` [m] (N, 2) lie within ``within_m`` of a line on their own panel, bool (N,).
 
-    ``lines``: the number of a panel, and the points [m] (M, 2) of a line of it in order.
+    ``panel`` (N,): the panel's number of each point. ``lines``: a panel's number, and the points [m] (M, 2) of a line
+    on it in order.
     """
     near = np.zeros(len(points), dtype=bool)
     for number, line in lines:

@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse
 
 from drape.body.model import BodyModel
-from drape.geometry import meshes
+from drape.geometry import mesh_graphs
 from drape.geometry.closest import nearest_vertices
 
 KERNEL_BASE_M = 0.006
@@ -70,7 +70,7 @@ def thinned_vertices(body: BodyModel) -> np.ndarray:
 
 def smoothing_matrix(faces: np.ndarray, count: int) -> scipy.sparse.csr_matrix:
     """One umbrella pass (N, N): half the vertex, half the mean of its neighbours; lone vertices stay."""
-    adjacency = meshes.adjacency(faces, count)
+    adjacency = mesh_graphs.adjacency(faces, count)
     degree = np.asarray(adjacency.sum(axis=1)).ravel()
     mean = scipy.sparse.diags(0.5 / np.maximum(degree, 1)) @ adjacency
     return (mean + scipy.sparse.diags(np.where(degree > 0, 0.5, 1.0))).tocsr()

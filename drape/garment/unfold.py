@@ -3,7 +3,7 @@
 A chart is a bijection where every one of its triangles keeps its orientation in (u, v) and its rim does not cross
 itself. A projection onto the patch's plane folds where the cloth turns past the plane's normal: at armholes,
 crotches, lapels. Such a chart is laid flat instead (``drape.garment.flatten``). What the in-plane polynomials of
-order two cannot follow rides in the residual, as ever.
+order two cannot follow stays in the residual, as in other charts.
 """
 
 from __future__ import annotations
@@ -13,29 +13,28 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse.csgraph import dijkstra
 
-from drape.garment.charts import Cover
+from drape.garment.charts import ChartBlend, ridge_fit, rows_of_patches
 from drape.garment.flatten import lay_flat, rims_cross, signed_areas
-from drape.geometry import jets, meshes
+from drape.geometry import jets, mesh_graphs
 
 TRIM, TRIM_ROUNDS = 0.85, 12  # a chart that cannot be laid flat is made smaller by this factor, so often
 FADE = 0.35  # patch scales from a vertex that leaves a chart over which the chart's weight comes back
-RIDGE = 1e-4
 
 
-def chart_triangles(cover: Cover, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def chart_triangles(blend: ChartBlend, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The patch (T,) of every chart triangle and its corners (T, 3) as rows of the flattened entries (N * 4).
 
     A face is a triangle of each chart in which all its three vertices have a weight.
     """
-    slots = cover.patch.shape[1]
-    used = cover.weight > 0
+    slots = blend.patch.shape[1]
+    used = blend.weight > 0
     owners, corners = [], []
     for slot in range(slots):
-        patch = cover.patch[faces[:, 0], slot]
+        patch = blend.patch[faces[:, 0], slot]
         inside = used[faces[:, 0], slot]
         rows = [faces[:, 0] * slots + slot]
         for k in (1, 2):
-            same = (cover.patch[faces[:, k]] == patch[:, None]) & used[faces[:, k]]
+            same = (blend.patch[faces[:, k]] == patch[:, None]) & used[faces[:, k]]
             inside = inside & same.any(axis=1)
             rows.append(faces[:, k] * slots + same.argmax(axis=1))
         owners.append(patch[inside])
@@ -43,69 +42,67 @@ def chart_triangles(cover: Cover, faces: np.ndarray) -> tuple[np.ndarray, np.nda
     return np.concatenate(owners), np.concatenate(corners)
 
 
-def folded_triangles(cover: Cover, uv: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def folded_triangles(blend: ChartBlend, uv: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Number (K,) of triangles of each chart that lie upside down or edge-on in ``uv`` (N, 4, 2)."""
-    owner, corners = chart_triangles(cover, faces)
+    owner, corners = chart_triangles(blend, faces)
     folded = signed_areas(uv.reshape(-1, 2).astype(np.float64), corners) <= 0.0
-    return np.bincount(owner[folded], minlength=int(cover.patch.max()) + 1)
+    return np.bincount(owner[folded], minlength=int(blend.patch.max()) + 1)
 
 
-def folded_charts(cover: Cover, uv: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def folded_charts(blend: ChartBlend, uv: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Which charts (K,) bool are no bijection in ``uv`` (N, 4, 2): a triangle upside down, or a rim that crosses."""
-    folded = folded_triangles(cover, uv, faces) > 0
-    owner, corners = chart_triangles(cover, faces)
+    folded = folded_triangles(blend, uv, faces) > 0
+    owner, corners = chart_triangles(blend, faces)
     places = uv.reshape(-1, 2).astype(np.float64)
-    order = np.argsort(owner, kind="stable")
-    bounds = np.searchsorted(owner[order], np.arange(len(folded) + 1))
+    rows = rows_of_patches(owner, len(folded))
     for k in np.flatnonzero(~folded):
-        folded[k] = rims_cross(places, corners[order[bounds[k] : bounds[k + 1]]])
+        folded[k] = rims_cross(places, corners[rows[k]])
     return folded
 
 
 @dataclass(frozen=True)
 class Flattened:
-    """Charts without fold-over: who belongs to them, where, and which patches (K,) bool were laid flat."""
+    """Charts without fold-over: ``blend``, places ``uv`` (N, 4, 2), and which patches (K,) bool were laid flat."""
 
-    cover: Cover
+    blend: ChartBlend
     uv: np.ndarray
     unfolded: np.ndarray
 
 
-def without_folds(cover: Cover, local: np.ndarray, scale: np.ndarray, faces: np.ndarray) -> Flattened:
+def without_folds(blend: ChartBlend, local: np.ndarray, scale: np.ndarray, faces: np.ndarray) -> Flattened:
     """Charts of ``local`` positions (N, 4, 3) [m] in the patch frames, laid flat where the projection folds.
 
     ``scale`` (K,) [m per unit of u, v]. Vertices leave a chart where it has to be cut, or hangs on by a corner,
     if another chart holds them; around them its weight fades, so that the blend stays continuous.
     """
-    slots = cover.patch.shape[1]
-    uv = local[..., :2] / scale[cover.patch][..., None]
+    slots = blend.patch.shape[1]
+    uv = local[..., :2] / scale[blend.patch][..., None]
     count = len(scale)
     folded = np.zeros(count, dtype=bool)
-    found = folded_charts(cover, uv.astype(np.float32), faces)  # as caches store them
+    found = folded_charts(blend, uv.astype(np.float32), faces)  # as caches store them
     folded[: len(found)] = found
     if not folded.any():
-        return Flattened(cover, uv, folded)
-    owner, corners = chart_triangles(cover, faces)
-    order = np.argsort(owner, kind="stable")
-    bounds = np.searchsorted(owner[order], np.arange(count + 1))
-    flat_uv, weight = uv.reshape(-1, 2).copy(), cover.weight.reshape(-1).copy()
+        return Flattened(blend, uv, folded)
+    owner, corners = chart_triangles(blend, faces)
+    rows = rows_of_patches(owner, count)
+    flat_uv, weight = uv.reshape(-1, 2).copy(), blend.weight.reshape(-1).copy()
     places = local.reshape(-1, 3)
     for k in np.flatnonzero(folded):
-        entries, triangles = np.unique(corners[order[bounds[k] : bounds[k + 1]]], return_inverse=True)
+        entries, triangles = np.unique(corners[rows[k]], return_inverse=True)
         kept, placed, fade = _chart(places[entries] / scale[k], triangles.reshape(-1, 3), weight[entries])
         flat_uv[entries[kept]] = placed
         weight[entries] *= fade
         # Entries of this patch that are in no triangle of it say nothing of the surface: they go too.
-        lone = (cover.patch.reshape(-1) == k) & (weight > 0)
+        lone = (blend.patch.reshape(-1) == k) & (weight > 0)
         lone[entries] = False
         weight[lone] = 0.0
-    weight = _keep_one(weight.reshape(-1, slots), cover.weight)
-    return Flattened(replace(cover, weight=weight), flat_uv.reshape(uv.shape), folded)
+    weight = _keep_one(weight.reshape(-1, slots), blend.weight)
+    return Flattened(replace(blend, weight=weight), flat_uv.reshape(uv.shape), folded)
 
 
 def _chart(points: np.ndarray, triangles: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rows (m,) of one chart's ``points`` (n, 3) that stay, their places (m, 2), and factors (n,) of the weights."""
-    graph = meshes.edge_graph(points, triangles)
+    graph = mesh_graphs.edge_graph(points, triangles)
     reach = dijkstra(graph, directed=False, indices=[int(np.argmax(weight))])[0]
     limit = float(reach[np.isfinite(reach)].max()) * 1.0001
     kept, placed = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
@@ -139,15 +136,13 @@ def fit_planes(jet: np.ndarray, flattened: Flattened, local: np.ndarray, scale: 
     Ridge least squares on the departure from the identity, weighed as the blend does.
     """
     jet = jet.copy()
-    patch, weight = flattened.cover.patch, flattened.cover.weight
+    patch, weight = flattened.blend.patch, flattened.blend.weight
     for k in np.flatnonzero(flattened.unfolded):
         row, slot = np.nonzero((patch == k) & (weight > 0))
         if not len(row):
             continue
-        uv, root = flattened.uv[row, slot], np.sqrt(weight[row, slot])[:, None]
-        a = jets.basis(uv, jets.IN_PLANE_ORDER) * root
-        departure = (local[row, slot, :2] / scale[k] - uv) * root
-        jet[k, : 2 * jets.IN_PLANE_COUNT] += np.linalg.solve(
-            a.T @ a + RIDGE * np.eye(jets.IN_PLANE_COUNT), a.T @ departure
-        ).T.reshape(-1)
+        uv = flattened.uv[row, slot]
+        departure = local[row, slot, :2] / scale[k] - uv
+        fitted = ridge_fit(jets.basis(uv, jets.IN_PLANE_ORDER), departure, np.sqrt(weight[row, slot]))
+        jet[k, : 2 * jets.IN_PLANE_COUNT] += fitted.T.reshape(-1)
     return jet

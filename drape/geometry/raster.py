@@ -60,8 +60,8 @@ def render(
 
 @dataclass(frozen=True, eq=False)
 class ZBuffer:
-    """What is nearest in every pixel of an orthographic view: ``depth`` [m] (height, width) along the camera's axis
-    towards the viewer, -inf where nothing is, and the ``face`` (height, width) there, -1."""
+    """The nearest surface in every pixel of an orthographic view: its ``depth`` [m] (height, width) along the camera's
+    axis towards the viewer, and its ``face`` (height, width); -inf and -1 in empty pixels."""
 
     depth: np.ndarray
     face: np.ndarray
@@ -77,7 +77,7 @@ def z_buffer(
     extent_m: float,
     elevation_deg: float = 8.0,
 ) -> ZBuffer:
-    """What ``render`` sees of the mesh ``vertices`` [m] (V, 3), ``faces`` (F, 3), both sides of them."""
+    """The buffer of a view as ``render`` draws it: both sides of the mesh ``vertices`` [m] (V, 3), ``faces`` (F, 3)."""
     camera, screen = _projected(vertices, view_matrix(azimuth_deg, elevation_deg), centre, size, extent_m)
     depth = np.full(size[0] * size[1], -np.inf)
     nearest = np.full(len(depth), -1)
@@ -100,8 +100,11 @@ def _projected(
 def _fragments(
     camera: np.ndarray, screen: np.ndarray, faces: np.ndarray, size: tuple[int, int]
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-    """Pixels whose centres lie in triangles, a pass for each offset in the triangles' boxes: triangles (n,), pixels
-    (n,), depths (n,) ascending, so that of a pixel's the nearest comes last, and weights of the corners (n, 3)."""
+    """Pixels whose centres lie in triangles, in one pass for each offset in the triangles' boxes.
+
+    A pass yields triangles (n,), pixels (n,), depths (n,) and weights of the corners (n, 3). Depths ascend: the last
+    entry of a pixel is its nearest.
+    """
     height, width = size
     p = screen[faces]
     low = np.floor(p.min(axis=1)).astype(int)

@@ -116,11 +116,6 @@ def check_layers(garments: Sequence[Garment]) -> None:
         seen[garment.digest] = garment.name
 
 
-def layer_arrays(feed: LayerFeed) -> dict[str, np.ndarray]:
-    """The arrays of ``feed`` by the names of the graph's inputs."""
-    return feed.flat()
-
-
 def push_over(
     vertices: Array, under: Array, skin: Array, feed: LayerFeed, clearance_m: Array | float = CLEARANCE_M
 ) -> Array:

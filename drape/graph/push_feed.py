@@ -87,11 +87,6 @@ def pushed_jets(jet: Array, rotation: Array, scale: Array, coefficients: Array) 
     return jets.full(jet) + xp.reshape(padded, (*jet.shape[:-1], jets.FULL_COUNT))
 
 
-def feed_arrays(feed: PushFeed) -> dict[str, np.ndarray]:
-    """The arrays of ``feed`` by the names of the graph's inputs."""
-    return feed.flat()
-
-
 def _of_tables(tables: PushTables) -> dict[str, np.ndarray]:
     groups = len(tables.region_bias)
     return {

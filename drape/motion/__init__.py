@@ -1,1 +1,1 @@
-"""Motion clips: SMPL poses over time, read from AMASS, BVH and ASF/AMC files or generated."""
+"""Motion clips: SMPL poses over time, read from AMASS and BVH files or generated."""

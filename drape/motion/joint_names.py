@@ -35,7 +35,7 @@ _SCHEMES = {
         "wrist": ("wrist",),
         "hand": ("hand",),
     },
-    # ASF files of CMU
+    # CMU's own names, which converters of its ASF files keep
     "acclaim": {
         "hip": ("femur",),
         "knee": ("tibia",),

@@ -27,7 +27,7 @@ def posed_skins(skins: ShapedSkins, rotation: Tensor, translation: Tensor) -> Te
 
 
 @dataclass(frozen=True)
-class Near:
+class NearPlanes:
     """Tangent planes near the patches, in their own frames; numbers lie by axis, then part of the body, then point.
 
     A point at ``missing`` = ``offset`` + sum over axes of ``normal`` x place [patch scales] lacks that many centimetres
@@ -67,7 +67,9 @@ class Contact(nn.Module):
         """The points (P, 42) [patch scales] of ``jet`` (P, 27)."""
         return torch.addmm(places, jet, self.point_terms)
 
-    def near(self, points: Tensor, skin: Tensor, lists: StoredProximity, patch_body: Tensor, frames: Frames) -> Near:
+    def near(
+        self, points: Tensor, skin: Tensor, lists: StoredProximity, patch_body: Tensor, frames: Frames
+    ) -> NearPlanes:
         """Planes near ``points`` (P, 42) of patches on the bodies ``patch_body`` (P,), of ``skin`` (B, R, 12, 8)."""
         world = (frames.rotation * frames.scale) @ points.reshape(-1, 3, PLACES) + frames.centre
         middle = torch.addmm(self.middle_last, world.reshape(-1, 3 * PLACES), self.middle_terms)
@@ -77,9 +79,9 @@ class Contact(nn.Module):
         unit = frames.scale.reshape(-1, 1) * (-1.0 / UNIT_M)
         normal = (frames.rotation.mT @ found.normal).reshape(-1, 3 * PLACES) * unit
         offset = (GAP_M - found.distance) * (1.0 / UNIT_M) - (normal * points) @ self.axis_sums
-        return Near(normal, offset, share, share / unit)
+        return NearPlanes(normal, offset, share, share / unit)
 
-    def forward(self, points: Tensor, near: Near) -> list[Tensor]:
+    def forward(self, points: Tensor, near: NearPlanes) -> list[Tensor]:
         """Closeness (P, 14) and softened force on the jets (P, 27) as ``training.model`` gives them to corrections."""
         missing = torch.addmm(near.offset, near.normal * points, self.axis_sums)
         pull = (near.pull * torch.relu(missing)) @ self.axis_copies

@@ -27,7 +27,7 @@ from drape.artifacts import GraphSpec, TensorSpec
 from drape.body.skeleton import JOINT_COUNT
 from drape.contact.samples import REGION_SIZE
 from drape.errors import ArtifactError
-from drape.garment.features import REACH_M
+from drape.garment.features import JOINT_REACH_M
 from drape.geometry import jets
 from drape.graph.inputs import ROOT
 from drape.graph.packed import VERTICES_PER_BLOCK, Indices, PackedBodies, PackedTensors, StoredPatches
@@ -197,6 +197,6 @@ class PackedGraph(nn.Module):
         # A maximum and not a sum: the exporter's optimiser takes "+ 1e-12" for "+ 0" and drops the guard.
         squared = ((offset * offset).reshape(-1, 3 * JOINT_COUNT) @ self.axis_sums).reshape(-1, 1, JOINT_COUNT)
         reach = torch.sqrt(torch.clamp(squared, min=1e-12))
-        saturated = (offset * (torch.tanh(reach * (1.0 / REACH_M)) / reach)).reshape(-1, 3 * JOINT_COUNT)
+        saturated = (offset * (torch.tanh(reach * (1.0 / JOINT_REACH_M)) / reach)).reshape(-1, 3 * JOINT_COUNT)
         parts = [saturated, frames.rotation.reshape(-1, 9), *([] if base is None else [base])]
         return torch.addmm(x, torch.cat(parts, dim=-1), self.from_surroundings)

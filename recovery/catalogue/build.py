@@ -17,7 +17,7 @@ from recovery.catalogue.closing import carried, closed
 from recovery.catalogue.garments import CATALOGUE
 from recovery.catalogue.settling import SETTLING, Fall
 from recovery.drape.pipeline import stretch_figures
-from recovery.drape.relax import Relaxation
+from recovery.drape.relax import principal_stretches
 from recovery.drape.sewing import in_numpy
 from recovery.pattern.design import Design, check_laid_flat, check_seams
 from recovery.pattern.grade import graded
@@ -99,7 +99,7 @@ def build(
     seconds = time.process_time() - started
     say(f"settled   {fine.node_count} nodes, {last.steps} steps, the last by {1e3 * last.move_m:.2f} mm")
     edges = meshes.unique_edges(fine.faces)
-    stretch = Relaxation(fine.faces, fine.rest[fine.panel_faces], distance, gap_m=0.0).stretch(last.nodes)
+    stretch = principal_stretches(fine.faces, fine.rest[fine.panel_faces], last.nodes)
     figures = {
         "nodes": fine.node_count,
         "triangles": len(fine.faces),

@@ -1,4 +1,4 @@
-"""Writes a sewn garment: mesh files that intake takes, and a JSON of what a mesh file cannot say.
+"""Writes a sewn garment: mesh files for intake, and a JSON for what a mesh file has no place for.
 
 ``NAME.obj``: v are nodes [m], vt the panels laid out side by side in metres, unscaled, the grain along +y; a corner's
 pair v/vt is the map of the seams. ``NAME.glb``: the same, split at the seams. ``NAME.json``: its ``Sewing``.
@@ -14,7 +14,7 @@ from drape.garment.sewing import Edge, Seam, Sewing
 from recovery.atomic import write
 from recovery.catalogue.build import SewnGarment
 from recovery.catalogue.settling import HEM_BENDING, HEM_M
-from recovery.drape.output import glb_bytes, obj_text, panel_texture
+from recovery.drape.output import panel_texture, write_shape
 
 
 def edge_kind(name: str) -> str:
@@ -23,7 +23,7 @@ def edge_kind(name: str) -> str:
 
 
 def sewing(garment: SewnGarment, *, name: str, size: str, body: str) -> Sewing:
-    """What ``NAME.json`` says."""
+    """The content of ``NAME.json``."""
     made, mesh = garment.design, garment.mesh
     sewn = {ref for stitch in made.pattern.stitches for ref in (stitch.first, stitch.second)}
     seams = []
@@ -59,8 +59,5 @@ def sewing(garment: SewnGarment, *, name: str, size: str, body: str) -> Sewing:
 def write_garment(garment: SewnGarment, folder: Path, *, name: str, size: str, body: str) -> list[Path]:
     """Writes ``NAME.obj``, ``NAME.glb`` and ``NAME.json`` to ``folder`` and returns their paths."""
     texture = panel_texture(garment.mesh, unit_m=1.0)
-    return [
-        write(folder / f"{name}.obj", obj_text(garment.mesh, garment.nodes, texture)),
-        write(folder / f"{name}.glb", glb_bytes(garment.mesh, garment.nodes, texture)),
-        write(folder / f"{name}.json", sewing(garment, name=name, size=size, body=body).to_json()),
-    ]
+    told = write(folder / f"{name}.json", sewing(garment, name=name, size=size, body=body).to_json())
+    return [*write_shape(folder, name, garment.mesh, garment.nodes, texture), told]

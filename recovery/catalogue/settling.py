@@ -1,7 +1,7 @@
 """Lets a sewn garment fall and come to rest on a body: damped implicit steps, with friction, cloth that meets itself.
 
-Unlike ``recovery.drape.settle``, whose drape has no friction and is one that a loss can be taken at, this is the state
-that a garment is found in: it fell from where it was sewn, and friction keeps its folds.
+``recovery.drape.settle`` finds a drape without friction, which a loss can be differentiated at. Here friction keeps the
+folds with which the garment fell: the result depends on the way.
 """
 
 from __future__ import annotations
@@ -58,9 +58,10 @@ class Fall:
         self.cloth = SelfContact(mesh.faces, self.model.fixed, thickness_m=LAYERS_SHARE * float(edges.mean()))
 
     def run(self, nodes: np.ndarray, *, steps: int, still_m: float, kept: float = FALLING) -> Settled:
-        """From ``nodes`` at rest until no node moves more than ``still_m`` in a step, or for ``steps``.
+        """Falls from ``nodes`` [m] (N, 3) until no node moves more than ``still_m`` in a step, or for ``steps``.
 
-        ``kept`` is the share of a step's speed that the next begins with."""
+        ``kept`` is the share of a step's speed that the next begins with.
+        """
         state = self.model.state(nodes)
         move = np.inf
         number = 0
@@ -77,14 +78,14 @@ class Fall:
             longest = float(move.norm(dim=1).max())
             move = min(1.0, MOVE_SHARE * self.cloth.thickness_m / max(longest, 1e-12)) * move
             x, v = state.x + move, kept * move / DT_S
-            # What lands stays: the repulsion of one step must not throw a node off the skin in the next.
+            # A node that lands stays: the repulsion of one step must not throw it off the skin in the next.
             distance, normal = self.contact.body(x)
             outward = torch.clamp((v * normal).sum(dim=1, keepdim=True), min=0.0)
             v = v - (distance < 1.2 * self.contact.gap_m)[:, None] * outward * normal
             return ClothState(x, v), longest
 
 
-# --- what the maker adds to the cloth --------------------------------------------------------------------------------
+# --- hems and folded seams -------------------------------------------------------------------------------------------
 
 
 def hinge_bending(design: Design, mesh: PatternMesh, model: ClothModel, fabric: Fabric) -> np.ndarray:

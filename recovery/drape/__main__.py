@@ -20,7 +20,7 @@ from drape.errors import refusing
 from drape.garment.intake import IntakeOptions, garment_name, intake
 from recovery.atomic import write
 from recovery.drape.body_distance import add_distance_options, distance_options
-from recovery.drape.output import glb_bytes, obj_text, panel_texture
+from recovery.drape.output import obj_text, panel_texture, write_shape
 from recovery.drape.pipeline import Draped, DrapeOptions, Hold, drape_pattern
 from recovery.drape.placement import Axes
 from recovery.drape.posing import read_pose
@@ -79,11 +79,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     draped = drape_pattern(pattern, body, options, pose=pose, report=print)
     texture = panel_texture(draped.mesh)
     rest = obj_text(draped.mesh, draped.rest.nodes, texture)
-    files = [
-        write(given.out / f"{name}.obj", obj_text(draped.mesh, draped.nodes, texture)),
-        write(given.out / f"{name}.glb", glb_bytes(draped.mesh, draped.nodes, texture)),
-        write(given.out / f"{name}_rest.obj", rest),
-    ]
+    files = write_shape(given.out, name, draped.mesh, draped.nodes, texture)
+    files.append(write(given.out / f"{name}_rest.obj", rest))
     if not given.no_garment:
         # The cache holds the rest garment: it is the T-pose that a pose is skinned from.
         intake(

@@ -1,48 +1,23 @@
-"""Which signed distance a body is given to contact by: the grid, or the network of the paper."""
+"""The two representations of a body's signed distance, and the options that choose one on a command line."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from recovery.sim.sdf import GridDistance, SignedDistance
-from recovery.sim.siren import DEFAULT_SIREN, SirenOptions, stored_siren
+from recovery.sim.siren import DEFAULT_SIREN
 
 SIREN_FOLDER = Path(".cache") / "siren"  # of the folder that a command is called in
 
 
 class DistanceKind(StrEnum):
-    """How a body's signed distance is represented."""
+    """A grid, or the paper's network of sines."""
 
     GRID = "grid"
     SIREN = "siren"
-
-
-def skin_distance(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    kind: DistanceKind,
-    *,
-    grid_m: float,
-    siren: SirenOptions = DEFAULT_SIREN,
-    folder: Path = SIREN_FOLDER,
-    report: Callable[[str], None] | None = None,
-) -> SignedDistance:
-    """The signed distance of a closed surface, ``vertices`` [m] (V, 3) and ``faces`` (F, 3).
-
-    A grid of spacing ``grid_m`` is made anew. A network is read from ``folder``; if it is not there, it is trained as
-    ``siren`` says, which takes minutes, and written there. Raises ``MeshError`` for an open surface and
-    ``ArtifactError`` for a damaged file.
-    """
-    if kind is DistanceKind.SIREN:
-        return stored_siren(vertices, faces, folder, siren, report=report)
-    return GridDistance.from_mesh(vertices, faces, spacing_m=grid_m)
 
 
 def add_distance_options(parser: argparse.ArgumentParser) -> None:
@@ -59,7 +34,7 @@ def add_distance_options(parser: argparse.ArgumentParser) -> None:
 
 
 def distance_options(given: argparse.Namespace) -> dict[str, Any]:
-    """What ``add_distance_options`` added, as arguments of ``DrapeOptions``."""
+    """The arguments of ``DrapeOptions`` that ``add_distance_options`` asked for."""
     return {
         "distance": given.distance,
         "siren": replace(DEFAULT_SIREN, steps=given.siren_steps),

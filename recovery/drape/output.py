@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from drape.export import obj
 from drape.export.glb import add_garment
 from drape.export.glb_file import GlbFile
+from recovery.atomic import write
 from recovery.pattern.mesh import PatternMesh
 from recovery.pattern.pieces import make_sheet
 
@@ -52,6 +54,16 @@ def glb_bytes(mesh: PatternMesh, nodes: np.ndarray, texture: tuple[np.ndarray, f
     file = GlbFile()
     add_garment(file, _surface(mesh, texture[0]), nodes[None], 1.0)
     return file.to_bytes()
+
+
+def write_shape(
+    folder: Path, name: str, mesh: PatternMesh, nodes: np.ndarray, texture: tuple[np.ndarray, float]
+) -> list[Path]:
+    """Writes NAME.obj and NAME.glb of the garment at ``nodes`` [m] (N, 3) to ``folder`` and returns their paths."""
+    return [
+        write(folder / f"{name}.obj", obj_text(mesh, nodes, texture)),
+        write(folder / f"{name}.glb", glb_bytes(mesh, nodes, texture)),
+    ]
 
 
 def _surface(mesh: PatternMesh, uv: np.ndarray) -> GarmentSurface:

@@ -1,4 +1,4 @@
-"""A pattern and a body in, a garment at rest out: meshed, placed, sewn, draped in the T-pose, and in a pose."""
+"""From a pattern and a body to a garment at rest: meshed, placed, sewn, draped in the T-pose, then in a pose."""
 
 from __future__ import annotations
 
@@ -12,27 +12,26 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
-from drape.cloth.material import DEFAULT_MATERIAL, material
-from drape.cloth.orthotropic import OrthotropicMaterial
+from drape.cloth.material import DEFAULT_MATERIAL, OrthotropicMaterial, material
 from drape.errors import InputError
 from drape.geometry import meshes
-from recovery.drape.body_distance import SIREN_FOLDER, DistanceKind, skin_distance
+from recovery.drape.body_distance import SIREN_FOLDER, DistanceKind
 from recovery.drape.placement import Axes, Placed, place, scaled
 from recovery.drape.posing import to_pose
-from recovery.drape.relax import Relaxation
+from recovery.drape.relax import principal_stretches
 from recovery.drape.repair import uncrossed
 from recovery.drape.settle import ITERATION_LIMIT, Drape, settle
 from recovery.drape.sewing import Sewn, in_numpy, sew
 from recovery.pattern.mesh import PatternMesh, mesh_pattern
 from recovery.pattern.model import Pattern
-from recovery.sim.sdf import SignedDistance
-from recovery.sim.siren import DEFAULT_SIREN, SirenOptions
+from recovery.sim.sdf import GridDistance, SignedDistance
+from recovery.sim.siren import DEFAULT_SIREN, SirenOptions, stored_siren
 
 Report = Callable[[str], None]
 
 
 class Hold(StrEnum):
-    """What keeps the garment up: a belt at its topmost opening, nothing but the body, or whichever its cut asks for."""
+    """The support of a garment: a belt at its topmost opening, the body alone, or the one that its cut asks for."""
 
     AUTO = "auto"
     BELT = "belt"
@@ -65,21 +64,19 @@ class DrapeOptions:
             )
 
     def skin(self, vertices: np.ndarray, faces: np.ndarray, report: Report | None = None) -> SignedDistance:
-        """The signed distance of a body's surface, ``vertices`` [m] (V, 3) and ``faces`` (F, 3), that these ask for."""
-        return skin_distance(
-            vertices,
-            faces,
-            self.distance,
-            grid_m=self.grid_m,
-            siren=self.siren,
-            folder=self.siren_folder,
-            report=report,
-        )
+        """The signed distance of a closed surface, ``vertices`` [m] (V, 3) and ``faces`` (F, 3).
+
+        A grid is made anew. A network is read from its folder, or trained, which takes minutes, and written there.
+        Raises ``MeshError`` for an open surface and ``ArtifactError`` for a damaged file.
+        """
+        if self.distance is DistanceKind.SIREN:
+            return stored_siren(vertices, faces, self.siren_folder, self.siren, report=report)
+        return GridDistance.from_mesh(vertices, faces, spacing_m=self.grid_m)
 
 
 @dataclass(frozen=True, eq=False)
 class Draped:
-    """The garment at ``rest`` in the T-pose and, where a pose was asked for, ``posed``; how it came there."""
+    """The garment at ``rest`` in the T-pose and, if a pose was asked for, ``posed``; with what led there."""
 
     mesh: PatternMesh
     placed: Placed
@@ -111,9 +108,9 @@ def drape_pattern(
 ) -> Draped:
     """``pattern`` sewn round ``body`` and at rest on it, in the T-pose and then in ``pose`` (24, 3).
 
-    ``cloth`` stands in for the fabric that the options name; ``skin`` is the body's distance in the T-pose, if it is
-    there already.
-    Raises ``InputError`` (or ``MeshError``) for a pattern that cannot be meshed, placed or closed round this body.
+    ``cloth`` replaces the fabric that the options name; ``skin`` is the body's distance in the T-pose, if the caller
+    has it. Raises ``InputError`` (or ``MeshError``) for a pattern that cannot be meshed, placed or closed round this
+    body.
     """
     say = report or (lambda line: None)
     cloth = cloth or material(options.fabric).woven
@@ -167,9 +164,9 @@ def drape_in_pose(
     cloth: OrthotropicMaterial | None = None,
     report: Report | None = None,
 ) -> tuple[Drape, dict[str, Any]]:
-    """The garment of ``mesh``, at ``rest`` in the T-pose, at rest on ``body`` in ``pose`` (24, 3); and its figures.
+    """The garment of ``mesh`` at rest on ``body`` in ``pose`` (24, 3), and its figures.
 
-    ``cloth`` as of ``drape_pattern``.
+    ``rest`` is its drape in the T-pose; ``cloth`` as for ``drape_pattern``.
     """
     pose = np.asarray(pose, dtype=np.float64).reshape(JOINT_COUNT, 3)
     moved = to_pose(mesh, rest.nodes, body, pose)
@@ -180,11 +177,11 @@ def drape_in_pose(
 
 
 def drape_figures(mesh: PatternMesh, drape: Drape, skin: SignedDistance) -> dict[str, Any]:
-    """What tells whether a drape can be trusted: force left, strain, distance of nodes and of the edges' middles."""
+    """The figures by which a drape can be trusted: force left, strain, distances of nodes and of edges' middles."""
     distance = in_numpy(skin)
     edges = meshes.unique_edges(mesh.faces)
     middles = distance(drape.nodes[edges].mean(axis=1))[0]
-    stretch = Relaxation(mesh.faces, mesh.rest[mesh.panel_faces], distance, gap_m=0.0).stretch(drape.nodes)
+    stretch = principal_stretches(mesh.faces, mesh.rest[mesh.panel_faces], drape.nodes)
     return {
         "converged": drape.report.converged,
         "force_left_n": drape.report.residual_n,
@@ -211,7 +208,7 @@ def describe_stretch(figures: dict[str, Any]) -> str:
 
 
 def describe_drape(what: str, figures: dict[str, Any]) -> str:
-    """The line that says how a drape ended."""
+    """The line of the report that tells how a drape ended."""
     end = "at rest" if figures["converged"] else "NOT at rest"
     return (
         f"{what:9s} {end}, force left {figures['force_left_n']:.1e} N; clearance {figures['clearance_mm']:.1f} mm, "

@@ -1,4 +1,4 @@
-"""Stands a pattern's placed panels up round a body: whose axes they were drawn in, at which height, clear of the skin.
+"""Stands a pattern's placed panels up round a body, in the axes they were drawn in, at a height that is clear of it.
 
 A file places panels round the body that it was drawn for. Base patterns use the axes of the wearer's file, files of
 Garment-Pattern-Generator those of SMPL's template, files of GarmentCode stand on the floor.
@@ -116,7 +116,7 @@ def check_placed(pattern: Pattern) -> None:
 
 
 def best_lift(positions: np.ndarray, pairs: np.ndarray, distance: Distance) -> float:
-    """How far [m] to lift placed panels (P, 3) so that straight threads between ``pairs`` (S, 2) miss the body."""
+    """The lift [m] of placed panels (P, 3) at which straight threads between ``pairs`` (S, 2) best miss the body."""
     if not len(pairs):
         return 0.0
     share = np.linspace(0.0, 1.0, THREAD_SAMPLES)[:, None, None]

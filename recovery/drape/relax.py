@@ -2,8 +2,8 @@
 
 Local-global iterations (Sorkine and Alexa 2007; Bouaziz et al. 2014): every triangle keeps the rotation nearest to its
 deformation, then one linear system moves all vertices towards those rotations, towards the ends of their threads
-and out of the body. It is no drape, there is neither gravity nor fabric in it; it brings cloth from where
-panels were laid to where a simulator can start.
+and out of the body. It knows neither gravity nor fabric, so the result is no drape: it brings cloth from the place of
+the panels to a shape that a simulator can start from.
 """
 
 from __future__ import annotations
@@ -48,19 +48,7 @@ class Relaxation:
         self._creases = np.zeros(0, dtype=np.int64) if creases is None else creases
         self.faces, self.distance, self.gap_m = faces, distance, gap_m
         self.count = count = int(faces.max()) + 1
-        first, second = rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0]
-        double = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
-        if not (np.abs(double) > COLLAPSED * np.abs(double).mean()).all():
-            raise MeshError(
-                "panels",
-                expected="triangles with an area",
-                got=f"a flat one, number {int(np.abs(double).argmin())}",
-                cure="Remove collapsed triangles of the panel.",
-            )
-        g1 = np.stack([second[:, 1], -second[:, 0]], axis=1) / double[:, None]
-        g2 = np.stack([-first[:, 1], first[:, 0]], axis=1) / double[:, None]
-        self._gradient = np.stack([-g1 - g2, g1, g2], axis=1)  # (F, 3, 2) of the shape functions
-        self._area = 0.5 * np.abs(double)
+        self._gradient, self._area = shape_gradients(rest)
         weights = self._area[:, None, None] * np.einsum("fic,fjc->fij", self._gradient, self._gradient)
         rows, columns = np.repeat(faces, 3, axis=1).reshape(-1), np.tile(faces, (1, 3)).reshape(-1)
         membrane = scipy.sparse.csr_matrix((weights.reshape(-1), (rows, columns)), shape=(count, count))
@@ -114,15 +102,38 @@ class Relaxation:
         """Lengths [m] (S,) of the threads at ``x``."""
         return np.linalg.norm(self._difference @ x, axis=1)
 
-    def stretch(self, x: np.ndarray) -> np.ndarray:
-        """Singular values (F, 2) of the triangles' deformation at ``x``, the larger first; one is unstretched."""
-        f = np.einsum("fcx,fcp->fxp", x[self.faces], self._gradient)
-        return np.linalg.svd(f, compute_uv=False)
-
     def _wanted(self, x: np.ndarray) -> np.ndarray:
         """Right side (F, 3 corners, 3) of triangles turned to where they are and not stretched."""
         f = np.einsum("fcx,fcp->fxp", x[self.faces], self._gradient)
         return self._area[:, None, None] * np.einsum("fxp,fcp->fcx", nearest_isometry(f), self._gradient)
+
+
+def shape_gradients(rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Gradients (F, 3, 2) [1/m] of the corners' shape functions, and areas (F,) [m^2], of flat triangles (F, 3, 2) [m].
+
+    Raises ``MeshError`` for a triangle without area.
+    """
+    first, second = rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0]
+    double = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    if not (np.abs(double) > COLLAPSED * np.abs(double).mean()).all():
+        raise MeshError(
+            "panels",
+            expected="triangles with an area",
+            got=f"a flat one, number {int(np.abs(double).argmin())}",
+            cure="Remove collapsed triangles of the panel.",
+        )
+    g1 = np.stack([second[:, 1], -second[:, 0]], axis=1) / double[:, None]
+    g2 = np.stack([-first[:, 1], first[:, 0]], axis=1) / double[:, None]
+    return np.stack([-g1 - g2, g1, g2], axis=1), 0.5 * np.abs(double)
+
+
+def principal_stretches(faces: np.ndarray, rest: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Stretches (F, 2), the larger first and 1 for none, of ``faces`` (F, 3) with flat rest corners [m] (F, 3, 2).
+
+    The vertices lie at ``x`` [m] (V, 3).
+    """
+    gradient, _ = shape_gradients(rest)
+    return np.linalg.svd(np.einsum("fcx,fcp->fxp", x[faces], gradient), compute_uv=False)
 
 
 def nearest_isometry(f: np.ndarray) -> np.ndarray:

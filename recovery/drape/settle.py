@@ -1,8 +1,8 @@
 """Lets a sewn garment come to rest on a body: quasi-static implicit steps, then Newton to a residual.
 
-Newton for the drape itself has nothing that holds a triangle which is squeezed flat, in an armpit for one, and can end
-in a collapsed one. Where it does not arrive, implicit steps that are each solved by Newton go before it: the
-inertia of a short step holds every node, and each longer step lets it go further.
+Nothing in Newton's problem holds a triangle that is squeezed flat, in an armpit for one, so it can end in a collapsed
+triangle. If Newton fails, implicit steps, each solved by Newton, go before it: the inertia of a short step holds every
+node, and each longer step lets it go further.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from drape.cloth.orthotropic import OrthotropicMaterial
+from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError
 from drape.geometry import meshes
 from recovery.pattern.mesh import PatternMesh
@@ -64,15 +64,14 @@ def settle(
     belt: bool = False,
     held: np.ndarray | None = None,
     lowest_top_m: float = -np.inf,
-    tolerance_n: float = TOLERANCE_N,
     iteration_limit: int = ITERATION_LIMIT,
 ) -> Drape:
     """The garment at rest under its weight, from sewn ``nodes`` [m] (N, 3) near it, without friction.
 
-    ``belt`` first lets it close round the body without weight and then holds its topmost opening there; ``held``
-    names nodes that stay where they are instead. ``iteration_limit`` is Newton's; with 0 the quasi-static steps are
-    all. The report says whether no node is left with more than ``tolerance_n`` [N]. Raises ``InputError`` for a
-    garment whose highest node ends below the height ``lowest_top_m``: it fell off.
+    With ``belt`` it first closes round the body without weight, and then its topmost opening is held there; ``held``
+    names nodes to hold instead. ``iteration_limit`` is Newton's; with 0 only the quasi-static steps are made. The
+    report has converged if no node is left with more than ``TOLERANCE_N``. Raises ``InputError`` for a garment that
+    fell off: its highest node ends below the height ``lowest_top_m``.
     """
     contact = SkinContact(body, friction=0.0)
     steps = 0
@@ -92,7 +91,7 @@ def settle(
             got=f"one that slid down by {100 * (float(start[:, 1].max()) - top):.0f} cm",
             cure="Give it a belt (--hold belt) or a smaller size (--scale).",
         )
-    state, report = to_rest(model, model.state(nodes), parameters, contact, tolerance_n, iteration_limit)
+    state, report = to_rest(model, model.state(nodes), parameters, contact, iteration_limit=iteration_limit)
     return Drape(state.x.numpy(), held, report, steps + more)
 
 
@@ -104,7 +103,7 @@ def to_rest(
     tolerance_n: float = TOLERANCE_N,
     iteration_limit: int = ITERATION_LIMIT,
 ) -> tuple[ClothState, Report]:
-    """The drape near ``start`` and how it ended; of all shapes on the way the one with the least force, if none rests.
+    """The drape near ``start`` and how it ended; if none comes to rest, the shape on the way with the least force.
 
     Newton first, then implicit steps from rest with Newton after them; iterations are counted over all.
     """
@@ -146,8 +145,8 @@ def _quasi_static(
 ) -> tuple[np.ndarray, int]:
     """Nodes [m] (N, 3) after at most ``limit`` implicit steps, and how many there were.
 
-    Each starts from rest, so that nothing swings; steps grow while the cloth does not have to be slowed down. Ends
-    where two steps of the last size change nothing.
+    Each starts from rest, so that nothing swings; steps grow while the cloth does not have to be slowed down. They end
+    when two steps of the last size change nothing.
     """
     dt, x = FIRST_DT_S, torch.tensor(nodes)
     before = x  # a step earlier than x

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from drape.errors import InputError
-from recovery.drape.relax import Distance, Relaxation
+from recovery.drape.relax import Distance, Relaxation, principal_stretches
 from recovery.pattern.mesh import PatternMesh
 from recovery.sim.sdf import SignedDistance
 
@@ -61,10 +61,9 @@ def sew(
 ) -> Sewn:
     """Nodes of the sewn garment from ``placed`` panel vertices [m] (P, 3) that are clear of the body.
 
-    ``gap_m`` is what panel vertices, all or each (P,), keep from the skin meanwhile; ``creases`` are nodes of seams
-    that stay folded, a collar's for one.
-
-    Raises ``InputError`` where a seam cannot close, or only by stretching the cloth beyond what any garment bears.
+    Panel vertices, all or each (P,), keep ``gap_m`` [m] from the skin meanwhile; ``creases`` are nodes of seams that
+    stay folded, a collar's for one. Raises ``InputError`` if a seam cannot close, or only by stretching the cloth
+    beyond what any garment bears.
     """
     panels = Relaxation(mesh.panel_faces, mesh.rest[mesh.panel_faces], distance, gap_m=gap_m, threads=mesh.seam_pairs)
     x, start = placed, panels.thread_lengths(placed)
@@ -84,7 +83,7 @@ def sew(
     nodes = mesh.nodes_from(x)
     for _ in range(MERGED_ROUNDS):
         nodes = merged.step(nodes)
-    stretch = merged.stretch(nodes)
+    stretch = principal_stretches(mesh.faces, mesh.rest[mesh.panel_faces], nodes)
     if (most := float(np.quantile(stretch[:, 0], 0.9))) > MOST_STRETCH:
         raise InputError(
             "pattern",

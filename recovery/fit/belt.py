@@ -1,8 +1,8 @@
-"""Where a belt holds: the waist of a drape laid on that of its target, which shows where the wearer's belt is.
+"""Lays the waist of a drape on that of its target, which shows where the wearer's belt is.
 
-Without friction a belt closes where the body happens to be as wide as the waist of the pattern: on hips that widen by
-a millimetre a centimetre, or in another simulator, centimetres off. A search that may not move it makes up for that
-with the lengths of the panels.
+Without friction a belt closes at the height where the body is as wide as the waist of the pattern. On hips that widen
+by a millimetre a centimetre, or in another simulator, that is centimetres off. A search that may not move the belt
+makes up for it with the lengths of the panels.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from drape.cloth.orthotropic import OrthotropicMaterial
+from drape.cloth.material import OrthotropicMaterial
 from recovery.drape.pipeline import Draped
 from recovery.drape.settle import settle
 from recovery.fit.contours import Contour, Match, open_contours
@@ -23,11 +23,11 @@ from recovery.sim.sdf import SignedDistance
 def held_as_target(
     draped: Draped, matches: list[Match], there: list[Contour], skin: SignedDistance, cloth: OrthotropicMaterial
 ) -> Draped:
-    """``draped`` with what its belt holds laid on the counterpart among the target's contours ``there``, at rest anew.
+    """``draped`` with the nodes that its belt holds laid on the waist among the target's contours ``there``.
 
-    Held nodes are carried along by the offset of both contours' centres, then to the nearest point of the target's; the
-    rest of the garment moves by the offset and settles round ``skin``, the body's distance in the drape's pose. Without
-    a belt, without a counterpart, or where the garment does not come to rest so, ``draped`` itself.
+    Held nodes move by the offset of both contours' centres, then to the nearest point of the target's. The other nodes
+    move by the offset and settle round ``skin``, the body's distance in the drape's pose. Returns ``draped`` itself
+    without a belt, without a counterpart, or if the garment does not come to rest so.
     """
     held = draped.rest.held
     if not len(held):

@@ -1,8 +1,7 @@
-"""How far apart two surfaces are, by points drawn on both: the Chamfer distance of the papers, and its floor.
+"""The distance of two surfaces by points drawn on both: the Chamfer distance of the papers, and its floor.
 
-Points, unlike surfaces, are never at distance zero: two drawings of one surface lie millimetres apart. That is the
-floor below which a Chamfer distance says nothing; beside it stand distances from points to triangles, whose floor is
-zero (docs/decisions/0004-pattern-recovery.md, point 2).
+Two drawings of one surface lie millimetres apart. Below that floor a Chamfer distance says nothing. Distances from
+points to triangles have no floor (docs/decisions/0004-pattern-recovery.md, point 2).
 """
 
 from __future__ import annotations

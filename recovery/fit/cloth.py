@@ -5,7 +5,6 @@ A drape at rest without friction only knows stiffness over weight, so the densit
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -13,8 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from drape.cloth.material import FABRICS, material
-from drape.cloth.orthotropic import OrthotropicMaterial
+from drape.cloth.material import FABRICS, OrthotropicMaterial, material
 from drape.errors import InputError
 
 LOG_M = 0.01  # [m] of unknown per unit of a logarithm: a stiffness times e weighs as much as control points moved 1 cm
@@ -54,14 +52,14 @@ def from_logarithms(numbers: Tensor) -> ClothTensors:
 
 
 class FreeCloth:
-    """A cloth as a function of five ``values`` [m] (5,), zero for ``origin``; ``library`` names plausible fabrics."""
+    """A cloth as a function of five ``values`` [m] (5,), zero for ``origin``."""
 
     count = len(NAMES)
 
-    def __init__(self, origin: OrthotropicMaterial, library: Iterable[str] = tuple(FABRICS)) -> None:
+    def __init__(self, origin: OrthotropicMaterial) -> None:
         self.origin = origin
         self.logarithms = logarithms(origin)
-        known = np.array([logarithms(named(name)) for name in library])
+        known = np.array([logarithms(named(name)) for name in FABRICS])
         self.range = (torch.from_numpy(known.min(axis=0)), torch.from_numpy(known.max(axis=0)))
 
     def tensors(self, values: Tensor) -> ClothTensors:
@@ -69,7 +67,7 @@ class FreeCloth:
         return from_logarithms(torch.from_numpy(self.logarithms) + values / LOG_M)
 
     def implausible(self, values: Tensor) -> Tensor:
-        """L_mat of equation 6 [m^2] (): squared distance to the range that the library spans, zero inside."""
+        """L_mat of equation 6 [m^2] (): squared distance to the range that the named fabrics span, zero inside."""
         numbers = torch.from_numpy(self.logarithms) + values / LOG_M
         low, high = self.range
         off = torch.clamp(low - numbers, min=0.0) + torch.clamp(numbers - high, min=0.0)
@@ -118,14 +116,14 @@ class Fabric(NamedTuple):
         )
 
 
-def nearest_fabric(cloth: OrthotropicMaterial, library: Iterable[str] = tuple(FABRICS)) -> Fabric:
-    """The fabric of ``library`` whose logarithms are nearest to those of ``cloth``, stiffness over weight."""
+def nearest_fabric(cloth: OrthotropicMaterial) -> Fabric:
+    """The named fabric whose logarithms are nearest to those of ``cloth``, stiffness over weight."""
 
     def over_weight(one: OrthotropicMaterial) -> np.ndarray:
         numbers = logarithms(one)
         numbers[[0, 1, 2, 4]] -= np.log(one.density_kg_m2)
         return numbers
 
-    off = {name: over_weight(cloth) - over_weight(named(name)) for name in library}
+    off = {name: over_weight(cloth) - over_weight(named(name)) for name in FABRICS}
     name = min(off, key=lambda one: float((off[one] ** 2).sum()))
     return Fabric(name, np.exp(off[name]))

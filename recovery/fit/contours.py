@@ -1,4 +1,4 @@
-"""Open contours of a garment, where they lie along the body, and which one of a target is which of a drape.
+"""Open contours of a garment, their places along the body, and the pairs of a drape's and a target's.
 
 Algorithm 2 of Yu, Cordier and Seo (2024). A contour belongs to the part of the body whose bones pass through it; its
 place is the point of that part's chain of bones nearest to its centre. Below the pelvis a middle line between both legs
@@ -43,9 +43,10 @@ class Contour:
 
 
 class Place(NamedTuple):
-    """Where a contour lies: the body's ``part``, ``along_m`` [m] from the part's root, unit ``direction`` (3,) outward.
+    """The place of a contour: the body's ``part``, ``along_m`` [m] from its root, unit ``direction`` (3,) outward.
 
-    The trunk begins at the pelvis, up is positive; a limb at its first joint. ``part`` None: no bone passes through.
+    The trunk begins at the pelvis, up is positive; a limb begins at its first joint. ``part`` is None if no bone passes
+    through.
     """
 
     part: str | None
@@ -54,9 +55,9 @@ class Place(NamedTuple):
 
 
 class Match(NamedTuple):
-    """A contour of the source and its counterpart: numbers, the target's length over the source's, metres to move.
+    """A contour of the source and its counterpart, by number; the target's length over the source's.
 
-    ``move_m`` runs along ``direction`` (3,), that of the bone, away from the root.
+    The counterpart lies ``move_m`` [m] further along the direction of the source's ``place``.
     """
 
     source: int

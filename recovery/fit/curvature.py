@@ -1,6 +1,6 @@
-"""The curvature of the loss by the free control points, as Gauss and Newton take it: residuals linear in the drape.
+"""The Gauss-Newton matrix of the loss: its second derivative by the unknowns, with residuals linear in the drape.
 
-Along a surface a nearest point follows, so only what goes along its normal counts; along a border what goes across it.
+A nearest point follows along a surface, so only motion along the normal counts; at a border only motion across it.
 """
 
 from __future__ import annotations

@@ -6,14 +6,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from drape.cloth.orthotropic import OrthotropicMaterial
+from drape.cloth.material import OrthotropicMaterial
 from recovery.fit.cloth import ClothTensors
 from recovery.pattern.mesh import PatternMesh
 from recovery.sim.contact import SkinContact
 from recovery.sim.model import ClothModel, ClothState, Parameters
 from recovery.sim.newton import Minimum, Report, equilibrium
 from recovery.sim.sdf import SignedDistance
-from recovery.sim.solver import superlu
 
 TOLERANCE_N = 1e-6  # a node weighs about 1e-3 N
 ITERATION_LIMIT = 60
@@ -76,7 +75,7 @@ class RestDrape:
         of them: the adjoint's scalar is linear in its weights, so that its derivative by them is the right side of a
         direction.
         """
-        problem = Minimum(self.model, self.contact, superlu, dt_s=None, tolerance_n=self.tolerance_n, iteration_limit=0)
+        problem = Minimum(self.model, self.contact, dt_s=None, tolerance_n=self.tolerance_n, iteration_limit=0)
         x = torch.from_numpy(np.ascontiguousarray(nodes))
         given = self._parameters(rest, cloth)
         state = ClothState(x, torch.zeros_like(x))

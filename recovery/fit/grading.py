@@ -1,14 +1,18 @@
 """Linear grading (section 3.3 of Yu, Cordier and Seo 2024): panels widened, lengthened and tapered to a target.
 
-The paper says what is measured, lengths of open contours and their places along the bones, not how control points
-follow. Here every panel that is tied to none has three numbers: x' = x (1 + a + c y), y' = y (1 + b) about the mean of
-its corners. They are the least squares solution of linear equations: contours get the target's length; their centres
-move to its places, panels carried along by the affine map from pattern to drape and joined at the seams; both
-edges of a seam stay as long as each other; and all that says nothing follows one common scale.
+The paper measures lengths of open contours and their places along the bones; it does not say how control points follow.
+Here every panel that is tied to no other has three numbers: x' = x (1 + a + c y), y' = y (1 + b) about the mean of its
+corners. They are the least squares solution of linear equations:
+
+- contours get the target's length;
+- their centres move to the target's places, panels moving by the affine map from pattern to drape, joined at seams;
+- both edges of a seam stay equally long;
+- a number that nothing determines follows one common scale.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,72 +70,13 @@ def grade(
     its size.
     """
     pattern = mesh.pattern
-    controls = control_points(pattern)
-    moves = _moves(pattern, symmetries)  # (2 K, numbers)
-    count = moves.shape[1]
-    # Unknowns: the panels' numbers, each panel's shift in the world, and the common scale.
-    size = count + 3 * len(pattern.panels) + 1
-    row_of = {(int(p), int(e)): k for k, (p, e) in enumerate(zip(controls.panel, controls.edge, strict=True))}
-    number_of = {panel.name: number for number, panel in enumerate(pattern.panels)}
-    frames = [_frame(mesh, nodes, panel) for panel in range(len(pattern.panels))]
-
-    def ends(ref: EdgeRef) -> tuple[int, int]:
-        panel = number_of[ref.panel]
-        return row_of[panel, ref.edge], row_of[panel, (ref.edge + 1) % len(pattern.panels[panel].edges)]
-
-    def lengthening(ref: EdgeRef) -> np.ndarray:
-        """Derivative (size,) of an edge's length by the unknowns."""
-        panel = pattern.panel(ref.panel)
-        start, end = ends(ref)
-        chord = geometry.chord(panel, ref.edge)[1]
-        along = chord / np.linalg.norm(chord) * geometry.relative_length(panel.edges[ref.edge])
-        row = np.zeros(size)
-        row[:count] = along @ (moves[2 * end : 2 * end + 2] - moves[2 * start : 2 * start + 2])
-        return row
-
-    def shift(ref: EdgeRef) -> np.ndarray:
-        """Derivative (3, size) of the displacement in the world of an edge's middle."""
-        panel = number_of[ref.panel]
-        start, end = ends(ref)
-        rows = np.zeros((3, size))
-        middle = 0.5 * (moves[2 * start : 2 * start + 2] + moves[2 * end : 2 * end + 2])
-        rows[:, :count] = frames[panel] @ middle
-        rows[:, count + 3 * panel : count + 3 * panel + 3] = np.eye(3)
-        return rows
-
-    def length(ref: EdgeRef) -> float:
-        return geometry.edge_length(pattern.panel(ref.panel), ref.edge)
-
-    equations: list[tuple[np.ndarray, float, float]] = []  # row, right side, weight
-    for match in matches:
-        refs = contour_edges(mesh, contours[match.source])
-        total = sum(length(ref) for ref in refs)
-        for panel in sorted({ref.panel for ref in refs}):
-            own = [ref for ref in refs if ref.panel == panel]
-            share = sum(length(ref) for ref in own)
-            row = np.sum([lengthening(ref) for ref in own], axis=0) / share
-            equations.append((row, match.length_ratio - 1.0, float(np.sqrt(share / total))))
-        centre = np.sum([length(ref) / total * shift(ref) for ref in refs], axis=0)
-        equations.append((match.place.direction @ centre / REACH_M, match.move_m / REACH_M, PLACE_WEIGHT))
-    for stitch in pattern.stitches:
-        mean = 0.5 * (length(stitch.first) + length(stitch.second))
-        equations.append(((lengthening(stitch.first) - lengthening(stitch.second)) / mean, 0.0, SEAM_WEIGHT))
-        for row in (shift(stitch.first) - shift(stitch.second)) / REACH_M:
-            equations.append((row, 0.0, PLACE_WEIGHT))
-    told = len(equations)
-    for number in range(count):
-        row = np.zeros(size)
-        row[number] = 1.0 if number % NUMBERS < 2 else REACH_M
-        row[-1] = -1.0 if number % NUMBERS < 2 else 0.0
-        equations.append((row, 0.0, PRIOR_WEIGHT))
-    for number in range(count, size - 1):  # or directions that nearly agree would be told apart by long shifts
-        row = np.zeros(size)
-        row[number] = 1.0 / REACH_M
-        equations.append((row, 0.0, SHIFT_WEIGHT))
-    matrix = np.array([weight * row for row, _, weight in equations])
-    right = np.array([weight * value for _, value, weight in equations])
-    found = np.linalg.lstsq(matrix, right, rcond=1e-10)[0]
-    numbers = found[:count].reshape(-1, NUMBERS)
+    unknowns = _Unknowns(mesh, nodes, symmetries)
+    told = [*_contour_equations(unknowns, contours, matches), *_seam_equations(unknowns)]
+    equations = [*told, *_priors(unknowns)]
+    rows, rights, weights = (np.array(part) for part in zip(*equations, strict=True))
+    found = np.linalg.lstsq(weights[:, None] * rows, weights * rights, rcond=1e-10)[0]
+    own = found[: unknowns.count]
+    numbers = own.reshape(-1, NUMBERS)
     factors = 1.0 + numbers[:, :2]
     if factors.min() < SMALLEST or factors.max() > LARGEST:
         raise InputError(
@@ -140,18 +85,98 @@ def grade(
             got=f"panels of {factors.min():.2f} to {factors.max():.2f} times",
             cure="Check the target's unit, and take a base pattern nearer to it.",
         )
-    positions = controls.positions + (moves @ found[:count]).reshape(-1, 2)
-    off = np.abs(matrix[:told] @ found - right[:told]) / np.array([weight for _, _, weight in equations[:told]])
+    off = np.abs(rows[: len(told)] @ found - rights[: len(told)])
     leaders = _leaders(pattern, symmetries)
     order = sorted(set(leaders))
     of_panel = numbers[[order.index(leader) for leader in leaders]]
+    positions = mesh.controls.positions + (unknowns.moves @ own).reshape(-1, 2)
     return Graded(
-        with_controls(pattern, controls, positions),
+        with_controls(pattern, mesh.controls, positions),
         1.0 + of_panel[:, 0],
         1.0 + of_panel[:, 1],
         of_panel[:, 2],
         float(off.max(initial=0.0)),
     )
+
+
+Equation = tuple[np.ndarray, float, float]  # row (size,), right side, weight
+
+
+class _Unknowns:
+    """The ``size`` unknowns of a grading: ``count`` numbers of panels, three shifts of each in the world, one scale."""
+
+    def __init__(self, mesh: PatternMesh, nodes: np.ndarray, symmetries: Symmetries) -> None:
+        self.mesh, self.pattern = mesh, mesh.pattern
+        self.moves = _moves(mesh.pattern, symmetries)  # (2 K, count)
+        self.count = self.moves.shape[1]
+        self.size = self.count + 3 * len(mesh.pattern.panels) + 1
+        self._number = {panel.name: number for number, panel in enumerate(mesh.pattern.panels)}
+        self._frames = [_frame(mesh, nodes, panel) for panel in range(len(mesh.pattern.panels))]
+
+    def length(self, ref: EdgeRef) -> float:
+        """Length [m] of an edge of the pattern."""
+        return geometry.edge_length(self.pattern.panel(ref.panel), ref.edge)
+
+    def lengthening(self, ref: EdgeRef) -> np.ndarray:
+        """Derivative (size,) of an edge's length by the unknowns."""
+        panel = self.pattern.panel(ref.panel)
+        start, end = self._end_moves(ref)
+        chord = geometry.chord(panel, ref.edge)[1]
+        along = chord / np.linalg.norm(chord) * geometry.relative_length(panel.edges[ref.edge])
+        row = np.zeros(self.size)
+        row[: self.count] = along @ (end - start)
+        return row
+
+    def shift(self, ref: EdgeRef) -> np.ndarray:
+        """Derivative (3, size) of the displacement in the world of an edge's middle."""
+        panel = self._number[ref.panel]
+        start, end = self._end_moves(ref)
+        rows = np.zeros((3, self.size))
+        rows[:, : self.count] = self._frames[panel] @ (0.5 * (start + end))
+        rows[:, self.count + 3 * panel : self.count + 3 * panel + 3] = np.eye(3)
+        return rows
+
+    def _end_moves(self, ref: EdgeRef) -> tuple[np.ndarray, np.ndarray]:
+        """Moves (2, count) of the corners at the start and the end of an edge."""
+        corners = np.flatnonzero(self.mesh.controls.panel == self._number[ref.panel])
+        start, end = corners[ref.edge], corners[(ref.edge + 1) % len(corners)]
+        return self.moves[2 * start : 2 * start + 2], self.moves[2 * end : 2 * end + 2]
+
+
+def _contour_equations(unknowns: _Unknowns, contours: list[Contour], matches: list[Match]) -> Iterator[Equation]:
+    """Contours get the lengths of their counterparts, panel by panel, and their places."""
+    for match in matches:
+        refs = contour_edges(unknowns.mesh, contours[match.source])
+        total = sum(unknowns.length(ref) for ref in refs)
+        for panel in sorted({ref.panel for ref in refs}):
+            own = [ref for ref in refs if ref.panel == panel]
+            share = sum(unknowns.length(ref) for ref in own)
+            row = np.sum([unknowns.lengthening(ref) for ref in own], axis=0) / share
+            yield row, match.length_ratio - 1.0, float(np.sqrt(share / total))
+        centre = np.sum([unknowns.length(ref) / total * unknowns.shift(ref) for ref in refs], axis=0)
+        yield match.place.direction @ centre / REACH_M, match.move_m / REACH_M, PLACE_WEIGHT
+
+
+def _seam_equations(unknowns: _Unknowns) -> Iterator[Equation]:
+    """Both edges of a seam stay equally long and move together."""
+    for stitch in unknowns.pattern.stitches:
+        mean = 0.5 * (unknowns.length(stitch.first) + unknowns.length(stitch.second))
+        yield (unknowns.lengthening(stitch.first) - unknowns.lengthening(stitch.second)) / mean, 0.0, SEAM_WEIGHT
+        for row in (unknowns.shift(stitch.first) - unknowns.shift(stitch.second)) / REACH_M:
+            yield row, 0.0, PLACE_WEIGHT
+
+
+def _priors(unknowns: _Unknowns) -> Iterator[Equation]:
+    """Widths and heights follow the common scale, tapers and shifts stay near zero."""
+    for number in range(unknowns.count):
+        row = np.zeros(unknowns.size)
+        row[number] = 1.0 if number % NUMBERS < 2 else REACH_M
+        row[-1] = -1.0 if number % NUMBERS < 2 else 0.0
+        yield row, 0.0, PRIOR_WEIGHT
+    for number in range(unknowns.count, unknowns.size - 1):  # long shifts would tell directions apart that nearly agree
+        row = np.zeros(unknowns.size)
+        row[number] = 1.0 / REACH_M
+        yield row, 0.0, SHIFT_WEIGHT
 
 
 def graded_again(first: Graded, second: Graded) -> Graded:

@@ -1,9 +1,9 @@
-"""How far a drape is from its target: curvature-weighted Chamfer distance, contours, seams (equations 5 to 8).
+"""The loss of a drape against its target: curvature-weighted Chamfer distance, contours, seams (equations 5 to 8).
 
 The paper measures from vertex to vertex, which leaves millimetres between two meshes of one surface. Here a point is
-compared with the nearest point of the other surface, so that a surface is at distance zero from itself however it is
-cut into triangles. The nearest points are held while differentiating; the gradient is exact all the same, because a
-nearest point moves at right angles to the distance. Only the weight at the nearest point is taken as constant.
+compared with the nearest point of the other surface, so a surface is at distance zero from itself in any
+triangulation. The nearest points are held while differentiating. The gradient is exact all the same, because a nearest
+point moves at right angles to the distance; only the weight at the nearest point is taken as constant.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ CORNERS = (
 
 
 class Weights(NamedTuple):
-    """Of the terms beside the Chamfer distance of the surfaces.
+    """Weights of the terms beside the Chamfer distance of the surfaces.
 
-    The paper's 0.1 and 0.01 have no units beside it; these let seams give way to what the target tells. ``folds`` says
-    how much of the weight by curvature counts, 0 for none. A search's loss is doubled where its unknowns are
-    ``reach_m`` [m] (their norm) from what is held likely; a freed cloth's squared distance to the known fabrics counts
-    beside that with the weight ``material``. So what a drape hardly shows stays, whatever the loss cannot fall below,
-    and an exact fit stays exact (multiplicative regularisation, van den Berg, van Broekhoven and Abubakar 1999).
+    The paper's 0.1 and 0.01 have no units; these let seams give way to what the target tells. ``folds`` is the share of
+    the weight by curvature that counts, 0 for none. A search's loss doubles where its unknowns are ``reach_m`` [m] (by
+    their norm) from the likely ones; the squared distance of a freed cloth to the known fabrics adds to theirs with the
+    weight ``material``. This multiplicative regularisation (van den Berg, van Broekhoven and Abubakar 1999) keeps what
+    a drape hardly shows, and leaves an exact fit exact.
     """
 
     contours: float = 1.0
@@ -189,7 +189,7 @@ def polyline_chamfer(first: Tensor, second: Tensor) -> Tensor:
 def _one_way(points: Tensor, line: Tensor) -> Tensor:
     """Mean squared distance of the closed polyline ``points``, by two points a segment, to the closed one ``line``."""
     samples, shares, best, t = on_line(points, line)
-    # Where on the line is held, the line itself may move.
+    # The place on the line is held, the line itself may move.
     nearest = line[best] + t[:, None] * (torch.roll(line, -1, dims=0) - line)[best]
     return shares @ ((samples - nearest) ** 2).sum(dim=1)
 
@@ -209,9 +209,9 @@ def on_line(points: Tensor, line: Tensor) -> tuple[Tensor, Tensor, Tensor, Tenso
 
 
 def nearest_on_line(points: Tensor, line: Tensor) -> tuple[Tensor, Tensor]:
-    """For each of ``points`` (n, 3) the number (n,) of the nearest segment of the closed polyline ``line`` (m, 3).
+    """The segment (n,) of a closed polyline ``line`` (m, 3) nearest to each of ``points`` (n, 3), and the place on it.
 
-    And the place (n,) on it, from 0 to 1. Not differentiated.
+    Places (n,) run from 0 to 1. Neither is differentiated.
     """
     with torch.no_grad():
         along = torch.roll(line, -1, dims=0) - line

@@ -1,15 +1,14 @@
-"""Pattern optimisation (section 3.5 of Yu, Cordier and Seo 2024): Adam on what the symmetries leave free, then
-Gauss and Newton's steps.
+"""Pattern optimisation (section 3.5 of Yu, Cordier and Seo 2024): steps of Adam, then damped Gauss-Newton steps.
 
 Every evaluation drapes the pattern to rest from the last shape and differentiates through that drape. A step that folds
 a panel over, or whose drape does not come to rest, is halved until it does neither. The paper stops at Adam; near the
-end damped steps with the derivatives of the whole drape go as far in a few drapes as Adam in hundreds.
+end a few Gauss-Newton steps, which know the derivatives of the whole drape, go as far as hundreds of Adam's.
 """
 
 from __future__ import annotations
 
 import hashlib
-import os
+import io
 import sys
 import zipfile
 from dataclasses import asdict, dataclass
@@ -21,51 +20,48 @@ import torch
 from tqdm import tqdm
 
 from drape.arrays import check_shape
-from drape.cloth.orthotropic import OrthotropicMaterial
+from drape.cloth.material import OrthotropicMaterial
 from drape.errors import ArtifactError, InputError
+from recovery.atomic import write
 from recovery.fit.cloth import ClothTensors, FreeCloth
 from recovery.fit.curvature import gauss_newton_matrix
 from recovery.fit.forward import RestDrape
-from recovery.fit.objective import Objective, Terms
+from recovery.fit.objective import Objective
 from recovery.pattern.coordinates import with_controls
 from recovery.pattern.mesh import PatternMesh
 from recovery.pattern.model import Pattern
 from recovery.pattern.symmetry import FreeControls
 
 HALVINGS = 8
+BETAS = (0.9, 0.99)  # of Adam
+# Stands in for Adam's epsilon: a share of the largest root mean square gradient. Without it Adam moves what the target
+# does not tell, a seam along the cloth for one, as far as what it does tell.
+FLOOR = 0.1
 DAMPING = 1e-2  # of the closing steps, as a share of the mean curvature of the loss; at the beginning
 DAMPING_RANGE = (1e-4, 1e4)
-STATE_VERSION = 3
+SAVE_EVERY = 10  # steps
+STATE_VERSION = 4
+POINTS = ("now", "best")  # evaluations that a state holds
 
 
 @dataclass(frozen=True)
 class FitOptions:
-    """Adam's ``iterations``, rate [m] falling as a cosine from ``rate_m`` to ``last_rate_m``; then ``closing`` steps.
+    """``iterations`` of Adam, whose rate [m] falls as a cosine from ``rate_m`` to ``last_rate_m``.
 
-    ``floor`` stands in for Adam's epsilon: a share of the largest root mean square gradient. Without it Adam moves what
-    the target does not tell, a seam along the cloth for one, as far as what it does tell.
+    ``closing`` Gauss-Newton steps follow.
     """
 
     iterations: int = 20
     closing: int = 10
     rate_m: float = 1e-3
     last_rate_m: float = 2e-5
-    beta1: float = 0.9
-    beta2: float = 0.99
-    floor: float = 0.1
 
     def __post_init__(self) -> None:
-        fits = (
-            self.iterations >= 0
-            and self.closing >= 0
-            and self.iterations + self.closing >= 1
-            and 0.0 < self.last_rate_m <= self.rate_m < 0.1
-        )
-        if not (fits and 0.0 <= self.beta1 < 1.0 and 0.0 <= self.beta2 < 1.0 and 0.0 < self.floor <= 1.0):
+        steps = self.iterations >= 0 and self.closing >= 0 and self.iterations + self.closing >= 1
+        if not (steps and 0.0 < self.last_rate_m <= self.rate_m < 0.1):
             raise InputError(
                 "fit options",
-                expected="iterations + closing >= 1, neither < 0, 0 < last_rate_m <= rate_m < 0.1 m, betas in [0, 1), "
-                "floor in (0, 1]",
+                expected="iterations + closing >= 1, neither < 0, 0 < last_rate_m <= rate_m < 0.1 m",
                 got=f"{self}",
                 cure="Leave them at their defaults.",
             )
@@ -80,9 +76,9 @@ DEFAULT_OPTIONS = FitOptions()
 
 
 class Evaluation(NamedTuple):
-    """Where the search stands: unknowns ``values`` [m] (Z,), nodes [m] (N, 3), loss and parts [m^2] (4,), gradient.
+    """A point of the search: unknowns ``values`` [m] (Z,), nodes [m] (N, 3), loss and parts [m^2] (4,), gradient.
 
-    The unknowns are the free numbers of the control points, and five more where the cloth is free.
+    The unknowns are the free numbers of the control points, and five more if the cloth is free.
     """
 
     values: np.ndarray
@@ -95,9 +91,9 @@ class Evaluation(NamedTuple):
 class Fitted:
     """The best pattern of a search, its control points [m] (K, 2), its drape [m] (N, 3), and the ``cloth`` it is of.
 
-    ``history`` (I + 1, 5): total loss, surface, contours, seams [m^2] of every accepted step, and how often it
-    was halved or damped. ``finished`` is False where no step was left that comes to rest without folds, or that lessens
-    the loss: the end of a search as well as it can be known.
+    ``history`` (I + 1, 5): total loss, surface, contours, seams [m^2] of every accepted step, and how often it was
+    halved or damped. ``finished`` is False if the search ended early, because no step lessened the loss or came to rest
+    without folds.
     """
 
     pattern: Pattern
@@ -109,10 +105,10 @@ class Fitted:
 
 
 class PatternSearch:
-    """Adam on the free control points ``free`` of ``mesh``, whose drape ``forward`` gives and ``objective`` judges.
+    """The search for the control points ``free`` of ``mesh``; ``forward`` drapes them and ``objective`` is their loss.
 
-    With ``cloth`` its constants are unknowns too. ``likely`` are the unknowns [m] (Z,) that the objective's reach is
-    counted from, by default those that the search begins at.
+    With ``cloth`` its constants are unknowns too. The objective's reach is counted from the unknowns ``likely`` [m]
+    (Z,), by default from those that the search begins at.
     """
 
     def __init__(
@@ -145,21 +141,6 @@ class PatternSearch:
         None where a panel is folded over or the drape does not come to rest.
         """
         z = torch.tensor(values, dtype=torch.float64, requires_grad=True)
-        if (judged := self._judged(z, near)) is None:
-            return None
-        x, loss, terms = judged
-        (gradient,) = torch.autograd.grad(loss, z)
-        found = torch.stack([loss, *terms[1:]]).detach().numpy()
-        return Evaluation(values, x.detach().numpy(), found, gradient.numpy())
-
-    def loss(self, values: np.ndarray, near: np.ndarray) -> tuple[float, np.ndarray] | None:
-        """The loss [m^2] at ``values`` (Z,) and the drape's nodes [m] (N, 3): ``evaluate`` without the gradient."""
-        with torch.no_grad():
-            judged = self._judged(torch.tensor(values, dtype=torch.float64), near)
-        return None if judged is None else (float(judged[1]), judged[0].numpy())
-
-    def _judged(self, z: torch.Tensor, near: np.ndarray) -> tuple[torch.Tensor, torch.Tensor, Terms] | None:
-        """Nodes [m] (N, 3), the loss [m^2] and its parts; None as for ``evaluate``."""
         rest, cloth = self._parts(z)
         if len(self.mesh.folded(rest.detach().numpy())):
             return None
@@ -167,10 +148,13 @@ class PatternSearch:
         if not report.converged:
             return None
         terms = self.objective(x, rest)
-        return x, terms.total * self._doubt(z), terms
+        loss = terms.total * self._doubt(z)
+        (gradient,) = torch.autograd.grad(loss, z)
+        found = torch.stack([loss, *terms[1:]]).detach().numpy()
+        return Evaluation(values, x.detach().numpy(), found, gradient.numpy())
 
     def _doubt(self, values: torch.Tensor) -> torch.Tensor:
-        """What the loss is multiplied by at ``values`` (Z,): 1 at what is held likely."""
+        """The factor of the loss at ``values`` (Z,): 1 where they are those held likely, growing with the distance."""
         off = values - torch.from_numpy(self.likely)
         way = off @ off
         if self.cloth is not None:
@@ -189,13 +173,12 @@ class PatternSearch:
         options: FitOptions = DEFAULT_OPTIONS,
         *,
         state_file: Path | None = None,
-        save_every: int = 10,
         progress: bool = False,
         limit: int | None = None,
     ) -> Fitted:
         """Searches from the pattern as it is, draped at ``nodes`` [m] (N, 3).
 
-        ``state_file`` is written every ``save_every`` steps and at the end; where it exists the search goes on from
+        ``state_file`` is written every ``SAVE_EVERY`` steps and at the end; where it exists the search goes on from
         it, bit for bit as if it had not stopped. ``limit`` ends this run after that many steps. Raises ``InputError``
         where the start itself folds or does not come to rest, ``ArtifactError`` for the state of another search.
         """
@@ -210,7 +193,7 @@ class PatternSearch:
             bar.set_postfix(
                 surface_mm=f"{1e3 * np.sqrt(0.5 * state.now.terms[1]):.2f}", halved=int(state.history[-1, 4])
             )
-            if state_file is not None and state.step % save_every == 0:
+            if state_file is not None and state.step % SAVE_EVERY == 0:
                 _write(state_file, digest, state)
         bar.close()
         if state_file is not None:
@@ -234,13 +217,12 @@ class PatternSearch:
         return _State(first, first, zeros, zeros, DAMPING, 0, np.array([[*first.terms, 0.0]]), False)
 
     def _advance(self, state: _State, options: FitOptions) -> _State:
-        gradient = state.now.gradient
-        mean = options.beta1 * state.mean + (1.0 - options.beta1) * gradient
-        square = options.beta2 * state.square + (1.0 - options.beta2) * gradient**2
-        count = state.step + 1
-        unbiased = mean / (1.0 - options.beta1**count), square / (1.0 - options.beta2**count)
-        size = np.sqrt(unbiased[1])
-        step = -options.rate(state.step) * unbiased[0] / (size + options.floor * size.max() + 1e-300)
+        """One step of Adam, halved until its pattern does not fold and its drape comes to rest."""
+        gradient, count = state.now.gradient, state.step + 1
+        mean = BETAS[0] * state.mean + (1.0 - BETAS[0]) * gradient
+        square = BETAS[1] * state.square + (1.0 - BETAS[1]) * gradient**2
+        way, size = mean / (1.0 - BETAS[0] ** count), np.sqrt(square / (1.0 - BETAS[1] ** count))
+        step = -options.rate(state.step) * way / (size + FLOOR * size.max() + 1e-300)
         for halved in range(HALVINGS):
             found = self.evaluate(state.now.values + 0.5**halved * step, state.now.nodes)
             if found is not None:
@@ -250,7 +232,7 @@ class PatternSearch:
         return state._replace(stuck=True)
 
     def _close(self, state: _State) -> _State:
-        """One damped step of Gauss and Newton from the best evaluation; a worse one is damped more."""
+        """One damped Gauss-Newton step from the best evaluation; a worse one is damped more."""
         start = state.best
         matrix = self._curvature(start)
         scale = np.trace(matrix) / len(matrix)
@@ -266,7 +248,7 @@ class PatternSearch:
         return state._replace(stuck=True, damping=damping)
 
     def _curvature(self, at: Evaluation) -> np.ndarray:
-        """Second derivative (Z, Z) of the loss as Gauss and Newton take it, without the mixed term of both factors."""
+        """Gauss-Newton matrix (Z, Z) of the loss, without the mixed term of its two factors."""
         rest, cloth = self._parts(torch.from_numpy(at.values))
         moves = self._basis.numpy().reshape(len(rest), 2, -1)
         cloth_moves = None if self.cloth is None else self.cloth.slopes(at.values[self.free.count :])
@@ -281,7 +263,7 @@ class PatternSearch:
         return doubt * matrix + at.terms[0] / doubt * of_doubt.numpy()  # type: ignore[union-attr]
 
     def _digest(self, options: FitOptions) -> str:
-        """What a stored state must agree with: the mesh, the target, the constants."""
+        """The sha256 of all that a stored state must agree with: options, mesh, target, constants."""
         target = self.objective.target
         arrays = [
             self.mesh.rest,
@@ -304,6 +286,8 @@ class PatternSearch:
 
 
 class _State(NamedTuple):
+    """A search on its way: the last and the best evaluation, Adam's means (Z,), the damping, steps done, history."""
+
     now: Evaluation
     best: Evaluation
     mean: np.ndarray
@@ -315,41 +299,20 @@ class _State(NamedTuple):
 
 
 def _write(path: Path, digest: str, state: _State) -> None:
-    arrays = {
-        f"{name}_{part}": getattr(getattr(state, name), part) for name in ("now", "best") for part in Evaluation._fields
-    }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".part")
-    with temporary.open("wb") as file:
-        np.savez(
-            file,
-            digest=np.array(digest),
-            mean=state.mean,
-            square=state.square,
-            damping=np.array(state.damping),
-            step=np.array(state.step),
-            history=state.history,
-            stuck=np.array(state.stuck),
-            **arrays,
-        )
-    os.replace(temporary, path)
+    arrays = {f"{name}_{part}": value for name in POINTS for part, value in getattr(state, name)._asdict().items()}
+    arrays |= {name: value for name, value in state._asdict().items() if name not in POINTS}
+    payload = io.BytesIO()
+    np.savez(payload, allow_pickle=False, digest=np.array(digest), **arrays)
+    write(path, payload.getvalue())
 
 
 def _read(path: Path, digest: str) -> _State:
     try:
         with np.load(path, allow_pickle=False) as data:
             held = {name: data[name] for name in data.files}
-        now, best = (Evaluation(*(held[f"{name}_{part}"] for part in Evaluation._fields)) for name in ("now", "best"))
-        state = _State(
-            now,
-            best,
-            held["mean"],
-            held["square"],
-            float(held["damping"]),
-            int(held["step"]),
-            held["history"],
-            bool(held["stuck"]),
-        )
+        now, best = (Evaluation(*(held[f"{name}_{part}"] for part in Evaluation._fields)) for name in POINTS)
+        damping, step, stuck = (held[name].item() for name in ("damping", "step", "stuck"))
+        state = _State(now, best, held["mean"], held["square"], damping, step, held["history"], stuck)
         of = str(held["digest"])
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise ArtifactError(

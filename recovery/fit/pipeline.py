@@ -1,7 +1,7 @@
-"""A base pattern and a draped target in, the target's pattern out: draped, graded, draped again, optimised in rounds.
+"""The pattern of a draped target, found from a base pattern: draped, graded, draped again, optimised in rounds.
 
-Two triangulations of one pattern drape half a millimetre apart at 5 cm, and a search that may not change its own makes
-up for that with the pattern. So each round meshes what the one before found anew, drapes it from scratch, and goes on.
+Two triangulations of one pattern drape half a millimetre apart at 5 cm. A search that keeps its triangles makes up for
+that with the pattern. So each round meshes the pattern of the round before anew and drapes it from scratch.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from drape.body.model import BodyModel
-from drape.cloth.orthotropic import OrthotropicMaterial
+from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
+from recovery.drape.posing import posed_joints
 from recovery.fit.belt import held_as_target
 from recovery.fit.cloth import Fabric, FreeCloth, named, nearest_fabric
-from recovery.fit.contours import Contour, Match, match_contours, open_contours
+from recovery.fit.contours import Match, match_contours, open_contours
 from recovery.fit.forward import RestDrape
 from recovery.fit.grading import Graded, grade, graded_again, ungraded
 from recovery.fit.objective import DEFAULT_WEIGHTS, Objective, Target, Weights
@@ -30,19 +31,21 @@ from recovery.pattern.symmetry import Symmetries, find_symmetries, free_controls
 from recovery.sim.sdf import SignedDistance
 
 DEFAULT_DRAPE = DrapeOptions()
-GRADINGS = 2
+GRADINGS = 2  # one is linear: a second one halves what the first one left
 LENGTHS_TRIED = (1.0, 0.93, 1.07, 0.87)  # of the edge length asked for
 ROUNDS = 3
 SETTLED_M = 1e-4  # of every control point in a round: where the mesh stays as well, the next would find the same
 TRIED = FitOptions(iterations=0, closing=3)  # of the search with each fabric: its signature is mixed with the size's
 
+Say = Callable[[str], None]
+
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """One search: what its pattern draped to at the ``start``, pairs of contours, and what was ``fitted`` with what.
+    """One search: the drape at its ``start``, how contours were paired there, and what was ``fitted``.
 
     It took ``seconds`` by the clock and ``processor_s`` of the processor, over all threads; its mesh and the drape at
-    its start count with it, for the first round all that goes before: base, grading, choice of the fabric.
+    its start count with it. Base, grading and choice of the fabric count with the first round.
     """
 
     start: Draped
@@ -52,15 +55,20 @@ class Round:
     seconds: float
     processor_s: float
 
+    @property
+    def least(self) -> np.ndarray:
+        """The row of the search's history that its pattern is of."""
+        return self.fitted.history[self.fitted.history[:, 0].argmin()]
+
 
 @dataclass(frozen=True, eq=False)
 class Recovered:
-    """A recovery: what the base and the graded pattern draped to, the ``graded`` pattern, and what was ``fitted``.
+    """A recovery: the drape of the ``base``, the ``graded`` pattern, and what was ``fitted``.
 
-    ``start``, ``matches``, ``search``, ``fitted`` are those of the best of the ``rounds``, of those with a free cloth
-    if there are any. ``matches`` pair the start's contours with the target's; ``holes`` are contours of the target that
-    are left. ``search`` holds what was searched with: mesh, free numbers, simulator, loss. ``fabric`` is the named one
-    nearest to the cloth of the drape; ``fabric_losses`` [m^2] is what the search fell to with each that was tried.
+    ``start``, ``matches``, ``search`` and ``fitted`` are those of the best of the ``rounds``; rounds with a free cloth
+    go before others. ``matches`` pair the start's contours with the target's; ``holes`` are contours of the target
+    without a partner. ``fabric`` is the named one nearest to the cloth of the drape; ``fabric_losses`` [m^2] is the
+    loss that was left with each fabric that was tried.
     """
 
     symmetries: Symmetries
@@ -92,7 +100,7 @@ def recover_pattern(
     grading: bool = True,
     state_file: Path | None = None,
     progress: bool = False,
-    report: Callable[[str], None] | None = None,
+    report: Say | None = None,
 ) -> Recovered:
     """The pattern whose drape on ``body`` is nearest to a target, in the T-pose or in ``pose`` (24, 3).
 
@@ -104,164 +112,242 @@ def recover_pattern(
     contours have no counterpart or a drape does not come to rest.
     """
     say = report or (lambda line: None)
-    began = time.perf_counter(), time.process_time()
-    lengths = list(meshes_m) if meshes_m is not None else [drape.edge_length_m] * ROUNDS
+    began = _clocks()
+    lengths = [drape.edge_length_m] * ROUNDS if meshes_m is None else list(meshes_m)
     if not lengths:
         raise InputError("meshes_m", expected="an edge length or more", got="none", cure="Leave it at its default.")
-    contours_there = open_contours(vertices, faces)
+    target = Target.from_mesh(vertices, faces, open_contours(vertices, faces), folds=weights.folds)
     symmetries = find_symmetries(base)
     base = symmetrised(base, symmetries)
     for line in symmetries.describe(base):
         say(f"symmetry  {line}")
-    joints = body.joints_template if pose is None else posed_joints(body, pose)
     bare = drape.skin(body.v_template, body.faces, say)
+    skin = bare if pose is None else drape.skin(body.posed_vertices(pose[None])[0], body.faces, say)
+    task = _Task(
+        target=target,
+        body=body,
+        pose=pose,
+        bare=bare,
+        skin=skin,
+        symmetries=symmetries,
+        weights=weights,
+        drape=replace(drape, edge_length_m=lengths[0]),
+        free_cloth=free_cloth,
+        say=say,
+    )
     first = drape_pattern(base, body, drape, pose=pose, skin=bare)
     graded, start = ungraded(base), first
-
-    def grade_on(before: Graded, draped: Draped) -> tuple[Graded, Draped]:
-        """``before`` graded once more by what it draped to, and what that drapes to."""
-        matches, _ = _matched(draped, contours_there, joints)
-        contours = open_contours(draped.nodes, draped.mesh.faces)
-        after = graded_again(before, grade(draped.mesh, draped.nodes, contours, matches, symmetries))
-        return after, _drape(after.pattern, body, replace(drape, edge_length_m=lengths[0]), pose, bare)
-
     if grading:
-        # Once is linear: a second time halves what the first one left.
         for _ in range(GRADINGS):
-            graded, start = grade_on(graded, start)
+            graded, start = task.graded(graded, start)
     else:
-        start = _drape(base, body, replace(drape, edge_length_m=lengths[0]), pose, bare)
-    target = Target.from_mesh(vertices, faces, contours_there, folds=weights.folds)
-    skin = bare
-    if pose is not None:
-        skin = drape.skin(body.posed_vertices(pose[None])[0], body.faces, say)
-    cloth, losses = named(drape.fabric), {}
+        start = task.draped(base)
+    losses = {}
     if fabrics:
-        task = _Task(target, contours_there, joints, skin, symmetries, graded.pattern, weights)
-        starts = {drape.fabric: start}
-        for name in fabrics:
-            # From scratch: what hangs from a belt closes round the body elsewhere in another fabric.
-            options = replace(drape, fabric=name, edge_length_m=lengths[0])
-            starts.setdefault(name, drape_pattern(graded.pattern, body, options, pose=pose, skin=bare))
-        losses = {name: task.tried(task.held(one, named(name)), base, named(name)) for name, one in starts.items()}
+        starts = task.drapes_in(fabrics, graded.pattern, start)
+        losses = {name: task.loss_of(one, base, named(name)) for name, one in starts.items()}
         name = min(losses, key=lambda one: losses[one])
-        told = ", ".join(f"{one} {1e3 * np.sqrt(0.5 * loss):.2f}" for one, loss in losses.items())
+        told = ", ".join(f"{one} {_apart_mm(loss):.2f}" for one, loss in losses.items())
         say(f"fabric    {name}; left to the target [mm]: {told}")
         if name != drape.fabric:
-            drape, cloth = replace(drape, fabric=name), named(name)
-            start = starts[name]
+            task, start = replace(task, drape=replace(task.drape, fabric=name)), starts[name]
             if grading:
-                graded, start = grade_on(graded, start)
+                graded, start = task.graded(graded, start)
     say(
         f"graded    widths times {graded.widths.min():.3f} to {graded.widths.max():.3f}, heights "
         f"{graded.heights.min():.3f} to {graded.heights.max():.3f}; misfit {100 * graded.misfit:.1f} %"
     )
-    task = _Task(target, contours_there, joints, skin, symmetries, graded.pattern, weights)
-    likely = cloth
-    start = task.held(start, cloth)
-    rounds: list[Round] = []
-    pattern, ratios = graded.pattern, base
-    for number, length in enumerate(lengths):
+
+    def search(found: PatternSearch, nodes: np.ndarray, number: int) -> Fitted:
+        steps, file = fit, state_file
         if number:
-            options = replace(drape, edge_length_m=length)
-            start = task.held(drape_pattern(pattern, body, options, pose=pose, cloth=cloth, skin=bare), cloth)
-            if not start.at_rest or not _would_change(rounds, start, free_cloth=free_cloth):
-                say(f"round {number + 1}   left: {'it would find the same' if start.at_rest else 'no drape at rest'}")
-                break
-        free = FreeCloth(cloth) if free_cloth and (number or len(lengths) == 1) else None
-        search, matches = task.search(start, pattern, ratios, cloth, free, likely)
-        if number and search.evaluate(np.zeros(search.count), start.nodes) is None:
-            say(f"round {number + 1}   left: no drape at rest")
-            break
-        if not number:
-            say(f"search    {search.free.count} numbers are free, {start.mesh.node_count} nodes")
-        steps = fit if number == 0 else replace(fit, iterations=0, closing=max(fit.closing, 1))
-        file = None if state_file is None else state_file.with_stem(state_file.stem + (f"_{number}" if number else ""))
-        fitted = search.run(start.nodes, steps, state_file=file, progress=progress)
-        ended = time.perf_counter(), time.process_time()
-        rounds.append(Round(start, matches, search, fitted, ended[0] - began[0], ended[1] - began[1]))
-        began = ended
-        apart = [1e3 * float(np.sqrt(0.5 * terms)) for terms in (fitted.history[0, 1], _least(rounds[-1])[1])]
-        say(f"round {number + 1}   {start.mesh.node_count} nodes: surfaces {apart[0]:.2f} to {apart[1]:.2f} mm apart")
-        # The base's seams were scaled by it; what the target tells of them is kept from here on.
-        pattern = ratios = fitted.pattern
-        cloth = fitted.cloth
-    best = min([one for one in rounds if one.search.cloth is not None] or rounds, key=lambda one: _least(one)[0])
-    _, holes = _matched(best.start, contours_there, joints)
+            steps = replace(fit, iterations=0, closing=max(fit.closing, 1))
+            file = state_file and state_file.with_stem(f"{state_file.stem}_{number}")
+        return found.run(nodes, steps, state_file=file, progress=progress)
+
+    rounds = task.rounds(start, graded.pattern, base, lengths, search, began)
+    best = min([one for one in rounds if one.search.cloth is not None] or rounds, key=lambda one: one.least[0])
     fabric = nearest_fabric(best.fitted.cloth)
-    apart = [1e3 * float(np.sqrt(0.5 * terms)) for terms in (rounds[0].fitted.history[0, 1], _least(best)[1])]
+    apart = [_apart_mm(surface) for surface in (rounds[0].fitted.history[0, 1], best.least[1])]
     say(f"fitted    surfaces {apart[0]:.2f} mm apart at the start, {apart[1]:.2f} mm at the end (root mean square)")
     if free_cloth:
         say(f"cloth     {fabric.describe()}")
     return Recovered(
-        symmetries,
-        first,
-        graded,
-        best.start,
-        best.matches,
-        holes,
-        best.search,
-        best.fitted,
-        tuple(rounds),
-        fabric,
-        losses,
+        symmetries=symmetries,
+        base=first,
+        graded=graded,
+        start=best.start,
+        matches=best.matches,
+        holes=task.matches(best.start)[1],
+        search=best.search,
+        fitted=best.fitted,
+        rounds=tuple(rounds),
+        fabric=fabric,
+        fabric_losses=losses,
     )
+
+
+def _clocks() -> np.ndarray:
+    """Seconds of the clock and of the processor."""
+    return np.array([time.perf_counter(), time.process_time()])
+
+
+def _apart_mm(squared: float) -> float:
+    """Root mean square distance [mm] of two surfaces whose squared distances of both directions sum to this [m^2]."""
+    return 1e3 * float(np.sqrt(0.5 * squared))
 
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """What stays from round to round."""
+    """The facts that no round changes: the target, and the body with its distances in the T-pose and in its pose.
+
+    ``bare`` is the distance in the T-pose, ``skin`` that in the pose. ``drape`` has the edge length of the first round.
+    """
 
     target: Target
-    contours: list[Contour]
-    joints: np.ndarray
+    body: BodyModel
+    pose: np.ndarray | None
+    bare: SignedDistance
     skin: SignedDistance
     symmetries: Symmetries
-    graded: Pattern
     weights: Weights
+    drape: DrapeOptions
+    free_cloth: bool
+    say: Say
+
+    def draped(self, pattern: Pattern) -> Draped:
+        """The drape of ``pattern`` at rest, ready to be searched from."""
+        return drape_at_rest(pattern, self.body, self.drape, self.pose, self.bare)
+
+    def matches(self, draped: Draped) -> tuple[list[Match], list[int]]:
+        """Pairs of the contours of a drape and those of the target, and the target's that are left."""
+        contours = open_contours(draped.nodes, draped.mesh.faces)
+        return match_contours(contours, self.target.contours, posed_joints(self.body, self.pose))
+
+    def graded(self, before: Graded, draped: Draped) -> tuple[Graded, Draped]:
+        """``before`` graded once more by its drape ``draped``, and the drape of that."""
+        matches, _ = self.matches(draped)
+        contours = open_contours(draped.nodes, draped.mesh.faces)
+        after = graded_again(before, grade(draped.mesh, draped.nodes, contours, matches, self.symmetries))
+        return after, self.draped(after.pattern)
+
+    def drapes_in(self, fabrics: Sequence[str], pattern: Pattern, start: Draped) -> dict[str, Draped]:
+        """The drapes of ``pattern`` by fabric: ``start`` in the fabric that it has, and one in each of ``fabrics``."""
+        drapes = {self.drape.fabric: start}
+        for name in fabrics:
+            # From scratch: a garment that hangs from a belt closes round the body elsewhere in another fabric.
+            options = replace(self.drape, fabric=name)
+            drapes.setdefault(name, drape_pattern(pattern, self.body, options, pose=self.pose, skin=self.bare))
+        return drapes
 
     def held(self, draped: Draped, cloth: OrthotropicMaterial) -> Draped:
         """``draped`` with its belt where the target's is."""
-        return held_as_target(draped, _matched(draped, self.contours, self.joints)[0], self.contours, self.skin, cloth)
+        return held_as_target(draped, self.matches(draped)[0], self.target.contours, self.skin, cloth)
 
     def search(
         self,
         start: Draped,
-        pattern: Pattern,
         ratios: Pattern,
+        centre: Pattern,
         cloth: OrthotropicMaterial,
-        free: FreeCloth | None,
-        likely: OrthotropicMaterial,
+        *,
+        free: FreeCloth | None = None,
+        likely: OrthotropicMaterial | None = None,
     ) -> tuple[PatternSearch, list[Match]]:
-        """The search from ``start``, what ``pattern`` draped to; seams keep the ratios of lengths of ``ratios``."""
+        """The search from ``start`` in ``cloth``, and how its contours are paired.
+
+        Seams keep the ratios of lengths of ``ratios``. The corners of ``centre`` and the cloth ``likely`` are what the
+        reach of the loss is counted from.
+        """
         contours = open_contours(start.nodes, start.mesh.faces)
-        matches, _ = _matched(start, self.contours, self.joints)
-        controls = free_controls(pattern, self.symmetries)
-        centre = controls.values(control_points(self.graded).positions)
+        matches, _ = self.matches(start)
+        controls = free_controls(start.mesh.pattern, self.symmetries)
+        unknowns = controls.values(control_points(centre).positions)
+        if free is not None:
+            unknowns = np.concatenate([unknowns, free.values_of(likely or cloth)])
         found = PatternSearch(
             start.mesh,
             controls,
             RestDrape(start.mesh, self.skin, cloth, held=start.rest.held),
             Objective(start.mesh, self.target, contours, matches, self.weights, base=ratios),
             cloth=free,
-            likely=centre if free is None else np.concatenate([centre, free.values_of(likely)]),
+            likely=unknowns,
         )
         return found, matches
 
-    def tried(self, start: Draped, base: Pattern, cloth: OrthotropicMaterial) -> float:
-        """The least loss [m^2] of a short search with ``cloth``; infinite where the graded pattern does not rest."""
+    def loss_of(self, start: Draped, base: Pattern, cloth: OrthotropicMaterial) -> float:
+        """The least loss [m^2] of a short search with ``cloth``; infinite where the start does not come to rest."""
+        start = self.held(start, cloth)
         if not start.at_rest:
             return float("inf")
-        search, _ = self.search(start, self.graded, base, cloth, None, cloth)
-        if search.evaluate(np.zeros(search.count), start.nodes) is None:
+        search, _ = self.search(start, base, start.mesh.pattern, cloth)
+        if not _comes_to_rest(search, start):
             return float("inf")
         return float(search.run(start.nodes, TRIED).history[:, 0].min())
 
+    def rounds(
+        self,
+        start: Draped,
+        graded: Pattern,
+        base: Pattern,
+        lengths_m: list[float],
+        run: Callable[[PatternSearch, np.ndarray, int], Fitted],
+        began: np.ndarray,
+    ) -> list[Round]:
+        """The searches, ``run`` one after the other, each on a new mesh of the pattern that the one before found.
 
-def _drape(
+        The first goes from the drape ``start`` of the pattern ``graded``; its clocks ``began`` earlier.
+        """
+        likely = named(self.drape.fabric)
+        cloth, pattern, ratios = likely, graded, base
+        rounds: list[Round] = []
+        for number, length in enumerate(lengths_m):
+            if number:
+                options = replace(self.drape, edge_length_m=length)
+                start = drape_pattern(pattern, self.body, options, pose=self.pose, cloth=cloth, skin=self.bare)
+            start = self.held(start, cloth)
+            if number and (why := self.why_left(rounds, start)):
+                self.say(f"round {number + 1}   left: {why}")
+                break
+            free = FreeCloth(cloth) if self.free_cloth and (number or len(lengths_m) == 1) else None
+            search, matches = self.search(start, ratios, graded, cloth, free=free, likely=likely)
+            if number and not _comes_to_rest(search, start):
+                self.say(f"round {number + 1}   left: no drape at rest")
+                break
+            nodes = start.mesh.node_count
+            if not number:
+                self.say(f"search    {search.free.count} numbers are free, {nodes} nodes")
+            fitted = run(search, start.nodes, number)
+            now = _clocks()
+            rounds.append(Round(start, matches, search, fitted, *(now - began).tolist()))
+            began = now
+            apart = [_apart_mm(surface) for surface in (fitted.history[0, 1], rounds[-1].least[1])]
+            self.say(f"round {number + 1}   {nodes} nodes: surfaces {apart[0]:.2f} to {apart[1]:.2f} mm apart")
+            # Grading has scaled the base's seams; from here on they keep what the target tells of them.
+            pattern = ratios = fitted.pattern
+            cloth = fitted.cloth
+        return rounds
+
+    def why_left(self, rounds: list[Round], start: Draped) -> str:
+        """Why no search from ``start`` follows the last of ``rounds``; empty if one does."""
+        if not start.at_rest:
+            return "no drape at rest"
+        last = rounds[-1]
+        moved = np.abs(last.fitted.positions - control_points(last.start.mesh.pattern).positions).max()
+        same = np.array_equal(last.start.mesh.faces, start.mesh.faces) and moved <= SETTLED_M
+        frees_cloth = self.free_cloth and len(rounds) == 1
+        return "it would find the same" if same and not frees_cloth else ""
+
+
+def _comes_to_rest(search: PatternSearch, start: Draped) -> bool:
+    """Whether the simulator of ``search`` finds a drape at its ``start``."""
+    return search.evaluate(np.zeros(search.count), start.nodes) is not None
+
+
+def drape_at_rest(
     pattern: Pattern, body: BodyModel, drape: DrapeOptions, pose: np.ndarray | None, skin: SignedDistance
 ) -> Draped:
-    """What the graded ``pattern`` drapes to, on a mesh a little finer or coarser where Newton sticks on its own.
+    """The drape of ``pattern`` at rest, on a mesh a little finer or coarser where Newton sticks on its own.
 
     Raises ``InputError`` where none comes to rest.
     """
@@ -278,28 +364,3 @@ def _drape(
         got=f"{min(left):.1e} N left at a node, on the best of {len(left)} meshes",
         cure="Take another mesh (edge_length_m), more iterations, or a base nearer to the target.",
     )
-
-
-def posed_joints(body: BodyModel, pose: np.ndarray) -> np.ndarray:
-    """Joints [m] (24, 3) of ``body`` in ``pose`` (24, 3)."""
-    rotations, translations = body.bones(pose[None])
-    return np.einsum("jab,jb->ja", rotations[0], body.joints_template) + translations[0]
-
-
-def _matched(draped: Draped, there: list[Contour], joints: np.ndarray) -> tuple[list[Match], list[int]]:
-    """Pairs of the contours of a drape and those of the target, and the target's that are left."""
-    return match_contours(open_contours(draped.nodes, draped.mesh.faces), there, joints)
-
-
-def _least(one: Round) -> np.ndarray:
-    """The row of a round's history that its pattern is of."""
-    return one.fitted.history[one.fitted.history[:, 0].argmin()]
-
-
-def _would_change(rounds: list[Round], start: Draped, *, free_cloth: bool) -> bool:
-    """Whether a search from ``start`` can find anything else than the last of ``rounds`` did."""
-    last = rounds[-1]
-    if free_cloth and len(rounds) == 1:
-        return True
-    moved = np.abs(last.fitted.positions - control_points(last.start.mesh.pattern).positions).max()
-    return not np.array_equal(last.start.mesh.faces, start.mesh.faces) or bool(moved > SETTLED_M)

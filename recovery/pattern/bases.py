@@ -25,7 +25,7 @@ OF_SLEEVE = "sleeve_"  # begins the names of a sleeve's settings
 
 @dataclass(frozen=True)
 class Base:
-    """What ``draft`` makes of ``cut``; ``settings`` [m] are the numbers of the cut that a caller may set."""
+    """A base: the design that ``draft`` makes of ``cut``; ``settings`` names the lengths [m] that a caller may set."""
 
     draft: Callable[[BodyMeasurements, Any], Design]
     cut: TopCut | LegCut | SkirtCut

@@ -1,4 +1,4 @@
-"""A garment as its maker means it: the pattern, names of its edges, what is gathered, how panels start."""
+"""A design: a pattern with the names of its edges and seams, its ease, and the panels that start bent."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ EASE_SLACK = 0.03  # by which a named ease may be missed
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """``pattern`` with what a pattern alone does not say.
+    """``pattern`` with the intentions of its maker.
 
-    ``edge_names`` names edges: those that begin with "hem" are turned up, those with "opening" are bound.
-    ``seam_names`` has one name per stitch, ``eased`` says of a name by which share its second edge is longer than its
-    first, ``seam_angles`` [rad] by how much a seam is folded at rest. ``wraps`` are panels that start
-    bent, ``over`` those that lie over others; ``ease_m`` says what was added to which girth.
+    Edges whose name in ``edge_names`` begins with "hem" are turned up, those with "opening" are bound. ``seam_names``
+    has one name per stitch. By seam name, ``eased`` is the share by which the second edge is longer than the first, and
+    ``seam_angles`` [rad] the fold at rest. Panels in ``wraps`` start bent, those in ``over`` lie over others.
+    ``ease_m`` [m] is what was added to the body's girths.
     """
 
     pattern: Pattern

@@ -48,7 +48,7 @@ def draft(
     flip: bool = False,
     apart_m: float = 0.0,
 ) -> Drafted:
-    """The panel bounded by ``sides``, counter-clockwise, drawn where it hangs as its viewer sees it.
+    """The panel bounded by ``sides``, counter-clockwise, drawn in its place as its viewer sees it.
 
     ``rotation`` is ``FRONT`` or ``BACK``, ``z`` [m] its distance before the origin; ``flip`` mirrors left and right;
     ``apart_m`` moves it to the right, or flipped to the left. The panel's own origin is the middle of the box of its

@@ -7,6 +7,7 @@ Shape and arc length per chord then do not change when the chord moves.
 from __future__ import annotations
 
 from functools import lru_cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -82,7 +83,8 @@ def arc_lengths(edge: Edge, t: np.ndarray) -> np.ndarray:
     """Arc length per chord (T,) from the start to ``t`` (T,), by Gauss's rule on eight pieces."""
     nodes, weights = _gauss()
     pieces = np.linspace(0.0, 1.0, 9)
-    whole = [(np.hypot(*relative_slope(edge, a + (b - a) * nodes).T) @ weights) * (b - a) for a, b in _pairs(pieces)]
+    ends = pairwise(pieces.tolist())
+    whole = [(np.hypot(*relative_slope(edge, a + (b - a) * nodes).T) @ weights) * (b - a) for a, b in ends]
     before = np.concatenate([[0.0], np.cumsum(whole)])
     place = np.clip(np.searchsorted(pieces, t, side="right") - 1, 0, 7)
     low = pieces[place]
@@ -97,15 +99,13 @@ def _gauss() -> tuple[np.ndarray, np.ndarray]:
     return 0.5 * (nodes + 1.0), 0.5 * weights
 
 
-def _pairs(values: np.ndarray) -> list[tuple[float, float]]:
-    return list(zip(values[:-1].tolist(), values[1:].tolist(), strict=True))
-
-
 @lru_cache(maxsize=4096)
-def _equal_parameters(edge: Edge, segments: int) -> tuple[float, ...]:
+def equal_parameters(edge: Edge, segments: int) -> np.ndarray:
+    """Parameters (segments + 1,) that cut the edge into parts of equal arc length; 0 and 1 are among them."""
     share = np.linspace(0.0, 1.0, segments + 1)
     if edge.kind in (EdgeKind.LINE, EdgeKind.CIRCLE):
-        return tuple(share.tolist())
+        share.flags.writeable = False
+        return share
     total = relative_length(edge)
     low, high = np.zeros(segments + 1), np.ones(segments + 1)
     for _ in range(50):  # bisection: also right where the speed vanishes
@@ -114,12 +114,8 @@ def _equal_parameters(edge: Edge, segments: int) -> tuple[float, ...]:
         low, high = np.where(short, middle, low), np.where(short, high, middle)
     parameters = 0.5 * (low + high)
     parameters[0], parameters[-1] = 0.0, 1.0
-    return tuple(parameters.tolist())
-
-
-def equal_parameters(edge: Edge, segments: int) -> np.ndarray:
-    """Parameters (segments + 1,) that cut the edge into parts of equal arc length; 0 and 1 are among them."""
-    return np.array(_equal_parameters(edge, segments))
+    parameters.flags.writeable = False  # all callers share it
+    return parameters
 
 
 # --- edges and outlines of a panel -----------------------------------------------------------------------------------

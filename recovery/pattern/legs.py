@@ -6,7 +6,6 @@ back's crotch point is lowered until both inseams are as long.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from drape.errors import InputError
@@ -51,83 +50,12 @@ class LegCut:
 
 def trousers(body: BodyMeasurements, cut: LegCut) -> Design:
     """Trousers or shorts for ``body``. Raises ``InputError`` where a leg is narrower than the body's."""
-    top = body.waist_y - cut.rise_drop_m - cut.band_m
-    crotch = body.crotch_y - cut.crotch_ease_m
-    hem = body.ankle_y + ABOVE_ANKLE_M if cut.inseam_m is None else crotch - cut.inseam_m
-    _check(body, cut, top, hem)
-    quarter = 0.25 * (body.hip_girth + cut.hip_ease_m)
-    outer = {"front": quarter - SHIFT_M, "back": quarter + SHIFT_M}
-    reach = {label: share * body.hip_girth for label, share in EXTENSION.items()}
-    top_half = 0.5 * (body.girth_at(top) + cut.waist_ease_m)
-    # What hips have more than the waist, on one side of the body, is shared by the side seam and two darts.
-    excess = sum(outer.values()) - sum(INSET_M.values()) - top_half
-    darts = {label: max(0.0, share * excess) if cut.darts else 0.0 for label, share in DART_SHARE.items()}
-    side_inset = 0.5 * (excess - sum(darts.values()))
-    middle = 0.5 * (outer["front"] - reach["front"])  # of the leg, in front
-
-    def level(label: str, girth: float, y: float) -> tuple[Point, Point]:
-        """Inner and outer point of a leg of ``girth`` at height ``y``."""
-        half = 0.25 * girth
-        out = middle + half - 0.5 * SHIFT_M + (outer[label] - outer["front"])
-        width = 0.5 * girth + (SHIFT_M if label == "back" else -SHIFT_M)
-        return (out - width, y), (out, y)
-
-    knee_y = body.knee_y if cut.knee_girth_m is not None else None
-
-    def sides(label: str, low: float) -> list[Side]:
-        start, width = -reach[label], outer[label]
-        inner, outside = level(label, cut.hem_girth_m, hem)
-        hip = (width, body.hip_y)
-        raised = top + (BACK_RISE_M if label == "back" else 0.0)
-        if knee_y is None or cut.knee_girth_m is None:
-            lower = [Side("inseam", (start, low)), Side("hem", inner), Side("outseam", outside)]
-        else:
-            knees = level(label, cut.knee_girth_m, knee_y)
-            third = (low - knee_y) / 3.0
-            slope = [(k[0] - h[0]) / (knee_y - hem) for k, h in zip(knees, (inner, outside), strict=True)]
-            lower = [
-                Side(
-                    "inseam",
-                    (start, low),
-                    (
-                        (start + 0.62 * (knees[0][0] - start), low - third),
-                        (knees[0][0] + slope[0] * third, knee_y + third),
-                    ),
-                ),
-                Side("inseam_lower", knees[0]),
-                Side("hem", inner),
-                Side("outseam_lower", outside),
-                Side(
-                    "outseam",
-                    knees[1],
-                    ((knees[1][0] + slope[1] * third, knee_y + third), (width, body.hip_y - third)),
-                ),
-            ]
-        bend = (
-            (width, hip[1] + 0.35 * (top - hip[1])),
-            (width - 0.65 * side_inset, top - 0.3 * (top - hip[1])),
-        )
-        return [
-            *lower,
-            Side("hip", hip, bend),
-            *waist_with_darts(
-                "waist",
-                (width - side_inset, top),
-                (INSET_M[label], raised),
-                [Dart(0.5, darts[label], DART_DEPTH_M[label])] if darts[label] > SMALLEST_DART_M else [],
-            ),
-            Side("crotch", (INSET_M[label], raised), ((0.0, low + 0.5 * (raised - low)), (0.05 * start, low))),
-        ]
-
-    def inseam(label: str, low: float) -> float:
-        panel = draft(label, sides(label, low), rotation=FRONT, z=0.0)
-        return geometry.edge_length(panel.panel, panel.numbers["inseam"])
-
-    low = {"front": crotch, "back": _equal_inseam(cut, inseam, crotch)}
+    lines = _LegLines(body, cut)
+    low = {"front": lines.crotch, "back": _equal_inseam(lines)}
     work = Assembly()
     panels: dict[tuple[str, str], Drafted] = {}
     for label, face, z in before_and_behind(body):
-        outline = sides(label, low[label])
+        outline = lines.sides(label, low[label])
         for side in ("left", "right"):
             panels[side, label] = work.add(
                 draft(
@@ -139,7 +67,9 @@ def trousers(body: BodyMeasurements, cut: LegCut) -> Design:
                     apart_m=0.01 - min(point.start[0] for point in outline),  # the legs do not overlap
                 )
             )
-    below = ("inseam", "outseam") if knee_y is None else ("inseam", "inseam_lower", "outseam", "outseam_lower")
+    below = (
+        ["inseam", "outseam"] if cut.knee_girth_m is None else ["inseam", "inseam_lower", "outseam", "outseam_lower"]
+    )
     for side in ("left", "right"):
         for seam in (*below, "hip"):
             work.sew(f"{seam}_{side}", panels[side, "front"], seam, panels[side, "back"], seam)
@@ -150,22 +80,94 @@ def trousers(body: BodyMeasurements, cut: LegCut) -> Design:
     if cut.band_m:
         order = [("right", "back"), ("right", "front"), ("left", "front"), ("left", "back")]
         pieces = [piece for key in order for piece in waist_pieces(panels[key], "waist")]
-        sew_waistband(work, body, top, pieces, cut.band_m)
+        sew_waistband(work, body, lines.top, pieces, cut.band_m)
     return work.design(cut.name, cut.fabric, {"hips": cut.hip_ease_m, "waist": cut.waist_ease_m})
 
 
-def _equal_inseam(cut: LegCut, inseam: Callable[[str, float], float], crotch: float) -> float:
-    """The height [m] of the back's crotch point at which both inseams, lengths by panel and height, are as long."""
-    wanted = inseam("front", crotch)
-    lowest, highest = crotch - 0.08, crotch + 0.03
-    if not inseam("back", lowest) < wanted < inseam("back", highest):
+class _LegLines:
+    """The lines of a leg of ``cut`` for ``body``, drawn with the body's middle at x = 0 and its side to the right [m].
+
+    ``outer`` is the width to the side and ``reach`` the way of the crotch's point beyond the middle, in front and
+    behind; ``middle`` is that of the leg in front.
+    """
+
+    def __init__(self, body: BodyMeasurements, cut: LegCut) -> None:
+        self.body, self.cut = body, cut
+        self.top = body.waist_y - cut.rise_drop_m - cut.band_m
+        self.crotch = body.crotch_y - cut.crotch_ease_m
+        self.hem = body.ankle_y + ABOVE_ANKLE_M if cut.inseam_m is None else self.crotch - cut.inseam_m
+        _check(body, cut, self.top, self.hem)
+        quarter = 0.25 * (body.hip_girth + cut.hip_ease_m)
+        self.outer = {"front": quarter - SHIFT_M, "back": quarter + SHIFT_M}
+        self.reach = {label: share * body.hip_girth for label, share in EXTENSION.items()}
+        top_half = 0.5 * (body.girth_at(self.top) + cut.waist_ease_m)
+        # The excess of the hips over the waist, on one side of the body, is shared by the side seam and two darts.
+        excess = sum(self.outer.values()) - sum(INSET_M.values()) - top_half
+        self.darts = {label: max(0.0, share * excess) if cut.darts else 0.0 for label, share in DART_SHARE.items()}
+        self.side_inset = 0.5 * (excess - sum(self.darts.values()))
+        self.middle = 0.5 * (self.outer["front"] - self.reach["front"])
+
+    def sides(self, label: str, low: float) -> list[Side]:
+        """The outline of a front or back whose crotch's point lies at the height ``low``."""
+        width, hip_y = self.outer[label], self.body.hip_y
+        rise = self.top - hip_y
+        raised = self.top + (BACK_RISE_M if label == "back" else 0.0)
+        bend = ((width, hip_y + 0.35 * rise), (width - 0.65 * self.side_inset, self.top - 0.3 * rise))
+        dart = self.darts[label]
+        darts = [Dart(0.5, dart, DART_DEPTH_M[label])] if dart > SMALLEST_DART_M else []
+        seat = ((0.0, low + 0.5 * (raised - low)), (-0.05 * self.reach[label], low))
+        return [
+            *self._lower(label, low),
+            Side("hip", (width, hip_y), bend),
+            *waist_with_darts("waist", (width - self.side_inset, self.top), (INSET_M[label], raised), darts),
+            Side("crotch", (INSET_M[label], raised), seat),
+        ]
+
+    def inseam(self, label: str, low: float) -> float:
+        """Length [m] of the inseam of a front or back."""
+        panel = draft(label, self.sides(label, low), rotation=FRONT, z=0.0)
+        return geometry.edge_length(panel.panel, panel.numbers["inseam"])
+
+    def _lower(self, label: str, low: float) -> list[Side]:
+        """The sides below the crotch and the hips."""
+        start = -self.reach[label]
+        inner, outside = self._level(label, self.cut.hem_girth_m, self.hem)
+        if self.cut.knee_girth_m is None:
+            return [Side("inseam", (start, low)), Side("hem", inner), Side("outseam", outside)]
+        knee_y = self.body.knee_y
+        knees = self._level(label, self.cut.knee_girth_m, knee_y)
+        third = (low - knee_y) / 3.0
+        slope = [(k[0] - h[0]) / (knee_y - self.hem) for k, h in zip(knees, (inner, outside), strict=True)]
+        above = [(k[0] + s * third, knee_y + third) for k, s in zip(knees, slope, strict=True)]
+        return [
+            Side("inseam", (start, low), ((start + 0.62 * (knees[0][0] - start), low - third), above[0])),
+            Side("inseam_lower", knees[0]),
+            Side("hem", inner),
+            Side("outseam_lower", outside),
+            Side("outseam", knees[1], (above[1], (self.outer[label], self.body.hip_y - third))),
+        ]
+
+    def _level(self, label: str, girth: float, y: float) -> tuple[Point, Point]:
+        """Inner and outer point of a leg of ``girth`` at height ``y``."""
+        half = 0.25 * girth
+        out = self.middle + half - 0.5 * SHIFT_M + (self.outer[label] - self.outer["front"])
+        width = 0.5 * girth + (SHIFT_M if label == "back" else -SHIFT_M)
+        return (out - width, y), (out, y)
+
+
+def _equal_inseam(lines: _LegLines) -> float:
+    """The height [m] of the back's crotch point at which its inseam is as long as the front's."""
+    wanted = lines.inseam("front", lines.crotch)
+    lowest, highest = lines.crotch - 0.08, lines.crotch + 0.03
+    shortest, longest = lines.inseam("back", lowest), lines.inseam("back", highest)
+    if not shortest < wanted < longest:
         raise InputError(
-            cut.name,
+            lines.cut.name,
             expected="legs long enough for equal inseams",
-            got=f"{wanted:.3f} m in front, {inseam('back', lowest):.3f} to {inseam('back', highest):.3f} m behind",
+            got=f"{wanted:.3f} m in front, {shortest:.3f} to {longest:.3f} m behind",
             cure="Lengthen the legs or narrow the hem.",
         )
-    return root(lambda y: inseam("back", y) - wanted, lowest, highest)
+    return root(lambda y: lines.inseam("back", y) - wanted, lowest, highest)
 
 
 def _check(body: BodyMeasurements, cut: LegCut, top: float, hem: float) -> None:

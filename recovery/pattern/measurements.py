@@ -1,4 +1,4 @@
-"""What a tailor measures on a body, taken from its mesh in the T-pose: girths by an imagined tape, heights, reaches."""
+"""A tailor's measurements, taken from a body's mesh in the T-pose: girths by an imagined tape, heights, reaches."""
 
 from __future__ import annotations
 
@@ -80,9 +80,9 @@ def tape(points: np.ndarray) -> float:
     return float(ConvexHull(points).area)  # in the plane qhull's "area" is the perimeter
 
 
-def measure(body: BodyModel, betas: np.ndarray | None = None) -> BodyMeasurements:
-    """The measurements of ``body`` with shape ``betas``, both arms spread."""
-    vertices, joints = body.rest_vertices(betas), body.rest_joints(betas)
+def measure(body: BodyModel) -> BodyMeasurements:
+    """The measurements of ``body``, both arms spread."""
+    vertices, joints = body.v_template, body.joints_template
     place = {name: joints[JOINT_NAMES.index(name)] for name in JOINT_NAMES}
     arms = [JOINT_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("elbow", "wrist", "hand")]
     is_arm = body.weights[:, arms].sum(axis=1) > 0.5

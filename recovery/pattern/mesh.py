@@ -200,7 +200,7 @@ def _flip(points: np.ndarray, faces: np.ndarray, number: int, start: int) -> boo
 
 
 def _turned_panels(pattern: Pattern) -> np.ndarray:
-    """Which panels (number of panels,) show their wrong side outside, so that neighbouring triangles agree.
+    """True for panels (number of panels,) that show their wrong side outside, so that neighbouring triangles agree.
 
     The first panel of every connected part shows its right side.
     """

@@ -22,7 +22,7 @@ SHORTEST_EDGE_M = 1e-6
 
 
 class EdgeKind(StrEnum):
-    """How an edge runs from its start to its end."""
+    """The curve of an edge from its start to its end."""
 
     LINE = "line"
     QUADRATIC = "quadratic"
@@ -77,7 +77,7 @@ class Edge:
 
 @dataclass(frozen=True)
 class Placement:
-    """Where a panel stands before it is sewn: world = R @ (x, y, 0) + translation.
+    """The place of a panel before it is sewn: world = R @ (x, y, 0) + translation.
 
     R turns about the fixed axes x, then y, then z by ``rotation_deg``. The panel's normal R @ z points
     away from the wearer.

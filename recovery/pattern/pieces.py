@@ -1,4 +1,4 @@
-"""What is cut out of the cloth: panels with seam allowance, notches, grain line and label, laid out on one sheet."""
+"""The pieces to cut out of the cloth: panels with seam allowance, notches, grain line and label, on one sheet."""
 
 from __future__ import annotations
 
@@ -66,14 +66,14 @@ class Sheet:
     height_m: float
 
 
-def make_sheet(pattern: Pattern, *, allowance_m: float = 0.01, cloth_width_m: float = CLOTH_WIDTH_M) -> Sheet:
+def make_sheet(pattern: Pattern, *, allowance_m: float = 0.01) -> Sheet:
     """All pieces of ``pattern`` with ``allowance_m`` around each, in rows no wider than the cloth where they fit."""
     if not 0.0 <= allowance_m < 0.1:
         raise InputError("allowance_m", expected="0 to 0.1 m", got=f"{allowance_m}", cure="Pass metres: 0.01 is 1 cm.")
     pieces = [_piece(pattern, panel, allowance_m) for panel in pattern.panels]
     lows = np.array([piece.cutting.min(axis=0) for piece in pieces])
     sizes = np.array([np.ptp(piece.cutting, axis=0) for piece in pieces])
-    width = max(cloth_width_m, float(sizes[:, 0].max()) + 2.0 * MARGIN_M)
+    width = max(CLOTH_WIDTH_M, float(sizes[:, 0].max()) + 2.0 * MARGIN_M)
     offsets = np.zeros((len(pieces), 2))
     x, row_top, row_height, used = MARGIN_M, 0.0, 0.0, 0.0
     for number in np.argsort(-sizes[:, 1], kind="stable"):
@@ -144,7 +144,7 @@ def offset(polygon: np.ndarray, distance_m: float) -> np.ndarray:
 
 
 def _label_place(polygon: np.ndarray, grain_middle: np.ndarray) -> np.ndarray:
-    """Where the label starts: right of the grain line, or left where there is more room and it is needed."""
+    """The start of the label: right of the grain line, or left of it if there is more room and it is needed."""
     right, left = np.inf, np.inf
     for below in (0.0, 0.5, 1.0):
         y = grain_middle[1] - below * LABEL_HEIGHT_M

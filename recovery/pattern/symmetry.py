@@ -1,8 +1,8 @@
 """Symmetries of a pattern (algorithm 1 of Yu, Cordier and Seo 2024), and the control points that they leave free.
 
 Two panels are alike when a cyclic shift of their edges and one orthogonal matrix lay the outline of one on the other:
-in the same order by a rotation, in reversed order by a reflection. A panel is symmetric when a reflection lays
-it on itself. What is tied then moves as one: a search has fewer unknowns and its pattern the same symmetries.
+in the same order by a rotation, in reversed order by a reflection. A panel is symmetric when a reflection lays it on
+itself. Tied panels move as one: a search has fewer unknowns, and its pattern keeps the symmetries.
 """
 
 from __future__ import annotations
@@ -69,9 +69,9 @@ class Symmetries:
 def find_symmetries(pattern: Pattern, *, tolerance_m: float = TOLERANCE_M) -> Symmetries:
     """The symmetries of ``pattern`` whose error is at most ``tolerance_m``.
 
-    As in algorithm 1, a panel that is the image of an earlier one is not looked at again, so every panel is tied to
-    at most one, and only the others are searched for a symmetry of their own. Where several alignments
-    are as good, as for a rectangle, the one that keeps the grain upright is taken, a reflection before a rotation.
+    As in algorithm 1, a panel that is the image of an earlier one is not looked at again. So every panel is tied to at
+    most one, and only the others are searched for a symmetry of their own. Of several equally good alignments, as for
+    a rectangle, the one that keeps the grain upright is taken, a reflection before a rotation.
     """
     if not 0.0 < tolerance_m < np.inf:
         raise InputError("tolerance_m", expected="a length > 0", got=f"{tolerance_m}", cure="Pass metres.")
@@ -140,12 +140,12 @@ def _matched(first: Panel, second: Panel, symmetry: Symmetry) -> tuple[np.ndarra
     return np.concatenate(points[0]), np.concatenate(points[1])
 
 
-# --- what the symmetries leave free ----------------------------------------------------------------------------------
+# --- free control points ----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class FreeControls:
-    """Control points as a linear function of what is left free: positions (K, 2) = ``origin`` + ``basis`` @ values.
+    """Control points as a linear function of free values: positions (K, 2) = ``origin`` + ``basis`` @ values.
 
     ``origin`` [m] (K, 2) has the symmetries exactly; ``basis`` (2 K, Z) has orthonormal columns, so a step of one
     millimetre in ``values`` [m] (Z,) moves the control points by one millimetre in all.
@@ -157,7 +157,7 @@ class FreeControls:
 
     @property
     def count(self) -> int:
-        """How many numbers are free."""
+        """The number of free values."""
         return self.basis.shape[1]
 
     def positions(self, values: np.ndarray) -> np.ndarray:
@@ -181,10 +181,10 @@ def symmetrised(pattern: Pattern, symmetries: Symmetries) -> Pattern:
 
 
 def free_controls(pattern: Pattern, symmetries: Symmetries) -> FreeControls:
-    """What ``symmetries`` leave free of the corners of ``pattern``.
+    """The corners of ``pattern`` as far as ``symmetries`` leave them free.
 
-    The axis of a symmetric panel and the motion between two panels stay what they are; a panel's own place in its
-    plane means nothing and is left in. Pass a pattern that is ``symmetrised``: curves keep their differences.
+    The axis of a symmetric panel and the motion between two panels stay as they are. A panel's place in its own plane
+    means nothing and stays free. Pass a pattern that is ``symmetrised``: curves keep their differences.
     """
     controls = control_points(pattern)
     tie = _projection(controls, pattern, symmetries)
@@ -278,33 +278,28 @@ def _move_matrix(
 
 def _with_mean_arcs(pattern: Pattern, symmetries: Symmetries) -> Pattern:
     """Arcs that correspond get the mean of their heights; a reflection run backwards keeps a height's sign."""
-    heights = {
-        (panel, number): [edge.handles[0][1]]
-        for panel, one in enumerate(pattern.panels)
-        for number, edge in enumerate(one.edges)
-        if edge.kind is EdgeKind.CIRCLE
-    }
-    root = {key: key for key in heights}
-
-    def top(key: tuple[int, int]) -> tuple[int, int]:
-        while root[key] != key:
-            key = root[key]
-        return key
-
-    for symmetry in (*symmetries.between, *symmetries.within):
-        count = len(pattern.panels[symmetry.first].edges)
-        for key in [key for key in heights if key[0] == symmetry.first]:
-            root[top((symmetry.second, symmetry.edge(key[1], count)))] = top(key)
-    gathered: dict[tuple[int, int], list[float]] = {}
-    for key, height in heights.items():
-        gathered.setdefault(top(key), []).extend(height)
+    heights = [
+        np.array([edge.handles[0][1] if edge.kind is EdgeKind.CIRCLE else 0.0 for edge in panel.edges])
+        for panel in pattern.panels
+    ]
+    for first, own in enumerate(heights):
+        images = {s.second: _edges(s, len(own)) for s in symmetries.between if s.first == first}
+        mean = np.mean([own, *(heights[second][edges] for second, edges in images.items())], axis=0)
+        for symmetry in symmetries.within:
+            if symmetry.first == first:
+                mean = 0.5 * (mean + mean[_edges(symmetry, len(own))])
+        for second, edges in {first: np.arange(len(own)), **images}.items():
+            heights[second][edges] = mean
     panels = []
-    for panel, one in enumerate(pattern.panels):
+    for panel, row in zip(pattern.panels, heights, strict=True):
         edges = [
-            replace(edge, handles=((0.5, float(np.mean(gathered[top((panel, number))]))),))
-            if (panel, number) in heights
-            else edge
-            for number, edge in enumerate(one.edges)
+            replace(edge, handles=((0.5, float(height)),)) if edge.kind is EdgeKind.CIRCLE else edge
+            for edge, height in zip(panel.edges, row, strict=True)
         ]
-        panels.append(replace(one, edges=tuple(edges)))
+        panels.append(replace(panel, edges=tuple(edges)))
     return replace(pattern, panels=tuple(panels))
+
+
+def _edges(symmetry: Symmetry, count: int) -> np.ndarray:
+    """The edges (count,) of the second panel that correspond to those of the first."""
+    return np.array([symmetry.edge(number, count) for number in range(count)])

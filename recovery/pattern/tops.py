@@ -41,13 +41,13 @@ class Sleeve:
 
 @dataclass(frozen=True)
 class TopCut:
-    """What makes one top differ from another, lengths [m].
+    """The measures in which tops differ, lengths [m].
 
-    ``length_m`` from the side of the neck to the hem, bands included; ``shoulder_out_m`` the tip beyond the joint,
-    ``shoulder_drop_m`` below the neck; ``armhole_drop_m`` below the armpit, ``armhole_inset`` how far it
-    hollows in over the width from shoulder to side; ``neck_out_m`` the neck's half width beyond
-    the body's. Bands of a width of 0 are left out. ``flare_m`` widens each panel's half at the hem; a ``skirt_m`` > 0
-    cuts the garment that far below the armpit and gathers the rest by ``gather``.
+    ``length_m`` runs from the side of the neck to the hem, bands included. The shoulder's tip lies ``shoulder_out_m``
+    beyond the joint and ``shoulder_drop_m`` below the neck. The armhole ends ``armhole_drop_m`` below the armpit and
+    hollows in by ``armhole_inset``, a share of the width from shoulder to side. The neck's half width is the body's and
+    ``neck_out_m``. Bands of a width of 0 are left out. ``flare_m`` widens each panel's half at the hem. A ``skirt_m``
+    > 0 cuts the garment that far below the armpit and gathers the rest by ``gather``.
     """
 
     name: str
@@ -72,12 +72,12 @@ class TopCut:
 
     @property
     def ease_m(self) -> dict[str, float]:
-        """What is added to which girth [m]."""
+        """Lengths [m] that are added to the body's girths."""
         return {"chest": self.chest_ease_m} | ({"arm": self.sleeve.arm_ease_m} if self.sleeve else {})
 
 
 def lines(body: BodyMeasurements, cut: TopCut) -> tuple[Point, Point, Point, Point]:
-    """Where neck, shoulder tip, armpit and hem lie on the wearer's left [m]; refuses lines that do not meet."""
+    """Neck, shoulder tip, armpit and hem on the wearer's left [m]. Raises ``InputError`` for lines that do not meet."""
     half = 0.25 * (body.chest_girth + cut.chest_ease_m)
     # Beside the neck the body falls away by about NECK_SLOPE.
     neck = (body.neck_half_width + cut.neck_out_m, body.neck_y - NECK_SLOPE * cut.neck_out_m)

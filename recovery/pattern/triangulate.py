@@ -13,7 +13,7 @@ import pythoncdt
 
 from drape.arrays import check_finite, check_shape
 from drape.errors import InputError, MeshError
-from drape.geometry import meshes
+from drape.geometry import mesh_graphs
 
 CLEARANCE_SHARE = 0.7  # of the target edge: no lattice point nearer to the boundary
 ROUNDS, MOVES_PER_ROUND = 6, 2  # more rounds change the smallest angle by less than a degree
@@ -40,7 +40,7 @@ def triangulate(boundary: np.ndarray, edge_length_m: float) -> tuple[np.ndarray,
     count = len(boundary)
     faces = _delaunay(points, count)
     for _ in range(ROUNDS):
-        to_mean = meshes.umbrella_laplacian(faces, len(points))[count:]
+        to_mean = mesh_graphs.umbrella_laplacian(faces, len(points))[count:]
         for _ in range(MOVES_PER_ROUND):
             points[count:] += to_mean @ points
         faces = _delaunay(points, count)

@@ -1,7 +1,7 @@
 """Panels bent before they are sewn: sleeves round an arm, bands round waist, neck and wrist, a ring hung in flutes.
 
-A panel that is to enclose a limb cannot start flat beside it, because the threads between its own two edges would pass
-through the limb. On a cylinder it lies without stretch: with the panel's point (u, v)
+A panel that encloses a limb cannot start flat beside it: the threads between its two edges would pass through the
+limb. On a cylinder it lies without stretch: with the panel's point (u, v)
 
     world = origin + v axis + R (sin(u / R) (axis x front) + cos(u / R) front)
 """
@@ -36,10 +36,9 @@ class Tube:
 
     def place(self, points: np.ndarray) -> np.ndarray:
         """World positions [m] (N, 3) of ``points`` (u, v) [m] (N, 2)."""
-        axis, front = np.array(self.axis), np.array(self.front)
-        angle = points[:, :1] / self.radius_m
-        round_it = np.sin(angle) * np.cross(axis, front) + np.cos(angle) * front
-        return np.array(self.origin) + points[:, 1:] * axis + self.radius_m * round_it
+        axis = np.array(self.axis)
+        around = _around(axis, np.array(self.front), points[:, :1] / self.radius_m)
+        return np.array(self.origin) + points[:, 1:] * axis + self.radius_m * around
 
     def tangent(self, point: np.ndarray) -> Placement:
         """The flat placement that touches the tube at ``point`` (u, v)."""
@@ -48,9 +47,8 @@ class Tube:
         normal = (place - np.array(self.origin) - point[1] * axis) / self.radius_m
         turn = np.stack([np.cross(axis, normal), axis, normal], axis=1)
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", UserWarning
-            )  # a panel seen edge-on has no single set of angles; any will do
+            # A panel seen edge-on has no single set of angles; any will do.
+            warnings.simplefilter("ignore", UserWarning)
             angles = Rotation.from_matrix(turn).as_euler("xyz", degrees=True)
         return Placement(tuple(angles.tolist()), tuple(place.tolist()))
 
@@ -85,7 +83,7 @@ class Flutes:
         return np.array(self.origin) + np.stack([x, -np.interp(down, along, height), z], axis=1)
 
     def _depth(self, cone: float, circle: float) -> float:
-        """How deep [m] a wave round the radius ``cone`` is that has the length of the circle of radius ``circle``."""
+        """The depth [m] of a wave round the radius ``cone`` that is as long as the circle of radius ``circle``."""
         angle = np.linspace(0.0, 2.0 * np.pi / self.count, 65)
 
         def excess(depth: float) -> float:
@@ -119,18 +117,23 @@ class Cone:
 
     def place(self, points: np.ndarray) -> np.ndarray:
         """World positions [m] (N, 3) of ``points`` (u, v) [m] (N, 2)."""
-        axis, front = np.array(self.axis), np.array(self.front)
+        axis = np.array(self.axis)
         off = points - np.array([0.0, self.ring_m])
         down = np.hypot(off[:, :1], off[:, 1:]) - self.ring_m
         angle = np.arctan2(off[:, :1], -off[:, 1:]) * self.ring_m / self.radius_m
-        round_it = np.sin(angle) * np.cross(axis, front) + np.cos(angle) * front
         radius = self.radius_m + self.slant * down
-        return np.array(self.origin) - np.sqrt(1.0 - self.slant**2) * down * axis + radius * round_it
+        outward = radius * _around(axis, np.array(self.front), angle)
+        return np.array(self.origin) - np.sqrt(1.0 - self.slant**2) * down * axis + outward
 
     def tangent(self, point: np.ndarray) -> Placement:
         """The flat placement beside the funnel at ``point`` (u, v)."""
         tube = Tube(self.origin, self.axis, self.front, self.radius_m)
         return tube.tangent(np.array([0.0, point[1]]))
+
+
+def _around(axis: np.ndarray, front: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Unit vectors (N, 3) at ``angle`` [rad] (N, 1) about ``axis`` (3,) from ``front`` (3,)."""
+    return np.sin(angle) * np.cross(axis, front) + np.cos(angle) * front
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,8 @@ from recovery.fit.optimise import FitOptions
 from recovery.run.job import FIT_INSIDE, Job, run_job
 
 NOT_AT_REST_EXIT_CODE = 3
+# Fields of a job that the command line says as they are.
+OF_JOB = ("target", "out", "base", "body", "name", "label", "settings", "unit", "up", "meshes_m", "retarget", "garment")
 CHOOSE_FABRIC = "auto"
 EDGE_LENGTH_M = 0.05
 SCAN_REACH_M = 0.3  # its base is of another cut, its body is not the wearer's: the pattern has to make up for both
@@ -45,7 +47,9 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("target", type=Path, help="OBJ, GLB, PLY or STL of one garment on its body")
     parser.add_argument("--out", type=Path, required=True, help="folder of the files")
     parser.add_argument("--base", required=True, help="tshirt, trousers, skirt, or a pattern as JSON")
-    parser.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="parameters of the base [m]")
+    parser.add_argument(
+        "--set", nargs="+", default=[], dest="settings", metavar="NAME=VALUE", help="parameters of the base [m]"
+    )
     parser.add_argument(
         "--body", default=DEFAULT_BODY, help="name, SMPL file, or closed surface; 'fit': one is fitted inside"
     )
@@ -63,7 +67,12 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     )
     parser.add_argument("--edge-length", type=float, default=EDGE_LENGTH_M, help="of the garment's mesh [m]")
     parser.add_argument(
-        "--meshes", type=float, nargs="+", metavar="M", help="edge lengths [m] of the rounds (default: three equal)"
+        "--meshes",
+        type=float,
+        nargs="+",
+        dest="meshes_m",
+        metavar="M",
+        help="edge lengths [m] of the rounds (default: three equal)",
     )
     parser.add_argument("--grid", type=float, default=0.02, help="spacing of the body's distance [m]")
     add_distance_options(parser)
@@ -79,25 +88,17 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
         help="the loss doubles where corners are this far [m] from the graded base, all of them together (default "
         f"{DEFAULT_WEIGHTS.reach_m:g}, for a scan without a body {SCAN_REACH_M:g})",
     )
-    parser.add_argument("--no-retarget", action="store_true", help="leave out other bodies and poses")
-    parser.add_argument("--no-garment", action="store_true", help="write no garment cache")
+    parser.add_argument("--no-retarget", dest="retarget", action="store_false", help="leave out other bodies and poses")
+    parser.add_argument("--no-garment", dest="garment", action="store_false", help="write no garment cache")
     return parser.parse_args(arguments)
 
 
 def job_of(given: argparse.Namespace) -> Job:
     """The job that the command line asks for."""
     return Job(
-        target=given.target,
-        out=given.out,
-        base=given.base,
-        body=given.body,
+        **{name: getattr(given, name) for name in OF_JOB},
         betas=None if given.betas is None else read_betas(given.betas),
         pose=None if given.pose is None else read_pose(given.pose),
-        name=given.name,
-        label=given.label,
-        settings=given.set,
-        unit=given.unit,
-        up=given.up,
         drape=DrapeOptions(
             edge_length_m=given.edge_length,
             fabric=DEFAULT_MATERIAL if given.fabric == CHOOSE_FABRIC else given.fabric,
@@ -105,11 +106,8 @@ def job_of(given: argparse.Namespace) -> Job:
             **distance_options(given),
         ),
         find_fabric=given.fabric == CHOOSE_FABRIC,
-        meshes_m=given.meshes,
         fit=FitOptions(iterations=given.adam, closing=given.closing),
         weights=DEFAULT_WEIGHTS._replace(seams=given.seam_weight, reach_m=reach_of(given)),
-        retarget=not given.no_retarget,
-        garment=not given.no_garment,
     )
 
 

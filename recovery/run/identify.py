@@ -1,9 +1,9 @@
-"""What the target tells of a pattern, and what it cannot tell: the drape's derivatives by the shape of the panels.
+"""Identifiability: how well a target determines the shape of the panels, by the derivatives of the drape.
 
-With y the shape of the panels (moves of the control points, rigid moves of whole panels left out, orthonormal) the
-drape moves by dX/dy y. Its singular values say how far cloth moves; a target shows something else, because cloth that
-slides along its own surface looks the same. What it shows is the curvature C of the loss: a change y raises the squared
-distance of the surfaces, mean of both directions, by y^T C y / 4, and the root of that is what the fit sees.
+Let y be the shape of the panels: orthonormal moves of the control points without rigid moves of whole panels. The drape
+moves by dX/dy y, and the singular values of dX/dy are how far the cloth moves. A target shows less, because cloth that
+slides along its own surface looks the same. It shows the curvature C of the loss: a change y raises the squared
+distance of the surfaces, mean of both directions, by y^T C y / 4. The fit sees the root of that.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ BLIND = 1e-9  # of the largest curvature
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """How well the target tells the pattern; M shapes that the symmetries leave free.
+    """How well the target tells the pattern, over M shapes that the symmetries leave free.
 
-    ``cloth`` (M,): singular values of dX/dy, root mean square over the cloth [m per m]. ``seen`` (M,): the same of what
-    the target shows, rising. ``modes`` (M, K, 2) [m]: moves of the control points that go with ``seen``, each of unit
-    length. ``slack_m`` (K,): how far each control point can go while the surface changes by no more than
-    ``tolerance_m``, at most ``CAP_M``.
+    ``cloth`` (M,): singular values of dX/dy, root mean square over the cloth [m per m]. ``seen`` (M,): the same for
+    what the target shows, rising. ``modes`` (M, K, 2) [m]: the moves of the control points that belong to ``seen``,
+    each of unit length. ``slack_m`` (K,): the farthest that each control point can go while the surface changes by no
+    more than ``tolerance_m``, at most ``CAP_M``.
     """
 
     cloth: np.ndarray
@@ -43,13 +43,13 @@ class Identifiability:
 
 
 def identifiability(found: Recovered, tolerance_m: float) -> Identifiability:
-    """What the target of ``found`` tells at its best pattern."""
+    """How well the target of ``found`` determines its best pattern."""
     search = found.search
     mesh, objective = search.mesh, search.objective
     rest = mesh.rest_at(found.fitted.positions)
     rest_moves = (mesh.weights @ search.free.basis).reshape(len(rest), 2, -1)
     moves = search.forward.sensitivity(torch.from_numpy(rest), found.fitted.nodes, rest_moves)
-    # Seams ask nothing here: what is wanted is what the target says, not what sewing asks for.
+    # Without seams: the question is what the target says, not what sewing asks for.
     contours = open_contours(found.start.nodes, mesh.faces)
     shown = Objective(mesh, objective.target, contours, found.matches, objective.weights._replace(seams=0.0))
     curvature = gauss_newton_matrix(shown, found.fitted.nodes, rest, moves, rest_moves)
@@ -90,7 +90,7 @@ def from_curvature(cloth: np.ndarray, curvature: np.ndarray, across: np.ndarray,
 
 
 def corner_names(pattern: Pattern) -> list[str]:
-    """What every corner of ``pattern`` is, panel by panel: its panel, where in it, and the edges that meet there."""
+    """A name for every corner of ``pattern``, panel by panel: panel, place in it, and the edges that meet there."""
     partner = {}
     for stitch in pattern.stitches:
         partner[stitch.first], partner[stitch.second] = stitch.second, stitch.first

@@ -1,9 +1,9 @@
 """Fits shape and pose of the standard body inside a garment that came without one.
 
-A garment says where the skin is not, and where it hangs, the shoulders or the waist, where it is. Gauss-Newton on
-distances along the skin's normals: cloth inside the body costs in full, cloth outside less the farther it is, and what
-the garment does not tell stays near the mean shape and the T-pose. Openings tell where limbs are: a bone goes through
-the middle of a cuff.
+No skin lies outside the cloth, and it touches the cloth at the shoulders or the waist, from which the garment hangs.
+Gauss-Newton on distances along the skin's normals: cloth inside the body costs in full, cloth outside less the farther
+it is. Priors keep what the garment does not tell near the mean shape and the T-pose. Openings tell where limbs are: a
+bone goes through the middle of a cuff.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from drape.garment.registration import (
     unpack,
 )
 from drape.geometry import closest, meshes
+from recovery.drape.posing import joints_in
 from recovery.fit.contours import LIMBS, TRUNK, Contour, bone_chains, open_contours
 
 GAP_M = 0.004  # between skin and cloth that lies on it
@@ -135,7 +136,8 @@ def _fit(
 
 def _cuffs(body: BodyModel, contours: list[Contour], parameters: np.ndarray) -> list[tuple[np.ndarray, int, int]]:
     """Middles [m] (3,) of the openings that lie nearer to a limb than to the trunk at the start, with the bone."""
-    joints = _joints(body, parameters)
+    betas, pose, trans = unpack(body, parameters)
+    joints = joints_in(body, pose[None], betas)[0] + trans
     number = {name: joint for joint, name in enumerate(JOINT_NAMES)}
     trunk = bone_chains(joints)[TRUNK][0]
     found = []
@@ -160,17 +162,6 @@ def _perpendicular(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.
     return start + share * way - point
 
 
-def _joints(body: BodyModel, parameters: np.ndarray) -> np.ndarray:
-    betas, pose, trans = unpack(body, parameters)
-    return _joints_of(body, betas, pose[None], trans)[0]
-
-
-def _joints_of(body: BodyModel, betas: np.ndarray, poses: np.ndarray, trans: np.ndarray) -> np.ndarray:
-    """Joints [m] (F, 24, 3) of a shape in ``poses`` (F, 24, 3), moved by ``trans``."""
-    rotations, translations = body.bones(poses, None, betas)
-    return np.einsum("fjab,jb->fja", rotations, body.rest_joints(betas)) + translations + trans
-
-
 def _cuff_rows(
     body: BodyModel, cuffs: list[tuple[np.ndarray, int, int]], parameters: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -180,8 +171,8 @@ def _cuff_rows(
     turned = np.repeat(pose[None], pose_count + 1, axis=0)
     for column in range(pose_count):
         turned[column + 1, FREE_JOINTS[column // 3], column % 3] += step
-    by_pose = _joints_of(body, betas, turned, trans)
-    by_shape = [_joints_of(body, betas + step * row, pose[None], trans)[0] for row in np.eye(body.shape_count)]
+    by_pose = joints_in(body, turned, betas) + trans
+    by_shape = [joints_in(body, pose[None], betas + step * row)[0] + trans for row in np.eye(body.shape_count)]
     by_place = [by_pose[0] + step * row for row in np.eye(3)]
 
     def ways(joints: np.ndarray) -> np.ndarray:

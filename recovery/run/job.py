@@ -15,12 +15,13 @@ from drape.garment.files.mesh import GarmentMesh
 from drape.garment.intake import IntakeOptions, garment_name, intake
 from drape.garment.mesh_checks import Unit, Up
 from recovery.atomic import write
-from recovery.drape.output import glb_bytes, obj_text, panel_texture
+from recovery.drape.output import obj_text, panel_texture, write_shape
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
+from recovery.drape.posing import posed_joints
 from recovery.fit.chamfer import Chamfer, SurfaceDistance, surface_chamfer, surface_distance
 from recovery.fit.objective import DEFAULT_WEIGHTS, Weights
 from recovery.fit.optimise import FitOptions
-from recovery.fit.pipeline import Recovered, posed_joints, recover_pattern
+from recovery.fit.pipeline import Recovered, recover_pattern
 from recovery.pattern.bases import BASES, base_pattern
 from recovery.pattern.export import export_pattern
 from recovery.pattern.garmentcode import read_pattern
@@ -33,15 +34,14 @@ from recovery.run.wearer import Wearer, inside_wearer, read_wearer
 
 FIT_INSIDE = "fit"  # --body fit
 LEAST_TOLERANCE_M = 1e-3  # below a millimetre no scan tells
-FORMATS = ("json", "svg", "dxf", "pdf")
 Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """What is asked for; ``body`` is a name, a file, or ``fit``; ``base`` a base pattern's name or a JSON file.
+    """The request: ``body`` is a name, a file, or ``fit``; ``base`` is a base pattern's name or a JSON file.
 
-    ``settings`` of a base are texts NAME=NUMBER, lengths in metres; ``find_fabric``: the cloth is unknown as well.
+    ``settings`` of a base are texts NAME=NUMBER, lengths in metres. With ``find_fabric`` the cloth is unknown as well.
     ``meshes_m`` are the edge lengths [m] of the rounds, by default three times that of ``drape``.
     """
 
@@ -67,10 +67,10 @@ class Job:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What came of a job. ``target`` and ``nodes`` [m] (N, 3) lie in the body's frame, ``wearer.trans`` left out.
+    """The result of a job. ``target`` and ``nodes`` [m] (N, 3) lie in the body's frame, without ``wearer.trans``.
 
-    ``anew`` is the recovered pattern sewn from flat panels and draped in the T-pose, None where that was refused;
-    ``anew_distance`` how far that is from the search's drape, None in a pose. ``warnings`` are sentences.
+    ``anew`` is the recovered pattern sewn from flat panels and draped in the T-pose, None if that was refused;
+    ``anew_distance`` is its distance from the search's drape, None in a pose. ``warnings`` are sentences.
     """
 
     job: Job
@@ -79,7 +79,6 @@ class Outcome:
     wearer: Wearer
     base: Pattern
     found: Recovered
-    pattern: Pattern
     distance: SurfaceDistance
     before: SurfaceDistance
     chamfer: Chamfer
@@ -94,7 +93,13 @@ class Outcome:
 
     @property
     def nodes(self) -> np.ndarray:
+        """Nodes [m] (N, 3) of the recovered garment."""
         return self.found.fitted.nodes
+
+    @property
+    def pattern(self) -> Pattern:
+        """The recovered pattern."""
+        return self.found.fitted.pattern
 
 
 def read_base(source: str, wearer: Wearer, settings: Sequence[str] = ()) -> Pattern:
@@ -134,8 +139,7 @@ def prepare(job: Job) -> tuple[GarmentMesh, Wearer, Pattern, list[str]]:
         wearer = read_wearer(job.body, betas=job.betas, pose=job.pose)
         mesh = placed_target(mesh, wearer.skin, unit=job.unit, up=job.up)
     mesh = replace(mesh, vertices=mesh.vertices - wearer.trans)
-    joints = wearer.shaped.joints_template if wearer.pose is None else posed_joints(wearer.shaped, wearer.pose)
-    there, holes = openings(mesh, joints)
+    there, holes = openings(mesh, posed_joints(wearer.shaped, wearer.pose))
     check_base(job.base, there)
     notes = [f"On reading: {note}." for note in (*mesh.notes, *holes)]
     if wearer.residual_mm > 0.0:
@@ -169,29 +173,21 @@ def run_job(job: Job, *, progress: bool = False, say: Say = print) -> Outcome:
         progress=progress,
         report=say,
     )
-    pattern = found.fitted.pattern
-    files = export_pattern(pattern, job.out, FORMATS)
-    cloth = replace(found.search.mesh, pattern=pattern, rest=found.search.mesh.rest_at(found.fitted.positions))
-    texture = panel_texture(cloth)
-    simulated = found.fitted.nodes + wearer.trans
-    files.append(write(job.out / f"{name}.obj", obj_text(cloth, simulated, texture)))
-    files.append(write(job.out / f"{name}.glb", glb_bytes(cloth, simulated, texture)))
+    fitted = found.fitted
+    files = export_pattern(fitted.pattern, job.out)
+    cloth = replace(found.search.mesh, pattern=fitted.pattern, rest=found.search.mesh.rest_at(fitted.positions))
+    files += write_shape(job.out, name, cloth, fitted.nodes + wearer.trans, panel_texture(cloth))
     there = (mesh.vertices, mesh.faces)
-    distance = surface_distance((found.fitted.nodes, cloth.faces), there)
-    before = surface_distance((found.base.nodes, found.base.mesh.faces), there)
-    far, floor = surface_chamfer((found.fitted.nodes, cloth.faces), there)
+    distance = surface_distance((fitted.nodes, cloth.faces), there)
+    chamfer, floor = surface_chamfer((fitted.nodes, cloth.faces), there)
     say(
         f"distance  {distance.mean_mm:.2f} mm mean, {distance.largest_mm:.1f} largest; Chamfer "
-        f"{far.squared_cm2:.4f} cm^2, floor {floor.squared_cm2:.4f}"
+        f"{chamfer.squared_cm2:.4f} cm^2, floor {floor.squared_cm2:.4f}"
     )
     told = identifiability(found, max(LEAST_TOLERANCE_M, 1e-3 * distance.rms_mm))
-    anew, anew_distance, worn = _sewn_anew(job, wearer, found, pattern, warnings, say)
+    anew, anew_distance, worn = _sewn_anew(job, wearer, found, warnings, say)
     if anew is not None:
-        sewn = panel_texture(anew.mesh)
-        rest = obj_text(anew.mesh, anew.rest.nodes, sewn)
-        files.append(write(job.out / f"{name}_rest.obj", rest))
-        if job.garment:
-            files.append(_cache(rest, name, job, wearer, IntakeOptions(uv_unit_m=sewn[1]), say))
+        files += _rest_files(anew, name, job, wearer, say)
     return Outcome(
         job=job,
         name=name,
@@ -199,10 +195,9 @@ def run_job(job: Job, *, progress: bool = False, say: Say = print) -> Outcome:
         wearer=wearer,
         base=base,
         found=found,
-        pattern=pattern,
         distance=distance,
-        before=before,
-        chamfer=far,
+        before=surface_distance((found.base.nodes, found.base.mesh.faces), there),
+        chamfer=chamfer,
         floor=floor,
         told=told,
         anew=anew,
@@ -215,11 +210,12 @@ def run_job(job: Job, *, progress: bool = False, say: Say = print) -> Outcome:
 
 
 def _sewn_anew(
-    job: Job, wearer: Wearer, found: Recovered, pattern: Pattern, warnings: list[str], say: Say
+    job: Job, wearer: Wearer, found: Recovered, warnings: list[str], say: Say
 ) -> tuple[Draped | None, SurfaceDistance | None, list[Worn]]:
     """The pattern sewn from flat panels, its distance from the search's drape, and the garment elsewhere."""
+    pattern, cloth = found.fitted.pattern, found.fitted.cloth
     try:
-        anew = drape_pattern(pattern, wearer.shaped, job.drape, cloth=found.fitted.cloth)
+        anew = drape_pattern(pattern, wearer.shaped, job.drape, cloth=cloth)
     except InputError as error:
         warnings.append(f"The recovered pattern cannot be sewn from flat panels, so there is no garment cache: {error}")
         return None, None, []
@@ -234,9 +230,7 @@ def _sewn_anew(
         warnings.append(f"Sewn anew in the T-pose, {lost_words(lost)}: the garment cache is not worn as the target is.")
     worn = []
     if job.retarget:
-        for place in retargeted(
-            pattern, anew, wearer.shaped, wearer.standard, job.drape, parts, cloth=found.fitted.cloth
-        ):
+        for place in retargeted(pattern, anew, wearer.shaped, wearer.standard, job.drape, parts, cloth=cloth):
             say(f"worn      {place.what}: {place.refusal or describe_worn(place)}")
             worn.append(place)
     return anew, distance, worn
@@ -259,17 +253,24 @@ def lost_words(lost: Sequence[str]) -> str:
     return f"{parts} {'is' if len(lost) == 1 else 'are'} not in the garment's opening"
 
 
-def _cache(rest: str, name: str, job: Job, wearer: Wearer, options: IntakeOptions, say: Say) -> Path:
-    """Path of the garment cache of the T-pose's drape; a body of another shape is moved to the standard one."""
-    avatar = {"betas": wearer.betas.tolist()} if wearer.betas.any() else "standard"
-    garment = intake(
-        rest.encode(),
-        name=name,
-        kind="obj",
-        avatar=avatar,
-        body=wearer.standard,
-        options=options,
-        folder=job.out,
-        report=say,
-    )
-    return job.out / f"{garment.name}-{garment.digest[:16]}.npz"
+def _rest_files(anew: Draped, name: str, job: Job, wearer: Wearer, say: Say) -> list[Path]:
+    """The drape in the T-pose as NAME_rest.obj, and as garment cache if the job asks for one.
+
+    In the cache the garment of a body of another shape is moved to the standard one.
+    """
+    texture = panel_texture(anew.mesh)
+    rest = obj_text(anew.mesh, anew.rest.nodes, texture)
+    files = [write(job.out / f"{name}_rest.obj", rest)]
+    if job.garment:
+        garment = intake(
+            rest.encode(),
+            name=name,
+            kind="obj",
+            avatar={"betas": wearer.betas.tolist()} if wearer.betas.any() else "standard",
+            body=wearer.standard,
+            options=IntakeOptions(uv_unit_m=texture[1]),
+            folder=job.out,
+            report=say,
+        )
+        files.append(job.out / f"{garment.name}-{garment.digest[:16]}.npz")
+    return files

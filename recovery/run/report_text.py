@@ -1,4 +1,4 @@
-"""What a recovery's report says: the answer first, then what to look at before cutting, then how it is known."""
+"""The text of a recovery's report: the answer first, then warnings before cutting, then the evidence."""
 
 from __future__ import annotations
 
@@ -248,7 +248,7 @@ def cloth_words(found: Recovered, *, sought: bool) -> str:
 
 
 def file_words(name: str) -> str:
-    """What a written file is for."""
+    """The purpose of a written file."""
     if name.endswith("_rest.obj"):
         return "the garment sewn anew, in the T-pose"
     kinds = {

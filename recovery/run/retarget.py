@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from drape.body.model import BodyModel
-from drape.cloth.orthotropic import OrthotropicMaterial
+from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_in_pose, drape_pattern
-from recovery.drape.posing import read_pose
+from recovery.drape.posing import posed_joints, read_pose
 from recovery.fit.contours import bone_chains, encircles, open_contours
-from recovery.fit.pipeline import posed_joints
 from recovery.pattern.model import Pattern
 from recovery.run.wearer import shaped_body
 
@@ -54,36 +53,32 @@ def retargeted(
     """``pattern`` sewn and draped on two other shapes of ``standard``, and taken to two poses of ``body``.
 
     ``sewn`` is its drape on ``body`` in the T-pose; ``parts`` of the body should go through its openings;
-    ``cloth`` is what it is made of.
-    What cannot be draped says so instead of ending the rest.
+    ``cloth`` is what it is made of. A drape that is refused becomes a ``Worn`` that says why.
     """
-    for what, betas in BODIES.items():
-        other = shaped_body(standard, np.array(betas))
-
-        def sew(wearer: BodyModel = other) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
-            draped = drape_pattern(pattern, wearer, options, cloth=cloth)
-            return draped.rest.nodes, draped.mesh.faces, draped.figures["rest"]
-
-        worn = _worn(what, other.v_template, other.faces, sew)
-        yield replace(worn, lost=lost_parts(worn.nodes, worn.faces, other.joints_template, parts))
-    for text in POSES:
-        pose = read_pose(text)
-
-        def move(there: np.ndarray = pose) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
-            posed, figures = drape_in_pose(sewn.mesh, sewn.rest, body, there, options, cloth=cloth)
-            return posed.nodes, sewn.mesh.faces, figures
-
-        worn = _worn(f"pose {text}", body.posed_vertices(pose[None])[0], body.faces, move)
-        yield replace(worn, lost=lost_parts(worn.nodes, worn.faces, posed_joints(body, pose), parts))
+    wearers = [(what, shaped_body(standard, np.array(betas)), None) for what, betas in BODIES.items()]
+    wearers += [(f"pose {text}", body, read_pose(text)) for text in POSES]
+    for what, wearer, pose in wearers:
+        skin = wearer.v_template if pose is None else wearer.posed_vertices(pose[None])[0]
+        try:
+            if pose is None:
+                draped = drape_pattern(pattern, wearer, options, cloth=cloth)
+                nodes, faces, figures = draped.rest.nodes, draped.mesh.faces, draped.figures["rest"]
+            else:
+                posed, figures = drape_in_pose(sewn.mesh, sewn.rest, wearer, pose, options, cloth=cloth)
+                nodes, faces = posed.nodes, sewn.mesh.faces
+        except InputError as error:
+            nothing = np.zeros((0, 3))
+            yield Worn(what, skin, wearer.faces, nothing, nothing.astype(np.int64), {}, refusal=str(error))
+            continue
+        lost = lost_parts(nodes, faces, posed_joints(wearer, pose), parts)
+        yield Worn(what, skin, wearer.faces, nodes, faces, figures, lost=lost)
 
 
 def lost_parts(nodes: np.ndarray, faces: np.ndarray, joints: np.ndarray, parts: Sequence[str]) -> tuple[str, ...]:
     """Those of ``parts`` that do not go through an opening of a garment at ``nodes`` [m] (N, 3), one opening for each.
 
-    ``joints`` [m] (24, 3) are those of the body in its pose. Empty for a garment without faces.
+    ``joints`` [m] (24, 3) are those of the body in its pose.
     """
-    if not len(faces):
-        return ()
     chains = bone_chains(joints)
     there = Counter(
         part
@@ -92,17 +87,3 @@ def lost_parts(nodes: np.ndarray, faces: np.ndarray, joints: np.ndarray, parts: 
         if part is not None
     )
     return tuple(sorted((Counter(parts) - there).elements()))
-
-
-def _worn(
-    what: str,
-    skin: np.ndarray,
-    skin_faces: np.ndarray,
-    drape: Callable[[], tuple[np.ndarray, np.ndarray, dict[str, Any]]],
-) -> Worn:
-    try:
-        nodes, faces, figures = drape()
-    except InputError as error:
-        empty = np.zeros((0, 3))
-        return Worn(what, skin, skin_faces, empty, empty.astype(np.int64), {}, str(error))
-    return Worn(what, skin, skin_faces, nodes, faces, figures)

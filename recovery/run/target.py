@@ -1,7 +1,7 @@
 """Reads a target: one garment's surface, in metres, on the body it was draped on; repaired with a note, or refused.
 
-What can be repaired without a choice (copies of vertices, faces without area, crumbs, unit, axis, sides) is, and every
-repair is a note in the report. What needs one (which of two pieces, an edge with three faces) is refused with the cure.
+A fault that has one repair (copies of vertices, faces without area, crumbs, unit, axis, sides) is repaired, with a note
+in the report. A fault that needs a choice (which of two pieces, an edge with three faces) is refused with the cure.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from drape.garment.mesh_checks import (
     orient_outward,
     place,
 )
-from drape.geometry import closest, meshes
+from drape.geometry import closest, mesh_graphs, meshes
 from recovery.fit.contours import TRUNK, bone_chains, open_contours, place_of
 
 CRUMB_SHARE = 0.02  # of the area: smaller pieces are left out with a note
 FAR_M = 0.12  # median distance from the skin: the loosest garment hangs nearer
 DEEP_M, DEEP_SHARE = 0.02, 0.2  # the target goes through the body where more than this share lies deeper than that
 SMALL_HOLE_M = 0.2  # a border of less length is mentioned as a hole
-# How many openings of each kind go round each part of the body; tested for the skirt's drape.
+# Openings round each part of the body, by base.
 OPENINGS = {
     "tshirt": {TRUNK: 2, "left_arm": 1, "right_arm": 1},
     "trousers": {TRUNK: 1, "left_leg": 1, "right_leg": 1},
@@ -79,7 +79,7 @@ def labelled(mesh: GarmentMesh, label: str) -> GarmentMesh:
 
 def one_piece(mesh: GarmentMesh) -> GarmentMesh:
     """``mesh`` without crumbs and unused vertices; refuses two pieces of cloth."""
-    piece = meshes.connected_components(mesh.faces, len(mesh.vertices))[mesh.faces[:, 0]]
+    piece = mesh_graphs.connected_components(mesh.faces, len(mesh.vertices))[mesh.faces[:, 0]]
     area = np.bincount(piece, meshes.face_areas(mesh.vertices, mesh.faces))
     whole = np.flatnonzero(area > CRUMB_SHARE * area.sum())
     if len(whole) > 1:
@@ -130,7 +130,7 @@ def check_near(mesh: GarmentMesh, skin: Avatar) -> None:
 
 
 def openings(mesh: GarmentMesh, joints: np.ndarray) -> tuple[dict[str, int], list[str]]:
-    """How many openings of the target go round each part of the body (``joints`` [m] (24, 3)), and notes on holes."""
+    """The number of the target's openings round each part of the body (``joints`` [m] (24, 3)), and notes on holes."""
     chains = bone_chains(joints)
     found: dict[str, int] = {}
     holes = []

@@ -1,8 +1,9 @@
-"""Whom the target was draped on: a named body, a file in SMPL's schema, a surface, or nobody: one is fitted inside."""
+"""The wearer of a target: a named body, a file in SMPL's schema, a surface, or a body fitted inside the garment."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -25,19 +26,23 @@ SIZE_SLACK = 1.5  # by which a target's height may differ from its base's
 
 @dataclass(frozen=True, eq=False)
 class Wearer:
-    """A body of its own shape in a pose: ``shaped`` is ``standard`` with ``betas`` in its template.
+    """The body ``standard`` in the shape ``betas`` and in ``pose`` (24, 3), None for the T-pose.
 
-    ``pose`` (24, 3) or None for the T-pose; ``trans`` [m] (3,) is added to everything in the target's frame;
-    ``residual_mm`` says how far a fitted body is from what it was fitted to.
+    ``trans`` [m] (3,) is added to everything in the target's frame; ``residual_mm`` is the mean distance of a fitted
+    body from the surface that it was fitted to.
     """
 
     standard: BodyModel
-    shaped: BodyModel
     betas: np.ndarray
     pose: np.ndarray | None
     trans: np.ndarray
     source: str
     residual_mm: float = 0.0
+
+    @cached_property
+    def shaped(self) -> BodyModel:
+        """The body with its shape in the template."""
+        return shaped_body(self.standard, self.betas)
 
     @property
     def skin(self) -> Avatar:
@@ -73,19 +78,7 @@ def read_wearer(source: str, *, betas: np.ndarray | None = None, pose: np.ndarra
     body = load_body(source)
     check_closed(body.faces, body.name)
     betas = body.check_betas(np.zeros(0) if betas is None else betas)
-    return wearer_of(body, betas, pose, np.zeros(3), f"body {body.name}")
-
-
-def wearer_of(
-    body: BodyModel,
-    betas: np.ndarray,
-    pose: np.ndarray | None,
-    trans: np.ndarray,
-    source: str,
-    residual_mm: float = 0.0,
-) -> Wearer:
-    """``body`` in the shape ``betas`` and in ``pose``."""
-    return Wearer(body, shaped_body(body, betas), betas, pose, trans, source, residual_mm)
+    return Wearer(body, betas, pose, np.zeros(3), f"body {body.name}")
 
 
 def fitted_wearer(path: Path, body: BodyModel) -> Wearer:
@@ -96,11 +89,11 @@ def fitted_wearer(path: Path, body: BodyModel) -> Wearer:
     found = fit_body(vertices, mesh.faces, body, name=path.name)
     unit = "" if scale == 1.0 else f", scaled by {scale:g}"
     source = f"body {body.name} fitted to {path.name}{unit}, {found.residual_mm:.1f} mm from it on average"
-    return wearer_of(body, found.betas, found.pose, found.trans, source, found.residual_mm)
+    return Wearer(body, found.betas, found.pose, found.trans, source, found.residual_mm)
 
 
 def check_closed(faces: np.ndarray, name: str) -> None:
-    """Refuses a body with holes: what is inside must be defined."""
+    """Refuses a body with holes, which has no inside."""
     loops = meshes.boundary_loops(faces)
     if loops:
         raise BodyError(
@@ -116,7 +109,7 @@ def inside_wearer(
 ) -> tuple[GarmentMesh, Wearer]:
     """``mesh`` in metres, y up, and the shipped body fitted inside it; ``base``, drafted for that body, tells its size.
 
-    ``up`` is y unless it is said to be z: without a body nothing tells.
+    ``up`` "auto" is y, because without a body nothing tells the axis.
     """
     vertices = mesh.vertices
     notes = []
@@ -143,4 +136,4 @@ def inside_wearer(
         f"body {body.name} fitted inside the target: cloth {found.mean_mm:.0f} mm from the skin on average, "
         f"{found.inside_pct:.1f} % of it inside by up to {found.depth_mm:.0f} mm"
     )
-    return mesh, wearer_of(body, found.betas, found.pose, found.trans, source, found.mean_mm)
+    return mesh, Wearer(body, found.betas, found.pose, found.trans, source, found.mean_mm)

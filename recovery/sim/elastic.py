@@ -1,4 +1,7 @@
-"""Membrane and bending of a whole sewn mesh: energy, forces, Hessian, and their contractions for the adjoint."""
+"""Membrane and bending of a whole sewn mesh: energy, forces, Hessian, and their contractions for the adjoint.
+
+The formulas are those of ``drape.cloth.membrane`` and ``drape.cloth.bending``.
+"""
 
 from __future__ import annotations
 
@@ -7,22 +10,19 @@ import scipy.sparse
 import torch
 from torch import Tensor
 
-from drape.cloth import orthotropic
+from drape.cloth import bending, membrane
 from recovery.sim.model import ClothModel, Parameters, Rest
 
 
 def energy(model: ClothModel, rest: Rest, parameters: Parameters, x: Tensor) -> Tensor:
     """Elastic energy [J] () at nodes ``x`` (V, 3)."""
-    membrane = orthotropic.membrane_energy(model.triangles(x), rest.shape, parameters.stretch)
-    bending = orthotropic.bending_energy(model.hinges(x), rest.hinge_weight, parameters.bending_j, model.rest_angle)
-    return membrane.sum() + bending.sum()
+    stretched = membrane.energy(model.triangles(x), rest.triangles, parameters.membrane)
+    return stretched.sum() + bending.energy(model.hinges(x), *_hinges(model, rest, parameters)).sum()
 
 
 def forces(model: ClothModel, rest: Rest, parameters: Parameters, x: Tensor) -> Tensor:
     """Elastic forces [N] (V, 3): minus the derivative of ``energy``, assembled by the static map; no gradient."""
-    membrane = orthotropic.membrane_gradient(model.triangles(x), rest.shape, parameters.stretch)
-    bending = orthotropic.bending_gradient(model.hinges(x), rest.hinge_weight, parameters.bending_j, model.rest_angle)
-    return -torch.from_numpy(model.assembly.gradient([membrane.detach().numpy(), bending.detach().numpy()]))
+    return -torch.from_numpy(model.assembly.gradient(_numpy(_gradients(model, rest, parameters, x))))
 
 
 def hessian(
@@ -38,44 +38,43 @@ def hessian(
     """``scale`` times the second derivative [N/m] (3V, 3V) of ``energy``, plus ``blocks`` (V, 3, 3) of the nodes.
 
     Rows and columns of fixed nodes are those of the identity. ``definite`` makes every element positive
-    semidefinite: the geometric stiffness keeps the tensile stress only, hinges the square of their turn.
+    semidefinite: triangles keep the tensile stress only, hinges are as stiff as unbent ones.
     """
-    membrane = orthotropic.membrane_hessian(model.triangles(x), rest.shape, parameters.stretch, definite=definite)
-    bending = orthotropic.bending_hessian(
-        model.hinges(x), rest.hinge_weight, parameters.bending_j, model.rest_angle, definite=definite
-    )
+    stretched = membrane.hessian(model.triangles(x), rest.triangles, parameters.membrane, definite=definite)
+    bent = bending.hessian(model.hinges(x), *_hinges(model, rest, parameters), definite=definite)
     blocks = np.zeros((model.node_count, 3, 3)) if blocks is None else blocks
-    return model.assembly.matrix([membrane.detach().numpy(), bending.detach().numpy()], blocks=blocks, scale=scale)
+    return model.assembly.matrix(_numpy([stretched, bent]), blocks=blocks, scale=scale)
 
 
 def work(model: ClothModel, rest: Rest, parameters: Parameters, x: Tensor, direction: Tensor) -> Tensor:
     """Derivative of ``energy`` along ``direction`` (V, 3); differentiable once more."""
-    membrane = orthotropic.membrane_work(model.triangles(x), rest.shape, parameters.stretch, model.triangles(direction))
-    bending = orthotropic.bending_work(
-        model.hinges(x), rest.hinge_weight, parameters.bending_j, model.hinges(direction), model.rest_angle
-    )
-    return membrane.sum() + bending.sum()
+    directions = model.triangles(direction), model.hinges(direction)
+    gradients = _gradients(model, rest, parameters, x)
+    return torch.stack([(slope * way).sum() for slope, way in zip(gradients, directions, strict=True)]).sum()
 
 
-def bilinear(
-    model: ClothModel, rest: Rest, parameters: Parameters, x: Tensor, left: Tensor, right: Tensor, *, definite: bool
-) -> Tensor:
-    """``left``^T ``hessian`` ``right`` without the matrix; differentiable once more."""
-    membrane = orthotropic.membrane_bilinear(
-        model.triangles(x),
-        rest.shape,
-        parameters.stretch,
-        model.triangles(left),
-        model.triangles(right),
-        definite=definite,
+def bilinear(model: ClothModel, rest: Rest, parameters: Parameters, x: Tensor, left: Tensor, right: Tensor) -> Tensor:
+    """``left``^T H ``right`` for the definite ``hessian`` H, without the matrix; differentiable once more."""
+    stretched = membrane.bilinear(
+        model.triangles(x), rest.triangles, parameters.membrane, model.triangles(left), model.triangles(right)
     )
-    bending = orthotropic.bending_bilinear(
-        model.hinges(x),
-        rest.hinge_weight,
-        parameters.bending_j,
-        model.hinges(left),
-        model.hinges(right),
-        model.rest_angle,
-        definite=definite,
-    )
-    return membrane.sum() + bending.sum()
+    stiffness_j, _ = _hinges(model, rest, parameters)
+    bent = bending.bilinear(model.hinges(x), stiffness_j, model.hinges(left), model.hinges(right))
+    return stretched.sum() + bent.sum()
+
+
+def _gradients(model: ClothModel, rest: Rest, parameters: Parameters, x: Tensor) -> list[Tensor]:
+    """Derivatives [N] of ``energy`` by the corners of triangles (3, 3, F) and hinges (4, 3, H)."""
+    return [
+        membrane.gradient(model.triangles(x), rest.triangles, parameters.membrane),
+        bending.gradient(model.hinges(x), *_hinges(model, rest, parameters)),
+    ]
+
+
+def _hinges(model: ClothModel, rest: Rest, parameters: Parameters) -> tuple[Tensor, Tensor]:
+    """Stiffness [J] and angle at rest [rad] (H,) of the hinges."""
+    return parameters.bending_j * rest.hinge_weight, model.rest_angle
+
+
+def _numpy(stacks: list[Tensor]) -> list[np.ndarray]:
+    return [stack.detach().numpy() for stack in stacks]

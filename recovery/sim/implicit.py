@@ -70,28 +70,3 @@ def _unpacked(leaves: tuple[Tensor, ...] | list[Tensor]) -> tuple[ClothState, Pa
 def solution(problem: Problem, state: ClothState, parameters: Parameters) -> Tensor:
     """The problem's solution (V, 3), differentiable once by ``state`` and ``parameters``."""
     return _Implicit.apply(problem, *state, *parameters)  # type: ignore[return-value]
-
-
-def tangent(
-    problem: Problem, state: ClothState, parameters: Parameters, changes: dict[str, Tensor]
-) -> tuple[Tensor, Tensor]:
-    """The solution (V, 3) and its derivative (V, 3) along ``changes``, directions by the names of the leaves.
-
-    Forward mode: the scalar of the adjoint is linear in its weights, so that the derivative by them gives the
-    right side of one more solve with the same factor. For sensitivities with few parameters and many outputs.
-    """
-    with torch.no_grad():
-        solution = problem.solve(state, parameters)
-    names = [*ClothState._fields, *Parameters._fields]
-    values = dict(zip(names, [*state, *parameters], strict=True))
-    with torch.enable_grad():
-        copies = {name: value.detach().requires_grad_(name in changes) for name, value in values.items()}
-        weights = torch.zeros_like(solution).requires_grad_(True)
-        scalar = problem.adjoint(weights, solution, *_unpacked(list(copies.values())))
-        wanted = [copies[name] for name in changes]
-        slopes = torch.autograd.grad(scalar, wanted, create_graph=True, allow_unused=True, materialize_grads=True)
-        along = sum((slope * change).sum() for slope, change in zip(slopes, changes.values(), strict=True))
-        (rhs,) = torch.autograd.grad(torch.as_tensor(along), weights)
-    factor = problem.factor(solution, state, parameters)
-    moved = factor.solve(np.ascontiguousarray((problem.free * rhs).numpy()).reshape(-1))
-    return solution, torch.from_numpy(moved).reshape(-1, 3)

@@ -12,7 +12,7 @@ from torch import Tensor
 from recovery.sim import elastic, implicit
 from recovery.sim.contact import SkinContact, tangential
 from recovery.sim.model import ClothModel, ClothState, Parameters, Rest
-from recovery.sim.solver import Factor, LinearSolver, superlu
+from recovery.sim.solver import Factor, superlu
 
 
 class Springs(NamedTuple):
@@ -23,20 +23,20 @@ class Springs(NamedTuple):
 
 
 class LinearisedStep:
-    """(M + dt^2 K + dt D) dv = dt (f - dt K v - D v), K = -df/dx of elastic and repulsion, D the drag of friction."""
+    """(M + dt^2 K + dt D) dv = dt (f - dt K v - D v), K the definite part of -df/dx, D the drag of friction.
+
+    With the whole of -df/dx the system is indefinite as soon as cloth is compressed.
+    """
 
     def __init__(
         self,
         model: ClothModel,
         contact: SkinContact | None,
-        solver: LinearSolver,
         *,
         dt_s: float,
-        definite: bool,
         pairs: Springs | None = None,
     ) -> None:
-        self.model, self.contact, self.solver, self.pairs = model, contact, solver, pairs
-        self.dt_s, self.definite = dt_s, definite
+        self.model, self.contact, self.pairs, self.dt_s = model, contact, pairs, dt_s
         self._factor: Factor | None = None
 
     @property
@@ -54,7 +54,7 @@ class LinearisedStep:
                 rest,
                 parameters,
                 state.x,
-                definite=self.definite,
+                definite=True,
                 scale=dt * dt,
                 blocks=self._blocks(state, rest, mass).numpy(),
             )
@@ -64,7 +64,7 @@ class LinearisedStep:
             moving = (self.free * state.v).reshape(-1).numpy()
             resisted = torch.from_numpy(matrix @ moving).reshape(-1, 3) - mass[:, None] * state.v
             rhs = self.free * (dt * force - resisted)
-            self._factor = self.solver(matrix)
+            self._factor = superlu(matrix)
             return torch.from_numpy(self._factor.solve(np.ascontiguousarray(rhs.numpy()).reshape(-1))).reshape(-1, 3)
 
     def factor(self, solution: Tensor, state: ClothState, parameters: Parameters) -> Factor:
@@ -81,9 +81,7 @@ class LinearisedStep:
         pushed = (weights * self._outer_force(state.x, rest, parameters)).sum()
         total = dt * (pushed - elastic.work(model, rest, parameters, state.x, weights))
         total = total - (mass[:, None] * weights * solution).sum()
-        total = total - dt * dt * elastic.bilinear(
-            model, rest, parameters, state.x, weights, after, definite=self.definite
-        )
+        total = total - dt * dt * elastic.bilinear(model, rest, parameters, state.x, weights, after)
         if self.contact is not None:
             scale, r = self.contact.stiffness(state.x, rest.node_area)
             total = total - dt * dt * (scale * (weights * r).sum(dim=1) * (after * r).sum(dim=1)).sum()
@@ -115,18 +113,14 @@ def linearised_step(
     *,
     dt_s: float,
     contact: SkinContact | None = None,
-    definite: bool = True,
-    solver: LinearSolver = superlu,
     pairs: Springs | None = None,
 ) -> ClothState:
     """The state ``dt_s`` [s] later after one linear solve (equation 1), then equation 4's correction.
 
-    ``pairs`` are springs between parts of the cloth, constant during the step, without a gradient.
-
-    ``definite`` False takes the exact Jacobian, whose system can be indefinite where cloth is compressed.
-    The factor is kept for the backward pass; differentiable once.
+    ``pairs`` are springs between parts of the cloth, constant during the step, without a gradient. The factor is
+    kept for the backward pass; differentiable once.
     """
-    step = LinearisedStep(model, contact, solver, dt_s=dt_s, definite=definite, pairs=pairs)
+    step = LinearisedStep(model, contact, dt_s=dt_s, pairs=pairs)
     v = state.v + implicit.solution(step, state, parameters)
     after = ClothState(state.x + dt_s * v, v)
     return after if contact is None else contact.corrected(after, model.free)
@@ -140,10 +134,8 @@ def simulate(
     dt_s: float,
     steps: int,
     contact: SkinContact | None = None,
-    definite: bool = True,
-    solver: LinearSolver = superlu,
 ) -> ClothState:
     """The state after ``steps`` linearised steps of ``dt_s`` [s]."""
     for _ in range(steps):
-        state = linearised_step(model, state, parameters, dt_s=dt_s, contact=contact, definite=definite, solver=solver)
+        state = linearised_step(model, state, parameters, dt_s=dt_s, contact=contact)
     return state

@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from drape.arrays import check_finite, check_shape
-from drape.cloth import orthotropic
-from drape.cloth.orthotropic import OrthotropicMaterial, RestShape
+from drape.cloth.material import OrthotropicMaterial
+from drape.cloth.membrane import RestTriangles, rest_triangles
+from drape.cloth.rest_state import dihedral_angles
 from drape.errors import InputError, MeshError
 from drape.geometry import meshes
 from recovery.sim.assembly import StaticAssembly
@@ -38,11 +39,17 @@ class Parameters(NamedTuple):
     density_kg_m2: Tensor
     force_n: Tensor
 
+    @property
+    def membrane(self) -> tuple[Tensor, ...]:
+        """The stiffness [N/m] of ``drape.cloth.membrane`` along the panels' x and y."""
+        h00, h01, h11, h22 = self.stretch
+        return h00, h11, h01, 2.0 * h22
+
 
 class Rest(NamedTuple):
-    """Constants that follow from the panels: triangles, ``hinge_weight`` (H,), and ``node_area`` [m^2] (V,)."""
+    """Constants that follow from the panels: ``triangles``, ``hinge_weight`` (H,), and ``node_area`` [m^2] (V,)."""
 
-    shape: RestShape
+    triangles: RestTriangles
     hinge_weight: Tensor
     node_area: Tensor
 
@@ -111,13 +118,12 @@ class ClothModel:
             self.fixed[fixed] = True
         self.gravity = torch.tensor([0.0, -gravity_m_s2, 0.0], dtype=torch.float64)
         self.hinge_nodes = hinges = meshes.hinges(self.faces)
-        self.rest_angle: Tensor | float = 0.0
+        self.rest_angle = torch.zeros(len(hinges), dtype=torch.float64)
         if rest_shape is not None:
             shape = np.asarray(rest_shape, dtype=np.float64)
             check_shape("rest_shape", shape, (self.node_count, 3), error=MeshError)
             check_finite("rest_shape", shape, error=MeshError)
-            corners = orthotropic.corners(shape.T, np.ascontiguousarray(hinges.T).reshape(-1), 4)
-            self.rest_angle = torch.from_numpy(orthotropic.hinge_angle(corners))
+            self.rest_angle = torch.from_numpy(dihedral_angles(shape, self.faces))
         sides = meshes.hinge_faces(self.faces)
         self.assembly = StaticAssembly([self.faces.T, hinges.T], self.node_count, fixed=self.fixed)
         self.free = torch.from_numpy(~self.fixed).to(torch.float64)[:, None]
@@ -139,7 +145,8 @@ class ClothModel:
         panels = np.asarray(panels, dtype=np.float64)
         check_shape("panels", panels, (self.panel_count, 2), error=MeshError)
         check_finite("panels", panels, error=MeshError)
-        area = orthotropic.rest_area(panels.T[:, self.panel_faces.T].transpose(1, 0, 2))
+        corners = panels[self.panel_faces]
+        area = 0.5 * np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1]))
         if area.min() <= SMALLEST_PANEL_SHARE * area.mean():
             raise MeshError(
                 "panels",
@@ -171,19 +178,23 @@ class ClothModel:
 
     def rest(self, panels: Tensor) -> Rest:
         """Constants of the rest ``panels`` (P, 2); differentiable."""
-        corners = orthotropic.corners(panels.T, self._panel_index, 3)
-        shape = orthotropic.rest_shape(corners)
-        lengths = orthotropic.panel_edges(corners).reshape(-1)
-        length = 0.5 * (lengths[self._hinge_edges[:, 0]] + lengths[self._hinge_edges[:, 1]])
-        first, second = shape.area[self._hinge_sides[:, 0]], shape.area[self._hinge_sides[:, 1]]
-        weight = orthotropic.hinge_weight(length, first, second)
+        a, b, c = _corners(panels, self._panel_index, 3)
+        triangles = rest_triangles(b - a, c - a)
+        lengths = torch.cat([(end - start).norm(dim=0) for start, end in ((a, b), (b, c), (c, a))])
+        edge, area = lengths[self._hinge_edges].mean(dim=1), triangles.area[self._hinge_sides].sum(dim=1)
         zeros = torch.zeros(self.node_count, dtype=panels.dtype)
-        return Rest(shape, weight, zeros.index_add(0, self._face_index, (shape.area / 3.0).repeat(3)))
+        node_area = zeros.index_add(0, self._face_index, (triangles.area / 3.0).repeat(3))
+        return Rest(triangles, edge * edge / area, node_area)
 
     def triangles(self, vectors: Tensor) -> Tensor:
         """Corners (3, 3, F) of the triangles from node vectors (V, 3)."""
-        return orthotropic.corners(vectors.T, self._face_index, 3)
+        return _corners(vectors, self._face_index, 3)
 
     def hinges(self, vectors: Tensor) -> Tensor:
         """Corners (4, 3, H) of the hinges from node vectors (V, 3)."""
-        return orthotropic.corners(vectors.T, self._hinge_index, 4)
+        return _corners(vectors, self._hinge_index, 4)
+
+
+def _corners(vectors: Tensor, index: Tensor, count: int) -> Tensor:
+    """Corners (count, D, n) of elements from ``vectors`` (V, D) at ``index`` (count * n,), all first corners first."""
+    return vectors.T[:, index].reshape(vectors.shape[1], count, -1).transpose(0, 1)

@@ -14,7 +14,7 @@ import scipy.sparse
 import torch
 from scipy.spatial import KDTree
 
-from drape.geometry import meshes
+from drape.geometry import mesh_graphs, meshes
 from recovery.sim.linearised import Springs
 
 SMALLEST_GAP = 1e-9
@@ -42,7 +42,7 @@ class SelfContact:
         self.thickness_m, self.stiffness = thickness_m, stiffness_n_per_m
         self.count = len(fixed)
         self._free = ~np.repeat(fixed, 3)
-        graph = meshes.adjacency(faces, self.count)
+        graph = mesh_graphs.adjacency(faces, self.count)
         self._ring = (graph + scipy.sparse.identity(self.count, format="csr")).tocsr()
         self._ring.sort_indices()
         rows = np.repeat(np.arange(self.count), np.diff(self._ring.indptr))

@@ -17,8 +17,8 @@ from drape.contact.projection import CLEARANCE_M
 from drape.contact.samples import Samples
 from drape.contact.skin import body_skin
 from drape.errors import NotFound
-from drape.graph.layer_feed import Sheet, layer_arrays, pack_layer
-from drape.graph.push_feed import feed_arrays, pack_push, pushed_jets
+from drape.graph.layer_feed import Sheet, pack_layer
+from drape.graph.push_feed import pack_push, pushed_jets
 from service.compute.constants_process import IN_PLACE, Workshop
 from service.graphs.engine import PUSH, PUSH_OVER, PUSHES, SKIN, SKIN_CONSTANTS, Engine
 
@@ -208,11 +208,11 @@ def _sheet(stored: _Stored, workshop: Workshop) -> Sheet:
 
 def _garment_arrays(feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples) -> dict[str, np.ndarray]:
     """The constants of a garment by the names of the graph's inputs."""
-    return feed_arrays(pack_push(feed, vertices, skin))
+    return pack_push(feed, vertices, skin).flat()
 
 
 def _arrays_over(
     feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples, sheets: Sequence[Sheet]
 ) -> dict[str, np.ndarray]:
     """The constants of a garment over others by the names of the graph's inputs."""
-    return layer_arrays(pack_layer(feed, vertices, skin, sheets))
+    return pack_layer(feed, vertices, skin, sheets).flat()

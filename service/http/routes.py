@@ -18,7 +18,7 @@ from drape.errors import BodyError, InputError, MotionError, NotFound
 from drape.export import glb
 from drape.export.glb_body import add_body
 from drape.export.glb_file import GlbFile
-from drape.export.ride import Ride
+from drape.export.root_motion import RootMotion
 from drape.export.usda import POINT_BYTES
 from drape.files.formats import MESH_CONTENT_TYPES, MESH_NAMES, listed
 from drape.garment.cache import Garment
@@ -336,13 +336,13 @@ def _garment_file(
     """The file, and what it begins with."""
     file, start = GlbFile(), 0
     vertices, point = placed.from_first()
-    ride = None
+    root_motion = None
     if asked.quantised:
-        ride = Ride(clip.poses[:, 0], clip.trans + drapery.body.rest_joints(clip.betas)[0] - point)
+        root_motion = RootMotion(clip.poses[:, 0], clip.trans + drapery.body.rest_joints(clip.betas)[0] - point)
     for layer, worn in enumerate(scene.layers):
         colour = glb.GARMENT_COLOURS[layer % len(glb.GARMENT_COLOURS)]
         own = vertices[:, start : start + worn.vertex_count]
-        glb.add_garment(file, worn.garment, own, asked.fps, colour, ride=ride)
+        glb.add_garment(file, worn.garment, own, asked.fps, colour, root_motion=root_motion)
         start += worn.vertex_count
     if asked.body:
         add_body(file, drapery.body, clip.betas, clip.poses, clip.trans - point, asked.fps)

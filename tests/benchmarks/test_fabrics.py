@@ -11,16 +11,10 @@ import pytest
 from scipy.integrate import solve_bvp
 
 from benchmarks import fabrics
-from benchmarks.cloth import fabric_picture, fabric_tests
+from benchmarks.cloth import fabric_tests
 from drape.cloth.fabric_table import fabric
 
 POPLIN = fabric("poplin").softened(1e3)
-
-
-@pytest.fixture(autouse=True)
-def small_pictures(monkeypatch: pytest.MonkeyPatch):
-    for name, value in {"TILE": 100, "SAMPLES": 1, "LIGHT_CELL_M": 0.004}.items():
-        monkeypatch.setattr(fabric_picture, name, value)
 
 
 def flat(mesh: fabric_tests.Mesh) -> np.ndarray:
@@ -103,11 +97,9 @@ def test_summary_counts_bands_and_order():
     }
 
 
-def test_command_writes_its_record_and_picture(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-):
-    record, picture = tmp_path / "record.json", tmp_path / "discs.png"
-    arguments = ["--quick", "--fabric", "denim", "--threads", "1", "--out", str(record), "--picture", str(picture)]
+def test_command_writes_its_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture):
+    record = tmp_path / "record.json"
+    arguments = ["--quick", "--fabric", "denim", "--threads", "1", "--out", str(record)]
     monkeypatch.setattr(sys, "argv", ["fabrics", *arguments])
     monkeypatch.setattr(fabrics, "QUICK_EDGES_M", (0.02,))
     assert fabrics.main() == 0
@@ -115,16 +107,3 @@ def test_command_writes_its_record_and_picture(
     assert json.loads(capsys.readouterr().out.splitlines()[-1]) == saved
     keys = {"fabric", "bending_length_m", "peirce_m", "drape_coefficient_pct", "range_pct", "inside_range", "nodes"}
     assert all(keys <= set(row) for row in saved["rows"])
-    assert picture.stat().st_size > 1000
-
-
-def test_picture_shows_the_cloth_in_its_colour(tmp_path: Path):
-    from PIL import Image
-
-    mesh = fabric_tests.disc_mesh(0.016)
-    shape = folded(mesh, folds=6, depth_m=0.008)
-    report = fabric_tests.Report(0, 0.0, True)
-    fabric_picture.draw(tmp_path / "one.png", {"satin": fabric_tests.Drape(shape, mesh, 40.0, 6, report)})
-    pixels = np.asarray(Image.open(tmp_path / "one.png").convert("RGB"), dtype=float)
-    red = (pixels[..., 0] > 1.5 * pixels[..., 1]) & (pixels[..., 0] > 1.5 * pixels[..., 2])
-    assert 0.05 < red.mean() < 0.5

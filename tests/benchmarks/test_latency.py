@@ -20,6 +20,7 @@ from drape.body.assets import load_body
 from drape.graph.packing import pack_body
 from service.graphs.engine import Engine
 from service.graphs.packing import Packer, ScenePlan
+from tests.fixtures.garments import reconstructed
 from tests.fixtures.packed import exported, lively
 
 
@@ -107,7 +108,7 @@ def test_more_vertices_lie_on_the_same_surface():
     garment, pose = shipped("shorts"), np.zeros((1, 24, 3))
     more = with_vertices(garment, 3 * garment.vertex_count)
     assert more.vertex_count == 3 * garment.vertex_count and more.patch_count == garment.patch_count
-    assert_allclose(more.reconstruct()[: more.vertex_count], more.vertices[: more.vertex_count], rtol=0, atol=1e-6)
+    assert_allclose(reconstructed(more)[: more.vertex_count], more.vertices[: more.vertex_count], rtol=0, atol=1e-6)
     assert with_vertices(garment, 500).vertex_count == 500
     assert drape(more, pose).shape == (more.vertex_count, 3)
 

@@ -46,8 +46,7 @@ def test_the_quick_table_is_ordered_as_physics_demands(tmp_path):
         pytest.skip("no shipped shorts: run the intake")
     stored = tmp_path / "quality.json"
     asked = "--quick --garments shorts --threads 1 --no-physics-cache"
-    record = quality.main(f"{asked} --out {stored} --sheets {tmp_path / 'sheets'}".split())
-    assert (tmp_path / "sheets" / "strain_shorts.png").read_bytes()[1:4] == b"PNG"
+    record = quality.main(f"{asked} --out {stored}".split())
     assert json.loads(stored.read_text()) == record
     rows = {row["method"]: row for row in record["rows"]}
     assert tuple(rows) == METHODS
@@ -56,7 +55,6 @@ def test_the_quick_table_is_ordered_as_physics_demands(tmp_path):
     assert record["graph"] == "packed_int8"  # what is served
     assert record["windows"][0].startswith("reach:")
     assert (record["fabric"], record["passes"]) == (["jersey"] if record["knows_fabrics"] else [], 4)
-    assert (tmp_path / "sheets" / "cloth_shorts.png").is_file()
     assert rows["skinning"]["detail_mm"] > 0.0
     assert rows["physics"]["gain"] == 1.0
     assert rows["skinning_push"]["gain"] == 0.0
@@ -108,8 +106,6 @@ def test_every_fabric_is_measured_once_under_its_own_name(tmp_path):
 def test_fabrics_that_cannot_be_measured_are_refused(tmp_path):
     with pytest.raises(NotFound, match="fabric: expected one of"):
         quality.in_fabrics(bench(tmp_path), options("--fabrics", "tin"))
-    with pytest.raises(InputError, match="--reference: expected one isotropic cloth"):
-        quality.in_fabrics(bench(tmp_path), options("--fabrics", "rib", "--reference"))
     with pytest.raises(SystemExit):
         options("--fabrics", "rib", "--material", "soft")
 

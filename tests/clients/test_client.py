@@ -12,7 +12,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from clients import calls
-from clients.client import AsyncDrapeClient, DrapeClient, check_deadline, finished
+from clients.client import AsyncDrapeClient, DrapeClient
+from clients.methods import check_deadline, finished
 from clients.refusals import ServiceError, problem_error
 from clients.stream import DrapeStream
 from drape.body.model import BodyModel
@@ -236,7 +237,7 @@ def test_a_close_without_a_word_is_told_by_its_code(live: str):
 
 
 def test_requests_carry_their_poses_in_binary_and_the_rest_as_json():
-    call = calls.drape("tube", np.zeros((1, 24, 3), np.float32), calls.Body(), {"folds": 0})
+    call = calls.draped(calls.read_vertices, "tube", np.zeros((1, 24, 3), np.float32), calls.Body(), {"folds": 0})
     arguments = call.arguments()
     assert arguments["headers"]["Content-Type"] == "application/octet-stream" and arguments["json"] is None
     text, poses, trans = unpack_clip(arguments["content"])

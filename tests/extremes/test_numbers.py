@@ -10,11 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.precision import encoding_errors_mm
 from drape.arrays.subnormals import flushed
 from drape.body.assets import load_body
+from drape.geometry import jets
+from drape.geometry.rotations import rotvec_to_matrix
 from drape.graph.packing import pack_body
 from drape.wire import messages as wire
+from drape.wire.jets import JetFrame, pack_jets, unpack_jets
 from model_export.folder import _add_packed
 from model_export.precision.half import HALF, halve_matrices
 from service.compute.drape_runtime import Drapery
@@ -24,10 +26,37 @@ from tests.extremes.frames import check_bounded, draped
 from tests.fixtures.packed import exported, garment
 
 BUDGET_MM = {"frame": 0.05, "jets_turn": 0.1, "jets_centre": 0.05, "float32": 0.001, "float16": 1.0}
+BOX_M, PATCH_M = 2.0, 0.1
+
+
+def encoding_errors_mm(*, size_m: float, seed: int = 0, count: int = 500) -> dict[str, float]:
+    """The largest error [mm] of each encoding for positions in a box of ``size_m``, where a patch of the JETS message
+    has a twentieth of it. ``jets_turn`` is at a patch's rim."""
+    rng = np.random.default_rng(seed)
+    positions = (size_m * rng.uniform(-0.5, 0.5, (count, 3))).astype(np.float32)
+    exact, rim_m = positions.astype(np.float64), size_m * PATCH_M / BOX_M
+    frame = wire.unpack_frame(wire.pack_frame(wire.Frame(0, 0.0, 0.0, np.zeros(3), positions)))
+    rotation = rotvec_to_matrix(rng.normal(size=(count, 3)))
+    jet = 0.3 * rng.normal(size=(count, jets.FULL_COUNT)).astype(np.float32)
+    said = JetFrame(0, 0.0, 0.0, np.zeros(3), jet, rotation.astype(np.float32), positions)
+    got = unpack_jets(pack_jets(said))
+
+    def largest_mm(difference_m: np.ndarray) -> float:
+        return 1e3 * float(np.linalg.norm(difference_m, axis=-1).max())
+
+    with np.errstate(over="ignore"):
+        half = positions.astype(np.float16).astype(np.float64)
+    return {
+        "frame": largest_mm(frame.positions - exact),
+        "jets_centre": largest_mm(got.centre - exact),
+        "jets_turn": 1e3 * rim_m * float(np.linalg.norm(got.rotation - rotation, axis=(1, 2)).max()),
+        "float32": largest_mm(0.5 * np.spacing(np.abs(positions)).astype(np.float64)),
+        "float16": largest_mm(half - exact),
+    }
 
 
 def test_subnormal_inputs_drape_as_zeros(drapery: Drapery):
-    """Guards against subnormals in a matrix product; how much slower they are is in ``benchmarks.precision``."""
+    """Guards against subnormals in a matrix product."""
     poses = np.full((2, 24, 3), 1e-40)
     with flushed():
         batch = draped(drapery, poses, trans=np.full((2, 3), 1e-310), betas=np.full(10, 1e-40))

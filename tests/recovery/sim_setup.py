@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from drape.cloth.orthotropic import OrthotropicMaterial
+from drape.cloth.material import OrthotropicMaterial
 from recovery.sim.model import ClothModel, ClothState, Parameters
 
 # A woven cloth of ordinary stiffness, every constant different so that a swap shows.

@@ -17,7 +17,7 @@ from drape.garment.cache import load_garment
 from drape.garment.files.mesh import read_mesh
 from drape.garment.grain import texture
 from drape.garment.intake import intake
-from drape.garment.sewing import beside, sewn_hinges
+from drape.garment.sewing import sewing_beside, sewn_hinges
 from drape.geometry import meshes
 from recovery.catalogue.__main__ import main
 from recovery.catalogue.build import QUICK, SewnGarment, body_distance, build, design
@@ -132,7 +132,7 @@ def test_intake_has_the_hinges_that_were_simulated(tmp_path):
     model = ClothModel(mesh.faces, panel_faces=mesh.panel_faces)
     nodes = mesh.nodes_from(mesh.placed())
     obj = write_garment(SewnGarment(made, mesh, nodes, {}), tmp_path, name="shirt", size="M", body="b")[0]
-    told, read = beside(obj), read_mesh(obj)
+    told, read = sewing_beside(obj), read_mesh(obj)
     painted = texture(read.uv, read.uv_faces, len(read.faces))
     assert told is not None and painted is not None
     told.check(read)

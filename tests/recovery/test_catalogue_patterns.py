@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from drape.cloth.fabric_table import FABRICS
 from drape.errors import InputError, NotFound
-from drape.geometry import meshes
+from drape.geometry import mesh_graphs, meshes
 from recovery.catalogue.garments import CATALOGUE
 from recovery.pattern import geometry
 from recovery.pattern.darts import Dart, waist_with_darts
@@ -42,7 +42,7 @@ def test_a_garment_sews_up_to_one_surface_with_its_openings(name):
     assert made.fabric in FABRICS and made.pattern.name == name
     assert len(made.seam_names) == len(made.pattern.stitches)
     mesh = mesh_pattern(made.pattern, 0.05)
-    assert meshes.connected_components(mesh.faces, mesh.node_count).max() == 0
+    assert mesh_graphs.connected_components(mesh.faces, mesh.node_count).max() == 0
     assert len(meshes.boundary_loops(mesh.faces)) == OPENINGS[name]
     sewn = {ref for stitch in made.pattern.stitches for ref in (stitch.first, stitch.second)}
     # What is not sewn is a hem or an opening, and named so.

@@ -11,7 +11,7 @@ import torch
 from numpy.testing import assert_allclose
 
 from benchmarks.recovery.compare import pattern_error
-from drape.cloth.orthotropic import OrthotropicMaterial
+from drape.cloth.material import OrthotropicMaterial
 from drape.errors import ArtifactError, InputError, MeshError
 from recovery.fit.contours import Contour, Match, Place, open_contours
 from recovery.fit.curvature import gauss_newton_matrix
@@ -321,7 +321,7 @@ def test_progress_is_shown_on_request(capsys):
 
 
 def test_wrong_options_and_other_controls_are_refused():
-    for wrong in (("closing", -1), ("rate_m", 0.5), ("last_rate_m", 0.0), ("beta1", 1.0), ("floor", 0.0)):
+    for wrong in (("closing", -1), ("rate_m", 0.5), ("last_rate_m", 0.0)):
         with pytest.raises(InputError, match="fit options"):
             replace(FitOptions(), **dict([wrong]))
     with pytest.raises(InputError, match="fit options"):

@@ -102,8 +102,8 @@ def test_a_graded_pattern_that_sticks_on_one_mesh_is_draped_on_the_next(monkeypa
         return drape_pattern(pattern, body, replace(drape, iteration_limit=0) if first else drape, **given)
 
     monkeypatch.setattr(pipeline, "drape_pattern", stopped_at_first)
-    assert pipeline._drape(pattern, body, very_coarse, None, skin).at_rest
+    assert pipeline.drape_at_rest(pattern, body, very_coarse, None, skin).at_rest
     assert_allclose(lengths, [0.12, 0.93 * 0.12])
     monkeypatch.undo()
     with pytest.raises(InputError, match=r"graded pattern: .* N left at a node, on the best of 4 meshes"):
-        pipeline._drape(pattern, body, replace(very_coarse, iteration_limit=0), None, skin)
+        pipeline.drape_at_rest(pattern, body, replace(very_coarse, iteration_limit=0), None, skin)

@@ -9,7 +9,7 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from drape.cloth.orthotropic import OrthotropicMaterial
+from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError, MeshError
 from drape.files.data import data_folder
 from drape.geometry import meshes

@@ -23,6 +23,7 @@ from recovery.atomic import write
 from recovery.drape.output import obj_text, panel_texture
 from recovery.drape.pipeline import DrapeOptions, drape_pattern
 from recovery.fit.chamfer import chamfer, surface_chamfer, surface_distance
+from recovery.fit.cloth import named
 from recovery.pattern.bases import tshirt
 from recovery.pattern.garmentcode import read_pattern
 from recovery.run import __main__ as command
@@ -30,8 +31,8 @@ from recovery.run.identify import shape_basis
 from recovery.run.job import describe_worn, lost_words, run_job
 from recovery.run.report import Page
 from recovery.run.report_text import cloth_words, cut_words, file_words, verdicts
-from recovery.run.retarget import _worn, lost_parts, retargeted
-from tests.recovery.pattern_setup import default_measurements
+from recovery.run.retarget import lost_parts, retargeted
+from tests.recovery.pattern_setup import default_measurements, tube
 
 SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
 HALVES, OTHER_HALVES = np.array([[0, 1, 2], [0, 2, 3]]), np.array([[0, 1, 3], [1, 2, 3]])
@@ -221,16 +222,17 @@ def test_an_arm_beside_its_sleeve_is_noticed():
     assert lost_parts(trunk, tube_faces, joints, ["trunk", "trunk"]) == ()
     assert lost_parts(trunk, tube_faces, joints, ["trunk", "trunk", "right_arm"]) == ("right_arm",)
     assert lost_parts(trunk + np.array([0.7, 0.0, 0.0]), tube_faces, joints, ["trunk"]) == ("trunk",)
-    assert lost_parts(np.zeros((0, 3)), np.zeros((0, 3), dtype=int), joints, ["trunk"]) == ()
     assert lost_words(["right_arm"]) == "the right arm is not in the garment's opening"
     assert lost_words(["left_arm", "right_arm"]).startswith("the left arm and the right arm are")
 
 
-def test_a_place_that_refuses_the_garment_says_so():
-    def refuse():
+def test_a_place_that_refuses_the_garment_says_so(monkeypatch):
+    def refuse(*given, **more):
         raise InputError("pattern", expected="cloth", got="none", cure="Size it up.")
 
-    worn = _worn("a giant", SQUARE, HALVES, refuse)
+    monkeypatch.setattr("recovery.run.retarget.drape_pattern", refuse)
+    body = load_body()
+    worn = next(retargeted(tube(), None, body, body, COARSE, ["trunk"], cloth=named("jersey")))
     assert worn.refusal.endswith("Size it up.") and len(worn.nodes) == len(worn.faces) == 0 and worn.figures == {}
 
 

@@ -8,13 +8,12 @@ import torch
 from numpy.testing import assert_allclose
 from torch import Tensor
 
-from recovery.sim import elastic, implicit
+from recovery.sim import elastic
 from recovery.sim.contact import SkinContact
-from recovery.sim.linearised import LinearisedStep, linearised_step, simulate
+from recovery.sim.linearised import linearised_step, simulate
 from recovery.sim.model import ClothState, Parameters
-from recovery.sim.newton import Minimum, equilibrium, newton_step
+from recovery.sim.newton import equilibrium, newton_step
 from recovery.sim.sdf import Sphere
-from recovery.sim.solver import superlu
 from tests.recovery.sim_setup import WOVEN, crumpled, directional_error, leaves_of, sewn_tube, with_leaf
 
 MODEL, PANELS, NODES = sewn_tube(fixed=[0, 1])
@@ -45,10 +44,9 @@ def best_error(function, name: str, *, enough: float, start: ClothState = START)
 
 
 @pytest.mark.parametrize("name", LEAVES)
-@pytest.mark.parametrize("definite", [True, False])
-def test_one_step_has_the_gradient_of_differences(name, definite):
+def test_one_step_has_the_gradient_of_differences(name):
     def function(state, parameters):
-        return loss(linearised_step(MODEL, state, parameters, dt_s=DT_S, definite=definite))
+        return loss(linearised_step(MODEL, state, parameters, dt_s=DT_S))
 
     assert best_error(function, name, enough=1e-7) < 1e-7
 
@@ -104,29 +102,6 @@ def gradient_of(name: str, function) -> Tensor:
     return torch.autograd.grad(function(*with_leaf(START, CLOTH, name, leaf)), leaf)[0]
 
 
-@pytest.mark.parametrize("kind", ["linearised", "exact", "newton"])
-def test_adjoint_and_forward_mode_agree(kind):
-    """<J p, w> = <p, J^T w> to 1e-10, for all leaves at once."""
-    generator = torch.Generator().manual_seed(5)
-    changes = {
-        name: torch.randn(value.shape, generator=generator, dtype=torch.float64) * (1e-3 + 0.1 * value.abs().max())
-        for name, value in leaves_of(START, CLOTH).items()
-    }
-    changes["v"] = changes["v"] * MODEL.free
-    if kind == "newton":
-        settings = {"dt_s": DT_S, "tolerance_n": 1e-10, "iteration_limit": 100}
-        problem = Minimum(MODEL, BALL, superlu, **settings)
-    else:
-        problem = LinearisedStep(MODEL, BALL, superlu, dt_s=DT_S, definite=kind == "linearised")
-    _, moved = implicit.tangent(problem, START, CLOTH, changes)
-    forward = float((moved * WEIGHTS).sum())
-    leaves = [value.clone().requires_grad_(True) for value in leaves_of(START, CLOTH).values()]
-    found = implicit.solution(problem, ClothState(*leaves[:2]), Parameters(*leaves[2:]))
-    slopes = torch.autograd.grad((found * WEIGHTS).sum(), leaves, materialize_grads=True, allow_unused=True)
-    backward = sum(float((slope * change).sum()) for slope, change in zip(slopes, changes.values(), strict=True))
-    assert_allclose(backward, forward, rtol=1e-10)
-
-
 def remainders(name: str, function, *, largest: float) -> np.ndarray:
     """|L(p + h d) - L(p) - h g.d| for h = largest / 2^i."""
     slope, leaf = gradient_of(name, function), leaves_of(START, CLOTH)[name]
@@ -138,7 +113,7 @@ def remainders(name: str, function, *, largest: float) -> np.ndarray:
     return np.abs(np.array(values) - start - sizes * along)
 
 
-@pytest.mark.parametrize(("name", "largest"), [("panels", 2e-5), ("x", 2e-5), ("stretch", 0.5)])
+@pytest.mark.parametrize(("name", "largest"), [("panels", 2e-5), ("x", 1e-6), ("stretch", 0.5)])
 def test_taylors_remainder_falls_with_the_square(name, largest):
     """Slope 1.9 to 2.1 over five halvings, 20 steps."""
     found = remainders(name, lambda s, p: loss(simulate(MODEL, s, p, dt_s=DT_S, steps=20)), largest=largest)
@@ -150,9 +125,9 @@ def test_a_frozen_system_matrix_is_found(monkeypatch):
     """Mutation: without the derivative of the Hessian the gradient is wrong, and the check says so."""
     whole = elastic.bilinear
 
-    def frozen(model, rest, parameters, x, left, right, *, definite):
+    def frozen(model, rest, parameters, x, left, right):
         still = Parameters(*(leaf.detach() for leaf in parameters))
-        return whole(model, model.rest(still.panels), still, x.detach(), left, right, definite=definite)
+        return whole(model, model.rest(still.panels), still, x.detach(), left, right)
 
     monkeypatch.setattr(elastic, "bilinear", frozen)
     for name in ("x", "panels", "stretch"):

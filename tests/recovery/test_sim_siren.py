@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -18,7 +19,7 @@ from drape.body.assets import load_body
 from drape.errors import ArtifactError, InputError, MeshError
 from drape.geometry.meshes import subdivide
 from recovery.drape.__main__ import main
-from recovery.drape.body_distance import DistanceKind, skin_distance
+from recovery.drape.body_distance import DistanceKind
 from recovery.drape.pipeline import DrapeOptions
 from recovery.pattern.bases import skirt
 from recovery.pattern.garmentcode import write_pattern
@@ -233,7 +234,7 @@ def test_the_kind_decides_what_a_body_is_given_as(tmp_path):
     options = DrapeOptions(grid_m=0.04, siren=tiny, siren_folder=tmp_path)
     assert isinstance(options.skin(vertices, faces), GridDistance)
     assert not list(tmp_path.iterdir())
-    chosen = skin_distance(vertices, faces, DistanceKind.SIREN, grid_m=0.04, siren=tiny, folder=tmp_path)
+    chosen = replace(options, distance=DistanceKind.SIREN).skin(vertices, faces)
     assert isinstance(chosen, SirenDistance) and len(list(tmp_path.iterdir())) == 1
 
 

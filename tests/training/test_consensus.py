@@ -14,7 +14,6 @@ from drape.body.assets import load_body
 from drape.catalog import find_garments, open_garment
 from drape.contact.skin import body_skin
 from drape.garment.cache import Garment
-from drape.garment.disagreement import disagreement
 from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.graph.feeds import garment_feed
@@ -30,6 +29,7 @@ from training.consensus import (
     tangent_terms,
 )
 from training.data import Partition, on_device, partition_tensors
+from training.disagreement import disagreement
 from training.model import OneFit, Posed, pose_frames, posed_coefficients
 
 

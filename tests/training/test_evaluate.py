@@ -14,15 +14,16 @@ from drape.catalog import find_garments, open_garment
 from drape.errors import ArtifactError
 from drape.files.data import DATA_VARIABLE
 from drape.garment.cache import save_garment
-from drape.garment.disagreement import chart_positions
 from drape.geometry.skinning import skin_points
 from drape.graph.feeds import body_feed
 from drape.motion.clip import MotionClip
 from drape.motion.hard_poses import HardPoses
+from tests.fixtures.garments import reconstructed
 from tests.fixtures.tiny_model import skinned_vertices, tube_garment
 from tests.training.training_setup import TINY, TINY_RUN, body, source
 from training import checkpoint
 from training.config import as_published
+from training.disagreement import chart_positions
 from training.evaluate import evaluate, held_out_clips, load_network, main, posed_patches
 from training.model import OneFit
 
@@ -71,7 +72,7 @@ def test_vertices_are_the_blend_of_the_posed_patches():
 def test_the_papers_variant_is_skinned_after_it_is_deformed():
     garment = tube_garment(body())
     vertices, _ = posed_patches(network("paper", silent=True), garment, source(), bend())
-    rest = np.broadcast_to(garment.reconstruct(), (2, *garment.vertices.shape))
+    rest = np.broadcast_to(reconstructed(garment), (2, *garment.vertices.shape))
     expected = skin_points(rest, garment.skin_weights, *body().bones(bend()))
     assert_allclose(vertices, expected, rtol=0.0, atol=2e-6)
 

@@ -1,9 +1,8 @@
 """Reads a mesh file as its maker left it: vertex order, uv and materials kept, nothing trusted.
 
-OBJ and GLB are parsed here: no library keeps OBJ's vertex order, and a GLB of 360 bytes can
-make one allocate a gigabyte. PLY and ASCII STL go through trimesh after their declared counts
-were compared with the bytes that came. What the mesh means (unit, up axis, faults) is decided
-in ``drape.garment.mesh_checks``.
+OBJ and GLB are parsed here: a refused OBJ names its line, and a GLB of 360 bytes can make a library allocate a
+gigabyte. PLY and ASCII STL go through trimesh, after their declared counts were compared with the bytes that came.
+``drape.garment.mesh_checks`` decides on the meaning of a mesh: its unit, its up axis and its faults.
 """
 
 from __future__ import annotations

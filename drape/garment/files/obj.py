@@ -1,4 +1,4 @@
-"""Reads Wavefront OBJ: no library keeps its vertex order."""
+"""Reads Wavefront OBJ: faults are named by their line, and limits hold while the file is read."""
 
 from __future__ import annotations
 

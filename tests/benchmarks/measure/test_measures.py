@@ -12,16 +12,16 @@ from benchmarks.judge.body_distance import blended_distance
 from benchmarks.measure.hem import hang_mm
 from benchmarks.measure.intersections import intersection_count
 from benchmarks.measure.measures import METHODS as EVERY
-from benchmarks.measure.measures import add_comparisons, measure, sheet_name, summary
+from benchmarks.measure.measures import add_comparisons, measure, summary
 from drape.cloth import energies, metrics
 from drape.cloth.detail import LowPass, dihedral_deg
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
 from drape.cloth.material import Material
 from drape.cloth.rest_state import modelled
-from drape.garment.disagreement import disagreement
 from drape.geometry.skinning import skin_points
 from tests.benchmarks.quality_setup import bench, body, tube
+from training.disagreement import disagreement
 
 METHODS = tuple(method for method in EVERY if method != "folds")  # of a cloth that is no fabric
 DETAIL_MM = {"skinning": 1.0, "network": 1.5, "network_push": 0.5, "physics": 3.0}
@@ -52,8 +52,6 @@ def test_every_method_has_a_row_with_the_figures_that_apply_to_it(measured):
         "seconds": {"physics"},
     }.items():
         assert {method for method in METHODS if key in rows[method]} == methods
-    # Only the option --reference runs the second simulator.
-    assert not [key for row in rows.values() for key in row if key.startswith("reference")]
 
 
 def test_figures_are_those_of_the_drapes(measured):
@@ -114,12 +112,6 @@ def test_a_fabric_is_what_physics_and_the_energy_have_and_its_garment_rests_as_i
     assert found["folds"]["detail_share"] is not None
     assert found["physics"]["weight_n"] > 1.3 * rows["physics"]["weight_n"]
     assert len(list(tmp_path.glob("*.npz"))) == 1
-
-
-def test_sheets_in_the_default_fabric_are_called_by_the_garment_alone(measured):
-    made, _ = measured
-    named = [sheet_name(tube(), one) for one in (made, made.of_fabric(fabric("jersey")), made.of_fabric(fabric("rib")))]
-    assert named == ["tube", "tube", "tube_rib"]
 
 
 def rows_of(kind: str, garment: str, energy_j: dict[str, float], edge_pct: float) -> list[dict]:

@@ -12,10 +12,10 @@ from benchmarks.shared import network as subject
 from drape.artifacts import DEFAULT_MODEL, MODELS_DIR, load_manifest
 from drape.cloth.fabric_table import fabric
 from drape.errors import ArtifactError, InputError
-from drape.garment.disagreement import chart_positions
 from tests.benchmarks.quality_setup import bending, body, network, tube
 from tests.fixtures.packed import SMALL, exported, exported_dynamic, garment
 from tests.fixtures.tiny_model import ROUNDING_M, expected_vertices, write_tiny_model
+from training.disagreement import chart_positions
 
 
 def test_the_charts_that_come_with_the_vertices_blend_into_them_however_many_calls_they_take():

@@ -9,9 +9,8 @@ import pytest
 import torch
 
 from drape.arrays import like
-from drape.cloth import orthotropic
+from drape.cloth import bending
 from drape.cloth.fabric import Fabric, bending_angle, hinge_rigidity, plate_rigidity, tensile_modulus
-from drape.cloth.material import Material
 from drape.errors import InputError
 from drape.geometry import meshes
 
@@ -40,13 +39,12 @@ def bent_energy(fabric: Fabric, angle_rad: float, radius_m: float, *, turn_rad: 
     hinges, sides = meshes.hinges(faces), meshes.hinge_faces(faces)
     s = panel @ np.array([np.sin(angle_rad), np.cos(angle_rad)])  # x is the weft
     t = panel @ np.array([np.cos(angle_rad), -np.sin(angle_rad)])
-    shape = np.stack([t, radius_m * np.sin(s / radius_m), radius_m * np.cos(s / radius_m)], axis=0)
+    shape = np.stack([t, radius_m * np.sin(s / radius_m), radius_m * np.cos(s / radius_m)], axis=1)
     edge = panel[hinges[:, 1]] - panel[hinges[:, 0]]
     area = meshes.face_areas(np.pad(panel, ((0, 0), (0, 1))), faces)
-    weight = orthotropic.hinge_weight(np.linalg.norm(edge, axis=1), *area[sides].T)
-    rigidity = hinge_rigidity(fabric, bending_angle(edge))
-    corners = orthotropic.corners(shape, np.ascontiguousarray(hinges.T).reshape(-1), 4)
-    energy = orthotropic.bending_energy(corners, weight, rigidity)
+    weight = (edge**2).sum(axis=1) / area[sides].sum(axis=1)
+    stiffness = weight * hinge_rigidity(fabric, bending_angle(edge))
+    energy = bending.energy(shape[hinges.T].transpose(0, 2, 1), stiffness, np.zeros(len(hinges)))
     # Every hinge stands for a third of its two triangles.
     return float(energy.sum() / (area[sides].sum() / 3.0))
 
@@ -80,35 +78,6 @@ def test_an_edge_along_the_weft_bends_along_the_warp():
     x, y = np.array([[1.0, 0.0], [-1.0, 0.0]]), np.array([[0.0, 1.0], [0.0, -1.0]])
     np.testing.assert_allclose(plate_rigidity(WOVEN, bending_angle(x)), WOVEN.bending_warp_j, rtol=1e-12, atol=0.0)
     np.testing.assert_allclose(plate_rigidity(WOVEN, bending_angle(y)), WOVEN.bending_weft_j, rtol=1e-12, atol=0.0)
-
-
-@pytest.mark.parametrize("which", ["warp", "weft", "shear"])
-def test_membrane_has_the_energy_of_the_equation(which: str):
-    strain = {"warp": (0.0, 0.02, 0.0), "weft": (0.03, 0.0, 0.0), "shear": (0.0, 0.0, 0.01)}[which]
-    s = orthotropic.stress(np.array(strain), Material.of(WOVEN).woven.stretch_n_per_m)
-    found = 0.5 * (s[0] * strain[0] + s[1] * strain[1] + 2.0 * s[2] * strain[2])
-    stiffness = {"warp": WOVEN.warp_n_per_m, "weft": WOVEN.weft_n_per_m, "shear": WOVEN.shear_n_per_m}[which]
-    np.testing.assert_allclose(found, 0.5 * stiffness * max(strain) ** 2, rtol=1e-12, atol=0.0)
-
-
-def test_gradients_with_a_rigidity_for_each_hinge_are_those_of_finite_differences():
-    panel, faces = lattice(4)
-    hinges = meshes.hinges(faces)
-    index = np.ascontiguousarray(hinges.T).reshape(-1)
-    rng = np.random.default_rng(0)
-    shape = np.stack([panel[:, 0], rng.normal(size=len(panel)) * 3e-4, panel[:, 1]], axis=0)
-    rigidity = hinge_rigidity(WOVEN, bending_angle(panel[hinges[:, 1]] - panel[hinges[:, 0]]))
-    weight = np.full(len(hinges), 1.15)
-    corners, step = orthotropic.corners(shape, index, 4), 1e-9
-    gradient = orthotropic.bending_gradient(corners, weight, rigidity)
-    for corner in range(4):
-        for axis in range(3):
-            off = np.zeros_like(corners)
-            off[corner, axis] = step
-            ahead, behind = (orthotropic.bending_energy(corners + sign * off, weight, rigidity) for sign in (1, -1))
-            np.testing.assert_allclose(
-                (ahead - behind) / (2.0 * step), gradient[corner, axis], rtol=1e-5, atol=1e-5 * np.abs(gradient).max()
-            )
 
 
 def test_tensile_modulus_is_the_stiffness_of_a_strip_free_to_narrow():

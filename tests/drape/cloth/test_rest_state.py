@@ -9,7 +9,7 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from drape.cloth import energies, orthotropic, rest_state
+from drape.cloth import energies, rest_state
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric import Fabric, bending_angle, hinge_rigidity
 from drape.cloth.material import Material
@@ -26,16 +26,6 @@ def panel(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     rest, faces = grid(6, 5)
     rest[:, :2] += 0.001 * rng.normal(size=(len(rest), 2))
     return rest, faces
-
-
-def test_membrane_is_the_orthotropic_one_of_the_simulator(rng):
-    rest, faces = panel(rng)
-    moved = rest + 0.002 * rng.normal(size=rest.shape)
-    corners = rest[:, :2].T[:, faces.T].transpose(1, 0, 2)
-    shape = orthotropic.rest_shape(corners)
-    by_face = orthotropic.membrane_energy(moved.T[:, faces.T].transpose(1, 0, 2), shape, WOVEN.woven.stretch_n_per_m)
-    found = energies.membrane(moved, ClothMesh.from_rest(rest, faces), WOVEN)
-    assert_allclose(found, by_face.sum(), rtol=1e-12, atol=0.0)
 
 
 def test_hinges_bend_by_their_direction_to_the_warp(rng):

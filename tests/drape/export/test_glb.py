@@ -23,7 +23,7 @@ from drape.errors import InputError
 from drape.export import glb
 from drape.export.glb_body import add_body
 from drape.export.glb_file import GlbFile
-from drape.export.ride import Ride
+from drape.export.root_motion import RootMotion
 from drape.garment.cache import Garment
 from drape.garment.files.glb import read_glb
 from drape.geometry import rigid
@@ -112,18 +112,22 @@ def clip(tube: Garment, frames: int = 5) -> np.ndarray:
     return (tube.vertices[None] * (1.0 + 0.2 * wave) + [0.0, 0.0, 3.0] * wave).astype(np.float32)
 
 
-def written(tube: Garment, frames: np.ndarray, fps: float = 30.0, ride: Ride | None = None) -> Reader:
+def written(tube: Garment, frames: np.ndarray, fps: float = 30.0, root_motion: RootMotion | None = None) -> Reader:
     file = GlbFile()
-    glb.add_garment(file, tube, frames, fps, ride=ride)
+    glb.add_garment(file, tube, frames, fps, root_motion=root_motion)
     return Reader(file.to_bytes())
 
 
-def turning(tube: Garment, frames: int = 5, turn_rad: float = 6.0) -> tuple[np.ndarray, Ride]:
+def fixed(frames: int) -> RootMotion:
+    return RootMotion(np.zeros((frames, 3)), np.zeros((frames, 3)))
+
+
+def turning(tube: Garment, frames: int = 5, turn_rad: float = 6.0) -> tuple[np.ndarray, RootMotion]:
     """A tube that waves, and turns about itself on a way of 3 m."""
     share = np.linspace(0.0, 1.0, frames)
-    ride = Ride(share[:, None] * [0.0, turn_rad, 0.0], share[:, None] * [3.0, 0.0, -1.0] + [0.5, 1.0, 0.0])
+    root_motion = RootMotion(share[:, None] * [0.0, turn_rad, 0.0], share[:, None] * [3.0, 0.0, -1.0] + [0.5, 1.0, 0.0])
     wave = tube.vertices[None] * (1.0 + 0.2 * share[:, None, None] ** 2)
-    return np.stack([wave[i] @ ride.rotation(i).T + ride.place[i] for i in range(frames)]), ride
+    return np.stack([wave[i] @ root_motion.rotation(i).T + root_motion.place[i] for i in range(frames)]), root_motion
 
 
 def test_seams_split_vertices_and_nothing_else(tube: Garment):
@@ -164,8 +168,8 @@ def test_every_keyframe_is_its_frame(tube: Garment):
 
 
 def test_quantised_frames_are_theirs_to_half_a_step(tube: Garment):
-    frames, ride = turning(tube)
-    file = written(tube, frames, ride=ride)
+    frames, root_motion = turning(tube)
+    file = written(tube, frames, root_motion=root_motion)
     assert file.json["extensionsUsed"] == file.json["extensionsRequired"] == ["KHR_mesh_quantization"]
     (place,) = (i for i, n in enumerate(file.json["nodes"]) if n.get("mesh") == 0)
     node, source = file.json["nodes"][place], glb.split_seams(tube).source
@@ -194,16 +198,16 @@ def test_quantised_frames_are_theirs_to_half_a_step(tube: Garment):
 
 
 def test_quantised_is_half_as_large(tube: Garment):
-    frames, ride = turning(tube, 60)
+    frames, root_motion = turning(tube, 60)
     corners = len(glb.split_seams(tube).source)
-    small, large = (len(written(tube, frames, ride=one).binary) for one in (ride, None))
+    small, large = (len(written(tube, frames, root_motion=one).binary) for one in (root_motion, None))
     both = large - 60 * corners * 24  # indices, texture coordinates, weights, times
     assert small == 60 * corners * 12 + both + 60 * (12 + 16)
 
 
 def test_a_normal_that_turns_past_a_right_angle_keeps_its_direction(tube: Garment):
-    frames, ride = turning(tube, turn_rad=1.4)
-    file = written(tube, frames, ride=Ride.still(len(ride)))  # a node that takes nothing over
+    frames, root_motion = turning(tube, turn_rad=1.4)
+    file = written(tube, frames, root_motion=fixed(len(root_motion)))  # a node that takes nothing over
     (primitive, *_) = file.json["meshes"][0]["primitives"]
     base = file.array(primitive["attributes"]["NORMAL"])
     normals = glb.vertex_normals(frames, tube.faces)[:, glb.split_seams(tube).source]
@@ -216,8 +220,8 @@ def test_a_normal_that_turns_past_a_right_angle_keeps_its_direction(tube: Garmen
 
 
 def test_a_single_quantised_frame_has_a_node_and_no_motion(tube: Garment):
-    frames, ride = turning(tube, 1)
-    file = written(tube, frames, ride=ride)
+    frames, root_motion = turning(tube, 1)
+    file = written(tube, frames, root_motion=root_motion)
     assert "animations" not in file.json
     read = read_glb_mesh(file)
     assert_allclose(read[: tube.vertex_count], frames[0], rtol=0, atol=1e-5)
@@ -231,15 +235,15 @@ def read_glb_mesh(file: Reader) -> np.ndarray:
     return node["scale"][0] * base @ quaternion_to_matrix(np.array([w, x, y, z])).T + node["translation"]
 
 
-def test_a_ride_of_another_length_is_refused(tube: Garment):
-    with pytest.raises(InputError, match="ride: expected 5 frames, got 4"):
-        written(tube, clip(tube), ride=Ride.still(4))
+def test_a_root_motion_of_another_length_is_refused(tube: Garment):
+    with pytest.raises(InputError, match="root motion: expected 5 frames, got 4"):
+        written(tube, clip(tube), root_motion=fixed(4))
 
 
 def test_intake_reads_what_was_quantised(tube: Garment):
-    frames, ride = turning(tube, 2)
+    frames, root_motion = turning(tube, 2)
     file = GlbFile()
-    glb.add_garment(file, tube, frames, 30.0, ride=ride)
+    glb.add_garment(file, tube, frames, 30.0, root_motion=root_motion)
     read = read_glb(file.to_bytes(), name="again", vertex_limit=1000)
     assert len(read.vertices) == tube.vertex_count
     distance = np.linalg.norm(read.vertices[:, None] - frames[0][None], axis=-1).min(axis=1)
@@ -251,9 +255,9 @@ def test_three_js_shows_the_frames(tube: Garment, tmp_path: Path):
     node, loader = shutil.which("node"), THREE / "examples/jsm/loaders/GLTFLoader.js"
     if node is None or not loader.is_file():
         pytest.skip("No Node.js or no three.js: make page.")
-    frames, ride = turning(tube)
+    frames, root_motion = turning(tube)
     content = GlbFile()
-    glb.add_garment(content, tube, frames, 30.0, ride=ride)
+    glb.add_garment(content, tube, frames, 30.0, root_motion=root_motion)
     (tmp_path / "clip.glb").write_bytes(content.to_bytes())
     script = tmp_path / "show.mjs"
     script.write_text(SHOW % (json.dumps(loader.as_uri()), json.dumps((THREE / "build/three.module.js").as_uri())))
@@ -290,9 +294,9 @@ def test_the_khronos_validator_has_no_complaint(
     tube: Garment, body: BodyModel, complaints: Callable[[bytes], list[dict[str, Any]]], frames: int, quantised: bool
 ):
     file = GlbFile()
-    moving, ride = turning(tube, frames)
+    moving, root_motion = turning(tube, frames)
     for garment in (tube, dataclasses.replace(tube, uv=np.zeros((0, 2)), uv_faces=np.zeros((0, 3), int))):
-        glb.add_garment(file, garment, moving, 30.0, ride=ride if quantised else None)
+        glb.add_garment(file, garment, moving, 30.0, root_motion=root_motion if quantised else None)
     poses, trans = random_motion(frames)
     add_body(file, body, np.full(10, 0.5), poses, trans, 30.0)
     assert complaints(file.to_bytes()) == []

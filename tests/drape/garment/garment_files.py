@@ -9,7 +9,7 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
-from drape.geometry import meshes
+from drape.geometry import mesh_graphs, meshes
 
 TORSO = [JOINT_NAMES.index(name) for name in ("pelvis", "spine1", "spine2", "spine3", "left_collar", "right_collar")]
 SLEEVES = [JOINT_NAMES.index(name) for name in ("left_shoulder", "right_shoulder")]
@@ -22,7 +22,7 @@ def shirt(body: BodyModel, skin: np.ndarray, *, ease_m: float = 0.02) -> tuple[n
     low = joints[JOINT_NAMES.index("pelvis"), 1] - 0.02
     covered &= (body.v_template[:, 1] > low) & (body.v_template[:, 1] < joints[JOINT_NAMES.index("neck"), 1] - 0.02)
     faces = body.faces[covered[body.faces].all(axis=1)]
-    label = meshes.connected_components(faces, body.vertex_count)
+    label = mesh_graphs.connected_components(faces, body.vertex_count)
     faces = faces[label[faces[:, 0]] == np.bincount(label[faces.reshape(-1)]).argmax()]
     used, inverse = np.unique(faces, return_inverse=True)
     lifted = skin + ease_m * meshes.vertex_normals(skin, body.faces)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from drape.garment.cache import Garment
+from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.fitting import RestGarment, fit_garment, rest_garment
 from tests.drape.cloth.cloth_shapes import tube
 from tests.fixtures.garments import default_body
@@ -44,30 +46,18 @@ def barrel() -> RestGarment:
     return rest_garment(vertices - [0.0, 0.1, 0.0], faces, default_body())
 
 
-def barrel_mesh() -> dict:
-    """The barrel as ``fit_garment`` takes it, with its last ring as if subdivision had added it."""
+def barrel_mesh() -> GarmentMesh:
+    """The barrel as it would be delivered, its last ring left to subdivision."""
     rest = barrel()
     delivered = len(rest.vertices) - 40
-    return {
-        "vertices": rest.vertices,
-        "vertex_count": delivered,
-        "faces": rest.faces[(rest.faces < delivered).all(axis=1)],
-        "fine_faces": rest.faces,
-        "uv": np.zeros((0, 2)),
-        "uv_faces": np.zeros((0, 3)),
-        "material_names": ("cotton", "hem"),
-        "face_material": np.zeros((rest.faces < delivered).all(axis=1).sum()),
-    }
+    faces = rest.faces[(rest.faces < delivered).all(axis=1)]
+    return replace(plain_mesh("barrel", rest.vertices[:delivered], faces), material_names=("cotton", "hem"))
 
 
 @functools.cache
 def barrel_garment() -> Garment:
     """The fitted barrel."""
+    rest, manifest = barrel(), {"source": "a tube"}
     return fit_garment(
-        name="barrel",
-        body=default_body(),
-        digest="d" * 64,
-        manifest={"source": "a tube"},
-        count=PATCH_COUNT,
-        **barrel_mesh(),
+        barrel_mesh(), rest.vertices, rest.faces, default_body(), digest="d" * 64, manifest=manifest, count=PATCH_COUNT
     )

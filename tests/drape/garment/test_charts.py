@@ -17,10 +17,10 @@ EXACT = 1e-12
 WIDTH, HEIGHT = 20, 15  # cells of the coarsest plane
 
 
-def dense_weights(cover, count):
+def dense_weights(blend, count):
     """Blend weights (N, K) with a column for every patch."""
-    dense = np.zeros((len(cover.patch), count))
-    np.add.at(dense, (np.arange(len(dense))[:, None], cover.patch), cover.weight)
+    dense = np.zeros((len(blend.patch), count))
+    np.add.at(dense, (np.arange(len(dense))[:, None], blend.patch), blend.weight)
     return dense
 
 
@@ -48,19 +48,19 @@ def clusters():
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 12])
 def test_blend_weights_are_a_partition_of_unity(count):
     vertices, faces = plane()
-    cover = charts.cover(vertex_graph(vertices, faces), nearest(vertices, plane_seeds(count)), spacing_m=0.1)
-    assert cover.patch.shape == cover.weight.shape == (len(vertices), CHARTS_PER_VERTEX)
-    assert cover.patch.dtype == np.int32
-    assert (cover.weight >= 0.0).all()
-    assert_allclose(cover.weight.sum(axis=1), 1.0, rtol=0.0, atol=EXACT)
-    assert cover.patch.min() >= 0 and cover.patch.max() < count
+    blend = charts.blend_charts(vertex_graph(vertices, faces), nearest(vertices, plane_seeds(count)), spacing_m=0.1)
+    assert blend.patch.shape == blend.weight.shape == (len(vertices), CHARTS_PER_VERTEX)
+    assert blend.patch.dtype == np.int32
+    assert (blend.weight >= 0.0).all()
+    assert_allclose(blend.weight.sum(axis=1), 1.0, rtol=0.0, atol=EXACT)
+    assert blend.patch.min() >= 0 and blend.patch.max() < count
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5, 12])
 def test_no_patch_is_blended_twice(count):
     vertices, faces = plane()
-    cover = charts.cover(vertex_graph(vertices, faces), nearest(vertices, plane_seeds(count)), spacing_m=0.1)
-    for patch, weight in zip(cover.patch, cover.weight, strict=True):
+    blend = charts.blend_charts(vertex_graph(vertices, faces), nearest(vertices, plane_seeds(count)), spacing_m=0.1)
+    for patch, weight in zip(blend.patch, blend.weight, strict=True):
         used = patch[weight > 0.0]
         assert len(np.unique(used)) == len(used)
 
@@ -68,17 +68,17 @@ def test_no_patch_is_blended_twice(count):
 def test_patches_come_nearest_first_and_nearer_ones_weigh_more():
     vertices, faces = plane()
     seeds = nearest(vertices, plane_seeds(12))
-    cover = charts.cover(vertex_graph(vertices, faces), seeds, spacing_m=0.1)
-    assert (np.diff(cover.weight, axis=1) <= EXACT).all()
-    assert_array_equal(cover.patch[seeds, 0], np.arange(len(seeds)))
+    blend = charts.blend_charts(vertex_graph(vertices, faces), seeds, spacing_m=0.1)
+    assert (np.diff(blend.weight, axis=1) <= EXACT).all()
+    assert_array_equal(blend.patch[seeds, 0], np.arange(len(seeds)))
 
 
 def test_search_radius_does_not_change_the_cover():
     vertices, faces = plane()
     graph, seeds = vertex_graph(vertices, faces), nearest(vertices, plane_seeds(12))
-    want = dense_weights(charts.cover(graph, seeds, spacing_m=10.0), 12)
+    want = dense_weights(charts.blend_charts(graph, seeds, spacing_m=10.0), 12)
     for spacing in (1e-3, 0.02, 0.1):
-        got = dense_weights(charts.cover(graph, seeds, spacing_m=spacing), 12)
+        got = dense_weights(charts.blend_charts(graph, seeds, spacing_m=spacing), 12)
         assert_allclose(got, want, rtol=0.0, atol=EXACT)
 
 
@@ -87,8 +87,8 @@ def test_blend_weights_are_continuous_over_the_surface(count):
     places, steps = plane_seeds(count), []
     for refinement in (2, 4, 8):
         vertices, faces = plane(refinement)
-        cover = charts.cover(vertex_graph(vertices, faces), nearest(vertices, places), spacing_m=0.1)
-        dense, edges = dense_weights(cover, count), meshes.unique_edges(faces)
+        blend = charts.blend_charts(vertex_graph(vertices, faces), nearest(vertices, places), spacing_m=0.1)
+        dense, edges = dense_weights(blend, count), meshes.unique_edges(faces)
         steps.append(np.abs(dense[edges[:, 0]] - dense[edges[:, 1]]).max(axis=1))
     largest = [step.max() for step in steps]
     # A jump would keep its height under refinement; the largest step falls with the edge.
@@ -107,8 +107,8 @@ def test_pieces_of_few_patches_blend_only_their_own():
             np.flatnonzero(piece == 2)[[0, -1]],
         ]
     )
-    cover = charts.cover(vertex_graph(vertices, faces), seeds, spacing_m=0.1)
-    dense = dense_weights(cover, len(seeds))
+    blend = charts.blend_charts(vertex_graph(vertices, faces), seeds, spacing_m=0.1)
+    dense = dense_weights(blend, len(seeds))
     assert_array_equal(dense[piece[seeds][None] != piece[:, None]], 0.0)
     assert_allclose(dense[piece == 1, 8], 1.0, rtol=0.0, atol=EXACT)
     assert_allclose(dense[piece == 2][:, [9, 10]].sum(axis=1), 1.0, rtol=0.0, atol=EXACT)

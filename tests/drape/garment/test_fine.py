@@ -12,7 +12,7 @@ from drape.body.assets import load_body
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment
 from drape.garment.fine import corner_weights, fine_garment, has_finer
-from drape.garment.intake import with_unused
+from drape.garment.rest_mesh import with_unused
 from drape.geometry import meshes
 from tests.fixtures.tiny_model import tube_garment
 

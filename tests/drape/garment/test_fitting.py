@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from drape.garment.partition import patch_count_for
 from drape.geometry import jets
 from tests.drape.cloth.cloth_shapes import grid, random_rotation, tube
 from tests.drape.garment.rest_garments import PATCH_COUNT, barrel, barrel_garment, barrel_mesh, vertex_areas
-from tests.fixtures.garments import default_body, shipped
+from tests.fixtures.garments import default_body, reconstructed, shipped
 
 EXACT = 1e-12
 MICROMETRE = 1e-6
@@ -35,18 +36,18 @@ def graph_garment() -> RestGarment:
 
 @pytest.fixture
 def samples(rng):
-    """Parameters, exact heights and cover of 900 samples of three random quartic patches, and their coefficients."""
+    """Parameters, exact heights and blend of 900 samples of three random quartic patches, and their coefficients."""
     uv, height = rng.uniform(-1.0, 1.0, (900, 4, 2)), rng.normal(size=(3, jets.HEIGHT_COUNT))
     patch = np.tile(np.array([0, 1, 2, 0], dtype=np.int32), (900, 1))
     weight = np.concatenate([rng.dirichlet(np.ones(3), 900), np.zeros((900, 1))], axis=1)
     values = (jets.basis(uv, jets.HEIGHT_ORDER) * height[patch]).sum(axis=-1)
     values[:, 3] = 1e3  # a slot without weight must not be heard
-    return uv, values, charts.Cover(patch, weight), height
+    return uv, values, charts.ChartBlend(patch, weight), height
 
 
 def test_exact_quartics_are_found_again(samples):
-    uv, values, cover, height = samples
-    jet = fit_jets(uv, values, cover, 3)
+    uv, values, blend, height = samples
+    jet = fit_jets(uv, values, blend, 3)
     p, q, h = jets.unpack(jet)
     assert_allclose(h, height, rtol=0.0, atol=1e-3)
     flat = np.zeros((3, jets.IN_PLANE_COUNT))
@@ -55,17 +56,17 @@ def test_exact_quartics_are_found_again(samples):
 
 
 def test_error_of_the_fit_is_of_the_order_of_the_ridge(samples, monkeypatch):
-    uv, values, cover, height = samples
+    uv, values, blend, height = samples
     errors = []
     for ridge in (1e-3, 1e-4, 1e-5):
-        monkeypatch.setattr(fitting, "RIDGE", ridge)
-        errors.append(np.abs(jets.unpack(fit_jets(uv, values, cover, 3))[2] - height).max())
+        monkeypatch.setattr(charts, "RIDGE", ridge)
+        errors.append(np.abs(jets.unpack(fit_jets(uv, values, blend, 3))[2] - height).max())
     assert_allclose(np.log10(np.array(errors[:-1]) / errors[1:]), 1.0, rtol=0.0, atol=0.05)
 
 
 def test_patch_without_samples_is_flat():
-    cover = charts.Cover(np.zeros((5, 4), dtype=np.int32), np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)))
-    jet = fit_jets(np.zeros((5, 4, 2)), np.full((5, 4), 0.3), cover, 2)
+    blend = charts.ChartBlend(np.zeros((5, 4), dtype=np.int32), np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)))
+    jet = fit_jets(np.zeros((5, 4, 2)), np.full((5, 4), 0.3), blend, 2)
     assert_array_equal(jets.unpack(jet)[2][1], np.zeros(jets.HEIGHT_COUNT))
 
 
@@ -74,7 +75,7 @@ def test_quartic_height_field_is_one_patch_to_the_ridge(monkeypatch):
     fields = patch_fields(rest, count=1)
     assert_allclose(fields["patch_rotation"][0][:, 2], [0.0, 0.0, 1.0], rtol=0.0, atol=1e-6)
     assert fit_error(rest, fields)["point_rmse_m"] < 3e-5  # of 80 mm
-    monkeypatch.setattr(fitting, "RIDGE", 1e-12)
+    monkeypatch.setattr(charts, "RIDGE", 1e-12)
     assert fit_error(rest, patch_fields(rest, count=1))["point_rmse_m"] < 1e-7
 
 
@@ -94,7 +95,7 @@ def test_error_shrinks_with_the_patch_count():
 
 def test_charts_and_residuals_give_back_every_vertex():
     garment = barrel_garment()
-    assert_allclose(garment.reconstruct(), barrel().vertices, rtol=0.0, atol=MICROMETRE)
+    assert_allclose(reconstructed(garment), barrel().vertices, rtol=0.0, atol=MICROMETRE)
 
 
 def test_every_chart_of_a_vertex_alone_gives_it_back():
@@ -203,10 +204,11 @@ def test_rest_geometry_is_that_of_the_mesh():
 
 def test_garment_keeps_the_mesh_it_was_given():
     given, garment = barrel_mesh(), barrel_garment()
-    assert garment.vertex_count == given["vertex_count"] < len(garment.vertices)
-    assert_allclose(garment.vertices, given["vertices"], rtol=0.0, atol=1e-7)
-    for key in ("faces", "fine_faces", "face_material"):
-        assert_array_equal(getattr(garment, key), given[key])
+    assert garment.vertex_count == len(given.vertices) < len(garment.vertices)
+    assert_allclose(garment.vertices, barrel().vertices, rtol=0.0, atol=1e-7)
+    wanted = {"faces": given.faces, "fine_faces": barrel().faces, "face_material": given.face_material}
+    for key, want in wanted.items():
+        assert_array_equal(getattr(garment, key), want)
         assert getattr(garment, key).dtype == np.int32
     assert (garment.uv.shape, garment.uv_faces.shape) == ((0, 2), (0, 3))
     assert garment.material_names == ("cotton", "hem")
@@ -215,10 +217,11 @@ def test_garment_keeps_the_mesh_it_was_given():
 
 
 def test_texture_coordinates_are_kept():
-    given = {**barrel_mesh(), "uv": np.array([[0.0, 1.0], [0.5, 0.5], [1.0, 0.0]]), "uv_faces": [[0, 1, 2]]}
-    garment = fit_garment(name="x", body=default_body(), digest="d" * 64, manifest={}, count=2, **given)
-    assert_array_equal(garment.uv, given["uv"])
-    assert_array_equal(garment.uv_faces, given["uv_faces"])
+    uv, uv_faces = np.array([[0.0, 1.0], [0.5, 0.5], [1.0, 0.0]]), np.array([[0, 1, 2]])
+    given, rest = replace(barrel_mesh(), uv=uv, uv_faces=uv_faces), barrel()
+    garment = fit_garment(given, rest.vertices, rest.faces, default_body(), digest="d" * 64, manifest={}, count=2)
+    assert_array_equal(garment.uv, uv)
+    assert_array_equal(garment.uv_faces, uv_faces)
 
 
 def test_manifest_says_where_it_came_from_and_how_well_it_fits():

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.garment import flatten
 from drape.garment.flatten import lay_flat, signed_areas
-from drape.geometry import meshes
+from drape.geometry import mesh_graphs, meshes
 from tests.drape.cloth.cloth_shapes import grid, random_rotation, tube
 
 
@@ -69,7 +69,7 @@ def test_a_band_that_would_wind_over_itself_is_laid_so_that_it_does_not():
 
 def test_graph_holds_every_edge_once_each_way():
     points, faces = grid(2, 1, cell_m=1.0)
-    graph = meshes.edge_graph(points, faces)
+    graph = mesh_graphs.edge_graph(points, faces)
     assert_array_equal(graph.toarray(), graph.T.toarray())
     assert graph.nnz == 2 * len(meshes.unique_edges(faces))
     assert_allclose(np.unique(graph.data), [1.0, np.sqrt(2.0)], rtol=1e-12)

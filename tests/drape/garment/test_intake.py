@@ -25,16 +25,15 @@ from drape.garment.intake import (
     intake,
     main,
     read_fabric,
-    rest_mesh,
     with_rest_state,
-    with_unused,
-    without_unused,
 )
 from drape.garment.mesh_checks import UNITS_M
-from drape.garment.rest_detail import Cloth, Rest, rest_of
+from drape.garment.rest_detail import Rest, RestCloth, rest_of
+from drape.garment.rest_mesh import rest_mesh, with_unused, without_unused
 from drape.geometry import meshes
 from drape.geometry.closest import signed_distance
 from tests.drape.garment.garment_files import obj_text, shirt
+from tests.fixtures.garments import reconstructed
 
 BODY = load_body()
 FEMALE = {"gender": 1.0, "age": 0.667}
@@ -122,7 +121,7 @@ def test_more_or_fewer_patches_than_the_network_knows_are_refused(patches: float
 
 def test_a_digest_of_before_rest_states_stays():
     options = asdict(IntakeOptions())
-    kept = {name: options[name] for name in ("unit", "up", "repair", "clearance_m")}
+    kept = {name: options[name] for name in ("unit", "up", "repair")} | {"clearance_m": CLEARANCE_M}
     header = {"name": "a", "avatar": STANDARD, "body": BODY.digest, "options": kept, "versions": [1, 2]}
     text = json.dumps(header, sort_keys=True).encode() + b"\0" + b"mesh"
     assert intake_module.garment_digest(b"mesh", STANDARD, BODY, IntakeOptions(), "a") == sha256(text).hexdigest()
@@ -186,10 +185,10 @@ def test_garment_on_the_standard_body_is_unchanged_but_for_clearance():
 
 
 def test_unused_vertices_keep_their_places(garment, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch):
-    cloths: list[Cloth] = []
+    cloths: list[RestCloth] = []
     taken_in = garment.rest_state()
 
-    def seen(cloth: Cloth, rest: Rest):
+    def seen(cloth: RestCloth, rest: Rest):
         cloths.append(cloth)
         return rest_of(cloth, rest)
 
@@ -205,7 +204,7 @@ def test_unused_vertices_keep_their_places(garment, rng: np.random.Generator, mo
     assert garment.vertex_count == len(vertices)
     assert_array_equal(garment.faces, faces)
     assert garment.fine_faces.max() < len(garment.vertices)
-    assert_allclose(garment.reconstruct(), garment.vertices, rtol=0, atol=1e-5)
+    assert_allclose(reconstructed(garment), garment.vertices, rtol=0, atol=1e-5)
     assert_allclose(
         garment.vertices[garment.faces], garment.vertices[kept[place][:0].size :][garment.faces], rtol=0, atol=0
     )

@@ -13,7 +13,7 @@ from drape.errors import MeshError
 from drape.garment.grain import texture
 from drape.garment.rest_detail import (
     HEM_STIFFENING,
-    Cloth,
+    RestCloth,
     creases,
     distortion,
     doubled_faces,
@@ -29,10 +29,10 @@ from tests.drape.garment.test_grain import ALONG, AROUND, unrolled
 EDGE_M = 0.01
 
 
-def cloth_of(vertices: np.ndarray, faces: np.ndarray, **given) -> Cloth:
+def cloth_of(vertices: np.ndarray, faces: np.ndarray, **given) -> RestCloth:
     """``vertices`` as they were modelled, without uv."""
     given = {"modelled": vertices, "painted": None, "doubled": np.zeros(len(faces), bool)} | given
-    return Cloth(vertices, faces, **given)
+    return RestCloth(vertices, faces, **given)
 
 
 def sheet(height) -> tuple[np.ndarray, np.ndarray]:

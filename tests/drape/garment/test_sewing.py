@@ -13,7 +13,7 @@ from numpy.testing import assert_array_equal
 from drape.errors import InputError
 from drape.garment.files.mesh import GarmentMesh
 from drape.garment.grain import texture
-from drape.garment.sewing import Edge, Seam, Sewing, beside, near_lines, read_sewing, sewn_hinges
+from drape.garment.sewing import Edge, Seam, Sewing, near_lines, read_sewing, sewing_beside, sewn_hinges
 from drape.geometry import meshes
 
 ROWS, COLUMNS, EDGE_M = 6, 9, 0.01
@@ -63,25 +63,25 @@ def written(folder: Path, record: object, name: str = "strip.json") -> Path:
 def test_what_is_written_is_read_again(tmp_path):
     _, sewing = strip()
     path = written(tmp_path, sewing.to_json())
-    found = beside(path)
+    found = sewing_beside(path)
     assert found is not None and found.to_json() == json.loads(json.dumps(sewing.to_json()))
 
 
 def test_nothing_lies_beside_a_mesh_of_its_own(tmp_path):
     _, sewing = strip()
-    assert beside(tmp_path / "strip.obj") is None
+    assert sewing_beside(tmp_path / "strip.obj") is None
     for other in ({"seconds": 3.0}, [1, 2], "strip"):
-        assert beside(written(tmp_path, other)) is None
+        assert sewing_beside(written(tmp_path, other)) is None
     (tmp_path / "strip.json").write_text("no JSON")
-    assert beside(tmp_path / "strip.obj") is None
+    assert sewing_beside(tmp_path / "strip.obj") is None
     written(tmp_path, sewing.to_json())
-    assert beside(tmp_path / "strip.glb") is None  # its vertices are split, so its rows are others
+    assert sewing_beside(tmp_path / "strip.glb") is None  # its vertices are split, so its rows are others
 
 
 def test_sewings_that_do_not_hold_together_are_refused(tmp_path):
     mesh, sewing = strip()
     with pytest.raises(InputError, match=r"version: expected 1, got 2\. Write the garment again"):
-        beside(written(tmp_path, sewing.to_json() | {"version": 2}))
+        sewing_beside(written(tmp_path, sewing.to_json() | {"version": 2}))
     record = {key: value for key, value in sewing.to_json().items() if key not in ("format", "version")}
     for spoilt in ({**record, "seams": [{"name": "a"}]}, {**record, "colour": "red"}, {"name": "strip"}):
         with pytest.raises(InputError, match="sewing strip: expected the fields of"):

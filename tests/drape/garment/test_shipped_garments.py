@@ -11,7 +11,7 @@ from drape.garment.fitting import fit_error, rest_garment
 from drape.geometry.closest import signed_distance
 from recovery.catalogue.garments import CATALOGUE
 from recovery.pattern.triangulate import signed_areas
-from tests.fixtures.garments import SHIPPED, default_body, shipped
+from tests.fixtures.garments import SHIPPED, default_body, reconstructed, shipped
 from tests.recovery.pattern_setup import default_measurements
 
 CLEARANCE_M = 0.006
@@ -64,7 +64,7 @@ def test_it_was_made_for_the_shipped_body(name):
 @pytest.mark.parametrize("name", SHIPPED)
 def test_patches_give_back_the_vertices(name):
     garment = shipped(name)
-    assert_allclose(garment.reconstruct(), garment.vertices, rtol=0.0, atol=MICROMETRE)
+    assert_allclose(reconstructed(garment), garment.vertices, rtol=0.0, atol=MICROMETRE)
 
 
 @pytest.mark.parametrize("name", SHIPPED)

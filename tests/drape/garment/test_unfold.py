@@ -40,28 +40,28 @@ def hem(rows: int = 24, columns: int = 20, *, cell_m: float = 0.01) -> fitting.R
     return fitting.rest_garment(placed, faces, default_body())
 
 
-def fields_cover(fields: dict[str, np.ndarray]) -> charts.Cover:
-    return charts.Cover(fields["chart_patch"], fields["chart_weight"])
+def fields_blend(fields: dict[str, np.ndarray]) -> charts.ChartBlend:
+    return charts.ChartBlend(fields["chart_patch"], fields["chart_weight"])
 
 
 def test_a_flat_sheet_has_every_face_in_every_chart_and_no_fold():
     vertices, faces = grid(12, 10, cell_m=0.01)
     rest = fitting.rest_garment(vertices + PLACE, faces, default_body())
     fields = patch_fields(rest, count=1)
-    cover = fields_cover(fields)
-    owner, corners = chart_triangles(cover, faces)
+    blend = fields_blend(fields)
+    owner, corners = chart_triangles(blend, faces)
     assert len(owner) == len(faces) and (owner == 0).all()
     assert (signed_areas(fields["chart_uv"].reshape(-1, 2), corners) > 0).all()
-    assert_array_equal(folded_triangles(cover, fields["chart_uv"], faces), [0])
+    assert_array_equal(folded_triangles(blend, fields["chart_uv"], faces), [0])
 
 
 def test_a_mirrored_chart_is_folded_everywhere():
     fields = patch_fields(barrel(), count=12)
-    cover = fields_cover(fields)
-    owner, _ = chart_triangles(cover, barrel().faces)
-    before = folded_triangles(cover, fields["chart_uv"], barrel().faces)
+    blend = fields_blend(fields)
+    owner, _ = chart_triangles(blend, barrel().faces)
+    before = folded_triangles(blend, fields["chart_uv"], barrel().faces)
     mirrored = fields["chart_uv"] * np.array([-1.0, 1.0], dtype=np.float32)
-    after = folded_triangles(cover, mirrored, barrel().faces)
+    after = folded_triangles(blend, mirrored, barrel().faces)
     assert_array_equal(before + after, np.bincount(owner, minlength=len(before)))
 
 
@@ -69,8 +69,8 @@ def test_a_mirrored_chart_is_folded_everywhere():
 def test_cloth_bent_past_its_plane_folds_when_projected_and_not_when_unfolded(count):
     rest = hem()
     projected, flat = patch_fields(rest, count=count), patch_fields(rest, count=count, unfold=True)
-    assert folded_triangles(fields_cover(projected), projected["chart_uv"], rest.faces).sum() > 0
-    assert folded_triangles(fields_cover(flat), flat["chart_uv"], rest.faces).sum() == 0
+    assert folded_triangles(fields_blend(projected), projected["chart_uv"], rest.faces).sum() > 0
+    assert folded_triangles(fields_blend(flat), flat["chart_uv"], rest.faces).sum() == 0
 
 
 def test_unfolded_charts_give_back_every_vertex():
@@ -107,17 +107,17 @@ def test_in_plane_jets_of_an_unfolded_chart_follow_a_quadratic_exactly(rng):
     local = 0.05 * jets.evaluate(np.broadcast_to(wanted, (60, 4, jets.JET_COUNT)), uv)
     start = np.zeros((1, jets.JET_COUNT))
     start[0, 1] = start[0, jets.IN_PLANE_COUNT + 2] = 1.0
-    cover = charts.Cover(np.zeros((60, 4), dtype=np.int32), weight)
-    found = fit_planes(start, Flattened(cover, uv, np.array([True])), local, np.array([0.05]))
+    blend = charts.ChartBlend(np.zeros((60, 4), dtype=np.int32), weight)
+    found = fit_planes(start, Flattened(blend, uv, np.array([True])), local, np.array([0.05]))
     assert_allclose(found[:, : 2 * jets.IN_PLANE_COUNT], wanted[:, : 2 * jets.IN_PLANE_COUNT], rtol=0, atol=1e-4)
-    untouched = fit_planes(start, Flattened(cover, uv, np.array([False])), local, np.array([0.05]))
+    untouched = fit_planes(start, Flattened(blend, uv, np.array([False])), local, np.array([0.05]))
     assert_array_equal(untouched, start)
 
 
 def test_charts_without_a_fold_are_left_alone():
     rest = barrel()
     plain, asked = patch_fields(rest, count=40), patch_fields(rest, count=40, unfold=True)
-    folded = folded_triangles(fields_cover(plain), plain["chart_uv"], rest.faces) > 0
+    folded = folded_triangles(fields_blend(plain), plain["chart_uv"], rest.faces) > 0
     same = ~folded[plain["chart_patch"]]
     assert same.any()
     assert_array_equal(asked["chart_uv"][same], plain["chart_uv"][same])
@@ -132,8 +132,8 @@ def sleeve(radius_m: float = 0.03) -> fitting.RestGarment:
 def test_charts_that_run_round_a_limb_are_cut_open():
     rest = sleeve()
     plain, asked = patch_fields(rest, count=10), patch_fields(rest, count=10, unfold=True)
-    assert folded_triangles(fields_cover(plain), plain["chart_uv"], rest.faces).sum() > 0
-    assert folded_triangles(fields_cover(asked), asked["chart_uv"], rest.faces).sum() == 0
+    assert folded_triangles(fields_blend(plain), plain["chart_uv"], rest.faces).sum() > 0
+    assert folded_triangles(fields_blend(asked), asked["chart_uv"], rest.faces).sum() == 0
     assert_allclose(asked["chart_weight"].sum(axis=1), 1.0, rtol=0, atol=1e-6)
     before, after = plain["chart_weight"] > 0, asked["chart_weight"] > 0
     assert (after <= before).all()
@@ -157,13 +157,13 @@ def test_a_chart_fades_towards_the_vertices_that_leave_it():
 def test_a_closed_chart_is_made_smaller():
     sphere, faces = ball(12)
     points = 0.05 * sphere
-    cover = charts.Cover(np.tile(np.arange(4, dtype=np.int32), (len(points), 1)), np.full((len(points), 4), 0.25))
-    cover.weight[:, 0] += 1e-3 * points[:, 2]  # the first chart is heaviest where z is largest
+    blend = charts.ChartBlend(np.tile(np.arange(4, dtype=np.int32), (len(points), 1)), np.full((len(points), 4), 0.25))
+    blend.weight[:, 0] += 1e-3 * points[:, 2]  # the first chart is heaviest where z is largest
     local = np.repeat(points[:, None], 4, axis=1)
-    found = without_folds(cover, local, np.full(4, 0.05), faces)
+    found = without_folds(blend, local, np.full(4, 0.05), faces)
     assert found.unfolded.all()
-    assert 0 < (found.cover.weight[:, 0] > 0).sum() < len(points)
-    assert found.cover.weight[np.argmax(points[:, 2]), 0] > 0
+    assert 0 < (found.blend.weight[:, 0] > 0).sum() < len(points)
+    assert found.blend.weight[np.argmax(points[:, 2]), 0] > 0
 
 
 def ball(rings: int) -> tuple[np.ndarray, np.ndarray]:
@@ -180,7 +180,7 @@ def ball(rings: int) -> tuple[np.ndarray, np.ndarray]:
 def test_a_lone_chart_round_a_limb_is_counted_as_what_it_is():
     rest = sleeve()
     fields = patch_fields(rest, count=1, unfold=True)
-    assert folded_triangles(fields_cover(fields), fields["chart_uv"], rest.faces).sum() > 0
+    assert folded_triangles(fields_blend(fields), fields["chart_uv"], rest.faces).sum() > 0
     assert_allclose(fields["chart_weight"].sum(axis=1), 1.0, rtol=0, atol=1e-6)
 
 
@@ -193,7 +193,7 @@ def test_every_chart_of_a_garment_is_a_bijection_after_the_fit(name):
     assert first["folded_charts"] > 0 and first["folded_chart_triangles"] > 0
     assert second["folded_charts"] == second["folded_chart_triangles"] == 0
     assert second["point_rmse_m"] < first["point_rmse_m"]
-    cover = fields_cover(before)
-    folded = folded_charts(cover, before["chart_uv"], rest.faces)
-    assert (folded >= (folded_triangles(cover, before["chart_uv"], rest.faces) > 0)).all()
+    blend = fields_blend(before)
+    folded = folded_charts(blend, before["chart_uv"], rest.faces)
+    assert (folded >= (folded_triangles(blend, before["chart_uv"], rest.faces) > 0)).all()
     assert folded.sum() == first["folded_charts"]

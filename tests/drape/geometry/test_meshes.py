@@ -8,7 +8,7 @@ import torch
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.errors import MeshError
-from drape.geometry import meshes
+from drape.geometry import mesh_graphs, meshes
 from tests.drape.cloth.cloth_shapes import equilateral, grid, random_rotation, tube
 from tests.drape.geometry.geometry_shapes import box, icosphere
 
@@ -80,18 +80,18 @@ def test_boundaries_that_touch_in_a_vertex_use_every_edge_once():
 
 def test_connected_components_count_pieces_and_loose_vertices():
     _, faces = grid(1, 1)
-    labels = meshes.connected_components(np.concatenate([faces, faces + 4]), 9)
+    labels = mesh_graphs.connected_components(np.concatenate([faces, faces + 4]), 9)
     assert_array_equal(labels, [0, 0, 0, 0, 1, 1, 1, 1, 2])
 
 
 def test_umbrella_laplacian_annuls_constants_and_linear_maps_on_a_regular_sheet():
     vertices, faces = equilateral(6, 6)
-    moved = meshes.umbrella_laplacian(faces, len(vertices)) @ vertices
+    moved = mesh_graphs.umbrella_laplacian(faces, len(vertices)) @ vertices
     border = np.unique(np.concatenate(meshes.boundary_loops(faces)))
     inner = np.setdiff1d(np.arange(len(vertices)), border)
     assert_allclose(moved[inner], 0.0, rtol=0.0, atol=1e-16)
     assert np.abs(moved[border]).max() > 1e-3
-    lonely = meshes.umbrella_laplacian(faces, len(vertices) + 1)
+    lonely = mesh_graphs.umbrella_laplacian(faces, len(vertices) + 1)
     assert_allclose(lonely @ np.ones(len(vertices) + 1), 0.0, rtol=0.0, atol=1e-15)
 
 

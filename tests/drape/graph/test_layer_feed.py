@@ -19,7 +19,7 @@ from drape.contact.skin import body_skin
 from drape.errors import ArtifactError, InputError
 from drape.garment.cache import GARMENTS_DIR, Garment, load_garment
 from drape.geometry.skinning import skin_points
-from drape.graph.layer_feed import LayerFeed, check_layers, layer_arrays, layer_feed, push_over, sheet
+from drape.graph.layer_feed import LayerFeed, check_layers, layer_feed, push_over, sheet
 from tests.fixtures.cut_garments import cut_garment
 
 
@@ -97,7 +97,7 @@ def test_three_layers_count_their_vertices_one_after_the_other(cut: str, limit_p
     clusters = sheet(garment(tank)).samples.member.shape[0]
     flat = feed.cloth_member.reshape(-1, feed.cloth_member.shape[-1])
     assert flat[:clusters].max() < first <= flat[clusters:].min()
-    assert set(layer_arrays(feed)) >= {"region", "cloth_member", "cloth_rows", "push_other"}
+    assert set(feed.flat()) >= {"region", "cloth_member", "cloth_rows", "push_other"}
     poses = np.zeros((1, 24, 3))
     table, inner, outer = table_of(body.v_template[None]), skinned(tank, poses), skinned(shirt, poses)
     middle = push_over(skinned(shorts, poses), inner, table, feed_of(tank, shorts))

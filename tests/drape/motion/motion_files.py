@@ -1,4 +1,4 @@
-"""Small skeletons, and writers of BVH and ASF/AMC files for them: the inverse of the readers."""
+"""Small skeletons, and a writer of BVH files for them: the inverse of the reader."""
 
 from __future__ import annotations
 
@@ -18,12 +18,14 @@ _LIMBS = {
     "lafan": ("Left", "Right", "UpLeg Leg Foot Toe Shoulder Arm ForeArm Hand"),
     "poser": ("Left", "Right", "Hip Knee Ankle Toe Collar Shoulder Elbow Wrist"),
     "smpl": ("left_", "right_", "hip knee ankle foot collar shoulder elbow wrist"),
+    "acclaim": ("l", "r", "femur tibia foot toes clavicle humerus radius wrist"),
 }
 _TRUNKS = {
     "mixamo": [f"mixamorig:{word}" for word in ["Hips", "Spine", "Spine1", "Spine2", "Neck", "Head"]],
     "lafan": ["Hips", "Spine", "Spine1", "Spine2", "Neck", "Head"],
     "poser": ["Hips", "Chest", "Chest2", "Chest3", "Neck", "Head"],
     "smpl": ["pelvis", "spine1", "spine2", "spine3", "neck", "head"],
+    "acclaim": ["root", "lowerback", "upperback", "thorax", "lowerneck", "head"],
 }
 SCHEMES = tuple(_LIMBS)
 
@@ -90,75 +92,3 @@ def write_bvh(
     lines += [" ".join(f"{value:.9f}" for value in row) for row in values]
     path.write_text("\n".join(lines) + "\n")
     return path
-
-
-# name: (parent, direction, length [m], dof, SMPL joint)
-ASF_BONES = {
-    "lhipjoint": ("root", (0.085, -0.08, 0.0), 0.117, "", None),
-    "lfemur": ("lhipjoint", (0, -1, 0), 0.38, "rx ry rz", "left_hip"),
-    "ltibia": ("lfemur", (0, -1, 0), 0.40, "rx", "left_knee"),
-    "lfoot": ("ltibia", (0, -0.4, 0.9), 0.13, "rx rz", "left_ankle"),
-    "ltoes": ("lfoot", (0, 0, 1), 0.06, "rx", "left_foot"),
-    "rhipjoint": ("root", (-0.085, -0.08, 0.0), 0.117, "", None),
-    "rfemur": ("rhipjoint", (0, -1, 0), 0.38, "rx ry rz", "right_hip"),
-    "rtibia": ("rfemur", (0, -1, 0), 0.40, "rx", "right_knee"),
-    "rfoot": ("rtibia", (0, -0.4, 0.9), 0.13, "rx rz", "right_ankle"),
-    "rtoes": ("rfoot", (0, 0, 1), 0.06, "rx", "right_foot"),
-    "lowerback": ("root", (0, 1, 0), 0.12, "rx ry rz", "spine1"),
-    "upperback": ("lowerback", (0, 1, 0), 0.12, "rx ry rz", "spine2"),
-    "thorax": ("upperback", (0, 1, 0), 0.12, "rx ry rz", "spine3"),
-    "lowerneck": ("thorax", (0, 1, 0), 0.1, "rx ry rz", "neck"),
-    "head": ("lowerneck", (0, 1, 0), 0.1, "rx ry rz", "head"),
-    "lclavicle": ("thorax", (1, 0, 0), 0.15, "ry rz", "left_collar"),
-    "lhumerus": ("lclavicle", (1, 0, 0), 0.25, "rx ry rz", "left_shoulder"),
-    "lradius": ("lhumerus", (1, 0, 0), 0.24, "rx", "left_elbow"),
-    "lwrist": ("lradius", (1, 0, 0), 0.08, "ry", "left_wrist"),
-    "rclavicle": ("thorax", (-1, 0, 0), 0.15, "ry rz", "right_collar"),
-    "rhumerus": ("rclavicle", (-1, 0, 0), 0.25, "rx ry rz", "right_shoulder"),
-    "rradius": ("rhumerus", (-1, 0, 0), 0.24, "rx", "right_elbow"),
-    "rwrist": ("rradius", (-1, 0, 0), 0.08, "ry", "right_wrist"),
-}
-
-# CMU's unit: 1/0.45 inch.
-ASF_UNIT = 0.0254 / 0.45
-
-
-def asf_text(axes_deg: dict[str, np.ndarray]) -> str:
-    """A skeleton whose bones turn about axes given by fixed XYZ angles [degrees]."""
-    lines = ["# made by a test", ":version 1.10", ":name test", ":units", "  mass 1.0", "  length 0.45", "  angle deg"]
-    lines += [
-        ":root",
-        "  order TX TY TZ RX RY RZ",
-        "  axis XYZ",
-        "  position 0 0 0",
-        "  orientation 0 0 0",
-        ":bonedata",
-    ]
-    for index, (name, (_, direction, length, dof, _)) in enumerate(ASF_BONES.items(), 1):
-        along = np.array(direction) / np.linalg.norm(direction)
-        lines += ["  begin", f"    id {index}", f"    name {name}"]
-        lines.append("    direction " + " ".join(f"{value:.9f}" for value in along))
-        lines.append(f"    length {length / ASF_UNIT:.9f}")
-        lines.append("    axis " + " ".join(f"{value:.9f}" for value in axes_deg[name]) + " XYZ")
-        if dof:
-            lines += [
-                f"    dof {dof}",
-                "    limits (-160.0 20.0)",
-                *["           (-70.0 70.0)"] * (len(dof.split()) - 1),
-            ]
-        lines.append("  end")
-    lines += [":hierarchy", "  begin"]
-    for parent in ("root", *ASF_BONES):
-        if children := [name for name, bone in ASF_BONES.items() if bone[0] == parent]:
-            lines.append(f"    {parent} {' '.join(children)}")
-    return "\n".join([*lines, "  end", ""])
-
-
-def amc_text(root: np.ndarray, root_deg: np.ndarray, angles_deg: dict[str, np.ndarray]) -> str:
-    """Frames of root positions [file units], root angles and each bone's angles (F, dof) [degrees]."""
-    lines = ["#!OML:ASF test", ":FULLY-SPECIFIED", ":DEGREES"]
-    for frame in range(len(root)):
-        lines.append(str(frame + 1))
-        lines.append("root " + " ".join(f"{value:.9f}" for value in [*root[frame], *root_deg[frame]]))
-        lines += [f"{name} " + " ".join(f"{value:.9f}" for value in rows[frame]) for name, rows in angles_deg.items()]
-    return "\n".join(lines) + "\n"

@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 
 from drape.motion.clip import clean_windows, flagged_steps
-from drape.motion.readers import read_motion
-
-SUFFIXES = (".npz", ".bvh", ".amc")
+from drape.motion.readers import MOTION_SUFFIXES, read_motion
 
 
 @pytest.mark.data
 def test_every_clip_of_the_data_folder_is_read_and_mostly_clean(data):
-    files = sorted(path for path in (data / "motions").rglob("*") if path.suffix.lower() in SUFFIXES)
+    files = sorted(path for path in (data / "motions").rglob("*") if path.suffix.lower() in MOTION_SUFFIXES)
     if not files:
         pytest.skip("The folder named by DRAPE_DATA has no motions; docs/guide/data.md says where they can be had.")
     for path in files:

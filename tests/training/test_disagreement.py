@@ -11,11 +11,11 @@ from numpy.testing import assert_allclose
 from drape.body.assets import load_body
 from drape.errors import InputError
 from drape.garment.cache import Garment
-from drape.garment.disagreement import HEARD, chart_normals, chart_positions, disagreement
 from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_matrix
 from tests.drape.cloth.cloth_shapes import grid
 from tests.fixtures.tiny_model import tube_garment
+from training.disagreement import LEAST_WEIGHT, chart_normals, chart_positions, disagreement
 
 PATCHES = 5
 
@@ -69,9 +69,9 @@ def test_charts_at_rest_agree_exactly(name, request):
     found = disagreement(garment, *at_rest(garment, frames=2))
     assert_allclose(found.gap_m, 0.0, rtol=0.0, atol=1e-8)
     assert_allclose(found.normal_rad, 0.0, rtol=0.0, atol=1e-6)
-    overlap = (garment.chart_weight > HEARD).sum(axis=1) > 1
+    overlap = (garment.chart_weight > LEAST_WEIGHT).sum(axis=1) > 1
     assert found.normal_rad.shape == (2, overlap.sum())
-    assert found.gap_m.shape == (2, (garment.chart_weight > HEARD)[overlap].sum())
+    assert found.gap_m.shape == (2, (garment.chart_weight > LEAST_WEIGHT)[overlap].sum())
 
 
 def test_a_shifted_patch_stands_off_by_the_weight_of_the_others(tube):
@@ -81,26 +81,26 @@ def test_a_shifted_patch_stands_off_by_the_weight_of_the_others(tube):
     jet[0, moved, [0, 6, 12]] = rotation[0, moved].T @ shift / tube.patch_scale[moved]
     centre[1, moved] += shift
     found = disagreement(tube, jet, rotation, centre)
-    heard = tube.chart_weight > HEARD
-    heard &= heard.sum(axis=1, keepdims=True) > 1
+    counted = tube.chart_weight > LEAST_WEIGHT
+    counted &= counted.sum(axis=1, keepdims=True) > 1
     is_moved = tube.chart_patch == moved
     share = (tube.chart_weight * is_moved).sum(axis=1, keepdims=True)
-    expected = np.linalg.norm(shift) * np.where(is_moved, 1.0 - share, share)[heard]
+    expected = np.linalg.norm(shift) * np.where(is_moved, 1.0 - share, share)[counted]
     assert expected.max() > 0.01
     assert_allclose(found.gap_m, np.stack([expected, expected]), rtol=1e-4, atol=1e-7)
     assert_allclose(found.normal_rad, 0.0, rtol=0.0, atol=1e-6)
 
 
-def test_a_turned_patch_disagrees_by_its_angle_where_another_is_heard(tube):
+def test_a_turned_patch_disagrees_by_its_angle_where_another_counts(tube):
     jet, rotation, centre = at_rest(tube)
     turned, angle = 7, 0.3
     normals = tube.patch_rotation[:, :, 2]
     across = np.cross(normals[turned], [0.0, 1.0, 0.0])
     rotation[0, turned] = rotvec_to_matrix(angle * across / np.linalg.norm(across)) @ rotation[0, turned]
     found = disagreement(tube, jet, rotation, centre)
-    heard = tube.chart_weight > HEARD
-    overlap = heard.sum(axis=1) > 1
-    by_it = ((tube.chart_patch == turned) & heard).any(axis=1)[overlap]
+    counted = tube.chart_weight > LEAST_WEIGHT
+    overlap = counted.sum(axis=1) > 1
+    by_it = ((tube.chart_patch == turned) & counted).any(axis=1)[overlap]
     assert_allclose(found.normal_rad[0, ~by_it], 0.0, rtol=0.0, atol=1e-6)
     # Off the axis of the turn a normal moves less: by the angle between n and R n.
     rest = chart_normals(tube, *at_rest(tube)[:2])[0, :, 0][overlap][by_it]
@@ -153,7 +153,7 @@ def test_normals_of_a_bent_chart_are_those_of_its_mesh(tube, rng):
     for face in tube.fine_faces:
         for patch in set(tube.chart_patch[face[0]]):
             slots = tube.chart_patch[face] == patch
-            if not (slots.any(axis=1) & ((tube.chart_weight[face] * slots).sum(axis=1) > HEARD)).all():
+            if not (slots.any(axis=1) & ((tube.chart_weight[face] * slots).sum(axis=1) > LEAST_WEIGHT)).all():
                 continue
             slot = slots.argmax(axis=1)
             a, b, c = said[face, slot]

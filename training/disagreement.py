@@ -14,20 +14,20 @@ import numpy as np
 
 from drape.arrays import check_shape
 from drape.garment.cache import Garment
-from drape.garment.charts import Cover
+from drape.garment.charts import ChartBlend
 from drape.garment.unfold import chart_triangles
 from drape.geometry import jets, meshes
 from drape.geometry.rotations import cross
 
-HEARD = 0.02  # weight in the blend above which a chart's word counts
+LEAST_WEIGHT = 0.02  # weight in the blend above which a chart counts
 
 
 @dataclass(frozen=True, eq=False)
 class Disagreement:
-    """Of the n vertices that at least two charts of weight above ``HEARD`` hold.
+    """How far charts disagree at the n vertices that at least two of them hold with a weight above ``LEAST_WEIGHT``.
 
-    ``gap_m`` (F, m) from what each of their m chart entries says to the blended vertex; ``normal_rad`` (F, n) the
-    largest angle between the normals of two of a vertex's charts.
+    ``gap_m`` (F, m): the distance from the blended vertex to where each of its m chart entries puts it.
+    ``normal_rad`` (F, n): the largest angle between the normals of two of a vertex's charts.
     """
 
     gap_m: np.ndarray
@@ -66,17 +66,17 @@ def chart_normals(garment: Garment, jet: np.ndarray, rotation: np.ndarray) -> np
 def disagreement(garment: Garment, jet: np.ndarray, rotation: np.ndarray, centre: np.ndarray) -> Disagreement:
     """Disagreement over the vertices of the subdivided mesh; arguments as ``chart_positions``."""
     weight = garment.chart_weight.astype(np.float64)
-    heard = weight > HEARD
-    overlap = heard.sum(axis=1) > 1
-    heard, weight = heard[overlap], weight[overlap]
+    counted = weight > LEAST_WEIGHT
+    overlap = counted.sum(axis=1) > 1
+    counted, weight = counted[overlap], weight[overlap]
     said = chart_positions(garment, jet, rotation, centre)[:, overlap]
     blended = np.einsum("vk,fvka->fva", weight, said)
-    gap = np.linalg.norm(said - blended[:, :, None], axis=-1)[:, heard]
-    return Disagreement(gap, widest_angles(chart_normals(garment, jet, rotation)[:, overlap], heard))
+    gap = np.linalg.norm(said - blended[:, :, None], axis=-1)[:, counted]
+    return Disagreement(gap, widest_angles(chart_normals(garment, jet, rotation)[:, overlap], counted))
 
 
-def widest_angles(normals: np.ndarray, heard: np.ndarray) -> np.ndarray:
-    """Largest angle [rad] (F, n) between two of the unit ``normals`` (F, n, m, 3) that ``heard`` (n, m) counts.
+def widest_angles(normals: np.ndarray, counted: np.ndarray) -> np.ndarray:
+    """Largest angle [rad] (F, n) between two of the unit ``normals`` (F, n, m, 3) that ``counted`` (n, m) admits.
 
     A normal that is NaN is not there.
     """
@@ -84,7 +84,7 @@ def widest_angles(normals: np.ndarray, heard: np.ndarray) -> np.ndarray:
     for first in range(normals.shape[2]):
         for second in range(first):
             angle = np.nan_to_num(_angle(normals[:, :, first], normals[:, :, second]))
-            widest = np.maximum(widest, angle * (heard[:, first] & heard[:, second]))
+            widest = np.maximum(widest, angle * (counted[:, first] & counted[:, second]))
     return widest
 
 
@@ -106,8 +106,8 @@ def _uv_gradients(garment: Garment) -> np.ndarray:
     (u, v) is linear on every triangle of a chart; a vertex takes the mean round it, weighted by area.
     """
     local, uv = garment.chart_local().reshape(-1, 3), garment.chart_uv.astype(np.float64).reshape(-1, 2)
-    cover = Cover(garment.chart_patch, garment.chart_weight)
-    _, corners = chart_triangles(cover, garment.fine_faces.astype(np.int64))
+    blend = ChartBlend(garment.chart_patch, garment.chart_weight)
+    _, corners = chart_triangles(blend, garment.fine_faces.astype(np.int64))
     first, second = (local[corners[:, k]] - local[corners[:, 0]] for k in (1, 2))
     by_first, by_second = (uv[corners[:, k]] - uv[corners[:, 0]] for k in (1, 2))
     area = cross(first, second)  # twice the area, along the normal

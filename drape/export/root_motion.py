@@ -1,4 +1,4 @@
-"""The motion of the body's root, which a node of a file takes over, so that a garment's own vertices move little."""
+"""The motion of the body's root. A node of a file takes it over, so that a garment's own vertices move little."""
 
 from __future__ import annotations
 
@@ -10,16 +10,11 @@ from drape.geometry.rotations import rotvec_to_matrix, rotvec_to_quaternion
 
 
 @dataclass(frozen=True, eq=False)
-class Ride:
+class RootMotion:
     """Per frame the rotation vector (F, 3) [rad] and the place (F, 3) [m] of the root, float64."""
 
     turn: np.ndarray
     place: np.ndarray
-
-    @staticmethod
-    def still(frames: int) -> Ride:
-        """Of what stands where its numbers say."""
-        return Ride(np.zeros((frames, 3)), np.zeros((frames, 3)))
 
     def __len__(self) -> int:
         return len(self.turn)
@@ -33,7 +28,7 @@ class Ride:
         return (points - self.place[frame]) @ self.rotation(frame)
 
     def places_of(self, point: np.ndarray) -> np.ndarray:
-        """Where the ``point`` (3,) of the root's frame is in the world (F, 3) [m]."""
+        """Places (F, 3) [m] in the world of the ``point`` (3,) of the root's frame."""
         return self.place + rotvec_to_matrix(self.turn) @ point
 
 

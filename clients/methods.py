@@ -1,0 +1,287 @@
+"""The clients' methods, each written once as the calls that it makes; ``clients.client`` makes them, waiting or not.
+
+A method returns its only call, or a generator of steps: it is sent the answer to each ``Call`` that it yields, lets
+the time of a ``Pause`` pass, and returns its own answer.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clients import calls, pieces
+from clients.calls import BINARY, GLB, Answer, Body, Call, Motion, at_root, draped, fetched, path_of
+from clients.meshes import Mesh, check_without_body, glb_of
+from clients.refusals import problem_error
+from drape.errors import Unavailable
+from drape.motion.clip import MotionClip
+from drape.wire.jets import JetFrame
+from drape.wire.layout import JetLayout
+from drape.wire.options import Resolution
+
+POLL_S = 0.25
+Progress = Callable[[dict[str, Any]], None]
+
+
+@dataclass(frozen=True)
+class Pause:
+    """A step that waits."""
+
+    seconds: float
+
+
+Steps = Generator[Call[Any] | Pause, Any, Answer]
+
+
+class Methods:
+    """What the clients can ask of a service, and how many frames this one takes at once, which is asked once."""
+
+    def __init__(self) -> None:
+        self._most: int | None = None
+
+    def health(self) -> Call[dict[str, Any]]:
+        """Whether the service works, and with what."""
+        return fetched("health")
+
+    def garments(self) -> Call[list[dict[str, Any]]]:
+        """The garments that can be draped; ``id`` names one."""
+        return fetched("garments")
+
+    def tiers(self) -> Call[list[dict[str, Any]]]:
+        """The tiers that a drape may name, the least first, with what was measured of each."""
+        return fetched("tiers")
+
+    def fabrics(self) -> Call[list[dict[str, Any]]]:
+        """The fabrics that a drape may name, with their numbers."""
+        return fetched("fabrics")
+
+    def bodies(self) -> Call[list[dict[str, Any]]]:
+        """The bodies of the service."""
+        return fetched("bodies")
+
+    def motions(self) -> Call[list[dict[str, Any]]]:
+        """The sample clips of the service."""
+        return fetched("motions")
+
+    def motion(self, name: str, betas: np.ndarray | None = None) -> Call[MotionClip]:
+        """One sample clip, placed on the ground for the service's body in the shape ``betas``."""
+        return fetched("motions", name, read=calls.read_clip, betas=betas)
+
+    def placed(self, clip: MotionClip, betas: np.ndarray | None = None) -> Steps[MotionClip]:
+        """A clip from a file, placed on the ground for the service's body in the shape ``betas``."""
+        name = (yield self.bodies())[0]["id"]
+        return calls.placed(clip, (yield fetched("bodies", name, betas=betas)))
+
+    def mesh(self, garment: str, resolution: Resolution = "delivered") -> Call[dict[str, Any]]:
+        """Rest vertices [m], faces, uv and uv_faces of a garment, of the mesh that a drape of ``resolution`` has."""
+        return fetched("garments", garment, "mesh", resolution=resolution)
+
+    def preview(self, garment: str, size: int = 512) -> Call[bytes]:
+        """A PNG of a garment at rest on its body, ``size`` pixels along each side, 64 to 1,024."""
+        return fetched("garments", garment, "preview.png", read=calls.read_bytes, accept="image/png", size=str(size))
+
+    def jet_layout(self, garment: str, resolution: Resolution = "delivered") -> Call[JetLayout]:
+        """What makes vertices of the garment's jets, on its own mesh or a finer one; constant per garment."""
+        return fetched("garments", garment, "jets", read=calls.read_layout, accept=BINARY, resolution=resolution)
+
+    def upload_garment(
+        self,
+        path: str | Path,
+        avatar: str | dict[str, Any] | None = None,
+        *,
+        name: str | None = None,
+        wait_s: float = 600.0,
+        progress: Progress = lambda job: None,
+    ) -> Steps[str]:
+        """Uploads a garment file, waits for its job and returns the new garment's id.
+
+        ``progress`` is told the job as often as it is asked for; what it raises ends the upload too.
+        """
+        job = yield calls.upload(Path(path), avatar, name)
+        deadline = time.monotonic() + wait_s
+        while (garment := finished(job)) is None:
+            check_deadline(job, deadline, wait_s)
+            try:
+                progress(job)
+                yield Pause(POLL_S)
+            except BaseException:
+                yield Call("DELETE", path_of("jobs", job["id"]), calls.read_bytes)
+                raise
+            job = yield fetched("jobs", job["id"])
+        return garment
+
+    def drape(
+        self,
+        garment: str,
+        motion: Motion,
+        *,
+        trans: np.ndarray | None = None,
+        betas: np.ndarray | None = None,
+        **options: Any,
+    ) -> Steps[np.ndarray]:
+        """World vertices [m] (F, V, 3) float32 of ``garment`` over a clip or poses (F, 24, 3) [rad].
+
+        ``options`` are those of ``drape.wire.options.DrapeOptions``; the service's own where left out.
+        """
+        return self._whole(draped(calls.read_vertices, garment, motion, Body(trans, betas), options))
+
+    def drape_at_root(
+        self,
+        garment: str,
+        motion: Motion,
+        *,
+        trans: np.ndarray | None = None,
+        betas: np.ndarray | None = None,
+        **options: Any,
+    ) -> Steps[tuple[np.ndarray, np.ndarray]]:
+        """``drape`` as vertices [m] (F, V, 3) float32 counted from the roots [m] (F, 3) float64, which follow.
+
+        Far from the world's origin their sum in float64 keeps the garment's shape, where ``drape`` rounds it.
+        """
+        return self._whole(at_root(draped(calls.read_vertices, garment, motion, Body(trans, betas), options)))
+
+    def drape_outfit(
+        self,
+        garments: Sequence[str],
+        motion: Motion,
+        *,
+        trans: np.ndarray | None = None,
+        betas: np.ndarray | None = None,
+        **options: Any,
+    ) -> Steps[list[np.ndarray]]:
+        """``drape`` of several garments worn over each other, the innermost first; vertices of each."""
+        return self._whole(draped(calls.read_layers, list(garments), motion, Body(trans, betas), options))
+
+    def drape_frames(
+        self,
+        garment: str | Sequence[str],
+        motion: Motion,
+        *,
+        trans: np.ndarray | None = None,
+        betas: np.ndarray | None = None,
+        at_once: int = 240,
+        **options: Any,
+    ) -> Iterator[Steps[list[np.ndarray]]]:
+        """``drape_outfit`` as vertices [m] (f, V, 3) of each garment, at most ``at_once`` frames at a time.
+
+        No more is held of a clip of any length.
+        """
+        return self._pieces(draped(calls.read_layers, _listed(garment), motion, Body(trans, betas), options), at_once)
+
+    def drape_jets(
+        self,
+        garment: str | Sequence[str],
+        motion: Motion,
+        *,
+        trans: np.ndarray | None = None,
+        betas: np.ndarray | None = None,
+        **options: Any,
+    ) -> Steps[list[JetFrame]]:
+        """``drape`` as posed patches, a frame each: ``jet_layout(garment).vertices(frame)`` [m] (V, 3).
+
+        ``frame.layers(counts)`` parts the patches of several garments worn over each other.
+        """
+        asked = {**options, "geometry": "jets"}
+        return self._whole(draped(calls.read_jets, garment, motion, Body(trans, betas), asked))
+
+    def drape_glb(
+        self,
+        garment: str | Sequence[str],
+        motion: Motion,
+        *,
+        trans: np.ndarray | None = None,
+        betas: np.ndarray | None = None,
+        fps: float | None = None,
+        body: bool = False,
+        quantised: bool = True,
+        **options: Any,
+    ) -> Steps[bytes]:
+        """An animated GLB of a garment, or of several over each other; with the body beside them if ``body``.
+
+        ``quantised`` (KHR_mesh_quantization) is half as large; float32 otherwise. A clip that comes in pieces is
+        written here, without the body (``InputError``).
+        """
+        shape = Body(trans, betas, fps)
+        more = {"body": body, "quantised": quantised}
+        call = draped(calls.read_bytes, garment, motion, shape, options, accept=GLB, more=more)
+        assert call.clip is not None
+        most = yield from self._at_once(len(call.clip.poses))
+        if len(call.clip.poses) <= most:
+            return (yield call)
+        check_without_body(call, most)
+        rooted = at_root(draped(calls.read_vertices, garment, motion, shape, options))
+        vertices, roots = yield from self._whole(rooted)
+        meshes = []
+        for name in _listed(garment):
+            meshes.append(Mesh.of((yield self.mesh(name, options.get("resolution") or "delivered"))))
+        return glb_of(call, meshes, vertices, roots)
+
+    def posed_body(
+        self, body: str, motion: Motion, *, trans: np.ndarray | None = None, betas: np.ndarray | None = None
+    ) -> Steps[np.ndarray]:
+        """World vertices [m] (F, Vb, 3) float32 of the posed body."""
+        clip, about = calls.motion_of(motion, Body(trans, betas))
+        path, accept = path_of("bodies", body, "posed"), {"Accept": BINARY}
+        return self._whole(Call("POST", path, calls.read_vertices, headers=accept, json=about, clip=clip))
+
+    def _whole(self, call: Call[Answer]) -> Steps[Answer]:
+        """The answer to ``call``, asked for in pieces where its clip is longer than the service takes at once."""
+        answers = []
+        for piece in self._pieces(call):
+            answers.append((yield from piece))
+        return pieces.joined(answers)
+
+    def _pieces(self, call: Call[Answer], at_once: int | None = None) -> Iterator[Steps[Answer]]:
+        """The steps to the answer for each piece of ``call``, of ``at_once`` frames or of as many as the service takes.
+
+        The steps of one piece must be taken before the next piece is asked for.
+        """
+        assert call.clip is not None
+        frames, done, past = len(call.clip.poses), 0, None
+
+        def piece() -> Steps[Answer]:
+            nonlocal done, past
+            most = yield from self._at_once(frames)
+            rows = slice(done, min(frames, done + (most if at_once is None else min(at_once, most))))
+            answer, past = yield pieces.piece(call, rows, past)
+            done = rows.stop
+            return answer
+
+        yield piece()
+        while done < frames:
+            yield piece()
+
+    def _at_once(self, frames: int) -> Steps[int]:
+        """How many of ``frames`` the service takes at once; it is asked the first time that they are many."""
+        if frames <= pieces.UNASKED:
+            return max(1, frames)
+        if self._most is None:
+            self._most = pieces.most_frames((yield self.health()))
+        return self._most
+
+
+def _listed(garment: str | Sequence[str]) -> Sequence[str]:
+    return [garment] if isinstance(garment, str) else garment
+
+
+def finished(job: dict[str, Any]) -> str | None:
+    """The garment of a job that is done, None while it goes on; raises its refusal where it failed or was cancelled."""
+    if job["state"] == "failed":
+        raise problem_error(job["problem"])
+    if job["state"] == "cancelled":
+        raise Unavailable(
+            f"upload {job['name']}", expected="its end", got="one that was cancelled", cure="Upload again."
+        )
+    return job["garment"] if job["state"] == "done" else None
+
+
+def check_deadline(job: dict[str, Any], deadline: float, wait_s: float) -> None:
+    """Refuses to wait longer."""
+    if time.monotonic() > deadline:
+        name, cure = f"upload {job['name']}", f"Ask again later: GET /jobs/{job['id']}."
+        raise Unavailable(name, expected=f"an end within {wait_s:g} s", got=f"state {job['state']}", cure=cure)

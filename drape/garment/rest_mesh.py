@@ -1,0 +1,128 @@
+"""A delivered mesh as it rests on the standard body: checked, moved to T-pose, subdivided, pushed clear of the body."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.garment.avatars import Avatar
+from drape.garment.cache import Garment
+from drape.garment.clearance import clear_body
+from drape.garment.files.mesh import GarmentMesh
+from drape.garment.intake_options import DEFAULT_OPTIONS, IntakeOptions
+from drape.garment.mesh_checks import check_mesh
+from drape.garment.rest_pose import refine, to_standard
+from drape.geometry import meshes
+from drape.geometry.closest import nearest_vertices
+
+FINE_VERTEX_MINIMUM, FINE_VERTEX_LIMIT = 4_000, 40_000
+FINE_EDGE_M = 0.021  # each round halves the edges: the mean ends near 15 mm
+_VERTEX_ARRAYS = ("vertices", "chart_patch", "chart_uv", "chart_weight", "chart_residual", "skin_weights", "shapedirs")
+
+
+@dataclass(frozen=True, eq=False)
+class RestMesh:
+    """A garment at rest, clear of the body.
+
+    ``mesh``: the checked mesh without unused vertices. ``kept`` (V,): the row in it of every delivered vertex.
+    ``faces``: the delivered faces. ``vertices`` [m] (N, 3): those of ``mesh`` at rest, then those that subdivision
+    added; ``fine_faces`` its triangles. ``loose`` (N,) in [0, 1]: how much each vertex hangs as a skirt does.
+    ``resized``: the garment was moved from another body. ``figures``: what the intake prints.
+    """
+
+    mesh: GarmentMesh
+    kept: np.ndarray
+    faces: np.ndarray
+    vertices: np.ndarray
+    fine_faces: np.ndarray
+    loose: np.ndarray
+    resized: bool
+    figures: dict[str, float]
+
+
+def rest_mesh(
+    mesh: GarmentMesh,
+    avatar: Avatar,
+    body: BodyModel,
+    options: IntakeOptions = DEFAULT_OPTIONS,
+    *,
+    named: bool = True,
+) -> RestMesh:
+    """The delivered ``mesh``, checked, moved from ``avatar`` to ``body`` in T-pose and pushed clear of it.
+
+    ``named`` is False where the avatar is only assumed: the garment must then fit it closely (``mesh_checks.place``).
+    Raises ``MeshError`` where the mesh cannot be draped.
+    """
+    checked = check_mesh(mesh, avatar, unit=options.unit, up=options.up, repair=options.repair, named=named)
+    compact, kept = without_unused(checked)
+    moved = to_standard(compact.vertices, compact.faces, avatar, body)
+    fine, fine_faces, origin = refine(
+        moved.vertices, compact.faces, at_least=FINE_VERTEX_MINIMUM, at_most=FINE_VERTEX_LIMIT, edge_m=FINE_EDGE_M
+    )
+    cleared = clear_body(fine, fine_faces, body.v_template, body.faces)
+    delivered, final = compact.vertices, cleared.vertices[: len(compact.vertices)]
+    figures = {
+        "avatar_residual_mm": avatar.residual_mm,
+        "clearance_mm": 1e3 * cleared.clearance_m,
+        "push_max_mm": 1e3 * cleared.push_m,
+        **{f"move_{k}": v for k, v in edge_strain(delivered, moved.vertices, compact.faces).items()},
+        **{f"push_{k}": v for k, v in edge_strain(fine, cleared.vertices, fine_faces).items()},
+        **{f"total_{k}": v for k, v in edge_strain(delivered, final, compact.faces).items()},
+        "loose_share": float((moved.loose > 0.5).mean()),
+        "fine_vertex_count": len(fine),
+    }
+    return RestMesh(
+        compact, kept, checked.faces, cleared.vertices, fine_faces, moved.loose[origin], avatar.moved, figures
+    )
+
+
+def edge_strain(before: np.ndarray, after: np.ndarray, faces: np.ndarray) -> dict[str, float]:
+    """The mean and the 95th percentile of |length after / length before - 1| over the edges [%]."""
+    edges = meshes.unique_edges(faces)
+    strain = 100.0 * np.abs(
+        meshes.edge_lengths(after, edges) / np.maximum(meshes.edge_lengths(before, edges), 1e-9) - 1.0
+    )
+    return {"strain_mean_pct": float(strain.mean()), "strain_p95_pct": float(np.quantile(strain, 0.95))}
+
+
+def without_unused(mesh: GarmentMesh) -> tuple[GarmentMesh, np.ndarray]:
+    """``mesh`` without the vertices that no face uses, and for each old vertex (V,) a row of the new mesh: its own, or
+    that of the nearest vertex."""
+    used = np.unique(mesh.faces)
+    if len(used) == len(mesh.vertices):
+        return mesh, np.arange(len(used))
+    _, kept = nearest_vertices(mesh.vertices, mesh.vertices[used])
+    kept[used] = np.arange(len(used))
+    return replace(mesh, vertices=mesh.vertices[used], faces=kept[mesh.faces]), kept
+
+
+def with_unused(garment: Garment, faces: np.ndarray, kept: np.ndarray) -> Garment:
+    """``garment``, made without unused vertices, with these back in their places.
+
+    ``faces`` (F, 3): the delivered triangles; ``kept`` as ``without_unused`` returns it.
+    """
+    compact = garment.vertex_count
+    if len(kept) == compact and (kept == np.arange(compact)).all():
+        return garment
+    row = np.concatenate([kept, np.arange(compact, len(garment.vertices))])
+    place = np.empty(len(garment.vertices), dtype=np.int64)
+    place[row[::-1]] = np.arange(len(row))[::-1]
+    place[garment.faces.reshape(-1)] = faces.reshape(-1)  # a face's vertex is the delivered one, not a copy of it
+    arrays = {name: getattr(garment, name)[row] for name in _VERTEX_ARRAYS}
+    fine_faces = place[garment.fine_faces].astype(np.int32)
+    return replace(garment, vertex_count=len(kept), faces=faces.astype(np.int32), fine_faces=fine_faces, **arrays)
+
+
+def describe_rest(rest: RestMesh) -> list[str]:
+    """Lines for the log: what was done to the mesh, and how far it was stretched and pushed."""
+    figures = rest.figures
+    lines = [f"note      {note}" for note in rest.mesh.notes]
+    for step, what in (("move", "moved"), ("push", "cleared"), ("total", "in all")):
+        mean, most = figures[f"{step}_strain_mean_pct"], figures[f"{step}_strain_p95_pct"]
+        lines.append(f"{what:9s} edge strain {mean:.1f} % (95th percentile {most:.1f} %)")
+    lines.append(
+        f"clearance {figures['clearance_mm']:.2f} mm at least; pushed by {figures['push_max_mm']:.1f} mm at most"
+    )
+    return lines

@@ -1,0 +1,45 @@
+"""Meshes as graphs: sparse matrices over their vertices, Laplacians, and pieces."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse
+from scipy.sparse import csgraph
+
+from drape.geometry import meshes
+
+
+def connected_components(faces: np.ndarray, vertex_count: int) -> np.ndarray:
+    """Component number (V,) of every vertex, counted from 0; a vertex without a face is its own."""
+    return csgraph.connected_components(adjacency(faces, vertex_count), directed=False)[1].astype(np.int64)
+
+
+def adjacency(faces: np.ndarray, vertex_count: int) -> scipy.sparse.csr_matrix:
+    """Symmetric matrix (V, V) with one at every edge."""
+    edges = meshes.unique_edges(faces)
+    return edge_matrix(edges, np.ones(len(edges)), vertex_count)
+
+
+def edge_matrix(edges: np.ndarray, values: np.ndarray, vertex_count: int) -> scipy.sparse.csr_matrix:
+    """Symmetric matrix (V, V) with ``values`` (E,) at ``edges`` (E, 2), each edge given once."""
+    one_way = scipy.sparse.coo_matrix((values, (edges[:, 0], edges[:, 1])), shape=(vertex_count,) * 2).tocsr()
+    return one_way + one_way.T
+
+
+def edge_graph(vertices: np.ndarray, faces: np.ndarray) -> scipy.sparse.csr_matrix:
+    """Symmetric matrix (V, V) with the length [m] of every edge, at least 1e-9: zero would say that there is none."""
+    edges = meshes.unique_edges(faces)
+    return edge_matrix(edges, np.maximum(meshes.edge_lengths(vertices, edges), 1e-9), len(vertices))
+
+
+def weighted_laplacian(weights: scipy.sparse.csr_matrix) -> scipy.sparse.csr_matrix:
+    """D - W of a symmetric matrix W (V, V) of weights, D the diagonal of its row sums."""
+    return scipy.sparse.diags(np.asarray(weights.sum(axis=1)).reshape(-1)) - weights
+
+
+def umbrella_laplacian(faces: np.ndarray, vertex_count: int) -> scipy.sparse.csr_matrix:
+    """Matrix (V, V) whose product with positions is (mean of the neighbours) - (own position); zero rows where none."""
+    graph = adjacency(faces, vertex_count)
+    degree = np.asarray(graph.sum(axis=1)).reshape(-1)
+    averaging = scipy.sparse.diags(1.0 / np.maximum(degree, 1.0)) @ graph
+    return (averaging - scipy.sparse.diags((degree > 0).astype(np.float64))).tocsr()
