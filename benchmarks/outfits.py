@@ -43,7 +43,7 @@ from drape.geometry import closest, meshes
 from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
 from drape.wire.options import DrapeOptions
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from service.stages.batch import Plan
 
@@ -91,7 +91,7 @@ class Worn:
             raise InputError("--outfits", expected="an outer garment over the inner", got=text, cure="Turn them round.")
         return cls(text, inner, outer, covered)
 
-    def plans(self, drapery: Drapery, folds: int) -> dict[str, list[Plan]]:
+    def plans(self, drapery: DrapeRuntime, folds: int) -> dict[str, list[Plan]]:
         """By method, what is asked of the service; all that it needs is taken in."""
         inner, outer = (drapery.garments.add(garment, "user") for garment in (self.inner, self.outer))
         both = drapery.garments.scene(None, [inner.id, outer.id])
@@ -102,7 +102,7 @@ class Worn:
             "projected": [drapery.plan(both, DrapeOptions(folds=0))],
         }
         for plan in (plan for plans in found.values() for plan in plans):
-            drapery.take_in(plan)
+            drapery.add_missing(plan)
         return found
 
 
@@ -178,7 +178,7 @@ def posed(clip: Clip, body: BodyModel) -> tuple[PosedBody, ...]:
 
 
 def measure(
-    worn: Worn, watched: Watched, drapery: Drapery, folds: int
+    worn: Worn, watched: Watched, drapery: DrapeRuntime, folds: int
 ) -> tuple[list[dict[str, Any]], dict[str, Drapes]]:
     """A row for each method, and what it made of the outfit."""
     shapes = drapery.body.shape_count
@@ -280,7 +280,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     looked_at = QUICK_LOOKED_AT if options.quick else LOOKED_AT
     watched = [Watched.stream(path, options.frames, looked_at, body) for path in find_motions(options.motions)]
     watched.append(Watched.poses(options.poses, body))
-    drapery = Drapery(Settings(models_dir=folder.parent, model=folder.name, threads=options.threads), body=body)
+    drapery = DrapeRuntime(Settings(models_dir=folder.parent, model=folder.name, threads=options.threads), body=body)
     rows: list[dict[str, Any]] = []
     drawn: list[list[np.ndarray]] = []
     for worn in outfits:

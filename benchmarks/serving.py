@@ -44,7 +44,7 @@ from drape.motion.clip import MotionClip
 from drape.motion.readers import read_motion
 from drape.wire.clips import pack_clip
 from drape.wire.options import DrapeOptions
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.compute.tiers import NAMES
 from service.compute.unchanged import REST_S
 from service.settings import Settings
@@ -206,7 +206,7 @@ def beside_model(inside_ms: np.ndarray, model_ms: np.ndarray) -> dict[str, float
 def model_times(garment: str, clip: MotionClip, seconds: float) -> dict[str, np.ndarray]:
     """What each frame (F,) of ``clip`` at ``FPS`` takes alone in this process [ms], stages without serving: by tier,
     and of ``POSTED``, warm: each of whose frames has no past and comes right after the last."""
-    drapery, found = Drapery(Settings()), {}
+    drapery, found = DrapeRuntime(Settings()), {}
     entry = drapery.garments.get(garment)
     for tier in drapery.tiers:
         plan = drapery.plan(entry, DrapeOptions(tier=tier.name), messages=True)  # type: ignore[arg-type]

@@ -26,7 +26,7 @@ from drape.errors import DrapeError, ended
 from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix, rotvec_to_quaternion, sixd_to_matrix
 from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.http.poses import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M
 from service.settings import Settings
 from service.stages import run
@@ -66,7 +66,9 @@ class Fuzz:
         return PoseInput(self._pose[None], place, self._betas, np.array([self._time_s])), anew
 
 
-def soak_frames(drapery: Drapery, *, count: int, until_s: float, seed: int, folds: int = 2) -> tuple[int, str | None]:
+def soak_frames(
+    drapery: DrapeRuntime, *, count: int, until_s: float, seed: int, folds: int = 2
+) -> tuple[int, str | None]:
     """How many of ``count`` frames were draped until ``time.monotonic`` was ``until_s``, and the first failure."""
     (entry,) = drapery.garments.entries()
     plan = drapery.plan(entry, DrapeOptions(push_out=True, folds=folds, settle=2), messages=True)
@@ -84,7 +86,7 @@ def soak_frames(drapery: Drapery, *, count: int, until_s: float, seed: int, fold
     return count, None
 
 
-def _one_frame(drapery: Drapery, plan: Any, one: PoseInput, memories: Mapping[Any, Any]) -> Mapping[Any, Any]:
+def _one_frame(drapery: DrapeRuntime, plan: Any, one: PoseInput, memories: Mapping[Any, Any]) -> Mapping[Any, Any]:
     """The memories after the frame ``one``; raises ``AssertionError`` where it is no drape."""
     held = PoseInput(one.poses, one.trans, one.betas, one.times_s, memories)
     batch = run(plan, [held])
@@ -136,7 +138,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
         shipped.mkdir()
         shutil.copy(find_garments([options.garment])[0], shipped)
         settings = Settings(shipped_garments_dir=shipped, garments_dir=Path(folder), threads=options.threads)
-        drapery = Drapery(settings)
+        drapery = DrapeRuntime(settings)
     rows, failed = soak_rows(count=options.rows, until_s=time.monotonic() + 0.1 * seconds, seed=options.seed)
     until_s, frames = time.monotonic() + 0.9 * seconds, 0
     if failed is None:

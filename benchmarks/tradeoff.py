@@ -49,7 +49,7 @@ from drape.errors import InputError, ended
 from drape.garment.cache import Garment
 from drape.garment.fine import fine_garment
 from drape.wire.options import DrapeOptions
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.compute.tiers import NAMES, Tier, read_tiers
 from service.settings import Settings
 from service.stages import run
@@ -170,14 +170,16 @@ class Case:
         }
 
 
-def measure(case: Case, drapery: Drapery, knobs: Sequence[Knobs], newton: str | None = None) -> list[dict[str, Any]]:
+def measure(
+    case: Case, drapery: DrapeRuntime, knobs: Sequence[Knobs], newton: str | None = None
+) -> list[dict[str, Any]]:
     """The rows of ``case``: all ``knobs``, the rival, physics, and a simulator where the interpreter ``newton`` has
     it."""
     clip, body = case.referee.clip, drapery.body
     scene, count = drapery.garments.add(case.garment, "user"), drapery.engine.pass_count
     plans = [drapery.plan(scene, one.options(count, fabric=case.fabric.name)) for one in knobs]
     for plan in plans:
-        drapery.take_in(plan)
+        drapery.add_missing(plan)
     runners = [Runner.of(plan, clip, body.shape_count) for plan in plans]
     rival = SkinningPush(case.garment, body)
     pushed, wall_ms, cpu_ms = np.empty_like(runners[0].vertices), *np.empty((2, len(clip.poses)))
@@ -375,7 +377,7 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
     options = parse(arguments)
     torch.set_num_threads(options.threads)
     body, folder = load_body(), model_folder(options.model)
-    drapery = Drapery(Settings(models_dir=folder.parent, model=folder.name, threads=options.threads), body=body)
+    drapery = DrapeRuntime(Settings(models_dir=folder.parent, model=folder.name, threads=options.threads), body=body)
     networks = {
         f"network_{'all' if passes is None else passes}": Network(folder, body, threads=options.threads, passes=passes)
         for passes in PASSES

@@ -32,7 +32,7 @@ def _serve(overrides: dict[str, object]) -> int:
     # Imported here, so that --help and a missing package do not need everything.
     try:
         from service.app import create_app
-        from service.compute.drape_runtime import Drapery
+        from service.compute.drape_runtime import DrapeRuntime
         from service.http.server import bind, make_server
         from service.settings import check_exposed, load_settings
         from service.watch.lifecycle import Lifecycle
@@ -56,10 +56,10 @@ def _serve(overrides: dict[str, object]) -> int:
             probes = Probes(bind(settings.host, settings.probe_port), lifecycle, metrics)
             port = opened.enter_context(probes).server_address[1]
             logging.getLogger("drape.service").info("probes on port %d", port)
-        drapery = Drapery(settings, metrics=metrics)
-        server = make_server(create_app(settings, drapery=drapery, lifecycle=lifecycle), settings)
+        runtime = DrapeRuntime(settings, metrics=metrics)
+        server = make_server(create_app(settings, runtime=runtime, lifecycle=lifecycle), settings)
         host, port = listener.getsockname()[:2]
-        loaded = f"{len(drapery.garments.entries())} garments, {drapery.engine.provider}"
+        loaded = f"{len(runtime.garments.entries())} garments, {runtime.engine.provider}"
         print(f"drape on http://{host}:{port} with model {settings.model}, {loaded}")
         sys.stdout.flush()
         # Parsing sets off full collections, which hold the interpreter lock for 50 ms to look through what never goes.

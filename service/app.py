@@ -10,14 +10,14 @@ from fastapi import FastAPI
 from fastapi.middleware.cors import CORSMiddleware
 
 from service import errors
-from service.compute.drape_runtime import Drapery
-from service.compute.sliced_thread import Piecework
+from service.compute.drape_runtime import DrapeRuntime
+from service.compute.sliced_thread import SlicedThread
 from service.guard.access import ADMITTED, Access
 from service.guard.access import router as access_routes
 from service.guard.limits import BodyLimit
-from service.guard.origin_guard import Doors
+from service.guard.origin_guard import OriginGuard
 from service.http import garment_care, jets, openapi, preview, reference, routes
-from service.http.continuations import Pasts
+from service.http.continuations import Continuations
 from service.http.page import Page
 from service.http.pictures import Previews
 from service.replicas.handover import Handover
@@ -26,7 +26,7 @@ from service.state import State
 from service.stream import routes as stream
 from service.stream.sessions import Streams
 from service.uploads.jobs import Uploads
-from service.uploads.shared_folder import Follower
+from service.uploads.shared_folder import SharedFolder
 from service.version import product_version
 from service.watch import probes
 from service.watch.lifecycle import Lifecycle
@@ -36,29 +36,38 @@ from service.watch.tracing import make_tracing
 
 
 def create_app(
-    settings: Settings | None = None, *, drapery: Drapery | None = None, lifecycle: Lifecycle | None = None
+    settings: Settings | None = None, *, runtime: DrapeRuntime | None = None, lifecycle: Lifecycle | None = None
 ) -> FastAPI:
-    """The service; ``drapery`` hands over what is already loaded, otherwise the start loads it."""
+    """The service; ``runtime`` hands over what is already loaded, otherwise the start loads it."""
     settings = settings or load_settings()
     access = Access(settings)
-    metrics = Metrics() if drapery is None else drapery.metrics
-    tracing = make_tracing(settings.trace) if drapery is None else drapery.tracing
+    metrics = Metrics() if runtime is None else runtime.metrics
+    tracing = make_tracing(settings.trace) if runtime is None else runtime.tracing
     life = lifecycle or Lifecycle(stuck_s=settings.stuck_s)
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        loaded = drapery or Drapery(settings, metrics=metrics, tracing=tracing)
-        piecework = Piecework()
-        uploads, streams = Uploads(loaded, piecework, access), Streams(loaded, piecework)
+        loaded = runtime or DrapeRuntime(settings, metrics=metrics, tracing=tracing)
+        sliced_thread = SlicedThread()
+        uploads, streams = Uploads(loaded, sliced_thread, access), Streams(loaded, sliced_thread)
         handover = Handover(loaded, access.tickets)
-        following = Follower(loaded, streams, uploads)
+        shared_folder = SharedFolder(loaded, streams, uploads)
         state = State(
-            loaded, uploads, following, streams, piecework, access, handover, life, Pasts(settings), Previews()
+            loaded,
+            uploads,
+            shared_folder,
+            streams,
+            sliced_thread,
+            access,
+            handover,
+            life,
+            Continuations(settings),
+            Previews(),
         )
         app.state.drape = state
         state.uploads.start()
         state.streams.start()
-        state.following.start()
+        state.shared_folder.start()
         _watch(state, life)
         ticking = asyncio.create_task(life.tick(metrics.loop_lag.set), name="ticking")
         life.ready()
@@ -68,10 +77,10 @@ def create_app(
             life.draining = True
             ticking.cancel()
             life.ended()
-            await state.following.stop()
+            await state.shared_folder.stop()
             await state.uploads.stop()
             await state.streams.stop()
-            piecework.close()
+            sliced_thread.close()
             loaded.close()
 
     app = FastAPI(
@@ -96,7 +105,7 @@ def create_app(
                 "Location",
             ],
         )
-    app.add_middleware(Doors, settings=settings)
+    app.add_middleware(OriginGuard, settings=settings)
     app.add_middleware(RequestLog, metrics=metrics, tracing=tracing)
     probes.install(app, life, metrics, ADMITTED)
     reference.install(app)
@@ -110,13 +119,13 @@ def create_app(
 
 def _watch(state: State, life: Lifecycle) -> None:
     """Lets the metrics and the readiness look at what runs."""
-    drapery, streams, uploads = state.drapery, state.streams, state.uploads
-    drapery.metrics.watch(
+    runtime, streams, uploads = state.runtime, state.streams, state.uploads
+    runtime.metrics.watch(
         streams=lambda: streams.count,
         poses_waiting=lambda: streams.waiting,
         clips=lambda: state.clips,
         uploads_waiting=lambda: uploads.waiting,
-        garments=lambda: len(drapery.garments.entries()),
+        garments=lambda: len(runtime.garments.entries()),
     )
     life.works |= {"streams": lambda: streams.runs, "uploads": lambda: uploads.runs}
-    life.works["following"] = lambda: state.following.runs
+    life.works["shared folder"] = lambda: state.shared_folder.runs

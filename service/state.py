@@ -11,18 +11,18 @@ from typing import Annotated
 
 from fastapi import Depends, Request
 
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.compute.garments import Entry, Scene
-from service.compute.sliced_thread import Piecework
+from service.compute.sliced_thread import SlicedThread
 from service.errors import Busy, Draining
 from service.guard.access import Access
 from service.guard.keys import Client
-from service.http.continuations import Pasts
+from service.http.continuations import Continuations
 from service.http.pictures import Previews
 from service.replicas.handover import Handover
 from service.stream.sessions import Streams
 from service.uploads.jobs import Uploads
-from service.uploads.shared_folder import Follower
+from service.uploads.shared_folder import SharedFolder
 from service.watch.lifecycle import Lifecycle
 
 HURRY_S = 3.0
@@ -34,26 +34,26 @@ class State:
     """Body, model and garments; uploads, here and elsewhere; streams and what they take along; the thread for JSON;
     ends of clips; pictures of garments; how many clips are computed."""
 
-    drapery: Drapery
+    runtime: DrapeRuntime
     uploads: Uploads
-    following: Follower
+    shared_folder: SharedFolder
     streams: Streams
-    piecework: Piecework
+    sliced_thread: SlicedThread
     access: Access
     handover: Handover
     life: Lifecycle
-    pasts: Pasts
+    continuations: Continuations
     previews: Previews
     clips: int = 0
 
     async def garment(self, garment_id: str, client: Client) -> Entry:
-        """The garment, if ``client`` may know of it: see ``Registry.get`` and ``Follower.found``."""
-        return await self.following.found(lambda: self.drapery.garments.get(garment_id, client.name))
+        """The garment, if ``client`` may know of it: see ``Registry.get`` and ``SharedFolder.found``."""
+        return await self.shared_folder.found(lambda: self.runtime.garments.get(garment_id, client.name))
 
     async def scene(self, garment: str | None, garments: Sequence[str] | None, client: Client) -> Scene:
-        """What is worn: see ``Registry.scene`` and ``Follower.found``."""
-        registry = self.drapery.garments
-        return await self.following.found(lambda: registry.scene(garment, garments, client.name))
+        """What is worn: see ``Registry.scene`` and ``SharedFolder.found``."""
+        registry = self.runtime.garments
+        return await self.shared_folder.found(lambda: registry.scene(garment, garments, client.name))
 
     async def drain(self) -> None:
         """Takes no more work: streams go, with their state or with the word to connect again, and what still runs after
@@ -67,11 +67,11 @@ class State:
             await asyncio.sleep(0.02)
 
     def _hurry(self) -> None:
-        self.life.hurried = self.drapery.hurried = True
+        self.life.hurried = self.runtime.hurried = True
 
     def check_slot(self) -> None:
         """Refuses when all places for clips are taken, so that waiting answers cannot fill the memory."""
-        limit = self.drapery.settings.max_clips
+        limit = self.runtime.settings.max_clips
         if self.clips >= limit:
             raise Busy(
                 "clips", expected=f"fewer than {limit} at a time", got=str(self.clips), cure="Try again in a second."

@@ -16,7 +16,7 @@ import uvicorn
 from fastapi import FastAPI, WebSocket, WebSocketDisconnect
 
 from drape.wire import messages as wire
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.http.json_body import document_of, validated
 from service.http.schemas import OpenRequest
 from service.http.server import bind
@@ -27,7 +27,7 @@ from service.stages.batch import Memories, PoseInput
 CREDIT = 2  # of poses that a client keeps, as the service says
 
 
-def create_twin(drapery: Drapery) -> FastAPI:
+def create_twin(drapery: DrapeRuntime) -> FastAPI:
     """An application with ``/stream`` alone."""
     app = FastAPI()
 
@@ -62,7 +62,7 @@ def main() -> int:
     parser.add_argument("--port", type=int, default=0)
     options = parser.parse_args()
     listener = bind("127.0.0.1", options.port)
-    app = create_twin(Drapery(Settings()))
+    app = create_twin(DrapeRuntime(Settings()))
     print(f"drape on http://127.0.0.1:{listener.getsockname()[1]}", flush=True)
     uvicorn.Server(uvicorn.Config(app, log_level="warning", ws_per_message_deflate=False)).run(sockets=[listener])
     return 0

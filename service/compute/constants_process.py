@@ -1,4 +1,4 @@
-"""Tables and constants that are made beside streams, in a process of its own: ``Workshop``.
+"""Tables and constants that are made beside streams, in a process of its own: ``ConstantsProcess``.
 
 What makes them holds the interpreter lock for tens of milliseconds at a time, and a frame asks for it some fifty times.
 ``python -m service.compute.constants_process`` is that process: calls come in on its standard input,
@@ -28,7 +28,7 @@ COUNT = struct.Struct("<Q")
 log = logging.getLogger("drape.service")
 
 
-class Workshop:
+class ConstantsProcess:
     """Calls functions of modules in its process while that is ``wanted``, otherwise where it is asked.
 
     The process is started when it is first wanted. One call at a time; from any thread.
@@ -47,7 +47,7 @@ class Workshop:
             with self._one:
                 succeeded, result = self._asked((function, arguments, named))
         except (OSError, EOFError):
-            log.warning("the workshop's process ended; its call is made in the service")
+            log.warning("the process of constants ended; its call is made in the service")
             return function(*arguments, **named)
         if not succeeded:
             raise result
@@ -89,7 +89,7 @@ class Workshop:
             self._end()
 
 
-IN_PLACE = Workshop(lambda: False)
+IN_PLACE = ConstantsProcess(lambda: False)
 
 
 def send(file: IO[bytes], thing: Any) -> None:

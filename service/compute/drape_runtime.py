@@ -1,4 +1,4 @@
-"""What a start loads, the thread that computes, and the road that frames take there (``service.stages``)."""
+"""What a start loads, the thread that computes, and the clip_job that frames take there (``service.stages``)."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.errors import DrapeError, InputError, NotFound
 from drape.wire.options import DrapeOptions
-from service.compute import unchanged as still
+from service.compute import unchanged
 from service.compute.background import processor_count, thread_steps_back
-from service.compute.constants_process import Workshop
+from service.compute.constants_process import ConstantsProcess
 from service.compute.costs import Probe
 from service.compute.garments import Registry, Scene
 from service.compute.motions import Motions
@@ -47,13 +47,13 @@ COSTS_KEPT = 1024
 """Scenes and tiers whose cost is remembered."""
 
 STEPS_BELOW = 2
-"""Steps that ``Drapery.steps`` has before those of the tiers."""
+"""Steps that ``DrapeRuntime.steps`` has before those of the tiers."""
 
 Result = TypeVar("Result")
 log = logging.getLogger("drape.service")
 
 
-class Drapery:
+class DrapeRuntime:
     """Everything a start loads: body, model, garments, clips; and the threads that compute.
 
     ``stream_threads`` have the frames of streams and nothing else, one for each processor unless the settings say how
@@ -83,9 +83,9 @@ class Drapery:
         self.engine.check_body(self.body)
         self.tiers = read_tiers(self.engine.manifest.tiers)
         self._streamed_s = -math.inf  # when a frame of a stream was last begun
-        self.workshop = Workshop(lambda: self._streaming)
-        self.stages = make_stages(self.engine, self.body, settings, self.workshop)
-        self.garments = Registry(self.body, settings, self.stages, self.workshop)
+        self.constants_process = ConstantsProcess(lambda: self._streaming)
+        self.stages = make_stages(self.engine, self.body, settings, self.constants_process)
+        self.garments = Registry(self.body, settings, self.stages, self.constants_process)
         self.motions = Motions(settings.motions_dir)
         self.stream_threads = 1 if self.engine.bound else settings.stream_threads or processor_count()
         self._for_streams = ThreadPoolExecutor(self.stream_threads, thread_name_prefix="drape-streams")
@@ -104,7 +104,7 @@ class Drapery:
         """Waits for the running chunk and ends the threads."""
         for executor in (self._for_streams, self._aside):
             executor.shutdown(wait=True, cancel_futures=True)
-        self.workshop.close()
+        self.constants_process.close()
         self.tracing.close()
 
     def warm_up(self) -> None:
@@ -119,7 +119,7 @@ class Drapery:
                 )
                 for geometry in ("vertices", "jets") if bound else ("vertices",):
                     plan = self.plan(entry, DrapeOptions(push_out=True, geometry=geometry), messages=True)
-                    self.take_in(plan)
+                    self.add_missing(plan)
                     for stage in plan.stages:
                         stage.prepare(plan)
                     run(plan, [rest])
@@ -144,7 +144,7 @@ class Drapery:
     async def stream_frames(self, plan: Plan, inputs: Sequence[PoseInput]) -> list[tuple[bytes | DrapeError, Memories]]:
         """``frames`` on a thread of the streams, or at once where all stand still."""
         self._streamed_s = time.monotonic()
-        same = [still.again(plan, one) for one in inputs]
+        same = [unchanged.answer_again(plan, one) for one in inputs]
         if None not in same:
             return [one for one in same if one is not None]
         done = self._frame_done = asyncio.Event()
@@ -206,16 +206,16 @@ class Drapery:
         carried = alone and bool(plan.options.folds)
         return (replace(steps[0], stepped=True, carried=True) if carried else steps[0], *steps)
 
-    def take_in(self, plan: Plan) -> None:
+    def add_missing(self, plan: Plan) -> None:
         """Lets the stages take in what ``plan`` drapes and they do not know yet: ``prepare`` does so beside frames."""
         for garment in self.garments.missing((*plan.scene.layers, *plan.draped)):
-            self.garments.take_in(garment, self.garments.feed(garment))
+            self.garments.add_to_stages(garment, self.garments.feed(garment))
 
     async def prepare(self, plan: Plan) -> None:
         """Makes what the plan's stages need, beside the frames that are being computed."""
         for garment in self.garments.missing((*plan.scene.layers, *plan.draped)):
             feed = await asyncio.to_thread(self.garments.feed, garment)
-            await self.aside(self.garments.take_in, garment, feed)
+            await self.aside(self.garments.add_to_stages, garment, feed)
         await asyncio.to_thread(lambda: [stage.prepare(plan) for stage in plan.stages])
 
     async def drape(self, plan: Plan, clip: PoseInput) -> Batch:
@@ -316,7 +316,7 @@ class Drapery:
         Of bodies that stand still nothing is computed (``service.compute.unchanged``). Where the batch fails each is
         tried alone, so that one cannot fail its mates; what was remembered before the one that fails stays.
         """
-        found = [still.again(plan, one) for one in inputs]
+        found = [unchanged.answer_again(plan, one) for one in inputs]
         moving = [one for one, same in zip(inputs, found, strict=True) if same is None]
         computed = iter(self._computed(plan, moving) if moving else ())
         return [next(computed) if same is None else same for same in found]
@@ -331,7 +331,7 @@ class Drapery:
                 log.exception("a stream frame failed")
             return [(error if isinstance(error, DrapeError) else InternalError(), inputs[0].memories)]
         return [
-            (message, still.noted(plan, one, memories, message))
+            (message, unchanged.remember(plan, one, memories, message))
             for one, message, memories in zip(inputs, batch.messages, batch.memories, strict=True)
         ]
 

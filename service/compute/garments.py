@@ -23,7 +23,7 @@ from drape.graph.feeds import garment_feed
 from drape.graph.layer_feed import check_layers
 from drape.wire.layout import JetLayout, pack_layout
 from service.compute import garment_files
-from service.compute.constants_process import IN_PLACE, Workshop
+from service.compute.constants_process import IN_PLACE, ConstantsProcess
 from service.compute.garment_files import UNCHANGED, About
 from service.errors import TooLarge
 from service.settings import Settings
@@ -140,9 +140,13 @@ class Registry:
     """Garments by id. Shipped caches must load; of the uploaded ones a bad file is set aside and named in /health."""
 
     def __init__(
-        self, body: BodyModel, settings: Settings, stages: Sequence[Stage] = (), workshop: Workshop = IN_PLACE
+        self,
+        body: BodyModel,
+        settings: Settings,
+        stages: Sequence[Stage] = (),
+        constants_process: ConstantsProcess = IN_PLACE,
     ) -> None:
-        self._body, self._settings, self._stages, self._workshop = body, settings, stages, workshop
+        self._body, self._settings, self._stages, self._constants_process = body, settings, stages, constants_process
         self._entries: dict[str, Entry] = {}
         self._taken_in: set[str] = set()
         self.refused: list[str] = []
@@ -199,15 +203,15 @@ class Registry:
 
     def prepare(self, path: Path) -> Garment:
         """A checked garment that every stage has taken in; what takes time, and safe beside frames."""
-        garment, feed = self._workshop.call(_loaded, path, self._body, self._settings.max_vertices)
-        self.take_in(garment, feed)
+        garment, feed = self._constants_process.call(_loaded, path, self._body, self._settings.max_vertices)
+        self.add_to_stages(garment, feed)
         return garment
 
     def feed(self, garment: Garment) -> dict[str, np.ndarray]:
         """The ``garment_feed`` of ``garment`` on the body; from any thread."""
-        return self._workshop.call(garment_feed, garment, body=self._body)
+        return self._constants_process.call(garment_feed, garment, body=self._body)
 
-    def take_in(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
+    def add_to_stages(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
         """Lets every stage take in ``garment``, whose ``garment_feed`` is ``feed``; by one thread at a time."""
         for stage in self._stages:
             stage.add(garment, feed)

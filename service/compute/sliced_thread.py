@@ -18,7 +18,7 @@ Result = TypeVar("Result")
 BRIEF_TEXT, BRIEF_BYTES = 1 << 12, 1 << 18
 
 
-class Piecework:
+class SlicedThread:
     """The thread; ``close`` ends it."""
 
     def __init__(self) -> None:

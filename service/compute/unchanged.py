@@ -15,13 +15,13 @@ import numpy as np
 from drape.wire.messages import Answer, pack_same, resent
 from service.stages.batch import BODY, Memories, Plan, PoseInput
 
-KEY = ("still", BODY)
+KEY = ("idle", BODY)
 REST_S = 2.0  # of the same pose, until cloth has come to rest, by the client's clock
 REST_FRAMES = 30  # and frames of it that were computed: a slow stream has fewer in that time
 
 
 @dataclass(frozen=True, eq=False)
-class Still:
+class Idle:
     """Since when [s] a body has had one pose, in how many frames, and the last message of it."""
 
     pose: np.ndarray
@@ -33,7 +33,7 @@ class Still:
     frames: int
     message: bytes
 
-    def goes_on(self, plan: Plan, one: PoseInput) -> bool:
+    def holds_for(self, plan: Plan, one: PoseInput) -> bool:
         """Whether ``one`` has the same pose and shape, under an equal ``plan``, and comes no earlier. With ``still_mm``
         the pose may be another that moves the cloth no further."""
         return (
@@ -51,21 +51,21 @@ class Still:
         return sum(stage.moved_m(plan, self.pose, pose) for stage in plan.stages) <= 1e-3 * plan.options.still_mm
 
 
-def again(plan: Plan, one: PoseInput) -> tuple[bytes, Memories] | None:
+def answer_again(plan: Plan, one: PoseInput) -> tuple[bytes, Memories] | None:
     """The message of the single frame of ``one`` and its memories, where both are those of the frame before; or None.
 
     Of a client that still shows that frame the message says no more than so. A pause does not count as rest: only
     computed frames bring cloth there.
     """
-    still: Still | None = one.memories.get(KEY)
-    if still is None or not still.goes_on(plan, one):
+    idle: Idle | None = one.memories.get(KEY)
+    if idle is None or not idle.holds_for(plan, one):
         return None
-    if still.frames < REST_FRAMES or still.last_s - still.since_s < REST_S:
+    if idle.frames < REST_FRAMES or idle.last_s - idle.since_s < REST_S:
         return None
     now_s = float(one.times_s[0])
     residence_us = 0 if one.arrived_s is None else int(1e6 * (time.monotonic() - one.arrived_s))
     answer = Answer(one.sequence, now_s, time.time(), one.dropped, residence_us)
-    message = pack_same(answer) if one.shown is still.message else resent(still.message, answer)
+    message = pack_same(answer) if one.shown is idle.message else resent(idle.message, answer)
     stages = {stage.name: stage for stage in plan.stages}
     rested = {
         key: stages[key[0]].rested(memory, now_s) if key[0] in stages else memory
@@ -74,18 +74,18 @@ def again(plan: Plan, one: PoseInput) -> tuple[bytes, Memories] | None:
     return message, rested
 
 
-def shown(memories: Memories) -> bytes | None:
+def shown_message(memories: Memories) -> bytes | None:
     """The computed message whose frame a client shows that has taken all of a stream with ``memories``."""
-    still: Still | None = memories.get(KEY)
-    return None if still is None else still.message
+    idle: Idle | None = memories.get(KEY)
+    return None if idle is None else idle.message
 
 
-def noted(plan: Plan, one: PoseInput, memories: Memories, message: bytes) -> Memories:
-    """``memories`` after the computed frame of ``one``, with what ``again`` needs of it."""
-    before: Still | None = one.memories.get(KEY)
+def remember(plan: Plan, one: PoseInput, memories: Memories, message: bytes) -> Memories:
+    """``memories`` after the computed frame of ``one``, with what ``answer_again`` needs of it."""
+    before: Idle | None = one.memories.get(KEY)
     now_s = float(one.times_s[0])
     since_s, frames = now_s, 0
-    if before is not None and before.goes_on(plan, one):
+    if before is not None and before.holds_for(plan, one):
         since_s, frames = before.since_s, before.frames
-    still = Still(one.poses[0], one.trans[0], one.betas, plan, since_s, now_s, frames + 1, message)
-    return {**memories, KEY: still}
+    idle = Idle(one.poses[0], one.trans[0], one.betas, plan, since_s, now_s, frames + 1, message)
+    return {**memories, KEY: idle}

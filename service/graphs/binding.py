@@ -75,17 +75,17 @@ class BoundSession(Session):
         return sum(bucket.bytes for bucket in self._buckets.values())
 
     def run(
-        self, outputs: Sequence[str], feed: Mapping[str, Value], *, still: Collection[str] = ()
+        self, outputs: Sequence[str], feed: Mapping[str, Value], *, unchanging: Collection[str] = ()
     ) -> list[np.ndarray]:
-        """``outputs`` for ``feed``; an array named in ``still`` is written once and not again while it is fed."""
+        """``outputs`` for ``feed``; an array named in ``unchanging`` is written once and not again while it is fed."""
         bucket = self._bucket(tuple(outputs), feed)
         for name, value in bucket.inputs.items():
             array = feed[name]
             assert isinstance(array, np.ndarray)
-            if name in still and _same(bucket.held.get(name), array):
+            if name in unchanging and _same(bucket.held.get(name), array):
                 continue
             value.update_inplace(np.ascontiguousarray(array))
-            if name in still:
+            if name in unchanging:
                 bucket.held[name] = array
         with self._device.computing():
             self._opened.run_with_iobinding(bucket.binding, bucket.options)

@@ -86,11 +86,11 @@ class Session:
         return 0
 
     def run(
-        self, outputs: Sequence[str], feed: Mapping[str, Value], *, still: Collection[str] = ()
+        self, outputs: Sequence[str], feed: Mapping[str, Value], *, unchanging: Collection[str] = ()
     ) -> list[np.ndarray]:
         """``outputs`` for ``feed``, numpy arrays or values where the graph computes.
 
-        Arrays named in ``still`` are never written to by their owner.
+        Arrays named in ``unchanging`` are never written to by their owner.
         """
         values = {name: self._device.value(v) if isinstance(v, np.ndarray) else v for name, v in feed.items()}
         with self._device.computing():

@@ -314,9 +314,11 @@ class Packer:
                     feed[name] = indices[name]
                 else:
                     feed[name] = self._constant(name, stored[name], first if alone else "")
-        still = (*SKIN_CONSTANTS, *indices)
+        unchanging = (*SKIN_CONSTANTS, *indices)
         fetched = self._fetched(plan)
-        results = _apart(fetched, session.run(fetched, feed, still=still), composition, [row for _, row in items])
+        results = _apart(
+            fetched, session.run(fetched, feed, unchanging=unchanging), composition, [row for _, row in items]
+        )
         if "vertices" in plan.outputs and "vertices" not in fetched:
             for garment, arrays in zip(garments, results, strict=True):
                 arrays["vertices"] = blended(garment, *(arrays[name] for name in JETS))

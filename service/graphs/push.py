@@ -19,7 +19,7 @@ from drape.contact.skin import body_skin
 from drape.errors import NotFound
 from drape.graph.layer_feed import Sheet, pack_layer
 from drape.graph.push_feed import pack_push, pushed_jets
-from service.compute.constants_process import IN_PLACE, Workshop
+from service.compute.constants_process import IN_PLACE, ConstantsProcess
 from service.graphs.engine import PUSH, PUSH_OVER, PUSHES, SKIN, SKIN_CONSTANTS, Engine
 
 if TYPE_CHECKING:
@@ -95,10 +95,10 @@ class Pusher:
         feed: dict[str, np.ndarray],
         vertices: np.ndarray,
         faces: np.ndarray,
-        workshop: Workshop = IN_PLACE,
+        constants_process: ConstantsProcess = IN_PLACE,
     ) -> None:
         """Puts the garment ``key`` in store: its ``garment_feed``, rest vertices [m] (V, 3) and faces."""
-        constants = self._values(workshop.call(_garment_arrays, feed, vertices, self._skin))
+        constants = self._values(constants_process.call(_garment_arrays, feed, vertices, self._skin))
         self._stored[key] = _Stored(feed, vertices, faces, constants)
 
     def remove(self, key: str) -> None:
@@ -108,14 +108,16 @@ class Pusher:
             for layer in [layer for layer in self._layers if key in layer]:
                 del self._layers[layer]
 
-    def prepare(self, keys: Sequence[str], *, jets: bool = False, workshop: Workshop = IN_PLACE) -> None:
+    def prepare(
+        self, keys: Sequence[str], *, jets: bool = False, constants_process: ConstantsProcess = IN_PLACE
+    ) -> None:
         """Makes the constants of every garment of an outfit over those before it, where they are missing, in the
-        ``workshop``, and opens what pushes them, and their ``jets`` where asked.
+        ``constants_process``, and opens what pushes them, and their ``jets`` where asked.
 
         Takes a second per garment, and may be called from any thread.
         """
         for count in range(1, len(keys)):
-            self._layer(tuple(keys[: count + 1]), workshop)
+            self._layer(tuple(keys[: count + 1]), constants_process)
         for graph in PUSHES[: len(keys)]:
             self._session(graph, jets=jets)
 
@@ -153,7 +155,7 @@ class Pusher:
             arrays |= {**self._layer(tuple(keys)), "under": np.ascontiguousarray(under, dtype=np.float32)}
         outputs = (OUTPUT,) if posed is None else JET_OUTPUTS
         session = self._session(PUSH if under is None else PUSH_OVER, jets=posed is not None)
-        found = session.run(outputs, {name: arrays[name] for name in session.inputs}, still=SKIN_CONSTANTS)
+        found = session.run(outputs, {name: arrays[name] for name in session.inputs}, unchanging=SKIN_CONSTANTS)
         way_m = np.linalg.norm(found[0] - vertices, axis=-1)
         if posed is None:
             return Pushed(found[0], way_m)
@@ -168,7 +170,7 @@ class Pusher:
             )
         return self._stored[key]
 
-    def _layer(self, keys: tuple[str, ...], workshop: Workshop = IN_PLACE) -> Constants:
+    def _layer(self, keys: tuple[str, ...], constants_process: ConstantsProcess = IN_PLACE) -> Constants:
         """Constants of the last of ``keys`` over the others; the latest used are kept."""
         *inner, outer = (self._get(key) for key in keys)
         kept = self._found(keys)
@@ -177,8 +179,8 @@ class Pusher:
         with self._making:  # one at a time; who looks for others does not wait
             kept = self._found(keys)
             if kept is None:
-                sheets = [_sheet(stored, workshop) for stored in inner]
-                made = workshop.call(_arrays_over, outer.feed, outer.vertices, self._skin, sheets)
+                sheets = [_sheet(stored, constants_process) for stored in inner]
+                made = constants_process.call(_arrays_over, outer.feed, outer.vertices, self._skin, sheets)
                 kept = self._values(made)
                 with self._looking:
                     self._layers[keys] = kept
@@ -198,10 +200,10 @@ class Pusher:
         return {name: self._engine.value(array) for name, array in arrays.items()}
 
 
-def _sheet(stored: _Stored, workshop: Workshop) -> Sheet:
+def _sheet(stored: _Stored, constants_process: ConstantsProcess) -> Sheet:
     """The garment as others lie over it, made once."""
     if stored.sheet is None:
-        samples = workshop.call(cloth_samples, stored.vertices, stored.faces)
+        samples = constants_process.call(cloth_samples, stored.vertices, stored.faces)
         stored.sheet = Sheet(stored.vertices, stored.faces, samples)
     return stored.sheet
 

@@ -1,4 +1,4 @@
-"""Under which names the service may be asked, and which web pages may ask it: ``Doors``, for REST as for streams.
+"""Under which names the service may be asked, and which web pages may ask it: ``OriginGuard``, for REST as for streams.
 
 Browsers let any page open a WebSocket and send simple requests anywhere, and a page whose host name turns to this
 machine's address counts as one of ours (DNS rebinding). Programs send no Origin and pass.
@@ -62,7 +62,7 @@ def check_origin(headers: Mapping[str, str], settings: Settings) -> None:
         )
 
 
-class Doors:
+class OriginGuard:
     """Lets in what ``check_host`` and ``check_origin`` let pass."""
 
     def __init__(self, app: ASGIApp, settings: Settings) -> None:

@@ -1,6 +1,4 @@
-"""The format of an answer, by the Accept header, and answers of many numbers, which are made and sent in pieces.
-
-No piece keeps the streams waiting, and none is held for long."""
+"""Answers of many numbers, made and sent in pieces: no piece keeps the streams waiting, none is held for long."""
 
 from __future__ import annotations
 
@@ -13,73 +11,27 @@ from pydantic_core import to_json
 
 from drape.export.glb_file import PIECE_BYTES, GlbFile
 from service.compute.sliced_thread import BRIEF_BYTES, SlicedThread
-from service.errors import NotAcceptable
+from service.http.negotiation import BINARY, GLB, JSON
 
-BINARY = "application/octet-stream"
-JSON = "application/json"
-GLB = "model/gltf-binary"
-PC2 = "application/x-pc2"
-USDA = "model/vnd.usda"
 PIECE_NUMBERS = 4096  # half a millisecond of the encoder, which holds the interpreter lock
 
 
-def choose(accept: str | None, offered: Sequence[str]) -> str:
-    """The offered type that ``accept`` prefers, the first of ``offered`` among equals; refuses if there is none."""
-    if accept is None or not accept.strip():
-        return offered[0]
-    ranges = [_parse(part) for part in accept.split(",") if part.strip()]
-    best, best_quality = offered[0], 0.0
-    for kind in offered:
-        # The most specific range that covers the type counts (RFC 9110, 12.5.1).
-        fitting = [(specificity, quality) for pattern, quality in ranges if (specificity := _covers(pattern, kind))]
-        quality = max(fitting)[1] if fitting else 0.0
-        if quality > best_quality:
-            best, best_quality = kind, quality
-    if best_quality <= 0.0:
-        raise NotAcceptable(
-            "Accept", expected=f"one of {', '.join(offered)}", got=accept[:120], cure="Ask for one of these."
-        )
-    return best
-
-
-def _parse(part: str) -> tuple[str, float]:
-    pattern, *parameters = (piece.strip() for piece in part.split(";"))
-    quality = 1.0
-    for parameter in parameters:
-        key, _, value = parameter.partition("=")
-        if key.strip().lower() == "q":
-            try:
-                quality = min(max(float(value), 0.0), 1.0)
-            except ValueError:
-                quality = 0.0
-    return pattern.lower(), quality
-
-
-def _covers(pattern: str, kind: str) -> int:
-    """How specifically ``pattern`` names ``kind``: 3 exactly, 2 by its family, 1 by any, 0 not at all."""
-    if pattern == kind:
-        return 3
-    if pattern == kind.partition("/")[0] + "/*":
-        return 2
-    return 1 if pattern == "*/*" else 0
-
-
 def json_answer(
-    document: Mapping[str, object], piecework: Piecework, headers: Mapping[str, str] | None = None
+    document: Mapping[str, object], sliced_thread: SlicedThread, headers: Mapping[str, str] | None = None
 ) -> StreamingResponse:
     """``document``, whose arrays become lists, as JSON."""
-    return StreamingResponse(piecework.each(json_pieces(document)), media_type=JSON, headers=headers)
+    return StreamingResponse(sliced_thread.each(json_pieces(document)), media_type=JSON, headers=headers)
 
 
 def binary_answer(
-    array: np.ndarray, piecework: Piecework, headers: Mapping[str, str], *, tail: bytes = b""
+    array: np.ndarray, sliced_thread: SlicedThread, headers: Mapping[str, str], *, tail: bytes = b""
 ) -> Response:
     """``array`` as little-endian float32, then ``tail``."""
     if array.nbytes <= BRIEF_BYTES:
         return Response(b"".join([*number_bytes(array), tail]), media_type=BINARY, headers={**headers})
     headers = {**headers, "Content-Length": str(4 * array.size + len(tail))}
     pieces = itertools.chain(number_bytes(array), (tail,))
-    return StreamingResponse(piecework.each(pieces), media_type=BINARY, headers=headers)
+    return StreamingResponse(sliced_thread.each(pieces), media_type=BINARY, headers=headers)
 
 
 def number_bytes(array: np.ndarray) -> Iterator[bytes]:
@@ -87,20 +39,24 @@ def number_bytes(array: np.ndarray) -> Iterator[bytes]:
     return (part.astype("<f4", copy=False).tobytes() for part in _parts(array, PIECE_BYTES // 4))
 
 
-def file_answer(file: GlbFile, head: bytes, piecework: Piecework, headers: Mapping[str, str]) -> StreamingResponse:
+def file_answer(
+    file: GlbFile, head: bytes, sliced_thread: SlicedThread, headers: Mapping[str, str]
+) -> StreamingResponse:
     """``file``, which begins with its ``head``."""
     headers = {**headers, "Content-Length": str(len(head) + file.binary_bytes)}
     pieces = itertools.chain((head,), file.pieces())
-    return StreamingResponse(piecework.each(pieces), media_type=GLB, headers=headers)
+    return StreamingResponse(sliced_thread.each(pieces), media_type=GLB, headers=headers)
 
 
-def messages_answer(messages: Sequence[bytes], piecework: Piecework, headers: Mapping[str, str]) -> StreamingResponse:
+def messages_answer(
+    messages: Sequence[bytes], sliced_thread: SlicedThread, headers: Mapping[str, str]
+) -> StreamingResponse:
     """``messages`` one after the other, a few at a time."""
     size = sum(len(message) for message in messages)
     count = max(1, PIECE_BYTES * len(messages) // max(size, 1))
     pieces = (b"".join(messages[start : start + count]) for start in range(0, len(messages), count))
     headers = {**headers, "Content-Length": str(size)}
-    return StreamingResponse(piecework.each(pieces), media_type=BINARY, headers=headers)
+    return StreamingResponse(sliced_thread.each(pieces), media_type=BINARY, headers=headers)
 
 
 def json_pieces(document: Mapping[str, object]) -> Iterator[bytes]:

@@ -15,7 +15,7 @@ from service.stages.batch import Memories, Plan, PoseInput
 
 
 @dataclass(frozen=True, eq=False)
-class Past:
+class Continuation:
     """``frames`` of a clip of ``plan``, of a body of the shape ``betas`` (S,), and what the stages remember of them."""
 
     plan: Plan
@@ -39,13 +39,13 @@ class Past:
 
 @dataclass(frozen=True, eq=False)
 class _Kept:
-    past: Past
+    past: Continuation
     owner: str | None
     until_s: float
 
 
-class Pasts:
-    """The pasts by their tokens: ``max_pasts`` of them at most, each for ``past_s``.
+class Continuations:
+    """The continuations by their tokens: ``max_pasts`` of them at most, each for ``past_s``.
 
     One may be followed more than once, so that a request whose answer was lost can be sent again.
     """
@@ -62,7 +62,7 @@ class Pasts:
         """A name for a past that is yet to be."""
         return secrets.token_urlsafe(18)
 
-    def put(self, token: str, past: Past, owner: str | None) -> None:
+    def put(self, token: str, past: Continuation, owner: str | None) -> None:
         """Keeps ``past`` for the key ``owner``. Where there are too many, whoever has most loses the oldest."""
         self._drop_old()
         self._kept[token] = _Kept(past, owner, time.monotonic() + self._life_s)
@@ -70,7 +70,7 @@ class Pasts:
             ((most, _),) = Counter(kept.owner for kept in self._kept.values()).most_common(1)
             del self._kept[next(name for name, kept in self._kept.items() if kept.owner == most)]
 
-    def get(self, token: str, owner: str | None) -> Past:
+    def get(self, token: str, owner: str | None) -> Continuation:
         """The past of ``token``; refuses (``NotFound``) one that is gone, or another key's."""
         self._drop_old()
         kept = self._kept.get(token)

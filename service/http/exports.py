@@ -11,14 +11,14 @@ from drape.export.glb import GARMENT_COLOURS
 from drape.export.pc2 import pc2_head
 from drape.export.usda import Moving, usda_pieces
 from service.compute.garments import Scene
-from service.compute.sliced_thread import Piecework
+from service.compute.sliced_thread import SlicedThread
 from service.http.answers import number_bytes
 from service.http.negotiation import PC2
 from service.stages.placing import Placed
 
 
 def export_answer(
-    kind: str, scene: Scene, placed: Placed, fps: float, piecework: Piecework, headers: dict[str, str]
+    kind: str, scene: Scene, placed: Placed, fps: float, sliced_thread: SlicedThread, headers: dict[str, str]
 ) -> StreamingResponse:
     """``placed`` as a file of ``kind``, PC2 or USDA; what has roots counts from the first, where USD has an Xform."""
     vertices, point = placed.from_first()
@@ -32,4 +32,4 @@ def export_answer(
             for i, (entry, own) in enumerate(zip(scene.layers, np.split(vertices, ends, axis=1), strict=True))
         ]
         pieces = usda_pieces(layers, fps, point=point)
-    return StreamingResponse(piecework.each(pieces), media_type=kind, headers=headers)
+    return StreamingResponse(sliced_thread.each(pieces), media_type=kind, headers=headers)

@@ -52,7 +52,7 @@ async def change_garment(
     asked = validated(GarmentChange, document_of(await json_text(request)))
     if asked.name is None and asked.published is None:
         raise InputError("garment", expected="name or published", got="neither", cure='Send {"published": true}.')
-    changed = state.drapery.garments.change(entry, name=asked.name, published=asked.published)
+    changed = state.runtime.garments.change(entry, name=asked.name, published=asked.published)
     return schemas.GarmentInfo.of(changed)
 
 
@@ -61,4 +61,4 @@ async def delete_garment(garment_id: str, state: StateHere, client: ClientHere) 
     """Removes an uploaded garment from the service and its disk; streams that wear it are ended (4404)."""
     entry = await _own(garment_id, client, state)
     end_streams(entry, state.streams)
-    await asyncio.shield(state.drapery.aside(state.drapery.garments.remove, entry))
+    await asyncio.shield(state.runtime.aside(state.runtime.garments.remove, entry))

@@ -7,9 +7,9 @@ from fastapi import APIRouter, Request, Response
 from drape.errors import InputError, NotFound
 from drape.wire.jets import message_bytes
 from drape.wire.options import Resolution
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.compute.garments import Outfit, Scene, layer_list
-from service.compute.sliced_thread import Piecework
+from service.compute.sliced_thread import SlicedThread
 from service.errors import NotAcceptable, TooLarge
 from service.guard.access import ClientHere
 from service.guard.limits import check_answer
@@ -38,10 +38,10 @@ async def garment_jets(
     return Response(entry.jet_layout, media_type=kind, headers=headers)
 
 
-def check_jets_size(frames: int, scene: Scene, drapery: Drapery) -> None:
+def check_jets_size(frames: int, scene: Scene, runtime: DrapeRuntime) -> None:
     """Refuses (``TooLarge``) an answer of JETS messages that would be too large."""
     patches = scene.patch_count
-    check_answer(frames * message_bytes(patches), f"{frames} frames of {patches} patches", drapery.settings)
+    check_answer(frames * message_bytes(patches), f"{frames} frames of {patches} patches", runtime.settings)
 
 
 def jets_headers(frames: int, scene: Scene) -> dict[str, str]:
@@ -53,9 +53,9 @@ def jets_headers(frames: int, scene: Scene) -> dict[str, str]:
     return headers
 
 
-def jets_response(draped: Batch, headers: dict[str, str], piecework: Piecework) -> Response:
+def jets_response(draped: Batch, headers: dict[str, str], sliced_thread: SlicedThread) -> Response:
     """The clip as one JETS message per frame; sequence and client time are the frame's number and time [s]."""
     scene = draped.plan.shown
     headers = headers | jets_headers(len(draped.messages), scene)
     headers["X-Drape-Left-M"] = f"{draped.quality.left_m.max():.6f}"
-    return messages_answer(draped.messages, piecework, headers)
+    return messages_answer(draped.messages, sliced_thread, headers)

@@ -15,7 +15,7 @@ from pydantic_core import from_json
 
 from drape.body.skeleton import JOINT_COUNT
 from drape.wire.options import wire_names
-from service.compute.sliced_thread import BRIEF_TEXT, Piecework
+from service.compute.sliced_thread import BRIEF_TEXT, SlicedThread
 from service.errors import TooLarge
 from service.http.negotiation import JSON
 from service.http.schemas import Request as Schema
@@ -44,13 +44,13 @@ def document_of(text: bytes, *, otherwise: str = NO_JSON) -> Any:
     return parsed(text, otherwise=otherwise)
 
 
-async def check_marks(text: bytes, piecework: Piecework, *, most_marks: int) -> None:
+async def check_marks(text: bytes, sliced_thread: SlicedThread, *, most_marks: int) -> None:
     """Refuses a ``text`` of more than ``most_marks`` marks (``MARKS``), counted piece by piece until there are more."""
     if len(text) <= BRIEF_TEXT:
         _counted(sum(_marks(text)), most_marks)
         return
     marks = 0
-    async for more in piecework.each(_marks(text)):
+    async for more in sliced_thread.each(_marks(text)):
         marks = _counted(marks + more, most_marks)
 
 

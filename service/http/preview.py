@@ -33,7 +33,7 @@ async def garment_preview(
     if_none_match: Annotated[str | None, Header()] = None,
 ) -> Response:
     """A picture of the delivered mesh at rest on the standard body, from the front and a little from the side."""
-    garment, body = (await state.garment(garment_id, client)).garment, state.drapery.body
+    garment, body = (await state.garment(garment_id, client)).garment, state.runtime.body
     tag = f'"{garment.digest[:16]}-{size}"'
     headers = {"ETag": tag, "Cache-Control": "private, max-age=86400"}
     if if_none_match is not None and {tag, "*"} & {one.strip().removeprefix("W/") for one in if_none_match.split(",")}:
@@ -44,7 +44,7 @@ async def garment_preview(
         faces = garment.faces.astype(np.int64)
         skin = body.rest_vertices(np.zeros(body.shape_count))
         made = await asyncio.to_thread(
-            state.drapery.workshop.call, picture, (cloth, faces), (skin, body.faces.astype(np.int64)), size
+            state.runtime.constants_process.call, picture, (cloth, faces), (skin, body.faces.astype(np.int64)), size
         )
         state.previews.keep(garment.digest, size, made)
     return Response(made, media_type=PNG, headers=headers)

@@ -24,7 +24,7 @@ from drape.files.formats import MESH_CONTENT_TYPES, MESH_NAMES, listed
 from drape.garment.cache import Garment
 from drape.wire.clips import unpack_clip
 from drape.wire.options import Resolution
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.compute.garments import Outfit, Scene, layer_list
 from service.compute.motions import floor_m
 from service.compute.sliced_thread import BRIEF_BYTES
@@ -46,7 +46,7 @@ from service.http.json_body import (
 )
 from service.http.openapi import BYTES, body_schema, clip_schema, responses
 from service.http.poses import motion_arrays, shape_array
-from service.http.streamed import Road, plan_headers, quality_headers, streamed_answer
+from service.http.streamed import ClipJob, plan_headers, quality_headers, streamed_answer
 from service.http.validation import check_query
 from service.stages.batch import PoseInput
 from service.stages.placing import Placed
@@ -68,28 +68,28 @@ Betas = Annotated[str | None, Query(max_length=1000, description="Shape coeffici
 @router.get("/health")
 async def health(state: StateHere) -> schemas.Health:
     """Whether the service works, and with what."""
-    drapery = state.drapery
+    runtime = state.runtime
     return schemas.Health(
         status="ok",
         version=product_version(),
-        model=drapery.engine.manifest.name,
-        model_digest=drapery.engine.manifest.digest,
-        dynamic=drapery.engine.dynamic,
-        provider=drapery.engine.provider,
-        int8=drapery.engine.int8,
-        half=drapery.engine.half,
-        elsewhere=drapery.engine.nodes_off_provider,
-        device_bytes=drapery.device_bytes,
-        buckets=drapery.engine.buckets,
-        body=drapery.body.name,
-        garments=len(drapery.garments.entries()),
-        passes=drapery.engine.pass_count,
-        fabrics=drapery.engine.knows_fabrics,
-        layers=drapery.settings.max_layers,
-        max_frames=drapery.settings.max_frames,
-        max_body_bytes=drapery.settings.max_body_bytes,
+        model=runtime.engine.manifest.name,
+        model_digest=runtime.engine.manifest.digest,
+        dynamic=runtime.engine.dynamic,
+        provider=runtime.engine.provider,
+        int8=runtime.engine.int8,
+        half=runtime.engine.half,
+        elsewhere=runtime.engine.nodes_off_provider,
+        device_bytes=runtime.device_bytes,
+        buckets=runtime.engine.buckets,
+        body=runtime.body.name,
+        garments=len(runtime.garments.entries()),
+        passes=runtime.engine.pass_count,
+        fabrics=runtime.engine.knows_fabrics,
+        layers=runtime.settings.max_layers,
+        max_frames=runtime.settings.max_frames,
+        max_body_bytes=runtime.settings.max_body_bytes,
         sessions=state.streams.count,
-        refused_garments=drapery.garments.refused,
+        refused_garments=runtime.garments.refused,
     )
 
 
@@ -99,7 +99,7 @@ async def health(state: StateHere) -> schemas.Health:
 @router.get("/garments")
 async def garments(state: StateHere, client: ClientHere) -> list[schemas.GarmentInfo]:
     """The garments that can be draped."""
-    return [schemas.GarmentInfo.of(entry) for entry in state.drapery.garments.visible(client.name)]
+    return [schemas.GarmentInfo.of(entry) for entry in state.runtime.garments.visible(client.name)]
 
 
 @router.get("/garments/{garment_id}", responses=responses(NotFound))
@@ -122,7 +122,7 @@ async def garment_mesh(
     garment = entry.garment
     kind = negotiation.choose(request.headers.get("accept"), (negotiation.JSON, negotiation.GLB))
     if kind == negotiation.GLB:
-        return file_answer(*await asyncio.to_thread(_rest_file, garment), state.piecework, {})
+        return file_answer(*await asyncio.to_thread(_rest_file, garment), state.sliced_thread, {})
     document = {
         "id": entry.id,
         "vertices": garment.vertices[: garment.vertex_count].astype(np.float32),
@@ -132,7 +132,7 @@ async def garment_mesh(
         "materials": garment.material_names,
         "face_material": garment.face_material,
     }
-    return json_answer(document, state.piecework)
+    return json_answer(document, state.sliced_thread)
 
 
 def _rest_file(garment: Garment) -> tuple[GlbFile, bytes]:
@@ -170,11 +170,11 @@ async def upload(
     kind, pieces = content_type(request), request.stream()
     state.uploads.check_place(client)  # before anything is read
     if kind == negotiation.JSON:
-        sent, decoded = await state.piecework.run(read_upload, await request.body())
+        sent, decoded = await state.sliced_thread.run(read_upload, await request.body())
         name, format, modelled_on = sent.name, sent.format, sent.avatar
-        pieces = state.piecework.each(decoded)
+        pieces = state.sliced_thread.each(decoded)
     stem, file_format = _name_and_format(name, format, kind)
-    known = upload_avatar(modelled_on, stem, state.drapery.settings.garments_dir)
+    known = upload_avatar(modelled_on, stem, state.runtime.settings.garments_dir)
     job = await state.uploads.submit(stem, file_format, pieces, known, client)
     response.headers["Location"] = f"/jobs/{job.id}"
     return _job_info(job)
@@ -232,7 +232,7 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
     the answer holds a JETS message per frame (docs/reference/wire.md), binary only. With streamed frames leave as they
     are ready; with keep and past a clip comes in pieces that are the whole clip.
     """
-    drapery = state.drapery
+    runtime = state.runtime
     state.check_slot()  # before anything is read
     asked, clip = await _clip(schemas.DrapeRequest, schemas.ClipOptions, request, state)
     jets = asked.geometry == "jets"
@@ -241,29 +241,29 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
     offered = (*offered, negotiation.PC2) if asked.streamed and not jets else offered
     kind = negotiation.choose(request.headers.get("accept"), offered)
     scene = await state.scene(asked.garment, asked.garments, client)
-    plan = await drapery.plan_within(scene, asked, messages=jets)
+    plan = await runtime.plan_within(scene, asked, messages=jets)
     scene = plan.shown
     if asked.past is not None:
-        clip = state.pasts.get(asked.past, client.name).followed_by(plan, clip, asked.fps)
-    road = Road(plan, clip, asked, client)
+        clip = state.continuations.get(asked.past, client.name).followed_by(plan, clip, asked.fps)
+    clip_job = ClipJob(plan, clip, asked, client)
     if asked.streamed:
-        return await streamed_answer(road, state, kind)
+        return await streamed_answer(clip_job, state, kind)
     if jets:
-        check_jets_size(len(clip.poses), scene, drapery)
+        check_jets_size(len(clip.poses), scene, runtime)
     else:
-        _check_size(kind, len(clip.poses), scene.vertex_count, drapery, quantised=asked.quantised)
+        _check_size(kind, len(clip.poses), scene.vertex_count, runtime, quantised=asked.quantised)
     with state.access.using(client, "clips"), state.slot():
-        draped = await drapery.drape(plan, clip)
-        headers = quality_headers(draped) | plan_headers(plan, drapery) | road.remember(draped.memories[0], state)
+        draped = await runtime.drape(plan, clip)
+        headers = quality_headers(draped) | plan_headers(plan, runtime) | clip_job.remember(draped.memories[0], state)
         if jets:
-            return jets_response(draped, headers, state.piecework)
+            return jets_response(draped, headers, state.sliced_thread)
         worn = layer_list(scene) if isinstance(scene, Outfit) else None
         placed = await _of_array(draped.vertices, draped.placed, asked.origin)
         if kind == negotiation.GLB:
-            file = await asyncio.to_thread(_garment_file, scene, placed, asked, clip, drapery)
-            return file_answer(*file, state.piecework, await _said(placed) | headers)
+            file = await asyncio.to_thread(_garment_file, scene, placed, asked, clip, runtime)
+            return file_answer(*file, state.sliced_thread, await _said(placed) | headers)
         if kind in (negotiation.PC2, negotiation.USDA):
-            made = kind, scene, placed, asked.fps, state.piecework, headers
+            made = kind, scene, placed, asked.fps, state.sliced_thread, headers
             return await asyncio.to_thread(export_answer, *made)
         return await _vertices_answer(placed, asked.fps, kind, state, headers=headers, worn=worn)
 
@@ -276,21 +276,21 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
 )
 async def posed_body(body_id: str, request: Request, state: StateHere, client: ClientHere) -> Response:
     """The posed body's vertices for the same input, in the same formats."""
-    drapery = state.drapery
-    drapery.check_body_id(body_id)
+    runtime = state.runtime
+    runtime.check_body_id(body_id)
     state.check_slot()
     asked, clip = await _clip(schemas.PosedRequest, schemas.PosedOptions, request, state)
     kind = _kind(request)
     if kind == negotiation.GLB:
-        return file_answer(*await asyncio.to_thread(_body_file, drapery.body, clip, asked), state.piecework, {})
-    _check_size(kind, len(clip.poses), drapery.body.vertex_count, drapery)
+        return file_answer(*await asyncio.to_thread(_body_file, runtime.body, clip, asked), state.sliced_thread, {})
+    _check_size(kind, len(clip.poses), runtime.body.vertex_count, runtime)
     with state.access.using(client, "clips"), state.slot():
         if asked.origin == "world":
-            placed = Placed(await drapery.pose_body(clip))
+            placed = Placed(await runtime.pose_body(clip))
         else:
-            pelvis = drapery.body.rest_joints(clip.betas)[0]
+            pelvis = runtime.body.rest_joints(clip.betas)[0]
             at_root = replace(clip, trans=np.broadcast_to(-pelvis, clip.trans.shape))
-            placed = Placed(await drapery.pose_body(at_root), clip.trans + pelvis)
+            placed = Placed(await runtime.pose_body(at_root), clip.trans + pelvis)
         return await _vertices_answer(placed, asked.fps, kind, state)
 
 
@@ -302,7 +302,7 @@ async def _clip(
     whole: type[schemas.PosedRequest], options: type[Asked], request: Request, state: State
 ) -> tuple[Asked, PoseInput]:
     """The body of ``request``, JSON as a ``whole`` or a CLIP message, and its checked motion."""
-    body, most, brief = state.drapery.body, state.drapery.settings.max_frames, state.piecework.brief
+    body, most, brief = state.runtime.body, state.runtime.settings.max_frames, state.sliced_thread.brief
     if content_type(request) == negotiation.BINARY:
         sent = await request.body()
         text, poses, trans = unpack_clip(sent)
@@ -310,7 +310,7 @@ async def _clip(
         asked = await brief(text, validated, options, document)
     else:
         sent = await json_text(request)
-        await check_marks(sent, state.piecework, most_marks=clip_marks(most))
+        await check_marks(sent, state.sliced_thread, most_marks=clip_marks(most))
         read = await brief(sent, validated, whole, await brief(sent, parsed, sent))
         poses, trans = read.poses, read.trans
         assert isinstance(read, options)
@@ -319,7 +319,7 @@ async def _clip(
     return asked, PoseInput(poses, trans, shape_array(asked.betas, body), np.arange(len(poses)) / asked.fps)
 
 
-def _check_size(kind: str, frames: int, vertices: int, drapery: Drapery, *, quantised: bool = False) -> None:
+def _check_size(kind: str, frames: int, vertices: int, runtime: DrapeRuntime, *, quantised: bool = False) -> None:
     per_vertex = {
         negotiation.BINARY: 12,
         negotiation.PC2: 12,
@@ -327,25 +327,25 @@ def _check_size(kind: str, frames: int, vertices: int, drapery: Drapery, *, quan
         negotiation.JSON: 3 * NUMBER_TEXT_BYTES,
         negotiation.USDA: POINT_BYTES,
     }
-    check_answer(frames * vertices * per_vertex[kind], f"{frames} frames of {vertices} vertices", drapery.settings)
+    check_answer(frames * vertices * per_vertex[kind], f"{frames} frames of {vertices} vertices", runtime.settings)
 
 
 def _garment_file(
-    scene: Scene, placed: Placed, asked: schemas.ClipOptions, clip: PoseInput, drapery: Drapery
+    scene: Scene, placed: Placed, asked: schemas.ClipOptions, clip: PoseInput, runtime: DrapeRuntime
 ) -> tuple[GlbFile, bytes]:
     """The file, and what it begins with."""
     file, start = GlbFile(), 0
     vertices, point = placed.from_first()
     root_motion = None
     if asked.quantised:
-        root_motion = RootMotion(clip.poses[:, 0], clip.trans + drapery.body.rest_joints(clip.betas)[0] - point)
+        root_motion = RootMotion(clip.poses[:, 0], clip.trans + runtime.body.rest_joints(clip.betas)[0] - point)
     for layer, worn in enumerate(scene.layers):
         colour = glb.GARMENT_COLOURS[layer % len(glb.GARMENT_COLOURS)]
         own = vertices[:, start : start + worn.vertex_count]
         glb.add_garment(file, worn.garment, own, asked.fps, colour, root_motion=root_motion)
         start += worn.vertex_count
     if asked.body:
-        add_body(file, drapery.body, clip.betas, clip.poses, clip.trans - point, asked.fps)
+        add_body(file, runtime.body, clip.betas, clip.poses, clip.trans - point, asked.fps)
     if asked.origin == "root":
         file.place("root", point)
     return file, file.head()
@@ -382,14 +382,14 @@ async def _vertices_answer(
 ) -> Response:
     vertices, headers = placed.vertices, await _said(placed) | (headers or {})
     if kind == negotiation.BINARY:
-        return binary_answer(vertices, state.piecework, headers, tail=placed.tail)
+        return binary_answer(vertices, state.sliced_thread, headers, tail=placed.tail)
     document: dict[str, Any] = {"fps": fps, "frames": len(vertices), "vertices": vertices.shape[1]}
     document["origin"] = placed.origin
     if placed.roots is not None:
         document["roots"] = placed.roots
     if worn is not None:
         document["garments"] = worn
-    return json_answer(document | {"positions": vertices}, state.piecework, headers)
+    return json_answer(document | {"positions": vertices}, state.sliced_thread, headers)
 
 
 # --- fabrics, bodies and clips ---
@@ -408,15 +408,15 @@ def _public(cloth: Fabric) -> dict[str, Any]:
 @router.get("/tiers")
 async def tiers(state: StateHere) -> list[schemas.TierInfo]:
     """The tiers that a request may name, the least first, with what was measured of each and where."""
-    drapery = state.drapery
-    default = drapery.settings.tier
-    return [schemas.TierInfo.of(tier, drapery.engine.pass_count, default=default) for tier in drapery.tiers]
+    runtime = state.runtime
+    default = runtime.settings.tier
+    return [schemas.TierInfo.of(tier, runtime.engine.pass_count, default=default) for tier in runtime.tiers]
 
 
 @router.get("/bodies")
 async def bodies(state: StateHere) -> list[schemas.BodyInfo]:
     """The bodies of this service: the one that its model was trained on."""
-    return [_body_info(state.drapery.body)]
+    return [_body_info(state.runtime.body)]
 
 
 def _body_info(body: BodyModel) -> schemas.BodyInfo:
@@ -432,13 +432,13 @@ def _body_info(body: BodyModel) -> schemas.BodyInfo:
 @router.get("/bodies/{body_id}", responses=responses(InputError, NotFound, BodyError))
 async def body(body_id: str, state: StateHere, betas: Betas = None) -> schemas.BodyDocument:
     """One body, in the shape ``betas``."""
-    drapery = state.drapery
-    drapery.check_body_id(body_id)
-    shape = shape_array(_numbers("betas", betas), drapery.body)
+    runtime = state.runtime
+    runtime.check_body_id(body_id)
+    shape = shape_array(_numbers("betas", betas), runtime.body)
     return schemas.BodyDocument(
-        **_body_info(drapery.body).model_dump(),
-        joints=drapery.body.rest_joints(shape).tolist(),
-        floor_m=floor_m(drapery.body, shape),
+        **_body_info(runtime.body).model_dump(),
+        joints=runtime.body.rest_joints(shape).tolist(),
+        floor_m=floor_m(runtime.body, shape),
     )
 
 
@@ -454,18 +454,20 @@ async def body_mesh(
     betas: Betas = None,
 ) -> Response:
     """The body at rest: JSON, or by Accept a GLB with its 24 joints as a skeleton, ready to be posed."""
-    drapery = state.drapery
-    drapery.check_body_id(body_id)
-    shape = shape_array(_numbers("betas", betas), drapery.body)
+    runtime = state.runtime
+    runtime.check_body_id(body_id)
+    shape = shape_array(_numbers("betas", betas), runtime.body)
     kind = negotiation.choose(request.headers.get("accept"), (negotiation.JSON, negotiation.GLB))
     if kind == negotiation.GLB:
         file = GlbFile()
-        add_body(file, drapery.body, shape)
-        return file_answer(file, file.head(), state.piecework, {})
-    faces = drapery.body.faces
-    vertices = drapery.body.rest_vertices(shape).astype(np.float32)
-    document = {"id": drapery.body.name, "vertices": vertices, "faces": faces, "uv": [], "uv_faces": []}
-    return json_answer(document | {"materials": ["body"], "face_material": np.zeros(len(faces), int)}, state.piecework)
+        add_body(file, runtime.body, shape)
+        return file_answer(file, file.head(), state.sliced_thread, {})
+    faces = runtime.body.faces
+    vertices = runtime.body.rest_vertices(shape).astype(np.float32)
+    document = {"id": runtime.body.name, "vertices": vertices, "faces": faces, "uv": [], "uv_faces": []}
+    return json_answer(
+        document | {"materials": ["body"], "face_material": np.zeros(len(faces), int)}, state.sliced_thread
+    )
 
 
 def _numbers(name: str, text: str | None) -> list[float]:
@@ -480,7 +482,7 @@ def _numbers(name: str, text: str | None) -> list[float]:
 @router.get("/motions")
 async def motions(state: StateHere) -> list[schemas.MotionInfo]:
     """The shipped sample clips."""
-    clips = {key: state.drapery.motions.get(key) for key in state.drapery.motions.ids()}
+    clips = {key: state.runtime.motions.get(key) for key in state.runtime.motions.ids()}
     return [
         schemas.MotionInfo(id=key, name=clip.name, frames=clip.frame_count, fps=clip.fps) for key, clip in clips.items()
     ]
@@ -493,8 +495,8 @@ async def motions(state: StateHere) -> list[schemas.MotionInfo]:
 )
 async def motion(motion_id: str, state: StateHere, betas: Betas = None) -> Response:
     """One sample clip with its poses [rad] and translations [m], for the body in the shape ``betas``."""
-    drapery = state.drapery
-    clip = drapery.motions.placed(motion_id, drapery.body, shape_array(_numbers("betas", betas), drapery.body))
+    runtime = state.runtime
+    clip = runtime.motions.placed(motion_id, runtime.body, shape_array(_numbers("betas", betas), runtime.body))
     document = {"id": motion_id, "name": clip.name, "frames": clip.frame_count, "fps": clip.fps}
     document |= {"poses": np.round(clip.poses, 6), "trans": np.round(clip.trans, 6)}
-    return json_answer(document, state.piecework)
+    return json_answer(document, state.sliced_thread)

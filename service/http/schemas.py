@@ -69,7 +69,8 @@ class ClipOptions(DrapeOptions, Worn, PosedOptions):
     )
     keep: bool = Field(default=False, description="Keep what the cloth remembers: X-Drape-Past names it.")
     past: Annotated[str, Field(max_length=120)] | None = Field(
-        default=None, description="The X-Drape-Past of the frames that came before these: the clip goes on from there."
+        default=None,
+        description="The X-Drape-Past of the frames that came before these: the clip goes on from there.",
     )
     quantised: bool = Field(
         default=True,

@@ -12,11 +12,11 @@ from starlette.types import Receive, Scope, Send
 
 from drape.export.pc2 import HEAD_BYTES, pc2_head
 from drape.wire.jets import message_bytes
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.compute.garments import Outfit, layer_list
 from service.guard.keys import Client
 from service.http.answers import number_bytes
-from service.http.continuations import Past
+from service.http.continuations import Continuation
 from service.http.jets import jets_headers
 from service.http.negotiation import PC2
 from service.http.schemas import ClipOptions
@@ -25,7 +25,7 @@ from service.state import State
 
 
 @dataclass(frozen=True, eq=False)
-class Road:
+class ClipJob:
     """What is draped for whom: the ``plan`` and the ``clip`` that ``asked`` came to."""
 
     plan: Plan
@@ -38,20 +38,20 @@ class Road:
         the header that names them."""
         if not self.asked.keep:
             return {}
-        token = token or state.pasts.token()
+        token = token or state.continuations.token()
         frames = self.clip.sequence + len(self.clip.poses)
-        past = Past(self.plan, self.clip.betas, self.asked.fps, frames, memories)
-        state.pasts.put(token, past, self.client.name)
+        past = Continuation(self.plan, self.clip.betas, self.asked.fps, frames, memories)
+        state.continuations.put(token, past, self.client.name)
         return {"X-Drape-Past": token}
 
 
-def plan_headers(plan: Plan, drapery: Drapery) -> dict[str, str]:
+def plan_headers(plan: Plan, runtime: DrapeRuntime) -> dict[str, str]:
     """What will be computed: the model, the tier by name, the network's passes, the steps of folds, the motion."""
-    options, passes, scene = plan.options, drapery.engine.pass_count, plan.shown
+    options, passes, scene = plan.options, runtime.engine.pass_count, plan.shown
     headers = {
-        "X-Drape-Model": drapery.engine.manifest.digest[:16],
+        "X-Drape-Model": runtime.engine.manifest.digest[:16],
         "X-Drape-Push-Out": str(int(bool(options.push_out))),
-        "X-Drape-Tier": drapery.tier_of(plan),
+        "X-Drape-Tier": runtime.tier_of(plan),
         "X-Drape-Passes": str(passes if options.passes is None else options.passes),
         "X-Drape-Folds": str(options.folds),
         "X-Drape-Safe-Folds": str(options.safe_folds or 0),
@@ -85,25 +85,27 @@ class _Frames(StreamingResponse):
             await super().__call__(scope, receive, send)
 
 
-async def streamed_answer(road: Road, state: State, kind: str) -> StreamingResponse:
-    """The frames of ``road``, binary or PC2. What can be refused is refused before the head is sent: the first chunk is
-    computed by then."""
-    scene, frames = road.plan.shown, len(road.clip.poses)
-    headers = plan_headers(road.plan, state.drapery)
-    if road.asked.geometry == "jets":
+async def streamed_answer(clip_job: ClipJob, state: State, kind: str) -> StreamingResponse:
+    """The frames of ``clip_job``, binary or PC2.
+
+    The first chunk is computed before the head is sent, so that a refusal is still an answer of its own.
+    """
+    scene, frames = clip_job.plan.shown, len(clip_job.clip.poses)
+    headers = plan_headers(clip_job.plan, state.runtime)
+    if clip_job.asked.geometry == "jets":
         size = frames * message_bytes(scene.patch_count)
         headers |= jets_headers(frames, scene)
     else:
-        size = frames * (12 * scene.vertex_count + (24 if road.asked.origin == "root" else 0))
+        size = frames * (12 * scene.vertex_count + (24 if clip_job.asked.origin == "root" else 0))
         headers |= {"X-Drape-Frames": str(frames), "X-Drape-Vertices": str(scene.vertex_count)}
-        headers["X-Drape-Origin"] = road.asked.origin
+        headers["X-Drape-Origin"] = clip_job.asked.origin
     head = b""
     if kind == PC2:
         head, size = pc2_head(scene.vertex_count, frames), HEAD_BYTES + 12 * frames * scene.vertex_count
-    token = state.pasts.token()
-    if road.asked.keep:
+    token = state.continuations.token()
+    if clip_job.asked.keep:
         headers["X-Drape-Past"] = token
-    pieces = _pieces(road, state, token, kind)
+    pieces = _pieces(clip_job, state, token, kind)
     frames_sent = _after(head + await anext(pieces), pieces)
     return _Frames(frames_sent, kind, headers | {"Content-Length": str(size)})
 
@@ -115,24 +117,24 @@ async def _after(first: bytes, rest: AsyncGenerator[bytes]) -> AsyncGenerator[by
             yield piece
 
 
-async def _pieces(road: Road, state: State, token: str, kind: str) -> AsyncGenerator[bytes]:
+async def _pieces(clip_job: ClipJob, state: State, token: str, kind: str) -> AsyncGenerator[bytes]:
     """The bytes of the answer; holds a place for a clip meanwhile."""
     tail: list[bytes] = []
     first_root = None
-    with state.access.using(road.client, "clips"), state.slot():
+    with state.access.using(clip_job.client, "clips"), state.slot():
         part = None
-        async for part in state.drapery.parts(road.plan, road.clip):
+        async for part in state.runtime.parts(clip_job.plan, clip_job.clip):
             placed = None
-            if road.asked.geometry == "vertices":
-                placed = part.placed(road.asked.origin)
+            if clip_job.asked.geometry == "vertices":
+                placed = part.placed(clip_job.asked.origin)
                 first_root = part.root[0] if first_root is None else first_root
                 if kind == PC2:
                     placed = placed.counted_from(first_root)
                 tail += [placed.tail] if placed.tail else []
             pieces = iter(part.messages) if placed is None else number_bytes(placed.vertices)
-            async for piece in state.piecework.each(pieces):
+            async for piece in state.sliced_thread.each(pieces):
                 yield piece
         assert part is not None
-        road.remember(part.memories[0], state, token)
+        clip_job.remember(part.memories[0], state, token)
         for piece in tail:
             yield piece

@@ -20,8 +20,8 @@ import numpy as np
 
 from drape.errors import DrapeError, InputError
 from drape.wire.state import PIECE_BYTES
-from service.compute.drape_runtime import Drapery
-from service.compute.unchanged import Still
+from service.compute.drape_runtime import DrapeRuntime
+from service.compute.unchanged import Idle
 from service.errors import Busy, TooLarge, Unauthorized
 from service.guard.keys import Client
 from service.guard.tickets import Tickets
@@ -48,9 +48,9 @@ class Brought:
 class Handover:
     """Makes and reads the states of streams, and counts the bytes that are held of those which come in."""
 
-    def __init__(self, drapery: Drapery, tickets: Tickets) -> None:
-        self._drapery, self._tickets = drapery, tickets
-        self._classes = (Still, *(kind for stage in drapery.stages for kind in stage.kept))
+    def __init__(self, runtime: DrapeRuntime, tickets: Tickets) -> None:
+        self._runtime, self._tickets = runtime, tickets
+        self._classes = (Idle, *(kind for stage in runtime.stages for kind in stage.kept))
         self._held = 0
 
     def state(self, session: Session, client: Client, tier: int, *, now_s: float | None = None) -> bytes:
@@ -65,7 +65,7 @@ class Handover:
         kept = tuple((*key, memory) for key, memory in session.memories.items())
         raw = _LENGTH.pack(len(text)) + text + encoded(kept, self._classes, _plans(session.plan, session.steps))
         whole = self._tickets.sign(raw) + raw
-        return whole if len(whole) <= self._drapery.settings.stream_state_bytes else b""
+        return whole if len(whole) <= self._runtime.settings.stream_state_bytes else b""
 
     def brought(
         self,
@@ -99,8 +99,8 @@ class Handover:
         return {
             "release": product_version(),
             "key": client.name,
-            "model": self._drapery.engine.manifest.digest,
-            "body": self._drapery.body.digest,
+            "model": self._runtime.engine.manifest.digest,
+            "body": self._runtime.body.digest,
             "garments": [*plan.keys, *plan.draped_keys],
             "options": plan.options.model_dump(mode="json"),
             "shape": betas.tolist(),
@@ -117,7 +117,7 @@ class Handover:
 
     def hold(self, size: int, more: int) -> None:
         """Counts ``more`` bytes of a state of which ``size`` have come; refuses what is too much, of it or of all."""
-        limits = self._drapery.settings
+        limits = self._runtime.settings
         if size + more > limits.stream_state_bytes + PIECE_BYTES:
             expected = f"at most {limits.stream_state_bytes} bytes"
             raise TooLarge("state", expected=expected, got=f"{size + more} or more", cure=_CURE)

@@ -18,7 +18,7 @@ from fastapi import FastAPI
 
 from drape.errors import InputError, Unavailable
 from service.app import create_app
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.replicas import ray_router
 from service.replicas.scaling import AGE, STREAMS, FrameAges, Load, Policy
 from service.settings import Settings
@@ -44,8 +44,8 @@ class Replica:
     def __init__(self, settings: Settings) -> None:
         self._deadline_s = settings.frame_deadline_s
         self._life, metrics = Lifecycle(stuck_s=settings.stuck_s), Metrics()
-        drapery = Drapery(settings, metrics=metrics)
-        self._app = create_app(settings, drapery=drapery, lifecycle=self._life)
+        runtime = DrapeRuntime(settings, metrics=metrics)
+        self._app = create_app(settings, runtime=runtime, lifecycle=self._life)
         self._ages = FrameAges(metrics.frame_age)
         self._load = Load(0.0, 0)
         self._known: frozenset[str] = frozenset()

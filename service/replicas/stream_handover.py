@@ -22,7 +22,7 @@ log = logging.getLogger("drape.service")
 async def send_away(socket: WebSocket, session: Session, state: State, client: Client) -> None:
     """Sends the state of ``session`` and where to go with it, and closes; the client has ``DRAPE_STREAM_SEND_S`` to
     take it."""
-    settings, reason = state.drapery.settings, Draining()
+    settings, reason = state.runtime.settings, Draining()
     blob = state.handover.state(session, client, state.streams.tier)
     pieces = split_state(blob, min(PIECE_BYTES, settings.stream_message_bytes))
     moved: dict[str, str | int] = {"type": "moved", "to": settings.successor, "pieces": len(pieces)}
@@ -38,7 +38,7 @@ async def send_away(socket: WebSocket, session: Session, state: State, client: C
         expected = f"a state taken within {settings.stream_send_s:g} s"
         cure = "Read faster; the next stream begins anew."
         raise TooSlow("stream", expected=expected, got="a full connection", cure=cure) from None
-    state.drapery.metrics.moved.labels(str(bool(pieces)).lower()).inc()
+    state.runtime.metrics.moved.labels(str(bool(pieces)).lower()).inc()
 
 
 def brought_along(pieces: Incoming, session: Session, state: State, client: Client) -> Brought | None:
@@ -50,8 +50,8 @@ def brought_along(pieces: Incoming, session: Session, state: State, client: Clie
         brought = state.handover.brought(blob, client, session.plan, session.steps, session.betas)
     except DrapeError as error:
         log.info("stream begins anew: %s", error)
-        state.drapery.metrics.brought.labels("false").inc()
+        state.runtime.metrics.brought.labels("false").inc()
         return None
     session.memories, session.dropped = brought.memories, brought.dropped
-    state.drapery.metrics.brought.labels("true").inc()
+    state.runtime.metrics.brought.labels("true").inc()
     return brought

@@ -1,4 +1,4 @@
-"""The road of a frame: its stages in order, and which of them a plan takes.
+"""The clip_job of a frame: its stages in order, and which of them a plan takes.
 
 A new stage is a file here, a line in ``STAGES``, and a field of ``drape.wire.options`` where clients choose.
 """
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from drape.body.model import BodyModel
 from drape.wire.options import DrapeOptions
-from service.compute.constants_process import IN_PLACE, Workshop
+from service.compute.constants_process import IN_PLACE, ConstantsProcess
 from service.compute.hidden import narrowed
 from service.graphs.engine import Engine
 from service.settings import Settings
@@ -32,12 +32,12 @@ STAGES: tuple[type[Stage], ...] = (Novelty, Motion, Network, Swing, Folds, Colli
 
 
 def make_stages(
-    engine: Engine, body: BodyModel, settings: Settings, workshop: Workshop = IN_PLACE
+    engine: Engine, body: BodyModel, settings: Settings, constants_process: ConstantsProcess = IN_PLACE
 ) -> tuple[Stage, ...]:
-    """All stages of a service, in order; they make their constants in the ``workshop``."""
+    """All stages of a service, in order; they make their constants in the ``constants_process``."""
     stages = tuple(stage(engine, body, settings) for stage in STAGES)
     for stage in stages:
-        stage.workshop = workshop
+        stage.constants_process = constants_process
     return stages
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from drape.body.model import BodyModel
 from drape.garment.cache import Garment
 from drape.wire.options import DrapeOptions
-from service.compute.constants_process import IN_PLACE, Workshop
+from service.compute.constants_process import IN_PLACE, ConstantsProcess
 from service.graphs.engine import Engine
 from service.settings import Settings
 from service.stages.placing import Origin, Placed
@@ -250,7 +250,7 @@ def _whole(parts: Sequence[Any]) -> Any:
 
 
 class Stage:
-    """One step on the road of a frame, made once per service; ``service.stages.STAGES`` names them in order.
+    """One step on the clip_job of a frame, made once per service; ``service.stages.STAGES`` names them in order.
 
     A stage holds its constants of garments (``add``, ``prepare``) and keeps what it remembers of a stream or clip in
     the batch's memories, under its name and the garment's digest or ``BODY``.
@@ -259,7 +259,7 @@ class Stage:
     name: ClassVar[str]
     kept: ClassVar[tuple[type, ...]] = ()  # the classes of what it remembers, which streams take to other processes
 
-    workshop: Workshop = IN_PLACE  # where constants are made beside streams
+    constants_process: ConstantsProcess = IN_PLACE  # where constants are made beside streams
 
     def __init__(self, engine: Engine, body: BodyModel, settings: Settings) -> None:
         self.engine, self.body, self.settings = engine, body, settings

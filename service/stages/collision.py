@@ -43,13 +43,13 @@ class Collision(Stage):
 
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
         vertices = garment.vertices[: garment.vertex_count]
-        self.pusher.add(garment.digest, feed, vertices, garment.faces, self.workshop)
+        self.pusher.add(garment.digest, feed, vertices, garment.faces, self.constants_process)
 
     def remove(self, garment: Garment) -> None:
         self.pusher.remove(garment.digest)
 
     def prepare(self, plan: Plan) -> None:
-        self.pusher.prepare(plan.keys, jets=plan.options.geometry == "jets", workshop=self.workshop)
+        self.pusher.prepare(plan.keys, jets=plan.options.geometry == "jets", constants_process=self.constants_process)
 
     @property
     def held_bytes(self) -> int:

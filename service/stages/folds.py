@@ -188,7 +188,7 @@ class Folds(Stage):
         with self._making:  # one at a time; frames, whose constants are there, do not wait
             kept = self._found(name)
             if kept is None:
-                kept = self.workshop.call(constants, self._garments[key], self.body, fabric)
+                kept = self.constants_process.call(constants, self._garments[key], self.body, fabric)
                 with self._looking:
                     self._constants[name] = kept
                     while len(self._constants) > 1 and self._bytes > self.kept_bytes:

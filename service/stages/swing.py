@@ -104,7 +104,7 @@ class Swing(Stage):
         with self._making:  # one at a time; frames, whose constants are there, do not wait
             found, kept = self._found(name)
             if not found:
-                kept = self.workshop.call(constants, self._garments[key], self.body, fabric)
+                kept = self.constants_process.call(constants, self._garments[key], self.body, fabric)
                 with self._looking:
                     self._constants[name] = kept
                     while len(self._constants) > KEPT:

@@ -38,7 +38,7 @@ log = logging.getLogger("drape.service")
 async def stream(socket: WebSocket) -> None:
     """One client, from its handshake to its close."""
     state: State = socket.app.state.drape
-    settings = state.drapery.settings
+    settings = state.runtime.settings
     offered = socket.scope.get("subprotocols", [])
     try:
         _check_protocol(offered)
@@ -55,7 +55,7 @@ async def stream(socket: WebSocket) -> None:
     except WebSocketDisconnect:
         return
     except DrapeError as error:
-        state.drapery.metrics.evictions.labels(type(error).__name__).inc()
+        state.runtime.metrics.evictions.labels(type(error).__name__).inc()
         await _refuse(socket, error, settings.stream_send_s)
     except Exception:
         log.exception("a stream failed")
@@ -74,7 +74,7 @@ def _check_protocol(offered: list[str]) -> None:
 
 async def _converse(socket: WebSocket, state: State, client: Client) -> None:
     """Opens the session and runs it until the client leaves or something is refused."""
-    settings = state.drapery.settings
+    settings = state.runtime.settings
     state.streams.check_place()
     with state.handover.incoming() as pieces:
         text = await _opening(socket, pieces, settings)
@@ -139,17 +139,17 @@ def _text_of(message: Any) -> str:
 async def _open_session(text: str, state: State, client: Client, session: Session | None) -> Session:
     """The session that ``text`` asks for: a new one, or ``session`` turned to it."""
     asked = validated(OpenRequest, document_of(text.encode()))
-    drapery = state.drapery
+    runtime = state.runtime
     scene = await state.scene(asked.garment, asked.garments, client)
-    plan = await drapery.plan_within(scene, asked, messages=True)
-    betas = shape_array(asked.betas, drapery.body)
-    steps = drapery.steps(plan)
+    plan = await runtime.plan_within(scene, asked, messages=True)
+    betas = shape_array(asked.betas, runtime.body)
+    steps = runtime.steps(plan)
     for step in {plan, *steps}:
-        await drapery.prepare(step)
+        await runtime.prepare(step)
     if session is None:
-        link = drapery.tracing.here()
+        link = runtime.tracing.here()
         return Session(
-            plan, betas, drapery.settings.stream_credit, steps, moves=asked.moves, same=asked.same, link=link
+            plan, betas, runtime.settings.stream_credit, steps, moves=asked.moves, same=asked.same, link=link
         )
     session.reopen(plan, betas, steps)
     session.moves, session.same = asked.moves, asked.same
@@ -169,13 +169,13 @@ def _opened(session: Session, state: State, **more: bool) -> str:
             "type": "opened",
             **worn,
             "vertices": scene.vertex_count,
-            "model": state.drapery.engine.manifest.digest,
-            "body": state.drapery.body.name,
+            "model": state.runtime.engine.manifest.digest,
+            "body": state.runtime.body.name,
             "credit": session.credit,
             "push_out": options.push_out,
             "motion": options.knob,
-            "tier": state.drapery.tier_of(session.plan),
-            "passes": state.drapery.engine.pass_count if options.passes is None else options.passes,
+            "tier": state.runtime.tier_of(session.plan),
+            "passes": state.runtime.engine.pass_count if options.passes is None else options.passes,
             "folds": options.folds,
             "safe_folds": options.safe_folds or 0,
             "bits": options.bits or 16,
@@ -189,7 +189,7 @@ async def _read(socket: WebSocket, session: Session, state: State, client: Clien
         message = await socket.receive()
         payload = message.get("bytes")
         if message["type"] == "websocket.receive" and payload is not None:
-            _take(payload, session, state.drapery.metrics)
+            _take(payload, session, state.runtime.metrics)
         else:
             await _open_session(_text_of(message), state, client, session)
             session.last_heard_s = time.monotonic()
@@ -212,8 +212,8 @@ def _take(payload: bytes, session: Session, metrics: Metrics) -> None:
 
 
 async def _send(socket: WebSocket, session: Session, state: State, client: Client) -> None:
-    limit = state.drapery.settings.stream_send_s
-    while not (session.moving and session.settled and session.failure is None):
+    limit = state.runtime.settings.stream_send_s
+    while not (session.leaving and session.settled and session.failure is None):
         await session.news.wait()
         session.news.clear()
         if session.failure is not None:
@@ -232,14 +232,14 @@ async def _send(socket: WebSocket, session: Session, state: State, client: Clien
                 got="a full connection",
                 cure="Read faster or ask for fewer frames.",
             ) from None
-        state.drapery.metrics.sent(time.monotonic() - since_s, state.drapery.settings.frame_deadline_s)
+        state.runtime.metrics.sent(time.monotonic() - since_s, state.runtime.settings.frame_deadline_s)
         state.streams.wake()
     await send_away(socket, session, state, client)
 
 
 async def _watch(session: Session, state: State) -> None:
     """Raises when the client neither acknowledges nor sends."""
-    settings = state.drapery.settings
+    settings = state.runtime.settings
     while True:
         await asyncio.sleep(min(WATCH_S, settings.stream_ack_s / 4, settings.stream_idle_s / 4))
         now = time.monotonic()

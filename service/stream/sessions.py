@@ -18,10 +18,10 @@ import numpy as np
 
 from drape.errors import DrapeError, InputError
 from drape.wire.messages import SAME, Pose, message_kind
-from service.compute import unchanged as still
-from service.compute.drape_runtime import STEPS_BELOW, Drapery
+from service.compute.drape_runtime import STEPS_BELOW, DrapeRuntime
 from service.compute.garments import Scene
-from service.compute.sliced_thread import Piecework
+from service.compute.sliced_thread import SlicedThread
+from service.compute.unchanged import shown_message
 from service.errors import Busy
 from service.stages import carried
 from service.stages.batch import Memories, Plan, PoseInput
@@ -45,8 +45,9 @@ class Session:
 
     ``steps``: the plan as each tier holds it, the least first; ``memories``: what the stages keep of the frames so far
     (``service.stages``). Of ``dropped`` poses those that are ``late`` waited for a worker alone. One that ``moves``
-    can go on at another process; while it is ``moving`` nothing is begun for it here. A client that takes ``same`` need
-    not get a frame again that it has: ``shown``, the message that was computed for it. ``link`` leads to its request.
+    can go on at another process; while it is ``leaving`` nothing is begun for it here. A client that takes ``same``
+    need not get a frame again that it has: ``shown``, the message that was computed for it. ``link`` leads to its
+    request.
     """
 
     plan: Plan
@@ -59,7 +60,7 @@ class Session:
     same: bool = False
     shown: bytes | None = None
     link: Link | None = None
-    moving: bool = False
+    leaving: bool = False
     dropped: int = 0
     late: int = 0
     waiting: Waiting | None = None
@@ -93,7 +94,7 @@ class Session:
 
     def due(self) -> bool:
         """Whether a pose waits for nothing but a worker, if only for the one that computes the frame before."""
-        free = len(self.under_way) < self.credit and self.outbox is None and not self.moving
+        free = len(self.under_way) < self.credit and self.outbox is None and not self.leaving
         return self.waiting is not None and free
 
     @property
@@ -157,26 +158,26 @@ class Session:
             self.failure = result
         else:
             self.outbox, self.outbox_since_s = result, now if since_s is None else since_s
-            self.shown = still.shown(memories)
+            self.shown = shown_message(memories)
         self.news.set()
 
 
 class Streams:
-    """All sessions, and the workers that compute their frames: as many as ``Drapery`` has threads for streams."""
+    """All sessions, and the workers that compute their frames: as many as ``DrapeRuntime`` has threads for streams."""
 
-    def __init__(self, drapery: Drapery, piecework: Piecework) -> None:
-        self._drapery, self._piecework = drapery, piecework
+    def __init__(self, runtime: DrapeRuntime, sliced_thread: SlicedThread) -> None:
+        self._runtime, self._sliced_thread = runtime, sliced_thread
         self._sessions: set[Session] = set()
         self._wake = asyncio.Event()
         self._workers: list[asyncio.Task[None]] = []
-        self._count, self._busy = drapery.stream_threads, 0  # workers, and how many of them compute
-        self._step_down = StepDown(len(drapery.tiers) + STEPS_BELOW, time.monotonic())
+        self._count, self._busy = runtime.stream_threads, 0  # workers, and how many of them compute
+        self._step_down = StepDown(len(runtime.tiers) + STEPS_BELOW, time.monotonic())
 
     @property
     def tier(self) -> int:
-        """The index in ``Drapery.steps`` of the most that streams get now; past the last one nothing holds them."""
+        """The index in ``DrapeRuntime.steps`` of the most that streams get; past the last one nothing holds them."""
         steps = self._step_down
-        return steps.level if self._drapery.settings.stream_step_down else steps.top
+        return steps.level if self._runtime.settings.stream_step_down else steps.top
 
     @property
     def count(self) -> int:
@@ -202,7 +203,7 @@ class Streams:
 
     def check_place(self) -> None:
         """Refuses when every place is taken."""
-        limit = self._drapery.settings.stream_sessions
+        limit = self._runtime.settings.stream_sessions
         if len(self._sessions) >= limit:
             raise Busy(
                 "streams",
@@ -222,15 +223,15 @@ class Streams:
         """Lets every stream that ``moves`` send what is computed and go; ends the others with ``reason``."""
         for session in self._sessions:
             if session.moves:
-                session.moving = True
+                session.leaving = True
             else:
                 session.failure = reason
             session.news.set()
 
     def release(self, count: int) -> None:
         """Lets ``count`` of the streams that ``moves``, or as many as there are, go on at another process."""
-        for session in [one for one in self._sessions if one.moves and not one.moving][:count]:
-            session.moving = True
+        for session in [one for one in self._sessions if one.moves and not one.leaving][:count]:
+            session.leaving = True
             session.news.set()
 
     def add(self, session: Session, tier: int | None = None) -> None:
@@ -262,7 +263,7 @@ class Streams:
         )
         same = [s for s in ready if s.held_to(self.tier) == ready[0].held_to(self.tier)]
         share = -(-len(same) // (self._count - self._busy))
-        return same[: min(share, self._drapery.settings.chunk_frames)]
+        return same[: min(share, self._runtime.settings.chunk_frames)]
 
     async def _compute(self, batch: Sequence[Session]) -> None:
         plan = batch[0].held_to(self.tier)
@@ -272,11 +273,11 @@ class Streams:
             self._wake.set()  # for another worker, which may not have waited when it was told
         self._busy += 1
         links = [session.link for session in batch]
-        tier = self._drapery.tier_of(plan)
+        tier = self._runtime.tier_of(plan)
         try:
-            with self._piecework.held(), self._drapery.tracing.work("frames", links, frames=len(batch), tier=tier):
+            with self._sliced_thread.held(), self._runtime.tracing.work("frames", links, frames=len(batch), tier=tier):
                 start_s = time.monotonic()
-                results = await self._drapery.stream_frames(plan, inputs)
+                results = await self._runtime.stream_frames(plan, inputs)
                 now_s = time.monotonic()
         finally:
             self._busy -= 1
@@ -284,7 +285,7 @@ class Streams:
         # Workers that sessions can keep busy share the time that there is.
         workers = max(1, min(self._count, len(self._sessions)))
         self._step_down.note(now_s, frames=len(batch), late=late, busy_s=(now_s - start_s) / workers)
-        self._drapery.metrics.batch_frames.observe(len(batch))
+        self._runtime.metrics.batch_frames.observe(len(batch))
         for session, generation, one, (result, memories) in zip(batch, generations, inputs, results, strict=True):
             session.deliver(generation, result, memories, one.arrived_s)
 

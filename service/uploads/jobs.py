@@ -19,10 +19,10 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from drape.errors import ArtifactError, DrapeError, InputError, MeshError, NotFound
 from service import errors
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.compute.garment_files import OWNED, folder_of, sizes
 from service.compute.garments import slug
-from service.compute.sliced_thread import Piecework
+from service.compute.sliced_thread import SlicedThread
 from service.guard.access import Access
 from service.guard.keys import ANYONE, Client
 from service.settings import ROOT, Settings
@@ -72,9 +72,9 @@ class Uploads:
     """A queue with ``DRAPE_INTAKE_WORKERS`` workers; files lie in a staging folder of this process until they are
     garments. Uploads to other services that have the same folder are known too."""
 
-    def __init__(self, drapery: Drapery, piecework: Piecework, access: Access) -> None:
+    def __init__(self, runtime: DrapeRuntime, sliced_thread: SlicedThread, access: Access) -> None:
         self._access = access
-        self._drapery, self._settings, self._piecework = drapery, drapery.settings, piecework
+        self._runtime, self._settings, self._sliced_thread = runtime, runtime.settings, sliced_thread
         self._jobs: dict[str, Job] = {}
         self._queue: asyncio.Queue[tuple[Job, Path, Accepted]] = asyncio.Queue()
         self._root = self._settings.garments_dir
@@ -201,7 +201,7 @@ class Uploads:
     ) -> Job:
         """Stores the file that ``pieces`` make and queues it; refuses when too many wait, and an empty one."""
         self.check_place(client)
-        job = Job(uuid.uuid4().hex[:12], slug(name), client.name, link=self._drapery.tracing.here())
+        job = Job(uuid.uuid4().hex[:12], slug(name), client.name, link=self._runtime.tracing.here())
         file = self._staging / job.id / f"{job.name}.{file_format}"
         self._jobs[job.id] = job  # at once, so that files that are being stored count
         try:
@@ -224,7 +224,7 @@ class Uploads:
         """Writes ``pieces`` to ``file`` as they come; how many bytes."""
         file.parent.mkdir(parents=True)
         with file.open("wb") as target:
-            size = sum([await self._piecework.run(target.write, piece) async for piece in pieces])
+            size = sum([await self._sliced_thread.run(target.write, piece) async for piece in pieces])
             target.flush()
             await asyncio.to_thread(os.fsync, target.fileno())
             return size
@@ -237,8 +237,8 @@ class Uploads:
                 continue
             job.state, job.stage = "running", "start"
             try:
-                with self._drapery.tracing.work("upload", [job.link], job=job.id):
-                    job.work = asyncio.create_task(self._take_in(job, folder, accepted))
+                with self._runtime.tracing.work("upload", [job.link], job=job.id):
+                    job.work = asyncio.create_task(self._run_intake(job, folder, accepted))
                     job.garment = await job.work
                 job.state = "done"
             except asyncio.CancelledError:
@@ -257,7 +257,7 @@ class Uploads:
             await self._keep(job)
             shutil.rmtree(folder, ignore_errors=True)
 
-    async def _take_in(self, job: Job, folder: Path, accepted: Accepted) -> str:
+    async def _run_intake(self, job: Job, folder: Path, accepted: Accepted) -> str:
         """The id of the garment made from what was ``accepted`` and lies in ``folder``."""
         if accepted.attempts >= MOST_ATTEMPTS:
             raise MeshError(
@@ -271,14 +271,14 @@ class Uploads:
 
         def begun(stage: str) -> None:
             job.stage = stage
-            self._drapery.tracing.event(stage)
+            self._runtime.tracing.event(stage)
 
         report = await run_sandbox(folder / accepted.file, accepted.avatar, out, self._settings, begun)
         begun("prepare")
         made = out / str(report["file"])
-        registry = self._drapery.garments
+        registry = self._runtime.garments
         self._check_room(client, made.stat().st_size)
-        prepared = await self._drapery.aside(registry.prepare, made)
+        prepared = await self._runtime.aside(registry.prepare, made)
         stored = folder_of(self._root, client.name) / made.name
         stored.parent.mkdir(exist_ok=True)
         await asyncio.to_thread(sync, made)

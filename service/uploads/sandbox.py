@@ -30,7 +30,7 @@ def set_limits(*, memory_mb: int, cpu_s: int) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
-def take_in(file: Path, out: Path, *, avatar: str | None, body: str) -> Path:
+def intake_file(file: Path, out: Path, *, avatar: str | None, body: str) -> Path:
     """The cache file that the intake makes of ``file``."""
     from drape.body.assets import load_body
     from drape.garment.intake import intake
@@ -53,7 +53,9 @@ def main() -> int:
     step_back()
     set_limits(memory_mb=options.memory_mb, cpu_s=options.cpu_s)
     try:
-        made = take_in(options.file, options.out, avatar=sys.stdin.buffer.read().decode() or None, body=options.body)
+        made = intake_file(
+            options.file, options.out, avatar=sys.stdin.buffer.read().decode() or None, body=options.body
+        )
     except DrapeError as error:
         return _refuse(options.out, error)
     except MemoryError:

@@ -12,7 +12,7 @@ from typing import TypeVar
 
 from drape.errors import DrapeError, NotFound
 from service.compute import garment_files
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.compute.garments import Entry
 from service.stream.sessions import Streams
 from service.uploads.jobs import Uploads
@@ -31,13 +31,13 @@ def end_streams(entry: Entry, streams: Streams) -> None:
     )
 
 
-class Follower:
+class SharedFolder:
     """Looks into the folder every ``DRAPE_GARMENTS_LOOK_S``, and where a garment is asked for that this service does
     not know; 0 never, as for a service that has its folder alone."""
 
-    def __init__(self, drapery: Drapery, streams: Streams, uploads: Uploads) -> None:
-        self._drapery, self._streams, self._uploads = drapery, streams, uploads
-        self._every_s = drapery.settings.garments_look_s
+    def __init__(self, runtime: DrapeRuntime, streams: Streams, uploads: Uploads) -> None:
+        self._runtime, self._streams, self._uploads = runtime, streams, uploads
+        self._every_s = runtime.settings.garments_look_s
         self._turn = asyncio.Lock()
         self._begun_s = -LEAST_S  # the latest look
         self._known: dict[Path, tuple[int, int]] = {}  # when each file was written, as of the latest look
@@ -46,7 +46,7 @@ class Follower:
     def start(self) -> None:
         """Begins to look."""
         if self._every_s:
-            self._task = asyncio.create_task(self._go_on(), name="following")
+            self._task = asyncio.create_task(self._go_on(), name="shared folder")
 
     async def stop(self) -> None:
         """Looks no more."""
@@ -77,25 +77,25 @@ class Follower:
                 return
             await asyncio.sleep(self._begun_s + LEAST_S - time.monotonic())
             self._begun_s = time.monotonic()
-            there = await asyncio.to_thread(garment_files.stored, self._drapery.settings.garments_dir)
+            there = await asyncio.to_thread(garment_files.stored, self._runtime.settings.garments_dir)
             before, self._known = self._known, there
-            entries = {entry.path: entry for entry in self._drapery.garments.entries() if entry.source == "user"}
+            entries = {entry.path: entry for entry in self._runtime.garments.entries() if entry.source == "user"}
             for path, entry in entries.items():
                 if path is not None and path not in there and not path.exists():
                     end_streams(entry, self._streams)
-                    await self._drapery.aside(self._drapery.garments.forget, entry)
+                    await self._runtime.aside(self._runtime.garments.forget, entry)
             for path, written in there.items():
                 if before.get(path) != written:
-                    await self._take_in(path, entries.get(path), written[0] != before.get(path, (0, 0))[0])
+                    await self._read_change(path, entries.get(path), written[0] != before.get(path, (0, 0))[0])
 
-    async def _take_in(self, path: Path, entry: Entry | None, fresh: bool) -> None:
+    async def _read_change(self, path: Path, entry: Entry | None, fresh: bool) -> None:
         """Lets the registry read ``path``, or, of a cache that is not ``fresh``, what is said of it."""
-        registry = self._drapery.garments
+        registry = self._runtime.garments
         try:
             if entry is not None:
                 registry.read_again(entry)
             elif fresh:
-                registry.add(await self._drapery.aside(registry.prepare, path), "user", path)
+                registry.add(await self._runtime.aside(registry.prepare, path), "user", path)
         except FileNotFoundError:  # removed meanwhile: the next look sees it
             return
         except DrapeError as error:

@@ -18,7 +18,7 @@ from drape.garment.cache import Garment
 from drape.geometry.raster import Surface, render
 from drape.motion.hard_poses import HardPoses
 from drape.wire.options import DrapeOptions, Resolution
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from service.stages import run
 from service.stages.batch import PoseInput
@@ -166,11 +166,11 @@ def test_what_is_measured_is_what_is_served(
     bench: Bench,
     make_settings: Callable[..., Settings],
 ):
-    drapery = Drapery(make_settings())
+    drapery = DrapeRuntime(make_settings())
     scene = drapery.garments.add(coarse, "user")
     options = DrapeOptions(passes=drapery.engine.pass_count, folds=folds, resolution=resolution)
     plan = drapery.plan(scene, options)
-    drapery.take_in(plan)
+    drapery.add_missing(plan)
     for stage in plan.stages:
         stage.prepare(plan)
     shape, place, now_s = np.zeros(bench.body.shape_count), np.zeros((1, 3)), np.zeros(1)

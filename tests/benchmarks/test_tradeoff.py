@@ -17,7 +17,7 @@ from drape.catalog import find_motions
 from drape.cloth.fabric_table import fabric
 from drape.errors import ArtifactError, InputError
 from drape.wire.options import DrapeOptions
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.compute.tiers import NAMES
 from tests.fixtures.serving import make_settings, tiny_folder
 from tests.fixtures.tiny_model import TINY, write_tiny_model
@@ -28,7 +28,7 @@ FRAMES = 4
 
 @pytest.fixture(scope="module")
 def drapery(make_settings):
-    made = Drapery(make_settings())
+    made = DrapeRuntime(make_settings())
     yield made
     made.close()
 

@@ -15,7 +15,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from drape.garment.cache import save_garment
 from drape.motion.samples import stretch
 from service.app import create_app
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.graphs.engine import PACKED
 from service.settings import Settings
 from tests.clients.browser import Page, open_page
@@ -45,7 +45,7 @@ SPY = """(() => {
 
 
 @pytest.fixture(scope="module")
-def drapery(make_settings, tmp_path_factory) -> Drapery:
+def runtime(make_settings, tmp_path_factory) -> DrapeRuntime:
     folder = tmp_path_factory.mktemp("three")
     for kind in ("shorts", "tank", "trousers"):
         save_garment(garment(kind), folder)
@@ -54,17 +54,17 @@ def drapery(make_settings, tmp_path_factory) -> Drapery:
     models = Settings().models_dir
     limits = {"max_layers": 2, "stream_ack_s": 30.0, "stream_send_s": 30.0}
     folders = {"models_dir": models, "shipped_garments_dir": folder, "motions_dir": motions}
-    return Drapery(make_settings(model="onefit", **folders, **limits))
+    return DrapeRuntime(make_settings(model="onefit", **folders, **limits))
 
 
 @pytest.fixture(scope="module")
-def page(drapery: Drapery) -> Iterator[Page]:
+def page(runtime: DrapeRuntime) -> Iterator[Page]:
     from tests.conftest import find_chromium
 
     chromium = find_chromium()
     assert chromium is not None  # the marker has seen to it
     with (
-        serve(create_app(drapery.settings, drapery=drapery), drapery.settings) as url,
+        serve(create_app(runtime.settings, runtime=runtime), runtime.settings) as url,
         open_page(chromium, url + "/?garment=trousers,tank&clip=still") as page,
     ):
         page.wait_for("Number(document.body?.dataset.frames) >= 2")
@@ -113,7 +113,7 @@ def test_each_layer_has_its_own_colour(page: Page):
     assert share(picture, "g") > 0.005 and share(picture, "r") < 0.002 and share(picture, "b") > 0.005
 
 
-def test_passes_are_chosen_and_the_service_runs_that_many(page: Page, drapery: Drapery):
+def test_passes_are_chosen_and_the_service_runs_that_many(page: Page, runtime: DrapeRuntime):
     options = page.evaluate("Array.from(document.getElementById('passes').options, (option) => option.value)")
     assert options == ["", "4", "3", "2", "1", "0"] and not page.evaluate(
         "document.getElementById('passes-row').hidden"
@@ -122,7 +122,7 @@ def test_passes_are_chosen_and_the_service_runs_that_many(page: Page, drapery: D
         set_control(page, "passes", "value", str(passes), "change")
         assert last_opening(page)["passes"] == passes
         more_frames(page)
-        assert passes in {passes for graph, _, _, passes, _ in drapery.engine._opened if graph == PACKED}
+        assert passes in {passes for graph, _, _, passes, _ in runtime.engine._opened if graph == PACKED}
     set_control(page, "passes", "value", "", "change")
     assert "passes" not in last_opening(page)
 
@@ -165,7 +165,7 @@ def test_jets_are_drawn_like_vertices_and_are_fewer_bytes(page: Page):
     set_control(page, "folds", "value", "", "change")
 
 
-def test_a_tier_is_chosen_by_name_and_told(page: Page, drapery: Drapery):
+def test_a_tier_is_chosen_by_name_and_told(page: Page, runtime: DrapeRuntime):
     names = page.evaluate("Array.from(document.getElementById('tier').options, (option) => option.value)")
     assert names == ["fast", "balanced", "accurate"]
     assert page.evaluate("document.getElementById('tier').value") == "balanced", "the service's default"

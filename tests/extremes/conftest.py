@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from tests.fixtures.serving import make_settings, tiny_folder
 from tests.fixtures.tiny_model import TINY_DYNAMIC
@@ -15,6 +15,6 @@ __all__ = ["make_settings", "tiny_folder"]
 
 
 @pytest.fixture(scope="session")
-def drapery(make_settings: Callable[..., Settings]) -> Drapery:
+def runtime(make_settings: Callable[..., Settings]) -> DrapeRuntime:
     """The dynamic model, so that time matters."""
-    return Drapery(make_settings(model=TINY_DYNAMIC))
+    return DrapeRuntime(make_settings(model=TINY_DYNAMIC))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from drape.wire.options import DrapeOptions
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.stages import run
 from service.stages.batch import Batch, PoseInput
 
@@ -17,7 +17,7 @@ FOLDS = 1
 
 
 def draped(
-    drapery: Drapery,
+    runtime: DrapeRuntime,
     poses: np.ndarray,
     *,
     trans: np.ndarray | None = None,
@@ -28,7 +28,7 @@ def draped(
 ) -> Batch:
     """``poses`` (F, 24, 3) [rad] through all stages, folds and push-out included, as messages."""
     asked = DrapeOptions(**{"push_out": True, "folds": FOLDS, "settle": 2} | options)
-    plan = drapery.plan(drapery.garments.get("tube"), asked, messages=True)
+    plan = runtime.plan(runtime.garments.get("tube"), asked, messages=True)
     for stage in plan.stages:
         stage.prepare(plan)
     frames = len(poses)
@@ -37,12 +37,12 @@ def draped(
     return run(plan, [PoseInput(poses, trans, np.zeros(10) if betas is None else betas, times_s, memories or {})])
 
 
-def check_bounded(drapery: Drapery, batch: Batch) -> None:
+def check_bounded(runtime: DrapeRuntime, batch: Batch) -> None:
     """The vertices are finite and within the posed body's box and a garment's reach, and the roots are the body's."""
     (one,) = batch.inputs
-    relative = drapery.body.posed_vertices(one.poses, np.zeros_like(one.trans), one.betas)
-    relative -= drapery.body.rest_joints(one.betas)[0]
+    relative = runtime.body.posed_vertices(one.poses, np.zeros_like(one.trans), one.betas)
+    relative -= runtime.body.rest_joints(one.betas)[0]
     assert np.isfinite(batch.vertices).all() and np.isfinite(batch.root).all()
     assert (batch.vertices.max(axis=1) <= relative.max(axis=1) + GARMENT_REACH_M).all()
     assert (batch.vertices.min(axis=1) >= relative.min(axis=1) - GARMENT_REACH_M).all()
-    np.testing.assert_allclose(batch.root, one.trans + drapery.body.rest_joints(one.betas)[0], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(batch.root, one.trans + runtime.body.rest_joints(one.betas)[0], rtol=0.0, atol=1e-9)

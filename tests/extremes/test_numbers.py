@@ -19,7 +19,7 @@ from drape.wire import messages as wire
 from drape.wire.jets import JetFrame, pack_jets, unpack_jets
 from model_export.folder import _add_packed
 from model_export.precision.half import HALF, halve_matrices
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.graphs.engine import Engine
 from service.graphs.packing import Packer, ScenePlan
 from tests.extremes.frames import check_bounded, draped
@@ -55,13 +55,13 @@ def encoding_errors_mm(*, size_m: float, seed: int = 0, count: int = 500) -> dic
     }
 
 
-def test_subnormal_inputs_drape_as_zeros(drapery: Drapery):
+def test_subnormal_inputs_drape_as_zeros(runtime: DrapeRuntime):
     """Guards against subnormals in a matrix product."""
     poses = np.full((2, 24, 3), 1e-40)
     with flushed():
-        batch = draped(drapery, poses, trans=np.full((2, 3), 1e-310), betas=np.full(10, 1e-40))
-    check_bounded(drapery, batch)
-    zero = draped(drapery, np.zeros((2, 24, 3)))
+        batch = draped(runtime, poses, trans=np.full((2, 3), 1e-310), betas=np.full(10, 1e-40))
+    check_bounded(runtime, batch)
+    zero = draped(runtime, np.zeros((2, 24, 3)))
     np.testing.assert_allclose(batch.vertices, zero.vertices, rtol=0.0, atol=1e-6)
 
 

@@ -8,7 +8,7 @@ from numpy.testing import assert_array_equal
 
 from drape.body.skeleton import JOINT_NAMES
 from drape.errors import BodyError, MotionError
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.http.poses import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M, motion_arrays, shape_array
 from tests.extremes.frames import check_bounded, draped
 
@@ -32,47 +32,47 @@ NAMED = {
 
 
 @pytest.mark.parametrize("name", NAMED)
-def test_a_body_that_goes_through_itself_keeps_its_garment(drapery: Drapery, name: str):
+def test_a_body_that_goes_through_itself_keeps_its_garment(runtime: DrapeRuntime, name: str):
     """Guards against a push-out that runs away where no place is outside of the body."""
-    check_bounded(drapery, draped(drapery, np.repeat(NAMED[name], 2, axis=0)))
+    check_bounded(runtime, draped(runtime, np.repeat(NAMED[name], 2, axis=0)))
 
 
 @pytest.mark.parametrize("spread_rad", [0.5, np.pi, 50.0, ANGLE_LIMIT_RAD])
-def test_poses_within_and_beyond_joint_limits(drapery: Drapery, spread_rad: float):
+def test_poses_within_and_beyond_joint_limits(runtime: DrapeRuntime, spread_rad: float):
     """Guards against a network, a fold or a push that grows with what it has not seen in training."""
     poses = np.random.default_rng(5).uniform(-spread_rad, spread_rad, (8, 24, 3))
-    check_bounded(drapery, draped(drapery, poses))
+    check_bounded(runtime, draped(runtime, poses))
 
 
 @pytest.mark.parametrize("turn_rad", [0.0, 1e-300, 1e-40, 1e-9, np.pi - 1e-9, np.pi, 2 * np.pi - 1e-9, 2 * np.pi])
-def test_every_joint_next_to_none_half_and_a_whole_turn(drapery: Drapery, turn_rad: float):
+def test_every_joint_next_to_none_half_and_a_whole_turn(runtime: DrapeRuntime, turn_rad: float):
     """Guards against frames that lose their axes there; what is next to no turn is the T-pose, to rounding."""
     axis = np.random.default_rng(6).normal(size=(24, 3))
     pose = turn_rad * axis / np.linalg.norm(axis, axis=-1, keepdims=True)
-    batch = draped(drapery, pose[None], folds=0)
-    check_bounded(drapery, batch)
+    batch = draped(runtime, pose[None], folds=0)
+    check_bounded(runtime, batch)
     if min(turn_rad, abs(turn_rad - 2 * np.pi)) < 1e-8:
-        still = draped(drapery, np.zeros((1, 24, 3)), folds=0)
+        still = draped(runtime, np.zeros((1, 24, 3)), folds=0)
         np.testing.assert_allclose(batch.vertices, still.vertices, rtol=0.0, atol=2e-5)
 
 
 @pytest.mark.parametrize("size", [5.0, BETA_LIMIT])
-def test_shapes_far_from_the_mean(drapery: Drapery, size: float):
+def test_shapes_far_from_the_mean(runtime: DrapeRuntime, size: float):
     """Guards against a body that turns inside out, whose samples have no outside."""
     generator = np.random.default_rng(7)
     for betas in (np.full(10, size), np.full(10, -size), generator.choice([-size, size], 10)):
-        check_bounded(drapery, draped(drapery, generator.uniform(-0.5, 0.5, (3, 24, 3)), betas=betas))
+        check_bounded(runtime, draped(runtime, generator.uniform(-0.5, 0.5, (3, 24, 3)), betas=betas))
 
 
 @pytest.mark.parametrize("far_m", [1e4, PLACE_LIMIT_M])
-def test_a_root_far_away_leaves_every_bit_of_the_drape(drapery: Drapery, far_m: float):
+def test_a_root_far_away_leaves_every_bit_of_the_drape(runtime: DrapeRuntime, far_m: float):
     """Guards against world coordinates in float32 anywhere between pose and message; motion is of differences."""
     poses = np.random.default_rng(8).uniform(-0.3, 0.3, (4, 24, 3))
-    near = draped(drapery, poses, motion=0.0)
-    far = draped(drapery, poses, trans=np.full((4, 3), far_m), motion=0.0)
-    check_bounded(drapery, far)
+    near = draped(runtime, poses, motion=0.0)
+    far = draped(runtime, poses, trans=np.full((4, 3), far_m), motion=0.0)
+    check_bounded(runtime, far)
     assert_array_equal(far.vertices, near.vertices)
-    moving = [draped(drapery, poses, trans=np.full((4, 3), at)) for at in (0.0, far_m)]
+    moving = [draped(runtime, poses, trans=np.full((4, 3), at)) for at in (0.0, far_m)]
     np.testing.assert_allclose(moving[1].vertices, moving[0].vertices, rtol=0.0, atol=1e-4)
 
 
@@ -84,8 +84,8 @@ def test_angles_that_are_none_are_refused_with_a_cure(value: float):
         motion_arrays(poses.tolist(), None, max_frames=1)
 
 
-def test_places_and_shapes_beyond_the_limits_are_refused_with_a_cure(drapery: Drapery):
+def test_places_and_shapes_beyond_the_limits_are_refused_with_a_cure(runtime: DrapeRuntime):
     with pytest.raises(MotionError, match=r"trans\[0\]\[0\].*metres"):
         motion_arrays(np.zeros((1, 24, 3)).tolist(), [[1.001 * PLACE_LIMIT_M, 0.0, 0.0]], max_frames=1)
     with pytest.raises(BodyError, match="standard deviations"):
-        shape_array([1.001 * BETA_LIMIT], drapery.body)
+        shape_array([1.001 * BETA_LIMIT], runtime.body)

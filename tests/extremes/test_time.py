@@ -8,7 +8,7 @@ import pytest
 from drape.cloth.fabric_table import FABRICS
 from drape.live.fold_constants import Constants
 from drape.live.fold_step import FAR_M, Effort, fold
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from tests.drape.live.folds_setup import frame, sleeve
 from tests.extremes.frames import check_bounded, draped
 from tests.fixtures.poses import random_motion
@@ -17,18 +17,20 @@ SOFT, *_, STIFF = sorted(FABRICS, key=lambda name: FABRICS[name].warp_n_per_m)
 
 
 @pytest.mark.parametrize("step_s", [0.0, 1e-300, 1e-9, 1.0 / 240.0, 0.25, 2.0, -1.0, 1e300])
-def test_steps_of_any_length(drapery: Drapery, step_s: float):
+def test_steps_of_any_length(runtime: DrapeRuntime, step_s: float):
     """Guards against a velocity or an acceleration over no time, and against inertia over an age."""
     poses, trans = random_motion(5)
-    check_bounded(drapery, draped(drapery, poses, trans=trans, times_s=step_s * np.arange(5)))
+    check_bounded(runtime, draped(runtime, poses, trans=trans, times_s=step_s * np.arange(5)))
 
 
 @pytest.mark.parametrize("fabric", [SOFT, STIFF])
 @pytest.mark.parametrize("fps", [4.1, 1.0])
-def test_folds_of_the_stiffest_and_the_softest_fabric_at_the_lowest_rate(drapery: Drapery, fabric: str, fps: float):
+def test_folds_of_the_stiffest_and_the_softest_fabric_at_the_lowest_rate(
+    runtime: DrapeRuntime, fabric: str, fps: float
+):
     """Guards against steps of the solver that grow: 4.1 a second is the slowest that still has a past, 1 has none."""
     poses = np.cumsum(np.random.default_rng(9).uniform(-0.1, 0.1, (6, 24, 3)), axis=0)
-    check_bounded(drapery, draped(drapery, poses, times_s=np.arange(6) / fps, fabric=None, folds=1))
+    check_bounded(runtime, draped(runtime, poses, times_s=np.arange(6) / fps, fabric=None, folds=1))
     rest, dressed = sleeve("denim" if fabric == STIFF else "rib")
     constants, memory = Constants.of(dressed), None
     for number in range(8):

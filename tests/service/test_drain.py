@@ -24,7 +24,7 @@ from websockets.typing import Subprotocol
 
 from drape.wire import messages as wire
 from service.app import create_app
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.errors import Busy, Draining
 from service.guard.access import Access
 from service.settings import Settings
@@ -140,25 +140,25 @@ def test_an_upload_that_ends_every_service_is_given_up(make_settings: Callable[.
 
 
 def test_clips_end_when_the_service_hurries(make_settings: Callable[..., Settings]):
-    drapery = Drapery(make_settings())
-    drapery.hurried = True
+    runtime = DrapeRuntime(make_settings())
+    runtime.hurried = True
 
     async def begin() -> None:
-        await anext(drapery._in_chunks(1, lambda rows: iter([rows])))
+        await anext(runtime._in_chunks(1, lambda rows: iter([rows])))
 
     with pytest.raises(Draining, match="Connect again"):
         asyncio.run(begin())
     assert isinstance(Draining().__reduce__()[0](), Draining)
-    drapery.close()
+    runtime.close()
 
 
 def test_a_clip_that_others_keep_waiting_is_refused(make_settings: Callable[..., Settings]):
     async def second(chunk_frames: int) -> slice:
         """The second chunk of a clip, before which another clip has its turn for 1.2 s."""
-        drapery.settings = settings.model_copy(update={"chunk_frames": chunk_frames})
-        chunks = drapery._in_chunks(2 * chunk_frames, lambda rows: iter([rows]))
+        runtime.settings = settings.model_copy(update={"chunk_frames": chunk_frames})
+        chunks = runtime._in_chunks(2 * chunk_frames, lambda rows: iter([rows]))
         await anext(chunks)
-        async with drapery._clip_turn:
+        async with runtime._clip_turn:
             waiting = asyncio.ensure_future(anext(chunks))
             await asyncio.sleep(1.2)
         return await waiting
@@ -169,9 +169,9 @@ def test_a_clip_that_others_keep_waiting_is_refused(make_settings: Callable[...,
             await second(1)
 
     settings = make_settings(clip_wait_s=0.05)
-    drapery = Drapery(settings)
+    runtime = DrapeRuntime(settings)
     asyncio.run(both())
-    drapery.close()
+    runtime.close()
 
 
 def test_a_stream_is_refused_while_the_service_drains(make_settings: Callable[..., Settings]):

@@ -21,8 +21,8 @@ from drape.garment.cache import Garment, load_garment
 from drape.live.fold_constants import constants
 from drape.wire.options import DrapeOptions
 from service.compute.background import NICE
-from service.compute.constants_process import Workshop, receive, send
-from service.compute.drape_runtime import Drapery
+from service.compute.constants_process import ConstantsProcess, receive, send
+from service.compute.drape_runtime import DrapeRuntime
 from service.settings import ROOT, Settings
 from service.stages.collision import Collision
 from tests.fixtures.serving import outfit_settings
@@ -31,23 +31,25 @@ __all__ = ["outfit_settings"]  # fixture
 
 
 @pytest.fixture(scope="module")
-def workshop() -> Iterator[Workshop]:
-    made = Workshop(lambda: True)
+def constants_process() -> Iterator[ConstantsProcess]:
+    made = ConstantsProcess(lambda: True)
     yield made
     made.close()
 
 
-def test_calls_are_made_in_a_nicer_process(workshop: Workshop):
-    assert workshop.call(os.getpid) == workshop.call(os.getpid) != os.getpid()
-    assert workshop.call(os.nice, 0) == min(19, os.nice(0) + NICE)
+def test_calls_are_made_in_a_nicer_process(constants_process: ConstantsProcess):
+    assert constants_process.call(os.getpid) == constants_process.call(os.getpid) != os.getpid()
+    assert constants_process.call(os.nice, 0) == min(19, os.nice(0) + NICE)
 
 
 def test_where_it_is_not_wanted_calls_are_made_here():
-    assert Workshop(lambda: False).call(os.getpid) == os.getpid()
+    assert ConstantsProcess(lambda: False).call(os.getpid) == os.getpid()
 
 
-def test_kernels_take_constants_of_the_workshop_as_their_own(workshop: Workshop, tube: Garment, body: BodyModel):
-    here, there = constants(tube, body), workshop.call(constants, tube, body)
+def test_kernels_take_constants_of_the_workshop_as_their_own(
+    constants_process: ConstantsProcess, tube: Garment, body: BodyModel
+):
+    here, there = constants(tube, body), constants_process.call(constants, tube, body)
     for name in ("sheet", "level", "graph", "index", "near"):
         one, other = getattr(here, name), getattr(there, name)
         assert numba.typeof(one) == numba.typeof(other), "another type would be compiled in a frame"
@@ -63,27 +65,27 @@ def _arrays(thing: object) -> Iterator[np.ndarray]:
         yield np.asarray(thing)
 
 
-def test_a_refusal_is_raised_here(workshop: Workshop, tmp_path: Path):
+def test_a_refusal_is_raised_here(constants_process: ConstantsProcess, tmp_path: Path):
     with pytest.raises(DrapeError) as there:
-        workshop.call(load_garment, tmp_path / "none.npz")
+        constants_process.call(load_garment, tmp_path / "none.npz")
     with pytest.raises(DrapeError) as here:
         load_garment(tmp_path / "none.npz")
     assert (type(there.value), str(there.value)) == (type(here.value), str(here.value))
 
 
-def test_what_is_printed_there_is_no_answer(workshop: Workshop):
-    assert workshop.call(print, "said") is None
-    assert workshop.call(abs, -3) == 3
+def test_what_is_printed_there_is_no_answer(constants_process: ConstantsProcess):
+    assert constants_process.call(print, "said") is None
+    assert constants_process.call(abs, -3) == 3
 
 
 def test_where_the_process_is_lost_calls_are_made_here_and_the_next_in_a_new_one():
-    workshop = Workshop(lambda: True)
-    first = workshop.call(os.getpid)
-    assert workshop._process is not None
-    workshop._process.kill()
-    assert workshop.call(os.getpid) == os.getpid()
-    assert workshop.call(os.getpid) not in (first, os.getpid())
-    workshop.close()
+    constants_process = ConstantsProcess(lambda: True)
+    first = constants_process.call(os.getpid)
+    assert constants_process._process is not None
+    constants_process._process.kill()
+    assert constants_process.call(os.getpid) == os.getpid()
+    assert constants_process.call(os.getpid) not in (first, os.getpid())
+    constants_process.close()
 
 
 def test_the_process_ends_with_who_asked():
@@ -117,18 +119,18 @@ def receive_fails(file: io.BytesIO) -> bool:
 def test_an_outfit_that_is_prepared_beside_streams_is_the_same(outfit_settings: Settings):
     found = []
     for streamed_s in (-np.inf, time.monotonic() + 1000.0):
-        drapery = Drapery(outfit_settings)
-        drapery._streamed_s = streamed_s
+        runtime = DrapeRuntime(outfit_settings)
+        runtime._streamed_s = streamed_s
         apart = DrapeOptions(folds=1, cloth_contact=False)  # layers that do not feel each other are pushed apart
-        plan = drapery.plan(drapery.garments.scene(None, ["tube", "coat"]), apart, messages=True)
+        plan = runtime.plan(runtime.garments.scene(None, ["tube", "coat"]), apart, messages=True)
         for stage in plan.stages:
             stage.prepare(plan)
-        assert (drapery.workshop._process is not None) == np.isfinite(streamed_s)
+        assert (runtime.constants_process._process is not None) == np.isfinite(streamed_s)
         (pusher,) = (stage.pusher for stage in plan.stages if isinstance(stage, Collision))
         # A copy: on a CPU a value's array is the memory that its owner gave, and close() drops the owner.
         found.append({name: np.array(value.numpy()) for name, value in pusher._layers[plan.keys].items()})
-        drapery.close()
-        assert drapery.workshop._process is None
+        runtime.close()
+        assert runtime.constants_process._process is None
     assert found[0].keys() == found[1].keys()
     for name, array in found[0].items():
         assert_array_equal(array, found[1][name])

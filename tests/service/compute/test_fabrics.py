@@ -13,7 +13,7 @@ from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_table import fabric
 from drape.errors import InputError, NotFound
 from drape.wire.options import DrapeOptions, FabricNumbers
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.compute.fabrics import check_known, layer_fabrics
 from service.graphs import packing
 from service.settings import Settings
@@ -32,66 +32,66 @@ NUMBERS = {name: getattr(DENIM, name) for name in FabricNumbers.model_fields}
 
 
 @pytest.fixture(scope="module")
-def drapery(make_settings: Callable[..., Settings]) -> Iterator[Drapery]:
-    made = Drapery(make_settings(model=TINY))
+def runtime(make_settings: Callable[..., Settings]) -> Iterator[DrapeRuntime]:
+    made = DrapeRuntime(make_settings(model=TINY))
     yield made
     made.close()
 
 
-def packer_of(drapery: Drapery) -> packing.Packer:
-    (network,) = (stage for stage in drapery.stages if isinstance(stage, Network))
+def packer_of(runtime: DrapeRuntime) -> packing.Packer:
+    (network,) = (stage for stage in runtime.stages if isinstance(stage, Network))
     return network.packer
 
 
-def draped(drapery: Drapery, **options: Any) -> np.ndarray:
+def draped(runtime: DrapeRuntime, **options: Any) -> np.ndarray:
     """The tube on the clip (F, V, 3) [m]."""
-    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions(push_out=False, **options))
+    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(push_out=False, **options))
     return run(plan, [CLIP]).world()
 
 
 @pytest.mark.parametrize("chosen", ["denim", FabricNumbers(**NUMBERS), ("denim",)], ids=["name", "numbers", "list"])
-def test_a_named_fabric_is_what_the_network_is_told(drapery: Drapery, chosen: object):
-    entry = drapery.garments.get("tube")
-    wanted = expected_vertices(drapery.body, entry.garment, POSES, TRANS, fabric=DENIM)
-    found = draped(drapery, fabric=chosen)
+def test_a_named_fabric_is_what_the_network_is_told(runtime: DrapeRuntime, chosen: object):
+    entry = runtime.garments.get("tube")
+    wanted = expected_vertices(runtime.body, entry.garment, POSES, TRANS, fabric=DENIM)
+    found = draped(runtime, fabric=chosen)
     assert_allclose(found, wanted, rtol=0, atol=ROUNDING_M)
-    assert np.abs(found - draped(drapery)).max() > 4.0 * ROUNDING_M
+    assert np.abs(found - draped(runtime)).max() > 4.0 * ROUNDING_M
 
 
-def test_a_fabric_changes_no_bit_of_the_others(drapery: Drapery):
-    own = draped(drapery)
-    satin = draped(drapery, fabric="satin")
+def test_a_fabric_changes_no_bit_of_the_others(runtime: DrapeRuntime):
+    own = draped(runtime)
+    satin = draped(runtime, fabric="satin")
     for name in ("denim", "chiffon"):
-        draped(drapery, fabric=name)
-    assert_array_equal(draped(drapery), own)
-    assert_array_equal(draped(drapery, fabric="satin"), satin)
-    assert_array_equal(draped(drapery, fabric="jersey"), own, "the tube's own")
+        draped(runtime, fabric=name)
+    assert_array_equal(draped(runtime), own)
+    assert_array_equal(draped(runtime, fabric="satin"), satin)
+    assert_array_equal(draped(runtime, fabric="jersey"), own, "the tube's own")
 
 
-def test_no_more_fabrics_are_kept_than_allowed(drapery: Drapery, monkeypatch: pytest.MonkeyPatch):
+def test_no_more_fabrics_are_kept_than_allowed(runtime: DrapeRuntime, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(packing, "FABRICS_KEPT", 2)
-    packer = packer_of(drapery)
-    first = draped(drapery, fabric="rib")
+    packer = packer_of(runtime)
+    first = draped(runtime, fabric="rib")
     for name in ("swim", "twill", "poplin"):
-        draped(drapery, fabric=name)
-    key = drapery.garments.get("tube").garment.digest
+        draped(runtime, fabric=name)
+    key = runtime.garments.get("tube").garment.digest
     kept = [name for name in ("rib", "swim", "twill", "poplin") if f"{key} of {fabric(name).digest}" in packer.store]
     assert kept == ["twill", "poplin"]
-    assert_array_equal(draped(drapery, fabric="rib"), first)
+    assert_array_equal(draped(runtime, fabric="rib"), first)
 
 
-def test_a_garment_that_is_put_in_store_anew_takes_its_fabrics_with_it(drapery: Drapery):
-    packer = packer_of(drapery)
-    entry = drapery.garments.get("tube")
-    before = draped(drapery, fabric="ponte")
+def test_a_garment_that_is_put_in_store_anew_takes_its_fabrics_with_it(runtime: DrapeRuntime):
+    packer = packer_of(runtime)
+    entry = runtime.garments.get("tube")
+    before = draped(runtime, fabric="ponte")
     held = packer.store.bytes
     packer.add(entry.garment.digest, entry.garment)
     assert f"{entry.garment.digest} of {fabric('ponte').digest}" not in packer.store and packer.store.bytes < held
-    assert_array_equal(draped(drapery, fabric="ponte"), before)
+    assert_array_equal(draped(runtime, fabric="ponte"), before)
 
 
 def test_layers_have_fabrics_of_their_own(outfit_settings: Settings):
-    made = Drapery(outfit_settings)
+    made = DrapeRuntime(outfit_settings)
     try:
         names = ["coat", "cape"]
         outfit = made.garments.scene(None, names)
@@ -107,12 +107,12 @@ def test_layers_have_fabrics_of_their_own(outfit_settings: Settings):
         made.close()
 
 
-def test_what_is_no_fabric_is_refused(drapery: Drapery):
-    entry = drapery.garments.get("tube")
+def test_what_is_no_fabric_is_refused(runtime: DrapeRuntime):
+    entry = runtime.garments.get("tube")
     with pytest.raises(NotFound, match="chain mail"):
-        drapery.plan(entry, DrapeOptions(fabric="chain mail"))
+        runtime.plan(entry, DrapeOptions(fabric="chain mail"))
     with pytest.raises(InputError, match="cross_n_per_m"):
-        drapery.plan(entry, DrapeOptions(fabric=FabricNumbers(**NUMBERS | {"cross_n_per_m": 1e6})))
+        runtime.plan(entry, DrapeOptions(fabric=FabricNumbers(**NUMBERS | {"cross_n_per_m": 1e6})))
     with pytest.raises(InputError, match="trained on one cloth"):
         check_known(layer_fabrics(DrapeOptions(fabric="denim"), 1), known=False, model="old")
     check_known((None, None), known=False, model="old")

@@ -12,7 +12,7 @@ import pytest
 from drape.body.model import BodyModel
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment, save_garment
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.compute.garments import check_garment, slug
 from service.errors import TooLarge
 from service.settings import Settings
@@ -61,27 +61,27 @@ def test_a_broken_upload_is_set_aside_and_a_broken_shipped_cache_stops_the_start
     (tmp_path / "broken-0.npz").write_bytes(b"PK not an archive")
     save_garment(dataclasses.replace(tube, name="other", body_digest="0" * 64), tmp_path)
     save_garment(dataclasses.replace(tube, name="good"), tmp_path)
-    drapery = Drapery(settings)
-    assert [entry.id for entry in drapery.garments.entries()] == ["tube", "good"]
-    assert sorted(line.split(":")[0].split("-")[0] for line in drapery.garments.refused) == ["broken", "other"]
-    drapery.close()
+    runtime = DrapeRuntime(settings)
+    assert [entry.id for entry in runtime.garments.entries()] == ["tube", "good"]
+    assert sorted(line.split(":")[0].split("-")[0] for line in runtime.garments.refused) == ["broken", "other"]
+    runtime.close()
     with pytest.raises(ArtifactError, match=r"broken-0\.npz"):
-        Drapery(make_settings(shipped_garments_dir=tmp_path))
+        DrapeRuntime(make_settings(shipped_garments_dir=tmp_path))
 
 
 def test_equal_names_get_different_ids_and_the_same_garment_the_same(
     make_settings: Callable[..., Settings], tmp_path: Path, body: BodyModel, tube: Garment
 ):
-    drapery = Drapery(make_settings())
+    runtime = DrapeRuntime(make_settings())
     wide = dataclasses.replace(tube_garment(body, radius_m=0.25), digest="ab" * 32)
-    first = drapery.garments.add(drapery.garments.prepare(save_garment(wide, tmp_path)), "user")
-    again = drapery.garments.add(drapery.garments.prepare(save_garment(wide, tmp_path)), "user")
+    first = runtime.garments.add(runtime.garments.prepare(save_garment(wide, tmp_path)), "user")
+    again = runtime.garments.add(runtime.garments.prepare(save_garment(wide, tmp_path)), "user")
     assert first.id == again.id == "tube-abababab"
-    assert drapery.garments.get("tube").source == "shipped"
-    shipped = drapery.garments.add(drapery.garments.prepare(save_garment(tube, tmp_path)), "user")
+    assert runtime.garments.get("tube").source == "shipped"
+    shipped = runtime.garments.add(runtime.garments.prepare(save_garment(tube, tmp_path)), "user")
     assert (shipped.id, shipped.source) == ("tube", "shipped")
-    assert len(drapery.garments.entries()) == 2
-    drapery.close()
+    assert len(runtime.garments.entries()) == 2
+    runtime.close()
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from drape.garment.cache import Garment
 from drape.wire import messages as wire
 from drape.wire.jets import unpack_jets
 from drape.wire.options import DrapeOptions
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.graphs.push import Pusher
 from service.settings import Settings
 from service.stages import run
@@ -28,15 +28,15 @@ WORN = ["tube", "coat", "cape"]
 
 
 @pytest.fixture(scope="module")
-def drapery(outfit_settings: Settings) -> Iterator[Drapery]:
-    made = Drapery(outfit_settings)
+def runtime(outfit_settings: Settings) -> Iterator[DrapeRuntime]:
+    made = DrapeRuntime(outfit_settings)
     yield made
     made.close()
 
 
-def planned(drapery: Drapery, worn: list[str] | None = None, *, messages: bool = False, **options: Any) -> Plan:
+def planned(runtime: DrapeRuntime, worn: list[str] | None = None, *, messages: bool = False, **options: Any) -> Plan:
     asked = DrapeOptions.model_validate(options)
-    plan = drapery.plan(drapery.garments.scene(None, worn or WORN), asked, messages=messages)
+    plan = runtime.plan(runtime.garments.scene(None, worn or WORN), asked, messages=messages)
     for stage in plan.stages:
         stage.prepare(plan)
     return plan
@@ -62,13 +62,13 @@ def ids(plan: Plan) -> list[str]:
     ],
 )
 def test_a_plan_holds_no_hidden_garment_that_no_visible_one_feels(
-    drapery: Drapery, hidden: list[str], felt: bool, computed: list[str], shown: list[str]
+    runtime: DrapeRuntime, hidden: list[str], felt: bool, computed: list[str], shown: list[str]
 ):
-    plan = planned(drapery, hidden=hidden, push_out=felt)
+    plan = planned(runtime, hidden=hidden, push_out=felt)
     assert ids(plan) == computed and [entry.id for entry in plan.shown.layers] == shown
     assert len(plan.draped) == len(computed) and set(plan.options.hidden or ()) == set(computed) - set(shown)
     if plan.options.hidden is None:
-        alone = planned(drapery, computed, push_out=felt)
+        alone = planned(runtime, computed, push_out=felt)
         assert plan.options == alone.options and plan.draped == alone.draped, "no more than an outfit without it"
 
 
@@ -77,21 +77,23 @@ def test_a_plan_holds_no_hidden_garment_that_no_visible_one_feels(
     [{}, {"push_out": False}, {"folds": 1}, {"folds": 1, "cloth_contact": False}, {"folds": 1, "push_out": False}],
 )
 @pytest.mark.parametrize("hidden", [["tube"], ["coat"], ["cape"], ["tube", "cape"]])
-def test_visible_garments_are_to_the_bit_those_of_the_whole_outfit(drapery: Drapery, hidden: list[str], options: dict):
-    whole, less = draped(planned(drapery, **options)), draped(planned(drapery, hidden=hidden, **options))
+def test_visible_garments_are_to_the_bit_those_of_the_whole_outfit(
+    runtime: DrapeRuntime, hidden: list[str], options: dict
+):
+    whole, less = draped(planned(runtime, **options)), draped(planned(runtime, hidden=hidden, **options))
     seen = [layer.vertices for layer, name in zip(whole.layers, WORN, strict=True) if name not in hidden]
     assert_array_equal(less.vertices, joined(seen))
 
 
-def test_messages_hold_the_visible_garments_alone(drapery: Drapery, tube: Garment):
-    whole = draped(planned(drapery, messages=True)).messages[0]
-    less = draped(planned(drapery, hidden=["tube"], messages=True)).messages[0]
+def test_messages_hold_the_visible_garments_alone(runtime: DrapeRuntime, tube: Garment):
+    whole = draped(planned(runtime, messages=True)).messages[0]
+    less = draped(planned(runtime, hidden=["tube"], messages=True)).messages[0]
     payload = len(less) - wire.FRAME_HEADER_BYTES
     assert payload == 2 * 6 * tube.vertex_count == (len(whole) - wire.FRAME_HEADER_BYTES) * 2 // 3
 
 
-def test_jets_of_hidden_garments_are_neither_pushed_nor_sent(drapery: Drapery, monkeypatch: pytest.MonkeyPatch):
-    whole = draped(planned(drapery, messages=True, geometry="jets"))
+def test_jets_of_hidden_garments_are_neither_pushed_nor_sent(runtime: DrapeRuntime, monkeypatch: pytest.MonkeyPatch):
+    whole = draped(planned(runtime, messages=True, geometry="jets"))
     posed: list[bool] = []
     push = Pusher.push
 
@@ -100,30 +102,30 @@ def test_jets_of_hidden_garments_are_neither_pushed_nor_sent(drapery: Drapery, m
         return push(*arguments, **named)
 
     monkeypatch.setattr(Pusher, "push", noted)
-    less = draped(planned(drapery, messages=True, geometry="jets", hidden=["tube"]))
+    less = draped(planned(runtime, messages=True, geometry="jets", hidden=["tube"]))
     assert posed == [False, True, True]
-    patches = drapery.garments.get("tube").patch_count
+    patches = runtime.garments.get("tube").patch_count
     assert_array_equal(less.jets.jet, whole.jets.jet[:, patches:])
     assert [len(unpack_jets(one).jet) for one in less.messages] == [2 * patches] * 3
 
 
-def test_of_hidden_garments_a_clip_keeps_nothing(drapery: Drapery):
-    answer = draped(planned(drapery, hidden=["tube"])).answer()
+def test_of_hidden_garments_a_clip_keeps_nothing(runtime: DrapeRuntime):
+    answer = draped(planned(runtime, hidden=["tube"])).answer()
     assert answer.layers[0].vertices is None and all(layer.vertices is not None for layer in answer.layers[1:])
 
 
-def test_what_is_pushed_is_told_of_visible_garments_alone(drapery: Drapery):
+def test_what_is_pushed_is_told_of_visible_garments_alone(runtime: DrapeRuntime):
     whole, less = (
-        draped(planned(drapery, ["tube", "coat"])),
-        draped(planned(drapery, ["tube", "coat"], hidden=["tube"])),
+        draped(planned(runtime, ["tube", "coat"])),
+        draped(planned(runtime, ["tube", "coat"], hidden=["tube"])),
     )
-    inner = draped(planned(drapery, ["tube"])).quality.pushed_share
+    inner = draped(planned(runtime, ["tube"])).quality.pushed_share
     assert_array_equal(less.quality.pushed_share, 2.0 * whole.quality.pushed_share - inner)
 
 
-def test_steps_of_a_stream_hide_what_the_stream_hides(drapery: Drapery):
-    plan = planned(drapery, hidden=["tube", "cape"], folds=4, messages=True)
-    for step in drapery.steps(plan):
+def test_steps_of_a_stream_hide_what_the_stream_hides(runtime: DrapeRuntime):
+    plan = planned(runtime, hidden=["tube", "cape"], folds=4, messages=True)
+    for step in runtime.steps(plan):
         assert step.shown == plan.shown and step.keys == plan.keys
 
 

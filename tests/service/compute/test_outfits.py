@@ -19,7 +19,7 @@ from drape.cloth import metrics
 from drape.errors import InputError, NotFound
 from drape.garment.cache import Garment
 from drape.wire import messages as wire
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.compute.garments import Outfit
 from service.errors import TooLarge
 from service.graphs.engine import Engine
@@ -119,7 +119,7 @@ def test_passes_that_the_model_does_not_have_are_refused(client: httpx.Client, o
     assert every.content == left_out.content != fewer.content
     assert "passes" in ask(client, garment="tube", passes=-1).json()["name"]
     with pytest.raises(InputError, match="passes"):
-        Drapery(outfit_settings.model_copy(update={"passes": 2}))
+        DrapeRuntime(outfit_settings.model_copy(update={"passes": 2}))
 
 
 def opened(socket: ClientConnection, **fields: object) -> dict:
@@ -157,16 +157,16 @@ def test_a_stream_of_no_outfit_is_refused(outfit_url: str, garments: list[str]):
 
 
 def test_an_outfit_is_its_layers_in_their_order(outfit_settings: Settings):
-    drapery = Drapery(outfit_settings)
-    scene = drapery.garments.scene(None, ["coat", "tube", "cape"])
-    assert isinstance(scene, Outfit) and scene == drapery.garments.scene(None, ["coat", "tube", "cape"])
-    assert scene != drapery.garments.scene(None, ["tube", "coat", "cape"])
-    drapery.close()
+    runtime = DrapeRuntime(outfit_settings)
+    scene = runtime.garments.scene(None, ["coat", "tube", "cape"])
+    assert isinstance(scene, Outfit) and scene == runtime.garments.scene(None, ["coat", "tube", "cape"])
+    assert scene != runtime.garments.scene(None, ["tube", "coat", "cape"])
+    runtime.close()
 
 
 def test_what_a_registry_refuses(outfit_settings: Settings):
-    drapery = Drapery(outfit_settings)
-    registry = drapery.garments
+    runtime = DrapeRuntime(outfit_settings)
+    registry = runtime.garments
     with pytest.raises(InputError, match="both"):
         registry.scene("tube", ["coat"])
     with pytest.raises(InputError, match="a value"):
@@ -175,7 +175,7 @@ def test_what_a_registry_refuses(outfit_settings: Settings):
         registry.scene(None, ["tube", "coat", "cape", "cloak"])
     with pytest.raises(InputError, match="each garment once"):
         registry.scene(None, ["coat", "coat"])
-    drapery.close()
+    runtime.close()
 
 
 def test_constants_of_outfits_are_kept_and_bounded(tiny_folder: Path, tube: Garment, monkeypatch):

@@ -23,7 +23,7 @@ from drape.garment.wrapping import Wrapping
 from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
 from service.app import create_app
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from service.stages import carried, run
 from service.stages.batch import PoseInput
@@ -51,26 +51,26 @@ def coarse_settings(make_settings, tube: Garment, coarse: Garment, tmp_path_fact
 
 
 @pytest.fixture(scope="module")
-def drapery(coarse_settings: Settings) -> Iterator[Drapery]:
-    made = Drapery(coarse_settings)
+def runtime(coarse_settings: Settings) -> Iterator[DrapeRuntime]:
+    made = DrapeRuntime(coarse_settings)
     yield made
     made.close()
 
 
 @pytest.fixture(scope="module")
-def url(drapery: Drapery) -> Iterator[str]:
-    with serve(create_app(drapery.settings, drapery=drapery), drapery.settings) as address:
+def url(runtime: DrapeRuntime) -> Iterator[str]:
+    with serve(create_app(runtime.settings, runtime=runtime), runtime.settings) as address:
         yield address
 
 
-def draped(drapery: Drapery, **options: object) -> np.ndarray:
-    plan = drapery.plan(drapery.garments.get("coarse"), DrapeOptions(**options))  # type: ignore[arg-type]
-    return asyncio.run(drapery.drape(plan, CLIP)).vertices
+def draped(runtime: DrapeRuntime, **options: object) -> np.ndarray:
+    plan = runtime.plan(runtime.garments.get("coarse"), DrapeOptions(**options))  # type: ignore[arg-type]
+    return asyncio.run(runtime.drape(plan, CLIP)).vertices
 
 
-def test_a_hidden_garment_is_wrapped_for_the_push_out_alone(drapery: Drapery, monkeypatch: pytest.MonkeyPatch):
+def test_a_hidden_garment_is_wrapped_for_the_push_out_alone(runtime: DrapeRuntime, monkeypatch: pytest.MonkeyPatch):
     """Layers above feel its cloth; where they do not, they are pushed off it, and nobody else reads its mesh."""
-    scene = drapery.garments.scene(None, ["coarse", "tube"])
+    scene = runtime.garments.scene(None, ["coarse", "tube"])
     wrapped: list[int] = []
     wrap = Wrapping.wrap
 
@@ -81,64 +81,64 @@ def test_a_hidden_garment_is_wrapped_for_the_push_out_alone(drapery: Drapery, mo
     monkeypatch.setattr(Wrapping, "wrap", noted)
     for feels, frames in ((True, 0), (False, len(POSES))):
         whole, less = (
-            drapery.plan(scene, DrapeOptions(folds=1, push_out=True, cloth_contact=feels, hidden=hidden))
+            runtime.plan(scene, DrapeOptions(folds=1, push_out=True, cloth_contact=feels, hidden=hidden))
             for hidden in (None, ("coarse",))
         )
-        both = asyncio.run(drapery.drape(whole, CLIP)).vertices
+        both = asyncio.run(runtime.drape(whole, CLIP)).vertices
         wrapped.clear()
-        assert_array_equal(asyncio.run(drapery.drape(less, CLIP)).vertices, both[:, scene.layers[0].vertex_count :])
+        assert_array_equal(asyncio.run(runtime.drape(less, CLIP)).vertices, both[:, scene.layers[0].vertex_count :])
         assert len(wrapped) == frames
 
 
 def test_without_folds_nothing_fine_is_computed_and_no_bit_changes(coarse_settings: Settings, coarse: Garment):
-    drapery = Drapery(coarse_settings)
-    held = drapery.device_bytes
-    before = draped(drapery, folds=0)
-    plan = drapery.plan(drapery.garments.get("coarse"), DrapeOptions(folds=0))
+    runtime = DrapeRuntime(coarse_settings)
+    held = runtime.device_bytes
+    before = draped(runtime, folds=0)
+    plan = runtime.plan(runtime.garments.get("coarse"), DrapeOptions(folds=0))
     assert plan.draped == plan.scene.layers and plan.draped_keys == plan.keys == (coarse.digest,)
-    assert drapery.device_bytes == held and before.shape[1] == coarse.vertex_count
-    assert draped(drapery, folds=1).shape == before.shape and drapery.device_bytes > held
-    assert_array_equal(draped(drapery, folds=0), before)
-    drapery.close()
+    assert runtime.device_bytes == held and before.shape[1] == coarse.vertex_count
+    assert draped(runtime, folds=1).shape == before.shape and runtime.device_bytes > held
+    assert_array_equal(draped(runtime, folds=0), before)
+    runtime.close()
 
 
-def test_folds_of_a_coarse_garment_are_those_of_its_fine_mesh_wrapped(drapery: Drapery, coarse: Garment):
-    plain = draped(drapery, folds=0, push_out=False)
-    sent = draped(drapery, folds=2, push_out=False)
-    fine = draped(drapery, folds=2, push_out=False, resolution="fine")
+def test_folds_of_a_coarse_garment_are_those_of_its_fine_mesh_wrapped(runtime: DrapeRuntime, coarse: Garment):
+    plain = draped(runtime, folds=0, push_out=False)
+    sent = draped(runtime, folds=2, push_out=False)
+    fine = draped(runtime, folds=2, push_out=False, resolution="fine")
     assert fine.shape[1] == len(coarse.vertices) > coarse.vertex_count
     wrapping = Wrapping(coarse)
     assert_array_equal(sent, np.stack([wrapping.wrap(cloth) for cloth in fine]))
     assert 1e-5 < np.abs(sent - plain).max() < NEAR_M
 
 
-def test_fine_without_folds_begins_with_the_delivered_drape(drapery: Drapery, coarse: Garment):
-    fine = draped(drapery, push_out=False, folds=0, resolution="fine")
-    assert np.abs(fine[:, : coarse.vertex_count] - draped(drapery, push_out=False, folds=0)).max() < 1e-5
-    jets = drapery.plan(drapery.garments.get("coarse"), DrapeOptions(geometry="jets", resolution="fine"))
+def test_fine_without_folds_begins_with_the_delivered_drape(runtime: DrapeRuntime, coarse: Garment):
+    fine = draped(runtime, push_out=False, folds=0, resolution="fine")
+    assert np.abs(fine[:, : coarse.vertex_count] - draped(runtime, push_out=False, folds=0)).max() < 1e-5
+    jets = runtime.plan(runtime.garments.get("coarse"), DrapeOptions(geometry="jets", resolution="fine"))
     assert jets.keys == (coarse.digest + SUFFIX,)
 
 
-def test_a_garment_that_is_fine_enough_has_one_mesh(drapery: Drapery, tube: Garment):
-    entry = drapery.garments.get("tube")
+def test_a_garment_that_is_fine_enough_has_one_mesh(runtime: DrapeRuntime, tube: Garment):
+    entry = runtime.garments.get("tube")
     for resolution in ("delivered", "fine"):
-        plan = drapery.plan(entry, DrapeOptions(folds=2, resolution=resolution))
+        plan = runtime.plan(entry, DrapeOptions(folds=2, resolution=resolution))
         assert plan.scene is entry and plan.draped == (entry,) and plan.keys == (tube.digest,)
-    outfit = drapery.garments.scene(None, ["tube", "coarse"])
-    plan = drapery.plan(outfit, DrapeOptions(folds=1))
-    again = drapery.plan(drapery.garments.scene(None, ["tube", "coarse"]), DrapeOptions(folds=1))
+    outfit = runtime.garments.scene(None, ["tube", "coarse"])
+    plan = runtime.plan(outfit, DrapeOptions(folds=1))
+    again = runtime.plan(runtime.garments.scene(None, ["tube", "coarse"]), DrapeOptions(folds=1))
     assert plan == again and plan.scene == outfit and plan.draped == outfit.fine.layers
     assert plan.draped_keys == (tube.digest, plan.keys[1] + SUFFIX)
 
 
-def test_folds_are_remembered_across_resolutions(drapery: Drapery):
-    entry = drapery.garments.get("coarse")
-    delivered, fine = (drapery.plan(entry, DrapeOptions(folds=1, resolution=name)) for name in ("delivered", "fine"))
-    asyncio.run(drapery.prepare(delivered))
+def test_folds_are_remembered_across_resolutions(runtime: DrapeRuntime):
+    entry = runtime.garments.get("coarse")
+    delivered, fine = (runtime.plan(entry, DrapeOptions(folds=1, resolution=name)) for name in ("delivered", "fine"))
+    asyncio.run(runtime.prepare(delivered))
     memories = run(delivered, [CLIP]).memories[0]
     assert memories.keys() == {("folds", fine.keys[0])}
     assert carried(memories, delivered, fine) == memories == carried(memories, fine, delivered)
-    assert not carried(memories, delivered, drapery.plan(entry, DrapeOptions(folds=0)))
+    assert not carried(memories, delivered, runtime.plan(entry, DrapeOptions(folds=0)))
 
 
 def test_clients_get_the_mesh_that_a_drape_has(url: str, coarse: Garment):

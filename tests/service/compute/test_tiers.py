@@ -14,7 +14,7 @@ from drape.artifacts import load_manifest
 from drape.errors import ArtifactError, InputError
 from drape.wire.options import DrapeOptions
 from service.app import create_app
-from service.compute.drape_runtime import STEPS_BELOW, Drapery
+from service.compute.drape_runtime import STEPS_BELOW, DrapeRuntime
 from service.compute.tiers import NAMES, TIERS, Tier, capped, chosen, read_tiers, spared, tier_of
 from service.settings import Settings
 from tests.fixtures.serving import outfit_settings, serve
@@ -38,8 +38,8 @@ def own_settings(make_settings: Callable[..., Settings], body, tmp_path_factory)
 
 
 @pytest.fixture
-def drapery(own_settings: Settings) -> Iterator[Drapery]:
-    made = Drapery(own_settings)
+def runtime(own_settings: Settings) -> Iterator[DrapeRuntime]:
+    made = DrapeRuntime(own_settings)
     yield made
     made.close()
 
@@ -109,17 +109,17 @@ def test_what_is_spared_is_cloth_against_cloth_where_there_are_folds():
 
 
 def test_layers_spare_nothing(outfit_settings: Settings):
-    drapery = Drapery(outfit_settings)
+    runtime = DrapeRuntime(outfit_settings)
     try:
         for worn, differs in ((["tube"], True), (["tube", "coat"], False)):
-            plan = drapery.plan(drapery.garments.scene(None, worn), DrapeOptions(tier="fast"), messages=True)
-            carried, lowest, least, *_ = steps = drapery.steps(plan)
-            assert len(steps) == STEPS_BELOW + len(drapery.tiers)
+            plan = runtime.plan(runtime.garments.scene(None, worn), DrapeOptions(tier="fast"), messages=True)
+            carried, lowest, least, *_ = steps = runtime.steps(plan)
+            assert len(steps) == STEPS_BELOW + len(runtime.tiers)
             assert lowest.options.push_out and lowest.options.cloth_contact != differs
             assert (lowest != least) == differs == carried.carried
             assert carried == (replace(lowest, carried=True) if differs else lowest)
     finally:
-        drapery.close()
+        runtime.close()
 
 
 @pytest.mark.parametrize(
@@ -139,12 +139,12 @@ def test_tiers_that_are_none_stop_the_start(rows: list[dict]):
         read_tiers(rows)
 
 
-def test_tiers_come_from_the_manifest_and_are_listed(drapery: Drapery):
-    assert drapery.tiers == OWN and read_tiers([]) == TIERS
-    with serve(create_app(drapery.settings, drapery=drapery), drapery.settings) as url:
+def test_tiers_come_from_the_manifest_and_are_listed(runtime: DrapeRuntime):
+    assert runtime.tiers == OWN and read_tiers([]) == TIERS
+    with serve(create_app(runtime.settings, runtime=runtime), runtime.settings) as url:
         fast, balanced, accurate = httpx.get(url + "/tiers").json()
         assert fast == {"id": "fast", "default": False, "passes": 0, "folds": 1, "alone": 0, "figures": {}}
-        assert (balanced["default"], balanced["alone"]) == (True, drapery.engine.pass_count)
+        assert (balanced["default"], balanced["alone"]) == (True, runtime.engine.pass_count)
         assert accurate["figures"] == {"gain_trained": 0.99}
         for more, tier, folds in (
             ({}, "balanced", "3"), ({"tier": "fast"}, "fast", "1"), ({"folds": 7}, "custom", "7"),
@@ -156,27 +156,27 @@ def test_tiers_come_from_the_manifest_and_are_listed(drapery: Drapery):
             assert httpx.post(url + "/drape", json=REST | wrong).status_code in (400, 422)
 
 
-def test_a_budget_between_two_tiers_gets_the_lower_one(drapery: Drapery):
-    scene = drapery.garments.get("tube")
+def test_a_budget_between_two_tiers_gets_the_lower_one(runtime: DrapeRuntime):
+    scene = runtime.garments.get("tube")
     names = ("fast", "balanced", "accurate")
-    plans = [drapery.plan(scene, DrapeOptions(tier=name, safe_folds=0)) for name in names]  # a budget holds every frame
+    plans = [runtime.plan(scene, DrapeOptions(tier=name, safe_folds=0)) for name in names]  # a budget holds every frame
     for plan, cost_ms in zip(plans, (2.0, 4.0, 9.0), strict=True):
-        drapery._frame_ms[plan.keys, plan.options, plan.messages] = cost_ms
+        runtime._frame_ms[plan.keys, plan.options, plan.messages] = cost_ms
     for budget_ms, want in ((1.0, 0), (2.0, 0), (3.9, 0), (4.0, 1), (8.9, 1), (9.0, 2)):
-        assert asyncio.run(drapery.plan_within(scene, DrapeOptions(budget_ms=budget_ms))) == plans[want]
+        assert asyncio.run(runtime.plan_within(scene, DrapeOptions(budget_ms=budget_ms))) == plans[want]
     with pytest.raises(InputError, match="budget_ms: expected a tier or a budget, got both"):
-        asyncio.run(drapery.plan_within(scene, DrapeOptions(budget_ms=3.0, tier="fast")))
+        asyncio.run(runtime.plan_within(scene, DrapeOptions(budget_ms=3.0, tier="fast")))
 
 
-def test_the_cost_of_a_frame_is_measured_once(drapery: Drapery):
-    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions(folds=2, passes=1))
-    first = asyncio.run(drapery.frame_ms(plan))
-    assert 0.0 < first < 1e4 and asyncio.run(drapery.frame_ms(plan)) == first
+def test_the_cost_of_a_frame_is_measured_once(runtime: DrapeRuntime):
+    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(folds=2, passes=1))
+    first = asyncio.run(runtime.frame_ms(plan))
+    assert 0.0 < first < 1e4 and asyncio.run(runtime.frame_ms(plan)) == first
 
 
 def test_the_default_of_the_product_is_folds(make_settings: Callable[..., Settings]):
     assert (Settings().tier, Settings().folds, Settings().passes) == ("balanced", None, None)
-    made = Drapery(make_settings(folds=None))
+    made = DrapeRuntime(make_settings(folds=None))
     plan = made.plan(made.garments.get("tube"), DrapeOptions())
     assert made.engine.manifest.name == TINY and [stage.name for stage in plan.stages] == ["network", "folds"]
     made.close()

@@ -26,8 +26,8 @@ from drape.wire.jets import unpack_jets
 from drape.wire.options import DrapeOptions
 from service.app import create_app
 from service.compute import drape_runtime as drapery_module
-from service.compute.drape_runtime import Drapery
-from service.compute.unchanged import KEY, REST_FRAMES, REST_S, shown
+from service.compute.drape_runtime import DrapeRuntime
+from service.compute.unchanged import KEY, REST_FRAMES, REST_S, shown_message
 from service.settings import Settings
 from service.stages.batch import Plan, PoseInput
 from tests.architecture.repository import ROOT
@@ -42,15 +42,15 @@ NEEDED = REST_FRAMES + 1  # frames of one pose after which it is at rest
 
 
 @pytest.fixture(scope="module")
-def drapery(make_settings: Callable[..., Settings]) -> Iterator[Drapery]:
-    made = Drapery(make_settings(model=TINY_DYNAMIC))
+def runtime(make_settings: Callable[..., Settings]) -> Iterator[DrapeRuntime]:
+    made = DrapeRuntime(make_settings(model=TINY_DYNAMIC))
     yield made
     made.close()
 
 
 @pytest.fixture
-def plan(drapery: Drapery) -> Plan:
-    made = drapery.plan(drapery.garments.get("tube"), DrapeOptions(folds=1), messages=True)
+def plan(runtime: DrapeRuntime) -> Plan:
+    made = runtime.plan(runtime.garments.get("tube"), DrapeOptions(folds=1), messages=True)
     for stage in made.stages:
         stage.prepare(made)
     return made
@@ -59,8 +59,8 @@ def plan(drapery: Drapery) -> Plan:
 class Stream:
     """Frames of one client, each after what the one before left; ``runs`` counts those that were computed."""
 
-    def __init__(self, drapery: Drapery, plan: Plan) -> None:
-        self.drapery, self.plan, self.memories, self.frame, self.runs = drapery, plan, {}, 0, 0
+    def __init__(self, runtime: DrapeRuntime, plan: Plan) -> None:
+        self.runtime, self.plan, self.memories, self.frame, self.runs = runtime, plan, {}, 0, 0
         self.betas = np.zeros(10)
 
     def next(
@@ -78,14 +78,14 @@ class Stream:
             shown=seen,
         )  # fmt: skip
         with patch.object(drapery_module, "walk", wraps=drapery_module.walk) as computed:
-            ((message, self.memories),) = self.drapery.frames(self.plan, [one])
+            ((message, self.memories),) = self.runtime.frames(self.plan, [one])
         self.runs += computed.call_count
         assert isinstance(message, bytes), message
         return message
 
 
-def test_after_two_seconds_the_last_frame_comes_again_under_new_numbers(drapery: Drapery, plan: Plan):
-    stream = Stream(drapery, plan)
+def test_after_two_seconds_the_last_frame_comes_again_under_new_numbers(runtime: DrapeRuntime, plan: Plan):
+    stream = Stream(runtime, plan)
     for frame in range(3):
         stream.next(POSES[frame + 1], TRANS[frame + 1])
     for _ in range(NEEDED):
@@ -99,8 +99,8 @@ def test_after_two_seconds_the_last_frame_comes_again_under_new_numbers(drapery:
     assert after.client_time_s == stream.time_s and after.server_time_s >= before.server_time_s
 
 
-def test_what_moves_on_goes_on_from_where_the_cloth_hangs(drapery: Drapery, plan: Plan):
-    slow, still = Stream(drapery, plan), Stream(drapery, plan)
+def test_what_moves_on_goes_on_from_where_the_cloth_hangs(runtime: DrapeRuntime, plan: Plan):
+    slow, still = Stream(runtime, plan), Stream(runtime, plan)
     for _ in range(NEEDED):
         slow.next()
         still.next()
@@ -112,16 +112,16 @@ def test_what_moves_on_goes_on_from_where_the_cloth_hangs(drapery: Drapery, plan
         assert_array_equal(moved.positions, expected.positions)
 
 
-def test_who_shows_the_frame_is_told_that_it_holds(drapery: Drapery, plan: Plan):
-    stream = Stream(drapery, plan)
+def test_who_shows_the_frame_is_told_that_it_holds(runtime: DrapeRuntime, plan: Plan):
+    stream = Stream(runtime, plan)
     for _ in range(NEEDED - 1):
-        assert wire.message_kind(stream.next(seen=shown(stream.memories))) == wire.FRAME
+        assert wire.message_kind(stream.next(seen=shown_message(stream.memories))) == wire.FRAME
     last = stream.next()
-    told = wire.unpack_same(stream.next(seen=shown(stream.memories)))
+    told = wire.unpack_same(stream.next(seen=shown_message(stream.memories)))
     assert (told.sequence, told.client_time_s, told.dropped) == (NEEDED + 1, stream.time_s, 3)
     other = wire.unpack_frame(stream.next(seen=bytes(bytearray(last))))  # what another connection was sent
     assert_array_equal(other.positions, wire.unpack_frame(last).positions)
-    assert wire.message_kind(stream.next(POSES[1], TRANS[1], seen=shown(stream.memories))) == wire.FRAME
+    assert wire.message_kind(stream.next(POSES[1], TRANS[1], seen=shown_message(stream.memories))) == wire.FRAME
 
 
 def resting(url: str, **more: Any) -> list[bytes]:
@@ -289,21 +289,21 @@ def test_the_page_shows_the_frame_that_holds(make_settings: Callable[..., Settin
     assert said["sequence"] == said["next"] > REST_FRAMES and said["same"] and said["count"] > 0
 
 
-def test_a_pause_is_no_rest_and_neither_are_few_frames(drapery: Drapery, plan: Plan):
-    few = Stream(drapery, plan)
+def test_a_pause_is_no_rest_and_neither_are_few_frames(runtime: DrapeRuntime, plan: Plan):
+    few = Stream(runtime, plan)
     few.next()
     for _ in range(5):
         few.next(after_s=REST_S)
     assert few.runs == 6
-    quick = Stream(drapery, plan)
+    quick = Stream(runtime, plan)
     for _ in range(2 * REST_FRAMES):
         quick.next(after_s=0.1 * STEP_S)
     assert quick.runs == 2 * REST_FRAMES
 
 
 @pytest.mark.parametrize("change", ["pose", "trans", "shape", "plan", "clock"])
-def test_any_change_is_computed(drapery: Drapery, plan: Plan, change: str):
-    stream = Stream(drapery, plan)
+def test_any_change_is_computed(runtime: DrapeRuntime, plan: Plan, change: str):
+    stream = Stream(runtime, plan)
     for _ in range(NEEDED + 1):
         stream.next()
     assert stream.runs == NEEDED
@@ -321,13 +321,13 @@ def test_any_change_is_computed(drapery: Drapery, plan: Plan, change: str):
     assert stream.runs == NEEDED + 1
 
 
-def test_one_of_several_at_rest_leaves_the_others_what_they_are(drapery: Drapery, plan: Plan):
-    still, alone = Stream(drapery, plan), Stream(drapery, plan)
+def test_one_of_several_at_rest_leaves_the_others_what_they_are(runtime: DrapeRuntime, plan: Plan):
+    still, alone = Stream(runtime, plan), Stream(runtime, plan)
     for _ in range(NEEDED):
         still.next()
     moving = PoseInput(POSES[1:2], TRANS[1:2], np.zeros(10), np.array([1.0]), {}, sequence=9)
     rest = PoseInput(POSES[:1], TRANS[:1], np.zeros(10), np.array([still.time_s + 1.0]), still.memories, sequence=7)
-    (first, kept), (second, _) = drapery.frames(plan, [rest, moving])
+    (first, kept), (second, _) = runtime.frames(plan, [rest, moving])
     assert isinstance(first, bytes) and isinstance(second, bytes)
     assert wire.unpack_frame(first).sequence == 7 and wire.unpack_frame(second).sequence == 9
     assert kept[KEY] is still.memories[KEY]
@@ -335,11 +335,11 @@ def test_one_of_several_at_rest_leaves_the_others_what_they_are(drapery: Drapery
     assert_array_equal(wire.unpack_frame(one).positions, wire.unpack_frame(second).positions)
 
 
-def test_jets_come_again_too(drapery: Drapery):
-    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions(geometry="jets"), messages=True)
+def test_jets_come_again_too(runtime: DrapeRuntime):
+    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(geometry="jets"), messages=True)
     for stage in plan.stages:
         stage.prepare(plan)
-    stream = Stream(drapery, plan)
+    stream = Stream(runtime, plan)
     for _ in range(NEEDED):
         last = stream.next()
     same = stream.next()
@@ -349,15 +349,15 @@ def test_jets_come_again_too(drapery: Drapery):
     assert (after.sequence, after.dropped, after.client_time_s) == (NEEDED + 1, 3, stream.time_s)
 
 
-def test_a_body_at_rest_needs_no_thread(drapery: Drapery, plan: Plan):
-    stream = Stream(drapery, plan)
+def test_a_body_at_rest_needs_no_thread(runtime: DrapeRuntime, plan: Plan):
+    stream = Stream(runtime, plan)
     for _ in range(NEEDED):
         message = stream.next()
     one = PoseInput(
         POSES[:1], TRANS[:1], stream.betas, np.array([stream.time_s + STEP_S]), stream.memories, sequence=9, dropped=0
     )
-    with patch.object(drapery, "frames", side_effect=AssertionError):
-        ((again, _),) = asyncio.run(drapery.stream_frames(plan, [one]))
+    with patch.object(runtime, "frames", side_effect=AssertionError):
+        ((again, _),) = asyncio.run(runtime.stream_frames(plan, [one]))
     assert isinstance(again, bytes)
     assert wire.unpack_frame(again).sequence == 9
     assert_array_equal(wire.unpack_frame(again).vertices(), wire.unpack_frame(message).vertices())

@@ -16,7 +16,7 @@ from drape.errors import ArtifactError
 from drape.garment.cache import save_garment
 from drape.graph.packing import pack_body
 from drape.wire.options import DrapeOptions
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.graphs.binding import BoundSession
 from service.graphs.engine import PACKED, Engine
 from service.graphs.onnx_runtime import Device, nodes_off_provider, open_session
@@ -131,14 +131,14 @@ def test_a_service_in_buckets_is_warm_and_answers_alike(make_settings, tmp_path:
     poses, trans = random_motion(3, seed=8)
     clip, found = PoseInput(poses, trans, np.zeros(10), np.zeros(3)), []
     for buckets in (None, True):
-        drapery = Drapery(make_settings(shipped_garments_dir=tmp_path, buckets=buckets, chunk_frames=3))
-        ready = drapery.engine.buckets
-        plans = [drapery.plan(drapery.garments.get(kind), DrapeOptions(push_out=True)) for kind in ("tank", "shorts")]
+        runtime = DrapeRuntime(make_settings(shipped_garments_dir=tmp_path, buckets=buckets, chunk_frames=3))
+        ready = runtime.engine.buckets
+        plans = [runtime.plan(runtime.garments.get(kind), DrapeOptions(push_out=True)) for kind in ("tank", "shorts")]
         found.append([run(plan, [clip]) for plan in plans])
-        assert drapery.engine.buckets == ready  # all that a clip takes was there before the first request
+        assert runtime.engine.buckets == ready  # all that a clip takes was there before the first request
         assert (ready > 0) is bool(buckets)
-        assert drapery.device_bytes > 0
-        drapery.close()
+        assert runtime.device_bytes > 0
+        runtime.close()
     for plain, bound in zip(*found, strict=True):
         assert_array_equal(bound.vertices, plain.vertices)
 
@@ -167,11 +167,11 @@ def session(**limits: int) -> BoundSession:
 
 def test_what_stays_is_written_once_and_what_changes_every_time():
     bound, x, c = session(), np.ones((2, 3), np.float32), np.zeros(3, np.float32)
-    assert_array_equal(bound.run(["y"], {"x": x, "c": c}, still=["c"])[0], np.full((2, 3), 2.0))
+    assert_array_equal(bound.run(["y"], {"x": x, "c": c}, unchanging=["c"])[0], np.full((2, 3), 2.0))
     x[:], c[:] = 2.0, 5.0  # the second against what "still" says
-    assert_array_equal(bound.run(["y"], {"x": x, "c": c}, still=["c"])[0], np.full((2, 3), 4.0))
+    assert_array_equal(bound.run(["y"], {"x": x, "c": c}, unchanging=["c"])[0], np.full((2, 3), 4.0))
     other = np.full(3, 7.0, np.float32)
-    assert_array_equal(bound.run(["y"], {"x": x, "c": other}, still=["c"])[0], np.full((2, 3), 11.0))
+    assert_array_equal(bound.run(["y"], {"x": x, "c": other}, unchanging=["c"])[0], np.full((2, 3), 11.0))
     assert_array_equal(bound.run(["y"], {"x": x, "c": c})[0], np.full((2, 3), 9.0))
     assert bound.buckets == 1 and bound.bytes == 4 * (6 + 3 + 6)
 

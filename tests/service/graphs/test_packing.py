@@ -25,7 +25,7 @@ from drape.graph.packing import pack_body, pass_name
 from drape.wire.options import DrapeOptions
 from model_export.graph import DrapeGraph, drape_inputs
 from model_export.parity import hard_poses
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.graphs.engine import PACKED, Engine
 from service.graphs.onnx_runtime import Device
 from service.graphs.packing import SHAPE_INDEX, STORED_INDEX, Packer, Result, ScenePlan
@@ -200,7 +200,7 @@ class _Recorded:
         self._session = session
         self.inputs = tuple(tensor.name for tensor in session.get_inputs())
 
-    def run(self, outputs, feed, *, still=()) -> list[np.ndarray]:
+    def run(self, outputs, feed, *, unchanging=()) -> list[np.ndarray]:
         values = {n: Device().value(v) if isinstance(v, np.ndarray) else v for n, v in feed.items()}
         return [value.numpy() for value in self._session.run_with_ort_values(list(outputs), values)]
 
@@ -359,16 +359,16 @@ def test_a_manifest_with_other_tensors_is_refused(tmp_path: Path):
 
 
 def test_the_service_refuses_what_is_not_finite(make_settings):
-    drapery = Drapery(make_settings())
-    entry = drapery.garments.get("tube")
+    runtime = DrapeRuntime(make_settings())
+    entry = runtime.garments.get("tube")
     broken = replace(entry.garment, patch_features=np.full_like(entry.garment.patch_features, np.nan))
-    plan = drapery.plan(entry, DrapeOptions())
-    for stage in drapery.stages:
-        stage.add(broken, garment_feed(broken, body=drapery.body))
-    rest = PoseInput(np.zeros((1, 24, 3)), np.zeros((1, 3)), np.zeros(drapery.body.shape_count), np.zeros(1))
+    plan = runtime.plan(entry, DrapeOptions())
+    for stage in runtime.stages:
+        stage.add(broken, garment_feed(broken, body=runtime.body))
+    rest = PoseInput(np.zeros((1, 24, 3)), np.zeros((1, 3)), np.zeros(runtime.body.shape_count), np.zeros(1))
     with pytest.raises(ArtifactError, match="tiny vertices: expected finite numbers"):
         run(plan, [rest])
-    drapery.close()
+    runtime.close()
 
 
 def test_two_threads_get_the_bits_of_one(bodies: dict[str, np.ndarray]):

@@ -22,7 +22,7 @@ from drape.graph.feeds import garment_feed
 from drape.graph.layer_feed import layer_feed, push_over_in_parts
 from drape.graph.push_feed import pack_push, pushed_jets
 from drape.wire.options import DrapeOptions
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.graphs.engine import Engine
 from service.graphs.push import PosedJets, Pusher
 from service.settings import Settings
@@ -114,7 +114,7 @@ def test_a_body_with_pose_blend_shapes_drapes_and_is_pushed(outfit_settings: Set
     """Of a centimetre, as a licensed SMPL file has them: alone, in jets and in layers the cloth comes out of the
     skin that is really there, which the network feels too."""
     body = with_corrections(load_body(), 1e-2)
-    corrected, plain = Drapery(outfit_settings, body=body), Drapery(outfit_settings)
+    corrected, plain = DrapeRuntime(outfit_settings, body=body), DrapeRuntime(outfit_settings)
     poses = random_motion(8, spread_rad=0.25)[0]  # with more, arms are deep inside the chest
     clip = PoseInput(poses, np.zeros((8, 3)), np.zeros(10), np.zeros(8))
     posed = body.posed_vertices(clip.poses, clip.trans, clip.betas)
@@ -132,8 +132,8 @@ def test_a_body_with_pose_blend_shapes_drapes_and_is_pushed(outfit_settings: Set
     worn = run(corrected.plan(scene, DrapeOptions(push_out=True, geometry="jets")), [clip])
     assert_array_equal(worn.layers[0].vertices, pushed.vertices)
     assert (worn.quality.push_max_m > 1e-3).all() and (worn.quality.left_m > 0.0).all()
-    for drapery in (corrected, plain):
-        drapery.close()
+    for runtime in (corrected, plain):
+        runtime.close()
 
 
 def test_a_body_with_corrections_that_are_zero_is_the_body_without(outfit_settings: Settings):
@@ -141,10 +141,10 @@ def test_a_body_with_corrections_that_are_zero_is_the_body_without(outfit_settin
     clip = PoseInput(POSES, np.zeros((2, 3)), BETAS, np.zeros(2))
     found = []
     for body in (load_body(), with_corrections(load_body(), 0.0)):
-        drapery = Drapery(outfit_settings, body=body)
-        plan = drapery.plan(drapery.garments.scene(None, ["tube", "coat"]), DrapeOptions(push_out=True))
+        runtime = DrapeRuntime(outfit_settings, body=body)
+        plan = runtime.plan(runtime.garments.scene(None, ["tube", "coat"]), DrapeOptions(push_out=True))
         found.append(run(plan, [clip]))
-        drapery.close()
+        runtime.close()
     assert_allclose(found[1].vertices, found[0].vertices, rtol=0, atol=5e-5)
     assert_allclose(found[1].skin[..., :4], found[0].skin[..., :4], rtol=0, atol=2e-6)
 

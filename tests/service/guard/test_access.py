@@ -216,7 +216,7 @@ def test_a_deleted_garment_is_gone_from_service_disk_and_streams(
     save_garment(tube_garment(body, name="gown", radius_m=0.21), settings.garments_dir)
     app = create_app(settings)
     with serve(app, settings) as url:
-        registry = app.state.drape.drapery.garments
+        registry = app.state.drape.runtime.garments
         key = registry.get("gown").garment.digest
 
         async def worn() -> tuple[int, int]:
@@ -234,24 +234,24 @@ def test_a_deleted_garment_is_gone_from_service_disk_and_streams(
         assert asyncio.run(worn()) == (204, 4404)
         assert httpx.get(url + "/garments/gown").status_code == 404
         assert files_in(settings.garments_dir) == []
-        stages = {stage.name: stage for stage in app.state.drape.drapery.stages}
+        stages = {stage.name: stage for stage in app.state.drape.runtime.stages}
         assert key not in stages["collision"].pusher._stored and key not in stages["network"].packer._store
         assert httpx.post(url + "/drape", json={"garment": "tube", "poses": REST}).status_code == 200
 
 
 def test_names_and_publishing_outlive_the_service(make_settings: Callable[..., Settings], body: BodyModel):
-    from service.compute.drape_runtime import Drapery
+    from service.compute.drape_runtime import DrapeRuntime
 
     settings = make_settings()
     path = save_garment(tube_garment(body, name="gown"), settings.garments_dir / "of-shop")
     path.with_suffix(".about.json").write_text('{"title": "Kleid", "published": true}')
     shutil.copy(path, settings.garments_dir / "broken.npz")
     (settings.garments_dir / "broken.about.json").write_text("[]")
-    drapery = Drapery(settings)
-    (gown,) = [entry for entry in drapery.garments.visible(None) if entry.source == "user"]
+    runtime = DrapeRuntime(settings)
+    (gown,) = [entry for entry in runtime.garments.visible(None) if entry.source == "user"]
     assert (gown.name, gown.owner, gown.published) == ("Kleid", "shop", True)
-    assert len(drapery.garments.refused) == 1 and "title and published" in drapery.garments.refused[0]
-    drapery.close()
+    assert len(runtime.garments.refused) == 1 and "title and published" in runtime.garments.refused[0]
+    runtime.close()
 
 
 def test_the_disk_has_a_quota(make_settings: Callable[..., Settings]):

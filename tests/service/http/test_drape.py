@@ -16,7 +16,7 @@ from drape.garment.cache import Garment
 from drape.garment.files.glb import read_glb
 from drape.geometry.closest import signed_distance
 from drape.wire.options import DrapeOptions, FabricNumbers, Geometry
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from service.stages import run
 from service.stages.batch import Batch, PoseInput
@@ -101,14 +101,14 @@ def test_posed_body_is_the_body(api: httpx.Client, body: BodyModel):
 
 
 @pytest.fixture(scope="module")
-def drapery(make_settings: Callable[..., Settings]) -> Drapery:
-    return Drapery(make_settings())
+def runtime(make_settings: Callable[..., Settings]) -> DrapeRuntime:
+    return DrapeRuntime(make_settings())
 
 
-def test_push_out_brings_cloth_out_of_the_body_and_says_how_far(drapery: Drapery, body: BodyModel):
+def test_push_out_brings_cloth_out_of_the_body_and_says_how_far(runtime: DrapeRuntime, body: BodyModel):
     poses, trans = random_motion(4, spread_rad=0.35)
-    entry, clip = drapery.garments.get("tube"), PoseInput(poses, trans, np.zeros(10), np.arange(4) / 30.0)
-    plain, pushed = (run(drapery.plan(entry, DrapeOptions(push_out=push)), [clip]) for push in (False, True))
+    entry, clip = runtime.garments.get("tube"), PoseInput(poses, trans, np.zeros(10), np.arange(4) / 30.0)
+    plain, pushed = (run(runtime.plan(entry, DrapeOptions(push_out=push)), [clip]) for push in (False, True))
     posed = body.posed_vertices(poses, trans, clip.betas)
 
     def inside(draped: Batch) -> np.ndarray:
@@ -128,10 +128,10 @@ def test_push_out_brings_cloth_out_of_the_body_and_says_how_far(drapery: Drapery
 @pytest.mark.parametrize("geometry", ["vertices", "jets"])
 def test_frames_do_not_depend_on_their_company(outfit_settings: Settings, worn: list[str], geometry: Geometry):
     """Alone, or in a batch with other shapes: the same bits."""
-    drapery = Drapery(outfit_settings)
+    runtime = DrapeRuntime(outfit_settings)
     poses, trans = random_motion(6)
     options = DrapeOptions(push_out=True, geometry=geometry)
-    plan = drapery.plan(drapery.garments.scene(None, worn), options)
+    plan = runtime.plan(runtime.garments.scene(None, worn), options)
     shapes = [np.zeros(10), np.full(10, 0.5), np.linspace(-1, 1, 10)]
     inputs = [PoseInput(poses[i : i + 2], trans[i : i + 2], shapes[i // 2], np.zeros(2)) for i in (0, 2, 4)]
     together, alone = run(plan, inputs), [run(plan, [one]) for one in inputs]
@@ -142,7 +142,7 @@ def test_frames_do_not_depend_on_their_company(outfit_settings: Settings, worn: 
     assert_array_equal(together.root, np.concatenate([one.root for one in alone]))
     for name, array in vars(together.quality).items():
         assert_array_equal(array, np.concatenate([getattr(one.quality, name) for one in alone]))
-    drapery.close()
+    runtime.close()
 
 
 @pytest.mark.parametrize("chunk", [1, 4, 64])
@@ -150,12 +150,12 @@ def test_chunks_join_seamlessly(make_settings: Callable[..., Settings], api: htt
     import asyncio
 
     poses, trans = random_motion(9)
-    drapery = Drapery(make_settings(chunk_frames=chunk))
+    runtime = DrapeRuntime(make_settings(chunk_frames=chunk))
     clip = PoseInput(poses, trans, np.zeros(10), np.arange(9) / 30.0)
-    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions(push_out=True))
-    draped = asyncio.run(drapery.drape(plan, clip))
+    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(push_out=True))
+    draped = asyncio.run(runtime.drape(plan, clip))
     assert_array_equal(draped.world(), vertices_of(ask(api, poses=poses.tolist(), trans=trans.tolist(), push_out=True)))
-    drapery.close()
+    runtime.close()
 
 
 def test_a_request_names_a_fabric_of_the_table_or_gives_numbers(api: httpx.Client, body: BodyModel, tube: Garment):

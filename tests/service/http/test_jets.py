@@ -27,7 +27,7 @@ from drape.wire import messages as wire
 from drape.wire.jets import JetFrame, message_bytes, pack_jets, split_jets, unpack_jets
 from drape.wire.layout import JetLayout, unpack_layout
 from drape.wire.options import DrapeOptions
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.errors import TooLarge
 from service.settings import Settings
 from service.stages import run
@@ -210,30 +210,30 @@ def test_a_stream_of_another_geometry_is_refused(outfit_url: str):
 def test_an_answer_of_jets_has_the_same_limit(make_settings):
     from service.http.jets import check_jets_size
 
-    drapery = Drapery(make_settings(max_answer_bytes=10 * message_bytes(12)))
-    entry = drapery.garments.get("tube")
-    check_jets_size(10, entry, drapery)
+    runtime = DrapeRuntime(make_settings(max_answer_bytes=10 * message_bytes(12)))
+    entry = runtime.garments.get("tube")
+    check_jets_size(10, entry, runtime)
     with pytest.raises(TooLarge, match="11 frames of 12 patches"):
-        check_jets_size(11, entry, drapery)
+        check_jets_size(11, entry, runtime)
     object.__setattr__(entry, "garment", replace(entry.garment, patch_centre=np.zeros((65537, 3))))
     with pytest.raises(TooLarge, match="tube patches: expected at most 65536"):
         _ = entry.jet_layout
-    drapery.close()
+    runtime.close()
 
 
 @pytest.fixture(scope="module")
-def shipped(make_settings, tmp_path_factory) -> Iterator[Drapery]:
+def shipped(make_settings, tmp_path_factory) -> Iterator[DrapeRuntime]:
     """The shipped model with two of its garments."""
     folder, models = tmp_path_factory.mktemp("two"), Settings().models_dir
     for kind in ("tank", "shorts"):
         save_garment(garment(kind), folder)
-    drapery = Drapery(make_settings(models_dir=models, model="onefit", shipped_garments_dir=folder))
-    yield drapery
-    drapery.close()
+    runtime = DrapeRuntime(make_settings(models_dir=models, model="onefit", shipped_garments_dir=folder))
+    yield runtime
+    runtime.close()
 
 
 @pytest.mark.slow
-def test_of_the_shipped_model_hard_poses_come_within_a_tenth_of_a_millimetre(shipped: Drapery):
+def test_of_the_shipped_model_hard_poses_come_within_a_tenth_of_a_millimetre(shipped: DrapeRuntime):
     poses = hard_poses([make() for make in SAMPLES.values()], shipped.body, 3).poses
     trans, betas, held = np.zeros((len(poses), 3)), np.zeros(10), []
     for name in ("tank", "shorts"):

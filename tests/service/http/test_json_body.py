@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from service.compute.sliced_thread import Piecework
+from service.compute.sliced_thread import SlicedThread
 from service.errors import TooLarge
 from service.http import json_body
 from service.http.json_body import PIECE_BYTES, check_marks
@@ -14,11 +14,11 @@ from service.http.json_body import PIECE_BYTES, check_marks
 
 @pytest.mark.parametrize("size", [1, PIECE_BYTES, PIECE_BYTES + 1, 3 * PIECE_BYTES - 1])
 def test_as_many_marks_as_there_are(size: int):
-    text, piecework = b"," * size + b"0" * 17, Piecework()
-    asyncio.run(check_marks(text, piecework, most_marks=size))
+    text, sliced_thread = b"," * size + b"0" * 17, SlicedThread()
+    asyncio.run(check_marks(text, sliced_thread, most_marks=size))
     with pytest.raises(TooLarge, match=f"at most {size - 1} .* got more"):
-        asyncio.run(check_marks(text, piecework, most_marks=size - 1))
-    piecework.close()
+        asyncio.run(check_marks(text, sliced_thread, most_marks=size - 1))
+    sliced_thread.close()
 
 
 def test_a_body_with_too_many_marks_is_not_counted_to_its_end(monkeypatch: pytest.MonkeyPatch):
@@ -30,8 +30,8 @@ def test_a_body_with_too_many_marks_is_not_counted_to_its_end(monkeypatch: pytes
             yield piece
 
     monkeypatch.setattr(json_body, "_marks", noted)
-    piecework = Piecework()
+    sliced_thread = SlicedThread()
     with pytest.raises(TooLarge):
-        asyncio.run(check_marks(b"," * 8 * PIECE_BYTES, piecework, most_marks=PIECE_BYTES))
+        asyncio.run(check_marks(b"," * 8 * PIECE_BYTES, sliced_thread, most_marks=PIECE_BYTES))
     assert len(counted) == 2
-    piecework.close()
+    sliced_thread.close()

@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 
 from drape.wire.clips import pack_clip
 from service.app import create_app
-from service.compute.drape_runtime import Drapery
-from service.compute.sliced_thread import Piecework
+from service.compute.drape_runtime import DrapeRuntime
+from service.compute.sliced_thread import SlicedThread
 from service.errors import Busy
 from service.guard.access import Access
-from service.http.continuations import Pasts
+from service.http.continuations import Continuations
 from service.http.json_body import clip_marks
 from service.http.pictures import Previews
 from service.replicas.handover import Handover
@@ -26,7 +26,7 @@ from service.settings import Settings
 from service.state import State
 from service.stream.sessions import Streams
 from service.uploads.jobs import Uploads
-from service.uploads.shared_folder import Follower
+from service.uploads.shared_folder import SharedFolder
 from service.watch.lifecycle import Lifecycle
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import serve
@@ -223,18 +223,24 @@ def test_too_large_an_answer_is_refused(make_settings: Callable[..., Settings]):
 
 
 def test_more_clips_than_places_are_refused(make_settings: Callable[..., Settings]):
-    drapery = Drapery(make_settings(max_clips=1))
-    streams, access = Streams(drapery, Piecework()), Access(drapery.settings)
-    uploads = Uploads(drapery, Piecework(), access)
-    handover, pasts, life = Handover(drapery, access.tickets), Pasts(drapery.settings), Lifecycle(stuck_s=9.0)
-    following = Follower(drapery, streams, uploads)
-    state = State(drapery, uploads, following, streams, Piecework(), access, handover, life, pasts, Previews())
+    runtime = DrapeRuntime(make_settings(max_clips=1))
+    streams, access = Streams(runtime, SlicedThread()), Access(runtime.settings)
+    uploads = Uploads(runtime, SlicedThread(), access)
+    handover, continuations, life = (
+        Handover(runtime, access.tickets),
+        Continuations(runtime.settings),
+        Lifecycle(stuck_s=9.0),
+    )
+    shared_folder = SharedFolder(runtime, streams, uploads)
+    state = State(
+        runtime, uploads, shared_folder, streams, SlicedThread(), access, handover, life, continuations, Previews()
+    )
     with state.slot(), pytest.raises(Busy, match="fewer than 1 at a time"), state.slot():
         pass
     with state.slot():
         assert state.clips == 1
     assert state.clips == 0
-    drapery.close()
+    runtime.close()
 
 
 def test_the_page_that_is_not_built_says_how_to_build_it(make_settings: Callable[..., Settings], tmp_path):

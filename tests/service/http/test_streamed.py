@@ -16,8 +16,8 @@ from drape.errors import NotFound
 from drape.wire.jets import split_jets
 from drape.wire.options import DrapeOptions
 from service.app import create_app
-from service.compute.drape_runtime import Drapery
-from service.http.continuations import Past, Pasts
+from service.compute.drape_runtime import DrapeRuntime
+from service.http.continuations import Continuation, Continuations
 from service.settings import Settings
 from service.stages.batch import PoseInput
 from tests.fixtures.poses import smooth_motion
@@ -128,37 +128,37 @@ def test_a_stream_that_is_given_up_frees_its_place(make_settings: Callable[..., 
 
 
 @pytest.fixture(scope="module")
-def drapery(make_settings: Callable[..., Settings]) -> Iterator[Drapery]:
-    made = Drapery(make_settings(chunk_frames=2))
+def runtime(make_settings: Callable[..., Settings]) -> Iterator[DrapeRuntime]:
+    made = DrapeRuntime(make_settings(chunk_frames=2))
     yield made
     made.close()
 
 
-def test_a_chunk_is_computed_when_the_last_was_taken(drapery: Drapery):
-    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions())
+def test_a_chunk_is_computed_when_the_last_was_taken(runtime: DrapeRuntime):
+    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions())
     clip = PoseInput(POSES, TRANS, np.zeros(10), TIMES_S)
 
     async def first() -> float:
-        before = drapery.metrics.frames._value.get()
-        parts = drapery.parts(plan, clip)
+        before = runtime.metrics.frames._value.get()
+        parts = runtime.parts(plan, clip)
         await anext(parts)
         await asyncio.sleep(0.05)
-        return drapery.metrics.frames._value.get() - before
+        return runtime.metrics.frames._value.get() - before
 
     assert asyncio.run(first()) == 2.0
 
 
-def test_pasts_are_private_few_and_short_lived(drapery: Drapery, make_settings: Callable[..., Settings]):
-    past = Past(drapery.plan(drapery.garments.get("tube"), DrapeOptions()), np.zeros(10), 30.0, 4, {})
-    pasts = Pasts(make_settings(max_pasts=3))
-    tokens = [pasts.token() for _ in range(4)]
+def test_pasts_are_private_few_and_short_lived(runtime: DrapeRuntime, make_settings: Callable[..., Settings]):
+    past = Continuation(runtime.plan(runtime.garments.get("tube"), DrapeOptions()), np.zeros(10), 30.0, 4, {})
+    continuations = Continuations(make_settings(max_pasts=3))
+    tokens = [continuations.token() for _ in range(4)]
     for token, owner in zip(tokens, ("shop", "shop", "mill", "shop"), strict=True):
-        pasts.put(token, past, owner)
-    assert len(pasts) == 3 and pasts.get(tokens[2], "mill") is past
+        continuations.put(token, past, owner)
+    assert len(continuations) == 3 and continuations.get(tokens[2], "mill") is past
     for token, owner in ((tokens[0], "shop"), (tokens[2], "shop"), (tokens[1], None)):
         with pytest.raises(NotFound, match="past: expected one of the last 120 s, got one that is not kept"):
-            pasts.get(token, owner)
-    pasts._kept[tokens[1]] = replace(pasts._kept[tokens[1]], until_s=0.0)
+            continuations.get(token, owner)
+    continuations._kept[tokens[1]] = replace(continuations._kept[tokens[1]], until_s=0.0)
     with pytest.raises(NotFound):
-        pasts.get(tokens[1], "shop")
-    assert pasts.get(tokens[3], "shop").frames == 4
+        continuations.get(tokens[1], "shop")
+    assert continuations.get(tokens[3], "shop").frames == 4

@@ -10,7 +10,7 @@ from numpy.testing import assert_array_equal
 
 from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.compute.tiers import FAR_PIXELS_PER_M, TIERS, chosen
 from service.graphs.engine import PACKED, SKIN
 from service.settings import Settings
@@ -24,15 +24,15 @@ POSES, TRANS = smooth_motion(np.arange(3) / 30.0)
 
 
 @pytest.fixture
-def drapery(make_settings: Callable[..., Settings]) -> Iterator[Drapery]:
+def runtime(make_settings: Callable[..., Settings]) -> Iterator[DrapeRuntime]:
     """Anew for each test, so that what it opened is what the test asked for."""
-    made = Drapery(make_settings(model=TINY_DYNAMIC, folds=None))
+    made = DrapeRuntime(make_settings(model=TINY_DYNAMIC, folds=None))
     yield made
     made.close()
 
 
-def draped(drapery: Drapery, **options: object) -> Batch:
-    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions.model_validate(options), messages=True)
+def draped(runtime: DrapeRuntime, **options: object) -> Batch:
+    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions.model_validate(options), messages=True)
     for stage in plan.stages:
         stage.prepare(plan)
     return run(plan, [PoseInput(POSES, TRANS, np.zeros(10), np.arange(3) / 30.0)])
@@ -56,8 +56,8 @@ def test_what_is_far_away_has_no_folds_and_8_bits_but_for_what_is_named(asked: d
     assert found.pixels_per_m is None, "distances on one side of the limit are one plan"
 
 
-def test_frames_of_8_bits_are_those_of_16_to_half_a_step_at_half_the_bytes(drapery: Drapery):
-    near, far = (draped(drapery, folds=0, bits=bits) for bits in (16, 8))
+def test_frames_of_8_bits_are_those_of_16_to_half_a_step_at_half_the_bytes(runtime: DrapeRuntime):
+    near, far = (draped(runtime, folds=0, bits=bits) for bits in (16, 8))
     assert_array_equal(near.vertices, far.vertices)
     for fine, coarse, vertices in zip(near.messages, far.messages, far.vertices, strict=True):
         frame = wire.unpack_frame(coarse)
@@ -77,11 +77,11 @@ def test_frames_of_8_bits_are_those_of_16_to_half_a_step_at_half_the_bytes(drape
         ({"motion": 0.0, "geometry": "jets", "push_out": False}, "network encode"),
     ],
 )
-def test_a_plan_holds_nothing_that_nobody_asked_for(drapery: Drapery, asked: dict, stages: str):
-    before = set(drapery.engine._opened)
-    batch = draped(drapery, **asked)
+def test_a_plan_holds_nothing_that_nobody_asked_for(runtime: DrapeRuntime, asked: dict, stages: str):
+    before = set(runtime.engine._opened)
+    batch = draped(runtime, **asked)
     assert " ".join(stage.name for stage in batch.plan.stages) == stages
-    outputs = {name for key in set(drapery.engine._opened) - before if key[0] == PACKED for name in key[1]}
+    outputs = {name for key in set(runtime.engine._opened) - before if key[0] == PACKED for name in key[1]}
     if not {"swing", "folds", "collision"} & set(stages.split()):
         assert SKIN not in outputs and batch.skin is None
     assert (batch.codes is not None) == ("motion" in stages)

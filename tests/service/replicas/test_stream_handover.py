@@ -28,7 +28,7 @@ from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
 from drape.wire.state import join_state, split_state
 from service.app import create_app
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.errors import Busy, TooLarge, Unauthorized
 from service.guard.keys import Client, digest
 from service.guard.tickets import Tickets
@@ -53,8 +53,8 @@ def moving_settings(make_settings: Callable[..., Settings]) -> Settings:
 
 
 @pytest.fixture(scope="module")
-def drapery(moving_settings: Settings) -> Iterator[Drapery]:
-    loaded = Drapery(moving_settings)
+def runtime(moving_settings: Settings) -> Iterator[DrapeRuntime]:
+    loaded = DrapeRuntime(moving_settings)
     yield loaded
     loaded.close()
 
@@ -230,17 +230,17 @@ def test_pieces_of_a_state_are_joined_in_their_order():
         join_state([pieces[0], pieces[2], pieces[1]])
 
 
-def test_a_state_is_for_its_key_scene_and_minute_only(drapery: Drapery):
-    handover, ours = Handover(drapery, Tickets(SECRET)), Client("shop")
-    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions(), messages=True)
+def test_a_state_is_for_its_key_scene_and_minute_only(runtime: DrapeRuntime):
+    handover, ours = Handover(runtime, Tickets(SECRET)), Client("shop")
+    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(), messages=True)
     betas = np.zeros(10)
-    session = Session(plan, betas, 2, drapery.steps(plan), dropped=3)
+    session = Session(plan, betas, 2, runtime.steps(plan), dropped=3)
     blob = handover.state(session, ours, 1, now_s=1000.0)
 
     def read(blob: bytes = blob, client: Client = ours, at_s: float = 1001.0, **changes: Any):
         scene = changes.get("plan", plan)
-        steps, shape = drapery.steps(scene), changes.get("betas", betas)
-        return Handover(drapery, changes.get("tickets", Tickets(SECRET))).brought(
+        steps, shape = runtime.steps(scene), changes.get("betas", betas)
+        return Handover(runtime, changes.get("tickets", Tickets(SECRET))).brought(
             blob, client, scene, steps, shape, now_s=at_s
         )
 
@@ -257,23 +257,23 @@ def test_a_state_is_for_its_key_scene_and_minute_only(drapery: Drapery):
     with pytest.raises(InputError, match="the same shape, got another"):
         read(betas=np.ones(10))
     with pytest.raises(InputError, match="the same options, got another"):
-        read(plan=drapery.plan(plan.scene, DrapeOptions(folds=1), messages=True))
+        read(plan=runtime.plan(plan.scene, DrapeOptions(folds=1), messages=True))
 
 
-def test_a_state_that_nobody_could_read_or_that_is_too_long_is_not_made(drapery: Drapery):
-    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions(), messages=True)
+def test_a_state_that_nobody_could_read_or_that_is_too_long_is_not_made(runtime: DrapeRuntime):
+    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(), messages=True)
     session = Session(plan, np.zeros(10), 2, memories={("folds", "key"): np.zeros(9 * 2**20, np.uint8)})
-    assert Handover(drapery, Tickets()).state(session, Client(), 0) == b""
-    assert Handover(drapery, Tickets(SECRET)).state(session, Client(), 0) == b""
+    assert Handover(runtime, Tickets()).state(session, Client(), 0) == b""
+    assert Handover(runtime, Tickets(SECRET)).state(session, Client(), 0) == b""
 
 
-def test_states_that_come_are_bounded_one_by_one_and_together(drapery: Drapery):
-    handover, most = Handover(drapery, Tickets(SECRET)), drapery.settings.stream_state_bytes
+def test_states_that_come_are_bounded_one_by_one_and_together(runtime: DrapeRuntime):
+    handover, most = Handover(runtime, Tickets(SECRET)), runtime.settings.stream_state_bytes
     with handover.incoming() as pieces:
         pieces.take(bytes(most))
         with pytest.raises(TooLarge, match="state: expected at most"):
             pieces.take(bytes(2**16))
-        for _ in range(drapery.settings.max_held_bytes // most - 1):
+        for _ in range(runtime.settings.max_held_bytes // most - 1):
             handover.hold(0, most)
         with handover.incoming() as others, pytest.raises(Busy, match="of all streams together"):
             others.take(bytes(most))

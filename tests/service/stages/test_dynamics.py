@@ -20,8 +20,8 @@ from drape.graph.packing import pack_body
 from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
 from service.app import create_app
-from service.compute.drape_runtime import Drapery
-from service.compute.sliced_thread import Piecework
+from service.compute.drape_runtime import DrapeRuntime
+from service.compute.sliced_thread import SlicedThread
 from service.compute.unchanged import KEY
 from service.graphs.engine import Engine
 from service.graphs.packing import Packer, ScenePlan
@@ -48,8 +48,8 @@ SIDEWAYS = np.array([1.0, 0.0, 0.0])
 
 
 @pytest.fixture(scope="module")
-def drapery(make_settings: Callable[..., Settings]) -> Iterator[Drapery]:
-    made = Drapery(make_settings(model=TINY_DYNAMIC, stream_threads=1))  # all that wait go together
+def runtime(make_settings: Callable[..., Settings]) -> Iterator[DrapeRuntime]:
+    made = DrapeRuntime(make_settings(model=TINY_DYNAMIC, stream_threads=1))  # all that wait go together
     yield made
     made.close()
 
@@ -78,8 +78,8 @@ def clip_of(times_s: np.ndarray = TIMES_S, *, seed: int = 0, bent: float = 0.0) 
     return PoseInput(poses, trans, NO_SHAPE + bent, times_s)
 
 
-def plan_of(drapery: Drapery, knob: float = 1.0, *, messages: bool = False) -> Plan:
-    return drapery.plan(drapery.garments.get("tube"), DrapeOptions(push_out=False, motion=knob), messages=messages)
+def plan_of(runtime: DrapeRuntime, knob: float = 1.0, *, messages: bool = False) -> Plan:
+    return runtime.plan(runtime.garments.get("tube"), DrapeOptions(push_out=False, motion=knob), messages=messages)
 
 
 def moved(memories: Memories) -> Memory | None:
@@ -127,9 +127,9 @@ def test_a_knob_out_of_range_is_refused(moving: httpx.Client, motion: object):
 
 
 def test_a_still_scene_is_the_static_models_and_runs_no_recurrence(
-    drapery: Drapery, make_settings: Callable[..., Settings], monkeypatch: pytest.MonkeyPatch
+    runtime: DrapeRuntime, make_settings: Callable[..., Settings], monkeypatch: pytest.MonkeyPatch
 ):
-    static, clip = Drapery(make_settings()), clip_of()
+    static, clip = DrapeRuntime(make_settings()), clip_of()
     want = run(plan_of(static), [clip]).vertices
     ran: list[int] = []
     advance_all = Engine.advance
@@ -144,20 +144,20 @@ def test_a_still_scene_is_the_static_models_and_runs_no_recurrence(
     monkeypatch.setattr(Engine, "advance", counted)
     with monkeypatch.context() as patched:
         patched.setattr("service.stages.motion.kinematics", refused)
-        got = run(plan_of(drapery, 0.0), [clip])
+        got = run(plan_of(runtime, 0.0), [clip])
     assert_array_equal(got.vertices, want)
     assert ran == [] and got.memories == ({},)
-    single = run(plan_of(drapery), [clip.part(slice(5, 6), {})])
+    single = run(plan_of(runtime), [clip.part(slice(5, 6), {})])
     assert_array_equal(single.vertices, want[5:6])
-    run(plan_of(drapery), [clip, clip_of(TIMES_S[:5], seed=1)])
+    run(plan_of(runtime), [clip, clip_of(TIMES_S[:5], seed=1)])
     assert ran == [2, 2, 2, *[1] * (len(TIMES_S) - 5)], "the first two frames have no motion yet"
     static.close()
 
 
 @pytest.mark.parametrize("chunk", [1, 5, 64])
-def test_chunks_hand_the_state_on(make_settings: Callable[..., Settings], drapery: Drapery, chunk: int):
-    whole = run(plan_of(drapery), [clip_of()])
-    chunked = Drapery(make_settings(model=TINY_DYNAMIC, chunk_frames=chunk))
+def test_chunks_hand_the_state_on(make_settings: Callable[..., Settings], runtime: DrapeRuntime, chunk: int):
+    whole = run(plan_of(runtime), [clip_of()])
+    chunked = DrapeRuntime(make_settings(model=TINY_DYNAMIC, chunk_frames=chunk))
     draped = asyncio.run(chunked.drape(plan_of(chunked), clip_of()))
     assert_array_equal(draped.vertices, whole.vertices)
     last, want = moved(draped.memories[0]), moved(whole.memories[0])
@@ -166,8 +166,8 @@ def test_chunks_hand_the_state_on(make_settings: Callable[..., Settings], draper
     chunked.close()
 
 
-def test_clients_of_any_number_and_length_swing_as_if_alone(drapery: Drapery):
-    plan = plan_of(drapery)
+def test_clients_of_any_number_and_length_swing_as_if_alone(runtime: DrapeRuntime):
+    plan = plan_of(runtime)
     inputs = [
         clip_of(TIMES_S, seed=1),
         clip_of(TIMES_S[:1], seed=2),
@@ -185,7 +185,7 @@ def test_clients_of_any_number_and_length_swing_as_if_alone(drapery: Drapery):
         assert got is not None and own is not None
         assert_array_equal(got.state, own.state)
         assert_array_equal(got.code, own.code)
-    still = run(plan_of(drapery, 0.0), [inputs[0]])
+    still = run(plan_of(runtime, 0.0), [inputs[0]])
     assert np.abs(together.vertices[0] - still.vertices[0]).max() > 0.0, "a motion counts from its first frame"
 
 
@@ -211,56 +211,56 @@ def at(body: BodyModel, poses: np.ndarray, trans: np.ndarray) -> Kinematics:
     return kinematics(body, poses, trans)
 
 
-def remembered(drapery: Drapery, times_s: np.ndarray, *, poses: np.ndarray, trans: np.ndarray) -> Memory:
-    memory, bodies = Memory.empty(drapery.engine), at(drapery.body, poses, trans)
+def remembered(runtime: DrapeRuntime, times_s: np.ndarray, *, poses: np.ndarray, trans: np.ndarray) -> Memory:
+    memory, bodies = Memory.empty(runtime.engine), at(runtime.body, poses, trans)
     for i, time_s in enumerate(times_s):
-        (memory,) = advance(drapery.engine, [memory], [Moment(float(time_s), bodies[i])])
+        (memory,) = advance(runtime.engine, [memory], [Moment(float(time_s), bodies[i])])
     return memory
 
 
-def test_dropped_frames_only_make_the_step_longer(drapery: Drapery, body: BodyModel):
+def test_dropped_frames_only_make_the_step_longer(runtime: DrapeRuntime, body: BodyModel):
     times_s = np.delete(TIMES_S, [4, 7, 8])
     poses, trans = smooth_motion(times_s)
-    memory = remembered(drapery, times_s, poses=poses, trans=trans)
+    memory = remembered(runtime, times_s, poses=poses, trans=trans)
     assert_allclose(memory.code, expected_codes(body, poses, trans, times_s)[-1], rtol=1e-4, atol=1e-6)
     assert len(memory.moments) == 2
 
 
 @pytest.mark.parametrize("case", ["pause", "back", "jump"])
-def test_what_does_not_follow_begins_anew(drapery: Drapery, case: str):
+def test_what_does_not_follow_begins_anew(runtime: DrapeRuntime, case: str):
     poses, trans = smooth_motion(TIMES_S)
-    memory = remembered(drapery, TIMES_S, poses=poses, trans=trans)
+    memory = remembered(runtime, TIMES_S, poses=poses, trans=trans)
     assert np.abs(memory.state).max() > 0.0
-    bodies = at(drapery.body, poses, trans)
+    bodies = at(runtime.body, poses, trans)
     later_s = {"pause": STEP_LIMIT_S * 1.01, "back": -1e-3, "jump": 1 / 30}[case]
     body = bodies[-1]
     if case == "jump":
         body = dataclasses.replace(body, joints=body.joints + JUMP_M_S / 30 * 1.01 * SIDEWAYS)
     moment = Moment(float(TIMES_S[-1] + later_s), body)
-    (anew,) = advance(drapery.engine, [memory], [moment])
+    (anew,) = advance(runtime.engine, [memory], [moment])
     assert anew.moments == (moment,)
     assert_array_equal(anew.state, np.zeros(STATE_SIZE))
     assert_array_equal(anew.code, np.zeros(MOVING.body_code_size))
 
 
-def test_just_within_the_limits_it_goes_on(drapery: Drapery):
+def test_just_within_the_limits_it_goes_on(runtime: DrapeRuntime):
     poses, trans = smooth_motion(TIMES_S)
-    memory = remembered(drapery, TIMES_S, poses=poses, trans=trans)
-    body = at(drapery.body, poses, trans)[-1]
+    memory = remembered(runtime, TIMES_S, poses=poses, trans=trans)
+    body = at(runtime.body, poses, trans)[-1]
     fast = dataclasses.replace(body, joints=body.joints + JUMP_M_S / 30 * 0.99 * SIDEWAYS)
     for moment in (Moment(TIMES_S[-1] + 1 / 30, fast), Moment(TIMES_S[-1] + 0.99 * STEP_LIMIT_S, body)):
-        (after,) = advance(drapery.engine, [memory], [moment])
+        (after,) = advance(runtime.engine, [memory], [moment])
         assert len(after.moments) == 2 and np.abs(after.state).max() > 0.0
 
 
-def test_the_same_time_again_changes_nothing(drapery: Drapery):
+def test_the_same_time_again_changes_nothing(runtime: DrapeRuntime):
     poses, trans = smooth_motion(TIMES_S)
-    memory = remembered(drapery, TIMES_S, poses=poses, trans=trans)
-    (same,) = advance(drapery.engine, [memory], [Moment(float(TIMES_S[-1]), at(drapery.body, poses, trans)[0])])
+    memory = remembered(runtime, TIMES_S, poses=poses, trans=trans)
+    (same,) = advance(runtime.engine, [memory], [Moment(float(TIMES_S[-1]), at(runtime.body, poses, trans)[0])])
     assert same is memory
 
 
-def test_a_jittering_clock_makes_no_explosion(drapery: Drapery):
+def test_a_jittering_clock_makes_no_explosion(runtime: DrapeRuntime):
     """Frames a microsecond apart count as if they were the shortest step apart."""
     trans = np.zeros((4, 3))
     trans[:, 0] = 0.01 * np.arange(4)
@@ -268,7 +268,7 @@ def test_a_jittering_clock_makes_no_explosion(drapery: Drapery):
     states = []
     for last_s in (2 / 60 + 1e-6, 2 / 60 + SHORTEST_STEP_S):
         times_s[-1] = last_s
-        states.append(remembered(drapery, times_s, poses=np.zeros((4, 24, 3)), trans=trans).state)
+        states.append(remembered(runtime, times_s, poses=np.zeros((4, 24, 3)), trans=trans).state)
     assert_allclose(states[0], states[1], rtol=1e-4, atol=1e-6)
     assert np.abs(states[0]).max() > 0.0
 
@@ -298,17 +298,17 @@ def run_frames(streams: Streams, sessions: list[Session]) -> list[wire.Frame]:
     return frames
 
 
-def open_sessions(drapery: Drapery, knobs: list[float]) -> tuple[Streams, list[Session]]:
-    streams = Streams(drapery, Piecework())
-    sessions = [Session(plan_of(drapery, knob, messages=True), NO_SHAPE, credit=2) for knob in knobs]
+def open_sessions(runtime: DrapeRuntime, knobs: list[float]) -> tuple[Streams, list[Session]]:
+    streams = Streams(runtime, SlicedThread())
+    sessions = [Session(plan_of(runtime, knob, messages=True), NO_SHAPE, credit=2) for knob in knobs]
     for session in sessions:
         streams.add(session)
     return streams, sessions
 
 
-def test_every_stream_has_its_own_motion(drapery: Drapery, body: BodyModel, tube: Garment):
-    streams, sessions = open_sessions(drapery, [1.0, 1.0])
-    _, (still,) = open_sessions(drapery, [0.0])
+def test_every_stream_has_its_own_motion(runtime: DrapeRuntime, body: BodyModel, tube: Garment):
+    streams, sessions = open_sessions(runtime, [1.0, 1.0])
+    _, (still,) = open_sessions(runtime, [0.0])
     streams.add(still)
     motions = [smooth_motion(TIMES_S, seed=seed) for seed in range(3)]
     for index in range(len(TIMES_S)):
@@ -322,8 +322,8 @@ def test_every_stream_has_its_own_motion(drapery: Drapery, body: BodyModel, tube
     assert still.memories.keys() == {KEY}, "no motion"
 
 
-def test_a_pose_that_was_dropped_is_only_time(drapery: Drapery, body: BodyModel, tube: Garment):
-    streams, (session,) = open_sessions(drapery, [1.0])
+def test_a_pose_that_was_dropped_is_only_time(runtime: DrapeRuntime, body: BodyModel, tube: Garment):
+    streams, (session,) = open_sessions(runtime, [1.0])
     poses, trans = smooth_motion(TIMES_S)
     dropped = {4, 7, 8}
     for index in range(len(TIMES_S)):
@@ -337,34 +337,34 @@ def test_a_pose_that_was_dropped_is_only_time(drapery: Drapery, body: BodyModel,
     assert_allclose(frame.vertices(), expected, rtol=0, atol=0.5 * frame.box_step.max() + ROUNDING_M)
 
 
-def test_motion_goes_on_over_another_garment_and_ends_with_another_shape(drapery: Drapery):
-    streams, (session,) = open_sessions(drapery, [1.0])
+def test_motion_goes_on_over_another_garment_and_ends_with_another_shape(runtime: DrapeRuntime):
+    streams, (session,) = open_sessions(runtime, [1.0])
     poses, trans = smooth_motion(TIMES_S)
     for index in range(6):
         put(session, index, TIMES_S, poses, trans)
         run_frames(streams, [session])
     memory, plan = moved(session.memories), session.plan
     assert memory is not None and np.abs(memory.state).max() > 0.0
-    entry = drapery.garments.get("tube")
+    entry = runtime.garments.get("tube")
     other = dataclasses.replace(entry, id="other", garment=dataclasses.replace(entry.garment, digest="other"))
     session.reopen(dataclasses.replace(plan, scene=other), NO_SHAPE.copy())
     assert moved(session.memories) is memory
     session.reopen(plan, np.full(10, 0.1))
     assert session.memories == {}
     session.memories = {Motion.key: memory}
-    session.reopen(plan_of(drapery, 0.0, messages=True), session.betas)
+    session.reopen(plan_of(runtime, 0.0, messages=True), session.betas)
     assert session.memories == {}
 
 
-def test_a_frame_of_an_earlier_opening_leaves_no_memory(drapery: Drapery):
-    _, (session,) = open_sessions(drapery, [1.0])
+def test_a_frame_of_an_earlier_opening_leaves_no_memory(runtime: DrapeRuntime):
+    _, (session,) = open_sessions(runtime, [1.0])
     session.reopen(session.plan, np.full(10, 0.1))
-    session.deliver(0, b"old", {Motion.key: Memory.empty(drapery.engine)})
+    session.deliver(0, b"old", {Motion.key: Memory.empty(runtime.engine)})
     assert session.memories == {} and session.outbox is None
 
 
-def test_a_batch_mate_that_fails_takes_nobody_along(drapery: Drapery):
-    streams, sessions = open_sessions(drapery, [1.0, 1.0])
+def test_a_batch_mate_that_fails_takes_nobody_along(runtime: DrapeRuntime):
+    streams, sessions = open_sessions(runtime, [1.0, 1.0])
     motions = [smooth_motion(TIMES_S, seed=seed) for seed in range(2)]
     for index in range(5):
         for session, (poses, trans) in zip(sessions, motions, strict=True):
@@ -380,6 +380,6 @@ def test_a_batch_mate_that_fails_takes_nobody_along(drapery: Drapery):
     asyncio.run(once())
     assert [session.failure is not None for session in sessions] == [False, True]
     assert sessions[1].memories is before
-    got, alone = moved(sessions[0].memories), moved(run(plan_of(drapery), [clip_of(TIMES_S[:6])]).memories[0])
+    got, alone = moved(sessions[0].memories), moved(run(plan_of(runtime), [clip_of(TIMES_S[:6])]).memories[0])
     assert got is not None and alone is not None
     assert_array_equal(got.state, alone.state)

@@ -1,4 +1,4 @@
-"""Folds on the road of a frame: off by default, remembered per stream and garment, told where they began anew."""
+"""Folds on the clip_job of a frame: off by default, remembered per stream and garment, told where they began anew."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from drape.geometry.closest import signed_distance
 from drape.live import fold_step as step
 from drape.wire.options import DrapeOptions
 from service.app import create_app
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from service.stages import carried, run, walk
 from service.stages import folds as folds_stage
@@ -35,18 +35,18 @@ CLIP = PoseInput(POSES, TRANS, np.zeros(10), TIMES_S)
 
 
 @pytest.fixture(scope="module")
-def drapery(make_settings: Callable[..., Settings]) -> Iterator[Drapery]:
-    made = Drapery(make_settings(chunk_frames=4))
+def runtime(make_settings: Callable[..., Settings]) -> Iterator[DrapeRuntime]:
+    made = DrapeRuntime(make_settings(chunk_frames=4))
     yield made
     made.close()
 
 
-def test_without_folds_the_stage_is_not_in_the_plan_and_nothing_changes(drapery: Drapery):
-    entry = drapery.garments.get("tube")
-    plain, none = (drapery.plan(entry, DrapeOptions(folds=folds)) for folds in (None, 0))
-    assert plain == none == drapery.plan(entry, DrapeOptions(settle=3)), "settle alone asks for nothing"
+def test_without_folds_the_stage_is_not_in_the_plan_and_nothing_changes(runtime: DrapeRuntime):
+    entry = runtime.garments.get("tube")
+    plain, none = (runtime.plan(entry, DrapeOptions(folds=folds)) for folds in (None, 0))
+    assert plain == none == runtime.plan(entry, DrapeOptions(settle=3)), "settle alone asks for nothing"
     assert [stage.name for stage in plain.stages] == ["network", "collision"]
-    folded = drapery.plan(entry, DrapeOptions(folds=2))
+    folded = runtime.plan(entry, DrapeOptions(folds=2))
     assert [stage.name for stage in folded.stages] == ["network", "folds"]
     assert folded.options.settle == SETTLE
     still = [PoseInput(POSES[:1], TRANS[:1], np.zeros(10), TIMES_S[:1])]
@@ -58,9 +58,9 @@ def test_folds_lift_the_cloth_off_the_skin_and_nothing_is_projected(
     make_settings: Callable[..., Settings], body: BodyModel
 ):
     high_m = 0.008  # more than contact keeps, so that there is something to lift
-    drapery = Drapery(make_settings(clearance_m=high_m))
-    entry = drapery.garments.get("tube")
-    on, off = (drapery.plan(entry, DrapeOptions(folds=1, push_out=pushed)) for pushed in (True, False))
+    runtime = DrapeRuntime(make_settings(clearance_m=high_m))
+    entry = runtime.garments.get("tube")
+    on, off = (runtime.plan(entry, DrapeOptions(folds=1, push_out=pushed)) for pushed in (True, False))
     assert {stage.name for plan in (on, off) for stage in plan.stages} == {"network", "folds"}
     lifted, left = run(on, [CLIP]), run(off, [CLIP])
     first = np.linalg.norm(lifted.vertices[0] - left.vertices[0], axis=-1)  # later frames begin where these ended
@@ -73,104 +73,104 @@ def test_folds_lift_the_cloth_off_the_skin_and_nothing_is_projected(
         signed_distance(one.world()[0].astype(np.float64), skin, body.faces).min() for one in (lifted, left)
     )
     assert above > high_m - 1.5e-3 > below, "between samples the skin is a little higher than its planes"
-    drapery.close()
+    runtime.close()
 
 
 def test_layers_that_do_not_feel_each_other_are_pushed_apart(outfit_settings: Settings):
-    drapery = Drapery(outfit_settings)
-    scene = drapery.garments.scene(None, ["tube", "coat"])
+    runtime = DrapeRuntime(outfit_settings)
+    scene = runtime.garments.scene(None, ["tube", "coat"])
     for feels, last in ((True, "folds"), (False, "collision")):
-        plan = drapery.plan(scene, DrapeOptions(folds=1, cloth_contact=feels))
+        plan = runtime.plan(scene, DrapeOptions(folds=1, cloth_contact=feels))
         assert plan.stages[-1].name == last and plan.lifted == feels
-    told = run(drapery.plan(scene, DrapeOptions(folds=1)), [CLIP]).quality
-    inner = run(drapery.plan(drapery.garments.get("tube"), DrapeOptions(folds=1)), [CLIP]).quality
-    hidden = run(drapery.plan(scene, DrapeOptions(folds=1, hidden=("coat",))), [CLIP]).quality
+    told = run(runtime.plan(scene, DrapeOptions(folds=1)), [CLIP]).quality
+    inner = run(runtime.plan(runtime.garments.get("tube"), DrapeOptions(folds=1)), [CLIP]).quality
+    hidden = run(runtime.plan(scene, DrapeOptions(folds=1, hidden=("coat",))), [CLIP]).quality
     assert_array_equal(hidden.pushed_share, inner.pushed_share)
     assert (told.push_max_m >= inner.push_max_m).all()
-    drapery.close()
+    runtime.close()
 
 
-def test_folds_of_jets_are_refused(drapery: Drapery):
+def test_folds_of_jets_are_refused(runtime: DrapeRuntime):
     with pytest.raises(InputError, match="folds: expected 0 with geometry jets, whose polynomials are smooth, got 2"):
-        drapery.plan(drapery.garments.get("tube"), DrapeOptions(folds=2, geometry="jets"))
+        runtime.plan(runtime.garments.get("tube"), DrapeOptions(folds=2, geometry="jets"))
 
 
-def test_bits_depend_neither_on_chunks_nor_on_who_else_is_there(drapery: Drapery):
-    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions(folds=1))
+def test_bits_depend_neither_on_chunks_nor_on_who_else_is_there(runtime: DrapeRuntime):
+    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(folds=1))
     other = replace(CLIP, poses=POSES[::-1].copy(), betas=np.ones(10))
     alone = run(plan, [CLIP]).vertices
     together = run(plan, [other, CLIP])
     assert_array_equal(together.vertices[len(POSES) :], alone)
-    assert_array_equal(asyncio.run(drapery.drape(plan, CLIP)).vertices, alone)
+    assert_array_equal(asyncio.run(runtime.drape(plan, CLIP)).vertices, alone)
     assert together.memories[0].keys() == together.memories[1].keys() == {("folds", plan.keys[0])}
 
 
 def test_every_layer_has_a_memory_of_its_own(outfit_settings: Settings):
-    drapery = Drapery(outfit_settings)
+    runtime = DrapeRuntime(outfit_settings)
     apart = DrapeOptions(folds=1, push_out=False, cloth_contact=False)
-    plan = drapery.plan(drapery.garments.scene(None, ["tube", "coat"]), apart)
+    plan = runtime.plan(runtime.garments.scene(None, ["tube", "coat"]), apart)
     both = run(plan, [CLIP])
     assert both.memories[0].keys() == {("folds", key) for key in plan.keys}
-    inner = drapery.plan(drapery.garments.get("tube"), apart)
+    inner = runtime.plan(runtime.garments.get("tube"), apart)
     assert_array_equal(run(inner, [CLIP]).vertices, both.layers[0].vertices)
-    drapery.close()
+    runtime.close()
 
 
 def test_cloth_feels_cloth_where_that_is_asked_for(outfit_settings: Settings, monkeypatch: pytest.MonkeyPatch):
-    drapery = Drapery(outfit_settings)
-    scene = drapery.garments.scene(None, ["tube", "coat"])
+    runtime = DrapeRuntime(outfit_settings)
+    scene = runtime.garments.scene(None, ["tube", "coat"])
     options = DrapeOptions(folds=1, push_out=False, cloth_contact=True)
-    on = drapery.plan(scene, options)
+    on = runtime.plan(scene, options)
     off, left_out = (
-        drapery.plan(scene, options.model_copy(update={"cloth_contact": asked})) for asked in (False, None)
+        runtime.plan(scene, options.model_copy(update={"cloth_contact": asked})) for asked in (False, None)
     )
     assert on == left_out != off and on.options.cloth_contact, "scenes have it unless they say otherwise"
-    one = drapery.garments.get("tube")
-    assert drapery.plan(one, DrapeOptions(folds=1)).options.cloth_contact, "of one garment as of several"
-    assert not drapery.plan(one, DrapeOptions(folds=1, cloth_contact=False)).options.cloth_contact
-    assert drapery.plan(scene, DrapeOptions(folds=0, cloth_contact=True)) == drapery.plan(scene, DrapeOptions(folds=0))
+    one = runtime.garments.get("tube")
+    assert runtime.plan(one, DrapeOptions(folds=1)).options.cloth_contact, "of one garment as of several"
+    assert not runtime.plan(one, DrapeOptions(folds=1, cloth_contact=False)).options.cloth_contact
+    assert runtime.plan(scene, DrapeOptions(folds=0, cloth_contact=True)) == runtime.plan(scene, DrapeOptions(folds=0))
     apart, over = (run(plan, [CLIP]).vertices for plan in (off, on))
-    inner = run(drapery.plan(drapery.garments.get("tube"), options), [CLIP]).vertices
+    inner = run(runtime.plan(runtime.garments.get("tube"), options), [CLIP]).vertices
     count = inner.shape[1]
     assert_array_equal(over[:, :count], inner)
     assert np.abs(over - apart)[:, count:].max() > 1e-4, "the outer one feels the inner one"
     other = replace(CLIP, poses=POSES[::-1].copy(), betas=np.ones(10))
     assert_array_equal(run(on, [other, CLIP]).vertices[len(POSES) :], over)
-    assert_array_equal(asyncio.run(drapery.drape(on, CLIP)).vertices, over)
+    assert_array_equal(asyncio.run(runtime.drape(on, CLIP)).vertices, over)
 
     def never(*_: object) -> None:
         raise AssertionError("asked for nothing")
 
     monkeypatch.setattr(folds_stage, "covered", never)
     assert_array_equal(run(off, [CLIP]).vertices, apart)
-    drapery.close()
+    runtime.close()
 
 
 def test_frames_of_streams_go_between_the_layers_of_an_outfit(outfit_settings: Settings):
-    drapery = Drapery(outfit_settings)
-    plan = drapery.plan(drapery.garments.scene(None, ["tube", "coat"]), DrapeOptions(folds=1))
+    runtime = DrapeRuntime(outfit_settings)
+    plan = runtime.plan(runtime.garments.scene(None, ["tube", "coat"]), DrapeOptions(folds=1))
     steps = list(walk(plan, [CLIP]))
     assert len(steps) == len(plan.stages) + 1, "a step for each of two layers"
     assert_array_equal(steps[-1].vertices, run(plan, [CLIP]).vertices)
-    assert_array_equal(asyncio.run(drapery.drape(plan, CLIP)).vertices, steps[-1].vertices)
-    drapery.close()
+    assert_array_equal(asyncio.run(runtime.drape(plan, CLIP)).vertices, steps[-1].vertices)
+    runtime.close()
 
 
-def test_memories_hold_for_a_fabric(drapery: Drapery):
-    entry = drapery.garments.get("tube")
-    plan = drapery.plan(entry, DrapeOptions(folds=1))
+def test_memories_hold_for_a_fabric(runtime: DrapeRuntime):
+    entry = runtime.garments.get("tube")
+    plan = runtime.plan(entry, DrapeOptions(folds=1))
     memories = run(plan, [CLIP]).memories[0]
     (folds,) = plan.keys
-    assert ("folds", folds) in carried(memories, plan, drapery.plan(entry, DrapeOptions(folds=4, push_out=False)))
-    assert not carried(memories, plan, drapery.plan(entry, DrapeOptions()))
+    assert ("folds", folds) in carried(memories, plan, runtime.plan(entry, DrapeOptions(folds=4, push_out=False)))
+    assert not carried(memories, plan, runtime.plan(entry, DrapeOptions()))
     stage = plan.stages[1]
     worn = replace(plan, options=plan.options.model_copy(update={"fabric": "denim"}))
     assert stage.depends_on(plan) != stage.depends_on(worn)
 
 
-def test_constants_are_made_when_a_plan_is_prepared_and_once(drapery: Drapery, monkeypatch: pytest.MonkeyPatch):
-    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions(folds=1))
-    asyncio.run(drapery.prepare(plan))
+def test_constants_are_made_when_a_plan_is_prepared_and_once(runtime: DrapeRuntime, monkeypatch: pytest.MonkeyPatch):
+    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(folds=1))
+    asyncio.run(runtime.prepare(plan))
 
     def never(*_: object) -> None:
         raise AssertionError("constants made in a frame")
@@ -179,9 +179,9 @@ def test_constants_are_made_when_a_plan_is_prepared_and_once(drapery: Drapery, m
     run(plan, [CLIP])
 
 
-def test_frames_do_not_wait_for_constants_of_others(drapery: Drapery, monkeypatch: pytest.MonkeyPatch):
-    entry = drapery.garments.get("tube")
-    plan, other = (drapery.plan(entry, DrapeOptions(folds=1, fabric=fabric)) for fabric in (None, "chiffon"))
+def test_frames_do_not_wait_for_constants_of_others(runtime: DrapeRuntime, monkeypatch: pytest.MonkeyPatch):
+    entry = runtime.garments.get("tube")
+    plan, other = (runtime.plan(entry, DrapeOptions(folds=1, fabric=fabric)) for fabric in (None, "chiffon"))
     stage = next(one for one in plan.stages if one.name == "folds")
     stage.prepare(plan)
     made, begun, through = folds_stage.constants, threading.Event(), threading.Event()
@@ -195,20 +195,20 @@ def test_frames_do_not_wait_for_constants_of_others(drapery: Drapery, monkeypatc
     making.join()
 
 
-def test_constants_are_kept_up_to_a_size_those_in_use_always(drapery: Drapery, monkeypatch: pytest.MonkeyPatch):
-    entry, made = drapery.garments.get("tube"), []
+def test_constants_are_kept_up_to_a_size_those_in_use_always(runtime: DrapeRuntime, monkeypatch: pytest.MonkeyPatch):
+    entry, made = runtime.garments.get("tube"), []
     counted = folds_stage.constants
     monkeypatch.setattr(folds_stage, "constants", lambda *of: made.append(of) or counted(*of))
-    stage = next(one for one in drapery.plan(entry, DrapeOptions(folds=1)).stages if one.name == "folds")
+    stage = next(one for one in runtime.plan(entry, DrapeOptions(folds=1)).stages if one.name == "folds")
     assert isinstance(stage, Folds)
     for fabric, kept_bytes, wanted in (("swim", 1 << 30, 1), ("rib", 0, 2), ("rib", 0, 2), ("swim", 0, 3)):
         monkeypatch.setattr(stage, "kept_bytes", kept_bytes)
-        stage.prepare(drapery.plan(entry, DrapeOptions(folds=1, fabric=fabric)))
+        stage.prepare(runtime.plan(entry, DrapeOptions(folds=1, fabric=fabric)))
         assert len(made) == wanted
 
 
-def test_resets_are_counted_and_told(drapery: Drapery, monkeypatch: pytest.MonkeyPatch):
-    with serve(create_app(drapery.settings, drapery=drapery), drapery.settings) as url:
+def test_resets_are_counted_and_told(runtime: DrapeRuntime, monkeypatch: pytest.MonkeyPatch):
+    with serve(create_app(runtime.settings, runtime=runtime), runtime.settings) as url:
         document = {"garment": "tube", "poses": POSES.tolist(), "folds": 2, "settle": 1}
         headers = httpx.post(url + "/drape", json=document).headers
         assert headers["X-Drape-Folds"] == "2" and headers["X-Drape-Folds-Resets"] == "0"
@@ -220,10 +220,10 @@ def test_resets_are_counted_and_told(drapery: Drapery, monkeypatch: pytest.Monke
             assert httpx.post(url + "/drape", json=document | {"folds": folds}).json()["name"] == "folds"
 
 
-def test_what_is_removed_is_forgotten(drapery: Drapery):
-    (stage,) = (one for one in drapery.stages if isinstance(one, Folds))
-    entry = drapery.garments.get("tube")
-    plan = drapery.plan(entry, DrapeOptions(folds=1))
+def test_what_is_removed_is_forgotten(runtime: DrapeRuntime):
+    (stage,) = (one for one in runtime.stages if isinstance(one, Folds))
+    entry = runtime.garments.get("tube")
+    plan = runtime.plan(entry, DrapeOptions(folds=1))
     stage.prepare(plan)
     held = {name for name in stage._constants if name[0] == entry.garment.digest}
     assert held

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from service.stages.batch import Plan
 from service.stages.joint_reach import ARMS_DOWN, reach_m, turns_rad
@@ -23,14 +23,14 @@ HAND = 22
 
 
 @pytest.fixture(scope="module")
-def drapery(make_settings: Callable[..., Settings]) -> Iterator[Drapery]:
-    made = Drapery(make_settings(model=TINY_DYNAMIC, inertia="mesh"))
+def runtime(make_settings: Callable[..., Settings]) -> Iterator[DrapeRuntime]:
+    made = DrapeRuntime(make_settings(model=TINY_DYNAMIC, inertia="mesh"))
     yield made
     made.close()
 
 
-def planned(drapery: Drapery, **options: object) -> Plan:
-    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions.model_validate(options), messages=True)
+def planned(runtime: DrapeRuntime, **options: object) -> Plan:
+    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions.model_validate(options), messages=True)
     for stage in plan.stages:
         stage.prepare(plan)
     return plan
@@ -71,12 +71,12 @@ def test_turns_are_the_angles_between_rotations():
     assert_allclose(turns_rad(np.zeros((24, 3)), full), 0.0, atol=1e-12)
 
 
-def test_a_limb_within_the_tolerance_is_a_still_frame_and_one_beyond_is_not(drapery: Drapery):
-    measured = planned(drapery, still_mm=1.0)
+def test_a_limb_within_the_tolerance_is_a_still_frame_and_one_beyond_is_not(runtime: DrapeRuntime):
+    measured = planned(runtime, still_mm=1.0)
     turn = 0.3
     away = moved_mm(measured, turned(HAND, turn))
     assert 0.0 < away < moved_mm(measured, turned(0, turn)), "the whole body moves it further than a hand"
-    stream = Stream(drapery, planned(drapery, still_mm=1.01 * away))
+    stream = Stream(runtime, planned(runtime, still_mm=1.01 * away))
     for _ in range(NEEDED):
         last = stream.next()
     same = stream.next(turned(HAND, turn))
@@ -86,9 +86,9 @@ def test_a_limb_within_the_tolerance_is_a_still_frame_and_one_beyond_is_not(drap
     assert stream.runs == NEEDED + 1
 
 
-def test_what_is_let_pass_does_not_add_up(drapery: Drapery):
-    away = moved_mm(planned(drapery, still_mm=1.0), turned(HAND, 0.3))
-    stream = Stream(drapery, planned(drapery, still_mm=1.01 * away))
+def test_what_is_let_pass_does_not_add_up(runtime: DrapeRuntime):
+    away = moved_mm(planned(runtime, still_mm=1.0), turned(HAND, 0.3))
+    stream = Stream(runtime, planned(runtime, still_mm=1.01 * away))
     for _ in range(NEEDED):
         stream.next()
     for step in range(1, 7):
@@ -97,15 +97,15 @@ def test_what_is_let_pass_does_not_add_up(drapery: Drapery):
 
 
 @pytest.mark.parametrize("options", [{}, {"still_mm": 0.0}, {"still_mm": 1e6, "inertia": "network"}])
-def test_without_a_tolerance_and_with_the_networks_motion_any_change_is_computed(drapery: Drapery, options: dict):
-    stream = Stream(drapery, planned(drapery, **options))
+def test_without_a_tolerance_and_with_the_networks_motion_any_change_is_computed(runtime: DrapeRuntime, options: dict):
+    stream = Stream(runtime, planned(runtime, **options))
     for _ in range(NEEDED):
         stream.next()
     stream.next(turned(HAND, 1e-9))
     assert stream.runs == NEEDED + 1
 
 
-def test_what_was_not_measured_counts_as_moved(drapery: Drapery):
-    tube = drapery.garments.get("tube")
-    plan = drapery.plan(tube, DrapeOptions(still_mm=1.0, fabric="denim", passes=0), messages=True)
+def test_what_was_not_measured_counts_as_moved(runtime: DrapeRuntime):
+    tube = runtime.garments.get("tube")
+    plan = runtime.plan(tube, DrapeOptions(still_mm=1.0, fabric="denim", passes=0), messages=True)
     assert np.isinf(moved_mm(plan, turned(HAND, 1e-6)))

@@ -13,7 +13,7 @@ from drape.wire import messages as wire
 from drape.wire.jets import unpack_jets
 from drape.wire.options import DrapeOptions
 from service.app import create_app
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.compute.tiers import TIERS, capped, chosen
 from service.settings import Settings
 from service.stages import run
@@ -29,18 +29,18 @@ MIXED = np.concatenate([SEEN[:2], ABSURD, SEEN[2:3]])
 
 
 @pytest.fixture(scope="module")
-def drapery(make_settings: Callable[..., Settings], body, tmp_path_factory) -> Iterator[Drapery]:
+def runtime(make_settings: Callable[..., Settings], body, tmp_path_factory) -> Iterator[DrapeRuntime]:
     """Of a model that knows its poses."""
     folder = tmp_path_factory.mktemp("novelty")
     write_support(write_tiny_model(folder, body), support_of(SEEN, SEEN))
-    made = Drapery(make_settings(models_dir=folder, folds=None))
+    made = DrapeRuntime(make_settings(models_dir=folder, folds=None))
     yield made
     made.close()
 
 
-def draped(drapery: Drapery, poses: np.ndarray, **options: object) -> Batch:
+def draped(runtime: DrapeRuntime, poses: np.ndarray, **options: object) -> Batch:
     asked = DrapeOptions.model_validate({"settle": 1} | options)
-    plan = drapery.plan(drapery.garments.get("tube"), asked, messages=True)
+    plan = runtime.plan(runtime.garments.get("tube"), asked, messages=True)
     for stage in plan.stages:
         stage.prepare(plan)
     return run(plan, [PoseInput(poses, np.zeros((len(poses), 3)), np.zeros(10), np.arange(len(poses)) / 30.0)])
@@ -70,32 +70,32 @@ def test_under_load_a_lower_tier_holds_safe_steps_too():
     assert [capped(asked, tier).safe_folds for tier in TIERS] == [1, 4, 4]
 
 
-def test_only_the_frame_unlike_training_gets_more_steps(drapery: Drapery):
-    mixed, plain = draped(drapery, MIXED), draped(drapery, MIXED, safe_folds=0)
+def test_only_the_frame_unlike_training_gets_more_steps(runtime: DrapeRuntime):
+    mixed, plain = draped(runtime, MIXED), draped(runtime, MIXED, safe_folds=0)
     assert (mixed.quality.novelty > 1.0).tolist() == [False, False, True, False]
     assert_array_equal(mixed.vertices[:2], plain.vertices[:2])
     assert np.abs(mixed.vertices[2] - plain.vertices[2]).max() > 0.0
-    all_safe = draped(drapery, ABSURD, folds=4)
-    assert_array_equal(draped(drapery, ABSURD).vertices, all_safe.vertices)
+    all_safe = draped(runtime, ABSURD, folds=4)
+    assert_array_equal(draped(runtime, ABSURD).vertices, all_safe.vertices)
 
 
-def test_messages_tell_the_score_and_whether_it_is_beyond(drapery: Drapery):
-    batch = draped(drapery, MIXED)
+def test_messages_tell_the_score_and_whether_it_is_beyond(runtime: DrapeRuntime):
+    batch = draped(runtime, MIXED)
     for frame, message in enumerate(batch.messages):
         novelty, flags = batch.quality.novelty[frame], message[6]
         assert bool(flags & wire.FLAG_UNLIKE) == (frame == 2)
         assert abs(wire.unpack_frame(message).novelty - min(novelty, 255 / 32)) <= 0.5 / 32
-    (jets,) = draped(drapery, ABSURD, geometry="jets").messages
+    (jets,) = draped(runtime, ABSURD, geometry="jets").messages
     assert unpack_jets(jets).novelty > 1.0
 
 
-def test_a_clip_and_a_model_without_poses_say_so_in_headers(drapery: Drapery, make_settings):
+def test_a_clip_and_a_model_without_poses_say_so_in_headers(runtime: DrapeRuntime, make_settings):
     asked = {"garment": "tube", "poses": MIXED.tolist()}
-    with serve(create_app(drapery.settings, drapery=drapery), drapery.settings) as url:
+    with serve(create_app(runtime.settings, runtime=runtime), runtime.settings) as url:
         headers = httpx.post(url + "/drape", json=asked).headers
     assert float(headers["X-Drape-Novelty"]) > 1.0
     assert (headers["X-Drape-Unlike"], headers["X-Drape-Safe-Folds"], headers["X-Drape-Folds"]) == ("1", "4", "2")
-    plain = Drapery(make_settings(folds=None))
+    plain = DrapeRuntime(make_settings(folds=None))
     assert plain.plan(plain.garments.get("tube"), DrapeOptions()).stages[0].name == "network"
     assert draped(plain, ABSURD).quality.novelty.tolist() == [0.0]
     plain.close()

@@ -1,4 +1,4 @@
-"""The road of a frame: a plan takes the stages that it needs and no other, and a new stage is a file and a line."""
+"""The clip_job of a frame: a plan takes the stages that it needs and no other, and a new stage is a file and a line."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
 from service import stages
 from service.app import create_app
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.graphs.engine import JETS, PACKED
 from service.settings import Settings
 from service.stages import carried, run
@@ -68,8 +68,8 @@ def counting(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module")
-def drapery(make_settings: Callable[..., Settings]) -> Iterator[Drapery]:
-    made = Drapery(make_settings(model=TINY_DYNAMIC))
+def runtime(make_settings: Callable[..., Settings]) -> Iterator[DrapeRuntime]:
+    made = DrapeRuntime(make_settings(model=TINY_DYNAMIC))
     yield made
     made.close()
 
@@ -89,9 +89,9 @@ def drapery(make_settings: Callable[..., Settings]) -> Iterator[Drapery]:
     ],
 )
 def test_a_plan_takes_what_it_needs_and_nothing_else(
-    drapery: Drapery, options: dict, messages: bool, taken: list[str], needs: set[str]
+    runtime: DrapeRuntime, options: dict, messages: bool, taken: list[str], needs: set[str]
 ):
-    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions(**options), messages=messages)
+    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(**options), messages=messages)
     assert [stage.name for stage in plan.stages] == taken and plan.needs == needs
     ran: list[str] = []
 
@@ -115,32 +115,32 @@ def test_a_plan_takes_what_it_needs_and_nothing_else(
 @pytest.mark.parametrize("worn", [["tube"], ["tube", "coat"]])
 @pytest.mark.parametrize("options", [{}, {"push_out": False}, {"geometry": "jets"}, {"passes": 0}])
 def test_frames_open_no_session_once_their_plan_is_prepared(outfit_settings: Settings, worn: list[str], options: dict):
-    drapery = Drapery(outfit_settings)
-    plan = drapery.plan(drapery.garments.scene(None, worn), DrapeOptions(**options), messages=True)
-    asyncio.run(drapery.prepare(plan))
-    opened = set(drapery.engine._opened)
+    runtime = DrapeRuntime(outfit_settings)
+    plan = runtime.plan(runtime.garments.scene(None, worn), DrapeOptions(**options), messages=True)
+    asyncio.run(runtime.prepare(plan))
+    opened = set(runtime.engine._opened)
     one, other = CLIP.part(slice(0, 1), {}), replace(CLIP.part(slice(1, 2), {}), betas=np.ones(10))
     for inputs in ([one], [CLIP], [one, other]):
         run(plan, inputs)
-    assert set(drapery.engine._opened) == opened
-    drapery.close()
+    assert set(runtime.engine._opened) == opened
+    runtime.close()
 
 
 def test_the_network_computes_no_vertex_for_jets_alone(make_settings: Callable[..., Settings]):
-    drapery = Drapery(make_settings())
-    run(drapery.plan(drapery.garments.get("tube"), DrapeOptions(geometry="jets", push_out=False)), [CLIP])
-    (part,) = [s for (graph, outputs, *_), s in drapery.engine._opened.items() if (graph, outputs) == (PACKED, JETS)]
+    runtime = DrapeRuntime(make_settings())
+    run(runtime.plan(runtime.garments.get("tube"), DrapeOptions(geometry="jets", push_out=False)), [CLIP])
+    (part,) = [s for (graph, outputs, *_), s in runtime.engine._opened.items() if (graph, outputs) == (PACKED, JETS)]
     assert "patch_first" in part.inputs
     assert not {"tile_positions", "vertex_charts", "tile_tangents"} & set(part.inputs)
-    drapery.close()
+    runtime.close()
 
 
-def test_what_is_left_open_is_the_services_own(drapery: Drapery, make_settings: Callable[..., Settings]):
-    entry = drapery.garments.get("tube")
-    assert drapery.plan(entry, DrapeOptions()).options == DrapeOptions(
+def test_what_is_left_open_is_the_services_own(runtime: DrapeRuntime, make_settings: Callable[..., Settings]):
+    entry = runtime.garments.get("tube")
+    assert runtime.plan(entry, DrapeOptions()).options == DrapeOptions(
         push_out=True, motion=1.0, inertia="network", folds=0
     )
-    other = Drapery(make_settings(push_out=False, passes=0))
+    other = DrapeRuntime(make_settings(push_out=False, passes=0))
     entry = other.garments.get("tube")
     plan = other.plan(entry, DrapeOptions())
     still = DrapeOptions(push_out=False, passes=0, motion=0.0, inertia="network", folds=0)
@@ -153,17 +153,17 @@ def test_what_is_left_open_is_the_services_own(drapery: Drapery, make_settings: 
 
 
 def test_memories_go_where_what_they_hold_for_goes(counting: None, make_settings: Callable[..., Settings]):
-    drapery = Drapery(make_settings(model=TINY_DYNAMIC))
-    entry = drapery.garments.get("tube")
-    plan = drapery.plan(entry, DrapeOptions())
+    runtime = DrapeRuntime(make_settings(model=TINY_DYNAMIC))
+    entry = runtime.garments.get("tube")
+    plan = runtime.plan(entry, DrapeOptions())
     own = ("counting", entry.garment.digest)
     memories = {Motion.key: 1, own: 2, ("counting", "taken off"): 3}
     assert Motion.key == ("motion", BODY)
     assert carried(memories, plan, plan) == {Motion.key: 1, own: 2}
-    assert carried(memories, plan, drapery.plan(entry, DrapeOptions(push_out=False))) == {Motion.key: 1, own: 2}
-    assert carried(memories, plan, drapery.plan(entry, DrapeOptions(passes=0))) == {Motion.key: 1}
-    assert carried(memories, plan, drapery.plan(entry, DrapeOptions(motion=0.0))) == {own: 2}
-    drapery.close()
+    assert carried(memories, plan, runtime.plan(entry, DrapeOptions(push_out=False))) == {Motion.key: 1, own: 2}
+    assert carried(memories, plan, runtime.plan(entry, DrapeOptions(passes=0))) == {Motion.key: 1}
+    assert carried(memories, plan, runtime.plan(entry, DrapeOptions(motion=0.0))) == {own: 2}
+    runtime.close()
 
 
 # --- a stage of one's own ---
@@ -176,17 +176,17 @@ def lifts(frames: np.ndarray, plain: np.ndarray) -> np.ndarray:
 
 @pytest.mark.usefixtures("counting")
 def test_a_new_stage_remembers_over_the_chunks_of_a_clip(outfit_settings: Settings):
-    drapery = Drapery(outfit_settings.model_copy(update={"chunk_frames": 4}))
-    scene = drapery.garments.scene(None, ["tube", "coat"])
-    plan = drapery.plan(scene, DrapeOptions(push_out=False))
+    runtime = DrapeRuntime(outfit_settings.model_copy(update={"chunk_frames": 4}))
+    scene = runtime.garments.scene(None, ["tube", "coat"])
+    plan = runtime.plan(scene, DrapeOptions(push_out=False))
     assert [stage.name for stage in plan.stages] == ["network", "counting"]
     plain = run(replace(plan, stages=plan.stages[:1]), [CLIP]).vertices
     whole = run(plan, [CLIP]).vertices
     assert_allclose(lifts(whole, plain), np.arange(1, 11), rtol=1e-3)
-    chunked = asyncio.run(drapery.drape(plan, CLIP))
+    chunked = asyncio.run(runtime.drape(plan, CLIP))
     assert_array_equal(chunked.vertices, whole)
     assert chunked.memories == ({("counting", entry.garment.digest): 10 for entry in scene.layers},)
-    drapery.close()
+    runtime.close()
 
 
 @pytest.mark.usefixtures("counting")
@@ -220,6 +220,6 @@ def test_a_new_stage_remembers_per_stream_and_garment(outfit_settings: Settings)
             assert lift(one, 5, tube) == 1, "what was taken off is forgotten"
 
 
-def test_the_stages_are_in_the_order_of_the_tuple(drapery: Drapery):
-    assert [type(stage) for stage in drapery.stages] == list(stages.STAGES)
+def test_the_stages_are_in_the_order_of_the_tuple(runtime: DrapeRuntime):
+    assert [type(stage) for stage in runtime.stages] == list(stages.STAGES)
     assert stages.STAGES.index(Motion) < stages.STAGES.index(Network)

@@ -15,7 +15,7 @@ from drape.cloth.fabric_table import fabric
 from drape.errors import InputError
 from drape.live.swing_constants import constants
 from drape.wire.options import DrapeOptions
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.replicas.memory_codec import decoded, encoded
 from service.settings import Settings, load_settings
 from service.stages import run
@@ -27,14 +27,14 @@ NO_SHAPE = np.zeros(10)
 
 
 @pytest.fixture(scope="module")
-def drapery(make_settings: Callable[..., Settings]) -> Iterator[Drapery]:
-    made = Drapery(make_settings(inertia="mesh"))
+def runtime(make_settings: Callable[..., Settings]) -> Iterator[DrapeRuntime]:
+    made = DrapeRuntime(make_settings(inertia="mesh"))
     yield made
     made.close()
 
 
-def plan_of(drapery: Drapery, **options: object) -> Plan:
-    return drapery.plan(drapery.garments.get("tube"), DrapeOptions(**({"push_out": False} | options)))  # pyright: ignore[reportArgumentType]
+def plan_of(runtime: DrapeRuntime, **options: object) -> Plan:
+    return runtime.plan(runtime.garments.get("tube"), DrapeOptions(**({"push_out": False} | options)))  # pyright: ignore[reportArgumentType]
 
 
 def started(way_m: float = 1.0) -> PoseInput:
@@ -44,34 +44,34 @@ def started(way_m: float = 1.0) -> PoseInput:
     return PoseInput(np.zeros((len(TIMES_S), 24, 3)), trans, NO_SHAPE, TIMES_S)
 
 
-def test_what_hangs_lags_and_what_is_held_does_not(drapery: Drapery):
-    plan = plan_of(drapery)
+def test_what_hangs_lags_and_what_is_held_does_not(runtime: DrapeRuntime):
+    plan = plan_of(runtime)
     assert [stage.name for stage in plan.stages] == ["network", "swing"]
-    still = run(plan_of(drapery, motion=0.0), [started()])
+    still = run(plan_of(runtime, motion=0.0), [started()])
     swung = run(plan, [started()])
     assert still.memories == ({},) and [stage for stage, _ in swung.memories[0]] == ["swing"]
     assert_array_equal(swung.vertices[:5], still.vertices[:5])
     behind = (swung.vertices - still.vertices)[-1]
     lag = -behind[:, 0]
     assert lag.max() > 0.005 and np.median(np.abs(behind).max(axis=1)) < 0.5 * lag.max()
-    half = run(plan_of(drapery, motion=0.5), [started()])
+    half = run(plan_of(runtime, motion=0.5), [started()])
     assert_allclose(half.vertices - still.vertices, 0.5 * (swung.vertices - still.vertices), atol=1e-6)
     single = run(plan, [started().part(slice(9, 10), {})])
     assert_array_equal(single.vertices, still.vertices[9:10])
 
 
-def test_it_is_the_same_beside_others_and_in_pieces(drapery: Drapery, make_settings: Callable[..., Settings]):
-    plan, inputs = plan_of(drapery), [started(), started(-0.5).part(slice(0, 9), {})]
+def test_it_is_the_same_beside_others_and_in_pieces(runtime: DrapeRuntime, make_settings: Callable[..., Settings]):
+    plan, inputs = plan_of(runtime), [started(), started(-0.5).part(slice(0, 9), {})]
     together = run(plan, inputs)
     assert_array_equal(together.vertices, np.concatenate([run(plan, [one]).vertices for one in inputs]))
-    pieces = Drapery(make_settings(inertia="mesh", chunk_frames=3))
+    pieces = DrapeRuntime(make_settings(inertia="mesh", chunk_frames=3))
     draped = asyncio.run(pieces.drape(plan_of(pieces), inputs[0]))
     assert_array_equal(draped.vertices, together.vertices[: len(TIMES_S)])
     pieces.close()
 
 
-def test_what_it_remembers_can_move(drapery: Drapery):
-    plan, clip = plan_of(drapery), started()
+def test_what_it_remembers_can_move(runtime: DrapeRuntime):
+    plan, clip = plan_of(runtime), started()
     whole = run(plan, [clip])
     first = run(plan, [clip.part(slice(0, 9), {})])
     (stage,) = [stage for stage in plan.stages if stage.name == "swing"]
@@ -81,23 +81,23 @@ def test_what_it_remembers_can_move(drapery: Drapery):
     assert_array_equal(after.vertices, whole.vertices[9:])
 
 
-def test_jets_have_none(drapery: Drapery):
-    assert plan_of(drapery, geometry="jets").options.inertia == "network"
+def test_jets_have_none(runtime: DrapeRuntime):
+    assert plan_of(runtime, geometry="jets").options.inertia == "network"
     with pytest.raises(InputError, match="inertia: expected network with geometry jets"):
-        plan_of(drapery, geometry="jets", inertia="mesh")
+        plan_of(runtime, geometry="jets", inertia="mesh")
 
 
 def test_the_service_says_what_holds_where_nobody_does(make_settings: Callable[..., Settings]):
     assert load_settings().inertia == "mesh"
-    other = Drapery(make_settings())
+    other = DrapeRuntime(make_settings())
     plan = other.plan(other.garments.get("tube"), DrapeOptions(push_out=False))
     assert plan.options.inertia == "network" and plan.options.knob == 0.0, "a static model has learned no motion"
     assert other.plan(other.garments.get("tube"), DrapeOptions(inertia="mesh")).options.knob == 1.0
     other.close()
 
 
-def test_a_garment_that_is_gone_leaves_nothing(drapery: Drapery):
-    plan = plan_of(drapery, fabric="denim")
+def test_a_garment_that_is_gone_leaves_nothing(runtime: DrapeRuntime):
+    plan = plan_of(runtime, fabric="denim")
     (stage,) = [stage for stage in plan.stages if isinstance(stage, Swing)]
     run(plan, [started()])
     assert any(key == plan.draped_keys[0] for key, _ in stage._constants)

@@ -15,8 +15,8 @@ from drape.errors import InputError
 from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
 from service.compute.background import processor_count
-from service.compute.drape_runtime import Drapery
-from service.compute.sliced_thread import Piecework
+from service.compute.drape_runtime import DrapeRuntime
+from service.compute.sliced_thread import SlicedThread
 from service.settings import Settings
 from service.stages.batch import Memories, PoseInput
 from service.stream.sessions import Session, Streams
@@ -25,9 +25,9 @@ REST = np.zeros((24, 3))
 
 
 def test_one_bad_pose_does_not_fail_its_batch(make_settings: Callable[..., Settings]):
-    drapery = Drapery(make_settings(stream_threads=1))
-    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions(push_out=False), messages=True)
-    streams = Streams(drapery, Piecework())
+    runtime = DrapeRuntime(make_settings(stream_threads=1))
+    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(push_out=False), messages=True)
+    streams = Streams(runtime, SlicedThread())
     sessions = [Session(plan, np.zeros(10), credit=2) for _ in range(3)]
     poses = [REST, np.full((24, 3), np.nan), REST]
     for i, (session, pose) in enumerate(zip(sessions, poses, strict=True)):
@@ -42,15 +42,15 @@ def test_one_bad_pose_does_not_fail_its_batch(make_settings: Callable[..., Setti
     asyncio.run(once())
     assert [session.failure is not None for session in sessions] == [False, True, False]
     assert [session.outbox is not None for session in sessions] == [True, False, True]
-    drapery.close()
+    runtime.close()
 
 
 def test_the_longest_waiting_pose_goes_first_with_all_of_its_plan(make_settings: Callable[..., Settings]):
-    drapery = Drapery(make_settings(chunk_frames=2, stream_threads=1))
-    tube = drapery.garments.get("tube")
+    runtime = DrapeRuntime(make_settings(chunk_frames=2, stream_threads=1))
+    tube = runtime.garments.get("tube")
     other = type(tube)("other", tube.garment, tube.source)
-    streams = Streams(drapery, Piecework())
-    plans = [drapery.plan(entry, DrapeOptions(), messages=True) for entry in (other, tube, other, other)]
+    streams = Streams(runtime, SlicedThread())
+    plans = [runtime.plan(entry, DrapeOptions(), messages=True) for entry in (other, tube, other, other)]
     sessions = [Session(plan, np.zeros(10), credit=1) for plan in plans]
     for session in (sessions[2], sessions[1], sessions[0], sessions[3]):
         session.put(wire.Pose(0, 0.0, np.zeros(3), REST))
@@ -60,46 +60,46 @@ def test_the_longest_waiting_pose_goes_first_with_all_of_its_plan(make_settings:
     for session in (sessions[2], sessions[0]):
         session.take()
     assert streams._next_batch() == [sessions[1]]
-    drapery.close()
+    runtime.close()
 
 
 def test_an_acknowledgement_that_was_not_earned_is_refused(make_settings: Callable[..., Settings]):
-    drapery = Drapery(make_settings())
-    session = Session(drapery.plan(drapery.garments.get("tube"), DrapeOptions()), np.zeros(10), credit=1)
+    runtime = DrapeRuntime(make_settings())
+    session = Session(runtime.plan(runtime.garments.get("tube"), DrapeOptions()), np.zeros(10), credit=1)
     with pytest.raises(InputError, match="ack message"):
         session.acknowledge(0)
-    drapery.close()
+    runtime.close()
 
 
 def test_a_frame_does_not_wait_for_what_is_computed_aside(make_settings: Callable[..., Settings]):
-    drapery = Drapery(make_settings())
-    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions(), messages=True)
+    runtime = DrapeRuntime(make_settings())
+    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(), messages=True)
 
     async def both() -> None:
         through = threading.Event()
-        aside = asyncio.create_task(drapery.aside(through.wait))
+        aside = asyncio.create_task(runtime.aside(through.wait))
         await asyncio.sleep(0)
-        ((message, _),) = await asyncio.wait_for(drapery.stream_frames(plan, [rest_input()]), 30.0)
+        ((message, _),) = await asyncio.wait_for(runtime.stream_frames(plan, [rest_input()]), 30.0)
         assert isinstance(message, bytes) and not aside.done()
         through.set()
         assert await aside
 
     asyncio.run(both())
-    drapery.close()
+    runtime.close()
 
 
 def test_nothing_aside_begins_while_a_frame_is_computed(
     make_settings: Callable[..., Settings], monkeypatch: pytest.MonkeyPatch
 ):
-    drapery = Drapery(make_settings())
-    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions(), messages=True)
+    runtime = DrapeRuntime(make_settings())
+    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(), messages=True)
     through, begun = threading.Event(), threading.Event()
-    monkeypatch.setattr(drapery, "frames", lambda plan, inputs: through.wait() and [])
+    monkeypatch.setattr(runtime, "frames", lambda plan, inputs: through.wait() and [])
 
     async def both() -> None:
-        frame = asyncio.create_task(drapery.stream_frames(plan, [rest_input()]))
+        frame = asyncio.create_task(runtime.stream_frames(plan, [rest_input()]))
         await asyncio.sleep(0)
-        aside = asyncio.create_task(drapery.aside(begun.set))
+        aside = asyncio.create_task(runtime.aside(begun.set))
         await asyncio.sleep(0.05)
         assert not begun.is_set()
         through.set()
@@ -107,7 +107,7 @@ def test_nothing_aside_begins_while_a_frame_is_computed(
         assert begun.is_set()
 
     asyncio.run(both())
-    drapery.close()
+    runtime.close()
 
 
 def rest_input(frame: int = 0, memories: Memories | None = None) -> PoseInput:
@@ -116,9 +116,9 @@ def rest_input(frame: int = 0, memories: Memories | None = None) -> PoseInput:
 
 
 def test_waiting_streams_are_shared_out_among_free_workers(make_settings: Callable[..., Settings]):
-    drapery = Drapery(make_settings(stream_threads=2))
-    streams = Streams(drapery, Piecework())
-    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions(), messages=True)
+    runtime = DrapeRuntime(make_settings(stream_threads=2))
+    streams = Streams(runtime, SlicedThread())
+    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(), messages=True)
     sessions = [Session(plan, np.zeros(10), credit=2) for _ in range(3)]
     for session in sessions:
         session.put(wire.Pose(0, 0.0, np.zeros(3), REST))
@@ -130,29 +130,29 @@ def test_waiting_streams_are_shared_out_among_free_workers(make_settings: Callab
         session.take()
     sessions[0].put(wire.Pose(1, 0.0, np.zeros(3), REST))  # whose frame before is not through
     assert streams._next_batch() == sessions[2:]
-    drapery.close()
+    runtime.close()
 
 
 def test_streams_are_computed_beside_each_other_and_each_frame_after_the_one_before(
     make_settings: Callable[..., Settings], monkeypatch: pytest.MonkeyPatch
 ):
-    drapery = Drapery(make_settings(stream_threads=2))
-    plan = drapery.plan(drapery.garments.get("tube"), DrapeOptions(folds=1), messages=True)
+    runtime = DrapeRuntime(make_settings(stream_threads=2))
+    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(folds=1), messages=True)
     for stage in plan.stages:
         stage.prepare(plan)
     alone, expected = {}, []
     for i in range(4):
-        ((message, alone),) = drapery.frames(plan, [rest_input(i, alone)])
+        ((message, alone),) = runtime.frames(plan, [rest_input(i, alone)])
         assert isinstance(message, bytes)
         expected.append(wire.unpack_frame(message).positions)
-    both, compute = threading.Barrier(2), drapery.frames
+    both, compute = threading.Barrier(2), runtime.frames
 
     def together(*arguments: Any) -> Any:
         both.wait(30.0)  # until the other stream's frame is computed too
         return compute(*arguments)
 
-    monkeypatch.setattr(drapery, "frames", together)
-    streams = Streams(drapery, Piecework())
+    monkeypatch.setattr(runtime, "frames", together)
+    streams = Streams(runtime, SlicedThread())
     sessions = [Session(plan, np.zeros(10), credit=2) for _ in range(2)]
 
     async def frames() -> list[list[np.ndarray]]:
@@ -178,13 +178,13 @@ def test_streams_are_computed_beside_each_other_and_each_frame_after_the_one_bef
     for shown in asyncio.run(frames()):
         for got, want in zip(shown, expected, strict=True):
             np.testing.assert_array_equal(got, want)
-    drapery.close()
+    runtime.close()
 
 
 @pytest.mark.parametrize(("asked", "count"), [(None, processor_count()), (3, 3)])
 def test_there_is_a_thread_for_each_processor_or_as_many_as_were_asked_for(
     make_settings: Callable[..., Settings], asked: int | None, count: int
 ):
-    drapery = Drapery(make_settings(stream_threads=asked))
-    assert drapery.stream_threads == count
-    drapery.close()
+    runtime = DrapeRuntime(make_settings(stream_threads=asked))
+    assert runtime.stream_threads == count
+    runtime.close()

@@ -363,4 +363,4 @@ def test_any_sequence_of_messages_keeps_the_rules_of_streams(running: Running):
         del left
         time.sleep(0.05)
     assert running.state.handover._held == 0
-    assert 'kind="InternalError"' not in running.state.drapery.metrics.text().decode()
+    assert 'kind="InternalError"' not in running.state.runtime.metrics.text().decode()

@@ -56,7 +56,7 @@ def pair(apps: tuple[FastAPI, FastAPI], make_settings: Callable[..., Settings]) 
 
 @pytest.fixture(scope="module")
 def folder(apps: tuple[FastAPI, FastAPI], pair: tuple[httpx.Client, ...]) -> Path:
-    return apps[0].state.drape.drapery.settings.garments_dir
+    return apps[0].state.drape.runtime.settings.garments_dir
 
 
 def until(holds: Callable[[], bool], seconds: float = 20.0) -> None:
@@ -178,7 +178,7 @@ def test_unknown_garments_cost_one_look(apps: tuple[FastAPI, FastAPI], pair: tup
         return stored(root)
 
     monkeypatch.setattr(garment_files, "stored", counted)
-    following, url = apps[0].state.drape.following, str(pair[0].base_url)
+    shared_folder, url = apps[0].state.drape.shared_folder, str(pair[0].base_url)
 
     async def many() -> set[int]:
         async with httpx.AsyncClient(base_url=url, timeout=60.0) as client:
@@ -189,7 +189,7 @@ def test_unknown_garments_cost_one_look(apps: tuple[FastAPI, FastAPI], pair: tup
     assert asyncio.run(many()) == {404}
     # Both services look every LOOK_S besides.
     assert len(looked) <= (time.monotonic() - begun_s) * (1.0 / 0.25 + 2.0 / LOOK_S) + 3.0
-    assert following.runs
+    assert shared_folder.runs
 
 
 # --- on disk ---

@@ -19,8 +19,8 @@ from clients.client import DrapeClient
 from drape.errors import BodyError, DrapeError, MeshError, NotFound
 from drape.garment.cache import Garment, save_garment
 from service.app import create_app
-from service.compute.drape_runtime import Drapery
-from service.compute.sliced_thread import Piecework
+from service.compute.drape_runtime import DrapeRuntime
+from service.compute.sliced_thread import SlicedThread
 from service.errors import TooLarge
 from service.guard.access import Access
 from service.settings import Settings
@@ -311,8 +311,8 @@ def test_a_garment_that_is_cancelled_as_it_is_stored_is_not_kept(
     make_settings: Callable[..., Settings], tube: Garment, monkeypatch: pytest.MonkeyPatch
 ):
     settings = make_settings()
-    drapery = Drapery(settings)
-    uploads = Uploads(drapery, Piecework(), Access(settings))
+    runtime = DrapeRuntime(settings)
+    uploads = Uploads(runtime, SlicedThread(), Access(settings))
     accepted = Accepted("one", "tube", None, "tube.obj", "standard")
     folder = settings.garments_dir / "work"
     (folder / "out").mkdir(parents=True)
@@ -323,7 +323,7 @@ def test_a_garment_that_is_cancelled_as_it_is_stored_is_not_kept(
 
     async def cancelled() -> None:
         job = Job("one", "tube")
-        work = asyncio.create_task(uploads._take_in(job, folder, accepted))
+        work = asyncio.create_task(uploads._run_intake(job, folder, accepted))
         while not (settings.garments_dir / made.name).exists():
             await asyncio.sleep(0)
         work.cancel()
@@ -333,4 +333,4 @@ def test_a_garment_that_is_cancelled_as_it_is_stored_is_not_kept(
     monkeypatch.setattr(jobs, "run_sandbox", as_taken_in)
     asyncio.run(cancelled())
     assert not (settings.garments_dir / made.name).exists()
-    drapery.close()
+    runtime.close()

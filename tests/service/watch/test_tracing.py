@@ -24,7 +24,7 @@ from drape.garment.cache import Garment
 from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
 from service.app import create_app
-from service.compute.drape_runtime import Drapery
+from service.compute.drape_runtime import DrapeRuntime
 from service.watch.tracing import CLOSE_S, Tracing, make_tracing
 from tests.architecture.repository import ROOT
 from tests.fixtures.meshes import garment_obj
@@ -82,14 +82,14 @@ def attributes(span: Span) -> dict[str, str | int]:
 
 def test_a_request_has_a_span_under_its_clients_and_a_child_per_stage(make_settings, collector: Collector):
     settings = make_settings(trace=True)
-    drapery = Drapery(settings)
-    with serve(create_app(settings, drapery=drapery), settings) as url:
+    runtime = DrapeRuntime(settings)
+    with serve(create_app(settings, runtime=runtime), settings) as url:
         sent = {"traceparent": f"00-{TRACE}-{PARENT}-01", "X-Request-Id": "page-7", "Authorization": "Bearer secret"}
         answer = httpx.post(url + "/drape?token=hidden", json={"garment": "cape", "poses": REST}, headers=sent)
         assert answer.status_code == 404
         answer = httpx.post(url + "/drape", json={"garment": "tube", "poses": REST}, headers=sent)
         assert answer.status_code == 200
-        stages = [stage.name for stage in drapery.plan(drapery.garments.get("tube"), DrapeOptions()).stages]
+        stages = [stage.name for stage in runtime.plan(runtime.garments.get("tube"), DrapeOptions()).stages]
         httpx.get(url + "/garments/tube")
     refused, draped = collector.named("POST /drape")
     for span, status in ((refused, 404), (draped, 200)):
