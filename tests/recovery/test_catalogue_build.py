@@ -22,9 +22,9 @@ from drape.geometry import meshes
 from recovery.catalogue.__main__ import main
 from recovery.catalogue.build import QUICK, SewnGarment, body_distance, build, design
 from recovery.catalogue.closing import on_finer_mesh
+from recovery.catalogue.fall import HEM_BENDING, hinge_bending, seam_angles
 from recovery.catalogue.files import write_garment
 from recovery.catalogue.garments import CATALOGUE
-from recovery.catalogue.settling import HEM_BENDING, hinge_bending, seam_angles
 from recovery.drape.output import panel_texture
 from recovery.pattern.mesh import mesh_pattern
 from recovery.sim.model import ClothModel
