@@ -15,7 +15,7 @@ from drape.cloth.fabric_table import fabric
 from drape.errors import InputError, NotFound
 from drape.garment.cache import load_garment
 from drape.garment.files.mesh import read_mesh
-from drape.garment.grain import texture
+from drape.garment.grain import corner_uv
 from drape.garment.intake import intake
 from drape.garment.sewing import sewing_beside, sewn_hinges
 from drape.geometry import meshes
@@ -123,10 +123,10 @@ def test_intake_has_the_hinges_that_were_simulated(tmp_path):
     nodes = mesh.nodes_from(mesh.placed())
     obj = write_garment(SewnGarment(made, mesh, nodes, {}), tmp_path, name="shirt", size="M", body="b")[0]
     told, read = sewing_beside(obj), read_mesh(obj)
-    painted = texture(read.uv, read.uv_faces, len(read.faces))
-    assert told is not None and painted is not None
+    on_corners = corner_uv(read.uv, read.uv_faces, len(read.faces))
+    assert told is not None and on_corners is not None
     told.check(read)
-    found = sewn_hinges(told, read, np.arange(len(read.vertices)), read.faces, painted)
+    found = sewn_hinges(told, read, np.arange(len(read.vertices)), read.faces, on_corners)
     assert_array_equal(meshes.hinges(read.faces), model.hinge_nodes)
     assert_array_equal(found.angle, seam_angles(made, mesh, model))
     cloth = fabric(made.fabric)
