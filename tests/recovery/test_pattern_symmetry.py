@@ -159,7 +159,8 @@ def test_arcs_of_a_symmetric_panel_get_one_height():
         replace(edge, kind=EdgeKind.CIRCLE, handles=((0.5, sides[number]),)) if number in sides else edge
         for number, edge in enumerate(plain.edges)
     )
-    pattern = Pattern("barrel", (replace(plain, edges=edges),))
+    narrower = np.where(plain.vertices[:, 1:] > 0.0, plain.vertices * [0.7, 1.0], plain.vertices)
+    pattern = Pattern("barrel", (replace(plain, vertices=narrower, edges=edges),))
     (panel,) = symmetrised(pattern, find_symmetries(pattern, tolerance_m=0.005)).panels
     assert_allclose([panel.edges[number].handles[0][1] for number in sides], -0.102, atol=1e-12)
 
