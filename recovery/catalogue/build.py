@@ -14,8 +14,8 @@ from drape.cloth.fabric_table import fabric
 from drape.errors import NotFound
 from drape.geometry import meshes
 from recovery.catalogue.closing import on_finer_mesh, sew_design
+from recovery.catalogue.fall import SETTLING, Fall
 from recovery.catalogue.garments import CATALOGUE
-from recovery.catalogue.settling import SETTLING, Fall
 from recovery.drape.pipeline import stretch_figures
 from recovery.drape.relax import principal_stretches
 from recovery.drape.sewing import in_numpy

@@ -13,7 +13,7 @@ import numpy as np
 from drape.garment.sewing import Edge, Seam, Sewing
 from recovery.atomic import write
 from recovery.catalogue.build import SewnGarment
-from recovery.catalogue.settling import HEM_BENDING, HEM_M
+from recovery.catalogue.fall import HEM_BENDING, HEM_M
 from recovery.drape.output import panel_texture, write_shape
 
 

@@ -115,7 +115,7 @@ def to_rest(
             model, state, parameters, contact=contact, tolerance_n=tolerance_n, iteration_limit=limit
         )
         total += report.iterations
-        return found, report._replace(iterations=total)
+        return found, report
 
     found = [drape(start, iteration_limit)]
     if not found[0][1].converged:

@@ -22,9 +22,9 @@ from drape.geometry import meshes
 from recovery.catalogue.__main__ import main
 from recovery.catalogue.build import QUICK, SewnGarment, body_distance, build, design
 from recovery.catalogue.closing import on_finer_mesh
+from recovery.catalogue.fall import HEM_BENDING, hinge_bending, seam_angles
 from recovery.catalogue.files import write_garment
 from recovery.catalogue.garments import CATALOGUE
-from recovery.catalogue.settling import HEM_BENDING, hinge_bending, seam_angles
 from recovery.drape.output import panel_texture
 from recovery.pattern.mesh import mesh_pattern
 from recovery.sim.model import ClothModel
@@ -74,12 +74,11 @@ def test_hems_bend_twice_as_hard_and_the_collar_is_folded():
     assert set(angles) == {0.0, made.seam_angles["collar_fold"]}
 
 
-def test_a_garment_is_sewn_round_the_body_and_stays_outside_of_it():
+def test_a_garment_is_sewn_round_the_body_and_stays_outside_of_it(body):
     garment = quick_tank()
     assert garment.figures["seam_gap_mm"] < 5.0
     assert garment.figures["clearance_mm"] > 4.0
     assert garment.figures["stretch_median_pct"] < 10.0
-    body = load_body()
     shoulders = body.joints_template[[16, 17], 1].mean()
     assert garment.nodes[:, 1].max() > shoulders - 0.02  # it hangs where it should
 

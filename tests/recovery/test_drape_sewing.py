@@ -82,8 +82,7 @@ def test_a_panel_in_the_body_moves_along_its_normal_until_it_is_clear():
 
 
 @pytest.mark.parametrize("name", sorted(BASES))
-def test_base_patterns_stand_where_they_were_drafted(name):
-    body = load_body()
+def test_base_patterns_stand_where_they_were_drafted(body, name):
     placed = place_panels(mesh_pattern(BASES[name](default_measurements()), 0.08), body, body_distance())
     assert placed.axes is Axes.BODY
     assert placed.hangs_from == ("shoulders" if name == "tshirt" else "waist")
@@ -91,8 +90,7 @@ def test_base_patterns_stand_where_they_were_drafted(name):
 
 
 @pytest.mark.data
-def test_files_of_the_data_folder_stand_round_the_trunk(pattern_files):
-    body = load_body()
+def test_files_of_the_data_folder_stand_round_the_trunk(body, pattern_files):
     size = default_measurements()
     for path in pattern_files:
         mesh = mesh_pattern(uncrossed(read_pattern(path))[0], 0.08)

@@ -10,7 +10,6 @@ import torch
 from numpy.testing import assert_allclose
 
 from benchmarks.recovery.compare import pattern_error
-from drape.body.assets import load_body
 from drape.errors import InputError
 from recovery.drape.pipeline import DrapeOptions, drape_pattern
 from recovery.drape.placement import scaled
@@ -29,9 +28,9 @@ COARSE = DrapeOptions(edge_length_m=0.05, grid_m=0.02)
 
 
 @pytest.mark.slow
-def test_a_larger_base_finds_the_pattern_of_a_drape():
+def test_a_larger_base_finds_the_pattern_of_a_drape(body):
     """Larger by 7 %: gradings and three closing steps bring control points within 1 mm, areas 0.5 %."""
-    body, truth = load_body(), tshirt(default_measurements())
+    truth = tshirt(default_measurements())
     target = drape_pattern(truth, body, COARSE)
     base = scaled(truth, 1.07)
     found = recover_pattern(
@@ -53,9 +52,9 @@ def test_a_larger_base_finds_the_pattern_of_a_drape():
 
 
 @pytest.mark.slow
-def test_rounds_go_on_from_each_other_and_the_fabric_is_chosen(tmp_path):
+def test_rounds_go_on_from_each_other_and_the_fabric_is_chosen(body, tmp_path):
     """A skirt of another fabric than the base's: the fabric is named, and a second round has its own mesh and drape."""
-    body, truth = load_body(), skirt(default_measurements())
+    truth = skirt(default_measurements())
     coarse = replace(COARSE, edge_length_m=0.08)
     target = drape_pattern(truth, body, replace(coarse, fabric="crisp"))
     lines: list[str] = []
@@ -84,8 +83,8 @@ def test_rounds_go_on_from_each_other_and_the_fabric_is_chosen(tmp_path):
 
 
 @pytest.mark.slow
-def test_what_cannot_be_searched_is_refused():
-    body, truth = load_body(), skirt(default_measurements())
+def test_what_cannot_be_searched_is_refused(body):
+    truth = skirt(default_measurements())
     coarse = replace(COARSE, edge_length_m=0.08)
     draped = drape_pattern(truth, body, replace(coarse, iteration_limit=0))
     target = (draped.nodes, draped.mesh.faces, truth, body)
@@ -95,8 +94,8 @@ def test_what_cannot_be_searched_is_refused():
         recover_pattern(*target, drape=replace(coarse, iteration_limit=0))
 
 
-def test_a_graded_pattern_that_sticks_on_one_mesh_is_draped_on_the_next(monkeypatch: pytest.MonkeyPatch):
-    body, pattern = load_body(), skirt(default_measurements())
+def test_a_graded_pattern_that_sticks_on_one_mesh_is_draped_on_the_next(body, monkeypatch: pytest.MonkeyPatch):
+    pattern = skirt(default_measurements())
     very_coarse = DrapeOptions(edge_length_m=0.12, grid_m=0.04)
     skin = very_coarse.skin(body.posed_vertices(np.zeros((1, 24, 3)))[0], body.faces)
     lengths = []
@@ -115,8 +114,8 @@ def test_a_graded_pattern_that_sticks_on_one_mesh_is_draped_on_the_next(monkeypa
 
 
 @pytest.mark.slow
-def test_a_belt_is_held_where_the_waist_of_the_target_is():
-    body, lower_m = load_body(), 0.01
+def test_a_belt_is_held_where_the_waist_of_the_target_is(body):
+    lower_m = 0.01
     draped = drape_pattern(skirt(default_measurements()), body, DrapeOptions(edge_length_m=0.1, grid_m=0.02))
     own = open_contours(draped.nodes, draped.mesh.faces)
     # The target's waist is lower and wider: there the hips are.

@@ -213,12 +213,11 @@ def test_left_and_right_are_mirror_images():
 
 
 @pytest.mark.parametrize("name", ["tshirt", "trousers", "skirt"])
-def test_a_base_is_sewn_into_a_garment_that_clears_the_body(name):
+def test_a_base_is_sewn_into_a_garment_that_clears_the_body(body, name):
     pattern = patterns()[name]
     mesh = mesh_pattern(pattern, 0.04)
     assert len(meshes.boundary_loops(mesh.faces)) == OPENINGS[name]
     assert min(mesh.smallest_angles_deg().values()) > 23.0
-    body = load_body()
     placed = mesh.placed()
     nearest = closest_point(placed, body.v_template, body.faces)
     normals = meshes.face_normals(body.v_template, body.faces)[nearest.face]

@@ -9,7 +9,6 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose
 
-from drape.body.assets import load_body
 from drape.errors import BodyError
 from recovery.pattern import geometry
 from recovery.pattern.drafting import BACK, FRONT, Side, draft, mirror
@@ -40,8 +39,7 @@ def test_the_body_is_measured_in_the_order_of_a_body():
     assert body.neck_girth > 4.0 * body.neck_half_width
 
 
-def test_a_larger_body_measures_larger():
-    body = load_body()
+def test_a_larger_body_measures_larger(body):
     larger = measure(replace(body, v_template=1.1 * body.v_template))
     for name, value in vars(default_measurements()).items():
         if not isinstance(value, np.ndarray):

@@ -152,6 +152,19 @@ def test_arcs_of_tied_panels_get_one_height():
     assert find_symmetries(exact, tolerance_m=1e-9).between
 
 
+def test_arcs_of_a_symmetric_panel_get_one_height():
+    plain = rectangle()
+    sides = {1: -0.100, 3: -0.104}
+    edges = tuple(
+        replace(edge, kind=EdgeKind.CIRCLE, handles=((0.5, sides[number]),)) if number in sides else edge
+        for number, edge in enumerate(plain.edges)
+    )
+    narrower = np.where(plain.vertices[:, 1:] > 0.0, plain.vertices * [0.7, 1.0], plain.vertices)
+    pattern = Pattern("barrel", (replace(plain, vertices=narrower, edges=edges),))
+    (panel,) = symmetrised(pattern, find_symmetries(pattern, tolerance_m=0.005)).panels
+    assert_allclose([panel.edges[number].handles[0][1] for number in sides], -0.102, atol=1e-12)
+
+
 @pytest.mark.parametrize("draft", [tshirt, trousers, skirt])
 def test_what_is_free_keeps_the_symmetries_wherever_it_goes(draft):
     pattern = draft(default_measurements())

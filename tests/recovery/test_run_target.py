@@ -66,7 +66,7 @@ def test_two_pieces_are_refused_and_a_label_chooses_one(tmp_path):
         )
 
 
-def test_an_edge_with_three_faces_and_a_solid_are_refused(tmp_path):
+def test_an_edge_with_three_faces_and_a_solid_are_refused(body, tmp_path):
     mesh = skirt_tube()
     fin = np.array([[mesh.faces[0][1], mesh.faces[0][2], len(mesh.vertices)]])
     finned = replace(
@@ -74,7 +74,6 @@ def test_an_edge_with_three_faces_and_a_solid_are_refused(tmp_path):
     )
     with pytest.raises(MeshError, match="at most 2 faces at every edge"):
         read_target(write_obj(tmp_path / "t.obj", finned))
-    body = load_body()
     with pytest.raises(MeshError, match="a closed surface"):
         read_target(write_obj(tmp_path / "u.obj", plain_mesh("body", body.v_template, body.faces)))
 
@@ -140,8 +139,7 @@ def test_a_hole_is_noted_and_left_alone():
     assert found == OPENINGS["skirt"] and "1 holes" in notes[0]
 
 
-def test_a_body_with_a_hole_is_refused(tmp_path):
-    body = load_body()
+def test_a_body_with_a_hole_is_refused(body, tmp_path):
     with pytest.raises(BodyError, match=r"1 open borders.*Close its holes"):
         check_closed(body.faces[1:], "mine")
     path = write_obj(tmp_path / "open.obj", plain_mesh("open", body.v_template, body.faces[1:]))
@@ -171,9 +169,8 @@ def test_a_job_refuses_what_does_not_go_together(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_body_is_found_inside_a_garment_in_another_unit_and_place():
+def test_a_body_is_found_inside_a_garment_in_another_unit_and_place(body):
     """The base's own panels as placed tell the size; cloth round the trunk, sleeves round lowered arms."""
-    body = load_body()
     pose = np.zeros((24, 3))
     pose[16, 2], pose[17, 2] = -0.5, 0.5
     near = body.posed_vertices(pose[None])[0]
