@@ -17,8 +17,8 @@ from drape.garment.consensus import RIDGE, _weighted_fit
 from drape.garment.files.mesh import plain_mesh
 from drape.garment.mesh_checks import check_mesh
 from drape.geometry import jets
-from drape.live.fold_constants import Constants, Dressed
-from drape.live.fold_step import FAR_M, Effort, Frame, fold
+from drape.live.fold_constants import FoldConstants, WornCloth
+from drape.live.fold_step import FAR_M, FoldEffort, Frame, fold
 from drape.live.skin_contact import nearest_at_rest, skin_graph
 from tests.drape.cloth.cloth_shapes import tube
 from tests.drape.garment.garment_files import shirt
@@ -32,11 +32,11 @@ def folded(rest: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """The tube ``rest`` [m] (V, 3), a little rough, over an arm, after three frames of folds."""
     skin = arm()
     cloth = ClothMesh.from_rest(rest, faces)
-    dressed = Dressed(cloth, Material(), np.full(len(rest), 1.0), skin_graph(skin), nearest_at_rest(rest, skin))
-    constants, memory, table = Constants.of(dressed), None, np.asarray(sample_table(skin.point, skin.normal))
+    dressed = WornCloth(cloth, Material(), np.full(len(rest), 1.0), skin_graph(skin), nearest_at_rest(rest, skin))
+    constants, memory, table = FoldConstants.of(dressed), None, np.asarray(sample_table(skin.point, skin.normal))
     rough = rest * (1.0 + 0.01 * np.random.default_rng(0).normal(size=rest.shape))
     for number in range(3):
-        x, memory, _ = fold(constants, memory, Frame(rough, table, number / 30.0), Effort(sweeps=1, settle=1))
+        x, memory, _ = fold(constants, memory, Frame(rough, table, number / 30.0), FoldEffort(steps=1, settle=1))
     assert np.isfinite(x).all() and np.linalg.norm(x - rough, axis=1).max() <= FAR_M
     return x
 

@@ -5,9 +5,10 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
+from drape.body.skeleton import JOINT_COUNT, PARENTS
 from drape.geometry.rigid import apply, bone_transforms, forward_kinematics
 from drape.geometry.rotations import rotvec_to_matrix
-from drape.motion.skeleton import CANONICAL_JOINTS, JOINT_COUNT, PARENTS
+from drape.motion.t_pose import CANONICAL_JOINTS
 
 EXACT = 1e-13
 

@@ -5,10 +5,11 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
+from drape.body.skeleton import JOINT_COUNT, PARENTS
 from drape.geometry.rigid import bone_transforms
 from drape.geometry.rotations import matrix_to_quaternion, rotvec_to_matrix
 from drape.geometry.skinning import blend_frames, skin_points
-from drape.motion.skeleton import CANONICAL_JOINTS, JOINT_COUNT, PARENTS
+from drape.motion.t_pose import CANONICAL_JOINTS
 
 EXACT = 1e-13
 BLENDED = 1e-12
