@@ -22,7 +22,8 @@ from drape.arrays import check_finite, check_shape
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, PARENTS
 from drape.errors import ArtifactError, BodyError, NotFound
-from drape.files.packed import UNREADABLE, write_whole
+from drape.files.atomic import whole_file
+from drape.files.packed import UNREADABLE
 
 BODIES_DIR = Path(__file__).resolve().parents[2] / "assets" / "bodies"
 DEFAULT_BODY = "anny_default"
@@ -42,6 +43,7 @@ def save_body(
     about: dict[str, Any],
 ) -> None:
     """Writes ``stem.npz`` and ``stem.json``, each of which a reader sees whole; lengths in metres."""
+    stem.parent.mkdir(parents=True, exist_ok=True)
     regressor = scipy.sparse.csr_matrix(J_regressor)
     buffer = io.BytesIO()
     np.savez_compressed(
@@ -54,9 +56,11 @@ def save_body(
         f=f.astype(np.int32),
     )
     payload = buffer.getvalue()
-    write_whole(stem.with_suffix(".npz"), payload)
+    with whole_file(stem.with_suffix(".npz")) as file:
+        file.write(payload)
     record = {**about, "sha256": hashlib.sha256(payload).hexdigest()}
-    write_whole(stem.with_suffix(".json"), (json.dumps(record, indent=1) + "\n").encode())
+    with whole_file(stem.with_suffix(".json")) as file:
+        file.write((json.dumps(record, indent=1) + "\n").encode())
 
 
 def list_bodies(folder: Path = BODIES_DIR) -> list[str]:

@@ -1,12 +1,10 @@
-"""Arrays in one file packed by LZMA, which ``numpy.load`` reads, and files that a reader never sees half written."""
+"""Arrays in one file packed by LZMA, which ``numpy.load`` reads too."""
 
 from __future__ import annotations
 
-import contextlib
 import io
 import json
 import lzma
-import os
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -14,8 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from drape.errors import Unavailable
 
 UNREADABLE = (
     OSError,
@@ -49,22 +45,3 @@ def read_packed(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     with np.load(path, allow_pickle=False) as stored:
         header = json.loads(bytes(stored["header"]).decode())
         return header, {key: stored[key] for key in stored.files if key != "header"}
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Writes ``content`` to ``path``: a reader sees the old file or the new one, never a part.
-
-    Makes the folder where there is none. Raises ``Unavailable`` where it cannot be written.
-    """
-    temporary = path.with_name(path.name + f".{os.getpid()}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(content)
-        os.replace(temporary, path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
-        got = str(error.strerror or error)
-        raise Unavailable(
-            str(path.parent), expected="a folder that can be written", got=got, cure="Choose another folder."
-        ) from error

@@ -22,8 +22,9 @@ import numpy as np
 
 from drape.cloth.fabric_table import DEFAULT_FABRIC
 from drape.cloth.rest_state import RestState
-from drape.errors import ArtifactError, NotFound, refusing
-from drape.files.packed import UNREADABLE, packed, read_packed, write_whole
+from drape.errors import ArtifactError, NotFound, Unavailable, refusing
+from drape.files.atomic import whole_file
+from drape.files.packed import UNREADABLE, packed, read_packed
 from drape.geometry import jets, meshes
 
 FORMAT_VERSION = 1
@@ -161,8 +162,16 @@ def save_garment(garment: Garment, folder: Path) -> Path:
         del arrays["fine_faces"]
         header["fine_faces"] = "faces"
     arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
-    path = folder / garment.file_name()
-    write_whole(path, packed(arrays))
+    content, path = packed(arrays), folder / garment.file_name()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with whole_file(path) as file:
+            file.write(content)
+    except OSError as error:
+        got = str(error.strerror or error)
+        raise Unavailable(
+            str(folder), expected="a folder that can be written", got=got, cure="Choose another folder."
+        ) from error
     return path
 
 

@@ -206,8 +206,8 @@ def _check_option(name: str, value: str, allowed: tuple[str, ...]) -> None:
 def misfit(points: np.ndarray, avatar: Avatar, normals: np.ndarray) -> float:
     """The misfit of ``points`` [m] (N, 3) round ``avatar`` with vertex ``normals``; infinite beyond ``EXTENT_M``.
 
-    It is the mean distance from the skin, inside it four times as much, over the extent of the points: a garment read
-    too small is near the skin only because it is small, and the extent takes that back.
+    It is the mean distance from the skin, plus four times the depth below ``SKIN_DEPTH_M`` inside it, over the extent
+    of the points: a garment read too small is near the skin only because it is small, and the extent takes that back.
     """
     extent = float(np.ptp(points, axis=0).max())
     if not EXTENT_M[0] <= extent <= EXTENT_M[1]:

@@ -13,7 +13,7 @@ from numpy.testing import assert_array_equal
 
 from drape.cloth import rest_state
 from drape.errors import ArtifactError, Unavailable
-from drape.files import packed
+from drape.files import atomic
 from drape.garment import cache
 from drape.garment.cache import Garment, load_garment, save_garment
 from tests.drape.garment.rest_garments import barrel_garment
@@ -122,7 +122,7 @@ def test_crash_while_writing_leaves_the_old_file(stored, monkeypatch):
     def crash(*paths):
         raise OSError("power cut")
 
-    monkeypatch.setattr(packed.os, "replace", crash)
+    monkeypatch.setattr(atomic.os, "replace", crash)
     with pytest.raises(Unavailable, match="power cut"):
         save_garment(dataclasses.replace(barrel_garment(), manifest={"again": 1}), stored.parent)
     same_garment(load_garment(stored), barrel_garment())

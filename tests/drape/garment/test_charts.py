@@ -47,12 +47,26 @@ def clusters():
     return label, rest.vertices, rest.normals, rest.areas, bone
 
 
+def check_no_patch_twice(blend):
+    for patch, weight in zip(blend.patch, blend.weight, strict=True):
+        used = patch[weight > 0.0]
+        assert len(np.unique(used)) == len(used)
+
+
 def blended(count, *, spacing_m=0.1, refinement=1):
     """Blend of ``count`` charts over the plane, its weights by patch (N, K), the rows of its seeds and its faces."""
     vertices, faces = plane(refinement)
     seeds = nearest_vertices(plane_seeds(count), vertices)[1]
     blend = charts.blend_charts(vertex_graph(vertices, faces), seeds, spacing_m=spacing_m)
     return blend, dense_weights(blend, count), seeds, faces
+
+
+def test_rows_of_patches_are_all_rows_each_once_and_ascending(rng):
+    patch = rng.integers(-1, 7, 200)
+    rows = charts.rows_of_patches(patch, 8)
+    assert_array_equal(np.sort(np.concatenate(rows)), np.flatnonzero(patch >= 0))
+    for k, mine in enumerate(rows):
+        assert_array_equal(mine, np.flatnonzero(patch == k))
 
 
 @each(count=[1, 2, 3, 4, 5, 12])
@@ -63,9 +77,7 @@ def test_blend_weights_are_a_partition_of_unity_and_no_patch_is_blended_twice(co
     assert (blend.weight >= 0.0).all()
     assert_allclose(blend.weight.sum(axis=1), 1.0, rtol=0.0, atol=EXACT)
     assert blend.patch.min() >= 0 and blend.patch.max() < count
-    for patch, weight in zip(blend.patch, blend.weight, strict=True):
-        used = patch[weight > 0.0]
-        assert len(np.unique(used)) == len(used)
+    check_no_patch_twice(blend)
 
 
 def test_patches_come_nearest_first_and_nearer_ones_weigh_more():
@@ -104,6 +116,7 @@ def test_pieces_of_few_patches_blend_only_their_own():
         ]
     )
     blend = charts.blend_charts(vertex_graph(vertices, faces), seeds, spacing_m=0.1)
+    check_no_patch_twice(blend)
     dense = dense_weights(blend, len(seeds))
     assert_array_equal(dense[piece[seeds][None] != piece[:, None]], 0.0)
     assert_allclose(dense[piece == 1, 8], 1.0, rtol=0.0, atol=EXACT)

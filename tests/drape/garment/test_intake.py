@@ -208,6 +208,13 @@ def test_unused_vertices_keep_their_places(garment, rng: np.random.Generator, mo
     assert np.quantile(np.abs(np.log(after / before)), 0.99) < 0.7
 
 
+def test_used_vertices_at_one_place_stay_apart():
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 0], [9, 9, 9]])
+    compact, kept = without_unused(plain_mesh("seam", vertices, [[0, 1, 2], [3, 2, 1]]))
+    assert_array_equal(compact.faces, [[0, 1, 2], [3, 2, 1]])
+    assert_array_equal(kept[:4], np.arange(4))
+
+
 def test_smpl_and_mesh_avatars_are_taken(folder: Path):
     vertices, _ = shirt(BODY, BODY.v_template)
     told = intake(obj_text(vertices, FACES), kind="obj", name="a", avatar={"betas": [0.0]}, body=BODY)

@@ -98,6 +98,18 @@ def test_garment_elsewhere_is_refused():
         check_mesh(CLOTH, standard_avatar(BODY), named=False)
 
 
+def test_points_below_the_skin_fit_worse_than_as_far_outside():
+    normals = meshes.vertex_normals(AVATAR.vertices, AVATAR.faces)
+    trunk = BODY.weights[:, 0] > 0.5  # the pelvis
+    extent = np.ptp(AVATAR.vertices[trunk], axis=0).max()
+    shallow, deep, outside = (
+        mesh_checks.misfit((AVATAR.vertices + away_m * normals)[trunk], AVATAR, normals)
+        for away_m in (-0.006, -0.03, 0.03)
+    )
+    assert shallow < 0.01 / extent
+    assert deep > 2.5 * outside
+
+
 def test_equal_units_are_refused(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(mesh_checks.UNITS_M, "hand", 0.01005)
     with pytest.raises(MeshError, match=r"cm or hand|hand or cm"):
