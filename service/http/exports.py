@@ -9,7 +9,7 @@ from fastapi.responses import StreamingResponse
 
 from drape.export.glb import GARMENT_COLOURS
 from drape.export.pc2 import pc2_head
-from drape.export.usda import Moving, usda_pieces
+from drape.export.usda import MovingGarment, usda_pieces
 from service.compute.garments import Scene
 from service.compute.sliced_thread import SlicedThread
 from service.http.answers import number_bytes
@@ -28,7 +28,7 @@ def export_answer(
     else:
         ends = np.cumsum([entry.vertex_count for entry in scene.layers])[:-1]
         layers = [
-            Moving(entry.garment, own, GARMENT_COLOURS[i % len(GARMENT_COLOURS)][:3])
+            MovingGarment(entry.garment, own, GARMENT_COLOURS[i % len(GARMENT_COLOURS)][:3])
             for i, (entry, own) in enumerate(zip(scene.layers, np.split(vertices, ends, axis=1), strict=True))
         ]
         pieces = usda_pieces(layers, fps, point=point)
