@@ -34,8 +34,8 @@ from drape.cloth.waistband import STIFFNESS_N_M2
 from drape.contact.skin import body_skin
 from drape.errors import refusing
 from drape.files.data import data_folder
-from drape.live.fold_constants import Constants, Dressed, leash_n_per_m
-from drape.live.fold_step import Effort, Frame, fold
+from drape.live.fold_constants import FoldConstants, WornCloth, leash_n_per_m
+from drape.live.fold_step import FoldEffort, Frame, fold
 from drape.live.skin_contact import nearest_at_rest, skin_graph
 from training.data import TrainingGarment
 from training.poses import PoseBank, draw_betas, read_clips
@@ -43,7 +43,7 @@ from training.starting import finetuned, with_more_garments
 from training.targets import SettledDrapes, digest
 from training.trainer import Trainer
 
-EFFORT = Effort(sweeps=2, settle=40)
+EFFORT = FoldEffort(steps=2, settle=40)
 FRAMES = 6  # of a file: the constants of a garment in a fabric cost as much as one
 
 
@@ -54,7 +54,7 @@ class Settler:
         self._skin = body_skin(body)
         self._graph = skin_graph(self._skin)
 
-    def constants(self, garment: TrainingGarment, fabric: Fabric) -> Constants:
+    def constants(self, garment: TrainingGarment, fabric: Fabric) -> FoldConstants:
         """The constants of folds on the training mesh."""
         moved = {
             item.name: value.numpy().astype(np.float64 if value.is_floating_point() else np.int64)
@@ -66,9 +66,9 @@ class Settler:
         if garment.band is not None:
             vertex, length_m = garment.band
             held[vertex.numpy()] += STIFFNESS_N_M2 * length_m.numpy()
-        return Constants.of(Dressed(cloth, Material.of(fabric), held, self._graph, index))
+        return FoldConstants.of(WornCloth(cloth, Material.of(fabric), held, self._graph, index))
 
-    def settled(self, constants: Constants, vertices: np.ndarray, skin: np.ndarray) -> np.ndarray:
+    def settled(self, constants: FoldConstants, vertices: np.ndarray, skin: np.ndarray) -> np.ndarray:
         """Settled places [m] (F, V, 3) of ``vertices`` on bodies of samples ``skin`` (F, ..., 8), about one origin.
 
         A drape that the solver loses is not finite.

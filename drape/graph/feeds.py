@@ -16,8 +16,8 @@ from drape.body.features import Kinematics, feature_count, static_features
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
 from drape.contact.proximity import PatchSkin, patch_skin
+from drape.contact.push_tables import outward_directions
 from drape.contact.skin import Skin, body_skin, shaped_skin
-from drape.contact.tables import outward_directions
 from drape.errors import MotionError
 from drape.garment.cache import Atlas, Garment
 from drape.garment.consensus import consensus, strain_places

@@ -10,8 +10,8 @@ import numpy as np
 from drape.arrays import Array, namespace
 from drape.arrays.tensors import Tensors, group, tensor
 from drape.body.model import BodyModel
+from drape.contact.cloth_samples import MEMBERS, ClothSamples, cloth_samples, hidden_under, joined
 from drape.contact.field import take
-from drape.contact.layers import MEMBERS, ClothSamples, cloth_samples, covered, joined
 from drape.contact.projection import CLEARANCE_M, Pushed, PushFeed, push_in_parts
 from drape.contact.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE, Samples, table_of_columns, unit_cross
 from drape.contact.skin import body_skin
@@ -64,7 +64,7 @@ def pack_layer(feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples,
     hidden = [np.zeros(surface.count, dtype=bool) for surface in surfaces]
     for layer, surface in enumerate(surfaces):
         for over in sheets[layer:]:
-            hidden[layer] |= covered(surface, over.vertices, over.faces)
+            hidden[layer] |= hidden_under(surface, over.vertices, over.faces)
     by_region = np.concatenate(hidden).reshape(-1, REGION_SIZE)
     region = np.flatnonzero(~by_region.all(axis=1))
     region = np.concatenate([region, np.repeat(region[-1:], -len(region) % POSED_REGIONS)])

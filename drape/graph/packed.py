@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from drape.arrays import Array
 from drape.arrays.tensors import Tensors, group, tensor
 from drape.body.skeleton import JOINT_COUNT
+from drape.contact.push_tables import OWN_CLUSTERS
 from drape.contact.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE
-from drape.contact.tables import OWN_CLUSTERS
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.garment.consensus import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.geometry import jets

@@ -9,9 +9,9 @@ import numpy as np
 from drape.arrays import Array, namespace
 from drape.body.model import BodyModel
 from drape.contact.projection import CHARTS_PER_VERTEX, TERMS, TILE_WIDTH, PushFeed
+from drape.contact.push_tables import GROUP_SIZE, PushTables, push_tables
 from drape.contact.samples import POSED_REGIONS, REGION_SIZE, Samples
 from drape.contact.skin import body_skin, shaped_skin
-from drape.contact.tables import GROUP_SIZE, PushTables, push_tables
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment
 from drape.geometry import jets

@@ -32,7 +32,8 @@ from model_export.precision.int8 import (
     round_matrices,
     wide_layers,
 )
-from service.graphs.engine import PACKED, ROUNDED, Engine
+from service.graphs.engine import PACKED, Engine
+from service.graphs.graph_names import ROUNDED
 from service.graphs.packing import Packer, ScenePlan
 from tests.fixtures.packed import exported, garment
 from tests.fixtures.poses import random_motion

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from drape.body.assets import load_body
 from drape.body.skeleton import JOINT_NAMES
 from drape.cloth import metrics
-from drape.contact.layers import joined
+from drape.contact.cloth_samples import joined
 from drape.contact.projection import CLEARANCE_M, push_out_of_bodies
 from drape.contact.samples import sample_table
 from drape.contact.skin import body_skin
