@@ -28,7 +28,7 @@ from drape.errors import DrapeError, InputError
 from drape.export.glb import GARMENT_COLOURS
 from drape.export.obj import obj_text
 from drape.export.pc2 import pc2_head, pc2_samples
-from drape.export.usda import Moving, usda_pieces
+from drape.export.usda import MovingGarment, usda_pieces
 from drape.files.atomic import whole_file
 from drape.files.formats import MESH_SUFFIXES
 from drape.motion.clip import MotionClip
@@ -192,13 +192,13 @@ def _drape(client: DrapeClient, options: argparse.Namespace) -> None:
 
 def _moving(
     client: DrapeClient, worn: Sequence[str], layers: Sequence[np.ndarray], choices: Mapping[str, Any]
-) -> list[Moving]:
+) -> list[MovingGarment]:
     """The ``layers`` (F, V, 3) of the garments ``worn`` with their meshes and colours."""
     resolution = choices["resolution"] or "delivered"
     hidden = choices["hidden"] or ()
     meshes = [Mesh.of(client.mesh(name, resolution)) for name in worn if name not in hidden]
     colours = itertools.cycle(GARMENT_COLOURS)
-    return [Moving(*parts, next(colours)[:3]) for parts in zip(meshes, layers, strict=True)]
+    return [MovingGarment(*parts, next(colours)[:3]) for parts in zip(meshes, layers, strict=True)]
 
 
 def _npy_head(points: int, frames: int) -> bytes:

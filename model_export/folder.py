@@ -16,7 +16,7 @@ from drape.garment.cache import Garment
 from model_export.packed.parity import packed_parity_error
 from model_export.parity import TOLERANCE_M, check_parity
 from model_export.precision.half import HALF, LARGEST_ERROR_M, LEAST, halve_matrices
-from model_export.precision.int8 import ROUNDED, Wide, round_matrices
+from model_export.precision.int8 import ROUNDED, WideLayer, round_matrices
 from model_export.push.graph import PUSHES, write_push
 from model_export.push.parity import push_parity_error
 from model_export.shared_weights import share_weights
@@ -45,7 +45,7 @@ def add_push_out(folder: Path, garment: Garment) -> Manifest:
         return _with_graphs(staged, replace(manifest, parity_error_m=max(error, manifest.parity_error_m)), specs)
 
 
-def add_int8(folder: Path, layers: Mapping[str, Wide]) -> Manifest:
+def add_int8(folder: Path, layers: Mapping[str, WideLayer]) -> Manifest:
     """Adds the packed graph with ``layers`` in int8 to a model folder that exists."""
     return _add_packed(folder, ROUNDED, lambda proto: round_matrices(proto, layers))
 

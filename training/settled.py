@@ -40,7 +40,7 @@ from drape.live.skin_contact import nearest_at_rest, skin_graph
 from training.data import TrainingGarment
 from training.poses import PoseBank, draw_betas, read_clips
 from training.starting import finetuned, with_more_garments
-from training.targets import Settled, digest
+from training.targets import SettledDrapes, digest
 from training.trainer import Trainer
 
 EFFORT = FoldEffort(steps=2, settle=40)
@@ -80,7 +80,7 @@ class Settler:
         return np.stack(found).astype(np.float32)
 
 
-def make(trainer: Trainer, settler: Settler) -> Settled | None:
+def make(trainer: Trainer, settler: Settler) -> SettledDrapes | None:
     """A garment in a fabric at poses that ``trainer`` draws, settled; None if the solver lost one of the drapes."""
     rng, config = trainer.rng, trainer.config
     trainer.draw_fabric()
@@ -95,7 +95,7 @@ def make(trainer: Trainer, settler: Settler) -> Settled | None:
     vertices = settler.settled(made, start.numpy(), body.tensors.skin.numpy())
     if not np.isfinite(vertices).all():
         return None
-    return Settled(garment.name, digest(garment), trainer.fabric, poses, betas, vertices)
+    return SettledDrapes(garment.name, digest(garment), trainer.fabric, poses, betas, vertices)
 
 
 @refusing

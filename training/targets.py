@@ -23,7 +23,7 @@ TRIES = 64
 
 
 @dataclass(frozen=True, eq=False)
-class Settled:
+class SettledDrapes:
     """``vertices`` [m] (F, V, 3) relative to the root, at ``poses`` (F, 24, 3) [rad] of bodies ``betas`` (F, S), of the
     training garment ``garment`` made of ``fabric``; ``digest`` of that garment's rest mesh."""
 
@@ -41,7 +41,7 @@ class Settled:
             np.savez(file, said=json.dumps(said), poses=self.poses, betas=self.betas, vertices=self.vertices)
 
     @classmethod
-    def read(cls, path: Path) -> Settled:
+    def read(cls, path: Path) -> SettledDrapes:
         """The drapes in ``path``; refuses (``ArtifactError``) a file that ``save`` did not write."""
         try:
             with np.load(path, allow_pickle=False) as found:
@@ -79,14 +79,16 @@ class SettledBank:
     def _files(self) -> list[Path]:
         return sorted(self.folder.glob("*.npz"))
 
-    def draw(self, garments: Sequence[TrainingGarment], rng: np.random.Generator) -> tuple[TrainingGarment, Settled]:
-        """One of the files that are of ``garments``, and which; refuses (``ArtifactError``) a folder with hardly any.
+    def draw(
+        self, garments: Sequence[TrainingGarment], rng: np.random.Generator
+    ) -> tuple[TrainingGarment, SettledDrapes]:
+        """A garment of ``garments`` and one of its files; refuses (``ArtifactError``) a folder with hardly any.
 
-        Processes of a parallel run have neighbours of the designs of their own, of which there are no files.
+        Processes of a parallel run draw neighbours of the designs of their own; there are no files of those.
         """
         files, known = self._files(), {(garment.name, digest(garment)): garment for garment in garments}
         for _ in range(TRIES):
-            found = Settled.read(files[int(rng.integers(len(files)))])
+            found = SettledDrapes.read(files[int(rng.integers(len(files)))])
             if (garment := known.get((found.garment, found.digest))) is not None:
                 return garment, found
         raise ArtifactError(
@@ -97,7 +99,7 @@ class SettledBank:
         )
 
 
-def distance(vertices: Tensor, settled: Settled, cloth: ClothMesh) -> Tensor:
+def distance(vertices: Tensor, settled: SettledDrapes, cloth: ClothMesh) -> Tensor:
     """Mean squared distance [m^2] of ``vertices`` (F, V, 3) to the settled ones, by area of the ``cloth`` at rest."""
     target = torch.from_numpy(settled.vertices).to(vertices)
     area = cloth.vertex_area / cloth.vertex_area.sum()

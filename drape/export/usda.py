@@ -19,7 +19,7 @@ POINT_BYTES = 28  # about
 
 
 @dataclass(frozen=True, eq=False)
-class Moving:
+class MovingGarment:
     """A garment at ``vertices`` [m] (F, V, 3), in a colour (3,) of linear red, green and blue."""
 
     surface: Surface
@@ -27,7 +27,7 @@ class Moving:
     colour: tuple[float, ...]
 
 
-def usda_pieces(layers: Sequence[Moving], fps: float, *, point: np.ndarray | None = None) -> Iterator[bytes]:
+def usda_pieces(layers: Sequence[MovingGarment], fps: float, *, point: np.ndarray | None = None) -> Iterator[bytes]:
     """The file, in pieces; vertices count from ``point`` [m] (3,), the origin by default."""
     x, y, z = np.zeros(3).tolist() if point is None else point.tolist()
     yield (
@@ -43,7 +43,7 @@ def usda_pieces(layers: Sequence[Moving], fps: float, *, point: np.ndarray | Non
     yield b"}\n"
 
 
-def _mesh(name: str, layer: Moving) -> Iterator[bytes]:
+def _mesh(name: str, layer: MovingGarment) -> Iterator[bytes]:
     surface, frames = layer.surface, layer.vertices
     yield f'\n    def Mesh "{name}"\n    {{\n'.encode()
     yield b"        uniform bool doubleSided = 1\n        float3[] extent.timeSamples = {\n"

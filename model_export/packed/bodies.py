@@ -8,12 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from drape.body.features import STATIC_PER_JOINT
 from drape.body.skeleton import JOINT_COUNT, PARENTS
 from drape.graph.packed import Indices, PackedBodies, StoredPatches
-from model_export.packed.operators import rows
+from model_export.packed.operators import WithTables, rows
 
 # Entries of q q^T (wxyz, row by row) in each entry of the rotation matrix less the identity, and in |q|^2.
 _ROTATION = (
@@ -56,26 +56,13 @@ class Frames:
     into: Tensor
 
 
-class Kinematics(nn.Module):
+class Kinematics(WithTables):
     """Bodies -> bones, features, and the frames of their patches."""
 
-    rotation_terms: Tensor
-    sixd_terms: Tensor
-    neutral: Tensor
-    left_terms: Tensor
-    identity: Tensor
-    offsets: Tensor
-    descent: Tensor
-    parents: Tensor
-    without_root: Tensor
-
     def __init__(self) -> None:
-        super().__init__()
-        for name, value in tables().items():
-            self.register_buffer(name, value)
-        self.jumps = [f"jump_{i}" for i, _ in enumerate(ancestor_jumps())]
-        for name, value in zip(self.jumps, ancestor_jumps(), strict=True):
-            self.register_buffer(name, value)
+        jumps = {f"jump_{i}": jump for i, jump in enumerate(ancestor_jumps())}
+        super().__init__(tables() | jumps)
+        self.jumps = list(jumps)
 
     def forward(self, bodies: PackedBodies) -> tuple[Bones, Tensor]:
         """Bones of ``bodies``, and ``drape.body.features.static_features`` and the shape (B, 226)."""

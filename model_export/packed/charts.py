@@ -3,34 +3,24 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.garment.consensus import FIT_COUNT, MEMBERS
 from drape.geometry import jets
 from drape.graph.packed import COLUMNS, VERTICES_PER_BLOCK, Indices, StoredCharts
 from model_export.packed.bodies import Frames
+from model_export.packed.operators import WithTables
 
 # Rows of (place, 1, u, v, uu, uv, vv) whose products are the basis of orders 3 and 4.
 _HIGHER = (6, 6, 8, 8, 6, 6, 7, 7, 8), (4, 5, 4, 5, 6, 7, 7, 8, 8)
 
 
-class Charts(nn.Module):
+class Charts(WithTables):
     """The blend of the charts, and the fit of each chart to that blend."""
 
-    placed: Tensor
-    placed_full: Tensor
-    frame_only: Tensor
-    fit_choice: Tensor
-    full_choice: Tensor
-    chart_sums: Tensor
-    higher_first: Tensor
-    higher_second: Tensor
-
     def __init__(self) -> None:
-        super().__init__()
-        for name, value in tables().items():
-            self.register_buffer(name, value)
+        super().__init__(tables())
 
     def posed(self, frames: Frames, jet: Tensor) -> Tensor:
         """Posed jets (P, 3, 18) of ``jet`` (P, 27 or 45) in ``frames``."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from drape.contact.field import attend, queries, surface
 from drape.contact.projection import REGION_BIAS_M2, REGION_COUNT
@@ -16,7 +16,7 @@ from drape.garment.consensus import STRAIN_POINTS, strain_points
 from drape.geometry import jets
 from drape.graph.packed import ShapedSkins, StoredProximity
 from model_export.packed.bodies import Frames
-from model_export.packed.operators import softsign
+from model_export.packed.operators import WithTables, softsign
 
 PLACES = 2 * STRAIN_POINTS  # of a patch: each point before its own part of the body, then before others
 
@@ -41,23 +41,14 @@ class NearPlanes:
     pull: Tensor
 
 
-class Contact(nn.Module):
+class Contact(WithTables):
     """Body proximity of patches in their own frames, where a pass is a few products (``drape.contact.proximity``).
 
     The planes are looked up in the world, once; jets move points along the axes of their patch.
     """
 
-    point_terms: Tensor
-    twice: Tensor
-    axis_sums: Tensor
-    axis_copies: Tensor
-    middle_terms: Tensor
-    middle_last: Tensor
-
     def __init__(self) -> None:
-        super().__init__()
-        for name, value in tables().items():
-            self.register_buffer(name, value)
+        super().__init__(tables())
 
     def places(self, lists: StoredProximity) -> Tensor:
         """Rest places (P, 42) of the points, for both parts of the body."""

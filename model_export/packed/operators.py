@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import onnxscript
 import torch
@@ -45,3 +46,16 @@ TRANSLATIONS = {torch.ops.aten.index_select.default: _gather, torch.ops.drape.so
 def rows(table: Tensor, index: Tensor) -> Tensor:
     """The rows ``index`` of ``table``."""
     return torch.index_select(table, 0, index)
+
+
+class WithTables(nn.Module):
+    """A module whose constant ``tables`` are its buffers, attributes by name."""
+
+    def __init__(self, tables: Mapping[str, Tensor]) -> None:
+        super().__init__()
+        for name, value in tables.items():
+            self.register_buffer(name, value)
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Tensor: ...

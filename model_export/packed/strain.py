@@ -14,11 +14,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from drape.garment.consensus import STRAIN_POINTS
 from drape.geometry import jets
-from model_export.packed.operators import softsign
+from model_export.packed.operators import WithTables, softsign
 from training.consensus import TRACE_SHARE, tangent_terms
 
 SOFTENING = 4.0  # of training.consensus.softened: 4 x / (1 + |4 x|)
@@ -70,23 +70,11 @@ def _per_point(matrix: Tensor) -> Tensor:
     return torch.kron(matrix.contiguous(), torch.eye(STRAIN_POINTS))
 
 
-class Strain(nn.Module):
+class Strain(WithTables):
     """Jets of patches -> ``softened`` strain and force, as the corrections take them."""
 
-    direction_terms: Tensor
-    directions: Tensor
-    first_factor: Tensor
-    second_factor: Tensor
-    tangent_products: Tensor
-    strain_sums: Tensor
-    strain_at_rest: Tensor
-    stress_terms: Tensor
-    force_terms: Tensor
-
     def __init__(self) -> None:
-        super().__init__()
-        for name, value in tables().items():
-            self.register_buffer(name, value)
+        super().__init__(tables())
 
     def stretch(self, tangent: Tensor, unit: Tensor) -> Stretch:
         """From the stored ``strain_tangent`` (P, 42) and ``strain_unit`` (P, 3, 7)."""

@@ -41,7 +41,7 @@ POSES = 24
 
 
 @dataclass(frozen=True, eq=False)
-class Wide:
+class WideLayer:
     """A layer to be rounded: its ``weight`` (K, N) and the largest size ``most`` (K,) of each of its inputs."""
 
     weight: np.ndarray
@@ -58,7 +58,9 @@ def wide_layers(model: OneFit) -> dict[str, nn.Linear]:
     return {f"correction_{i}": layer for i, layer in enumerate(firsts)}
 
 
-def calibrated(model: OneFit, garments: Sequence[Garment], source: BodySource, poses: np.ndarray) -> dict[str, Wide]:
+def calibrated(
+    model: OneFit, garments: Sequence[Garment], source: BodySource, poses: np.ndarray
+) -> dict[str, WideLayer]:
     """Largest inputs of ``wide_layers`` when ``garments`` are draped at ``poses`` (F, 24, 3) [rad], with a margin.
 
     Networks that know fabrics drape the softest, the stiffest and one between.
@@ -69,12 +71,12 @@ def calibrated(model: OneFit, garments: Sequence[Garment], source: BodySource, p
             for cloth in [fabric(name) for name in FABRICS] if model.config.fabric else [None]:
                 posed_patches(model, garment, source, poses, fabric=cloth)
     return {
-        name: Wide(layer.weight.detach().numpy().T.copy(), MARGIN * seen[name].numpy())
+        name: WideLayer(layer.weight.detach().numpy().T.copy(), MARGIN * seen[name].numpy())
         for name, layer in layers.items()
     }
 
 
-def on_shipped(model: OneFit) -> dict[str, Wide]:
+def on_shipped(model: OneFit) -> dict[str, WideLayer]:
     """``calibrated`` on the shipped garments at hard poses of the shipped clips."""
     body = load_body()
     poses = hard_poses([read_motion(path) for path in find_motions([])], body, POSES).poses
@@ -102,7 +104,7 @@ def _watched(layers: Mapping[str, nn.Linear]) -> Iterator[dict[str, torch.Tensor
             handle.remove()
 
 
-def round_matrices(proto: onnx.ModelProto, layers: Mapping[str, Wide]) -> None:
+def round_matrices(proto: onnx.ModelProto, layers: Mapping[str, WideLayer]) -> None:
     """Replaces the Gemms of ``proto`` that hold the weights of ``layers``; refuses a graph that lacks one of them."""
     graph = proto.graph
     tensors = {tensor.name: tensor for tensor in graph.initializer}
@@ -124,7 +126,9 @@ def round_matrices(proto: onnx.ModelProto, layers: Mapping[str, Wide]) -> None:
     graph.initializer.extend(kept)
 
 
-def _layer_of(node: onnx.NodeProto, tensors: Mapping[str, onnx.TensorProto], layers: Mapping[str, Wide]) -> str | None:
+def _layer_of(
+    node: onnx.NodeProto, tensors: Mapping[str, onnx.TensorProto], layers: Mapping[str, WideLayer]
+) -> str | None:
     """The layer whose weights the matrix of a Gemm are."""
     if node.input[1] not in tensors:
         return None
@@ -134,7 +138,7 @@ def _layer_of(node: onnx.NodeProto, tensors: Mapping[str, onnx.TensorProto], lay
     return next((name for name, layer in layers.items() if np.array_equal(layer.weight, matrix)), None)
 
 
-def _rounded(node: onnx.NodeProto, name: str, layer: Wide, graph: onnx.GraphProto) -> list[onnx.NodeProto]:
+def _rounded(node: onnx.NodeProto, name: str, layer: WideLayer, graph: onnx.GraphProto) -> list[onnx.NodeProto]:
     """The nodes in place of a Gemm, x @ weight + c; their constants are added to ``graph``."""
     most = np.maximum(layer.most, 1e-6)
     scaled = layer.weight * (most / STEPS)[:, None]

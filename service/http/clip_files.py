@@ -14,7 +14,7 @@ from drape.export.glb_body import add_body
 from drape.export.glb_file import GlbFile
 from drape.export.pc2 import pc2_head
 from drape.export.root_motion import RootMotion
-from drape.export.usda import Moving, usda_pieces
+from drape.export.usda import MovingGarment, usda_pieces
 from drape.garment.cache import Garment
 from service.http.answers import PC2, number_bytes
 
@@ -75,7 +75,7 @@ def export_answer(
     else:
         ends = np.cumsum([entry.vertex_count for entry in scene.layers])[:-1]
         layers = [
-            Moving(entry.garment, own, glb.GARMENT_COLOURS[i % len(glb.GARMENT_COLOURS)][:3])
+            MovingGarment(entry.garment, own, glb.GARMENT_COLOURS[i % len(glb.GARMENT_COLOURS)][:3])
             for i, (entry, own) in enumerate(zip(scene.layers, np.split(vertices, ends, axis=1), strict=True))
         ]
         pieces = usda_pieces(layers, fps, point=point)

@@ -27,7 +27,7 @@ from model_export.precision.int8 import (
     MIDDLE,
     STEPS,
     WEIGHT_STEPS,
-    Wide,
+    WideLayer,
     calibrated,
     round_matrices,
     wide_layers,
@@ -41,7 +41,7 @@ from training.data import BodySource
 
 INPUTS, OUTPUTS = 64, 80
 RNG = np.random.default_rng(0)
-LAYER = Wide(
+LAYER = WideLayer(
     RNG.normal(size=(INPUTS, OUTPUTS)).astype(np.float32), RNG.uniform(0.5, 2.0, size=INPUTS).astype(np.float32)
 )
 BIAS, SMALL = RNG.normal(size=OUTPUTS).astype(np.float32), RNG.normal(size=(INPUTS, 2)).astype(np.float32)
@@ -101,7 +101,7 @@ def test_a_layer_in_int8_is_its_formula_alone_and_in_a_batch(turned: bool):
 
 def test_graphs_without_the_layers_are_refused(monkeypatch: pytest.MonkeyPatch):
     with pytest.raises(ArtifactError, match="expected a Gemm with the weights of other"):
-        round_matrices(gemms(), {"layer": LAYER, "other": Wide(LAYER.weight + 1.0, LAYER.most)})
+        round_matrices(gemms(), {"layer": LAYER, "other": WideLayer(LAYER.weight + 1.0, LAYER.most)})
     with pytest.raises(ArtifactError, match="packed graph: expected a Gemm with 9000 weights or more"):
         halve_matrices(gemms(), least=9000)
     monkeypatch.setattr(half_module, "WHOLE", ("weight",))  # a matrix that needs its digits keeps them

@@ -19,7 +19,7 @@ from tests.training.training_setup import CPU, TINY, TINY_RUN, bank, body, garme
 from training import settled
 from training.run import make_trainer
 from training.settled import Settler
-from training.targets import Settled, SettledBank, digest, distance
+from training.targets import SettledBank, SettledDrapes, digest, distance
 from training.trainer import Trainer
 
 FABRIC_RUN = replace(TINY_RUN, model=replace(TINY, fabric=True))
@@ -88,7 +88,7 @@ def test_folders_without_files_and_files_of_others_are_refused(made: tuple[Train
         SettledBank(folder).draw([garment()], np.random.default_rng(0))
     (folder / "001_000000.npz").write_bytes(b"no archive")
     with pytest.raises(ArtifactError, match="001_000000"):
-        Settled.read(folder / "001_000000.npz")
+        SettledDrapes.read(folder / "001_000000.npz")
     with pytest.raises(InputError, match="--settled"):
         make_trainer(
             replace(FABRIC_RUN, model=replace(FABRIC_RUN.model, dynamic=True)),

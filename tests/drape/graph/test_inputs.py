@@ -38,10 +38,8 @@ def check(specs: tuple[TensorSpec, ...], arrays: dict[str, np.ndarray]) -> dict[
 @pytest.mark.parametrize("feels", [False, True])
 def test_feeds_are_what_the_readable_graph_declares(feels: bool, fine: bool):
     body, whole = load_body(), garment("tank")
-    kinds, parts = (
-        (BodyTensors, PatchTensors, ChartTensors, AgreementTensors),
-        tuple(part for part in PARTS if feels or part != FEELS),
-    )
+    kinds = (BodyTensors, PatchTensors, ChartTensors, AgreementTensors)
+    parts = tuple(part for part in PARTS if feels or part != FEELS)
     made = body_feed(body, *random_motion(FRAMES, seed=1), skin=feels)
     arrays = made.arrays | garment_feed(whole, fine=fine, body=body if feels else None)
     assert all(array.flags.c_contiguous for array in arrays.values())
