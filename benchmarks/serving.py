@@ -46,10 +46,10 @@ from drape.wire.clips import pack_clip
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.tiers import NAMES
-from service.compute.unchanged import REST_S
 from service.settings import Settings
 from service.stages import run
 from service.stages.batch import Plan, PoseInput
+from service.stages.unchanged import REST_S
 
 FPS, LATE_S, WARM_S = 30.0, 0.1, 1.0
 OVERLOADED_S = 3.0  # until streams that all come at once are held where they stay

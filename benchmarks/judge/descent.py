@@ -131,7 +131,7 @@ def _corner(x, own, triangles, entry):
 
 @part
 def _membrane_block(x, v, problem, gradient, hessian):
-    """``gradient`` and ``hessian`` of vertex v with its triangles': Gauss-Newton, and their stress where it pulls."""
+    """``gradient`` and ``hessian`` of vertex v plus those of its triangles: Gauss-Newton, and the stress that pulls."""
     k, t = problem.constants, problem.triangles
     own = at(x, v)
     for entry in range(t.start[v], t.start[v + 1]):
@@ -149,7 +149,8 @@ def _membrane_block(x, v, problem, gradient, hessian):
 
 @part
 def _hinge_block(x, v, problem, gradient, hessian):
-    """The same of v's hinges: Gauss-Newton of the angle, as stiff folded as flat, so that it bounds the curvature."""
+    """The same plus those of its hinges: Gauss-Newton of the angle, as stiff folded as flat, so that it bounds the
+    curvature."""
     k, hinges = problem.constants, problem.hinges
     for entry in range(hinges.start[v], hinges.start[v + 1]):
         stiffness, force, turn = hinge_corner(x, hinges, hinges.member[entry], k)
@@ -160,7 +161,7 @@ def _hinge_block(x, v, problem, gradient, hessian):
 
 @part
 def _local_energy(x, own, v, problem, around):
-    """Energy [J] of all that moves with vertex v, were it at ``own``."""
+    """Energy [J] of all that vertex v moves, with v at ``own``."""
     k, t, hinges = problem.constants, problem.triangles, problem.hinges
     total, _, _ = outside(own, v, problem, around)
     for entry in range(t.start[v], t.start[v + 1]):
@@ -180,7 +181,7 @@ def _local_energy(x, own, v, problem, around):
 
 @kernel
 def diagonal_blocks(x, problem, around, blocks):
-    """The positive Hessian blocks (V, 3, 3) of the vertices that ``sweep`` solves."""
+    """Writes the positive Hessian blocks (V, 3, 3) with which ``sweep`` moves the vertices."""
     k = problem.constants
     for v in range(len(x)):
         own = at(x, v)

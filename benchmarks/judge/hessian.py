@@ -1,4 +1,4 @@
-"""The Hessian of a cloth's energy as 3 x 3 blocks in rows (CSR), compiled: exact, or what of it is surely positive."""
+"""The Hessian of a cloth's energy as 3 x 3 blocks in rows (CSR), compiled: exact, or a positive part of it."""
 
 from __future__ import annotations
 
@@ -24,9 +24,8 @@ from drape.kernels.problem import stencil
 
 
 class Pattern(NamedTuple):
-    """Where the blocks are. Row v has the columns ``column[start[v] : start[v + 1]]``, sorted, its own at ``diagonal``.
-
-    ``face`` (F, 3, 3), ``hinge`` (H, 4, 4): the block of every pair of corners.
+    """The places of the blocks. Row v has the columns ``column[start[v] : start[v + 1]]``, sorted, its own at
+    ``diagonal``. ``face`` (F, 3, 3) and ``hinge`` (H, 4, 4) name the block of every pair of corners.
     """
 
     start: np.ndarray
@@ -59,10 +58,10 @@ def pattern(cloth: ClothMesh) -> Pattern:
 
 @kernel
 def assemble(x, problem, around, pattern, exact, blocks):
-    """The Hessian [N/m] at ``x`` in ``blocks`` (N, 3, 3), N blocks of the pattern.
+    """Writes the Hessian [N/m] at ``x`` to ``blocks`` (N, 3, 3), the N blocks of the pattern.
 
-    ``exact`` 1: as it is; 0: surely positive, with stress only where it pulls and hinges as stiff as unfolded ones,
-    without the curvature of their angle; between: as much of each.
+    It is the exact one for ``exact`` 1. For 0 it is positive: only tensile stress counts, hinges are as stiff as
+    unfolded ones, and the curvature of their angle is left out. Values between mix the two.
     """
     blocks[:] = problem.constants.zero
     _membrane_blocks(x, problem, pattern, exact, blocks)

@@ -1,14 +1,14 @@
 """The physics optimum of cloth that may not pass through itself: it judges folds that keep cloth apart.
 
-The energy and the method are those of ``benchmarks.judge.newton``. Beside them every vertex and triangle, and every
-two edges, that share no corner push each other off from ``REACH_M`` on, by the barrier of incremental potential contact
-(Li et al. 2020, "Incremental Potential Contact", ACM TOG 39(4))
+The energy and the method are those of ``benchmarks.judge.newton``. In addition a vertex and a triangle, or two edges,
+that share no corner and are nearer than r = ``REACH_M`` push each other off by the barrier of incremental potential
+contact (Li et al. 2020, "Incremental Potential Contact", ACM TOG 39(4))
 
     b(d) = -k (d - r)^2 ln(d / r).
 
-No step moves a vertex by more than a part of the distance to what is nearest to it, so that nothing passes through
+No step moves a vertex by more than a share of its distance to the nearest element, so that nothing passes through
 anything (Wu, Parker and Kim 2020, "A Safe and Fast Repulsion Method for GPU-based Cloth Self Collisions", ACM TOG
-40(1)): what is apart in the start ends apart. What crosses in the start is found crossing in the end.
+40(1)). Cloth that is apart in the start ends apart; cloth that crosses in the start still crosses in the end.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def push_apart(x, corner, triangles, k, gradient):
 
 @kernel
 def _add_curvature(x, corner, triangles, k, place, blocks):
-    """Adds what of the barrier's Hessian is surely positive to ``blocks``: those of pair n at ``place`` (n, 4, 4)."""
+    """Adds the positive part of the barrier's Hessian to ``blocks``; pair n has its own at ``place[n]`` (4, 4)."""
     for n in range(len(corner)):
         weight, way = way_between(x, corner[n], n < triangles)
         d = max(np.sqrt(dot(way, way)), 1e-9)
@@ -150,7 +150,7 @@ class Descent(newton.Descent):
 
 
 def stored_minimum(task: physics.Task, folder: Path | None) -> tuple[physics.Optimum, bool]:
-    """What ``minimise`` finds of ``task``, and whether it was in ``folder``: see ``physics_cache.cached``."""
+    """The optimum of ``minimise`` for ``task``, and whether it was in ``folder`` (``physics_cache.cached``)."""
     plain = physics_cache.cache_key(task, STEPS, physics.TOLERANCE)
     key = physics_cache.key_of([plain], (), (sys.modules[__name__], triangle_pairs))
     return physics_cache.cached(key, lambda: minimise(task, step_limit=STEPS), folder)

@@ -2,7 +2,7 @@
 
 Far from rest the cloth first settles under its own stiffness (``benchmarks.judge.settling``).
 
-The energy is that of ``drape.cloth.energies``, over the blended planes of ``benchmarks.judge.body_distance``: those of
+The energy is that of ``drape.cloth.energies``, over the blended planes of ``benchmarks.judge.blended_planes``: those of
 the nearest body vertices step where a vertex comes nearer to another one, and then there is no place of rest.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 import scipy.linalg
 
 from benchmarks.judge import descent, hessian, linear, settling
-from benchmarks.judge.body_distance import BlendedPlanes
+from benchmarks.judge.blended_planes import BlendedPlanes
 from benchmarks.judge.linear import Charts
 from benchmarks.judge.surroundings import Surroundings, surroundings
 from drape.cloth.contact import BodyContact
@@ -43,8 +43,8 @@ ROUGH_ROUNDS, ROUNDS, ROUNDS_PER_STEP = 40, 400, 10
 
 
 class Cloth(NamedTuple):
-    """What does not change between poses: the flat problem, its pattern, charts in float32, the inverse that cloth
-    settles by."""
+    """The constants of a cloth that all poses share: its problem, the pattern of its Hessian, charts in float32, and
+    ``solve``, the inverse by which it settles."""
 
     problem: Problem
     pattern: hessian.Pattern
@@ -66,14 +66,14 @@ class Cloth(NamedTuple):
 
 
 class Band(NamedTuple):
-    """What holds a waist over one body: the ``anchor`` (V, 3) [m] of every vertex and its spring (V,) [N/m] or zero."""
+    """A waistband over one body: the ``anchor`` (V, 3) [m] of every vertex and its spring (V,) [N/m], zero off it."""
 
     anchor: np.ndarray
     n_per_m: np.ndarray
 
 
 class Found(NamedTuple):
-    """An end: ``x`` (V, 3), ``energy`` [J] over the blended planes, ``force`` [N] (V, 3) left, at rest or not."""
+    """A place ``x`` [m] (V, 3), its ``energy`` [J] over the blended planes and the ``force`` [N] (V, 3) left there."""
 
     x: np.ndarray
     energy: float
@@ -83,7 +83,7 @@ class Found(NamedTuple):
 
 
 class Descent:
-    """One drape on its way down: where it is, ``now``, and what it has met of least energy, ``best``."""
+    """One drape on its way down: ``now`` is its place, ``best`` the place of least energy that it has met."""
 
     reach_m: float | np.ndarray = REACH_M
 
@@ -105,7 +105,7 @@ class Descent:
         self.start_j = self.now.energy
 
     def around(self, x: np.ndarray) -> tuple[Surroundings, np.ndarray]:
-        """What acts on ``x`` from outside, and the second derivatives of its distance to the body."""
+        """The planes and springs that act on ``x``, and the second derivatives of its distance to the body."""
         if self._met is not None and self._met[0] is x:
             return self._met[1:]
         point, normal, bend = self._planes(x)
@@ -122,13 +122,14 @@ class Descent:
         return Found(x, energy, gradient, False, self.steps)
 
     def settle(self, rounds: int) -> None:
-        """Goes on as ``settling`` does, in ``rounds`` at most, from where sweeps come to."""
+        """Sweeps, and then goes on as ``settling`` does, for ``rounds`` at most."""
         for _ in range(SWEEPS):
             self._sweep(self.problem.order)
         self._take(settling.settle(self.now, self.found, self.cloth.solve, rounds))
 
     def run(self, step_limit: int, tolerance_n: float) -> Found:
-        """Until the norm of the force left is at most ``tolerance_n``, ``step_limit`` steps, or no step lowers it."""
+        """Steps until the norm of the force left is at most ``tolerance_n``, no step lowers the energy, or there were
+        ``step_limit`` steps."""
         if self.steps == 0:
             for _ in range(SWEEPS):
                 self._sweep(self.problem.order)
@@ -196,7 +197,7 @@ class Descent:
         return lowered
 
     def _direction(self) -> tuple[np.ndarray, int]:
-        """A step [m] (V, 3) along which the energy falls, and the iterations that it took, negative if cut off."""
+        """A step [m] (V, 3) along which the energy falls, and its iterations, negative where they were cut off."""
         x, problem, (pattern, others) = self.now.x, self.problem, self._other_blocks()
         around, bend = self.around(x)
         depth = np.maximum(problem.constants.gap - ((x - around.point) * around.normal).sum(axis=1), 0.0)
@@ -230,7 +231,7 @@ class Descent:
         return self._limited(moved.astype(np.float64)), count
 
     def _other_blocks(self) -> tuple[hessian.Pattern, np.ndarray | None]:
-        """Where the Hessian's blocks are, and what is added to those of the cloth: here nothing."""
+        """The pattern of the Hessian, and blocks that are added to those of the cloth: here none."""
         return self.cloth.pattern, None
 
     def _limited(self, step: np.ndarray) -> np.ndarray:
@@ -239,11 +240,11 @@ class Descent:
         return step * np.minimum(1.0, self.reach_m / np.maximum(length, 1e-12))
 
     def _swept(self, origin: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Where a sweep from ``origin`` to ``x`` may end: here anywhere."""
+        """The place where a sweep from ``origin`` to ``x`` ends: here ``x``."""
         return x
 
     def _renew_coarse(self, pattern: hessian.Pattern, blocks: np.ndarray) -> None:
-        """Takes the inverse on the charts anew when it is old; where it is not positive, none."""
+        """Renews the inverse on the charts when it is old; a matrix that is not positive has none."""
         self._coarse_age += 1
         if self.cloth.charts.patch.size == 0 or self._coarse_age < COARSE_AGE:
             return
@@ -260,10 +261,10 @@ class Descent:
         self._coarse = np.ascontiguousarray(lower + np.tril(lower, -1).T)
 
     def _lay_out(self) -> bool:
-        """Lays the corners of collapsed triangles between their neighbours, from where no step leads down.
+        """Lays the corners of collapsed triangles between their neighbours; returns whether there were any.
 
-        A fold of a triangle without an area has no angle, and costs half of a whole one: a sharp well of the energy.
-        False where none is collapsed.
+        A triangle without an area has no fold, and its hinges cost as half a fold: a sharp well of the energy, from
+        which no step leads down.
         """
         x, corner = self.now.x.copy(), self.problem.triangles.corner
         first, second = x[corner[:, 1]] - x[corner[:, 0]], x[corner[:, 2]] - x[corner[:, 0]]
@@ -297,10 +298,10 @@ def minimum(
     tolerance: float,
     band: Band | None = None,
 ) -> Found:
-    """The lowest drape over ``posed`` (Vb, 3) from ``starts`` (each V, 3), and never above the lowest of them.
+    """The lowest drape over ``posed`` (Vb, 3) from ``starts`` (each V, 3), never above the lowest of them.
 
-    Every start settles a little; the lowest of them settles on, and goes by Newton's method to rest, where the force
-    left is at most ``tolerance`` of the weight, or until it has taken ``step_limit`` steps.
+    Every start settles a little. The lowest settles on and goes by Newton's method until the force left is at most
+    ``tolerance`` of the weight, for ``step_limit`` steps at most.
     """
     limit_n = tolerance * cloth.weight_n
     descents = [Descent(cloth, contact, posed, start, band=band) for start in starts]

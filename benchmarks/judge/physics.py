@@ -1,8 +1,8 @@
-"""The physics optimum: every vertex free, each frame's energy minimised directly.
+"""The physics optimum of a drape: every vertex is free, and each frame's energy is minimised by itself.
 
-From one start or from several, of which the lowest counts: Newton's method with the charts of the garment as coarse
-level (``benchmarks.judge.newton``). It never ends above its starts, says of every frame whether it came to rest, and
-refuses by name what does not come near it. How the method was chosen: docs/reference/quality.md.
+``benchmarks.judge.newton`` goes down from the lowest of the starts, with the garment's charts as coarse level. The
+optimum never lies above its starts. It says of every frame whether it came to rest; a garment that ends far from rest
+is refused by its name. docs/reference/quality.md tells how the method was chosen.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.judge.body_distance import blended_distance
+from benchmarks.judge.blended_planes import blended_distance
 from benchmarks.judge.linear import Charts
 from benchmarks.judge.newton import Band, Cloth, Found, minimum
 from drape.body.model import BodyModel
@@ -38,7 +38,7 @@ Descend = Callable[[Cloth, np.ndarray, list[np.ndarray], Band | None], Found]
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """A waistband over the posed bodies: ``vertex``, ``length_m`` (n,), and ``anchor`` (F, n, 3), where it is held."""
+    """A waistband over the posed bodies: its ``vertex`` and ``length_m`` (n,), held at ``anchor`` [m] (F, n, 3)."""
 
     vertex: np.ndarray
     length_m: np.ndarray
@@ -54,10 +54,10 @@ class Held:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What is draped: a ``cloth`` of ``material`` over the posed bodies (F, Vb, 3), from ``starts``.
+    """A ``cloth`` of ``material`` to be draped over the posed bodies (F, Vb, 3), from ``starts`` (F, V, 3) [m].
 
-    A start is (F, V, 3) [m]. ``charts`` are the patches of the garment, where it has some, ``held`` its waistband:
-    without friction trousers would slide off the hips. ``name`` is for refusals.
+    ``charts`` are the garment's patches if it has any. ``held`` is its waistband: without friction trousers would slide
+    off the hips. Refusals say ``name``.
     """
 
     cloth: ClothMesh
@@ -82,21 +82,20 @@ class Task:
         skinned: np.ndarray,
         starts: tuple[np.ndarray, ...],
     ) -> Task:
-        """``garment`` by its patches, held at its waist, if it has one, where ``skinned`` (F, V, 3) [m] carries it."""
+        """The task of ``garment`` with its patches, its waist held at its places in ``skinned`` (F, V, 3) [m]."""
         held = held_by_waist(garment, body, skinned)
         return cls(cloth, material, contact, body_vertices, starts, charts_of(garment), held, garment.name)
 
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """What the minimiser reached, per frame.
+    """The drapes that the minimiser reached, ``vertices`` [m] (F, V, 3), and how.
 
-    ``vertices`` [m] (F, V, 3); ``start_j``, ``energy_j`` (F,) the energy of the lowest start and of ``vertices`` [J],
-    never above the start's, over the blended planes, relative to the height of the first start and with the
-    waistband's energy; ``nearest_j`` (F,) that of ``vertices`` over the planes of the nearest body vertices;
-    ``residual_n`` (F,) the norm of the force that is left at the vertices [N]; ``converged``
-    (F,): it is at most the tolerance times the weight; ``steps`` (F,) of Newton; ``processor_s`` (F,) [s]; ``seconds``
-    of the clock for all frames.
+    ``start_j`` and ``energy_j`` (F,) [J] are the energies of the lowest start and of ``vertices`` over the blended
+    planes, with the waistband's, relative to the height of the first start; ``nearest_j`` (F,) is that of ``vertices``
+    over the planes of the nearest body vertices. ``residual_n`` (F,) is the norm of the force left [N]; ``converged``
+    (F,) says that it is at most the tolerance times the weight. ``steps`` (F,) counts Newton's, ``processor_s`` (F,) is
+    their processor time and ``seconds`` the clock's for all frames.
     """
 
     vertices: np.ndarray
@@ -111,13 +110,13 @@ class Optimum:
 
 
 def held_by_waist(garment: Garment, body: BodyModel, skinned: np.ndarray) -> Held | None:
-    """The waistband of ``garment``, anchored where ``skinned`` (F, V, 3) has it; None where it hangs from shoulders."""
+    """The waistband of ``garment``, anchored at its places in ``skinned`` (F, V, 3); None if shoulders hold it."""
     band = waistband(garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64), body)
     return None if band is None else Held(band.vertex, band.length_m, skinned[:, band.vertex])
 
 
-# Energies [J] (F,) by part of what is minimised: contact over the blended planes, in place of those of the nearest body
-# vertices, as training has them, which also cut through free space far from the body.
+# Energies [J] (F,) by part. Contact is over the blended planes: those of the nearest body vertices, which training
+# uses, also cut through free space far from the body.
 energy_parts = partial(metrics.static_parts, distance=blended_distance)
 
 
@@ -165,7 +164,7 @@ def minimise(task: Task, *, step_limit: int = STEPS, tolerance: float = TOLERANC
 
 
 def reached(task: Task, descend: Descend) -> Optimum:
-    """Where ``descend`` ends over each posed body of ``task``, given the cloth, that body, the starts and the band."""
+    """The drapes in which ``descend`` ends, over each posed body of ``task`` from the starts of that frame."""
     began = time.perf_counter()
     starts = [np.asarray(start, dtype=np.float64) for start in task.starts]
     cloth = Cloth.of(task.cloth, task.material, task.charts)

@@ -1,4 +1,4 @@
-"""What a garment worn over others needs for its push-out, laid out as ``drape.contact`` and its graph take it."""
+"""Constants with which a garment worn over others is pushed out, as ``drape.contact`` and its graph take them."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def check_layers(garments: Sequence[Garment]) -> None:
 def push_over(
     vertices: Array, under: Array, skin: Array, feed: LayerFeed, clearance_m: Array | float = CLEARANCE_M
 ) -> Array:
-    """``push_over_in_parts`` without its parts: vertices [m] (F, V, 3)."""
+    """The vertices [m] (F, V, 3) of ``push_over_in_parts``."""
     return push_over_in_parts(vertices, under, skin, feed, clearance_m).vertices
 
 

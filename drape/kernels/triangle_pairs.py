@@ -34,44 +34,41 @@ def pairs_within(
     """
     points = np.arange(len(x), dtype=np.int32)[:, None]
     faces, edges = np.ascontiguousarray(faces, np.int32), np.ascontiguousarray(edges, np.int32)
-    found = [
-        np.concatenate([first[pair[:, 0]], second[pair[:, 1]]], axis=1)
-        for first, second, same in ((points, faces, False), (edges, edges, True))
-        for pair in (near_boxes(x, first, second, reach_m, same),)
-    ]
-    corner, count = np.concatenate(found), len(found[0])
+    over, beside = near_boxes(x, points, faces, reach_m), near_boxes(x, edges, edges, reach_m)
+    by_triangle = np.concatenate([points[over[:, 0]], faces[over[:, 1]]], axis=1)
+    corner, count = np.concatenate([by_triangle, edges[beside].reshape(-1, 4)]), len(over)
     weight, way = ways(x, corner, count)
     near = np.linalg.norm(way, axis=1) < reach_m
     return Pairs(corner[near], int(near[:count].sum())), weight[near], way[near]
 
 
-@kernel
-def near_boxes(x, first, second, reach, same):
-    """Numbers (N, 2) of rows of ``first`` and ``second``, vertices of elements, that share none and whose boxes are
-    ``reach`` [m] apart or less. Where both are the ``same`` elements, each pair once, the lower number first.
+def near_boxes(x: np.ndarray, first: np.ndarray, second: np.ndarray, reach_m: float) -> np.ndarray:
+    """Numbers (N, 2) of rows of ``first`` and ``second``, vertices of elements, that share none of them and whose boxes
+    are at most ``reach_m`` apart along every axis; of one set of elements each pair once, the lower number first.
     """
-    low, high = _boxes(x, second)
-    own_low, own_high = _boxes(x, first)
-    axis, extent = 0, -1.0
-    for i in range(3):
-        spread = x[:, i].max() - x[:, i].min()
-        if spread > extent:
-            axis, extent = i, spread
-    order = np.argsort(low[:, axis])
-    begin = low[order, axis]
-    longest = 0.0
-    for f in range(len(second)):
-        longest = max(longest, high[f, axis] - low[f, axis])
+    own, other = (np.stack([x[element].min(axis=1), x[element].max(axis=1)]) for element in (first, second))
+    if not len(second):
+        return np.zeros((0, 2), np.int32)
+    axis = int(np.ptp(x, axis=0).argmax())
+    order = np.argsort(other[0, :, axis], kind="stable")
+    begin, longest = other[0, order, axis], (other[1] - other[0])[:, axis].max()
+    start = np.searchsorted(begin, own[0, :, axis] - reach_m - longest)
+    end = np.searchsorted(begin, own[1, :, axis] + reach_m, side="right")
+    return _near_boxes((own, other), (first, second), order, (start, end), reach_m, first is second)
+
+
+@kernel
+def _near_boxes(boxes, elements, order, window, reach, same):
+    (own, other), (first, second), (start, end) = boxes, elements, window
     found, filled = np.empty((16 * len(first) + 16, 2), np.int32), 0
     for e in range(len(first)):
-        start = np.searchsorted(begin, own_low[e, axis] - reach - longest)
-        end = np.searchsorted(begin, own_high[e, axis] + reach, side="right")
-        for f in order[start:end]:
+        for place in range(start[e], end[e]):
+            f = order[place]
             if same and f <= e:
                 continue
             apart = False
             for i in range(3):
-                apart |= low[f, i] > own_high[e, i] + reach or high[f, i] < own_low[e, i] - reach
+                apart |= other[0, f, i] > own[1, e, i] + reach or other[1, f, i] < own[0, e, i] - reach
             for n in range(first.shape[1]):
                 for m in range(second.shape[1]):
                     apart |= first[e, n] == second[f, m]
@@ -84,18 +81,6 @@ def near_boxes(x, first, second, reach, same):
             found[filled, 0], found[filled, 1] = e, f
             filled += 1
     return found[:filled]
-
-
-@kernel
-def _boxes(x, element):
-    """The lowest and highest corners (N, 3) of boxes around elements (N, n)."""
-    low, high = np.full((len(element), 3), np.inf), np.full((len(element), 3), -np.inf)
-    for e in range(len(element)):
-        for n in range(element.shape[1]):
-            for i in range(3):
-                low[e, i] = min(low[e, i], x[element[e, n], i])
-                high[e, i] = max(high[e, i], x[element[e, n], i])
-    return low, high
 
 
 # --- distances --------------------------------------------------------------------------------------------------------
@@ -200,7 +185,7 @@ def crossing_pairs(x: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """
     corners = x[faces] - x[faces].reshape(-1, 3).mean(axis=0)
     small = np.ascontiguousarray(faces, np.int32)
-    pairs = near_boxes(np.ascontiguousarray(x, np.float64), small, small, 0.0, True).astype(np.int64)
+    pairs = near_boxes(x, small, small, 0.0).astype(np.int64)
     chunks = range(0, len(pairs), CHUNK_PAIRS)
     crosses = [_cross(*(corners[side] for side in pairs[start : start + CHUNK_PAIRS].T)) for start in chunks]
     pairs = pairs[np.concatenate([np.zeros(0, dtype=bool), *crosses])]

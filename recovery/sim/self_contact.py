@@ -48,7 +48,7 @@ class SelfContact:
         self._keys = np.repeat(np.arange(self.count), np.diff(ring.indptr)) * self.count + ring.indices
 
     def springs(self, x: np.ndarray) -> Springs:
-        """What pushes the near pairs of nodes ``x`` [m] (V, 3) apart."""
+        """The springs that push near pairs of nodes ``x`` [m] (V, 3) apart."""
         near = self.near(x)
         push = self.stiffness * (self.thickness_m - near.gap_m)
         along = near.weights[:, :, None] * near.normals[:, None]  # (n, 4, 3): derivative of the gap

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import threading
-from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
 from drape.errors import InputError
 from drape.garment.cache import Garment
@@ -21,10 +18,8 @@ from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport, fold, warm_
 from drape.live.raised_skin import heights_over, raised
 from drape.live.skin_contact import TouchedSamples
 from drape.wire.options import DrapeOptions
-from service.compute.fabrics import layer_fabrics
-from service.graphs.engine import SKIN, Engine
-from service.settings import Settings
-from service.stages.batch import FINE, Batch, Layer, Plan, Quality, Stage
+from service.graphs.kept_constants import KeptConstants
+from service.stages.batch import FINE, SKIN, Batch, Layer, Plan, Quality, Stage, StageSetup
 
 SETTLE = 8  # times the steps of a frame for one without a past, where clients do not say
 KEPT_BYTES = 256 << 20  # of garments in fabrics, 3 to 8 MB each; what is in use stays
@@ -40,13 +35,14 @@ class Folds(Stage):
     name = "folds"
     kept = (FoldMemory, TouchedSamples)
 
-    def __init__(self, engine: Engine, body: BodyModel, settings: Settings) -> None:
-        super().__init__(engine, body, settings)
+    def __init__(self, setup: StageSetup) -> None:
+        super().__init__(setup)
         self._garments: dict[str, Garment] = {}
-        self._constants: OrderedDict[tuple[str, str], FoldConstants] = OrderedDict()
-        self._wrappings: dict[str, Wrapping] = {}
-        self._looking, self._making = threading.Lock(), threading.Lock()
         self.kept_bytes = KEPT_BYTES
+        self._constants = KeptConstants[FoldConstants](
+            lambda kept: sum(made.nbytes for made in kept) > self.kept_bytes  # fabrics beside those in use go
+        )
+        self._wrappings = KeptConstants[Wrapping]()
         warm_up()
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
@@ -77,7 +73,7 @@ class Folds(Stage):
         return frozenset({"vertices", SKIN, FINE})
 
     def depends_on(self, plan: Plan) -> object:
-        return layer_fabrics(plan.options, len(plan.keys))
+        return plan.fabrics
 
     def rested(self, memory: FoldMemory, time_s: float) -> FoldMemory:
         return replace(memory, time_s=time_s)
@@ -86,14 +82,12 @@ class Folds(Stage):
         self._garments[garment.digest] = garment
 
     def remove(self, garment: Garment) -> None:
-        with self._looking:
-            self._garments.pop(garment.digest, None)
-            self._wrappings.pop(garment.digest, None)
-            for name in [name for name in self._constants if name[0] == garment.digest]:
-                del self._constants[name]
+        self._garments.pop(garment.digest, None)
+        self._wrappings.forget(garment.digest)
+        self._constants.forget(garment.digest)
 
     def prepare(self, plan: Plan) -> None:
-        for key, fabric in zip(plan.draped_keys, layer_fabrics(plan.options, len(plan.keys)), strict=True):
+        for key, fabric in zip(plan.draped_keys, plan.fabrics, strict=True):
             self._of(key, fabric)
         for key, draped, read in zip(plan.keys, plan.draped_keys, _read(plan), strict=True):
             if read and key != draped:
@@ -121,8 +115,7 @@ class Folds(Stage):
         layers, read, told = list(batch.layers), _read(plan), _Told.of(batch)
         assert batch.skin is not None
         ground = batch.skin.reshape(len(batch.skin), -1, batch.skin.shape[-1])
-        fabrics = layer_fabrics(plan.options, len(plan.keys))
-        for i, (key, sent, fabric) in enumerate(zip(plan.draped_keys, plan.keys, fabrics, strict=True)):
+        for i, (key, sent, fabric) in enumerate(zip(plan.draped_keys, plan.keys, plan.fabrics, strict=True)):
             memories = batch.remembered((self.name, key))
             covers = effort.cloth_contact and i + 1 < len(layers)
             made = self._of(key, fabric)
@@ -170,42 +163,13 @@ class Folds(Stage):
         return replace(layer, vertices=np.stack([wrapping.wrap(cloth) for cloth in layer.vertices]))
 
     def _wrapping(self, key: str) -> Wrapping:
-        """What wraps the delivered mesh of the garment ``key``, made once."""
-        kept = self._wrappings.get(key)
-        if kept is not None:
-            return kept
-        with self._making:
-            kept = self._wrappings.get(key)
-            if kept is None:
-                kept = self._wrappings[key] = Wrapping(self._garments[key])
-            return kept
+        """What wraps the delivered mesh of the garment ``key``."""
+        return self._wrappings.get((key,), lambda: Wrapping(self._garments[key]))
 
     def _of(self, key: str, fabric: Fabric | None) -> FoldConstants:
-        """The constants of the garment ``key`` made of ``fabric``, made once; the latest used are kept."""
+        """The constants of the garment ``key`` made of ``fabric``."""
         name = key, "" if fabric is None else fabric.digest
-        kept = self._found(name)
-        if kept is not None:
-            return kept
-        with self._making:  # one at a time; frames, whose constants are there, do not wait
-            kept = self._found(name)
-            if kept is None:
-                kept = self.constants_process.call(fold_constants, self._garments[key], self.body, fabric)
-                with self._looking:
-                    self._constants[name] = kept
-                    while len(self._constants) > 1 and self._bytes > self.kept_bytes:
-                        self._constants.popitem(last=False)
-        return kept
-
-    def _found(self, name: tuple[str, str]) -> FoldConstants | None:
-        with self._looking:
-            kept = self._constants.get(name)
-            if kept is not None:
-                self._constants.move_to_end(name)
-            return kept
-
-    @property
-    def _bytes(self) -> int:
-        return sum(made.nbytes for made in self._constants.values())
+        return self._constants.get(name, lambda: self.make(fold_constants, self._garments[key], self.body, fabric))
 
 
 def _read(plan: Plan) -> list[bool]:
