@@ -1,7 +1,8 @@
-"""``python -m drape.live``: compiles the kernels of folds where they are not yet stored, so that no service waits."""
+"""``python -m drape.live`` compiles the kernels of folds and swing and stores them, so that no service waits for it."""
 
 from __future__ import annotations
 
-from drape.live.fold_step import warm_up
+from drape.live import fold_step, swing_step
 
-warm_up()
+fold_step.warm_up()
+swing_step.warm_up()
