@@ -9,13 +9,13 @@ squares", ACM Trans. Algorithms 4(2)). As h falls it comes near to the plane of 
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy.spatial import KDTree
 
 from drape.cloth.contact import BodyContact
 from drape.kernels.compiled import kernel
+from drape.kernels.elements import add, at, sub
+from drape.kernels.grid import cells_within, column, grid_of
 
 WIDTH_M = 0.006  # h
 FADED = 14.0  # exponent at which a weight counts as none: 1e-6 of the nearest one's
@@ -24,31 +24,6 @@ REACH_GAPS = 1.25  # then so many times as far as contact
 BEHIND = -0.2  # cosine between a plane's normal and the way to a point beyond reach, below which that is inside
 CLEAR_M = 0.005  # the most that a point which does not touch moves before it is looked at again
 FAR_M = 0.02  # a point asks for its nearest body vertex again when it has moved by so much
-
-
-class Cells(NamedTuple):
-    """Body vertices in cubes with sides of ``reach`` [m]: ``count`` (3,) cubes along the axes, from the corner ``low``.
-
-    Cube c holds the rows ``start[c] : start[c + 1]`` of ``point`` [m] and unit ``normal``.
-    """
-
-    point: np.ndarray
-    normal: np.ndarray
-    start: np.ndarray
-    low: np.ndarray
-    count: np.ndarray
-    reach: float
-
-
-def cells(point: np.ndarray, normal: np.ndarray, reach_m: float) -> Cells:
-    """The cells of the body vertices ``point`` [m] (n, 3) with unit ``normal`` (n, 3), ``reach_m`` wide."""
-    low = point.min(axis=0)
-    place = ((point - low) / reach_m).astype(np.int64)
-    count = place.max(axis=0) + 1
-    key = (place[:, 0] * count[1] + place[:, 1]) * count[2] + place[:, 2]
-    order = np.argsort(key, kind="stable")
-    start = np.concatenate([[0], np.cumsum(np.bincount(key, minlength=int(count.prod())))])
-    return Cells(np.ascontiguousarray(point[order]), np.ascontiguousarray(normal[order]), start, low, count, reach_m)
 
 
 class BlendedPlanes:
@@ -61,8 +36,9 @@ class BlendedPlanes:
     """
 
     def __init__(self, point: np.ndarray, normal: np.ndarray, point_count: int, gap_m: float) -> None:
-        self._cells, self._gap = cells(point, normal, max(REACH_M, REACH_GAPS * gap_m)), gap_m
-        self._tree = KDTree(self._cells.point)
+        self._reach, self._gap = max(REACH_M, REACH_GAPS * gap_m), gap_m
+        self._skin = np.ascontiguousarray(point, dtype=np.float64), np.ascontiguousarray(normal, dtype=np.float64)
+        self._grid, self._tree = grid_of(self._skin[0], 1.0 / self._reach), KDTree(point)
         self._asked = np.full((point_count, 3), np.inf)  # where the nearest body vertex was looked up
         self._free = np.zeros(point_count, dtype=bool)  # so far outside there that nothing is touched within FAR_M
         self._beyond = np.zeros(point_count, dtype=bool)  # no body vertex is within reach
@@ -83,14 +59,14 @@ class BlendedPlanes:
         A normal is the gradient of the distance, not quite of unit length.
         """
         planes = self._point, self._normal, self._bend
-        blend(x, self._cells, self._gap, self._blended, self._clear, planes, self._beyond)
+        blend(x, self._skin, self._grid, (self._reach, self._gap), (self._blended, self._clear, self._beyond), planes)
         still = self._free & (np.linalg.norm(x - self._asked, axis=1) < FAR_M)
         asking = np.flatnonzero(self._beyond & ~still)
         if len(asking):
             away, found = self._tree.query(x[asking])
-            point, normal = self._cells.point[found], self._cells.normal[found]
+            point, normal = (rows[found] for rows in self._skin)
             behind = ((x[asking] - point) * normal).sum(axis=1) < BEHIND * away
-            self._asked[asking], self._free[asking] = x[asking], ~behind & (away >= self._cells.reach + FAR_M)
+            self._asked[asking], self._free[asking] = x[asking], ~behind & (away >= self._reach + FAR_M)
             self._normal[asking] = normal
             self._point[asking] = np.where(behind[:, None], point, x[asking] - (self._gap + FAR_M) * normal)
         return self._point.copy(), self._normal.copy(), self._bend.copy()
@@ -112,16 +88,20 @@ def blended_distance(
 
 
 @kernel
-def blend(x, cells, gap, blended, clear, planes, beyond):
+def blend(x, skin, grid, ranges, last, planes):
     """Writes the ``planes``, point and normal (V, 3) and bend (V, 3, 3), of the points ``x`` [m] (V, 3).
 
-    A point keeps its plane while it is less than ``clear`` [m] (V,) from where it was last ``blended`` (V, 3);
-    otherwise both are renewed. So does a point with no body vertex within reach, which ``beyond`` (V,) marks.
+    ``skin`` are the body vertices and their normals in their ``grid``, ``ranges`` the reach of the blend and of contact
+    [m]. ``last`` are three records. A point keeps its plane while it is less than ``clear`` [m] (V,) from where it was
+    last ``blended`` (V, 3); otherwise both are renewed. A point with no body vertex within reach keeps its plane too,
+    and is marked in ``beyond`` (V,).
     """
+    (corner, skin_normal), (blended, clear, beyond) = skin, last
     point, normal, bend = planes
-    reach, sharp = cells.reach * cells.reach, 1.0 / (WIDTH_M * WIDTH_M)
+    wide_m, gap = ranges
+    reach, sharp = wide_m * wide_m, 1.0 / (WIDTH_M * WIDTH_M)
+    around = (wide_m, wide_m, wide_m)
     mean, slope = np.empty(3), np.empty(3)
-    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
     for v in range(len(x)):
         beyond[v] = False
         p, q, r = x[v, 0] - blended[v, 0], x[v, 1] - blended[v, 1], x[v, 2] - blended[v, 2]
@@ -130,20 +110,14 @@ def blend(x, cells, gap, blended, clear, planes, beyond):
         blended[v, 0], blended[v, 1], blended[v, 2] = x[v, 0], x[v, 1], x[v, 2]
         clear[v] = 0.0
         bend[v] = 0.0
-        beside = False
-        for i in range(3):
-            cell = int(np.floor((x[v, i] - cells.low[i]) / cells.reach))
-            low[i], high[i] = max(cell - 1, 0), min(cell + 2, cells.count[i])
-            beside = beside or low[i] >= high[i]
-        if beside:
-            beyond[v] = True
-            continue
+        own = at(x, v)
+        first, end = cells_within(grid, sub(own, around), add(own, around))
         least = reach
-        for a in range(low[0], high[0]):
-            for b in range(low[1], high[1]):
-                row = (a * cells.count[1] + b) * cells.count[2]
-                for k in range(cells.start[row + low[2]], cells.start[row + high[2]]):
-                    p, q, r = x[v, 0] - cells.point[k, 0], x[v, 1] - cells.point[k, 1], x[v, 2] - cells.point[k, 2]
+        for a in range(first[0], end[0]):
+            for b in range(first[1], end[1]):
+                start, stop = column(grid, a, b, first, end)
+                for entry in range(start, stop):
+                    p, q, r = sub(own, at(corner, grid.member[entry]))
                     least = min(least, p * p + q * q + r * r)
         if least >= reach:
             beyond[v] = True
@@ -151,7 +125,7 @@ def blend(x, cells, gap, blended, clear, planes, beyond):
         most = min(least + FADED / sharp, reach)
         # After a move by c what is blended is nearer than ``wide``, and so within reach: no plane of those may be met.
         near = np.sqrt(least)
-        c = min(CLEAR_M, max((reach - FADED / sharp - least) / (2.0 * (near + cells.reach)), 0.0))
+        c = min(CLEAR_M, max((reach - FADED / sharp - least) / (2.0 * (near + wide_m)), 0.0))
         wide = (np.sqrt((near + c) * (near + c) + FADED / sharp) + c) ** 2
         lowest = np.inf
         total = distance = 0.0
@@ -162,23 +136,24 @@ def blend(x, cells, gap, blended, clear, planes, beyond):
                 distance /= total
                 for i in range(3):
                     mean[i] /= total
-            for a in range(low[0], high[0]):
-                for b in range(low[1], high[1]):
-                    row = (a * cells.count[1] + b) * cells.count[2]
-                    for k in range(cells.start[row + low[2]], cells.start[row + high[2]]):
-                        p, q, r = x[v, 0] - cells.point[k, 0], x[v, 1] - cells.point[k, 1], x[v, 2] - cells.point[k, 2]
+            for a in range(first[0], end[0]):
+                for b in range(first[1], end[1]):
+                    start, stop = column(grid, a, b, first, end)
+                    for entry in range(start, stop):
+                        k = grid.member[entry]
+                        p, q, r = sub(own, at(corner, k))
                         square = p * p + q * q + r * r
                         if square >= most and (derivatives or square >= wide):
                             continue
-                        n = cells.normal[k]
-                        own = p * n[0] + q * n[1] + r * n[2]
-                        lowest = min(lowest, own)
+                        n = at(skin_normal, k)
+                        height = p * n[0] + q * n[1] + r * n[2]
+                        lowest = min(lowest, height)
                         if square >= most:
                             continue
                         weight = np.exp((least - square) * sharp)
                         if not derivatives:
                             total += weight
-                            distance += weight * own
+                            distance += weight * height
                             mean[0] += weight * p
                             mean[1] += weight * q
                             mean[2] += weight * r
@@ -186,7 +161,7 @@ def blend(x, cells, gap, blended, clear, planes, beyond):
                         weight /= total
                         # The derivative of log w_i less that of log sum w: towards b_i from the mean of all b.
                         g = (2.0 * sharp * (mean[0] - p), 2.0 * sharp * (mean[1] - q), 2.0 * sharp * (mean[2] - r))
-                        more = own - distance
+                        more = height - distance
                         for i in range(3):
                             slope[i] += weight * (n[i] + more * g[i])
                             for j in range(3):

@@ -25,13 +25,13 @@ from benchmarks.judge import blended_planes, descent, hessian, linear, newton, p
 from benchmarks.judge.physics import Optimum, Task
 from drape.cloth import bending, contact, energies, membrane, waistband
 from drape.geometry import meshes
-from drape.kernels import elements, problem
+from drape.kernels import elements, grid, problem
 from drape.live import whole
 
 CACHE_DIR = ROOT / "runs" / "physics_cache"  # ignored by git
 SOURCES: tuple[ModuleType, ...] = (
     physics, newton, settling, whole, energies, membrane, bending, contact, waistband, meshes, blended_planes, descent,
-    elements, hessian, linear, problem, surroundings,
+    elements, grid, hessian, linear, problem, surroundings,
 )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""What acts on a cloth from outside, as the judge's solvers take it: planes of the body, weight and two springs."""
+"""The surroundings of a cloth for the judge's solvers: planes of the body, and two springs on every vertex."""
 
 from __future__ import annotations
 

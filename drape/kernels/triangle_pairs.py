@@ -11,9 +11,12 @@ import numpy as np
 
 from drape.kernels.compiled import kernel
 from drape.kernels.elements import at, dot, sub
+from drape.kernels.grid import cells_within, column, grid_of
 
 PARALLEL = 1e-9  # of the squared lengths' product: two edges with less between them have no nearest points
 TINY_M2 = 1e-30
+MOST_CELLS = 128.0  # of the grid along the mesh: bounds the memory
+ROUNDED = 1e-9  # of the mesh's extent: what a place in the grid may be off by rounding
 CHUNK_PAIRS = 1_000_000  # pairs of triangles looked at together: bounds the memory
 
 
@@ -49,38 +52,53 @@ def near_boxes(x: np.ndarray, first: np.ndarray, second: np.ndarray, reach_m: fl
     own, other = (np.stack([x[element].min(axis=1), x[element].max(axis=1)]) for element in (first, second))
     if not len(second):
         return np.zeros((0, 2), np.int32)
-    axis = int(np.ptp(x, axis=0).argmax())
-    order = np.argsort(other[0, :, axis], kind="stable")
-    begin, longest = other[0, order, axis], (other[1] - other[0])[:, axis].max()
-    start = np.searchsorted(begin, own[0, :, axis] - reach_m - longest)
-    end = np.searchsorted(begin, own[1, :, axis] + reach_m, side="right")
-    return _near_boxes((own, other), (first, second), order, (start, end), reach_m, first is second)
+    origin, unit = x.min(axis=0), float(np.ptp(x, axis=0).max()) or 1.0
+    size, reach = float((other[1] - other[0]).max()) / unit, reach_m / unit
+    grid = grid_of((other.mean(axis=0) - origin) / unit, min(1.0 / max(reach + size, 1e-12), MOST_CELLS))
+    half = 0.5 * size + reach + ROUNDED
+    window = (own[0] - origin) / unit - half, (own[1] - origin) / unit + half
+    return _near_boxes((own, other), (first, second), grid, window, reach_m, first is second)
 
 
 @kernel
-def _near_boxes(boxes, elements, order, window, reach, same):
-    (own, other), (first, second), (start, end) = boxes, elements, window
+def _near_boxes(boxes, elements, grid, window, reach, same):
+    (own, other), (first, second) = boxes, elements
     found, filled = np.empty((16 * len(first) + 16, 2), np.int32), 0
     for e in range(len(first)):
-        for place in range(start[e], end[e]):
-            f = order[place]
-            if same and f <= e:
-                continue
-            apart = False
-            for i in range(3):
-                apart |= other[0, f, i] > own[1, e, i] + reach or other[1, f, i] < own[0, e, i] - reach
-            for n in range(first.shape[1]):
-                for m in range(second.shape[1]):
-                    apart |= first[e, n] == second[f, m]
-            if apart:
-                continue
-            if filled == len(found):
-                longer = np.empty((2 * len(found), 2), np.int32)
-                longer[:filled] = found
-                found = longer
-            found[filled, 0], found[filled, 1] = e, f
-            filled += 1
+        begin, end = cells_within(grid, at(window[0], e), at(window[1], e))
+        for a in range(begin[0], end[0]):
+            for b in range(begin[1], end[1]):
+                start, stop = column(grid, a, b, begin, end)
+                for entry in range(start, stop):
+                    f = grid.member[entry]
+                    if (same and f <= e) or _far(own, e, other, f, reach) or _joined(first, e, second, f):
+                        continue
+                    if filled == len(found):
+                        longer = np.empty((2 * len(found), 2), np.int32)
+                        longer[:filled] = found
+                        found = longer
+                    found[filled, 0], found[filled, 1] = e, f
+                    filled += 1
     return found[:filled]
+
+
+@kernel
+def _far(own, e, other, f, reach):
+    """Whether the boxes e of ``own`` and f of ``other`` are more than ``reach`` apart along an axis."""
+    far = False
+    for i in range(3):
+        far |= other[0, f, i] > own[1, e, i] + reach or other[1, f, i] < own[0, e, i] - reach
+    return far
+
+
+@kernel
+def _joined(first, e, second, f):
+    """Whether the elements e and f share a vertex."""
+    for n in range(first.shape[1]):
+        for m in range(second.shape[1]):
+            if first[e, n] == second[f, m]:
+                return True
+    return False
 
 
 # --- distances --------------------------------------------------------------------------------------------------------
