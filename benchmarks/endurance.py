@@ -65,7 +65,7 @@ def totals(rows: list[Row]) -> list[Row]:
     found = []
     for (garment, cloth, fps), ones in groups.items():
         frames = [one["frames"] for one in ones]
-        whole = {name: int(sum(one[name] for one in ones)) for name in ("frames", "resets", "broken")}
+        whole: Row = {name: int(sum(one[name] for one in ones)) for name in ("frames", "resets", "broken")}
         for name in ("long_pct", "network_long_pct"):
             whole[name] = float(np.average([one[name] for one in ones], weights=frames))
         worst = max(ones, key=lambda one: one["longest"])

@@ -72,17 +72,16 @@ def measure(scene: Scene, networks: Mapping[str, Network], options: argparse.Nam
     """The rows of a scene: a start, so many steps of folds on it, in cloth that feels itself or not."""
     starts = scene.starts(dict(networks))
     judge = judged(scene, starts["skinning"])
-    rows = []
+    rows: list[Row] = []
     contacts = (False, True) if options.cloth_contact else (False,)
-    for (method, start), sweeps, contact in product(starts.items(), options.sweeps, contacts):
-        if contact and not sweeps:
-            continue
+    knobs = [(n, contact) for n in options.sweeps for contact in contacts if n or not contact]
+    for (method, start), (sweeps, contact) in product(starts.items(), knobs):
         folding = Folding(scene.constants, Effort(sweeps, cloth_contact=contact), scene.clip.fps)
         vertices = folding.frames(start, scene.clip.skin) if sweeps else start
         ms = folding.ms or [0.0, 0.0]
-        knobs = {"fps": scene.clip.fps, "method": method, "sweeps": sweeps, "cloth_contact": contact}
+        told = {"fps": scene.clip.fps, "method": method, "sweeps": sweeps, "cloth_contact": contact}
         took = {"ms": float(np.median(ms[1:])), "first_ms": ms[0], "resets": folding.resets, "frames": len(start)}
-        rows.append(scene.name | knobs | took | figures(judge, vertices, start, scene.clip.measured))
+        rows.append(scene.name | told | took | figures(judge, vertices, start, scene.clip.measured))
     plain = next(row for row in rows if row["method"] == "skinning" and not row["sweeps"])
     if options.physics:
         least = bound(scene, starts)

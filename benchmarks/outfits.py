@@ -174,7 +174,7 @@ def measure(worn: Worn, watched: Watched, drapery: DrapeRuntime, folds: int) -> 
             np.sum([getattr(one.clock, name)[timed] for one in streams[method]], axis=0)
             for name in ("wall_ms", "cpu_ms")
         )
-        row = {"outfit": worn.name, "clip": watched.clip.name, "method": method}
+        row: Row = {"outfit": worn.name, "clip": watched.clip.name, "method": method}
         row |= Drapes.of(worn, watched, vertices[method]).figures(worn)
         if watched.streamed:
             outer = slice(worn.inner.vertex_count, None)

@@ -148,7 +148,7 @@ def measure(garment: Garment, bench: Bench, *, trained: bool) -> list[Row]:
     positions = drapes(garment, bench, judge, draped.vertices) | {"physics": optimum.vertices}
     known = {"garment": garment.name, "set": "trained" if trained else "unseen"}
     known |= {} if bench.fabric is None else {"fabric": bench.fabric.name}
-    rows = {
+    rows: dict[str, Row] = {
         method: known | {"method": method} | judge.figures(vertices, MEASURED) | judge.energies(vertices)
         for method, vertices in positions.items()
     }

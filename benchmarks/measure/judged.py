@@ -183,7 +183,7 @@ MEASURES: dict[str, Callable[[Judged, np.ndarray], np.ndarray]] = {
     "colliding_vertex_pct": lambda j, x: metrics.colliding_vertex_pct(x, j.body_vertices, j.body_normals),
     "colliding_triangle_pct": lambda j, x: metrics.colliding_triangle_pct(x, j.body_vertices, j.cloth.body.faces),
     "self_intersections": lambda j, x: intersection_count(x, j.cloth.faces),
-    "skin_pixels_pct": lambda j, x: np.nanmean(j.skin_pct(x)),
+    "skin_pixels_pct": lambda j, x: np.nanmean(j.skin_pct(x), keepdims=True),
     "hang_mm": lambda j, x: hang_mm(x, j.skinned, j.cloth.rest, j.cloth.faces),
     "detail_mm": lambda j, x: j.cloth.low_pass.detail_mm(x),
     "dihedral_deg": lambda j, x: dihedral_deg(x, j.cloth.faces),

@@ -19,7 +19,7 @@ from drape.geometry.rotations import rotvec_to_matrix
 from tests.benchmarks.papers.losses_setup import F64, SCALE, flat_jet, lattice, posed_with, samples_at
 from tests.training.training_setup import bank, body, garment, source, tube
 from training.losses import disagreement
-from training.model import Posed, pose_frames
+from training.model import Posed, pose_frames, posed_coefficients
 
 
 def test_collision_depth_and_its_square():
@@ -145,7 +145,8 @@ def test_samples_of_a_partition_are_its_charts():
     said = paper.chart_surface(posed, samples).positions
     weight = samples.weight[None, ..., None]
     apart = said - (weight * said).sum(dim=2, keepdim=True)
-    expected = float(disagreement(posed, partition, vertex))
+    coefficients = posed_coefficients(posed, partition.patches.scale)
+    expected = float(disagreement(coefficients, partition, vertex))
     assert_allclose(float((weight * apart.square()).sum(dim=(2, 3)).mean()), expected, rtol=1e-4, atol=0)
     still = paper.chart_surface(replace(posed, jet=torch.zeros_like(jet)), samples)
     one = torch.ones(2, len(vertex))
