@@ -1,4 +1,4 @@
-"""What folds make of a clip: energies, strain, detail, jitter and time by steps of folds and by what they start from.
+"""Folds of clips: energies, strain, detail, jitter and time, by steps of folds and by the drape they start from.
 
     python -m benchmarks.folds
     python -m benchmarks.folds --garments tshirt --motions walk squat $DRAPE_DATA/motions/cmu_02_04.npz --save
@@ -47,7 +47,7 @@ COLUMNS = {
 
 
 def judged(scene: Scene, plain: np.ndarray) -> Judged:
-    """What judges drapes of the scene's measured frames; heights count from ``plain`` [m] (F, V, 3)."""
+    """The judge of drapes of the scene's measured frames; heights count from ``plain`` [m] (F, V, 3)."""
     cloth = Cloth.of(scene.garment, scene.body, scene.fabric)
     return Judged(cloth, scene.clip.body_vertices, plain[scene.clip.measured].astype(np.float64))
 

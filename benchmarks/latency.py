@@ -49,7 +49,7 @@ GARMENTS = (1, 4, 16, 64)
 
 @dataclass(frozen=True)
 class Bench:
-    """What all measurements share."""
+    """The engines, model and body that all measurements share."""
 
     engine: Engine
     halved: Engine

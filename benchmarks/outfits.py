@@ -71,7 +71,7 @@ class Worn:
 
     @classmethod
     def of(cls, text: str, body: BodyModel) -> Worn:
-        """What ``text`` names; refuses any other number than two."""
+        """The outfit that ``text`` names; refuses any other number of garments than two."""
         names = text.split("+")
         if len(names) != 2:
             raise InputError("--outfits", expected="inner+outer", got=text, cure="For example trousers+tshirt.")
@@ -84,7 +84,7 @@ class Worn:
         return cls(text, inner, outer, covered)
 
     def plans(self, drapery: DrapeRuntime, folds: int) -> dict[str, list[Plan]]:
-        """What is asked of the service, by method; the garments that it needs are taken in."""
+        """The plans that are asked of the service, by method; the garments that it needs are taken in."""
         inner, outer = (drapery.garments.add(garment, "user") for garment in (self.inner, self.outer))
         both = drapery.garments.scene(None, [inner.id, outer.id])
         found = {
@@ -114,7 +114,7 @@ class Watched:
 
 @dataclass(frozen=True, eq=False)
 class Drapes:
-    """What a method made of the measured frames (n) of ``watched``: ``inner`` and ``outer`` vertices [m] (n, V, 3), and
+    """A method's drapes of the measured frames (n) of ``watched``: ``inner`` and ``outer`` vertices [m] (n, V, 3), and
     the share [%] (n, 4) of inner cloth that shows, from four sides."""
 
     watched: Watched

@@ -68,7 +68,7 @@ COLUMNS = {
 
 @dataclass(eq=False)
 class Seen:
-    """What one client saw: poses sent, and of each frame when it came [s], its age, its time in the service."""
+    """One client's view: how many poses it sent, and when each frame came [s], its age, its time in the service."""
 
     sent: int = 0
     came_s: list[float] = field(default_factory=list)
@@ -157,7 +157,7 @@ async def crowd(
     url: str, clip: MotionClip, count: int, seconds: float, warm_s: float = WARM_S,
     *, begun: Callable[[], None] | None = None, garments: Sequence[str] = (), **options: Any,
 ) -> list[Seen]:  # fmt: skip
-    """What ``count`` clients saw at the same time, after all are open and ``warm_s`` that do not count; ``begun`` is
+    """The views of ``count`` clients at the same time, after all are open and ``warm_s`` that do not count; ``begun`` is
     called then. Of several ``garments`` each client has the next one."""
     seen = [Seen() for _ in range(count)]
     named: list[dict[str, Any]] = [
@@ -204,7 +204,7 @@ def beside_model(inside_ms: np.ndarray, model_ms: np.ndarray) -> dict[str, float
 
 
 def model_times(garment: str, clip: MotionClip, seconds: float) -> dict[str, np.ndarray]:
-    """What each frame (F,) of ``clip`` at ``FPS`` takes alone in this process [ms], stages without serving.
+    """Time [ms] (F,) of each frame of ``clip`` at ``FPS`` alone in this process, stages without serving.
 
     By tier, and for ``POST``: warm frames of its options.
     """
@@ -221,7 +221,7 @@ def model_times(garment: str, clip: MotionClip, seconds: float) -> dict[str, np.
 
 
 def alone(plan: Plan, shape_count: int, clip: MotionClip, seconds: float, *, warm: bool = False) -> np.ndarray:
-    """What each frame (F,) of ``clip`` under ``plan`` takes [ms].
+    """Time [ms] (F,) of each frame of ``clip`` under ``plan``.
 
     Frames come with the pauses of a stream, for what a pause leaves of the processor's caches is the frame's to pay;
     ``warm`` frames come one right after the other, and have no past.
@@ -237,7 +237,7 @@ def alone(plan: Plan, shape_count: int, clip: MotionClip, seconds: float, *, war
 
 
 def posts(url: str, garment: str, clip: MotionClip, seconds: float, *, bare: bool = False) -> np.ndarray:
-    """What ``POST /drape`` of one frame, binary there and back, takes [ms] (F,), one right after the other; by httpx,
+    """Time [ms] (F,) of ``POST /drape`` of one frame, binary there and back, one right after the other; by httpx,
     or by the standard library's client."""
     took_ms: list[float] = []
     headers: dict[str, str] = dict.fromkeys(("Content-Type", "Accept"), "application/octet-stream")
@@ -261,7 +261,7 @@ def posts(url: str, garment: str, clip: MotionClip, seconds: float, *, bare: boo
 
 @dataclass(eq=False)
 class Bench:
-    """What all cases share; their rows go to ``run``."""
+    """The clip, garment and times that all cases share; their rows go to ``run``."""
 
     run: Run
     clip: MotionClip

@@ -1,4 +1,4 @@
-"""What a drape is judged by: its energy, strain, collisions and relief, beside physics of the same cloth.
+"""Judging a drape: its energy, strain, collisions and relief, beside physics of the same cloth.
 
 ``MEASURES`` maps the name of a column to the function that computes it; ``Judged.figures`` gives a row of them.
 """
@@ -156,7 +156,7 @@ class Judged:
         return {name: float(np.mean(MEASURES[name](self, vertices))) for name in names}
 
     def task(self, starts: tuple[np.ndarray, ...]) -> physics.Task:
-        """What physics minimises, from ``starts`` [m] (n, V, 3)."""
+        """The task of physics, from ``starts`` [m] (n, V, 3)."""
         cloth = self.cloth
         return physics.Task.of_garment(
             cloth.garment, cloth.body, cloth.mesh, cloth.material,

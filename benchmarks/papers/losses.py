@@ -135,7 +135,7 @@ def weight_gradients(rest: RestGarment) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class ChartSurface:
-    """What each chart says of its vertices in F frames: ``positions`` [m] (F, n, 4, 3), ``tangents`` [m per unit]
+    """The charts' surface at their vertices in F frames: ``positions`` [m] (F, n, 4, 3), ``tangents`` [m per unit]
     (F, n, 4, 3, 2) by u and v, ``jet`` (F, n, 4, 27) the whole jet in the patch frame."""
 
     positions: Tensor

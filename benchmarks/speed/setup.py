@@ -1,4 +1,4 @@
-"""What ``benchmarks.latency`` measures on: a model folder, garments of any vertex and patch count."""
+"""The inputs of ``benchmarks.latency``: a model folder, garments of any vertex and patch count."""
 
 from __future__ import annotations
 
