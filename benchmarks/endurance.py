@@ -22,7 +22,7 @@ from drape.artifacts import model_folder
 from drape.body.assets import load_body
 from drape.catalog import find_motions
 from drape.geometry import meshes
-from drape.live.fold_step import Effort, warm_up
+from drape.live.fold_step import FoldEffort, warm_up
 from drape.motion.readers import read_motion
 
 RATES_FPS = (15.0, 30.0, 60.0)
@@ -38,7 +38,7 @@ COLUMNS = {
 def endure(scene: Scene, network: Network, steps: int) -> Row:
     """The row of a scene, with so many ``steps`` of folds through all of its clip."""
     clip, garment = scene.clip, scene.garment
-    folding = Folding(scene.constants, Effort(steps, cloth_contact=True), clip.fps)
+    folding = Folding(scene.constants, FoldEffort(steps, cloth_contact=True), clip.fps)
     edges = meshes.unique_edges(garment.fine_faces.astype(np.int64))
     rest = meshes.edge_lengths(garment.vertices.astype(np.float64), edges)
     broken, longs, longest = 0, np.zeros(2, np.int64), 0.0

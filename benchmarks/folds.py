@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import Benchmark, Option, Run, inputs
-from benchmarks.judge import apart
+from benchmarks.judge import ipc_optimum
 from benchmarks.judge.physics_cache import CACHE_DIR
 from benchmarks.measure.intersections import intersection_count
 from benchmarks.measure.judged import Cloth, Judged, jitter_ratio
@@ -34,7 +34,7 @@ from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.cloth import metrics
 from drape.geometry import meshes
-from drape.live.fold_step import Effort, warm_up
+from drape.live.fold_step import FoldEffort, warm_up
 
 OPTIMA = 6  # frames of a clip, at most, whose optimum is looked for
 PASSES = {"network_0": 0, "network_all": None}  # starts of folds besides skinning
@@ -76,7 +76,7 @@ def measure(scene: Scene, networks: Mapping[str, Network], options: argparse.Nam
     contacts = (False, True) if options.cloth_contact else (False,)
     knobs = [(n, contact) for n in options.sweeps for contact in contacts if n or not contact]
     for (method, start), (sweeps, contact) in product(starts.items(), knobs):
-        folding = Folding(scene.constants, Effort(sweeps, cloth_contact=contact), scene.clip.fps)
+        folding = Folding(scene.constants, FoldEffort(sweeps, cloth_contact=contact), scene.clip.fps)
         vertices = folding.frames(start, scene.clip.skin) if sweeps else start
         ms = folding.ms or [0.0, 0.0]
         told = {"fps": scene.clip.fps, "method": method, "sweeps": sweeps, "cloth_contact": contact}
@@ -131,7 +131,7 @@ def bound(scene: Scene, starts: Mapping[str, np.ndarray], *, keeps_apart: bool =
     plain, *_, last = (start[measured[few]].astype(np.float64) for start in starts.values())
     judge = Judged(Cloth.of(scene.garment, scene.body, scene.fabric), scene.clip.body_vertices[few], plain)
     if keeps_apart:
-        optimum, _ = apart.stored_minimum(judge.task((last,)), CACHE_DIR)
+        optimum, _ = ipc_optimum.stored_minimum(judge.task((last,)), CACHE_DIR)
     else:
         optimum, _ = judge.optimum((plain, last), CACHE_DIR)
     energy_j = judge.energies(optimum.vertices)["energy_j"]

@@ -30,7 +30,8 @@ from drape.garment.cache import Garment
 from drape.graph.feeds import garment_feed
 from drape.graph.packing import PackedBody, pack_body
 from drape.graph.push_feed import SkinShapes
-from service.graphs.engine import JETS, PACKED, Engine
+from service.graphs.engine import Engine
+from service.graphs.graph_names import JETS, PACKED
 from service.graphs.onnx_runtime import PROVIDER_NAMES, Device
 from service.graphs.packing import SHAPE_INDEX, STORED_INDEX, Packer, ScenePlan
 from service.graphs.push import Pusher

@@ -47,8 +47,8 @@ from drape.garment.cache import Garment
 from drape.garment.fine import fine_garment
 from drape.garment.fitting import patch_fields, rest_garment
 from drape.graph.push_feed import push_feed
-from drape.live.fold_constants import constants
-from drape.live.fold_step import Effort
+from drape.live.fold_constants import fold_constants
+from drape.live.fold_step import FoldEffort
 from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
 from training.disagreement import disagreement
@@ -175,9 +175,9 @@ def drapes(garment: Garment, bench: Bench, judge: Judged, draped: np.ndarray) ->
     found = {"skinning": judge.skinned, "skinning_push": judge.pushed, "network": draped, "network_push": out}
     if bench.uncorrected is not None and bench.fabric is not None:
         # The service's default, but for cloth contact, which physics has not, and for the lift off the skin.
-        made = constants(fine_garment(garment), body, bench.fabric)
+        made = fold_constants(fine_garment(garment), body, bench.fabric)
         start = bench.uncorrected.drape(garment, clip.poses).vertices
-        found["folds"] = folded_poses(made, start, clip.skin, Effort(STEPS))
+        found["folds"] = folded_poses(made, start, clip.skin, FoldEffort(STEPS))
     return found
 
 

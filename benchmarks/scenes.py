@@ -23,8 +23,8 @@ from drape.contact.skin import shaped_skin
 from drape.garment.cache import Garment
 from drape.garment.fine import fine_garment
 from drape.geometry.skinning import skin_points
-from drape.live.fold_constants import Constants, constants
-from drape.live.fold_step import Effort, Frame, fold
+from drape.live.fold_constants import FoldConstants, fold_constants
+from drape.live.fold_step import FoldEffort, Frame, fold
 from drape.motion.clip import MotionClip
 from drape.motion.hard_poses import HardPoses
 from drape.motion.readers import read_motion
@@ -125,9 +125,9 @@ class Scene:
         return self.clip.body
 
     @cached_property
-    def constants(self) -> Constants:
+    def constants(self) -> FoldConstants:
         """The garment's constants for folds."""
-        return constants(self.garment, self.body, self.fabric)
+        return fold_constants(self.garment, self.body, self.fabric)
 
     def network(self, network: Network) -> np.ndarray:
         """Vertices [m] (F, V, 3) float32 of the network's drape, pose by pose."""
@@ -161,8 +161,8 @@ class Folding:
     ``ms`` is the processor time of each frame so far, ``resets`` how many frames were begun anew.
     """
 
-    constants: Constants
-    effort: Effort
+    constants: FoldConstants
+    effort: FoldEffort
     fps: float
     memory: Any = None
     ms: list[float] = field(default_factory=list)
@@ -182,7 +182,7 @@ class Folding:
         return np.stack([self.frame(vertices, samples) for vertices, samples in zip(start, skin, strict=True)])
 
 
-def folded_poses(constants: Constants, start: np.ndarray, skin: np.ndarray, effort: Effort) -> np.ndarray:
+def folded_poses(constants: FoldConstants, start: np.ndarray, skin: np.ndarray, effort: FoldEffort) -> np.ndarray:
     """Poses without a past with folds [m] (F, V, 3) float64, from ``start`` (F, V, 3) over ``skin`` (F, S, 8)."""
     frames = (Frame(vertices, samples, 0.0) for vertices, samples in zip(start, skin, strict=True))
     return np.stack([fold(constants, None, frame, effort)[0] for frame in frames]).astype(np.float64)

@@ -49,9 +49,9 @@ from drape.wire.clips import pack_clip
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.tiers import NAMES
-from service.compute.unchanged import REST_S
 from service.settings import Settings
 from service.stages.batch import Plan
+from service.stages.unchanged import REST_S
 
 LATE_S, WARM_S = 0.1, 1.0
 OVERLOADED_S = 3.0  # until streams that all come at once are held where they stay
@@ -157,8 +157,10 @@ async def crowd(
     url: str, clip: MotionClip, count: int, seconds: float, warm_s: float = WARM_S,
     *, begun: Callable[[], None] | None = None, garments: Sequence[str] = (), **options: Any,
 ) -> list[Seen]:  # fmt: skip
-    """The views of ``count`` clients at the same time, after all are open and ``warm_s`` that do not count; ``begun`` is
-    called then. Of several ``garments`` each client has the next one."""
+    """The views of ``count`` clients at the same time, after all are open and ``warm_s`` that do not count.
+
+    ``begun`` is called then. With several ``garments``, each client has the next one.
+    """
     seen = [Seen() for _ in range(count)]
     named: list[dict[str, Any]] = [
         options | {"garment": garments[i % len(garments)]} if garments else options for i in range(count)

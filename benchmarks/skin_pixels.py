@@ -29,8 +29,8 @@ from drape.garment.fine import fine_garment, has_finer
 from drape.garment.wrapping import Wrapping
 from drape.graph.feeds import garment_feed
 from drape.graph.push_feed import pack_push
-from drape.live.fold_constants import constants
-from drape.live.fold_step import Effort, warm_up
+from drape.live.fold_constants import fold_constants
+from drape.live.fold_step import FoldEffort, warm_up
 from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
 from service.stages.folds import SETTLE
@@ -47,12 +47,12 @@ def drapes(
     fine, delivered, effort = (
         fine_garment(garment),
         np.s_[:, : garment.vertex_count],
-        Effort(steps, SETTLE, cloth_contact=True),
+        FoldEffort(steps, SETTLE, cloth_contact=True),
     )
     started = networks[0].drape(garment, clip.poses).vertices
 
     def folded(start: np.ndarray, mesh: Garment) -> np.ndarray:
-        return folded_poses(constants(mesh, clip.body), start, clip.skin, effort)
+        return folded_poses(fold_constants(mesh, clip.body), start, clip.skin, effort)
 
     corrected = networks[None].drape(garment, clip.poses).vertices[delivered]
     found = {

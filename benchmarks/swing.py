@@ -37,8 +37,8 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
 from drape.cloth.material import Material
 from drape.live.fold_constants import delivered_rest
-from drape.live.fold_step import Effort, Frame
-from drape.live.swing_constants import constants as swing_constants
+from drape.live.fold_step import FoldEffort, Frame
+from drape.live.swing_constants import swing_constants
 from drape.live.swing_step import swing
 
 SPIN, TURNS_PER_S = "spin", 1.0
@@ -64,7 +64,7 @@ def swung(scene: Scene, static: np.ndarray, *, folds: int) -> tuple[np.ndarray, 
     """``static`` [m] (F, V, 3) with swing, and ``folds`` steps on that; the median processor time [ms] of the swing."""
     clip, memory, clock, found = scene.clip, None, Clock(), []
     swinging = swing_constants(scene.garment, scene.body, scene.fabric)
-    folding = Folding(scene.constants, Effort(folds), clip.fps)
+    folding = Folding(scene.constants, FoldEffort(folds), clip.fps)
     for i, vertices in enumerate(static):
         x = vertices
         with clock:

@@ -35,10 +35,9 @@ def _serve(overrides: dict[str, object]) -> int:
         from service.compute.drape_runtime import DrapeRuntime
         from service.http.server import bind, make_server
         from service.settings import check_exposed, load_settings
-        from service.watch.lifecycle import Lifecycle
         from service.watch.logs import set_up
         from service.watch.metrics import Metrics
-        from service.watch.probes import Probes
+        from service.watch.probes import Lifecycle, Probes
     except ModuleNotFoundError as error:
         print(
             f"service: expected the packages of the extra 'service', got no {error.name}. Run make serve.",

@@ -9,30 +9,27 @@ from contextlib import asynccontextmanager
 from fastapi import FastAPI
 from fastapi.middleware.cors import CORSMiddleware
 
-from service import errors
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.sliced_thread import SlicedThread
-from service.guard.access import ADMITTED, Access
-from service.guard.access import router as access_routes
+from service.guard.access import Access
 from service.guard.limits import BodyLimit
 from service.guard.origin_guard import OriginGuard
-from service.http import garment_care, jets, openapi, preview, reference, routes
+from service.http import clip_routes, garment_routes, info_routes, openapi, pages, problems, upload_routes
 from service.http.continuations import Continuations
-from service.http.page import Page
 from service.http.pictures import Previews
 from service.replicas.handover import Handover
-from service.settings import Settings, load_settings
-from service.state import State
-from service.stream import routes as stream
+from service.settings import Settings, load_settings, product_version
+from service.state import ADMITTED, State
+from service.stream import routes as stream_routes
 from service.stream.sessions import Streams
 from service.uploads.jobs import Uploads
 from service.uploads.shared_folder import SharedFolder
-from service.version import product_version
-from service.watch import probes
-from service.watch.lifecycle import Lifecycle
+from service.watch.logs import RequestLog
 from service.watch.metrics import Metrics
-from service.watch.request_log import RequestLog
+from service.watch.probes import Lifecycle
 from service.watch.tracing import make_tracing
+
+ROUTERS = (info_routes.router, garment_routes.router, upload_routes.router, clip_routes.router)
 
 
 def create_app(
@@ -47,28 +44,9 @@ def create_app(
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        loaded = runtime or DrapeRuntime(settings, metrics=metrics, tracing=tracing)
-        sliced_thread = SlicedThread()
-        uploads, streams = Uploads(loaded, sliced_thread, access), Streams(loaded, sliced_thread)
-        handover = Handover(loaded, access.tickets)
-        shared_folder = SharedFolder(loaded, streams, uploads)
-        state = State(
-            loaded,
-            uploads,
-            shared_folder,
-            streams,
-            sliced_thread,
-            access,
-            handover,
-            life,
-            Continuations(settings),
-            Previews(),
-        )
+        state = make_state(runtime or DrapeRuntime(settings, metrics=metrics, tracing=tracing), access, life)
         app.state.drape = state
-        state.uploads.start()
-        state.streams.start()
-        state.shared_folder.start()
-        _watch(state, life)
+        state.start()
         ticking = asyncio.create_task(life.tick(metrics.loop_lag.set), name="ticking")
         life.ready()
         try:
@@ -77,11 +55,7 @@ def create_app(
             life.draining = True
             ticking.cancel()
             life.ended()
-            await state.shared_folder.stop()
-            await state.uploads.stop()
-            await state.streams.stop()
-            sliced_thread.close()
-            loaded.close()
+            await state.stop()
 
     app = FastAPI(
         title="drape",
@@ -91,41 +65,47 @@ def create_app(
         docs_url=None,  # those of FastAPI load their scripts from another host
         redoc_url=None,
     )
-    errors.install(app)
+    problems.install(app)
     app.add_middleware(BodyLimit, settings=settings, lifecycle=life)
     if settings.allowed_origins:
-        app.add_middleware(
-            CORSMiddleware,
-            allow_origins=list(settings.allowed_origins),
-            allow_methods=["*"],
-            allow_headers=["*"],
-            expose_headers=[
-                *(f"X-Drape-{name}" for name in ("Frames", "Vertices", "Origin", "Past")),
-                "X-Request-Id",
-                "Location",
-            ],
-        )
+        _allow_origins(app, settings)
     app.add_middleware(OriginGuard, settings=settings)
     app.add_middleware(RequestLog, metrics=metrics, tracing=tracing)
-    probes.install(app, life, metrics, ADMITTED)
-    reference.install(app)
+    app.include_router(info_routes.probe_routes(life, metrics))
+    pages.install_reference(app)
     openapi.install(app)
-    for router in (routes.router, jets.router, preview.router, garment_care.router, access_routes):
+    for router in ROUTERS:
         app.include_router(router, dependencies=ADMITTED, responses=openapi.responses(*openapi.EVERYWHERE))
-    app.include_router(stream.router)
-    app.mount("/", Page(settings.page_dir))
+    app.include_router(stream_routes.router)
+    app.mount("/", pages.Page(settings.page_dir))
     return app
 
 
-def _watch(state: State, life: Lifecycle) -> None:
-    """Lets the metrics and the readiness look at what runs."""
-    runtime, streams, uploads = state.runtime, state.streams, state.uploads
-    runtime.metrics.watch(
-        streams=lambda: streams.count,
-        poses_waiting=lambda: streams.waiting,
-        clips=lambda: state.clips,
-        uploads_waiting=lambda: uploads.waiting,
-        garments=lambda: len(runtime.garments.entries()),
+def make_state(runtime: DrapeRuntime, access: Access, life: Lifecycle) -> State:
+    """What a service holds around ``runtime``; nothing of it has begun."""
+    sliced_thread = SlicedThread()
+    uploads, streams = Uploads(runtime, sliced_thread, access), Streams(runtime, sliced_thread)
+    return State(
+        runtime=runtime,
+        uploads=uploads,
+        shared_folder=SharedFolder(runtime, streams, uploads),
+        streams=streams,
+        sliced_thread=sliced_thread,
+        access=access,
+        handover=Handover(runtime, access.tickets),
+        life=life,
+        continuations=Continuations(runtime.settings),
+        previews=Previews(),
     )
-    life.works |= {"streams": lambda: streams.runs, "uploads": lambda: uploads.runs}
-    life.works["shared folder"] = lambda: state.shared_folder.runs
+
+
+def _allow_origins(app: FastAPI, settings: Settings) -> None:
+    """Lets pages of the ``allowed_origins`` read answers and their headers."""
+    headers = [f"X-Drape-{name}" for name in ("Frames", "Vertices", "Origin", "Past")]
+    app.add_middleware(
+        CORSMiddleware,
+        allow_origins=list(settings.allowed_origins),
+        allow_methods=["*"],
+        allow_headers=["*"],
+        expose_headers=[*headers, "X-Request-Id", "Location"],
+    )

@@ -6,13 +6,9 @@ import json
 from dataclasses import dataclass
 from typing import Any
 
-from fastapi import FastAPI, Request
-from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
-from starlette.exceptions import HTTPException
 
 from drape.errors import ArtifactError, BodyError, DrapeError, InputError, MeshError, MotionError, NotFound, Unavailable
-from service.http.validation import validation_refusal
 
 PROBLEM = "application/problem+json"
 REASON_BYTES = 123  # what a WebSocket close frame can carry
@@ -137,30 +133,3 @@ class InternalError(DrapeError):
 
     def __reduce__(self):
         return InternalError, ()
-
-
-_HTTP_REFUSALS: dict[int, tuple[type[DrapeError], str, str]] = {
-    404: (NotFound, "a path of this service", "See /docs for the paths."),
-    405: (InputError, "a method that this path has", "See /docs for the methods."),
-}
-
-
-def install(app: FastAPI) -> None:
-    """Makes every refusal of ``app`` a problem document; faults of ours ``service.watch.request_log`` does."""
-
-    @app.exception_handler(DrapeError)
-    async def on_refusal(request: Request, error: DrapeError) -> JSONResponse:
-        return problem_response(error)
-
-    @app.exception_handler(RequestValidationError)
-    async def on_validation(request: Request, error: RequestValidationError) -> JSONResponse:
-        return problem_response(validation_refusal(error.errors()))
-
-    @app.exception_handler(HTTPException)
-    async def on_http(request: Request, error: HTTPException) -> JSONResponse:
-        kind, expected, cure = _HTTP_REFUSALS.get(
-            error.status_code, (InputError, "a request of this service", "See /docs.")
-        )
-        refusal = kind("request", expected=expected, got=f"{request.method} {request.url.path}", cure=cure)
-        document = {**problem(refusal), "status": error.status_code, "title": str(error.detail)}
-        return JSONResponse(document, status_code=error.status_code, media_type=PROBLEM, headers=error.headers)

@@ -5,6 +5,7 @@ Every field is described in docs/guide/service.md.
 
 from __future__ import annotations
 
+import importlib.metadata
 import ipaddress
 from pathlib import Path
 from typing import Literal
@@ -18,7 +19,6 @@ from drape.contact.projection import CLEARANCE_M
 from drape.errors import InputError
 from drape.garment.cache import GARMENTS_DIR, OWN_GARMENTS_DIR
 from drape.wire.options import Inertia, TierName
-from service.graphs.onnx_runtime import Device
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -104,11 +104,6 @@ class Settings(BaseSettings):
     allowed_origins: tuple[str, ...] = ()
     allowed_hosts: tuple[str, ...] = ()
 
-    @property
-    def device(self) -> Device:
-        """Where the graphs compute."""
-        return Device(self.provider, self.threads, self.gpu_memory_mb, self.capture)
-
 
 def check_exposed(settings: Settings) -> None:
     """Refuses (``InputError``) to listen beyond this machine without keys, unless ``open`` says that it is meant."""
@@ -142,3 +137,11 @@ def load_settings(**overrides: object) -> Settings:
             got=repr(first.get("input")),
             cure="Correct or unset it; see docs/guide/service.md.",
         ) from error
+
+
+def product_version() -> str:
+    """The version in the package's metadata; "unknown" where the folder runs without being installed."""
+    try:
+        return importlib.metadata.version("drape")
+    except importlib.metadata.PackageNotFoundError:
+        return "unknown"

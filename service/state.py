@@ -1,4 +1,4 @@
-"""What a running service holds."""
+"""What a running service holds, and what routes ask of it: ``StateHere``, ``ClientHere``."""
 
 from __future__ import annotations
 
@@ -7,23 +7,26 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from fastapi import Depends, Request
+from starlette.requests import HTTPConnection
 
-from service.compute.drape_runtime import DrapeRuntime
-from service.compute.garments import Entry, Scene
-from service.compute.sliced_thread import SlicedThread
 from service.errors import Busy, Draining
-from service.guard.access import Access
 from service.guard.keys import Client
-from service.http.continuations import Continuations
-from service.http.pictures import Previews
-from service.replicas.handover import Handover
-from service.stream.sessions import Streams
-from service.uploads.jobs import Uploads
-from service.uploads.shared_folder import SharedFolder
-from service.watch.lifecycle import Lifecycle
+
+if TYPE_CHECKING:
+    from service.compute.drape_runtime import DrapeRuntime
+    from service.compute.sliced_thread import SlicedThread
+    from service.guard.access import Access
+    from service.http.continuations import Continuations
+    from service.http.pictures import Previews
+    from service.replicas.handover import Handover
+    from service.stages.scene import Entry, Scene
+    from service.stream.sessions import Streams
+    from service.uploads.jobs import Uploads
+    from service.uploads.shared_folder import SharedFolder
+    from service.watch.probes import Lifecycle
 
 HURRY_S = 3.0
 STREAMS_S = 2.0  # for streams to go
@@ -55,6 +58,32 @@ class State:
         registry = self.runtime.garments
         return await self.shared_folder.found(lambda: registry.scene(garment, garments, client.name))
 
+    def watch(self) -> None:
+        """Lets the metrics and the readiness look at what runs."""
+        runtime, streams, uploads = self.runtime, self.streams, self.uploads
+        runtime.metrics.watch(
+            streams=lambda: streams.count,
+            poses_waiting=lambda: streams.waiting,
+            clips=lambda: self.clips,
+            uploads_waiting=lambda: uploads.waiting,
+            garments=lambda: len(runtime.garments.entries()),
+        )
+        self.life.works |= {"streams": lambda: streams.runs, "uploads": lambda: uploads.runs}
+        self.life.works["shared folder"] = lambda: self.shared_folder.runs
+
+    def start(self) -> None:
+        """Begins to take work."""
+        for part in (self.uploads, self.streams, self.shared_folder):
+            part.start()
+        self.watch()
+
+    async def stop(self) -> None:
+        """Ends all that ``start`` began, and what computes."""
+        for part in (self.shared_folder, self.uploads, self.streams):
+            await part.stop()
+        self.sliced_thread.close()
+        self.runtime.close()
+
     async def drain(self) -> None:
         """Takes no more work: streams go, with their state or with the word to connect again, and what still runs after
         ``HURRY_S`` is told that it ends."""
@@ -67,7 +96,7 @@ class State:
             await asyncio.sleep(0.02)
 
     def _hurry(self) -> None:
-        self.life.hurried = self.runtime.hurried = True
+        self.life.hurried = self.runtime.threads.hurried = True
 
     def check_slot(self) -> None:
         """Refuses when all places for clips are taken, so that waiting answers cannot fill the memory."""
@@ -92,4 +121,10 @@ async def _state(request: Request) -> State:  # not by a thread of the framework
     return request.app.state.drape
 
 
+async def _admitted(connection: HTTPConnection) -> Client:  # not by a thread of the framework
+    return connection.app.state.drape.access.admit(connection.headers)
+
+
 StateHere = Annotated[State, Depends(_state)]
+ClientHere = Annotated[Client, Depends(_admitted)]
+ADMITTED = [Depends(_admitted)]

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.judge import physics
-from benchmarks.judge.body_distance import blended_distance
+from benchmarks.judge.blended_planes import blended_distance
 from benchmarks.judge.physics_cache import stored_minimum
 from benchmarks.measure.hem import hang_mm
 from benchmarks.measure.intersections import intersection_count

@@ -26,7 +26,7 @@ from training.config import PRESETS, TrainConfig
 from training.evaluate import CPU
 from training.model import OneFit
 from training.poses import PoseBank
-from training.starting import Weights, dressed, finetuned, read_model
+from training.starting import Weights, finetuned, read_model, with_garments
 from training.trainer import Trainer
 
 FIGURES = ("edge_pct", "area_pct", "colliding_vertex_pct", "energy_j", "gain")
@@ -38,7 +38,7 @@ COLUMNS = {
 
 def configurations(model: Path, garment: str) -> dict[str, tuple[TrainConfig, Weights | None]]:
     """The start of "fine-tuned" and of "from scratch" on the file ``garment``, by name."""
-    scratch = dressed(PRESETS["shipped"](), [garment])
+    scratch = with_garments(PRESETS["shipped"](), [garment])
     return {"fine-tuned": finetuned(model, [garment]), "from scratch": (scratch, None)}
 
 

@@ -89,9 +89,6 @@ class ConstantsProcess:
             self._end()
 
 
-IN_PLACE = ConstantsProcess(lambda: False)
-
-
 def send(file: IO[bytes], thing: Any) -> None:
     """Writes ``thing`` for ``receive``: its pickle, and the memory of its arrays."""
     buffers: list[pickle.PickleBuffer] = []

@@ -11,24 +11,14 @@ import json
 import os
 import uuid
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
 from drape.errors import ArtifactError
+from service.stages.scene import UNCHANGED, About
 
 OWNED = "of-"  # begins the folder of a key's garments
 IDS = ".ids"  # a file for each id of a garment without owner: the name of the cache that has it
-
-
-@dataclass(frozen=True)
-class About:
-    """What may be changed of a garment: its title, None for the name it came with, and whether it is published."""
-
-    title: str | None = None
-    published: bool = False
-
-
-UNCHANGED = About()
 
 
 def folder_of(root: Path, owner: str | None) -> Path:

@@ -6,10 +6,9 @@ import hashlib
 import logging
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,136 +16,27 @@ from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
 from drape.errors import ArtifactError, DrapeError, InputError, NotFound
 from drape.garment.cache import CHARTS_PER_VERTEX, Garment, load_garment
-from drape.garment.fine import fine_garment
 from drape.geometry.jets import JET_COUNT
 from drape.graph.feeds import garment_feed
 from drape.graph.layer_feed import check_layers
-from drape.wire.layout import JetLayout, pack_layout
 from service.compute import garment_files
-from service.compute.constants_process import IN_PLACE, ConstantsProcess
-from service.compute.garment_files import UNCHANGED, About
 from service.errors import TooLarge
-from service.settings import Settings
-from service.stages.batch import Stage
+from service.stages.batch import Make, Stage, call_here
+from service.stages.scene import UNCHANGED, About, Entry, Outfit, Scene, Source
 
-PATCH_LIMIT = 65536  # what a chart of a LAYOUT can name
-Source = Literal["shipped", "user"]
+if TYPE_CHECKING:
+    from service.settings import Settings
 
 log = logging.getLogger("drape.service")
-
-
-@dataclass(frozen=True, eq=False)
-class Entry:
-    """A garment in service. ``owner`` is the key that uploaded it, if keys were asked for."""
-
-    id: str
-    garment: Garment
-    source: Source
-    path: Path | None = None
-    owner: str | None = None
-    about: About = UNCHANGED
-
-    @property
-    def published(self) -> bool:
-        """Whether every key may see it."""
-        return self.about.published
-
-    @property
-    def name(self) -> str:
-        """What people call it: the title that its owner gave it, or the name it came with."""
-        return self.about.title or self.garment.name
-
-    def seen_by(self, viewer: str | None) -> bool:
-        """Whether the key ``viewer`` (None: whoever has none) may know of it."""
-        return self.owner is None or self.published or self.owner == viewer
-
-    @property
-    def layers(self) -> tuple[Entry, ...]:
-        """Itself: what an outfit has several of."""
-        return (self,)
-
-    def only(self, ids: Sequence[str]) -> Entry:
-        """Itself, of which nothing can be left out."""
-        return self
-
-    @cached_property
-    def fine(self) -> Entry:
-        """With the subdivided mesh delivered; itself where intake did not subdivide."""
-        garment = fine_garment(self.garment)
-        return self if garment is self.garment else replace(self, garment=garment)
-
-    @property
-    def vertex_count(self) -> int:
-        return self.garment.vertex_count
-
-    @property
-    def patch_count(self) -> int:
-        return self.garment.patch_count
-
-    @cached_property
-    def jet_layout(self) -> bytes:
-        """The LAYOUT message (``drape.wire.layout``): what a client needs to make vertices of its jets."""
-        garment, rows = self.garment, slice(0, self.garment.vertex_count)
-        if garment.patch_count > PATCH_LIMIT:
-            raise TooLarge(
-                f"garment {garment.name} patches",
-                expected=f"at most {PATCH_LIMIT} for jets",
-                got=str(garment.patch_count),
-                cure="Ask for vertices.",
-            )
-        return pack_layout(
-            JetLayout(
-                garment.patch_rotation,
-                garment.patch_centre,
-                garment.patch_scale,
-                garment.vertices[rows],
-                garment.chart_patch[rows],
-                garment.chart_weight[rows],
-                garment.chart_uv[rows],
-            )
-        )
-
-
-@dataclass(frozen=True)
-class Outfit:
-    """Garments worn over each other, the innermost first."""
-
-    layers: tuple[Entry, ...]
-
-    def only(self, ids: Sequence[str]) -> Outfit:
-        """Its layers of ``ids``; of one alone it is still told whose it is."""
-        return Outfit(tuple(entry for entry in self.layers if entry.id in ids))
-
-    @property
-    def fine(self) -> Outfit:
-        """With the subdivided mesh of every layer."""
-        return Outfit(tuple(entry.fine for entry in self.layers))
-
-    @property
-    def vertex_count(self) -> int:
-        """Of all layers."""
-        return sum(entry.vertex_count for entry in self.layers)
-
-    @property
-    def patch_count(self) -> int:
-        """Of all layers."""
-        return sum(entry.patch_count for entry in self.layers)
-
-
-Scene = Entry | Outfit
 
 
 class Registry:
     """Garments by id. Shipped caches must load; of the uploaded ones a bad file is set aside and named in /health."""
 
     def __init__(
-        self,
-        body: BodyModel,
-        settings: Settings,
-        stages: Sequence[Stage] = (),
-        constants_process: ConstantsProcess = IN_PLACE,
+        self, body: BodyModel, settings: Settings, stages: Sequence[Stage] = (), make: Make = call_here
     ) -> None:
-        self._body, self._settings, self._stages, self._constants_process = body, settings, stages, constants_process
+        self._body, self._settings, self._stages, self._make = body, settings, stages, make
         self._entries: dict[str, Entry] = {}
         self._taken_in: set[str] = set()
         self.refused: list[str] = []
@@ -203,13 +93,13 @@ class Registry:
 
     def prepare(self, path: Path) -> Garment:
         """A checked garment that every stage has taken in; what takes time, and safe beside frames."""
-        garment, feed = self._constants_process.call(_loaded, path, self._body, self._settings.max_vertices)
+        garment, feed = self._make(_loaded, path, self._body, self._settings.max_vertices)
         self.add_to_stages(garment, feed)
         return garment
 
     def feed(self, garment: Garment) -> dict[str, np.ndarray]:
         """The ``garment_feed`` of ``garment`` on the body; from any thread."""
-        return self._constants_process.call(garment_feed, garment, body=self._body)
+        return self._make(garment_feed, garment, body=self._body)
 
     def add_to_stages(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
         """Lets every stage take in ``garment``, whose ``garment_feed`` is ``feed``; by one thread at a time."""
@@ -274,15 +164,6 @@ def _loaded(path: Path, body: BodyModel, max_vertices: int) -> tuple[Garment, di
     garment = load_garment(path)
     check_garment(garment, body, max_vertices=max_vertices)
     return garment, garment_feed(garment, body=body)
-
-
-def layer_list(scene: Scene, *, patches: bool = False) -> list[dict[str, str | int]]:
-    """Id and vertices, and ``patches``, of each layer, in the order in which an answer holds them."""
-    layers: list[dict[str, str | int]] = [{"id": entry.id, "vertices": entry.vertex_count} for entry in scene.layers]
-    for layer, entry in zip(layers, scene.layers, strict=True):
-        if patches:
-            layer["patches"] = entry.patch_count
-    return layers
 
 
 def slug(name: str) -> str:

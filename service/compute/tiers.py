@@ -9,11 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from drape.errors import ArtifactError
 from drape.wire.options import DrapeOptions, TierName
-from service.settings import Settings
+
+if TYPE_CHECKING:
+    from service.settings import Settings
 
 FAR_PIXELS_PER_M = 100.0  # below it a pixel is more than a centimetre
 NAMES: tuple[str, ...] = get_args(TierName)  # the least first

@@ -19,6 +19,19 @@ from drape.garment.cache import Garment
 from drape.garment.fabric_features import encoder_features
 from drape.graph.packing import pass_name
 from service.graphs.binding import BoundSession
+from service.graphs.graph_names import (
+    DYNAMIC,
+    ENCODER,
+    FIRST,
+    HALF,
+    JETS,
+    PACKED,
+    PUSH,
+    PUSH_OVER,
+    PUSHES,
+    ROUNDED,
+    SKIN,
+)
 from service.graphs.onnx_runtime import (
     PROVIDER_NAMES,
     Device,
@@ -32,14 +45,6 @@ from service.graphs.subgraph import cut
 if TYPE_CHECKING:
     import onnxruntime
 
-ENCODER, PACKED, DYNAMIC = "garment_encoder", "packed", "dynamic_encoder"
-ROUNDED, HALF = "packed_int8", "packed_half"  # in place of the packed graph, on processors and on GPUs
-PUSH, PUSH_OVER = "push_out", "push_over"
-PUSHES = (PUSH, PUSH_OVER)
-FIRST = "patch_first"  # output of the encoder that the packed graph reads
-SKIN = "skin"  # output of the graphs that pose it
-SKIN_CONSTANTS = ("skin_rows", "skin_bones")  # inputs of those, of a body's shape
-JETS = ("jet", "frame_rotation", "frame_centre")  # outputs of the graph that drapes
 REQUIRED_OUTPUTS = {
     ENCODER: (FIRST,),
     PACKED: ("vertices", *JETS),
@@ -272,17 +277,6 @@ def _code_size(model: str, manifest: Manifest) -> int:
             cure="Export the model again.",
         )
     return code
-
-
-def check_finite(engine: Engine, finite: bool) -> None:
-    """Refuses an answer of the network that holds NaN or infinity."""
-    if not finite:
-        raise ArtifactError(
-            f"{engine.manifest.name} vertices",
-            expected="finite numbers",
-            got="NaN or infinity",
-            cure="Use another model; this one fails on the pose.",
-        )
 
 
 def _compare(model: str, graph: str, side: str, written: dict[str, str], found: dict[str, str]) -> None:

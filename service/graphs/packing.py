@@ -1,10 +1,9 @@
-"""Drapes any mix of garments, clients and frames through the packed graph: what is stored, asked, run and cut apart.
+"""Drapes any mix of garments, clients and frames through the packed graph: ``Packer``.
 
-A ``ScenePlan`` names what a scene needs; the session of a plan holds the nodes that this takes and no other.
-Constants of the garments lie in the ``Store`` once. A batch is a list of (garment, body) items; its index tensors are
-kept while memory allows, since streams repeat their batches. On a CPU vertices are made of the graph's jets by
-kernels (``drape.graph.blend``), three times as fast as in the graph. An item's result does not depend on what else is
-in the batch, not in one bit on a CPU (``tests/service/graphs``), so a batch may be run in parts of any size.
+A ``ScenePlan`` names what a scene needs, and its session holds no other nodes. A batch is a list of items, each a
+garment and a body. The index tensors of batches are kept while memory allows, since streams repeat their batches. On a
+CPU kernels make vertices of the graph's jets (``drape.graph.blend``), three times as fast as the graph does. An item
+has the same bits in any batch on a CPU (``tests/service/graphs``), so a batch may be run in parts of any size.
 """
 
 from __future__ import annotations
@@ -19,16 +18,18 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
-from drape.errors import InputError, NotFound
+from drape.errors import ArtifactError, InputError
 from drape.garment.cache import Garment
 from drape.graph.blend import blended, warm_up
 from drape.graph.buckets import filled, filled_rows
 from drape.graph.feeds import garment_feed
-from drape.graph.packing import Composition, PackedGarment, Place, compose, pack_garment
+from drape.graph.packing import Composition, Place, compose
 from drape.graph.push_feed import SkinShapes
-from service.graphs.engine import JETS, PACKED, SKIN, SKIN_CONSTANTS, Engine
+from service.graphs.graph_names import JETS, PACKED, SKIN, SKIN_CONSTANTS
+from service.graphs.store import Store
 
 if TYPE_CHECKING:
+    from service.graphs.engine import Engine
     from service.graphs.onnx_runtime import Session, Value
 
 Shape = Literal["vertices", "jets", "both"]
@@ -43,14 +44,13 @@ TILES_PER_CALL = 2048  # about 10 MB of columns: what a core's share of the last
 TILES_PER_BUCKET = 65536  # of devices with memory of their own
 KEPT_BYTES = 32 << 20  # of index tensors
 FABRICS_KEPT = 64  # garments in fabrics that are not their own
-FIRST = "patch_first"  # what a fabric changes of the constants of a garment
 
 Item = tuple[str, int]  # garment, row of its body
 
 
 @dataclass(frozen=True)
 class ScenePlan:
-    """The outputs that a scene asks for: vertices, posed jets or both, and with ``skin`` the samples of the posed skin.
+    """What a scene asks of the packed graph: vertices, posed jets or both, and ``skin``, the posed samples of bodies.
 
     ``passes``: how many of the network's corrections run, all of them by default.
     """
@@ -58,12 +58,6 @@ class ScenePlan:
     shape: Shape = "vertices"
     skin: bool = False
     passes: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.shape not in OUTPUTS_OF:
-            raise InputError(
-                "scene shape", expected=" or ".join(OUTPUTS_OF), got=repr(self.shape), cure="Ask for one of these."
-            )
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -73,112 +67,13 @@ class ScenePlan:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """Outputs of one item by name: rows of its vertices (V, 3) or patches (K, ...), the skin of its body.
+    """Outputs of one item by name: rows of its vertices (V, 3) or patches (K, ...), and the skin of its body.
 
     ``finite`` is false where the network's answer holds NaN or infinity.
     """
 
     arrays: dict[str, np.ndarray]
     finite: bool
-
-
-@dataclass(eq=False)
-class _Stored:
-    """``of``: the garment whose tiles these are, where only the fabric differs."""
-
-    garment: Garment
-    packed: PackedGarment
-    of: str | None = None
-
-
-class Store:
-    """Constants of all garments, each array in one piece; a garment's own are views of it."""
-
-    def __init__(self) -> None:
-        self._garments: dict[str, _Stored] = {}
-        self._places: dict[str, Place] = {}
-        self._arrays: dict[str, np.ndarray] = {}
-
-    def __contains__(self, key: str) -> bool:
-        return key in self._garments
-
-    def add(self, key: str, garment: Garment, feed: dict[str, np.ndarray], patch_first: np.ndarray) -> None:
-        """Puts ``garment`` with its ``garment_feed`` under ``key``, in place of what was there.
-
-        ``patch_first`` (K, n) is the encoder's.
-        """
-        self._undress(key)
-        self._garments[key] = _Stored(garment, pack_garment(feed, patch_first))
-        self._lay_out()
-
-    def garment(self, key: str) -> Garment:
-        """The garment ``key``; refuses one that is not in store."""
-        self.packed(key)
-        return self._garments[key].garment
-
-    def dress(self, key: str, name: str, patch_first: np.ndarray) -> None:
-        """Puts the garment ``key`` in store once more, as ``name`` in another fabric: its tiles are shared."""
-        packed = self.packed(key)
-        packed = replace(packed, stored=packed.stored | {FIRST: patch_first})
-        self._garments[name] = _Stored(self._garments[key].garment, packed, key)
-        self._lay_out()
-
-    def remove(self, key: str) -> None:
-        """Forgets the garment ``key``, in all fabrics; or of one that ``dress`` put there this one."""
-        self.packed(key)
-        self._undress(key)
-        del self._garments[key]
-        self._lay_out()
-
-    def _undress(self, key: str) -> None:
-        for name in [name for name, stored in self._garments.items() if stored.of == key]:
-            del self._garments[name]
-
-    def packed(self, key: str) -> PackedGarment:
-        """The garment ``key``; refuses one that is not in store."""
-        if key not in self._garments:
-            raise NotFound(
-                "garment", expected=", ".join(self._garments) or "one in store", got=key, cure="Add the garment first."
-            )
-        return self._garments[key].packed
-
-    def place(self, key: str) -> Place:
-        """First rows of the garment ``key``."""
-        return self._places[key]
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """The stored inputs of the packed graph by name."""
-        return self._arrays
-
-    @property
-    def bytes(self) -> int:
-        """Memory of everything in store."""
-        whole = sum(stored.packed.bytes for stored in self._garments.values() if stored.of is None)
-        return whole + sum(stored.packed.stored[FIRST].nbytes for stored in self._garments.values() if stored.of)
-
-    def _lay_out(self) -> None:
-        every = list(self._garments.values())
-        whole = [stored for stored in every if stored.of is None]
-        names = every[0].packed.stored if every else ()
-        self._arrays = {
-            name: np.concatenate([stored.packed.stored[name] for stored in (whole if _of_tiles(name) else every)])
-            for name in names
-        }
-        patch = tile = 0
-        for key, stored in self._garments.items():
-            packed = stored.packed
-            first = tile if stored.of is None else self._places[stored.of].tile
-            self._places[key] = Place(patch, first)
-            for name, array in self._arrays.items():
-                start = first if _of_tiles(name) else patch
-                packed.stored[name] = array[start : start + len(packed.stored[name])]
-            patch += packed.patch_count
-            tile += packed.tile_count if stored.of is None else 0
-
-
-def _of_tiles(name: str) -> bool:
-    """Whether rows of the stored array ``name`` are tiles, not patches."""
-    return name.startswith("tile")
 
 
 class Packer:
@@ -390,3 +285,14 @@ def _finite(arrays: dict[str, np.ndarray]) -> bool:
     """Whether the network's answer in the outputs of an item is finite."""
     checked = [arrays[name] for name in ("vertices", *JETS) if name in arrays]
     return all(bool(np.isfinite(array).all()) for array in checked)
+
+
+def check_finite(engine: Engine, finite: bool) -> None:
+    """Refuses an answer of the network that holds NaN or infinity."""
+    if not finite:
+        raise ArtifactError(
+            f"{engine.manifest.name} vertices",
+            expected="finite numbers",
+            got="NaN or infinity",
+            cure="Use another model; this one fails on the pose.",
+        )

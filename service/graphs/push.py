@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-import threading
-from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
-from drape.contact.layers import cloth_samples
+from drape.contact.cloth_samples import cloth_samples
 from drape.contact.projection import CLEARANCE_M
 from drape.contact.samples import Samples
 from drape.contact.skin import body_skin
 from drape.errors import NotFound
 from drape.graph.layer_feed import Sheet, pack_layer
 from drape.graph.push_feed import pack_push, pushed_jets
-from service.compute.constants_process import IN_PLACE, ConstantsProcess
-from service.graphs.engine import PUSH, PUSH_OVER, PUSHES, SKIN, SKIN_CONSTANTS, Engine
+from service.graphs.graph_names import PUSH, PUSH_OVER, PUSHES, SKIN, SKIN_CONSTANTS
+from service.graphs.kept_constants import KeptConstants
 
 if TYPE_CHECKING:
     import onnxruntime
 
+    from service.graphs.engine import Engine
     from service.graphs.onnx_runtime import Session
 
     Constants = dict[str, onnxruntime.OrtValue]
@@ -70,17 +69,24 @@ class Pushed:
 class Pusher:
     """Pushes garments ``clearance_m`` [m] clear of a posed skin and of those below; one thread at a time.
 
-    The skin is that of ``body`` in any pose and shape, as the packed graph poses it.
+    The skin is that of ``body`` in any pose and shape, as the packed graph poses it. Constants are made through
+    ``make``, which calls a function with arguments.
     """
 
-    def __init__(self, engine: Engine, body: BodyModel, clearance_m: float = CLEARANCE_M) -> None:
-        self._engine = engine
+    def __init__(
+        self,
+        engine: Engine,
+        body: BodyModel,
+        clearance_m: float = CLEARANCE_M,
+        *,
+        make: Callable[..., Any] = lambda function, *arguments: function(*arguments),
+    ) -> None:
+        self._engine, self._make = engine, make
         self._skin = body_skin(body)
         self._bones = self._skin.on_bones(replace(body, posedirs=None)).bones
         self._clearance = np.full(1, np.float32(clearance_m))
         self._stored: dict[str, _Stored] = {}
-        self._layers: OrderedDict[tuple[str, ...], Constants] = OrderedDict()
-        self._looking, self._making = threading.Lock(), threading.Lock()
+        self._layers = KeptConstants["Constants"](lambda kept: len(kept) > KEPT_OUTFITS)
         for graph in PUSHES:  # now, not in the first frame
             self._session(graph, jets=False)
 
@@ -89,35 +95,24 @@ class Pusher:
         """Memory of the garments' constants where the graphs compute."""
         return sum(value.tensor_size_in_bytes() for one in self._stored.values() for value in one.constants.values())
 
-    def add(
-        self,
-        key: str,
-        feed: dict[str, np.ndarray],
-        vertices: np.ndarray,
-        faces: np.ndarray,
-        constants_process: ConstantsProcess = IN_PLACE,
-    ) -> None:
+    def add(self, key: str, feed: dict[str, np.ndarray], vertices: np.ndarray, faces: np.ndarray) -> None:
         """Puts the garment ``key`` in store: its ``garment_feed``, rest vertices [m] (V, 3) and faces."""
-        constants = self._values(constants_process.call(_garment_arrays, feed, vertices, self._skin))
+        constants = self._values(self._make(_garment_arrays, feed, vertices, self._skin))
         self._stored[key] = _Stored(feed, vertices, faces, constants)
 
     def remove(self, key: str) -> None:
         """Forgets the garment ``key`` and every layer that it is part of."""
-        with self._looking:
-            self._stored.pop(key, None)
-            for layer in [layer for layer in self._layers if key in layer]:
-                del self._layers[layer]
+        self._stored.pop(key, None)
+        self._layers.forget(key)
 
-    def prepare(
-        self, keys: Sequence[str], *, jets: bool = False, constants_process: ConstantsProcess = IN_PLACE
-    ) -> None:
-        """Makes the constants of every garment of an outfit over those before it, where they are missing, in the
-        ``constants_process``, and opens what pushes them, and their ``jets`` where asked.
+    def prepare(self, keys: Sequence[str], *, jets: bool = False) -> None:
+        """Makes the constants of every garment of an outfit over those before it, where they are missing, and opens
+        what pushes them, and their ``jets`` where asked.
 
         Takes a second per garment, and may be called from any thread.
         """
         for count in range(1, len(keys)):
-            self._layer(tuple(keys[: count + 1]), constants_process)
+            self._layer(tuple(keys[: count + 1]))
         for graph in PUSHES[: len(keys)]:
             self._session(graph, jets=jets)
 
@@ -170,42 +165,26 @@ class Pusher:
             )
         return self._stored[key]
 
-    def _layer(self, keys: tuple[str, ...], constants_process: ConstantsProcess = IN_PLACE) -> Constants:
-        """Constants of the last of ``keys`` over the others; the latest used are kept."""
+    def _layer(self, keys: tuple[str, ...]) -> Constants:
+        """Constants of the last of ``keys`` over the others."""
         *inner, outer = (self._get(key) for key in keys)
-        kept = self._found(keys)
-        if kept is not None:
-            return kept
-        with self._making:  # one at a time; who looks for others does not wait
-            kept = self._found(keys)
-            if kept is None:
-                sheets = [_sheet(stored, constants_process) for stored in inner]
-                made = constants_process.call(_arrays_over, outer.feed, outer.vertices, self._skin, sheets)
-                kept = self._values(made)
-                with self._looking:
-                    self._layers[keys] = kept
-                    if len(self._layers) > KEPT_OUTFITS:
-                        self._layers.popitem(last=False)
-        return kept
 
-    def _found(self, keys: tuple[str, ...]) -> Constants | None:
-        with self._looking:
-            kept = self._layers.get(keys)
-            if kept is not None:
-                self._layers.move_to_end(keys)
-            return kept
+        def make() -> Constants:
+            sheets = [self._sheet(stored) for stored in inner]
+            return self._values(self._make(_arrays_over, outer.feed, outer.vertices, self._skin, sheets))
+
+        return self._layers.get(keys, make)
+
+    def _sheet(self, stored: _Stored) -> Sheet:
+        """The garment as others lie over it, made once."""
+        if stored.sheet is None:
+            samples = self._make(cloth_samples, stored.vertices, stored.faces)
+            stored.sheet = Sheet(stored.vertices, stored.faces, samples)
+        return stored.sheet
 
     def _values(self, arrays: dict[str, np.ndarray]) -> Constants:
         """Constants where the graphs compute, handed over once."""
         return {name: self._engine.value(array) for name, array in arrays.items()}
-
-
-def _sheet(stored: _Stored, constants_process: ConstantsProcess) -> Sheet:
-    """The garment as others lie over it, made once."""
-    if stored.sheet is None:
-        samples = constants_process.call(cloth_samples, stored.vertices, stored.faces)
-        stored.sheet = Sheet(stored.vertices, stored.faces, samples)
-    return stored.sheet
 
 
 def _garment_arrays(feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples) -> dict[str, np.ndarray]:

@@ -10,23 +10,19 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
-from fastapi import APIRouter, Depends
-from pydantic import BaseModel
 from starlette.datastructures import Headers
-from starlette.requests import HTTPConnection
 
-from drape.errors import InputError
 from service.errors import Busy, Unauthorized
 from service.guard.keys import ANYONE, Client, digest, load_keys
-from service.guard.tickets import LIFE_S, Tickets
-from service.http.openapi import responses
-from service.settings import Settings
+from service.guard.tickets import Tickets
+
+if TYPE_CHECKING:
+    from service.settings import Settings
 
 OFFER = "ticket."
 BURST_S = 2.0
-router = APIRouter()
 
 
 class Access:
@@ -101,28 +97,3 @@ class Access:
 def _unknown(got: str) -> Unauthorized:
     cure = "Send Authorization: Bearer KEY; a stream of a page offers a ticket of POST /tickets."
     return Unauthorized("key", expected="an API key or a ticket", got=got, cure=cure)
-
-
-async def _admitted(connection: HTTPConnection) -> Client:  # not by a thread of the framework
-    return connection.app.state.drape.access.admit(connection.headers)
-
-
-ClientHere = Annotated[Client, Depends(_admitted)]
-ADMITTED = [Depends(_admitted)]
-
-
-class Ticket(BaseModel):
-    """A ticket and for how long [s] it is good."""
-
-    ticket: str
-    expires_s: float
-
-
-@router.post("/tickets", responses=responses(InputError))
-async def make_ticket(connection: HTTPConnection, client: ClientHere) -> Ticket:
-    """A ticket of the asking key, for a page that must not have the key."""
-    if client.name is None:
-        raise InputError("ticket", expected="a service with keys", got="one without", cure="Ask without a ticket.")
-    if "." in connection.headers.get("authorization", ""):
-        raise Unauthorized("key", expected="an API key", got="a ticket", cure="Make tickets where the key is.")
-    return Ticket(ticket=connection.app.state.drape.access.tickets.make(client.name), expires_s=LIFE_S)

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import asyncio
 import json
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from drape.errors import DrapeError
 from service.errors import PROBLEM, Busy, TooLarge, TooSlow, problem
-from service.settings import Settings
+
+if TYPE_CHECKING:
+    from service.settings import Settings
 
 HEAD_BYTES = 64 * 1024  # of a request line and its headers
 REST_S = 2.0  # for what is left of a body after its answer

@@ -5,17 +5,20 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
+from typing import TYPE_CHECKING
 
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from drape.errors import DrapeError
 from service.errors import Busy, Draining, TooLarge, TooSlow, problem_response
-from service.http.negotiation import JSON
-from service.settings import Settings
-from service.watch.lifecycle import Lifecycle
+
+if TYPE_CHECKING:
+    from service.settings import Settings
+    from service.watch.probes import Lifecycle
 
 UPLOAD_PATH = "/garments"
+JSON = "application/json"  # a body that is held until it has come
 LOOK_S = 0.5  # between two looks at whether the service ends
 
 

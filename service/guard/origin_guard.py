@@ -9,6 +9,7 @@ from __future__ import annotations
 import ipaddress
 import socket
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers
@@ -17,7 +18,9 @@ from starlette.websockets import WebSocket
 
 from drape.errors import DrapeError
 from service.errors import Forbidden, problem_response
-from service.settings import Settings
+
+if TYPE_CHECKING:
+    from service.settings import Settings
 
 
 def check_host(headers: Mapping[str, str], settings: Settings) -> None:

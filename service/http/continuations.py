@@ -1,4 +1,4 @@
-"""What the end of a clip leaves behind, for the request that goes on from there: a clip in pieces is the whole clip."""
+"""The end of a clip, kept for the request that goes on from there: a clip in pieces is the whole clip."""
 
 from __future__ import annotations
 
@@ -6,17 +6,20 @@ import secrets
 import time
 from collections import Counter
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from drape.errors import InputError, NotFound
-from service.settings import Settings
 from service.stages.batch import Memories, Plan, PoseInput
+
+if TYPE_CHECKING:
+    from service.settings import Settings
 
 
 @dataclass(frozen=True, eq=False)
 class Continuation:
-    """``frames`` of a clip of ``plan``, of a body of the shape ``betas`` (S,), and what the stages remember of them."""
+    """What the stages remember of ``frames`` of a clip of ``plan``, of a body of the shape ``betas`` (S,)."""
 
     plan: Plan
     betas: np.ndarray
@@ -45,7 +48,7 @@ class _Kept:
 
 
 class Continuations:
-    """The continuations by their tokens: ``max_pasts`` of them at most, each for ``past_s``.
+    """The last ``max_pasts`` continuations by their tokens, each for ``past_s``.
 
     One may be followed more than once, so that a request whose answer was lost can be sent again.
     """
@@ -59,11 +62,11 @@ class Continuations:
 
     @staticmethod
     def token() -> str:
-        """A name for a past that is yet to be."""
+        """A name for a continuation that is yet to be."""
         return secrets.token_urlsafe(18)
 
     def put(self, token: str, past: Continuation, owner: str | None) -> None:
-        """Keeps ``past`` for the key ``owner``. Where there are too many, whoever has most loses the oldest."""
+        """Keeps ``past`` for the key ``owner``; where there are too many, the key that has most loses its oldest."""
         self._drop_old()
         self._kept[token] = _Kept(past, owner, time.monotonic() + self._life_s)
         while len(self._kept) > self._most:
@@ -71,7 +74,7 @@ class Continuations:
             del self._kept[next(name for name, kept in self._kept.items() if kept.owner == most)]
 
     def get(self, token: str, owner: str | None) -> Continuation:
-        """The past of ``token``; refuses (``NotFound``) one that is gone, or another key's."""
+        """The continuation of ``token``; refuses (``NotFound``) one that is gone, or another key's."""
         self._drop_old()
         kept = self._kept.get(token)
         if kept is None or kept.owner != owner:

@@ -10,25 +10,24 @@ from collections.abc import Iterator
 from typing import Any, TypeVar
 
 from fastapi import Request
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 from pydantic_core import from_json
 
 from drape.body.skeleton import JOINT_COUNT
 from drape.wire.options import wire_names
 from service.compute.sliced_thread import BRIEF_TEXT, SlicedThread
 from service.errors import TooLarge
-from service.http.negotiation import JSON
-from service.http.schemas import Request as Schema
-from service.http.validation import not_json, validation_refusal
+from service.http.problems import not_json, validation_refusal
 
 MARKS = b",:[{"
 _OTHER_BYTES = bytes(byte for byte in range(256) if byte not in MARKS)
 FRAME_MARKS = 4 * JOINT_COUNT + 5  # of 24 x 3 numbers in poses and 3 in trans
 SMALL_MARKS = 10_000  # of a request without poses
 PIECE_BYTES = 256 * 1024  # half a millisecond of counting
+JSON = "application/json"
 NO_JSON = "text that is not JSON"
 
-Asked = TypeVar("Asked", bound=Schema)
+Asked = TypeVar("Asked", bound=BaseModel)
 
 
 def clip_marks(max_frames: int) -> int:

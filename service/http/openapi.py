@@ -9,7 +9,7 @@ from fastapi import FastAPI
 
 from drape.errors import DrapeError, Unavailable
 from service.errors import PROBLEM, Busy, Forbidden, Unauthorized, rule_for
-from service.http.negotiation import BINARY, JSON
+from service.http.answers import BINARY, JSON
 from service.http.schemas import Problem
 from service.http.schemas import Request as Schema
 

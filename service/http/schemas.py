@@ -16,7 +16,7 @@ from service.http.poses import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M
 from service.stages.placing import Origin
 
 if TYPE_CHECKING:
-    from service.compute.garments import Entry
+    from service.stages.scene import Entry
 
 
 def _number(limit: float) -> Any:

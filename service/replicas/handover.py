@@ -7,32 +7,38 @@ client's own. Whoever has none, or one that does not fit, begins anew.
 
 from __future__ import annotations
 
+import asyncio
 import hmac
 import json
+import logging
 import struct
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from drape.errors import DrapeError, InputError
-from drape.wire.state import PIECE_BYTES
-from service.compute.drape_runtime import DrapeRuntime
-from service.compute.unchanged import Idle
-from service.errors import Busy, TooLarge, Unauthorized
-from service.guard.keys import Client
-from service.guard.tickets import Tickets
+from drape.wire.state import PIECE_BYTES, join_state, split_state
+from service.errors import Busy, Draining, TooLarge, TooSlow, Unauthorized, close_reason, rule_for
 from service.replicas.memory_codec import decoded, encoded
-from service.stages.batch import Memories, Plan
-from service.stream.sessions import Session
-from service.version import product_version
+from service.settings import product_version
+
+if TYPE_CHECKING:
+    from fastapi import WebSocket
+
+    from service.compute.drape_runtime import DrapeRuntime
+    from service.guard.keys import Client
+    from service.guard.tickets import Tickets
+    from service.stages.batch import Memories, Plan
+    from service.stream.sessions import Session
 
 LIFE_S = 60.0
 _SIGNATURE_BYTES = 32
 _LENGTH = struct.Struct("<I")
+log = logging.getLogger("drape.service")
 _CURE = "Open the stream without it: it begins anew."
 
 
@@ -50,7 +56,7 @@ class Handover:
 
     def __init__(self, runtime: DrapeRuntime, tickets: Tickets) -> None:
         self._runtime, self._tickets = runtime, tickets
-        self._classes = (Idle, *(kind for stage in runtime.stages for kind in stage.kept))
+        self._classes = runtime.memory_classes
         self._held = 0
 
     def state(self, session: Session, client: Client, tier: int, *, now_s: float | None = None) -> bytes:
@@ -93,6 +99,42 @@ class Handover:
                 raise InputError("state", expected=f"the same {name}", got="another", cure=_CURE)
         kept = decoded(raw[start:], self._classes, _plans(plan, steps))
         return Brought({(stage, owner): memory for stage, owner, memory in kept}, head["dropped"], head["tier"])
+
+    async def send_away(self, socket: WebSocket, session: Session, client: Client, tier: int) -> None:
+        """Sends the state of ``session``, streams held to ``tier``, and where to go with it, and closes; the client has
+        ``DRAPE_STREAM_SEND_S`` to take it."""
+        settings, reason = self._runtime.settings, Draining()
+        blob = self.state(session, client, tier)
+        pieces = split_state(blob, min(PIECE_BYTES, settings.stream_message_bytes))
+        moved: dict[str, str | int] = {"type": "moved", "to": settings.successor, "pieces": len(pieces)}
+        if client.name is not None:
+            moved["ticket"] = self._tickets.make(client.name)  # the one that opened this stream is spent
+        try:
+            async with asyncio.timeout(settings.stream_send_s):
+                for piece in pieces:
+                    await socket.send_bytes(piece)
+                await socket.send_text(json.dumps(moved))
+                await socket.close(rule_for(reason).close_code, close_reason(reason))
+        except TimeoutError:
+            expected = f"a state taken within {settings.stream_send_s:g} s"
+            cure = "Read faster; the next stream begins anew."
+            raise TooSlow("stream", expected=expected, got="a full connection", cure=cure) from None
+        self._runtime.metrics.moved.labels(str(bool(pieces)).lower()).inc()
+
+    def resume(self, pieces: Incoming, session: Session, client: Client) -> Brought | None:
+        """Lets ``session`` go on from what came in ``pieces``; None where nothing came or it does not fit."""
+        if not pieces.messages:
+            return None
+        try:
+            blob = join_state(pieces.messages)
+            brought = self.brought(blob, client, session.plan, session.steps, session.betas)
+        except DrapeError as error:
+            log.info("stream begins anew: %s", error)
+            self._runtime.metrics.brought.labels("false").inc()
+            return None
+        session.memories, session.dropped = brought.memories, brought.dropped
+        self._runtime.metrics.brought.labels("true").inc()
+        return brought
 
     def _bound(self, client: Client, plan: Plan, betas: np.ndarray) -> dict[str, Any]:
         """What must be the same on both sides, as JSON has it."""

@@ -22,13 +22,14 @@ from service.compute.drape_runtime import DrapeRuntime
 from service.replicas import ray_router
 from service.replicas.scaling import AGE, STREAMS, FrameAges, Load, Policy
 from service.settings import Settings
-from service.state import State
-from service.watch.lifecycle import Lifecycle
 from service.watch.logs import set_up
 from service.watch.metrics import Metrics
+from service.watch.probes import Lifecycle
 
 if TYPE_CHECKING:
     from ray.serve import Application  # pyright: ignore[reportMissingImports]
+
+    from service.state import State
 
 NAME = "drape"
 GRACE_S = 15.0  # for a replica to hand its streams over and to answer what it has begun

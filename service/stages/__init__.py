@@ -8,37 +8,24 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
-from drape.body.model import BodyModel
 from drape.wire.options import DrapeOptions
-from service.compute.constants_process import IN_PLACE, ConstantsProcess
-from service.compute.hidden import narrowed
-from service.graphs.engine import Engine
-from service.settings import Settings
-from service.stages.batch import BODY, FINE, Batch, Memories, Plan, PoseInput, Stage
+from service.stages.batch import FINE, Batch, Plan, PoseInput, Stage, StageSetup
 from service.stages.collision import Collision
 from service.stages.encode import Encode
 from service.stages.folds import Folds
 from service.stages.motion import Motion
 from service.stages.network import Network
 from service.stages.novelty import Novelty
+from service.stages.scene import Scene, layer_fabrics, narrowed
 from service.stages.swing import Swing
-
-if TYPE_CHECKING:
-    from service.compute.garments import Scene
 
 STAGES: tuple[type[Stage], ...] = (Novelty, Motion, Network, Swing, Folds, Collision, Encode)
 
 
-def make_stages(
-    engine: Engine, body: BodyModel, settings: Settings, constants_process: ConstantsProcess = IN_PLACE
-) -> tuple[Stage, ...]:
-    """All stages of a service, in order; they make their constants in the ``constants_process``."""
-    stages = tuple(stage(engine, body, settings) for stage in STAGES)
-    for stage in stages:
-        stage.constants_process = constants_process
-    return stages
+def make_stages(setup: StageSetup) -> tuple[Stage, ...]:
+    """All stages of a service, in order."""
+    return tuple(stage(setup) for stage in STAGES)
 
 
 def make_plan(stages: Sequence[Stage], scene: Scene, options: DrapeOptions, *, messages: bool = False) -> Plan:
@@ -50,12 +37,15 @@ def make_plan(stages: Sequence[Stage], scene: Scene, options: DrapeOptions, *, m
     for stage in stages:
         chosen |= stage.resolve(options)
     scene = scene.fine if options.resolution == "fine" else scene
-    plan = Plan(scene, DrapeOptions().model_copy(update=chosen), messages)
+    known = DrapeOptions().model_copy(update=chosen)
+    plan = Plan(scene, known, messages, fabrics=layer_fabrics(known, len(scene.layers)))
     for stage in stages:
         stage.check(plan)
     taken = tuple(stage for stage in stages if stage.wanted(plan))
-    scene, known = narrowed(scene, plan.options, felt=any(stage.joins_layers(plan) for stage in taken))
-    plan = replace(plan, scene=scene, options=known)
+    rows, known = narrowed(scene, plan.options, felt=any(stage.joins_layers(plan) for stage in taken))
+    if len(rows) < len(scene.layers):
+        scene = scene.only([scene.layers[row].id for row in rows])
+    plan = replace(plan, scene=scene, options=known, fabrics=tuple(plan.fabrics[row] for row in rows))
     needs = frozenset({plan.options.geometry}).union(*(stage.needs(plan) for stage in taken))
     draped = (scene.fine if FINE in needs else scene).layers
     return replace(plan, stages=taken, needs=needs, draped=draped)
@@ -87,16 +77,3 @@ def run(plan: Plan, inputs: Sequence[PoseInput], took: Callable[[str, float], No
     """The batch at the end of ``walk``."""
     *_, last = walk(plan, inputs, took)
     return last
-
-
-def carried(memories: Memories, before: Plan, after: Plan) -> Memories:
-    """What of ``memories`` still holds once the plan ``before`` has become ``after``: that of stages which go on, on
-    the same options, and of the body or of garments that are worn on."""
-    old = {stage.name: stage.depends_on(before) for stage in before.stages}
-    new = {stage.name: stage.depends_on(after) for stage in after.stages}
-    owners = {BODY, *after.keys, *after.draped_keys}
-    return {
-        (stage, owner): memory
-        for (stage, owner), memory in memories.items()
-        if owner in owners and stage in old and stage in new and old[stage] == new[stage]
-    }

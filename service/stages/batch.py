@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -11,29 +11,37 @@ import numpy as np
 from drape.body.model import BodyModel
 from drape.garment.cache import Garment
 from drape.wire.options import DrapeOptions
-from service.compute.constants_process import IN_PLACE, ConstantsProcess
-from service.graphs.engine import Engine
-from service.settings import Settings
 from service.stages.placing import Origin, Placed
 
 if TYPE_CHECKING:
-    from service.compute.garments import Entry, Scene
+    from drape.cloth.fabric import Fabric
+    from service.graphs.engine import Engine
+    from service.settings import Settings
+    from service.stages.scene import Entry, Scene
 
 FINE = "fine"  # what a stage needs where it computes on the subdivided meshes
 BODY = ""  # the owner of what is remembered of a body, where others are garments by their digest
+SKIN = "skin"  # what a stage needs where it reads the posed samples of the skin
 Memories = Mapping[tuple[str, str], Any]  # by stage and owner; values are never changed in place
+Make = Callable[..., Any]  # calls a function with arguments: here, or in another process while there are streams
+
+
+def call_here(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+    """``function(*arguments, **named)``."""
+    return function(*arguments, **named)
 
 
 @dataclass(frozen=True)
 class Plan:
     """What is draped and how, nothing left open: frames of equal plans are computed together.
 
-    ``stages`` are those that the plan takes, in their order, and ``needs`` what of "vertices", "jets" and "skin" they
-    and the answer read: the network makes nothing else. ``messages``: frames leave as messages of the wire;
-    ``stepped``: with less than was asked for, as the service is under load; folds that are ``carried`` are those of the
-    frames before, and fade. ``draped``: what the network drapes, the
-    scene's garments or, where a stage needs "fine", their subdivided meshes; that stage leaves the scene's. ``scene``
-    holds what must be draped, hidden garments that visible ones feel among it; ``shown`` is what comes.
+    ``scene`` holds what must be draped, among it hidden garments that visible ones feel; ``shown`` is what comes.
+    ``fabrics``: what each layer of the scene is made of, None for the garment's own. ``stages``: those that the plan
+    takes, in their order. ``needs``: what of "vertices", "jets" and "skin" these and the answer read; the network makes
+    nothing else. ``draped``: what the network drapes, the scene's garments or, where a stage needs "fine", their
+    subdivided meshes; that stage leaves the scene's. ``messages``: frames leave as messages of the wire. ``stepped``:
+    the service is under load and computes less than was asked for. ``carried``: no step of folds runs; those of the
+    frames before fade.
     """
 
     scene: Scene
@@ -44,6 +52,7 @@ class Plan:
     stepped: bool = False
     carried: bool = False
     draped: tuple[Entry, ...] = ()
+    fabrics: tuple[Fabric | None, ...] = field(default=(), compare=False)  # of options and scene
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -249,20 +258,28 @@ def _whole(parts: Sequence[Any]) -> Any:
     return type(parts[0])(**{name: _whole([getattr(part, name) for part in parts]) for name in names})
 
 
-class Stage:
-    """One step on the clip_job of a frame, made once per service; ``service.stages.STAGES`` names them in order.
+@dataclass(frozen=True, eq=False)
+class StageSetup:
+    """What all stages of a service share; they ``make`` constants that take long."""
 
-    A stage holds its constants of garments (``add``, ``prepare``) and keeps what it remembers of a stream or clip in
+    engine: Engine
+    body: BodyModel
+    settings: Settings
+    make: Make = call_here
+
+
+class Stage:
+    """One step of a frame's way, made once per service; ``service.stages.STAGES`` names them in order.
+
+    A stage holds its constants of garments (``add``, ``prepare``). What it remembers of a stream or clip it keeps in
     the batch's memories, under its name and the garment's digest or ``BODY``.
     """
 
     name: ClassVar[str]
     kept: ClassVar[tuple[type, ...]] = ()  # the classes of what it remembers, which streams take to other processes
 
-    constants_process: ConstantsProcess = IN_PLACE  # where constants are made beside streams
-
-    def __init__(self, engine: Engine, body: BodyModel, settings: Settings) -> None:
-        self.engine, self.body, self.settings = engine, body, settings
+    def __init__(self, setup: StageSetup) -> None:
+        self.engine, self.body, self.settings, self.make = setup.engine, setup.body, setup.settings, setup.make
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
         """Options that this stage reads, by name, with the values that hold where clients left them open.
@@ -321,3 +338,16 @@ class Stage:
     def steps(self, batch: Batch) -> Iterator[Batch]:
         """``batch`` after each part of ``run``, between which other frames may be computed; the last is its result."""
         yield self.run(batch)
+
+
+def carried(memories: Memories, before: Plan, after: Plan) -> Memories:
+    """What of ``memories`` still holds once the plan ``before`` has become ``after``: that of stages which go on, on
+    the same options, and of the body or of garments that are worn on."""
+    old = {stage.name: stage.depends_on(before) for stage in before.stages}
+    new = {stage.name: stage.depends_on(after) for stage in after.stages}
+    owners = {BODY, *after.keys, *after.draped_keys}
+    return {
+        (stage, owner): memory
+        for (stage, owner), memory in memories.items()
+        if owner in owners and stage in old and stage in new and old[stage] == new[stage]
+    }

@@ -10,14 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from drape.body.model import BodyModel
 from drape.contact.projection import MOVED_M
 from drape.garment.cache import Garment
 from drape.wire.options import DrapeOptions
-from service.graphs.engine import SKIN, Engine
 from service.graphs.push import PosedJets, Pushed, Pusher
-from service.settings import Settings
-from service.stages.batch import Batch, Jets, Layer, Plan, Stage, joined
+from service.stages.batch import SKIN, Batch, Jets, Layer, Plan, Stage, StageSetup, joined
 
 
 class Collision(Stage):
@@ -25,9 +22,9 @@ class Collision(Stage):
 
     name = "collision"
 
-    def __init__(self, engine: Engine, body: BodyModel, settings: Settings) -> None:
-        super().__init__(engine, body, settings)
-        self.pusher = Pusher(engine, body, settings.clearance_m)
+    def __init__(self, setup: StageSetup) -> None:
+        super().__init__(setup)
+        self.pusher = Pusher(self.engine, self.body, self.settings.clearance_m, make=self.make)
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
         return {"push_out": self.settings.push_out if options.push_out is None else options.push_out}
@@ -43,13 +40,13 @@ class Collision(Stage):
 
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
         vertices = garment.vertices[: garment.vertex_count]
-        self.pusher.add(garment.digest, feed, vertices, garment.faces, self.constants_process)
+        self.pusher.add(garment.digest, feed, vertices, garment.faces)
 
     def remove(self, garment: Garment) -> None:
         self.pusher.remove(garment.digest)
 
     def prepare(self, plan: Plan) -> None:
-        self.pusher.prepare(plan.keys, jets=plan.options.geometry == "jets", constants_process=self.constants_process)
+        self.pusher.prepare(plan.keys, jets=plan.options.geometry == "jets")
 
     @property
     def held_bytes(self) -> int:

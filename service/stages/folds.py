@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-import threading
-from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
 from drape.errors import InputError
 from drape.garment.cache import Garment
 from drape.garment.wrapping import Wrapping
-from drape.live.fold_constants import Constants, constants
-from drape.live.fold_step import Effort, Frame, Memory, Report, fold, warm_up
-from drape.live.layers import covered, raised
-from drape.live.skin_contact import Touched
+from drape.live.clock import Frame
+from drape.live.fold_constants import FoldConstants, fold_constants
+from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport, fold, warm_up
+from drape.live.raised_skin import heights_over, raised
+from drape.live.skin_contact import TouchedSamples
 from drape.wire.options import DrapeOptions
-from service.compute.fabrics import layer_fabrics
-from service.graphs.engine import SKIN, Engine
-from service.settings import Settings
-from service.stages.batch import FINE, Batch, Layer, Plan, Quality, Stage
+from service.graphs.kept_constants import KeptConstants
+from service.stages.batch import FINE, SKIN, Batch, Layer, Plan, Quality, Stage, StageSetup
 
 SETTLE = 8  # times the steps of a frame for one without a past, where clients do not say
 KEPT_BYTES = 256 << 20  # of garments in fabrics, 3 to 8 MB each; what is in use stays
@@ -37,15 +33,16 @@ class Folds(Stage):
     """
 
     name = "folds"
-    kept = (Memory, Touched)
+    kept = (FoldMemory, TouchedSamples)
 
-    def __init__(self, engine: Engine, body: BodyModel, settings: Settings) -> None:
-        super().__init__(engine, body, settings)
+    def __init__(self, setup: StageSetup) -> None:
+        super().__init__(setup)
         self._garments: dict[str, Garment] = {}
-        self._constants: OrderedDict[tuple[str, str], Constants] = OrderedDict()
-        self._wrappings: dict[str, Wrapping] = {}
-        self._looking, self._making = threading.Lock(), threading.Lock()
         self.kept_bytes = KEPT_BYTES
+        self._constants = KeptConstants[FoldConstants](
+            lambda kept: sum(made.nbytes for made in kept) > self.kept_bytes  # fabrics beside those in use go
+        )
+        self._wrappings = KeptConstants[Wrapping]()
         warm_up()
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
@@ -76,23 +73,21 @@ class Folds(Stage):
         return frozenset({"vertices", SKIN, FINE})
 
     def depends_on(self, plan: Plan) -> object:
-        return layer_fabrics(plan.options, len(plan.keys))
+        return plan.fabrics
 
-    def rested(self, memory: Memory, time_s: float) -> Memory:
+    def rested(self, memory: FoldMemory, time_s: float) -> FoldMemory:
         return replace(memory, time_s=time_s)
 
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
         self._garments[garment.digest] = garment
 
     def remove(self, garment: Garment) -> None:
-        with self._looking:
-            self._garments.pop(garment.digest, None)
-            self._wrappings.pop(garment.digest, None)
-            for name in [name for name in self._constants if name[0] == garment.digest]:
-                del self._constants[name]
+        self._garments.pop(garment.digest, None)
+        self._wrappings.forget(garment.digest)
+        self._constants.forget(garment.digest)
 
     def prepare(self, plan: Plan) -> None:
-        for key, fabric in zip(plan.draped_keys, layer_fabrics(plan.options, len(plan.keys)), strict=True):
+        for key, fabric in zip(plan.draped_keys, plan.fabrics, strict=True):
             self._of(key, fabric)
         for key, draped, read in zip(plan.keys, plan.draped_keys, _read(plan), strict=True):
             if read and key != draped:
@@ -107,21 +102,20 @@ class Folds(Stage):
         plan = batch.plan
         assert plan.options.folds and plan.options.settle is not None
         clearance_m = self.settings.clearance_m if plan.options.push_out else 0.0
-        effort = Effort(
+        effort = FoldEffort(
             plan.options.folds,
             plan.options.settle,
             cloth_contact=bool(plan.options.cloth_contact),
             clearance_m=clearance_m,
         )
-        safe = replace(effort, sweeps=max(plan.options.folds, plan.options.safe_folds or 0))
+        safe = replace(effort, steps=max(plan.options.folds, plan.options.safe_folds or 0))
         if plan.carried:
-            effort = safe = replace(effort, sweeps=0)
+            effort = safe = replace(effort, steps=0)
         efforts = [safe if novelty > 1.0 else effort for novelty in batch.quality.novelty]
         layers, read, told = list(batch.layers), _read(plan), _Told.of(batch)
         assert batch.skin is not None
         ground = batch.skin.reshape(len(batch.skin), -1, batch.skin.shape[-1])
-        fabrics = layer_fabrics(plan.options, len(plan.keys))
-        for i, (key, sent, fabric) in enumerate(zip(plan.draped_keys, plan.keys, fabrics, strict=True)):
+        for i, (key, sent, fabric) in enumerate(zip(plan.draped_keys, plan.keys, plan.fabrics, strict=True)):
             memories = batch.remembered((self.name, key))
             covers = effort.cloth_contact and i + 1 < len(layers)
             made = self._of(key, fabric)
@@ -139,13 +133,13 @@ class Folds(Stage):
         self,
         batch: Batch,
         i: int,
-        made: Constants,
-        efforts: Sequence[Effort],
-        memories: Sequence[Memory | None],
+        made: FoldConstants,
+        efforts: Sequence[FoldEffort],
+        memories: Sequence[FoldMemory | None],
         ground: np.ndarray,
         *,
         covers: bool,
-    ) -> tuple[Layer, list[Memory | None], list[Report], np.ndarray | None]:
+    ) -> tuple[Layer, list[FoldMemory | None], list[FoldReport], np.ndarray | None]:
         """Layer ``i`` with folds over ``ground`` (F, S, 8) by the frames' ``efforts``, the memories of the inputs after
         it, a report of each frame, and, where it ``covers`` others' ground, how high [m] (F, S)."""
         drape = batch.layers[i].vertices
@@ -158,7 +152,7 @@ class Folds(Stage):
                 vertices[row], memory, report = fold(made, memory, frame, efforts[row])
                 reports.append(report)
                 if height is not None:
-                    height[row] = covered(vertices[row], made.sheet, memory.touched.own, ground[row], made.graph)
+                    height[row] = heights_over(vertices[row], made.sheet, memory.touched.own, ground[row], made.graph)
             after.append(memory)
         return replace(batch.layers[i], vertices=vertices), after, reports, height
 
@@ -169,42 +163,13 @@ class Folds(Stage):
         return replace(layer, vertices=np.stack([wrapping.wrap(cloth) for cloth in layer.vertices]))
 
     def _wrapping(self, key: str) -> Wrapping:
-        """What wraps the delivered mesh of the garment ``key``, made once."""
-        kept = self._wrappings.get(key)
-        if kept is not None:
-            return kept
-        with self._making:
-            kept = self._wrappings.get(key)
-            if kept is None:
-                kept = self._wrappings[key] = Wrapping(self._garments[key])
-            return kept
+        """What wraps the delivered mesh of the garment ``key``."""
+        return self._wrappings.get((key,), lambda: Wrapping(self._garments[key]))
 
-    def _of(self, key: str, fabric: Fabric | None) -> Constants:
-        """The constants of the garment ``key`` made of ``fabric``, made once; the latest used are kept."""
+    def _of(self, key: str, fabric: Fabric | None) -> FoldConstants:
+        """The constants of the garment ``key`` made of ``fabric``."""
         name = key, "" if fabric is None else fabric.digest
-        kept = self._found(name)
-        if kept is not None:
-            return kept
-        with self._making:  # one at a time; frames, whose constants are there, do not wait
-            kept = self._found(name)
-            if kept is None:
-                kept = self.constants_process.call(constants, self._garments[key], self.body, fabric)
-                with self._looking:
-                    self._constants[name] = kept
-                    while len(self._constants) > 1 and self._bytes > self.kept_bytes:
-                        self._constants.popitem(last=False)
-        return kept
-
-    def _found(self, name: tuple[str, str]) -> Constants | None:
-        with self._looking:
-            kept = self._constants.get(name)
-            if kept is not None:
-                self._constants.move_to_end(name)
-            return kept
-
-    @property
-    def _bytes(self) -> int:
-        return sum(made.nbytes for made in self._constants.values())
+        return self._constants.get(name, lambda: self.make(fold_constants, self._garments[key], self.body, fabric))
 
 
 def _read(plan: Plan) -> list[bool]:
@@ -227,7 +192,7 @@ class _Told:
         frames = len(batch.root)
         return cls(np.zeros(frames), np.zeros(frames), np.zeros(frames))
 
-    def add(self, reports: Sequence[Report], vertices: int, *, seen: bool) -> None:
+    def add(self, reports: Sequence[FoldReport], vertices: int, *, seen: bool) -> None:
         """Adds a layer of so many ``vertices``, whose lift is told where it is ``seen``."""
         self.resets += [report.reset for report in reports]
         if seen:

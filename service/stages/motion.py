@@ -8,17 +8,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from drape.body.features import Kinematics, motion_features
-from drape.body.model import BodyModel
 from drape.graph.feeds import kinematics
 from drape.wire.options import DrapeOptions
-from service.graphs.engine import Engine
-from service.settings import Settings
-from service.stages.batch import BODY, Batch, Plan, Stage
+from service.stages.batch import BODY, Batch, Plan, Stage, StageSetup
+
+if TYPE_CHECKING:
+    from service.graphs.engine import Engine
 
 STEP_LIMIT_S = 0.25
 """After a longer pause the cloth hangs still again, and motion is measured anew."""
@@ -57,10 +57,11 @@ class Motion(Stage):
     key = (name, BODY)
     kept = (Memory, Moment, Kinematics)
 
-    def __init__(self, engine: Engine, body: BodyModel, settings: Settings) -> None:
-        super().__init__(engine, body, settings)
-        if engine.dynamic:  # so that the first request does not pay for lazy set-up
-            engine.advance(np.zeros((1, 24, 12)), Memory.empty(engine).state[None], np.array([1.0 / 30.0]))
+    def __init__(self, setup: StageSetup) -> None:
+        super().__init__(setup)
+        if self.engine.dynamic:  # so that the first request does not pay for lazy set-up
+            rest = Memory.empty(self.engine).state[None]
+            self.engine.advance(np.zeros((1, 24, 12)), rest, np.array([1.0 / 30.0]))
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
         inertia = options.inertia or ("network" if options.geometry == "jets" else self.settings.inertia)

@@ -8,18 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from drape.body.model import BodyModel
 from drape.contact.skin import posed_table
 from drape.garment.cache import Garment
 from drape.geometry import jets
 from drape.graph.packing import pack_body
 from drape.wire.options import DrapeOptions
-from service.compute.fabrics import check_known, layer_fabrics
-from service.graphs.engine import JETS, SKIN, Engine, check_finite
-from service.graphs.packing import Packer, Result, ScenePlan, Shape
-from service.settings import Settings
-from service.stages.batch import Batch, Jets, Layer, Plan, PoseInput, Stage
+from service.graphs.graph_names import JETS, SKIN
+from service.graphs.packing import Packer, Result, ScenePlan, Shape, check_finite
+from service.stages.batch import Batch, Jets, Layer, Plan, PoseInput, Stage, StageSetup
 from service.stages.joint_reach import reach_m, turns_rad
+from service.stages.scene import check_known
 
 SHAPES: dict[frozenset[str], Shape] = {
     frozenset({"vertices"}): "vertices",
@@ -38,18 +36,17 @@ class Network(Stage):
 
     name = "network"
 
-    def __init__(self, engine: Engine, body: BodyModel, settings: Settings) -> None:
-        super().__init__(engine, body, settings)
-        self.packer = Packer(engine, body)
+    def __init__(self, setup: StageSetup) -> None:
+        super().__init__(setup)
+        self.packer = Packer(self.engine, self.body)
         self._reach_m: dict[Measured, np.ndarray] = {}
-        self._skin_in_graph = engine.feels_body and body.posedirs is None
+        self._skin_in_graph = self.engine.feels_body and self.body.posedirs is None
 
     def resolve(self, options: DrapeOptions) -> dict[str, Any]:
         return {"passes": self.engine.check_passes(options.passes), "still_mm": options.still_mm or None}
 
     def check(self, plan: Plan) -> None:
-        fabrics = layer_fabrics(plan.options, len(plan.keys))
-        check_known(fabrics, known=self.engine.knows_fabrics, model=self.engine.manifest.name)
+        check_known(plan.fabrics, known=self.engine.knows_fabrics, model=self.engine.manifest.name)
 
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
         self.packer.add(garment.digest, garment, feed)
@@ -76,16 +73,15 @@ class Network(Stage):
         return float(np.max(known, axis=0) @ turns_rad(before, after))
 
     def _measured(self, plan: Plan) -> list[Measured]:
-        fabrics = layer_fabrics(plan.options, len(plan.keys))
-        named = ["" if fabric is None else fabric.digest for fabric in fabrics]
+        named = ["" if fabric is None else fabric.digest for fabric in plan.fabrics]
         return [(key, fabric, plan.options.passes) for key, fabric in zip(plan.draped_keys, named, strict=True)]
 
     def _reach_of(self, plan: Plan, key: Measured) -> np.ndarray:
         """``reach_m`` of one garment of ``plan``, from its vertices alone."""
         number = self._measured(plan).index(key)
-        entry, fabric = plan.draped[number], plan.options.fabric
-        known = plan.options.model_copy(update={"fabric": fabric[number] if isinstance(fabric, tuple) else fabric})
-        alone = Plan(entry, known, stages=(self,), needs=frozenset({"vertices"}), draped=(entry,))
+        entry, fabrics = plan.draped[number], plan.fabrics[number : number + 1]
+        needs = frozenset({"vertices"})
+        alone = Plan(entry, plan.options, stages=(self,), needs=needs, draped=(entry,), fabrics=fabrics)
 
         def draped(poses: np.ndarray) -> np.ndarray:
             zeros = np.zeros((len(poses), 3))
@@ -123,8 +119,7 @@ class Network(Stage):
 
     def _dressed(self, plan: Plan) -> list[str]:
         """Where the garments of ``plan`` lie in the packer's store, in the fabrics that it names."""
-        fabrics = layer_fabrics(plan.options, len(plan.keys))
-        keys = list(zip(plan.draped_keys, fabrics, strict=True))
+        keys = zip(plan.draped_keys, plan.fabrics, strict=True)
         return [key if fabric is None else self.packer.dressed(key, fabric) for key, fabric in keys]
 
     def _scene(self, plan: Plan) -> ScenePlan:

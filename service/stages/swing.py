@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
 from drape.errors import InputError
 from drape.garment.cache import Garment
-from drape.live.fold_step import Frame
-from drape.live.swing_constants import constants
-from drape.live.swing_step import Constants, Memory, swing, warm_up
-from service.compute.fabrics import layer_fabrics
-from service.graphs.engine import SKIN, Engine
-from service.settings import Settings
-from service.stages.batch import Batch, Plan, Stage
+from drape.live.clock import Frame
+from drape.live.swing_constants import swing_constants
+from drape.live.swing_step import SwingConstants, SwingMemory, swing, warm_up
+from service.graphs.kept_constants import KeptConstants
+from service.stages.batch import SKIN, Batch, Plan, Stage, StageSetup
 
 KEPT = 256  # garments in fabrics, a megabyte at most each; what is in use stays
 
@@ -27,13 +23,12 @@ class Swing(Stage):
     """Moves each layer's vertices by the swing of its nodes, times the knob; what lies near the skin stays."""
 
     name = "swing"
-    kept = (Memory,)
+    kept = (SwingMemory,)
 
-    def __init__(self, engine: Engine, body: BodyModel, settings: Settings) -> None:
-        super().__init__(engine, body, settings)
+    def __init__(self, setup: StageSetup) -> None:
+        super().__init__(setup)
         self._garments: dict[str, Garment] = {}
-        self._constants: dict[tuple[str, str], Constants | None] = {}
-        self._looking, self._making = threading.Lock(), threading.Lock()
+        self._constants = KeptConstants[SwingConstants | None](lambda kept: len(kept) > KEPT)
         warm_up()
 
     def check(self, plan: Plan) -> None:
@@ -52,22 +47,20 @@ class Swing(Stage):
         return frozenset({"vertices", SKIN})
 
     def depends_on(self, plan: Plan) -> object:
-        return layer_fabrics(plan.options, len(plan.keys))
+        return plan.fabrics
 
-    def rested(self, memory: Memory, time_s: float) -> Memory:
+    def rested(self, memory: SwingMemory, time_s: float) -> SwingMemory:
         return replace(memory, time_s=time_s)
 
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
         self._garments[garment.digest] = garment
 
     def remove(self, garment: Garment) -> None:
-        with self._looking:
-            self._garments.pop(garment.digest, None)
-            for name in [name for name in self._constants if name[0] == garment.digest]:
-                del self._constants[name]
+        self._garments.pop(garment.digest, None)
+        self._constants.forget(garment.digest)
 
     def prepare(self, plan: Plan) -> None:
-        for key, fabric in zip(plan.draped_keys, layer_fabrics(plan.options, len(plan.keys)), strict=True):
+        for key, fabric in zip(plan.draped_keys, plan.fabrics, strict=True):
             self._of(key, fabric)
 
     def run(self, batch: Batch) -> Batch:
@@ -79,8 +72,7 @@ class Swing(Stage):
         plan, layers = batch.plan, list(batch.layers)
         assert batch.skin is not None
         skin = batch.skin.reshape(len(batch.skin), -1, batch.skin.shape[-1])
-        fabrics = layer_fabrics(plan.options, len(plan.keys))
-        for i, (key, fabric) in enumerate(zip(plan.draped_keys, fabrics, strict=True)):
+        for i, (key, fabric) in enumerate(zip(plan.draped_keys, plan.fabrics, strict=True)):
             made, drape = self._of(key, fabric), layers[i].vertices
             if made is not None and drape is not None:
                 vertices, after = np.empty_like(drape), []
@@ -95,26 +87,7 @@ class Swing(Stage):
                 batch = batch.remember((self.name, key), after)
             yield replace(batch, layers=tuple(layers))
 
-    def _of(self, key: str, fabric: Fabric | None) -> Constants | None:
-        """The constants of the garment ``key`` made of ``fabric``, made once; the latest used are kept."""
+    def _of(self, key: str, fabric: Fabric | None) -> SwingConstants | None:
+        """The constants of the garment ``key`` made of ``fabric``; None where nothing of it swings."""
         name = key, "" if fabric is None else fabric.digest
-        found, kept = self._found(name)
-        if found:
-            return kept
-        with self._making:  # one at a time; frames, whose constants are there, do not wait
-            found, kept = self._found(name)
-            if not found:
-                kept = self.constants_process.call(constants, self._garments[key], self.body, fabric)
-                with self._looking:
-                    self._constants[name] = kept
-                    while len(self._constants) > KEPT:
-                        del self._constants[next(iter(self._constants))]
-        return kept
-
-    def _found(self, name: tuple[str, str]) -> tuple[bool, Constants | None]:
-        """Whether there are constants of that ``name``, which may be none, and they."""
-        with self._looking:
-            if name not in self._constants:
-                return False, None
-            self._constants[name] = self._constants.pop(name)
-            return True, self._constants[name]
+        return self._constants.get(name, lambda: self.make(swing_constants, self._garments[key], self.body, fabric))

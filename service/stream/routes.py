@@ -8,25 +8,26 @@ import json
 import logging
 import math
 import time
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 
 from drape.errors import DrapeError, InputError
 from drape.wire import messages as wire
-from service.compute.garments import Outfit, layer_list
 from service.errors import Draining, InternalError, TooSlow, close_reason, error_message, problem_response, rule_for
 from service.guard.access import OFFER
-from service.guard.keys import Client
 from service.http.json_body import document_of, validated
 from service.http.poses import check_poses, shape_array
 from service.http.schemas import OpenRequest
-from service.replicas.handover import Incoming
-from service.replicas.stream_handover import brought_along, send_away
-from service.settings import Settings
+from service.stages.scene import Outfit, layer_list
 from service.state import State
 from service.stream.sessions import Session
-from service.watch.metrics import Metrics
+
+if TYPE_CHECKING:
+    from service.guard.keys import Client
+    from service.replicas.handover import Incoming
+    from service.settings import Settings
+    from service.watch.metrics import Metrics
 
 router = APIRouter()
 WATCH_S = 0.25
@@ -79,7 +80,7 @@ async def _converse(socket: WebSocket, state: State, client: Client) -> None:
     with state.handover.incoming() as pieces:
         text = await _opening(socket, pieces, settings)
         session = await _open_session(text, state, client, None)
-        brought = brought_along(pieces, session, state, client)
+        brought = state.handover.resume(pieces, session, client)
     if state.life.draining:
         raise Draining
     state.streams.add(session, None if brought is None else brought.tier)
@@ -234,7 +235,7 @@ async def _send(socket: WebSocket, session: Session, state: State, client: Clien
             ) from None
         state.runtime.metrics.sent(time.monotonic() - since_s, state.runtime.settings.frame_deadline_s)
         state.streams.wake()
-    await send_away(socket, session, state, client)
+    await state.handover.send_away(socket, session, client, state.streams.tier)
 
 
 async def _watch(session: Session, state: State) -> None:

@@ -10,25 +10,25 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drape.errors import DrapeError, InputError
+from drape.errors import DrapeError, InputError, NotFound
 from drape.wire.messages import SAME, Pose, message_kind
-from service.compute.drape_runtime import STEPS_BELOW, DrapeRuntime
-from service.compute.garments import Scene
-from service.compute.sliced_thread import SlicedThread
-from service.compute.unchanged import shown_message
 from service.errors import Busy
-from service.stages import carried
-from service.stages.batch import Memories, Plan, PoseInput
+from service.stages.batch import Memories, Plan, PoseInput, carried
+from service.stages.unchanged import shown_message
 from service.stream.step_down import StepDown
 
 if TYPE_CHECKING:
     from opentelemetry.trace import Link
+
+    from service.compute.drape_runtime import DrapeRuntime
+    from service.compute.sliced_thread import SlicedThread
+    from service.stages.scene import Entry
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,8 +170,8 @@ class Streams:
         self._sessions: set[Session] = set()
         self._wake = asyncio.Event()
         self._workers: list[asyncio.Task[None]] = []
-        self._count, self._busy = runtime.stream_threads, 0  # workers, and how many of them compute
-        self._step_down = StepDown(len(runtime.tiers) + STEPS_BELOW, time.monotonic())
+        self._count, self._busy = runtime.threads.stream_threads, 0  # workers, and how many of them compute
+        self._step_down = StepDown(runtime.step_count, time.monotonic())
 
     @property
     def tier(self) -> int:
@@ -212,10 +212,12 @@ class Streams:
                 cure="Try again later.",
             )
 
-    def end(self, wears: Callable[[Scene], bool], reason: DrapeError) -> None:
-        """Ends every stream whose scene ``wears`` says so of, with ``reason``."""
+    def end_wearing(self, entry: Entry) -> None:
+        """Ends (4404) every stream that wears ``entry``, which was deleted."""
+        got = f"{entry.id}, which was deleted"
+        reason = NotFound("garment", expected="one in service", got=got, cure="Open another.")
         for session in self._sessions:
-            if wears(session.plan.scene):
+            if entry.id in [layer.id for layer in session.plan.scene.layers]:
                 session.failure = reason
                 session.news.set()
 

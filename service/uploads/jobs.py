@@ -4,38 +4,34 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import logging
 import os
 import re
 import shutil
-import signal
-import sys
 import uuid
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from drape.errors import ArtifactError, DrapeError, InputError, MeshError, NotFound
+from drape.errors import DrapeError, MeshError, NotFound
 from service import errors
-from service.compute.drape_runtime import DrapeRuntime
 from service.compute.garment_files import OWNED, folder_of, sizes
 from service.compute.garments import slug
-from service.compute.sliced_thread import SlicedThread
-from service.guard.access import Access
 from service.guard.keys import ANYONE, Client
-from service.settings import ROOT, Settings
 from service.uploads import job_records
 from service.uploads.accepted import CANCEL, Accepted, elsewhere, staging_folder, sync, taken_over, touch
+from service.uploads.intake_process import SHARES, run_sandbox
 from service.uploads.job_records import JobRecord
 
 if TYPE_CHECKING:
     from opentelemetry.trace import Link
 
+    from service.compute.drape_runtime import DrapeRuntime
+    from service.compute.sliced_thread import SlicedThread
+    from service.guard.access import Access
+
 MOST_ATTEMPTS = 3  # of one upload, where the service ends while it runs
-SHARES = {"start": 0.15, "read": 0.03, "rest": 0.32, "fit": 0.4, "cloth": 0.03, "store": 0.0, "prepare": 0.07}
-"""Stages of an upload, those of the intake between a process's start and the garment's constants, and their shares."""
 log = logging.getLogger("drape.service")
 
 
@@ -275,10 +271,16 @@ class Uploads:
 
         report = await run_sandbox(folder / accepted.file, accepted.avatar, out, self._settings, begun)
         begun("prepare")
-        made = out / str(report["file"])
+        return await self._publish(out / str(report["file"]), client)
+
+    async def _publish(self, made: Path, client: Client) -> str:
+        """The id of the garment whose cache ``made`` is: checked, on disk in the folder of ``client``, in service.
+
+        The cache is read again here: arrays that a stranger's file led to are never taken unchecked.
+        """
         registry = self._runtime.garments
         self._check_room(client, made.stat().st_size)
-        prepared = await self._runtime.aside(registry.prepare, made)
+        prepared = await self._runtime.threads.aside(registry.prepare, made)
         stored = folder_of(self._root, client.name) / made.name
         stored.parent.mkdir(exist_ok=True)
         await asyncio.to_thread(sync, made)
@@ -304,94 +306,3 @@ class Uploads:
             if there + asked > most or there >= most:
                 cure = "Delete garments that are no longer worn: DELETE /garments/ID."
                 raise errors.Full(name, expected=f"at most {most}", got=f"{there} and another", cure=cure)
-
-
-async def run_sandbox(
-    file: Path,
-    avatar: str | None,
-    out: Path,
-    settings: Settings,
-    begun: Callable[[str], None] = lambda stage: None,
-) -> dict[str, Any]:
-    """What the intake process reports; raises its refusal, or one for the limit that it ran into. ``begun`` is told
-    each stage as the process begins it."""
-    command = [sys.executable, "-m", "service.uploads.sandbox", str(file), "--out", str(out), "--body", settings.body]
-    command += ["--memory-mb", str(settings.intake_memory_mb), "--cpu-s", str(settings.intake_cpu_s)]
-    # One thread each: their stacks and buffers count against the memory limit.
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-    process = await asyncio.create_subprocess_exec(
-        *command,
-        cwd=ROOT,
-        env=environment,
-        stdin=asyncio.subprocess.PIPE,  # a command line takes no avatar above 128 KiB, and anybody may read it
-        stdout=asyncio.subprocess.PIPE,
-        stderr=asyncio.subprocess.DEVNULL,
-        start_new_session=True,
-    )
-    label = f"upload {file.name}"
-    try:
-        report = await asyncio.wait_for(_conversation(process, (avatar or "").encode(), begun), settings.intake_wall_s)
-    except TimeoutError:
-        raise errors.TooLarge(
-            label,
-            expected=f"an intake within {settings.intake_wall_s:g} s",
-            got="no end by then",
-            cure="Simplify the mesh.",
-        ) from None
-    finally:
-        if process.returncode is None:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
-            await process.wait()
-    if report is not None and "problem" in report:
-        raise _refusal(report["problem"])
-    if report is not None and "file" in report:
-        return report
-    if process.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
-        raise errors.TooLarge(
-            label,
-            expected=f"an intake within {settings.intake_cpu_s} s of processor time",
-            got="more",
-            cure="Simplify the mesh.",
-        )
-    raise MeshError(
-        label,
-        expected="a mesh",
-        got=f"a file on which the intake ends with status {process.returncode}",
-        cure="Export the mesh again.",
-    )
-
-
-async def _conversation(
-    process: asyncio.subprocess.Process, said: bytes, begun: Callable[[str], None]
-) -> dict[str, Any] | None:
-    """The last line of JSON of ``process``, which hears ``said``; stages before it are told to ``begun``."""
-    assert process.stdin is not None and process.stdout is not None
-    with contextlib.suppress(ConnectionError):  # it has ended
-        process.stdin.write(said)
-        await process.stdin.drain()
-        process.stdin.close()
-    last: dict[str, Any] | None = None
-    async for line in process.stdout:
-        last = _document(line)
-        if last is not None and last.get("stage") in SHARES:
-            begun(last["stage"])
-    await process.wait()
-    return last
-
-
-def _document(line: bytes) -> dict[str, Any] | None:
-    try:
-        found = json.loads(line)
-    except ValueError:
-        return None
-    return found if isinstance(found, dict) else None
-
-
-_KINDS: dict[str, type[DrapeError]] = {kind.__name__: kind for kind in (*errors.TABLE, ArtifactError)}
-
-
-def _refusal(said: dict[str, str]) -> DrapeError:
-    """The error that the intake process put in words."""
-    kind = _KINDS.get(said["kind"], InputError)
-    return kind(said["name"], expected=said["expected"], got=said["got"], cure=said["cure"])

@@ -8,27 +8,21 @@ import logging
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from drape.errors import DrapeError, NotFound
 from service.compute import garment_files
-from service.compute.drape_runtime import DrapeRuntime
-from service.compute.garments import Entry
-from service.stream.sessions import Streams
-from service.uploads.jobs import Uploads
+
+if TYPE_CHECKING:
+    from service.compute.drape_runtime import DrapeRuntime
+    from service.stages.scene import Entry
+    from service.stream.sessions import Streams
+    from service.uploads.jobs import Uploads
 
 LEAST_S = 0.25  # between two looks, however many ask for garments that nobody knows
 
 Found = TypeVar("Found")
 log = logging.getLogger("drape.service")
-
-
-def end_streams(entry: Entry, streams: Streams) -> None:
-    """Ends (4404) the streams that wear ``entry``."""
-    streams.end(
-        lambda scene: entry.id in [layer.id for layer in scene.layers],
-        NotFound("garment", expected="one in service", got=f"{entry.id}, which was deleted", cure="Open another."),
-    )
 
 
 class SharedFolder:
@@ -82,8 +76,8 @@ class SharedFolder:
             entries = {entry.path: entry for entry in self._runtime.garments.entries() if entry.source == "user"}
             for path, entry in entries.items():
                 if path is not None and path not in there and not path.exists():
-                    end_streams(entry, self._streams)
-                    await self._runtime.aside(self._runtime.garments.forget, entry)
+                    self._streams.end_wearing(entry)
+                    await self._runtime.threads.aside(self._runtime.garments.forget, entry)
             for path, written in there.items():
                 if before.get(path) != written:
                     await self._read_change(path, entries.get(path), written[0] != before.get(path, (0, 0))[0])
@@ -95,7 +89,7 @@ class SharedFolder:
             if entry is not None:
                 registry.read_again(entry)
             elif fresh:
-                registry.add(await self._runtime.aside(registry.prepare, path), "user", path)
+                registry.add(await self._runtime.threads.aside(registry.prepare, path), "user", path)
         except FileNotFoundError:  # removed meanwhile: the next look sees it
             return
         except DrapeError as error:

@@ -1,17 +1,38 @@
-"""Log lines with time, client and request: JSON, one object a line, or text.
+"""Log lines with time, client and request: JSON, one object a line, or text; and what each request leaves.
 
-A line never has headers, query strings or bodies: keys, tickets and people's measurements travel there.
+Every request has an id and leaves one line, one count and, where asked for, one span: ``RequestLog``. A line never has
+headers, query strings or bodies: keys, tickets and people's measurements travel there.
 """
 
 from __future__ import annotations
 
+import asyncio
 import json
 import logging
+import re
 import sys
 import time
+import uuid
 from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import ClientDisconnect
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from service.errors import Draining, InternalError, problem_response
+from service.watch.probes import PATHS
+
+if TYPE_CHECKING:
+    from service.watch.metrics import Metrics
+    from service.watch.tracing import Tracing
+
+HEADER = "X-Request-Id"
+LEFT = 499  # what a log says where the client went away before its answer; nobody gets it
+_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
+_STARTS = {"http.response.start", "websocket.accept", "websocket.http.response.start"}
+log = logging.getLogger("drape.access")
 
 
 @dataclass(frozen=True)
@@ -69,3 +90,74 @@ def set_up(form: Literal["json", "text"]) -> None:
     handler.setFormatter(JsonLines() if form == "json" else TextLines())
     handler.addFilter(_without_queries)
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
+
+
+def request_id(headers: Headers) -> str:
+    """The id that the client sent, if it is at most 64 letters, digits, dots, dashes and underscores, or a new one."""
+    sent = headers.get(HEADER, "")
+    return sent if _ID.fullmatch(sent) else uuid.uuid4().hex
+
+
+class RequestLog:
+    """The outermost middleware. A client that goes away leaves a line and no traceback; a fault of ours leaves one."""
+
+    def __init__(self, app: ASGIApp, metrics: Metrics, tracing: Tracing) -> None:
+        self.app, self._metrics, self._tracing = app, metrics, tracing
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] not in ("http", "websocket"):
+            await self.app(scope, receive, send)
+            return
+        headers, method = Headers(scope=scope), scope.get("method", "WS")
+        asker = Asker(request_id(headers), scope["client"][0] if scope.get("client") else "")
+        token = ASKER.set(asker)
+        try:
+            with self._tracing.request(method, headers, asker.request) as answered:
+                begun_s, status = time.perf_counter(), LEFT
+                try:
+                    status = await self._answered(scope, receive, send, asker)
+                finally:
+                    answered.told(method, _template(scope), status)
+                    self._tell(scope, method, status, time.perf_counter() - begun_s)
+        finally:
+            ASKER.reset(token)
+
+    async def _answered(self, scope: Scope, receive: Receive, send: Send, asker: Asker) -> int:
+        """The status that the request was answered with; ``LEFT`` where it was not."""
+        status = 0
+
+        async def told(message: Message) -> None:
+            nonlocal status
+            if message["type"] in _STARTS:
+                status = message.get("status", 101)
+                message.setdefault("headers", [])
+                MutableHeaders(scope=message)[HEADER] = asker.request
+            await send(message)
+
+        try:
+            await self.app(scope, receive, told)
+        except ClientDisconnect:
+            status = LEFT
+        except asyncio.CancelledError:  # the end of the service, which waits no longer
+            if scope["type"] == "http" and not status:
+                await problem_response(Draining())(scope, receive, told)
+        except Exception:
+            log.exception("a request failed")
+            if scope["type"] == "http" and not status:
+                await problem_response(InternalError())(scope, receive, told)
+        return status or LEFT
+
+    def _tell(self, scope: Scope, method: str, status: int, took_s: float) -> None:
+        path = _template(scope)
+        self._metrics.requests.labels(method, path, str(status)).inc()
+        if scope["type"] == "http":
+            self._metrics.request_seconds.labels(path).observe(took_s)
+        said = {"method": method, "path": scope["path"][:200], "status": status, "ms": round(1e3 * took_s, 1)}
+        level = logging.DEBUG if scope["path"] in PATHS else logging.INFO
+        log.log(level, "answered" if status != LEFT else "the client left", extra=said)
+
+
+def _template(scope: Scope) -> str:
+    """The path with its parameters' names in place of their values; "page" for files of the page and unknown paths."""
+    route: Any = scope.get("route")
+    return getattr(route, "path", "") or "page"

@@ -1,33 +1,82 @@
-"""``/livez``, ``/readyz`` and ``/metrics``: on the service's port, and on one of their own that no work keeps waiting.
+"""Whether the service lives and takes work, and who says so: ``Lifecycle``, and ``Probes`` on a port of its own.
 
-The routes stand behind nothing that waits: no body, no place, no thread. Yet the loop answers them, so while it is busy
-they wait; ``Probes`` is a thread with a port of its own (``DRAPE_PROBE_PORT``), which also answers while models load.
+The event loop says that it turns, a few times a second. ``/livez``, ``/readyz`` and ``/metrics`` on the service's port
+wait for nothing but that loop. While it is busy they wait too; ``Probes`` is a thread with a port of its own
+(``DRAPE_PROBE_PORT``). It sees a loop that has stopped turning, and it answers while models load.
 """
 
 from __future__ import annotations
 
+import asyncio
 import json
 import socket
 import threading
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from socketserver import BaseServer
 
-from fastapi import APIRouter, FastAPI, Request, Response
-from fastapi.params import Depends
-
 from drape.errors import DrapeError, Unavailable
-from service.errors import PROBLEM, Forbidden, problem
-from service.http.negotiation import JSON
-from service.http.openapi import EVERYWHERE, responses
-from service.watch.lifecycle import Lifecycle
+from service.errors import PROBLEM, problem
 from service.watch.metrics import MEDIA_TYPE, Metrics
 
+JSON = "application/json"
 PATHS = ("/livez", "/readyz", "/metrics")
 CLIENT_S = 2.0  # for one request of one client
 MOST_CLIENTS = 16
 
 Answer = tuple[int, str, bytes]
+TICK_S = 0.25
+
+
+class Lifecycle:
+    """Loading, ready or draining, and when the event loop last came round; read from any thread."""
+
+    def __init__(self, *, stuck_s: float) -> None:
+        self._stuck_s = stuck_s
+        self._ready = self.draining = False
+        self.hurried = False  # what is not through by now is told to come again
+        self._turned_s: float | None = None
+        self.works: dict[str, Callable[[], bool]] = {}  # what must be running, by name
+
+    def ready(self) -> None:
+        """Says that everything is loaded."""
+        self._ready = True
+
+    async def tick(self, lag: Callable[[float], None]) -> None:
+        """Says again and again that the loop turns, and tells ``lag`` how late [s] it came round."""
+        while True:
+            begun_s = self._turned_s = time.monotonic()
+            await asyncio.sleep(TICK_S)
+            lag(max(0.0, time.monotonic() - begun_s - TICK_S))
+
+    def ended(self) -> None:
+        """Says that the loop has ended in good order: it need not turn any more."""
+        self._turned_s = None
+
+    def unhealthy(self) -> DrapeError | None:
+        """Why the process should be replaced; None while it lives."""
+        waited_s = 0.0 if self._turned_s is None else time.monotonic() - self._turned_s
+        if waited_s <= self._stuck_s:
+            return None
+        return Unavailable(
+            "event loop",
+            expected=f"a turn within {self._stuck_s:g} s",
+            got=f"none for {waited_s:.1f} s",
+            cure="Restart the service and keep its log.",
+        )
+
+    def unready(self) -> DrapeError | None:
+        """Why no work should be sent here; None while it is welcome."""
+        stopped = [name for name, runs in self.works.items() if not runs()]
+        for got, reason in (("one that drains", self.draining), ("one that still loads", not self._ready)):
+            if reason:
+                cure = "Ask another replica, or again in a few seconds."
+                return Unavailable("service", expected="one that takes work", got=got, cure=cure)
+        if stopped:
+            cure = "Restart the service; its log has the cause."
+            return Unavailable("service", expected=f"running {stopped[0]}", got="one that has stopped", cure=cure)
+        return self.unhealthy()
 
 
 def answer(path: str, lifecycle: Lifecycle, metrics: Metrics) -> Answer:
@@ -43,35 +92,6 @@ def answer(path: str, lifecycle: Lifecycle, metrics: Metrics) -> Answer:
 def _refusal(error: DrapeError) -> Answer:
     document = problem(error)
     return document["status"], PROBLEM, json.dumps(document).encode()
-
-
-def install(app: FastAPI, lifecycle: Lifecycle, metrics: Metrics, admitted: Sequence[Depends]) -> None:
-    """Adds the routes to ``app``; ``admitted`` lets nobody but clients at the series."""
-    router = APIRouter()
-
-    async def probe(request: Request) -> Response:
-        status, kind, content = answer(request.url.path, lifecycle, metrics)
-        return Response(content, status, media_type=kind)
-
-    described = {
-        "/livez": "200 while the process lives; 503 when it should be replaced.",
-        "/readyz": "200 while the service takes work; 503 while it loads or drains.",
-        "/metrics": "All series in the text format of Prometheus.",
-    }
-    for path in PATHS:
-        series = path == "/metrics"
-        asks = admitted if series else ()
-        refusals, kind = (EVERYWHERE, "text/plain") if series else ((Forbidden, Unavailable), JSON)
-        router.add_api_route(
-            path,
-            probe,
-            description=described[path],
-            response_class=Response,
-            name=path[1:],
-            dependencies=asks,
-            responses=responses(*refusals, kinds=(kind,)),
-        )
-    app.include_router(router)
 
 
 class Probes(ThreadingHTTPServer):

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from drape.errors import Unavailable
-from service.version import product_version
+from service.settings import product_version
 
 if TYPE_CHECKING:
     from opentelemetry.sdk.trace import TracerProvider

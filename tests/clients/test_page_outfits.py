@@ -16,7 +16,7 @@ from drape.garment.cache import save_garment
 from drape.motion.samples import stretch
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
-from service.graphs.engine import PACKED
+from service.graphs.graph_names import PACKED
 from service.settings import Settings
 from tests.clients.browser import Page, open_page
 from tests.clients.test_page import set_control, share

@@ -24,7 +24,7 @@ from websockets.typing import Subprotocol
 
 from drape.wire import messages as wire
 from service.app import create_app
-from service.compute.drape_runtime import DrapeRuntime
+from service.compute.threads import ComputeThreads
 from service.errors import Busy, Draining
 from service.guard.access import Access
 from service.settings import Settings
@@ -139,39 +139,39 @@ def test_an_upload_that_ends_every_service_is_given_up(make_settings: Callable[.
     assert f"within {MOST_ATTEMPTS} starts" in job["problem"]["detail"]
 
 
-def test_clips_end_when_the_service_hurries(make_settings: Callable[..., Settings]):
-    runtime = DrapeRuntime(make_settings())
-    runtime.hurried = True
+def test_clips_end_when_the_service_hurries():
+    threads = ComputeThreads(bound=False, stream_threads=1, chunk_frames=8, clip_wait_s=1.0)
+    threads.hurried = True
 
     async def begin() -> None:
-        await anext(runtime._in_chunks(1, lambda rows: iter([rows])))
+        await anext(threads.in_chunks(1, lambda rows: iter([rows])))
 
     with pytest.raises(Draining, match="Connect again"):
         asyncio.run(begin())
     assert isinstance(Draining().__reduce__()[0](), Draining)
-    runtime.close()
+    threads.close()
 
 
-def test_a_clip_that_others_keep_waiting_is_refused(make_settings: Callable[..., Settings]):
+def test_a_clip_that_others_keep_waiting_is_refused():
     async def second(chunk_frames: int) -> slice:
         """The second chunk of a clip, before which another clip has its turn for 1.2 s."""
-        runtime.settings = settings.model_copy(update={"chunk_frames": chunk_frames})
-        chunks = runtime._in_chunks(2 * chunk_frames, lambda rows: iter([rows]))
-        await anext(chunks)
-        async with runtime._clip_turn:
-            waiting = asyncio.ensure_future(anext(chunks))
-            await asyncio.sleep(1.2)
-        return await waiting
+        threads = ComputeThreads(bound=False, stream_threads=1, chunk_frames=chunk_frames, clip_wait_s=0.05)
+        chunks = threads.in_chunks(2 * chunk_frames, lambda rows: iter([rows]))
+        try:
+            await anext(chunks)
+            async with threads.clip_turn:
+                waiting = asyncio.ensure_future(anext(chunks))
+                await asyncio.sleep(1.2)
+            return await waiting
+        finally:
+            threads.close()
 
     async def both() -> None:
         assert await second(8) == slice(8, 16)  # one that has got more may wait longer
         with pytest.raises(Busy, match="1 frames of a clip after waiting 1 s"):
             await second(1)
 
-    settings = make_settings(clip_wait_s=0.05)
-    runtime = DrapeRuntime(settings)
     asyncio.run(both())
-    runtime.close()
 
 
 def test_a_stream_is_refused_while_the_service_drains(make_settings: Callable[..., Settings]):

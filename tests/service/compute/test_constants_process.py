@@ -1,4 +1,4 @@
-"""What is made beside streams is made in another process, with the same bits; and here where that is lost."""
+"""What is made beside streams is made in another, nicer process, with the same bits; and here where that is lost."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import io
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numba
@@ -18,16 +20,16 @@ from numpy.testing import assert_array_equal
 from drape.body.model import BodyModel
 from drape.errors import DrapeError
 from drape.garment.cache import Garment, load_garment
-from drape.live.fold_constants import constants
+from drape.live.fold_constants import fold_constants
 from drape.wire.options import DrapeOptions
-from service.compute.background import NICE
+from service.compute.background import NICE, thread_steps_back
 from service.compute.constants_process import ConstantsProcess, receive, send
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import ROOT, Settings
 from service.stages.collision import Collision
 from tests.fixtures.serving import outfit_settings
 
-__all__ = ["outfit_settings"]  # fixture
+__all__ = ["outfit_settings"]  # fixtures
 
 
 @pytest.fixture(scope="module")
@@ -49,8 +51,8 @@ def test_where_it_is_not_wanted_calls_are_made_here():
 def test_kernels_take_constants_of_the_workshop_as_their_own(
     constants_process: ConstantsProcess, tube: Garment, body: BodyModel
 ):
-    here, there = constants(tube, body), constants_process.call(constants, tube, body)
-    for name in ("sheet", "level", "graph", "index", "near"):
+    here, there = fold_constants(tube, body), constants_process.call(fold_constants, tube, body)
+    for name in here._fields:
         one, other = getattr(here, name), getattr(there, name)
         assert numba.typeof(one) == numba.typeof(other), "another type would be compiled in a frame"
         for a, b in zip(_arrays(one), _arrays(other), strict=True):
@@ -120,7 +122,7 @@ def test_an_outfit_that_is_prepared_beside_streams_is_the_same(outfit_settings: 
     found = []
     for streamed_s in (-np.inf, time.monotonic() + 1000.0):
         runtime = DrapeRuntime(outfit_settings)
-        runtime._streamed_s = streamed_s
+        runtime.threads.streamed_s = streamed_s
         apart = DrapeOptions(folds=1, cloth_contact=False)  # layers that do not feel each other are pushed apart
         plan = runtime.plan(runtime.garments.scene(None, ["tube", "coat"]), apart, messages=True)
         for stage in plan.stages:
@@ -128,9 +130,52 @@ def test_an_outfit_that_is_prepared_beside_streams_is_the_same(outfit_settings: 
         assert (runtime.constants_process._process is not None) == np.isfinite(streamed_s)
         (pusher,) = (stage.pusher for stage in plan.stages if isinstance(stage, Collision))
         # A copy: on a CPU a value's array is the memory that its owner gave, and close() drops the owner.
-        found.append({name: np.array(value.numpy()) for name, value in pusher._layers[plan.keys].items()})
+        found.append({name: np.array(value.numpy()) for name, value in pusher._layer(plan.keys).items()})
         runtime.close()
         assert runtime.constants_process._process is None
     assert found[0].keys() == found[1].keys()
     for name, array in found[0].items():
         assert_array_equal(array, found[1][name])
+
+
+# The file is empty where a process is in no group: the system's first session.
+SAY = """
+import os
+from pathlib import Path
+from service.compute.background import step_back
+step_back()
+group = Path("/proc/self/autogroup")
+print(os.nice(0), *(group.read_text() if group.is_file() else "").split()[-1:])
+"""
+
+
+def said(*, own_session: bool) -> list[str]:
+    command = [sys.executable, "-c", SAY]
+    return subprocess.run(
+        command, capture_output=True, check=True, text=True, start_new_session=own_session
+    ).stdout.split()
+
+
+def test_a_process_is_nicer():
+    assert said(own_session=True)[0] == str(min(19, os.nice(0) + NICE))
+
+
+@pytest.mark.skipif(not Path("/proc/self/autogroup").is_file(), reason="this system has no niceness of sessions")
+def test_a_session_is_nicer_where_it_has_no_other_process():
+    ours = Path("/proc/self/autogroup").read_text()
+    assert said(own_session=True)[1] == str(NICE)
+    said(own_session=False)
+    assert Path("/proc/self/autogroup").read_text() == ours
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="niceness of threads")
+def test_a_thread_is_nicer_and_the_others_are_not():
+    before = os.nice(0)
+
+    def nicer() -> int:
+        thread_steps_back()
+        return os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
+
+    with ThreadPoolExecutor(1) as thread:
+        assert thread.submit(nicer).result() == min(19, before + NICE)
+    assert os.nice(0) == before

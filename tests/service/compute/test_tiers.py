@@ -14,7 +14,7 @@ from drape.artifacts import load_manifest
 from drape.errors import ArtifactError, InputError
 from drape.wire.options import DrapeOptions
 from service.app import create_app
-from service.compute.drape_runtime import STEPS_BELOW, DrapeRuntime
+from service.compute.drape_runtime import DrapeRuntime
 from service.compute.tiers import NAMES, TIERS, Tier, capped, chosen, read_tiers, spared, tier_of
 from service.settings import Settings
 from tests.fixtures.serving import outfit_settings, serve
@@ -114,7 +114,7 @@ def test_layers_spare_nothing(outfit_settings: Settings):
         for worn, differs in ((["tube"], True), (["tube", "coat"], False)):
             plan = runtime.plan(runtime.garments.scene(None, worn), DrapeOptions(tier="fast"), messages=True)
             carried, lowest, least, *_ = steps = runtime.steps(plan)
-            assert len(steps) == STEPS_BELOW + len(runtime.tiers)
+            assert len(steps) == runtime.step_count
             assert lowest.options.push_out and lowest.options.cloth_contact != differs
             assert (lowest != least) == differs == carried.carried
             assert carried == (replace(lowest, carried=True) if differs else lowest)

@@ -18,7 +18,8 @@ from drape.graph.packing import pack_body
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.graphs.binding import BoundSession
-from service.graphs.engine import PACKED, Engine
+from service.graphs.engine import Engine
+from service.graphs.graph_names import PACKED
 from service.graphs.onnx_runtime import Device, nodes_off_provider, open_session
 from service.graphs.packing import Packer, ScenePlan
 from service.graphs.push import PosedJets, Pusher

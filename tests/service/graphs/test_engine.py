@@ -1,27 +1,35 @@
-"""The engine opens only what its manifest describes, on the provider that was asked for."""
+"""Model folders as the service opens them: what is run of them, what is refused, weights that graphs share."""
 
 from __future__ import annotations
 
 import dataclasses
 import shutil
 import sys
+import threading
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import onnx
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
+from onnx import TensorProto, helper
 
-from drape.artifacts import Manifest, TensorSpec, file_digest, load_manifest
+from drape.artifacts import MODELS_DIR, Manifest, TensorSpec, file_digest, load_manifest
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.errors import ArtifactError, InputError, Unavailable
 from drape.garment.cache import Garment
 from drape.graph.packing import pack_body
-from service.graphs.engine import ENCODER, PACKED, PUSH, PUSH_OVER, Engine
-from service.graphs.onnx_runtime import Device, check_distributions, open_session
+from service.graphs.binding import BoundSession
+from service.graphs.engine import Engine
+from service.graphs.graph_names import DYNAMIC, ENCODER, PACKED, PUSH, PUSH_OVER
+from service.graphs.onnx_runtime import Device, Session, check_distributions, open_session
 from service.graphs.packing import Packer, ScenePlan
+from tests.fixtures.packed import MOVING, garment
 from tests.fixtures.poses import random_motion
-from tests.fixtures.tiny_model import ROUNDING_M, TINY, expected_vertices, tube_garment
+from tests.fixtures.tiny_model import ROUNDING_M, STATE_SIZE, TINY, TINY_DYNAMIC, expected_vertices, tube_garment
 
 
 @pytest.fixture
@@ -175,3 +183,188 @@ def test_specs_survive_their_json(folder: Path):
     assert manifest.graphs[PACKED].inputs[0] == TensorSpec(
         "joint_quaternion", ("bodies", 25, 4), "float32", "1, relative to the parent"
     )
+
+
+@pytest.fixture
+def dynamic_folder(tiny_folder: Path, tmp_path: Path) -> Path:
+    """A copy of the dynamic model that a test may spoil."""
+    return Path(shutil.copytree(tiny_folder / "models" / TINY_DYNAMIC, tmp_path / TINY_DYNAMIC))
+
+
+def dynamic_rewrite(dynamic_folder: Path, **changes: object) -> None:
+    manifest = dataclasses.replace(load_manifest(dynamic_folder), **changes)
+    (dynamic_folder / "manifest.json").write_text(manifest.to_json())
+
+
+def test_the_engine_knows_what_it_opened(dynamic_folder: Path, tiny_folder: Path):
+    engine = Engine(dynamic_folder)
+    assert (engine.dynamic, engine.state_size, engine.code_size) == (True, STATE_SIZE, MOVING.body_code_size)
+    static = Engine(tiny_folder / "models" / TINY)
+    assert (static.dynamic, static.state_size, static.code_size) == (False, 0, 0)
+
+
+def test_a_dynamic_model_without_its_recurrent_graph_is_refused(dynamic_folder: Path):
+    graphs = load_manifest(dynamic_folder).graphs
+    dynamic_rewrite(dynamic_folder, graphs={key: spec for key, spec in graphs.items() if key != DYNAMIC})
+    with pytest.raises(ArtifactError, match=f"graph '{DYNAMIC}'"):
+        Engine(dynamic_folder)
+
+
+@pytest.mark.parametrize("changes", [{"dynamic": False}, {"state_size": STATE_SIZE + 1}])
+def test_a_manifest_that_says_otherwise_than_its_graphs_is_refused(dynamic_folder: Path, changes: dict):
+    dynamic_rewrite(dynamic_folder, **changes)
+    with pytest.raises(ArtifactError, match="dynamic: expected a packed graph with a dynamic_code"):
+        Engine(dynamic_folder)
+
+
+def test_a_packed_graph_that_takes_no_code_is_refused(dynamic_folder: Path):
+    graphs = load_manifest(dynamic_folder).graphs
+    inputs = tuple(tensor for tensor in graphs[PACKED].inputs if tensor.name != "dynamic_code")
+    dynamic_rewrite(dynamic_folder, graphs={**graphs, PACKED: dataclasses.replace(graphs[PACKED], inputs=inputs)})
+    with pytest.raises(ArtifactError, match="dynamic: expected a packed graph with a dynamic_code"):
+        Engine(dynamic_folder)
+
+
+def test_a_state_that_is_not_finite_is_refused(dynamic_folder: Path):
+    engine = Engine(dynamic_folder)
+    features = np.zeros((2, 24, 12), np.float32)
+    features[1, 0, 9] = np.nan
+    with pytest.raises(ArtifactError, match="next_state: expected finite numbers"):
+        engine.advance(features, np.zeros((2, STATE_SIZE)), np.full(2, 0.03))
+
+
+JETS = ["jet", "frame_centre"]
+
+
+@pytest.fixture
+def weights_folder(tmp_path: Path) -> Path:
+    """A copy of the shipped model that a test may spoil."""
+    return Path(shutil.copytree(MODELS_DIR / "onefit", tmp_path / "onefit"))
+
+
+def changed(weights_folder: Path) -> Path:
+    """``weights_folder`` after another model of the same sizes took its place."""
+    manifest = load_manifest(weights_folder)
+    assert manifest.weights is not None
+    path = weights_folder / manifest.weights.file
+    numbers = np.frombuffer(path.read_bytes(), np.float32)
+    path.write_bytes((1.5 * numbers).astype(np.float32).tobytes())
+    text = (weights_folder / "manifest.json").read_text().replace(manifest.weights.sha256, file_digest(path))
+    (weights_folder / "manifest.json").write_text(text)
+    return weights_folder
+
+
+def jets(engine: Engine) -> list[np.ndarray]:
+    """Posed jets for drawn numbers, by a part of the packed graph that is opened now: three of all, every index 0."""
+    part, draw, feed = engine.open_cut(PACKED, JETS), np.random.default_rng(3), {}
+    for tensor in engine.manifest.graphs[PACKED].inputs:
+        shape = [3 if isinstance(axis, str) else axis for axis in tensor.shape]
+        drawn = (
+            np.zeros(shape) if tensor.dtype.startswith("int") else draw.uniform(0.01, 0.1, size=shape)
+        )  # passes stay small
+        if tensor.name in part.inputs:
+            feed[tensor.name] = engine.value(drawn.astype(tensor.dtype))
+    return part.run(JETS, feed)
+
+
+def same(got: list[np.ndarray], want: list[np.ndarray]) -> None:
+    for have, wanted in zip(got, want, strict=True):
+        assert np.isfinite(wanted).all()
+        assert_array_equal(have, wanted)
+
+
+def test_a_folder_replaced_later_mixes_with_nothing_that_is_open(weights_folder: Path):
+    engine = Engine(weights_folder)
+    want = jets(engine)
+    other = Engine(changed(weights_folder))
+    same(jets(engine), want)
+    assert np.abs(jets(other)[0] - want[0]).max() > 1e-3
+    assert other.manifest.digest != engine.manifest.digest
+
+
+def test_a_folder_without_shared_weights_gives_the_same_bits(weights_folder: Path):
+    """As folders were before: every graph holds its own tensors."""
+    manifest = load_manifest(weights_folder)
+    graphs = {}
+    for key, spec in manifest.graphs.items():
+        onnx.save(onnx.load(str(weights_folder / spec.file)), str(weights_folder / spec.file))
+        graphs[key] = replace(spec, sha256=file_digest(weights_folder / spec.file))
+    assert manifest.weights is not None
+    (weights_folder / manifest.weights.file).unlink()
+    (weights_folder / "manifest.json").write_text(replace(manifest, graphs=graphs, weights=None).to_json())
+    alone, shared = Engine(weights_folder), Engine(MODELS_DIR / "onefit")
+    assert load_manifest(weights_folder).weights is None
+    shirt = garment("tank")
+    same([alone.first(shirt)], [shared.first(shirt)])
+    same(jets(alone), jets(shared))
+
+
+def test_weights_that_are_not_the_manifests_are_refused(weights_folder: Path):
+    (weights_folder / "weights.bin").write_bytes((weights_folder / "weights.bin").read_bytes()[:-4])
+    with pytest.raises(ArtifactError, match=r"onefit/weights\.bin sha256"):
+        Engine(weights_folder)
+    (weights_folder / "weights.bin").unlink()
+    with pytest.raises(ArtifactError, match=r"onefit weights: expected weights\.bin, got no such file"):
+        Engine(weights_folder)
+
+
+def test_a_file_too_short_for_its_graphs_is_refused(weights_folder: Path):
+    """The manifest agrees with the file, the graphs do not."""
+    manifest = load_manifest(weights_folder)
+    assert manifest.weights is not None
+    path = weights_folder / manifest.weights.file
+    path.write_bytes(path.read_bytes()[:4096])
+    text = (weights_folder / "manifest.json").read_text().replace(manifest.weights.sha256, file_digest(path))
+    (weights_folder / "manifest.json").write_text(text)
+    with pytest.raises(ArtifactError, match="expected a graph that ONNX Runtime opens"):
+        Engine(weights_folder).open_cut(PACKED, JETS)
+
+
+SMALL = np.full(4_000_000, 1e-30, np.float32)  # enough numbers for two threads to share
+RUNS = 5  # where one thread comes too late to a run, it does not to all
+FACTOR = np.full(1, 1e-10, np.float32)
+INPUTS = (TensorSpec("x", ("n",), "float32", "1"), TensorSpec("y", (1,), "float32", "1"))
+
+
+def multiplying(device: Device) -> Session:
+    """z = x y for x (n,) and y (1,)."""
+    x, y, z = (helper.make_tensor_value_info(*tensor) for tensor in (
+        ("x", TensorProto.FLOAT, ["n"]), ("y", TensorProto.FLOAT, [1]), ("z", TensorProto.FLOAT, ["n"])
+    ))  # fmt: skip
+    graph = helper.make_graph([helper.make_node("Mul", ["x", "y"], ["z"])], "g", [x, y], [z])
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 20)], ir_version=10)
+    return Session(open_session("multiplying", model.SerializeToString(), {}, device), device)
+
+
+def bound(device: Device) -> Session:
+    """The same at fixed addresses."""
+    return BoundSession(multiplying(device)._opened, device, INPUTS, (TensorSpec("z", ("n",), "float32", "1"),))
+
+
+def in_thread(call: Callable[[], np.ndarray]) -> np.ndarray:
+    """What ``call`` gives in a thread of its own, which computes as before afterwards."""
+    found = []
+
+    def work() -> None:
+        found.append(call())
+        assert (SMALL[:4] * FACTOR > 0.0).all()
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    return found[0]
+
+
+@pytest.mark.parametrize("make", [multiplying, bound])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_subnormal_numbers_are_zero_in_every_thread_of_a_session(make: Callable[[Device], Session], threads: int):
+    opened = make(Device(threads=threads))
+    feed = {"x": SMALL, "y": FACTOR}
+    for run in (lambda call: call(), in_thread):
+        for _ in range(RUNS):
+            assert_array_equal(run(lambda: opened.run(["z"], feed)[0]), 0.0)
+        assert_array_equal(run(lambda: opened.run(["z"], feed | {"x": -1e10 * SMALL})[0]), -1e10 * SMALL * FACTOR)
+    assert (SMALL[:4] * FACTOR > 0.0).all()  # numpy, here
+    kept = make(Device(threads=threads, keep_subnormals=True)).run(["z"], feed)[0]
+    assert_array_equal(kept, SMALL * FACTOR)
+    assert (kept > 0.0).all()

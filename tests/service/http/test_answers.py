@@ -1,17 +1,28 @@
-"""JSON in pieces is the JSON of the whole, and other work comes between the pieces."""
+"""Answers: the formats of clips, what positions count from, and pieces that keep no stream waiting."""
 
 from __future__ import annotations
 
 import asyncio
 import json
 import time
+from pathlib import Path
 
+import httpx
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
+from clients.client import DrapeClient
+from drape.body.model import BodyModel
 from drape.export.glb_file import PIECE_BYTES, GlbFile
 from service.compute.sliced_thread import SlicedThread
 from service.http.answers import PIECE_NUMBERS, file_answer, json_pieces, messages_answer, number_pieces
+from service.stages.placing import Placed
+from tests.fixtures.exports import read_pc2, read_usda
+from tests.fixtures.poses import random_motion
+from tests.fixtures.serving import outfit_settings, outfit_url
+
+__all__ = ["outfit_settings", "outfit_url"]  # fixtures
 
 SHAPES = [
     (0,),
@@ -126,3 +137,157 @@ def test_a_file_is_sent_as_it_would_be_written(rng: np.random.Generator):
         view = file.json["bufferViews"][file.json["accessors"][index]["bufferView"]]
         start = len(pieces[0]) + view["byteOffset"]
         assert whole[start : start + view["byteLength"]] == array.tobytes()
+
+
+BINARY, GLB, JSON = "application/octet-stream", "model/gltf-binary", "application/json"
+FAR_M = (1e4, 9.9e5)
+
+
+def ask(api: httpx.Client, accept: str, path: str = "/drape", **fields: object) -> httpx.Response:
+    poses, trans = random_motion(3)
+    asked = {"poses": poses.tolist(), "trans": trans.tolist(), **fields}
+    if path == "/drape":
+        asked |= {"garment": "tube", "folds": 0}
+    return api.post(path, json=asked, headers={"Accept": accept}).raise_for_status()
+
+
+def moved(far_m: float) -> list[list[float]]:
+    return (random_motion(3)[1] + np.array([far_m, 0.0, -far_m])).tolist()
+
+
+def parts(response: httpx.Response) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and roots of a binary answer."""
+    frames, vertices = (int(response.headers[f"X-Drape-{name}"]) for name in ("Frames", "Vertices"))
+    assert len(response.content) == 12 * frames * vertices + 24 * frames
+    first = np.frombuffer(response.content, "<f4", 3 * frames * vertices).reshape(frames, vertices, 3)
+    return first, np.frombuffer(response.content, "<f8", offset=first.nbytes).reshape(frames, 3)
+
+
+def glb_json(response: httpx.Response) -> dict:
+    return json.loads(response.content[20 : 20 + int.from_bytes(response.content[12:16], "little")])
+
+
+@pytest.mark.parametrize("far_m", FAR_M)
+@pytest.mark.parametrize("path", ["/drape", "/bodies/{body}/posed"])
+def test_a_shape_is_the_same_at_any_root(api: httpx.Client, body: BodyModel, path: str, far_m: float):
+    """Guards against edges that float32 world coordinates stretch: to more than twice at 1e6 m."""
+    path = path.format(body=body.name)
+    near, roots = parts(ask(api, BINARY, path, origin="root"))
+    far, far_roots = parts(ask(api, BINARY, path, origin="root", trans=moved(far_m)))
+    assert_array_equal(far, near)
+    assert_allclose(far_roots - roots, np.tile([far_m, 0.0, -far_m], (3, 1)), rtol=0.0, atol=1e-9)
+    world = np.frombuffer(ask(api, BINARY, path).content, "<f4").reshape(near.shape)
+    assert_allclose(near + roots[:, None], world, rtol=0.0, atol=1e-6)
+
+
+def test_an_answer_says_what_it_counts_from_and_how_far_it_is_rounded(api: httpx.Client):
+    """Guards against a client that adds the root twice, or takes a rounded garment for the drape."""
+    for origin, far_m, step_m in (("world", 9.9e5, 0.03125), ("world", 0.0, 1.2e-7), ("root", 9.9e5, 1.2e-7)):
+        headers = ask(api, BINARY, origin=origin, trans=moved(far_m)).headers
+        assert headers["X-Drape-Origin"] == origin
+        assert float(headers["X-Drape-Rounding-M"]) <= step_m
+    assert ask(api, BINARY, trans=moved(9.9e5)).headers["X-Drape-Rounding-M"] == "0.0312"
+    assert ask(api, BINARY, geometry="jets").headers["X-Drape-Origin"] == "root"
+
+
+def test_json_holds_the_roots_beside_the_positions(api: httpx.Client):
+    vertices, roots = parts(ask(api, BINARY, origin="root", trans=moved(9.9e5)))
+    document = ask(api, JSON, origin="root", trans=moved(9.9e5)).json()
+    assert document["origin"] == "root"
+    assert_array_equal(np.float32(document["positions"]), vertices)
+    assert_array_equal(document["roots"], roots)
+    plain = ask(api, JSON).json()
+    assert plain["origin"] == "world" and "roots" not in plain
+
+
+@pytest.mark.parametrize("with_body", [False, True])
+def test_a_glb_stands_under_a_node_at_the_first_root(api: httpx.Client, with_body: bool):
+    """Guards against a GLB whose positions are rounded: float64 is only in its JSON."""
+    near, far = (ask(api, GLB, origin="root", trans=moved(m), body=with_body) for m in (0.0, 9.9e5))
+    (top, *others), nodes = glb_json(far)["scenes"][0]["nodes"], glb_json(far)["nodes"]
+    assert nodes[top]["name"] == "root"
+    assert_allclose(
+        nodes[top]["translation"], parts(ask(api, BINARY, origin="root", trans=moved(9.9e5)))[1][0], rtol=0.0
+    )
+    assert len(nodes[top]["children"]) == 1 + with_body and ["skin" in nodes[i] for i in others] == [True] * with_body
+    for a, b in zip(glb_json(near)["accessors"], glb_json(far)["accessors"], strict=True):
+        if "min" in a:
+            assert_allclose(a["min"] + a["max"], b["min"] + b["max"], rtol=0.0, atol=1e-6)
+
+
+def test_a_posed_body_is_a_glb_at_its_root(api: httpx.Client, body: BodyModel):
+    path = f"/bodies/{body.name}/posed"
+    nodes = glb_json(ask(api, GLB, path, origin="root", trans=moved(9.9e5)))["nodes"]
+    placed = next(node for node in nodes if node["name"] == "root")
+    expected = moved(9.9e5)[0] + body.rest_joints()[0]
+    assert_allclose(placed["translation"], expected, rtol=0.0, atol=1e-9)
+
+
+def test_the_client_gives_vertices_and_roots(api: httpx.Client):
+    poses, _ = random_motion(3)
+    with DrapeClient(str(api.base_url)) as client:
+        vertices, roots = client.drape_at_root("tube", poses, trans=np.array(moved(9.9e5)), folds=0)
+        near = client.drape("tube", poses, trans=np.array(moved(0.0)), folds=0)
+    assert vertices.dtype == np.float32 and roots.dtype == np.float64
+    assert_allclose(vertices + (roots - [9.9e5, 0.0, -9.9e5])[:, None], near, rtol=0.0, atol=1e-6)
+
+
+def test_another_origin_is_refused(api: httpx.Client):
+    answer = api.post("/drape", json={"garment": "tube", "poses": random_motion(1)[0].tolist(), "origin": "moon"})
+    assert answer.status_code == 400 and answer.json()["name"] == "origin"
+
+
+def test_a_clip_counts_from_its_first_root_where_it_has_one():
+    placed = Placed(np.zeros((2, 1, 3), np.float32), np.array([[1e6, 0.0, 0.0], [1e6 + 0.25, 0.0, 0.0]]))
+    vertices, point = placed.from_first()
+    assert_array_equal(vertices[:, 0, 0], [0.0, 0.25])
+    assert_array_equal(point, [1e6, 0.0, 0.0])
+    assert_array_equal(Placed(placed.vertices).from_first()[1], np.zeros(3))
+
+
+PC2, USDA, EXPORTS_BINARY = "application/x-pc2", "model/vnd.usda", "application/octet-stream"
+POSES, TRANS = random_motion(3)
+
+
+def exports_ask(url: str, accept: str, **fields: object) -> httpx.Response:
+    asked = {"garments": ["coat", "tube"], "poses": POSES.tolist(), "trans": (10.0 + TRANS).tolist(), "fps": 25.0}
+    answer = httpx.post(url + "/drape", json=asked | fields, headers={"Accept": accept}, timeout=60.0)
+    assert answer.status_code == 200, answer.text
+    assert answer.headers["content-type"] == accept
+    return answer
+
+
+@pytest.mark.parametrize("origin", ["world", "root"])
+def test_a_point_cache_has_the_layers_one_after_the_other(outfit_url: str, tmp_path: Path, origin: str):
+    plain = np.frombuffer(exports_ask(outfit_url, EXPORTS_BINARY).content, "<f4").reshape(3, 432, 3)
+    rooted = exports_ask(outfit_url, EXPORTS_BINARY, origin="root").content
+    first = np.frombuffer(rooted, "<f8", offset=3 * 432 * 12)[:3] if origin == "root" else np.zeros(3)
+    for streamed in (False, True):
+        path = tmp_path / "clip.pc2"
+        path.write_bytes(exports_ask(outfit_url, PC2, origin=origin, streamed=streamed).content)
+        assert_allclose(read_pc2(path) + first, plain, rtol=0, atol=2e-6 if origin == "root" else 0)
+
+
+@pytest.mark.parametrize("origin", ["world", "root"])
+def test_a_scene_has_a_mesh_for_each_layer(outfit_url: str, origin: str):
+    plain = np.frombuffer(exports_ask(outfit_url, EXPORTS_BINARY).content, "<f4").reshape(3, 432, 3)
+    scene = read_usda(exports_ask(outfit_url, USDA, origin=origin).text)
+    assert scene.head["timeCodesPerSecond"] == "25.0"
+    assert (np.abs(scene.translate) > 5.0).any() == (origin == "root")
+    assert list(scene.meshes) == ["coat", "tube"]
+    for mesh, own in zip(scene.meshes.values(), np.split(plain, 2, axis=1), strict=True):
+        assert_allclose(mesh.points + scene.translate, own, rtol=0, atol=1e-5)
+
+
+def test_a_scene_cannot_be_streamed_nor_jets_be_a_cache(api: httpx.Client):
+    asked = {"garment": "tube", "poses": POSES.tolist(), "streamed": True}
+    assert api.post("/drape", json=asked, headers={"Accept": USDA}).status_code == 406
+    asked |= {"streamed": False, "geometry": "jets"}
+    assert api.post("/drape", json=asked, headers={"Accept": PC2}).status_code == 406
+
+
+def test_binary_stays_the_default_among_the_new_kinds(api: httpx.Client):
+    asked = {"garment": "tube", "poses": POSES.tolist()}
+    answers = [api.post("/drape", json=asked, headers={"Accept": accept}) for accept in ("*/*", "application/*")]
+    assert [answer.headers["content-type"] for answer in answers] == [EXPORTS_BINARY, EXPORTS_BINARY]
+    assert answers[0].content == answers[1].content

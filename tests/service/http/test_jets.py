@@ -29,6 +29,11 @@ from drape.wire.layout import JetLayout, unpack_layout
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.errors import TooLarge
+from service.guard.keys import ANYONE
+from service.http.answers import BINARY, GLB, JSON
+from service.http.clip_jobs import ClipJob
+from service.http.clip_routes import check_clip_size
+from service.http.schemas import ClipOptions
 from service.settings import Settings
 from service.stages import run
 from service.stages.batch import PoseInput
@@ -37,7 +42,6 @@ from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import outfit_settings, outfit_url
 
 __all__ = ["outfit_settings", "outfit_url"]  # fixtures
-BINARY, GLB, JSON = "application/octet-stream", "model/gltf-binary", "application/json"
 QUANTISED_M = 1e-4  # at the 99th percentile
 POSES, TRANS = random_motion(3, spread_rad=0.5)
 
@@ -208,13 +212,18 @@ def test_a_stream_of_another_geometry_is_refused(outfit_url: str):
 
 
 def test_an_answer_of_jets_has_the_same_limit(make_settings):
-    from service.http.jets import check_jets_size
-
     runtime = DrapeRuntime(make_settings(max_answer_bytes=10 * message_bytes(12)))
     entry = runtime.garments.get("tube")
-    check_jets_size(10, entry, runtime)
+
+    def check(frames: int) -> None:
+        asked = ClipOptions(garment="tube", geometry="jets")
+        plan, zeros = runtime.plan(entry, asked, messages=True), np.zeros((frames, 3))
+        clip = PoseInput(np.zeros((frames, 24, 3)), zeros, np.zeros(10), np.zeros(frames))
+        check_clip_size(ClipJob(plan, clip, asked, ANYONE), BINARY, runtime.settings)
+
+    check(10)
     with pytest.raises(TooLarge, match="11 frames of 12 patches"):
-        check_jets_size(11, entry, runtime)
+        check(11)
     object.__setattr__(entry, "garment", replace(entry.garment, patch_centre=np.zeros((65537, 3))))
     with pytest.raises(TooLarge, match="tube patches: expected at most 65536"):
         _ = entry.jet_layout

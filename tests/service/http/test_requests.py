@@ -1,8 +1,9 @@
-"""Bad requests get a sentence that says what to do, and the service goes on."""
+"""Requests that are refused, each with its sentence; and the reference page, which asks no other host."""
 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -13,21 +14,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drape.wire.clips import pack_clip
-from service.app import create_app
+from service.app import create_app, make_state
 from service.compute.drape_runtime import DrapeRuntime
-from service.compute.sliced_thread import SlicedThread
 from service.errors import Busy
 from service.guard.access import Access
-from service.http.continuations import Continuations
+from service.http import pages
 from service.http.json_body import clip_marks
-from service.http.pictures import Previews
-from service.replicas.handover import Handover
 from service.settings import Settings
-from service.state import State
-from service.stream.sessions import Streams
-from service.uploads.jobs import Uploads
-from service.uploads.shared_folder import SharedFolder
-from service.watch.lifecycle import Lifecycle
+from service.watch.probes import Lifecycle
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import serve
 
@@ -224,17 +218,7 @@ def test_too_large_an_answer_is_refused(make_settings: Callable[..., Settings]):
 
 def test_more_clips_than_places_are_refused(make_settings: Callable[..., Settings]):
     runtime = DrapeRuntime(make_settings(max_clips=1))
-    streams, access = Streams(runtime, SlicedThread()), Access(runtime.settings)
-    uploads = Uploads(runtime, SlicedThread(), access)
-    handover, continuations, life = (
-        Handover(runtime, access.tickets),
-        Continuations(runtime.settings),
-        Lifecycle(stuck_s=9.0),
-    )
-    shared_folder = SharedFolder(runtime, streams, uploads)
-    state = State(
-        runtime, uploads, shared_folder, streams, SlicedThread(), access, handover, life, continuations, Previews()
-    )
+    state = make_state(runtime, Access(runtime.settings), Lifecycle(stuck_s=9.0))
     with state.slot(), pytest.raises(Busy, match="fewer than 1 at a time"), state.slot():
         pass
     with state.slot():
@@ -307,3 +291,27 @@ def test_noise_as_a_body_is_refused_politely(api: httpx.Client, content: bytes, 
     for path in ("/drape", "/bodies/anny_default/posed", "/garments"):
         response = api.post(path, content=content, headers={"Content-Type": kind})
         assert response.status_code in (400, 422)
+
+
+def test_the_reference_and_its_files_come_from_this_service(api: httpx.Client):
+    page = api.get("/docs")
+    assert page.status_code == 200 and "/openapi.json" in page.text
+    assert re.findall(r"https?://", page.text) == []
+    for name in pages.REFERENCE_FILES:
+        assert f"/docs/{name}" in page.text
+        assert api.get(f"/docs/{name}").status_code == 200
+    assert api.get("/docs/other.js").status_code == 404
+    assert api.get("/redoc").status_code == 404
+
+
+def test_without_the_package_a_sentence_says_so(make_settings, monkeypatch: pytest.MonkeyPatch):
+    from service.app import create_app
+    from tests.fixtures.serving import serve
+
+    monkeypatch.setattr(pages, "REFERENCE_PACKAGE", "no_such_package")
+    assert pages.files_folder() is None
+    settings = make_settings()
+    with serve(create_app(settings), settings) as url:
+        for path in ("/docs", f"/docs/{pages.REFERENCE_FILES[0]}"):
+            response = httpx.get(url + path)
+            assert response.status_code == 503 and "fastapi-offline" in response.text

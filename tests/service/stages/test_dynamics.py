@@ -22,13 +22,13 @@ from drape.wire.options import DrapeOptions
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.sliced_thread import SlicedThread
-from service.compute.unchanged import KEY
 from service.graphs.engine import Engine
 from service.graphs.packing import Packer, ScenePlan
 from service.settings import Settings
 from service.stages import run
 from service.stages.batch import Memories, Plan, PoseInput
 from service.stages.motion import JUMP_M_S, SHORTEST_STEP_S, STEP_LIMIT_S, Memory, Moment, Motion, advance
+from service.stages.unchanged import KEY
 from service.stream.sessions import Session, Streams
 from tests.fixtures.packed import MOVING
 from tests.fixtures.poses import smooth_motion

@@ -13,6 +13,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.body.model import BodyModel
+from drape.cloth.fabric_table import fabric
 from drape.contact.projection import MOVED_M
 from drape.errors import InputError
 from drape.geometry.closest import signed_distance
@@ -21,9 +22,9 @@ from drape.wire.options import DrapeOptions
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
-from service.stages import carried, run, walk
 from service.stages import folds as folds_stage
-from service.stages.batch import PoseInput
+from service.stages import run, walk
+from service.stages.batch import PoseInput, carried
 from service.stages.folds import SETTLE, Folds
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import outfit_settings, serve
@@ -141,7 +142,7 @@ def test_cloth_feels_cloth_where_that_is_asked_for(outfit_settings: Settings, mo
     def never(*_: object) -> None:
         raise AssertionError("asked for nothing")
 
-    monkeypatch.setattr(folds_stage, "covered", never)
+    monkeypatch.setattr(folds_stage, "heights_over", never)
     assert_array_equal(run(off, [CLIP]).vertices, apart)
     runtime.close()
 
@@ -163,9 +164,7 @@ def test_memories_hold_for_a_fabric(runtime: DrapeRuntime):
     (folds,) = plan.keys
     assert ("folds", folds) in carried(memories, plan, runtime.plan(entry, DrapeOptions(folds=4, push_out=False)))
     assert not carried(memories, plan, runtime.plan(entry, DrapeOptions()))
-    stage = plan.stages[1]
-    worn = replace(plan, options=plan.options.model_copy(update={"fabric": "denim"}))
-    assert stage.depends_on(plan) != stage.depends_on(worn)
+    assert plan.stages[1].depends_on(plan) != plan.stages[1].depends_on(replace(plan, fabrics=(fabric("denim"),)))
 
 
 def test_constants_are_made_when_a_plan_is_prepared_and_once(runtime: DrapeRuntime, monkeypatch: pytest.MonkeyPatch):
@@ -181,7 +180,7 @@ def test_constants_are_made_when_a_plan_is_prepared_and_once(runtime: DrapeRunti
 
 def test_frames_do_not_wait_for_constants_of_others(runtime: DrapeRuntime, monkeypatch: pytest.MonkeyPatch):
     entry = runtime.garments.get("tube")
-    plan, other = (runtime.plan(entry, DrapeOptions(folds=1, fabric=fabric)) for fabric in (None, "chiffon"))
+    plan, other = (runtime.plan(entry, DrapeOptions(folds=1, fabric=name)) for name in (None, "chiffon"))
     stage = next(one for one in plan.stages if one.name == "folds")
     stage.prepare(plan)
     made, begun, through = folds_stage.constants, threading.Event(), threading.Event()
@@ -201,9 +200,9 @@ def test_constants_are_kept_up_to_a_size_those_in_use_always(runtime: DrapeRunti
     monkeypatch.setattr(folds_stage, "constants", lambda *of: made.append(of) or counted(*of))
     stage = next(one for one in runtime.plan(entry, DrapeOptions(folds=1)).stages if one.name == "folds")
     assert isinstance(stage, Folds)
-    for fabric, kept_bytes, wanted in (("swim", 1 << 30, 1), ("rib", 0, 2), ("rib", 0, 2), ("swim", 0, 3)):
+    for named, kept_bytes, wanted in (("swim", 1 << 30, 1), ("rib", 0, 2), ("rib", 0, 2), ("swim", 0, 3)):
         monkeypatch.setattr(stage, "kept_bytes", kept_bytes)
-        stage.prepare(runtime.plan(entry, DrapeOptions(folds=1, fabric=fabric)))
+        stage.prepare(runtime.plan(entry, DrapeOptions(folds=1, fabric=named)))
         assert len(made) == wanted
 
 

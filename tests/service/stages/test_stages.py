@@ -1,4 +1,4 @@
-"""The clip_job of a frame: a plan takes the stages that it needs and no other, and a new stage is a file and a line."""
+"""The way of a frame: which stages a plan takes and what it leaves out, memories, and poses unlike training."""
 
 from __future__ import annotations
 
@@ -16,21 +16,25 @@ from websockets.typing import Subprotocol
 
 from drape.errors import InputError
 from drape.wire import messages as wire
+from drape.wire.jets import unpack_jets
 from drape.wire.options import DrapeOptions
 from service import stages
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
-from service.graphs.engine import JETS, PACKED
+from service.compute.tiers import FAR_PIXELS_PER_M, TIERS, capped, chosen
+from service.graphs.graph_names import JETS, PACKED, SKIN
 from service.settings import Settings
-from service.stages import carried, run
-from service.stages.batch import BODY, Batch, Layer, Plan, PoseInput, Stage
+from service.stages import run
+from service.stages.batch import BODY, Batch, Layer, Plan, PoseInput, Stage, carried
 from service.stages.motion import Motion
 from service.stages.network import Network
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import outfit_settings, serve
-from tests.fixtures.tiny_model import TINY_DYNAMIC
+from tests.fixtures.tiny_model import TINY_DYNAMIC, write_tiny_model
+from training.pose_support import support_of, write_support
 
-__all__ = ["outfit_settings"]  # fixture
+__all__ = ["outfit_settings"]  # fixtures
+
 TIMES_S = np.arange(10) / 30.0
 POSES, TRANS = smooth_motion(TIMES_S)
 CLIP = PoseInput(POSES, TRANS, np.zeros(10), TIMES_S)
@@ -223,3 +227,150 @@ def test_a_new_stage_remembers_per_stream_and_garment(outfit_settings: Settings)
 def test_the_stages_are_in_the_order_of_the_tuple(runtime: DrapeRuntime):
     assert [type(stage) for stage in runtime.stages] == list(stages.STAGES)
     assert stages.STAGES.index(Motion) < stages.STAGES.index(Network)
+
+
+SEEN = smooth_motion(np.arange(60) / 30.0)[0]
+ABSURD = np.random.default_rng(0).uniform(-2.0, 2.0, (1, 24, 3))
+MIXED = np.concatenate([SEEN[:2], ABSURD, SEEN[2:3]])
+
+
+@pytest.fixture(scope="module")
+def novelty_runtime(make_settings: Callable[..., Settings], body, tmp_path_factory) -> Iterator[DrapeRuntime]:
+    """Of a model that knows its poses."""
+    folder = tmp_path_factory.mktemp("novelty")
+    write_support(write_tiny_model(folder, body), support_of(SEEN, SEEN))
+    made = DrapeRuntime(make_settings(models_dir=folder, folds=None))
+    yield made
+    made.close()
+
+
+def draped(novelty_runtime: DrapeRuntime, poses: np.ndarray, **options: object) -> Batch:
+    asked = DrapeOptions.model_validate({"settle": 1} | options)
+    plan = novelty_runtime.plan(novelty_runtime.garments.get("tube"), asked, messages=True)
+    for stage in plan.stages:
+        stage.prepare(plan)
+    return run(plan, [PoseInput(poses, np.zeros((len(poses), 3)), np.zeros(10), np.arange(len(poses)) / 30.0)])
+
+
+@pytest.mark.parametrize(
+    ("asked", "want"),
+    [
+        ({}, (2, 4)),
+        ({"tier": "fast"}, (1, 4)),
+        ({"tier": "accurate"}, (4, 4)),
+        ({"folds": 2}, (2, 2)),
+        ({"budget_ms": 9.0}, (2, 2)),
+        ({"folds": 3, "safe_folds": 9}, (3, 9)),
+        ({"folds": 3, "safe_folds": 0}, (3, 3)),
+        ({"folds": 0, "safe_folds": 9}, (0, 0)),
+        ({"geometry": "jets"}, (0, 0)),
+    ],
+)
+def test_steps_of_unlike_poses_are_the_last_tiers_where_the_service_chooses(asked: dict, want: tuple):
+    found = chosen(DrapeOptions(**asked), TIERS, Settings(), 4)
+    assert (found.folds, found.safe_folds) == want
+
+
+def test_under_load_a_lower_tier_holds_safe_steps_too():
+    asked = chosen(DrapeOptions(), TIERS, Settings(), 4)
+    assert [capped(asked, tier).safe_folds for tier in TIERS] == [1, 4, 4]
+
+
+def test_only_the_frame_unlike_training_gets_more_steps(novelty_runtime: DrapeRuntime):
+    mixed, plain = draped(novelty_runtime, MIXED), draped(novelty_runtime, MIXED, safe_folds=0)
+    assert (mixed.quality.novelty > 1.0).tolist() == [False, False, True, False]
+    assert_array_equal(mixed.vertices[:2], plain.vertices[:2])
+    assert np.abs(mixed.vertices[2] - plain.vertices[2]).max() > 0.0
+    all_safe = draped(novelty_runtime, ABSURD, folds=4)
+    assert_array_equal(draped(novelty_runtime, ABSURD).vertices, all_safe.vertices)
+
+
+def test_messages_tell_the_score_and_whether_it_is_beyond(novelty_runtime: DrapeRuntime):
+    batch = draped(novelty_runtime, MIXED)
+    for frame, message in enumerate(batch.messages):
+        novelty, flags = batch.quality.novelty[frame], message[6]
+        assert bool(flags & wire.FLAG_UNLIKE) == (frame == 2)
+        assert abs(wire.unpack_frame(message).novelty - min(novelty, 255 / 32)) <= 0.5 / 32
+    (jets,) = draped(novelty_runtime, ABSURD, geometry="jets").messages
+    assert unpack_jets(jets).novelty > 1.0
+
+
+def test_a_clip_and_a_model_without_poses_say_so_in_headers(novelty_runtime: DrapeRuntime, make_settings):
+    asked = {"garment": "tube", "poses": MIXED.tolist()}
+    with serve(create_app(novelty_runtime.settings, runtime=novelty_runtime), novelty_runtime.settings) as url:
+        headers = httpx.post(url + "/drape", json=asked).headers
+    assert float(headers["X-Drape-Novelty"]) > 1.0
+    assert (headers["X-Drape-Unlike"], headers["X-Drape-Safe-Folds"], headers["X-Drape-Folds"]) == ("1", "4", "2")
+    plain = DrapeRuntime(make_settings(folds=None))
+    assert plain.plan(plain.garments.get("tube"), DrapeOptions()).stages[0].name == "network"
+    assert draped(plain, ABSURD).quality.novelty.tolist() == [0.0]
+    plain.close()
+
+
+FAR = 0.5 * FAR_PIXELS_PER_M
+VIEWS_POSES, VIEWS_TRANS = smooth_motion(np.arange(3) / 30.0)
+
+
+@pytest.fixture
+def views_runtime(make_settings: Callable[..., Settings]) -> Iterator[DrapeRuntime]:
+    """Anew for each test, so that what it opened is what the test asked for."""
+    made = DrapeRuntime(make_settings(model=TINY_DYNAMIC, folds=None))
+    yield made
+    made.close()
+
+
+def views_draped(views_runtime: DrapeRuntime, **options: object) -> Batch:
+    plan = views_runtime.plan(views_runtime.garments.get("tube"), DrapeOptions.model_validate(options), messages=True)
+    for stage in plan.stages:
+        stage.prepare(plan)
+    return run(plan, [PoseInput(VIEWS_POSES, VIEWS_TRANS, np.zeros(10), np.arange(3) / 30.0)])
+
+
+@pytest.mark.parametrize(
+    ("asked", "want"),
+    [
+        ({"pixels_per_m": FAR}, (0, 0, 8)),
+        ({"pixels_per_m": FAR, "tier": "accurate"}, (0, 0, 8)),
+        ({"pixels_per_m": FAR, "folds": 1}, (1, 0, 8)),
+        ({"pixels_per_m": FAR, "passes": 2, "bits": 16}, (0, 2, None)),
+        ({"pixels_per_m": FAR_PIXELS_PER_M}, (2, 0, None)),
+        ({"pixels_per_m": FAR, "geometry": "jets"}, (0, 0, None)),
+        ({"bits": 8}, (2, 0, 8)),
+    ],
+)
+def test_what_is_far_away_has_no_folds_and_8_bits_but_for_what_is_named(asked: dict, want: tuple):
+    found = chosen(DrapeOptions(**asked), TIERS, Settings(), 4)
+    assert (found.folds, found.passes, found.bits) == want
+    assert found.pixels_per_m is None, "distances on one side of the limit are one plan"
+
+
+def test_frames_of_8_bits_are_those_of_16_to_half_a_step_at_half_the_bytes(views_runtime: DrapeRuntime):
+    near, far = (views_draped(views_runtime, folds=0, bits=bits) for bits in (16, 8))
+    assert_array_equal(near.vertices, far.vertices)
+    for fine, coarse, vertices in zip(near.messages, far.messages, far.vertices, strict=True):
+        frame = wire.unpack_frame(coarse)
+        assert (np.abs(frame.positions - vertices) <= 0.501 * frame.box_step).all()
+        payload = len(fine) - wire.FRAME_HEADER_BYTES
+        assert frame.bits == 8 and len(coarse) - wire.FRAME_HEADER_BYTES == payload / 2
+
+
+@pytest.mark.parametrize(
+    ("asked", "stages"),
+    [
+        ({"inertia": "mesh"}, "network swing folds encode"),
+        ({"inertia": "network"}, "motion network folds encode"),
+        ({"motion": 0.0}, "network folds encode"),
+        ({"motion": 0.0, "pixels_per_m": FAR}, "network collision encode"),
+        ({"motion": 0.0, "pixels_per_m": FAR, "push_out": False}, "network encode"),
+        ({"motion": 0.0, "geometry": "jets", "push_out": False}, "network encode"),
+    ],
+)
+def test_a_plan_holds_nothing_that_nobody_asked_for(views_runtime: DrapeRuntime, asked: dict, stages: str):
+    before = set(views_runtime.engine._opened)
+    batch = views_draped(views_runtime, **asked)
+    assert " ".join(stage.name for stage in batch.plan.stages) == stages
+    outputs = {name for key in set(views_runtime.engine._opened) - before if key[0] == PACKED for name in key[1]}
+    if not {"swing", "folds", "collision"} & set(stages.split()):
+        assert SKIN not in outputs and batch.skin is None
+    assert (batch.codes is not None) == ("motion" in stages)
+    assert {key[0] for key in batch.memories[0]} == {"motion", "swing", "folds"} & set(stages.split())

@@ -77,7 +77,7 @@ def test_a_frame_does_not_wait_for_what_is_computed_aside(make_settings: Callabl
 
     async def both() -> None:
         through = threading.Event()
-        aside = asyncio.create_task(runtime.aside(through.wait))
+        aside = asyncio.create_task(runtime.threads.aside(through.wait))
         await asyncio.sleep(0)
         ((message, _),) = await asyncio.wait_for(runtime.stream_frames(plan, [rest_input()]), 30.0)
         assert isinstance(message, bytes) and not aside.done()
@@ -94,12 +94,12 @@ def test_nothing_aside_begins_while_a_frame_is_computed(
     runtime = DrapeRuntime(make_settings())
     plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(), messages=True)
     through, begun = threading.Event(), threading.Event()
-    monkeypatch.setattr(runtime, "frames", lambda plan, inputs: through.wait() and [])
+    monkeypatch.setattr(runtime, "_computed", lambda plan, inputs: through.wait() and [])
 
     async def both() -> None:
         frame = asyncio.create_task(runtime.stream_frames(plan, [rest_input()]))
         await asyncio.sleep(0)
-        aside = asyncio.create_task(runtime.aside(begun.set))
+        aside = asyncio.create_task(runtime.threads.aside(begun.set))
         await asyncio.sleep(0.05)
         assert not begun.is_set()
         through.set()
@@ -142,16 +142,16 @@ def test_streams_are_computed_beside_each_other_and_each_frame_after_the_one_bef
         stage.prepare(plan)
     alone, expected = {}, []
     for i in range(4):
-        ((message, alone),) = runtime.frames(plan, [rest_input(i, alone)])
+        ((message, alone),) = runtime._computed(plan, [rest_input(i, alone)])
         assert isinstance(message, bytes)
         expected.append(wire.unpack_frame(message).positions)
-    both, compute = threading.Barrier(2), runtime.frames
+    both, compute = threading.Barrier(2), runtime._computed
 
     def together(*arguments: Any) -> Any:
         both.wait(30.0)  # until the other stream's frame is computed too
         return compute(*arguments)
 
-    monkeypatch.setattr(runtime, "frames", together)
+    monkeypatch.setattr(runtime, "_computed", together)
     streams = Streams(runtime, SlicedThread())
     sessions = [Session(plan, np.zeros(10), credit=2) for _ in range(2)]
 
@@ -186,5 +186,5 @@ def test_there_is_a_thread_for_each_processor_or_as_many_as_were_asked_for(
     make_settings: Callable[..., Settings], asked: int | None, count: int
 ):
     runtime = DrapeRuntime(make_settings(stream_threads=asked))
-    assert runtime.stream_threads == count
+    assert runtime.threads.stream_threads == count
     runtime.close()

@@ -28,7 +28,7 @@ from service.errors import Draining
 from service.settings import Settings
 from service.state import State
 from service.stream.sessions import Session
-from service.watch.lifecycle import Lifecycle
+from service.watch.probes import Lifecycle
 from tests.fixtures.fuzzing import examples
 from tests.fixtures.serving import serve
 from tests.fixtures.tiny_model import TINY_DYNAMIC

@@ -1,0 +1,199 @@
+"""A distance to a posed body that has no steps: the tangent planes of its vertices, blended.
+
+    d(x) = sum w_i n_i . (x - b_i) / sum w_i,   w_i = exp(-|x - b_i|^2 / h^2)
+
+over the body vertices b_i with normals n_i: implicit moving least squares (Kolluri 2008, "Provably good moving least
+squares", ACM Trans. Algorithms 4(2)). As h falls it comes near to the plane of the nearest body vertex
+(``drape.cloth.contact``), a distance that jumps where another vertex becomes the nearest.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from drape.cloth.contact import BodyContact
+from drape.kernels.compiled import kernel
+
+WIDTH_M = 0.006  # h
+FADED = 14.0  # exponent at which a weight counts as none: 1e-6 of the nearest one's
+REACH_M = 0.04  # body vertices farther away are not blended, unless contact reaches nearly as far
+REACH_GAPS = 1.25  # then so many times as far as contact
+BEHIND = -0.2  # cosine between a plane's normal and the way to a point beyond reach, below which that is inside
+CLEAR_M = 0.005  # the most that a point which does not touch moves before it is looked at again
+FAR_M = 0.02  # a point asks for its nearest body vertex again when it has moved by so much
+
+
+class Cells(NamedTuple):
+    """Body vertices in cubes with sides of ``reach`` [m]: ``count`` (3,) cubes along the axes, from the corner ``low``.
+
+    Cube c holds the rows ``start[c] : start[c + 1]`` of ``point`` [m] and unit ``normal``.
+    """
+
+    point: np.ndarray
+    normal: np.ndarray
+    start: np.ndarray
+    low: np.ndarray
+    count: np.ndarray
+    reach: float
+
+
+def cells(point: np.ndarray, normal: np.ndarray, reach_m: float) -> Cells:
+    """The cells of the body vertices ``point`` [m] (n, 3) with unit ``normal`` (n, 3), ``reach_m`` wide."""
+    low = point.min(axis=0)
+    place = ((point - low) / reach_m).astype(np.int64)
+    count = place.max(axis=0) + 1
+    key = (place[:, 0] * count[1] + place[:, 1]) * count[2] + place[:, 2]
+    order = np.argsort(key, kind="stable")
+    start = np.concatenate([[0], np.cumsum(np.bincount(key, minlength=int(count.prod())))])
+    return Cells(np.ascontiguousarray(point[order]), np.ascontiguousarray(normal[order]), start, low, count, reach_m)
+
+
+class BlendedPlanes:
+    """Planes under moving points. At its point a plane has the blended distance and its gradient.
+
+    A point with no body vertex within reach takes the plane of the nearest one if it lies behind it. Otherwise it takes
+    a plane that it does not touch: beside hands and feet the plane of a vertex decimetres away cuts through free
+    space. A point farther from the body than ``gap_m`` is looked at again only when it may have come nearer. The
+    distance of a point depends on its place and not on its way: a line search needs one energy for one place.
+    """
+
+    def __init__(self, point: np.ndarray, normal: np.ndarray, point_count: int, gap_m: float) -> None:
+        self._cells, self._gap = cells(point, normal, max(REACH_M, REACH_GAPS * gap_m)), gap_m
+        self._tree = KDTree(self._cells.point)
+        self._asked = np.full((point_count, 3), np.inf)  # where the nearest body vertex was looked up
+        self._free = np.zeros(point_count, dtype=bool)  # so far outside there that nothing is touched within FAR_M
+        self._beyond = np.zeros(point_count, dtype=bool)  # no body vertex is within reach
+        self._blended = np.full((point_count, 3), np.inf)  # where the blend was
+        self._clear = np.zeros(point_count)  # how far from there it cannot touch
+        self._point, self._normal = np.zeros((point_count, 3)), np.zeros((point_count, 3))
+        self._bend = np.zeros((point_count, 3, 3))
+
+    @classmethod
+    def of_body(cls, contact: BodyContact, posed: np.ndarray, point_count: int, gap_m: float) -> BlendedPlanes:
+        """Those of the vertices of the posed body (Vb, 3) [m] that take part in ``contact``."""
+        chosen = slice(None) if contact.vertices is None else contact.vertices
+        return cls(posed[chosen], np.asarray(contact.normals(posed))[chosen], point_count, gap_m)
+
+    def __call__(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Point [m], normal (V, 3) and second derivatives [1/m] (V, 3, 3) under ``x`` [m] (V, 3).
+
+        A normal is the gradient of the distance, not quite of unit length.
+        """
+        planes = self._point, self._normal, self._bend
+        blend(x, self._cells, self._gap, self._blended, self._clear, planes, self._beyond)
+        still = self._free & (np.linalg.norm(x - self._asked, axis=1) < FAR_M)
+        asking = np.flatnonzero(self._beyond & ~still)
+        if len(asking):
+            away, found = self._tree.query(x[asking])
+            point, normal = self._cells.point[found], self._cells.normal[found]
+            behind = ((x[asking] - point) * normal).sum(axis=1) < BEHIND * away
+            self._asked[asking], self._free[asking] = x[asking], ~behind & (away >= self._cells.reach + FAR_M)
+            self._normal[asking] = normal
+            self._point[asking] = np.where(behind[:, None], point, x[asking] - (self._gap + FAR_M) * normal)
+        return self._point.copy(), self._normal.copy(), self._bend.copy()
+
+
+def blended_distance(
+    points: np.ndarray, contact: BodyContact, body_vertices: np.ndarray, *, gap_m: float
+) -> np.ndarray:
+    """Blended distances [m] (F, V) of ``points`` (F, V, 3) to the posed bodies ``body_vertices`` (F, Vb, 3).
+
+    They serve a contact layer of ``gap_m``: a point outside and beyond reach has some distance past the gap.
+    """
+    found = np.empty(points.shape[:2])
+    for frame, posed in enumerate(body_vertices):
+        x = np.ascontiguousarray(points[frame], dtype=np.float64)
+        point, normal, _ = BlendedPlanes.of_body(contact, posed, len(x), gap_m)(x)
+        found[frame] = ((x - point) * normal).sum(axis=1)
+    return found
+
+
+@kernel
+def blend(x, cells, gap, blended, clear, planes, beyond):
+    """Writes the ``planes``, point and normal (V, 3) and bend (V, 3, 3), of the points ``x`` [m] (V, 3).
+
+    A point keeps its plane while it is less than ``clear`` [m] (V,) from where it was last ``blended`` (V, 3);
+    otherwise both are renewed. So does a point with no body vertex within reach, which ``beyond`` (V,) marks.
+    """
+    point, normal, bend = planes
+    reach, sharp = cells.reach * cells.reach, 1.0 / (WIDTH_M * WIDTH_M)
+    mean, slope = np.empty(3), np.empty(3)
+    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
+    for v in range(len(x)):
+        beyond[v] = False
+        p, q, r = x[v, 0] - blended[v, 0], x[v, 1] - blended[v, 1], x[v, 2] - blended[v, 2]
+        if p * p + q * q + r * r < clear[v] * clear[v]:
+            continue
+        blended[v, 0], blended[v, 1], blended[v, 2] = x[v, 0], x[v, 1], x[v, 2]
+        clear[v] = 0.0
+        bend[v] = 0.0
+        beside = False
+        for i in range(3):
+            cell = int(np.floor((x[v, i] - cells.low[i]) / cells.reach))
+            low[i], high[i] = max(cell - 1, 0), min(cell + 2, cells.count[i])
+            beside = beside or low[i] >= high[i]
+        if beside:
+            beyond[v] = True
+            continue
+        least = reach
+        for a in range(low[0], high[0]):
+            for b in range(low[1], high[1]):
+                row = (a * cells.count[1] + b) * cells.count[2]
+                for k in range(cells.start[row + low[2]], cells.start[row + high[2]]):
+                    p, q, r = x[v, 0] - cells.point[k, 0], x[v, 1] - cells.point[k, 1], x[v, 2] - cells.point[k, 2]
+                    least = min(least, p * p + q * q + r * r)
+        if least >= reach:
+            beyond[v] = True
+            continue
+        most = min(least + FADED / sharp, reach)
+        # After a move by c what is blended is nearer than ``wide``, and so within reach: no plane of those may be met.
+        near = np.sqrt(least)
+        c = min(CLEAR_M, max((reach - FADED / sharp - least) / (2.0 * (near + cells.reach)), 0.0))
+        wide = (np.sqrt((near + c) * (near + c) + FADED / sharp) + c) ** 2
+        lowest = np.inf
+        total = distance = 0.0
+        mean[:] = 0.0
+        slope[:] = 0.0
+        for derivatives in range(2):
+            if derivatives:
+                distance /= total
+                for i in range(3):
+                    mean[i] /= total
+            for a in range(low[0], high[0]):
+                for b in range(low[1], high[1]):
+                    row = (a * cells.count[1] + b) * cells.count[2]
+                    for k in range(cells.start[row + low[2]], cells.start[row + high[2]]):
+                        p, q, r = x[v, 0] - cells.point[k, 0], x[v, 1] - cells.point[k, 1], x[v, 2] - cells.point[k, 2]
+                        square = p * p + q * q + r * r
+                        if square >= most and (derivatives or square >= wide):
+                            continue
+                        n = cells.normal[k]
+                        own = p * n[0] + q * n[1] + r * n[2]
+                        lowest = min(lowest, own)
+                        if square >= most:
+                            continue
+                        weight = np.exp((least - square) * sharp)
+                        if not derivatives:
+                            total += weight
+                            distance += weight * own
+                            mean[0] += weight * p
+                            mean[1] += weight * q
+                            mean[2] += weight * r
+                            continue
+                        weight /= total
+                        # The derivative of log w_i less that of log sum w: towards b_i from the mean of all b.
+                        g = (2.0 * sharp * (mean[0] - p), 2.0 * sharp * (mean[1] - q), 2.0 * sharp * (mean[2] - r))
+                        more = own - distance
+                        for i in range(3):
+                            slope[i] += weight * (n[i] + more * g[i])
+                            for j in range(3):
+                                bend[v, i, j] += weight * (g[i] * n[j] + n[i] * g[j] + more * g[i] * g[j])
+        # Where planes of several sides are blended the distance falls faster than the way, each of them does not.
+        clear[v] = min(c, max(lowest - gap, 0.0))
+        size = slope[0] * slope[0] + slope[1] * slope[1] + slope[2] * slope[2]
+        for i in range(3):
+            normal[v, i] = slope[i]
+            point[v, i] = x[v, i] - distance / size * slope[i]

@@ -1,0 +1,138 @@
+"""Tables of a garment for the push-out, computed once: blocks of vertices, and the skin that each hangs on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from drape.arrays import check_finite, check_shape
+from drape.contact.blocks import blocks
+from drape.contact.samples import CLUSTER_SIZE, REGION_SIZE, Samples, unit
+from drape.errors import MeshError
+
+BLOCK_SIZE = 16  # vertices that share a list of skin samples
+GROUP_SIZE = 2  # blocks that query for other parts of the body together
+OWN_CLUSTERS = 10  # of skin samples under a block
+OTHER_STEPS = 255
+
+OUTWARD_WIDTH_M = 0.02
+FRONT_M = (0.020, 0.035)  # a sample is another part where a block lies this far before its plane at rest
+APART_M = (0.080, 0.110)  # and where a block is that far away at rest, without the way through the limb
+THROUGH_M = 0.12  # the most that counts as the way through a limb
+OTHER_SIDE = 15.0  # logits that a sample loses per unit by which it faces away from the cloth over it
+REST_REACH_M = 0.035  # at equal distance skin nearer at rest is preferred: a logit per square of this
+LIST_WIDTH_M = 0.014
+NEVER = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class PushTables:
+    """Constants of V vertices in C blocks, C a multiple of ``GROUP_SIZE``, over a skin of S samples in R regions.
+
+    ``block_vertex`` (C, 16) the vertices of a block, repeated where it is not full; ``vertex_slot`` (V,) where a
+    vertex stands in them. ``own_cluster`` (C, 10): clusters of the skin that the block hangs on; ``own_bias``
+    (C, 40), the logits that their samples start with.
+    ``other`` (C / 2, S) uint8, how much a sample is another part than the group's own, in 255ths, and
+    ``region_bias`` (C / 2, R), zero for regions that have such samples and far below for the others.
+    """
+
+    block_vertex: np.ndarray
+    vertex_slot: np.ndarray
+    own_cluster: np.ndarray
+    own_bias: np.ndarray
+    other: np.ndarray
+    region_bias: np.ndarray
+
+
+def push_tables(vertices: np.ndarray, skin: Samples, *, hidden: np.ndarray | None = None) -> PushTables:
+    """The tables of a garment whose ``vertices`` [m] (V, 3) lie at rest on the body in T-pose that ``skin`` samples.
+
+    Samples that are ``hidden`` (S,), by cloth over them, belong to no part.
+    """
+    rest = np.asarray(vertices, dtype=np.float64)
+    check_shape("vertices", rest, (None, 3), error=MeshError)
+    check_finite("vertices", rest, error=MeshError)
+    if len(rest) == 0:
+        raise MeshError("vertices", expected="at least one", got="none", cure="Pass a mesh with vertices.")
+    outward = outward_directions(rest, skin)
+    members = blocks(rest, outward, BLOCK_SIZE)
+    short = -len(members) % GROUP_SIZE
+    members = np.concatenate([members, np.repeat(members[-1:], short, axis=0)])
+    slot = np.empty(len(rest), dtype=np.int64)
+    # Written backwards: the first place of a vertex counts.
+    slot[members.reshape(-1)[::-1]] = np.arange(members.size)[::-1]
+    lists = skin_lists(rest[members].mean(axis=1), unit(outward[members].mean(axis=1)), skin, hidden=hidden)
+    by_group = lists.other.reshape(-1, GROUP_SIZE, skin.count).mean(axis=1)
+    by_region = by_group.reshape(len(by_group), -1, REGION_SIZE).max(axis=2)
+    return PushTables(
+        block_vertex=members.astype(np.int32),
+        vertex_slot=slot.astype(np.int32),
+        own_cluster=lists.own_cluster.astype(np.int32),
+        # Only their differences count; the largest is 0, as ``field.attend_columns`` needs it.
+        own_bias=(lists.own_bias - lists.own_bias.max(axis=1, keepdims=True)).astype(np.float32),
+        other=np.rint(OTHER_STEPS * by_group).astype(np.uint8),
+        region_bias=np.log(1e-6 + by_region).astype(np.float32),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class SkinLists:
+    """Skin near C places: ``own_cluster`` (C, 10), ``own_bias`` (C, 40) as of ``PushTables``; ``other`` (C, S) how much
+    a sample is another part than the place's own, in [0, 1]."""
+
+    own_cluster: np.ndarray
+    own_bias: np.ndarray
+    other: np.ndarray
+
+
+def skin_lists(centre: np.ndarray, facing: np.ndarray, skin: Samples, *, hidden: np.ndarray | None = None) -> SkinLists:
+    """The lists of places at rest ``centre`` [m] (C, 3) with unit outward directions ``facing`` (C, 3).
+
+    Samples that are ``hidden`` (S,) belong to no part.
+    """
+    distance, before = _relation(centre, skin)
+    other = other_part(distance, before)
+    over = (facing @ skin.normal.T).astype(np.float32)
+    own = 1.0 - other
+    if hidden is not None:
+        check_shape("hidden", hidden, (skin.count,), error=MeshError)
+        own, other = np.where(hidden, 0.0, own), np.where(hidden, 0.0, other)
+    bias = np.log(np.maximum(own, NEVER)) + OTHER_SIDE * np.minimum(0.0, over) - (distance / REST_REACH_M) ** 2
+    cluster = _best_clusters(bias - (distance / LIST_WIDTH_M) ** 2)
+    index = (CLUSTER_SIZE * cluster[:, :, None] + np.arange(CLUSTER_SIZE)).reshape(len(centre), -1)
+    return SkinLists(cluster, np.take_along_axis(bias, index, axis=1), other)
+
+
+def outward_directions(vertices: np.ndarray, skin: Samples) -> np.ndarray:
+    """The unit direction (V, 3) away from the body at rest: the mean normal of the skin about the nearest sample."""
+    distance, near = KDTree(skin.point).query(vertices, k=min(16, skin.count))
+    distance, near = distance.reshape(len(vertices), -1), near.reshape(len(vertices), -1)
+    weight = np.exp(-(distance**2 - distance[:, :1] ** 2) / OUTWARD_WIDTH_M**2)
+    return unit(np.einsum("vk,vkc->vc", weight, skin.normal[near]))
+
+
+def other_part(distance: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """How much a sample is another part of the body than the cloth's own, in [0, 1].
+
+    ``distance`` [m] is that between both at rest; ``before`` [m] is how far the cloth lies before the sample's plane.
+    Cloth lies close over its own skin. Where it lies far behind the plane, the sample is on the other side of the same
+    limb: the way through the limb, up to ``THROUGH_M``, does not count as a distance.
+    """
+    facing = np.clip((before - FRONT_M[0]) / (FRONT_M[1] - FRONT_M[0]), 0.0, 1.0)
+    around = distance + np.clip(before, -THROUGH_M, 0.0)
+    return np.maximum(facing, np.clip((around - APART_M[0]) / (APART_M[1] - APART_M[0]), 0.0, 1.0))
+
+
+def _best_clusters(score: np.ndarray) -> np.ndarray:
+    """Clusters (C, 10) whose best sample has the largest of ``score`` (C, S)."""
+    best = score.reshape(len(score), -1, CLUSTER_SIZE).max(axis=2)
+    return np.sort(np.argpartition(-best, OWN_CLUSTERS - 1, axis=1)[:, :OWN_CLUSTERS], axis=1)
+
+
+def _relation(centre: np.ndarray, skin: Samples) -> tuple[np.ndarray, np.ndarray]:
+    """Distances [m] (C, S) from the samples at rest, and heights [m] over their planes; float32, as there are many."""
+    squared = (centre**2).sum(axis=1)[:, None] + (skin.point**2).sum(axis=1) - 2.0 * centre @ skin.point.T
+    before = centre @ skin.normal.T - (skin.point * skin.normal).sum(axis=1)
+    return np.sqrt(np.maximum(squared, 0.0)).astype(np.float32), before.astype(np.float32)

@@ -1,0 +1,140 @@
+"""The threads that compute, and whose turn it is: streams come first, and beside them one chunk of a clip at a time."""
+
+from __future__ import annotations
+
+import asyncio
+import contextvars
+import math
+import time
+from collections.abc import AsyncIterator, Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import TypeVar
+
+from service.compute.background import processor_count, thread_steps_back
+from service.errors import Busy, Draining
+
+STREAM_WAIT_S = 0.02
+"""What a chunk of a clip may take while there are streams, which share processors with it; one frame is the least."""
+STREAM_PAUSE_S = 1.0
+"""Longer after the last frame of a stream nothing gives way to streams any more."""
+
+CLIP_FPS = 1.0
+"""Frames that a clip gets for every second of waiting, after ``DRAPE_CLIP_WAIT_S``; otherwise it is refused, before its
+client gives up."""
+
+Result = TypeVar("Result")
+
+
+class ComputeThreads:
+    """``stream_threads`` have the frames of streams and nothing else, one for each processor unless the settings say
+    how many. Another has all that streams need not wait for: clips, measurements of frames, constants of garments. On
+    a GPU (``bound``), whose buckets take one call at a time, all are the same thread.
+
+    Clips are computed in chunks of ``chunk_frames``; while there are streams, of as many as take ``STREAM_WAIT_S``. No
+    step of a chunk begins while a stream's frame is computed.
+    """
+
+    def __init__(self, *, bound: bool, stream_threads: int | None, chunk_frames: int, clip_wait_s: float) -> None:
+        self._bound, self._chunk_most, self._clip_wait_s = bound, chunk_frames, clip_wait_s
+        self.hurried = False  # clips end now: the service is being restarted
+        self.stream_threads = 1 if bound else stream_threads or processor_count()
+        self._for_streams = ThreadPoolExecutor(self.stream_threads, thread_name_prefix="drape-streams")
+        self._aside = (
+            self._for_streams
+            if bound
+            else ThreadPoolExecutor(max_workers=1, thread_name_prefix="drape-aside", initializer=thread_steps_back)
+        )
+        self.streamed_s = -math.inf  # when a frame of a stream was last begun
+        self._frame_done = asyncio.Event()  # of the streams' latest frame
+        self._frame_done.set()
+        self.clip_turn = asyncio.Lock()  # one chunk waits for the thread at a time, however many clips there are
+
+    def close(self) -> None:
+        """Waits for the running chunk and ends the threads."""
+        for executor in (self._for_streams, self._aside):
+            executor.shutdown(wait=True, cancel_futures=True)
+
+    @property
+    def streaming(self) -> bool:
+        """Whether there are streams that move."""
+        return time.monotonic() - self.streamed_s <= STREAM_PAUSE_S
+
+    async def for_streams(self, function: Callable[..., Result], *arguments: object) -> Result:
+        """``function(*arguments)``, which computes frames of streams, on one of their threads."""
+        done = self._frame_done = asyncio.Event()
+        try:
+            return await asyncio.get_running_loop().run_in_executor(self._for_streams, _here(function, *arguments))
+        finally:
+            done.set()
+
+    async def aside(self, function: Callable[..., Result], *arguments: object) -> Result:
+        """``function(*arguments)`` on the thread of what streams do not wait for, not begun beside a stream's frame."""
+        await self._frame_done.wait()
+        return await asyncio.get_running_loop().run_in_executor(self._aside, _here(function, *arguments))
+
+    async def in_chunks(self, frames: int, compute: Callable[[slice], Iterator[Result]]) -> AsyncIterator[Result]:
+        """The last of what ``compute`` gives of all ``frames``, slice after slice, each step of it in its turn.
+
+        Refuses (``Busy``) one that has waited for streams and other clips for ``clip_wait_s`` and a second for every
+        ``CLIP_FPS`` frames that it has got.
+        """
+        frame_s, start = math.inf, 0  # until the first has told how long one takes
+        waited_s = 0.0  # for a turn; not for whoever asks to read
+        while start < frames:
+            if self.hurried:
+                raise Draining
+            begun_s = time.monotonic()
+            async with self.clip_turn:
+                self._check_wait(start, waited_s + time.monotonic() - begun_s)
+                rows = slice(start, min(frames, start + self._chunk_frames(frame_s)))
+                alone = rows.stop - rows.start == 1 and not self.streaming
+                result, took_s = await self._last(compute(rows), whole=alone)
+            waited_s += time.monotonic() - begun_s - took_s
+            yield result
+            frame_s, start = took_s / (rows.stop - rows.start), rows.stop
+
+    def _check_wait(self, frames: int, waited_s: float) -> None:
+        """Refuses a clip that has waited for ``waited_s`` while ``frames`` of it were computed."""
+        most_s = self._clip_wait_s + frames / CLIP_FPS
+        if waited_s > most_s:
+            raise Busy(
+                "processors",
+                expected=f"{frames} frames of a clip after waiting {most_s:.0f} s for streams and other clips",
+                got=f"{waited_s:.0f} s",
+                cure="Ask again when there are fewer, or for fewer frames or a lower tier, or raise DRAPE_CLIP_WAIT_S.",
+            )
+
+    async def _last(self, steps: Iterator[Result], *, whole: bool) -> tuple[Result, float]:
+        """The last of ``steps``, each ``aside`` in its turn, or all in one, and how long they took there [s]."""
+        took_s = 0.0
+
+        def step() -> Result | None:
+            nonlocal took_s
+            begun_s = time.perf_counter()
+            found = next(steps, None)
+            took_s += time.perf_counter() - begun_s
+            return found
+
+        def through() -> Result | None:
+            last = found = step()
+            while found is not None:
+                last, found = found, step()
+            return last
+
+        last = await self.aside(through if whole else step)
+        while not whole and (after := await self.aside(step)) is not None:
+            last = after
+        assert last is not None
+        return last, took_s
+
+    def _chunk_frames(self, frame_s: float) -> int:
+        """Frames of the next chunk, where one takes ``frame_s`` [s]; on a GPU always the size that has buckets."""
+        if self._bound or not self.streaming:
+            return self._chunk_most
+        return min(self._chunk_most, max(1, int(STREAM_WAIT_S / frame_s)))
+
+
+def _here(function: Callable[..., Result], *arguments: object) -> Callable[[], Result]:
+    """``function(*arguments)`` in a copy of the caller's context, for another thread: whose request it is for."""
+    return partial(contextvars.copy_context().run, partial(function, *arguments))

@@ -1,0 +1,12 @@
+"""Names of a model's graphs, and of the tensors by which they are joined."""
+
+from __future__ import annotations
+
+ENCODER, PACKED, DYNAMIC = "garment_encoder", "packed", "dynamic_encoder"
+ROUNDED, HALF = "packed_int8", "packed_half"  # in place of the packed graph, on processors and on GPUs
+PUSH, PUSH_OVER = "push_out", "push_over"
+PUSHES = (PUSH, PUSH_OVER)
+FIRST = "patch_first"  # output of the encoder that the packed graph reads
+SKIN = "skin"  # output of the graphs that pose it
+SKIN_CONSTANTS = ("skin_rows", "skin_bones")  # inputs of those, of a body's shape
+JETS = ("jet", "frame_rotation", "frame_centre")  # outputs of the graph that drapes

@@ -1,0 +1,113 @@
+"""Constants of garments as the packed graph reads them: ``Store``. Each array lies in one piece, a garment's own are
+views of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drape.errors import NotFound
+from drape.garment.cache import Garment
+from drape.graph.packing import PackedGarment, Place, pack_garment
+
+FIRST = "patch_first"  # what a fabric changes of the constants of a garment
+
+
+@dataclass(eq=False)
+class _Stored:
+    """``of``: the garment whose tiles these are, where only the fabric differs."""
+
+    garment: Garment
+    packed: PackedGarment
+    of: str | None = None
+
+
+class Store:
+    """Constants of all garments, by their keys."""
+
+    def __init__(self) -> None:
+        self._garments: dict[str, _Stored] = {}
+        self._places: dict[str, Place] = {}
+        self._arrays: dict[str, np.ndarray] = {}
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._garments
+
+    def add(self, key: str, garment: Garment, feed: dict[str, np.ndarray], patch_first: np.ndarray) -> None:
+        """Puts ``garment`` with its ``garment_feed`` under ``key``, in place of what was there.
+
+        ``patch_first`` (K, n) is the encoder's.
+        """
+        self._undress(key)
+        self._garments[key] = _Stored(garment, pack_garment(feed, patch_first))
+        self._lay_out()
+
+    def garment(self, key: str) -> Garment:
+        """The garment ``key``; refuses one that is not in store."""
+        self.packed(key)
+        return self._garments[key].garment
+
+    def dress(self, key: str, name: str, patch_first: np.ndarray) -> None:
+        """Puts the garment ``key`` in store once more, as ``name`` in another fabric: its tiles are shared."""
+        packed = self.packed(key)
+        packed = replace(packed, stored=packed.stored | {FIRST: patch_first})
+        self._garments[name] = _Stored(self._garments[key].garment, packed, key)
+        self._lay_out()
+
+    def remove(self, key: str) -> None:
+        """Forgets the garment ``key``, in all fabrics; or of one that ``dress`` put there this one."""
+        self.packed(key)
+        self._undress(key)
+        del self._garments[key]
+        self._lay_out()
+
+    def _undress(self, key: str) -> None:
+        for name in [name for name, stored in self._garments.items() if stored.of == key]:
+            del self._garments[name]
+
+    def packed(self, key: str) -> PackedGarment:
+        """The garment ``key``; refuses one that is not in store."""
+        if key not in self._garments:
+            raise NotFound(
+                "garment", expected=", ".join(self._garments) or "one in store", got=key, cure="Add the garment first."
+            )
+        return self._garments[key].packed
+
+    def place(self, key: str) -> Place:
+        """First rows of the garment ``key``."""
+        return self._places[key]
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The stored inputs of the packed graph by name."""
+        return self._arrays
+
+    @property
+    def bytes(self) -> int:
+        """Memory of everything in store."""
+        whole = sum(stored.packed.bytes for stored in self._garments.values() if stored.of is None)
+        return whole + sum(stored.packed.stored[FIRST].nbytes for stored in self._garments.values() if stored.of)
+
+    def _lay_out(self) -> None:
+        every = list(self._garments.values())
+        whole = [stored for stored in every if stored.of is None]
+        names = every[0].packed.stored if every else ()
+        self._arrays = {
+            name: np.concatenate([stored.packed.stored[name] for stored in (whole if _of_tiles(name) else every)])
+            for name in names
+        }
+        patch = tile = 0
+        for key, stored in self._garments.items():
+            packed = stored.packed
+            first = tile if stored.of is None else self._places[stored.of].tile
+            self._places[key] = Place(patch, first)
+            for name, array in self._arrays.items():
+                start = first if _of_tiles(name) else patch
+                packed.stored[name] = array[start : start + len(packed.stored[name])]
+            patch += packed.patch_count
+            tile += packed.tile_count if stored.of is None else 0
+
+
+def _of_tiles(name: str) -> bool:
+    """Whether rows of the stored array ``name`` are tiles, not patches."""
+    return name.startswith("tile")

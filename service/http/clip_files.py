@@ -1,0 +1,82 @@
+"""Clips as files: GLB with a garment's frames or a skinned body, PC2 point caches and USD text."""
+
+from __future__ import annotations
+
+import itertools
+from typing import TYPE_CHECKING
+
+import numpy as np
+from fastapi.responses import StreamingResponse
+
+from drape.body.model import BodyModel
+from drape.export import glb
+from drape.export.glb_body import add_body
+from drape.export.glb_file import GlbFile
+from drape.export.pc2 import pc2_head
+from drape.export.root_motion import RootMotion
+from drape.export.usda import Moving, usda_pieces
+from drape.garment.cache import Garment
+from service.http.answers import PC2, number_bytes
+
+if TYPE_CHECKING:
+    from service.compute.sliced_thread import SlicedThread
+    from service.http.schemas import ClipOptions, PosedOptions
+    from service.stages.batch import PoseInput
+    from service.stages.placing import Placed
+    from service.stages.scene import Scene
+
+
+def rest_file(garment: Garment) -> tuple[GlbFile, bytes]:
+    """The file, and what it begins with."""
+    file = GlbFile()
+    glb.add_garment(file, garment, garment.vertices[None, : garment.vertex_count], fps=1.0)
+    return file, file.head()
+
+
+def garment_file(
+    scene: Scene, placed: Placed, asked: ClipOptions, clip: PoseInput, model: BodyModel
+) -> tuple[GlbFile, bytes]:
+    """The file, and what it begins with."""
+    file, start = GlbFile(), 0
+    vertices, point = placed.from_first()
+    root_motion = None
+    if asked.quantised:
+        root_motion = RootMotion(clip.poses[:, 0], clip.trans + model.rest_joints(clip.betas)[0] - point)
+    for layer, worn in enumerate(scene.layers):
+        colour = glb.GARMENT_COLOURS[layer % len(glb.GARMENT_COLOURS)]
+        own = vertices[:, start : start + worn.vertex_count]
+        glb.add_garment(file, worn.garment, own, asked.fps, colour, root_motion=root_motion)
+        start += worn.vertex_count
+    if asked.body:
+        add_body(file, model, clip.betas, clip.poses, clip.trans - point, asked.fps)
+    if asked.origin == "root":
+        file.place("root", point)
+    return file, file.head()
+
+
+def body_file(body: BodyModel, clip: PoseInput, asked: PosedOptions) -> tuple[GlbFile, bytes]:
+    """The file, and what it begins with."""
+    file = GlbFile()
+    point = clip.trans[0] + body.rest_joints(clip.betas)[0] if asked.origin == "root" else np.zeros(3)
+    add_body(file, body, clip.betas, clip.poses, clip.trans - point, asked.fps)
+    if asked.origin == "root":
+        file.place("root", point)
+    return file, file.head()
+
+
+def export_answer(
+    kind: str, scene: Scene, placed: Placed, fps: float, sliced_thread: SlicedThread, headers: dict[str, str]
+) -> StreamingResponse:
+    """``placed`` as a file of ``kind``, PC2 or USDA; what has roots counts from the first, where USD has an Xform."""
+    vertices, point = placed.from_first()
+    headers = placed.headers | headers
+    if kind == PC2:
+        pieces = itertools.chain([pc2_head(vertices.shape[1], len(vertices))], number_bytes(vertices))
+    else:
+        ends = np.cumsum([entry.vertex_count for entry in scene.layers])[:-1]
+        layers = [
+            Moving(entry.garment, own, glb.GARMENT_COLOURS[i % len(glb.GARMENT_COLOURS)][:3])
+            for i, (entry, own) in enumerate(zip(scene.layers, np.split(vertices, ends, axis=1), strict=True))
+        ]
+        pieces = usda_pieces(layers, fps, point=point)
+    return StreamingResponse(sliced_thread.each(pieces), media_type=kind, headers=headers)

@@ -1,0 +1,171 @@
+"""A clip that is draped for a client: the headers of its answer, and its frames as they are ready.
+
+A streamed answer holds one chunk of a clip of any length: the next is computed when the last has been sent."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import AsyncGenerator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from fastapi import Response
+from fastapi.responses import StreamingResponse
+from starlette.types import Receive, Scope, Send
+
+from drape.export.pc2 import HEAD_BYTES, pc2_head
+from drape.wire.jets import message_bytes
+from service.http.answers import PC2, messages_answer, number_bytes
+from service.http.continuations import Continuation
+from service.stages.batch import Batch, Memories, Plan, PoseInput
+from service.stages.scene import Outfit, Scene, layer_list
+
+if TYPE_CHECKING:
+    from service.compute.drape_runtime import DrapeRuntime
+    from service.compute.sliced_thread import SlicedThread
+    from service.guard.keys import Client
+    from service.http.schemas import ClipOptions
+    from service.state import State
+
+
+@dataclass(frozen=True, eq=False)
+class ClipJob:
+    """What is draped for whom: the ``plan`` and the ``clip`` that ``asked`` came to."""
+
+    plan: Plan
+    clip: PoseInput
+    asked: ClipOptions
+    client: Client
+
+    def remember(self, memories: Memories, state: State, token: str | None = None) -> dict[str, str]:
+        """The header that names the end of the clip, which is kept with the ``memories`` of its last frame; empty where
+        nobody asked for it. ``token``: its name, a new one by default."""
+        if not self.asked.keep:
+            return {}
+        token = token or state.continuations.token()
+        frames = self.clip.sequence + len(self.clip.poses)
+        past = Continuation(self.plan, self.clip.betas, self.asked.fps, frames, memories)
+        state.continuations.put(token, past, self.client.name)
+        return {"X-Drape-Past": token}
+
+
+def plan_headers(plan: Plan, runtime: DrapeRuntime) -> dict[str, str]:
+    """What will be computed: the model, the tier by name, the network's passes, the steps of folds, the motion."""
+    options, passes, scene = plan.options, runtime.engine.pass_count, plan.shown
+    headers = {
+        "X-Drape-Model": runtime.engine.manifest.digest[:16],
+        "X-Drape-Push-Out": str(int(bool(options.push_out))),
+        "X-Drape-Tier": runtime.tier_of(plan),
+        "X-Drape-Passes": str(passes if options.passes is None else options.passes),
+        "X-Drape-Folds": str(options.folds),
+        "X-Drape-Safe-Folds": str(options.safe_folds or 0),
+        "X-Drape-Motion": f"{options.knob:g}",
+    }
+    if isinstance(scene, Outfit):
+        headers["X-Drape-Garments"] = ",".join(f"{layer['id']}:{layer['vertices']}" for layer in layer_list(scene))
+    return headers
+
+
+def quality_headers(draped: Batch) -> dict[str, str]:
+    """What was done to the frames, which is known at their end."""
+    return {
+        "X-Drape-Pushed-Share": f"{draped.quality.pushed_share.mean():.6f}",
+        "X-Drape-Push-Max-M": f"{draped.quality.push_max_m.max():.6f}",
+        "X-Drape-Novelty": f"{draped.quality.novelty.max():.3f}",
+        "X-Drape-Unlike": str(int((draped.quality.novelty > 1.0).sum())),
+        "X-Drape-Folds-Resets": str(int(draped.quality.folds_resets.sum())),
+    }
+
+
+def jets_headers(frames: int, scene: Scene) -> dict[str, str]:
+    """What an answer of so many JETS messages says of itself."""
+    headers = {"X-Drape-Frames": str(frames), "X-Drape-Patches": str(scene.patch_count), "X-Drape-Origin": "root"}
+    if isinstance(scene, Outfit):
+        worn = layer_list(scene, patches=True)
+        headers["X-Drape-Garments"] = ",".join(f"{layer['id']}:{layer['patches']}" for layer in worn)
+    return headers
+
+
+def jets_response(draped: Batch, headers: dict[str, str], sliced_thread: SlicedThread) -> Response:
+    """The clip as one JETS message per frame; sequence and client time are the frame's number and time [s]."""
+    scene = draped.plan.shown
+    headers = headers | jets_headers(len(draped.messages), scene)
+    headers["X-Drape-Left-M"] = f"{draped.quality.left_m.max():.6f}"
+    return messages_answer(draped.messages, sliced_thread, headers)
+
+
+class _Frames(StreamingResponse):
+    """Ends its frames with itself, whether they were all sent or the client went away: their place is free then."""
+
+    def __init__(self, frames: AsyncGenerator[bytes], kind: str, headers: dict[str, str]) -> None:
+        super().__init__(frames, media_type=kind, headers=headers)
+        self._frames = frames
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async with contextlib.aclosing(self._frames):
+            await super().__call__(scope, receive, send)
+
+
+async def streamed_answer(job: ClipJob, state: State, kind: str) -> StreamingResponse:
+    """The frames of ``job``, binary or PC2.
+
+    The first chunk is computed before the head is sent, so that a refusal is still an answer of its own.
+    """
+    size, headers = _streamed_size(job), plan_headers(job.plan, state.runtime) | _streamed_headers(job)
+    head = b""
+    if kind == PC2:
+        frames, vertices = len(job.clip.poses), job.plan.shown.vertex_count
+        head, size = pc2_head(vertices, frames), HEAD_BYTES + 12 * frames * vertices
+    token = state.continuations.token()
+    if job.asked.keep:
+        headers["X-Drape-Past"] = token
+    pieces = _pieces(job, state, token, kind)
+    frames_sent = _after(head + await anext(pieces), pieces)
+    return _Frames(frames_sent, kind, headers | {"Content-Length": str(size)})
+
+
+def _streamed_size(job: ClipJob) -> int:
+    """Bytes of all frames of ``job`` in a binary answer."""
+    scene, frames = job.plan.shown, len(job.clip.poses)
+    if job.asked.geometry == "jets":
+        return frames * message_bytes(scene.patch_count)
+    return frames * (12 * scene.vertex_count + (24 if job.asked.origin == "root" else 0))
+
+
+def _streamed_headers(job: ClipJob) -> dict[str, str]:
+    """What a streamed answer says of its frames."""
+    scene, frames = job.plan.shown, len(job.clip.poses)
+    if job.asked.geometry == "jets":
+        return jets_headers(frames, scene)
+    headers = {"X-Drape-Frames": str(frames), "X-Drape-Vertices": str(scene.vertex_count)}
+    return headers | {"X-Drape-Origin": job.asked.origin}
+
+
+async def _after(first: bytes, rest: AsyncGenerator[bytes]) -> AsyncGenerator[bytes]:
+    async with contextlib.aclosing(rest):
+        yield first
+        async for piece in rest:
+            yield piece
+
+
+async def _pieces(job: ClipJob, state: State, token: str, kind: str) -> AsyncGenerator[bytes]:
+    """The bytes of the answer; holds a place for a clip meanwhile."""
+    tail: list[bytes] = []
+    first_root = None
+    with state.access.using(job.client, "clips"), state.slot():
+        part = None
+        async for part in state.runtime.parts(job.plan, job.clip):
+            placed = None
+            if job.asked.geometry == "vertices":
+                placed = part.placed(job.asked.origin)
+                first_root = part.root[0] if first_root is None else first_root
+                if kind == PC2:
+                    placed = placed.counted_from(first_root)
+                tail += [placed.tail] if placed.tail else []
+            pieces = iter(part.messages) if placed is None else number_bytes(placed.vertices)
+            async for piece in state.sliced_thread.each(pieces):
+                yield piece
+        assert part is not None
+        job.remember(part.memories[0], state, token)
+        for piece in tail:
+            yield piece

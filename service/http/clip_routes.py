@@ -1,0 +1,189 @@
+"""REST: draped clips and posed bodies."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from fastapi import APIRouter, Request, Response
+
+from drape.errors import BodyError, InputError, MotionError, NotFound
+from drape.export.usda import POINT_BYTES
+from drape.wire.clips import unpack_clip
+from drape.wire.jets import message_bytes
+from service.compute.sliced_thread import BRIEF_BYTES
+from service.errors import NotAcceptable, TooLarge, TooSlow
+from service.guard.limits import check_answer
+from service.http import schemas
+from service.http.answers import BINARY, GLB, JSON, PC2, USDA, binary_answer, choose, file_answer, json_answer
+from service.http.clip_files import body_file, export_answer, garment_file
+from service.http.clip_jobs import ClipJob, jets_response, plan_headers, quality_headers, streamed_answer
+from service.http.json_body import check_marks, clip_marks, content_type, document_of, json_text, parsed, validated
+from service.http.openapi import clip_schema, responses
+from service.http.poses import motion_arrays, shape_array
+from service.stages.batch import Batch, PoseInput
+from service.stages.placing import Placed
+from service.stages.scene import Outfit, layer_list
+from service.state import ClientHere, State, StateHere
+
+if TYPE_CHECKING:
+    from service.settings import Settings
+
+router = APIRouter()
+NUMBER_TEXT_BYTES = 20  # of one coordinate in JSON
+KINDS = (BINARY, GLB, JSON)
+CLIP_REFUSALS = (InputError, NotFound, NotAcceptable, TooSlow, TooLarge, MotionError, BodyError)
+Asked = TypeVar("Asked", bound=schemas.PosedOptions)
+Result = TypeVar("Result")
+
+
+@router.post(
+    "/drape",
+    response_model=schemas.VerticesDocument,
+    openapi_extra=clip_schema(schemas.DrapeRequest),
+    responses=responses(*CLIP_REFUSALS, kinds=(*KINDS, PC2, USDA)),
+)
+async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> Response:
+    """The garment on the moving body, world axes [m]: binary float32 (frames, vertices, 3), GLB, JSON, PC2 or USD by
+    Accept.
+
+    With origin "root" positions count from each frame's root, and the roots follow them, float64 (frames, 3). The
+    vertices of an outfit's garments follow each other; X-Drape-Garments says how many each has. With geometry "jets"
+    the answer holds a JETS message per frame (docs/reference/wire.md), binary only. With streamed frames leave as they
+    are ready; with keep and past a clip comes in pieces that are the whole clip.
+    """
+    state.check_slot()  # before anything is read
+    asked, clip = await _clip(schemas.DrapeRequest, schemas.ClipOptions, request, state)
+    kind = choose(request.headers.get("accept"), _offered(asked))
+    scene = await state.scene(asked.garment, asked.garments, client)
+    plan = await state.runtime.plan_within(scene, asked, messages=asked.geometry == "jets")
+    if asked.past is not None:
+        clip = state.continuations.get(asked.past, client.name).followed_by(plan, clip, asked.fps)
+    job = ClipJob(plan, clip, asked, client)
+    if asked.streamed:
+        return await streamed_answer(job, state, kind)
+    check_clip_size(job, kind, state.runtime.settings)
+    with state.access.using(client, "clips"), state.slot():
+        draped = await state.runtime.drape(plan, clip)
+        headers = quality_headers(draped) | plan_headers(plan, state.runtime) | job.remember(draped.memories[0], state)
+        if asked.geometry == "jets":
+            return jets_response(draped, headers, state.sliced_thread)
+        return await _clip_answer(job, draped, kind, headers, state)
+
+
+def _offered(asked: schemas.ClipOptions) -> tuple[str, ...]:
+    """The media types in which what is ``asked`` for can come."""
+    if asked.geometry == "jets":
+        return (BINARY,)
+    return (BINARY, PC2) if asked.streamed else (*KINDS, PC2, USDA)
+
+
+async def _clip_answer(job: ClipJob, draped: Batch, kind: str, headers: dict[str, str], state: State) -> Response:
+    """The vertices of ``draped`` as ``kind``."""
+    scene, asked = job.plan.shown, job.asked
+    placed = await _of_array(draped.vertices, draped.placed, asked.origin)
+    if kind == GLB:
+        file = await asyncio.to_thread(garment_file, scene, placed, asked, job.clip, state.runtime.body)
+        return file_answer(*file, state.sliced_thread, await _said(placed) | headers)
+    if kind in (PC2, USDA):
+        return await asyncio.to_thread(export_answer, kind, scene, placed, asked.fps, state.sliced_thread, headers)
+    worn = layer_list(scene) if isinstance(scene, Outfit) else None
+    return await _vertices_answer(placed, asked.fps, kind, state, headers=headers, worn=worn)
+
+
+@router.post(
+    "/bodies/{body_id}/posed",
+    response_model=schemas.VerticesDocument,
+    openapi_extra=clip_schema(schemas.PosedRequest),
+    responses=responses(*CLIP_REFUSALS, kinds=KINDS),
+)
+async def posed_body(body_id: str, request: Request, state: StateHere, client: ClientHere) -> Response:
+    """The posed body's vertices for the same input, in the same formats."""
+    runtime = state.runtime
+    runtime.check_body_id(body_id)
+    state.check_slot()
+    asked, clip = await _clip(schemas.PosedRequest, schemas.PosedOptions, request, state)
+    kind = choose(request.headers.get("accept"), KINDS)
+    if kind == GLB:
+        return file_answer(*await asyncio.to_thread(body_file, runtime.body, clip, asked), state.sliced_thread, {})
+    _check_size(kind, len(clip.poses), runtime.body.vertex_count, runtime.settings)
+    with state.access.using(client, "clips"), state.slot():
+        if asked.origin == "world":
+            placed = Placed(await runtime.pose_body(clip))
+        else:
+            pelvis = runtime.body.rest_joints(clip.betas)[0]
+            at_root = replace(clip, trans=np.broadcast_to(-pelvis, clip.trans.shape))
+            placed = Placed(await runtime.pose_body(at_root), clip.trans + pelvis)
+        return await _vertices_answer(placed, asked.fps, kind, state)
+
+
+async def _clip(
+    whole: type[schemas.PosedRequest], options: type[Asked], request: Request, state: State
+) -> tuple[Asked, PoseInput]:
+    """The body of ``request``, JSON as a ``whole`` or a CLIP message, and its checked motion."""
+    body, most, brief = state.runtime.body, state.runtime.settings.max_frames, state.sliced_thread.brief
+    if content_type(request) == BINARY:
+        sent = await request.body()
+        text, poses, trans = unpack_clip(sent)
+        document = await brief(text, partial(document_of, text, otherwise="a clip whose last part is not JSON"))
+        asked = await brief(text, validated, options, document)
+    else:
+        sent = await json_text(request)
+        await check_marks(sent, state.sliced_thread, most_marks=clip_marks(most))
+        read = await brief(sent, validated, whole, await brief(sent, parsed, sent))
+        poses, trans = read.poses, read.trans
+        assert isinstance(read, options)
+        asked = read
+    poses, trans = await brief(sent, partial(motion_arrays, poses, trans, max_frames=most))
+    return asked, PoseInput(poses, trans, shape_array(asked.betas, body), np.arange(len(poses)) / asked.fps)
+
+
+def check_clip_size(job: ClipJob, kind: str, settings: Settings) -> None:
+    """Refuses (``TooLarge``) the clip of ``job`` where its answer as ``kind`` would be too large."""
+    scene, frames = job.plan.shown, len(job.clip.poses)
+    if job.asked.geometry == "jets":
+        patches = scene.patch_count
+        check_answer(frames * message_bytes(patches), f"{frames} frames of {patches} patches", settings)
+        return
+    _check_size(kind, frames, scene.vertex_count, settings, quantised=job.asked.quantised)
+
+
+def _check_size(kind: str, frames: int, vertices: int, settings: Settings, *, quantised: bool = False) -> None:
+    json_bytes, glb_bytes = 3 * NUMBER_TEXT_BYTES, 12 if quantised else 24
+    per_vertex = {BINARY: 12, PC2: 12, GLB: glb_bytes, JSON: json_bytes, USDA: POINT_BYTES}
+    check_answer(frames * vertices * per_vertex[kind], f"{frames} frames of {vertices} vertices", settings)
+
+
+async def _said(placed: Placed) -> dict[str, str]:
+    """The headers of ``placed``, for which every coordinate is looked at."""
+    return await _of_array(placed.vertices, lambda: placed.headers)
+
+
+async def _of_array(array: np.ndarray, function: Callable[..., Result], *arguments: object) -> Result:
+    """``function(*arguments)``, which reads ``array``: at once where that is small, else on a thread."""
+    return function(*arguments) if array.nbytes <= BRIEF_BYTES else await asyncio.to_thread(function, *arguments)
+
+
+async def _vertices_answer(
+    placed: Placed,
+    fps: float,
+    kind: str,
+    state: State,
+    *,
+    headers: dict[str, str] | None = None,
+    worn: list[dict[str, str | int]] | None = None,
+) -> Response:
+    vertices, headers = placed.vertices, await _said(placed) | (headers or {})
+    if kind == BINARY:
+        return binary_answer(vertices, state.sliced_thread, headers, tail=placed.tail)
+    document: dict[str, Any] = {"fps": fps, "frames": len(vertices), "vertices": vertices.shape[1]}
+    document["origin"] = placed.origin
+    if placed.roots is not None:
+        document["roots"] = placed.roots
+    if worn is not None:
+        document["garments"] = worn
+    return json_answer(document | {"positions": vertices}, state.sliced_thread, headers)

@@ -1,0 +1,157 @@
+"""REST: the garments of a service, their meshes and pictures, and what their owners change of them."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from fastapi import APIRouter, Header, Query, Request, Response
+from pydantic import Field
+
+from drape.errors import InputError, NotFound
+from drape.wire.options import Resolution
+from service.errors import Forbidden, NotAcceptable, TooLarge, TooSlow
+from service.http import schemas
+from service.http.answers import BINARY, GLB, JSON, choose, file_answer, json_answer
+from service.http.clip_files import rest_file
+from service.http.json_body import document_of, json_text, validated
+from service.http.openapi import Responses, body_schema, responses
+from service.http.pictures import picture
+from service.state import ClientHere, State, StateHere
+
+if TYPE_CHECKING:
+    from service.guard.keys import Client
+    from service.stages.scene import Entry
+
+router = APIRouter()
+LEAST, MOST, USUAL = 64, 1024, 512  # pixels along each side
+PNG = "image/png"
+KNOWN: Responses = {304: {"description": "The picture that the client has is this one."}}
+
+
+class GarmentChange(schemas.Request):
+    """What may be changed of a garment; what is left out stays."""
+
+    name: Annotated[str, Field(min_length=1, max_length=120)] | None = None
+    published: bool | None = None
+
+
+@router.get("/garments")
+async def garments(state: StateHere, client: ClientHere) -> list[schemas.GarmentInfo]:
+    """The garments that can be draped."""
+    return [schemas.GarmentInfo.of(entry) for entry in state.runtime.garments.visible(client.name)]
+
+
+@router.get("/garments/{garment_id}", responses=responses(NotFound))
+async def garment(garment_id: str, state: StateHere, client: ClientHere) -> schemas.GarmentInfo:
+    """One garment."""
+    return schemas.GarmentInfo.of(await state.garment(garment_id, client))
+
+
+@router.get(
+    "/garments/{garment_id}/mesh",
+    response_model=schemas.MeshDocument,
+    responses=responses(InputError, NotFound, NotAcceptable, kinds=(GLB,)),
+)
+async def garment_mesh(
+    garment_id: str, request: Request, state: StateHere, client: ClientHere, resolution: Resolution = "delivered"
+) -> Response:
+    """The delivered mesh at rest on the standard body, or the finer one that intake made: JSON, or GLB by Accept."""
+    entry = await state.garment(garment_id, client)
+    entry = entry.fine if resolution == "fine" else entry
+    garment = entry.garment
+    kind = choose(request.headers.get("accept"), (JSON, GLB))
+    if kind == GLB:
+        return file_answer(*await asyncio.to_thread(rest_file, garment), state.sliced_thread, {})
+    document = {
+        "id": entry.id,
+        "vertices": garment.vertices[: garment.vertex_count].astype(np.float32),
+        "faces": garment.faces,
+        "uv": garment.uv.astype(np.float32),
+        "uv_faces": garment.uv_faces,
+        "materials": garment.material_names,
+        "face_material": garment.face_material,
+    }
+    return json_answer(document, state.sliced_thread)
+
+
+@router.get(
+    "/garments/{garment_id}/jets",
+    response_class=Response,
+    responses=responses(InputError, NotFound, NotAcceptable, TooLarge, kinds=(BINARY,)),
+)
+async def garment_jets(
+    garment_id: str, request: Request, state: StateHere, client: ClientHere, resolution: Resolution = "delivered"
+) -> Response:
+    """What makes vertices of the garment's jets: a LAYOUT message (docs/reference/wire.md), constant per garment."""
+    entry = await state.garment(garment_id, client)
+    entry = entry.fine if resolution == "fine" else entry
+    kind = choose(request.headers.get("accept"), (BINARY,))
+    headers = {"X-Drape-Vertices": str(entry.vertex_count), "X-Drape-Patches": str(entry.patch_count)}
+    return Response(entry.jet_layout, media_type=kind, headers=headers)
+
+
+@router.get(
+    "/garments/{garment_id}/preview.png",
+    response_class=Response,
+    responses=responses(InputError, NotFound, kinds=(PNG,)) | KNOWN,
+)
+async def garment_preview(
+    garment_id: str,
+    state: StateHere,
+    client: ClientHere,
+    size: Annotated[int, Query(ge=LEAST, le=MOST, description="Pixels along each side.")] = USUAL,
+    if_none_match: Annotated[str | None, Header()] = None,
+) -> Response:
+    """A picture of the delivered mesh at rest on the standard body, from the front and a little from the side."""
+    garment, body = (await state.garment(garment_id, client)).garment, state.runtime.body
+    tag = f'"{garment.digest[:16]}-{size}"'
+    headers = {"ETag": tag, "Cache-Control": "private, max-age=86400"}
+    if if_none_match is not None and {tag, "*"} & {one.strip().removeprefix("W/") for one in if_none_match.split(",")}:
+        return Response(status_code=304, headers=headers)
+    made = state.previews.get(garment.digest, size)
+    if made is None:
+        cloth = garment.vertices[: garment.vertex_count].astype(np.float64)
+        faces = garment.faces.astype(np.int64)
+        skin = body.rest_vertices(np.zeros(body.shape_count))
+        made = await asyncio.to_thread(
+            state.runtime.constants_process.call, picture, (cloth, faces), (skin, body.faces.astype(np.int64)), size
+        )
+        state.previews.keep(garment.digest, size, made)
+    return Response(made, media_type=PNG, headers=headers)
+
+
+@router.patch(
+    "/garments/{garment_id}",
+    openapi_extra=body_schema(GarmentChange),
+    responses=responses(InputError, NotFound, TooSlow, TooLarge),
+)
+async def change_garment(
+    garment_id: str, request: Request, state: StateHere, client: ClientHere
+) -> schemas.GarmentInfo:
+    """Gives an uploaded garment another name, or publishes it to all keys; its id stays."""
+    entry = await _own(garment_id, client, state)
+    asked = validated(GarmentChange, document_of(await json_text(request)))
+    if asked.name is None and asked.published is None:
+        raise InputError("garment", expected="name or published", got="neither", cure='Send {"published": true}.')
+    changed = state.runtime.garments.change(entry, name=asked.name, published=asked.published)
+    return schemas.GarmentInfo.of(changed)
+
+
+@router.delete("/garments/{garment_id}", status_code=204, responses=responses(NotFound))
+async def delete_garment(garment_id: str, state: StateHere, client: ClientHere) -> None:
+    """Removes an uploaded garment from the service and its disk; streams that wear it are ended (4404)."""
+    entry = await _own(garment_id, client, state)
+    state.streams.end_wearing(entry)
+    await asyncio.shield(state.runtime.threads.aside(state.runtime.garments.remove, entry))
+
+
+async def _own(garment_id: str, client: Client, state: State) -> Entry:
+    """The garment, if it is the client's; refuses unknown and foreign ones."""
+    entry = await state.garment(garment_id, client)
+    if entry.source == "shipped" or entry.owner != client.name:
+        whose = "a shipped one" if entry.source == "shipped" else "one of somebody else"
+        cure = "Only who uploaded a garment may change it."
+        raise Forbidden("garment", expected="one of your own", got=whose, cure=cure)
+    return entry

@@ -1,0 +1,213 @@
+"""REST: what this service is, the fabrics, tiers, bodies and sample clips that requests may name, and tickets."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from fastapi import APIRouter, Query, Request, Response
+from pydantic import BaseModel
+
+from drape.body.model import BodyModel
+from drape.cloth.fabric import Fabric
+from drape.cloth.fabric_table import FABRICS
+from drape.errors import BodyError, InputError, NotFound, Unavailable
+from drape.export.glb_body import add_body
+from drape.export.glb_file import GlbFile
+from service.compute.motions import floor_m
+from service.errors import Forbidden, NotAcceptable, Unauthorized
+from service.guard.tickets import LIFE_S
+from service.http import schemas
+from service.http.answers import GLB, JSON, choose, file_answer, json_answer
+from service.http.openapi import EVERYWHERE, responses
+from service.http.poses import shape_array
+from service.state import ADMITTED, ClientHere, StateHere
+from service.watch.probes import PATHS, answer
+
+if TYPE_CHECKING:
+    from service.watch.metrics import Metrics
+    from service.watch.probes import Lifecycle
+
+router = APIRouter()
+Betas = Annotated[str | None, Query(max_length=1000, description="Shape coefficients, comma-separated.")]
+
+
+@router.get("/health")
+async def health(request: Request, state: StateHere) -> schemas.Health:
+    """Whether the service works, and with what."""
+    runtime = state.runtime
+    return schemas.Health(
+        status="ok",
+        version=request.app.version,
+        model=runtime.engine.manifest.name,
+        model_digest=runtime.engine.manifest.digest,
+        dynamic=runtime.engine.dynamic,
+        provider=runtime.engine.provider,
+        int8=runtime.engine.int8,
+        half=runtime.engine.half,
+        elsewhere=runtime.engine.nodes_off_provider,
+        device_bytes=runtime.device_bytes,
+        buckets=runtime.engine.buckets,
+        body=runtime.body.name,
+        garments=len(runtime.garments.entries()),
+        passes=runtime.engine.pass_count,
+        fabrics=runtime.engine.knows_fabrics,
+        layers=runtime.settings.max_layers,
+        max_frames=runtime.settings.max_frames,
+        max_body_bytes=runtime.settings.max_body_bytes,
+        sessions=state.streams.count,
+        refused_garments=runtime.garments.refused,
+    )
+
+
+@router.get("/fabrics")
+async def fabrics() -> list[schemas.FabricInfo]:
+    """The fabrics that a request may name; those of ``drape.cloth.fabric_table``."""
+    return [schemas.FabricInfo.model_validate({"id": name, **_public(cloth)}) for name, cloth in FABRICS.items()]
+
+
+def _public(cloth: Fabric) -> dict[str, Any]:
+    return {name: getattr(cloth, name) for name in schemas.FabricInfo.model_fields if name != "id"}
+
+
+@router.get("/tiers")
+async def tiers(state: StateHere) -> list[schemas.TierInfo]:
+    """The tiers that a request may name, the least first, with what was measured of each and where."""
+    runtime = state.runtime
+    default = runtime.settings.tier
+    return [schemas.TierInfo.of(tier, runtime.engine.pass_count, default=default) for tier in runtime.tiers]
+
+
+@router.get("/bodies")
+async def bodies(state: StateHere) -> list[schemas.BodyInfo]:
+    """The bodies of this service: the one that its model was trained on."""
+    return [_body_info(state.runtime.body)]
+
+
+def _body_info(body: BodyModel) -> schemas.BodyInfo:
+    return schemas.BodyInfo(
+        id=body.name,
+        digest=body.digest,
+        vertices=body.vertex_count,
+        faces=len(body.faces),
+        shapes=body.shape_count,
+    )
+
+
+@router.get("/bodies/{body_id}", responses=responses(InputError, NotFound, BodyError))
+async def body(body_id: str, state: StateHere, betas: Betas = None) -> schemas.BodyDocument:
+    """One body, in the shape ``betas``."""
+    runtime = state.runtime
+    runtime.check_body_id(body_id)
+    shape = shape_array(_numbers("betas", betas), runtime.body)
+    return schemas.BodyDocument(
+        **_body_info(runtime.body).model_dump(),
+        joints=runtime.body.rest_joints(shape).tolist(),
+        floor_m=floor_m(runtime.body, shape),
+    )
+
+
+@router.get(
+    "/bodies/{body_id}/mesh",
+    response_model=schemas.MeshDocument,
+    responses=responses(InputError, NotFound, NotAcceptable, BodyError, kinds=(GLB,)),
+)
+async def body_mesh(
+    body_id: str,
+    request: Request,
+    state: StateHere,
+    betas: Betas = None,
+) -> Response:
+    """The body at rest: JSON, or by Accept a GLB with its 24 joints as a skeleton, ready to be posed."""
+    runtime = state.runtime
+    runtime.check_body_id(body_id)
+    shape = shape_array(_numbers("betas", betas), runtime.body)
+    kind = choose(request.headers.get("accept"), (JSON, GLB))
+    if kind == GLB:
+        file = GlbFile()
+        add_body(file, runtime.body, shape)
+        return file_answer(file, file.head(), state.sliced_thread, {})
+    faces = runtime.body.faces
+    vertices = runtime.body.rest_vertices(shape).astype(np.float32)
+    document = {"id": runtime.body.name, "vertices": vertices, "faces": faces, "uv": [], "uv_faces": []}
+    return json_answer(
+        document | {"materials": ["body"], "face_material": np.zeros(len(faces), int)}, state.sliced_thread
+    )
+
+
+def _numbers(name: str, text: str | None) -> list[float]:
+    try:
+        return [float(part) for part in text.split(",")] if text else []
+    except ValueError as error:
+        raise InputError(
+            name, expected="comma-separated numbers", got=str(text)[:60], cure="For example ?betas=0.5,-1."
+        ) from error
+
+
+@router.get("/motions")
+async def motions(state: StateHere) -> list[schemas.MotionInfo]:
+    """The shipped sample clips."""
+    clips = {key: state.runtime.motions.get(key) for key in state.runtime.motions.ids()}
+    return [
+        schemas.MotionInfo(id=key, name=clip.name, frames=clip.frame_count, fps=clip.fps) for key, clip in clips.items()
+    ]
+
+
+@router.get(
+    "/motions/{motion_id}",
+    response_model=schemas.MotionDocument,
+    responses=responses(InputError, NotFound, BodyError),
+)
+async def motion(motion_id: str, state: StateHere, betas: Betas = None) -> Response:
+    """One sample clip with its poses [rad] and translations [m], for the body in the shape ``betas``."""
+    runtime = state.runtime
+    clip = runtime.motions.placed(motion_id, runtime.body, shape_array(_numbers("betas", betas), runtime.body))
+    document = {"id": motion_id, "name": clip.name, "frames": clip.frame_count, "fps": clip.fps}
+    document |= {"poses": np.round(clip.poses, 6), "trans": np.round(clip.trans, 6)}
+    return json_answer(document, state.sliced_thread)
+
+
+class Ticket(BaseModel):
+    """A ticket and for how long [s] it is good."""
+
+    ticket: str
+    expires_s: float
+
+
+@router.post("/tickets", responses=responses(InputError))
+async def make_ticket(request: Request, state: StateHere, client: ClientHere) -> Ticket:
+    """A ticket of the asking key, for a page that must not have the key."""
+    if client.name is None:
+        raise InputError("ticket", expected="a service with keys", got="one without", cure="Ask without a ticket.")
+    if "." in request.headers.get("authorization", ""):
+        raise Unauthorized("key", expected="an API key", got="a ticket", cure="Make tickets where the key is.")
+    return Ticket(ticket=state.access.tickets.make(client.name), expires_s=LIFE_S)
+
+
+def probe_routes(lifecycle: Lifecycle, metrics: Metrics) -> APIRouter:
+    """``/livez``, ``/readyz`` and ``/metrics``, of which the last is for clients alone."""
+    probes = APIRouter()
+
+    async def probe(request: Request) -> Response:
+        status, kind, content = answer(request.url.path, lifecycle, metrics)
+        return Response(content, status, media_type=kind)
+
+    described = {
+        "/livez": "200 while the process lives; 503 when it should be replaced.",
+        "/readyz": "200 while the service takes work; 503 while it loads or drains.",
+        "/metrics": "All series in the text format of Prometheus.",
+    }
+    for path in PATHS:
+        series = path == "/metrics"
+        asks = ADMITTED if series else ()
+        refusals, kind = (EVERYWHERE, "text/plain") if series else ((Forbidden, Unavailable), JSON)
+        probes.add_api_route(
+            path,
+            probe,
+            description=described[path],
+            response_class=Response,
+            name=path[1:],
+            dependencies=asks,
+            responses=responses(*refusals, kinds=(kind,)),
+        )
+    return probes

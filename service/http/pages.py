@@ -1,0 +1,105 @@
+"""Pages for people: the application at ``/``, and the reference of the REST interface at ``/docs``."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+
+from fastapi import FastAPI
+from fastapi.openapi.docs import get_swagger_ui_html
+from fastapi.responses import HTMLResponse
+from starlette.exceptions import HTTPException
+from starlette.responses import FileResponse, Response
+from starlette.routing import Match, Mount
+from starlette.staticfiles import StaticFiles
+from starlette.types import Scope
+
+from drape.errors import NotFound, Unavailable
+from service.errors import problem, rule_for
+
+PAGE_MISSING = Unavailable(
+    "page",
+    expected="its built files in clients/web/dist",
+    got="none",
+    cure="Run make page (needs Node.js), then reload.",
+)
+REFERENCE_PACKAGE = "fastapi_offline"  # carries the files of Swagger UI; its code is not used
+REFERENCE_FILES = ("swagger-ui-bundle.js", "swagger-ui.css", "favicon.png")
+REFERENCE_MISSING = Unavailable(
+    "reference",
+    expected="the package fastapi-offline, which carries Swagger UI",
+    got="none",
+    cure="Install the extra 'service'; /openapi.json says the same to programs.",
+)
+_METHODS = ("DELETE", "GET", "PATCH", "POST", "PUT")
+
+
+class Page(StaticFiles):
+    """Static files that may be built after the service has started."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(directory=folder, html=True, check_dir=False)
+        self._index = folder / "index.html"
+
+    async def check_config(self) -> None:
+        """Nothing to check: the folder may appear later."""
+
+    async def get_response(self, path: str, scope: Scope) -> Response:
+        if path == "." and not self._index.is_file():
+            sentence = problem(PAGE_MISSING)["detail"]
+            html = (
+                f"<!doctype html><title>drape</title><p>{sentence}</p><p>Programs can go on: <a href=/docs>/docs</a>."
+            )
+            return HTMLResponse(html, status_code=rule_for(PAGE_MISSING).status)
+        try:
+            response = await super().get_response(path, scope)
+        except HTTPException as error:
+            if error.status_code == 404 and (methods := _methods(scope)):
+                raise HTTPException(405, headers={"Allow": ", ".join(methods)}) from error
+            raise
+        # Names do not change with content: always ask, 304 is cheap.
+        response.headers["Cache-Control"] = "no-cache"
+        return response
+
+
+def _methods(scope: Scope) -> list[str]:
+    """The methods that this path has elsewhere: the page answers for every request that no route took whole."""
+    routes = [route for route in scope["app"].routes if not isinstance(route, Mount)]
+    asked = ({**scope, "method": method} for method in _METHODS)
+    return [one["method"] for one in asked if any(route.matches(one)[0] is Match.FULL for route in routes)]
+
+
+def files_folder() -> Path | None:
+    """Where the files of Swagger UI lie; None where the package is missing."""
+    spec = find_spec(REFERENCE_PACKAGE)
+    return None if spec is None or spec.origin is None else Path(spec.origin).parent / "static"
+
+
+def install_reference(app: FastAPI) -> None:
+    """Adds ``/docs`` and its files to ``app``, which must have none of FastAPI's own."""
+    folder = files_folder()
+
+    async def docs() -> HTMLResponse:
+        if folder is None:
+            return HTMLResponse(
+                f"<!doctype html><title>drape</title><p>{REFERENCE_MISSING}", rule_for(REFERENCE_MISSING).status
+            )
+        script, style, icon = (f"/docs/{name}" for name in REFERENCE_FILES)
+        return get_swagger_ui_html(
+            openapi_url="/openapi.json",
+            title="drape",
+            swagger_js_url=script,
+            swagger_css_url=style,
+            swagger_favicon_url=icon,
+            swagger_ui_parameters={"validatorUrl": None},
+        )
+
+    async def file(name: str) -> Response:
+        if folder is None:
+            raise REFERENCE_MISSING
+        if name not in REFERENCE_FILES:
+            raise NotFound("file", expected=f"one of {', '.join(REFERENCE_FILES)}", got=name[:120], cure="See /docs.")
+        return FileResponse(folder / name)
+
+    app.add_api_route("/docs", docs, include_in_schema=False)
+    app.add_api_route("/docs/{name}", file, include_in_schema=False, response_model=None)

@@ -1,0 +1,125 @@
+"""Refusals as problem documents (RFC 9457); a complaint of pydantic about a request is one refusal of ours."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from starlette.exceptions import HTTPException
+
+from drape.errors import DrapeError, InputError, MotionError, NotFound
+from service.errors import PROBLEM, problem, problem_response
+
+SHOWN = 60  # characters of what came
+
+# What a field holds, by depth inside it: the list, its items, their items.
+_LEVELS: dict[str, tuple[str, ...]] = {
+    "poses": ("a list of frames", "24 joints", "3 numbers [rad]", "a finite number [rad]"),
+    "trans": ("one translation per frame", "3 numbers [m]", "a finite number [m]"),
+    "betas": ("at most 10 numbers", "a finite number"),
+}
+_CURES: dict[str, str] = {
+    "poses": "Send poses as frames x 24 joints x 3 rotation-vector components, all finite.",
+    "trans": "Send trans as frames x 3 finite numbers, or leave it out.",
+    "betas": "Send at most 10 finite shape coefficients, or leave betas out.",
+}
+
+
+_HTTP_REFUSALS: dict[int, tuple[type[DrapeError], str, str]] = {
+    404: (NotFound, "a path of this service", "See /docs for the paths."),
+    405: (InputError, "a method that this path has", "See /docs for the methods."),
+}
+
+
+def install(app: FastAPI) -> None:
+    """Makes every refusal of ``app`` a problem document; faults of ours ``service.watch.logs`` does."""
+
+    @app.exception_handler(DrapeError)
+    async def on_refusal(request: Request, error: DrapeError) -> JSONResponse:
+        return problem_response(error)
+
+    @app.exception_handler(RequestValidationError)
+    async def on_validation(request: Request, error: RequestValidationError) -> JSONResponse:
+        return problem_response(validation_refusal(error.errors()))
+
+    @app.exception_handler(HTTPException)
+    async def on_http(request: Request, error: HTTPException) -> JSONResponse:
+        kind, expected, cure = _HTTP_REFUSALS.get(
+            error.status_code, (InputError, "a request of this service", "See /docs.")
+        )
+        refusal = kind("request", expected=expected, got=f"{request.method} {request.url.path}", cure=cure)
+        document = {**problem(refusal), "status": error.status_code, "title": str(error.detail)}
+        return JSONResponse(document, status_code=error.status_code, media_type=PROBLEM, headers=error.headers)
+
+
+def validation_refusal(errors: Sequence[Any]) -> InputError:
+    """The refusal for the first of pydantic's ``errors``.
+
+    Of a field that may be one of several kinds every kind complains: the one that came furthest is meant.
+    """
+    first = max((one for one in errors if one["loc"][:1] == errors[0]["loc"][:1]), key=lambda one: len(one["loc"]))
+    location = _without_kinds([part for part in first["loc"] if part not in ("query", "path", "header")], first["type"])
+    more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
+    if not location:
+        return not_json(_shown(first))
+    field = _shortened(str(location[0]))
+    name = field + "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location[1:])
+    levels = _LEVELS.get(field)
+    if levels is None or first["type"] in ("missing", "extra_forbidden"):
+        expected = {"missing": "a value", "extra_forbidden": "no such field"}.get(first["type"]) or _wanted(first)
+        got = {"missing": "nothing", "extra_forbidden": "one"}.get(first["type"], _shown(first))
+        return InputError(name, expected=expected, got=got + more, cure="See /docs for the request's fields.")
+    depth = sum(isinstance(part, int) for part in location[1:])
+    expected = levels[min(depth, len(levels) - 1)]
+    if first["type"] in ("too_long", "too_short"):
+        context = first.get("ctx", {})
+        got = str(context.get("actual_length", len(first.get("input") or ())))
+        if depth == 0 and first["type"] == "too_short":
+            expected = "at least 1 frame"
+    else:
+        got = _shown(first)
+    return MotionError(name, expected=expected, got=got + more, cure=_CURES[field])
+
+
+def not_json(got: str) -> InputError:
+    """The refusal of a body that is no JSON object."""
+    cure = "Send JSON with Content-Type: application/json."
+    return InputError("request body", expected="a JSON object", got=got, cure=cure)
+
+
+def check_query(names: Iterable[str], known: tuple[str, ...]) -> None:
+    """Refuses a parameter that is not ``known``, as an unknown field of JSON is: a typing mistake is not ignored."""
+    for name in names:
+        if name not in known:
+            raise InputError(name, expected="no such parameter", got="one", cure=f"Known are {', '.join(known)}.")
+
+
+def _without_kinds(location: list[int | str], complaint: str) -> list[int | str]:
+    """``location`` without the parts that name a kind of value, as a class or a type is written, and no field."""
+    fields = {0, len(location) - 1} if complaint in ("missing", "extra_forbidden") else {0}
+
+    def is_kind(part: int | str) -> bool:
+        return isinstance(part, str) and (not part.isidentifier() or part != part.lower())
+
+    return [part for i, part in enumerate(location) if i in fields or not is_kind(part)]
+
+
+def _wanted(error: Any) -> str:
+    """What pydantic's sentence asks for: "String should have at least 1 character" after "expected" is none."""
+    return re.sub(r"^[A-Z][a-z]+ should (be |have )?", "", str(error["msg"]))
+
+
+def _shown(error: Any) -> str:
+    """What came, short enough to be read."""
+    value = error.get("input")
+    if isinstance(value, (dict, list)):
+        return f"{'an object' if isinstance(value, dict) else 'a list'} of {len(value)}"
+    return _shortened(repr(value[:SHOWN] if isinstance(value, str) else value))
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= SHOWN else text[: SHOWN - 3] + "..."

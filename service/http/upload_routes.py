@@ -1,0 +1,94 @@
+"""REST: uploads of garment files, and how far each is."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Annotated, Any
+
+from fastapi import APIRouter, Query, Request, Response
+
+from drape.errors import BodyError, InputError, NotFound
+from drape.files.formats import MESH_CONTENT_TYPES, MESH_NAMES, listed
+from service.errors import Full, TooLarge, TooSlow
+from service.http import schemas
+from service.http.answers import BINARY, JSON
+from service.http.json_body import content_type
+from service.http.openapi import BYTES, body_schema, responses
+from service.http.problems import check_query
+from service.state import ClientHere, StateHere
+from service.uploads.avatars import MOST_CHARACTERS, upload_avatar
+from service.uploads.upload_body import read_upload
+
+if TYPE_CHECKING:
+    from service.uploads.jobs import Job
+
+router = APIRouter()
+
+
+@router.post(
+    "/garments",
+    status_code=202,
+    openapi_extra=body_schema(schemas.UploadRequest, **dict.fromkeys((BINARY, *MESH_CONTENT_TYPES), BYTES)),
+    responses=responses(InputError, NotFound, TooSlow, TooLarge, BodyError, Full),
+)
+async def upload(
+    request: Request,
+    response: Response,
+    state: StateHere,
+    client: ClientHere,
+    name: Annotated[str | None, Query(max_length=120, description="File name or name of the garment.")] = None,
+    avatar: Annotated[
+        str | None, Query(max_length=MOST_CHARACTERS, description="Phenotype or SMPL parameters as JSON, or a name.")
+    ] = None,
+    format: Annotated[
+        str | None, Query(max_length=10, description=f"{listed().lower()}, where the name does not say it.")
+    ] = None,
+) -> schemas.JobInfo:
+    """Takes a garment file in: the raw bytes as body, or JSON (name, format, data_base64, avatar). Poll the job."""
+    check_query(request.query_params, ("name", "avatar", "format"))
+    modelled_on: str | dict[str, Any] | None = avatar
+    kind, pieces = content_type(request), request.stream()
+    state.uploads.check_place(client)  # before anything is read
+    if kind == JSON:
+        sent, decoded = await state.sliced_thread.run(read_upload, await request.body())
+        name, format, modelled_on = sent.name, sent.format, sent.avatar
+        pieces = state.sliced_thread.each(decoded)
+    stem, file_format = _name_and_format(name, format, kind)
+    known = upload_avatar(modelled_on, stem, state.runtime.settings.garments_dir)
+    job = await state.uploads.submit(stem, file_format, pieces, known, client)
+    response.headers["Location"] = f"/jobs/{job.id}"
+    return _job_info(job)
+
+
+@router.get("/jobs/{job_id}", responses=responses(NotFound))
+async def job(job_id: str, state: StateHere, client: ClientHere) -> schemas.JobInfo:
+    """How far an upload is."""
+    return _job_info(state.uploads.get(job_id, client.name))
+
+
+@router.delete("/jobs/{job_id}", status_code=204, responses=responses(NotFound))
+async def cancel_job(job_id: str, state: StateHere, client: ClientHere) -> None:
+    """Ends an upload and removes its files; one that has ended is forgotten, and its garment stays."""
+    await asyncio.shield(state.uploads.cancel(state.uploads.get(job_id, client.name)))
+
+
+def _name_and_format(name: str | None, file_format: str | None, content_type: str) -> tuple[str, str]:
+    stem, dot, suffix = (name or "").rpartition(".")
+    if not dot or suffix.lower() not in MESH_NAMES:
+        stem, suffix = name or "", ""
+    chosen = (file_format or suffix or MESH_CONTENT_TYPES.get(content_type, "")).lower()
+    if chosen not in MESH_NAMES:
+        raise InputError(
+            "format",
+            expected=f"one of {', '.join(MESH_NAMES)}",
+            got=chosen or (f"the name {name}" if name else "nothing"),
+            cure="Give ?name=shirt.obj, or ?format=obj.",
+        )
+    if not stem:
+        raise InputError("name", expected="the garment's name", got="nothing", cure="Give ?name=shirt.obj.")
+    return stem, chosen
+
+
+def _job_info(job: Job) -> schemas.JobInfo:
+    told = {"stage": job.stage, "share": round(job.share, 2), "garment": job.garment, "problem": job.problem}
+    return schemas.JobInfo(id=job.id, name=job.name, state=job.state, **told)

@@ -1,0 +1,197 @@
+"""What is worn: a garment or an outfit, what each layer is made of, and which layers must be draped."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+from drape.cloth.fabric import Fabric
+from drape.cloth.fabric_table import fabric
+from drape.errors import InputError
+from drape.garment.cache import Garment
+from drape.garment.fine import fine_garment
+from drape.wire.layout import JetLayout, pack_layout
+from drape.wire.options import DrapeOptions, FabricChoice
+from service.errors import TooLarge
+
+PATCH_LIMIT = 65536  # what a chart of a LAYOUT can name
+Source = Literal["shipped", "user"]
+
+
+@dataclass(frozen=True)
+class About:
+    """What may be changed of a garment: its title, None for the name it came with, and whether it is published."""
+
+    title: str | None = None
+    published: bool = False
+
+
+UNCHANGED = About()
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """A garment in service. ``owner`` is the key that uploaded it, if keys were asked for."""
+
+    id: str
+    garment: Garment
+    source: Source
+    path: Path | None = None
+    owner: str | None = None
+    about: About = UNCHANGED
+
+    @property
+    def published(self) -> bool:
+        """Whether every key may see it."""
+        return self.about.published
+
+    @property
+    def name(self) -> str:
+        """What people call it: the title that its owner gave it, or the name it came with."""
+        return self.about.title or self.garment.name
+
+    def seen_by(self, viewer: str | None) -> bool:
+        """Whether the key ``viewer`` (None: whoever has none) may know of it."""
+        return self.owner is None or self.published or self.owner == viewer
+
+    @property
+    def layers(self) -> tuple[Entry, ...]:
+        """Itself: what an outfit has several of."""
+        return (self,)
+
+    def only(self, ids: Sequence[str]) -> Entry:
+        """Itself, of which nothing can be left out."""
+        return self
+
+    @cached_property
+    def fine(self) -> Entry:
+        """With the subdivided mesh delivered; itself where intake did not subdivide."""
+        garment = fine_garment(self.garment)
+        return self if garment is self.garment else replace(self, garment=garment)
+
+    @property
+    def vertex_count(self) -> int:
+        return self.garment.vertex_count
+
+    @property
+    def patch_count(self) -> int:
+        return self.garment.patch_count
+
+    @cached_property
+    def jet_layout(self) -> bytes:
+        """The LAYOUT message (``drape.wire.layout``): what a client needs to make vertices of its jets."""
+        garment, rows = self.garment, slice(0, self.garment.vertex_count)
+        if garment.patch_count > PATCH_LIMIT:
+            raise TooLarge(
+                f"garment {garment.name} patches",
+                expected=f"at most {PATCH_LIMIT} for jets",
+                got=str(garment.patch_count),
+                cure="Ask for vertices.",
+            )
+        return pack_layout(
+            JetLayout(
+                garment.patch_rotation,
+                garment.patch_centre,
+                garment.patch_scale,
+                garment.vertices[rows],
+                garment.chart_patch[rows],
+                garment.chart_weight[rows],
+                garment.chart_uv[rows],
+            )
+        )
+
+
+@dataclass(frozen=True)
+class Outfit:
+    """Garments worn over each other, the innermost first."""
+
+    layers: tuple[Entry, ...]
+
+    def only(self, ids: Sequence[str]) -> Outfit:
+        """Its layers of ``ids``; of one alone it is still told whose it is."""
+        return Outfit(tuple(entry for entry in self.layers if entry.id in ids))
+
+    @property
+    def fine(self) -> Outfit:
+        """With the subdivided mesh of every layer."""
+        return Outfit(tuple(entry.fine for entry in self.layers))
+
+    @property
+    def vertex_count(self) -> int:
+        """Of all layers."""
+        return sum(entry.vertex_count for entry in self.layers)
+
+    @property
+    def patch_count(self) -> int:
+        """Of all layers."""
+        return sum(entry.patch_count for entry in self.layers)
+
+
+Scene = Entry | Outfit
+
+
+def layer_list(scene: Scene, *, patches: bool = False) -> list[dict[str, str | int]]:
+    """Id and vertices, and ``patches``, of each layer, in the order in which an answer holds them."""
+    layers: list[dict[str, str | int]] = [{"id": entry.id, "vertices": entry.vertex_count} for entry in scene.layers]
+    for layer, entry in zip(layers, scene.layers, strict=True):
+        if patches:
+            layer["patches"] = entry.patch_count
+    return layers
+
+
+def layer_fabrics(options: DrapeOptions, layers: int) -> tuple[Fabric | None, ...]:
+    """The fabric of each of ``layers`` garments, None where it is the garment's own.
+
+    Refuses (``InputError``, ``NotFound``) what is no fabric, and a list of another length.
+    """
+    chosen = options.fabric
+    if not isinstance(chosen, tuple):
+        return (_fabric(chosen),) * layers
+    if len(chosen) != layers:
+        raise InputError(
+            "fabric",
+            expected=f"one for all, or {layers}: one for each garment",
+            got=str(len(chosen)),
+            cure="Put null where a garment keeps its own.",
+        )
+    return tuple(_fabric(one) for one in chosen)
+
+
+def _fabric(chosen: FabricChoice | None) -> Fabric | None:
+    if chosen is None:
+        return None
+    return fabric(chosen if isinstance(chosen, str) else chosen.model_dump())
+
+
+def check_known(fabrics: Sequence[Fabric | None], *, known: bool, model: str) -> None:
+    """Refuses (``InputError``) any fabric where the ``model`` has one cloth only."""
+    if not known and any(one is not None for one in fabrics):
+        raise InputError(
+            "fabric", expected=f"none: model {model} was trained on one cloth", got="a fabric", cure="Leave it out."
+        )
+
+
+def narrowed(scene: Scene, options: DrapeOptions, *, felt: bool) -> tuple[list[int], DrapeOptions]:
+    """Which layers of ``scene`` must be draped, and ``options`` for these.
+
+    A hidden garment must be where a visible one lies over it, if layers are ``felt`` at all: a layer feels those below
+    it. Refuses (``InputError``) hidden garments that are not worn, and an outfit of which nothing comes.
+    """
+    worn = [layer.id for layer in scene.layers]
+    if options.hidden is None:
+        return list(range(len(worn))), options
+    unknown = [name for name in options.hidden if name not in worn]
+    if unknown:
+        cure = "Hide garments of this request only."
+        raise InputError("hidden", expected=f"some of: {', '.join(worn)}", got=unknown[0], cure=cure)
+    visible = [i for i, name in enumerate(worn) if name not in options.hidden]
+    if not visible:
+        raise InputError("hidden", expected="one visible garment or more", got="none", cure="Leave one out of hidden.")
+    kept = [i for i in range(len(worn)) if i in visible or (felt and i < visible[-1])]
+    narrow: dict[str, Any] = {"hidden": tuple(worn[i] for i in kept if i not in visible) or None}
+    if isinstance(options.fabric, tuple):
+        narrow["fabric"] = tuple(options.fabric[i] for i in kept)
+    return kept, options.model_copy(update=narrow)

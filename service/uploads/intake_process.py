@@ -1,0 +1,111 @@
+"""The intake of a stranger's file in a limited process of its own (``service.uploads.sandbox``), and what it says."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from drape.errors import ArtifactError, DrapeError, InputError, MeshError
+from service.errors import TABLE, TooLarge
+from service.settings import ROOT, Settings
+
+SHARES = {"start": 0.15, "read": 0.03, "rest": 0.32, "fit": 0.4, "cloth": 0.03, "store": 0.0, "prepare": 0.07}
+"""Stages of an upload, those of the intake between a process's start and the garment's constants, and their shares."""
+
+
+async def run_sandbox(
+    file: Path,
+    avatar: str | None,
+    out: Path,
+    settings: Settings,
+    begun: Callable[[str], None] = lambda stage: None,
+) -> dict[str, Any]:
+    """What the intake process reports; raises its refusal, or one for the limit that it ran into. ``begun`` is told
+    each stage as the process begins it."""
+    command = [sys.executable, "-m", "service.uploads.sandbox", str(file), "--out", str(out), "--body", settings.body]
+    command += ["--memory-mb", str(settings.intake_memory_mb), "--cpu-s", str(settings.intake_cpu_s)]
+    # One thread each: their stacks and buffers count against the memory limit.
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+    process = await asyncio.create_subprocess_exec(
+        *command,
+        cwd=ROOT,
+        env=environment,
+        stdin=asyncio.subprocess.PIPE,  # a command line takes no avatar above 128 KiB, and anybody may read it
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    label = f"upload {file.name}"
+    try:
+        report = await asyncio.wait_for(_conversation(process, (avatar or "").encode(), begun), settings.intake_wall_s)
+    except TimeoutError:
+        raise TooLarge(
+            label,
+            expected=f"an intake within {settings.intake_wall_s:g} s",
+            got="no end by then",
+            cure="Simplify the mesh.",
+        ) from None
+    finally:
+        if process.returncode is None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            await process.wait()
+    if report is not None and "problem" in report:
+        raise _refusal(report["problem"])
+    if report is not None and "file" in report:
+        return report
+    if process.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
+        raise TooLarge(
+            label,
+            expected=f"an intake within {settings.intake_cpu_s} s of processor time",
+            got="more",
+            cure="Simplify the mesh.",
+        )
+    raise MeshError(
+        label,
+        expected="a mesh",
+        got=f"a file on which the intake ends with status {process.returncode}",
+        cure="Export the mesh again.",
+    )
+
+
+async def _conversation(
+    process: asyncio.subprocess.Process, said: bytes, begun: Callable[[str], None]
+) -> dict[str, Any] | None:
+    """The last line of JSON of ``process``, which hears ``said``; stages before it are told to ``begun``."""
+    assert process.stdin is not None and process.stdout is not None
+    with contextlib.suppress(ConnectionError):  # it has ended
+        process.stdin.write(said)
+        await process.stdin.drain()
+        process.stdin.close()
+    last: dict[str, Any] | None = None
+    async for line in process.stdout:
+        last = _document(line)
+        if last is not None and last.get("stage") in SHARES:
+            begun(last["stage"])
+    await process.wait()
+    return last
+
+
+def _document(line: bytes) -> dict[str, Any] | None:
+    try:
+        found = json.loads(line)
+    except ValueError:
+        return None
+    return found if isinstance(found, dict) else None
+
+
+_KINDS: dict[str, type[DrapeError]] = {kind.__name__: kind for kind in (*TABLE, ArtifactError)}
+
+
+def _refusal(said: dict[str, str]) -> DrapeError:
+    """The error that the intake process put in words."""
+    kind = _KINDS.get(said["kind"], InputError)
+    return kind(said["name"], expected=said["expected"], got=said["got"], cure=said["cure"])

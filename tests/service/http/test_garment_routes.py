@@ -1,0 +1,143 @@
+"""Garments in service: caches that are refused or set aside, and pictures of the others."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+from PIL import Image
+
+from drape.body.model import BodyModel
+from drape.errors import ArtifactError
+from drape.garment.cache import Garment, save_garment
+from service.compute.drape_runtime import DrapeRuntime
+from service.compute.garments import check_garment, slug
+from service.errors import TooLarge
+from service.http.pictures import CLOTH, KEPT, Previews, picture
+from service.settings import Settings
+from tests.drape.cloth.cloth_shapes import grid
+from tests.fixtures.tiny_model import tube_garment
+
+
+def test_a_picture_shows_the_cloth_in_the_middle_and_what_stands_behind_it():
+    square, faces = grid(40, 40, cell_m=0.05)
+    square = square - square.mean(axis=0) + np.array([0.0, 0.0, 0.1])
+    behind = (square - np.array([0.0, 0.0, 0.2])) * np.array([1.0, 0.2, 1.0])
+    for size in (64, 600):
+        image = Image.open(io.BytesIO(picture((0.5 * square, faces), (behind, faces), size)))
+        assert image.format == "PNG" and image.size == (size, size)
+        pixels = np.asarray(image.convert("RGB"), dtype=float) / 255.0
+        middle, corner, beside = pixels[size // 2, size // 2], pixels[1, 1], pixels[size // 2, 1]
+        assert (corner == 1.0).all(), "nothing is there"
+        np.testing.assert_allclose(middle / middle.max(), np.array(CLOTH) / max(CLOTH), atol=0.03)
+        assert beside[0] > 1.15 * beside[2], "skin is redder than cloth"
+
+
+def test_a_garment_has_a_picture_that_is_made_once(api: TestClient):
+    name = api.get("/garments").json()[0]["id"]
+    path = f"/garments/{name}/preview.png"
+    answer = api.get(path, params={"size": 96})
+    assert answer.status_code == 200 and answer.headers["content-type"] == "image/png"
+    image = np.asarray(Image.open(io.BytesIO(answer.content)).convert("L"))
+    assert image.shape == (96, 96) and (image < 250).mean() > 0.1 and (image == 255).any()
+    again = api.get(path, params={"size": 96})
+    assert again.content == answer.content and again.headers["etag"] == answer.headers["etag"]
+    for known in (answer.headers["etag"], f'"another", W/{answer.headers["etag"]}', "*"):
+        kept = api.get(path, params={"size": 96}, headers={"If-None-Match": known})
+        assert kept.status_code == 304 and not kept.content
+    assert api.get(path, params={"size": 96}, headers={"If-None-Match": '"another"'}).content == answer.content
+    other = api.get(path, params={"size": 64})
+    assert other.headers["etag"] != answer.headers["etag"]
+
+
+@pytest.mark.parametrize(("name", "size", "status"), [("nobody", 64, 404), (None, 63, 400), (None, 1025, 400)])
+def test_what_there_is_no_picture_of_is_refused(api: TestClient, name: str | None, size: int, status: int):
+    name = name or api.get("/garments").json()[0]["id"]
+    assert api.get(f"/garments/{name}/preview.png", params={"size": size}).status_code == status
+
+
+def test_so_many_pictures_are_kept_and_the_ones_asked_for_last():
+    kept = Previews()
+    for size in range(KEPT):
+        kept.keep("a", size, b"%d" % size)
+    assert kept.get("a", 0) == b"0"
+    kept.keep("b", 0, b"new")
+    assert kept.get("a", 1) is None and kept.get("a", 0) == b"0" and kept.get("b", 0) == b"new"
+
+
+def spoiled(array: np.ndarray, value: float) -> np.ndarray:
+    copy = array.copy()
+    copy.flat[0] = value
+    return copy
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        (lambda g: {"body_digest": "0" * 64}, "body_digest"),
+        (lambda g: {"chart_patch": spoiled(g.chart_patch, 12)}, r"chart_patch: expected indices in \[0, 12\)"),
+        (lambda g: {"chart_patch": spoiled(g.chart_patch, -1)}, "chart_patch: expected indices"),
+        (lambda g: {"faces": spoiled(g.faces, 216)}, r"faces: expected indices in \[0, 216\)"),
+        (lambda g: {"uv_faces": spoiled(g.uv_faces, 10_000)}, "uv_faces: expected indices"),
+        (lambda g: {"chart_weight": g.chart_weight[:, :3]}, "chart_weight: expected shape"),
+        (lambda g: {"patch_jet": g.patch_jet[:, :26]}, "patch_jet: expected shape"),
+        (lambda g: {"chart_residual": spoiled(g.chart_residual, np.nan)}, "chart_residual: expected finite"),
+        (lambda g: {"vertices": spoiled(g.vertices, np.inf)}, "vertices: expected finite"),
+        (lambda g: {"vertex_count": 0}, "vertex_count"),
+        (lambda g: {"vertex_count": 1000}, "vertex_count"),
+    ],
+)
+def test_a_cache_that_does_not_fit_together_is_refused_by_name(
+    body: BodyModel, tube: Garment, changes: Callable[[Garment], dict], word: str
+):
+    with pytest.raises(ArtifactError, match=word):
+        check_garment(dataclasses.replace(tube, **changes(tube)), body, max_vertices=1000)
+
+
+def test_too_many_vertices_are_refused(body: BodyModel, tube: Garment):
+    check_garment(tube, body, max_vertices=216)
+    with pytest.raises(TooLarge, match="at most 215"):
+        check_garment(tube, body, max_vertices=215)
+
+
+def test_a_broken_upload_is_set_aside_and_a_broken_shipped_cache_stops_the_start(
+    make_settings: Callable[..., Settings], tmp_path: Path, body: BodyModel, tube: Garment
+):
+    settings = make_settings(garments_dir=tmp_path)
+    (tmp_path / "broken-0.npz").write_bytes(b"PK not an archive")
+    save_garment(dataclasses.replace(tube, name="other", body_digest="0" * 64), tmp_path)
+    save_garment(dataclasses.replace(tube, name="good"), tmp_path)
+    runtime = DrapeRuntime(settings)
+    assert [entry.id for entry in runtime.garments.entries()] == ["tube", "good"]
+    assert sorted(line.split(":")[0].split("-")[0] for line in runtime.garments.refused) == ["broken", "other"]
+    runtime.close()
+    with pytest.raises(ArtifactError, match=r"broken-0\.npz"):
+        DrapeRuntime(make_settings(shipped_garments_dir=tmp_path))
+
+
+def test_equal_names_get_different_ids_and_the_same_garment_the_same(
+    make_settings: Callable[..., Settings], tmp_path: Path, body: BodyModel, tube: Garment
+):
+    runtime = DrapeRuntime(make_settings())
+    wide = dataclasses.replace(tube_garment(body, radius_m=0.25), digest="ab" * 32)
+    first = runtime.garments.add(runtime.garments.prepare(save_garment(wide, tmp_path)), "user")
+    again = runtime.garments.add(runtime.garments.prepare(save_garment(wide, tmp_path)), "user")
+    assert first.id == again.id == "tube-abababab"
+    assert runtime.garments.get("tube").source == "shipped"
+    shipped = runtime.garments.add(runtime.garments.prepare(save_garment(tube, tmp_path)), "user")
+    assert (shipped.id, shipped.source) == ("tube", "shipped")
+    assert len(runtime.garments.entries()) == 2
+    runtime.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [("T shirt/../x", "T-shirt-..-x"), ("...", "garment"), ("ärmel", "rmel"), ("a" * 200, "a" * 80)],
+)
+def test_ids_are_safe_in_paths_and_addresses(name: str, expected: str):
+    assert slug(name) == expected

@@ -1,0 +1,459 @@
+"""A body that stands still costs nothing once its cloth hangs still, and neither do joints that move no cloth."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import shutil
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from websockets.asyncio.client import connect
+from websockets.typing import Subprotocol
+
+from clients.stream import DrapeStream
+from drape.geometry.rotations import rotvec_to_matrix
+from drape.wire import messages as wire
+from drape.wire.jets import unpack_jets
+from drape.wire.options import DrapeOptions
+from service.app import create_app
+from service.compute import drape_runtime as drapery_module
+from service.compute.drape_runtime import DrapeRuntime
+from service.settings import Settings
+from service.stages.batch import Plan, PoseInput
+from service.stages.joint_reach import ARMS_DOWN, reach_m, turns_rad
+from service.stages.unchanged import KEY, REST_FRAMES, REST_S, shown_message
+from tests.architecture.repository import ROOT
+from tests.fixtures.poses import random_motion, smooth_motion
+from tests.fixtures.serving import serve
+from tests.fixtures.tiny_model import TINY_DYNAMIC
+
+PROTOCOL = Subprotocol(wire.SUBPROTOCOL)
+STEP_S = 1.001 * REST_S / REST_FRAMES
+POSES, TRANS = smooth_motion(np.arange(4) * STEP_S)
+NEEDED = REST_FRAMES + 1  # frames of one pose after which it is at rest
+
+
+@pytest.fixture(scope="module")
+def runtime(make_settings: Callable[..., Settings]) -> Iterator[DrapeRuntime]:
+    made = DrapeRuntime(make_settings(model=TINY_DYNAMIC))
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def plan(runtime: DrapeRuntime) -> Plan:
+    made = runtime.plan(runtime.garments.get("tube"), DrapeOptions(folds=1), messages=True)
+    for stage in made.stages:
+        stage.prepare(made)
+    return made
+
+
+class Stream:
+    """Frames of one client, each after what the one before left; ``runs`` counts those that were computed."""
+
+    def __init__(self, runtime: DrapeRuntime, plan: Plan) -> None:
+        self.runtime, self.plan, self.memories, self.frame, self.runs = runtime, plan, {}, 0, 0
+        self.betas = np.zeros(10)
+
+    def next(
+        self,
+        pose: np.ndarray = POSES[0],
+        trans: np.ndarray = TRANS[0],
+        *,
+        after_s: float = STEP_S,
+        seen: bytes | None = None,
+    ) -> bytes:
+        self.frame += 1
+        self.time_s = getattr(self, "time_s", 0.0) + after_s
+        one = PoseInput(
+            pose[None], trans[None], self.betas, np.array([self.time_s]), self.memories, sequence=self.frame, dropped=3,
+            shown=seen,
+        )  # fmt: skip
+        with patch.object(drapery_module, "walk", wraps=drapery_module.walk) as computed:
+            ((message, self.memories),) = asyncio.run(self.runtime.stream_frames(self.plan, [one]))
+        self.runs += computed.call_count
+        assert isinstance(message, bytes), message
+        return message
+
+
+def test_after_two_seconds_the_last_frame_comes_again_under_new_numbers(runtime: DrapeRuntime, plan: Plan):
+    stream = Stream(runtime, plan)
+    for frame in range(3):
+        stream.next(POSES[frame + 1], TRANS[frame + 1])
+    for _ in range(NEEDED):
+        last = stream.next()
+    assert stream.runs == 3 + NEEDED
+    same = stream.next()
+    assert stream.runs == 3 + NEEDED, "nothing was computed"
+    before, after = wire.unpack_frame(last), wire.unpack_frame(same)
+    assert_array_equal(after.positions, before.positions)
+    assert (after.sequence, after.dropped, after.pushed) == (before.sequence + 1, 3, before.pushed)
+    assert after.client_time_s == stream.time_s and after.server_time_s >= before.server_time_s
+
+
+def test_what_moves_on_goes_on_from_where_the_cloth_hangs(runtime: DrapeRuntime, plan: Plan):
+    slow, still = Stream(runtime, plan), Stream(runtime, plan)
+    for _ in range(NEEDED):
+        slow.next()
+        still.next()
+    for _ in range(200):  # a quarter of a minute at rest
+        still.next()
+    assert still.runs == slow.runs == NEEDED
+    for frame in (1, 2, 3):
+        moved, expected = (wire.unpack_frame(one.next(POSES[frame], TRANS[frame])) for one in (still, slow))
+        assert_array_equal(moved.positions, expected.positions)
+
+
+def test_who_shows_the_frame_is_told_that_it_holds(runtime: DrapeRuntime, plan: Plan):
+    stream = Stream(runtime, plan)
+    for _ in range(NEEDED - 1):
+        assert wire.message_kind(stream.next(seen=shown_message(stream.memories))) == wire.FRAME
+    last = stream.next()
+    told = wire.unpack_same(stream.next(seen=shown_message(stream.memories)))
+    assert (told.sequence, told.client_time_s, told.dropped) == (NEEDED + 1, stream.time_s, 3)
+    other = wire.unpack_frame(stream.next(seen=bytes(bytearray(last))))  # what another connection was sent
+    assert_array_equal(other.positions, wire.unpack_frame(last).positions)
+    assert wire.message_kind(stream.next(POSES[1], TRANS[1], seen=shown_message(stream.memories))) == wire.FRAME
+
+
+def resting(url: str, **more: Any) -> list[bytes]:
+    """The messages of a stream of one pose, before and after its cloth has come to rest, and turned to it once more."""
+    opening = json.dumps({"type": "open", "garment": "tube", **more})
+
+    async def talk() -> list[bytes]:
+        found = []
+        async with connect(url.replace("http", "ws") + "/stream", subprotocols=[PROTOCOL]) as socket:
+            for count in (NEEDED + 12, NEEDED + 2):
+                await socket.send(opening)
+                assert json.loads(await socket.recv())["type"] == "opened"
+                for i in range(count):
+                    await socket.send(wire.pack_pose(wire.Pose(i, i * STEP_S, TRANS[0], POSES[0])))
+                    found.append(await socket.recv())
+                    if wire.message_kind(found[-1]) != wire.SAME:  # which takes no credit
+                        await socket.send(wire.pack_ack(i))
+        return found
+
+    return asyncio.run(talk())
+
+
+def test_a_client_that_can_take_it_gets_no_frame_twice(make_settings: Callable[..., Settings]):
+    settings = make_settings(model=TINY_DYNAMIC)
+    with serve(create_app(settings), settings) as url:
+        kinds = [wire.message_kind(one) for one in resting(url, same=True)]
+        first, again = kinds[: NEEDED + 12], kinds[NEEDED + 12 :]
+        assert first == [wire.FRAME] * NEEDED + [wire.SAME] * 12  # more than there is credit
+        assert again[0] == wire.FRAME  # turned to anew a client may show nothing
+        assert again[-1] == wire.SAME
+        assert {wire.message_kind(one) for one in resting(url)} == {wire.FRAME}
+
+        async def talk() -> list[wire.Frame]:
+            now_s = count(0.0, STEP_S)
+            async with await DrapeStream.open(url, "tube", clock=lambda: next(now_s)) as stream:
+                found = []
+                for _ in range(NEEDED + 2):
+                    await stream.send(POSES[0], TRANS[0])
+                    found.append((await stream.receive()).frame)
+            return found
+
+        *_, before, last = asyncio.run(talk())
+        assert last.positions is before.positions and last.sequence == before.sequence + 1
+        assert last.client_time_s > before.client_time_s
+
+
+class Wire:
+    """What a stream sends, counted by kind."""
+
+    def __init__(self, stream: DrapeStream) -> None:
+        self.sent: list[int] = []
+        self._transmit, stream._transmit = stream._transmit, self.transmit  # pyright: ignore[reportAttributeAccessIssue]
+
+    async def transmit(self, message: str | bytes) -> None:
+        if isinstance(message, bytes):
+            self.sent.append(wire.message_kind(message))
+        await self._transmit(message)
+
+
+@pytest.mark.parametrize("geometry", ["vertices", "jets"])
+def test_of_a_body_that_stands_still_few_poses_are_sent(make_settings: Callable[..., Settings], geometry: str):
+    settings = make_settings(model=TINY_DYNAMIC)
+
+    async def talk(url: str) -> None:
+        now_s, step_s = 0.0, STEP_S
+        async with await DrapeStream.open(url, "tube", clock=lambda: now_s, geometry=geometry) as stream:
+
+            async def frame(pose: np.ndarray = POSES[0]) -> Any:
+                nonlocal now_s
+                now_s += step_s
+                await stream.send(pose, TRANS[0])
+                received = await (stream.receive() if geometry == "vertices" else stream.receive_jets())
+                assert received.age_s == 0.0 and received.frame.sequence == stream._sequence
+                return received.frame
+
+            shown = [await frame() for _ in range(NEEDED + 1)][-1]
+            counted, step_s = Wire(stream), 1.0 / 30.0
+            held = [await frame() for _ in range(60)]
+            assert all(one.server_time_s >= shown.server_time_s for one in held)
+            assert 60 / 6 <= len(counted.sent) == counted.sent.count(wire.POSE) <= 60 / 4, "acknowledgements: none"
+            counted.sent.clear()
+            moved = await frame(POSES[1])
+            assert counted.sent == [wire.POSE, wire.ACK] and moved.server_time_s > shown.server_time_s
+
+            # A frame that somebody waits for when its pose is answered here.
+            for _ in range(int(30 * REST_S) + 4):
+                await frame(POSES[1])
+            counted.sent.clear()
+            for _ in range(3):
+                now_s += step_s
+                waiting = asyncio.ensure_future(stream.receive() if geometry == "vertices" else stream.receive_jets())
+                await asyncio.sleep(0.01)
+                sequence = await stream.send(POSES[1], TRANS[0])
+                assert (await waiting).frame.sequence == sequence
+            assert len(counted.sent) <= 1
+            await stream.reopen("tube", geometry=geometry)
+            counted.sent.clear()
+            await frame(POSES[1])
+            assert counted.sent == [wire.POSE, wire.ACK]
+
+    with serve(create_app(settings), settings) as url:
+        asyncio.run(talk(url))
+
+
+def test_who_sends_a_pose_for_each_frame_waits_for_the_service(make_settings: Callable[..., Settings]):
+    settings = make_settings(model=TINY_DYNAMIC)
+
+    async def talk(url: str) -> None:
+        now_s = count(0.0, STEP_S)
+        async with await DrapeStream.open(url, "tube", clock=lambda: next(now_s)) as stream:
+            for _ in range(NEEDED + 1):
+                await stream.send(POSES[0], TRANS[0])
+                await stream.receive()
+            stream._clock, counted = time.perf_counter, Wire(stream)
+            for _ in range(40):
+                await stream.send(POSES[0], TRANS[0])
+                await stream.receive()
+            assert counted.sent.count(wire.POSE) >= 20
+
+    with serve(create_app(settings), settings) as url:
+        asyncio.run(talk(url))
+
+
+PAGE = """
+globalThis.location = { origin: process.argv[2] };
+let now = 0;
+performance.now = () => (now += 40);
+const { Stream } = await import("./stream.js");
+const pose = new Array(72).fill(0);
+let last = null;
+const stream = new Stream({
+  onFrame(frame) {
+    if (frame.bytes === 40) {
+      const { sequence, count } = frame.header;
+      const same = frame.steps === last.steps;
+      console.log(JSON.stringify({ sequence, next: last.header.sequence + 1, count, same }));
+      process.exit(0);
+    }
+    last = frame;
+    stream.send(pose, [0, 0, 0]);
+  },
+  onState(state) { if (state === "open") stream.send(pose, [0, 0, 0]); },
+});
+stream.open({ garment: "tube" });
+setTimeout(() => process.exit(3), 20000);
+"""
+
+
+def test_the_page_shows_the_frame_that_holds(make_settings: Callable[..., Settings], tmp_path: Path):
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("No Node.js: sudo apt-get install nodejs.")
+    if subprocess.run([node, "--experimental-websocket", "-e", "WebSocket"], capture_output=True).returncode:
+        pytest.skip("A Node.js without WebSocket: 20.10 or newer has it.")
+    for name in ("stream.js", "wire.js"):
+        shutil.copy(ROOT / "clients/web/src" / name, tmp_path)
+    (tmp_path / "package.json").write_text('{"type": "module"}')
+    (tmp_path / "main.js").write_text(PAGE)
+    settings = make_settings(model=TINY_DYNAMIC)
+    with serve(create_app(settings), settings) as url:
+        command = [node, "--experimental-websocket", str(tmp_path / "main.js"), url]
+        run = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert run.returncode == 0, run.stderr
+    said = json.loads(run.stdout)
+    assert said["sequence"] == said["next"] > REST_FRAMES and said["same"] and said["count"] > 0
+
+
+def test_a_pause_is_no_rest_and_neither_are_few_frames(runtime: DrapeRuntime, plan: Plan):
+    few = Stream(runtime, plan)
+    few.next()
+    for _ in range(5):
+        few.next(after_s=REST_S)
+    assert few.runs == 6
+    quick = Stream(runtime, plan)
+    for _ in range(2 * REST_FRAMES):
+        quick.next(after_s=0.1 * STEP_S)
+    assert quick.runs == 2 * REST_FRAMES
+
+
+@pytest.mark.parametrize("change", ["pose", "trans", "shape", "plan", "clock"])
+def test_any_change_is_computed(runtime: DrapeRuntime, plan: Plan, change: str):
+    stream = Stream(runtime, plan)
+    for _ in range(NEEDED + 1):
+        stream.next()
+    assert stream.runs == NEEDED
+    moved = POSES[0].copy()
+    moved[5, 1] = np.nextafter(moved[5, 1], 1.0)
+    if change == "shape":
+        stream.betas = np.full(10, 0.1)
+    if change == "plan":
+        stream.plan = replace(plan, stepped=True)
+    stream.next(
+        moved if change == "pose" else POSES[0],
+        TRANS[0] + 1e-3 if change == "trans" else TRANS[0],
+        after_s=-5.0 * STEP_S if change == "clock" else STEP_S,
+    )
+    assert stream.runs == NEEDED + 1
+
+
+def test_one_of_several_at_rest_leaves_the_others_what_they_are(runtime: DrapeRuntime, plan: Plan):
+    still, alone = Stream(runtime, plan), Stream(runtime, plan)
+    for _ in range(NEEDED):
+        still.next()
+    moving = PoseInput(POSES[1:2], TRANS[1:2], np.zeros(10), np.array([1.0]), {}, sequence=9)
+    rest = PoseInput(POSES[:1], TRANS[:1], np.zeros(10), np.array([still.time_s + 1.0]), still.memories, sequence=7)
+    (first, kept), (second, _) = asyncio.run(runtime.stream_frames(plan, [rest, moving]))
+    assert isinstance(first, bytes) and isinstance(second, bytes)
+    assert wire.unpack_frame(first).sequence == 7 and wire.unpack_frame(second).sequence == 9
+    assert kept[KEY] is still.memories[KEY]
+    one = alone.next(POSES[1], TRANS[1], after_s=1.0)
+    assert_array_equal(wire.unpack_frame(one).positions, wire.unpack_frame(second).positions)
+
+
+def test_jets_come_again_too(runtime: DrapeRuntime):
+    plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(geometry="jets"), messages=True)
+    for stage in plan.stages:
+        stage.prepare(plan)
+    stream = Stream(runtime, plan)
+    for _ in range(NEEDED):
+        last = stream.next()
+    same = stream.next()
+    assert stream.runs == NEEDED
+    before, after = unpack_jets(last), unpack_jets(same)
+    assert_array_equal(after.jet, before.jet)
+    assert (after.sequence, after.dropped, after.client_time_s) == (NEEDED + 1, 3, stream.time_s)
+
+
+def test_a_body_at_rest_needs_no_thread(runtime: DrapeRuntime, plan: Plan):
+    stream = Stream(runtime, plan)
+    for _ in range(NEEDED):
+        message = stream.next()
+    one = PoseInput(
+        POSES[:1], TRANS[:1], stream.betas, np.array([stream.time_s + STEP_S]), stream.memories, sequence=9, dropped=0
+    )
+    with patch.object(runtime, "frames", side_effect=AssertionError):
+        ((again, _),) = asyncio.run(runtime.stream_frames(plan, [one]))
+    assert isinstance(again, bytes)
+    assert wire.unpack_frame(again).sequence == 9
+    assert_array_equal(wire.unpack_frame(again).vertices(), wire.unpack_frame(message).vertices())
+
+
+HAND = 22
+
+
+@pytest.fixture(scope="module")
+def mesh_runtime(make_settings: Callable[..., Settings]) -> Iterator[DrapeRuntime]:
+    made = DrapeRuntime(make_settings(model=TINY_DYNAMIC, inertia="mesh"))
+    yield made
+    made.close()
+
+
+def planned(mesh_runtime: DrapeRuntime, **options: object) -> Plan:
+    plan = mesh_runtime.plan(mesh_runtime.garments.get("tube"), DrapeOptions.model_validate(options), messages=True)
+    for stage in plan.stages:
+        stage.prepare(plan)
+    return plan
+
+
+def turned(joint: int, turn_rad: float) -> np.ndarray:
+    pose = POSES[0].copy()
+    pose[joint, 2] += turn_rad
+    return pose
+
+
+def moved_mm(plan: Plan, pose: np.ndarray) -> float:
+    return 1e3 * sum(stage.moved_m(plan, POSES[0], pose) for stage in plan.stages)
+
+
+def test_the_reach_of_a_joint_is_how_far_it_moves_the_furthest_vertex():
+    def draped(poses: np.ndarray) -> np.ndarray:
+        """Two vertices: the joint 5 moves one by 3 mm a radian, and 7, where the arms hang, by 8 about y."""
+        hang = poses[:, ARMS_DOWN[0][0], 2] != 0.0
+        found = np.zeros((len(poses), 2, 3))
+        found[:, 0, 1] = 3e-3 * poses[:, 5, 0] + 2e-3 * poses[:, 5, 2]
+        found[:, 1, 2] = 8e-3 * poses[:, 7, 1] * hang
+        return found
+
+    found = reach_m(draped)
+    assert_allclose(found[[5, 7]], [3e-3, 8e-3], atol=1e-12)
+    others = np.delete(found, [5, 7])
+    assert not others.any()
+
+
+def test_turns_are_the_angles_between_rotations():
+    before, after = random_motion(2, spread_rad=2.0)[0]
+    apart = np.swapaxes(rotvec_to_matrix(before), -1, -2) @ rotvec_to_matrix(after)
+    expected = np.arccos(np.clip((np.trace(apart, axis1=-2, axis2=-1) - 1.0) / 2.0, -1.0, 1.0))
+    assert_allclose(turns_rad(before, after), expected, atol=1e-7)
+    full = np.zeros((24, 3))
+    full[:, 1] = 2.0 * np.pi
+    assert_allclose(turns_rad(np.zeros((24, 3)), full), 0.0, atol=1e-12)
+
+
+def test_a_limb_within_the_tolerance_is_a_still_frame_and_one_beyond_is_not(mesh_runtime: DrapeRuntime):
+    measured = planned(mesh_runtime, still_mm=1.0)
+    turn = 0.3
+    away = moved_mm(measured, turned(HAND, turn))
+    assert 0.0 < away < moved_mm(measured, turned(0, turn)), "the whole body moves it further than a hand"
+    stream = Stream(mesh_runtime, planned(mesh_runtime, still_mm=1.01 * away))
+    for _ in range(NEEDED):
+        last = stream.next()
+    same = stream.next(turned(HAND, turn))
+    assert stream.runs == NEEDED
+    assert_array_equal(wire.unpack_frame(same).positions, wire.unpack_frame(last).positions)
+    stream.next(turned(HAND, 1.1 * turn))
+    assert stream.runs == NEEDED + 1
+
+
+def test_what_is_let_pass_does_not_add_up(mesh_runtime: DrapeRuntime):
+    away = moved_mm(planned(mesh_runtime, still_mm=1.0), turned(HAND, 0.3))
+    stream = Stream(mesh_runtime, planned(mesh_runtime, still_mm=1.01 * away))
+    for _ in range(NEEDED):
+        stream.next()
+    for step in range(1, 7):
+        stream.next(turned(HAND, 0.1 * step))
+    assert stream.runs == NEEDED + 3, "counted from the pose that was computed last, not from the frame before"
+
+
+@pytest.mark.parametrize("options", [{}, {"still_mm": 0.0}, {"still_mm": 1e6, "inertia": "network"}])
+def test_without_a_tolerance_and_with_the_networks_motion_any_change_is_computed(
+    mesh_runtime: DrapeRuntime, options: dict
+):
+    stream = Stream(mesh_runtime, planned(mesh_runtime, **options))
+    for _ in range(NEEDED):
+        stream.next()
+    stream.next(turned(HAND, 1e-9))
+    assert stream.runs == NEEDED + 1
+
+
+def test_what_was_not_measured_counts_as_moved(mesh_runtime: DrapeRuntime):
+    tube = mesh_runtime.garments.get("tube")
+    plan = mesh_runtime.plan(tube, DrapeOptions(still_mm=1.0, fabric="denim", passes=0), messages=True)
+    assert np.isinf(moved_mm(plan, turned(HAND, 1e-6)))
