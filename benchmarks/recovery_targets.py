@@ -3,7 +3,7 @@
 As the paper does, patterns of Garment-Pattern-Generator are draped by a simulator that is not ours (Newton's Style3D
 solver, ``newton_drape.py``; there 3ds Max) and recovered from the mesh alone. It is another cloth, another
 bending, another contact, and a finer mesh. The base is the same template in another size: all widths and all heights 5
-to 10 % off (``benchmarks.recovery.disturbed``). The templates are sized to the shipped body; shorts are our own draft.
+to 10 % off (``benchmarks.recovery.compare``). The templates are sized to the shipped body; shorts are our own draft.
 
     python -m benchmarks.recovery_targets --newton PYTHON [--garments tee pants] [--seeds 1] [--edge-length 0.035]
         [--targets FOLDER] [--save]
@@ -28,8 +28,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import ROOT, Benchmark, Option, Run
-from benchmarks.recovery.compare import pattern_error
-from benchmarks.recovery.disturbed import off
+from benchmarks.recovery.compare import off, pattern_error
 from benchmarks.recovery.published import ahead
 from benchmarks.recovery.surfaces import surface_error
 from benchmarks.recovery.turning import turning_distance

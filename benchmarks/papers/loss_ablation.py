@@ -29,6 +29,7 @@ from benchmarks.papers import losses as paper_losses
 from benchmarks.papers.held_out import figures, judged, training_clips
 from benchmarks.papers.losses import ChartSamples, ChartSurface
 from drape.body.assets import load_body
+from drape.cloth import energies
 from drape.cloth.contact import plane_distance
 from drape.cloth.material import material
 from drape.errors import ArtifactError
@@ -136,7 +137,7 @@ class LossTrainer(Trainer):
             "metric": self._metric(surface, samples, depth[:, :SAMPLE_VERTICES]),
             "edges": paper_losses.edge_inextensibility(vertices, edges, lengths),
             "boundary": paper_losses.boundary(surface, samples.weight),
-            "gravity": paper_losses.gravity(vertices, garment.cloth, self.material),
+            "gravity": energies.gravity(vertices, garment.cloth, self.material),  # equation 7
         }
         return {name: paper_losses.WEIGHTS[name] * found[name].mean() for name in self.chosen.paper}
 
@@ -198,7 +199,7 @@ class LossTrainer(Trainer):
 
 
 def small_config(options: argparse.Namespace) -> TrainConfig:
-    """The configuration that all runs share: one garment, four partitions, the network of the shipped model or the paper's heads."""
+    """The configuration that all runs share: one garment, four partitions, the shipped network or the paper's heads."""
     # Without what makes charts agree by itself: what the losses do to them is to be seen.
     model = ModelConfig(agreed_base=False, corrections=0, closing_fit=False, feels_body=False)
     model = as_published(model) if options.variant == "paper" else model

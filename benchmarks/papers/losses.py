@@ -14,9 +14,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from drape.cloth import energies
-from drape.cloth.energies import ClothMesh
-from drape.cloth.material import Material
 from drape.garment.charts import ChartBlend
 from drape.garment.fitting import RestGarment, fit_jets
 from drape.geometry import jets, meshes
@@ -220,8 +217,3 @@ def boundary(surface: ChartSurface, weight: Tensor) -> Tensor:
     cosine = (normals[:, :, 0] * normals[:, :, 1]).sum(dim=-1)
     apart = GAP_WEIGHT * gap + NORMAL_WEIGHT * (1.0 - cosine).square()
     return (shared * apart).sum(dim=-1) / shared.sum().clamp(min=1.0)
-
-
-def gravity(vertices: Tensor, cloth: ClothMesh, material: Material) -> Tensor:
-    """Equation 7: -m g^T x [J], summed over the vertices."""
-    return energies.gravity(vertices, cloth, material)

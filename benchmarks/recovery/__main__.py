@@ -22,8 +22,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import Benchmark, Option, Run
-from benchmarks.recovery.compare import pattern_error
-from benchmarks.recovery.disturbed import off
+from benchmarks.recovery.compare import off, pattern_error
 from benchmarks.tables import Row, text_table
 from drape.body.assets import load_body
 from drape.cloth.material import DEFAULT_MATERIAL, FABRICS
