@@ -39,7 +39,7 @@ class Timing:
 
     @staticmethod
     def of(taken: Sequence[float]) -> Timing:
-        """Of calls that took ``taken`` [ms]."""
+        """The timing of calls that took ``taken`` [ms]."""
         p50, p95, p99 = np.percentile(taken, [50, 95, 99])
         return Timing(float(min(taken)), float(p50), float(p95), float(p99), len(taken))
 

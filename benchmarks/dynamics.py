@@ -1,4 +1,4 @@
-"""How a dynamic model moves: what its hem does after an abrupt stop, and what motion costs (docs/guide/training.md).
+"""How a dynamic model moves: its hem after an abrupt stop, and the cloth's potential (docs/guide/training.md).
 
     python -m benchmarks.dynamics --model NAME [--garments dress skirt] [--motions FILE ...] [--save]
 
@@ -76,7 +76,7 @@ def stopped(clip: MotionClip, *, fps: float = FPS, hold_s: float = HOLD_S) -> tu
 
 
 def stop_row(what: Subject, clip: MotionClip) -> Row:
-    """What the hem does after the stop; times [s] since the stop, distances [mm] from the static drape."""
+    """The hem's motion after the stop: times [s] since the stop, distances [mm] from the static drape."""
     held, stop = stopped(clip)
     after = what.drape(held, motion=1.0)[stop:]
     still = what.drape(held.window(stop, 1), motion=0.0)[0]

@@ -1,8 +1,8 @@
 """Proof of the fabrics: cantilever, tensile and drape tests in the simulator beside closed forms and published bands.
 
 Every fabric on meshes of three sizes: bending length along warp and weft against Peirce's (B / w)^(1/3), stretch of
-strips along warp, weft and bias against the constants, drape coefficient and nodes of Cusick's disc. What bends is
-tested with a membrane that the cloth's own weight stretches by less than 0.02 %, because a stiffer one locks on
+strips along warp, weft and bias against the constants, drape coefficient and nodes of Cusick's disc. Bending is tested
+with a membrane that the cloth's own weight stretches by less than 0.02 %, because a stiffer one locks on
 triangles; the coarsest mesh also says what the whole membrane gives.
 
     python -m benchmarks.fabrics [--quick] [--fabric NAME ...]
@@ -114,7 +114,7 @@ def measure(name: str, edge_m: float, *, thorough: bool) -> dict[str, Any]:
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """What the rows of the finest mesh show together; order is Spearman's of drapes and middles of the bands."""
+    """The rows of the finest mesh summed up; ``order`` is Spearman's of drapes and middles of the bands."""
     finest = [row for row in rows if row["edge_mm"] == min(row["edge_mm"] for row in rows)]
     found = [row["drape_coefficient_pct"] for row in finest]
     bands = [float(np.mean(row["range_pct"])) for row in finest]

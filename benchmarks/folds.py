@@ -1,4 +1,4 @@
-"""What folds make of a clip: energies, strain, detail, jitter and time by steps of folds and by what they start from.
+"""Folds of clips: energies, strain, detail, jitter and time, by steps of folds and by the drape they start from.
 
     python -m benchmarks.folds
     python -m benchmarks.folds --garments tshirt --motions walk squat $DRAPE_DATA/motions/cmu_02_04.npz --save
@@ -47,7 +47,7 @@ COLUMNS = {
 
 
 def judged(scene: Scene, plain: np.ndarray) -> Judged:
-    """What judges drapes of the scene's measured frames; heights count from ``plain`` [m] (F, V, 3)."""
+    """The judge of drapes of the scene's measured frames; heights count from ``plain`` [m] (F, V, 3)."""
     cloth = Cloth.of(scene.garment, scene.body, scene.fabric)
     return Judged(cloth, scene.clip.body_vertices, plain[scene.clip.measured].astype(np.float64))
 
@@ -72,17 +72,16 @@ def measure(scene: Scene, networks: Mapping[str, Network], options: argparse.Nam
     """The rows of a scene: a start, so many steps of folds on it, in cloth that feels itself or not."""
     starts = scene.starts(dict(networks))
     judge = judged(scene, starts["skinning"])
-    rows = []
-    contacts: tuple[bool, ...] = (False, True) if options.cloth_contact else (False,)
-    ways = [(sweeps, contact) for sweeps, contact in product(options.sweeps, contacts) if sweeps or not contact]
-    for method, (sweeps, contact) in product(list(starts), ways):
-        start = starts[method]
+    rows: list[Row] = []
+    contacts = (False, True) if options.cloth_contact else (False,)
+    knobs = [(n, contact) for n in options.sweeps for contact in contacts if n or not contact]
+    for (method, start), (sweeps, contact) in product(starts.items(), knobs):
         folding = Folding(scene.constants, FoldEffort(sweeps, cloth_contact=contact), scene.clip.fps)
         vertices = folding.frames(start, scene.clip.skin) if sweeps else start
         ms = folding.ms or [0.0, 0.0]
-        knobs = {"fps": scene.clip.fps, "method": method, "sweeps": sweeps, "cloth_contact": contact}
+        told = {"fps": scene.clip.fps, "method": method, "sweeps": sweeps, "cloth_contact": contact}
         took = {"ms": float(np.median(ms[1:])), "first_ms": ms[0], "resets": folding.resets, "frames": len(start)}
-        rows.append(scene.name | knobs | took | figures(judge, vertices, start, scene.clip.measured))
+        rows.append(scene.name | told | took | figures(judge, vertices, start, scene.clip.measured))
     plain = next(row for row in rows if row["method"] == "skinning" and not row["sweeps"])
     if options.physics:
         least = bound(scene, starts)

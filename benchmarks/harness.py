@@ -137,7 +137,7 @@ class Run:
         print(text_table(found, self.columns), flush=True)
 
     def record(self) -> Record:
-        """What is kept of the run."""
+        """The record of the run."""
         made = {"machine": machine(), "threads": self.options.threads, "commit": commit()}
         told = {"command": command(self.name, self.options.words)}
         return finite({"bench": self.name, "rows": self.rows, **self.extra, **made, **told})
@@ -196,7 +196,7 @@ class Command:
 
 
 class Benchmark:
-    """What a benchmark's command line has: ``name`` of its record, the ``columns`` of its table, and its options."""
+    """The command line of a benchmark: the ``name`` of its record, the ``columns`` of its table, and its options."""
 
     def __init__(self, name: str, description: str, columns: Columns, *options: Option) -> None:
         self.name, self.description, self.columns = name, description, columns

@@ -12,7 +12,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,21 +20,24 @@ import numpy as np
 from benchmarks.clock import Timing, timed
 from benchmarks.harness import Benchmark, Option, Run
 from benchmarks.speed import rivals
-from benchmarks.speed.setup import network_of, poses, shipped, shipped_names, with_patches, with_vertices
 from benchmarks.speed.skinning_push import SkinningPush
 from benchmarks.tables import Row
 from drape.artifacts import MODELS_DIR
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
-from drape.garment.cache import Garment
+from drape.garment.cache import GARMENTS_DIR, Garment, load_garment
+from drape.garment.fitting import patch_fields, rest_garment
+from drape.geometry import jets, meshes
 from drape.graph.feeds import garment_feed
 from drape.graph.packing import PackedBody, pack_body
 from drape.graph.push_feed import SkinShapes
+from drape.motion.samples import SAMPLES
 from service.graphs.engine import Engine
 from service.graphs.graph_names import JETS, PACKED
 from service.graphs.onnx_runtime import PROVIDER_NAMES, Device
 from service.graphs.packing import SHAPE_INDEX, STORED_INDEX, Packer, ScenePlan
 from service.graphs.push import Pusher
+from training.exported import load_exported
 from training.model import OneFit
 
 COLUMNS = {
@@ -50,19 +53,18 @@ GARMENTS = (1, 4, 16, 64)
 
 @dataclass(frozen=True)
 class Bench:
-    """What all measurements share."""
+    """The engines, model and body that all measurements share."""
 
     engine: Engine
-    halved: Engine
     model: OneFit
     body: BodyModel
     shape: PackedBody
     seconds: float
     threads: int
 
-    def packer(self, garments: dict[str, Garment], *, half: bool = False) -> Packer:
-        """A packer with ``garments`` in store, of the network in float16 where ``half`` is asked for."""
-        packer = Packer(self.halved if half else self.engine, self.body)
+    def packer(self, garments: dict[str, Garment]) -> Packer:
+        """A packer with ``garments`` in store."""
+        packer = Packer(self.engine, self.body)
         for key, garment in garments.items():
             packer.add(key, garment)
         return packer
@@ -94,9 +96,6 @@ def single_rows(bench: Bench, name: str) -> list[Row]:
     ]
     rows[0]["push_out_ms"] = rows[1]["push_out_ms"]
     rows.append({"name": "onnx_jets", **bench.clock(packer, [name], ScenePlan("jets")).row()})
-    if bench.halved.half:
-        by_half = bench.packer({name: garment}, half=True)
-        rows.append({"name": "onnx_fp16", **bench.clock(by_half, [name], ScenePlan()).row()})
     rows.append(rivals.torch_row(bench.model, garment, bench.body, pose, seconds=bench.seconds))
     skin = timed(lambda: skinning.skin(pose), seconds=bench.seconds)
     both = timed(lambda: skinning.push(skinning.skin(pose), pose), seconds=bench.seconds)
@@ -213,6 +212,84 @@ def growth_rows(bench: Bench, *, quick: bool) -> list[Row]:
     return rows
 
 
+def network_of(folder: Path) -> OneFit:
+    """The network in torch whose graphs are in the model ``folder``."""
+    weights, config, _ = load_exported(folder)
+    model = OneFit(config).eval()
+    model.load_state_dict(weights)
+    return model
+
+
+def shipped(name: str) -> Garment:
+    """The shipped garment called ``name``."""
+    return load_garment(next(iter(sorted(GARMENTS_DIR.glob(f"{name}-*.npz")))))
+
+
+def shipped_names() -> list[str]:
+    """Names of all shipped garments."""
+    return sorted({path.name.rsplit("-", 1)[0] for path in GARMENTS_DIR.glob("*.npz")})
+
+
+def poses(count: int) -> np.ndarray:
+    """Poses (count, 24, 3) [rad], spread over the sample clips."""
+    clips = [make().poses for make in SAMPLES.values()]
+    every = np.concatenate(clips)
+    return every[np.linspace(0, len(every) - 1, count).astype(int)]
+
+
+def with_vertices(garment: Garment, count: int) -> Garment:
+    """``garment`` with its mesh subdivided, and ``count`` of its vertices in the same patches.
+
+    A new vertex takes patches and weights of a parent; its places in them are its own, so the surface is the same.
+    """
+    while garment.vertex_count < count:
+        garment = _subdivided(garment)
+    # The others stay behind them, as vertices of a subdivision do: the whole mesh says how the grain runs.
+    shuffled = np.random.default_rng(0).permutation(garment.vertex_count)
+    finer = np.arange(garment.vertex_count, len(garment.vertices))
+    order = np.concatenate([np.sort(shuffled[:count]), np.sort(shuffled[count:]), finer])
+    rows = {f.name: getattr(garment, f.name)[order] for f in fields(Garment) if f.name in _PER_VERTEX}
+    fine_faces = np.argsort(order)[garment.fine_faces].astype(garment.fine_faces.dtype)
+    return replace(garment, vertex_count=count, faces=garment.faces[:0], fine_faces=fine_faces, **rows)
+
+
+_PER_VERTEX = ("vertices", "chart_patch", "chart_uv", "chart_weight", "chart_residual", "skin_weights", "shapedirs")
+
+
+def _subdivided(garment: Garment) -> Garment:
+    count = garment.vertex_count
+    vertices, faces, parents = meshes.subdivide(garment.vertices[:count].astype(np.float64), garment.faces)
+    first = parents[:, 0]  # of an old vertex: itself
+    patch = garment.chart_patch[first]
+    rotation = garment.patch_rotation[patch].astype(np.float64)
+    local = np.einsum("vkba,vkb->vka", rotation, vertices[:, None] - garment.patch_centre[patch])
+    scale = garment.patch_scale[patch].astype(np.float64)[..., None]
+    uv = local[..., :2] / scale
+    return replace(
+        garment,
+        vertex_count=len(vertices),
+        vertices=vertices,
+        faces=faces,
+        fine_faces=faces,
+        chart_patch=patch,
+        chart_uv=uv,
+        chart_weight=garment.chart_weight[first],
+        chart_residual=local - scale * jets.evaluate(garment.patch_jet[patch].astype(np.float64), uv),
+        skin_weights=garment.skin_weights[first],
+        shapedirs=garment.shapedirs[first],
+        # Panels and texture are of the triangles before; only speed is asked here.
+        **dict.fromkeys(("rest_edges", "rest_angle", "rest_stiffening")),
+        uv=garment.uv[:0],
+        uv_faces=garment.uv_faces[:0],
+    )
+
+
+def with_patches(garment: Garment, count: int) -> Garment:
+    """``garment`` covered anew by ``count`` patches."""
+    rest = rest_garment(garment.vertices, garment.fine_faces, load_body())
+    return replace(garment, **patch_fields(rest, count=count))
+
+
 @Benchmark(
     "latency",
     "Latency and throughput.",
@@ -224,9 +301,9 @@ def main(run: Run) -> None:
     """Rows of single frames, of batches, and of growing garments and stores."""
     options, body, load = run.options, load_body(), os.getloadavg()[0]
     device = Device(options.provider, options.threads)
-    engine, halved = (Engine(options.model, device=device, half=half) for half in (False, True))
+    engine = Engine(options.model, device=device, half=False)
     seconds, model = 0.3 if options.quick else 3.0, network_of(options.model)
-    bench = Bench(engine, halved, model, body, pack_body(body), seconds, options.threads)
+    bench = Bench(engine, model, body, pack_body(body), seconds, options.threads)
     run.rows = [row for name in SINGLE for row in single_rows(bench, name)]
     run.rows += batch_rows(bench, BATCHES[:4:3] if options.quick else BATCHES)
     run.rows += growth_rows(bench, quick=options.quick)

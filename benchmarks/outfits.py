@@ -9,9 +9,9 @@ requests; "over" both in one scene, where the outer one feels the inner one; "pr
 network and the collision projection.
 
 ``through_pct`` is of the pixels, from four sides, that show outer cloth or covered inner cloth
-(``benchmarks.measure.skin_pixels``); ``inner_out_pct`` of the inner garment's vertices, seen or not. Strain, crossings
-and jitter are the outer garment's; jitter is against the network alone. Times are of both garments: the frames of a
-stream after the first, or poses, whose folds have no past and settle.
+(``benchmarks.measure.skin_pixels``). Strain, crossings and jitter are the outer garment's; jitter is against the
+network alone. Times are of both garments: the frames of a stream after the first, or poses, whose folds have no past
+and settle.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from drape.catalog import find_garments, find_motions, open_garment
 from drape.cloth import metrics
 from drape.errors import InputError
 from drape.garment.cache import Garment
-from drape.geometry import closest, meshes
+from drape.geometry import meshes
 from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
 from drape.wire.options import DrapeOptions
@@ -51,11 +51,10 @@ NETWORK = "network"  # what jitter is against
 LOOKED_AT, QUICK_LOOKED_AT = 12, 2  # frames of a stream that are measured
 CROSSED = 2  # and whose crossings are counted
 IN_EACH_OTHER_M = 0.02  # at most, of two garments at rest, where each was cut for the skin
-SHOWN_M = 0.03  # farther out, a vertex is another part of the body's: a hip beside a sleeve
 TARGET_PCT, TARGET_WORST_PCT = 0.05, 0.5
 COLUMNS = {
     "outfit": "s", "clip": "s", "method": "s", "through_pct": ".3f", "through_worst_pct": ".2f", "worst": "s",
-    "inner_out_pct": ".2f", "inner_out_worst_pct": ".2f", "edge_pct": ".2f", "self_intersections": ".0f",
+    "edge_pct": ".2f", "self_intersections": ".0f",
     "jitter_ratio": ".2f", "p50_ms": ".1f", "processor_ms": ".1f", "times_singles": ".2f",
 }  # fmt: skip
 
@@ -71,7 +70,7 @@ class Worn:
 
     @classmethod
     def of(cls, text: str, body: BodyModel) -> Worn:
-        """What ``text`` names; refuses any other number than two."""
+        """The outfit that ``text`` names; refuses any other number of garments than two."""
         names = text.split("+")
         if len(names) != 2:
             raise InputError("--outfits", expected="inner+outer", got=text, cure="For example trousers+tshirt.")
@@ -84,7 +83,7 @@ class Worn:
         return cls(text, inner, outer, covered)
 
     def plans(self, drapery: DrapeRuntime, folds: int) -> dict[str, list[Plan]]:
-        """What is asked of the service, by method; the garments that it needs are taken in."""
+        """The plans that are asked of the service, by method; the garments that it needs are taken in."""
         inner, outer = (drapery.garments.add(garment, "user") for garment in (self.inner, self.outer))
         both = drapery.garments.scene(None, [inner.id, outer.id])
         found = {
@@ -114,7 +113,7 @@ class Watched:
 
 @dataclass(frozen=True, eq=False)
 class Drapes:
-    """What a method made of the measured frames (n) of ``watched``: ``inner`` and ``outer`` vertices [m] (n, V, 3), and
+    """A method's drapes of the measured frames (n) of ``watched``: ``inner`` and ``outer`` vertices [m] (n, V, 3), and
     the share [%] (n, 4) of inner cloth that shows, from four sides."""
 
     watched: Watched
@@ -136,14 +135,12 @@ class Drapes:
     def figures(self, worn: Worn) -> Row:
         """The columns of a row that these frames tell."""
         rest, faces = at_rest(worn.outer)
-        through, out = self.through.mean(axis=1), inner_out_pct(self.inner, self.outer, faces)
+        through = self.through.mean(axis=1)
         few = slice(None, None, max(1, len(self.outer) // CROSSED))
         return {
             "through_pct": float(through.mean()),
             "through_worst_pct": float(through.max()),
             "worst": self.watched.clip.labels[int(through.argmax())],
-            "inner_out_pct": float(out.mean()),
-            "inner_out_worst_pct": float(out.max()),
             "edge_pct": float(metrics.edge_strain_pct(self.outer, rest, faces).mean()),
             "self_intersections": float(intersection_count(self.outer[few], faces).mean()),
         }
@@ -183,16 +180,6 @@ def measure(worn: Worn, watched: Watched, drapery: DrapeRuntime, folds: int) -> 
     alone, over, _ = rows
     over["times_singles"] = over["processor_ms"] / alone["processor_ms"]
     return rows
-
-
-def inner_out_pct(inner: np.ndarray, outer: np.ndarray, outer_faces: np.ndarray) -> np.ndarray:
-    """Share of the vertices ``inner`` (B, U, 3) that are out, up to ``SHOWN_M`` before the outer garment's faces."""
-    shares = []
-    for under, over in zip(inner, outer, strict=True):
-        beside = closest.on_border(closest.closest_point(under, over, outer_faces), outer_faces)
-        distance = closest.signed_distance(under, over, outer_faces)
-        shares.append((~beside & (distance > 0.0) & (distance < SHOWN_M)).mean())
-    return 100.0 * np.array(shares)
 
 
 def missed(rows: Sequence[Row]) -> list[str]:

@@ -71,7 +71,7 @@ COLUMNS = {
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """What all garments share: hard poses, windows of clips for jitter, and the networks.
+    """The inputs that all garments share: hard poses, windows of clips for jitter, and the networks.
 
     ``fabric``: what garments are made of; None for the cloth ``material`` of before fabrics. ``uncorrected`` is the
     network without corrections, which folds start from; without it, or a fabric, there are no folds. Physics takes at

@@ -69,21 +69,6 @@ def network_table(record: Record) -> str:
     return markdown_table(["garment", *heads(own), *more], lines)
 
 
-def gain_table(record: Record) -> str:
-    """Strains and gains alone: one line per garment."""
-    fabric, groups = _measured(record["rows"], FABRIC), _by_method(record["rows"])
-    folds = {"folds": "two steps of folds"} if any("folds" in rows for rows in groups.values()) else {}
-    methods = {"network_push": "network + push-out", **folds}
-    lines = []
-    for (garment, _, _), rows in groups.items():
-        strains = [f"{rows[method]['edge_pct']:.2f}" for method in ("skinning_push", *methods, "physics")]
-        gains = [f"{rows[method]['gain']:.2f}" for method in methods]
-        lines.append([garment, *cells(rows["physics"], fabric), *strains, *gains])
-    titles = ["edge strain %: skinning + nearest-vertex push", *methods.values(), "physics"]
-    gained = [f"gain: {name}" for name in methods.values()] if folds else ["gain"]
-    return markdown_table(["garment", *heads(fabric), *titles, *gained], lines, record)
-
-
 def fabrics_table(record: Record) -> str:
     """One line per garment and fabric: the gain of the network, its strain and hang beside those of physics."""
     lines = []
@@ -320,7 +305,6 @@ QUALITY_PAGE, FOLDS_PAGE, SPEED_PAGE = (
 TRAINING_PAGE, FIT_PAGE = "docs/guide/training.md", "docs/explanation/recovery_fit.md"
 TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("quality", QUALITY_PAGE, "quality", quality_table),
-    ("quality", QUALITY_PAGE, "gain", gain_table),
     ("quality", QUALITY_PAGE, "quality_network", network_table),
     ("quality_fine", QUALITY_PAGE, "quality_fine", network_table),
     ("quality_fabrics", QUALITY_PAGE, "quality_fabrics", fabrics_table),

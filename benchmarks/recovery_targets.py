@@ -3,15 +3,14 @@
 As the paper does, patterns of Garment-Pattern-Generator are draped by a simulator that is not ours (Newton's Style3D
 solver, ``newton_drape.py``; there 3ds Max) and recovered from the mesh alone. It is another cloth, another
 bending, another contact, and a finer mesh. The base is the same template in another size: all widths and all heights 5
-to 10 % off (``benchmarks.recovery.disturbed``). The templates are sized to the shipped body; shorts are our own draft.
+to 10 % off (``benchmarks.recovery.compare``). The templates are sized to the shipped body; shorts are our own draft.
 
     python -m benchmarks.recovery_targets --newton PYTHON [--garments tee pants] [--seeds 1] [--edge-length 0.035]
-        [--targets FOLDER] [--picture FILE.png] [--save]
+        [--targets FOLDER] [--save]
 
 PYTHON is an interpreter that has the package newton (Apache-2.0; not a dependency). --targets keeps the drapes.
 
-Of the closing steps of Gauss and Newton four are taken a round: with ten the pattern makes up for what the simulators
-differ by.
+A round has four closing steps of Gauss and Newton: with ten the pattern makes up for the difference of the simulators.
 """
 
 from __future__ import annotations
@@ -29,8 +28,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import ROOT, Benchmark, Option, Run
-from benchmarks.recovery.compare import pattern_error
-from benchmarks.recovery.disturbed import off
+from benchmarks.recovery.compare import off, pattern_error
 from benchmarks.recovery.published import ahead
 from benchmarks.recovery.surfaces import surface_error
 from benchmarks.recovery.turning import turning_distance
@@ -126,7 +124,7 @@ def newton_target(
 
 
 def newton_drape(name: str, scene: dict[str, Any], python: str, folder: Path) -> dict[str, np.ndarray]:
-    """What ``newton_drape.py`` makes of ``scene``, kept in ``folder`` under the digest of scene and program."""
+    """The drape of ``scene`` by ``newton_drape.py``, kept in ``folder`` under the digest of scene and program."""
     program = ROOT / "benchmarks/recovery/newton_drape.py"
     digest = hashlib.sha256(program.read_bytes())
     for key in sorted(scene):

@@ -1,4 +1,4 @@
-"""What is measured: clips, garments in fabrics over them, and their drapes by skinning and by folds."""
+"""The cases of benchmarks: clips, garments in fabrics over them, and their drapes by skinning and by folds."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ class Scene:
 
     @cached_property
     def constants(self) -> FoldConstants:
-        """What folds keep of the garment."""
+        """The garment's constants for folds."""
         return fold_constants(self.garment, self.body, self.fabric)
 
     def network(self, network: Network) -> np.ndarray:

@@ -11,7 +11,7 @@ same clip at the same rate, measured alone before (``model_ms`` and ``model_p99_
 
 ``cpu_ms``: processor time of the server's process per pose that was sent.
 
-Cases: ``streams`` of each tier; single frames by ``POST /drape`` (httpx, and a bare client); streams of ``two
+Cases: ``streams`` of each tier; single frames by ``POST /drape``; streams of ``two
 garments``; a ``still`` body beside a ``moving`` one; ``overload``, three times the streams that ``accurate`` carries,
 with and without the step down; and the streams of the ``twin``.
 """
@@ -33,7 +33,6 @@ from http import HTTPStatus
 from http.client import HTTPConnection
 from typing import Any
 
-import httpx
 import numpy as np
 
 from benchmarks.harness import ROOT, Benchmark, Option, Run
@@ -57,7 +56,6 @@ LATE_S, WARM_S = 0.1, 1.0
 OVERLOADED_S = 3.0  # until streams that all come at once are held where they stay
 PAIR = ("tshirt", "dress")
 POST, POSTED = "POST /drape", {"passes": 0, "folds": 0}
-BARE = "POST /drape, bare client"  # of the standard library: httpx has half a millisecond of its own
 CARRIED_PCT = 97.0  # goodput of streams that are carried
 COLUMNS = {
     "case": "s", "server": "s", "tier": "s", "clients": "d", "fps": ".0f", "goodput_pct": ".1f", "stepped_pct": ".0f",
@@ -68,7 +66,7 @@ COLUMNS = {
 
 @dataclass(eq=False)
 class Seen:
-    """What one client saw: poses sent, and of each frame when it came [s], its age, its time in the service."""
+    """One client's view: how many poses it sent, and when each frame came [s], its age, its time in the service."""
 
     sent: int = 0
     came_s: list[float] = field(default_factory=list)
@@ -157,8 +155,10 @@ async def crowd(
     url: str, clip: MotionClip, count: int, seconds: float, warm_s: float = WARM_S,
     *, begun: Callable[[], None] | None = None, garments: Sequence[str] = (), **options: Any,
 ) -> list[Seen]:  # fmt: skip
-    """What ``count`` clients saw at the same time, after all are open and ``warm_s`` that do not count; ``begun`` is
-    called then. Of several ``garments`` each client has the next one."""
+    """The views of ``count`` clients at the same time, after all are open and ``warm_s`` that do not count.
+
+    ``begun`` is called then. With several ``garments``, each client has the next one.
+    """
     seen = [Seen() for _ in range(count)]
     named: list[dict[str, Any]] = [
         options | {"garment": garments[i % len(garments)]} if garments else options for i in range(count)
@@ -204,7 +204,7 @@ def beside_model(inside_ms: np.ndarray, model_ms: np.ndarray) -> dict[str, float
 
 
 def model_times(garment: str, clip: MotionClip, seconds: float) -> dict[str, np.ndarray]:
-    """What each frame (F,) of ``clip`` at ``FPS`` takes alone in this process [ms], stages without serving.
+    """Time [ms] (F,) of each frame of ``clip`` at ``FPS`` alone in this process, stages without serving.
 
     By tier, and for ``POST``: warm frames of its options.
     """
@@ -221,7 +221,7 @@ def model_times(garment: str, clip: MotionClip, seconds: float) -> dict[str, np.
 
 
 def alone(plan: Plan, shape_count: int, clip: MotionClip, seconds: float, *, warm: bool = False) -> np.ndarray:
-    """What each frame (F,) of ``clip`` under ``plan`` takes [ms].
+    """Time [ms] (F,) of each frame of ``clip`` under ``plan``.
 
     Frames come with the pauses of a stream, for what a pause leaves of the processor's caches is the frame's to pay;
     ``warm`` frames come one right after the other, and have no past.
@@ -236,32 +236,29 @@ def alone(plan: Plan, shape_count: int, clip: MotionClip, seconds: float, *, war
     return np.array(stream.clock.wall_ms[1:])  # the first pays for what is made once
 
 
-def posts(url: str, garment: str, clip: MotionClip, seconds: float, *, bare: bool = False) -> np.ndarray:
-    """What ``POST /drape`` of one frame, binary there and back, takes [ms] (F,), one right after the other; by httpx,
-    or by the standard library's client."""
+def posts(url: str, garment: str, clip: MotionClip, seconds: float) -> np.ndarray:
+    """Time [ms] (F,) of ``POST /drape`` of one frame, binary there and back, one right after the other.
+
+    The client is the standard library's, which has less of its own than others.
+    """
     took_ms: list[float] = []
-    headers: dict[str, str] = dict.fromkeys(("Content-Type", "Accept"), "application/octet-stream")
-    connection = HTTPConnection(url.partition("://")[2])
-    with contextlib.closing(connection), httpx.Client(base_url=url, headers=headers) as client:
+    headers = dict.fromkeys(("Content-Type", "Accept"), "application/octet-stream")
+    with contextlib.closing(HTTPConnection(url.partition("://")[2])) as connection:
         for frame in range(1 + max(2, int(seconds * FPS))):
-            pose = clip.poses[frame % len(clip.poses)][None]
-            body = pack_clip({"garment": garment} | POSTED, pose, None)
+            body = pack_clip({"garment": garment} | POSTED, clip.poses[frame % len(clip.poses)][None], None)
             start_s = time.perf_counter()
-            if bare:
-                connection.request("POST", "/drape", body, headers)
-                answer = connection.getresponse()
-                answer.read()
-                if answer.status != HTTPStatus.OK:
-                    raise RuntimeError(f"the service answered {answer.status}")
-            else:
-                client.post("/drape", content=body).raise_for_status()
+            connection.request("POST", "/drape", body, headers)
+            answer = connection.getresponse()
+            answer.read()
+            if answer.status != HTTPStatus.OK:
+                raise RuntimeError(f"the service answered {answer.status}")
             took_ms.append(1e3 * (time.perf_counter() - start_s))
     return np.array(took_ms[1:])
 
 
 @dataclass(eq=False)
 class Bench:
-    """What all cases share; their rows go to ``run``."""
+    """The clip, garment and times that all cases share; their rows go to ``run``."""
 
     run: Run
     clip: MotionClip
@@ -281,13 +278,12 @@ class Bench:
         return row
 
     def posted(self, at: Server) -> None:
-        """Adds the rows of single frames, one request each: ages are from request to answer."""
-        for case in (POST, BARE):
-            took_ms = posts(at.url, self.garment, self.clip, self.seconds, bare=case == BARE)
-            row = {"case": case, "server": "service", "tier": "", "clients": 1, "fps": FPS, "goodput_pct": 100.0}
-            row["frame_age_p50_ms"] = float(np.median(took_ms))
-            row["frame_age_p99_ms"] = float(np.percentile(took_ms, 99.0))
-            self.run.add([row | beside_model(took_ms, self.model_ms[POST])])
+        """Adds the row of single frames, one request each: ages are from request to answer."""
+        took_ms = posts(at.url, self.garment, self.clip, self.seconds)
+        row = {"case": POST, "server": "service", "tier": "", "clients": 1, "fps": FPS, "goodput_pct": 100.0}
+        row["frame_age_p50_ms"] = float(np.median(took_ms))
+        row["frame_age_p99_ms"] = float(np.percentile(took_ms, 99.0))
+        self.run.add([row | beside_model(took_ms, self.model_ms[POST])])
 
     def carried(self, at: Server, tier: str, counts: Sequence[int], *, name: str = "service") -> int:
         """How many of ``counts`` clients the server carries; adds their rows."""

@@ -214,8 +214,8 @@ def write_tiers(folder: Path, tiers: list[Row]) -> None:
 
 
 def combinations(steps: Sequence[int]) -> list[Knobs]:
-    """What is measured with each number of ``steps``: as served, without push-out, and without that and without cloth
-    that feels itself."""
+    """The combinations with each number of ``steps``: as served, without push-out, and without push-out in cloth that
+    does not feel itself."""
     found = [Knobs(passes, n, push) for push in (False, True) for passes in PASSES for n in steps]
     return found + [Knobs(passes, n, False, cloth_contact=False) for passes in PASSES for n in steps if n]
 

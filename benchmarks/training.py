@@ -1,21 +1,14 @@
-"""Training throughput [frames/s] on one garment, and where the time of a step goes.
-
-Rows: one process with one thread, one process with all threads, and one process per core under torchrun, with
-the same configuration and the same number of frames per step in all. The stages are read with a profiler in a
-pass of their own, after the timed one.
+"""Training throughput [frames/s] on one garment, with one thread and with all, and where the time of a step goes.
 
     python -m benchmarks.training [--garment tshirt] [--batch 4] [--steps 60] [--bf16] [--device cpu] [--save]
+
+The stages are read with a profiler in a pass of their own, after the timed one.
 """
 
 from __future__ import annotations
 
-import argparse
 import cProfile
-import json
-import os
 import pstats
-import subprocess
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -24,10 +17,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.harness import ROOT, Benchmark, Option, Run
+from benchmarks.harness import Benchmark, Option, Run
 from benchmarks.tables import Row
 from drape.files.data import data_folder
-from training import parallel
 from training.config import PRESETS, TrainConfig
 from training.poses import PoseBank, read_clips
 from training.run import Trainer, sample_motions
@@ -74,7 +66,7 @@ def measure(trainer: Trainer, steps: int) -> Row:
     for _ in range(WARM_STEPS):
         trainer.step()
     per_block = max(1, steps // BLOCKS)
-    frames = per_block * trainer.config.batch_size * parallel.world_size()
+    frames = per_block * trainer.config.batch_size
     rates = []
     for _ in range(BLOCKS):
         started = time.perf_counter()
@@ -88,7 +80,7 @@ def measure(trainer: Trainer, steps: int) -> Row:
         trainer.step()
     profile.disable()
     return {
-        "processes": parallel.world_size(),
+        "processes": 1,
         "threads": torch.get_num_threads(),
         "batch": trainer.config.batch_size,
         "bf16": trainer.config.autocast,
@@ -112,29 +104,6 @@ def configuration(garment: str, batch: int, *, bf16: bool = False) -> TrainConfi
     return replace(config, data=data, batch_size=batch, autocast=bf16)
 
 
-def parallel_row(options: argparse.Namespace, processes: int) -> Row:
-    """The row of ``processes`` processes under torchrun, which run this module as workers."""
-    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)]
-    command += ["-m", "benchmarks.training", "--garment", options.garment, "--device", options.device]
-    command += ["--batch", str(options.batch), "--steps", str(options.steps), *(["--bf16"] if options.bf16 else [])]
-    environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment, check=False)
-    if done.returncode:
-        raise RuntimeError(f"torchrun ended with {done.returncode}:\n{done.stderr[-2000:]}")
-    return json.loads(done.stdout.strip().splitlines()[-1])
-
-
-def worker(options: argparse.Namespace) -> None:
-    """One process of a parallel row; the first prints the row."""
-    torch.set_num_threads(1)
-    parallel.start(torch.device(options.device))
-    config = configuration(options.garment, options.batch, bf16=options.bf16)
-    row = measure(make_trainer(config, options.device), options.steps)
-    if parallel.rank() == 0:
-        print(json.dumps(row), flush=True)
-    parallel.stop()
-
-
 @Benchmark(
     "training",
     "Training throughput.",
@@ -146,17 +115,15 @@ def worker(options: argparse.Namespace) -> None:
     Option("--device", "cpu", "of torch"),
 )
 def main(run: Run) -> None:
-    """A row for each way to share a step among threads and processes."""
+    """A row for one thread, and one for all."""
     options = run.options
     trainer = make_trainer(configuration(options.garment, options.batch, bf16=options.bf16), options.device)
     for threads in sorted({1, options.threads}):
         torch.set_num_threads(threads)
         run.rows.append(measure(trainer, options.steps))
-    if not options.quick and options.threads > 1 and options.device == "cpu":
-        run.rows.append(parallel_row(options, options.threads))
     run.notes.append("stages: milliseconds per frame of one process, profiled apart from the timed steps")
     run.extra |= {"garment": options.garment, "device": options.device}
 
 
 if __name__ == "__main__":
-    worker(main.parse()) if "RANK" in os.environ else main.command()
+    main.command()

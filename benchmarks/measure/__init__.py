@@ -1,1 +1,1 @@
-"""How good the drape is: quality, outfits, dynamics and push-out of the served model, and pictures of it."""
+"""Measures of a drape: energies beside physics, jitter, hems, crossings, and skin that shows."""

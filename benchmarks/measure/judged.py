@@ -1,4 +1,4 @@
-"""What a drape is judged by: its energy, strain, collisions and relief, beside physics of the same cloth.
+"""Judging a drape: its energy, strain, collisions and relief, beside physics of the same cloth.
 
 ``MEASURES`` maps the name of a column to the function that computes it; ``Judged.figures`` gives a row of them.
 """
@@ -157,7 +157,7 @@ class Judged:
         return {name: float(np.mean(MEASURES[name](self, vertices))) for name in names}
 
     def task(self, starts: tuple[np.ndarray, ...]) -> physics.Task:
-        """What physics minimises, from ``starts`` [m] (n, V, 3)."""
+        """The task of physics, from ``starts`` [m] (n, V, 3)."""
         cloth = self.cloth
         return physics.Task.of_garment(
             cloth.garment, cloth.body, cloth.mesh, cloth.material,
@@ -184,7 +184,7 @@ MEASURES: dict[str, Callable[[Judged, np.ndarray], Any]] = {
     "colliding_vertex_pct": lambda j, x: metrics.colliding_vertex_pct(x, j.body_vertices, j.body_normals),
     "colliding_triangle_pct": lambda j, x: metrics.colliding_triangle_pct(x, j.body_vertices, j.cloth.body.faces),
     "self_intersections": lambda j, x: intersection_count(x, j.cloth.faces),
-    "skin_pixels_pct": lambda j, x: np.nanmean(j.skin_pct(x)),
+    "skin_pixels_pct": lambda j, x: np.nanmean(j.skin_pct(x), keepdims=True),
     "hang_mm": lambda j, x: hang_mm(x, j.skinned, j.cloth.rest, j.cloth.faces),
     "detail_mm": lambda j, x: j.cloth.low_pass.detail_mm(x),
     "dihedral_deg": lambda j, x: dihedral_deg(x, j.cloth.faces),

@@ -1,8 +1,8 @@
 """Skin that shows through cloth, counted in pictures: what a viewer sees, where other measures count triangles.
 
 A body and a garment are drawn from four sides. A pixel shows skin where the body is nearest, on a face that the rest
-pose covers, and cloth lies less than 3 cm behind it. What the rest pose covers is read off pictures too: faces in front
-of which there is always cloth, from eight sides, and that lie 3 cm from those that are bare: a hem may move so far.
+pose covers, and cloth lies less than 3 cm behind it. Pictures of the rest pose from eight sides tell which faces it
+covers: those that always have cloth before them, and lie 3 cm from bare ones, because a hem may move so far.
 An inner garment that shows through an outer one is counted in the same way, in the body's place.
 """
 
@@ -37,7 +37,7 @@ class Camera:
         return cls((int(np.ceil(height / PIXEL_M)), int(np.ceil(side / PIXEL_M))), 0.5 * (low + high))
 
     def see(self, vertices: np.ndarray, faces: np.ndarray, azimuth_deg: float) -> ZBuffer:
-        """What is nearest of a mesh [m] (V, 3), (F, 3)."""
+        """The nearest face in every pixel of a mesh [m] (V, 3), (F, 3), and its depth."""
         extent_m = self.size[0] * PIXEL_M
         return z_buffer(vertices, faces, size=self.size, azimuth_deg=azimuth_deg, centre=self.centre, extent_m=extent_m)
 
@@ -87,8 +87,8 @@ class PosedBody:
 def skin_pixels_pct(body: PosedBody, covered: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Share [%] (4,) of skin in the pixels of the cloth ``vertices`` [m] (V, 3), ``faces`` (F, 3), from four sides.
 
-    ``covered`` (Fb,): the body's faces of ``covered_faces``. Of the pixels that show cloth or such faces those count
-    that show such faces with cloth less than 3 cm behind. NaN where nothing is seen of either.
+    ``covered`` (Fb,): the body's faces of ``covered_faces``. The share is of the pixels that show cloth or such faces;
+    those count that show such a face with cloth less than 3 cm behind. NaN where neither is seen.
     """
     found = []
     for skin, azimuth_deg in zip(body.views, VIEWS_DEG, strict=True):

@@ -1,4 +1,4 @@
-"""What makes one network drape many garments: gain against the number of garments and partitions trained on.
+"""One network for many garments: gain against the number of garments and partitions trained on.
 
 Each run trains the shipped configuration anew for the same time on a part of the data and is measured, without
 export, on hard held-out poses of garments that it saw and of garments that it did not: OneFit's table 1 (one

@@ -67,7 +67,7 @@ class HeldOut:
         self._known: dict[str, tuple[Judged, float]] = {}
 
     def physics(self, garment: Garment) -> tuple[Judged, float]:
-        """What judges drapes of ``garment``, and the energy [J] of its physics optimum."""
+        """The judge of drapes of ``garment``, and the energy [J] of its physics optimum."""
         if garment.name not in self._known:
             judge = judged(garment, self.body, self.poses.poses, self._cloth)
             optimum, _ = judge.optimum((judge.pushed,), self._folder, self._steps)

@@ -1,16 +1,15 @@
-"""What each loss does: one small network trained with each set of losses, in the form of the paper's table 4.
+"""The effect of each loss: one small network trained with each set of losses, in the form of the paper's table 4.
 
     python -m benchmarks.papers.loss_ablation --minutes 15 --save
     python -m benchmarks.papers.loss_ablation --steps 8000 --save     # the same number of steps each
     python -m benchmarks.papers.loss_ablation --losses house paper --variant paper --minutes 15
 
-``paper`` are all terms of equation 10, ``no_TERM`` leaves one out: ``edges`` is their L_mesh_inext, ``metric`` their
-L_inext, ``collision`` their L_col. Beside them stand the figures of OneFit's table 4, of another tank top, another body
-and other motion: what may be compared is in which direction a term moves a column. All runs share configuration, seed,
-first weights and the order of garments, partitions and poses; they differ in the loss alone (losses.py;
-``house`` is training.run's own). Judged on hard poses of clips that were held out, on the shipped garment of the same
-design. Inertia has nothing to do here, as the network is static. A run
-that is already finished under ``--runs`` is not trained again.
+``paper`` has all terms of equation 10 but inertia, which does nothing to a static network; ``no_TERM`` leaves one out:
+``edges`` is their L_mesh_inext, ``metric`` their L_inext, ``collision`` their L_col. ``house`` is training.run's own
+loss. Beside them stand the figures of OneFit's table 4, of another tank top, another body and other motion: compare the
+direction in which a term moves a column. All runs share configuration, seed, first weights and the order of garments,
+partitions and poses; they differ in the loss alone. Networks are judged on hard poses of clips that were held out, on
+the shipped garment of the same design. A run that is finished under ``--runs`` is not trained again.
 """
 
 from __future__ import annotations
@@ -30,6 +29,7 @@ from benchmarks.papers import losses as paper_losses
 from benchmarks.papers.held_out import figures, judged, training_clips
 from benchmarks.papers.losses import ChartSamples, ChartSurface
 from drape.body.assets import load_body
+from drape.cloth import energies
 from drape.cloth.contact import plane_distance
 from drape.cloth.material import material
 from drape.errors import ArtifactError
@@ -137,7 +137,7 @@ class LossTrainer(Trainer):
             "metric": self._metric(surface, samples, depth[:, :SAMPLE_VERTICES]),
             "edges": paper_losses.edge_inextensibility(vertices, edges, lengths),
             "boundary": paper_losses.boundary(surface, samples.weight),
-            "gravity": paper_losses.gravity(vertices, garment.cloth, self.material),
+            "gravity": energies.gravity(vertices, garment.cloth, self.material),  # equation 7
         }
         return {name: paper_losses.WEIGHTS[name] * found[name].mean() for name in self.chosen.paper}
 
@@ -199,7 +199,7 @@ class LossTrainer(Trainer):
 
 
 def small_config(options: argparse.Namespace) -> TrainConfig:
-    """What all runs share: one garment, four partitions, the network of the shipped model or the paper's heads."""
+    """The configuration that all runs share: one garment, four partitions, the shipped network or the paper's heads."""
     # Without what makes charts agree by itself: what the losses do to them is to be seen.
     model = ModelConfig(agreed_base=False, corrections=0, closing_fit=False, feels_body=False)
     model = as_published(model) if options.variant == "paper" else model

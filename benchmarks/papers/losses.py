@@ -14,9 +14,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from drape.cloth import energies
-from drape.cloth.energies import ClothMesh
-from drape.cloth.material import Material
 from drape.garment.charts import ChartBlend
 from drape.garment.fitting import RestGarment, fit_jets
 from drape.geometry import jets, meshes
@@ -135,7 +132,7 @@ def weight_gradients(rest: RestGarment) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class ChartSurface:
-    """What each chart says of its vertices in F frames: ``positions`` [m] (F, n, 4, 3), ``tangents`` [m per unit]
+    """The charts' surface at their vertices in F frames: ``positions`` [m] (F, n, 4, 3), ``tangents`` [m per unit]
     (F, n, 4, 3, 2) by u and v, ``jet`` (F, n, 4, 27) the whole jet in the patch frame."""
 
     positions: Tensor
@@ -220,8 +217,3 @@ def boundary(surface: ChartSurface, weight: Tensor) -> Tensor:
     cosine = (normals[:, :, 0] * normals[:, :, 1]).sum(dim=-1)
     apart = GAP_WEIGHT * gap + NORMAL_WEIGHT * (1.0 - cosine).square()
     return (shared * apart).sum(dim=-1) / shared.sum().clamp(min=1.0)
-
-
-def gravity(vertices: Tensor, cloth: ClothMesh, material: Material) -> Tensor:
-    """Equation 7: -m g^T x [J], summed over the vertices."""
-    return energies.gravity(vertices, cloth, material)

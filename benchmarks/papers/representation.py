@@ -5,8 +5,8 @@
     python -m benchmarks.papers.representation --quick
 
 Every frame's energy (membrane, bending, gravity, contact with the posed body) is minimised over the free
-numbers of the patches, from the skinned start, by L-BFGS (representation_minimise.py); what a
-form is stands in representation_space.py. ``--patches`` are shares [%] of the count by rule. ``free``, every vertex
+numbers of the patches, from the skinned start, by L-BFGS (representation_minimise.py); representation_space.py
+tells what a form is. ``--patches`` are shares [%] of the count by rule. ``free``, every vertex
 for itself, starts from the better of the physics optimum of benchmarks.quality and the best form, and ends the scale
 of the gain.
 """
@@ -115,7 +115,7 @@ class Drapes:
 
 
 def frame_spaces(bench: Bench, form: Representation, found: Charts) -> list[PatchSpace]:
-    """What ``form`` can make of each frame, every patch scaled by itself."""
+    """The space of drapes that ``form`` can make, for each frame, every patch scaled by itself."""
     scaling = block_scaling(form, found)
     if not form.skinned:
         return [PatchSpace(form, found, *frame, scaling) for frame in posed_frames(bench, found)]

@@ -2,7 +2,7 @@
 
 Between two look-ups the energy is one fixed function; a pair (step, change of gradient) is only
 ever taken within such a stretch, so that the jumps of the planes never enter the curvature that
-the method learns, and the history outlives them. What is kept is the best point at which the
+the method learns, and the history outlives them. The result is the best point at which the
 planes were those of the point itself.
 """
 
@@ -40,7 +40,7 @@ class Objective(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """What was reached: ``z`` (n,) and its ``energy_j``.
+    """The point that was reached: ``z`` (n,) and its ``energy_j``.
 
     ``residual_j`` half the squared gradient: what one Newton step with the scaling for a Hessian would still gain.
     ``change`` the gain of the last 100 steps as a share of all that was gained, 0 where rounding left no descent.

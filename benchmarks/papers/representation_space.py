@@ -1,4 +1,4 @@
-"""What a garment can be draped with: the map from a patch's numbers to vertices, for each form of patch.
+"""Forms of patch that a garment can be draped with: the map from a patch's numbers to vertices, for each form of patch.
 
 All forms share patches, charts and blend; they differ in which polynomials a patch may change, whether it may turn, and
 whether bones move its frame rigidly or skin the vertices afterwards.

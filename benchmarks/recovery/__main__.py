@@ -22,8 +22,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import Benchmark, Option, Run
-from benchmarks.recovery.compare import pattern_error
-from benchmarks.recovery.disturbed import off
+from benchmarks.recovery.compare import off, pattern_error
 from benchmarks.tables import Row, text_table
 from drape.body.assets import load_body
 from drape.cloth.material import DEFAULT_MATERIAL, FABRICS
@@ -93,7 +92,6 @@ def recover(
         "seed": seed,
         "nodes": found.start.mesh.node_count,
         "target_nodes": target.mesh.node_count,
-        "same_mesh": triangles(found.start) == triangles(target),
         "base_mm": 1e3 * float(before.controls_m.mean()),
         "graded_mm": 1e3 * float(graded.controls_m.mean()),
         "first_mm": 1e3 * float(pattern_error(found.rounds[0].fitted.pattern, truth).controls_m.mean()),
@@ -131,11 +129,6 @@ def by_round(found: Recovered, truth: Pattern) -> list[Row]:
             }
         )
     return lines
-
-
-def triangles(draped: Draped) -> set[tuple[int, ...]]:
-    """The nodes of every triangle."""
-    return {tuple(row) for row in np.sort(draped.mesh.faces, axis=1).tolist()}
 
 
 def compare(found: dict[tuple[str, str, int], Recovered]) -> list[Row]:

@@ -1,4 +1,4 @@
-"""How far a recovered pattern is from the true one: control points after each panel is laid on its own, and areas."""
+"""Patterns beside the true one: the bases that recoveries start from, and the error of what they find."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ import numpy as np
 
 from drape.errors import InputError
 from recovery.pattern import geometry
-from recovery.pattern.coordinates import control_points
+from recovery.pattern.coordinates import control_points, with_controls
 from recovery.pattern.model import Pattern
-from recovery.pattern.symmetry import procrustes
+from recovery.pattern.symmetry import find_symmetries, free_controls, procrustes
+
+LEAST_OFF, MOST_OFF = 0.05, 0.10  # of all widths, and of all heights: other factors for a sleeve would unmatch its seam
 
 
 class PatternError(NamedTuple):
@@ -49,3 +51,11 @@ def pattern_error(found: Pattern, truth: Pattern, *, free_curves: bool = False) 
         far[mine] = np.linalg.norm((a - a.mean(axis=0)) @ matrix - (b - b.mean(axis=0)), axis=1)
     pairs = zip(found.panels, truth.panels, strict=True)
     return PatternError(far, np.array([geometry.area(a) / geometry.area(b) - 1.0 for a, b in pairs]))
+
+
+def off(truth: Pattern, seed: int) -> Pattern:
+    """``truth`` with all widths, and all heights, 5 to 10 % too small or too large."""
+    rng = np.random.default_rng(seed)
+    size = 1.0 + rng.choice([-1.0, 1.0], size=2) * rng.uniform(LEAST_OFF, MOST_OFF, size=2)
+    free = free_controls(truth, find_symmetries(truth))
+    return with_controls(truth, free.controls, free.origin * size)

@@ -1,1 +1,1 @@
-"""What a frame costs: latency and throughput, the wire, the differentiable simulator."""
+"""Inputs and rivals of the speed benchmarks, and a service's clients that come and go."""

@@ -52,7 +52,7 @@ COLUMNS = {
 
 @dataclass(eq=False)
 class Tally:
-    """What all clients did: counts by name, and sentences of what should not have happened."""
+    """The deeds of all clients: counts by name, and sentences of what should not have happened."""
 
     counts: collections.Counter[str] = field(default_factory=collections.Counter)
     faults: list[str] = field(default_factory=list)
@@ -202,7 +202,7 @@ async def going(url: str, number: int, poses: np.ndarray, mesh: bytes, end_s: fl
 
 
 async def churn(at: Server, minutes: float, clients: int) -> tuple[Tally, list[Looked]]:
-    """What ``clients`` did to the service for ``minutes``, and what its process held meanwhile."""
+    """The tally of ``clients`` over ``minutes``, and the looks at the service's process meanwhile."""
     clip = read_motion(find_motions(["walk"])[0])
     with httpx.Client(base_url=at.url, timeout=WAIT_S) as http:
         mesh = http.get("/garments/tank/mesh", headers={"Accept": "model/gltf-binary"}).content

@@ -1,4 +1,4 @@
-"""What stands beside the packed graph in ``benchmarks.latency``: the same network in torch, and the floor."""
+"""Rivals of the packed graph in ``benchmarks.latency``: the same network in torch, and the floor."""
 
 from __future__ import annotations
 

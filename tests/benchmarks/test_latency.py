@@ -9,8 +9,8 @@ from numpy.testing import assert_allclose
 
 from benchmarks import latency, records
 from benchmarks.clock import timed
+from benchmarks.latency import network_of, poses, shipped, with_patches, with_vertices
 from benchmarks.speed import rivals
-from benchmarks.speed.setup import network_of, poses, shipped, with_patches, with_vertices
 from benchmarks.speed.skinning_push import SkinningPush
 from drape.artifacts import MODELS_DIR
 from drape.body.assets import load_body

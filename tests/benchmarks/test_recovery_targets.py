@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks import recovery_targets
 from benchmarks.records import targets_table
-from benchmarks.recovery.disturbed import off
+from benchmarks.recovery.compare import off
 from benchmarks.recovery.newton_drape import outward
 from benchmarks.recovery.published import ahead
 from recovery.pattern.bases import skirt

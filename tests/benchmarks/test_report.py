@@ -63,7 +63,7 @@ def test_detail_and_fabrics_stand_where_they_were_measured():
     rows = [row | {"method": method} for method in ("skinning", "skinning_push", "network", "network_push", "physics")]
     figures = {"detail_mm": 1.26, "detail_share": 0.4}
     measured = [one | figures | {"fabric": name} for name in ("rib", "satin") for one in rows]
-    for made in (records.quality_table, records.network_table, records.gain_table):
+    for made in (records.quality_table, records.network_table):
         before, now = (made({"rows": found, "summary": [], **WHERE}).split("\n") for found in (rows, measured))
         assert "fabric" not in before[0] and "detail" not in before[0]
         assert now[0].startswith("| garment | fabric |")

@@ -1,4 +1,4 @@
-"""What benchmarks.papers.polyfit measures: fits of patches by model, and whole garments."""
+"""The measures of benchmarks.papers.polyfit: fits of patches by model, and whole garments."""
 
 from __future__ import annotations
 

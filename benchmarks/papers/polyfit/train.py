@@ -1,7 +1,7 @@
 """The training of PolyFit and of the networks it is compared with.
 
-What a step sees depends on its number alone, so that a training gives the same network whenever it runs. A network that
-is trained is kept with its configuration, and not trained again.
+The patches of a step depend on its number alone, so that a training gives the same network whenever it runs. A trained
+network is kept with its configuration, and not trained again.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from benchmarks.records import rounds_table
 from benchmarks.recovery.__main__ import VARIANTS, by_round, lengths, spread
-from benchmarks.recovery.disturbed import LEAST_OFF, MOST_OFF, off
+from benchmarks.recovery.compare import LEAST_OFF, MOST_OFF, off
 from drape.body.assets import load_body
 from recovery.drape.pipeline import DrapeOptions, drape_pattern
 from recovery.fit.optimise import FitOptions
