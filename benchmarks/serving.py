@@ -242,7 +242,7 @@ def posts(url: str, garment: str, clip: MotionClip, seconds: float) -> np.ndarra
     The client is the standard library's, which has less of its own than others.
     """
     took_ms: list[float] = []
-    headers = dict.fromkeys(("Content-Type", "Accept"), "application/octet-stream")
+    headers: dict[str, str] = dict.fromkeys(("Content-Type", "Accept"), "application/octet-stream")
     with contextlib.closing(HTTPConnection(url.partition("://")[2])) as connection:
         for frame in range(1 + max(2, int(seconds * FPS))):
             body = pack_clip({"garment": garment} | POSTED, clip.poses[frame % len(clip.poses)][None], None)
