@@ -82,7 +82,7 @@ def create_app(
 
 
 def make_state(runtime: DrapeRuntime, access: Access, life: Lifecycle) -> State:
-    """What a service holds around ``runtime``; nothing of it has begun."""
+    """The state of a service around ``runtime``; nothing of it has begun."""
     sliced_thread = SlicedThread()
     uploads, streams = Uploads(runtime, sliced_thread, access), Streams(runtime, sliced_thread)
     return State(

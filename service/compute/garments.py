@@ -71,7 +71,7 @@ class Registry:
         return entry
 
     def scene(self, garment: str | None, garments: Sequence[str] | None, viewer: str | None = None) -> Scene:
-        """What is worn: the one ``garment``, or ``garments`` over each other, innermost first.
+        """The scene that is worn: the one ``garment``, or ``garments`` over each other, innermost first.
 
         Refuses both and neither, unknown ones, one that is named twice, and more layers than ``DRAPE_MAX_LAYERS``.
         """

@@ -26,9 +26,11 @@ DISTRIBUTIONS = ("onnxruntime", "onnxruntime-gpu")
 
 @dataclass(frozen=True)
 class Device:
-    """Where graphs compute, and with what: ``threads`` of a CPU; of a GPU the memory that a session's workspace may
-    take [MB], and whether calls of one set of shapes are captured as a CUDA graph. ``keep_subnormals``: slower on many
-    processors, for measuring how much."""
+    """The processor or GPU on which graphs compute.
+
+    A CPU has ``threads``. On a GPU a session's workspace may take ``memory_mb`` [MB], and ``capture`` makes a CUDA
+    graph of the calls of one set of shapes. ``keep_subnormals`` is slower on many processors; it measures how much.
+    """
 
     provider: Provider = "cpu"
     threads: int = 1
@@ -41,7 +43,7 @@ class Device:
         return self.provider == "cuda" and self.capture
 
     def computing(self) -> AbstractContextManager[None]:
-        """What a thread opens and runs sessions within: the option of a session is for the threads of its own only."""
+        """The context in which a thread runs sessions; a session's own option holds for its own threads only."""
         return nullcontext() if self.keep_subnormals else flushed()
 
     def value(self, array: np.ndarray) -> onnxruntime.OrtValue:

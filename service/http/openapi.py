@@ -1,4 +1,4 @@
-"""What the OpenAPI document says beside what FastAPI reads off the routes: bodies, refusals, other media types."""
+"""Bodies, refusals and media types in the OpenAPI document that FastAPI does not read off the routes."""
 
 from __future__ import annotations
 

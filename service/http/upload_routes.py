@@ -62,7 +62,7 @@ async def upload(
 
 @router.get("/jobs/{job_id}", responses=responses(NotFound))
 async def job(job_id: str, state: StateHere, client: ClientHere) -> schemas.JobInfo:
-    """How far an upload is."""
+    """The state of an upload."""
     return _job_info(state.uploads.get(job_id, client.name))
 
 

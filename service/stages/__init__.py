@@ -29,7 +29,7 @@ def make_stages(setup: StageSetup) -> tuple[Stage, ...]:
 
 
 def make_plan(stages: Sequence[Stage], scene: Scene, options: DrapeOptions, *, messages: bool = False) -> Plan:
-    """What ``options`` come to for ``scene``: their values, the stages that they take, and what these need.
+    """The plan for ``scene`` under ``options``: their values, the stages that they take, and the needs of these.
 
     Refuses (``InputError``) what the model cannot do.
     """

@@ -27,8 +27,10 @@ async def run_sandbox(
     settings: Settings,
     begun: Callable[[str], None] = lambda stage: None,
 ) -> dict[str, Any]:
-    """What the intake process reports; raises its refusal, or one for the limit that it ran into. ``begun`` is told
-    each stage as the process begins it."""
+    """The report of the intake process; raises its refusal, or one for the limit that it ran into.
+
+    ``begun`` is called with each stage as the process begins it.
+    """
     command = [sys.executable, "-m", "service.uploads.sandbox", str(file), "--out", str(out), "--body", settings.body]
     command += ["--memory-mb", str(settings.intake_memory_mb), "--cpu-s", str(settings.intake_cpu_s)]
     # One thread each: their stacks and buffers count against the memory limit.

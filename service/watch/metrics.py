@@ -1,4 +1,4 @@
-"""What the service counts and measures, in the text format of Prometheus: ``Metrics``.
+"""Counts and measurements of the service, in the text format of Prometheus: ``Metrics``.
 
 No series is per client, garment or request id: their number would grow with the traffic.
 """
