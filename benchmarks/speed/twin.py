@@ -19,7 +19,7 @@ from drape.wire import messages as wire
 from service.compute.drape_runtime import DrapeRuntime
 from service.http.json_body import document_of, validated
 from service.http.schemas import OpenRequest
-from service.http.server import bind
+from service.server import bind
 from service.settings import Settings
 from service.stages import run
 from service.stages.batch import Memories, PoseInput

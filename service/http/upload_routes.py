@@ -15,9 +15,9 @@ from service.http.answers import BINARY, JSON
 from service.http.json_body import content_type
 from service.http.openapi import BYTES, body_schema, responses
 from service.http.problems import check_query
+from service.http.upload_body import read_upload
 from service.state import ClientHere, StateHere
 from service.uploads.avatars import MOST_CHARACTERS, upload_avatar
-from service.uploads.upload_body import read_upload
 
 if TYPE_CHECKING:
     from service.uploads.jobs import Job
