@@ -27,6 +27,7 @@ from service.stages.scene import UNCHANGED, About, Entry, Outfit, Scene, Source
 if TYPE_CHECKING:
     from service.settings import Settings
 
+INTAKE = "Run the intake again."
 log = logging.getLogger("drape.service")
 
 
@@ -173,8 +174,7 @@ def slug(name: str) -> str:
 
 def check_garment(garment: Garment, body: BodyModel, *, max_vertices: int) -> None:
     """Refuses a cache that was made for another body, is too large, or whose arrays do not fit together."""
-    label = f"garment {garment.name}"
-    cure = "Run the intake again."
+    label, cure = f"garment {garment.name}", INTAKE
     if garment.body_digest != body.digest:
         raise ArtifactError(
             f"{label} body_digest", expected=f"{body.digest} ({body.name})", got=garment.body_digest, cure=cure
@@ -211,12 +211,20 @@ def check_garment(garment: Garment, body: BodyModel, *, max_vertices: int) -> No
             got=f"{delivered}, {patches} patches",
             cure=cure,
         )
-    bounds = {"faces": delivered, "chart_patch": patches}
+    _check_indices(label, garment)
+
+
+def _check_indices(label: str, garment: Garment) -> None:
+    """Refuses faces, charts and texture faces that name what is not there."""
+    bounds = {"faces": garment.vertex_count, "chart_patch": garment.patch_count}
     if garment.uv_faces.size:
         bounds["uv_faces"] = len(garment.uv)
     for name, limit in bounds.items():
         array = getattr(garment, name)
         if array.size and (array.min() < 0 or array.max() >= limit):
             raise ArtifactError(
-                f"{label} {name}", expected=f"indices in [0, {limit})", got=f"[{array.min()}, {array.max()}]", cure=cure
+                f"{label} {name}",
+                expected=f"indices in [0, {limit})",
+                got=f"[{array.min()}, {array.max()}]",
+                cure=INTAKE,
             )

@@ -145,19 +145,7 @@ def open_session(
     """
     import onnxruntime
 
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = device.threads
-    options.inter_op_num_threads = 1
-    # Threads that sleep between operations of microseconds lose more than they gain (docs/reference/performance.md),
-    # and those that spin between frames burn a core: so they spin while a graph runs.
-    options.add_session_config_entry("session.intra_op.allow_spinning", "1")
-    options.add_session_config_entry("session.force_spinning_stop", "1")
-    options.add_session_config_entry("session.set_denormal_as_zero", "0" if device.keep_subnormals else "1")
-    options.add_session_config_entry("session.record_ep_graph_assignment_info", "1")
-    options.log_severity_level = 3
-    if weights:
-        sizes = [len(content) for content in weights.values()]
-        options.add_external_initializers_from_files_in_memory(list(weights), list(weights.values()), sizes)
+    options = _session_options(weights, device)
     name = PROVIDER_NAMES[device.provider]
     # Only what was asked for; ONNX Runtime adds the CPU by itself where a node needs it.
     try:
@@ -180,6 +168,25 @@ def open_session(
             cure="Install the gpu extra and a driver that fits it, or set DRAPE_PROVIDER=cpu.",
         )
     return session
+
+
+def _session_options(weights: dict[str, bytes], device: Device) -> onnxruntime.SessionOptions:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = device.threads
+    options.inter_op_num_threads = 1
+    # Threads that sleep between operations of microseconds lose more than they gain (docs/reference/performance.md),
+    # and those that spin between frames burn a core: so they spin while a graph runs.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "1")
+    options.add_session_config_entry("session.force_spinning_stop", "1")
+    options.add_session_config_entry("session.set_denormal_as_zero", "0" if device.keep_subnormals else "1")
+    options.add_session_config_entry("session.record_ep_graph_assignment_info", "1")
+    options.log_severity_level = 3
+    if weights:
+        sizes = [len(content) for content in weights.values()]
+        options.add_external_initializers_from_files_in_memory(list(weights), list(weights.values()), sizes)
+    return options
 
 
 def nodes_off_provider(session: Any, device: Device) -> int:
