@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
 import httpx
@@ -36,10 +36,8 @@ CLIP = PoseInput(POSES, TRANS, np.zeros(10), TIMES_S)
 
 
 @pytest.fixture(scope="module")
-def runtime(make_settings: Callable[..., Settings]) -> Iterator[DrapeRuntime]:
-    made = DrapeRuntime(make_settings(chunk_frames=4))
-    yield made
-    made.close()
+def runtime(make_runtime: Callable[..., DrapeRuntime]) -> DrapeRuntime:
+    return make_runtime(chunk_frames=4)
 
 
 def test_without_folds_the_stage_is_not_in_the_plan_and_nothing_changes(runtime: DrapeRuntime):
