@@ -33,8 +33,8 @@ from drape.errors import ended
 from drape.garment.cache import Garment
 from drape.garment.fine import fine_garment
 from drape.geometry import meshes
-from drape.live.fold_constants import constants
-from drape.live.fold_step import Effort, Frame, fold, warm_up
+from drape.live.fold_constants import fold_constants
+from drape.live.fold_step import FoldEffort, Frame, fold, warm_up
 from drape.motion.clip import MotionClip
 from drape.motion.readers import read_motion
 
@@ -52,7 +52,7 @@ def endure(
     garment: Garment, cloth: Fabric, motion: MotionClip, body: BodyModel, network: Network, steps: int
 ) -> dict[str, Any]:
     """The row of ``garment`` made of ``cloth`` through all of ``motion``."""
-    made, effort = constants(garment, body, cloth), Effort(steps, cloth_contact=True)
+    made, effort = fold_constants(garment, body, cloth), FoldEffort(steps, cloth_contact=True)
     edges = meshes.unique_edges(garment.fine_faces.astype(np.int64))
     rest = meshes.edge_lengths(garment.vertices.astype(np.float64), edges)
     memory, resets, broken, longs, longest = None, 0, 0, np.zeros(2, np.int64), 0.0

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.judge import apart, physics
+from benchmarks.judge import ipc_optimum, physics
 from benchmarks.judge.physics_cache import CACHE_DIR, stored_minimum
 from benchmarks.measure.intersections import intersection_count
 from benchmarks.measure.skin_pixels import PosedBody, covered_faces, skin_pixels_pct
@@ -52,8 +52,8 @@ from drape.garment.cache import Garment
 from drape.garment.fine import fine_garment
 from drape.geometry import meshes
 from drape.geometry.skinning import skin_points
-from drape.live.fold_constants import Constants, constants
-from drape.live.fold_step import Effort, Frame, fold, warm_up
+from drape.live.fold_constants import FoldConstants, fold_constants
+from drape.live.fold_step import FoldEffort, Frame, fold, warm_up
 from drape.motion.readers import read_motion
 
 SWEEPS = (0, 1, 2, 4, 8)
@@ -106,7 +106,7 @@ class Folded:
     resets: int
 
 
-def folded(made: Constants, start: np.ndarray, clip: Clip, sweeps: int, *, cloth_contact: bool = False) -> Folded:
+def folded(made: FoldConstants, start: np.ndarray, clip: Clip, sweeps: int, *, cloth_contact: bool = False) -> Folded:
     """``start`` [m] (F, V, 3) with folds of ``sweeps`` each, none for 0."""
     if not sweeps:
         return Folded(start, np.zeros(len(start)), 0)
@@ -114,7 +114,7 @@ def folded(made: Constants, start: np.ndarray, clip: Clip, sweeps: int, *, cloth
     for i, vertices in enumerate(start):
         begin = time.thread_time()
         frame = Frame(vertices, clip.skin[i], i / clip.fps)
-        found[i], memory, report = fold(made, memory, frame, Effort(sweeps, cloth_contact=cloth_contact))
+        found[i], memory, report = fold(made, memory, frame, FoldEffort(sweeps, cloth_contact=cloth_contact))
         ms[i] = 1e3 * (time.thread_time() - begin)
         resets += report.reset
     return Folded(found, ms, resets)
@@ -213,7 +213,7 @@ def measure(
     """The rows of ``garment`` made of ``cloth`` on one clip."""
     from_each = starts(garment, cloth, clip, body, networks)
     referee = Referee.of(garment, cloth, clip, body, from_each["skinning"])
-    made = constants(garment, body, cloth)
+    made = fold_constants(garment, body, cloth)
     named = {"garment": garment.name, "fabric": cloth.name, "clip": clip.name, "fps": clip.fps}
     rows, drawn = [], {}
     for method, start in from_each.items():
@@ -265,7 +265,7 @@ def bound(referee: Referee, from_each: dict[str, np.ndarray], *, keeps_apart: bo
         starts=(best[-1],) if keeps_apart else (best[0], best[-1]),
     )  # fmt: skip
     if keeps_apart:
-        optimum, _ = apart.stored_minimum(task, CACHE_DIR)
+        optimum, _ = ipc_optimum.stored_minimum(task, CACHE_DIR)
     else:
         optimum, _ = stored_minimum(task, physics.STEPS, CACHE_DIR)
     parts = physics.energy_parts(

@@ -40,8 +40,8 @@ from drape.garment.wrapping import Wrapping
 from drape.geometry.skinning import skin_points
 from drape.graph.feeds import garment_feed
 from drape.graph.push_feed import pack_push
-from drape.live.fold_constants import constants
-from drape.live.fold_step import Effort, Frame, fold, warm_up
+from drape.live.fold_constants import fold_constants
+from drape.live.fold_step import FoldEffort, Frame, fold, warm_up
 from drape.motion.hard_poses import HardPoses, hard_poses
 from drape.motion.readers import read_motion
 from service.stages.folds import SETTLE
@@ -100,7 +100,10 @@ def drapes(garment: Garment, bench: Bench) -> dict[str, tuple[np.ndarray, np.nda
 
 def folded(start: np.ndarray, garment: Garment, bench: Bench) -> np.ndarray:
     """The delivered mesh of ``garment`` from ``start`` [m] (F, V, 3), with the folds of single poses, off the skin."""
-    made, effort = constants(garment, bench.body), Effort(bench.steps, SETTLE, cloth_contact=True)  # as is served
+    made, effort = (
+        fold_constants(garment, bench.body),
+        FoldEffort(bench.steps, SETTLE, cloth_contact=True),
+    )  # as is served
     frames = (Frame(vertices, skin, 0.0) for vertices, skin in zip(start, bench.skin, strict=True))
     return np.stack([fold(made, None, frame, effort)[0] for frame in frames]).astype(np.float64)
 

@@ -44,10 +44,9 @@ from drape.errors import ended
 from drape.garment.cache import Garment
 from drape.graph.feeds import kinematics
 from drape.graph.packing import pack_body
-from drape.live.fold_constants import constants as fold_constants
-from drape.live.fold_constants import delivered_rest
-from drape.live.fold_step import Effort, Frame, fold
-from drape.live.swing_constants import constants as swing_constants
+from drape.live.fold_constants import delivered_rest, fold_constants
+from drape.live.fold_step import FoldEffort, Frame, fold
+from drape.live.swing_constants import swing_constants
 from drape.live.swing_step import swing
 from drape.motion.readers import read_motion
 from service.graphs.engine import Engine
@@ -131,7 +130,7 @@ def swung(scene: Scene, *, folds: int) -> tuple[np.ndarray, float]:
             x, memory = swing(swinging, memory, scene.frame(i, vertices), scene.clip.trans[i])
         ms.append(1e3 * (time.thread_time() - begin))
         if folds:
-            x, folded, _ = fold(folding, folded, scene.frame(i, x), Effort(folds))
+            x, folded, _ = fold(folding, folded, scene.frame(i, x), FoldEffort(folds))
         found.append(x)
     return np.stack(found), float(np.median(ms))
 

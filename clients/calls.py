@@ -37,7 +37,7 @@ STREAMED: Options = {"streamed": True}  # so that the answer may be of any lengt
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """What a request says besides a clip: translations [m] (F, 3) in place of the clip's own, shape, frame rate."""
+    """The body of a request: translations [m] (F, 3) in place of the clip's own, shape, frame rate."""
 
     trans: np.ndarray | None = None
     betas: np.ndarray | None = None
@@ -76,7 +76,7 @@ class Call(Generic[Answer]):
     clip: Clip | None = None
 
     def arguments(self) -> dict[str, Any]:
-        """What httpx's ``request`` takes."""
+        """The arguments of httpx's ``request``."""
         content, headers = self.content, dict(self.headers)
         if self.clip is not None:
             content, headers["Content-Type"] = pack_clip(self.json, self.clip.poses, self.clip.trans), BINARY
@@ -97,7 +97,7 @@ class Call(Generic[Answer]):
 
 
 def key_headers(key: str | None) -> dict[str, str]:
-    """What every request says of who asks."""
+    """The header that says who asks."""
     return {} if key is None else {"Authorization": f"Bearer {key}"}
 
 
@@ -108,7 +108,7 @@ def fetched(
     betas: np.ndarray | None = None,
     **params: str,
 ) -> Call[Any]:
-    """What lies under the path of ``names``, of a body in the shape ``betas``."""
+    """A GET of the path of ``names``, for a body in the shape ``betas``."""
     if betas is not None:
         params["betas"] = ",".join(repr(float(beta)) for beta in betas)
     return Call("GET", path_of(*names), read, params, {"Accept": accept})
@@ -178,7 +178,7 @@ def at_root(call: Call[np.ndarray]) -> Call[tuple[np.ndarray, np.ndarray]]:
 
 
 def worn(garment: str | Sequence[str]) -> dict[str, Any]:
-    """How a request names one garment, or several over each other."""
+    """The field of a request that names one garment, or several worn over each other."""
     return {"garment": garment} if isinstance(garment, str) else {"garments": list(garment)}
 
 
@@ -226,7 +226,7 @@ def read_layers(response: httpx.Response) -> list[np.ndarray]:
 
 
 def read_layout(response: httpx.Response) -> JetLayout:
-    """What makes vertices of a garment's jets."""
+    """The layout with which a client makes vertices of a garment's jets."""
     return unpack_layout(response.content)
 
 

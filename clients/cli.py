@@ -14,7 +14,6 @@ import itertools
 import json
 import os
 import sys
-import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, get_args
@@ -30,6 +29,7 @@ from drape.export.glb import GARMENT_COLOURS
 from drape.export.obj import obj_text
 from drape.export.pc2 import pc2_head, pc2_samples
 from drape.export.usda import Moving, usda_pieces
+from drape.files.atomic import whole_file
 from drape.files.formats import MESH_SUFFIXES
 from drape.motion.clip import MotionClip
 from drape.motion.readers import MOTION_SUFFIXES, read_motion
@@ -202,7 +202,7 @@ def _moving(
 
 
 def _npy_head(points: int, frames: int) -> bytes:
-    """What comes before float32 (frames, points, 3) in a .npy file."""
+    """The head of a .npy file of float32 (frames, points, 3)."""
     buffer = io.BytesIO()
     shape = {"descr": "<f4", "fortran_order": False, "shape": (frames, points, 3)}
     np.lib.format.write_array_header_1_0(buffer, shape)
@@ -231,24 +231,13 @@ def _numbers(text: str | None) -> np.ndarray | None:
 
 def write_atomic(path: Path, pieces: Iterable[bytes]) -> None:
     """Writes ``path`` whole or not at all; what ``pieces`` raise leaves no file."""
+    wanted = "a folder that can be written"
     try:
-        handle, temporary = tempfile.mkstemp(dir=path.absolute().parent, prefix=f".{path.name}.", suffix=".part")
-    except OSError as error:
-        raise InputError(
-            str(path), expected="a folder that can be written", got=str(error.strerror), cure="Choose another --out."
-        ) from error
-    try:
-        with os.fdopen(handle, "wb") as stream:
+        with whole_file(path) as stream:
+            wanted = "room to write"
             stream.writelines(pieces)
-        os.chmod(temporary, 0o644)  # mkstemp makes the file private
-        os.replace(temporary, path)
-    except BaseException as error:
-        Path(temporary).unlink(missing_ok=True)
-        if not isinstance(error, OSError):
-            raise
-        raise InputError(
-            str(path), expected="room to write", got=str(error.strerror), cure="Choose another --out."
-        ) from error
+    except OSError as error:
+        raise InputError(str(path), expected=wanted, got=str(error.strerror), cure="Choose another --out.") from error
 
 
 if __name__ == "__main__":

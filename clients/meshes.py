@@ -1,4 +1,4 @@
-"""What files need of garments, as the service tells it; and a GLB of a clip that came in pieces."""
+"""Meshes of garments as the service tells them, and the GLB of a clip that came in pieces."""
 
 from __future__ import annotations
 

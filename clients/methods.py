@@ -39,7 +39,7 @@ Steps = Generator[Call[Any] | Pause, Any, Answer]
 
 
 class Methods:
-    """What the clients can ask of a service, and how many frames this one takes at once, which is asked once."""
+    """All calls of a client. The service is asked once how many frames it takes at once."""
 
     def __init__(self) -> None:
         self._most: int | None = None
@@ -86,7 +86,7 @@ class Methods:
         return fetched("garments", garment, "preview.png", read=calls.read_bytes, accept="image/png", size=str(size))
 
     def jet_layout(self, garment: str, resolution: Resolution = "delivered") -> Call[JetLayout]:
-        """What makes vertices of the garment's jets, on its own mesh or a finer one; constant per garment."""
+        """The layout that makes vertices of a garment's jets, on its own mesh or a finer one; constant per garment."""
         return fetched("garments", garment, "jets", read=calls.read_layout, accept=BINARY, resolution=resolution)
 
     def upload_garment(
@@ -257,7 +257,7 @@ class Methods:
             yield piece()
 
     def _at_once(self, frames: int) -> Steps[int]:
-        """How many of ``frames`` the service takes at once; it is asked the first time that they are many."""
+        """The number of ``frames`` that the service takes at once; it is asked the first time that they are many."""
         if frames <= pieces.UNASKED:
             return max(1, frames)
         if self._most is None:

@@ -19,14 +19,16 @@ UNASKED = 60
 
 
 def most_frames(health: dict[str, Any]) -> int:
-    """Frames that a request to the service may have that says ``health`` of itself."""
+    """The most frames of a request to a service with this ``health``."""
     in_body = (int(health["max_body_bytes"]) - OPTION_BYTES) // FRAME_BYTES
     return max(1, min(int(health["max_frames"]), in_body))
 
 
 def piece(call: Call[Answer], rows: slice, past: str | None) -> Call[tuple[Answer, str | None]]:
-    """``call`` for the frames ``rows`` of its clip, which come after ``past``; its answer, and what the next piece
-    names as its past."""
+    """``call`` for the frames ``rows`` of its clip, which follow the piece ``past``.
+
+    Its answer comes with the name of this piece, the past of the next one.
+    """
     assert call.clip is not None
     more: dict[str, Any] = {}
     if call.path == DRAPE:  # a posed body remembers nothing

@@ -1,4 +1,4 @@
-"""What the service refused, and that it could not be reached, as the errors of ``drape.errors``."""
+"""Refusals of the service, and that it could not be reached, as the errors of ``drape.errors``."""
 
 from __future__ import annotations
 

@@ -11,8 +11,8 @@
 
 Frames answer the newest pose; poses that a newer one replaced are counted in ``frame.dropped``. A service that ends
 hands the stream over to its successor, with what the cloth remembers: frames go on, and poses that it had not answered
-are sent again. Of a body that stands still few poses are sent: once the service has said that a pose changes nothing,
-the same pose again is answered here, by the frame that is shown.
+are sent again. A body that stands still sends few poses: once the service has said that a pose changes nothing, the
+client itself answers the same pose with the frame that is shown.
 """
 
 from __future__ import annotations
@@ -66,8 +66,11 @@ class ReceivedJets:
 
 
 class DrapeStream:
-    """An open stream of one garment or outfit. ``about`` is the service's answer to the latest opening, ``url`` where
-    it runs, and ``moves`` how often it went to another process."""
+    """An open stream of one garment or outfit.
+
+    ``about`` is the service's answer to the latest opening, ``url`` its address, ``moves`` the number of hand-overs to
+    another process.
+    """
 
     def __init__(
         self, connection: ClientConnection, url: str, key: str | None, clock: Callable[[], float] = time.perf_counter
@@ -181,7 +184,7 @@ class DrapeStream:
         return ReceivedJets(frame, self._clock() - frame.client_time_s)
 
     async def _next(self, kind: type[Shown], unpack: Callable[[bytes], Shown]) -> Shown:
-        """The next frame: one that came, acknowledged, or where the body stands still the last one for another pose."""
+        """The next frame: one that came, acknowledged; or for a body that stands still the last one once more."""
         message = await self._binary()
         if message is None:
             assert isinstance(self._shown, kind)
@@ -206,7 +209,7 @@ class DrapeStream:
             del self._unanswered[sequence]
 
     async def _binary(self) -> bytes | None:
-        """The next frame's message; None where one of ``_held`` comes first."""
+        """The next frame's message; None if a pose of ``_held`` is answered first."""
         while not self._held:
             self._more.clear()
             waiting = asyncio.ensure_future(self._more.wait())
@@ -222,7 +225,7 @@ class DrapeStream:
         return None
 
     async def _transmit(self, message: str | bytes) -> None:
-        """Sends ``message``; nothing where the service ends, which ``_message`` reads of in its turn."""
+        """Sends ``message``. If the service is ending it is dropped: ``_message`` reads of the end."""
         async with self._sending:
             try:
                 await self._connection.send(message)
@@ -231,7 +234,7 @@ class DrapeStream:
                     raise await self._reason(error) from error
 
     async def _message(self) -> str | bytes:
-        """The next message: of the successor its answer to the opening, where the stream moves."""
+        """The next message. After a hand-over it is the successor's answer to the opening."""
         while True:
             try:
                 message = await asyncio.shield(self._read())
@@ -252,14 +255,14 @@ class DrapeStream:
             return message
 
     def _read(self) -> asyncio.Future[str | bytes]:
-        """The next message, which who waits for it may leave to the next who asks."""
+        """The next message. A caller that stops waiting leaves it to the next one."""
         if self._reading is None:
             self._reading = asyncio.ensure_future(self._connection.recv())
             self._reading.add_done_callback(_seen)
         return self._reading
 
     async def _move(self, said: dict[str, Any]) -> str:
-        """Goes on where ``said`` says, with the state that came before it; the answer to the opening there."""
+        """Connects to the process that ``said`` names and sends it the state; returns its answer to the opening."""
         url = said["to"] or self.url
         # The ticket that opened this stream is spent; a key is as good there.
         key = said.get("ticket", self._key) if self._key and "." in self._key else self._key
@@ -283,7 +286,7 @@ class DrapeStream:
         return str(answer)
 
     async def _reason(self, error: ConnectionClosed) -> DrapeError:
-        """The service's sentence where one came before the close; the close code otherwise."""
+        """The service's sentence if one came before the close, else the close code."""
         while True:
             try:
                 message = await asyncio.wait_for(self._connection.recv(), 1.0)
@@ -297,7 +300,7 @@ class DrapeStream:
 
 
 def _seen(reading: asyncio.Future[str | bytes]) -> None:
-    """Nobody may be left to hear why a stream that is no longer read ended."""
+    """Takes the error of a stream that nobody reads any more, which asyncio would report."""
     if not reading.cancelled():
         reading.exception()
 
@@ -319,7 +322,7 @@ async def _connected(url: str, key: str | None) -> ClientConnection:
 
 
 async def _taken(url: str, key: str | None) -> ClientConnection:
-    """``_connected``, again and again for ``MOVE_S``: the process that takes over may still load."""
+    """``_connected``, tried for ``MOVE_S``: the process that takes over may still load."""
     until_s = time.monotonic() + MOVE_S
     while True:
         try:

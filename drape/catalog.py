@@ -47,7 +47,7 @@ def find_files(names: Sequence[str], folder: Path, suffixes: tuple[str, ...], ki
 
 
 def short_name(path: Path) -> str:
-    """What a file answers to: its stem; NAME for a cache file NAME-DIGEST16.npz."""
+    """The name that finds a file: its stem, or NAME for a cache file NAME-DIGEST16.npz."""
     stem, _, digest = path.stem.rpartition("-")
     return stem if stem and len(digest) == 16 else path.stem
 

@@ -47,7 +47,7 @@ def _rebuild(kind: type[DrapeError], name: str, expected: str, got: str, cure: s
 
 
 class InputError(DrapeError):
-    """What the caller handed over is wrong."""
+    """Input of the caller that is wrong: a file, a request or an option."""
 
 
 class MeshError(InputError):

@@ -35,7 +35,7 @@ from training.model import OneFit
 
 
 def load_model(path: Path) -> tuple[OneFit, dict[str, Any]]:
-    """The network of a checkpoint in evaluation mode, and what the manifest says of its training."""
+    """The network of a checkpoint in evaluation mode, and the manifest's entry on its training."""
     state, config = checkpoint.load(path)
     model = OneFit(config.model)
     model.load_state_dict(state["model"])
@@ -59,7 +59,7 @@ def export(
     training: dict[str, Any],
     quality: list[dict[str, Any]] | None = None,
 ) -> Manifest:
-    """Writes ``target`` and returns its manifest; refuses above ``TOLERANCE_M`` and leaves the old folder then."""
+    """Writes ``target`` and returns its manifest; above ``TOLERANCE_M`` it refuses and leaves the old folder."""
     model.eval()
     with staged_folder(target) as staged:
         graphs, weights = share_weights(staged, write_graphs(model, staged), parameters(model))
@@ -90,8 +90,10 @@ def export(
 
 
 def static_training(model: OneFit, folder: Path) -> dict[str, Any]:
-    """What is to be told of the training of the static part of a dynamic ``model``, under "static": what the model in
-    ``folder`` says of its own, where its weights are the same; nothing otherwise."""
+    """The training of the static part of a dynamic ``model``, under "static", as the model in ``folder`` tells it.
+
+    Empty where the static weights there are others.
+    """
     if not model.config.dynamic or not (folder / "manifest.json").is_file():
         return {}
     manifest = load_manifest(folder)
@@ -103,7 +105,7 @@ def static_training(model: OneFit, folder: Path) -> dict[str, Any]:
 
 
 def sizes(model: OneFit) -> dict[str, Any]:
-    """The configuration of ``model`` in the values that JSON has: lists for tuples."""
+    """The configuration of ``model`` for JSON, with lists for tuples."""
     found = asdict(model.config)
     return {name: list(value) if isinstance(value, tuple) else value for name, value in found.items()}
 
@@ -138,5 +140,5 @@ def commit() -> str:
 
 
 def command_line() -> str:
-    """How this program was called, without folders of this machine."""
+    """The command line of this program, without folders of this machine."""
     return " ".join(["python -m model_export", *(Path(a).name if "/" in a else a for a in sys.argv[1:])])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -12,6 +11,7 @@ from typing import Any
 import onnx
 
 from drape.artifacts import GraphSpec, Manifest, file_digest, load_manifest, read_parameters, staged_folder
+from drape.files.atomic import whole_file
 from drape.garment.cache import Garment
 from model_export.packed.parity import packed_parity_error
 from model_export.parity import TOLERANCE_M, check_parity
@@ -29,13 +29,12 @@ def write_quality(folder: Path, rows: list[dict[str, Any]]) -> None:
 
 
 def _write_manifest(folder: Path, manifest: Manifest) -> None:
-    temporary = folder / "manifest.json.part"
-    temporary.write_text(manifest.to_json())
-    os.replace(temporary, folder / "manifest.json")
+    with whole_file(folder / "manifest.json") as file:
+        file.write(manifest.to_json().encode())
 
 
 def add_push_out(folder: Path, garment: Garment) -> Manifest:
-    """Writes the push-out's graphs into a model folder that stands; its other graphs compute what they did."""
+    """Writes the push-out's graphs into a model folder that exists; no bit of its other graphs' results changes."""
     manifest = load_manifest(folder)
     with staged_folder(folder) as staged:
         shutil.copytree(folder, staged, dirs_exist_ok=True)
@@ -47,14 +46,14 @@ def add_push_out(folder: Path, garment: Garment) -> Manifest:
 
 
 def add_int8(folder: Path, layers: Mapping[str, Wide]) -> Manifest:
-    """Writes the packed graph with ``layers`` in int8 into a model folder that stands, as a graph beside the others."""
+    """Adds the packed graph with ``layers`` in int8 to a model folder that exists."""
     return _add_packed(folder, ROUNDED, lambda proto: round_matrices(proto, layers))
 
 
 def add_half(folder: Path, model: OneFit, garment: Garment, *, least: int = LEAST) -> Manifest:
-    """Writes the packed graph with matrices of ``least`` numbers or more in float16, likewise.
+    """Adds the packed graph with matrices of ``least`` numbers or more in float16.
 
-    Refuses (``ArtifactError``) where ``garment`` is then draped elsewhere by more than ``LARGEST_ERROR_M``.
+    Refuses (``ArtifactError``) if that moves a vertex of ``garment`` by more than ``LARGEST_ERROR_M``.
     """
 
     def check(staged: Path, manifest: Manifest) -> None:
@@ -89,7 +88,7 @@ def _add_packed(
 
 
 def _with_graphs(folder: Path, manifest: Manifest, specs: dict[str, GraphSpec]) -> Manifest:
-    """``manifest`` with the graphs ``specs`` besides, whose files lie in ``folder``, written there."""
+    """``manifest`` with the graphs ``specs`` added, whose files lie in ``folder``; written there."""
     kept = read_parameters(folder, manifest.weights) if manifest.weights is not None else None
     graphs, weights = share_weights(folder, manifest.graphs | specs, kept)
     changed = replace(manifest, graphs=graphs, weights=weights)

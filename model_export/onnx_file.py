@@ -22,8 +22,8 @@ OPSET = 20
 SAMPLE = {
     "shapes": 5, "parts": 11, "part_bones": 13, "frames": 17, "all_parts": 23, "cloth_parts": 29, "regions": 31,
     "bodies": 37, "clients": 41, "patches": 43, "stored_patches": 47, "vertices": 53, "anchors": 59, "points": 61,
-    "anchor_blocks": 67, "tiles": 71, "stored_tiles": 73, "stored_tangents": 79, "items": 83, "blocks": 89,
-    "blocks_per_item": 97, "groups": 101, "patch_blocks": 103, "under_vertices": 107,
+    "anchor_blocks": 67, "tiles": 71, "stored_tiles": 73, "blocks": 89, "groups": 101, "patch_blocks": 103,
+    "under_vertices": 107,
 }  # fmt: skip
 MOST = 1 << 22
 
@@ -36,7 +36,7 @@ def write_graph(
     *,
     translations: dict[Callable, Callable] | None = None,
 ) -> GraphSpec:
-    """Writes ``module`` as the ONNX file ``path`` whose named axes are symbolic, and what the manifest says of it.
+    """Writes ``module`` as the ONNX file ``path`` with symbolic named axes; returns its entry in the manifest.
 
     The module takes its inputs as one dictionary by name, as an ONNX session does.
     """
@@ -74,7 +74,7 @@ def _zeros(shape: tuple[int, ...], dtype: str) -> torch.Tensor:
 def _settle_lengths(graph: onnx.GraphProto, inputs: tuple[TensorSpec, ...]) -> None:
     """Reads the length of every named axis off the smallest input that has it; the exporter takes any of them.
 
-    Vectors of indices apart: a graph that is cut out of this one may do without those, and without large inputs.
+    Vectors of indices are no source: a graph cut out of this one may lack them, as it may lack large inputs.
     """
     specs = {spec.name: spec for spec in inputs}
     matrices = [spec for spec in inputs if len(spec.shape) > 1 or spec.dtype == "float32"]

@@ -12,7 +12,6 @@ from drape.arrays.subnormals import flushed
 from drape.artifacts import GraphSpec
 from drape.body.assets import load_body
 from drape.body.features import motion_features
-from drape.body.model import BodyModel
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment
 from drape.garment.fabric_features import encoder_features
@@ -25,10 +24,10 @@ SEQUENCE_FRAMES = 30
 FIND = "Do not ship this export; find the operator that differs."
 
 
-def check_parity(name: str, error: float, largest: float, between: str, *, unit: str = " m", cure: str = FIND) -> None:
+def check_parity(name: str, error: float, largest: float, between: str, *, cure: str = FIND) -> None:
     """Refuses (``ArtifactError``) an ``error`` of ``name`` above ``largest``, and one that is no number."""
     if not error <= largest:
-        raise ArtifactError(name, expected=f"at most {largest}{unit} {between}", got=f"{error:.3g}{unit}", cure=cure)
+        raise ArtifactError(name, expected=f"at most {largest} m {between}", got=f"{error:.3g} m", cure=cure)
 
 
 def hard_poses(count: int, *, seed: int = 0) -> np.ndarray:
@@ -51,11 +50,9 @@ def session(path: Path) -> onnxruntime.InferenceSession:
 
 
 @flushed()
-def parity_error(
-    model: OneFit, encoder: Path, drape: Path, garment: Garment, *, body: BodyModel | None = None
-) -> float:
+def parity_error(model: OneFit, encoder: Path, drape: Path, garment: Garment) -> float:
     """Largest vertex distance [m] between torch and onnxruntime, over frame counts 1, 5, 16 and several shapes."""
-    body = load_body() if body is None else body
+    body = load_body()
     encode, run = session(encoder), session(drape)
     features = encoder_features(garment, model.config.encoder_feature_count)
     with torch.no_grad():
@@ -68,7 +65,7 @@ def parity_error(
         rng = np.random.default_rng(count)
         feed = body_feed(body, poses, np.zeros((count, 3)), scale * rng.normal(size=body.shape_count), skin=True)
         arrays = feed.arrays | garment_feed(garment, body=body) | {"patch_embedding": embedding}
-        # Of a dynamic model: any code of the size that motion makes.
+        # For a dynamic model: any code of the size that motion makes.
         arrays["dynamic_code"] = rng.normal(0.0, 0.3, size=(count, model.config.body_code_size)).astype(np.float32)
         with torch.no_grad():
             expected = DrapeGraph(model)({name: torch.from_numpy(arrays[name]) for name in names})[0].numpy()
@@ -78,11 +75,9 @@ def parity_error(
 
 
 @flushed()
-def sequence_error(
-    model: OneFit, folder: Path, graphs: dict[str, GraphSpec], garment: Garment, *, body: BodyModel | None = None
-) -> float:
+def sequence_error(model: OneFit, folder: Path, graphs: dict[str, GraphSpec], garment: Garment) -> float:
     """Largest vertex distance [m] along a motion with uneven steps and a stop, each side carrying its own state."""
-    body = load_body() if body is None else body
+    body = load_body()
     rng = np.random.default_rng(3)
     dt_s = rng.choice([1 / 60, 1 / 30, 1 / 12], size=SEQUENCE_FRAMES - 1)
     time_s = np.concatenate([[0.0], np.cumsum(dt_s)])

@@ -3,8 +3,8 @@
 The drape graph and the packed graph compute one network, so most matrices of theirs are the same numbers. A tensor of
 at least ``LEAST_BYTES`` goes to ``weights.bin``; tensors of equal content have one place there. The packed graph also
 takes matrices that another graph holds transposed: a Gemm says with ``transB`` which way its matrix lies. No bit of a
-result changes, because the runtime brings constant matrices into a layout of its own before the first frame. What the
-exporter notes on every node, call stacks with folders of the machine that exported, is left out.
+result changes, because the runtime brings constant matrices into a layout of its own before the first frame. The
+exporter notes call stacks on every node, with folders of its machine; they are left out.
 
 Matrices that the packed graph holds with rows in another order are stored twice. A Gather of two constants would make
 one of the other, but ONNX Runtime 1.31 does not fold it when it opens the graph, and results then differ in last bits.
@@ -31,13 +31,13 @@ BORROWERS = ("packed", "packed_half", "packed_int8")
 
 @dataclass
 class _Store:
-    """The bytes of the file so far, and where in it each content begins."""
+    """The bytes of the file so far, and the offset of each content."""
 
     data: bytearray = field(default_factory=bytearray)
     places: dict[bytes, int] = field(default_factory=dict)
 
     def place(self, content: bytes) -> int:
-        """Where ``content`` begins, written now if it is new."""
+        """The offset of ``content``, which is written now if it is new."""
         if content not in self.places:
             self.data.extend(bytes(-len(self.data) % ALIGNMENT))
             self.places[content] = len(self.data)
@@ -48,7 +48,7 @@ class _Store:
 def share_weights(
     folder: Path, graphs: dict[str, GraphSpec], parameters: Mapping[str, np.ndarray] | None = None
 ) -> tuple[dict[str, GraphSpec], WeightsSpec | None]:
-    """Rewrites the files of ``graphs`` in ``folder`` around ``weights.bin``; returns what the manifest says of them.
+    """Rewrites the files of ``graphs`` in ``folder`` around ``weights.bin``; returns their entries in the manifest.
 
     The float32 ``parameters`` of the network are found in that file by their content, or added, so that training can
     go on from it. Without them and where no tensor is large there is no such file, and None.
@@ -76,7 +76,7 @@ def share_weights(
 
 
 def _find(value: np.ndarray, store: _Store) -> ParameterSpec:
-    """Where ``value`` is in the file, which gets it at the end if it has it neither way round."""
+    """The place of ``value`` in the file, written at its end if neither ``value`` nor its transpose is there."""
     assert value.dtype == np.float32
     turned = np.ascontiguousarray(value.T).tobytes()
     if value.ndim == 2 and value.tobytes() not in store.places and turned in store.places:
@@ -85,14 +85,14 @@ def _find(value: np.ndarray, store: _Store) -> ParameterSpec:
 
 
 def forget_origin(proto: onnx.ModelProto) -> None:
-    """Drops what the exporter notes of the Python code behind the graph and its nodes."""
+    """Drops the exporter's notes on the Python code behind the graph and its nodes."""
     for part in (proto.graph, *proto.graph.node):
         part.ClearField("doc_string")
         part.ClearField("metadata_props")
 
 
 def _move(tensor: onnx.TensorProto, store: _Store) -> None:
-    """Puts the content of a large ``tensor`` into the file and leaves where it lies."""
+    """Puts the content of a large ``tensor`` into the file; the tensor keeps its place there."""
     content = _content(tensor)
     if len(content) < LEAST_BYTES:
         return
@@ -103,7 +103,7 @@ def _move(tensor: onnx.TensorProto, store: _Store) -> None:
 
 
 def _borrow(graph: onnx.GraphProto, store: _Store) -> None:
-    """Turns matrices of Gemms in ``graph`` that the file has transposed."""
+    """Transposes matrices of Gemms in ``graph`` whose transposes the file has."""
     for tensor in graph.initializer:
         users = [node for node in graph.node if tensor.name in node.input]
         of_gemms = all(node.op_type == "Gemm" and list(node.input).index(tensor.name) == 1 for node in users)

@@ -24,7 +24,7 @@ from training.starting import read_model
 
 
 def between(first: dict[str, Tensor], second: dict[str, Tensor], share: float) -> dict[str, Tensor]:
-    """Weights ``share`` of the way from ``first`` to ``second``; numbers that are no weights are those of ``second``.
+    """Weights ``share`` of the way from ``first`` to ``second``; other numbers are those of ``second``.
 
     Raises ``InputError`` for models of different sizes and for a share outside [0, 1].
     """
@@ -49,7 +49,7 @@ def between(first: dict[str, Tensor], second: dict[str, Tensor], share: float) -
 
 
 def average(first: Path, second: Path, out: Path, *, share: float = 0.5) -> None:
-    """Writes the checkpoint ``out`` between two models; what it says of its training is what ``second`` says.
+    """Writes the checkpoint ``out`` between two models, with the training record of ``second``.
 
     ``first`` may be an exported model too, whose drape of single poses is read.
     """

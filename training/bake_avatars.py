@@ -13,11 +13,11 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
-import os
 from pathlib import Path
 
 import numpy as np
 
+from drape.files.atomic import whole_file
 from drape.files.packed import packed
 from drape.garment.avatars import AVATARS_FILE, load_phenotypes
 from training.bake_body import sample_anny, z_up_to_y_up
@@ -81,9 +81,8 @@ def bake(out: Path, *, check: int, seed: int) -> dict[str, float]:
         "base_vertices": used.astype(np.int32),
     }
     path = out / AVATARS_FILE.name
-    temporary = path.with_name(path.name + ".part")
-    temporary.write_bytes(packed(arrays))
-    os.replace(temporary, path)
+    with whole_file(path) as file:
+        file.write(packed(arrays))
 
     low, high = (np.array([pick(ANCHORS[label]) for label in labels]) for pick in (min, max))
     drawn = low + (high - low) * np.random.default_rng(seed).random((check, len(labels)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import pickle
 from dataclasses import asdict
 from pathlib import Path
@@ -11,21 +10,21 @@ from typing import Any
 import torch
 
 from drape.errors import ArtifactError
+from drape.files.atomic import whole_file
 from training.config import DataConfig, ModelConfig, MotionConfig, TrainConfig
 
 
 def save(path: Path, payload: dict[str, Any], config: TrainConfig) -> None:
     """Writes ``payload`` with ``config``; a crash leaves the file before."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".part")
-    torch.save(payload | {"config": asdict(config)}, temporary)
-    os.replace(temporary, path)
+    with whole_file(path) as file:
+        torch.save(payload | {"config": asdict(config)}, file)
 
 
-def load(path: Path, *, device: str = "cpu") -> tuple[dict[str, Any], TrainConfig]:
+def load(path: Path) -> tuple[dict[str, Any], TrainConfig]:
     """The payload at ``path`` and its configuration; only tensors and plain values are read."""
     try:
-        payload = torch.load(path, map_location=device, weights_only=True)
+        payload = torch.load(path, map_location="cpu", weights_only=True)
         config = config_from(payload.pop("config"))
     except (OSError, RuntimeError, KeyError, TypeError, EOFError, pickle.UnpicklingError) as error:
         raise ArtifactError(

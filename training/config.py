@@ -91,7 +91,7 @@ class ModelConfig:
 
 @dataclass(frozen=True)
 class DataConfig:
-    """What is trained on. ``garments``: names of designs; ``partitions``: random partitions kept of each;
+    """Data of a run. ``garments``: names of designs; ``partitions``: random partitions kept of each;
     ``variants``: random neighbours of each design, drawn anew in every process, with ``variant_partitions`` each;
     ``own_share``: chance of a named design itself; ``patch_range``: patch counts over the rule's, evenly in the
     logarithm; ``fresh_steps``: steps after which one partition is replaced by one never seen; ``even_share``: poses
@@ -224,13 +224,13 @@ def dynamic() -> TrainConfig:
 
 
 def finetune() -> TrainConfig:
-    """What goes on training a static model on one garment: its charts agree already, and rates are low."""
+    """Further training of a static model on one garment: its charts agree already, and rates are low."""
     data = DataConfig(variants=0, own_share=1.0)
     return TrainConfig(data=data, minutes=10.0, learning_rate=3e-4, warmup_steps=50, early_agreement=1.0)
 
 
 def go_on() -> TrainConfig:
-    """What goes on training a static model on the shipped preset's garments, and makes it move more smoothly.
+    """Further training of a static model on the shipped preset's garments, for smoother motion.
 
     Half of the steps take no pass of corrections: folds on the vertices need none of them.
     """

@@ -24,7 +24,7 @@ TRACE_SHARE = 0.3  # of the strain's trace in the force: Poisson's effect
 
 
 class ChartConsensus(Protocol):
-    """What a posed garment needs to bring its charts to agree (names as in ``drape.garment.consensus``)."""
+    """Tables with which the charts of a posed garment are made to agree (names as in ``drape.garment.consensus``)."""
 
     @property
     def rest(self) -> Tensor:

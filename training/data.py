@@ -18,7 +18,7 @@ from drape.garment.fabric_features import fabric_features, patch_grain
 from drape.garment.fitting import RestGarment, patch_fields
 from drape.graph.feeds import atlas_feed, body_feed
 from drape.graph.inputs import BodyTensors, PatchTensors
-from training.collider import Collider
+from training.collider import BodySurface
 from training.consensus import SparseConsensus, blend_matrix
 from training.sparse import SparsePair
 
@@ -40,7 +40,7 @@ class Partition:
     grain: np.ndarray
 
     def encoded(self, fabric: Fabric | None) -> Tensor:
-        """What the garment encoder takes (K, D) if the garment is made of ``fabric``; None: of a network without."""
+        """Inputs (K, D) of the garment encoder for a garment of ``fabric``; None for networks that know no fabrics."""
         if fabric is None:
             return self.features
         made_of = torch.from_numpy(fabric_features(fabric, self.grain)).to(self.features.device)
@@ -116,7 +116,7 @@ class BodySource:
     def __init__(self, body: BodyModel, *, device: torch.device) -> None:
         self.body = body
         self.device = device
-        self._collider = Collider(body)
+        self._collider = BodySurface(body)
 
     def pose(self, poses: np.ndarray, betas: np.ndarray) -> BodyBatch:
         """A batch from poses (F, 24, 3) [rad] and shapes (F, S)."""

@@ -1,4 +1,4 @@
-"""How much overlapping charts of a posed garment disagree before they are blended.
+"""The disagreement of a posed garment's overlapping charts, before they are blended.
 
 A chart moves the rest garment, given in its patch's frame, by ``x -> x + s j(u(x), v(x))`` with j the
 jet that the network adds; its frame then carries it into the world. So each chart says where a vertex
@@ -24,7 +24,7 @@ LEAST_WEIGHT = 0.02  # weight in the blend above which a chart counts
 
 @dataclass(frozen=True, eq=False)
 class Disagreement:
-    """How far charts disagree at the n vertices that at least two of them hold with a weight above ``LEAST_WEIGHT``.
+    """Disagreement at the n vertices that at least two charts hold with a weight above ``LEAST_WEIGHT``.
 
     ``gap_m`` (F, m): the distance from the blended vertex to where each of its m chart entries puts it.
     ``normal_rad`` (F, n): the largest angle between the normals of two of a vertex's charts.
@@ -35,7 +35,7 @@ class Disagreement:
 
 
 def chart_positions(garment: Garment, jet: np.ndarray, rotation: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Where each chart alone puts each vertex of the subdivided mesh [m], (F, V, 4, 3), float64.
+    """Places [m] (F, V, 4, 3) that each chart alone gives each vertex of the subdivided mesh, float64.
 
     ``jet`` (F, K, 27 or 45) what is added to the rest jets [patch scales], ``rotation`` (F, K, 3, 3) and ``centre``
     (F, K, 3) [m] the posed frames, as the drape graph returns them; positions are in the frame of ``centre``.

@@ -24,12 +24,12 @@ class DynamicTrainer(BaseTrainer):
     """Learns what motion adds to the drape, on top of the static ``weights``.
 
     A frame's loss is its incremental potential (Santesteban et al. 2022; Bertiche et al. 2022): the cloth's energy and
-    m / (2 dt^2) |x - (x1 + dt v)|^2, with the network's own two earlier frames taken as given. Where x lies in the
-    world counts: the root's way is added to what the network drapes relative to the root.
+    m / (2 dt^2) |x - (x1 + dt v)|^2, with the network's own two earlier frames taken as given. Places x are those in
+    the world: the root's way is added to the drape, which is relative to the root.
 
-    The static drape s of the same poses is where cloth must come to rest, but no network hangs it so well that no
-    force is left. So the energy is E(x) - E(s) - E'(s) (x - s): the force that is left counts as carried. Without
-    that it would rule the gradient, and motion would be used to mend the static drape.
+    Cloth must come to rest in the static drape s of the same poses, but no network hangs it so well that no force is
+    left. So the energy is E(x) - E(s) - E'(s) (x - s), as if something balanced the force that is left. Otherwise that
+    force would rule the gradient, and motion would be used to mend the static drape.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class DynamicTrainer(BaseTrainer):
         return self.model.dynamic
 
     def _set_statistics(self) -> None:
-        """Of motion features and static codes; those of the static encoders came with their weights."""
+        """Sets the scales of motion features and codes; statistics of the static encoders came with their weights."""
         config = self.config
         windows = self.bank.draw(STATISTICS_WINDOWS, HISTORY + 4, np.random.default_rng(config.seed + 1))
         betas = np.zeros((STATISTICS_WINDOWS, self.body.shape_count))
@@ -92,25 +92,25 @@ class DynamicTrainer(BaseTrainer):
         with torch.enable_grad():
             static.requires_grad_()
             rest = self._energy(static, garment, planes)
-            # Where nothing can be done about contact it counts less, as in static training; by what it is at rest.
+            # Contact that cannot be avoided counts less, as in static training; its size at rest decides.
             share = 1.0 / (1.0 + rest["contact"].detach() / config.contact_knee_j_m2)
             (force,) = torch.autograd.grad(_total(rest, share).sum(), static)
         parts = self._energy(vertices, garment, planes)
-        carried = (force * (vertices - static.detach())).sum(dim=(1, 2))
-        above = _total(parts, share) - _total(rest, share).detach() - carried
+        balanced = (force * (vertices - static.detach())).sum(dim=(1, 2))
+        above = _total(parts, share) - _total(rest, share).detach() - balanced
         inertia = self._inertia(history, vertices, windows, garment).flatten()
         with torch.no_grad():
             unmoved = self._inertia(static_history, static, windows, garment)
             at_rest = self._inertia(history, vertices, windows, garment, candidate=static)
             weight = self._weight(unmoved, windows).flatten()
-        # What motion changes must be the same to all charts.
+        # All charts must say the same of the change that motion makes.
         charts = self._disagreement(draped.coefficients - still.coefficients, partition)
         loss = (weight * (above + inertia)).mean() + config.disagreement_weight * weight.mean() * charts
         parts |= {"above": above, "inertia": inertia, "inertia_at_rest": at_rest}
         return Objective(loss, {name: value.mean() for name, value in parts.items()}, charts)
 
     def _weight(self, inertia: Tensor, windows: Windows) -> Tensor:
-        """How much a frame (B, T) counts whose static drape has the ``inertia`` [J/m^2]: less where that is jerked."""
+        """Weights (B, T) of frames whose static drape has the ``inertia`` [J/m^2]: less where that is jerked."""
         dt_s = self._tensor(windows.dt_s[:, -inertia.shape[1] :])
         squared = (
             2.0 * self._stretch_share * inertia / (self.material.density_kg_m2 * dt_s.square())

@@ -4,8 +4,8 @@
     python -m training.evaluate runs/first/checkpoint.pt --garments tshirt jacket.obj --frames 12
 
 Poses are the hard ones of the clips that the run held out, or of the shipped clips where no
-motion folder is at hand. What the columns mean stands in docs/reference/quality.md; ``python -m benchmarks.quality``
-measures the exported model in full.
+motion folder is at hand. docs/reference/quality.md explains the columns; ``python -m benchmarks.quality`` measures the
+exported model in full.
 """
 
 from __future__ import annotations

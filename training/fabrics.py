@@ -8,7 +8,7 @@ from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_table import FABRICS
 from drape.errors import InputError
 
-STRETCH_N_PER_M = 43.1  # of the cloth that losses were weighed with
+STRETCH_N_PER_M = 43.1  # of the cloth with which the losses were weighed
 TABLE_SHARE = 0.5
 CHANGE = 0.15  # of a table's fabric, standard deviation of each logarithm
 APART = 0.7  # in the norm of the logarithms below: nearer ones count as the fabric that is held out
@@ -17,7 +17,7 @@ TRIES = 1000
 
 
 def stretch_share(fabric: Fabric) -> float:
-    """Stiffness against stretch over that of the cloth that losses were weighed with."""
+    """Stiffness against stretch, relative to the cloth with which the losses were weighed."""
     return float(np.sqrt(fabric.warp_n_per_m * fabric.weft_n_per_m)) / STRETCH_N_PER_M
 
 

@@ -42,7 +42,7 @@ SNAP_SHARE = 0.45  # a vertex moves onto the cut when the cut passes this near a
 
 @dataclass(frozen=True)
 class Design:
-    """Where a garment is cut and how it stands off; ``None`` leaves that cut out.
+    """The cuts of a garment and its distance from the body; ``None`` leaves a cut out.
 
     ``hem_y`` lowest height of the torso; ``waist_y`` upper edge of trousers, and where the cloth of a
     dress or a skirt leaves the body; ``band_y`` upper edge of a skirt, ``skirt_hem_y`` lower edge of both;
@@ -299,12 +299,12 @@ def _taubin(vertices: np.ndarray, faces: np.ndarray, *, passes: int) -> np.ndarr
     return vertices
 
 
-def clear(vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, clearance_m: float = CLEARANCE_M) -> np.ndarray:
-    """Vertices pushed to at least ``clearance_m`` from the body; the push is smoothed so that no spikes stay."""
+def clear(vertices: np.ndarray, faces: np.ndarray, body: BodyModel) -> np.ndarray:
+    """Vertices pushed to at least ``CLEARANCE_M`` from the body; the push is smoothed so that no spikes stay."""
     smooth = smoothing_matrix(faces, len(vertices))
     for _ in range(40):
         distance, outward = _outward(vertices, body)
-        lack = np.maximum(0.0, clearance_m + 2e-4 - distance)
+        lack = np.maximum(0.0, CLEARANCE_M + 2e-4 - distance)
         if lack.max() < 2e-4:
             break
         push = lack[:, None] * outward

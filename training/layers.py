@@ -115,7 +115,7 @@ class Decoder(nn.Module):
     def forward(
         self, body_code: Tensor, embedding: Tensor, surroundings: Tensor | None = None
     ) -> tuple[dict[str, Tensor], Tensor]:
-        """Outputs by head, and what the trunk made of its inputs (F, K, n), which corrections read.
+        """Outputs by head, and the trunk's outputs (F, K, n), which corrections read.
 
         ``surroundings`` (F, K, 75, or 102 with the agreed base) where the configuration has them.
         """

@@ -1,4 +1,4 @@
-"""What training minimises: the cloth's total energy on the posed body, and the disagreement of overlapping charts."""
+"""Losses of training: the cloth's total energy on the posed body, and the disagreement of overlapping charts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from drape.cloth.contact import plane_distance
 from drape.cloth.material import Material
 from drape.cloth.waistband import band_energy
 from drape.graph.inputs import BodyTensors
-from training.collider import nearest_collider
+from training.collider import nearest_rows
 from training.consensus import framewise
 from training.data import BodyBatch, Partition, TrainingGarment
 from training.model import FRAME_ROWS, paper_vertices
@@ -35,8 +35,8 @@ def garment_vertices(
 def disagreement(coefficients: Tensor, partition: Partition, sample: Tensor) -> Tensor:
     """Mean squared distance [m^2] between the places that the charts of a vertex give it, over ``sample`` vertices.
 
-    ``coefficients``: ``model.posed_coefficients`` of a drape, or the difference of those of two drapes on the same
-    bodies for what charts say of the way between them.
+    ``coefficients``: ``model.posed_coefficients`` of a drape, or the difference of two drapes on the same bodies.
+    The difference measures what charts say of the way from one drape to the other.
     """
     patch = partition.chart_patch[sample]
     row = partition.chart_row[sample]
@@ -71,8 +71,8 @@ def held_up(coefficients: Tensor, partition: Partition, garment: TrainingGarment
 def soften(energy: Tensor, knee: float) -> Tensor:
     """``knee log(1 + e / knee)``: the energy itself while small, its logarithm where nothing can be done.
 
-    Where an arm lies in the trunk, cloth between them touches whatever the network does;
-    left alone, such frames own the gradient.
+    Cloth between an arm and the trunk it lies in touches whatever the network does; without this such frames own the
+    gradient.
     """
     return knee * torch.log1p(energy / knee)
 
@@ -91,7 +91,7 @@ def contact_planes(vertices: Tensor, body: BodyBatch, *, share: float, generator
     count = vertices.shape[1]
     sample = torch.randperm(count, generator=generator)[: max(1, round(share * count))].to(vertices.device)
     touched = vertices.detach().index_select(1, sample)
-    index = nearest_collider(touched.cpu().numpy(), body.collider)
+    index = nearest_rows(touched.cpu().numpy(), body.collider)
     frame = np.arange(len(index))[:, None]
     point = torch.from_numpy(body.collider[frame, index]).to(vertices.device)
     normal = torch.from_numpy(body.collider_normals[frame, index].astype(np.float32)).to(vertices.device)
@@ -101,8 +101,8 @@ def contact_planes(vertices: Tensor, body: BodyBatch, *, share: float, generator
 def energy_loss(
     vertices: Tensor, garment: TrainingGarment, planes: ContactPlanes, material: Material
 ) -> dict[str, Tensor]:
-    """Energy parts [J] (F,). Contact is that of the sample of ``planes`` scaled up: unbiased, and the nearest-neighbour
-    search is what costs."""
+    """Energy parts [J] (F,). Contact is that of the sample of ``planes``, scaled up: an unbiased estimate, since the
+    search for nearest vertices is dear."""
     parts = energies.total(vertices, garment.cloth, material)
     touched = vertices.index_select(1, planes.sample)
     depth = torch.clamp(material.contact_gap_m - plane_distance(touched, planes.point, planes.normal), min=0.0)

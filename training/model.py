@@ -22,7 +22,7 @@ from training.recurrent import DynamicEncoder
 
 @dataclass(frozen=True)
 class Posed:
-    """Posed patches: frames (F, K, 3, 3) and (F, K, 3), and what was added to the rest jets (F, K, 27 or 45)."""
+    """Posed patches: frames (F, K, 3, 3) and (F, K, 3), and the changes (F, K, 27 or 45) of the rest jets."""
 
     rotation: Tensor
     centre: Tensor
@@ -77,7 +77,7 @@ class OneFit(nn.Module):
         return [closeness, softened(torch.cat([plane[..., 0, :], plane[..., 1, :], height], dim=-1) / 4.0)]
 
     def _points(self, jet: Tensor, rotation: Tensor, centre: Tensor, patches: PatchTensors) -> Tensor:
-        """Where the strain points of posed patches are [m] (F, K, 7, 3)."""
+        """Places [m] (F, K, 7, 3) of the strain points of posed patches."""
         assert patches.place is not None
         moved = jets.full(jet).unflatten(-1, (3, -1)) @ self.felt_terms  # (F, K, 3, 7)
         local = patches.place + patches.scale[:, None, None] * moved.mT
@@ -145,7 +145,7 @@ class OneFit(nn.Module):
             strain, force = strain_and_force(jet, charts, self.tangent_terms)
             body_felt = []
             if self.config.feels_body:
-                # What is felt tells where things are; the energy's own gradient goes round it.
+                # Proximity is an input alone: no gradient flows through it.
                 with torch.no_grad():
                     points = self._points(jet, rotation, centre, patches)
                     if near is None:

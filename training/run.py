@@ -26,7 +26,6 @@ import torch
 from torch.utils.tensorboard import SummaryWriter
 
 from drape.arrays.subnormals import flushed
-from drape.catalog import find_garments
 from drape.errors import InputError, refusing
 from drape.files.data import data_folder
 from drape.motion.clip import MotionClip
@@ -34,7 +33,7 @@ from training import checkpoint, parallel
 from training.config import PRESETS, TrainConfig
 from training.dynamics import DynamicTrainer
 from training.poses import PoseBank, read_clips
-from training.starting import dressed, finetuned, started
+from training.starting import finetuned, started, with_garments, with_more_garments
 from training.targets import SettledBank
 from training.trainer import BaseTrainer, Trainer
 from training.windows import WindowBank
@@ -157,18 +156,11 @@ def _run(arguments: argparse.Namespace) -> None:
         config, weights = finetuned(arguments.finetune, arguments.garment)
     else:
         config, weights = started(PRESETS[arguments.preset](), arguments.start, arguments.encoder)
-        config = dressed(config, arguments.garment)
-    if arguments.beside:
-        files = [str(path) for path in find_garments(arguments.beside)]
-        config = replace(config, data=replace(config.data, garments=(*config.data.garments, *files)))
-    if arguments.minutes is not None:
-        config = replace(config, minutes=arguments.minutes)
-    if arguments.threads is not None:
-        config = replace(config, threads=arguments.threads)
-    if arguments.batch is not None:
-        config = replace(config, batch_size=arguments.batch)
-    if arguments.bf16:
-        config = replace(config, autocast=True)
+        config = with_garments(config, arguments.garment)
+    config = with_more_garments(config, arguments.beside)
+    chosen = {"minutes": arguments.minutes, "threads": arguments.threads, "batch_size": arguments.batch}
+    chosen["autocast"] = arguments.bf16 or None
+    config = replace(config, **{name: value for name, value in chosen.items() if value is not None})
     torch.set_num_threads(config.threads)
     folders = arguments.motions or [f for f in [data_folder("motions")] if f is not None] or [sample_motions()]
     device = torch.device(arguments.device)

@@ -1,12 +1,12 @@
-"""Targets for drapes without corrections: where the solver of folds comes to from the network's own drape.
+"""Targets for drapes without corrections: the network's own drape, settled by the solver of folds.
 
     python -m training.settled --model onefit --beside runs/sewn_garments --out runs/settled --minutes 40
     python -m training.run --finetune onefit --beside runs/sewn_garments --settled runs/settled --out runs/settled_model
 
-Patches cannot fold. Where cloth has too much length they are pushed together, and in energy that costs as much as being
-stretched: a smooth drape of least energy hangs the same in all fabrics. Cloth that may fold hangs by what it weighs and
-by how it stretches, so its solver is let go on until it rests, free but for where it lies on the skin, and the network
-learns the place of that, which in the mean of squares is the smooth part of it.
+Patches cannot fold. Cloth with too much length pushes them together, and that costs as much energy as stretching: a
+smooth drape of least energy hangs the same in all fabrics. Cloth that may fold hangs by its weight and by how it
+stretches. So the solver goes on until the cloth rests, free except where it lies on the skin, and the network learns
+those places: in the mean of squares, their smooth part.
 
 A file holds some poses of one garment in one fabric, drawn as those of a training step are.
 """
@@ -27,7 +27,6 @@ from torch import Tensor
 
 from drape.arrays.subnormals import flushed
 from drape.body.model import BodyModel
-from drape.catalog import find_garments
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric import Fabric
 from drape.cloth.material import Material
@@ -35,16 +34,16 @@ from drape.cloth.waistband import STIFFNESS_N_M2
 from drape.contact.skin import body_skin
 from drape.errors import refusing
 from drape.files.data import data_folder
-from drape.live.fold_constants import Constants, Dressed, leash_n_per_m
-from drape.live.fold_step import Effort, Frame, fold
+from drape.live.fold_constants import FoldConstants, WornCloth, leash_n_per_m
+from drape.live.fold_step import FoldEffort, Frame, fold
 from drape.live.skin_contact import nearest_at_rest, skin_graph
 from training.data import TrainingGarment
 from training.poses import PoseBank, draw_betas, read_clips
-from training.starting import finetuned
+from training.starting import finetuned, with_more_garments
 from training.targets import Settled, digest
 from training.trainer import Trainer
 
-EFFORT = Effort(sweeps=2, settle=40)
+EFFORT = FoldEffort(steps=2, settle=40)
 FRAMES = 6  # of a file: the constants of a garment in a fabric cost as much as one
 
 
@@ -55,7 +54,7 @@ class Settler:
         self._skin = body_skin(body)
         self._graph = skin_graph(self._skin)
 
-    def constants(self, garment: TrainingGarment, fabric: Fabric) -> Constants:
+    def constants(self, garment: TrainingGarment, fabric: Fabric) -> FoldConstants:
         """The constants of folds on the training mesh."""
         moved = {
             item.name: value.numpy().astype(np.float64 if value.is_floating_point() else np.int64)
@@ -67,12 +66,12 @@ class Settler:
         if garment.band is not None:
             vertex, length_m = garment.band
             held[vertex.numpy()] += STIFFNESS_N_M2 * length_m.numpy()
-        return Constants.of(Dressed(cloth, Material.of(fabric), held, self._graph, index))
+        return FoldConstants.of(WornCloth(cloth, Material.of(fabric), held, self._graph, index))
 
-    def settled(self, constants: Constants, vertices: np.ndarray, skin: np.ndarray) -> np.ndarray:
-        """Where ``vertices`` [m] (F, V, 3) come to on bodies of samples ``skin`` (F, ..., 8), relative to one origin.
+    def settled(self, constants: FoldConstants, vertices: np.ndarray, skin: np.ndarray) -> np.ndarray:
+        """Settled places [m] (F, V, 3) of ``vertices`` on bodies of samples ``skin`` (F, ..., 8), about one origin.
 
-        A drape that is lost on the way is not finite.
+        A drape that the solver loses is not finite.
         """
         found = []
         for start, samples in zip(vertices, skin.reshape(len(skin), -1, skin.shape[-1]), strict=True):
@@ -82,7 +81,7 @@ class Settler:
 
 
 def make(trainer: Trainer, settler: Settler) -> Settled | None:
-    """A garment, a fabric and poses as ``trainer`` draws them, settled; None where one of the drapes is lost."""
+    """A garment in a fabric at poses that ``trainer`` draws, settled; None if the solver lost one of the drapes."""
     rng, config = trainer.rng, trainer.config
     trainer.draw_fabric()
     assert trainer.fabric is not None
@@ -115,9 +114,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     torch.set_num_threads(1)
     config, weights = finetuned(options.model, options.garment)
-    if options.beside:
-        files = [str(path) for path in find_garments(options.beside)]
-        config = replace(config, data=replace(config.data, garments=(*config.data.garments, *files)))
+    config = with_more_garments(config, options.beside)
     folders = options.motions or [folder for folder in [data_folder("motions")] if folder is not None]
     bank = PoseBank(read_clips(folders, held_out=config.data.held_out), config.data)
     options.out.mkdir(parents=True, exist_ok=True)

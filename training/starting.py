@@ -1,4 +1,4 @@
-"""What a run starts from: nothing, a static model that gets a recurrent encoder, or a model to be fine-tuned."""
+"""The start of a run: from nothing, from a static model that gets a recurrent encoder, or from one to be fine-tuned."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 from torch import Tensor
 
 from drape.artifacts import MODELS_DIR, model_folder
+from drape.catalog import find_garments
 from drape.errors import InputError
 from training import checkpoint
 from training.config import ModelConfig, TrainConfig, finetune, go_on
@@ -67,18 +68,23 @@ def finetuned(model: Path, garments: list[str] | None) -> tuple[TrainConfig, Wei
     """The configuration that goes on training ``model`` on ``garments`` alone, or else on the shipped preset's, and its
     weights. A model from before fabrics learns them from here on.
 
-    Of a dynamic model it is the static drape that is trained; --preset dynamic adds motion to the result.
+    A dynamic model's static drape is trained; --preset dynamic adds motion to the result.
     """
     weights, sizes, held_out = read_model(model)
-    config = dressed(finetune(), garments) if garments else go_on()
+    config = with_garments(finetune(), garments) if garments else go_on()
     static = {name: value for name, value in weights.items() if not name.startswith("dynamic.")}
     data = replace(config.data, held_out=held_out)
     return replace(config, model=replace(sizes, dynamic=False, fabric=sizes.variant == "vector"), data=data), static
 
 
-def dressed(config: TrainConfig, garments: list[str] | None) -> TrainConfig:
-    """``config`` trained on ``garments``, files or names of designs, and on no neighbours of theirs; on its own where
-    there are none."""
+def with_garments(config: TrainConfig, garments: list[str] | None) -> TrainConfig:
+    """``config`` with ``garments``, files or names of designs, and no neighbours of theirs; unchanged without any."""
     if not garments:
         return config
     return replace(config, data=replace(config.data, garments=tuple(garments), variants=0, own_share=1.0))
+
+
+def with_more_garments(config: TrainConfig, files: list[str] | None) -> TrainConfig:
+    """``config`` with garments besides its own: ``files`` and folders of them."""
+    more = [str(path) for path in find_garments(files)] if files else []
+    return replace(config, data=replace(config.data, garments=(*config.data.garments, *more)))

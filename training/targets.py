@@ -1,10 +1,9 @@
-"""Settled drapes as files: what training.settled makes and a trainer learns from."""
+"""Settled drapes as files: ``training.settled`` makes them, a trainer learns from them."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-import os
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from torch import Tensor
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric import Fabric
 from drape.errors import ArtifactError, InputError, NotFound
+from drape.files.atomic import whole_file
 from training.data import TrainingGarment
 
 TRIES = 64
@@ -37,14 +37,12 @@ class Settled:
     def save(self, path: Path) -> None:
         """Writes ``path``, whole or not at all."""
         said = {"garment": self.garment, "digest": self.digest, "fabric": dataclasses.asdict(self.fabric)}
-        part = path.with_name(path.name + ".part")
-        with part.open("wb") as file:
+        with whole_file(path) as file:
             np.savez(file, said=json.dumps(said), poses=self.poses, betas=self.betas, vertices=self.vertices)
-        os.replace(part, path)
 
     @classmethod
     def read(cls, path: Path) -> Settled:
-        """What ``path`` holds; refuses (``ArtifactError``) what was not written here."""
+        """The drapes in ``path``; refuses (``ArtifactError``) a file that ``save`` did not write."""
         try:
             with np.load(path, allow_pickle=False) as found:
                 said = json.loads(str(found["said"]))

@@ -31,7 +31,7 @@ SAMPLE_VERTICES = 384  # per step, for the disagreement of charts
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """A loss [J/m^2], what it is made of ``parts`` [J/m^2], and the disagreement [m^2] of charts, for the report."""
+    """A loss [J/m^2], its ``parts`` [J/m^2], and the disagreement [m^2] of charts, for the report."""
 
     loss: Tensor
     parts: dict[str, Tensor]
@@ -54,7 +54,7 @@ class Draped:
 
 
 class BaseTrainer:
-    """The state of a run: model, optimiser, random sources, and how far it is; what it learns from is a subclass's.
+    """The state of a run: model, optimiser, random sources, progress. A subclass says what it learns from.
 
     ``weights``: those of a model to start from.
     """
@@ -100,7 +100,7 @@ class BaseTrainer:
         self.generator = torch.Generator().manual_seed(seed + 1000003 * parallel.rank())
 
     def _set_statistics(self) -> None:
-        """Sets what the network knows of the sizes of its inputs."""
+        """Sets the statistics of the network's inputs."""
         raise NotImplementedError
 
     def objective(self) -> Objective:
@@ -108,7 +108,7 @@ class BaseTrainer:
         raise NotImplementedError
 
     def draw_fabric(self) -> None:
-        """What the garment of this step is made of."""
+        """Draws the fabric of this step."""
         if self.fabrics is not None:
             self._wear(self.fabrics.draw(self.rng))
 
@@ -173,7 +173,7 @@ class BaseTrainer:
         return Draped(posed, said, losses.garment_vertices(said, partition, garment, batch.tensors, variant=variant))
 
     def _planes(self, vertices: Tensor, batch: BodyBatch) -> losses.ContactPlanes:
-        """What ``vertices`` [m] (F, V, 3) touch, at some of them drawn now."""
+        """Planes that some of ``vertices`` [m] (F, V, 3), drawn now, touch."""
         return losses.contact_planes(vertices, batch, share=self.config.data.contact_share, generator=self.generator)
 
     def _energy(self, vertices: Tensor, garment: TrainingGarment, planes: losses.ContactPlanes) -> dict[str, Tensor]:
@@ -230,7 +230,7 @@ class BaseTrainer:
 
 
 def take_weights(model: OneFit, weights: Mapping[str, Tensor]) -> None:
-    """Loads ``weights`` into ``model``; those of a static model leave its recurrent encoder as it is."""
+    """Loads ``weights`` into ``model``. Weights of a static model leave the recurrent encoder as it is."""
     try:
         missing, unknown = model.load_state_dict(_widened(weights, model), strict=False)
     except RuntimeError as error:
@@ -248,7 +248,7 @@ def take_weights(model: OneFit, weights: Mapping[str, Tensor]) -> None:
 def _widened(weights: Mapping[str, Tensor], model: OneFit) -> dict[str, Tensor]:
     """``weights`` with columns of zeros for features of the garment encoder that their network did not have.
 
-    So the first drape is that of before, whatever the fabric.
+    So the first drape is unchanged, whatever the fabric.
     """
     found = dict(weights)
     for name, made in model.garment.state_dict(prefix="garment.").items():
@@ -262,7 +262,7 @@ def _widened(weights: Mapping[str, Tensor], model: OneFit) -> dict[str, Tensor]:
 
 
 class Trainer(BaseTrainer):
-    """Learns the drape of single poses from ``bank``; without corrections that of ``settled`` ones, where there are."""
+    """Learns the drape of single poses from ``bank``. Steps without corrections learn ``settled`` drapes, if any."""
 
     def __init__(
         self,

@@ -57,7 +57,7 @@ class Wardrobe:
                 count = config.partitions if label == name else config.variant_partitions
                 seeds = [int(rng.integers(2**31)) for _ in range(count)]
                 self.garments.append(
-                    self._dressed(label, rest, seeds, self._cloth(rest, own, rng, turned=label != name))
+                    self._training_garment(label, rest, seeds, self._cloth(rest, own, rng, turned=label != name))
                 )
 
     def _meshes(
@@ -82,8 +82,10 @@ class Wardrobe:
     def _cloth(
         self, rest: RestGarment, own: RestState | None, rng: np.random.Generator, *, turned: bool
     ) -> tuple[RestState, np.ndarray]:
-        """How the cloth rests, and its warp (F, 3): vertical unless it says so itself, or by chance where it may be
-        ``turned``."""
+        """The rest state of the cloth, and its warp (F, 3): the garment's own if it has one, else vertical.
+
+        A ``turned`` garment may be cut with another grain, by chance.
+        """
         if not self._fabrics:
             return rest_state.modelled(rest.vertices, rest.faces), rest_state.grain_along(rest.vertices, rest.faces)
         if own is not None:
@@ -95,7 +97,7 @@ class Wardrobe:
             warp = np.cos(angle) * warp + np.sin(angle) * across
         return rest_state.flat(rest.vertices, rest.faces, warp), warp
 
-    def _dressed(
+    def _training_garment(
         self, label: str, rest: RestGarment, seeds: list[int], made: tuple[RestState, np.ndarray]
     ) -> TrainingGarment:
         state, warp = made
@@ -130,7 +132,7 @@ class Wardrobe:
         garment.seeds[place] = seed
 
     def seeds(self) -> list[list[int]]:
-        """What ``restore`` needs."""
+        """Seeds of all partitions, for ``restore``."""
         return [list(garment.seeds) for garment in self.garments]
 
     def restore(self, seeds: list[list[int]]) -> None:

@@ -28,7 +28,7 @@ class Windows:
     dt_s: np.ndarray
 
     def kinematics(self, body: BodyModel, betas: np.ndarray) -> Kinematics:
-        """Where the bodies of the shapes ``betas`` (B, S) are, (B, N, ...)."""
+        """Kinematics (B, N, ...) of the bodies of shapes ``betas`` (B, S)."""
         shape = self.poses.shape[:2]
         poses, trans = self.poses.reshape(-1, *self.poses.shape[2:]), self.trans.reshape(-1, 3)
         at = kinematics(body, poses, trans, np.repeat(betas, shape[1], axis=0))

@@ -8,21 +8,23 @@ from __future__ import annotations
 
 import numpy as np
 
+from benchmarks.judge.surroundings import outside
 from drape.kernels.compiled import kernel, part
 from drape.kernels.elements import (
     add,
     add_to,
-    angle_gradient,
     at,
+    columns,
+    corner_force,
+    corner_stiffness,
     dot,
     fold,
     fold_gradient,
+    hinge_corner,
     mix,
     outer,
-    outside,
     scaled,
     shifted,
-    slopes,
     solved,
     stress,
     sub,
@@ -118,23 +120,25 @@ def _limited_step(gradient, hessian, k):
 
 
 @part
+def _corner(x, own, triangles, entry):
+    """The columns of F of the triangle at ``entry`` with its corner at ``own``, that corner's slopes, and the area."""
+    slope = triangles.slope
+    p1, t1, p2, t2 = slope[entry, 0], slope[entry, 1], slope[entry, 2], slope[entry, 3]
+    first, second = sub(at(x, triangles.other[entry, 0]), own), sub(at(x, triangles.other[entry, 1]), own)
+    along, across = columns(first, second, p1, p2, t1, t2)
+    return along, across, -p1 - p2, -t1 - t2, slope[entry, 4]
+
+
+@part
 def _membrane_block(x, v, problem, gradient, hessian):
-    """``gradient`` and ``hessian`` of vertex v with its triangles': Gauss-Newton, and their stress where it pulls."""
+    """``gradient`` and ``hessian`` of vertex v plus those of its triangles: Gauss-Newton, and the stress that pulls."""
     k, t = problem.constants, problem.triangles
     own = at(x, v)
     for entry in range(t.start[v], t.start[v + 1]):
-        first, second = sub(at(x, t.other[entry, 0]), own), sub(at(x, t.other[entry, 1]), own)
-        p1, t1, p2, t2, area = slopes(t, entry)
-        along, across = mix(p1, first, p2, second), mix(t1, first, t2, second)
-        pp, tt, pt, _ = stress(along, across, area, k)
-        mp, mt = -p1 - p2, -t1 - t2  # slopes of the own corner
-        cp, ct = mp * pp + mt * pt, mp * pt + mt * tt
+        along, across, mp, mt, area = _corner(x, own, t, entry)
+        cp, ct = corner_force(along, across, mp, mt, area, k)
         gradient = add(gradient, mix(cp, along, ct, across))
-        # dE/dx of the strains: 2 mp p, 2 mt t, mp t + mt p, each times the material.
-        twice = k.one + k.one
-        kpp = area * (twice * k.warp * mp * mp + k.shear * mt * mt)
-        ktt = area * (twice * k.weft * mt * mt + k.shear * mp * mp)
-        kpt = area * (twice * k.cross + k.shear) * mp * mt
+        kpp, ktt, kpt = corner_stiffness(mp, mt, area, k)
         hessian = outer(outer(hessian, kpp - kpt, along), ktt - kpt, across)
         hessian = outer(hessian, kpt, add(along, across))
         pull = cp * mp + ct * mt
@@ -145,28 +149,24 @@ def _membrane_block(x, v, problem, gradient, hessian):
 
 @part
 def _hinge_block(x, v, problem, gradient, hessian):
-    """The same of v's hinges: Gauss-Newton of the angle, as stiff folded as flat, so that it bounds the curvature."""
+    """The same plus those of its hinges: Gauss-Newton of the angle, as stiff folded as flat, so that it bounds the
+    curvature."""
     k, hinges = problem.constants, problem.hinges
     for entry in range(hinges.start[v], hinges.start[v + 1]):
-        h, place = hinges.member[entry] // 4, hinges.member[entry] % 4
-        corner, cosine, sine = hinges.corner[h], hinges.cosine[h], hinges.sine[h]
-        points = (at(x, corner[0]), at(x, corner[1]), at(x, corner[2]), at(x, corner[3]))
-        _, vectors, scalars = fold(points, cosine, sine, k)
-        by_corner, turns = fold_gradient(vectors, scalars, cosine, sine, k), angle_gradient(vectors, k)
-        gradient = add(gradient, scaled(hinges.stiffness[h], by_corner[place]))
-        hessian = outer(hessian, hinges.stiffness[h], turns[place])
+        stiffness, force, turn = hinge_corner(x, hinges, hinges.member[entry], k)
+        gradient = add(gradient, scaled(stiffness, force))
+        hessian = outer(hessian, stiffness, turn)
     return gradient, hessian
 
 
 @part
 def _local_energy(x, own, v, problem, around):
-    """Energy [J] of all that moves with vertex v, were it at ``own``."""
+    """Energy [J] of all that vertex v moves, with v at ``own``."""
     k, t, hinges = problem.constants, problem.triangles, problem.hinges
     total, _, _ = outside(own, v, problem, around)
     for entry in range(t.start[v], t.start[v + 1]):
-        first, second = sub(at(x, t.other[entry, 0]), own), sub(at(x, t.other[entry, 1]), own)
-        p1, t1, p2, t2, area = slopes(t, entry)
-        total += stress(mix(p1, first, p2, second), mix(t1, first, t2, second), area, k)[3]
+        along, across, _, _, area = _corner(x, own, t, entry)
+        total += stress(along, across, area, k)[3]
     for entry in range(hinges.start[v], hinges.start[v + 1]):
         h, place = hinges.member[entry] // 4, hinges.member[entry] % 4
         corner = hinges.corner[h]
@@ -181,7 +181,7 @@ def _local_energy(x, own, v, problem, around):
 
 @kernel
 def diagonal_blocks(x, problem, around, blocks):
-    """The positive Hessian blocks (V, 3, 3) of the vertices that ``sweep`` solves."""
+    """Writes the positive Hessian blocks (V, 3, 3) with which ``sweep`` moves the vertices."""
     k = problem.constants
     for v in range(len(x)):
         own = at(x, v)

@@ -1,4 +1,4 @@
-"""The Hessian of a cloth's energy as 3 x 3 blocks in rows (CSR), compiled: exact, or what of it is surely positive."""
+"""The Hessian of a cloth's energy as 3 x 3 blocks in rows (CSR), compiled: exact, or a positive part of it."""
 
 from __future__ import annotations
 
@@ -6,29 +6,26 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.judge.surroundings import outside
 from drape.cloth.energies import ClothMesh
 from drape.kernels.compiled import kernel, part
 from drape.kernels.elements import (
-    add_to_block,
     angle_gradient,
     at,
     cross,
     dot,
     fold,
     mix,
-    outside,
     scaled,
     stress,
     sub,
-    tension,
 )
 from drape.kernels.problem import stencil
 
 
 class Pattern(NamedTuple):
-    """Where the blocks are. Row v has the columns ``column[start[v] : start[v + 1]]``, sorted, its own at ``diagonal``.
-
-    ``face`` (F, 3, 3), ``hinge`` (H, 4, 4): the block of every pair of corners.
+    """The places of the blocks. Row v has the columns ``column[start[v] : start[v + 1]]``, sorted, its own at
+    ``diagonal``. ``face`` (F, 3, 3) and ``hinge`` (H, 4, 4) name the block of every pair of corners.
     """
 
     start: np.ndarray
@@ -61,10 +58,10 @@ def pattern(cloth: ClothMesh) -> Pattern:
 
 @kernel
 def assemble(x, problem, around, pattern, exact, blocks):
-    """The Hessian [N/m] at ``x`` in ``blocks`` (N, 3, 3), N blocks of the pattern.
+    """Writes the Hessian [N/m] at ``x`` to ``blocks`` (N, 3, 3), the N blocks of the pattern.
 
-    ``exact`` 1: as it is; 0: surely positive, with stress only where it pulls and hinges as stiff as unfolded ones,
-    without the curvature of their angle; between: as much of each.
+    It is the exact one for ``exact`` 1. For 0 it is positive: only tensile stress counts, hinges are as stiff as
+    unfolded ones, and the curvature of their angle is left out. Values between mix the two.
     """
     blocks[:] = problem.constants.zero
     _membrane_blocks(x, problem, pattern, exact, blocks)
@@ -183,3 +180,24 @@ def _angle_hessian_side(angle, third, e, arm, n, sign, k):
             block[2, 0] += normal[2] * s[0] - c * (n[2] * turned[0] + o[1])
             block[2, 1] += normal[2] * s[1] - c * (n[2] * turned[1] - o[0])
             block[2, 2] += normal[2] * s[2] - c * n[2] * turned[2]
+
+
+@kernel
+def tension(pp, tt, pt, k):
+    """The stress (pp, tt, pt) without what pushes: principal values below zero are zero."""
+    mean = k.half * (pp + tt)
+    radius = np.sqrt(k.half * k.half * (pp - tt) * (pp - tt) + pt * pt)
+    if mean >= radius:
+        return pp, tt, pt
+    if mean <= -radius or radius == k.zero:
+        return k.zero, k.zero, k.zero
+    share, low = k.half * (mean + radius) / radius, mean - radius
+    return share * (pp - low), share * (tt - low), share * pt
+
+
+@kernel
+def add_to_block(blocks, z, a, b):
+    """Adds a b^T to block z."""
+    for i in range(3):
+        for j in range(3):
+            blocks[z, i, j] += a[i] * b[j]

@@ -10,17 +10,15 @@ from drape.kernels.compiled import kernel, part
 
 
 class Charts(NamedTuple):
-    """A partition of unity, C patches per vertex: ``patch`` (V, C) with ``weight`` (V, C), rows summing to one.
-
-    As a basis: each patch carries one displacement.
-    """
+    """A basis of patches that each carry one displacement: C ``patch`` (V, C) per vertex with ``weight`` (V, C),
+    whose rows sum to one."""
 
     patch: np.ndarray
     weight: np.ndarray
 
 
 def no_charts(vertex_count: int, dtype: type[np.floating]) -> Charts:
-    """No basis at all."""
+    """The empty basis."""
     return Charts(np.zeros((vertex_count, 0), np.int32), np.zeros((vertex_count, 0), dtype))
 
 
@@ -109,7 +107,7 @@ def galerkin(charts, pattern, blocks, out):
 
 @part
 def precondition(system, r, y):
-    """y = M^-1 r: Gauss-Seidel plus what the charts solve; returns r . y."""
+    """y = M^-1 r: Gauss-Seidel plus the solution on the charts; returns r . y."""
     gauss_seidel(system.pattern, system.blocks, system.inverse, r, y)
     if len(system.coarse) > 0:
         force = np.zeros((len(system.coarse) // 3, 3), r.dtype)
@@ -123,11 +121,8 @@ def precondition(system, r, y):
 
 
 class System(NamedTuple):
-    """A block matrix with what its preconditioner needs.
-
-    ``inverse`` (V, 3, 3) of positive diagonal blocks; ``coarse`` (3K, 3K), the inverse of the matrix on the charts, of
-    size zero where there are none.
-    """
+    """A block matrix and its preconditioner: the ``inverse`` (V, 3, 3) of positive diagonal blocks, and ``coarse``
+    (3K, 3K), the inverse of the matrix on the charts, of size zero if there are none."""
 
     pattern: NamedTuple
     blocks: np.ndarray

@@ -2,7 +2,7 @@
 
 Far from rest the cloth first settles under its own stiffness (``benchmarks.judge.settling``).
 
-The energy is that of ``drape.cloth.energies``, over the blended planes of ``benchmarks.judge.body_distance``: those of
+The energy is that of ``drape.cloth.energies``, over the blended planes of ``benchmarks.judge.blended_planes``: those of
 the nearest body vertices step where a vertex comes nearer to another one, and then there is no place of rest.
 """
 
@@ -15,12 +15,13 @@ import numpy as np
 import scipy.linalg
 
 from benchmarks.judge import descent, hessian, linear, settling
-from benchmarks.judge.body_distance import BlendedPlanes
+from benchmarks.judge.blended_planes import BlendedPlanes
 from benchmarks.judge.linear import Charts
+from benchmarks.judge.surroundings import Surroundings, surroundings
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
-from drape.kernels.problem import Options, Problem, Surroundings, problem, surroundings
+from drape.kernels.problem import Problem, problem
 
 REACH_M = 0.01  # the most that one step moves a vertex
 SWEEPS = 4  # of vertex block descent before settling and before the first step: they take the worst away
@@ -42,8 +43,8 @@ ROUGH_ROUNDS, ROUNDS, ROUNDS_PER_STEP = 40, 400, 10
 
 
 class Cloth(NamedTuple):
-    """What does not change between poses: the flat problem, its pattern, charts in float32, the inverse that cloth
-    settles by."""
+    """The constants of a cloth that all poses share: its problem, the pattern of its Hessian, charts in float32, and
+    ``solve``, the inverse by which it settles."""
 
     problem: Problem
     pattern: hessian.Pattern
@@ -52,7 +53,7 @@ class Cloth(NamedTuple):
 
     @classmethod
     def of(cls, cloth: ClothMesh, material: Material, charts: Charts | None) -> Cloth:
-        made = problem(cloth, material, dtype=np.float64, options=Options(reach_m=REACH_M))
+        made = problem(cloth, material, dtype=np.float64, reach_m=REACH_M)
         charts = charts or linear.no_charts(cloth.vertex_count, np.float32)
         patch, weight = charts
         single = Charts(np.ascontiguousarray(patch, dtype=np.int32), np.ascontiguousarray(weight, dtype=np.float32))
@@ -65,14 +66,14 @@ class Cloth(NamedTuple):
 
 
 class Band(NamedTuple):
-    """What holds a waist over one body: the ``anchor`` (V, 3) [m] of every vertex and its spring (V,) [N/m] or zero."""
+    """A waistband over one body: the ``anchor`` (V, 3) [m] of every vertex and its spring (V,) [N/m], zero off it."""
 
     anchor: np.ndarray
     n_per_m: np.ndarray
 
 
 class Found(NamedTuple):
-    """An end: ``x`` (V, 3), ``energy`` [J] over the blended planes, ``force`` [N] (V, 3) left, at rest or not."""
+    """A place ``x`` [m] (V, 3), its ``energy`` [J] over the blended planes and the ``force`` [N] (V, 3) left there."""
 
     x: np.ndarray
     energy: float
@@ -82,7 +83,9 @@ class Found(NamedTuple):
 
 
 class Descent:
-    """One drape on its way down: where it is, ``now``, and what it has met of least energy, ``best``."""
+    """One drape on its way down: ``now`` is its place, ``best`` the place of least energy that it has met."""
+
+    reach_m: float | np.ndarray = REACH_M
 
     def __init__(
         self, cloth: Cloth, contact: BodyContact, posed: np.ndarray, start: np.ndarray, *, band: Band | None = None
@@ -96,14 +99,13 @@ class Descent:
         triangles = self.problem.triangles
         area = np.bincount(triangles.corner.reshape(-1), np.repeat(triangles.area, 3), len(start))
         self._per_shift = (area / area.mean())[:, None, None] * np.eye(3)
-        self._blocks = np.empty((len(cloth.pattern.column), 3, 3))
         self._diagonal = np.empty((len(start), 3, 3))
         self._coarse, self._coarse_age = np.zeros((0, 0), np.float32), COARSE_AGE
         self.now = self.best = self.found(start)
         self.start_j = self.now.energy
 
     def around(self, x: np.ndarray) -> tuple[Surroundings, np.ndarray]:
-        """What acts on ``x`` from outside, and the second derivatives of its distance to the body."""
+        """The planes and springs that act on ``x``, and the second derivatives of its distance to the body."""
         if self._met is not None and self._met[0] is x:
             return self._met[1:]
         point, normal, bend = self._planes(x)
@@ -120,13 +122,14 @@ class Descent:
         return Found(x, energy, gradient, False, self.steps)
 
     def settle(self, rounds: int) -> None:
-        """Goes on as ``settling`` does, in ``rounds`` at most, from where sweeps come to."""
+        """Sweeps, and then goes on as ``settling`` does, for ``rounds`` at most."""
         for _ in range(SWEEPS):
             self._sweep(self.problem.order)
         self._take(settling.settle(self.now, self.found, self.cloth.solve, rounds))
 
     def run(self, step_limit: int, tolerance_n: float) -> Found:
-        """Until the norm of the force left is at most ``tolerance_n``, ``step_limit`` steps, or no step lowers it."""
+        """Steps until the norm of the force left is at most ``tolerance_n``, no step lowers the energy, or there were
+        ``step_limit`` steps."""
         if self.steps == 0:
             for _ in range(SWEEPS):
                 self._sweep(self.problem.order)
@@ -160,9 +163,11 @@ class Descent:
 
     def _sweep(self, order: np.ndarray, times: int = 1) -> None:
         """Vertex block descent of the vertices ``order`` over the planes of now, if it lowers the energy."""
-        x, around = self.now.x.copy(), self.around(self.now.x)[0]
+        origin, around = self.now.x, self.around(self.now.x)[0]
+        x = origin.copy()
         for _ in range(times):
             descent.sweep(x, self.problem._replace(order=order), around, True)
+            x = self._swept(origin, x)
         there = self.found(x)
         if there.energy < self.now.energy:
             self._take(there)
@@ -192,22 +197,26 @@ class Descent:
         return lowered
 
     def _direction(self) -> tuple[np.ndarray, int]:
-        """A step [m] (V, 3) along which the energy falls, and the iterations that it took, negative if cut off."""
-        x, problem, pattern = self.now.x, self.problem, self.cloth.pattern
+        """A step [m] (V, 3) along which the energy falls, and its iterations, negative where they were cut off."""
+        x, problem, (pattern, others) = self.now.x, self.problem, self._other_blocks()
         around, bend = self.around(x)
         depth = np.maximum(problem.constants.gap - ((x - around.point) * around.normal).sum(axis=1), 0.0)
         bend = (problem.contact_n_per_m * depth)[:, None, None] * bend
         descent.diagonal_blocks(x, problem, around, self._diagonal)
-        inverse = np.linalg.inv(self._diagonal).astype(np.float32)
+        own = self._diagonal if others is None else self._diagonal + others[pattern.diagonal]
+        inverse = np.linalg.inv(own).astype(np.float32)
+        blocks = np.empty((len(pattern.column), 3, 3))
         moved, force = np.empty(x.shape, np.float32), (-self.now.force).astype(np.float32)
         while True:
             exact, left = (self.exact, ROUGH) if self.shift is None else (1.0, FINE)
-            hessian.assemble(x, problem, around, pattern, exact, self._blocks)
-            self._blocks[pattern.diagonal] += DAMPING * self._diagonal - exact * bend
+            hessian.assemble(x, problem, around, pattern, exact, blocks)
+            if others is not None:
+                blocks += others
+            blocks[pattern.diagonal] += DAMPING * self._diagonal - exact * bend
             if self.shift is not None:
-                self._blocks[pattern.diagonal] += self.shift * self._per_shift
-            single = self._blocks.astype(np.float32)
-            self._renew_coarse(single)
+                blocks[pattern.diagonal] += self.shift * self._per_shift
+            single = blocks.astype(np.float32)
+            self._renew_coarse(pattern, single)
             system = linear.System(pattern, single, inverse, self.cloth.charts, self._coarse)
             count = linear.conjugate_gradients(system, force, np.float32(left), ITERATIONS, moved)
             # A direction that curves down leads far away, unless it came late.
@@ -219,20 +228,30 @@ class Descent:
                 break
             else:
                 self.exact = 0.5 * self.exact if self.exact > EXACT_LEAST else 0.0
-        step = moved.astype(np.float64)
-        length = np.linalg.norm(step, axis=1, keepdims=True)
-        step *= np.minimum(1.0, REACH_M / np.maximum(length, 1e-12))
-        return step, count
+        return self._limited(moved.astype(np.float64)), count
 
-    def _renew_coarse(self, blocks: np.ndarray) -> None:
-        """Takes the inverse on the charts anew when it is old; where it is not positive, none."""
+    def _other_blocks(self) -> tuple[hessian.Pattern, np.ndarray | None]:
+        """The pattern of the Hessian, and blocks that are added to those of the cloth: here none."""
+        return self.cloth.pattern, None
+
+    def _limited(self, step: np.ndarray) -> np.ndarray:
+        """``step`` [m] (V, 3) with every vertex's way shortened to what it may go, ``reach_m`` () or (V, 1)."""
+        length = np.linalg.norm(step, axis=1, keepdims=True)
+        return step * np.minimum(1.0, self.reach_m / np.maximum(length, 1e-12))
+
+    def _swept(self, origin: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """The place where a sweep from ``origin`` to ``x`` ends: here ``x``."""
+        return x
+
+    def _renew_coarse(self, pattern: hessian.Pattern, blocks: np.ndarray) -> None:
+        """Renews the inverse on the charts when it is old; a matrix that is not positive has none."""
         self._coarse_age += 1
         if self.cloth.charts.patch.size == 0 or self._coarse_age < COARSE_AGE:
             return
         self._coarse_age = 0
         size = 3 * (int(self.cloth.charts.patch.max()) + 1)
         matrix = np.empty((size, size), np.float32)
-        linear.galerkin(self.cloth.charts, self.cloth.pattern, blocks, matrix)
+        linear.galerkin(self.cloth.charts, pattern, blocks, matrix)
         factorise, invert = scipy.linalg.get_lapack_funcs(("potrf", "potri"), (matrix,))
         factor, failed = factorise(matrix, lower=1)
         if failed:
@@ -242,10 +261,10 @@ class Descent:
         self._coarse = np.ascontiguousarray(lower + np.tril(lower, -1).T)
 
     def _lay_out(self) -> bool:
-        """Lays the corners of collapsed triangles between their neighbours, from where no step leads down.
+        """Lays the corners of collapsed triangles between their neighbours; returns whether there were any.
 
-        A fold of a triangle without an area has no angle, and costs half of a whole one: a sharp well of the energy.
-        False where none is collapsed.
+        A triangle without an area has no fold, and its hinges cost as half a fold: a sharp well of the energy, from
+        which no step leads down.
         """
         x, corner = self.now.x.copy(), self.problem.triangles.corner
         first, second = x[corner[:, 1]] - x[corner[:, 0]], x[corner[:, 2]] - x[corner[:, 0]]
@@ -279,10 +298,10 @@ def minimum(
     tolerance: float,
     band: Band | None = None,
 ) -> Found:
-    """The lowest drape over ``posed`` (Vb, 3) from ``starts`` (each V, 3), and never above the lowest of them.
+    """The lowest drape over ``posed`` (Vb, 3) from ``starts`` (each V, 3), never above the lowest of them.
 
-    Every start settles a little; the lowest of them settles on, and goes by Newton's method to rest, where the force
-    left is at most ``tolerance`` of the weight, or until it has taken ``step_limit`` steps.
+    Every start settles a little. The lowest settles on and goes by Newton's method until the force left is at most
+    ``tolerance`` of the weight, for ``step_limit`` steps at most.
     """
     limit_n = tolerance * cloth.weight_n
     descents = [Descent(cloth, contact, posed, start, band=band) for start in starts]

@@ -1,20 +1,20 @@
-"""The physics optimum: every vertex free, each frame's energy minimised directly.
+"""The physics optimum of a drape: every vertex is free, and each frame's energy is minimised by itself.
 
-From one start or from several, of which the lowest counts: Newton's method with the charts of the garment as coarse
-level (``benchmarks.judge.newton``). It never ends above its starts, says of every frame whether it came to rest, and
-refuses by name what does not come near it. How the method was chosen: docs/reference/quality.md.
+``benchmarks.judge.newton`` goes down from the lowest of the starts, with the garment's charts as coarse level. The
+optimum never lies above its starts. It says of every frame whether it came to rest; a garment that ends far from rest
+is refused by its name. docs/reference/quality.md tells how the method was chosen.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from benchmarks.judge.body_distance import blended_distance
+from benchmarks.judge.blended_planes import blended_distance
 from benchmarks.judge.linear import Charts
 from benchmarks.judge.newton import Band, Cloth, Found, minimum
 from drape.body.model import BodyModel
@@ -32,9 +32,13 @@ TOLERANCE = 0.01  # of the weight: the norm of the force left at rest
 LEFT_LIMIT_J_M2 = 0.05  # skinning costs 1 to 5 J per m^2 of cloth
 
 
+PartsOf = Callable[..., dict[str, np.ndarray]]
+Descend = Callable[[Cloth, np.ndarray, list[np.ndarray], Band | None], Found]
+
+
 @dataclass(frozen=True, eq=False)
 class Held:
-    """A waistband over the posed bodies: ``vertex``, ``length_m`` (n,), and ``anchor`` (F, n, 3), where it is held."""
+    """A waistband over the posed bodies: its ``vertex`` and ``length_m`` (n,), held at ``anchor`` [m] (F, n, 3)."""
 
     vertex: np.ndarray
     length_m: np.ndarray
@@ -50,10 +54,10 @@ class Held:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What is draped: a ``cloth`` of ``material`` over the posed bodies (F, Vb, 3), from ``starts``.
+    """A ``cloth`` of ``material`` to be draped over the posed bodies (F, Vb, 3), from ``starts`` (F, V, 3) [m].
 
-    A start is (F, V, 3) [m]. ``charts`` are the patches of the garment, where it has some, ``held`` its waistband:
-    without friction trousers would slide off the hips. ``name`` is for refusals.
+    ``charts`` are the garment's patches if it has any. ``held`` is its waistband: without friction trousers would slide
+    off the hips. Refusals say ``name``.
     """
 
     cloth: ClothMesh
@@ -78,21 +82,20 @@ class Task:
         skinned: np.ndarray,
         starts: tuple[np.ndarray, ...],
     ) -> Task:
-        """``garment`` by its patches, held at its waist, if it has one, where ``skinned`` (F, V, 3) [m] carries it."""
+        """The task of ``garment`` with its patches, its waist held at its places in ``skinned`` (F, V, 3) [m]."""
         held = held_by_waist(garment, body, skinned)
         return cls(cloth, material, contact, body_vertices, starts, charts_of(garment), held, garment.name)
 
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """What the minimiser reached, per frame.
+    """The drapes that the minimiser reached, ``vertices`` [m] (F, V, 3), and how.
 
-    ``vertices`` [m] (F, V, 3); ``start_j``, ``energy_j`` (F,) the energy of the lowest start and of ``vertices`` [J],
-    never above the start's, over the blended planes, relative to the height of the first start and with the
-    waistband's energy; ``nearest_j`` (F,) that of ``vertices`` over the planes of the nearest body vertices;
-    ``residual_n`` (F,) the norm of the force that is left at the vertices [N]; ``converged``
-    (F,): it is at most the tolerance times the weight; ``steps`` (F,) of Newton; ``processor_s`` (F,) [s]; ``seconds``
-    of the clock for all frames.
+    ``start_j`` and ``energy_j`` (F,) [J] are the energies of the lowest start and of ``vertices`` over the blended
+    planes, with the waistband's, relative to the height of the first start; ``nearest_j`` (F,) is that of ``vertices``
+    over the planes of the nearest body vertices. ``residual_n`` (F,) is the norm of the force left [N]; ``converged``
+    (F,) says that it is at most the tolerance times the weight. ``steps`` (F,) counts Newton's, ``processor_s`` (F,) is
+    their processor time and ``seconds`` the clock's for all frames.
     """
 
     vertices: np.ndarray
@@ -107,13 +110,13 @@ class Optimum:
 
 
 def held_by_waist(garment: Garment, body: BodyModel, skinned: np.ndarray) -> Held | None:
-    """The waistband of ``garment``, anchored where ``skinned`` (F, V, 3) has it; None where it hangs from shoulders."""
+    """The waistband of ``garment``, anchored at its places in ``skinned`` (F, V, 3); None if shoulders hold it."""
     band = waistband(garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64), body)
     return None if band is None else Held(band.vertex, band.length_m, skinned[:, band.vertex])
 
 
-# Energies [J] (F,) by part of what is minimised: contact over the blended planes, in place of those of the nearest body
-# vertices, as training has them, which also cut through free space far from the body.
+# Energies [J] (F,) by part. Contact is over the blended planes: those of the nearest body vertices, which training
+# uses, also cut through free space far from the body.
 energy_parts = partial(metrics.static_parts, distance=blended_distance)
 
 
@@ -148,6 +151,20 @@ def minimise(task: Task, *, step_limit: int = STEPS, tolerance: float = TOLERANC
     step lowers the energy. Raises ``MeshError``, naming the garment, where no start has a finite energy, or where the
     force left is worth more than ``LEFT_LIMIT_J_M2``.
     """
+    forces: list[np.ndarray] = []
+
+    def descend(cloth: Cloth, posed: np.ndarray, starts: list[np.ndarray], band: Band | None) -> Found:
+        end = minimum(cloth, task.contact, posed, starts, step_limit=step_limit, tolerance=tolerance, band=band)
+        forces.append(end.force)
+        return end
+
+    optimum = never_above(reached(task, descend), task)
+    _refuse_unrest(optimum, np.stack(forces), task)
+    return optimum
+
+
+def reached(task: Task, descend: Descend) -> Optimum:
+    """The drapes in which ``descend`` ends, over each posed body of ``task`` from the starts of that frame."""
     began = time.perf_counter()
     starts = [np.asarray(start, dtype=np.float64) for start in task.starts]
     cloth = Cloth.of(task.cloth, task.material, task.charts)
@@ -155,46 +172,50 @@ def minimise(task: Task, *, step_limit: int = STEPS, tolerance: float = TOLERANC
     processor_s = []
     for frame, posed in enumerate(task.body_vertices):
         before_s = time.process_time()
-        own = [np.ascontiguousarray(start[frame]) for start in starts]
-        ends.append(
-            minimum(
-                cloth,
-                task.contact,
-                posed,
-                own,
-                step_limit=step_limit,
-                tolerance=tolerance,
-                band=task.held.over(frame, task.cloth.vertex_count) if task.held else None,
-            )
-        )
+        band = task.held.over(frame, task.cloth.vertex_count) if task.held else None
+        ends.append(descend(cloth, posed, [np.ascontiguousarray(start[frame]) for start in starts], band))
         processor_s.append(time.process_time() - before_s)
-    height_m = metrics.mean_height(starts[0], task.cloth)
-
-    def energy(vertices: np.ndarray, parts_of: Callable[..., dict[str, np.ndarray]] = energy_parts) -> np.ndarray:
-        parts = parts_of(vertices, task.cloth, task.material, task.contact, task.body_vertices, height_m=height_m)
-        total = np.stack([*parts.values()]).sum(axis=0)
-        if task.held is None:
-            return total
-        return total + band_energy(vertices[:, task.held.vertex] - task.held.anchor, task.held.length_m)
-
     vertices = np.stack([end.x for end in ends])
-    start_j, energy_j = np.stack([energy(start) for start in starts]), energy(vertices)
-    # A place has one energy but for rounding: gravity is summed from another height here than on the way.
-    risen = np.flatnonzero(energy_j > start_j.min(axis=0))
-    vertices[risen] = np.stack(starts)[start_j.argmin(axis=0), np.arange(len(vertices))][risen]
-    optimum = Optimum(
+    return Optimum(
         vertices=vertices,
-        start_j=start_j.min(axis=0),
-        energy_j=np.fmin(energy_j, start_j.min(axis=0)),
-        nearest_j=energy(vertices, metrics.static_parts),
+        start_j=np.stack([total_j(start, task) for start in starts]).min(axis=0),
+        energy_j=total_j(vertices, task),
+        nearest_j=total_j(vertices, task, metrics.static_parts),
         residual_n=np.array([np.linalg.norm(end.force) for end in ends]),
-        converged=np.array([end.at_rest and frame not in risen for frame, end in enumerate(ends)]),
+        converged=np.array([end.at_rest for end in ends]),
         steps=np.array([end.steps for end in ends]),
         processor_s=np.array(processor_s),
         seconds=time.perf_counter() - began,
     )
-    _refuse_unrest(optimum, np.stack([end.force for end in ends]), task)
-    return optimum
+
+
+def total_j(vertices: np.ndarray, task: Task, parts_of: PartsOf = energy_parts) -> np.ndarray:
+    """Energy [J] (F,) of ``vertices`` (F, V, 3), relative to the height of the first start, with the waistband's."""
+    height_m = metrics.mean_height(np.asarray(task.starts[0], dtype=np.float64), task.cloth)
+    parts = parts_of(vertices, task.cloth, task.material, task.contact, task.body_vertices, height_m=height_m)
+    total = np.stack([*parts.values()]).sum(axis=0)
+    if task.held is None:
+        return total
+    return total + band_energy(vertices[:, task.held.vertex] - task.held.anchor, task.held.length_m)
+
+
+def never_above(optimum: Optimum, task: Task) -> Optimum:
+    """``optimum`` with the lowest start in place of what ended above it.
+
+    A place has one energy but for rounding: gravity is summed from another height here than on the way.
+    """
+    risen = np.flatnonzero(optimum.energy_j > optimum.start_j)
+    starts = np.stack(task.starts).astype(np.float64)
+    lowest = np.stack([total_j(start, task) for start in starts]).argmin(axis=0)
+    vertices, converged = optimum.vertices.copy(), optimum.converged.copy()
+    vertices[risen], converged[risen] = starts[lowest, np.arange(len(vertices))][risen], False
+    return replace(
+        optimum,
+        vertices=vertices,
+        energy_j=np.fmin(optimum.energy_j, optimum.start_j),
+        nearest_j=total_j(vertices, task, metrics.static_parts),
+        converged=converged,
+    )
 
 
 def _refuse_unrest(optimum: Optimum, force_n: np.ndarray, task: Task) -> None:

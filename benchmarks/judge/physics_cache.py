@@ -1,8 +1,8 @@
-"""Physics optima and other drapes on disk, so that evaluating several models makes each once.
+"""Physics optima on disk, so that several models are evaluated against one minimisation.
 
-A file is named by the hash of all that its numbers depend on: rest state, material, posed bodies, starts, charts, step
-limit, and the source of the minimiser, its kernels, the energies and the contact. So a change of any of them misses,
-and nothing is ever stale; the folder can be deleted at any time.
+A file's name is the hash of all that its numbers depend on: rest state, material, posed bodies, starts, charts, step
+limit, and the sources of the minimiser, its kernels, the energies and the contact. A change of any of them misses the
+file, so that nothing is ever stale. The folder can be deleted at any time.
 """
 
 from __future__ import annotations
@@ -16,26 +16,22 @@ from collections.abc import Callable, Iterable
 from dataclasses import asdict, fields
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any
 
 import numpy as np
 
-from benchmarks.judge import body_distance, descent, hessian, linear, newton, physics, settling
+from benchmarks.judge import blended_planes, descent, hessian, linear, newton, physics, settling, surroundings
 from benchmarks.judge.physics import Optimum, Task
 from benchmarks.shared import common
-from drape.cloth import contact, energies, waistband
+from drape.cloth import bending, contact, energies, membrane, waistband
 from drape.geometry import meshes
 from drape.kernels import elements, problem
 from drape.live import whole
 
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
-T = TypeVar("T", bound="DataclassInstance")
 CACHE_DIR = common.ROOT / "runs" / "physics_cache"  # ignored by git
 SOURCES: tuple[ModuleType, ...] = (
-    physics, newton, settling, whole, energies, contact, waistband, meshes, body_distance, descent, elements, hessian,
-    linear, problem,
+    physics, newton, settling, whole, energies, membrane, bending, contact, waistband, meshes, blended_planes, descent,
+    elements, hessian, linear, problem, surroundings,
 )  # fmt: skip
 
 
@@ -46,7 +42,7 @@ def stored_minimum(task: Task, step_limit: int, folder: Path | None) -> tuple[Op
 
 
 def cache_key(task: Task, step_limit: int, tolerance: float) -> str:
-    """Hash, hexadecimal, of what an optimum depends on: rest state, fabric, bodies, starts, charts and the method."""
+    """Hash, hexadecimal, of all that an optimum depends on: rest state, fabric, bodies, starts, charts, the method."""
     cloth = [value for item in fields(task.cloth) if isinstance(value := getattr(task.cloth, item.name), np.ndarray)]
     contact = [task.contact.faces, *([] if task.contact.vertices is None else [task.contact.vertices])]
     settings = [asdict(task.material), task.cloth.mean_edge_m, step_limit, tolerance]
@@ -67,16 +63,15 @@ def key_of(settings: list[Any], arrays: Iterable[np.ndarray], sources: Iterable[
     return digest.hexdigest()
 
 
-def cached(key: str, make: Callable[[], T], folder: Path | None, *, kind: type[T] = Optimum) -> tuple[T, bool]:
-    """The ``kind`` stored under ``key`` in ``folder`` and True, or that of ``make``, which is stored, and False.
+def cached(key: str, make: Callable[[], Optimum], folder: Path | None) -> tuple[Optimum, bool]:
+    """The optimum under ``key`` in ``folder`` and True, or that of ``make``, which is then stored, and False.
 
-    A ``kind`` is a dataclass of arrays and of ``seconds``. ``folder`` None neither reads nor writes. A file that cannot
-    be read is made again.
+    ``folder`` None neither reads nor writes. A file that cannot be read is made again.
     """
     if folder is None:
         return make(), False
     path = folder / f"{key}.npz"
-    stored = _read(path, kind)
+    stored = _read(path)
     if stored is not None:
         return stored, True
     made = make()
@@ -84,19 +79,20 @@ def cached(key: str, make: Callable[[], T], folder: Path | None, *, kind: type[T
     return made, False
 
 
-def _read(path: Path, kind: type[T]) -> T | None:
+def _read(path: Path) -> Optimum | None:
     if not path.is_file():
         return None
     try:
         with np.load(path, allow_pickle=False) as stored:
-            found = {item.name: stored[item.name] for item in fields(kind)}
-            return kind(**found | {"seconds": float(found["seconds"])})
+            found: dict[str, Any] = {item.name: stored[item.name] for item in fields(Optimum)}
+            found["seconds"] = float(found["seconds"])
+            return Optimum(**found)
     except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         print(f"{path.parent.name}: {path.name} cannot be read ({error}); making it again", flush=True)
         return None
 
 
-def _write(path: Path, made: DataclassInstance) -> None:
+def _write(path: Path, made: Optimum) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f"{path.name}.{os.getpid()}.part")
     with open(temporary, "wb") as stream:

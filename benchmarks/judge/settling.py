@@ -1,10 +1,10 @@
-"""Where a drape comes to under the cloth's own stiffness at rest: far in little time, near to rest in none.
+"""Settling: descent by the cloth's stiffness at rest. It goes far in little time and does not end at rest.
 
     v' = m v - K^-1 dE/dx (x + m v),   x' = x + v'
 
-K is that of ``drape.live.whole``: it never changes, so that one factor serves all poses, and a buckle of any length
-grows as fast as any other. With the memory ``m`` of a heavy ball (Polyak 1964) waves as long as a leg come too, which
-Newton's method with short steps takes hundreds for.
+K is that of ``drape.live.whole``. It never changes, so that one factor serves all poses, and a buckle of any length
+grows as fast as any other. The memory m of a heavy ball (Polyak 1964) also brings waves as long as a leg, for which
+Newton's method needs hundreds of its short steps.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def inverse(
 def settle(
     start: Place, found: Callable[[np.ndarray], Place], solve: Callable[[np.ndarray], np.ndarray], rounds: int
 ) -> Place:
-    """The place of least energy met in ``rounds`` at most from ``start``, which is it where none is lower.
+    """The place of least energy that ``rounds`` at most meet, ``start`` itself if none is lower.
 
     ``found`` tells energy and force of a place, ``solve`` is ``inverse``.
     """

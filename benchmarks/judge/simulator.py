@@ -1,9 +1,9 @@
-"""The simulator that motion is judged by: the full mesh by implicit Euler, with the fabric's friction on the skin.
+"""The simulator that judges motion: the full mesh by implicit Euler, with the fabric's friction on the skin.
 
 Each frame is the minimum of energy, contact, inertia and friction: it settles under the cloth's stiffness and mass
-(``benchmarks.judge.settling``) and goes on by Newton's method. Friction is Coulomb's, over what slips between frames
-along the skin, which is carried on by its bones: a force ``mu`` times that of contact, less where the way is shorter
-than ``SLIP_M``. It is a spring, of which stiffness and place are taken anew in every one of ``ROUNDS`` rounds.
+(``benchmarks.judge.settling``) and goes on by Newton's method. Friction is Coulomb's: a vertex that slips along the
+skin, which its bones carry on between frames, is held by mu times the force of contact, and by less where it slips by
+less than ``SLIP_M``. Friction acts as a spring, whose stiffness and place each of ``ROUNDS`` rounds takes anew.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from scipy.spatial import KDTree
 from benchmarks.judge import newton, settling
 from benchmarks.judge.newton import Cloth, Descent
 from benchmarks.judge.physics import Held
+from benchmarks.judge.surroundings import Surroundings
 from drape.body.model import BodyModel
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.geometry import meshes
-from drape.kernels.problem import Surroundings
 from drape.live.swing_step import AIR_KG_M3
 
 FIRST_STEPS, STEPS, TOLERANCE = 120, 12, 0.01  # of Newton's method; force left over the weight
@@ -52,8 +52,7 @@ class Motion:
 
 
 class Moving(Descent):
-    """One frame of the simulator: ``target`` [m] (V, 3) is where springs of ``n_per_m`` (V,) lead, inertia's and
-    friction's together."""
+    """The descent of one frame. Springs of ``n_per_m`` (V,) to ``target`` [m] (V, 3) stand for inertia and friction."""
 
     def __init__(self, *inputs: Any, target: np.ndarray, n_per_m: np.ndarray, **others: Any) -> None:
         self._target, self._n_per_m = target, n_per_m
@@ -65,7 +64,7 @@ class Moving(Descent):
 
 
 class Skin:
-    """The posed skin of a motion, and where it carries what lies on it."""
+    """The posed skin of a motion."""
 
     def __init__(self, motion: Motion) -> None:
         self.posed = motion.body.posed_vertices(motion.poses)
@@ -87,9 +86,9 @@ class Skin:
 
 
 def grip(one: Descent, x: np.ndarray, stuck: np.ndarray, friction: float) -> tuple[np.ndarray, np.ndarray]:
-    """Springs of friction at ``x``: where they lead [m] (V, 3), and their stiffness [N/m] (V,).
+    """The springs of friction at ``x``: their targets [m] (V, 3) and stiffness [N/m] (V,).
 
-    ``stuck`` (V, 3): where each vertex would be had it not slipped. Their force is ``friction`` times that of contact.
+    Each vertex would be at ``stuck`` (V, 3) had it not slipped. The force is ``friction`` times that of contact.
     """
     around, _ = one.around(x)
     normal = around.normal / np.maximum(np.linalg.norm(around.normal, axis=1, keepdims=True), 1e-12)

@@ -29,8 +29,8 @@ from drape.garment.cache import Garment
 from drape.garment.fine import fine_garment
 from drape.geometry.skinning import skin_points
 from drape.graph.push_feed import push_feed
-from drape.live.fold_constants import constants
-from drape.live.fold_step import Effort, Frame, fold
+from drape.live.fold_constants import fold_constants
+from drape.live.fold_step import FoldEffort, Frame, fold
 from drape.motion.hard_poses import HardPoses
 from training.disagreement import disagreement
 
@@ -171,14 +171,14 @@ def folded(garment: Garment, bench: Bench) -> np.ndarray:
     on the subdivided mesh, from the network without corrections, no push-out."""
     assert bench.uncorrected is not None
     poses = bench.poses.poses
-    made = constants(fine_garment(garment), bench.body, bench.fabric)
+    made = fold_constants(fine_garment(garment), bench.body, bench.fabric)
     table = shaped_skin(bench.body).table(*bench.body.bones(poses), np.zeros((len(poses), bench.body.shape_count)))
     start = bench.uncorrected.drape(garment, poses).vertices
     frames = (
         Frame(vertices, skin, 0.0)
         for vertices, skin in zip(start, table.reshape(len(poses), -1, table.shape[-1]), strict=True)
     )
-    return np.stack([fold(made, None, frame, Effort(STEPS))[0] for frame in frames]).astype(np.float64)
+    return np.stack([fold(made, None, frame, FoldEffort(STEPS))[0] for frame in frames]).astype(np.float64)
 
 
 def chart_figures(garment: Garment, draped: Draped) -> dict[str, float]:

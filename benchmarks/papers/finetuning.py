@@ -38,7 +38,7 @@ from training.evaluate import evaluate, held_out_clips, posed_patches
 from training.model import OneFit
 from training.poses import PoseBank, read_clips
 from training.run import sample_motions
-from training.starting import Weights, dressed, finetuned, read_model
+from training.starting import Weights, finetuned, read_model, with_garments
 from training.trainer import Trainer
 
 STEPS, QUICK_STEPS = 1000, 4
@@ -52,7 +52,7 @@ COLUMNS = {
 
 def configurations(model: Path, garment: str) -> dict[str, tuple[TrainConfig, Weights | None]]:
     """What "fine-tuned" and "from scratch" on the file ``garment`` start from, by name."""
-    scratch = dressed(PRESETS["shipped"](), [garment])
+    scratch = with_garments(PRESETS["shipped"](), [garment])
     return {"fine-tuned": finetuned(model, [garment]), "from scratch": (scratch, None)}
 
 

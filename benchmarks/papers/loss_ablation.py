@@ -41,7 +41,7 @@ from drape.files.data import data_folder
 from drape.geometry.meshes import edge_lengths, unique_edges
 from drape.motion.hard_poses import HardPoses, hard_poses
 from training import checkpoint, losses
-from training.collider import nearest_collider
+from training.collider import nearest_rows
 from training.config import DataConfig, ModelConfig, TrainConfig, as_published
 from training.data import BodyBatch, Partition, TrainingGarment
 from training.disagreement import disagreement
@@ -174,7 +174,7 @@ class LossTrainer(Trainer):
     def _depth(self, vertices: Tensor, sample: Tensor, batch: BodyBatch) -> Tensor:
         """How far (F, n) [m] the sampled vertices lie below their distance from the posed body."""
         points = vertices.index_select(1, sample)
-        index = nearest_collider(points.detach().cpu().numpy(), batch.collider)
+        index = nearest_rows(points.detach().cpu().numpy(), batch.collider)
         frame = np.arange(len(index))[:, None]
         point, normal = (
             torch.from_numpy(array[frame, index].astype(np.float32)).to(self.device)

@@ -40,7 +40,7 @@ STAGES = {
     "network": (("model.py", "forward"), ("layers.py", "forward")),
     "blend": (("losses.py", "garment_vertices"), ("losses.py", "disagreement")),
     "energy": (("energies.py", "total"),),
-    "contact": (("collider.py", "nearest_collider"),),
+    "contact": (("collider.py", "nearest_rows"),),
     "backward": (("_tensor.py", "backward"),),
     "average": (("parallel.py", "average_gradients"),),
     "optimiser": (("adam.py", "step"), ("clip_grad.py", "clip_grad_norm_")),

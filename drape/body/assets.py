@@ -106,19 +106,12 @@ def body_from_arrays(arrays: dict[str, np.ndarray], *, name: str, digest: str) -
     """A checked ``BodyModel`` from SMPL-schema arrays."""
     missing = [key for key in REQUIRED if key not in arrays]
     if missing:
-        raise BodyError(
-            f"body {name}",
-            expected=f"the arrays {', '.join(REQUIRED)}",
-            got=f"no {', '.join(missing)}",
-            cure="Use an SMPL-schema file.",
-        )
+        raise _fault(name, f"the arrays {', '.join(REQUIRED)}", f"no {', '.join(missing)}")
     template = _dense(arrays, "v_template", name=name)
     check_shape(f"body {name} v_template", template, (None, 3), error=BodyError)
     count = len(template)
     if count == 0:
-        raise BodyError(
-            f"body {name} v_template", expected="vertices", got="shape (0, 3)", cure="Use an SMPL-schema file."
-        )
+        raise _fault(f"{name} v_template", "vertices", "shape (0, 3)")
     dense = {key: _dense(arrays, key, name=name) for key in ("shapedirs", "weights", "f", "kintree_table")}
     if arrays.get("posedirs") is not None:
         dense["posedirs"] = _dense(arrays, "posedirs", name=name)
@@ -138,29 +131,16 @@ def body_from_arrays(arrays: dict[str, np.ndarray], *, name: str, digest: str) -
     weights, posedirs = dense["weights"], dense.get("posedirs")
     faces, tree = dense["f"].astype(np.int64), dense["kintree_table"].astype(np.int64)
     if faces.size and (faces.min() < 0 or faces.max() >= count):
-        raise BodyError(
-            f"body {name} f",
-            expected=f"indices in [0, {count})",
-            got=f"[{faces.min()}, {faces.max()}]",
-            cure="Repair the file.",
-        )
+        raise _fault(f"{name} f", f"indices in [0, {count})", f"[{faces.min()}, {faces.max()}]", "Repair the file.")
     parents = tree[0].copy()
     parents[0] = -1  # SMPL stores the root's parent as 2^32 - 1
     if tuple(parents) != PARENTS:
-        raise BodyError(
-            f"body {name} kintree_table",
-            expected="SMPL's 24-joint tree",
-            got=str(tuple(parents.tolist())),
-            cure="Use a 24-joint SMPL body.",
-        )
+        got = str(tuple(parents.tolist()))
+        raise _fault(f"{name} kintree_table", "SMPL's 24-joint tree", got, "Use a 24-joint SMPL body.")
     total = weights.sum(axis=1, keepdims=True)
     if np.abs(total - 1.0).max() > 1e-3 or weights.min() < -1e-6:
-        raise BodyError(
-            f"body {name} weights",
-            expected="rows >= 0 that sum to 1",
-            got=f"sums in [{total.min():.4g}, {total.max():.4g}]",
-            cure="Normalise the weights.",
-        )
+        got = f"sums in [{total.min():.4g}, {total.max():.4g}]"
+        raise _fault(f"{name} weights", "rows >= 0 that sum to 1", got, "Normalise the weights.")
     return BodyModel(
         name=name,
         digest=digest,
@@ -173,13 +153,15 @@ def body_from_arrays(arrays: dict[str, np.ndarray], *, name: str, digest: str) -
     )
 
 
+def _fault(name: str, expected: str, got: str, cure: str = "Use an SMPL-schema file.") -> BodyError:
+    return BodyError(f"body {name}", expected=expected, got=got, cure=cure)
+
+
 def _dense(arrays: dict[str, Any], key: str, *, name: str) -> np.ndarray:
     try:
         return np.asarray(arrays[key], dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise BodyError(
-            f"body {name} {key}", expected="an array of numbers", got=str(error), cure="Use an SMPL-schema file."
-        ) from error
+        raise _fault(f"{name} {key}", "an array of numbers", str(error)) from error
 
 
 def _regressor(value: Any, *, name: str) -> scipy.sparse.csr_matrix:
@@ -188,9 +170,7 @@ def _regressor(value: Any, *, name: str) -> scipy.sparse.csr_matrix:
             value.check_format(full_check=True)  # an unpickled matrix may point outside its own arrays
         return scipy.sparse.csr_matrix(value, dtype=np.float64)
     except (TypeError, ValueError, AttributeError, IndexError) as error:
-        raise BodyError(
-            f"body {name} J_regressor", expected="a matrix of numbers", got=str(error), cure="Use an SMPL-schema file."
-        ) from error
+        raise _fault(f"{name} J_regressor", "a matrix of numbers", str(error)) from error
 
 
 def _read_npz(payload: bytes, name: str) -> dict[str, np.ndarray]:

@@ -25,7 +25,7 @@ STILL = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Kinematics:
-    """Where posed bodies are, float64: ``static`` descriptors (..., 24, 9), ``joints`` [m] in the world (..., 24, 3),
+    """Posed bodies in float64: ``static`` descriptors (..., 24, 9), ``joints`` [m] in the world (..., 24, 3),
     bone ``rotations`` (..., 24, 3, 3)."""
 
     static: np.ndarray
@@ -78,7 +78,7 @@ def motion_features(
 ) -> np.ndarray:
     """Dynamic descriptors (..., 24, 12) of bodies that were ``before`` and ``earlier`` the times (...) [s] ago.
 
-    What is smaller than ``STILL`` is zero.
+    Numbers smaller than ``STILL`` become zero.
     """
     dt_s, dt_before_s = (np.asarray(dt, dtype=np.float64)[..., None, None] for dt in (dt_s, dt_before_s))
     joints = (now.joints, before.joints, earlier.joints)

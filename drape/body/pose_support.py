@@ -1,4 +1,4 @@
-"""How far a pose is from those that a network was trained on: distance to the nearest of a few hundred kept ones.
+"""Distance of a pose from those that a network was trained on: from the nearest of a few hundred kept ones.
 
 Legs and trunk with arms are looked at by themselves, since training mixes the legs of one frame with the trunk of
 another; and the tilt of the pelvis, which the network knows by where gravity points. A turn about the vertical is none.

@@ -59,12 +59,6 @@ def fold(hinges: Hinge, cosine: Array, sine: Array) -> Array:
     return 1.0 - (hinges.cosine * cosine + hinges.sine * sine)
 
 
-def hinge_angle(corners: Corners) -> Array:
-    """Signed dihedral angle theta [rad] (..., H)."""
-    found = hinge(corners)
-    return namespace(found.cosine).atan2(found.sine, found.cosine)
-
-
 def energy(corners: Corners, stiffness_j: Array, rest_rad: Array) -> Array:
     """Energy [J] (H,) of every hinge of ``stiffness_j`` k w (H,) with the angle ``rest_rad`` (H,) at rest."""
     xp = namespace(rest_rad)

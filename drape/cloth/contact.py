@@ -1,8 +1,8 @@
 """Contact of a garment with the posed body: nearest body vertices, plane distances and the push-out baseline.
 
 A garment point is tested against the tangent plane of the nearest body vertex in
-the posed frame, d = n . (x - b), positive outside. Which vertex is nearest is
-plain integers, found by a k-d tree; d is differentiable in x.
+the posed frame, d = n . (x - b), positive outside. A k-d tree finds the nearest
+vertex; d is differentiable in x.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from drape.body.skeleton import JOINT_NAMES
 from drape.errors import InputError
 from drape.geometry import closest, meshes
 
-# Parts that cloth seldom touches, and whose detail is finer than cloth.
+# Cloth seldom touches these parts, and their detail is finer than cloth.
 DETAIL_JOINTS = tuple(
     JOINT_NAMES.index(name) for name in ("head", "left_hand", "right_hand", "left_foot", "right_foot")
 )
@@ -109,7 +109,8 @@ def nearest_vertex_push(
 ) -> np.ndarray:
     """``vertices`` [m] (B, V, 3) with those nearer than ``clearance_m`` moved along the nearest body vertex's normal.
 
-    A second pass follows vertices whose nearest body vertex changed. The baseline beside every quality number.
+    A second pass follows vertices whose nearest body vertex changed. Every number of quality stands beside this
+    baseline.
     """
     pushed = np.array(vertices, dtype=np.float64)
     for _ in range(passes):

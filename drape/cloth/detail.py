@@ -1,4 +1,4 @@
-"""How much fine relief a drape has: what lies between the cloth and its low-pass surface, and the angles of its hinges.
+"""The fine relief of a drape: its height over its low-pass surface, and the angles of its hinges.
 
 The low-pass u of a surface x minimises |u - x|^2 + t^2 |L u|^2 over the area of the rest metric, L the
 Laplace-Beltrami operator (cotangents of the rest triangles, lumped areas, free borders):
@@ -23,12 +23,12 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.rest_state import RestState, dihedral_angles
 from drape.geometry import meshes
 
-WAVELENGTH_M = 0.05  # of which half the amplitude counts as detail
+WAVELENGTH_M = 0.05  # half the amplitude of such a wave counts as detail
 
 
 @dataclass(frozen=True, eq=False)
 class LowPass:
-    """The low-pass of one garment, factored once: constants of its rest metric. See the module's equation."""
+    """The low-pass of one garment, factored once from its rest metric; the module has its equation."""
 
     faces: np.ndarray
     vertex_area: np.ndarray
@@ -55,9 +55,9 @@ class LowPass:
         return np.moveaxis(flat.reshape(columns.shape), 0, -2)
 
     def detail_mm(self, vertices: np.ndarray) -> np.ndarray:
-        """RMS [mm] (...,) over the rest area of how far ``vertices`` [m] (..., V, 3) lie off their low-pass surface.
+        """RMS height [mm] (...,) of ``vertices`` [m] (..., V, 3) over their low-pass surface, weighted by rest area.
 
-        Along the normal of the low-pass surface: near a border smoothing also draws vertices within the surface.
+        It is measured along the normal of that surface: near a border smoothing also moves vertices within it.
         """
         smooth = self.smoothed(vertices)
         height = ((vertices - smooth) * meshes.vertex_normals(smooth, self.faces)).sum(axis=-1)

@@ -1,9 +1,9 @@
-"""Energies [J] of a cloth at positions (..., V, 3): membrane, bending, gravity, inertia, contact.
+"""Energies [J] (...) of a cloth at positions (..., V, 3): membrane, bending, gravity, inertia, contact.
 
 Written once for numpy and torch. Positions are first laid out as planes
 (3, ..., V), so that every formula is a handful of whole-array products and the
 gathers run along the last axis: in torch the backward of ``take`` along axis -2
-is thirty times slower (docs/reference/quality.md). Every function returns (...,).
+is thirty times slower (docs/reference/quality.md).
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
 """A fabric: what it weighs and how it resists stretch, shear and bending along warp, weft and bias.
 
 Warp is lengthwise (the wale of a knit), weft crosswise (its course). The membrane is the orthotropic
-St.Venant-Kirchhoff one of ``orthotropic``: with Green's strain G in warp and weft axes, per area [J/m^2]
+St.Venant-Kirchhoff one of ``membrane``: with Green's strain G in warp and weft axes, per area [J/m^2]
 
     e = 1/2 (warp Gpp^2 + 2 cross Gpp Gtt + weft Gtt^2 + shear Gpt^2),  p the warp, t the weft
 
 So ``shear`` is four times the shear modulus of a textile laboratory,
 which divides the force per width by the shear angle 2 Gpt. Bending is a plate whose rigidity along a
-direction at the angle a to the warp is ``plate_rigidity``; of what a hinge must have for it, see
-``hinge_rigidity``.
+direction at the angle a to the warp is ``plate_rigidity``; ``hinge_rigidity`` is that of the hinges which
+make such a plate.
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ def hinge_harmonics(fabric: Fabric) -> tuple[float, float, float]:
 
 
 def hinge_rigidity(fabric: Fabric, angle_rad: Array) -> Array:
-    """Rigidity [J] of a hinge that bends along ``angle_rad`` to the warp, for ``orthotropic.bending_energy``."""
+    """Rigidity [J] of a hinge that bends along ``angle_rad`` to the warp, for ``drape.cloth.bending``."""
     return _rigidity(hinge_harmonics(fabric), angle_rad)
 
 

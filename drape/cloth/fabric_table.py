@@ -3,14 +3,14 @@
 Wang, O'Brien, Ramamoorthi, "Data-driven elastic models for cloth: modeling and measurement", ACM TOG 30(4).
 Their fits give the stress per Green's strain in six rows, one at rest and five at a principal stretch of 1/6
 along 0 to 90 degrees, and the bending coefficient k_e of hinges k_e l^2 theta^2 / (8 (A1 + A2)) for hinge edges
-at 0, 45 and 90 degrees, each at five curvatures. What of it is taken here, and why, is decision 0010:
+at 0, 45 and 90 degrees, each at five curvatures. Decision 0010 says why this is taken of it:
 
 * axis 1 is the warp: it is the stiffer one of all ten at 1/6, as lengthwise is in knits;
 * stretch a quarter of the way from rest to the mean of the five rows, which is 4 % of stretch; at rest itself the
   sweat's fit is not convex, and those of interlock and ponte narrow when pushed together;
 * stretch and shear times 2, which the extensibility of such cloth asks for, and the equation of ``Fabric``
   counts shear once where a stress counts it twice: times 4;
-* bending the mean over curvatures, k = k_e / 4, which makes the hinge that of ``orthotropic``; an edge along axis 0
+* bending the mean over curvatures, k = k_e / 4, which makes the hinge that of ``bending``; an edge along axis 0
   bends along the warp.
 
 Wang et al. measured neither thickness nor friction: those are estimates by the kind of cloth, as is damping.

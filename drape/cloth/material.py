@@ -1,4 +1,4 @@
-"""What the energies take of a cloth: its fabric's constants, and its contact with the body."""
+"""The constants of a cloth that its energies take: those of its fabric, and of its contact with the body."""
 
 from __future__ import annotations
 
@@ -16,7 +16,12 @@ SIGNED = ("cross_n_per_m", "bending_2_j", "bending_4_j")
 
 @dataclass(frozen=True)
 class OrthotropicMaterial:
-    """Constants of a woven cloth: ``h00`` .. ``h22`` [N/m], plate rigidity ``bending_j`` [J], ``density_kg_m2``."""
+    """Constants of a cloth on its panels, whose x is the weft and y the warp: stiffness ``h00`` .. ``h22`` [N/m], plate
+    rigidity ``bending_j`` [J], ``density_kg_m2``.
+
+    The stress is s00 = h00 e00 + h01 e11, s11 = h01 e00 + h11 e11, s01 = h22 e01 with Green's strain e. An isotropic
+    cloth has h00 = h11 = lambda + 2 mu, h01 = lambda, h22 = 2 mu.
+    """
 
     h00: float
     h01: float
@@ -48,9 +53,8 @@ class Material:
 
     ``warp_n_per_m`` .. ``shear_n_per_m``: the orthotropic St.Venant-Kirchhoff membrane of ``Fabric`` [N/m].
     ``bending_j``, ``bending_2_j``, ``bending_4_j`` [J = N m]: rigidity of the hinges that bend at the angle a to the
-    warp, b + b2 cos 2a + b4 cos 4a (``fabric.hinge_harmonics``). ``density_kg_m2``: mass per area.
-    ``contact_j_m4``: contact
-    energy per area and squared depth [J/m^4], ``contact_gap_m``: distance from the skin at which it begins [m].
+    warp, b + b2 cos 2a + b4 cos 4a (``fabric.hinge_harmonics``). ``density_kg_m2``: mass per area. ``contact_j_m4``:
+    contact energy per area and squared depth [J/m^4], ``contact_gap_m``: distance from the skin at which it begins [m].
     ``gravity_m_s2``: along -y.
 
     The default is isotropic, with the Lame constants 11.1 and 20.9 N/m of SNUG (Santesteban et al. 2022, times 0.47 mm)
@@ -79,12 +83,6 @@ class Material:
                 raise InputError(f"material {name}", expected=wanted, got=str(value), cure="Give a physical value.")
 
     @classmethod
-    def isotropic(cls, mu_n_per_m: float, lambda_n_per_m: float, bending_j: float, **others: float) -> Material:
-        """The cloth of these Lame constants times its thickness [N/m] and plate rigidity [J]."""
-        along = 2.0 * mu_n_per_m + lambda_n_per_m
-        return cls(along, along, lambda_n_per_m, 4.0 * mu_n_per_m, bending_j, **others)
-
-    @classmethod
     def of(cls, fabric: Fabric) -> Material:
         """The constants of ``fabric``."""
         membrane = (fabric.warp_n_per_m, fabric.weft_n_per_m, fabric.cross_n_per_m, fabric.shear_n_per_m)
@@ -108,7 +106,7 @@ class Material:
 
     @property
     def woven(self) -> OrthotropicMaterial:
-        """The constants for ``orthotropic``, whose panels have x along the weft, y along the warp and one bending."""
+        """The constants for ``recovery.sim``, which has one rigidity and x along the weft, y along the warp."""
         half = 0.5 * self.shear_n_per_m
         return OrthotropicMaterial(
             self.weft_n_per_m, self.cross_n_per_m, self.warp_n_per_m, half, self.bending_j, self.density_kg_m2

@@ -59,7 +59,7 @@ def through_pct(outer: np.ndarray, inner: np.ndarray, inner_faces: np.ndarray) -
 
 
 def nearest_distance(vertices: np.ndarray, contact: BodyContact, body: np.ndarray, *, gap_m: float) -> np.ndarray:
-    """Distances [m] (F, V) of ``vertices`` (F, V, 3) to the planes of the nearest vertices of ``body``, at any gap."""
+    """Distances [m] (F, V) of ``vertices`` (F, V, 3) to the planes of the nearest vertices of ``body``."""
     return contact.planes(vertices, body).distance(vertices)
 
 
@@ -75,7 +75,7 @@ def static_parts(
 ) -> dict[str, np.ndarray]:
     """Energies [J] (F,) by part of ``vertices`` (F, V, 3), gravity relative to ``height_m`` (F,).
 
-    Contact is over the ``distance`` of training, or over another one.
+    ``distance`` gives the distances of contact; left out, they are those of training.
     """
     apart = distance(vertices, contact, body_vertices, gap_m=material.contact_gap_m)
     return energies.total(vertices, cloth, material, distance=apart, height_m=height_m[:, None])

@@ -1,4 +1,4 @@
-"""What a cloth is like without stress: flat triangles in the axes of its fabric, and angles of its hinges."""
+"""The rest state of a cloth, without stress: flat triangles in the axes of its fabric, and the angles of its hinges."""
 
 from __future__ import annotations
 

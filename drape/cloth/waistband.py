@@ -1,4 +1,4 @@
-"""The waistband: what holds trousers and skirts up, where statics without friction would let them slide for ever."""
+"""The waistband holds trousers and skirts up: statics without friction would let them slide for ever."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Waistband:
 
 
 def waistband(vertices: np.ndarray, faces: np.ndarray, body: BodyModel) -> Waistband | None:
-    """The band of a garment at rest, ``vertices`` [m] (V, 3) on ``body``; ``None`` where it hangs from the shoulders.
+    """The band of a garment at rest, ``vertices`` [m] (V, 3) on ``body``; ``None`` if it hangs from the shoulders.
 
     A garment that ends below the chest has one: its border of the greatest mean height.
     """
@@ -38,7 +38,7 @@ def waistband(vertices: np.ndarray, faces: np.ndarray, body: BodyModel) -> Waist
 
 
 def band_energy(way: Array, length_m: Array) -> Array:
-    """Energy [J] (F,) of a band whose vertices are ``way`` [m] (F, n, 3) from where the body at rest carries them.
+    """Energy [J] (F,) of a band whose vertices are ``way`` [m] (F, n, 3) off the places that the body gives them.
 
     ``K / 2 sum l max(0, |d| - slack)^2``: free within the slack, a spring past it, along the skin and off it alike.
     """

@@ -1,1 +1,1 @@
-"""Keeping cloth out of the body: skin samples, what a garment's vertices know of them, and the push itself."""
+"""Cloth out of the body: samples of skin and cloth, their signed distance, tables of garments, and the push-out."""

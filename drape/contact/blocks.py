@@ -1,17 +1,17 @@
-"""Points in blocks of one size, each compact and facing one way: what is tested together."""
+"""Points in blocks of one size, each compact and facing one way, which are tested together."""
 
 from __future__ import annotations
 
 import numpy as np
 
-FACING_M = 0.03  # how far apart two points lie that face opposite ways: half of it per unit of normal
+FACING_M = 0.03  # normals count as so many metres: points that face opposite ways lie twice that far apart
 
 
 def blocks(points: np.ndarray, normals: np.ndarray, size: int) -> np.ndarray:
-    """Indices (B, ``size``) of ``points`` [m] (N, 3), every point in one block; the last fill up with their first.
+    """Indices (B, ``size``) of ``points`` [m] (N, 3), every point in one block; a short block repeats its first point.
 
-    The set is halved along its longest direction until it fits, each cut at a multiple of ``size``. ``normals``
-    (N, 3) keep the two sides of thin parts and the layers of a garment apart.
+    The set is halved along its longest direction until a part fits, always at a multiple of ``size``. ``normals``
+    (N, 3) keep apart the two sides of thin parts, and the layers of a garment.
     """
     key = np.concatenate([points, FACING_M * normals], axis=1)
     found: list[np.ndarray] = []

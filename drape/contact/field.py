@@ -5,11 +5,14 @@ mean point b,
 
     d(x) = 1/2 sum_k w_k n_k . (x - b_k) + 1/2 n . (x - b) / |n|
 
-The first term is the implicit moving-least-squares surface (Kolluri 2008), which lies s^2 / 2R outside a
-surface of radius R for samples s away, the second the plane of mean point and mean normal (Alexa and Adamson
-2004), which lies as far inside: their mean has no error of second order, so that samples may be a quarter of a
-limb's radius apart. ``attend`` is two matrix products and a softmax, attention of points to samples; ``surface``
-reads distance and normal off the means, with coordinates first, so that every operation runs along the points.
+The first term is the implicit moving-least-squares surface (Kolluri 2008, "Provably good moving least squares", ACM
+Trans. Algorithms 4(2)). For samples s away it lies s^2 / 2R outside a surface of radius R. The second term is the plane
+of mean point and mean normal (Alexa and Adamson 2004, "On normals and projection operators for surfaces defined by
+point sets", SPBG), which lies as far inside. Their mean has no error of second order, so that samples may be a quarter
+of a limb's radius apart.
+
+``attend`` gives the means: it is the attention of points to samples, two matrix products and a softmax. ``surface``
+reads distance and normal off the means. Its coordinates come first, so that every operation runs along the points.
 """
 
 from __future__ import annotations
@@ -21,18 +24,18 @@ from drape.geometry.rotations import dot_columns
 
 BANDWIDTH_M = 0.014  # h, about the spacing of the samples
 TINY = 1e-12
-# Of all samples together, by which the mean point and the mean normal are divided at least. Normals fade while weights
-# times coordinates are still exact; in float32 they become subnormal numbers, or zero, from 1e-38 on.
+# The mean point and the mean normal are divided by the sum of the weights, or by these where it is smaller. So normals
+# fade while weights times coordinates are still exact: below 1e-38 these are subnormal in float32, or zero.
 LEAST_WEIGHTS = (1e-37, 1e-30)
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """What a surface is at N points: ``distance`` [m] (..., N), outside positive; unit ``normal`` (..., 3, N).
+    """A surface as N points see it: ``distance`` [m] (..., N), positive outside; unit ``normal`` (..., 3, N).
 
-    ``beside_m2`` (..., N): square of how far beside the samples a point lies, along the surface: more than their
-    spacing means that the surface ends before it. ``agreement`` (..., N) in [0, 1] of the normals that were
-    mixed: little where two surfaces face each other.
+    ``beside_m2`` [m^2] (..., N): the square of the distance from the samples along the surface; where it is larger than
+    their spacing the surface has ended. ``agreement`` (..., N) in [0, 1] of the normals that were mixed: it is small
+    between two surfaces that face each other.
     """
 
     distance: Array
@@ -42,27 +45,24 @@ class Surface:
 
 
 def queries(points: Array) -> Array:
-    """Columns (..., 8, P) whose product with a sample's row is -|x - b|^2 / h^2 less x . x.
-
-    Of ``points`` (..., 3, P).
-    """
+    """Columns (..., 8, P) of ``points`` (..., 3, P). Times a sample's row they are -|x - b|^2 / h^2 + x . x / h^2."""
     scale = 1.0 / (BANDWIDTH_M * BANDWIDTH_M)
     turned = like(points, [[2.0 * scale * (row == column) for row in range(3)] for column in range(8)])
     return turned @ points + like(points, [[-scale * (column == 3)] for column in range(8)])
 
 
 def attend(query: Array, table: Array, bias: Array) -> Array:
-    """Means (..., P, 8) of the samples' rows ``table`` (..., K, 8) (``drape.contact.skin.sample_table``).
+    """Means (..., P, 8) of the rows ``table`` (..., K, 8) of samples (``drape.contact.samples.sample_table``).
 
-    For ``queries``, points first (..., P, 8), with logits ``bias`` (..., K).
+    ``query`` (..., P, 8) are ``queries`` with the points first, ``bias`` (..., K) logits of the samples.
     """
     logits = query @ namespace(query).matrix_transpose(table) + bias[..., None, :]
     return softmax(logits) @ table
 
 
 def query_columns(points: Array) -> Array:
-    """Columns (..., 10, P) whose products with the samples' in ``attend_columns`` are the attention logits
-    -|x - b|^2 / h^2 + bias, of ``points`` (..., 3, P)."""
+    """Columns (..., 10, P) of ``points`` (..., 3, P). Times a sample's column in ``attend_columns`` they are the logits
+    -|x - b|^2 / h^2 + bias."""
     xp = namespace(points)
     scale = 1.0 / (BANDWIDTH_M * BANDWIDTH_M)
     plain = queries(points)
@@ -71,10 +71,10 @@ def query_columns(points: Array) -> Array:
 
 
 def attend_columns(query: Array, table: Array, bias: Array) -> Array:
-    """``attend`` for points that lie last: means (..., 8, P) for ``query_columns``, by sums of exponentials.
+    """``attend`` with the points last: means (..., 8, P) for ``query_columns``, by sums of exponentials.
 
-    A softmax without the search for the largest logit, which costs more than all the rest: so there must be a sample
-    whose ``bias`` is near 0, and means fade to nothing farther than some 10 cm from all of them.
+    A softmax without the search for the largest logit, which would cost more than all the rest. So the ``bias`` of some
+    sample must be near 0, and means fade to nothing from some 10 cm away from all samples on.
     """
     xp = namespace(query)
     count = table.shape[-2]
@@ -119,8 +119,10 @@ def take(rows: Array, index: Array, axis: int = 0) -> Array:
 
 
 def columns(table: Array, index: Array) -> Array:
-    """``table`` (F, n, N) at ``index`` (m,) of its last axis: (F, n, m). As one matrix of few rows, which graphs are
-    fast with (``model_export.packed.contact``)."""
+    """``table`` (F, n, N) at ``index`` (m,) of its last axis: (F, n, m).
+
+    Taken from one matrix of few rows, which graphs are fast with.
+    """
     xp = namespace(table)
     flat = take(xp.reshape(table, (-1, table.shape[2])), index, axis=1)
     return xp.reshape(flat, (table.shape[0], table.shape[1], -1))

@@ -1,18 +1,18 @@
-"""The collision projection (push-out): cloth out of its own part of the body, and of those that come near in a pose.
+"""The push-out, a collision projection: cloth out of its own part of the body, and of parts that come near in a pose.
 
-A vertex knows from its rest place on which side of which limb it belongs. Pushing along the normal of whichever
-skin is nearest tears cloth that two parts press from both sides: between arm and trunk one vertex goes with the
-arm, its neighbour with the trunk. So the surface under the cloth at rest ("own") and the rest of the body
-("other parts") are two surfaces (``drape.contact.field``), and the steps are
+A vertex knows from its rest place on which side of which limb it belongs. A push along the normal of whichever skin is
+nearest tears cloth that two parts press from both sides: between arm and trunk one vertex goes with the arm and its
+neighbour with the trunk. So the skin under the cloth at rest ("own") and the rest of the body ("other parts") are two
+surfaces (``drape.contact.field``), and there are three steps:
 
 1. out of other parts, then out of the own part, which has the last word;
-2. the displacement is fitted by the garment's own charts, a polynomial per patch, and blended: cloth beside the
-   pushed vertices comes along, and edges keep their lengths;
-3. what is still missing to the clearance, by the same two surfaces, to first order.
+2. the garment's own charts, a polynomial per patch, fit the displacement and are blended: cloth beside the pushed
+   vertices comes along, and edges keep their lengths;
+3. the same two surfaces push, to first order, by what is still missing to the clearance.
 
-Everything that switches a push fades in and out over a length, so that cloth moves smoothly when the body does.
-The same function runs on numpy, on torch and, exported, in ONNX Runtime: array sizes depend on the sizes of the
-inputs alone. Vectors have their coordinates first, points last: operations then run along the points.
+Whatever switches a push on fades it in over a length, so that cloth moves smoothly when the body does. One function
+runs on numpy, on torch and, exported, in ONNX Runtime: the sizes of its arrays depend on those of the inputs alone.
+Vectors have their coordinates first and points last: operations then run along the points.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ import numpy as np
 from drape.arrays import Array, namespace
 from drape.arrays.tensors import Tensors, tensor
 from drape.contact.field import attend_columns, columns, largest, query_columns, ramp, surface, take
+from drape.contact.push_tables import BLOCK_SIZE, GROUP_SIZE, OTHER_STEPS, OWN_CLUSTERS
 from drape.contact.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE, Samples, region_centres, sample_table
-from drape.contact.tables import BLOCK_SIZE, GROUP_SIZE, OTHER_STEPS, OWN_CLUSTERS
 from drape.geometry import jets
 from drape.geometry.rotations import dot_columns
 
-CLEARANCE_M = 0.0025  # also of the lift of folds, and less than their contact's gap: cloth at rest is not lifted
+CLEARANCE_M = 0.0025  # the lift of folds has it too: it is less than contact's gap, so that cloth at rest is not lifted
 MOVED_M = 1e-4  # a vertex that is moved by less counts as left alone
-REGION_COUNT = 2  # of other parts that a group of blocks is tested against
-BESIDE_M2 = (0.026**2, 0.016**2)  # a point this far beside the samples has left the surface that they are
-DEPTH_M = (-0.035, -0.025)  # deeper inside is not this surface
-AGREEMENT = (0.35, 0.65)  # of the mixed normals: below, two surfaces are mixed
+REGION_COUNT = 2  # regions of other parts that a group of blocks is tested against
+BESIDE_M2 = (0.026**2, 0.016**2)  # a point this far beside the samples is beyond the end of their surface
+DEPTH_M = (-0.035, -0.025)  # a point deeper inside belongs to another surface
+AGREEMENT = (0.35, 0.65)  # where mixed normals agree less, two surfaces are mixed
 LARGEST_PUSH_M = 0.030
-HAS_OTHER = 2.0  # of 255: a list without a sample like this has no other part
-OTHER_LEAST = 1e-3  # what a sample counts that is no other part, beside ones that are
+HAS_OTHER = 2.0  # in 255ths: a list has an other part where some sample is one by this much
+OTHER_LEAST = 1e-3  # the weight of a sample that is no other part, beside ones that are
 CHARTS_PER_VERTEX = 4
-JET_ROUNDS = 4  # of fits, where charts carry all of the push
-JET_OVER = 2.0  # a fit of what is missing is taken this many times: it spreads a push and so falls short of it
+JET_ROUNDS = 4  # fits, where charts carry all of the push
+JET_OVER = 2.0  # times a fit of what is missing: a fit spreads a push and so falls short of it
 TILE_WIDTH = 64  # columns of ten numbers: wider tiles than those of the drape are faster and still small
 TERMS = jets.coefficient_count(3)  # of a patch's polynomial
 REGION_BIAS_M2 = 0.002  # squared distance [m^2] that one logit of a region outweighs
@@ -77,11 +77,11 @@ class PushFeed(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class Pushed:
-    """What the push-out makes of F drapes: ``vertices`` [m] (F, V, 3), and the same for a drape by jets.
+    """F drapes after the push-out: ``vertices`` [m] (F, V, 3), and the push for drapes by jets.
 
     ``coefficients`` [m] (F, K, 3, 10): a displacement as a cubic of each patch's parameters, in the axes of the
-    vertices. Jets have no step 3, so step 2 is repeated with what is still missing. ``left_m`` (F,): the longest way
-    that a vertex with the blend of ``coefficients`` would still have to go.
+    vertices. Jets have no step 3; step 2 is repeated with what is still missing instead. ``left_m`` [m] (F,): the
+    longest way that a vertex moved by the blend of ``coefficients`` still has to go.
     """
 
     vertices: Array
@@ -95,7 +95,7 @@ def push_out(vertices: Array, skin: Array, feed: PushFeed, clearance_m: Array | 
 
 
 def push_in_parts(vertices: Array, skin: Array, feed: PushFeed, clearance_m: Array | float = CLEARANCE_M) -> Pushed:
-    """``push_out``, and the push for a drape by jets. A graph that is cut to the vertices has none of the latter."""
+    """``push_out``, with the push for drapes by jets. A graph that is cut to the vertices leaves the latter out."""
     xp = namespace(vertices)
     start = columns(xp.matrix_transpose(vertices), _flat(feed.block_vertex))  # (F, 3, N)
     means, has_other = _means(start, skin, feed)
@@ -108,7 +108,7 @@ def push_in_parts(vertices: Array, skin: Array, feed: PushFeed, clearance_m: Arr
     own_share, other_share = share[:, None, :slots], share[:, None, slots:] * has_other
 
     def out(moved: Array | None) -> Array:
-        """``moved`` (F, 3, N), None where nothing moved yet, and what is missing then, to first order."""
+        """``moved`` (F, 3, N), None at first, with the push by what it still lacks, to first order."""
         lacking = other_missing if moved is None else other_missing - dot_columns(moved, other_normal)
         from_other = _way(lacking, other_share) * other_normal
         moved = from_other if moved is None else moved + from_other
@@ -142,11 +142,6 @@ def push_out_of_bodies(
     return pushed
 
 
-def fitted(displacement: Array, feed: PushFeed) -> Array:
-    """``displacement`` (F, 3, N) of the slots as the blend of a least-squares polynomial per patch."""
-    return blended(fit(displacement, feed), feed)
-
-
 def fit(displacement: Array, feed: PushFeed) -> Array:
     """Coefficients (F, K, 3, 10) of the least-squares polynomial of each patch for ``displacement`` (F, 3, N)."""
     xp = namespace(displacement)
@@ -157,7 +152,7 @@ def fit(displacement: Array, feed: PushFeed) -> Array:
 
 
 def blended(coefficients: Array, feed: PushFeed) -> Array:
-    """The displacement (F, 3, N) of the slots that the patches' ``coefficients`` (F, K, 3, 10) say together."""
+    """The displacement (F, 3, N) of the slots: the blend of the polynomials ``coefficients`` (F, K, 3, 10)."""
     xp = namespace(coefficients)
     frames, slots = coefficients.shape[0], feed.slot_charts.shape[1] * feed.slot_charts.shape[2]
     tiles, _, width = feed.tile_basis.shape
@@ -197,8 +192,8 @@ def _own_part(query: Array, skin: Array, feed: PushFeed) -> Array:
 
 
 def _other_parts(start: Array, skin: Array, feed: PushFeed) -> tuple[Array, Array, Array]:
-    """The 24 samples of other parts nearest to each group: rows (F, G, 24, 8), logits (F, G, 24), and 1 where there are
-    any (F, G, 1)."""
+    """The 24 samples of other parts nearest to each group: rows (F, G, 24, 8), logits (F, G, 24), and (F, G, 1), which
+    is 1 where there are any."""
     xp = namespace(start)
     frames, regions = skin.shape[0], skin.shape[1]
     groups = feed.region_bias.shape[0]
@@ -207,15 +202,23 @@ def _other_parts(start: Array, skin: Array, feed: PushFeed) -> tuple[Array, Arra
     along = xp.matrix_transpose(centre) @ xp.matrix_transpose(2.0 * region)
     far = REGION_BIAS_M2 * xp.reshape(feed.region_bias, (groups, regions))
     top = largest(far - xp.sum(region * region, axis=-1)[:, None] + along, REGION_COUNT)  # (F, G, n)
-    frame = regions * xp.arange(frames, dtype=top.dtype)[:, None, None]
-    group = regions * xp.arange(groups, dtype=top.dtype)[:, None]
-    count = REGION_COUNT * REGION_SIZE
-    rows = take(xp.reshape(skin, (-1, 8 * REGION_SIZE)), _flat(top + frame))
-    other = take(xp.reshape(feed.other, (-1, REGION_SIZE)), _flat(top + group))
-    other = xp.reshape(xp.astype(other, start.dtype), (frames, groups, count))
+    rows, other = samples_in(top, skin, feed.other, groups)
+    other = xp.astype(other, start.dtype)
     bias = xp.log(other * (1.0 / OTHER_STEPS) + OTHER_LEAST)
     has_other = xp.astype(xp.max(other, axis=-1, keepdims=True) >= HAS_OTHER, start.dtype)
-    return xp.reshape(rows, (frames, groups, count, 8)), bias, has_other
+    return rows, bias, has_other
+
+
+def samples_in(top: Array, skin: Array, other: Array, groups: int) -> tuple[Array, Array]:
+    """The samples in the regions ``top`` (F, G, 2), which each of ``groups`` has chosen: rows (F, G, 24, 8) of ``skin``
+    (F, R, 12, 8), and how much each is another part (F, G, 24) by ``other`` (G, ...)."""
+    xp = namespace(skin)
+    frames, regions, count = skin.shape[0], skin.shape[1], REGION_COUNT * REGION_SIZE
+    frame = regions * xp.arange(frames, dtype=top.dtype)[:, None, None]
+    group = regions * xp.arange(groups, dtype=top.dtype)[:, None]
+    rows = take(xp.reshape(skin, (-1, 8 * REGION_SIZE)), _flat(top + frame))
+    parts = take(xp.reshape(other, (-1, REGION_SIZE)), _flat(top + group))
+    return xp.reshape(rows, (frames, groups, count, 8)), xp.reshape(parts, (frames, groups, count))
 
 
 def _flat(index: Array) -> Array:

@@ -1,8 +1,8 @@
 """Body proximity of patches: how near the body is at a few points of each, and which way it would push them.
 
-The two surfaces of the collision projection (``drape.contact.projection``), own and other parts of the body, are read
-at the points of a patch, not at the vertices of a block, so the cost does not grow with the mesh. Nothing is pushed:
-closeness and force at every point are what the network's corrections read.
+The two surfaces of the push-out (``drape.contact.projection``), own and other parts of the body, are read at the points
+of a patch, not at the vertices of a block: the cost does not grow with the mesh. Nothing is pushed. The network's
+corrections read closeness and force at every point.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import numpy as np
 from drape.arrays import Array, namespace
 from drape.arrays.tensors import Tensors, tensor
 from drape.contact.field import Surface, attend, largest, queries, ramp, surface, take
-from drape.contact.projection import AGREEMENT, BESIDE_M2, OTHER_LEAST, REGION_BIAS_M2, REGION_COUNT
+from drape.contact.projection import AGREEMENT, BESIDE_M2, OTHER_LEAST, REGION_BIAS_M2, REGION_COUNT, samples_in
+from drape.contact.push_tables import OWN_CLUSTERS, skin_lists
 from drape.contact.samples import CLUSTER_SIZE, REGION_SIZE, region_centres
 from drape.contact.skin import Skin
-from drape.contact.tables import OWN_CLUSTERS, skin_lists
 from drape.geometry.rotations import dot_columns
 
 GAP_M = 0.006  # proximity begins at this distance; the contact energy at 4 mm
@@ -52,9 +52,10 @@ def patch_skin(centre: np.ndarray, facing: np.ndarray, skin: Skin) -> PatchSkin:
 
 
 def region_bias_of(most: np.ndarray) -> np.ndarray:
-    """Logits of regions by the ``most`` that a sample of each is another part, in 15ths: far below 0 where none is.
+    """Logits of regions; ``most`` is how much a sample of each is another part at most, in 15ths.
 
-    Two bytes hold each exactly: 16 values, rounded so here, once for all who choose regions by them.
+    They lie far below 0 where none is. All 16 values are rounded to two bytes here, so that all who choose regions by
+    them choose the same.
     """
     return np.log(most / OTHER_STEPS + REGION_LEAST).astype(np.float16).astype(np.float32)
 
@@ -66,7 +67,7 @@ def in_halves(other: np.ndarray) -> np.ndarray:
 
 
 def from_halves(stored: Array) -> Array:
-    """The other way round: ``in_halves`` (..., 6) as numbers (..., 12) of the type of ``stored``, a floating one."""
+    """The numbers (..., 12) of ``stored`` = ``in_halves`` (..., 6), a floating type."""
     xp = namespace(stored)
     high = xp.floor(stored * (1.0 / 16.0))
     return xp.concat([stored - 16.0 * high, high], axis=-1)
@@ -107,10 +108,10 @@ def plane_share(found: Surface) -> Array:
 
 
 def body_proximity(points: Array, near: Planes) -> tuple[Array, Array]:
-    """What ``points`` [m] (F, K, n, 3) feel of the planes: closeness (F, K, 2 n) and force (F, K, n, 3).
+    """The closeness (F, K, 2 n) of ``points`` [m] (F, K, n, 3) to the planes, and their force on them (F, K, n, 3).
 
-    Closeness is tanh((gap - distance) / 1 cm) to the own part, then to others; the force the sum over both of
-    (gap - distance) / 1 cm along the normal, where positive. Each counts by the plane's share.
+    Closeness is tanh((gap - distance) / 1 cm) to the own part, then to others. The force is the sum over both parts of
+    (gap - distance) / 1 cm along the normal, where that is positive. Both are times the plane's share.
     """
     xp = namespace(points)
     frames, count = points.shape[0], points.shape[2]
@@ -133,20 +134,12 @@ def _own(query: Array, skin: Array, lists: PatchSkin) -> Array:
 def _other(points: Array, query: Array, skin: Array, lists: PatchSkin) -> Array:
     """Means (F, K, n, 8) of the other parts nearest to each patch; without a normal where there are none."""
     xp = namespace(points)
-    frames, regions = skin.shape[0], skin.shape[1]
     patches = lists.region_bias.shape[0]
     region = region_centres(skin)
     centre = xp.mean(points, axis=2)  # (F, K, 3)
     squared = xp.sum(region * region, axis=-1)[:, None] - 2.0 * (centre @ xp.matrix_transpose(region))
     top = largest(REGION_BIAS_M2 * lists.region_bias - squared, REGION_COUNT)  # (F, K, 2)
-    frame = regions * xp.arange(frames, dtype=top.dtype)[:, None, None]
-    patch = regions * xp.arange(patches, dtype=top.dtype)[:, None]
-    table = take(xp.reshape(skin, (-1, 8 * REGION_SIZE)), xp.reshape(top + frame, (-1,)))
-    other = take(xp.reshape(lists.other, (-1, REGION_SIZE)), xp.reshape(top + patch, (-1,)))
-    count = REGION_COUNT * REGION_SIZE
-    return attend_others(
-        query, xp.reshape(table, (frames, patches, count, 8)), xp.reshape(other, (frames, patches, count))
-    )
+    return attend_others(query, *samples_in(top, skin, lists.other, patches))
 
 
 def attend_others(query: Array, table: Array, other: Array) -> Array:

@@ -1,4 +1,5 @@
-"""Points spread evenly over a mesh, each with two tangents, as fixed sums over its vertices: skin and cloth alike."""
+"""Samples of a mesh, of skin or of cloth: points spread evenly over it with two tangents each, as fixed sums over its
+vertices."""
 
 from __future__ import annotations
 
@@ -29,11 +30,12 @@ Keep = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """S samples, ``REGION_SIZE`` after the other a region, ``CLUSTER_SIZE`` a cluster of it; S makes whole parts.
+    """S samples: ``REGION_SIZE`` in a row are a region, ``CLUSTER_SIZE`` of these a cluster; S makes whole parts of
+    ``POSED_REGIONS`` regions.
 
-    ``operator`` sparse (3 S, V): S rows that give the points from the mesh's vertices, S for the first tangent,
-    S for the second, whose cross product points outwards. ``point``, ``normal`` (S, 3) of the mesh at rest;
-    ``spacing_m`` (S,) the distance to neighbouring samples.
+    ``operator`` sparse (3 S, V): the mesh's vertices times its first S rows are the points, times the next S the first
+    tangents, times the last S the second ones; their cross product points outwards. ``point``, ``normal`` (S, 3) of the
+    mesh at rest; ``spacing_m`` (S,) to the neighbouring samples.
     """
 
     operator: scipy.sparse.csr_matrix
@@ -69,7 +71,7 @@ class Samples:
 
 
 class Placed(NamedTuple):
-    """Where S samples lie at rest: on the triangles ``face`` (S,) with barycentric ``weight`` (S, 3).
+    """S samples at rest, on the triangles ``face`` (S,) with barycentric ``weight`` (S, 3).
 
     Their ``point`` [m] and unit ``normal`` (S, 3), and the ``spacing_m`` (S,) to their neighbours.
     """
@@ -160,17 +162,22 @@ def _spread(
     # The two sides of a thin part are far apart along the skin: distance counts double across normals.
     normal = meshes.face_normals(rest, faces)[face]
     key = np.concatenate([point, 0.5 * radius.min(initial=1.0) * normal], axis=1)
-    tree = KDTree(key)
-    alive, kept = np.ones(len(point), dtype=bool), []
-    for index in range(len(point)):
-        if alive[index]:
-            kept.append(index)
-            alive[tree.query_ball_point(key[index], radius[index])] = False
+    kept = thinned(key, radius)
     return face[kept], weight[kept]
 
 
+def thinned(points: np.ndarray, radius: np.ndarray) -> np.ndarray:
+    """Indices of those of ``points`` (n, d), in their order, that no kept one before has within its ``radius`` (n,)."""
+    tree, alive, kept = KDTree(points), np.ones(len(points), dtype=bool), []
+    for index in range(len(points)):
+        if alive[index]:
+            kept.append(index)
+            alive[tree.query_ball_point(points[index], radius[index])] = False
+    return np.array(kept, dtype=np.int64)
+
+
 def ring_operator(rest: np.ndarray, faces: np.ndarray, placed: Placed) -> scipy.sparse.csr_matrix:
-    """``Samples.operator`` over all vertices about a sample that face its way."""
+    """``Samples.operator`` whose sums go over all vertices near a sample that face its way."""
     count, vertex_count = len(placed.point), len(rest)
     normals = meshes.vertex_normals(rest, faces)
     around = KDTree(rest).query_ball_point(placed.point, NORMAL_REACH * placed.spacing_m)
@@ -191,9 +198,10 @@ def ring_operator(rest: np.ndarray, faces: np.ndarray, placed: Placed) -> scipy.
 def operator(
     rest: np.ndarray, faces: np.ndarray, placed: Placed, sample: np.ndarray, near: np.ndarray
 ) -> scipy.sparse.csr_matrix:
-    """Rows over vertices: the point by its barycentric weights, the tangents by a local least-squares plane.
+    """``Samples.operator``: the point by its barycentric weights, the tangents by a local least-squares plane.
 
-    Of the planes' pairs ``sample``, ``near`` (n,), sorted by sample; each sample has the corners of its face.
+    A plane goes through the vertices ``near`` (n,) of its ``sample`` (n,), which are sorted and have the corners of the
+    sample's face.
     """
     count = len(placed.point)
     first, second = _tangents(placed.normal)
@@ -220,5 +228,5 @@ def _tangents(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
-    """``vectors`` (n, 3) at length one."""
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
+    """``vectors`` (..., 3) at length one."""
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)

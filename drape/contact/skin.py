@@ -1,8 +1,8 @@
-"""The body's skin as samples with smooth normals: what cloth is kept out of.
+"""The body's skin as samples with smooth normals, which cloth is kept out of.
 
-Samples are spread evenly over the skin, closer where limbs are thin. Point and two tangents of a sample
-are sums over body vertices with fixed weights, so they follow any pose and shape of the body exactly, and
-where the body is skinned linearly they are also sums over its bones: one small product poses them all.
+Samples are spread evenly over the skin, closer on thin limbs. The point and the two tangents of a sample are sums over
+body vertices with fixed weights: they follow any pose and shape of the body exactly. On a linearly skinned body they
+are sums over its bones as well, and one small product poses them all.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ def skin_table(rows: Array, bones: Array, rotations: Array, translations: Array)
     width, size = 4 * count, POSED_REGIONS * REGION_SIZE
     of_parts = xp.permute_dims(xp.reshape(taken, (-1, 3, parts, width)), (0, 2, 1, 3))
     posed = of_parts @ xp.reshape(rows, (-1, parts, width, 3 * size))
-    # All samples of a kind side by side: three rows of thousands, which is what all that follows runs along.
+    # All samples of a kind side by side: the operations that follow run along three rows of thousands.
     kinds = xp.permute_dims(xp.reshape(posed, (-1, parts, 3, 3, size)), (0, 3, 2, 1, 4))
     point, first, second = (xp.reshape(kinds[:, k], (-1, 3, parts * size)) for k in range(3))
     table = table_of_columns(point, unit_cross(first, second))
@@ -157,7 +157,7 @@ def shaped_skin(body: BodyModel) -> ShapedSkin:
 
 
 def _kept(kind: str, body: BodyModel, make: Callable[[BodyModel], Made]) -> Made:
-    """What ``make`` gives for ``body``: by its digest, since a body read twice is the same."""
+    """``make(body)``, kept by the body's digest: a body that is read twice is the same."""
     found = _KEPT.get((kind, body.digest))
     if found is None:
         found = _KEPT[kind, body.digest] = make(body)

@@ -140,7 +140,7 @@ def _in_floats(file: GlbFile, garment: Surface, corners: Corners, frames: np.nda
 def _in_steps(
     file: GlbFile, garment: Surface, corners: Corners, frames: np.ndarray, *, root_motion: RootMotion
 ) -> _Shape:
-    """The clip in steps, and the node that makes places of them and moves with the root."""
+    """The clip in steps, and the node that scales them to places and moves with the root."""
     file.quantised()
     centre, scale = _box(frames, root_motion)
     places, turned = [], []
@@ -156,8 +156,10 @@ def _in_steps(
 
 
 def _box(frames: np.ndarray, root_motion: RootMotion) -> tuple[np.ndarray, float]:
-    """The centre (3,) [m] of the first frame in the root's frame, and the longest of its half edges and of all ways
-    from there along an axis [m]: what ``STEPS`` steps reach."""
+    """The centre (3,) [m] of the first frame in the root's frame, and the length [m] of ``STEPS`` steps.
+
+    That is the longest of the first frame's half edges and of all ways from it along an axis.
+    """
     first = root_motion.towards_root(frames[0], 0)
     centre = 0.5 * (first.min(axis=0) + first.max(axis=0))
     reach = np.abs(first - centre).max()

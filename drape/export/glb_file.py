@@ -66,7 +66,7 @@ class GlbFile:
         self._size += _padded(array.nbytes)
 
     def quantised(self) -> None:
-        """Says that vertices are in steps, which whoever reads the file must know."""
+        """Declares in the file that vertices are in steps."""
         self.json["extensionsUsed"] = self.json["extensionsRequired"] = [QUANTIZATION]
 
     def quantised_rows(self, arrays: np.ndarray, *, bounds: bool = False) -> list[int]:
@@ -112,7 +112,7 @@ class GlbFile:
         return index
 
     def place(self, name: str, point: np.ndarray) -> None:
-        """Puts all that stands at the top of the scene under one node at ``point`` [m], which JSON holds in float64.
+        """Puts the top of the scene under one node at ``point`` [m], which JSON holds in float64.
 
         Skinned meshes stay at the top: they go where their joints are.
         """

@@ -17,7 +17,7 @@ FRAMES_A_SAMPLE = 1.0
 
 
 def pc2_head(points: int, frames: int) -> bytes:
-    """What comes before ``frames`` samples of ``points`` points each; the first is of frame 0."""
+    """The head of a file of ``frames`` samples of ``points`` points each; the first sample is of frame 0."""
     return _HEAD.pack(MAGIC, VERSION, points, 0.0, FRAMES_A_SAMPLE, frames)
 
 

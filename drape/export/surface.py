@@ -1,4 +1,4 @@
-"""What a file needs to know of a garment besides its frames."""
+"""The mesh of a garment as writers of files take it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """USD scenes as text (.usda): a mesh per garment whose points move, for every program that reads USD.
 
-Metres, y up, a time code per frame. Points have five decimals: they are off by 0.005 mm at most. What counts from a
-point of its own stands under an Xform there, in float64.
+Metres, y up, a time code per frame. Points have five decimals: they are off by 0.005 mm at most. A scene whose
+vertices count from a point of their own stands under an Xform at that point, in float64.
 """
 
 from __future__ import annotations

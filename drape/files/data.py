@@ -1,4 +1,4 @@
-"""Where data that is not part of the repository lies: the folder named by DRAPE_DATA (docs/guide/data.md)."""
+"""The folder of data outside the repository, which DRAPE_DATA names (docs/guide/data.md)."""
 
 from __future__ import annotations
 

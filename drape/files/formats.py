@@ -48,10 +48,10 @@ MESH_SUFFIXES: tuple[str, ...] = tuple(one.suffix for one in MESH_FORMATS)
 MESH_CONTENT_TYPES: dict[str, str] = {kind: one.name for one in MESH_FORMATS for kind in one.content_types}
 
 
-def listed(last: str = "or") -> str:
+def listed() -> str:
     """The names for a sentence: ``OBJ, GLB, PLY or STL``."""
     *first, final = (name.upper() for name in MESH_NAMES)
-    return f"{', '.join(first)} {last} {final}"
+    return f"{', '.join(first)} or {final}"
 
 
 def sniff(payload: bytes) -> MeshFormat:

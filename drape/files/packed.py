@@ -41,7 +41,7 @@ def packed(arrays: Mapping[str, np.ndarray]) -> bytes:
     return buffer.getvalue()
 
 
-def read_packed(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def read_packed(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """The JSON object in the bytes of the array ``header`` of the npz at ``path``, and its other arrays by name.
 
     Raises one of ``UNREADABLE`` where there is no such file.

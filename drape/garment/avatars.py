@@ -197,12 +197,6 @@ def _same_topology(vertices: np.ndarray, space: PhenotypeSpace) -> bool:
     return bool(np.median(np.abs(here - near)) < 5e-3 and np.corrcoef(near, here)[0, 1] > 0.9)
 
 
-def avatar_for(path: Path) -> tuple[str, Any] | None:
-    """Name and entry of the avatar of ``path`` in the table beside it, else in the shipped one; longest wins."""
-    found = entry_for(path.name, [path.parent, SHIPPED_FOLDER])
-    return None if found is None else found[:2]
-
-
 def parse_avatar(
     avatar: str | Path | dict[str, Any] | None, *, beside: Path | None = None, allow_paths: bool = True
 ) -> dict[str, Any] | Path | str | None:
@@ -213,7 +207,7 @@ def parse_avatar(
     for text that is none of these, and ``BodyError`` for broken JSON. Paths are refused unless ``allow_paths``.
     """
     if avatar is None:
-        found = avatar_for(beside) if beside is not None else None
+        found = entry_for(beside.name, [beside.parent, SHIPPED_FOLDER]) if beside is not None else None
         return None if found is None else _entry(found[1], beside)
     if isinstance(avatar, dict):
         return avatar

@@ -127,8 +127,8 @@ class Garment(Atlas):
 
         stored = (self.rest_edges, self.rest_angle, self.rest_stiffening)
         if all(array is None for array in stored):
-            painted, materials = (self.uv, self.uv_faces), (self.material_names, self.face_material)
-            return rest_of(cloth_of(self.vertices, self.fine_faces, painted, materials))[0]
+            on_corners, materials = (self.uv, self.uv_faces), (self.material_names, self.face_material)
+            return rest_of(cloth_of(self.vertices, self.fine_faces, on_corners, materials))[0]
         hinge_count = len(meshes.hinges(self.fine_faces))
         shapes = {"rest_edges": (len(self.fine_faces), 2, 2), "rest_angle": (hinge_count,)}
         shapes["rest_stiffening"] = (hinge_count,)

@@ -61,16 +61,14 @@ def clear_body(
     faces: np.ndarray,
     body_vertices: np.ndarray,
     body_faces: np.ndarray,
-    *,
-    clearance_m: float = CLEARANCE_M,
 ) -> Cleared:
-    """``vertices`` (N, 3) moved until each is at least ``clearance_m`` outside the closed body.
+    """``vertices`` (N, 3) moved until each is at least ``CLEARANCE_M`` outside the closed body.
 
     The first push maps distances through a softened maximum, which is monotone, so that a
     lining stays under its cloth; later pushes lift what is still short. Each push is spread
     over the cloth, over shorter lengths from round to round, so that it ends without spikes.
     """
-    target = clearance_m + MARGIN_M
+    target = CLEARANCE_M + MARGIN_M
     start, moved = vertices, vertices.copy()
     signed, direction, nearest = distance_field(moved, body_vertices, body_faces)
     if signed.min() < -GIVE_UP_DEPTH_M:
@@ -96,11 +94,11 @@ def clear_body(
         moved = moved + push
         stiffness = max(0.6 * stiffness, 0.004**2) if round_number < ROUNDS - 8 else 0.0
         signed, direction, nearest = distance_field(moved, body_vertices, body_faces)
-    if signed.min() >= clearance_m:
+    if signed.min() >= CLEARANCE_M:
         return Cleared(moved, float(signed.min()), float(np.linalg.norm(moved - start, axis=1).max()), ROUNDS)
     raise MeshError(
         "garment",
-        expected=f"a clearance of {1e3 * clearance_m:.1f} mm to the body",
+        expected=f"a clearance of {1e3 * CLEARANCE_M:.1f} mm to the body",
         got=f"{1e3 * signed.min():.1f} mm at vertex {int(signed.argmin())} after {ROUNDS} pushes",
         cure="Model the garment with more ease there, or say which avatar it was modelled on.",
     )

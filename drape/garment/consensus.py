@@ -53,7 +53,7 @@ def strain_points() -> np.ndarray:
 
 
 def strain_places(patch_jet: np.ndarray, patch_scale: np.ndarray) -> np.ndarray:
-    """Where the strain points of patches with rest jets ``patch_jet`` (K, 27) are, in their frames [m] (K, 7, 3)."""
+    """The strain points [m] (K, 7, 3) of patches with rest jets ``patch_jet`` (K, 27), in the patch frames."""
     points = np.broadcast_to(strain_points(), (len(patch_scale), STRAIN_POINTS, 2))
     scale = patch_scale.astype(np.float64)[:, None, None]
     return scale * jets.evaluate(patch_jet.astype(np.float64)[:, None], points)

@@ -1,4 +1,4 @@
-"""What the garment encoder reads of a fabric: how it stretches, shears and bends in the axes of each patch."""
+"""The features of a fabric that the garment encoder reads: stretch, shear and bending in the axes of each patch."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from drape.cloth.fabric_table import fabric as fabric_of
 from drape.cloth.rest_state import RestState
 from drape.errors import ArtifactError
 from drape.garment.cache import Atlas, Garment
-from drape.garment.grain import read_grain, texture
+from drape.garment.grain import corner_uv, read_grain
 from drape.geometry import meshes
 
 FABRIC_COUNT = 12
@@ -49,7 +49,7 @@ def rest_grain(garment: Garment) -> np.ndarray:
     if garment.rest_edges is not None:
         warp = warp_directions(garment.rest_state(), vertices, faces)
     else:  # as its rest state will have it, which takes longer to make
-        warp = read_grain(vertices, vertices, faces, texture(garment.uv, garment.uv_faces, len(faces))).warp
+        warp = read_grain(vertices, vertices, faces, corner_uv(garment.uv, garment.uv_faces, len(faces))).warp
     return patch_grain(garment, vertices, faces, warp)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import scipy.sparse
 
 from drape.body.model import BodyModel
+from drape.cloth.fabric_table import DEFAULT_FABRIC
 from drape.garment import charts, features, skin
 from drape.garment.cache import Garment
 from drape.garment.files.mesh import GarmentMesh
@@ -205,6 +206,8 @@ def fit_garment(
         face_material=mesh.face_material.astype(np.int32),
         skin_weights=rest.binding.weights.astype(np.float32),
         shapedirs=(SHAPE_STEP_M * np.rint(rest.binding.shapedirs / SHAPE_STEP_M)).astype(np.float32),
+        manifest={},
+        fabric=DEFAULT_FABRIC,
         **fields,
     )
     figures = fit_error(rest, fields) | {"patch_count": garment.patch_count, "area_m2": float(rest.areas.sum())}

@@ -20,10 +20,10 @@ SMALLEST_AREA_SHARE = 1e-6  # of the mean triangle in uv; below it a triangle sa
 
 
 @dataclass(frozen=True, eq=False)
-class Texture:
-    """uv of every corner of G triangles (G, 3, 2), and the number (G,) of the island that each lies in.
+class CornerUv:
+    """The uv of every corner of G triangles (G, 3, 2), and the number (G,) of the island that each triangle lies in.
 
-    ``grain_along_v``: its maker says that the warp is v everywhere.
+    ``grain_along_v``: the maker of the cloth says that the warp is v everywhere.
     """
 
     corners: np.ndarray
@@ -33,12 +33,12 @@ class Texture:
 
 @dataclass(frozen=True, eq=False)
 class Grain:
-    """What uv tell of the cloth, of G triangles and H hinges.
+    """The grain, the panels and the seams of cloth with G triangles and H hinges, as its uv show them.
 
     ``warp`` (G, 3): unit warp in the plane of every triangle, vertical (``grain_along``) where ``from_uv`` (G,) bool is
-    False. ``panel_edges`` (G, 2, 2): edges in uv from the first corner, along (warp, weft), in units of uv; ``seam``
-    (H,) bool: the panels end there. ``scale_m``: metres of cloth per unit of uv, zero where uv are no flattening;
-    ``share``: of the area, for which they are one.
+    False. ``panel_edges`` (G, 2, 2): edges in uv from the first corner, along (warp, weft), in units of uv. ``seam``
+    (H,) bool: hinges at which panels end. ``scale_m``: metres of cloth per unit of uv, zero where uv are no flattening;
+    ``share``: the share of the area on which they are one.
     """
 
     warp: np.ndarray
@@ -49,11 +49,11 @@ class Grain:
     share: float
 
 
-def texture(uv: np.ndarray, uv_faces: np.ndarray, face_count: int) -> Texture | None:
-    """``uv`` (T, 2) of ``uv_faces`` (F, 3), carried to the ``face_count`` triangles that subdivision made of them.
+def corner_uv(uv: np.ndarray, uv_faces: np.ndarray, face_count: int) -> CornerUv | None:
+    """The ``uv`` (T, 2) of ``uv_faces`` (F, 3) on the corners of the ``face_count`` triangles of their subdivision.
 
-    Linear in every delivered triangle, in the order of ``meshes.subdivide``. None without uv, or where the triangles
-    are no subdivision.
+    They are linear in every delivered triangle; triangles are in the order of ``meshes.subdivide``. None without uv, or
+    where the triangles are no subdivision.
     """
     if not len(uv_faces):
         return None
@@ -71,36 +71,36 @@ def texture(uv: np.ndarray, uv_faces: np.ndarray, face_count: int) -> Texture | 
     _, place = np.unique(uv, axis=0, return_inverse=True)
     welded = place.reshape(-1)[uv_faces]
     island = mesh_graphs.connected_components(welded, len(uv))[welded[:, 0]]
-    return Texture(corners, np.unique(np.repeat(island, 4**rounds), return_inverse=True)[1].reshape(-1))
+    return CornerUv(corners, np.unique(np.repeat(island, 4**rounds), return_inverse=True)[1].reshape(-1))
 
 
 def read_grain(
     vertices: np.ndarray,
     modelled: np.ndarray,
     faces: np.ndarray,
-    painted: Texture | None,
+    on_corners: CornerUv | None,
     uv_unit_m: float | None = None,
 ) -> Grain:
-    """The grain of the cloth at rest, ``vertices`` [m] (N, 3), as ``painted`` on it.
+    """The grain of the cloth at rest, ``vertices`` [m] (N, 3), from the uv ``on_corners`` of its triangles.
 
-    Whether uv are a flattening is asked of ``modelled`` [m] (N, 3), the cloth as delivered: island by island, with one
-    scale for all. Cloth that is worn stretches and shears, knits by more than the limit: with ``uv_unit_m``, metres of
-    cloth per unit of uv, uv are panels because they are said to be. Raises ``InputError`` where there are none or
-    their size is another.
+    Uv count as a flattening where they are one of ``modelled`` [m] (N, 3), the cloth as delivered: island by island,
+    with one scale for all. Worn cloth stretches and shears, and knits do so by more than the limit. So with
+    ``uv_unit_m``, metres of cloth per unit of uv, uv are panels without that check. Raises ``InputError`` where there
+    are no uv then, or where their size is another.
 
-    The warp is uv's v, as patterns are laid out, or its u where an island lies on its side: a quarter
-    turn that brings the warp nearer to the vertical. A panel cut on the bias stays so. Where its maker says so it is v.
+    The warp is uv's v, as patterns are laid out. It is u where an island lies on its side, so that a quarter turn
+    brings the warp nearer to the vertical, unless the maker says that it is v. A panel cut on the bias stays so.
     """
     plain = grain_along(vertices, faces)
     hinges = meshes.hinge_faces(faces)
     nothing = Grain(
         plain, np.zeros(len(faces), bool), np.zeros((len(faces), 2, 2)), np.zeros(len(hinges), bool), 0.0, 0.0
     )
-    if painted is None:
+    if on_corners is None:
         if uv_unit_m is not None:
             raise InputError("uv unit", expected="panels as uv", got="no uv", cure="Leave the unit of uv out.")
         return nothing
-    edges = painted.corners[:, 1:] - painted.corners[:, :1]  # (G, 2, 2)
+    edges = on_corners.corners[:, 1:] - on_corners.corners[:, :1]  # (G, 2, 2)
     double = edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]
     told = np.abs(double) > SMALLEST_AREA_SHARE * np.abs(double).mean()
     if not told.any():
@@ -119,20 +119,20 @@ def read_grain(
             cure="Correct the unit, or leave it out: lengths are then those of the mesh.",
         )
     true = told & (large < STRETCH_LIMIT * scale) & (small * STRETCH_LIMIT > scale)
-    whole = np.bincount(painted.island, area)
-    flat = np.bincount(painted.island, area * true) >= FLAT_SHARE * whole
+    whole = np.bincount(on_corners.island, area)
+    flat = np.bincount(on_corners.island, area * true) >= FLAT_SHARE * whole
     flat |= uv_unit_m is not None
-    good = told & flat[painted.island]
+    good = told & flat[on_corners.island]
     upright = slope @ np.array(UP) / scale  # (G, 2): how steeply u and v climb
-    mean = np.stack([np.bincount(painted.island, area * upright[:, k]) for k in (0, 1)], axis=1) / whole[:, None]
-    on_side = (np.abs(mean[:, 0]) > np.abs(mean[:, 1]) + TURNED) & (not painted.grain_along_v)
-    axis = np.where(on_side, 0, 1)[painted.island]
+    mean = np.stack([np.bincount(on_corners.island, area * upright[:, k]) for k in (0, 1)], axis=1) / whole[:, None]
+    on_side = (np.abs(mean[:, 0]) > np.abs(mean[:, 1]) + TURNED) & (not on_corners.grain_along_v)
+    axis = np.where(on_side, 0, 1)[on_corners.island]
     turned = _polar(_slope(vertices, faces, inverse))
     rows = np.arange(len(faces))
     warp = np.where(good[:, None], turned[rows, axis], plain)
     panel = np.stack([edges[rows, :, axis], edges[rows, :, 1 - axis]], axis=2)
-    share = float((area * flat[painted.island]).sum() / area.sum())
-    return Grain(warp, good, panel, _seams(painted, faces, good), scale if good.any() else 0.0, share)
+    share = float((area * flat[on_corners.island]).sum() / area.sum())
+    return Grain(warp, good, panel, _seams(on_corners, faces, good), scale if good.any() else 0.0, share)
 
 
 def panel_unit(grain: Grain, uv_unit_m: float | None) -> float | None:
@@ -174,12 +174,12 @@ def _median(values: np.ndarray, weights: np.ndarray) -> float:
     return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
 
 
-def _seams(painted: Texture, faces: np.ndarray, good: np.ndarray) -> np.ndarray:
+def _seams(on_corners: CornerUv, faces: np.ndarray, good: np.ndarray) -> np.ndarray:
     """Hinges (H,) bool between flattenings at which uv are split."""
     ends, sides = meshes.hinges(faces)[:, :2], meshes.hinge_faces(faces)
-    tolerance = SAME_UV * np.ptp(painted.corners.reshape(-1, 2), axis=0).max()
+    tolerance = SAME_UV * np.ptp(on_corners.corners.reshape(-1, 2), axis=0).max()
     split = np.zeros(len(ends), bool)
     for k in (0, 1):
-        first, second = (painted.corners[side, (faces[side] == ends[:, k, None]).argmax(axis=1)] for side in sides.T)
+        first, second = (on_corners.corners[side, (faces[side] == ends[:, k, None]).argmax(axis=1)] for side in sides.T)
         split |= np.abs(first - second).max(axis=1) > tolerance
     return split & good[sides].all(axis=1)

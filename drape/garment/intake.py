@@ -30,9 +30,9 @@ from drape.errors import InputError, refusing
 from drape.garment import avatars
 from drape.garment.cache import FORMAT_VERSION, OWN_GARMENTS_DIR, Garment, load_garment, save_garment
 from drape.garment.clearance import CLEARANCE_M
-from drape.garment.files.mesh import read_mesh
+from drape.garment.files.mesh import GarmentMesh, read_mesh
 from drape.garment.fitting import fit_garment
-from drape.garment.grain import texture
+from drape.garment.grain import corner_uv
 from drape.garment.intake_options import DEFAULT_OPTIONS, IntakeOptions, read_fabric
 from drape.garment.mesh_checks import Unit, Up
 from drape.garment.rest_detail import Rest, RestCloth, doubled_faces, rest_of, subdivided_like
@@ -131,7 +131,28 @@ def intake(
     rest = rest_mesh(mesh, model, body, options, named=meaning is not None)
     for line in describe_rest(rest):
         say(line)
-    manifest = {
+    manifest = _manifest(mesh, payload, model, options, rest)
+    begins("fit")
+    compact = replace(rest.mesh, name=name)
+    fitted = fit_garment(
+        compact, rest.vertices, rest.fine_faces, body, digest=digest, manifest=manifest, share=options.patches
+    )
+    begins("cloth")
+    garment = with_rest_state(with_unused(fitted, rest.faces, rest.kept), rest, options, sewn)
+    for line in _describe_fit(garment, options):
+        say(line)
+    say(f"took      {time.perf_counter() - started:.1f} s")
+    begins("store")
+    if folder is not None:
+        say(f"stored    {save_garment(garment, folder)}")
+    return garment
+
+
+def _manifest(
+    mesh: GarmentMesh, payload: bytes, model: avatars.Avatar, options: IntakeOptions, rest: RestMesh
+) -> dict[str, Any]:
+    """The record of an intake: what went in, and how far the mesh was moved."""
+    return {
         "source": {
             "sha256": hashlib.sha256(payload).hexdigest(),
             "vertex_count": len(mesh.vertices),
@@ -142,26 +163,17 @@ def intake(
         "notes": list(rest.mesh.notes),
         "intake": {key: round(float(value), 4) for key, value in rest.figures.items()},
     }
-    begins("fit")
-    compact = replace(rest.mesh, name=name)
-    fitted = fit_garment(
-        compact, rest.vertices, rest.fine_faces, body, digest=digest, manifest=manifest, share=options.patches
-    )
-    fitted = with_unused(fitted, rest.faces, rest.kept)
-    begins("cloth")
-    garment = with_rest_state(fitted, rest, options, sewn)
+
+
+def _describe_fit(garment: Garment, options: IntakeOptions) -> list[str]:
+    """Lines for the log: the patches, how well they fit, and the cloth's rest state."""
     error, cloth = garment.manifest["fit"], garment.manifest["rest"]
-    say(f"fitted    {garment.patch_count} patches on {len(garment.vertices):,} vertices")
-    say(f"fit error {error['point_rmse_m']:.2e} m point RMSE, {error['normal_error_deg']:.2f} deg normal error")
-    say(
+    return [
+        f"fitted    {garment.patch_count} patches on {len(garment.vertices):,} vertices",
+        f"fit error {error['point_rmse_m']:.2e} m point RMSE, {error['normal_error_deg']:.2f} deg normal error",
         f"cloth     rest {options.rest}: {100 * cloth['kept_share']:.1f} % of the hinges keep an angle, "
-        f"{100 * cloth['hem_share']:.1f} % lie double; grain {cloth['grain']}, lengths of the {cloth['lengths']}"
-    )
-    say(f"took      {time.perf_counter() - started:.1f} s")
-    begins("store")
-    if folder is not None:
-        say(f"stored    {save_garment(garment, folder)}")
-    return garment
+        f"{100 * cloth['hem_share']:.1f} % lie double; grain {cloth['grain']}, lengths of the {cloth['lengths']}",
+    ]
 
 
 def with_rest_state(garment: Garment, rest: RestMesh, options: IntakeOptions, sewn: Sewing | None = None) -> Garment:
@@ -171,14 +183,14 @@ def with_rest_state(garment: Garment, rest: RestMesh, options: IntakeOptions, se
     row = np.concatenate([rest.kept, np.arange(len(compact.vertices), len(rest.vertices))])
     faces = garment.fine_faces.astype(np.int64)
     modelled = subdivided_like(compact.vertices, compact.faces, len(faces))[row]
-    painted = texture(compact.uv, compact.uv_faces, len(faces))
+    on_corners = corner_uv(compact.uv, compact.uv_faces, len(faces))
     doubled = doubled_faces(compact.material_names, compact.face_material, len(faces))
     points = garment.vertices.astype(np.float64)
     hinges = None
-    if sewn is not None and painted is not None:
-        painted = replace(painted, grain_along_v=True)
-        hinges = sewn_hinges(sewn, compact, rest.kept, faces, painted)
-    cloth = RestCloth(points, faces, modelled, painted, doubled, options.uv_unit_m, rest.resized, hinges)
+    if sewn is not None and on_corners is not None:
+        on_corners = replace(on_corners, grain_along_v=True)
+        hinges = sewn_hinges(sewn, compact, rest.kept, faces, on_corners)
+    cloth = RestCloth(points, faces, modelled, on_corners, doubled, options.uv_unit_m, rest.resized, hinges)
     state, figures = rest_of(cloth, options.rest)
     arrays = {"rest_edges": state.edges, "rest_angle": state.hinge_angle, "rest_stiffening": state.stiffening}
     return replace(

@@ -39,7 +39,7 @@ SAMPLE_COUNT = 600
 
 @dataclass(frozen=True, order=True)
 class Placement:
-    """How the file's coordinates become ours: ``unit``, ``up`` axis, and whether its floor is the avatar's."""
+    """A reading of the file: its ``unit``, its ``up`` axis, and whether its origin is on the avatar's ``floor``."""
 
     unit: str
     up: str
@@ -204,7 +204,7 @@ def _check_option(name: str, value: str, allowed: tuple[str, ...]) -> None:
 
 
 def misfit(points: np.ndarray, avatar: Avatar, normals: np.ndarray) -> float:
-    """How badly ``points`` [m] (N, 3) lie round ``avatar`` with vertex ``normals``; infinite beyond ``EXTENT_M``.
+    """The misfit of ``points`` [m] (N, 3) round ``avatar`` with vertex ``normals``; infinite beyond ``EXTENT_M``.
 
     It is the mean distance from the skin, inside it four times as much, over the extent of the points: a garment read
     too small is near the skin only because it is small, and the extent takes that back.

@@ -20,7 +20,7 @@ from scipy.sparse import csgraph
 from drape.cloth import rest_state
 from drape.cloth.rest_state import RestState
 from drape.errors import MeshError
-from drape.garment.grain import Grain, Texture, panel_unit, read_grain, texture
+from drape.garment.grain import CornerUv, corner_uv, panel_unit, read_grain
 from drape.garment.rest_pose import smoother, subdivide_smooth
 from drape.garment.sewing import SewnHinges
 from drape.geometry import mesh_graphs, meshes
@@ -41,10 +41,10 @@ PANEL_RADIUS_M, DISTORTION_LIMIT = 0.10, 1.2
 
 @dataclass(frozen=True, eq=False)
 class RestCloth:
-    """What a rest state is made of.
+    """The cloth that a rest state is found for.
 
     ``vertices`` [m] (N, 3) at rest and ``faces`` (G, 3); ``modelled`` [m] (N, 3): the same cloth as it was delivered,
-    which says what is a crease; ``painted``: its uv, if it has some; ``doubled`` (G,) bool: triangles of a material
+    which says what is a crease; ``on_corners``: its uv, if it has some; ``doubled`` (G,) bool: triangles of a material
     that is sewn double. ``uv_unit_m``: metres of cloth per unit of uv, where they are panels. ``resized``: the cloth
     was moved to another body, and is no longer as large as its panels. ``sewn``: what its maker says of its hinges.
     """
@@ -52,7 +52,7 @@ class RestCloth:
     vertices: np.ndarray
     faces: np.ndarray
     modelled: np.ndarray
-    painted: Texture | None
+    on_corners: CornerUv | None
     doubled: np.ndarray
     uv_unit_m: float | None = None
     resized: bool = False
@@ -61,7 +61,7 @@ class RestCloth:
 
 @dataclass(frozen=True)
 class RestFigures:
-    """How a rest state came about: shares of hinges and of area in [0, 1], and where grain and lengths are from."""
+    """The origin of a rest state: shares of hinges and of area in [0, 1], and the sources of grain and lengths."""
 
     kept_share: float
     hem_share: float
@@ -86,14 +86,14 @@ def subdivided_like(vertices: np.ndarray, faces: np.ndarray, face_count: int) ->
 
 
 def rest_of(cloth: RestCloth, rest: Rest = "auto") -> tuple[RestState, RestFigures]:
-    """The rest state of ``cloth``, and how it came about.
+    """The rest state of ``cloth``, and its origin.
 
     ``modelled``: lengths and angles of the mesh. ``flat``: its lengths and no angle; raises ``MeshError`` for cloth
-    that does not lie flat. ``auto``: its lengths, angles only at creases, and at seams where uv are panels, as
-    delivered. Where uv are panels of a known size, ``flat`` and ``auto`` have their lengths from them, unless the cloth
-    is resized. Cloth that is ``sewn`` has the angles and hems that its maker says: folds of its drape are no creases.
+    that does not lie flat. ``auto``: its lengths, and angles as delivered, but only at creases and at seams of panels.
+    Where uv are panels of a known size, ``flat`` and ``auto`` take their lengths, unless the cloth is resized. Cloth
+    that is ``sewn`` has the angles and hems that its maker says: folds of its drape are no creases.
     """
-    grain = read_grain(cloth.vertices, cloth.modelled, cloth.faces, cloth.painted, cloth.uv_unit_m)
+    grain = read_grain(cloth.vertices, cloth.modelled, cloth.faces, cloth.on_corners, cloth.uv_unit_m)
     state = rest_state.modelled(cloth.vertices, cloth.faces, grain.warp)
     unit = panel_unit(grain, cloth.uv_unit_m)
     kept = np.ones(len(state.hinge_angle), dtype=bool)
@@ -110,7 +110,8 @@ def rest_of(cloth: RestCloth, rest: Rest = "auto") -> tuple[RestState, RestFigur
         if rest == "flat" and not grain.from_uv.any():
             _refuse_round(cloth)
         if unit is not None and not cloth.resized:
-            state, lengths = _with_panels(state, grain, unit), "panels"
+            edges = np.where(grain.from_uv[:, None, None], unit * grain.panel_edges, state.edges)
+            state, lengths = replace(state, edges=edges), "panels"
     figures = RestFigures(
         kept_share=float(kept.mean()) if len(kept) else 0.0,
         hem_share=float((state.stiffening > 1.0).mean()) if len(kept) else 0.0,
@@ -196,21 +197,16 @@ def _stiffening(cloth: RestCloth, crease: np.ndarray) -> np.ndarray:
     return np.where(double, HEM_STIFFENING, 1.0)
 
 
-def _with_panels(state: RestState, grain: Grain, unit_m: float) -> RestState:
-    """``state`` with the lengths of the panels where uv are a flattening."""
-    return replace(state, edges=np.where(grain.from_uv[:, None, None], unit_m * grain.panel_edges, state.edges))
-
-
 def cloth_of(
     vertices: np.ndarray,
     fine_faces: np.ndarray,
-    painted: tuple[np.ndarray, np.ndarray],
+    on_corners: tuple[np.ndarray, np.ndarray],
     materials: tuple[Sequence[str], np.ndarray],
 ) -> RestCloth:
     """The cloth of a garment at rest, of which no more is known than its rest mesh, so that lengths are that mesh's.
 
-    ``painted``: its uv (T, 2) and uv_faces (F, 3); ``materials``: names, and the number (F,) of each delivered face.
+    ``on_corners``: its uv (T, 2) and uv_faces (F, 3); ``materials``: names, and the number (F,) of each delivered face.
     """
     faces, points = np.asarray(fine_faces, dtype=np.int64), np.asarray(vertices, dtype=np.float64)
     doubled = doubled_faces(*materials, len(faces))
-    return RestCloth(points, faces, points, texture(*painted, len(faces)), doubled, resized=True)
+    return RestCloth(points, faces, points, corner_uv(*on_corners, len(faces)), doubled, resized=True)

@@ -121,7 +121,7 @@ def smoother(vertices: np.ndarray, faces: np.ndarray, length_m: float):
 
 
 def skirt_blend(vertices: np.ndarray, faces: np.ndarray, avatar: Avatar, body: BodyModel) -> np.ndarray:
-    """How much each vertex belongs to a skirt: 0 from the hip joints upwards, 1 from the crotch downwards.
+    """The share (V,) to which each vertex belongs to a skirt: 0 above the hip joints, 1 below the crotch.
 
     A skirt is a connected piece of cloth below the crotch that lies round both legs; trousers fall into two pieces
     there.

@@ -18,7 +18,7 @@ import numpy as np
 
 from drape.errors import InputError
 from drape.garment.files.mesh import GarmentMesh
-from drape.garment.grain import Texture
+from drape.garment.grain import CornerUv
 from drape.geometry import meshes
 
 FORMAT = "drape sewn garment"
@@ -53,7 +53,7 @@ class Edge:
 
 @dataclass(frozen=True)
 class Sewing:
-    """What ``NAME.json`` says; ``uv_unit_m``: metres of cloth per unit of uv.
+    """The contents of ``NAME.json``; ``uv_unit_m``: metres of cloth per unit of uv.
 
     Cloth nearer than ``hem_width_m`` to an edge that is turned up or bound bends ``hem_bending`` times as hard.
     ``size``, ``body``, ``ease_m`` and ``figures`` tell how it was made.
@@ -146,11 +146,13 @@ class SewnHinges:
     stiffening: np.ndarray
 
 
-def sewn_hinges(sewing: Sewing, mesh: GarmentMesh, kept: np.ndarray, faces: np.ndarray, painted: Texture) -> SewnHinges:
+def sewn_hinges(
+    sewing: Sewing, mesh: GarmentMesh, kept: np.ndarray, faces: np.ndarray, on_corners: CornerUv
+) -> SewnHinges:
     """Angles and stiffening of the hinges of ``faces`` (G, 3), which are a subdivision of the faces of ``mesh``.
 
     ``kept`` (V,): the row in ``mesh`` of every delivered vertex. ``faces`` count the delivered vertices, then those
-    that subdivision added. ``painted``: the uv of ``faces``. A hinge is folded where both ends lie on a folded seam.
+    that subdivision added. ``on_corners``: the uv of ``faces``. A hinge is folded where both ends lie on a folded seam.
     It is of double cloth where both ends are near an edge that is turned up or bound, on all panels that meet there.
     """
     ends = meshes.hinges(faces)[:, :2]
@@ -167,12 +169,12 @@ def sewn_hinges(sewing: Sewing, mesh: GarmentMesh, kept: np.ndarray, faces: np.n
         angle[(on_seam[ends, column] == 1.0).all(axis=1)] = seam.angle_rad
     rounds = len(faces) // len(mesh.faces)
     island_of_uv = np.zeros(len(mesh.uv), dtype=np.int64)
-    island_of_uv[mesh.uv_faces] = painted.island[::rounds, None]
+    island_of_uv[mesh.uv_faces] = on_corners.island[::rounds, None]
     panels = sewing.uv_unit_m * mesh.uv
     lines = [list(edge.uv) for edge in sewing.edges if edge.kind in DOUBLED_KINDS]
     turned = near_lines(
-        sewing.uv_unit_m * painted.corners.reshape(-1, 2),
-        np.repeat(painted.island, 3),
+        sewing.uv_unit_m * on_corners.corners.reshape(-1, 2),
+        np.repeat(on_corners.island, 3),
         [(int(island_of_uv[line[0]]), panels[line]) for line in lines],
         sewing.hem_width_m,
     )

@@ -1,4 +1,4 @@
-"""How a garment at rest hangs on the body: skin weights and shape movement of every vertex.
+"""Binds a garment at rest to the body: skin weights and shape movement of every vertex.
 
 A vertex takes the weights of the body points near it, by a Gaussian kernel whose width
 grows with its distance from the body: next to the skin that is the nearest triangle, on
@@ -31,15 +31,13 @@ class BodyBinding:
     shapedirs: np.ndarray
 
 
-def bind_to_body(
-    vertices: np.ndarray, faces: np.ndarray, body: BodyModel, *, passes: int = SMOOTHING_PASSES
-) -> BodyBinding:
+def bind_to_body(vertices: np.ndarray, faces: np.ndarray, body: BodyModel) -> BodyBinding:
     """Weights and shape movement of garment ``vertices`` (N, 3) [m] at rest on ``body`` in T-pose."""
     kernel = body_kernel(vertices, body)
     smooth = smoothing_matrix(faces, len(vertices))
     weights = kernel @ body.weights
     shape = kernel @ body.shapedirs.reshape(body.vertex_count, -1)
-    for _ in range(passes):
+    for _ in range(SMOOTHING_PASSES):
         weights = smooth @ weights
         shape = smooth @ shape
     weights = np.where(weights > 1e-3, weights, 0.0)

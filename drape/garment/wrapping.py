@@ -24,7 +24,7 @@ STEPS, RELAXATION = 4, 1.5  # jeans of 886 vertices in a fast squat show 0.04 % 
 
 
 class Wrapping:
-    """What wraps the delivered mesh of ``garment`` around its subdivided one."""
+    """Wraps the delivered mesh of ``garment`` around its subdivided one."""
 
     def __init__(self, garment: Garment) -> None:
         self._weights = corner_weights(garment)

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drape.geometry import meshes
+
 LIGHT = np.array([0.35, 0.55, 0.76])
 SKIN = (0.80, 0.66, 0.56)
 CLOTH = (0.25, 0.42, 0.85)
@@ -75,10 +77,9 @@ def z_buffer(
     azimuth_deg: float,
     centre: np.ndarray,
     extent_m: float,
-    elevation_deg: float = 8.0,
 ) -> ZBuffer:
     """The buffer of a view as ``render`` draws it: both sides of the mesh ``vertices`` [m] (V, 3), ``faces`` (F, 3)."""
-    camera, screen = _projected(vertices, view_matrix(azimuth_deg, elevation_deg), centre, size, extent_m)
+    camera, screen = _projected(vertices, view_matrix(azimuth_deg), centre, size, extent_m)
     depth = np.full(size[0] * size[1], -np.inf)
     nearest = np.full(len(depth), -1)
     for t, pixel, z, _ in _fragments(camera, screen, faces, size):
@@ -143,13 +144,7 @@ def _raster(
     image: np.ndarray,
 ) -> None:
     faces = surface.faces
-    corners = camera[faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    vertex_normal = np.zeros_like(camera)
-    for k in range(3):
-        np.add.at(vertex_normal, faces[:, k], normal)
-    vertex_normal /= np.linalg.norm(vertex_normal, axis=1, keepdims=True) + 1e-12
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True) + 1e-12
+    vertex_normal, normal = meshes.vertex_normals(camera, faces), meshes.face_normals(camera, faces)
     colour = np.broadcast_to(np.asarray(surface.colour, dtype=float), (len(faces), 3))
     for t, pixel, z, w in _fragments(camera, screen, faces, size):
         nearer = z > depth[pixel]

@@ -1,1 +1,1 @@
-"""What the graphs take: bodies, garments and outfits laid out as their inputs."""
+"""Inputs of the graphs: bodies, garments and outfits as arrays."""

@@ -18,7 +18,7 @@ BASIS = jets.HEIGHT_COUNT
 
 
 def blended(garment: PackedGarment, jet: np.ndarray, rotation: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Vertices [m] (V, 3) float32 of one frame of ``garment``: what its charts say, by their weights.
+    """Vertices [m] (V, 3) float32 of one frame of ``garment``: the weighted sums over its charts.
 
     ``jet`` (K, 27 or 45), ``rotation`` (K, 3, 3) and ``centre`` [m] (K, 3) are float32 as the packed graph gives them;
     vertices are relative to what ``centre`` is relative to. The same input gives the same bits.
@@ -53,7 +53,7 @@ def _pose(jet, rotation, centre, scale, posed):
 
 @kernel
 def _say(posed, tiles, tile_patch, said):
-    """``said`` (3, Q, 32): what the posed jets (K, 3, 18) of each tile's patch make of its columns (Q, 18, 32)."""
+    """``said`` (3, Q, 32): products of the posed jets (K, 3, 18) of each tile's patch and its columns (Q, 18, 32)."""
     for tile in range(len(tiles)):
         jet, columns = posed[tile_patch[tile]], tiles[tile]
         for axis in range(3):

@@ -1,6 +1,6 @@
 """Batches filled up to sizes of a ladder, so that a device sees few sets of shapes whatever clients ask for.
 
-What is filled in repeats the first patch, tile, block, item and body: it computes and is not read. An item's numbers do
+The filling repeats the first patch, tile, block and body: it is computed and not read. An item's numbers do
 not depend on what else is in its batch (``drape.graph.packing``), so they do not depend on this either.
 """
 
@@ -30,7 +30,7 @@ def bucket_size(count: int) -> int:
 
 
 def filled(composition: Composition) -> Composition:
-    """``composition`` with its patches, tiles, blocks, anchor blocks, items and blocks of an item on the ladder."""
+    """``composition`` with its patches, tiles, blocks and anchor blocks on the ladder."""
     arrays = {name: _filled(array, AXES[name]) for name, array in composition.arrays.items()}
     return Composition(arrays, composition.patches, composition.vertices)
 

@@ -1,6 +1,6 @@
 """The arrays that the graphs take, from posed bodies and garments: one place for training, export and service.
 
-What each is stands where it is declared, in ``drape.graph.inputs``. The graphs work relative to the root joint, so that
+``drape.graph.inputs`` declares each array. The graphs work relative to the root joint, so that
 float32 stays precise wherever the body walks; ``BodyFeed.root`` (float64) is added to what comes out.
 """
 
@@ -16,8 +16,8 @@ from drape.body.features import Kinematics, feature_count, static_features
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
 from drape.contact.proximity import PatchSkin, patch_skin
+from drape.contact.push_tables import outward_directions
 from drape.contact.skin import Skin, body_skin, shaped_skin
-from drape.contact.tables import outward_directions
 from drape.errors import MotionError
 from drape.garment.cache import Atlas, Garment
 from drape.garment.consensus import consensus, strain_places
@@ -75,8 +75,8 @@ def shape_numbers(body: BodyModel, betas: np.ndarray | None) -> np.ndarray:
 
 
 def kinematics(body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.ndarray | None = None) -> Kinematics:
-    """Where the bodies of ``poses`` (F, 24, 3) [rad] with root translations ``trans`` (F, 3) [m] and shape ``betas``
-    (S,), or shapes (F, S), are: what ``motion_features`` compares."""
+    """The ``Kinematics`` that ``motion_features`` compares, of ``poses`` (F, 24, 3) [rad] with root translations
+    ``trans`` (F, 3) [m] and shape ``betas`` (S,), or shapes (F, S)."""
     poses = np.asarray(poses, dtype=np.float64)
     rotations, translations = body.bones(poses, trans, betas)
     joints = (rotations @ body.rest_joints(betas)[..., None])[..., 0] + translations
@@ -86,7 +86,7 @@ def kinematics(body: BodyModel, poses: np.ndarray, trans: np.ndarray, betas: np.
 def garment_feed(garment: Garment, *, fine: bool = False, body: BodyModel | None = None) -> dict[str, np.ndarray]:
     """``atlas_feed`` of a garment's delivered vertices, or of all vertices of the subdivided mesh with ``fine``.
 
-    And ``skin_weights`` (V, 24), which the paper's variant alone takes. ``body``: the one the garment was made for.
+    ``skin_weights`` (V, 24) are for the paper's variant. ``body``: the one the garment was made for.
     """
     count = len(garment.vertices) if fine else garment.vertex_count
     feed = atlas_feed(garment, count=count, skin=None if body is None else body_skin(body))
@@ -97,7 +97,7 @@ def atlas_feed(atlas: Atlas, *, count: int | None = None, skin: Skin | None = No
     """Constant graph inputs of a partition, its embedding excepted: ``PatchTensors``, ``ChartTensors`` of the first
     ``count`` vertices, all by default, and ``AgreementTensors``, with ``patch_slot`` (K, 56) of ``Consensus`` besides.
 
-    With the ``skin`` of the body that it was made for also what its patches feel of it. A graph names those it takes.
+    With the ``skin`` of the body it was made for, the skin near its patches too. A graph takes some of these by name.
     """
     shapedirs = np.zeros((atlas.patch_count, 3, BETA_COUNT), dtype=np.float32)
     shapedirs[..., : atlas.patch_shapedirs.shape[2]] = atlas.patch_shapedirs
@@ -122,13 +122,13 @@ def atlas_feed(atlas: Atlas, *, count: int | None = None, skin: Skin | None = No
 
 
 def _skin_near(atlas: Atlas, skin: Skin) -> PatchSkin:
-    """What the patches feel of a body."""
+    """The skin samples near the patches."""
     centre = atlas.patch_centre.astype(np.float64)
     return patch_skin(centre, outward_directions(centre, skin), skin)
 
 
 def _agreement(atlas: Atlas, local: np.ndarray) -> dict[str, np.ndarray]:
-    """Of the whole subdivided mesh: how charts agree does not depend on which vertices are delivered."""
+    """``AgreementTensors`` of the whole subdivided mesh: they do not depend on which vertices are delivered."""
     tables = consensus(atlas.chart_patch, atlas.chart_uv, atlas.chart_weight, local, atlas.patch_jet, atlas.patch_scale)
     anchor = tables.anchor
     basis = jets.basis(atlas.chart_uv[anchor].astype(np.float64), jets.HEIGHT_ORDER)

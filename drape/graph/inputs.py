@@ -1,7 +1,7 @@
-"""What the readable drape graph takes, each input declared once: posed bodies, patches, charts and how charts agree.
+"""Inputs of the readable drape graph, each declared once: posed bodies, patches, charts and how charts agree.
 
-Training, export and tests hold these groups; ``drape.graph.feeds`` makes their arrays by name. What the packed graph
-takes stands in ``drape.graph.packed``, what the push-out takes in ``drape.graph.push_feed`` and ``layer_feed``.
+Training, export and tests hold these groups; ``drape.graph.feeds`` makes their arrays by name. Inputs of the packed
+graph stand in ``drape.graph.packed``, those of the push-out in ``drape.graph.push_feed`` and ``layer_feed``.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class AgreementTensors(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class MotionTensors(Tensors):
-    """What the recurrent encoder takes of every client: motion (``drape.body.features``), its state, the time step."""
+    """Inputs of the recurrent encoder, a row a client: motion (``drape.body.features``), state, time step."""
 
     features: Array = tensor("motion_features", "clients", JOINT_COUNT, DYNAMIC_PER_JOINT, unit="1/s and m/s^2")
     state: Array = tensor("state", "clients", "state")

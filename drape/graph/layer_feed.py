@@ -1,4 +1,4 @@
-"""What a garment worn over others needs for its push-out, laid out as ``drape.contact`` and its graph take it."""
+"""Constants with which a garment worn over others is pushed out, as ``drape.contact`` and its graph take them."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from drape.arrays import Array, namespace
 from drape.arrays.tensors import Tensors, group, tensor
 from drape.body.model import BodyModel
+from drape.contact.cloth_samples import MEMBERS, ClothSamples, cloth_samples, hidden_under, joined
 from drape.contact.field import take
-from drape.contact.layers import MEMBERS, ClothSamples, cloth_samples, covered, joined
 from drape.contact.projection import CLEARANCE_M, Pushed, PushFeed, push_in_parts
 from drape.contact.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE, Samples, table_of_columns, unit_cross
 from drape.contact.skin import body_skin
@@ -64,7 +64,7 @@ def pack_layer(feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples,
     hidden = [np.zeros(surface.count, dtype=bool) for surface in surfaces]
     for layer, surface in enumerate(surfaces):
         for over in sheets[layer:]:
-            hidden[layer] |= covered(surface, over.vertices, over.faces)
+            hidden[layer] |= hidden_under(surface, over.vertices, over.faces)
     by_region = np.concatenate(hidden).reshape(-1, REGION_SIZE)
     region = np.flatnonzero(~by_region.all(axis=1))
     region = np.concatenate([region, np.repeat(region[-1:], -len(region) % POSED_REGIONS)])
@@ -119,7 +119,7 @@ def check_layers(garments: Sequence[Garment]) -> None:
 def push_over(
     vertices: Array, under: Array, skin: Array, feed: LayerFeed, clearance_m: Array | float = CLEARANCE_M
 ) -> Array:
-    """``push_over_in_parts`` without its parts: vertices [m] (F, V, 3)."""
+    """The vertices [m] (F, V, 3) of ``push_over_in_parts``."""
     return push_over_in_parts(vertices, under, skin, feed, clearance_m).vertices
 
 

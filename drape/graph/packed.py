@@ -1,4 +1,4 @@
-"""What the packed drape graph takes, each input declared once: bodies, stored patches and tiles, and index tensors.
+"""Inputs of the packed drape graph, each declared once: bodies, stored patches and tiles, and index tensors.
 
 ``drape.graph.packing`` makes the arrays and says how they lie in memory.
 """
@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from drape.arrays import Array
 from drape.arrays.tensors import Tensors, group, tensor
 from drape.body.skeleton import JOINT_COUNT
+from drape.contact.push_tables import OWN_CLUSTERS
 from drape.contact.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE
-from drape.contact.tables import OWN_CLUSTERS
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.garment.consensus import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.geometry import jets
@@ -35,8 +35,11 @@ class ShapedSkins(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class PackedBodies(Tensors):
-    """B bodies: rotations relative to the parent, the last the identity, which is the ancestor of those without one;
-    rest joints, shape; what motion adds to the code of the pose; the skin that patches feel."""
+    """B bodies: rotations relative to the parent, rest joints, shape, the code of motion, the skin that patches feel.
+
+    A last rotation, the identity, stands for the parent of joints that have none. ``dynamic_code`` is added to the
+    code of the pose.
+    """
 
     quaternion: Array = tensor("joint_quaternion", "bodies", JOINT_COUNT + 1, 4, unit="1, relative to the parent")
     rest: Array = tensor("joint_rest", "bodies", JOINT_COUNT, 3, unit="m")
@@ -47,7 +50,7 @@ class PackedBodies(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class StoredCharts(Tensors):
-    """By which the charts of stored patches agree and are strained, as columns like those of the tiles.
+    """Tables with which the charts of stored patches agree and are strained, in columns like those of the tiles.
 
     ``tangent``: by u at x, y, z of seven points, then by v; ``unit``: the upper triangles.
     """
@@ -61,7 +64,7 @@ class StoredCharts(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class StoredProximity(Tensors):
-    """Where stored patches feel the body at rest, and the skin near it there (``drape.contact.proximity``)."""
+    """Points at which stored patches feel the body, and the skin near them at rest (``drape.contact.proximity``)."""
 
     place: Array = tensor("felt_place", "patches", 3, STRAIN_POINTS, unit="patch scales")
     cluster: Array = tensor("felt_cluster", "patches", OWN_CLUSTERS, dtype="int32", unit="cluster of samples")
@@ -72,7 +75,7 @@ class StoredProximity(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class StoredPatches(Tensors):
-    """Constants of patches in store: ``first`` is their half of the decoder's first layer."""
+    """Constants of stored patches; ``first`` is their half of the decoder's first layer."""
 
     first: Array = tensor("patch_first", "patches", "width")
     weights: Array = tensor("patch_weights", "patches", JOINT_COUNT)
@@ -93,7 +96,7 @@ class StoredTiles(Tensors):
 
 @dataclass(frozen=True, eq=False)
 class Indices(Tensors):
-    """What the items of a call are: rows of the stored constants and of the bodies, and who owns what."""
+    """The items of a call: rows of the stored constants and of the bodies, and the owner of every row."""
 
     stored: Array = tensor("patch_stored", "patches", dtype="int32", unit="row of patch_first and the like")
     body: Array = tensor("patch_body", "patches", dtype="int32", unit="row of joint_quaternion and the like")

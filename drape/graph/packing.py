@@ -1,4 +1,4 @@
-"""How garments lie in memory for the packed drape graph: charts in tiles, vertices in blocks, and index tensors.
+"""The layout of garments in memory for the packed drape graph: charts in tiles, vertices in blocks, index tensors.
 
 A chart entry (vertex, patch, weight, rest place y, parameters u, v) contributes ``C @ column`` to its vertex, where C
 (3, 18) are the posed jets of the patch and the column is ``w [y / s, basis(u, v)]``. Columns of one patch
@@ -110,8 +110,10 @@ class PackedGarment:
 
 @dataclass(frozen=True, eq=False)
 class Tiling:
-    """Where chart entries lie: ``patch`` (Q,) of each tile, ``column`` (V, 4) of each entry in the packed columns, of
-    which a tile has ``width``."""
+    """Places of chart entries: ``patch`` (Q,) of each tile, ``column`` (V, 4) of each entry among the packed columns.
+
+    A tile has ``width`` columns.
+    """
 
     patch: np.ndarray
     column: np.ndarray
@@ -200,7 +202,7 @@ def pack_garment(feed: dict[str, np.ndarray], patch_first: np.ndarray) -> Packed
 
 
 def _small(index: np.ndarray) -> np.ndarray:
-    """``index`` in two bytes each where they hold it: a call's own are made of it."""
+    """``index`` in two bytes a number if they hold it."""
     return index.astype(np.uint16 if index.max(initial=0) <= np.iinfo(np.uint16).max else np.int32)
 
 
@@ -213,7 +215,7 @@ def _blocks(index: np.ndarray) -> np.ndarray:
 
 
 def _charts(feed: dict[str, np.ndarray]) -> StoredCharts:
-    """What ``drape.garment.consensus`` says of each patch, as columns like those of the tiles."""
+    """The tables of ``drape.garment.consensus`` of each patch, in columns like those of the tiles."""
     count = len(feed["patch_scale"])
     row = feed["anchor_row"][feed["patch_member"], feed["patch_slot"]].astype(np.float64)  # (K, 56, 19)
     row = np.where(_held(feed)[..., None], row, 0.0)
@@ -248,7 +250,7 @@ def _held(feed: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def _anchor_rows(feed: dict[str, np.ndarray]) -> np.ndarray:
-    """Where each chart (A, 4) of the anchors lies among the K x 56 anchor columns; charts of no weight have zeros."""
+    """Rows of the anchors' charts (A, 4) among the K x 56 anchor columns; charts of no weight have columns of zeros."""
     held = _held(feed)
     empty = MEMBERS - 1  # the last place of a patch is always empty
     rows = feed["anchor_patch"] * MEMBERS + empty
@@ -267,7 +269,7 @@ class Place:
 
 @dataclass(frozen=True, eq=False)
 class Composition:
-    """Index tensors of a list of (garment, body) items, and where each item's rows lie in the outputs."""
+    """Index tensors of a list of (garment, body) items, and the rows of each item in the outputs."""
 
     arrays: dict[str, np.ndarray]
     patches: tuple[slice, ...]

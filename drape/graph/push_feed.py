@@ -9,9 +9,9 @@ import numpy as np
 from drape.arrays import Array, namespace
 from drape.body.model import BodyModel
 from drape.contact.projection import CHARTS_PER_VERTEX, TERMS, TILE_WIDTH, PushFeed
+from drape.contact.push_tables import GROUP_SIZE, PushTables, push_tables
 from drape.contact.samples import POSED_REGIONS, REGION_SIZE, Samples
 from drape.contact.skin import body_skin, shaped_skin
-from drape.contact.tables import GROUP_SIZE, PushTables, push_tables
 from drape.errors import ArtifactError
 from drape.garment.cache import Garment
 from drape.geometry import jets
@@ -42,7 +42,7 @@ def pack_push(
 
 
 class SkinShapes:
-    """The skin of ``body`` in the shapes that come along, the latest used of them kept (a megabyte each)."""
+    """The skin of ``body`` in any shape; the shapes used last are kept (a megabyte each)."""
 
     def __init__(self, body: BodyModel) -> None:
         self._skin = shaped_skin(body)
@@ -74,7 +74,7 @@ def push_feed(garment: Garment, body: BodyModel) -> PushFeed:
 
 
 def pushed_jets(jet: Array, rotation: Array, scale: Array, coefficients: Array) -> Array:
-    """Jets (F, K, 45) in their frames that hold the push-out: what a stream of jets carries of it.
+    """Jets (F, K, 45) in their frames with the push-out in them, for a stream of jets.
 
     ``jet`` (F, K, 27 or 45) and frames ``rotation`` (F, K, 3, 3) are a drape's, ``scale`` [m] (K,) the patches',
     ``coefficients`` (F, K, 3, 10) those of ``drape.contact.projection.Pushed``. A cubic is part of a full jet of order

@@ -1,1 +1,1 @@
-"""Compiled pieces of the live solver: vectors, rows of lanes, elements, and a cloth as flat arrays; numba, no torch."""
+"""The parts of compiled code: vectors and rows of them, the formulas of cloth, flat arrays, a grid of points."""

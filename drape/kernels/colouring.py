@@ -1,4 +1,4 @@
-"""Colours of vertices: no two of one colour share an element, so a sweep in their order is one of parallel steps."""
+"""Colours of vertices: no two of one colour share an element, so that all of a colour may move at once."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from drape.kernels.compiled import kernel
 
 
 def colour_order(graph: scipy.sparse.csr_matrix) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (V,) of ``graph`` colour by colour, int32, and where each colour begins (C + 1,)."""
+    """The vertices (V,) int32 of ``graph`` colour by colour, and where each colour begins (C + 1,)."""
     colour = greedy_colours(graph.indptr, graph.indices)
     start = np.concatenate([[0], np.cumsum(np.bincount(colour))])
     return np.argsort(colour, kind="stable").astype(np.int32), start.astype(np.int32)
@@ -17,7 +17,10 @@ def colour_order(graph: scipy.sparse.csr_matrix) -> tuple[np.ndarray, np.ndarray
 
 @kernel
 def greedy_colours(start, neighbour):
-    """The least colour (V,) that no earlier neighbour has; neighbours of v from ``start[v]`` on, itself allowed."""
+    """For each vertex the least colour (V,) that no earlier neighbour has.
+
+    The neighbours of v are ``neighbour[start[v] : start[v + 1]]``, which may have v itself.
+    """
     count = len(start) - 1
     colour = np.full(count, -1, np.int64)
     taken = np.full(count + 1, -1, np.int64)

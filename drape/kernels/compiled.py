@@ -1,51 +1,52 @@
-"""How kernels are compiled: once per type, kept on disk beside the source, the same bits on every call.
+"""How kernels are compiled: once per type, stored on disk beside the source, with the same bits on every call.
 
-Products may be contracted with sums, but sums keep their order: a loop that was compiled twice, for arrays that may
-overlap and for arrays that do not, would otherwise give other last bits by where its arrays happen to lie, and no time
-is lost by it. Comparisons see NaN: "not lower" has to hold for it.
+A product may be contracted with a sum, but sums keep their order. numba compiles one loop twice, for arrays that may
+overlap and for arrays that do not: if sums could be reordered, the last bits of a result would depend on where its
+arrays lie in memory. Keeping the order costs no time. Comparisons see NaN, so that "not lower" holds for it.
 """
 
 from __future__ import annotations
 
 import hashlib
+import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 from numba import njit
+from numba.core.caching import IndexDataCacheFile
 
 F = TypeVar("F", bound=Callable)
 FAST = {"contract", "nsz"}
 _HERE = Path(__file__).parent
-_ROOMS = (_HERE, *(_HERE.parent / name for name in ("live", "graph")))  # where kernels call each other
+_PACKAGES = (_HERE, *(_HERE.parent / name for name in ("live", "graph")))  # their kernels call each other
 
 
 @cache
-def _sources(room: Path) -> str:
-    """The hash of the packages of kernels, and of the folder ``room``, whose kernels may call theirs."""
-    rooms = _ROOMS if room in _ROOMS else (*_ROOMS, room)
-    return hashlib.sha256(b"".join(p.read_bytes() for each in rooms for p in sorted(each.glob("*.py")))).hexdigest()
+def _sources(package: Path) -> str:
+    """The hash of the packages of kernels and of ``package``, whose kernels may call theirs."""
+    packages = _PACKAGES if package in _PACKAGES else (*_PACKAGES, package)
+    return hashlib.sha256(b"".join(p.read_bytes() for each in packages for p in sorted(each.glob("*.py")))).hexdigest()
 
 
 def part(function: F) -> F:
-    """``function`` written into the kernels that call it: a call would count references to all arrays of a tuple."""
-    written: Any = njit(inline="always", error_model="numpy", fastmath=FAST)(function)
-    return written
+    """``function`` inlined into the kernels that call it. A call would count references to every array of a tuple."""
+    inlined: Any = njit(inline="always", error_model="numpy", fastmath=FAST)(function)
+    return inlined
 
 
 def kernel(function: F) -> F:
-    """``function`` compiled when it is first called, and stored until a file of these packages or of its own changes.
+    """``function`` compiled at its first call, and stored until a file of these packages or of its own changes.
 
-    numba looks at the date of the kernel's own file alone, so that a changed formula would leave its callers as
-    they were; the stamp that it compares is therefore the hash of the packages. It is in the files' names as well: what
-    an older version stored names types that may be gone, and could not be read.
+    numba compares the date of the kernel's own file alone, so a changed formula would leave its callers as they were.
+    Here it compares the hash of the packages. The hash is in the files' names as well: a file that an older version
+    stored may name types that are gone, and reading it would fail. Both go through two private attributes of numba,
+    ``_cache`` and ``_cache_file`` (docs/decisions/0011-numba.md).
     """
     compiled: Any = njit(cache=True, error_model="numpy", nogil=True, fastmath=FAST)(function)
-    stored = compiled._cache._cache_file
-    sources = _sources(Path(function.__code__.co_filename).parent)
-    stored._source_stamp = sources
-    name = f"{stored._index_name.removesuffix('.nbi')}.{sources[:12]}"
-    stored._index_name, stored._data_name_pattern = f"{name}.nbi", f"{name}.{{number:d}}.nbc"
-    stored._index_path = str(Path(stored._cache_path, stored._index_name))
+    code, sources = function.__code__, _sources(Path(function.__code__.co_filename).parent)
+    name = f"{Path(code.co_filename).stem}.{function.__name__}-{code.co_firstlineno}.{sys.implementation.cache_tag}"
+    cached = compiled._cache
+    cached._cache_file = IndexDataCacheFile(cached.cache_path, f"{name}.{sources[:12]}", sources)
     return compiled

@@ -1,6 +1,17 @@
-"""Vectors, triangles, hinges and what acts on a vertex, compiled; a vector is a tuple of three numbers.
+"""The formulas of vectors, triangles and hinges, compiled.
 
-The energies are those of ``drape.cloth.energies``; ``reference`` says the same in a readable way, and tests compare.
+A vector is a tuple of three numbers, or of three rows (``drape.kernels.lanes``): one formula serves a vertex and a
+block of sixteen. The energies are those of ``drape.cloth.energies``. ``k`` are a problem's ``KernelConstants``.
+
+*Membrane.* With D the rest shape of a triangle, F = dx D^-1 has the columns p along the warp and t along the weft, and
+
+    E = A/8 (warp pp^2 + 2 cross pp tt + weft tt^2 + shear pt^2),   pp = p.p - 1, tt = t.t - 1, pt = p.t.
+
+``k`` holds half of the fabric's warp, cross and weft and a quarter of its shear. A corner whose slopes along warp
+and weft are mp and mt moves p by mp and t by mt, so that its gradient is (mp spp + mt spt) p + (mp spt + mt stt) t
+with the stress times area spp, stt, spt.
+
+*Hinge.* E = stiffness (1 - cos(theta - theta0)), theta the signed angle between two triangles that share the edge e.
 """
 
 from __future__ import annotations
@@ -47,14 +58,9 @@ def cross(a, b):
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@part
-def slopes(t, entry):
-    s = t.slope
-    return s[entry, 0], s[entry, 1], s[entry, 2], s[entry, 3], s[entry, 4]
-
-
 @kernel
 def add_to(x, v, a):
+    """Adds the vector ``a`` to row ``v`` of ``x``."""
     x[v, 0] += a[0]
     x[v, 1] += a[1]
     x[v, 2] += a[2]
@@ -76,6 +82,7 @@ def outer(h, s, a):
 
 @kernel
 def shifted(h, s):
+    """The symmetric matrix ``h`` plus s times the identity."""
     return h[0] + s, h[1], h[2], h[3] + s, h[4], h[5] + s
 
 
@@ -96,30 +103,59 @@ def solved(h, g):
     )
 
 
-# --- elements --------------------------------------------------------------------------------------------------------
-
-
 @kernel
+def farthest_m(x, y):
+    """The largest distance [m] between a point of ``x`` (P, 3) and that of ``y``, NaN where one is."""
+    most = x.dtype.type(0)
+    for v in range(len(x)):
+        way = sub(at(x, v), at(y, v))
+        square = dot(way, way)
+        if most == most and not square <= most:  # NaN, once met, stays
+            most = square
+    return np.sqrt(most)
+
+
+# --- membrane --------------------------------------------------------------------------------------------------------
+
+
+@part
+def columns(first, second, p1, p2, t1, t2):
+    """The columns p and t of F, from the edges ``first`` and ``second`` at a corner and the slopes of their ends."""
+    return mix(p1, first, p2, second), mix(t1, first, t2, second)
+
+
+@part
 def stress(p, t, area, k):
-    """Stress times area (pp, tt, pt) [N m] of a triangle with the columns p, t of F, and its energy [J]."""
-    cp, ct, cs = dot(p, p) - k.one, dot(t, t) - k.one, dot(p, t)
-    pp = area * (k.warp * cp + k.cross * ct)
-    tt = area * (k.cross * cp + k.weft * ct)
-    pt = area * k.shear * cs
-    return pp, tt, pt, k.half * (k.half * (pp * cp + tt * ct) + pt * cs)
+    """Stress times area (spp, stt, spt) [N m] of a triangle with the columns p, t of F, and its energy [J]."""
+    pp, tt, pt = dot(p, p) - k.one, dot(t, t) - k.one, dot(p, t)
+    spp = area * (k.warp * pp + k.cross * tt)
+    stt = area * (k.cross * pp + k.weft * tt)
+    spt = area * k.shear * pt
+    return spp, stt, spt, k.half * (k.half * (spp * pp + stt * tt) + spt * pt)
 
 
-@kernel
-def tension(pp, tt, pt, k):
-    """The stress (pp, tt, pt) without what pushes: principal values below zero are zero."""
-    mean = k.half * (pp + tt)
-    radius = np.sqrt(k.half * k.half * (pp - tt) * (pp - tt) + pt * pt)
-    if mean >= radius:
-        return pp, tt, pt
-    if mean <= -radius or radius == k.zero:
-        return k.zero, k.zero, k.zero
-    share, low = k.half * (mean + radius) / radius, mean - radius
-    return share * (pp - low), share * (tt - low), share * pt
+@part
+def corner_force(p, t, mp, mt, area, k):
+    """How much (cp, ct) of the columns p and t the gradient [N] of a corner with the slopes mp, mt has."""
+    spp, stt, spt, _ = stress(p, t, area, k)
+    return mp * spp + mt * spt, mp * spt + mt * stt
+
+
+@part
+def corner_stiffness(mp, mt, area, k):
+    """Weights (kpp, ktt, kpt) of p p^T, t t^T and p t^T + t p^T in a corner's Gauss-Newton Hessian [N/m].
+
+    The derivatives of the strains by the corner, 2 mp p, 2 mt t and mp t + mt p, times the material.
+    """
+    twice = k.one + k.one
+    return (
+        area * (twice * k.warp * mp * mp + k.shear * mt * mt),
+        area * (twice * k.weft * mt * mt + k.shear * mp * mp),
+        area * (twice * k.cross + k.shear) * mp * mt,
+    )
+
+
+# --- hinge -----------------------------------------------------------------------------------------------------------
 
 
 @kernel
@@ -140,7 +176,7 @@ def fold(corners, cosine, sine, k):
 
 @kernel
 def fold_gradient(vectors, scalars, cosine, sine, k):
-    """Derivatives [1/m] of the fold by the corners."""
+    """Derivatives [1/m] of the fold by the four corners."""
     e, a, b, n1, n2 = vectors
     q1, q2, scale, length, rise, value = scalars
     cube = value * scale * scale * scale
@@ -156,7 +192,7 @@ def fold_gradient(vectors, scalars, cosine, sine, k):
 
 @kernel
 def angle_gradient(vectors, k):
-    """Derivatives [1/m] of the dihedral angle by the corners, (l - u.a) n / |n|^2 and so on; guarded."""
+    """Derivatives [1/m] of theta by the four corners, guarded where a triangle has no area."""
     e, a, b, n1, n2 = vectors
     square = dot(e, e) + k.degenerate
     length = np.sqrt(square)
@@ -172,41 +208,12 @@ def angle_gradient(vectors, k):
 
 
 @part
-def outside(x, v, problem, around):
-    """Energy [J], gradient [N] and symmetric Hessian [N/m] of weight, contact and springs at the point ``x`` of v."""
-    k = problem.constants
-    normal = at(around.normal, v)
-    weight = problem.weight_n[v]
-    energy = weight * x[1]
-    gradient = (k.zero, weight, k.zero)
-    hessian = (k.zero, k.zero, k.zero, k.zero, k.zero, k.zero)
-    depth = k.gap - dot(sub(x, at(around.point, v)), normal)
-    if depth > k.zero:
-        stiffness = problem.contact_n_per_m[v]
-        energy += k.half * stiffness * depth * depth
-        gradient = add(gradient, scaled(-stiffness * depth, normal))
-        hessian = outer(hessian, stiffness, normal)
-    spring = around.target_n_per_m[v]
-    if spring > k.zero:
-        way = sub(x, at(around.target, v))
-        energy += k.half * spring * dot(way, way)
-        gradient = add(gradient, scaled(spring, way))
-        hessian = shifted(hessian, spring)
-    spring = around.band_n_per_m[v]
-    if spring > k.zero:
-        way = sub(x, at(around.band, v))
-        length = np.sqrt(dot(way, way))
-        if length > k.slack:
-            past = length - k.slack
-            energy += k.half * spring * past * past
-            gradient = add(gradient, scaled(spring * past / length, way))
-            hessian = outer(shifted(hessian, spring * past / length), spring * k.slack / length**3, way)
-    return energy, gradient, hessian
-
-
-@kernel
-def add_to_block(blocks, z, a, b):
-    """Adds a b^T to block z."""
-    for i in range(3):
-        for j in range(3):
-            blocks[z, i, j] += a[i] * b[j]
+def hinge_corner(x, hinges, member, k):
+    """The stiffness [J] of the hinge ``member`` // 4 of ``hinges`` at ``x`` [m], and the derivatives [1/m] of its fold
+    and of its angle by the corner ``member`` % 4."""
+    h, corner = member // 4, member % 4
+    vertex, cosine, sine = hinges.corner[h], hinges.cosine[h], hinges.sine[h]
+    points = (at(x, vertex[0]), at(x, vertex[1]), at(x, vertex[2]), at(x, vertex[3]))
+    _, vectors, scalars = fold(points, cosine, sine, k)
+    by_corner = fold_gradient(vectors, scalars, cosine, sine, k)
+    return hinges.stiffness[h], by_corner[corner], angle_gradient(vectors, k)[corner]

@@ -1,11 +1,14 @@
-"""Vectors of ``LANES`` numbers in kernels, added and multiplied number by number: what vector units do.
+"""Rows of ``LANES`` numbers as values of kernels: added and multiplied number by number, by vector instructions.
 
-Loops over lanes are not always compiled to that: an index that may be negative, a sum that is carried along or a row
-that is gathered number by number stand against it. A ``Row`` is never in memory unless ``put`` there, and points come
-from their places in whole rows that are turned about in registers, which is faster than a processor's own gathers.
+A loop over lanes is not always compiled to vector instructions. An index that may be negative, a running sum, or
+numbers that are gathered one by one prevent it. A ``Row`` is in registers until ``put`` writes it to memory. Points are
+loaded as whole vectors of four numbers and transposed in registers, which is faster than a processor's own gathers.
 
-Sums keep their order, as everywhere (``drape.kernels.compiled``): those over lanes are halved in one that is written
-here. Comparisons are as those of numbers, false where one is NaN.
+Sums keep their order, as everywhere (``drape.kernels.compiled``); ``sums`` halves the lanes in a fixed order.
+Comparisons are those of numbers, false where one is NaN.
+
+numba calls a function that is ``built`` with types. It returns its signature and a function ``code`` that writes LLVM's
+instructions for the values. ``numba.core`` and ``numba.np`` are not documented: docs/decisions/0011-numba.md.
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ from drape.kernels.compiled import FAST, part
 LANES = 16
 ir: Any = cgutils.ir  # of llvmlite, in the version that numba has
 _FLAGS = tuple(sorted(FAST))
-built: Any = intrinsic  # what it makes of a function is called with the arguments behind the first
+built: Any = intrinsic  # the function that it returns is called without the first argument, numba's typing context
 
 
 class Row(types.Type):
@@ -54,7 +57,7 @@ def _shuffled(builder: Any, a: Any, b: Any, order: Sequence[int]) -> Any:
 
 
 def _as_row(context: Any, builder: Any, value: Any, of: Any, row: Row) -> Any:
-    """``value`` itself, or as often as there are lanes where it is one number."""
+    """The row ``value``, or a row of the one number ``value``."""
     if isinstance(of, Row):
         return value
     vector = _vector(row.dtype)
@@ -115,7 +118,7 @@ def root(typing: Any, a: Any) -> Any:
 
 @built
 def where_above(typing: Any, a: Any, b: Any, then: Any, other: Any) -> Any:
-    """``then`` in lanes where ``a`` is above ``b``, ``other`` elsewhere; each a row or one number."""
+    """``then`` in the lanes where ``a`` is above ``b``, ``other`` in the rest; each is a row or one number."""
     row = _row_of(a, b, then, other)
 
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -175,7 +178,7 @@ def put(typing: Any, array: Any, start: Any, row: Any) -> Any:
 
 
 def _turned(builder: Any, rows: Sequence[Any]) -> list[Any]:
-    """Of ``LANES`` vectors of four numbers the first, second, third and fourth ones as rows."""
+    """The first, second, third and fourth numbers of ``LANES`` vectors ``rows`` of four, as rows."""
     wide = []
     for k in range(4):  # lanes k, k + 4, k + 8, k + 12 side by side, so that shuffles stay within quarters
         low = _shuffled(builder, rows[k], rows[k + 4], range(8))
@@ -194,7 +197,7 @@ def _turned(builder: Any, rows: Sequence[Any]) -> list[Any]:
 
 
 def _gather(width: int, begin: int) -> Any:
-    """A gather from (P, ``width``): four numbers from ``begin`` on, or three where there are no more."""
+    """A function that gathers from an array (P, ``width``): four numbers from ``begin`` on, or three at its end."""
     count = min(4, width - begin)
 
     @built
@@ -227,8 +230,9 @@ def _gather(width: int, begin: int) -> Any:
     return lowered
 
 
-# The points of x (P, 3) whose places are in a flat index from a start on: a vector of three rows; and of a table of
-# samples (S, 8) four rows each: their points and nothing, their normals and normal times point.
+# Each is called with an array, a flat index and the start of ``LANES`` places in that index. ``points_at`` returns the
+# three rows of points (P, 3). From a table of samples (S, 8) ``samples_at`` returns four rows, the points and their
+# squares, and ``normals_at`` four, the normals and normal times point.
 points_at, samples_at, normals_at = _gather(3, 0), _gather(8, 0), _gather(8, 4)
 
 
@@ -262,7 +266,7 @@ def put_points(typing: Any, x: Any, start: Any, a: Any) -> Any:
 
 
 def _points(context: Any, builder: Any, signature: Any, args: Any, x: Any) -> tuple[Any, int]:
-    """Where the points of ``x`` (P, 3) from a start on are, as one vector, and the bytes of a number."""
+    """A pointer to the points of ``x`` (P, 3) from a start on as one vector, and the bytes of a number."""
     start = builder.mul(context.cast(builder, args[1], signature.args[1], types.intp), _int(3))
     return _pointer(context, builder, args[0], x, start, _vector(x.dtype, 3 * LANES)), x.dtype.bitwidth // 8
 

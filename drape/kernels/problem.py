@@ -1,12 +1,11 @@
-"""A cloth as flat arrays: what the kernels of the local solver read, in float32 or float64.
+"""A cloth as flat arrays, in float32 or float64, for kernels to read.
 
-They are named tuples of arrays because numba takes those as arguments. The energy is that of ``drape.cloth.energies``,
-to which two springs per vertex may be added: to a target (inertia, mass over dt^2) and to where a waistband holds.
+They are named tuples of arrays, because numba takes those as arguments. Their energy is that of
+``drape.cloth.energies``, written as kernels in ``drape.kernels.elements``.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,20 +14,23 @@ import scipy.sparse
 from drape.cloth.energies import DEGENERATE, ClothMesh, contact_n_per_m
 from drape.cloth.material import Material
 from drape.cloth.waistband import SLACK_M
-from drape.errors import InputError
 from drape.geometry import meshes
 from drape.kernels.colouring import colour_order
 
-# Triangles lower than this share of the mean edge bend less in the quadratic model: its force grows with 1 / height.
+# Triangles lower than this share of the mean edge are made to bend less: the quadratic force grows with 1 / height.
 LOW_TRIANGLE = 0.4
-FLAT_SINE = 1e-6  # of a hinge's angle at rest, below which it is flat
+FLAT_SINE = 1e-6  # a hinge whose angle at rest has a smaller sine is flat
+LEAST_N_PER_M = 3.0  # added to the Hessian block of every vertex
+REACH_M = 0.01
 
 
-class Constants(NamedTuple):
-    """Numbers of the cloth in the kernels' type, so that no literal turns float32 into float64.
+class KernelConstants(NamedTuple):
+    """Numbers of the cloth, of the kernels' type: a literal would turn float32 into float64.
 
-    ``warp``, ``cross``, ``weft`` half, ``shear`` a quarter of ``Material``'s [N/m]: what they are times F^T F - I.
-    ``least`` [N/m] is added to every vertex's block, ``reach`` [m] the most that a step moves a vertex.
+    ``warp``, ``cross`` and ``weft`` [N/m] are half of ``Material``'s, ``shear`` is a quarter: times F^T F - I they give
+    the stress. Contact begins ``gap`` [m] over the skin, a spring holds from ``slack`` [m] on. ``per_edge`` [1/m] makes
+    lengths dimensionless by the mean edge, ``degenerate`` is added to their squares. ``least`` [N/m] is added to the
+    Hessian block of every vertex; a step moves none by more than ``reach`` [m].
     """
 
     warp: np.floating
@@ -49,8 +51,9 @@ class Constants(NamedTuple):
 class Triangles(NamedTuple):
     """``corner`` (F, 3); ``inverse`` (F, 4) [1/m]: 00, 10, 01, 11 of the inverse rest shape; ``area`` (F,) [m^2].
 
-    Rows ``start[v]`` to ``start[v + 1]`` of ``other`` (3F, 2) and ``slope`` (3F, 5) are the triangles of vertex v with
-    it as first corner: the two other vertices, for each its slope along warp and weft, and the area.
+    The triangles of vertex v are rows ``start[v]`` to ``start[v + 1]`` of ``other`` (3F, 2) and ``slope`` (3F, 5). With
+    v as first corner, ``other`` names the two others; ``slope`` has the slopes along warp and weft of the one, of the
+    other [1/m], and the area [m^2].
     """
 
     corner: np.ndarray
@@ -64,7 +67,7 @@ class Triangles(NamedTuple):
 class Hinges(NamedTuple):
     """``corner`` (H, 4); ``stiffness`` (H,) [J]; ``cosine``, ``sine`` (H,) of the rest angle.
 
-    ``member`` (4H,): the hinges of vertex v, and its place in them, as 4 h + place, from ``start[v]`` on.
+    The hinges of vertex v are ``member[start[v] : start[v + 1]]``, 4 h + c where it is corner c of hinge h.
     """
 
     corner: np.ndarray
@@ -76,9 +79,10 @@ class Hinges(NamedTuple):
 
 
 class QuadraticBending(NamedTuple):
-    """The constant symmetric matrix [N/m] of bending that keeps lengths, of hinges flat at rest: rows without diagonal.
+    """The symmetric matrix Q [N/m] of the bending of hinges that are flat at rest, rows without the diagonal.
 
-    Its energy is half of x^T Q x: k/2 w |sum c_i x_i|^2 per hinge (Bergou et al. 2006).
+    The energy is x^T Q x / 2, for each hinge k/2 w |sum c_i x_i|^2 (Bergou et al. 2006, "A Quadratic Bending Model for
+    Inextensible Surfaces", SGP). Q is constant as long as triangles keep their lengths.
     """
 
     start: np.ndarray
@@ -87,28 +91,15 @@ class QuadraticBending(NamedTuple):
     diagonal: np.ndarray
 
 
-class Surroundings(NamedTuple):
-    """What acts on the vertices from outside.
+class Problem(NamedTuple):
+    """A cloth of V vertices, without what surrounds it.
 
-    ``point``, ``normal`` (V, 3): planes of the body, whose normals need not be of unit length. ``target`` (V, 3) with
-    ``target_n_per_m`` (V,), ``band`` (V, 3) with ``band_n_per_m`` (V,): springs, the second free within the slack of
-    ``drape.cloth.waistband``.
+    ``weight_n`` (V,) [N]; ``contact_n_per_m`` (V,) [N/m]. ``order`` (V,) has the vertices colour by colour, and
+    ``colour_start`` where each colour begins: no two vertices of one colour share an element. ``quadratic`` bends the
+    hinges that are flat at rest; ``creases`` are the others.
     """
 
-    point: np.ndarray
-    normal: np.ndarray
-    target: np.ndarray
-    target_n_per_m: np.ndarray
-    band: np.ndarray
-    band_n_per_m: np.ndarray
-
-
-class Problem(NamedTuple):
-    """A cloth without its surroundings. ``weight_n`` (V,) [N], ``contact_n_per_m`` (V,) [N/m], ``order`` (V,): vertices
-    colour by colour, so that no two of one colour share an element; ``colour_start`` where each colour begins.
-    ``quadratic`` is of the hinges flat at rest, ``creases`` are the others."""
-
-    constants: Constants
+    constants: KernelConstants
     triangles: Triangles
     hinges: Hinges
     quadratic: QuadraticBending
@@ -119,19 +110,13 @@ class Problem(NamedTuple):
     creases: Hinges
 
 
-@dataclass(frozen=True)
-class Options:
-    """How a problem is stepped: ``least_n_per_m`` on every block, at most ``reach_m`` per step and vertex."""
-
-    least_n_per_m: float = 3.0
-    reach_m: float = 0.01
-
-
 def problem(
-    cloth: ClothMesh, material: Material, *, dtype: type[np.floating] = np.float32, options: Options | None = None
+    cloth: ClothMesh, material: Material, *, dtype: type[np.floating] = np.float32, reach_m: float = REACH_M
 ) -> Problem:
-    """The flat arrays of ``cloth`` made of ``material``; floats of ``dtype``, indices int32."""
-    options = options or Options()
+    """The flat arrays of ``cloth`` made of ``material``: floats of ``dtype``, indices int32.
+
+    A step moves no vertex by more than ``reach_m`` [m].
+    """
     triangles, hinges = _triangles(cloth, dtype), _hinges(cloth, material, dtype)
     flat = (np.abs(cloth.hinge_sine) < FLAT_SINE) & (cloth.hinge_cosine > 0.0)
     graph = stencil(cloth)
@@ -139,10 +124,10 @@ def problem(
     warp, weft, cross, shear = (float(value) for value in material.membrane)
     numbers = (
         *(0.5 * warp, 0.5 * cross, 0.5 * weft, 0.25 * shear, material.contact_gap_m, SLACK_M, 1.0 / cloth.mean_edge_m),
-        *(DEGENERATE, options.least_n_per_m, options.reach_m, 0.0, 0.5, 1.0),
+        *(DEGENERATE, LEAST_N_PER_M, reach_m, 0.0, 0.5, 1.0),
     )
     return Problem(
-        constants=Constants(*(dtype(number) for number in numbers)),
+        constants=KernelConstants(*(dtype(number) for number in numbers)),
         triangles=triangles,
         hinges=hinges,
         quadratic=_quadratic(cloth, np.where(flat, hinges.stiffness, 0.0).astype(np.float64), dtype),
@@ -154,23 +139,8 @@ def problem(
     )
 
 
-def surroundings(problem: Problem, point: np.ndarray, normal: np.ndarray) -> Surroundings:
-    """The tangent planes (V, 3) alone; the springs have no stiffness."""
-    dtype = problem.weight_n.dtype
-    point, normal = (np.ascontiguousarray(rows, dtype=dtype) for rows in (point, normal))
-    if point.shape != (len(problem.weight_n), 3) or normal.shape != point.shape:
-        raise InputError(
-            "contact planes",
-            expected=f"points and normals ({len(problem.weight_n)}, 3)",
-            got=f"{point.shape} and {normal.shape}",
-            cure="Give one plane per vertex.",
-        )
-    nowhere, none = np.zeros_like(point), np.zeros(len(point), dtype)
-    return Surroundings(point, normal, nowhere, none, nowhere, none)
-
-
 def stencil(cloth: ClothMesh) -> Any:
-    """Sparse symmetric matrix (V, V) in rows, one where two vertices share an element, and on the diagonal."""
+    """Sparse symmetric matrix (V, V) in rows: one where two vertices share an element, and on the diagonal."""
     count, corners = cloth.vertex_count, [cloth.faces, cloth.hinge_index.reshape(4, -1).T]
     rows = np.concatenate([np.repeat(c, c.shape[1], axis=1).reshape(-1) for c in corners] + [np.arange(count)])
     columns = np.concatenate([np.tile(c, (1, c.shape[1])).reshape(-1) for c in corners] + [np.arange(count)])
@@ -215,29 +185,23 @@ def _of_hinges(hinges: Hinges, chosen: np.ndarray) -> Hinges:
 
 
 def _members(corner: np.ndarray, vertex_count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where each vertex's elements begin (V + 1,), and they, as element times corners plus place, in element order."""
+    """Where each vertex's elements begin (V + 1,), and those elements as element times corners plus corner."""
     start = np.concatenate([[0], np.cumsum(np.bincount(corner.reshape(-1), minlength=vertex_count))])
     return start.astype(np.int32), np.argsort(corner.reshape(-1), kind="stable").astype(np.int32)
 
 
 def _quadratic(cloth: ClothMesh, stiffness: np.ndarray, dtype: type[np.floating]) -> QuadraticBending:
-    corner, sides = cloth.hinge_index.reshape(4, -1).T, meshes.hinge_faces(cloth.faces)
-    rest = np.linalg.inv(cloth.inverse_shape.T.reshape(-1, 2, 2).transpose(0, 2, 1))  # columns: the edges
-    place = np.concatenate([np.zeros((len(rest), 1, 2)), rest.transpose(0, 2, 1)], axis=1)  # (F, 3 corners, 2)
+    """The matrix of the hinges with the ``stiffness`` [J] (H,), which is zero where one is not flat at rest."""
+    corner, flat = cloth.hinge_index.reshape(4, -1).T, unfolded(cloth)
     ends, weight = np.zeros((2, len(corner))), stiffness.copy()
     wings = []
-    for side in range(2):
-        faces = cloth.faces[sides[:, side]]
-        i, j, third = (place[sides[:, side], (faces == corner[:, k, None]).argmax(axis=1)] for k in (0, 1, 2 + side))
-        edge, arm = j - i, third - i
-        length = np.linalg.norm(edge, axis=1)
-        foot = (edge * arm).sum(axis=1) / length**2
-        height = np.maximum(np.abs(edge[:, 0] * arm[:, 1] - edge[:, 1] * arm[:, 0]) / length, 1e-3 * cloth.mean_edge_m)
+    for length, along, rise in zip(flat.length, flat.along, flat.height, strict=True):
+        foot, height = along / length**2, np.maximum(rise, 1e-3 * cloth.mean_edge_m)
         weight *= np.minimum(1.0, height / (LOW_TRIANGLE * cloth.mean_edge_m))
         ends -= np.stack([1.0 - foot, foot]) / height
         wings.append(1.0 / height)
-    part = np.stack([*ends, *wings], axis=1)  # (H, 4): their sum over the corners is the turn [rad]
-    block = weight[:, None, None] * part[:, :, None] * part[:, None, :]
+    turn = np.stack([*ends, *wings], axis=1)  # (H, 4): the sum of turn times place over the corners is the angle [rad]
+    block = weight[:, None, None] * turn[:, :, None] * turn[:, None, :]
     index = np.repeat(corner, 4, axis=1).reshape(-1), np.tile(corner, (1, 4)).reshape(-1)
     shape = (cloth.vertex_count, cloth.vertex_count)
     matrix = scipy.sparse.coo_matrix((block.reshape(-1), index), shape=shape).tocsr()
@@ -249,3 +213,34 @@ def _quadratic(cloth: ClothMesh, stiffness: np.ndarray, dtype: type[np.floating]
     return QuadraticBending(
         off.indptr.astype(np.int32), off.indices.astype(np.int32), off.data.astype(dtype), diagonal.astype(dtype)
     )
+
+
+def rest_edges(cloth: ClothMesh) -> np.ndarray:
+    """The two edges [m] (F, 2, 2) from the first corner of every triangle laid flat at rest, along warp and weft."""
+    return np.linalg.inv(cloth.inverse_shape.T.reshape(-1, 2, 2).transpose(0, 2, 1)).transpose(0, 2, 1)
+
+
+class Unfolded(NamedTuple):
+    """The hinges laid flat at rest, once by each of their two triangles.
+
+    ``length`` [m] (2, H) of the shared edge, which both triangles have; ``along`` [m^2] (2, H): the edge times the way
+    from its start to the third corner; ``height`` [m] (2, H) of that corner over the edge.
+    """
+
+    length: np.ndarray
+    along: np.ndarray
+    height: np.ndarray
+
+
+def unfolded(cloth: ClothMesh) -> Unfolded:
+    """The hinges of ``cloth`` laid flat."""
+    edges, faces = rest_edges(cloth), cloth.faces
+    place = np.concatenate([np.zeros((len(edges), 1, 2)), edges], axis=1)  # (F, 3 corners, 2)
+    corner, found = cloth.hinge_index.reshape(4, -1).T, []
+    for side, own in enumerate(meshes.hinge_faces(faces).T):
+        i, j, third = (place[own, (faces[own] == corner[:, k, None]).argmax(axis=1)] for k in (0, 1, 2 + side))
+        edge, arm = j - i, third - i
+        length = np.linalg.norm(edge, axis=1)
+        height = np.abs(edge[:, 0] * arm[:, 1] - edge[:, 1] * arm[:, 0]) / length
+        found.append((length, (edge * arm).sum(axis=1), height))
+    return Unfolded(*(np.stack(each) for each in zip(*found, strict=True)))

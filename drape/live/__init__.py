@@ -1,1 +1,1 @@
-"""Cloth that moves: folds with a memory on the vertices, and swing by inertia on a coarse mesh."""
+"""Cloth that moves from frame to frame: folds on the vertices, and swing by inertia on a coarse mesh."""

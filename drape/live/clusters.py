@@ -1,8 +1,8 @@
-"""Vertices in clusters of ``LANES`` that lie side by side on the cloth, in boxes that tell which may come near.
+"""Clusters of ``LANES`` vertices side by side on the cloth, and boxes around them that tell which may come near.
 
-Clusters follow from the cloth alone and stay what they are in every frame. So what is known of pairs along the cloth is
-a table of their clusters, and a frame compares all of one cluster with one of another in loops over lanes. Boxes around
-``LANES`` clusters that follow each other, groups, leave most others out at once.
+Clusters follow from the cloth alone and are the same in every frame. Distances along the cloth are therefore stored by
+pairs of clusters, and a frame compares two clusters in loops over lanes. A group is ``LANES``
+clusters in a row; the boxes around groups rule out most clusters at once.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from scipy.sparse.csgraph import dijkstra
 from drape.kernels.compiled import kernel, part
 from drape.live.sheet import LANES
 
-LANDMARKS = 6  # ways along the cloth to so many vertices tell where on it a vertex is
-POINT_ROWS, BOX_ROWS = 3 * LANES, 6 * LANES  # of a cluster's vertices; of the lowest and highest corners of its box
+LANDMARKS = 6  # the ways along the cloth to so many vertices tell where on it a vertex is
+POINT_ROWS, BOX_ROWS = 3 * LANES, 6 * LANES  # numbers of a cluster's points, and of the corners of ``LANES`` boxes
 
 
 def clusters(graph: scipy.sparse.csr_array) -> np.ndarray:
-    """The vertices (C, ``LANES``) int32 of each cluster of a cloth whose edges are the ``graph`` (V, V) of lengths [m].
+    """The vertices (C, ``LANES``) int32 of each cluster; ``graph`` (V, V) has the lengths [m] of the cloth's edges.
 
-    Halves of the cloth, and of these again, by the ways to landmarks. What is left of the last one repeats a vertex.
+    The cloth is halved again and again by the ways to landmarks. A cluster that is not full repeats a vertex.
     """
     count = len(graph.indptr) - 1
     ways, nearest, landmark = np.empty((count, LANDMARKS)), np.full(count, np.inf), 0
@@ -45,25 +45,25 @@ def _halved(vertices: np.ndarray, ways: np.ndarray) -> list[np.ndarray]:
 
 @part
 def less(a, b):
-    """The lesser one, b where one is none: one instruction."""
+    """The smaller one, ``b`` where one is NaN: one instruction."""
     return a if a < b else b
 
 
 @part
 def more(a, b):
-    """The greater one, b where one is none."""
+    """The larger one, ``b`` where one is NaN."""
     return a if a > b else b
 
 
 @part
 def squared(x, y, z):
-    """The square of a vector's length; a call, as that of ``dot``, would keep these loops from taking vectors."""
+    """The square of a vector's length; with a call to ``dot`` loops would not be compiled to vector instructions."""
     return x * x + y * y + z * z
 
 
 @kernel
 def laid(points, member):
-    """``points`` [m] (V, 3) as the clusters of ``member`` (C, ``LANES``) have them: flat, three rows each."""
+    """``points`` [m] (V, 3) in the order of the clusters ``member`` (C, ``LANES``): flat, three rows each."""
     rows = np.empty(POINT_ROWS * len(member), points.dtype)
     for c in range(len(member)):
         for lane in range(LANES):
@@ -75,7 +75,7 @@ def laid(points, member):
 
 @kernel
 def boxes_of(rows):
-    """The boxes [m] around clusters of ``rows``, and those around groups of them; flat, ``LANES`` of them in six rows.
+    """The boxes [m] around the clusters of ``rows``, and those around groups; flat, ``LANES`` boxes in six rows.
 
     Boxes that fill up the last rows are far from everything.
     """
@@ -99,7 +99,7 @@ def _no_boxes(count, dtype):
 
 @part
 def _enclose(rows, lowest, highest, boxes, c):
-    """Writes box c around all lanes of three rows from ``lowest`` on and three from ``highest`` on."""
+    """Writes box ``c`` around the three rows from ``lowest`` on and the three from ``highest`` on."""
     x, y, z = rows[lowest], rows[lowest + LANES], rows[lowest + 2 * LANES]
     u, v, w = rows[highest], rows[highest + LANES], rows[highest + 2 * LANES]
     for lane in range(1, LANES):
@@ -116,8 +116,10 @@ def _enclose(rows, lowest, highest, boxes, c):
 
 @part
 def find_close(a, count, boxes, groups, most, hit, found):
-    """How many of ``count`` clusters, from ``a`` on, may have a vertex within the root of ``most`` [m^2] of one of its;
-    which they are in ``found`` (C,). ``hit`` (2 ``LANES``,) is to be written in."""
+    """How many of the clusters ``a`` to ``count`` - 1 have a box within the root of ``most`` [m^2] of that of ``a``.
+
+    They are written to ``found`` (C,); ``hit`` (2 ``LANES``,) is scratch.
+    """
     own, filled = BOX_ROWS * (a // LANES) + a % LANES, 0
     low = (boxes[own], boxes[own + LANES], boxes[own + 2 * LANES])
     high = (boxes[own + 3 * LANES], boxes[own + 4 * LANES], boxes[own + 5 * LANES])
@@ -140,9 +142,9 @@ def find_close(a, count, boxes, groups, most, hit, found):
 
 @part
 def _hits(low, high, boxes, block, most, hit, level):
-    """Whether one of a block's boxes is within the root of ``most`` of that from ``low`` to ``high``, in ``hit`` which.
+    """Whether a box of a block is within the root of ``most`` of that from ``low`` to ``high``; ``hit`` has which ones.
 
-    Rounding is monotone: two points are never nearer to each other than their boxes.
+    Rounding is monotone, so that two points are never nearer to each other than their boxes.
     """
     zero, some, first = boxes.dtype.type(0), 0, BOX_ROWS * block
     for lane in range(LANES):

@@ -1,9 +1,9 @@
-"""Orders in which a sparse matrix is factored: nested dissection (George 1973, "Nested Dissection of a Regular Finite
-Element Mesh", SIAM J. Numer. Anal. 10(2)), and runs of columns that are taken together.
+"""The order in which a sparse matrix is factored, and runs of its columns that are taken together.
 
-A garment is cut in two by the vertices halfway between its two ends, each half again, and the vertices of a cut come
-after both halves. That leaves few more entries than the least degree does, and in long runs of columns with the same
-rows, which vector units take at once.
+The order is nested dissection (George 1973, "Nested Dissection of a Regular Finite Element Mesh", SIAM J. Numer. Anal.
+10(2)): the vertices halfway between the two ends of a garment cut it in two, each half is cut again, and the vertices
+of a cut come after both halves. The factor has few more entries than one by least degree, and they lie in long runs of
+columns with the same rows, which vector instructions take at once.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ import numpy as np
 from drape.kernels.compiled import kernel
 from drape.kernels.lanes import LANES
 
-LEAF = 16  # so few vertices are not cut
-WIDEST = 32  # columns of a run
+LEAF = 16  # a part of so few vertices is not cut
+WIDEST = 32  # the most columns of a run
 
 
 class Costs(NamedTuple):
-    """Roughly the cycles that a run of columns takes: for each ``row`` of ``LANES`` entries of a column, each
-    ``column``, each row of ``members``, and itself."""
+    """About how many cycles a run of columns takes: for each ``row`` of ``LANES`` entries of a column, for each
+    ``column``, for each row of ``members``, and for the ``run`` itself."""
 
     row: float
     column: float
@@ -46,7 +46,7 @@ def dissected(start: np.ndarray, neighbour: np.ndarray) -> np.ndarray:
         number += 1
         part[nodes] = number
         met = _by_distance(start, neighbour, part, nodes, nodes[0], one)
-        if len(met) < len(nodes):  # what is not connected needs no cut
+        if len(met) < len(nodes):  # parts that are not connected need no cut
             order[low:high] = np.concatenate([met, nodes[one[nodes] < 0]])
             waiting += [(low, low + len(met)), (low + len(met), high)]
             continue
@@ -68,8 +68,8 @@ def dissected(start: np.ndarray, neighbour: np.ndarray) -> np.ndarray:
 
 @kernel
 def _by_distance(start, neighbour, part, nodes, first, distance):
-    """Those of ``nodes``, one ``part``, that are connected with ``first``, the nearest first, and the ``distance`` of
-    each in edges, -1 where there is none."""
+    """Those of ``nodes``, which are one ``part``, that are connected with ``first``, the nearest first. Writes the
+    ``distance`` of each node in edges, -1 where there is no way."""
     line = np.empty_like(nodes)
     for v in nodes:
         distance[v] = -1
@@ -99,8 +99,10 @@ def _at_the_other(start, neighbour, part, nodes):
 
 @kernel
 def runs(start, row, costs):
-    """Where runs of columns begin (N + 1,) that together take the least time by ``costs``; column j of a lower triangle
-    has the rows ``row[start[j]:start[j + 1]]`` below its diagonal."""
+    """The beginnings (N + 1,) of runs of columns that together take the least time by ``costs``.
+
+    Column j of the lower triangle has the rows ``row[start[j] : start[j + 1]]`` below its diagonal.
+    """
     count = len(start) - 1
     least, begin, met = np.full(count + 1, np.inf), np.zeros(count + 1, np.int64), np.full(count, -1, np.int64)
     least[0] = 0.0

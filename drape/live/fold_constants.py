@@ -1,8 +1,9 @@
-"""What folds need of a garment in a fabric, and of a body: made once, and the same for every stream."""
+"""Constants of folds: a garment in a fabric on a body, made once for all streams."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,24 +18,26 @@ from drape.contact.samples import Samples
 from drape.contact.skin import body_skin
 from drape.garment.cache import Garment
 from drape.garment.rest_detail import cloth_of, rest_of
-from drape.live.room import Near, near_along
+from drape.live.room import SheetNeighbours, sheet_neighbours
 from drape.live.sheet import Sheet, sheet
 from drape.live.skin_contact import SkinGraph, nearest_at_rest, skin_graph
 from drape.live.sweeps import HOLD
-from drape.live.whole import Whole, whole
+from drape.live.whole import StiffnessFactor, stiffness_factor
 
-# Without friction a neckline slips over the shoulder within seconds. Of cloth of 0.2 kg/m^2 this holds up the weight
-# with 2 mm, past the centimetre that is free: all of it where cloth lies on the skin at rest, the least where it hangs.
+# The leash holds a vertex within a centimetre of the network's place: without one a neckline slips over the shoulder
+# within seconds. On cloth of 0.2 kg/m^2 it carries the weight 2 mm past that centimetre. Cloth that lies on the skin at
+# rest has all of it, cloth that hangs has the least.
 LEASH_N_M3 = 1000.0
 LYING_M, HANGING_M, LEAST = 0.01, 0.025, 0.03
 
 
 @dataclass(frozen=True, eq=False)
-class Dressed:
-    """A ``cloth`` of ``material`` on a body, in the order of its vertices: what constants are made of.
+class WornCloth:
+    """A ``cloth`` of ``material`` on a body, in the order of its vertices.
 
-    ``band_n_per_m`` (V,): how stiff a vertex is held within a centimetre of where the network has it, most at a
-    waistband; ``graph`` of the body's skin samples, and the nearest one ``index`` (V,) at rest; ``friction`` with it.
+    Each vertex is held with ``band_n_per_m`` (V,) within a centimetre of the network's place, most at a waistband.
+    ``graph`` are the body's skin samples, ``index`` (V,) the one nearest to each vertex at rest, and ``friction`` the
+    coefficient between cloth and skin.
     """
 
     cloth: ClothMesh
@@ -46,49 +49,52 @@ class Dressed:
 
     @property
     def springs_n_per_m(self) -> np.ndarray:
-        """What steps of the whole cloth know of all that holds a vertex (V,), but for contact: its leash, and where it
-        lies on the skin ``HOLD`` of contact's stiffness, for the room that it is held in and for friction."""
+        """The springs (V,) that hold vertices in steps of the whole cloth, besides contact's.
+
+        These are the leash, and ``HOLD`` of contact's stiffness where cloth lies on the skin: friction holds it there,
+        and so does the leash where it is tightened for want of room.
+        """
         contact = contact_n_per_m(self.cloth, self.material)
         leash = np.maximum(LEASH_N_M3 * self.cloth.vertex_area, np.finfo(float).tiny)  # a vertex may have no area
         lies = np.minimum(self.band_n_per_m / leash, 1.0)
         return self.band_n_per_m + HOLD * lies * contact
 
 
-@dataclass(frozen=True, eq=False)
-class Constants:
-    """What the kernels read: tables, the whole's factor, skin; the sample ``index`` (P,) nearest to a place at
-    rest; what is ``near`` along the cloth; ``friction`` with the skin."""
+class FoldConstants(NamedTuple):
+    """The arrays that kernels read: the cloth's ``sheet``, the ``factor`` of its stiffness, the skin's ``graph``.
+
+    ``neighbours``: which vertices are of one sheet; ``index`` (P,): the sample nearest to each place at rest;
+    ``friction`` with the skin, in frames with a past.
+    """
 
     sheet: Sheet
-    level: Whole
+    factor: StiffnessFactor
     graph: SkinGraph
+    neighbours: SheetNeighbours
     index: np.ndarray
-    near: Near
     friction: float
 
     @classmethod
-    def of(cls, dressed: Dressed, *, dtype: type[np.floating] = np.float32) -> Constants:
-        """The arrays of ``dressed``, floats of ``dtype``."""
-        made = sheet(dressed.cloth, dressed.material, dressed.band_n_per_m, dtype=dtype)
-        level = whole(dressed.cloth, dressed.material, dressed.springs_n_per_m, made)
-        graph = dressed.graph._replace(
-            reach_m2=dressed.graph.reach_m2.astype(dtype), rest=dressed.graph.rest.astype(dtype)
-        )
-        return cls(made, level, graph, dressed.index[made.vertex], near_along(dressed.cloth), dressed.friction)
+    def of(cls, worn: WornCloth, *, dtype: type[np.floating] = np.float32) -> FoldConstants:
+        """The constants of ``worn``, floats of ``dtype``."""
+        made = sheet(worn.cloth, worn.material, worn.band_n_per_m, dtype=dtype)
+        factor = stiffness_factor(worn.cloth, worn.material, worn.springs_n_per_m, made)
+        neighbours = sheet_neighbours(worn.cloth)
+        return cls(made, factor, worn.graph.of_type(dtype), neighbours, worn.index[made.vertex], worn.friction)
 
     @property
     def nbytes(self) -> int:
         """Memory of the arrays."""
-        return _nbytes((self.sheet, self.level, self.graph, self.index, self.near))
+        return _nbytes(tuple(self))
 
 
-def constants(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> Constants:
-    """The constants of ``garment`` on ``body``, made of ``fabric``, if any, else its own; a third of a second."""
-    return Constants.of(dressed(garment, body, fabric))
+def fold_constants(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> FoldConstants:
+    """The constants of ``garment`` on ``body``, made of ``fabric`` or else its own; takes a third of a second."""
+    return FoldConstants.of(worn_cloth(garment, body, fabric))
 
 
-def dressed(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> Dressed:
-    """The delivered mesh of ``garment`` on ``body``, made of ``fabric``, its own where there is none."""
+def worn_cloth(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> WornCloth:
+    """The delivered mesh of ``garment`` on ``body``, made of ``fabric`` or else its own."""
     count = garment.vertex_count
     vertices, faces = garment.vertices[:count].astype(np.float64), garment.faces.astype(np.int64)
     cloth = ClothMesh.of(delivered_rest(garment), faces, count)
@@ -99,20 +105,13 @@ def dressed(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> 
     if band is not None:
         held[band.vertex] += STIFFNESS_N_M2 * band.length_m
     fabric = fabric_named(garment.fabric) if fabric is None else fabric
-    return Dressed(
-        cloth=cloth,
-        material=Material.of(fabric),
-        band_n_per_m=held,
-        graph=skin_graph(skin),
-        index=index,
-        friction=fabric.friction,
-    )
+    return WornCloth(cloth, Material.of(fabric), held, skin_graph(skin), index, fabric.friction)
 
 
 def leash_n_per_m(vertices: np.ndarray, area: np.ndarray, skin: Samples, index: np.ndarray) -> np.ndarray:
-    """How stiff [N/m] (V,) each of ``vertices`` [m] (V, 3) at rest is held past its slack, with ``area`` [m^2] (V,).
+    """The leash's stiffness [N/m] (V,) for ``vertices`` [m] (V, 3) at rest, which have ``area`` [m^2] (V,).
 
-    By its height over the sample ``index`` (V,) of ``skin``: what lies on the skin would be held by friction, and what
+    It falls with their height over the sample ``index`` (V,) of ``skin``: friction would hold what lies there, and what
     hangs is free to hang as its fabric does.
     """
     height_m = ((vertices - skin.point[index]) * skin.normal[index]).sum(axis=1)
@@ -120,7 +119,7 @@ def leash_n_per_m(vertices: np.ndarray, area: np.ndarray, skin: Samples, index: 
 
 
 def delivered_rest(garment: Garment) -> RestState:
-    """The cloth of the delivered triangles without stress: what is stored, where none of them was subdivided."""
+    """The delivered triangles without stress: what is stored, unless they were subdivided."""
     count = garment.vertex_count
     if len(garment.vertices) == count:
         return garment.rest_state()

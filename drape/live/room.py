@@ -1,17 +1,18 @@
-"""Room between sheets: cloth keeps within what the network's drape leaves it, so that a garment feels itself.
+"""Room between sheets: cloth keeps within what the network's drape leaves it, so that a garment does not cross itself.
 
-Under an arm, in a groin, behind a knee the network lays cloth close together and hardly ever through itself. There is
-more cloth than such a place has room for, and steps that give it its area crumple it through itself, at the size of its
-triangles. A vertex is therefore held the closer to where the network has it, the nearer that drape comes to itself
-there. With d the distance between a vertex of the network and the nearest other one that is not of its sheet,
+Under an arm, in a groin and behind a knee the network lays cloth close together, and hardly ever through itself. Such a
+place has too little room for the cloth there. Steps that give the cloth its area crumple it through itself, at the size
+of its triangles. A vertex is therefore held the closer to its place in the network's drape, the less room that drape
+has there. With d the distance from a vertex of the network to the nearest other one that is not of its sheet,
 
     tight = (ROOM_M - d) / (ROOM_M - TIGHT_M), from 0 to 1,
-    slack = SLACK_M + tight (LEAST_M - SLACK_M),
+    slack = k.slack + tight (LEAST_M - k.slack),
     stiffness = leash + HELD min(ROOM_M / d - 1, STIFFEST) contact's stiffness,
 
-in the leash's own energy, so that where there is room nothing changes. Cloth that the network only presses together is
-one sheet, for which way through the air and along the cloth differ little. What the network has apart stays apart, in
-either direction and whatever presses: the room follows from the network alone and needs no memory and no sides.
+and the leash's energy has these. Where there is room nothing changes. Two vertices are of one sheet where the way
+through the air is nearly as long as that along the cloth: the network only presses such cloth together. Sheets that the
+network keeps apart stay apart, from whichever side they are pressed. The room follows from the network alone, and needs
+neither a memory nor sides.
 """
 
 from __future__ import annotations
@@ -24,33 +25,36 @@ import scipy.sparse
 from drape.cloth.energies import ClothMesh
 from drape.kernels.compiled import kernel, part
 from drape.kernels.lanes import row3
+from drape.kernels.problem import rest_edges
 from drape.live.clusters import POINT_ROWS, boxes_of, clusters, find_close, laid, less, squared
 from drape.live.sheet import LANES
 from drape.live.sweeps import HELD_ROW, PLANES, SLACK_ROW
 
-NEAR_M = 0.02  # along the cloth: nearer vertices, and those of one triangle, are one sheet
-FOLDED = 0.6  # of the way along the cloth: what is no nearer than that through the air is one sheet, pressed together
+NEAR_M = 0.02  # vertices nearer than that along the cloth, and those of one triangle, are one sheet
+FOLDED = 0.6  # so are those whose way through the air is at least this share of that along the cloth
 ROOM_M, TIGHT_M = 0.018, 0.012  # distance from which a vertex is held closer, and at which slack is the least
 LEAST_M = 0.0002
-HELD, STIFFEST = 1.5, 4.0  # of contact's stiffness; with more of either held cloth rattles
-FREE = 255  # bounds are whole numbers, the last but one of them ROOM_M
+HELD, STIFFEST = 1.5, 4.0  # times contact's stiffness; with more of either held cloth rattles
+FREE = 255  # a bound that no pair within ROOM_M is below; FREE - 1 stands for ROOM_M
 BOUND_M2 = ROOM_M**2 / (FREE - 1)
 
-# Rows of the scratch, of ``LANES`` numbers each: points of two clusters, the least square for each of the second one,
-# and bounds of four lanes of the first one.
+# Rows of the scratch: the points of two clusters, the least square for each point of the second one, and the bounds of
+# four lanes of the first one.
 FOUR = 4
 OWN, OTHER, LEAST, BOUND = 0, 3 * LANES, 6 * LANES, 7 * LANES
 SCRATCH = (7 + FOUR) * LANES
 
 
-class Near(NamedTuple):
-    """Vertices that may be of one sheet with v, v itself too: ``vertex[start[v] : start[v + 1]]``, and the ``square``
-    of the distance [m^2] from which each is: 0 of those near along the cloth.
+class SheetNeighbours(NamedTuple):
+    """For every vertex the vertices that may be of one sheet with it.
 
-    The same by ``clusters`` (C, ``LANES``): ``other[other_start[a] : other_start[a + 1]]`` (K,) are a and those after
-    it that have a vertex listed with one of a. For every pair of lanes, a's first, ``bound`` (K, ``LANES``, ``LANES``)
-    uint8 is no less than the square, in ``BOUND_M2``: 0 near along the cloth, and ``FREE``, more than any that counts,
-    where the pair is not listed.
+    Those of v are ``vertex[start[v] : start[v + 1]]``, v itself too. Each is of its sheet from the ``square`` [m^2] of
+    a distance through the air on: from 0 on where it is near along the cloth.
+
+    ``clusters`` (C, ``LANES``) are vertices side by side. ``other[other_start[a] : other_start[a + 1]]`` (K,) are
+    cluster a and the clusters behind it that have a vertex listed with one of a. ``bound`` (K, ``LANES``, ``LANES``)
+    uint8 has a number for every pair of lanes, a's lane first. It is an upper bound of the pair's ``square`` in units
+    of ``BOUND_M2``: 0 where the pair is near along the cloth, ``FREE`` where it is not listed.
     """
 
     start: np.ndarray
@@ -62,12 +66,10 @@ class Near(NamedTuple):
     bound: np.ndarray
 
 
-def near_along(cloth: ClothMesh) -> Near:
-    """What is within ``NEAR_M`` over the edges of ``cloth``, as long as without stress, and all ends of an edge; and
-    what is so far that ``FOLDED`` of it is within ``ROOM_M``."""
-    a, b, c, d = cloth.inverse_shape
-    shape = np.linalg.inv(np.stack([np.stack([a, c], axis=-1), np.stack([b, d], axis=-1)], axis=-2))  # columns: edges
-    first, second = shape[..., 0], shape[..., 1]
+def sheet_neighbours(cloth: ClothMesh) -> SheetNeighbours:
+    """The lists of ``cloth``: all vertices so near over its edges at rest that ``FOLDED`` of the way is within
+    ``ROOM_M``, and the ends of every edge."""
+    first, second = rest_edges(cloth).transpose(1, 0, 2)
     length = np.linalg.norm(np.concatenate([first, second - first, second]), axis=-1)
     ends = np.concatenate([cloth.faces[:, [0, 1]], cloth.faces[:, [1, 2]], cloth.faces[:, [0, 2]]])
     count = cloth.vertex_count
@@ -80,13 +82,13 @@ def near_along(cloth: ClothMesh) -> Near:
     beside = (own == vertex) | (np.asarray(graph[own, vertex]).reshape(-1) > 0.0)
     square = np.where(beside | (along <= NEAR_M), 0.0, (FOLDED * along) ** 2).astype(np.float32)
     member = clusters(graph)
-    return Near(start, vertex, square, member, *_bounds(own, vertex, square, member))
+    return SheetNeighbours(start, vertex, square, member, *_bounds(own, vertex, square, member))
 
 
 def _bounds(
     own: np.ndarray, vertex: np.ndarray, square: np.ndarray, member: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """``other_start``, ``other`` and ``bound`` of ``Near``, of pairs of ``own`` and ``vertex`` (N,)."""
+    """``other_start``, ``other`` and ``bound`` of ``SheetNeighbours``, of pairs of ``own`` and ``vertex`` (N,)."""
     cluster, lane = np.empty((2, member.max() + 1), np.int64)
     cluster[member], lane[member] = np.arange(len(member))[:, None], np.arange(LANES)
     later = cluster[own] <= cluster[vertex]
@@ -94,10 +96,10 @@ def _bounds(
     listed, entry = np.unique(cluster[own] * len(member) + cluster[vertex], return_inverse=True)
     a, b = np.divmod(listed, len(member))
     bound = np.full((len(listed), LANES, LANES), FREE, np.uint8)
-    # A step more than the next one, for what rounding may do.
+    # One step more than the next whole number, because distances are rounded.
     steps = np.minimum(np.floor(square / BOUND_M2) + 2.0, FREE)
     bound[entry, lane[own], lane[vertex]] = np.where(square > 0.0, steps, 0.0)
-    # Lanes that repeat a vertex know what the one of its entry knows.
+    # Lanes that repeat a vertex have the bounds of the lane in which it is an entry.
     bound = bound[np.arange(len(listed))[:, None, None], lane[member[a]][:, :, None], lane[member[b]][:, None]]
     other_start = np.searchsorted(a, np.arange(len(member) + 1)).astype(np.int32)
     return other_start, b.astype(np.int32), bound
@@ -105,7 +107,8 @@ def _bounds(
 
 @kernel
 def _reached(start, other, length, most):
-    """Where each vertex's list begins, the lists, and the ways there, over edges of ``length``; by relaxing."""
+    """Where each vertex's list begins, the lists of what is within ``most`` [m] over edges of ``length``, and the ways
+    there; found by relaxing."""
     count = len(start) - 1
     way, listed = np.full(count, np.inf), np.empty(count, np.int32)
     begins, found, ways = np.zeros(count + 1, np.int32), np.empty(0, np.int32), np.empty(0)
@@ -138,15 +141,15 @@ def _reached(start, other, length, most):
 
 
 @kernel
-def hold_within(network, sheet, near, planes):
-    """Tightens the leash in ``planes`` where the ``network`` [m] (P, 3) comes near to itself."""
+def hold_within(network, sheet, neighbours, planes):
+    """Tightens the leash in ``planes`` where the drape of the ``network`` [m] (P, 3) comes near to itself."""
     k = sheet.constants
     points = np.empty((len(sheet.place), 3), network.dtype)
     for v in range(len(points)):
         for i in range(3):
             points[v, i] = network[sheet.place[v], i]
     room = np.empty(len(points), network.dtype)
-    rooms(points, near, room)
+    rooms(points, neighbours, room)
     dtype = network.dtype.type
     for v in range(len(points)):
         tight = (dtype(ROOM_M) - room[v]) / dtype(ROOM_M - TIGHT_M)
@@ -160,22 +163,22 @@ def hold_within(network, sheet, near, planes):
 
 
 @kernel
-def rooms(points, near, room):
-    """The distance [m] in ``room`` (V,) from each of ``points`` (V, 3) to the nearest one that is not of its sheet,
-    ``ROOM_M`` where none is within that.
+def rooms(points, neighbours, room):
+    """Writes the distance [m] from each of ``points`` (V, 3) to the nearest one that is not of its sheet to ``room``
+    (V,), ``ROOM_M`` where none is within that.
 
-    Each pair of clusters that may come near each other is looked at once; hardly any has vertices that count.
+    Every pair of clusters whose boxes come near each other is tested once. Hardly any has vertices that count.
     """
-    dtype, count = points.dtype.type, len(near.clusters)
-    rows = laid(points, near.clusters)
+    dtype, count = points.dtype.type, len(neighbours.clusters)
+    rows = laid(points, neighbours.clusters)
     boxes, groups = boxes_of(rows)
     most = dtype(ROOM_M) * dtype(ROOM_M)
-    square, bound = np.full(LANES * count, most), near.bound.reshape(-1)
+    square, bound = np.full(LANES * count, most), neighbours.bound.reshape(-1)
     table, s = np.full(count, -1, np.int32), np.empty(SCRATCH, points.dtype)
     hit, found = np.empty(2 * LANES, np.int32), np.empty(count, np.int32)
     for a in range(count):
-        for entry in range(near.other_start[a], near.other_start[a + 1]):
-            table[near.other[entry]] = entry
+        for entry in range(neighbours.other_start[a], neighbours.other_start[a + 1]):
+            table[neighbours.other[entry]] = entry
         for entry in range(POINT_ROWS):
             s[OWN + entry] = rows[POINT_ROWS * a + entry]
         for number in range(find_close(a, count, boxes, groups, most, hit, found)):
@@ -183,12 +186,12 @@ def rooms(points, near, room):
             for entry in range(POINT_ROWS):
                 s[OTHER + entry] = rows[POINT_ROWS * b + entry]
             if _may_count(s, bound, table[b], most):
-                _count(s, near, a, b, table[b] >= 0, square)
-        for entry in range(near.other_start[a], near.other_start[a + 1]):
-            table[near.other[entry]] = -1
+                _count(s, neighbours, a, b, table[b] >= 0, square)
+        for entry in range(neighbours.other_start[a], neighbours.other_start[a + 1]):
+            table[neighbours.other[entry]] = -1
     for e in range(LANES * count):
-        # The root of the square of what nobody is within may be less than it.
-        room[near.clusters[e // LANES, e % LANES]] = np.sqrt(square[e]) if square[e] < most else dtype(ROOM_M)
+        # The root of the square of ROOM_M may be less than ROOM_M.
+        room[neighbours.clusters[e // LANES, e % LANES]] = np.sqrt(square[e]) if square[e] < most else dtype(ROOM_M)
 
 
 @part
@@ -199,10 +202,11 @@ def _far(own, s, lane):
 
 @part
 def _may_count(s, bound, table, most):
-    """Whether a pair is within the root of ``most`` [m^2] and its bound, if a ``table`` has them; the least square for
-    each of the others in ``LEAST``.
+    """Whether any two points of the clusters are within the root of ``most`` [m^2] and, if a ``table`` has bounds,
+    below theirs; the least square for each point of the second cluster is left in ``LEAST``.
 
-    Four of the own ones at a time: their points are read before anything is written, so that loops take vectors.
+    Points of the first cluster are taken four at a time and read before anything is written: such loops are compiled to
+    vector instructions.
     """
     for lane in range(LANES):
         s[LEAST + lane] = most
@@ -232,23 +236,24 @@ def _may_count(s, bound, table, most):
 
 
 @kernel
-def _count(s, near, a, b, listed, square):
-    """Takes all pairs of clusters a and b that count into ``square`` [m^2], where some may have ``listed`` ones."""
+def _count(s, neighbours, a, b, listed, square):
+    """Lowers ``square`` [m^2] to the distances of all pairs of clusters a and b that count; ``listed``: whether some of
+    them may be of one sheet."""
     for j in range(LANES):
-        # Bounds are those of the lists or more: where nothing is below them nothing counts.
+        # A bound is no less than the square of its list: a point that is below no bound counts in no pair.
         if not s[LEAST + j] < s.dtype.type(ROOM_M) * s.dtype.type(ROOM_M):
             continue
         for i in range(LANES):
             own, other, far = LANES * a + i, LANES * b + j, _far(row3(s, OWN, i), s, j)
             if far < max(square[own], square[other]) and not (
-                listed and _is_near(near, near.clusters[a, i], near.clusters[b, j], far)
+                listed and _is_near(neighbours, neighbours.clusters[a, i], neighbours.clusters[b, j], far)
             ):
                 square[own], square[other] = min(square[own], far), min(square[other], far)
 
 
 @kernel
-def _is_near(near, v, u, far):
+def _is_near(neighbours, v, u, far):
     hit = False
-    for entry in range(near.start[v], near.start[v + 1]):
-        hit |= near.vertex[entry] == u and far >= near.square[entry]
+    for entry in range(neighbours.start[v], neighbours.start[v + 1]):
+        hit |= neighbours.vertex[entry] == u and far >= neighbours.square[entry]
     return hit

@@ -1,8 +1,8 @@
-"""A cloth as the kernels of folds read it: vertices of one colour side by side, ``LANES`` at a time.
+"""A cloth as the kernels of folds read it: in blocks of ``LANES`` vertices of one colour.
 
-No two vertices of a colour share an element, so those of a block are stepped together, and every table has its numbers
-of a block's vertices next to each other: that is what vector units take. A block that a colour does not fill has empty
-places behind its vertices, which nothing pulls. Everything below is in the order of places, block after block.
+No two vertices of a colour share an element, so that a block's vertices may move at once. Every table has the numbers
+of a block's vertices next to each other, as vector instructions take them. A block that its colour does not fill ends
+with empty places, which nothing pulls. All tables are in the order of places, block after block.
 """
 
 from __future__ import annotations
@@ -14,26 +14,27 @@ import numpy as np
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.kernels.lanes import LANES
-from drape.kernels.problem import Constants, Hinges, Problem, Triangles, problem
+from drape.kernels.problem import Hinges, KernelConstants, Problem, Triangles, problem
 
-ALIKE = 0.99  # of the longest edge's length
+ALIKE = 0.99  # edges as long as this share of the longest one count as equally long
 
 
 class Sheet(NamedTuple):
-    """B blocks of ``LANES`` places, P = B ``LANES``; tables are flat, a block's row after row, each of ``LANES``.
+    """B blocks of ``LANES`` places, P = B ``LANES``. Tables are flat, row after row of a block, ``LANES`` numbers each.
 
-    ``vertex`` (P,): the garment's vertex at each place, 0 at empty ones; ``place`` (V,) the way back.
+    ``vertex`` (P,): the garment's vertex at each place, 0 at empty ones; ``place`` (V,): the place of each vertex.
 
-    Triangles: ``fan_start`` (B + 1,) counts, ``fan_other`` two rows of places each: the two other corners,
-    ``fan_slope`` five rows each: their slopes along warp and weft, and the area. Bending of hinges flat at rest:
-    ``bend_start`` (B + 1,), ``bend_other`` one row each: a place, ``bend_value`` what it weighs in the matrix [N/m].
-    ``own`` four rows per block: weight [N], bending's diagonal, contact's and the waistband's stiffness [N/m].
+    Triangles: block b has the entries ``fan_start[b]`` to ``fan_start[b + 1]``. Each is one triangle of every vertex:
+    two rows of ``fan_other``, the places of the other corners, and five of ``fan_slope``, their slopes along warp and
+    weft and the area. Bending of hinges flat at rest: ``bend_start`` (B + 1,) counts rows of ``bend_other``, places,
+    and of ``bend_value``, their numbers in the matrix Q [N/m]. ``own`` has four rows a block: weight [N], the diagonal
+    of Q, contact's stiffness and the waistband's [N/m].
 
-    Hinges that are not flat at rest: ``creases`` by places, and of each block the entries ``crease_start`` (B + 1,) of
-    ``crease_lane`` and ``crease_member``, the latter 4 hinge + corner.
+    ``creases`` are the hinges that are not flat at rest, by places. Block b has the entries ``crease_start[b]`` to
+    ``crease_start[b + 1]`` of ``crease_lane`` and ``crease_member``, 4 h + c where that lane is corner c of hinge h.
     """
 
-    constants: Constants
+    constants: KernelConstants
     vertex: np.ndarray
     place: np.ndarray
     fan_start: np.ndarray
@@ -92,10 +93,10 @@ def sheet(
 
 
 def longest_first(triangles: Triangles) -> np.ndarray:
-    """Rows (3F,) of the fans of ``triangles``, each vertex's with the one whose first edge is longest at rest in front.
+    """The order (3F,) of the rows of ``triangles`` in which each vertex begins with its longest first edge at rest.
 
-    It is that edge which says how a vertex's frame is turned, and a short one turns with every ripple. Of edges
-    that are ``ALIKE`` it is the first, whatever the rounding.
+    That edge says how the vertex's frame is turned, and a short one turns with every ripple. Among edges that are
+    ``ALIKE`` it is the first one, whatever rounding does.
     """
     p1, t1, p2, t2, _ = np.asarray(triangles.slope, np.float64).T
     length = np.hypot(p2, t2) / np.abs(p1 * t2 - p2 * t1)
@@ -122,9 +123,9 @@ def _blocks(made: Problem) -> np.ndarray:
 
 
 def _rows(start: np.ndarray, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows of a table whose entries of vertex v begin at ``start[v]``, as blocks have them.
+    """A table whose entries of vertex v begin at ``start[v]``, as rows of blocks.
 
-    Where each block's rows begin (B + 1,), the entry (n, ``LANES``) in each, and whether there is one.
+    Returns where each block's rows begin (B + 1,), the entry (n, ``LANES``) in each lane, and whether there is one.
     """
     count = np.where(blocks >= 0, np.diff(start)[blocks], 0)
     rows = count.max(axis=1)

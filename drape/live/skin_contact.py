@@ -1,22 +1,26 @@
-"""Contact with the posed skin: for each vertex the nearest sample, walked to from the frame before, and the nearest one
-of other parts of the body within reach; at both a plane blended from the sample and its neighbours.
+"""Contact with the posed skin: for every vertex a tangent plane of its own part of the body, and of another part.
 
-A frame moves a vertex by less than a few samples, so a walk over their graph, always to the nearest neighbour, ends at
-the nearest one of the part that the vertex was at: a sleeve stays with its arm where that touches the trunk. A vertex
-without a past starts at the sample that is nearest at rest. It is the network's vertex that walks, and from its sample
-the fold goes a few steps: a fold that crossed an arm would otherwise be kept on its far side for ever.
+*Own part.* The skin is a graph of samples. From the sample that a vertex had in the frame before it walks to the
+nearest one, always on to the nearest neighbour. A frame moves a vertex by less than a few samples, so that the walk
+stays on the part where the vertex was: a sleeve keeps to its arm where the arm touches the trunk. A vertex without a
+past starts at the sample that is nearest at rest. The network's vertex takes this walk, and the folded one goes a few
+steps from where it ends; a fold that once crossed an arm would otherwise stay on the far side.
 
-What else comes near (the trunk to that sleeve, a thigh to a belly) is looked up in a grid over the samples, for a
-quarter of the vertices each frame, and walked to in between. It counts where it is another part, far away at rest, or
-where the skin is hollow in between: the sample then lies above the tangent plane of the vertex's own one, as it never
-does on a limb.
+*Another part.* A grid over the samples finds what else is near, the trunk near a sleeve or a thigh near a belly, for a
+quarter of the vertices in each frame; in between the other ones walk. A sample counts where it is far from the own one
+at rest. A nearer one counts where the skin is hollow between the two: it then lies above the tangent plane of the own
+sample, as no sample of the same limb does.
 
-One tangent plane for all that lies nearest to a sample would give a limb facets. The planes of sample and neighbours
-are therefore blended with weights that end at the spacing. Over a sphere a point is off the tangent plane of a sample
-by what the surface falls away meanwhile, but a chord stands at right angles to the mean of the normals at its ends:
-distances are measured along the mean of the sample's normal and the blended one, and have no ripple then.
+*Planes.* One tangent plane for all that lies nearest to a sample would give limbs facets. The plane of a sample s is
+blended with those of its neighbours n, with weights that end at the samples' spacing r,
 
-Walks and planes are computed for ``LANES`` vertices at once, as sweeps are; P is a multiple of that.
+    w_n = clip(1 - (|x - b_n|^2 - |x - b_s|^2) / r^2, 0, 1)^2,   d(x) = 1/2 sum w_n (n_n + n) . (x - b_n),
+
+n the blended normal of unit length and sum w = 1. Over a sphere the tangent plane of one sample is off by what the
+surface falls away from it. A chord is at right angles to the mean of the normals at its ends: along this mean the
+distance has no ripple.
+
+Walks and planes are computed for ``LANES`` vertices at a time; P is a multiple of that.
 """
 
 from __future__ import annotations
@@ -29,6 +33,7 @@ from scipy.spatial import KDTree
 from drape.contact.samples import FACING, Samples
 from drape.kernels.compiled import kernel, part
 from drape.kernels.elements import add, at, cross, dot, scaled, sub
+from drape.kernels.grid import cells_within, column, grid_of
 from drape.kernels.lanes import (
     least,
     most,
@@ -45,24 +50,29 @@ from drape.kernels.lanes import (
     where_other,
 )
 from drape.live.sheet import LANES
-from drape.live.sweeps import PLANES, SLIP_M
+from drape.live.surface_frames import to_frame, to_world
+from drape.live.sweeps import HELD_ROW, OTHER_PLANE, PLANES, SLIP_M
 
 NEIGHBOURS = 8
-CANDIDATES = 24  # of which those that face another way are left out
-STEPS = 3  # of a walk from the network's sample to the fold's: less than to the far side of an arm
-REACH_M = 0.03  # of what comes near: deeper than that a vertex is not in another part
+CANDIDATES = 24  # nearest samples, from which those that face another way are left out
+STEPS = 3  # of a walk from the network's sample to the fold's: too few to reach the far side of an arm
+REACH_M = 0.03  # how near another part must come: no vertex is deeper in one than that
 PER_CELL = 1.0 / (2.0 * REACH_M)
 TURNS = 4  # frames until every vertex has looked for other parts
 HOLLOW_M, APART_M = 0.05, 0.12  # distance at rest from which skin may be hollow in between, and is another part
 
 
 class SkinGraph(NamedTuple):
-    """``neighbour`` (S, 8) of every sample, itself where there are fewer; ``reach_m2`` (S,): the spacing squared;
-    ``rest`` [m] (S, 3): where it lies at rest."""
+    """The samples of a skin: the ``neighbour`` samples (S, 8) of each, itself where there are fewer; ``reach_m2`` (S,),
+    the square of its spacing; ``rest`` [m] (S, 3), its place at rest."""
 
     neighbour: np.ndarray
     reach_m2: np.ndarray
     rest: np.ndarray
+
+    def of_type(self, dtype: type[np.floating]) -> SkinGraph:
+        """The same with floats of ``dtype``."""
+        return self._replace(reach_m2=self.reach_m2.astype(dtype), rest=self.rest.astype(dtype))
 
 
 def skin_graph(skin: Samples) -> SkinGraph:
@@ -80,8 +90,9 @@ def nearest_at_rest(vertices: np.ndarray, skin: Samples) -> np.ndarray:
     return np.asarray(KDTree(skin.point).query(vertices)[1], dtype=np.int32)
 
 
-class Touched(NamedTuple):
-    """The sample that the network has each place at, ``own`` (P,), and one of another part, ``other`` (P,), or -1."""
+class TouchedSamples(NamedTuple):
+    """The sample ``own`` (P,) that the network has each place at, and ``other`` (P,), one of another part near it or
+    -1."""
 
     own: np.ndarray
     other: np.ndarray
@@ -91,9 +102,9 @@ class Touched(NamedTuple):
 NEARER, FOOT, UNIT, SCRATCH = 0, 0, 3 * LANES, 6 * LANES
 
 
-class Lanes(NamedTuple):
-    """A place, ``vertex``, and a ``sample`` of the skin in each lane (``LANES``,), whose neighbours are ``near`` (8
-    ``LANES``,), a row each; ``scratch`` for rows of numbers."""
+class WalkLanes(NamedTuple):
+    """``LANES`` walks at once: in each lane a place ``vertex`` and the ``sample`` (``LANES``,) that it is at, whose
+    neighbours are ``near`` (8 ``LANES``,), a row each; ``scratch`` for rows of numbers."""
 
     vertex: np.ndarray
     sample: np.ndarray
@@ -102,8 +113,8 @@ class Lanes(NamedTuple):
 
 
 @kernel
-def _lanes(skin):
-    return Lanes(
+def _walk_lanes(skin):
+    return WalkLanes(
         np.empty(LANES, np.int32),
         np.empty(LANES, np.int32),
         np.empty(NEIGHBOURS * LANES, np.int32),
@@ -114,7 +125,7 @@ def _lanes(skin):
 @kernel
 def follow(network, skin, graph, touched):
     """Moves ``touched.own`` on to the samples nearest to the ``network``'s vertices [m] (P, 3)."""
-    lanes = _lanes(skin)
+    lanes = _walk_lanes(skin)
     for block in range(len(network) // LANES):
         for lane in range(LANES):
             lanes.sample[lane] = touched.own[LANES * block + lane]
@@ -124,39 +135,40 @@ def follow(network, skin, graph, touched):
 
 
 @kernel
-def carried(grip, touched, skin, graph, found):
-    """Where the posed ``skin`` has taken what lies ``grip`` [m] (P, 3) in the frames of the samples ``touched.own``:
-    ``found`` [m] (P, 3)."""
-    lanes = _lanes(skin)
+def stuck_places(grip, touched, skin, graph, stuck):
+    """Writes where the posed ``skin`` has taken what sticks to it to ``stuck`` [m] (P, 3).
+
+    ``grip`` [m] (P, 3) has the places in the frames of the samples ``touched.own``.
+    """
+    walk = _walk_lanes(skin)
     for block in range(len(grip) // LANES):
         place = LANES * block
-        own, n, e, b = _skin_frames(skin, graph, touched, place, lanes)
-        a = points_in(grip, place)
-        put_points(found, place, add(own, add(add(scaled(a[0], n), scaled(a[1], e)), scaled(a[2], b))))
+        own, frame = _skin_frames(skin, graph, touched, place, walk)
+        put_points(stuck, place, add(own, to_world(frame, points_in(grip, place))))
 
 
 @kernel
-def gripped(x, stuck, touched, skin, graph, grip):
-    """Writes how what is ``stuck`` [m] (P, 3) to the posed ``skin`` lies in the frames of its samples ``touched.own``,
-    having come along below ``x`` [m] (P, 3), that it is never farther from than ``SLIP_M``."""
-    one, most_m, lanes = x.dtype.type(1), x.dtype.type(SLIP_M), _lanes(skin)
+def write_grip(x, stuck, touched, skin, graph, grip):
+    """Writes the places that ``stuck`` [m] (P, 3) has after ``x`` [m] (P, 3) has moved to ``grip``, in the frames of
+    the samples ``touched.own``. A place comes along below x, and is left behind by no more than ``SLIP_M``."""
+    one, most_m, walk = x.dtype.type(1), x.dtype.type(SLIP_M), _walk_lanes(skin)
     for block in range(len(x) // LANES):
         place = LANES * block
-        own, n, e, b = _skin_frames(skin, graph, touched, place, lanes)
-        points = points_in(x, place)
+        own, frame = _skin_frames(skin, graph, touched, place, walk)
+        n, points = frame[0], points_in(x, place)
         slip = sub(points, points_in(stuck, place))
         slip = sub(slip, scaled(dot(slip, n), n))
         length = root(most(dot(slip, slip), most_m * most_m))
         off = sub(sub(points, scaled(where_above(length, most_m, most_m / length, one), slip)), own)
-        put_points(grip, place, (dot(off, n), dot(off, e), dot(off, b)))
+        put_points(grip, place, to_frame(frame, off))
 
 
 @part
 def _skin_frames(skin, graph, touched, place, lanes):
-    """The samples of a block from ``place`` on, their normals, the way to the first neighbour of each laid into the
-    plane, and the product of the two.
+    """The samples of a block from ``place`` on, and their frames: the normal, the way to the first neighbour laid into
+    the tangent plane, and the product of the two.
 
-    A sample without neighbours has the normal only: what lies on it is carried along the normal alone.
+    A sample without neighbours has the normal only, and takes what lies on it along the normal alone.
     """
     zero, one = skin.dtype.type(0), skin.dtype.type(1)
     for lane in range(LANES):
@@ -169,21 +181,21 @@ def _skin_frames(skin, graph, touched, place, lanes):
     e = sub(way, scaled(dot(way, n), n))
     square = dot(e, e)
     e = scaled(one / root(where_above(square, zero, square, one)), e)
-    return own, n, e, cross(n, e)
+    return own, (n, e, cross(n, e))
 
 
 @kernel
 def touch(x, skin, graph, sheet, touched, turn, planes):
-    """Moves ``touched.other`` on to what is near ``x`` [m] (P, 3), and writes the ``planes``.
+    """Moves ``touched.other`` on to what is near ``x`` [m] (P, 3), and writes both tangent planes to ``planes``.
 
-    ``skin`` (S, 8): a ``drape.contact.samples.sample_table``. Other parts are looked up for vertices whose number is
-    ``turn`` modulo ``TURNS``, for all where it is negative. ``planes`` flat, the first twelve rows of each block: the
-    foot of x and the normal of the own part, and of the other one, with a normal of zero where none is near.
+    ``skin`` (S, 8) is a ``drape.contact.samples.sample_table``. The grid is asked for the vertices whose number is
+    ``turn`` modulo ``TURNS``, for all of them where ``turn`` is negative. A plane is the foot of x on it and its
+    normal; where no other part is near the second normal is zero.
     """
     k = sheet.constants
-    cells = cells_of(skin, PER_CELL)
+    grid = grid_of(skin, PER_CELL)
     # Few vertices are near another part: their planes wait until there are as many as lanes.
-    lanes, late, waiting = _lanes(skin), _lanes(skin), 0
+    lanes, late, waiting = _walk_lanes(skin), _walk_lanes(skin), 0
     own = lanes.sample
     for block in range(len(x) // LANES):
         for lane in range(LANES):
@@ -193,13 +205,13 @@ def touch(x, skin, graph, sheet, touched, turn, planes):
         foot, unit = _plane(points, lanes, skin, graph)
         put3(planes, PLANES * block, foot)
         put3(planes, PLANES * block + 3 * LANES, unit)
-        for entry in range(PLANES * block + 6 * LANES, PLANES * block + 12 * LANES):
+        for entry in range(PLANES * block + OTHER_PLANE, PLANES * block + HELD_ROW):
             planes[entry] = k.zero
         for lane in range(LANES):
             v = LANES * block + lane
             other = touched.other[v]
             if turn < 0 or sheet.vertex[v] % TURNS == turn:
-                other = _other(at(x, v), skin, graph, own[lane], cells)
+                other = _other(at(x, v), skin, graph, own[lane], grid)
             elif other >= 0:
                 other = _nearest(at(x, v), skin, graph, other, STEPS)
                 if _square(at(x, v), skin, other) >= REACH_M * REACH_M or not _is_other(skin, graph, own[lane], other):
@@ -287,54 +299,16 @@ def _nearest(point, skin, graph, own, steps):
 
 
 @kernel
-def cells_of(points, per_cell):
-    """The ``points`` [m] (N, 3 or more) in cells, ``per_cell`` a metre: ``member[start[c] : start[c + 1]]`` of cell c.
-
-    With the lowest corner (3,) and how many cells there are along each axis (3,), which for points of numbers that are
-    none, or larger than a house, is none.
-    """
-    low, size = np.empty(3), np.zeros(3, np.int64)
-    for axis in range(3):
-        low[axis], high = points[0, axis], points[0, axis]
-        for s in range(len(points)):
-            low[axis], high = min(low[axis], points[s, axis]), max(high, points[s, axis])
-        extent = high - low[axis]
-        size[axis] = int(extent * per_cell) + 1 if extent < 10.0 else 0
-    start, member = np.zeros(size[0] * size[1] * size[2] + 1, np.int32), np.empty(len(points), np.int32)
-    if len(start) > 1:
-        cell = np.empty(len(points), np.int32)
-        for s in range(len(points)):
-            c = 0
-            for axis in range(3):
-                c = c * size[axis] + int((points[s, axis] - low[axis]) * per_cell)
-            cell[s] = c
-            start[c + 1] += 1
-        for c in range(len(start) - 1):
-            start[c + 1] += start[c]
-        filled = start.copy()
-        for s in range(len(points)):
-            member[filled[cell[s]]] = s
-            filled[cell[s]] += 1
-    return start, member, low, size
-
-
-@kernel
-def _other(point, skin, graph, own, cells):
+def _other(point, skin, graph, own, grid):
     """The sample nearest to ``point`` [m] that is of another part than ``own``, -1 where none is within reach."""
-    start, member, low, size = cells
     found, nearest = np.int32(-1), REACH_M * REACH_M
-    # The nearest of eight cells, a reach away at most, lie in this and the next one along every axis.
-    x = int(np.floor((point[0] - low[0]) * PER_CELL - 0.5))
-    y = int(np.floor((point[1] - low[1]) * PER_CELL - 0.5))
-    z = int(np.floor((point[2] - low[2]) * PER_CELL - 0.5))
-    for i in range(max(x, 0), min(x + 2, size[0])):
-        for j in range(max(y, 0), min(y + 2, size[1])):
-            row = (i * size[1] + j) * size[2]
-            first, last = max(z, 0), min(z + 2, size[2])
-            if first >= last:
-                continue
-            for entry in range(start[row + first], start[row + last]):
-                s = member[entry]
+    reach = (REACH_M, REACH_M, REACH_M)
+    first, last = cells_within(grid, sub(point, reach), add(point, reach))
+    for i in range(first[0], last[0]):
+        for j in range(first[1], last[1]):
+            begin, end = column(grid, i, j, first, last)
+            for entry in range(begin, end):
+                s = grid.member[entry]
                 square = _square(point, skin, s)
                 if square < nearest and _is_other(skin, graph, own, s):
                     found, nearest = s, square
@@ -349,7 +323,7 @@ def _put_late(x, lanes, skin, graph, planes):
     put3(lanes.scratch, UNIT, unit)
     for lane in range(LANES):
         v = lanes.vertex[lane]
-        place = PLANES * (v // LANES) + 6 * LANES + v % LANES
+        place = PLANES * (v // LANES) + OTHER_PLANE + v % LANES
         for row in range(6):
             planes[place + LANES * row] = lanes.scratch[FOOT + LANES * row + lane]
 

@@ -1,4 +1,4 @@
-"""Frames of the network's surface, compiled: what a vertex is away from it is carried along in them."""
+"""Frames of the network's surface, compiled. A fold is stored in them, so that it turns with the surface."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ FRAMES = 9 * LANES  # per block: normal, edge and their product
 
 @kernel
 def surface_frames(surface, sheet, frames):
-    """Frames of ``surface`` [m] (P, 3), flat, nine rows a block: the normal, an edge laid into the plane, and their
-    product.
+    """Writes the ``frames`` of ``surface`` [m] (P, 3): normal, edge and their product, flat, nine rows a block.
 
-    The edge is that of the vertex's first triangle, its longest one at rest. A vertex without an area or an edge gets
-    a frame of zeros.
+    The edge is the first one of the vertex's first triangle, laid into the tangent plane; ``Sheet`` puts that triangle
+    first whose edge is longest at rest. A vertex without an area or an edge gets a frame of zeros.
     """
     k = sheet.constants
     for block in range(len(sheet.fan_start) - 1):
@@ -46,32 +45,43 @@ def _unit(a, k):
 
 
 @part
-def in_frames(frames, block, a):
-    """The world vectors ``a``, three rows, in the frames of a block."""
-    n, e, b = (
-        rows3_at(frames, FRAMES * block),
-        rows3_at(frames, FRAMES * block + 3 * LANES),
-        rows3_at(frames, FRAMES * block + 6 * LANES),
-    )
+def to_frame(frame, a):
+    """The world vectors ``a``, three rows, in the axes of ``frame``."""
+    n, e, b = frame
     return dot(n, a), dot(e, a), dot(b, a)
 
 
 @part
-def in_world(frames, block, a):
-    """What is ``a``, three rows, in the frames of a block, in world axes."""
-    n, e, b = (
-        rows3_at(frames, FRAMES * block),
-        rows3_at(frames, FRAMES * block + 3 * LANES),
-        rows3_at(frames, FRAMES * block + 6 * LANES),
-    )
+def to_world(frame, a):
+    """The vectors ``a``, three rows in the axes of ``frame``, in those of the world."""
+    n, e, b = frame
     return add(add(scaled(a[0], n), scaled(a[1], e)), scaled(a[2], b))
+
+
+@part
+def in_frames(frames, block, a):
+    """The world vectors ``a``, three rows, in the frames of a block."""
+    return to_frame(_frame_of(frames, block), a)
+
+
+@part
+def in_world(frames, block, a):
+    """The vectors ``a``, three rows in the frames of a block, in the axes of the world."""
+    return to_world(_frame_of(frames, block), a)
+
+
+@part
+def _frame_of(frames, block):
+    """The frames of a block: normal, edge and their product, three rows each."""
+    first = FRAMES * block
+    return rows3_at(frames, first), rows3_at(frames, first + 3 * LANES), rows3_at(frames, first + 6 * LANES)
 
 
 @kernel
 def mend(off, sheet, most):
-    """Gives vectors ``off`` (P, 3) that differ by more than ``most`` from the mean of their neighbours' that mean.
+    """Replaces each of the vectors ``off`` (P, 3) that is farther than ``most`` from its neighbours' mean by that mean.
 
-    Where a surface folds over its frames turn about from one frame to the next, and what they carry with them.
+    The frames of a surface that folds over turn about from one frame to the next, and a residual turns with them.
     """
     k, before, places = sheet.constants, off.copy(), np.arange(len(off)).astype(np.int32)
     for block in range(len(sheet.fan_start) - 1):

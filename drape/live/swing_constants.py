@@ -1,4 +1,4 @@
-"""What swing needs of a garment in a fabric, and of a body: made once, and the same for every stream."""
+"""Constants of swing: a garment in a fabric on a body, made once for all streams."""
 
 from __future__ import annotations
 
@@ -16,14 +16,16 @@ from drape.live.skin_contact import nearest_at_rest, skin_graph
 from drape.live.swing_mesh import swing_mesh
 from drape.live.swing_nodes import STIFFEST_N_PER_M
 from drape.live.swing_slack import held_share
-from drape.live.swing_step import SWING_HZ, Constants
+from drape.live.swing_step import SWING_HZ, SwingConstants
 
-HELD_M = 0.008  # over the skin at rest: cloth that lies lower never swings
+HELD_M = 0.008  # cloth that lies lower than that over the skin at rest never swings
 
 
-def constants(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> Constants | None:
-    """The constants of the delivered mesh of ``garment`` on ``body``, made of ``fabric``, if any, else its own; None
-    where none of it hangs freely. A second at most."""
+def swing_constants(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> SwingConstants | None:
+    """The constants of the delivered mesh of ``garment`` on ``body``, made of ``fabric`` or else its own.
+
+    None where nothing hangs freely. Takes a second at most.
+    """
     made_of = fabric_named(garment.fabric) if fabric is None else fabric
     material, count, skin = Material.of(made_of), garment.vertex_count, body_skin(body)
     rest = garment.vertices[:count].astype(np.float64)
@@ -33,10 +35,10 @@ def constants(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -
     mesh = swing_mesh(cloth, material, rest, held)
     if mesh is None:
         return None
-    graph, dtype = skin_graph(skin), mesh.mass_kg.dtype
-    return Constants(
+    dtype = mesh.mass_kg.dtype
+    return SwingConstants(
         mesh,
-        graph._replace(reach_m2=graph.reach_m2.astype(dtype), rest=graph.rest.astype(dtype)),
+        skin_graph(skin).of_type(dtype.type),
         nearest[mesh.vertex],
         min(0.5 * (made_of.warp_n_per_m + made_of.weft_n_per_m), STIFFEST_N_PER_M),
         made_of.damping_s * (2.0 * np.pi * SWING_HZ) ** 2,

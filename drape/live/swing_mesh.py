@@ -1,9 +1,9 @@
 """The coarse mesh on which cloth swings: nodes spread evenly along the cloth, triangles between them, and weights that
-carry the nodes' ways to the vertices.
+move the vertices by the nodes' ways.
 
-A node is a vertex of the garment. Distances are along the cloth at rest, the shortest way over edges and over the
-diagonals of two triangles laid flat. Every vertex belongs to its nearest node, and where three nodes' vertices meet in
-a triangle there is a coarse one, with the three distances as its sides.
+A node is a vertex of the garment. Distances are along the cloth at rest: the shortest way over edges and over the
+diagonals of two triangles laid flat. Every vertex belongs to its nearest node. A triangle of the garment whose corners
+belong to three nodes stands for a coarse triangle, with the distances between these nodes as sides.
 """
 
 from __future__ import annotations
@@ -17,24 +17,25 @@ from scipy.sparse.csgraph import dijkstra
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.geometry import meshes
+from drape.kernels.problem import rest_edges, unfolded
 
-SPACING_M = 0.07  # nearer nodes give the same swing for more time
-REACH = 2.0  # spacings, within which a node moves a vertex
-# A way over edges and diagonals is longer than the shortest one along the cloth, by this on average.
-DETOUR = 1.02
-ACROSS = 0.05  # of the tension along the fall: columns of cloth hardly hold each other, folds lie between them
-SLIVER = 0.15  # sine of a corner below which a coarse triangle is left out
-LINE = 0.01  # of the bump: what keeps the weights' linear fit regular where nodes lie in a line
+SPACING_M = 0.07  # between nodes; less gives the same swing for more time
+REACH = 2.0  # spacings within which a node moves a vertex
+DETOUR = 1.02  # a way over edges and diagonals is that much longer, on average, than the shortest along the cloth
+ACROSS = 0.05  # tension across the fall, per tension along it: columns of cloth hardly hold each other
+SLIVER = 0.15  # a coarse triangle with a corner of a smaller sine is left out
+LINE = 0.01  # added to the moments, so that the weights' linear fit is regular where nodes lie in a line
 
 
 class SwingMesh(NamedTuple):
     """N nodes of a garment of V vertices.
 
     ``vertex`` (N,): the garment's vertex at each node; ``mass_kg``, ``area_m2`` (N,) of its cell. ``order``: the nodes
-    that may move, from those next to held ones outwards. ``start`` (N + 1,), ``other`` (n, 2), ``slope`` (n, 5): the
-    coarse triangles of each node, its two other corners, their slopes along both axes [1/m], and the area [m^2].
-    ``pull_start`` (N + 1,), ``pull_node``, ``pull`` [N/m]: rows of the matrix by which weight pulls nodes back.
-    ``weight_start`` (V + 1,), ``weight_node``, ``weight``: what each vertex takes of the nodes' ways.
+    that may move, from those next to held ones outwards. The coarse triangles of node i are rows ``start[i]`` to
+    ``start[i + 1]`` of ``other`` (n, 2), the two other corners, and ``slope`` (n, 5): their slopes along both axes
+    [1/m], and the area [m^2]. ``pull_start`` (N + 1,), ``pull_node``, ``pull`` [N/m]: rows of the matrix by which
+    weight pulls nodes back. ``weight_start`` (V + 1,), ``weight_node``, ``weight``: the shares of the nodes' ways by
+    which each vertex moves.
     """
 
     vertex: np.ndarray
@@ -58,13 +59,14 @@ def swing_mesh(
     rest: np.ndarray,
     held: np.ndarray,
     *,
-    spacing_m: float = SPACING_M,
     dtype: type[np.floating] = np.float32,
 ) -> SwingMesh | None:
-    """The coarse mesh of ``cloth`` of ``material`` that lies at ``rest`` [m] (V, 3); ``held`` (V,): which vertices
-    never swing. None where all are held, or nothing is that it could hang from."""
+    """The coarse mesh of ``cloth`` of ``material`` that lies at ``rest`` [m] (V, 3), floats of ``dtype``.
+
+    ``held`` (V,): which vertices never swing. None where all are held, or none is that cloth could hang from.
+    """
     graph = along_cloth(cloth)
-    chosen, away = _spread(graph, rest, spacing_m)
+    chosen, away = _spread(graph, rest)
     own = away.argmin(axis=1)
     faces = _coarse_faces(own[cloth.faces], away[chosen])
     movable = ~held[chosen]
@@ -83,7 +85,7 @@ def swing_mesh(
         for values in (cloth.vertex_mass(material), cloth.vertex_area)
     )
     weight_start, weight_node, weight = _weights(
-        away, rest, np.asarray(meshes.vertex_normals(rest, cloth.faces)), chosen, spacing_m
+        away, rest, np.asarray(meshes.vertex_normals(rest, cloth.faces)), chosen
     )
     return SwingMesh(
         chosen.astype(np.int32), mass.astype(dtype), area.astype(dtype), _outwards(faces, sides, movable),
@@ -94,23 +96,15 @@ def swing_mesh(
 
 def along_cloth(cloth: ClothMesh) -> Any:
     """Sparse symmetric (V, V): lengths [m] at rest of edges, and of diagonals between two triangles laid flat."""
-    a, b, c, d = cloth.inverse_shape
-    shape = np.linalg.inv(np.stack([np.stack([a, c], axis=-1), np.stack([b, d], axis=-1)], axis=-2))
-    place = np.stack([np.zeros((len(shape), 2)), shape[..., 0], shape[..., 1]], axis=1)  # corners (F, 3, 2)
+    edges, flat = rest_edges(cloth), unfolded(cloth)
+    place = np.concatenate([np.zeros((len(edges), 1, 2)), edges], axis=1)  # corners (F, 3, 2)
     faces, hinges = cloth.faces, cloth.hinge_index.reshape(4, -1).T
     ends = [(faces[:, i], faces[:, (i + 1) % 3]) for i in range(3)]
     lengths = [np.linalg.norm(place[:, i] - place[:, (i + 1) % 3], axis=1) for i in range(3)]
-    sides = meshes.hinge_faces(faces)
-    along, up, edge = [], [], []
-    for side in range(2):
-        own = sides[:, side]
-        i, j, third = (place[own, (faces[own] == hinges[:, k, None]).argmax(axis=1)] for k in (0, 1, 2 + side))
-        edge.append(np.linalg.norm(j - i, axis=1))
-        along.append(((j - i) * (third - i)).sum(axis=1) / edge[side])
-        up.append(np.abs((j - i)[:, 0] * (third - i)[:, 1] - (j - i)[:, 1] * (third - i)[:, 0]) / edge[side])
+    along, up = flat.along / flat.length, flat.height
     high = np.maximum(up[0] + up[1], 1e-12)
     crossing = along[0] + (along[1] - along[0]) * up[0] / high
-    inside = (crossing > 0.0) & (crossing < np.minimum(*edge))
+    inside = (crossing > 0.0) & (crossing < flat.length.min(axis=0))
     ends.append((hinges[inside, 2], hinges[inside, 3]))
     lengths.append(np.hypot(along[0] - along[1], high)[inside])
     first, second, length = (np.concatenate(parts) for parts in (*zip(*ends, strict=True), lengths))
@@ -122,13 +116,13 @@ def along_cloth(cloth: ClothMesh) -> Any:
     return matrix + matrix.T
 
 
-def _spread(graph: Any, rest: np.ndarray, spacing_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (N,) none of which is nearer than ``spacing_m`` to another, from the lowest up so that hems have theirs,
-    and all vertices' distances to them (V, N), infinite beyond reach."""
+def _spread(graph: Any, rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (N,) no two of which are nearer than ``SPACING_M``, and the distances [m] (V, N) of all vertices to
+    them, infinite beyond reach. They are chosen from the lowest up, so that hems have theirs."""
     nearest, chosen, away = np.full(len(rest), np.inf), [], []
     for vertex in np.argsort(rest[:, 1], kind="stable"):
-        if nearest[vertex] >= spacing_m:
-            distance = dijkstra(graph, indices=int(vertex), limit=(REACH + 0.5) * spacing_m)
+        if nearest[vertex] >= SPACING_M:
+            distance = dijkstra(graph, indices=int(vertex), limit=(REACH + 0.5) * SPACING_M)
             np.minimum(nearest, distance, out=nearest)
             chosen.append(int(vertex))
             away.append(distance)
@@ -136,7 +130,8 @@ def _spread(graph: Any, rest: np.ndarray, spacing_m: float) -> tuple[np.ndarray,
 
 
 def _coarse_faces(cells: np.ndarray, sides: np.ndarray) -> np.ndarray:
-    """Triangles (n, 3) of nodes whose ``cells`` (F, 3) meet in one of the garment's, each once, without slivers."""
+    """The triangles (n, 3) of nodes that a triangle of the garment joins, each once, without slivers; ``cells`` (F, 3)
+    are the nodes of the garment's corners."""
     distinct = (cells != np.roll(cells, 1, axis=1)).all(axis=1)
     cells = cells[distinct]
     first = cells.argmin(axis=1)
@@ -156,7 +151,7 @@ def _fans(faces: np.ndarray, sides: np.ndarray, count: int) -> tuple[np.ndarray,
     cosine = (first**2 + second**2 - across**2) / (2.0 * first * second)
     sine = np.sqrt(1.0 - cosine**2)
     zero = np.zeros_like(first)
-    # Columns of the inverse of [[first, second cos], [0, second sin]]: of one axis both corners' slopes.
+    # The columns of the inverse of [[first, second cos], [0, second sin]] are both corners' slopes along one axis.
     slope = np.stack(
         [1.0 / first, zero, -cosine / (first * sine), 1.0 / (second * sine), 0.5 * first * second * sine], axis=1
     )
@@ -165,7 +160,7 @@ def _fans(faces: np.ndarray, sides: np.ndarray, count: int) -> tuple[np.ndarray,
 
 
 def _outwards(faces: np.ndarray, sides: np.ndarray, movable: np.ndarray) -> np.ndarray:
-    """The nodes that are ``movable`` (N,), those nearest along the cloth to one that is not in front."""
+    """The nodes that are ``movable`` (N,), the nearest along the cloth to one that is held first."""
     first, second = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
     graph = scipy.sparse.coo_matrix((sides[first, second], (first, second)), shape=sides.shape).tocsr()
     held = np.flatnonzero(~movable)
@@ -178,14 +173,14 @@ def _outwards(faces: np.ndarray, sides: np.ndarray, movable: np.ndarray) -> np.n
 
 
 def _weights(
-    away: np.ndarray, rest: np.ndarray, normals: np.ndarray, chosen: np.ndarray, spacing_m: float
+    away: np.ndarray, rest: np.ndarray, normals: np.ndarray, chosen: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """``weight_start``, ``weight_node`` and ``weight`` of ``SwingMesh``: moving least squares of degree one at rest,
     without a slope along the surface's ``normals`` (V, 3)."""
-    reach = REACH * spacing_m
+    reach = REACH * SPACING_M
     vertex, node = np.nonzero(away < reach)
     bump = (1.0 - (away[vertex, node] / reach) ** 2) ** 2
-    basis = np.concatenate([np.ones((len(vertex), 1)), (rest[chosen[node]] - rest[vertex]) / spacing_m], axis=1)
+    basis = np.concatenate([np.ones((len(vertex), 1)), (rest[chosen[node]] - rest[vertex]) / SPACING_M], axis=1)
     count = np.bincount(vertex, minlength=len(rest))
     start = np.concatenate([[0], np.cumsum(count)])
     some = np.flatnonzero(count)
@@ -199,8 +194,10 @@ def _weights(
 
 
 def _weight_below(graph: Any, cloth: ClothMesh, held: np.ndarray, material: Material) -> np.ndarray:
-    """Tension [N/m] (V,) where cloth hangs from what is ``held`` (V,), a vertex at least: the weight of a strip from
-    there on, away from what is held by the steepest way, to its end."""
+    """Tension [N/m] (V,) in cloth that hangs from what is ``held`` (V,), at least one vertex.
+
+    It is the weight of the strip that goes on from a vertex, by the steepest way away from what is held, to its end.
+    """
     away = dijkstra(graph, indices=np.flatnonzero(held), min_only=True)
     away = np.where(np.isfinite(away), away, 0.0)
     links = graph.tocoo()
@@ -224,9 +221,9 @@ def _pull(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rows ``pull`` of ``SwingMesh`` for the ``tension`` [N/m] (N,) at the nodes.
 
-    The stiffness of a string under tension, on a surface: sum of A T (s . grad u)^2 / 2 over the triangles, s the unit
-    vector along which the tension falls; and a share of it across, which folds have. The triangles end at the outermost
-    nodes: theirs is raised to the whole ``area_m2``.
+    The stiffness of a string under tension, on a surface: the sum of A T (s . grad u)^2 / 2 over the triangles, s the
+    unit vector along which the tension falls, and a share of that across. The triangles end at the outermost nodes, so
+    that their area is scaled up to the whole ``area_m2``.
     """
     count = len(tension)
     own = np.repeat(np.arange(count), np.diff(start))

@@ -1,13 +1,19 @@
 """The equations of a swing mesh, compiled.
 
-*Falling back.* A piece of cloth that hangs is a string in every column: with T the weight below, s the way down, and u
-how far nodes are from where still cloth would be,
+*Falling back.* Every column of hanging cloth is a string. With T the weight below, s the way down and u how far the
+nodes are from where still cloth would be,
 
-    m (u - u') / h^2 + K u = 0,   u K u = sum of A T |ds u|^2,   u' where inertia leads.
+    m (u - u') / h^2 + K u = 0,   u K u = sum of A T |du/ds|^2,
 
-*Length.* Cloth does not give, but folds at no cost (tension field theory): with G Green's strain of a coarse triangle
-and G0 that of the still cloth, the energy per area is Y / 2 |(G - G0+)+|^2, ( )+ the part with positive principal
-values. Y is the cloth's stiffness, as far as a few sweeps can follow it.
+u' where inertia leads. The rows of K are ``pull`` of the mesh.
+
+*Length.* Cloth does not stretch, and folds at no cost (tension field theory). With G Green's strain of a coarse
+triangle and G0 that of the still cloth, the energy per area is
+
+    Y/2 |(G - G0+)+|^2,
+
+( )+ the part of a matrix that has its positive principal values. Y is the cloth's stiffness, but no more than a few
+sweeps can follow.
 """
 
 from __future__ import annotations
@@ -16,22 +22,24 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drape.kernels.compiled import kernel
-from drape.kernels.elements import add, at, dot, mix, outer, scaled, solved, sub
+from drape.kernels.compiled import kernel, part
+from drape.kernels.elements import add, at, columns, dot, mix, outer, scaled, shifted, solved, sub
 
 STIFFEST_N_PER_M = 300.0
 CONTACT_J_M4 = 3.0e4  # a tenth of the folds': half a spacing of skin is behind a node
 GAP_M = 0.004
-TOUCH_M = 0.06  # from the sample that was walked to: a farther one says nothing of the skin there
-REACH_M = 0.01  # the most that a sweep moves a node
-SOLVED, LEAST = 1e-20, 1e-30  # of the squared residual at first, and of all [N m]
-LOOSE = 0.05  # of the stiffness of a triangle that pulls, which one that does not resists a step with
+TOUCH_M = 0.06  # a sample farther away says nothing of the skin below a node
+REACH_M = 0.01  # a sweep moves no node farther
+SOLVED, LEAST = 1e-20, 1e-30  # a residual's square is small enough as a share of the first one, or by itself [N m]
+LOOSE = 0.05  # a loose triangle resists a step with this share of the stiffness of one that pulls
 
 
 @kernel
 def fall_back(u, mesh, inertia, hold, rhs, rounds):
-    """``u`` [m] (N, 3) to the solution of (inertia + hold + K) u = ``rhs`` [N] over the nodes that move, in place, by
-    ``rounds`` of conjugate gradients; ``inertia``, ``hold`` (N,) [N/m]."""
+    """Moves ``u`` [m] (N, 3) towards the solution of (inertia + hold + K) u = ``rhs`` [N] over the nodes that may move.
+
+    By ``rounds`` of conjugate gradients, in place; ``inertia``, ``hold`` [N/m] (N,).
+    """
     zero = u.dtype.type(0)
     r, q, p = np.zeros_like(u), np.zeros_like(u), np.zeros_like(u)
     diagonal = np.zeros(len(u), u.dtype)
@@ -50,7 +58,7 @@ def fall_back(u, mesh, inertia, hold, rhs, rounds):
             p[i, axis] = r[i, axis] / diagonal[i]
             old += r[i, axis] * p[i, axis]
     if old != old:
-        u[:] = old  # no number, which the caller looks for
+        u[:] = old  # NaN, which the caller looks for
     # Beyond what floats can tell, squares of what is left would go under.
     end = max(u.dtype.type(SOLVED) * old, u.dtype.type(LEAST))
     for _ in range(rounds):
@@ -86,23 +94,28 @@ def _pulled(u, mesh, inertia, hold, out):
         out[i, 0], out[i, 1], out[i, 2] = total[0], total[1], total[2]
 
 
+@part
+def _columns(c, own, mesh, e):
+    """The columns of F of the coarse triangle ``e`` whose first corner is at ``own``."""
+    first, second = sub(at(c, mesh.other[e, 0]), own), sub(at(c, mesh.other[e, 1]), own)
+    return columns(first, second, mesh.slope[e, 0], mesh.slope[e, 1], mesh.slope[e, 2], mesh.slope[e, 3])
+
+
 @kernel
 def stretched(c, mesh, bound):
-    """Into ``bound`` (n, 3) by how much [strain pp, tt, pt] each coarse triangle at ``c`` [m] (N, 3) is pulled long."""
+    """Writes G+ (pp, tt, pt) of each coarse triangle at ``c`` [m] (N, 3) to ``bound`` (n, 3)."""
     zero, one, half = c.dtype.type(0), c.dtype.type(1), c.dtype.type(0.5)
     for i in range(len(mesh.start) - 1):
         own = at(c, i)
         for e in range(mesh.start[i], mesh.start[i + 1]):
-            first, second = sub(at(c, mesh.other[e, 0]), own), sub(at(c, mesh.other[e, 1]), own)
-            p = mix(mesh.slope[e, 0], first, mesh.slope[e, 1], second)
-            t = mix(mesh.slope[e, 2], first, mesh.slope[e, 3], second)
+            p, t = _columns(c, own, mesh, e)
             pulled = _above(half * (dot(p, p) - one), half * (dot(t, t) - one), half * dot(p, t), zero, half)
             bound[e, 0], bound[e, 1], bound[e, 2] = pulled[0], pulled[1], pulled[2]
 
 
 @kernel
 def _above(pp, tt, pt, zero, half):
-    """The part of a symmetric matrix with its positive principal values, (pp, tt, pt), and how many of them are."""
+    """The part (pp, tt, pt) of a symmetric matrix that has its positive principal values, and how many these are."""
     mean, radius = half * (pp + tt), np.sqrt(half * half * (pp - tt) * (pp - tt) + pt * pt)
     if mean >= radius:
         return pp, tt, pt, 2
@@ -121,9 +134,7 @@ def length(c, i, mesh, young, bound):
     own = at(c, i)
     g, h = (zero, zero, zero), (zero, zero, zero, zero, zero, zero)
     for e in range(mesh.start[i], mesh.start[i + 1]):
-        first, second = sub(at(c, mesh.other[e, 0]), own), sub(at(c, mesh.other[e, 1]), own)
-        p = mix(mesh.slope[e, 0], first, mesh.slope[e, 1], second)
-        t = mix(mesh.slope[e, 2], first, mesh.slope[e, 3], second)
+        p, t = _columns(c, own, mesh, e)
         mp, mt = -mesh.slope[e, 0] - mesh.slope[e, 1], -mesh.slope[e, 2] - mesh.slope[e, 3]
         stiff = mesh.slope[e, 4] * young
         gpp, gtt = half * (dot(p, p) - one) - bound[e, 0], half * (dot(t, t) - one) - bound[e, 1]
@@ -148,8 +159,7 @@ def length(c, i, mesh, young, bound):
             h[4] + across * (p[1] * t[2] + p[2] * t[1]),
             h[5] + two * across * p[2] * t[2],
         )
-        pull = max(cp * mp + ct * mt, zero)
-        h = (h[0] + pull, h[1], h[2], h[3] + pull, h[4], h[5] + pull)
+        h = shifted(h, max(cp * mp + ct * mt, zero))
     return g, h
 
 
@@ -161,8 +171,8 @@ class Springs(NamedTuple):
 
 
 class Ground(NamedTuple):
-    """``skin`` (S, 8); the samples (N,) below each node of ``still`` cloth and the one ``touched`` now; ``deep`` [m]
-    (N,): how far below the gap still cloth is there."""
+    """The samples ``skin`` (S, 8), and for each node (N,) the one below ``still`` cloth, the one ``touched`` now, and
+    how ``deep`` [m] below the gap still cloth is."""
 
     skin: np.ndarray
     still: np.ndarray
@@ -172,7 +182,8 @@ class Ground(NamedTuple):
 
 @kernel
 def keep_length(c, mesh, young, bound, springs, ground, turns):
-    """``turns`` sweeps there and back over the nodes ``c`` [m] (N, 3), in place, each to its own quadratic minimum."""
+    """Moves the nodes ``c`` [m] (N, 3) in place by ``turns`` sweeps there and back, each to its own quadratic
+    minimum."""
     skin = ground.skin
     zero, gap, near = c.dtype.type(0), c.dtype.type(GAP_M), c.dtype.type(TOUCH_M)
     reach = c.dtype.type(REACH_M)
@@ -184,7 +195,7 @@ def keep_length(c, mesh, young, bound, springs, ground, turns):
             g, h = length(c, i, mesh, young, bound)
             s = springs.n_per_m[i]
             g = add(g, scaled(s, sub(x, at(springs.target, i))))
-            h = (h[0] + s, h[1], h[2], h[3] + s, h[4], h[5] + s)
+            h = (h[0] + s, h[1], h[2], h[3] + s, h[4], h[5] + s)  # another call here would change last bits
             j = ground.touched[i]
             normal, off = (skin[j, 4], skin[j, 5], skin[j, 6]), sub(x, at(skin, j))
             depth = gap - ground.deep[i] - dot(off, normal)

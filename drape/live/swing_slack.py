@@ -1,7 +1,7 @@
-"""How much wider a garment is than what is in it: a wide skirt lies near the legs in places, but does not go with them.
+"""How much wider a garment is than the body in it. A wide skirt lies near the legs in places and does not go with them.
 
-A ring is where a horizontal plane cuts the cloth at rest. One closed ring at a height goes around the trunk or both
-legs, two around a limb each.
+A horizontal plane cuts the cloth at rest in rings. One closed ring at a height goes around the trunk or both legs, two
+rings go around a limb each.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from scipy.spatial import ConvexHull, QhullError
 from drape.cloth.energies import ClothMesh
 
 STEP_M = 0.02  # between the planes
-# Lengths of a ring over the girth of what is in it, up to which cloth is held as near the skin as any, and from which
-# hardly: most of the dress is below, most of the circle skirt above. What is left: with none the skirt rides up in a
-# walk, with more it does not fly.
+# The slack of a ring is its length over the girth of the skin in it. Up to TIGHT cloth near the skin is held wholly,
+# from LOOSE on by the share LEAST: most of the dress is tighter, most of the circle skirt looser. Without any hold the
+# skirt rides up in a walk; with more it does not fly.
 TIGHT, LOOSE, LEAST = 1.9, 2.3, 0.003
 
 
 class Ring(NamedTuple):
-    """A closed ring: its ``length_m``, and its hull in the plane."""
+    """A closed ring: its ``length_m`` and its ``hull`` in the plane."""
 
     length_m: float
     hull: ConvexHull
 
 
 def held_share(cloth: ClothMesh, rest: np.ndarray, skin: np.ndarray) -> np.ndarray:
-    """Share (V,) of the hold near the skin that vertices which lie at ``rest`` [m] (V, 3) have, ``LEAST`` to 1.
+    """The share (V,) of the hold near the skin that each vertex of ``cloth`` has, ``LEAST`` to 1.
 
-    ``skin`` [m] (S, 3): points of the body at rest.
+    ``rest`` [m] (V, 3) are the vertices and ``skin`` [m] (S, 3) points of the body, both at rest.
     """
     height = np.arange(rest[:, 1].max(), rest[:, 1].min(), -STEP_M)
     slack = np.interp(-rest[:, 1], -height, _slack(cloth, rest, skin, height))
@@ -41,9 +41,9 @@ def held_share(cloth: ClothMesh, rest: np.ndarray, skin: np.ndarray) -> np.ndarr
 
 
 def _slack(cloth: ClothMesh, rest: np.ndarray, skin: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """Length of the ring over the girth of the skin in it, at every ``height`` [m] (n,) from the top down.
+    """The slack of the ring at every ``height`` [m] (n,) from the top down.
 
-    0 where there are several rings; where there is none, as at a wavy hem, that of the one above.
+    0 where there are several rings. Where there is none, as at a wavy hem, it is that of the ring above.
     """
     found, last = np.zeros(len(height)), 0.0
     for i, y in enumerate(height):
@@ -81,7 +81,7 @@ def rings(faces: np.ndarray, rest: np.ndarray, y: float) -> list[Ring]:
 
 
 def _hull(points: np.ndarray) -> ConvexHull | None:
-    """Of ``points`` (n, 2); None where they are few or lie in a line."""
+    """The convex hull of ``points`` (n, 2); None where they are fewer than three or lie in a line."""
     try:
         return ConvexHull(points) if len(points) > 2 else None
     except QhullError:

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
+from drape.body.skeleton import JOINT_COUNT
 from drape.errors import MotionError
 from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix
 from drape.motion.clip import MotionClip
-from drape.motion.skeleton import JOINT_COUNT
 
 MAX_ARRAY_BYTES = 512 << 20
 """Largest array [bytes] that is read: about an hour of AMASS in float64 at 120 Hz."""

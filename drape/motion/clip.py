@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from drape.arrays import check_finite, check_shape
+from drape.body.skeleton import JOINT_COUNT
 from drape.errors import MotionError
+from drape.files.atomic import whole_file
 from drape.geometry.rotations import quaternion_multiply, quaternion_slerp, quaternion_to_rotvec, rotvec_to_quaternion
-from drape.motion.skeleton import JOINT_COUNT
 
 FLAGGED_SPEED = 0.5 * 60.0
 """Joint speed [rad/s] above which a step is taken for a glitch: 0.5 rad in 1/60 s (issue 2, part 3)."""
@@ -102,7 +101,7 @@ class MotionClip:
         return self.window(first, last - first + 1)
 
     def save(self, path: Path) -> None:
-        """Write the clip as an AMASS-like npz (``drape.motion.amass`` reads it); all or nothing."""
+        """Writes the clip as an AMASS-like npz (``drape.motion.amass`` reads it); all or nothing."""
         arrays = {
             "poses": self.poses.astype(np.float32),
             "trans": self.trans.astype(np.float32),
@@ -114,15 +113,8 @@ class MotionClip:
             arrays["betas"] = self.betas.astype(np.float32)
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-        try:
-            with os.fdopen(handle, "wb") as stream:
-                np.savez_compressed(stream, **arrays)
-            os.chmod(temporary, 0o644)  # mkstemp makes the file private
-            os.replace(temporary, path)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
+        with whole_file(path) as stream:
+            np.savez_compressed(stream, **arrays)
 
 
 def joint_steps(clip: MotionClip) -> np.ndarray:

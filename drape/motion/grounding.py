@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from drape.arrays import check_finite, check_shape
+from drape.body.skeleton import JOINT_COUNT, PARENTS
 from drape.errors import MotionError
 from drape.geometry.rigid import forward_kinematics
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.motion.clip import MotionClip
-from drape.motion.skeleton import CANONICAL_FLOOR, CANONICAL_JOINTS, JOINT_COUNT, JOINT_INDEX, PARENTS
+from drape.motion.t_pose import CANONICAL_FLOOR, CANONICAL_JOINTS, JOINT_INDEX
 
 # Heel behind the ankle and tip before the joint of the toes [m], for a foot of average size.
 HEEL_BEHIND = 0.045

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from drape.body.skeleton import JOINT_COUNT, PARENTS
 from drape.geometry.rotations import matrix_to_rotvec
-from drape.motion.skeleton import CANONICAL_JOINTS, JOINT_COUNT, JOINT_INDEX, PARENTS
+from drape.motion.t_pose import CANONICAL_JOINTS, JOINT_INDEX
 
 SIDES = ("left", "right")
 

@@ -14,17 +14,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
 from drape.errors import MotionError
 from drape.geometry.rotations import matrix_to_quaternion, matrix_to_rotvec, quaternion_to_matrix, rotvec_to_matrix
 from drape.motion.amass import Y_FROM_Z
 from drape.motion.clip import MotionClip
 from drape.motion.joint_names import match_joints
-from drape.motion.skeleton import BONE_CHILD, BONE_DIRECTIONS, JOINT_COUNT, JOINT_NAMES, PARENTS
+from drape.motion.t_pose import BONE_CHILD, BONE_DIRECTIONS
 
 LEG_LENGTH_RANGE = (0.45, 1.30)
 """Hip to ankle [m] of people from about 1.0 m to 2.6 m; outside it the unit is wrong."""
 
-# What motion files are written in [m per unit]; the last is CMU's (1/0.45 inch).
+# Units of motion files [m]; the last is CMU's (1/0.45 inch).
 _UNITS = (1.0, 0.01, 0.001, 0.0254, 0.0254 / 0.45)
 _ADULT_LEG_LENGTH = 0.80
 

@@ -20,7 +20,7 @@ from drape.geometry.rotations import rotvec_to_matrix
 from drape.motion.clip import MotionClip
 from drape.motion.grounding import HEEL_BEHIND
 from drape.motion.legs import SIDES, posed_clip
-from drape.motion.skeleton import ANKLE_HEIGHT, CANONICAL_JOINTS, JOINT_INDEX
+from drape.motion.t_pose import ANKLE_HEIGHT, CANONICAL_JOINTS, JOINT_INDEX
 
 FPS = 60.0
 

@@ -1,1 +1,1 @@
-"""What goes over the line: binary messages, posed jets, and what makes vertices of them."""
+"""Messages between service and clients: binary frames, posed jets, and the layout that makes vertices of them."""

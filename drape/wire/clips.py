@@ -23,15 +23,17 @@ HEADER_BYTES = _HEADER.size
 
 
 def check_motion(poses: np.ndarray, trans: np.ndarray | None) -> None:
-    """Refuses (``MotionError``) what is not poses (F, 24, 3) and as many translations (F, 3), or none of these."""
+    """Refuses (``MotionError``) other shapes than poses (F, 24, 3) and translations (F, 3) or None."""
     check_shape("poses", poses, (None, 24, 3), error=MotionError)
     if trans is not None:
         check_shape("trans", trans, (len(poses), 3), error=MotionError)
 
 
 def pack_clip(about: Mapping[str, Any], poses: np.ndarray, trans: np.ndarray | None) -> bytes:
-    """The CLIP message of ``poses`` (F, 24, 3) [rad] and ``trans`` (F, 3) [m] or None, and of what JSON says ``about``
-    them; refuses (``MotionError``) other shapes."""
+    """The CLIP message of ``poses`` (F, 24, 3) [rad], ``trans`` (F, 3) [m] or None, and the JSON fields ``about``.
+
+    Refuses (``MotionError``) other shapes.
+    """
     check_motion(poses, trans)
     text = json.dumps(about, separators=(",", ":"), allow_nan=False).encode()
     flags = 0 if trans is None else FLAG_PLACED

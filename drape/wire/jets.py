@@ -1,8 +1,8 @@
 """JETS, the frame of a client that evaluates the garment on its own mesh: per patch a frame and a jet.
 
-A row has 77 bytes whatever the mesh: 16-bit steps of the centre in the frame's own box, of the rotation's quaternion in
-[-1, 1], and of the coefficients up to order 2; 8-bit steps of those of orders 3 and 4, which add little. Each
-coefficient has its own box over the patches of the frame. ``drape.wire.layout`` makes vertices of it.
+A row has 77 bytes whatever the mesh. The centre is counted in 16-bit steps of the frame's own box, the rotation's
+quaternion in 16-bit steps of [-1, 1]. Coefficients up to order 2 have 16 bits, those of orders 3 and 4, which add
+little, have 8. Each coefficient has its own box over the patches of the frame. ``drape.wire.layout`` makes vertices.
 """
 
 from __future__ import annotations

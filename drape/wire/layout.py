@@ -1,9 +1,9 @@
-"""What a client needs of a garment, once, to make vertices of its jets: where each vertex lies in its patches.
+"""The layout of a garment, sent once: with it a client makes vertices of jets.
 
 A chart (patch k, weight w, parameters u, v) carries a vertex with the rest place x to
 ``centre_k + R_k (R0_k^T (x - c0_k) + s_k jet_k(u, v))``, with R0, c0 and s the patch's frame and scale at rest, R,
 centre and jet those of a ``JetFrame``; the draped vertex is the weighted mean over its charts. Rest places do not
-change with the body's shape: the frame does. Points between the vertices are carried alike, so a client may draw a
+change with the body's shape: the frame does. Points between the vertices move in the same way, so a client may draw a
 finer mesh than the service has.
 """
 
@@ -98,7 +98,7 @@ class JetLayout:
     def subdivided(self, faces: np.ndarray) -> tuple[JetLayout, np.ndarray]:
         """The layout with a vertex more on every edge of ``faces`` (F, 3), and the faces (4 F, 3) of the finer mesh.
 
-        The vertices of before come first, in their order.
+        The first vertices are those of this layout, in their order.
         """
         _, finer, parents = meshes.subdivide(self.rest, faces)
         corners = np.column_stack([parents, parents[:, 0]])
@@ -106,7 +106,7 @@ class JetLayout:
 
     @cached_property
     def _columns(self) -> np.ndarray:
-        """What each chart (V, C, 19) takes of its patch's [rotation, jet, centre], times its weight."""
+        """Columns (V, C, 19) that multiply [rotation, jet, centre] of a chart's patch, times the chart's weight."""
         offset = self.rest[:, None].astype(np.float64) - self.centre[self.chart_patch]
         local = np.einsum("vkba,vkb->vka", self.rotation[self.chart_patch].astype(np.float64), offset)
         basis = jets.basis(self.chart_uv.astype(np.float64), jets.HEIGHT_ORDER)
@@ -115,7 +115,7 @@ class JetLayout:
 
 
 def _merged(patch: np.ndarray, weight: np.ndarray, uv: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Charts (P, C) in which each patch of a row comes once, with its mean parameters; as few columns as that takes."""
+    """Charts (P, C) with each patch of a row once, at its mean parameters, in as few columns as possible."""
     order = np.argsort(patch, axis=1, kind="stable")
     patch = np.take_along_axis(patch, order, axis=1)
     weight = np.take_along_axis(weight, order, axis=1).astype(np.float64)

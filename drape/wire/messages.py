@@ -5,9 +5,9 @@ version, kind, flags, sequence, count). The client sends POSE and ACK, the servi
 Vertices travel as 16-bit steps inside the frame's own bounding box, relative to the
 root joint: half a step of a 2 m box is 0.015 mm. A client that asked for jets gets JETS in place of FRAME
 (``drape.wire.jets``) and once per garment a LAYOUT (``drape.wire.layout``). A request of REST may send its motion as a
-CLIP (``drape.wire.clips``); a stream that can move to another process takes STATE along (``drape.wire.state``). The
-conversation: docs/reference/wire.md. Where a body stands still a client that can take it gets SAME in place of the
-frame.
+CLIP (``drape.wire.clips``); a stream that can move to another process takes STATE along (``drape.wire.state``). A
+client that can take SAME gets it in place of the frame while the body stands still. The conversation:
+docs/reference/wire.md.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Answer:
-    """What of a frame belongs to the pose that it answers; the fields are those of ``Frame``."""
+    """The part of a frame that belongs to the pose it answers; the fields are those of ``Frame``."""
 
     sequence: int
     client_time_s: float
@@ -154,7 +154,7 @@ def frame_flags(pushed: bool, stepped: bool, novelty: float) -> int:
 
 
 def flagged_novelty(flags: int) -> float:
-    """How unlike training the pose of a message with ``flags`` is, to 1/64."""
+    """The novelty of the pose in a message with ``flags``: its distance from training, to 1/64."""
     return (flags >> NOVELTY_SHIFT) / NOVELTY_STEPS
 
 
@@ -165,7 +165,7 @@ def pack_pose(pose: Pose) -> bytes:
 
 
 def posed(message: bytes) -> bytes:
-    """Pose and translation in a POSE ``message``, without its number and time: equal where the body stands the same."""
+    """The bytes of pose and translation in a POSE ``message``: the same while the body stands still."""
     return message[POSE_BYTES - 4 * 75 :]
 
 
@@ -251,14 +251,14 @@ def pack_same(answer: Answer) -> bytes:
 
 
 def unpack_same(message: bytes) -> Answer:
-    """What the SAME ``message`` answers."""
+    """The answer in the SAME ``message``."""
     check_prefix("same message", message, SAME, SAME_BYTES)
     values = _SAME.unpack(message)
     return Answer(values[4], *values[6:])
 
 
 def resent(message: bytes, answer: Answer) -> bytes:
-    """The FRAME or JETS ``message`` again, as the answer to another pose: with its numbers, all else as it is."""
+    """The FRAME or JETS ``message`` with the numbers of ``answer``: the same frame for another pose."""
     kind = {FRAME: "FRAME", JETS: "JETS"}[message_kind(message)]
     said = asdict(answer) | {"residence_us": min(answer.residence_us, 0xFFFFFFFF)}
     again, offset = bytearray(message), 0

@@ -1,4 +1,4 @@
-"""What a client chooses of a drape, written once: REST, stream, Python client, command line and page read this.
+"""Options of a drape, written once: REST, stream, Python client, command line and page read this file.
 
 A new option is a field here and the stage of the service that reads it. Left out, or null, an option is the service's
 own setting; older clients keep working.
@@ -23,7 +23,7 @@ Resolution = Literal["delivered", "fine"]
 
 
 class Worn(BaseModel):
-    """What is draped: one garment, or several over each other."""
+    """The garment that is draped, or several worn over each other."""
 
     garment: Identifier | None = None
     garments: Annotated[list[Identifier], Len(1, LAYER_LIMIT), FIRST_ONLY] | None = Field(
@@ -33,7 +33,7 @@ class Worn(BaseModel):
 
 
 class FabricNumbers(BaseModel):
-    """A fabric by its numbers: those of ``drape.cloth.fabric.Fabric``, which refuses what is no cloth."""
+    """A fabric by the numbers of ``drape.cloth.fabric.Fabric``, which checks them."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -51,7 +51,7 @@ FabricChoice = Annotated[str, Field(min_length=1, max_length=40)] | FabricNumber
 
 
 class DrapeOptions(BaseModel):
-    """How it is draped. Names are those of Python; an alias is the name on the wire."""
+    """Choices of a client. Names are those of Python; an alias is the name on the wire."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -70,13 +70,13 @@ class DrapeOptions(BaseModel):
     )
     inertia: Inertia | None = Field(
         default=None,
-        description="What makes it follow: its own mass on a coarse mesh, or what the network has learned of motion, "
-        "which a static model has not; the service's setting if left out, network for jets.",
+        description="The source of inertia: the cloth's own mass on a coarse mesh, or the network, where the model "
+        "knows motion; the service's setting if left out, network for jets.",
     )
     tier: TierName | None = Field(
         default=None,
-        description="How much is computed: values of passes and folds by name (GET /tiers), of which what is named "
-        "beside it wins; the service's setting, balanced, if left out.",
+        description="How much is computed: a name for values of passes and folds (GET /tiers). Values named beside it "
+        "win; the service's setting, balanced, if left out.",
     )
     budget_ms: float | None = Field(
         default=None,
@@ -127,30 +127,30 @@ class DrapeOptions(BaseModel):
     )
     hidden: Annotated[tuple[Identifier, ...], Len(1, LAYER_LIMIT), FIRST_ONLY] | None = Field(
         default=None,
-        description="Of garments worn over each other: ids of those that do not come, as nobody sees them. Of them "
-        "nothing is computed but what a visible garment over them feels.",
+        description="Ids of garments that nobody sees, below others: they do not come. Nothing of them is computed but "
+        "what a visible garment over them feels.",
     )
     geometry: Geometry = Field(
         default="vertices",
-        description="What comes: vertices, or the posed jets of the patches, for GET /garments/{id}/jets.",
+        description="Form of the answer: vertices, or the posed jets of the patches, for GET /garments/{id}/jets.",
     )
     resolution: Resolution = Field(
         default="delivered",
-        description="Of which mesh: the delivered one, or the finer one that intake made where that is coarse.",
+        description="The mesh: the delivered one, or the finer one that intake made where that is coarse.",
     )
     pixels_per_m: float | None = Field(
         default=None,
         gt=0.0,
         allow_inf_nan=False,
-        description="How many pixels of the picture a metre of the garment takes. Below 100 it is far away: no folds, "
-        "no corrections and coordinates of 8 bits, but for what is named beside it; left out, it is near.",
+        description="Pixels of the picture per metre of the garment. Below 100 it is far away: no folds, no "
+        "corrections and coordinates of 8 bits, unless they are named beside it; left out, it is near.",
     )
     still_mm: float | None = Field(
         default=None,
         ge=0.0,
         allow_inf_nan=False,
-        description="Of a stream: how far [mm] a change of pose may move cloth, as the network has it, for the body to "
-        "stand still for it: then the last frame comes again. Left out, or 0: any change is computed.",
+        description="In a stream: a body counts as standing still while a change of pose moves its cloth, by the "
+        "network, less far than this [mm]; the last frame then comes again. Left out, or 0: any change is computed.",
     )
     bits: int | None = Field(
         default=None,
@@ -158,7 +158,7 @@ class DrapeOptions(BaseModel):
         le=16,
         multiple_of=8,
         strict=True,
-        description="Of a coordinate in a stream's frame of vertices: 16, or 8 for steps of a 255th of the box.",
+        description="Bits of a coordinate in a stream's frame of vertices: 16, or 8 for steps of a 255th of the box.",
     )
 
 
@@ -168,9 +168,9 @@ def wire_names(model: type[BaseModel]) -> dict[str, str]:
 
 
 def options_document(options: Mapping[str, Any]) -> dict[str, Any]:
-    """How a request says the ``options`` that were chosen, by their names in Python; None is left to the service.
+    """The fields of a request for ``options`` by their names in Python; None leaves one to the service.
 
-    Raises ``TypeError`` for one that there is not, as Python does for an argument.
+    Raises ``TypeError`` for an option that does not exist, as Python does for an argument.
     """
     unknown = options.keys() - DrapeOptions.model_fields.keys()
     if unknown:

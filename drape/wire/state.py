@@ -1,4 +1,4 @@
-"""What a stream takes along to another process, in pieces: ``split_state`` and ``join_state``.
+"""The state of a stream that moves to another process, in pieces: ``split_state`` and ``join_state``.
 
 A piece is the 16 bytes of every message, of the kind STATE with the piece's number as its sequence and the number of
 pieces as its count, and then bytes that only the service reads. A client hands them on as they came.
@@ -16,14 +16,14 @@ _PREFIX = record(PREFIX)
 
 
 def split_state(blob: bytes, most: int = PIECE_BYTES) -> list[bytes]:
-    """The STATE messages of ``blob``, of at most ``most`` bytes each, the first first; none of an empty one."""
+    """STATE messages of at most ``most`` bytes that hold ``blob`` in order; none if it is empty."""
     size = most - _PREFIX.size
     parts = [blob[start : start + size] for start in range(0, len(blob), size)]
     return [_PREFIX.pack(MAGIC, WIRE_VERSION, STATE, 0, index, len(parts)) + part for index, part in enumerate(parts)]
 
 
 def join_state(messages: Sequence[bytes]) -> bytes:
-    """What was split into ``messages``; refuses (``InputError``) what are not all pieces in their order."""
+    """The state that was split into ``messages``; refuses (``InputError``) anything but all pieces in their order."""
     for index, message in enumerate(messages):
         kind = message_kind(message)
         prefix = _PREFIX.unpack_from(message)

@@ -16,7 +16,7 @@ _HIGHER = (6, 6, 8, 8, 6, 6, 7, 7, 8), (4, 5, 4, 5, 6, 7, 7, 8, 8)
 
 
 class Charts(nn.Module):
-    """What charts say together, and what each would have to say to say it alone."""
+    """The blend of the charts, and the fit of each chart to that blend."""
 
     placed: Tensor
     placed_full: Tensor
@@ -46,7 +46,7 @@ class Charts(nn.Module):
         return self._fitted(said, stored, index, frames, self.full_choice)
 
     def _fitted(self, said: Tensor, stored: StoredCharts, index: Indices, frames: Frames, choice: Tensor) -> Tensor:
-        """``choice`` picks those of the 63 numbers that are fitted."""
+        """Jets fitted to the blend; ``choice`` picks their coefficients among the 63."""
         assert index.anchor_charts is not None and index.member_anchor is not None
         anchors = self._blended(said, index.anchor_charts)
         # Coordinates first: three rows of many columns, the shape that small products and differences are fast in.

@@ -30,9 +30,9 @@ def posed_skins(skins: ShapedSkins, rotation: Tensor, translation: Tensor) -> Te
 class NearPlanes:
     """Tangent planes near the patches, in their own frames; numbers lie by axis, then part of the body, then point.
 
-    A point at ``missing`` = ``offset`` + sum over axes of ``normal`` x place [patch scales] lacks that many centimetres
-    to where it feels the plane; ``share`` (P, 14) is how much the plane is there, ``pull`` (P, 14) the same times what
-    makes unit normals of ``normal`` (P, 42) again.
+    ``missing`` = ``offset`` + sum over axes of ``normal`` x place [patch scales] is the depth [cm] of a point below the
+    height at which it feels the plane. ``share`` (P, 14), from 0 to 1, tells whether there is a plane. ``pull`` (P, 14)
+    is the share times the factor that makes ``normal`` (P, 42) unit normals again.
     """
 
     normal: Tensor
@@ -42,7 +42,7 @@ class NearPlanes:
 
 
 class Contact(nn.Module):
-    """What patches feel of the body, ``drape.contact.proximity`` in their own frames: there a pass is a few products.
+    """Body proximity of patches in their own frames, where a pass is a few products (``drape.contact.proximity``).
 
     The planes are looked up in the world, once; jets move points along the axes of their patch.
     """

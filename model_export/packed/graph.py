@@ -1,7 +1,7 @@
 """The packed drape graph: any mix of garments, clients and frames in one call, and nothing computed twice.
 
-What ``body_feed`` and the readable ``DrapeGraph`` compute, arranged for speed; ``model_export.packed.parity`` compares
-the two.
+It computes the same as ``body_feed`` and the readable ``DrapeGraph``, arranged for speed; the two are compared in
+``model_export.packed.parity``.
 
 - Patches of all items lie one after the other. ``patch_body`` names the body of each, ``patch_stored`` its row among
   the constants of the garments in store, which are handed over once.
@@ -11,8 +11,8 @@ the two.
 - Network and frame give the posed jets, a 3 x 18 matrix per patch. A vertex is the sum over its four charts of
   such a matrix times a constant column, so charts are sorted by patch into tiles of ``CHARTS_PER_TILE`` columns:
   the vertex stage is one small product of a fixed shape per tile and a sum of four rows.
-- Outputs are independent branches: ``service.graphs.subgraph`` cuts the graph of a scene out of this one. The jets
-  after each pass are outputs too: with those of an early pass in place of the last one's, what is cut out ends there.
+- Outputs are independent branches: the service cuts the graph of a scene out of this one. The jets after each pass are
+  outputs too: a cut that reads those of an early pass in place of the last one's runs no later pass.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class FirstGraph(nn.Module):
 class PackedGraph(nn.Module):
     """``drape.graph.packed.PackedTensors`` by name -> all of ``packed_outputs``.
 
-    Only for vector jets: the paper's variant skins vertices, which is another vertex stage.
+    Only for vector jets: the paper's variant has another vertex stage, which skins vertices.
     """
 
     axis_sums: Tensor

@@ -58,7 +58,7 @@ def _linears(head: nn.Module) -> list[nn.Linear]:
 
 
 def _side_by_side(a: nn.Linear, b: nn.Linear, *, shared: bool) -> nn.Linear:
-    """One layer that gives the outputs of both, of the same input or of each its own."""
+    """One layer with the outputs of both, which read the same input if it is ``shared``, else one each."""
     start = 0 if shared else a.in_features
     made = nn.Linear(start + b.in_features, a.out_features + b.out_features)
     with torch.no_grad():

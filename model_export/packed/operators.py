@@ -1,4 +1,4 @@
-"""How operations of the packed graph are written in ONNX where the exporter's own way is slower."""
+"""ONNX for those operations of the packed graph that the exporter writes in a slower way."""
 
 from __future__ import annotations
 

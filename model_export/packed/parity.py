@@ -64,7 +64,7 @@ def packed_parity_error(model: OneFit, encoder: Path, packed: Path, garment: Gar
 
 
 def _run(packed: Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
-    """The vertices for those of ``arrays`` that the graph takes."""
+    """The vertices of the graph, which takes its inputs among ``arrays``."""
     graph = session(packed)
     return np.asarray(graph.run(["vertices"], {item.name: arrays[item.name] for item in graph.get_inputs()})[0])
 

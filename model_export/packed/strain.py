@@ -27,7 +27,7 @@ DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0))  # of u and v in the three dir
 MONOMIALS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _UU, _VV, _UV = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (-0.5, -0.5, 0.5)
 PRODUCTS = (_UU, _UU, _UV, _UU, _UV, _VV)
-# Of E11, E22 and 2 E12 in the terms monomial x product.
+# Coefficients of E11, E22 and 2 E12 in the terms monomial x product.
 STRAINS = ((0.5, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.5, 1.0, 0.5), (0.0, 1.0, 1.0, 0.0, 0.0, 0.0))
 # dW/dE of W = |E|^2 / 2 + 0.15 tr(E)^2 by E11, E22 and 2 E12.
 STRESS = ((1.0 + TRACE_SHARE, TRACE_SHARE, 0.0), (TRACE_SHARE, 1.0 + TRACE_SHARE, 0.0), (0.0, 0.0, 0.5))
@@ -66,7 +66,7 @@ def tables() -> dict[str, Tensor]:
 
 
 def _per_point(matrix: Tensor) -> Tensor:
-    """``matrix`` (n, m) between the kinds of number of a point as one (7 n, 7 m) between those of all points."""
+    """``matrix`` (n, m) of one point as a matrix (7 n, 7 m) of all points, numbers sorted by kind."""
     return torch.kron(matrix.contiguous(), torch.eye(STRAIN_POINTS))
 
 

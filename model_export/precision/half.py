@@ -21,9 +21,10 @@ LARGEST_ERROR_M = 5e-4  # between vertices of both graphs: above, a model keeps 
 
 
 def halve_matrices(proto: onnx.ModelProto, *, least: int = LEAST) -> int:
-    """Casts the inputs of every Gemm of ``proto`` whose matrix is a weight of at least ``least`` numbers to float16,
-    and its output back; returns how many. Those of ``WHOLE`` stay. Refuses (``ArtifactError``) a graph
-    that has none."""
+    """Casts the inputs of Gemms with weights of at least ``least`` numbers to float16, and their outputs back.
+
+    Weights of ``WHOLE`` stay as they are. Returns the number of Gemms; refuses (``ArtifactError``) a graph with none.
+    """
     graph = proto.graph
     sizes = {
         tensor.name: int(np.prod(tensor.dims)) for tensor in graph.initializer if tensor.data_type == TensorProto.FLOAT

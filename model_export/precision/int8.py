@@ -42,26 +42,26 @@ POSES = 24
 
 @dataclass(frozen=True, eq=False)
 class Wide:
-    """A layer to be rounded: its ``weight`` (K, N) and the ``most`` (K,) that each of its inputs reaches."""
+    """A layer to be rounded: its ``weight`` (K, N) and the largest size ``most`` (K,) of each of its inputs."""
 
     weight: np.ndarray
     most: np.ndarray
 
 
 def wide_layers(model: OneFit) -> dict[str, nn.Linear]:
-    """The first layer of every correction, which most of a frame's multiplications are in.
+    """The first layer of every correction: these hold most of a frame's multiplications.
 
-    Not the decoder's: what a correction rounds the next one sees and mends, and the last ones change little, while the
-    decoder's rounding was felt as jitter (docs/log.md).
+    The decoder stays as it is: its rounding was felt as jitter (docs/log.md). The rounding of a correction is seen and
+    mended by the next one, and the last ones change little.
     """
     firsts = [next(layer for layer in one.children() if isinstance(layer, nn.Linear)) for one in model.corrections]
     return {f"correction_{i}": layer for i, layer in enumerate(firsts)}
 
 
 def calibrated(model: OneFit, garments: Sequence[Garment], source: BodySource, poses: np.ndarray) -> dict[str, Wide]:
-    """What ``wide_layers`` see when ``garments`` are draped at ``poses`` (F, 24, 3) [rad], with a margin.
+    """Largest inputs of ``wide_layers`` when ``garments`` are draped at ``poses`` (F, 24, 3) [rad], with a margin.
 
-    Of networks that know fabrics in the softest, the stiffest and one between.
+    Networks that know fabrics drape the softest, the stiffest and one between.
     """
     layers = wide_layers(model)
     with _watched(layers) as seen:

@@ -24,7 +24,6 @@ from drape.contact.skin import SkinOnBones, skin_table
 from drape.graph.layer_feed import LayerFeed, push_over_in_parts
 from model_export.onnx_file import OPSET, write_graph
 from model_export.packed.operators import TRANSLATIONS
-from model_export.push.stored import key, stored
 
 OUTPUTS: tuple[TensorSpec, ...] = (
     TensorSpec("pushed", ("frames", "vertices", 3), "float32", "m"),
@@ -95,18 +94,15 @@ PUSHES: dict[str, Callable[[], PushGraph | LayerGraph]] = {"push_out": PushGraph
 
 
 def write_push(name: str, folder: Path) -> GraphSpec:
-    """Writes the graph ``name`` of ``PUSHES``, which is the same for every model: exported once, then copied."""
+    """Writes the graph ``name`` of ``PUSHES``, which is the same for every model."""
     path = folder / f"{name}.onnx"
-    path.write_bytes(_content(name))
+    path.write_bytes(traced(name))
     return GraphSpec(path.name, file_digest(path), OPSET, PUSHES[name].inputs, OUTPUTS)
 
 
 @cache
-def _content(name: str) -> bytes:
-    return stored(name, key(), lambda: _exported(name))
-
-
-def _exported(name: str) -> bytes:
+def traced(name: str) -> bytes:
+    """The file of the graph ``name``; half a minute the first time."""
     graph = PUSHES[name]()
     with tempfile.TemporaryDirectory(prefix="push-out-") as folder:
         path = Path(folder) / "push.onnx"

@@ -39,10 +39,10 @@ def layer_case(outer: Garment, inner: Garment, poses: np.ndarray, clearance_m: f
 
 
 @flushed()
-def push_parity_error(folder: Path, garment: Garment, *, frames: int = 3) -> float:
+def push_parity_error(folder: Path, garment: Garment) -> float:
     """Largest vertex distance [m] between numpy and the graphs in ``folder``: of the garment, and of it worn over its
     like."""
-    poses = hard_poses(frames)
+    poses = hard_poses(3)
     cases = {"push_out": push_case(garment, poses), "push_over": layer_case(garment, garment, poses)}
     worst = 0.0
     for name, (arrays, expected) in cases.items():

@@ -20,8 +20,8 @@ from drape.garment.intake import intake
 from recovery.catalogue.build import QUICK, BuildOptions, body_distance, build, design
 from recovery.catalogue.files import write_garment
 from recovery.catalogue.garments import CATALOGUE
-from recovery.pattern.grade import STEPS
 from recovery.pattern.measurements import measure
+from recovery.pattern.sizes import STEPS
 
 NOT_AT_REST_EXIT_CODE = 3
 
@@ -48,7 +48,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
 
 @refusing
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; 2 and one sentence on what is wrong, 3 where a garment is not at rest."""
+    """Runs the command and returns its exit code: 2 with a sentence if input is refused, 3 if cloth is not at rest."""
     given = parse(arguments)
     if given.command == "list":
         measurements = measure(load_body())

@@ -13,16 +13,16 @@ from drape.body.model import BodyModel
 from drape.cloth.fabric_table import fabric
 from drape.errors import NotFound
 from drape.geometry import meshes
-from recovery.catalogue.closing import carried, closed
+from recovery.catalogue.closing import on_finer_mesh, sew_design
 from recovery.catalogue.garments import CATALOGUE
 from recovery.catalogue.settling import SETTLING, Fall
 from recovery.drape.pipeline import stretch_figures
 from recovery.drape.relax import principal_stretches
 from recovery.drape.sewing import in_numpy
 from recovery.pattern.design import Design, check_laid_flat, check_seams
-from recovery.pattern.grade import graded
 from recovery.pattern.measurements import BodyMeasurements
 from recovery.pattern.mesh import PatternMesh, mesh_pattern
+from recovery.pattern.sizes import in_size
 from recovery.sim.sdf import GridDistance, SignedDistance
 
 Report = Callable[[str], None]
@@ -60,7 +60,7 @@ class SewnGarment:
 
 
 def body_distance(body: BodyModel, options: BuildOptions = BuildOptions()) -> GridDistance:
-    """The signed distance of ``body`` in its rest pose; seconds, and the same for all garments."""
+    """The signed distance of ``body`` in its rest pose. It takes seconds and serves all garments."""
     return GridDistance.from_mesh(body.v_template, body.faces, spacing_m=options.grid_m)
 
 
@@ -71,7 +71,7 @@ def design(name: str, body: BodyMeasurements, size: str = "M") -> Design:
     """
     if name not in CATALOGUE:
         raise NotFound("garment", expected=f"one of {', '.join(CATALOGUE)}", got=name, cure="Check the name.")
-    return CATALOGUE[name](graded(body, size))
+    return CATALOGUE[name](in_size(body, size))
 
 
 def build(
@@ -89,12 +89,12 @@ def build(
     distance = in_numpy(skin)
     cloth = fabric(made.fabric)
     coarse = mesh_pattern(made.pattern, options.coarse_m)
-    sewn = closed(made, coarse, distance)
+    sewn = sew_design(made, coarse, distance)
     say(f"sewn      {coarse.node_count} nodes, seams within {1e3 * sewn.gap_m:.1f} mm")
     first = Fall(made, coarse, cloth, skin).run(sewn.nodes, steps=options.coarse_steps, still_m=options.coarse_still_m)
     say(f"fell      {first.steps} steps, the last by {1e3 * first.move_m:.2f} mm")
     fine = mesh_pattern(made.pattern, options.fine_m)
-    start = carried(coarse, first.nodes, fine)
+    start = on_finer_mesh(coarse, first.nodes, fine)
     last = Fall(made, fine, cloth, skin).run(start, steps=options.fine_steps, still_m=options.still_m, kept=SETTLING)
     seconds = time.process_time() - started
     say(f"settled   {fine.node_count} nodes, {last.steps} steps, the last by {1e3 * last.move_m:.2f} mm")

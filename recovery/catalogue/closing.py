@@ -1,4 +1,4 @@
-"""Brings a design's panels round the body, sews them on a coarse mesh, and carries the shape over to a fine one."""
+"""Brings a design's panels round the body, sews them on a coarse mesh, and moves the shape to a fine mesh."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from drape.errors import InputError
 from drape.geometry import closest
-from recovery.drape.placement import cleared
+from recovery.drape.placement import moved_clear
 from recovery.drape.relax import Distance
 from recovery.drape.sewing import SEWING_GAP_M, Sewn, sew
 from recovery.pattern.design import Design
@@ -15,9 +15,9 @@ from recovery.pattern.mesh import PatternMesh
 OVER_GAP_M = 0.032  # that panels over others keep from the skin while they are sewn
 
 
-def placed(design: Design, mesh: PatternMesh, distance: Distance) -> np.ndarray:
+def start_positions(design: Design, mesh: PatternMesh, distance: Distance) -> np.ndarray:
     """Panel vertices [m] (P, 3) before sewing: wraps round their limbs, flat panels moved outward until clear."""
-    positions = cleared(mesh, mesh.placed(), distance, leave=design.wraps)[0]
+    positions = moved_clear(mesh, mesh.placed(), distance, leave=design.wraps)[0]
     for number, panel in enumerate(design.pattern.panels):
         if panel.name in design.wraps:
             mine = mesh.panel == number
@@ -25,17 +25,17 @@ def placed(design: Design, mesh: PatternMesh, distance: Distance) -> np.ndarray:
     return positions
 
 
-def closed(design: Design, mesh: PatternMesh, distance: Distance) -> Sewn:
+def sew_design(design: Design, mesh: PatternMesh, distance: Distance) -> Sewn:
     """The sewn garment; raises ``InputError`` where a seam cannot close round the body."""
     folded = [number for number, name in enumerate(design.seam_names) if name in design.seam_angles]
     creases = np.unique(mesh.node_of_panel_vertex[mesh.seam_pairs[np.isin(mesh.seam_of_pair, folded)]])
     over = [panel.name in design.over for panel in design.pattern.panels]
     gaps = np.where(np.array(over)[mesh.panel], OVER_GAP_M, SEWING_GAP_M)
-    return sew(mesh, placed(design, mesh, distance), distance, gap_m=gaps, creases=creases)
+    return sew(mesh, start_positions(design, mesh, distance), distance, gap_m=gaps, creases=creases)
 
 
-def carried(coarse: PatternMesh, nodes: np.ndarray, fine: PatternMesh) -> np.ndarray:
-    """Nodes [m] (N, 3) of ``fine`` where the cloth of ``coarse`` at ``nodes`` has them, by place in the panels."""
+def on_finer_mesh(coarse: PatternMesh, nodes: np.ndarray, fine: PatternMesh) -> np.ndarray:
+    """Nodes [m] (N, 3) of ``fine`` on the cloth of ``coarse`` at ``nodes``, by their places in the panels."""
     if [p.name for p in coarse.pattern.panels] != [p.name for p in fine.pattern.panels]:
         raise InputError(
             "meshes",

@@ -1,4 +1,4 @@
-"""The garments of the catalogue, by name: how each is cut and of what."""
+"""The garments of the catalogue, by name: the cut and the fabric of each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lets a sewn garment fall and come to rest on a body: damped implicit steps, with friction, cloth that meets itself.
+"""Lets a sewn garment fall and come to rest on a body: damped implicit steps with friction and self-contact.
 
 ``recovery.drape.settle`` finds a drape without friction, which a loss can be differentiated at. Here friction keeps the
 folds with which the garment fell: the result depends on the way.
@@ -103,7 +103,7 @@ def hinge_bending(design: Design, mesh: PatternMesh, model: ClothModel, fabric: 
 
 
 def seam_angles(design: Design, mesh: PatternMesh, model: ClothModel) -> np.ndarray:
-    """Angle [rad] (H,) of every hinge at rest: 0 but where a seam is folded."""
+    """Angle [rad] (H,) of every hinge at rest: zero except at folded seams."""
     angles = np.zeros(len(model.hinge_nodes))
     for number, name in enumerate(design.seam_names):
         if name in design.seam_angles:

@@ -59,7 +59,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
 
 @refusing
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; 2 and one sentence on what is wrong, 3 and one on what is not at rest."""
+    """Runs the command and returns its exit code: with a sentence, 2 if input is refused, 3 if cloth is not at rest."""
     given = parse(arguments)
     started = time.perf_counter()
     pattern = read_pattern(given.pattern, units_in_meter=given.units_in_meter)
@@ -105,7 +105,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def not_at_rest(draped: Draped) -> str:
-    """One sentence on what did not come to rest, and one on what can be done."""
+    """A sentence on the drape that did not come to rest, and one on the cure."""
     drapes = {"T-pose": draped.rest, "pose": draped.posed}
     left = [f"{d.report.residual_n:.1e} N in the {name}" for name, d in drapes.items() if d and not d.report.converged]
     return (

@@ -16,7 +16,7 @@ from drape.cloth.material import DEFAULT_MATERIAL, OrthotropicMaterial, material
 from drape.errors import InputError
 from drape.geometry import meshes
 from recovery.drape.body_distance import SIREN_FOLDER, DistanceKind
-from recovery.drape.placement import Axes, Placed, place, scaled
+from recovery.drape.placement import Axes, Placed, place_panels, scaled
 from recovery.drape.posing import to_pose
 from recovery.drape.relax import principal_stretches
 from recovery.drape.repair import uncrossed
@@ -121,7 +121,7 @@ def drape_pattern(
     say(f"meshed    {mesh.node_count} nodes, {len(mesh.faces)} triangles, {len(pattern.stitches)} seams")
     skin = skin or options.skin(body.v_template, body.faces, say)
     distance = in_numpy(skin)
-    placed = place(mesh, body, distance, axes=options.axes)
+    placed = place_panels(mesh, body, distance, axes=options.axes)
     say(
         f"placed    in the axes {placed.axes}, lifted by {100 * placed.lift_m:.0f} cm, moved outward by at most "
         f"{100 * placed.outward_m:.1f} cm; hangs from the {placed.hangs_from}"

@@ -65,7 +65,7 @@ def scaled(pattern: Pattern, factor: float) -> Pattern:
     return replace(pattern, panels=panels)
 
 
-def place(mesh: PatternMesh, body: BodyModel, distance: Distance, *, axes: Axes = Axes.AUTO) -> Placed:
+def place_panels(mesh: PatternMesh, body: BodyModel, distance: Distance, *, axes: Axes = Axes.AUTO) -> Placed:
     """The panels of ``mesh`` round ``body`` in the T-pose, whose signed distance is ``distance``.
 
     The height is the one at which the fewest straight threads between sewn edges pass through the body. Raises
@@ -99,7 +99,7 @@ def place(mesh: PatternMesh, body: BodyModel, distance: Distance, *, axes: Axes 
     stood = flat + origins[chosen]
     lift = best_lift(stood, mesh.seam_pairs, distance)
     stood = stood + np.array([0.0, lift, 0.0])
-    positions, outward = cleared(mesh, stood, distance)
+    positions, outward = moved_clear(mesh, stood, distance)
     return Placed(positions, chosen, lift, outward, hold)
 
 
@@ -128,7 +128,7 @@ def best_lift(positions: np.ndarray, pairs: np.ndarray, distance: Distance) -> f
     return float(LEVELS_M[int(np.argmin(costs))])
 
 
-def cleared(
+def moved_clear(
     mesh: PatternMesh, positions: np.ndarray, distance: Distance, *, leave: Collection[str] = ()
 ) -> tuple[np.ndarray, float]:
     """``positions`` (P, 3) with every panel moved along its normal until it is clear, and the longest way [m].

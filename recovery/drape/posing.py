@@ -1,4 +1,4 @@
-"""Takes a draped garment from one pose of its body to another: carried by the bones, in small steps, off the skin."""
+"""Takes a draped garment from one pose of its body to another: with its bones, in small steps, off the skin."""
 
 from __future__ import annotations
 
@@ -80,14 +80,16 @@ def posed_joints(body: BodyModel, pose: np.ndarray | None) -> np.ndarray:
     return body.joints_template if pose is None else joints_in(body, pose[None])[0]
 
 
-def between(pose: np.ndarray) -> np.ndarray:
+def pose_steps(pose: np.ndarray) -> np.ndarray:
     """Poses (S, 24, 3) from the T-pose, left out, to ``pose`` (24, 3); joints turn evenly about their own axes."""
     angles = np.linalg.norm(pose[1:], axis=1)  # the root turns all at once: the garment turns with it
     steps = max(1, int(np.ceil(angles.max() / LARGEST_TURN_RAD)))
     return np.linspace(0.0, 1.0, steps + 1)[1:, None, None] * pose
 
 
-def carried(nodes: np.ndarray, faces: np.ndarray, body: BodyModel, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+def moved_with_bones(
+    nodes: np.ndarray, faces: np.ndarray, body: BodyModel, before: np.ndarray, after: np.ndarray
+) -> np.ndarray:
     """Garment ``nodes`` [m] (N, 3) on the body in pose ``before`` (24, 3), moved with its bones to pose ``after``."""
     rotations, translations = body.bones(np.stack([before, after]))
     skin = Avatar(body.posed_vertices(before[None])[0], body.faces, 0.0, "posed body")
@@ -101,8 +103,8 @@ def carried(nodes: np.ndarray, faces: np.ndarray, body: BodyModel, before: np.nd
 def to_pose(mesh: PatternMesh, nodes: np.ndarray, body: BodyModel, pose: np.ndarray) -> np.ndarray:
     """``nodes`` [m] (N, 3) of a garment on ``body`` in the T-pose, in ``pose`` (24, 3); clear of it, not at rest."""
     before = np.zeros((JOINT_COUNT, 3))
-    for after in between(pose):
-        nodes = carried(nodes, mesh.faces, body, before, after)
+    for after in pose_steps(pose):
+        nodes = moved_with_bones(nodes, mesh.faces, body, before, after)
         skin = body.posed_vertices(after[None])[0]
         distance = in_numpy(GridDistance.from_mesh(skin, body.faces, spacing_m=STEP_GRID_M))
         relaxation = sewn_relaxation(mesh, distance, gap_m=CARRY_GAP_M)

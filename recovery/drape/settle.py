@@ -46,7 +46,7 @@ class Drape(NamedTuple):
 
 
 def topmost_opening(faces: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """Nodes of the highest border of the garment, those near its top: what a waistband or an elastic holds."""
+    """Nodes near the top of the garment's highest border, which a waistband or an elastic holds."""
     loops = meshes.boundary_loops(faces)
     if not loops:
         return np.zeros(0, dtype=np.int64)

@@ -84,7 +84,7 @@ def open_contours(vertices: np.ndarray, faces: np.ndarray) -> list[Contour]:
 
 
 def bone_chains(joints: np.ndarray) -> dict[str, tuple[np.ndarray, float]]:
-    """For each part of the body the points [m] (n, 3) of its bones, and the length [m] before its root.
+    """By part of the body the points [m] (n, 3) of its bones, and the length [m] before its root.
 
     ``joints`` [m] (24, 3) in the pose of the garment.
     """
@@ -152,7 +152,7 @@ def _nearest(point: np.ndarray, chain: np.ndarray) -> tuple[float, float, np.nda
 
 
 def match_contours(source: list[Contour], target: list[Contour], joints: np.ndarray) -> tuple[list[Match], list[int]]:
-    """Every contour of ``source`` with its counterpart, and the numbers of the target's contours that are left: holes.
+    """Every contour of ``source`` with its counterpart, and the numbers of the target's holes, which have none.
 
     Counterparts lie on the same part of the body; on each part the squared differences of their places are least
     in sum, which keeps their order. Raises ``InputError`` where the target has no counterpart.

@@ -105,7 +105,7 @@ class Target:
     def from_mesh(
         cls, vertices: np.ndarray, faces: np.ndarray, contours: list[Contour], *, folds: float = 1.0
     ) -> Target:
-        """The target of a mesh, weighted by its curvature; ``folds`` times what that adds to 1."""
+        """The target of a mesh. A weight is 1, and ``folds`` times the excess that its curvature gives."""
         weights = 1.0 + folds * (fold_weights(mean_curvature(vertices, faces)) - 1.0)
         area = meshes.face_areas(vertices, faces)
         points = (CORNERS @ vertices[faces]).reshape(-1, 3)
@@ -166,7 +166,7 @@ class Objective:
         return torch.stack(found).mean()
 
     def seams(self, rest: Tensor) -> Tensor:
-        """Equation 8 [m^2]: squared differences of the lengths of sewn segments, times what the base eases in."""
+        """Equation 8 [m^2]: squared differences in length of sewn segments, one side times the ease of the base."""
         first, second, ratio = self.seam_edges
         lengths = [torch.linalg.vector_norm(rest[ends[:, 1]] - rest[ends[:, 0]], dim=1) for ends in (first, second)]
         return ((lengths[0] - ratio * lengths[1]) ** 2).sum()
@@ -195,7 +195,7 @@ def _one_way(points: Tensor, line: Tensor) -> Tensor:
 
 
 def on_line(points: Tensor, line: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Samples (2 n, 3) of the closed polyline ``points``, their shares of its length, and where each is on ``line``.
+    """Samples (2 n, 3) of the closed polyline ``points``, their shares of its length, and their places on ``line``.
 
     That is the number of the nearest segment and the place on it from 0 to 1, both held while differentiating.
     """

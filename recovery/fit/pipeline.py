@@ -142,17 +142,13 @@ def recover_pattern(
             graded, start = task.graded(graded, start)
     else:
         start = task.draped(base)
-    losses = {}
+    losses, fabric = {}, drape.fabric
     if fabrics:
-        starts = task.drapes_in(fabrics, graded.pattern, start)
-        losses = {name: task.loss_of(one, base, named(name)) for name, one in starts.items()}
-        name = min(losses, key=lambda one: losses[one])
-        told = ", ".join(f"{one} {_apart_mm(loss):.2f}" for one, loss in losses.items())
-        say(f"fabric    {name}; left to the target [mm]: {told}")
-        if name != drape.fabric:
-            task, start = replace(task, drape=replace(task.drape, fabric=name)), starts[name]
-            if grading:
-                graded, start = task.graded(graded, start)
+        losses, fabric, start = task.best_fabric(fabrics, graded.pattern, base, start)
+    if fabric != drape.fabric:
+        task = replace(task, drape=replace(task.drape, fabric=fabric))
+        if grading:
+            graded, start = task.graded(graded, start)
     say(
         f"graded    widths times {graded.widths.min():.3f} to {graded.widths.max():.3f}, heights "
         f"{graded.heights.min():.3f} to {graded.heights.max():.3f}; misfit {100 * graded.misfit:.1f} %"
@@ -166,15 +162,20 @@ def recover_pattern(
         return found.run(nodes, steps, state_file=file, progress=progress)
 
     rounds = task.rounds(start, graded.pattern, base, lengths, search, began)
+    return _recovered(task, first, graded, rounds, losses)
+
+
+def _recovered(task: _Task, base: Draped, graded: Graded, rounds: list[Round], losses: dict[str, float]) -> Recovered:
+    """The best of ``rounds`` with all that led there."""
     best = min([one for one in rounds if one.search.cloth is not None] or rounds, key=lambda one: one.least[0])
     fabric = nearest_fabric(best.fitted.cloth)
-    apart = [_apart_mm(surface) for surface in (rounds[0].fitted.history[0, 1], best.least[1])]
-    say(f"fitted    surfaces {apart[0]:.2f} mm apart at the start, {apart[1]:.2f} mm at the end (root mean square)")
-    if free_cloth:
-        say(f"cloth     {fabric.describe()}")
+    first, last = _apart_mm(rounds[0].fitted.history[0, 1]), _apart_mm(best.least[1])
+    task.say(f"fitted    surfaces {first:.2f} mm apart at the start, {last:.2f} mm at the end (root mean square)")
+    if task.free_cloth:
+        task.say(f"cloth     {fabric.describe()}")
     return Recovered(
-        symmetries=symmetries,
-        base=first,
+        symmetries=task.symmetries,
+        base=base,
         graded=graded,
         start=best.start,
         matches=best.matches,
@@ -231,14 +232,23 @@ class _Task:
         after = graded_again(before, grade(draped.mesh, draped.nodes, contours, matches, self.symmetries))
         return after, self.draped(after.pattern)
 
-    def drapes_in(self, fabrics: Sequence[str], pattern: Pattern, start: Draped) -> dict[str, Draped]:
-        """The drapes of ``pattern`` by fabric: ``start`` in the fabric that it has, and one in each of ``fabrics``."""
+    def best_fabric(
+        self, fabrics: Sequence[str], pattern: Pattern, base: Pattern, start: Draped
+    ) -> tuple[dict[str, float], str, Draped]:
+        """Losses [m^2] by fabric, the fabric of the least, and the drape of ``pattern`` in it.
+
+        The fabric of the drape ``start`` is tried as well.
+        """
         drapes = {self.drape.fabric: start}
         for name in fabrics:
             # From scratch: a garment that hangs from a belt closes round the body elsewhere in another fabric.
             options = replace(self.drape, fabric=name)
             drapes.setdefault(name, drape_pattern(pattern, self.body, options, pose=self.pose, skin=self.bare))
-        return drapes
+        losses = {name: self.loss_of(one, base, named(name)) for name, one in drapes.items()}
+        best = min(losses, key=lambda name: losses[name])
+        told = ", ".join(f"{name} {_apart_mm(loss):.2f}" for name, loss in losses.items())
+        self.say(f"fabric    {best}; left to the target [mm]: {told}")
+        return losses, best, drapes[best]
 
     def held(self, draped: Draped, cloth: OrthotropicMaterial) -> Draped:
         """``draped`` with its belt where the target's is."""

@@ -75,7 +75,7 @@ def print_pattern(pattern: Pattern) -> None:
 
 
 def show(options: argparse.Namespace) -> None:
-    """Prints the pattern and its mesh, and draws both where a folder is given."""
+    """Prints the pattern and its mesh, and draws both if a folder is given."""
     pattern = read_pattern(options.pattern, units_in_meter=options.units_in_meter)
     print_pattern(pattern)
     mesh = mesh_pattern(pattern, options.edge_length)
@@ -95,7 +95,7 @@ def show(options: argparse.Namespace) -> None:
 
 @refusing
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs a command; 2 and one sentence on what is wrong."""
+    """Runs a command and returns its exit code: 2 with a sentence if input is refused."""
     options = parse(arguments)
     if options.command == "show":
         show(options)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from drape.errors import InputError
@@ -32,16 +33,13 @@ def export_pattern(
     sheet = make_sheet(pattern, allowance_m=allowance_m)
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    paths = []
-    for name in formats:
-        path = folder / f"{pattern.name}.{name}"
-        if name == "json":
-            write_pattern(pattern, path)
-        elif name == "svg":
-            write_svg(sheet, path)
-        elif name == "dxf":
-            write_dxf(sheet, path, unit_mm=dxf_unit_mm, dialect=dxf_dialect)
-        else:
-            write_pdf(sheet, path, page=page)
-        paths.append(path)
+    writers = {
+        "json": partial(write_pattern, pattern),
+        "svg": partial(write_svg, sheet),
+        "dxf": partial(write_dxf, sheet, unit_mm=dxf_unit_mm, dialect=dxf_dialect),
+        "pdf": partial(write_pdf, sheet, page=page),
+    }
+    paths = [folder / f"{pattern.name}.{name}" for name in formats]
+    for name, path in zip(formats, paths, strict=True):
+        writers[name](path)
     return paths

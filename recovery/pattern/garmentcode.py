@@ -25,7 +25,7 @@ from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Pattern, Plac
 
 FILE_UNITS_IN_METER = 100.0
 OWN_KEY = "drape"  # inside "properties": name and material, which the format has no place for
-CARRIED = ("parameters", "parameter_order", "constraints", "constraint_order")
+TEMPLATE_KEYS = ("parameters", "parameter_order", "constraints", "constraint_order")
 GENERIC_NAMES = ("specification", "template", "prediction")
 RADIUS_SLACK = 1e-6  # a radius this much short of half the chord is a rounded half circle
 RIGHT_WRONG = "right_wrong"
@@ -87,7 +87,7 @@ def pattern_from_spec(spec: Any, *, name: str = "pattern", units_in_meter: float
         stitches=tuple(_read_stitch(number, entry) for number, entry in enumerate(body.get("stitches", []))),
         material=str(own.get("material", "")),
         panel_order=None if order is None else tuple(order),
-        carried=_carried({key: spec[key] for key in CARRIED if key in spec}, 1.0 / float(units), turned),
+        template=_template({key: spec[key] for key in TEMPLATE_KEYS if key in spec}, 1.0 / float(units), turned),
     )
     check_pattern(pattern)
     return pattern
@@ -222,7 +222,7 @@ def _read_stitch(number: int, entry: Any) -> Stitch:
     return Stitch(first, second, right_to_wrong=RIGHT_WRONG in entry)
 
 
-def _carried(parts: dict[str, Any], scale: float, turned: set[str]) -> dict[str, Any]:
+def _template(parts: dict[str, Any], scale: float, turned: set[str]) -> dict[str, Any]:
     """Template parameters with lengths times ``scale``, and directions of ``turned`` panels mirrored."""
     parts = copy.deepcopy(parts)
     for entry in [*parts.get("parameters", {}).values(), *parts.get("constraints", {}).values()]:
@@ -247,7 +247,7 @@ def pattern_to_spec(pattern: Pattern, *, units_in_meter: float = FILE_UNITS_IN_M
     }
     if pattern.panel_order is not None:
         body["panel_order"] = list(pattern.panel_order)
-    carried = _carried(dict(pattern.carried), units_in_meter, set())
+    template = _template(dict(pattern.template), units_in_meter, set())
     properties = {
         "curvature_coords": "relative",
         "normalize_panel_translation": False,
@@ -255,7 +255,7 @@ def pattern_to_spec(pattern: Pattern, *, units_in_meter: float = FILE_UNITS_IN_M
         "units_in_meter": units_in_meter,
         OWN_KEY: {"name": pattern.name, "material": pattern.material},
     }
-    return {"pattern": body, "parameters": {}, "parameter_order": [], **carried, "properties": properties}
+    return {"pattern": body, "parameters": {}, "parameter_order": [], **template, "properties": properties}
 
 
 def write_pattern(pattern: Pattern, path: str | Path, *, units_in_meter: float = FILE_UNITS_IN_METER) -> Path:

@@ -1,4 +1,4 @@
-"""Curves, lengths and areas of panels; what makes a pattern unfit to be cut or sewn.
+"""Curves, lengths and areas of panels, and checks that a pattern can be cut and sewn.
 
 An edge's curve is kept relative to its chord: a point (a, b) lies at start + a d + b (d turned left), d the chord.
 Shape and arc length per chord then do not change when the chord moves.

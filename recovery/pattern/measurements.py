@@ -69,7 +69,7 @@ def section(vertices: np.ndarray, faces: np.ndarray, axis: int, value: float) ->
 
 
 def tape(points: np.ndarray) -> float:
-    """Perimeter [m] of the convex hull of plane ``points`` (N, 2): what a taut tape reads."""
+    """Perimeter [m] of the convex hull of plane ``points`` (N, 2), which a taut tape reads."""
     if len(points) < 3:
         raise BodyError(
             "body",

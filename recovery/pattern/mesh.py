@@ -22,7 +22,7 @@ MOST_FLIPS = 200  # of inner edges at sewn corners
 
 @dataclass(frozen=True, eq=False)
 class PatternMesh:
-    """Triangulated panels and how they are sewn; a vertex of a panel is one row, a node one or several of them.
+    """Triangulated panels and their seams; a vertex of a panel is one row, a node is one or several vertices.
 
     ``rest`` [m] (P, 2) panel vertices, each in its panel's frame; ``panel`` (P,) and ``face_panel`` (F,) numbers of
     panels; ``panel_faces`` (F, 3) triangles as panel vertices and ``faces`` (F, 3) as nodes, both

@@ -174,7 +174,7 @@ class Pattern:
     """Panels and the stitches that make a garment of them.
 
     ``panel_order`` is the order of names that a data set agreed on, or None. ``material`` is a free note.
-    ``carried`` holds what a file said beyond this model (template parameters, constraints), lengths in metres.
+    ``template`` holds what a file said beyond this model (template parameters, constraints), lengths in metres.
     """
 
     name: str
@@ -182,7 +182,7 @@ class Pattern:
     stitches: tuple[Stitch, ...] = ()
     material: str = ""
     panel_order: tuple[str, ...] | None = None
-    carried: Mapping[str, Any] = field(default_factory=dict)
+    template: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "panels", tuple(self.panels))

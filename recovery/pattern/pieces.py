@@ -57,7 +57,7 @@ class Piece:
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """Pieces and where each panel frame's origin lies on a sheet of ``width_m`` by ``height_m``, y up."""
+    """Pieces on a sheet of ``width_m`` by ``height_m``, y up; ``offsets`` [m] are the origins of the panels' frames."""
 
     title: str
     pieces: tuple[Piece, ...]

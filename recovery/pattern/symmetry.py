@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from itertools import combinations
 
 import numpy as np
 
@@ -75,18 +76,13 @@ def find_symmetries(pattern: Pattern, *, tolerance_m: float = TOLERANCE_M) -> Sy
     """
     if not 0.0 < tolerance_m < np.inf:
         raise InputError("tolerance_m", expected="a length > 0", got=f"{tolerance_m}", cure="Pass metres.")
-    between: list[Symmetry] = []
-    effective = list(range(len(pattern.panels)))
-    tied: set[int] = set()
-    for p in effective:
-        if p in tied:
-            continue
-        for q in effective[p + 1 :]:
-            if q not in tied and (found := _best(pattern, p, q, tolerance_m)) is not None:
-                between.append(found)
-                tied.add(q)
-    within = [_best(pattern, p, p, tolerance_m) for p in effective if p not in tied]
-    return Symmetries(tuple(between), tuple(found for found in within if found is not None))
+    between: dict[int, Symmetry] = {}  # by the panel that is tied
+    numbers = range(len(pattern.panels))
+    for p, q in combinations(numbers, 2):
+        if not {p, q} & between.keys() and (found := _best(pattern, p, q, tolerance_m)) is not None:
+            between[q] = found
+    within = [_best(pattern, p, p, tolerance_m) for p in numbers if p not in between]
+    return Symmetries(tuple(between.values()), tuple(found for found in within if found is not None))
 
 
 def procrustes(first: np.ndarray, second: np.ndarray, *, reflect: bool) -> tuple[np.ndarray, float]:

@@ -121,7 +121,7 @@ def reach_of(given: argparse.Namespace) -> float:
 
 
 def read_betas(text: str) -> np.ndarray:
-    """Numbers between commas."""
+    """The shape (S,) that a text of numbers between commas gives."""
     try:
         return np.array([float(part) for part in text.split(",")])
     except ValueError as error:
@@ -132,7 +132,7 @@ def read_betas(text: str) -> np.ndarray:
 
 @refusing
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; 2 and one sentence on what is wrong, 3 where the garment is not at rest."""
+    """Runs the command and returns its exit code: 2 with a sentence if input is refused, 3 if cloth is not at rest."""
     given = parse(arguments)
     outcome = run_job(job_of(given), progress=True)
     from recovery.run.report_text import page_of, record_of  # matplotlib takes a second to load

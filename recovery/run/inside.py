@@ -156,7 +156,7 @@ def _cuffs(body: BodyModel, contours: list[Contour], parameters: np.ndarray) -> 
 
 
 def _perpendicular(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """From ``point`` (3,) to the nearest point of a bone."""
+    """The way (3,) from ``point`` (3,) to the nearest point of a bone."""
     way = end - start
     share = float(np.clip((point - start) @ way / (way @ way), 0.0, 1.0))
     return start + share * way - point

@@ -1,4 +1,4 @@
-"""One recovery from file to files: target read, wearer found, pattern fitted, garment sewn anew, told and written."""
+"""One recovery from file to files: target read, wearer found, pattern fitted, garment sewn anew, files written."""
 
 from __future__ import annotations
 

@@ -66,9 +66,9 @@ def panels_over_base(base: Pattern, found: Pattern) -> bytes:
     """Every recovered panel (filled) over the base's (dashed), laid where it fits best, at one scale."""
     figure, axes = _panel_axes(found)
     for axis, old, new in zip(axes, base.panels, found.panels, strict=False):
-        line, was = _outline(new), _laid(old, new)
+        line, was = geometry.outline(new), _laid(old, new)
         axis.fill(*line.T, facecolor=(*CLOTH, 0.25), edgecolor=CLOTH, linewidth=1.6, label="recovered")
-        axis.plot(*_closed(was).T, "--", color="0.25", linewidth=1.0, label="base")
+        axis.fill(*was.T, fill=False, linestyle="--", edgecolor="0.25", linewidth=1.0, label="base")
         axis.set_title(new.name.replace("_", " "), fontsize=9)
     _ruler(axes[0])
     axes[0].legend(fontsize=7, loc="lower right")
@@ -83,7 +83,7 @@ def what_is_told(found: Identifiability, pattern: Pattern) -> bytes:
         own = found.slack_m[first : first + len(panel.edges)]
         corners = panel.vertices[[edge.start for edge in panel.edges]]
         first += len(panel.edges)
-        axis.fill(*_outline(panel).T, facecolor="0.94", edgecolor="0.3", linewidth=1.0)
+        axis.fill(*geometry.outline(panel).T, facecolor="0.94", edgecolor="0.3", linewidth=1.0)
         colours = matplotlib.colormaps["RdYlGn_r"](np.clip(own / 0.02, 0.0, 1.0))
         turn = np.linspace(0.0, 2.0 * np.pi, 40)
         for corner, radius, colour in zip(corners, own, colours, strict=True):
@@ -156,10 +156,10 @@ def _panel_axes(pattern: Pattern, *, more: int = 0) -> tuple[Figure, list[Axes]]
     rows = -(-count // columns)
     figure = Figure(figsize=(2.7 * columns, 3.0 * rows), dpi=DPI, layout="constrained")
     axes = list(figure.subplots(rows, columns, squeeze=False).reshape(-1))
-    half = 0.56 * max(float(np.ptp(_outline(panel), axis=0).max()) for panel in pattern.panels)
+    half = 0.56 * max(float(np.ptp(geometry.outline(panel), axis=0).max()) for panel in pattern.panels)
     for number, axis in enumerate(axes):
         if number < len(pattern.panels):
-            line = _outline(pattern.panels[number])
+            line = geometry.outline(pattern.panels[number])
             middle = 0.5 * (line.min(axis=0) + line.max(axis=0))
             axis.set_xlim(middle[0] - half, middle[0] + half)
             axis.set_ylim(middle[1] - half, middle[1] + half)
@@ -175,17 +175,9 @@ def _ruler(axis: Axes) -> None:
     axis.text(left, low, "10 cm", fontsize=7, va="bottom")
 
 
-def _outline(panel: Panel) -> np.ndarray:
-    return geometry.outline(panel)
-
-
 def _laid(panel: Panel, on: Panel) -> np.ndarray:
     """The outline (N, 2) of ``panel`` moved rigidly to where its corners fit those of ``on`` best."""
     if len(panel.vertices) != len(on.vertices):
-        return _outline(panel)
+        return geometry.outline(panel)
     matrix, _ = procrustes(panel.vertices, on.vertices, reflect=False)
-    return (_outline(panel) - panel.vertices.mean(axis=0)) @ matrix + on.vertices.mean(axis=0)
-
-
-def _closed(line: np.ndarray) -> np.ndarray:
-    return np.concatenate([line, line[:1]])
+    return (geometry.outline(panel) - panel.vertices.mean(axis=0)) @ matrix + on.vertices.mean(axis=0)

@@ -1,8 +1,7 @@
-"""Assembly by static sparse maps: the mesh never changes, so where an element's numbers go is settled once.
+"""Assembly by static sparse maps: the mesh never changes, so each number of an element has its place once and for all.
 
-Section 3.4.3 and appendix B of Yu, Cordier and Seo (2024): one constant matrix of ones takes the stack of
-all element gradients to the nodes, another the stack of all element Hessians to the entries of the
-global matrix, whose pattern is fixed too. Both are products of a sparse matrix with a vector.
+Section 3.4.3 and appendix B of Yu, Cordier and Seo (2024): one constant matrix of ones sums all element gradients into
+the nodes, another all element Hessians into the entries of the global matrix, whose pattern is fixed too.
 """
 
 from __future__ import annotations
@@ -16,8 +15,8 @@ from drape.errors import InputError
 class StaticAssembly:
     """Maps for groups of elements: ``elements`` are arrays (corner, n) of node numbers.
 
-    Unknown ``3 node + coordinate``. ``fixed`` (V,) names nodes that do not move: their rows and columns
-    of an assembled matrix are those of the identity.
+    The unknowns are numbered ``3 node + coordinate``. ``fixed`` (V,) marks nodes that do not move: their rows and
+    columns of an assembled matrix are those of the identity.
     """
 
     def __init__(self, elements: list[np.ndarray], node_count: int, *, fixed: np.ndarray) -> None:

@@ -14,12 +14,12 @@ from recovery.sim.sdf import SignedDistance
 
 @dataclass(frozen=True)
 class SkinContact:
-    """How cloth meets ``body``.
+    """Contact of cloth with ``body``: repulsion, friction and a correction.
 
-    Repulsion is the energy of ``drape.cloth.energies.contact``: ``stiffness_j_m4`` times node area times
-    the squared depth below ``gap_m``. Friction is Coulomb's with coefficient ``friction``, smoothed: it
-    grows as speed / sqrt(speed^2 + ``slip_speed_m_s``^2), so that what sticks creeps below that speed.
-    A node inside the body after a linearised step is put ``thickness_m`` outside (equation 4).
+    Repulsion has the energy of ``drape.cloth.energies.contact``: ``stiffness_j_m4`` times node area times the squared
+    depth below ``gap_m``. Friction is Coulomb's with coefficient ``friction``, smoothed: it grows as
+    speed / sqrt(speed^2 + ``slip_speed_m_s``^2), so that a sticking node creeps below that speed. A node that a
+    linearised step leaves inside the body is put ``thickness_m`` outside (equation 4).
     """
 
     body: SignedDistance

@@ -1,4 +1,4 @@
-"""The linearised implicit Euler step of equation 1, the one the paper differentiates."""
+"""The linearised implicit Euler step that Yu, Cordier and Seo (2024) differentiate, their equation 1."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from recovery.sim.solver import Factor, superlu
 
 
 class Springs(NamedTuple):
-    """Forces [N] (V, 3) and stiffness [N/m] (3V, 3V), zero at fixed nodes, of what acts between nodes besides cloth."""
+    """Springs between nodes besides the cloth: force [N] (V, 3) and stiffness [N/m] (3V, 3V), zero at fixed nodes."""
 
     force: Tensor
     stiffness: scipy.sparse.csc_matrix
@@ -95,7 +95,7 @@ class LinearisedStep:
         return force if self.contact is None else force + self.contact.force(x, rest.node_area)
 
     def _blocks(self, state: ClothState, rest: Rest, mass: Tensor) -> Tensor:
-        """What the system has at each node alone (V, 3, 3): mass, repulsion, drag."""
+        """The system's blocks (V, 3, 3) of single nodes: mass, repulsion, drag."""
         identity = torch.eye(3, dtype=mass.dtype)
         blocks = mass[:, None, None] * identity
         if self.contact is not None:

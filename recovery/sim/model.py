@@ -1,4 +1,4 @@
-"""What a simulation takes: the sewn mesh, what may be differentiated, and the state."""
+"""The inputs of a simulation: the sewn mesh, the parameters that it is differentiated by, and the state."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from torch import Tensor
 from drape.arrays import check_finite, check_shape
 from drape.cloth.material import OrthotropicMaterial
 from drape.cloth.membrane import RestTriangles, rest_triangles
-from drape.cloth.rest_state import dihedral_angles
 from drape.errors import InputError, MeshError
 from drape.geometry import meshes
 from recovery.sim.assembly import StaticAssembly
@@ -27,7 +26,7 @@ class ClothState(NamedTuple):
 
 
 class Parameters(NamedTuple):
-    """What a simulation can be differentiated by, besides its state; float64.
+    """The leaves that a simulation is differentiated by, besides its state; float64.
 
     ``panels`` [m] (P, 2) rest positions, ``stretch`` [N/m] (4,) = (H00, H01, H11, H22), ``bending_j`` [J]
     () or (H,) per hinge, ``density_kg_m2`` (), ``force_n`` [N] (V, 3) on the nodes.
@@ -55,12 +54,11 @@ class Rest(NamedTuple):
 
 
 class ClothModel:
-    """The constants of a sewn mesh: which node each panel vertex became, elements, and the static maps.
+    """The constants of a sewn mesh: the node of each panel vertex, the elements, and the static maps.
 
-    ``faces`` (F, 3) are nodes of the sewn mesh, ``panel_faces`` (F, 3) the same triangles as vertices of
-    the panels; a node on a seam has several. ``fixed`` lists nodes that do not move. Without
-    ``panel_faces`` the cloth is one panel. ``rest_shape`` [m] (V, 3) gives every hinge the angle that it has there,
-    as in a garment modelled in three dimensions; without it the cloth is flat at rest.
+    ``faces`` (F, 3) are nodes of the sewn mesh, ``panel_faces`` (F, 3) the same triangles as vertices of the panels; a
+    node on a seam has several. Without ``panel_faces`` the cloth is one panel. ``fixed`` lists nodes that do not move.
+    ``rest_angle`` [rad] (H,) of the hinges is zero, and may be set.
     """
 
     def __init__(
@@ -70,72 +68,25 @@ class ClothModel:
         panel_faces: np.ndarray | None = None,
         fixed: np.ndarray | None = None,
         gravity_m_s2: float = 9.81,
-        rest_shape: np.ndarray | None = None,
     ) -> None:
-        self.faces = meshes.check_faces(faces, int(np.max(faces, initial=-1)) + 1)
-        panel_faces = self.faces if panel_faces is None else panel_faces
-        self.panel_faces = meshes.check_faces(panel_faces, int(np.max(panel_faces, initial=-1)) + 1)
-        if self.panel_faces.shape != self.faces.shape or len(self.faces) == 0:
-            raise MeshError(
-                "panel_faces",
-                expected=f"one panel triangle for each of {max(len(self.faces), 1)} or more sewn triangles",
-                got=f"{len(self.panel_faces)} for {len(self.faces)}",
-                cure="Pass the panels' triangles in the order of the sewn ones.",
-            )
-        self.node_count = int(self.faces.max()) + 1
-        self.panel_count = int(self.panel_faces.max()) + 1
-        for name, used, count in (
-            ("faces", self.faces, self.node_count),
-            ("panel_faces", self.panel_faces, self.panel_count),
-        ):
-            if len(np.unique(used)) != count:
-                raise MeshError(
-                    name,
-                    expected="every vertex in a triangle",
-                    got=f"{count - len(np.unique(used))} loose vertices",
-                    cure="Remove vertices that no triangle uses.",
-                )
-        node_of = np.full(self.panel_count, -1)
-        node_of[self.panel_faces.reshape(-1)] = self.faces.reshape(-1)
-        if (node_of[self.panel_faces] != self.faces).any():
-            raise MeshError(
-                "panel_faces",
-                expected="every panel vertex sewn to one node",
-                got="a panel vertex with two nodes",
-                cure="Split that panel vertex.",
-            )
-        self.node_of_panel_vertex = node_of
-        self.fixed = np.zeros(self.node_count, dtype=bool)
-        if fixed is not None:
-            fixed = np.asarray(fixed, dtype=np.int64)
-            if fixed.size and not (fixed.min() >= 0 and fixed.max() < self.node_count):
-                raise InputError(
-                    "fixed",
-                    expected=f"nodes in [0, {self.node_count})",
-                    got=f"[{fixed.min()}, {fixed.max()}]",
-                    cure="Name nodes of the sewn mesh.",
-                )
-            self.fixed[fixed] = True
+        self.faces, self.panel_faces = _checked_faces(faces, faces if panel_faces is None else panel_faces)
+        self.node_count, self.panel_count = int(self.faces.max()) + 1, int(self.panel_faces.max()) + 1
+        self.node_of_panel_vertex = _sewn(self.faces, self.panel_faces)
+        self.fixed = _marked(fixed, self.node_count)
+        self.free = torch.from_numpy(~self.fixed).to(torch.float64)[:, None]
         self.gravity = torch.tensor([0.0, -gravity_m_s2, 0.0], dtype=torch.float64)
         self.hinge_nodes = hinges = meshes.hinges(self.faces)
         self.rest_angle = torch.zeros(len(hinges), dtype=torch.float64)
-        if rest_shape is not None:
-            shape = np.asarray(rest_shape, dtype=np.float64)
-            check_shape("rest_shape", shape, (self.node_count, 3), error=MeshError)
-            check_finite("rest_shape", shape, error=MeshError)
-            self.rest_angle = torch.from_numpy(dihedral_angles(shape, self.faces))
-        sides = meshes.hinge_faces(self.faces)
         self.assembly = StaticAssembly([self.faces.T, hinges.T], self.node_count, fixed=self.fixed)
-        self.free = torch.from_numpy(~self.fixed).to(torch.float64)[:, None]
-        self._face_index = torch.from_numpy(np.ascontiguousarray(self.faces.T).reshape(-1))
-        self._panel_index = torch.from_numpy(np.ascontiguousarray(self.panel_faces.T).reshape(-1))
-        self._hinge_index = torch.from_numpy(np.ascontiguousarray(hinges.T).reshape(-1))
-        starts = self.faces[sides]  # (H, 2, 3): which corner of each face starts the shared edge
-        ends = np.roll(starts, -1, axis=2)
-        low, high = hinges[:, :2].min(axis=1)[:, None, None], hinges[:, :2].max(axis=1)[:, None, None]
-        shared = (np.minimum(starts, ends) == low) & (np.maximum(starts, ends) == high)
-        edge = shared.argmax(axis=2) * len(self.faces) + sides
-        self._hinge_edges = torch.from_numpy(edge)
+        self._face_index, self._panel_index, self._hinge_index = (
+            torch.from_numpy(np.ascontiguousarray(corners.T).reshape(-1))
+            for corners in (self.faces, self.panel_faces, hinges)
+        )
+        sides = meshes.hinge_faces(self.faces)
+        starts = self.faces[sides]  # (H, 2, 3): each corner of both faces starts an edge
+        edges = np.sort(np.stack([starts, np.roll(starts, -1, axis=2)], axis=3), axis=3)
+        shared = (edges == np.sort(hinges[:, :2], axis=1)[:, None, None]).all(axis=3)
+        self._hinge_edges = torch.from_numpy(shared.argmax(axis=2) * len(self.faces) + sides)
         self._hinge_sides = torch.from_numpy(sides)
 
     def parameters(
@@ -193,6 +144,54 @@ class ClothModel:
     def hinges(self, vectors: Tensor) -> Tensor:
         """Corners (4, 3, H) of the hinges from node vectors (V, 3)."""
         return _corners(vectors, self._hinge_index, 4)
+
+
+def _checked_faces(faces: np.ndarray, panel_faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Both as integers. Raises ``MeshError`` if they do not match, are empty, or leave vertices loose."""
+    found = [meshes.check_faces(each, int(np.max(each, initial=-1)) + 1) for each in (faces, panel_faces)]
+    if found[0].shape != found[1].shape or len(found[0]) == 0:
+        raise MeshError(
+            "panel_faces",
+            expected=f"one panel triangle for each of {max(len(found[0]), 1)} or more sewn triangles",
+            got=f"{len(found[1])} for {len(found[0])}",
+            cure="Pass the panels' triangles in the order of the sewn ones.",
+        )
+    for name, used in zip(("faces", "panel_faces"), found, strict=True):
+        if loose := int(used.max()) + 1 - len(np.unique(used)):
+            raise MeshError(
+                name,
+                expected="every vertex in a triangle",
+                got=f"{loose} loose vertices",
+                cure="Remove vertices that no triangle uses.",
+            )
+    return found[0], found[1]
+
+
+def _sewn(faces: np.ndarray, panel_faces: np.ndarray) -> np.ndarray:
+    """The node (P,) of every panel vertex. Raises ``MeshError`` if one has two."""
+    node_of = np.full(int(panel_faces.max()) + 1, -1)
+    node_of[panel_faces.reshape(-1)] = faces.reshape(-1)
+    if (node_of[panel_faces] != faces).any():
+        raise MeshError(
+            "panel_faces",
+            expected="every panel vertex sewn to one node",
+            got="a panel vertex with two nodes",
+            cure="Split that panel vertex.",
+        )
+    return node_of
+
+
+def _marked(fixed: np.ndarray | None, count: int) -> np.ndarray:
+    """Which of ``count`` nodes are among ``fixed``. Raises ``InputError`` for a node that is none."""
+    nodes = np.zeros(0, dtype=np.int64) if fixed is None else np.asarray(fixed, dtype=np.int64)
+    if nodes.size and not (nodes.min() >= 0 and nodes.max() < count):
+        raise InputError(
+            "fixed",
+            expected=f"nodes in [0, {count})",
+            got=f"[{nodes.min()}, {nodes.max()}]",
+            cure="Name nodes of the sewn mesh.",
+        )
+    return np.isin(np.arange(count), nodes)
 
 
 def _corners(vectors: Tensor, index: Tensor, count: int) -> Tensor:

@@ -1,8 +1,10 @@
-"""Implicit Euler steps and static drapes solved to a residual by Newton's method with line search.
+"""Implicit Euler steps and static drapes, solved to a residual by Newton's method with a line search.
 
-A step of dt minimises m / (2 dt^2) |x - x_before - dt v|^2 + elastic energy - work of the weights and given
-forces + repulsion + friction potential, whose grip and normals are those of the step's beginning. A drape
-minimises the same without inertia and friction.
+A step of dt minimises the incremental potential
+
+    m / (2 dt^2) |x - x_before - dt v|^2 + elastic energy - work of weight and given forces + repulsion + friction,
+
+with the grip and the normals of friction at the step's beginning. A drape minimises it without inertia and friction.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ SHORTEST_STEP = 2.0**-30
 
 
 class Report(NamedTuple):
-    """How a solve ended: ``residual_n`` [N] is the largest component of the force left at a free node."""
+    """The end of a solve: ``residual_n`` [N] is the largest component of the force left at a free node."""
 
     iterations: int
     residual_n: float
@@ -95,7 +97,7 @@ class _Potential:
         return residual
 
     def _blocks(self, x: Tensor, *, exact: bool, shift: float) -> Tensor:
-        """What the Hessian has at each node alone (V, 3, 3): mass, repulsion, friction."""
+        """The Hessian's blocks (V, 3, 3) of single nodes: mass, repulsion, friction."""
         identity = torch.eye(3, dtype=x.dtype)
         inertia = 0.0 if self.dt_s is None else 1.0 / self.dt_s**2
         blocks = ((inertia + shift) * self._mass)[:, None, None] * identity

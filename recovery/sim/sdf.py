@@ -122,7 +122,7 @@ class GridDistance:
 
 
 def check_closed(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """``faces`` as integers (F, 3); refuses a mesh that is open or empty: what is inside must be defined."""
+    """``faces`` (F, 3) as integers. Raises ``MeshError`` for an open or empty mesh: it has no inside."""
     faces = meshes.check_faces(faces, len(vertices))
     if len(faces) == 0 or meshes.boundary_loops(faces):
         raise MeshError(
@@ -135,9 +135,9 @@ def check_closed(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def extended(value: Tensor, gradient: Tensor, off: Tensor) -> tuple[Tensor, Tensor]:
-    """A distance [m] (N,) with its gradient (N, 3) at the nearest point of its box, carried on beyond the box.
+    """A distance [m] (N,) and its gradient (N, 3), known in a box, at points outside of it.
 
-    ``off`` [m] (N, 3) is what leads from there to where it is asked for; its length is added.
+    ``off`` [m] (N, 3) leads from the nearest point of the box, where they are known, to the point; its length is added.
     """
     far = (off != 0.0).any(dim=1)
     if not far.any():

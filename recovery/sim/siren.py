@@ -1,7 +1,7 @@
 """The signed distance of a closed mesh as a network of sines (Sitzmann et al. 2020), trained on that mesh.
 
-The way of Yu, Cordier and Seo (2024, section 3.4.4), who leave sizes and training open. ``GridDistance`` is more exact
-and ready in seconds (docs/explanation/recovery.md); this is for comparing with the paper.
+Yu, Cordier and Seo (2024, section 3.4.4) use one, and leave its size and training open. It serves the comparison with
+their paper: ``GridDistance`` is more exact and ready in seconds (docs/explanation/recovery.md).
 
 With u the point scaled to the body's box, h_0 = u and h_k = sin(W_k h_(k-1) + b_k), the distance is w . h_L + b.
 Sitzmann's factor omega is part of W_k. The gradient, w diag(cos) W_L ... diag(cos) W_1, is written out, so that
@@ -11,13 +11,13 @@ autograd can differentiate it like the distance.
 from __future__ import annotations
 
 import hashlib
+import io
 import itertools
 import math
-import os
 import time
 import zipfile
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,10 +28,16 @@ from torch import Tensor
 from drape.errors import ArtifactError, InputError
 from drape.geometry import closest
 from drape.geometry.drawing import drawn
+from recovery import atomic
 from recovery.sim.sdf import check_closed, extended
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 LARGEST_WIDTH, LARGEST_DEPTH = 1024, 16
+OMEGA = 20.0  # highest frequency [rad] that the first layer starts with, across half the body's box
+BATCH = 1024  # points of a step
+RATE = 3e-3  # of Adam, falling to zero
+MARGIN_M = 0.05  # of the box around the body
+SEED = 0  # of points, batches and first weights
 AT_SKIN, NEAR = 0.45, 0.40  # of the training points; the others lie anywhere in the box
 AT_SKIN_M, NEAR_M = 0.006, 0.025  # standard deviations of their distance from the surface
 WEIGHT_M, FAR_WEIGHT = 0.05, 0.2  # the loss weighs exp(-|d| / WEIGHT_M) + FAR_WEIGHT
@@ -40,7 +46,7 @@ SLOPE_WEIGHT = 0.1  # of the gradient's error in the loss
 WARM_STEPS = 50
 ADAM_BETAS = (0.9, 0.99)
 HELD_OUT = 20_000
-BAND_M = 0.03  # the error that is told is that of points this near to the skin
+BAND_M = 0.03  # the error is measured at points this near to the skin
 
 Say = Callable[[str], None]
 
@@ -49,33 +55,20 @@ Say = Callable[[str], None]
 class SirenOptions:
     """Size and training of the network; the defaults take about five minutes of one core.
 
-    ``width`` and ``layers`` of sines; ``omega`` is the highest frequency [rad] that the first layer starts with, across
-    half the body's box; ``points`` are drawn once, ``batch`` of them enter each of ``steps`` of Adam, at ``rate``
-    falling to zero; the box has ``margin_m`` [m] around the body; ``seed`` decides points, batches and first weights.
+    ``width`` and ``layers`` of sines; ``points`` are drawn once, and a batch of them enters each of ``steps``.
     """
 
     width: int = 128
     layers: int = 4
-    omega: float = 20.0
     points: int = 400_000
-    batch: int = 1024
     steps: int = 14_000
-    rate: float = 3e-3
-    margin_m: float = 0.05
-    seed: int = 0
 
     def __post_init__(self) -> None:
-        numbers = asdict(self)
-        bad = [
-            name
-            for name, value in numbers.items()
-            if not (0.0 <= value < math.inf and (value > 0 or name in ("seed", "margin_m")))
-        ]
-        if bad or self.width > LARGEST_WIDTH or self.layers > LARGEST_DEPTH:
+        if min(astuple(self)) <= 0 or self.width > LARGEST_WIDTH or self.layers > LARGEST_DEPTH:
             raise InputError(
                 "siren options",
                 expected=f"positive numbers, at most {LARGEST_DEPTH} layers of {LARGEST_WIDTH}",
-                got=", ".join(f"{name} {numbers[name]}" for name in bad or ("width", "layers")),
+                got=", ".join(f"{name} {value}" for name, value in asdict(self).items()),
                 cure="Leave them at their defaults.",
             )
 
@@ -91,12 +84,15 @@ class SirenError(NamedTuple):
     angle_deg: float
 
 
+UNKNOWN = SirenError(math.nan, math.nan, math.nan)
+
+
 class SirenDistance:
-    """A signed distance from weights (H, I), ..., (1, H) and biases (H,), ..., (1,) of the layers, used in float64.
+    """A signed distance by the weights (H, I), ..., (1, H) and biases (H,), ..., (1,) of layers, used in float64.
 
     ``low`` and ``high`` [m] (3,) are the corners of the box that it was trained in; outside it the distance to the box
-    is added. ``error`` was measured after the training, at points held out; ``trained_s`` is the processor's time [s]
-    that both took.
+    is added. ``error`` was measured after the training, at points held out; both took ``trained_s`` [s] of the
+    processor.
     """
 
     def __init__(
@@ -110,17 +106,14 @@ class SirenDistance:
     ) -> None:
         self.weights, self.biases = list(weights), list(biases)
         self.low, self.high, self.error, self.trained_s = low, high, error, trained_s
-        self._layers = [
-            (torch.from_numpy(np.asarray(w, dtype=np.float64)), torch.from_numpy(np.asarray(b, dtype=np.float64)))
-            for w, b in zip(weights, biases, strict=True)
-        ]
-        self._low, self._high = (torch.from_numpy(np.asarray(end, dtype=np.float64)) for end in (low, high))
-        self._middle, self._half = 0.5 * (self._low + self._high), _half(low, high)
+        self._layers = [(_double(w), _double(b)) for w, b in zip(weights, biases, strict=True)]
+        self._box = _double(low), _double(high)
 
     def __call__(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        inside = torch.minimum(torch.maximum(points, self._low), self._high)
-        value, gradient = _network((inside - self._middle) / self._half, self._layers)
-        return extended(value * self._half, gradient, points - inside)
+        (low, high), half = self._box, _half(self.low, self.high)
+        inside = torch.minimum(torch.maximum(points, low), high)
+        value, gradient = _network((inside - 0.5 * (low + high)) / half, self._layers)
+        return extended(value * half, gradient, points - inside)
 
     @classmethod
     def from_mesh(
@@ -138,38 +131,27 @@ class SirenDistance:
         """
         say, started = report or (lambda line: None), time.process_time()
         faces = check_closed(vertices, faces)
-        low, high = vertices.min(axis=0) - options.margin_m, vertices.max(axis=0) + options.margin_m
-        rng = np.random.default_rng(options.seed)
+        low, high = vertices.min(axis=0) - MARGIN_M, vertices.max(axis=0) + MARGIN_M
+        rng = np.random.default_rng(SEED)
         samples = _samples(vertices, faces, low, high, options.points, rng)
         held_out = _samples(vertices, faces, low, high, min(HELD_OUT, options.points), rng)
         layers = _trained(samples, low, high, options, say)
-        arrays = [[part.numpy() for part in parts] for parts in zip(*layers, strict=True)]
-        blank = SirenError(math.nan, math.nan, math.nan)
-        error = siren_error(cls(arrays[0], arrays[1], low, high, blank), *held_out)
+        weights, biases = ([part.numpy() for part in parts] for parts in zip(*layers, strict=True))
+        error = siren_error(cls(weights, biases, low, high, UNKNOWN), *held_out)
         say(
             f"siren     {error.mean_mm:.2f} mm off within 3 cm of the skin (99th percentile {error.p99_mm:.1f} mm), "
             f"gradients {error.angle_deg:.1f} deg"
         )
-        return cls(arrays[0], arrays[1], low, high, error, time.process_time() - started)
+        return cls(weights, biases, low, high, error, time.process_time() - started)
 
     def save(self, path: Path, digest: str) -> None:
         """Writes the network to ``path`` (npz) with the ``siren_digest`` of what it was trained on."""
         arrays = {f"weight_{k}": part for k, part in enumerate(self.weights)}
         arrays |= {f"bias_{k}": part for k, part in enumerate(self.biases)}
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(path.name + ".part")
-        with temporary.open("wb") as file:
-            np.savez(
-                file,
-                allow_pickle=False,
-                digest=np.array(digest),
-                low=self.low,
-                high=self.high,
-                error=np.array(self.error),
-                trained_s=np.array(self.trained_s),
-                **arrays,
-            )
-        os.replace(temporary, path)
+        arrays |= {"low": self.low, "high": self.high, "error": self.error, "trained_s": self.trained_s}
+        file = io.BytesIO()
+        np.savez(file, allow_pickle=False, digest=digest, **arrays)
+        atomic.write(path, file.getvalue())
 
 
 def load_siren(path: Path, digest: str) -> SirenDistance:
@@ -199,7 +181,7 @@ def load_siren(path: Path, digest: str) -> SirenDistance:
 
 
 def siren_digest(vertices: np.ndarray, faces: np.ndarray, options: SirenOptions = DEFAULT_SIREN) -> str:
-    """sha256 of a body and of how a network is trained on it, hexadecimal."""
+    """sha256, hexadecimal, of a body and of the options of a training on it."""
     found = hashlib.sha256(repr((FORMAT_VERSION, asdict(options), np.shape(vertices), np.shape(faces))).encode())
     found.update(np.ascontiguousarray(vertices, dtype=np.float64).tobytes())
     found.update(np.ascontiguousarray(faces, dtype=np.int64).tobytes())
@@ -269,6 +251,10 @@ def _network(u: Tensor, layers: Sequence[tuple[Tensor, Tensor]]) -> tuple[Tensor
     return value, gradient
 
 
+def _double(array: np.ndarray) -> Tensor:
+    return torch.from_numpy(np.asarray(array, dtype=np.float64))
+
+
 def _half(low: np.ndarray, high: np.ndarray) -> float:
     return 0.5 * float((high - low).max())
 
@@ -291,7 +277,7 @@ def _first_layers(options: SirenOptions, generator: torch.Generator) -> list[tup
     layers = []
     for number, (inputs, outputs) in enumerate(itertools.pairwise(sizes)):
         last = number == options.layers
-        bound = options.omega if number == 0 else math.sqrt(6.0 / inputs) / (30.0 if last else 1.0)
+        bound = OMEGA if number == 0 else math.sqrt(6.0 / inputs) / (30.0 if last else 1.0)
         weight = bound * (2.0 * torch.rand(outputs, inputs, generator=generator) - 1.0)
         bias = (0.0 if last else math.pi) * (2.0 * torch.rand(outputs, generator=generator) - 1.0)
         layers.append((weight.requires_grad_(), bias.requires_grad_()))
@@ -313,14 +299,14 @@ def _trained(
         for part in ((points - 0.5 * (low + high)) / half, distance / half, normal)
     )
     weight = torch.exp(-d.abs() * (half / WEIGHT_M)) + FAR_WEIGHT
-    generator = torch.Generator().manual_seed(options.seed)
+    generator = torch.Generator().manual_seed(SEED)
     layers = _first_layers(options, generator)
     flat = [part for layer in layers for part in layer]
-    adam = torch.optim.Adam(flat, lr=options.rate, betas=ADAM_BETAS)
+    adam = torch.optim.Adam(flat, lr=RATE, betas=ADAM_BETAS)
     for step in range(options.steps):
         for group in adam.param_groups:
-            group["lr"] = options.rate * min(1.0, (step + 1) / WARM_STEPS) * (1.0 - step / options.steps)
-        chosen = torch.randint(len(u), (options.batch,), generator=generator)
+            group["lr"] = RATE * min(1.0, (step + 1) / WARM_STEPS) * (1.0 - step / options.steps)
+        chosen = torch.randint(len(u), (BATCH,), generator=generator)
         value, gradient = _network(u[chosen], layers)
         off = (value - d[chosen]).abs() * (half / LOSS_M)
         slope = torch.sqrt(((gradient - n[chosen]) ** 2).sum(dim=1) + 1e-12)

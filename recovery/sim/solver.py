@@ -20,7 +20,7 @@ class Factor:
         return self._factor.solve(rhs)
 
     def negative_pivots(self) -> int:
-        """How many eigenvalues are negative (Sylvester's law)."""
+        """The number of negative eigenvalues (Sylvester's law)."""
         return int((self._factor.U.diagonal() < 0.0).sum())
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT
-from drape.contact.layers import cloth_samples
+from drape.contact.cloth_samples import cloth_samples
 from drape.contact.projection import CLEARANCE_M
 from drape.contact.samples import Samples
 from drape.contact.skin import body_skin

@@ -12,10 +12,11 @@ from drape.cloth.fabric import Fabric
 from drape.errors import InputError
 from drape.garment.cache import Garment
 from drape.garment.wrapping import Wrapping
-from drape.live.fold_constants import Constants, constants
-from drape.live.fold_step import Effort, Frame, Memory, Report, fold, warm_up
-from drape.live.layers import covered, raised
-from drape.live.skin_contact import Touched
+from drape.live.clock import Frame
+from drape.live.fold_constants import FoldConstants, fold_constants
+from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport, fold, warm_up
+from drape.live.raised_skin import heights_over, raised
+from drape.live.skin_contact import TouchedSamples
 from drape.wire.options import DrapeOptions
 from service.graphs.kept_constants import KeptConstants
 from service.stages.batch import FINE, SKIN, Batch, Layer, Plan, Quality, Stage, StageSetup
@@ -32,13 +33,13 @@ class Folds(Stage):
     """
 
     name = "folds"
-    kept = (Memory, Touched)
+    kept = (FoldMemory, TouchedSamples)
 
     def __init__(self, setup: StageSetup) -> None:
         super().__init__(setup)
         self._garments: dict[str, Garment] = {}
         self.kept_bytes = KEPT_BYTES
-        self._constants = KeptConstants[Constants](
+        self._constants = KeptConstants[FoldConstants](
             lambda kept: sum(made.nbytes for made in kept) > self.kept_bytes  # fabrics beside those in use go
         )
         self._wrappings = KeptConstants[Wrapping]()
@@ -74,7 +75,7 @@ class Folds(Stage):
     def depends_on(self, plan: Plan) -> object:
         return plan.fabrics
 
-    def rested(self, memory: Memory, time_s: float) -> Memory:
+    def rested(self, memory: FoldMemory, time_s: float) -> FoldMemory:
         return replace(memory, time_s=time_s)
 
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
@@ -101,15 +102,15 @@ class Folds(Stage):
         plan = batch.plan
         assert plan.options.folds and plan.options.settle is not None
         clearance_m = self.settings.clearance_m if plan.options.push_out else 0.0
-        effort = Effort(
+        effort = FoldEffort(
             plan.options.folds,
             plan.options.settle,
             cloth_contact=bool(plan.options.cloth_contact),
             clearance_m=clearance_m,
         )
-        safe = replace(effort, sweeps=max(plan.options.folds, plan.options.safe_folds or 0))
+        safe = replace(effort, steps=max(plan.options.folds, plan.options.safe_folds or 0))
         if plan.carried:
-            effort = safe = replace(effort, sweeps=0)
+            effort = safe = replace(effort, steps=0)
         efforts = [safe if novelty > 1.0 else effort for novelty in batch.quality.novelty]
         layers, read, told = list(batch.layers), _read(plan), _Told.of(batch)
         assert batch.skin is not None
@@ -132,13 +133,13 @@ class Folds(Stage):
         self,
         batch: Batch,
         i: int,
-        made: Constants,
-        efforts: Sequence[Effort],
-        memories: Sequence[Memory | None],
+        made: FoldConstants,
+        efforts: Sequence[FoldEffort],
+        memories: Sequence[FoldMemory | None],
         ground: np.ndarray,
         *,
         covers: bool,
-    ) -> tuple[Layer, list[Memory | None], list[Report], np.ndarray | None]:
+    ) -> tuple[Layer, list[FoldMemory | None], list[FoldReport], np.ndarray | None]:
         """Layer ``i`` with folds over ``ground`` (F, S, 8) by the frames' ``efforts``, the memories of the inputs after
         it, a report of each frame, and, where it ``covers`` others' ground, how high [m] (F, S)."""
         drape = batch.layers[i].vertices
@@ -151,7 +152,7 @@ class Folds(Stage):
                 vertices[row], memory, report = fold(made, memory, frame, efforts[row])
                 reports.append(report)
                 if height is not None:
-                    height[row] = covered(vertices[row], made.sheet, memory.touched.own, ground[row], made.graph)
+                    height[row] = heights_over(vertices[row], made.sheet, memory.touched.own, ground[row], made.graph)
             after.append(memory)
         return replace(batch.layers[i], vertices=vertices), after, reports, height
 
@@ -165,10 +166,10 @@ class Folds(Stage):
         """The wrapping of the delivered mesh of the garment ``key``."""
         return self._wrappings.get((key,), lambda: Wrapping(self._garments[key]))
 
-    def _of(self, key: str, fabric: Fabric | None) -> Constants:
+    def _of(self, key: str, fabric: Fabric | None) -> FoldConstants:
         """The constants of the garment ``key`` made of ``fabric``."""
         name = key, "" if fabric is None else fabric.digest
-        return self._constants.get(name, lambda: self.make(constants, self._garments[key], self.body, fabric))
+        return self._constants.get(name, lambda: self.make(fold_constants, self._garments[key], self.body, fabric))
 
 
 def _read(plan: Plan) -> list[bool]:
@@ -191,7 +192,7 @@ class _Told:
         frames = len(batch.root)
         return cls(np.zeros(frames), np.zeros(frames), np.zeros(frames))
 
-    def add(self, reports: Sequence[Report], vertices: int, *, seen: bool) -> None:
+    def add(self, reports: Sequence[FoldReport], vertices: int, *, seen: bool) -> None:
         """Adds a layer of so many ``vertices``, whose lift is told where it is ``seen``."""
         self.resets += [report.reset for report in reports]
         if seen:

@@ -10,9 +10,9 @@ import numpy as np
 from drape.cloth.fabric import Fabric
 from drape.errors import InputError
 from drape.garment.cache import Garment
-from drape.live.fold_step import Frame
-from drape.live.swing_constants import constants
-from drape.live.swing_step import Constants, Memory, swing, warm_up
+from drape.live.clock import Frame
+from drape.live.swing_constants import swing_constants
+from drape.live.swing_step import SwingConstants, SwingMemory, swing, warm_up
 from service.graphs.kept_constants import KeptConstants
 from service.stages.batch import SKIN, Batch, Plan, Stage, StageSetup
 
@@ -23,12 +23,12 @@ class Swing(Stage):
     """Moves each layer's vertices by the swing of its nodes, times the knob; what lies near the skin stays."""
 
     name = "swing"
-    kept = (Memory,)
+    kept = (SwingMemory,)
 
     def __init__(self, setup: StageSetup) -> None:
         super().__init__(setup)
         self._garments: dict[str, Garment] = {}
-        self._constants = KeptConstants[Constants | None](lambda kept: len(kept) > KEPT)
+        self._constants = KeptConstants[SwingConstants | None](lambda kept: len(kept) > KEPT)
         warm_up()
 
     def check(self, plan: Plan) -> None:
@@ -49,7 +49,7 @@ class Swing(Stage):
     def depends_on(self, plan: Plan) -> object:
         return plan.fabrics
 
-    def rested(self, memory: Memory, time_s: float) -> Memory:
+    def rested(self, memory: SwingMemory, time_s: float) -> SwingMemory:
         return replace(memory, time_s=time_s)
 
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
@@ -87,7 +87,7 @@ class Swing(Stage):
                 batch = batch.remember((self.name, key), after)
             yield replace(batch, layers=tuple(layers))
 
-    def _of(self, key: str, fabric: Fabric | None) -> Constants | None:
+    def _of(self, key: str, fabric: Fabric | None) -> SwingConstants | None:
         """The constants of the garment ``key`` made of ``fabric``; None where nothing of it swings."""
         name = key, "" if fabric is None else fabric.digest
-        return self._constants.get(name, lambda: self.make(constants, self._garments[key], self.body, fabric))
+        return self._constants.get(name, lambda: self.make(swing_constants, self._garments[key], self.body, fabric))

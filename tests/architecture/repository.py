@@ -1,4 +1,4 @@
-"""What the architecture tests read: the files that belong to the repository."""
+"""The files that belong to the repository, as the architecture tests read them."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ def operands(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
 
 
 def crowded(path: Path, source: str) -> list[str]:
-    """What ``source`` of the file ``path`` has too much of."""
+    """Functions of too many operands in ``source`` of the file ``path``, and too many public names."""
     tree = ast.parse(source)
     functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
     found = [f"{path}: {f.name} takes {operands(f)}" for f in functions if operands(f) > MOST_OPERANDS]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks import folds
-from benchmarks.judge import apart, physics
+from benchmarks.judge import ipc_optimum, physics
 from benchmarks.measure.tables import folds_table
 
 
@@ -16,7 +16,7 @@ def record():
         patch.setattr(folds, "OPTIMA", 1)
         patch.setattr(folds, "COLLIDED", 1)
         patch.setattr(folds, "CACHE_DIR", None)
-        patch.setattr(apart, "STEPS", 2)
+        patch.setattr(ipc_optimum, "STEPS", 2)
         patch.setattr(physics, "STEPS", 5)
         ways = ["--threads", "1", "--apart", "--physics", "--cloth-contact"]
         return folds.main(["--quick", "--frames", "6", "--sweeps", "0", "1", "8", *ways])

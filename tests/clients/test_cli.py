@@ -23,21 +23,7 @@ from tests.fixtures.exports import read_pc2, read_usda
 
 def test_a_clip_becomes_a_glb(live: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     out = tmp_path / "out.glb"
-    command = [
-        "--url",
-        live,
-        "drape",
-        "--garment",
-        "tube",
-        "--motion",
-        "walk",
-        "--fps",
-        "10",
-        "--body",
-        "--out",
-        str(out),
-    ]
-    assert main(command) == 0
+    assert main(f"--url {live} drape --garment tube --motion walk --fps 10 --body --out {out}".split()) == 0
     content = out.read_bytes()
     assert content[:4] == b"glTF" and len(content) == int.from_bytes(content[8:12], "little")
     document = json.loads(content[20 : 20 + int.from_bytes(content[12:16], "little")])
@@ -48,21 +34,7 @@ def test_a_clip_becomes_a_glb(live: str, tmp_path: Path, capsys: pytest.CaptureF
 def test_a_file_of_motion_becomes_vertices(live: str, tmp_path: Path):
     out = tmp_path / "out.npy"
     clip = ROOT / "assets/motions/squat.npz"
-    base = [
-        "drape",
-        "--url",
-        live,
-        "--garment",
-        "tube",
-        "--motion",
-        str(clip),
-        "--fps",
-        "5",
-        "--betas",
-        "0.5",
-        "--out",
-        str(out),
-    ]
+    base = f"drape --url {live} --garment tube --motion {clip} --fps 5 --betas 0.5 --out {out}".split()
     assert main(base) == 0
     placed = np.load(out)
     assert placed.shape == (25, 216, 3)

@@ -93,14 +93,39 @@ def test_refusals_come_back_as_themselves(live: str, tmp_path: Path):
         with pytest.raises(Unavailable, match="within 0 s"):
             client.upload_garment(noise, "standard", name="later", wait_s=0.0)
 
-    async def whole() -> None:
+    async def awaited() -> None:
         async with AsyncDrapeClient(live) as client:
-            with pytest.raises(MeshError):
-                await client.upload_garment(noise, "standard")
-            with pytest.raises(NotFound):
-                await client.motion("swim")
+            await client.upload_garment(noise, "standard")
 
-    asyncio.run(whole())
+    with pytest.raises(MeshError):
+        asyncio.run(awaited())
+
+
+def test_an_upload_that_is_left_while_it_waits_is_cancelled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    job = {"id": "1", "name": "shirt", "state": "running", "garment": None, "problem": None}
+    asked: list[str] = []
+
+    def answer(request: httpx.Request) -> httpx.Response:
+        asked.append(f"{request.method} {request.url.path}")
+        return httpx.Response(200, json=job)
+
+    async def left() -> None:
+        async with AsyncDrapeClient("http://example", transport=httpx.MockTransport(answer)) as client:
+            await asyncio.wait_for(client.upload_garment(tmp_path / "shirt.obj", "standard"), 0.1)
+
+    def interrupted(seconds: float) -> None:
+        raise KeyboardInterrupt
+
+    (tmp_path / "shirt.obj").write_bytes(b"")
+    with pytest.raises(TimeoutError):
+        asyncio.run(left())
+    monkeypatch.setattr("clients.client.time.sleep", interrupted)
+    with (
+        DrapeClient("http://example", transport=httpx.MockTransport(answer)) as client,
+        pytest.raises(KeyboardInterrupt),
+    ):
+        client.upload_garment(tmp_path / "shirt.obj", "standard")
+    assert asked == ["POST /garments", "DELETE /jobs/1"] * 2
 
 
 def test_no_service_is_said_with_its_cure():

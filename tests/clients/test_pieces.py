@@ -68,12 +68,6 @@ def test_a_long_glb_is_written_as_the_service_writes_it(urls: tuple[str, str], q
         with pytest.raises(InputError, match="body: expected at most 25 frames with it, got 70"):
             divided.drape_glb("tube", CLIP, body=True)
 
-    async def awaited() -> bytes:
-        async with AsyncDrapeClient(few) as client:
-            return await client.drape_glb(["tube"], CLIP, quantised=quantised)
-
-    assert asyncio.run(awaited()) == expected
-
 
 def test_as_many_translations_as_poses_are_needed():
     with (

@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import json
 import os
+from pathlib import Path
 
 import pytest
 
@@ -23,6 +24,7 @@ from drape.artifacts import (
     publish_folder,
 )
 from drape.errors import ArtifactError, NotFound
+from tests.fixtures.laws import each
 
 CONTENTS = {"encoder.onnx": b"first graph", "drape.onnx": b"second graph", "weights.bin": b"tensors of both"}
 
@@ -134,26 +136,34 @@ def test_missing_model_is_not_found_and_the_others_are_named(folder):
         load_manifest(folder.parent / "second")
 
 
-@pytest.mark.parametrize("file", CONTENTS)
-def test_missing_file_is_refused_by_its_field(folder, file):
-    (folder / file).unlink()
-    field = {"encoder.onnx": "garment_encoder", "drape.onnx": "drape", "weights.bin": "weights"}[file]
-    with pytest.raises(ArtifactError, match=f"first {field}: expected {file}, got no such file"):
-        load_manifest(folder)
+def text_of(folder) -> Path:
+    return folder / "manifest.json"
 
 
-@pytest.mark.parametrize("file", CONTENTS)
-def test_changed_file_is_refused(folder, file):
-    (folder / file).write_bytes(b"another file")
-    with pytest.raises(ArtifactError, match=f"first/{file} sha256"):
-        load_manifest(folder)
+def of_version(version):
+    return lambda folder: text_of(folder).write_text(
+        json.dumps({**json.loads(text_of(folder).read_text()), "format_version": version})
+    )
 
 
-@pytest.mark.parametrize("version", [0, 2, None, "1"])
-def test_another_format_is_refused(folder, version):
-    data = json.loads((folder / "manifest.json").read_text())
-    (folder / "manifest.json").write_text(json.dumps({**data, "format_version": version}))
-    with pytest.raises(ArtifactError, match=f"format_version: expected 1, got {version}"):
+FIELDS = {"encoder.onnx": "garment_encoder", "drape.onnx": "drape", "weights.bin": "weights"}
+NO_MANIFEST = r"first/manifest\.json: expected a model manifest"
+DAMAGE = {
+    **{f"no {f}": (lambda d, f=f: (d / f).unlink(), f"first {FIELDS[f]}: expected {f}, got no such") for f in CONTENTS},
+    **{f"other {f}": (lambda d, f=f: (d / f).write_bytes(b"another"), f"first/{f} sha256") for f in CONTENTS},
+    **{f"version {v}": (of_version(v), f"format_version: expected 1, got {v}") for v in (0, 2, None, "1")},
+    **{
+        f"text {payload!r}": (lambda d, payload=payload: text_of(d).write_bytes(payload), NO_MANIFEST)
+        for payload in (b"", b"{", b"[1, 2]", b"3", b"\xff\xfe\x00")
+    },
+}
+
+
+@each(damage=DAMAGE)
+def test_a_damaged_folder_is_refused_by_what_is_wrong(folder, damage):
+    spoil, message = damage
+    spoil(folder)
+    with pytest.raises(ArtifactError, match=message):
         load_manifest(folder)
 
 
@@ -191,13 +201,6 @@ def test_manifest_with_missing_or_foreign_entries_is_refused(manifest, path, rem
         del data["unknown"]
     with pytest.raises(ArtifactError, match="a model manifest"):
         Manifest.from_json(json.dumps(change(data, *path, remove=remove)), where="manifest.json")
-
-
-@pytest.mark.parametrize("payload", [b"", b"{", b"[1, 2]", b"3", b"\xff\xfe\x00"])
-def test_file_that_is_no_manifest_is_refused(folder, payload):
-    (folder / "manifest.json").write_bytes(payload)
-    with pytest.raises(ArtifactError, match=r"first/manifest\.json: expected a model manifest"):
-        load_manifest(folder)
 
 
 def staged(tmp_path, content: str):

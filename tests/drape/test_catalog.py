@@ -1,4 +1,4 @@
-"""What a name on the command line finds."""
+"""Names on a command line find shipped files, files and folders."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from drape.body.assets import load_body
 from drape.errors import ArtifactError, NotFound
 from drape.garment.cache import save_garment
 from tests.fixtures.cut_garments import cut_garment
-from tests.fixtures.tiny_model import tube_garment
+from tests.fixtures.garments import tube_garment
 
 
 def test_names_files_and_folders_are_found(tmp_path):

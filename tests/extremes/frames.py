@@ -1,4 +1,4 @@
-"""What the tests of this folder share: poses through all stages, and the bound that every frame must keep."""
+"""Poses through all stages, and the bound that every frame must keep."""
 
 from __future__ import annotations
 

@@ -23,7 +23,8 @@ from service.compute.drape_runtime import DrapeRuntime
 from service.graphs.engine import Engine
 from service.graphs.packing import Packer, ScenePlan
 from tests.extremes.frames import check_bounded, draped
-from tests.fixtures.packed import exported, garment
+from tests.fixtures.garments import shipped
+from tests.fixtures.packed import exported
 
 BUDGET_MM = {"frame": 0.05, "jets_turn": 0.1, "jets_centre": 0.05, "float32": 0.001, "float16": 1.0}
 BOX_M, PATCH_M = 2.0, 0.1
@@ -90,7 +91,7 @@ def test_the_path_in_halves_stays_finite_at_the_extremes(tmp_path: Path):
     engine, body = Engine(folder, half=True), load_body()
     assert engine.half
     packer = Packer(engine, body)
-    packer.add("tank", garment("tank"))
+    packer.add("tank", shipped("tank"))
     poses = np.random.default_rng(2).uniform(-1000.0, 1000.0, (4, 24, 3))
     for betas in (np.full(10, 20.0), np.full(10, -20.0)):
         results = packer.run(ScenePlan(), pack_body(body, betas).rows(poses), [("tank", i) for i in range(4)])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from drape.cloth.fabric_table import FABRICS
-from drape.live.fold_constants import Constants
-from drape.live.fold_step import FAR_M, Effort, fold
+from drape.live.fold_constants import FoldConstants
+from drape.live.fold_step import FAR_M, FoldEffort, fold
 from service.compute.drape_runtime import DrapeRuntime
 from tests.drape.live.folds_setup import frame, sleeve
 from tests.extremes.frames import check_bounded, draped
@@ -32,11 +32,11 @@ def test_folds_of_the_stiffest_and_the_softest_fabric_at_the_lowest_rate(
     poses = np.cumsum(np.random.default_rng(9).uniform(-0.1, 0.1, (6, 24, 3)), axis=0)
     check_bounded(runtime, draped(runtime, poses, times_s=np.arange(6) / fps, fabric=None, folds=1))
     rest, dressed = sleeve("denim" if fabric == STIFF else "rib")
-    constants, memory = Constants.of(dressed), None
+    constants, memory = FoldConstants.of(dressed), None
     for number in range(8):
         one = frame(rest, number)
         at = type(one)(one.vertices, one.skin, number / fps)
-        x, memory, _ = fold(constants, memory, at, Effort(sweeps=1, settle=1))
+        x, memory, _ = fold(constants, memory, at, FoldEffort(steps=1, settle=1))
         assert np.isfinite(x).all() and np.linalg.norm(x - one.vertices, axis=1).max() <= FAR_M
 
 
@@ -47,14 +47,14 @@ def test_many_frames_of_state_do_not_drift():
     are asked for.
     """
     rest, dressed = sleeve()
-    constants, memory = Constants.of(dressed), None
+    constants, memory = FoldConstants.of(dressed), None
     period = [frame(rest, number) for number in (*range(12), *range(12, 0, -1))]
     off_m = []
     for lap in range(200):
         farthest_m = 0.0
         for number, one in enumerate(period):
             at = type(one)(one.vertices, one.skin, (lap * len(period) + number) / 30.0)
-            x, memory, report = fold(constants, memory, at, Effort(sweeps=1, settle=2))
+            x, memory, report = fold(constants, memory, at, FoldEffort(steps=1, settle=2))
             farthest_m = max(farthest_m, float(np.linalg.norm(x - one.vertices, axis=1).max()))
             assert not report.reset and np.isfinite(x).all()
         off_m.append(farthest_m)

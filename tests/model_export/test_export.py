@@ -14,7 +14,6 @@ from numpy.testing import assert_allclose
 from drape.artifacts import load_manifest
 from drape.body.assets import load_body
 from drape.errors import ArtifactError
-from drape.garment.cache import GARMENTS_DIR, load_garment
 from drape.geometry import jets
 from drape.graph.feeds import body_feed, garment_feed
 from model_export import export as exporting
@@ -22,6 +21,7 @@ from model_export.graph import DrapeGraph, drape_inputs
 from model_export.onnx_file import _check_symbolic
 from model_export.parity import hard_poses, session
 from tests.fixtures import packed
+from tests.fixtures.garments import shipped
 from tests.fixtures.networks import TINY
 from tests.fixtures.rounding import FIT_ROUNDING
 from training import checkpoint
@@ -33,7 +33,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def garment():
-    return load_garment(next(iter(sorted(GARMENTS_DIR.glob("tank-*.npz")))))
+    return shipped("tank")
 
 
 def lively() -> OneFit:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from drape.cloth.material import OrthotropicMaterial
-from recovery.sim.model import ClothModel, ClothState, Parameters
+from recovery.sim.model import ClothModel, ClothState, Parameters, Rest
 
 # A woven cloth of ordinary stiffness, every constant different so that a swap shows.
 WOVEN = OrthotropicMaterial(h00=60.0, h01=11.0, h11=45.0, h22=24.0, bending_j=1.5e-4, density_kg_m2=0.18)
@@ -58,6 +59,23 @@ def crumpled(model: ClothModel, nodes: np.ndarray, *, size_m: float = 0.004, see
     rng = np.random.default_rng(seed)
     free = ~model.fixed[:, None]
     return model.state(nodes + free * rng.normal(size=nodes.shape) * size_m, free * rng.normal(size=nodes.shape) * 0.1)
+
+
+class Crumpled(NamedTuple):
+    """A crumpled tube of ``WOVEN`` at the nodes ``x``: everything that its energies take."""
+
+    model: ClothModel
+    panels: np.ndarray
+    parameters: Parameters
+    rest: Rest
+    x: Tensor
+
+
+def crumpled_tube(**settings) -> Crumpled:
+    """The tube of ``sewn_tube``, crumpled."""
+    model, panels, nodes = sewn_tube(**settings)
+    parameters = model.parameters(panels, WOVEN)
+    return Crumpled(model, panels, parameters, model.rest(parameters.panels), crumpled(model, nodes).x)
 
 
 def leaves_of(state: ClothState, parameters: Parameters) -> dict[str, Tensor]:

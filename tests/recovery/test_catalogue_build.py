@@ -15,13 +15,13 @@ from drape.cloth.fabric_table import fabric
 from drape.errors import InputError, NotFound
 from drape.garment.cache import load_garment
 from drape.garment.files.mesh import read_mesh
-from drape.garment.grain import texture
+from drape.garment.grain import corner_uv
 from drape.garment.intake import intake
 from drape.garment.sewing import sewing_beside, sewn_hinges
 from drape.geometry import meshes
 from recovery.catalogue.__main__ import main
 from recovery.catalogue.build import QUICK, SewnGarment, body_distance, build, design
-from recovery.catalogue.closing import carried
+from recovery.catalogue.closing import on_finer_mesh
 from recovery.catalogue.files import write_garment
 from recovery.catalogue.garments import CATALOGUE
 from recovery.catalogue.settling import HEM_BENDING, hinge_bending, seam_angles
@@ -38,15 +38,12 @@ def quick_tank() -> SewnGarment:
     return build(design("tank", default_measurements()), body_distance(body, QUICK), QUICK)
 
 
-# --- between meshes --------------------------------------------------------------------------------------------------
-
-
 def test_a_shape_is_carried_to_a_finer_mesh_by_place_in_the_panels():
     pattern = CATALOGUE["skirt"](default_measurements()).pattern
     coarse, fine = mesh_pattern(pattern, 0.06), mesh_pattern(pattern, 0.03)
     # Panels as placed are linear in their coordinates: away from seams nothing is lost.
     placed = coarse.placed()
-    nodes = carried(coarse, coarse.nodes_from(placed), fine)
+    nodes = on_finer_mesh(coarse, coarse.nodes_from(placed), fine)
     inner = np.setdiff1d(np.arange(fine.node_count), fine.node_of_panel_vertex[fine.seam_pairs])
     far = fine.nodes_from(fine.placed())
     gap = np.linalg.norm(nodes - far, axis=1)[inner]
@@ -57,10 +54,7 @@ def test_meshes_of_two_patterns_are_refused():
     body = default_measurements()
     coarse, fine = (mesh_pattern(CATALOGUE[name](body).pattern, 0.08) for name in ("skirt", "shorts"))
     with pytest.raises(InputError, match="meshes: expected two meshes of one pattern"):
-        carried(coarse, coarse.nodes_from(coarse.placed()), fine)
-
-
-# --- what the maker adds ---------------------------------------------------------------------------------------------
+        on_finer_mesh(coarse, coarse.nodes_from(coarse.placed()), fine)
 
 
 def test_hems_bend_twice_as_hard_and_the_collar_is_folded():
@@ -78,9 +72,6 @@ def test_hems_bend_twice_as_hard_and_the_collar_is_folded():
     line = np.unique(mesh.node_of_panel_vertex[mesh.seam_pairs[mesh.seam_of_pair == fold]])
     assert set(folded) == set(line)
     assert set(angles) == {0.0, made.seam_angles["collar_fold"]}
-
-
-# --- the way to the files --------------------------------------------------------------------------------------------
 
 
 def test_a_garment_is_sewn_round_the_body_and_stays_outside_of_it():
@@ -133,10 +124,10 @@ def test_intake_has_the_hinges_that_were_simulated(tmp_path):
     nodes = mesh.nodes_from(mesh.placed())
     obj = write_garment(SewnGarment(made, mesh, nodes, {}), tmp_path, name="shirt", size="M", body="b")[0]
     told, read = sewing_beside(obj), read_mesh(obj)
-    painted = texture(read.uv, read.uv_faces, len(read.faces))
-    assert told is not None and painted is not None
+    on_corners = corner_uv(read.uv, read.uv_faces, len(read.faces))
+    assert told is not None and on_corners is not None
     told.check(read)
-    found = sewn_hinges(told, read, np.arange(len(read.vertices)), read.faces, painted)
+    found = sewn_hinges(told, read, np.arange(len(read.vertices)), read.faces, on_corners)
     assert_array_equal(meshes.hinges(read.faces), model.hinge_nodes)
     assert_array_equal(found.angle, seam_angles(made, mesh, model))
     cloth = fabric(made.fabric)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -18,18 +19,22 @@ from drape.motion.samples import walk
 from recovery.atomic import write
 from recovery.drape.__main__ import main
 from recovery.drape.output import glb_bytes, obj_text, panel_texture
-from recovery.drape.posing import LARGEST_TURN_RAD, between, carried, read_pose
+from recovery.drape.posing import LARGEST_TURN_RAD, moved_with_bones, pose_steps, read_pose
 from recovery.pattern.bases import skirt
 from recovery.pattern.garmentcode import write_pattern
-from recovery.pattern.mesh import mesh_pattern
+from recovery.pattern.mesh import PatternMesh, mesh_pattern
 from tests.recovery.pattern_setup import default_measurements, tube
 
-# --- files -----------------------------------------------------------------------------------------------------------
+
+@lru_cache(maxsize=1)
+def flat_tube() -> tuple[PatternMesh, np.ndarray]:
+    """A tube's mesh and its nodes [m], panels flat before and behind the body."""
+    mesh = mesh_pattern(tube(), 0.1)
+    return mesh, mesh.nodes_from(mesh.placed())
 
 
 def test_the_obj_holds_nodes_and_panels_and_which_belongs_to_which(tmp_path):
-    mesh = mesh_pattern(tube(), 0.1)
-    nodes = mesh.nodes_from(mesh.placed())
+    mesh, nodes = flat_tube()
     read = read_mesh(write(tmp_path / "tube.obj", obj_text(mesh, nodes, panel_texture(mesh))))
     assert_allclose(read.vertices, nodes, atol=1e-8)
     assert (read.faces == mesh.faces).all() and (read.uv_faces == mesh.panel_faces).all()
@@ -44,13 +49,9 @@ def test_the_obj_holds_nodes_and_panels_and_which_belongs_to_which(tmp_path):
 
 
 def test_the_glb_shows_the_same_surface(tmp_path):
-    mesh = mesh_pattern(tube(), 0.1)
-    nodes = mesh.nodes_from(mesh.placed())
+    mesh, nodes = flat_tube()
     read = read_mesh(write(tmp_path / "tube.glb", glb_bytes(mesh, nodes, panel_texture(mesh))))
     assert_allclose(read.vertices[read.faces], nodes[mesh.faces], atol=1e-6)
-
-
-# --- poses -----------------------------------------------------------------------------------------------------------
 
 
 def test_poses_are_read_from_samples_motion_and_json(tmp_path):
@@ -82,27 +83,23 @@ def test_poses_that_are_not_there_are_refused(tmp_path):
 
 def test_the_way_to_a_pose_ends_there_in_small_even_turns(rng):
     pose = 0.8 * rng.normal(size=(24, 3))
-    way = between(pose)
+    way = pose_steps(pose)
     assert_allclose(way[-1], pose)
     steps = np.diff(way, axis=0, prepend=np.zeros((1, 24, 3)))
     assert_allclose(steps, np.broadcast_to(steps[0], steps.shape), atol=1e-12)
     assert np.linalg.norm(steps[0][1:], axis=1).max() <= LARGEST_TURN_RAD
-    assert len(between(np.zeros((24, 3)))) == 1
+    assert len(pose_steps(np.zeros((24, 3)))) == 1
 
 
 def test_turning_the_whole_body_turns_the_garment_rigidly():
     """x' = R (x - pelvis) + pelvis, whatever the weights are."""
-    body, mesh = load_body(), mesh_pattern(tube(), 0.1)
-    nodes = mesh.nodes_from(mesh.placed())
+    body, (mesh, nodes) = load_body(), flat_tube()
     before, after = np.zeros((2, 24, 3))
     after[0] = [0.2, 1.1, -0.4]
     pelvis = body.joints_template[0]
     expected = (nodes - pelvis) @ rotvec_to_matrix(after[0]).T + pelvis
-    assert_allclose(carried(nodes, mesh.faces, body, before, after), expected, atol=1e-9)
-    assert_allclose(carried(nodes, mesh.faces, body, after, after), nodes, atol=1e-9)
-
-
-# --- the command -----------------------------------------------------------------------------------------------------
+    assert_allclose(moved_with_bones(nodes, mesh.faces, body, before, after), expected, atol=1e-9)
+    assert_allclose(moved_with_bones(nodes, mesh.faces, body, after, after), nodes, atol=1e-9)
 
 
 def short_skirt(folder: Path) -> list[str]:

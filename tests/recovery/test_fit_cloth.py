@@ -17,7 +17,7 @@ from recovery.fit.contours import open_contours
 from recovery.fit.objective import Objective, Target, Weights
 from recovery.fit.optimise import FitOptions, PatternSearch
 from recovery.pattern.coordinates import with_controls
-from tests.recovery.test_fit_optimise import CLOTH, scene, search
+from tests.recovery.test_fit_optimise import CLOTH, scene, search, slope, wider_below
 
 
 def test_constants_and_logarithms_are_inverse():
@@ -68,11 +68,9 @@ def test_the_nearest_fabric_and_its_distance_in_words():
 def free_search(true_bending: float) -> tuple[PatternSearch, np.ndarray]:
     """The scene's search with its cloth free; the target has another bending as well as another pattern."""
     mesh, forward, nodes, _, contours, matches = scene()
-    low = mesh.controls.positions[:, 1:] < 0.0
-    wider = mesh.rest_at(mesh.controls.positions + np.where(low, mesh.controls.positions * [0.06, 0.05], 0.0))
     free = FreeCloth(CLOTH)
     values = torch.from_numpy(free.values_of(replace(CLOTH, bending_j=true_bending)))
-    there, report = forward(torch.from_numpy(wider), nodes, free.tensors(values))
+    there, report = forward(torch.from_numpy(mesh.rest_at(wider_below(mesh))), nodes, free.tensors(values))
     assert report.converged
     target = Target.from_mesh(there.numpy(), mesh.faces, open_contours(there.numpy(), mesh.faces), folds=0.0)
     found, _ = search()
@@ -86,11 +84,8 @@ def test_gradients_to_the_cloth_agree_with_differences_through_the_drape():
     values = 0.002 * rng.normal(size=finder.count)
     at = finder.evaluate(values, nodes)
     assert at is not None
-    step = 2e-6
     for direction in (*np.eye(finder.count)[finder.free.count :], rng.normal(size=finder.count)):
-        ends = [finder.evaluate(values + sign * step * direction, at.nodes) for sign in (1.0, -1.0)]
-        assert ends[0] is not None and ends[1] is not None
-        numeric = (ends[0].terms[0] - ends[1].terms[0]) / (2.0 * step)
+        numeric = slope(finder, at, direction)
         assert_allclose(at.gradient @ direction, numeric, rtol=1e-4, atol=1e-6 * np.abs(at.gradient).max())
 
 
@@ -115,9 +110,7 @@ def test_pattern_and_bending_are_found_together():
     mesh = finder.mesh
     given = PatternSearch(mesh, finder.free, finder.forward, finder.objective)
     with_it, without = (one.run(nodes, FitOptions(iterations=0, closing=12)) for one in (finder, given))
-    low = mesh.controls.positions[:, 1:] < 0.0
-    truth = mesh.controls.positions + np.where(low, mesh.controls.positions * [0.06, 0.05], 0.0)
-    true = with_controls(mesh.pattern, mesh.controls, truth)
+    true = with_controls(mesh.pattern, mesh.controls, wider_below(mesh))
     far = [pattern_error(found.pattern, true).controls_m.max() for found in (with_it, without)]
     assert far[0] < 1e-4 < 1e-3 < far[1]
     assert_allclose(with_it.cloth.bending_j, 3.0 * CLOTH.bending_j, rtol=0.01)

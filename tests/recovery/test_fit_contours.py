@@ -9,8 +9,6 @@ from numpy.testing import assert_allclose
 from drape.body.assets import load_body
 from drape.body.skeleton import JOINT_NAMES
 from drape.errors import InputError, MeshError
-from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
-from recovery.drape.placement import scaled
 from recovery.fit.contours import Contour, bone_chains, encircles, match_contours, open_contours, place_of
 from recovery.fit.grading import contour_edges, grade
 from recovery.pattern.bases import skirt, tshirt
@@ -18,24 +16,7 @@ from recovery.pattern.coordinates import control_points
 from recovery.pattern.mesh import PatternMesh, mesh_pattern
 from recovery.pattern.model import Pattern
 from recovery.pattern.symmetry import find_symmetries
-from tests.recovery.pattern_setup import default_measurements
-
-QUICK = DrapeOptions(edge_length_m=0.07, grid_m=0.03, iteration_limit=0)
-
-
-def tube(radii, heights, sides: int = 24) -> tuple[np.ndarray, np.ndarray]:
-    """A tube round the y axis through rings of these radii and heights [m], open at both ends."""
-    angle = 2.0 * np.pi * np.arange(sides) / sides
-    rings = [
-        np.stack([r * np.sin(angle), np.full(sides, y), r * np.cos(angle)], axis=1)
-        for r, y in zip(radii, heights, strict=True)
-    ]
-    faces = []
-    for ring in range(len(rings) - 1):
-        for k in range(sides):
-            a, b = ring * sides + k, ring * sides + (k + 1) % sides
-            faces += [[a, b, b + sides], [a, b + sides, a + sides]]
-    return np.concatenate(rings), np.array(faces)
+from tests.recovery.pattern_setup import default_measurements, round_tube
 
 
 def joints() -> np.ndarray:
@@ -48,11 +29,6 @@ def sandwich(name: str) -> tuple[PatternMesh, np.ndarray]:
     return mesh, mesh.nodes_from(mesh.placed())
 
 
-def draped(scale: float) -> Draped:
-    """A coarse drape of a skirt, not quite at rest."""
-    return drape_pattern(scaled(skirt(default_measurements()), scale), load_body(), QUICK)
-
-
 def sizes(pattern: Pattern, base: Pattern) -> np.ndarray:
     """Width and height (P, 2) of every panel's corners over the base's."""
     now, before = control_points(pattern), control_points(base)
@@ -60,12 +36,9 @@ def sizes(pattern: Pattern, base: Pattern) -> np.ndarray:
     return np.array([np.ptp(now.positions[rows], axis=0) / np.ptp(before.positions[rows], axis=0) for rows in mine])
 
 
-# --- contours --------------------------------------------------------------------------------------------------------
-
-
 def test_the_loops_of_a_tube_have_the_lengths_of_polygons():
     radii, heights, sides = (0.3, 0.25, 0.2), (-0.4, 0.0, 0.3), 24
-    hem, waist = open_contours(*tube(radii, heights, sides))
+    hem, waist = open_contours(*round_tube(radii, heights, sides))
     for contour, radius, height in ((hem, 0.3, -0.4), (waist, 0.2, 0.3)):
         assert_allclose(contour.length_m, 2.0 * sides * radius * np.sin(np.pi / sides), rtol=1e-12)
         assert_allclose(contour.centre, [0.0, height, 0.0], atol=1e-12)
@@ -153,9 +126,6 @@ def test_contours_find_their_counterparts_and_holes_are_left():
         match_contours([hole], target, joints())
 
 
-# --- grading ---------------------------------------------------------------------------------------------------------
-
-
 def test_the_contours_of_a_skirt_are_its_free_edges():
     mesh, nodes = sandwich("skirt")
     hem, waist = open_contours(nodes, mesh.faces)
@@ -199,17 +169,6 @@ def test_one_that_is_longer_only_is_lengthened_only():
     )
     assert_allclose(graded.heights, 1.1, atol=0.015)
     assert_allclose(graded.widths, 1.0, atol=0.005)
-
-
-@pytest.mark.slow
-def test_the_drape_of_a_scaled_pattern_is_graded_to_within_some_percent():
-    """The body stays as it is, so a wider skirt hangs lower: a start for the search, not its end."""
-    found, target = draped(1.0), draped(1.06)
-    source = open_contours(found.nodes, found.mesh.faces)
-    matches, _ = match_contours(source, open_contours(target.nodes, target.mesh.faces), joints())
-    graded = grade(found.mesh, found.nodes, source, matches, find_symmetries(found.mesh.pattern))
-    assert_allclose(graded.widths, 1.06, atol=0.02)
-    assert_allclose(graded.heights, 1.06, atol=0.04)
 
 
 def test_a_target_of_another_size_altogether_is_refused():

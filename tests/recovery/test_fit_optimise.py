@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 import pytest
 import torch
+import trimesh
 from numpy.testing import assert_allclose
 
 from benchmarks.recovery.compare import pattern_error
@@ -16,8 +18,16 @@ from drape.errors import ArtifactError, InputError, MeshError
 from recovery.fit.contours import Contour, Match, Place, open_contours
 from recovery.fit.curvature import gauss_newton_matrix
 from recovery.fit.forward import RestDrape
-from recovery.fit.objective import Objective, Target, Weights, fold_weights, mean_curvature, polyline_chamfer
-from recovery.fit.optimise import FitOptions, PatternSearch
+from recovery.fit.objective import (
+    Objective,
+    Target,
+    Weights,
+    fold_weights,
+    mean_curvature,
+    nearest_on_line,
+    polyline_chamfer,
+)
+from recovery.fit.optimise import Evaluation, FitOptions, PatternSearch
 from recovery.pattern.coordinates import control_points, with_controls
 from recovery.pattern.mesh import PatternMesh, mesh_pattern
 from recovery.pattern.model import Pattern
@@ -29,30 +39,6 @@ CLOTH = OrthotropicMaterial(h00=60.0, h01=11.0, h11=45.0, h22=24.0, bending_j=1.
 NOWHERE = Sphere((0.0, -10.0, 0.0), 0.1)
 
 
-def sphere(levels: int, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """An octahedron subdivided onto a sphere."""
-    vertices = np.concatenate([np.eye(3), -np.eye(3)])
-    faces = np.array([[x, y, z] for x in (0, 3) for y in (1, 4) for z in (2, 5)])
-    outward = np.linalg.det(vertices[faces]) > 0
-    faces = np.where(outward[:, None], faces, faces[:, ::-1])
-    for _ in range(levels):
-        middle = {}
-        points, fine = list(vertices), []
-
-        def between(a, b, middle=middle, points=points):
-            key = (min(a, b), max(a, b))
-            if key not in middle:
-                middle[key] = len(points)
-                points.append((points[a] + points[b]) / np.linalg.norm(points[a] + points[b]))
-            return middle[key]
-
-        for a, b, c in faces:
-            ab, bc, ca = between(a, b), between(b, c), between(c, a)
-            fine += [[a, ab, ca], [b, bc, ab], [c, ca, bc], [ab, bc, ca]]
-        vertices, faces = np.array(points), np.array(fine)
-    return radius * vertices, faces
-
-
 def cone_mesh() -> PatternMesh:
     """A short tube of two panels, wider below."""
     front = rectangle("front", 0.3, 0.2, translation_m=(0.0, 0.0, 0.1))
@@ -62,6 +48,25 @@ def cone_mesh() -> PatternMesh:
         rectangle("back", rotation_deg=(0.0, 180.0, 0.0), translation_m=(0.0, 0.0, -0.1)), vertices=wide.copy()
     )
     return mesh_pattern(tube(front, back), 0.05)
+
+
+def paired(targets: Sequence[int]) -> list[Match]:
+    """Matches of contours 0, 1, ... with these of the target."""
+    return [Match(i, j, Place("trunk", 0.0, np.zeros(3)), 1.0, 0.0) for i, j in enumerate(targets)]
+
+
+def slope(finder: PatternSearch, at: Evaluation, direction: np.ndarray) -> float:
+    """The derivative of the loss along ``direction`` by differences through the drape."""
+    step = 2e-6
+    ends = [finder.evaluate(at.values + sign * step * direction, at.nodes) for sign in (1.0, -1.0)]
+    assert ends[0] is not None and ends[1] is not None
+    return (ends[0].terms[0] - ends[1].terms[0]) / (2.0 * step)
+
+
+def wider_below(mesh: PatternMesh) -> np.ndarray:
+    """Control points [m] (K, 2) of a pattern that is 6 % wider and 5 % longer below its middle."""
+    corners = mesh.controls.positions
+    return corners + np.where(corners[:, 1:] < 0.0, corners * [0.06, 0.05], 0.0)
 
 
 @lru_cache(maxsize=1)
@@ -78,17 +83,12 @@ def scene() -> tuple[PatternMesh, RestDrape, np.ndarray, Target, list[Contour], 
     x, report = forward(torch.from_numpy(mesh.rest), flat)
     assert report.converged
     nodes = x.numpy()
-    low = mesh.controls.positions[:, 1:] < 0.0
-    wider = mesh.rest_at(mesh.controls.positions + np.where(low, mesh.controls.positions * [0.06, 0.05], 0.0))
-    there, report = forward(torch.from_numpy(wider), nodes)
+    there, report = forward(torch.from_numpy(mesh.rest_at(wider_below(mesh))), nodes)
     assert report.converged
     contours = open_contours(nodes, mesh.faces)
     target = Target.from_mesh(there.numpy(), mesh.faces, open_contours(there.numpy(), mesh.faces))
-    place = Place("trunk", 0.0, np.array([0.0, 1.0, 0.0]))
-    matches = []
-    for i, contour in enumerate(contours):
-        j = int(np.argmin([abs(other.centre[1] - contour.centre[1]) for other in target.contours]))
-        matches.append(Match(i, j, place, 1.0, 0.0))
+    heights = np.array([other.centre[1] for other in target.contours])
+    matches = paired([int(np.abs(heights - contour.centre[1]).argmin()) for contour in contours])
     return mesh, forward, nodes, target, contours, matches
 
 
@@ -101,11 +101,9 @@ def search(weights: Weights | None = None) -> tuple[PatternSearch, np.ndarray]:
     return PatternSearch(mesh, free, forward, Objective(mesh, even, contours, matches, weights or Weights())), nodes
 
 
-# --- the loss --------------------------------------------------------------------------------------------------------
-
-
 def test_mean_curvature_of_sphere_cylinder_and_plane():
-    vertices, faces = sphere(4, 0.1)
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
+    vertices, faces = np.array(ball.vertices), np.array(ball.faces)
     assert_allclose(np.median(mean_curvature(vertices, faces)), 10.0, rtol=0.01)
     mesh = mesh_pattern(tube(), 0.02)
     angle = np.pi * mesh.rest[:, 0] / 0.4  # half a circle each
@@ -132,8 +130,7 @@ def test_the_distance_to_itself_is_zero_however_it_is_triangulated():
     flat = np.column_stack([fine.rest, np.zeros(len(fine.rest))])
     same = Target.from_mesh(nodes, coarse.faces, open_contours(nodes, coarse.faces))
     rest, x = torch.from_numpy(coarse.rest), torch.from_numpy(nodes)
-    matches = [Match(i, i, Place("trunk", 0.0, np.zeros(3)), 1.0, 0.0) for i in range(2)]
-    terms = Objective(coarse, same, same.contours, matches)(x, rest)
+    terms = Objective(coarse, same, same.contours, paired((0, 1)))(x, rest)
     assert float(terms.total) < 1e-20
     # One panel alone in another triangulation, and lifted by d: d^2 in both directions.
     front = coarse.panel_faces[coarse.face_panel == 0]
@@ -154,6 +151,14 @@ def test_polylines_at_a_distance():
     finer = torch.stack([first, 0.5 * (first + torch.roll(first, -1, dims=0))], dim=1).reshape(-1, 3)
     assert float(polyline_chamfer(finer, first)) < 1e-24
     assert_allclose(float(polyline_chamfer(finer, lifted)), 2.0 * 0.09, rtol=1e-12)
+
+
+def test_the_nearest_point_of_a_closed_line_is_on_its_last_segment_too():
+    square = torch.tensor([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]], dtype=torch.float64)
+    points = torch.tensor([[-0.1, 0.25, 0.3], [0.6, -0.2, 0.0], [2.0, 2.0, 0.0]], dtype=torch.float64)
+    best, t = nearest_on_line(points, square)
+    found = square[best] + t[:, None] * (torch.roll(square, -1, dims=0) - square)[best]
+    assert_allclose(found, [[0.0, 0.25, 0.0], [0.6, 0.0, 0.0], [1.0, 1.0, 0.0]], atol=1e-15)
 
 
 def test_seams_keep_the_ease_of_the_base():
@@ -192,11 +197,7 @@ def test_the_gradient_agrees_with_differences_through_the_drape(weights):
     at = finder.evaluate(values, nodes)
     assert at is not None and at.terms[0] > 0.0
     direction = rng.normal(size=finder.free.count) + 2.0 * np.sign(at.gradient)
-    step = 2e-6
-    ends = [finder.evaluate(values + sign * step * direction, at.nodes) for sign in (1.0, -1.0)]
-    assert ends[0] is not None and ends[1] is not None
-    numeric = (ends[0].terms[0] - ends[1].terms[0]) / (2.0 * step)
-    assert_allclose(at.gradient @ direction, numeric, rtol=2e-5)
+    assert_allclose(at.gradient @ direction, slope(finder, at, direction), rtol=2e-5)
 
 
 def test_the_drape_moves_as_its_sensitivity_says():
@@ -217,9 +218,8 @@ def test_the_drape_moves_as_its_sensitivity_says():
 def test_where_the_fit_is_exact_the_matrix_is_the_second_derivative(weights):
     """The loss a small way from its zero is half the square of that way in the matrix; every term alone."""
     mesh, forward, nodes, _, contours, _ = scene()
-    place = Place("trunk", 0.0, np.zeros(3))
     own = Target.from_mesh(nodes, mesh.faces, contours)
-    objective = Objective(mesh, own, contours, [Match(i, i, place, 1.0, 0.0) for i in range(2)], weights)
+    objective = Objective(mesh, own, contours, paired((0, 1)), weights)
     rng = np.random.default_rng(5)
     directions = np.stack([mesh.rest_at(c) for c in rng.normal(size=(3, *mesh.controls.positions.shape))], axis=2)
     moves = forward.sensitivity(torch.from_numpy(mesh.rest), nodes, directions)
@@ -232,20 +232,12 @@ def test_where_the_fit_is_exact_the_matrix_is_the_second_derivative(weights):
         assert_allclose(float(loss), 0.5 * step @ matrix @ step, rtol=0.05)
 
 
-# --- the search ------------------------------------------------------------------------------------------------------
-
-
 def test_a_search_finds_the_pattern_back():
     """The hem's corners end where the target's are; control points within 1 mm, area within half a percent."""
     finder, nodes = search()
     mesh = finder.mesh
     found = finder.run(nodes, FitOptions(iterations=8, closing=6, rate_m=2e-3))
-    low = mesh.controls.positions[:, 1:] < 0.0
-    truth = with_controls(
-        mesh.pattern,
-        mesh.controls,
-        mesh.controls.positions + np.where(low, mesh.controls.positions * [0.06, 0.05], 0.0),
-    )
+    truth = with_controls(mesh.pattern, mesh.controls, wider_below(mesh))
     before, after = (pattern_error(pattern, truth) for pattern in (mesh.pattern, found.pattern))
     assert before.controls_m.max() > 0.005 and np.abs(before.areas).max() > 0.05
     assert after.controls_m.max() < 1e-4 and np.abs(after.areas).max() < 0.001

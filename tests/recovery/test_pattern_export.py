@@ -57,9 +57,6 @@ def polygon_mm(points: np.ndarray) -> float:
     return float(np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1).sum())
 
 
-# --- pieces ----------------------------------------------------------------------------------------------------------
-
-
 def test_the_seam_allowance_is_parallel_to_the_sewing_line():
     square = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], dtype=float)
     wide = offset(square, 0.05)
@@ -115,53 +112,40 @@ def test_pieces_lie_on_the_sheet_without_overlap():
             assert all((high < other[0]).any() or (low > other[1]).any() for other in boxes[:i])
 
 
-@pytest.mark.parametrize("allowance", [-0.01, 0.5, np.nan])
-def test_seam_allowances_are_small_lengths(allowance):
-    with pytest.raises(InputError, match="allowance_m"):
-        make_sheet(tube(), allowance_m=allowance)
+def svg_curves(d: str) -> list[tuple[str, np.ndarray]]:
+    """Letters and fine polylines (2001, 2) of an SVG path of M, L, Q, C, A and Z with absolute coordinates.
 
-
-# --- SVG -------------------------------------------------------------------------------------------------------------
-
-
-def path_length(d: str) -> float:
-    """Length of an SVG path of M, L, Q, C, A and Z with absolute coordinates; arcs are circles."""
-    total, first, at = 0.0, np.zeros(2), np.zeros(2)
+    Arcs are circles, by the construction of the SVG specification.
+    """
+    curves, first, at = [], np.zeros(2), np.zeros(2)
+    t = np.linspace(0.0, 1.0, 2001)[:, None]
     for letter, text in re.findall(r"([MLQCAZ])([^MLQCAZ]*)", d):
         numbers = np.array([float(value) for value in re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", text)])
         if letter == "M":
             first = at = numbers
-        elif letter == "A":
-            radius, large, end = numbers[0], numbers[3], numbers[5:]
-            angle = 2.0 * np.arcsin(np.clip(np.linalg.norm(end - at) / (2.0 * radius), 0.0, 1.0))
-            total += radius * (2.0 * np.pi - angle if large else angle)
-            at = end
-        else:
-            points = np.vstack([at, numbers.reshape(-1, 2) if letter != "Z" else first])
-            t = np.linspace(0.0, 1.0, 2001)[:, None, None]
-            curve = np.broadcast_to(points, (2001, *points.shape))
-            while curve.shape[1] > 1:  # de Casteljau
-                curve = (1.0 - t) * curve[:, :-1] + t * curve[:, 1:]
-            total += np.linalg.norm(np.diff(curve[:, 0], axis=0), axis=1).sum()
-            at = points[-1]
-    return total
-
-
-def arc_middle(d: str) -> list[np.ndarray]:
-    """Highest points of the arcs of an SVG path, by the construction of the SVG specification."""
-    found, at = [], np.zeros(2)
-    for letter, text in re.findall(r"([MLQCAZ])([^MLQCAZ]*)", d):
-        numbers = np.array([float(value) for value in re.findall(r"-?\d+\.?\d*", text)])
+            continue
+        end = first if letter == "Z" else numbers[-2:]
         if letter == "A":
-            radius, large, sweep, end = numbers[0], numbers[3], numbers[4], numbers[5:]
+            radius, large, sweep = numbers[0], numbers[3], numbers[4]
             chord = end - at
             root = np.sqrt(max(radius**2 - 0.25 * chord @ chord, 0.0))
             normal = np.array([-chord[1], chord[0]]) / np.linalg.norm(chord)
-            centre = 0.5 * (at + end) + (root if large != sweep else -root) * normal
-            found.append(centre - normal * radius * (1.0 if sweep else -1.0))
-        if len(numbers):
-            at = numbers[-2:]
-    return found
+            arm = at - (centre := 0.5 * (at + end) + (root if large != sweep else -root) * normal)
+            half = np.arcsin(np.clip(np.linalg.norm(chord) / (2.0 * radius), 0.0, 1.0))
+            angle = (2.0 * np.pi - 2.0 * half if large else 2.0 * half) * (1.0 if sweep else -1.0) * t
+            points = centre + np.cos(angle) * arm + np.sin(angle) * np.array([-arm[1], arm[0]])
+        else:
+            points = np.vstack([at, numbers.reshape(-1, 2) if letter != "Z" else first])[None]
+            while points.shape[1] > 1:  # de Casteljau
+                points = (1.0 - t[:, :, None]) * points[:, :-1] + t[:, :, None] * points[:, 1:]
+            points = points[:, 0]
+        curves.append((letter, points))
+        at = end
+    return curves
+
+
+def path_length(d: str) -> float:
+    return sum(float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum()) for _, points in svg_curves(d))
 
 
 @pytest.mark.parametrize("pattern", [every_curve(), tshirt(default_measurements())], ids=lambda pattern: pattern.name)
@@ -171,12 +155,8 @@ def test_the_svg_read_back_has_the_lengths_of_the_pattern(pattern, tmp_path):
     root = ElementTree.parse(tmp_path / "sheet.svg").getroot()
     size = np.array([float(root.attrib[name].removesuffix("mm")) for name in ("width", "height")])
     assert_allclose(size, [1000 * sheet.width_m, 1000 * sheet.height_m], atol=1e-3)
-    assert root.attrib["viewBox"].split() == [
-        "0",
-        "0",
-        f"{size[0]:.3f}",
-        f"{size[1]:.3f}",
-    ]  # one unit is one millimetre
+    # One unit is one millimetre.
+    assert root.attrib["viewBox"] == f"0 0 {size[0]:.3f} {size[1]:.3f}"
     groups = {group.attrib["id"]: group for group in root.iter(f"{SVG}g")}
     assert list(groups) == [panel.name for panel in pattern.panels]
     for piece, place in zip(sheet.pieces, sheet.offsets, strict=True):
@@ -187,16 +167,14 @@ def test_the_svg_read_back_has_the_lengths_of_the_pattern(pattern, tmp_path):
         assert paths["sew"].startswith(f"M{1000 * first[0]:.4f} {1000 * (sheet.height_m - first[1]):.4f}")
         assert len(list(groups[piece.panel.name].iter(f"{SVG}line"))) == len(piece.notches)
         arcs = [number for number, edge in enumerate(piece.panel.edges) if edge.kind is EdgeKind.CIRCLE]
-        for number, middle in zip(arcs, arc_middle(paths["sew"]), strict=True):
+        drawn = [points for letter, points in svg_curves(paths["sew"]) if letter == "A"]
+        for number, points in zip(arcs, drawn, strict=True):
             highest = 1000.0 * (geometry.edge_points(piece.panel, number, np.array([0.5]))[0] + place)
-            assert_allclose(middle, [highest[0], 1000.0 * sheet.height_m - highest[1]], atol=2e-3)
+            assert_allclose(points[1000], [highest[0], 1000.0 * sheet.height_m - highest[1]], atol=2e-3)
     scale = next(element for element in root.iter(f"{SVG}rect"))
     assert scale.attrib["width"] == scale.attrib["height"] == "50"
     texts = [element.text for element in root.iter(f"{SVG}text")]
     assert "cut 1" in texts and "seam allowance 10 mm" in texts and pattern.material in texts
-
-
-# --- DXF -------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("dialect", ["aama", "gerber"])
@@ -250,9 +228,6 @@ def test_blocks_keep_their_own_names(tmp_path):
     document = ezdxf.readfile(tmp_path / "names.dxf")
     blocks = [insert.dxf.name for insert in document.modelspace().query("INSERT")]
     assert len(set(blocks)) == 5 and max(map(len, blocks)) <= 31
-
-
-# --- PDF -------------------------------------------------------------------------------------------------------------
 
 
 def pdf_streams(path: Path) -> list[str]:
@@ -326,22 +301,25 @@ def test_the_same_pattern_gives_the_same_pdf(tmp_path):
     assert (tmp_path / "one.pdf").read_bytes() == (tmp_path / "two.pdf").read_bytes()
 
 
-# --- all formats, and the command line -------------------------------------------------------------------------------
+LONG = Pattern("long", tuple(rectangle(str(number), width=1.4, height=1.5) for number in range(4)))
 
 
-def test_options_that_do_not_exist_are_refused(tmp_path):
-    sheet = make_sheet(tube())
-    with pytest.raises(InputError, match="unit_mm"):
-        write_dxf(sheet, tmp_path / "x.dxf", unit_mm=25.4)
-    with pytest.raises(InputError, match="dialect"):
-        write_dxf(sheet, tmp_path / "x.dxf", dialect="astm")
-    with pytest.raises(InputError, match="page"):
-        write_pdf(sheet, tmp_path / "x.pdf", page="A0")
-    with pytest.raises(InputError, match="format"):
-        export_pattern(tube(), tmp_path, ["svg", "ps"])
-    long = Pattern("long", tuple(rectangle(str(number), width=1.4, height=1.5) for number in range(4)))
-    with pytest.raises(InputError, match="at most 5080 mm"):
-        write_pdf(make_sheet(long), tmp_path / "x.pdf", page="single")
+@pytest.mark.parametrize(
+    ("write", "message"),
+    [
+        (lambda path: write_dxf(make_sheet(tube()), path, unit_mm=25.4), "unit_mm"),
+        (lambda path: write_dxf(make_sheet(tube()), path, dialect="astm"), "dialect"),
+        (lambda path: write_pdf(make_sheet(tube()), path, page="A0"), "page"),
+        (lambda path: write_pdf(make_sheet(LONG), path, page="single"), "at most 5080 mm"),
+        (lambda path: export_pattern(tube(), path.parent, ["svg", "ps"]), "format"),
+        (lambda path: make_sheet(tube(), allowance_m=-0.01), "allowance_m"),
+        (lambda path: make_sheet(tube(), allowance_m=0.5), "allowance_m"),
+        (lambda path: make_sheet(tube(), allowance_m=np.nan), "allowance_m"),
+    ],
+)
+def test_options_that_do_not_exist_are_refused(write, message, tmp_path):
+    with pytest.raises(InputError, match=message):
+        write(tmp_path / "x")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -11,7 +11,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from drape.errors import InputError, NotFound
-from drape.files.data import data_folder
 from recovery.pattern import garmentcode, geometry
 from recovery.pattern.model import EdgeKind, EdgeRef, Pattern
 from tests.recovery.pattern_setup import assert_same_pattern, curved, rectangle, tube
@@ -153,7 +152,7 @@ def test_other_units_and_a_given_unit():
     other["properties"]["units_in_meter"] = 200
     half = garmentcode.pattern_from_spec(other)
     assert_allclose(half.panel("front").vertices * 2.0, garmentcode.pattern_from_spec(spec()).panel("front").vertices)
-    assert half.carried["parameters"]["wide"]["value"] == 0.01
+    assert half.template["parameters"]["wide"]["value"] == 0.01
     assert_same_pattern(garmentcode.pattern_from_spec(other, units_in_meter=100), garmentcode.pattern_from_spec(spec()))
 
 
@@ -167,7 +166,7 @@ def test_centring_moves_the_origin_to_the_mean_corner():
 
 def test_template_parameters_are_carried_in_metres_and_mirrored_with_their_panel():
     pattern = garmentcode.pattern_from_spec(spec())
-    wide = pattern.carried["parameters"]["wide"]
+    wide = pattern.template["parameters"]["wide"]
     assert (wide["value"], wide["range"]) == (0.02, [-0.05, 0.1])
     assert wide["influence"][0]["edge_list"][0]["along"] == [-1, 1]
     written = garmentcode.pattern_to_spec(pattern)
@@ -192,19 +191,6 @@ def test_what_is_written_is_read_back(units, tmp_path):
         path = garmentcode.write_pattern(pattern, tmp_path / "deep" / "specification.json", units_in_meter=units)
         assert_same_pattern(garmentcode.read_pattern(path), pattern)
         assert list(path.parent.iterdir()) == [path]
-
-
-def test_a_second_round_changes_nothing():
-    for pattern in everything():
-        once = garmentcode.pattern_to_spec(pattern)
-        twice = garmentcode.pattern_to_spec(garmentcode.pattern_from_spec(json.loads(json.dumps(once))))
-        assert json.dumps(once)[:200] == json.dumps(twice)[:200]
-        assert once["pattern"]["stitches"] == twice["pattern"]["stitches"]
-        assert_allclose(
-            [panel["vertices"][0] for panel in once["pattern"]["panels"].values()],
-            [panel["vertices"][0] for panel in twice["pattern"]["panels"].values()],
-            rtol=1e-14,
-        )
 
 
 def test_comments_are_skipped_but_not_inside_strings(tmp_path):
@@ -292,12 +278,8 @@ def test_files_that_are_missing_or_no_json_are_refused(tmp_path):
 
 
 @pytest.mark.data
-def test_every_pattern_of_the_data_folder_goes_through():
-    folder = data_folder("patterns")
-    files = sorted(folder.glob("*.json")) if folder else []
-    if not files:
-        pytest.skip("No patterns/*.json in DRAPE_DATA: docs/guide/data.md says where to get them.")
-    for path in files:
+def test_every_pattern_of_the_data_folder_goes_through(pattern_files):
+    for path in pattern_files:
         pattern = garmentcode.read_pattern(path)
         read_back = garmentcode.pattern_from_spec(json.loads(json.dumps(garmentcode.pattern_to_spec(pattern))))
         assert_same_pattern(read_back, pattern)

@@ -6,12 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 from numpy.testing import assert_allclose
 
 from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError, MeshError
-from drape.files.data import data_folder
 from drape.geometry import meshes
 from recovery.pattern import geometry
 from recovery.pattern.coordinates import (
@@ -40,9 +38,6 @@ def points_inside(polygon: np.ndarray, rng: np.random.Generator, count: int = 60
     return (points[faces[rng.integers(len(faces), size=count)]] * shares[..., None]).sum(axis=1)
 
 
-# --- triangles -------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("polygon", [HOLLOW, CONVEX])
 @pytest.mark.parametrize("edge", [0.1, 0.35, 9.0])
 def test_triangles_fill_the_polygon_and_keep_its_boundary(polygon, edge):
@@ -59,9 +54,8 @@ def test_triangles_fill_the_polygon_and_keep_its_boundary(polygon, edge):
 
 
 def test_triangles_of_an_evenly_cut_boundary_are_near_equilateral():
-    pattern = Pattern("curved", (curved(),))
     for edge in (0.015, 0.03, 0.06):
-        mesh = mesh_pattern(pattern, edge)
+        mesh = mesh_pattern(CURVED, edge)
         assert mesh.smallest_angles_deg()["curved"] > 25.0
         lengths = meshes.edge_lengths(np.pad(mesh.rest, ((0, 0), (0, 1))), meshes.unique_edges(mesh.panel_faces))
         assert 0.9 * edge < lengths.mean() < 1.15 * edge and lengths.max() < 1.7 * edge
@@ -88,32 +82,6 @@ def _cut(panel: Panel, edge: float) -> np.ndarray:
 def test_angles_of_a_known_triangle():
     points = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, np.sqrt(3.0))])
     assert_allclose(corner_angles_deg(points, np.array([[0, 1, 2]])), [[90.0, 60.0, 30.0]])
-
-
-@pytest.mark.parametrize(
-    "polygon",
-    [
-        [(0, 0), (1, 1), (1, 0), (0, 1)],
-        [(0, 0), (1, 0), (1, 0), (0, 1)],
-        [(0, 0), (2, 0), (2, 1), (1, 0), (0, 1)],
-    ],
-)
-def test_polygons_that_are_not_simple_are_refused(polygon):
-    with pytest.raises(MeshError, match="simple polygon"):
-        triangulate(np.array(polygon, dtype=float), 0.3)
-
-
-def test_meshes_that_cannot_be_are_refused():
-    for boundary, edge in ((CONVEX, 0.0), (CONVEX, -1.0), (CONVEX, np.nan), (CONVEX, 1e-6), (CONVEX[:2], 0.1)):
-        with pytest.raises(InputError, match="edge_length_m"):
-            triangulate(boundary, edge)
-    with pytest.raises(MeshError, match="boundary"):
-        triangulate(CONVEX[:, :1], 0.1)
-    with pytest.raises(MeshError, match="finite"):
-        triangulate(CONVEX * np.nan, 0.1)
-
-
-# --- mean value coordinates ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("polygon", [HOLLOW, CONVEX])
@@ -156,21 +124,6 @@ def test_weights_stay_finite_and_continuous_near_sides_and_corners(distance):
         assert_allclose(weights @ CONVEX, near, rtol=0, atol=1e-12)
 
 
-def test_cages_that_are_no_polygon_are_refused():
-    doubled = np.array([(0, 0), (1, 0), (1, 0), (0, 1)], dtype=float)
-    for cage in (doubled, doubled[:2]):
-        with pytest.raises(InputError, match="cage"):
-            mean_value_weights(np.zeros((1, 2)), cage)
-    with pytest.raises(InputError, match="points"):
-        mean_value_weights(np.zeros((1, 3)), CONVEX)
-    with pytest.raises(InputError, match="finite"):
-        mean_value_weights(np.full((1, 2), np.nan), CONVEX)
-    assert mean_value_weights(np.zeros((0, 2)), CONVEX).shape == (0, len(CONVEX))
-
-
-# --- control points --------------------------------------------------------------------------------------------------
-
-
 def test_moved_control_points_move_the_curves_exactly(rng):
     """The matrix made before the move gives the curves of the moved pattern, and so do its own numbers."""
     pattern = Pattern("curved", (curved(), curved("other", tuple(EdgeKind)[::-1])))
@@ -204,24 +157,10 @@ def test_a_curve_that_follows_turns_with_its_chord():
     assert_allclose(upright, straight @ np.array([[0.0, 1.0], [-1.0, 0.0]]), atol=1e-15)
 
 
-def test_positions_must_fit_the_controls():
-    pattern = Pattern("curved", (curved(),))
-    controls = control_points(pattern)
-    with pytest.raises(InputError, match="positions"):
-        with_controls(pattern, controls, controls.positions[:-1])
-    with pytest.raises(InputError, match="finite"):
-        with_controls(pattern, controls, controls.positions * np.nan)
-    with pytest.raises(InputError, match="positions"):
-        mesh_pattern(pattern, 0.1).rest_at(controls.positions[:-1])
-
-
 def test_control_points_run_round_each_panel():
     controls = control_points(Pattern("curved", (curved(),)), free_curves=True)
     assert controls.edge.tolist() == [0, 1, 1, 2, 2, 2, 3]
     assert controls.handle.tolist() == [0, 0, 1, 0, 1, 2, 0]
-
-
-# --- the sewn mesh ---------------------------------------------------------------------------------------------------
 
 
 def test_the_mesh_is_a_linear_function_of_the_control_points(rng):
@@ -243,21 +182,8 @@ def test_the_mesh_is_a_linear_function_of_the_control_points(rng):
         assert_allclose(moved[along], geometry.edge_points(after.panel(ref.panel), ref.edge, t), atol=1e-13)
 
 
-def test_torch_differentiates_through_the_map():
-    mesh = mesh_pattern(tube(), 0.1)
-    weights = torch.from_numpy(mesh.weights.toarray())
-    controls = torch.from_numpy(mesh.controls.positions.copy()).requires_grad_(True)
-    rest = (weights @ controls.reshape(-1)).reshape(-1, 2)
-    assert_allclose(rest.detach(), mesh.rest, atol=1e-14)
-    pull = torch.from_numpy(np.random.default_rng(1).normal(size=mesh.rest.shape))
-    (rest * pull).sum().backward()
-    assert controls.grad is not None
-    assert_allclose(controls.grad.reshape(-1), mesh.weights.T @ pull.numpy().reshape(-1), rtol=1e-12)
-
-
 def test_a_moderate_edit_folds_nothing_and_a_wild_one_is_found():
-    pattern = Pattern("curved", (curved(),))
-    mesh = mesh_pattern(pattern, 0.03)
+    mesh = mesh_pattern(CURVED, 0.03)
     controls = mesh.controls.positions
     middle = controls.mean(axis=0)
     for stretch in (np.array([1.2, 0.9]), np.array([0.8, 1.15])):
@@ -356,10 +282,46 @@ def test_stitches_that_give_no_surface_are_refused():
     assert mesh_pattern(corner, 0.05).node_count > 10
 
 
-def test_unfit_patterns_are_not_meshed():
-    turned = replace(rectangle(), vertices=rectangle().vertices * [-1.0, 1.0])
-    with pytest.raises(InputError, match="counter-clockwise"):
-        mesh_pattern(Pattern("turned", (turned,)), 0.1)
+def polygon(*corners: tuple[float, float]) -> np.ndarray:
+    return np.array(corners, dtype=float)
+
+
+DOUBLED = polygon((0, 0), (1, 0), (1, 0), (0, 1))
+CURVED = Pattern("curved", (curved(),))
+CONTROLS = control_points(CURVED)
+TURNED = Pattern("turned", (replace(rectangle(), vertices=rectangle().vertices * [-1.0, 1.0]),))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: triangulate(polygon((0, 0), (1, 1), (1, 0), (0, 1)), 0.3), "simple polygon"),
+        (lambda: triangulate(DOUBLED, 0.3), "simple polygon"),
+        (lambda: triangulate(polygon((0, 0), (2, 0), (2, 1), (1, 0), (0, 1)), 0.3), "simple polygon"),
+        (lambda: triangulate(CONVEX, 0.0), "edge_length_m"),
+        (lambda: triangulate(CONVEX, -1.0), "edge_length_m"),
+        (lambda: triangulate(CONVEX, np.nan), "edge_length_m"),
+        (lambda: triangulate(CONVEX, 1e-6), "edge_length_m"),
+        (lambda: triangulate(CONVEX[:2], 0.1), "edge_length_m"),
+        (lambda: triangulate(CONVEX[:, :1], 0.1), "boundary"),
+        (lambda: triangulate(CONVEX * np.nan, 0.1), "finite"),
+        (lambda: mean_value_weights(np.zeros((1, 2)), DOUBLED), "cage"),
+        (lambda: mean_value_weights(np.zeros((1, 2)), DOUBLED[:2]), "cage"),
+        (lambda: mean_value_weights(np.zeros((1, 3)), CONVEX), "points"),
+        (lambda: mean_value_weights(np.full((1, 2), np.nan), CONVEX), "finite"),
+        (lambda: with_controls(CURVED, CONTROLS, CONTROLS.positions[:-1]), "positions"),
+        (lambda: with_controls(CURVED, CONTROLS, CONTROLS.positions * np.nan), "finite"),
+        (lambda: mesh_pattern(CURVED, 0.1).rest_at(CONTROLS.positions[:-1]), "positions"),
+        (lambda: mesh_pattern(TURNED, 0.1), "counter-clockwise"),
+    ],
+)
+def test_what_cannot_be_meshed_is_refused(make, message):
+    with pytest.raises((InputError, MeshError), match=message):
+        make()
+
+
+def test_no_points_have_no_weights():
+    assert mean_value_weights(np.zeros((0, 2)), CONVEX).shape == (0, len(CONVEX))
 
 
 def test_the_simulator_takes_the_mesh_and_finds_the_area_of_the_pattern():
@@ -373,13 +335,9 @@ def test_the_simulator_takes_the_mesh_and_finds_the_area_of_the_pattern():
 
 
 @pytest.mark.data
-def test_every_pattern_of_the_data_folder_is_sewn_into_a_garment():
-    folder = data_folder("patterns")
-    files = sorted(folder.glob("*.json")) if folder else []
-    if not files:
-        pytest.skip("No patterns/*.json in DRAPE_DATA: docs/guide/data.md says where to get them.")
+def test_every_pattern_of_the_data_folder_is_sewn_into_a_garment(pattern_files):
     openings = {"tee": 4, "dress_sleeveless": 4, "pants_straight_sides": 3, "skirt_4_panels": 2}
-    for path in files:
+    for path in pattern_files:
         mesh = mesh_pattern(read_pattern(path), 0.03)
         assert min(mesh.smallest_angles_deg().values()) > 24.0
         assert_allclose(mesh.rest_at(mesh.controls.positions), mesh.rest, rtol=0, atol=1e-13)

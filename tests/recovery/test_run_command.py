@@ -7,6 +7,7 @@ import io
 import json
 import re
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from drape.garment.files.mesh import read_mesh
 from drape.geometry.drawing import drawn
 from recovery.atomic import write
 from recovery.drape.output import obj_text, panel_texture
-from recovery.drape.pipeline import DrapeOptions, drape_pattern
+from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.fit.chamfer import chamfer, surface_chamfer, surface_distance
 from recovery.fit.cloth import named
 from recovery.pattern.bases import tshirt
@@ -32,12 +33,10 @@ from recovery.run.job import describe_worn, lost_words, run_job
 from recovery.run.report import Page
 from recovery.run.report_text import cloth_words, cut_words, file_words, verdicts
 from recovery.run.retarget import lost_parts, retargeted
-from tests.recovery.pattern_setup import default_measurements, tube
+from tests.recovery.pattern_setup import default_measurements, round_tube, tube
 
 SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
 HALVES, OTHER_HALVES = np.array([[0, 1, 2], [0, 2, 3]]), np.array([[0, 1, 3], [1, 2, 3]])
-
-# --- distances -------------------------------------------------------------------------------------------------------
 
 
 def test_two_meshes_of_one_surface_are_at_the_floor():
@@ -57,18 +56,12 @@ def test_parallel_squares_are_their_distance_apart():
     assert_allclose(chamfer(first, second), (1e4 * 2e-6, 1.0), rtol=1e-6)
 
 
-# --- options ---------------------------------------------------------------------------------------------------------
-
-
 def test_a_scan_without_a_body_may_go_farther_from_its_base():
     words = ["t.obj", "--base", "tshirt", "--out", "out"]
     for more, reach in (([], 0.045), (["--body", "fit"], 0.3), (["--body", "fit", "--reach", "0.1"], 0.1)):
         assert command.job_of(command.parse([*words, *more])).weights.reach_m == reach
     with pytest.raises(InputError, match="--reach: expected more than 0"):
         command.job_of(command.parse([*words, "--reach", "0"]))
-
-
-# --- words -----------------------------------------------------------------------------------------------------------
 
 
 def test_a_page_holds_its_pictures_and_escapes_its_words():
@@ -96,8 +89,6 @@ def test_files_have_words():
     kinds = ("a.json", "a.svg", "a.dxf", "a.pdf", "a.obj", "a.glb", "a_rest.obj", "a-1.npz")
     assert len({file_words(name) for name in kinds}) == len(kinds) and all(map(file_words, kinds))
 
-
-# --- the command -----------------------------------------------------------------------------------------------------
 
 COARSE = DrapeOptions(edge_length_m=0.05, grid_m=0.02)
 
@@ -211,13 +202,7 @@ def test_the_garment_is_taken_to_other_bodies_and_poses(run, monkeypatch):
 
 def test_an_arm_beside_its_sleeve_is_noticed():
     """A tube round the trunk, and one that hangs beside the arm."""
-    turn = 2.0 * np.pi * np.arange(24) / 24
-    ring = np.stack([0.25 * np.cos(turn), 0.0 * turn, 0.25 * np.sin(turn)], axis=1)
-    here, there = np.arange(24), np.roll(np.arange(24), -1)
-    tube_faces = np.concatenate(
-        [np.stack([here, 24 + there, there], axis=1), np.stack([here, 24 + here, 24 + there], axis=1)]
-    )
-    trunk = np.concatenate([ring + np.array([0.0, 0.1, 0.0]), ring + np.array([0.0, 0.3, 0.0])])
+    trunk, tube_faces = round_tube((0.25, 0.25), (0.1, 0.3))
     joints = load_body().joints_template
     assert lost_parts(trunk, tube_faces, joints, ["trunk", "trunk"]) == ()
     assert lost_parts(trunk, tube_faces, joints, ["trunk", "trunk", "right_arm"]) == ("right_arm",)
@@ -232,7 +217,8 @@ def test_a_place_that_refuses_the_garment_says_so(monkeypatch):
 
     monkeypatch.setattr("recovery.run.retarget.drape_pattern", refuse)
     body = load_body()
-    worn = next(retargeted(tube(), None, body, body, COARSE, ["trunk"], cloth=named("jersey")))
+    never_sewn = cast(Draped, None)  # bodies come before poses, which alone need it
+    worn = next(retargeted(tube(), never_sewn, body, body, COARSE, ["trunk"], cloth=named("jersey")))
     assert worn.refusal.endswith("Size it up.") and len(worn.nodes) == len(worn.faces) == 0 and worn.figures == {}
 
 

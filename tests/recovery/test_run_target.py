@@ -17,28 +17,12 @@ from recovery.pattern.bases import base_pattern
 from recovery.run.job import Job, prepare, read_base
 from recovery.run.target import OPENINGS, check_base, check_near, one_piece, openings, placed_target, read_target
 from recovery.run.wearer import check_closed, inside_wearer, read_wearer, shaped_body
-from tests.recovery.pattern_setup import default_measurements
-
-
-def sleeve_grid(columns: int, rows: int) -> np.ndarray:
-    """Faces of a tube of ``columns`` x ``rows`` quads, closed round, open at both ends, outside out."""
-    i, j = (part.reshape(-1) for part in np.meshgrid(np.arange(columns), np.arange(rows), indexing="ij"))
-
-    def at(column: np.ndarray, row: np.ndarray) -> np.ndarray:
-        return (column % columns) * (rows + 1) + row
-
-    a, b, c, d = at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)
-    return np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+from tests.recovery.pattern_setup import default_measurements, round_tube
 
 
 def skirt_tube(radius: float = 0.24, top: float = 0.05, bottom: float = -0.45) -> GarmentMesh:
     """A tube round hips and legs of the shipped body: what a skirt is."""
-    turn = 2.0 * np.pi * np.arange(40) / 40
-    height = np.linspace(top, bottom, 21)
-    points = np.stack(
-        np.broadcast_arrays(radius * np.cos(turn)[:, None], height, radius * np.sin(turn)[:, None]), axis=-1
-    )
-    return plain_mesh("skirt", points.reshape(-1, 3), sleeve_grid(40, 20))
+    return plain_mesh("skirt", *round_tube([radius] * 21, np.linspace(bottom, top, 21).tolist(), 40))
 
 
 def write_obj(path: Path, mesh: GarmentMesh, *, materials: dict[str, np.ndarray] | None = None) -> Path:
@@ -53,9 +37,6 @@ def both(first: GarmentMesh, second: GarmentMesh) -> tuple[GarmentMesh, dict[str
     moved = second.faces + len(first.vertices)
     mesh = plain_mesh("both", np.concatenate([first.vertices, second.vertices]), np.concatenate([first.faces, moved]))
     return mesh, {"cloth": first.faces, "skin": moved}
-
-
-# --- the file --------------------------------------------------------------------------------------------------------
 
 
 def test_copies_of_vertices_flat_faces_and_crumbs_are_repaired_and_noted(tmp_path):
@@ -105,9 +86,6 @@ def test_one_piece_keeps_a_whole_mesh_as_it_is():
     assert (kept.faces == mesh.faces).all() and kept.notes == ()
 
 
-# --- on the body -----------------------------------------------------------------------------------------------------
-
-
 def test_centimetres_z_up_and_inside_out_are_repaired_and_noted():
     skin = read_wearer("anny_default").skin
     mesh = skirt_tube()
@@ -132,15 +110,16 @@ def test_a_target_off_its_body_is_refused(mesh, got):
         check_near(mesh, read_wearer("anny_default").skin)
 
 
-def test_a_target_in_no_known_unit_is_refused():
-    with pytest.raises(MeshError, match=r"an extent of.*its unit"):
-        placed_target(skirt_tube(radius=0.02, top=0.12, bottom=0.02), read_wearer("anny_default").skin)
-
-
-def test_too_little_cloth_is_refused():
-    ring = skirt_tube(radius=0.16, top=0.12, bottom=0.105)
-    with pytest.raises(MeshError, match=r"target area: expected at least 0\.02 m\^2"):
-        placed_target(ring, read_wearer("anny_default").skin, unit="m", up="y")
+@pytest.mark.parametrize(
+    ("mesh", "unit", "got"),
+    [
+        (skirt_tube(radius=0.02, top=0.12, bottom=0.02), "auto", r"an extent of.*its unit"),
+        (skirt_tube(radius=0.16, top=0.12, bottom=0.105), "m", r"target area: expected at least 0\.02 m\^2"),
+    ],
+)
+def test_a_target_in_no_known_unit_or_of_too_little_cloth_is_refused(mesh, unit, got):
+    with pytest.raises(MeshError, match=got):
+        placed_target(mesh, read_wearer("anny_default").skin, unit=unit)
 
 
 def test_the_base_must_have_the_openings_of_the_target():
@@ -159,9 +138,6 @@ def test_a_hole_is_noted_and_left_alone():
     holed = replace(mesh, faces=np.delete(mesh.faces, 410, axis=0))
     found, notes = openings(holed, load_body().joints_template)
     assert found == OPENINGS["skirt"] and "1 holes" in notes[0]
-
-
-# --- the wearer ------------------------------------------------------------------------------------------------------
 
 
 def test_a_body_with_a_hole_is_refused(tmp_path):

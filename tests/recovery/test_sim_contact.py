@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from functools import cache
 
-import igl
 import numpy as np
 import pytest
 import torch
@@ -14,12 +13,12 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.energies import contact as contact_energy
 from drape.cloth.material import Material
 from drape.errors import InputError, MeshError
-from drape.geometry.meshes import subdivide
 from recovery.sim.contact import SkinContact
 from recovery.sim.linearised import linearised_step, simulate
 from recovery.sim.model import ClothModel, ClothState
 from recovery.sim.newton import equilibrium, newton_step
 from recovery.sim.sdf import GridDistance, Plane, Sphere
+from tests.drape.geometry.geometry_shapes import icosphere
 from tests.recovery.sim_setup import WOVEN, lifted, strip
 
 RADIUS_M = 0.1
@@ -51,23 +50,13 @@ def test_the_grid_converges_to_the_sphere_with_its_order(rng):
     assert (np.log2(np.array(errors[0]) / errors[1]) > [3.5, 2.5]).all()
 
 
-def ball(divisions: int) -> tuple[np.ndarray, np.ndarray]:
-    """A unit icosahedron, its faces split ``divisions`` times."""
-    vertices, faces = (np.asarray(part) for part in igl.icosahedron())
-    for _ in range(divisions):
-        vertices, faces, _ = subdivide(vertices, faces)
-    return vertices, faces
-
-
 @cache
 def meshed_sphere() -> GridDistance:
-    vertices, faces = ball(4)
-    vertices = RADIUS_M * vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
-    return GridDistance.from_mesh(vertices, faces, spacing_m=0.01, margin_m=0.03)
+    return GridDistance.from_mesh(*icosphere(5, radius_m=RADIUS_M), spacing_m=0.01, margin_m=0.03)
 
 
 def test_a_meshed_body_has_the_distance_of_its_shape(rng):
-    """0.2 mm is the paper's network; the mesh of 5,120 triangles itself is 0.1 mm inside the sphere."""
+    """0.2 mm is the paper's network; the mesh itself is 0.1 mm inside the sphere."""
     points = shell(rng)
     value, gradient = Sphere((0.0, 0.0, 0.0), RADIUS_M)(points)
     found, slope = meshed_sphere()(points)
@@ -99,7 +88,7 @@ def test_the_gradient_is_that_of_the_distance(rng, shape):
 
 
 def test_bodies_that_have_no_inside_are_refused():
-    vertices, faces = ball(0)
+    vertices, faces = icosphere(0)
     with pytest.raises(MeshError, match="closed surface"):
         GridDistance.from_mesh(vertices, faces[1:])
     with pytest.raises(InputError, match="coarser spacing"):

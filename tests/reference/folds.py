@@ -6,20 +6,20 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.judge.surroundings import Surroundings, surroundings
 from drape.cloth.energies import ClothMesh
-from drape.kernels.problem import Problem, Surroundings, problem, surroundings
-from drape.live.fold_constants import Dressed
+from drape.kernels.problem import Problem, problem
+from drape.live.clock import FIRST_STEP_S, step_between
+from drape.live.fold_constants import WornCloth
 from drape.live.fold_step import (
-    FIRST_STEP_S,
     LONG_ROUNDS,
     MEND_M,
     MENDS,
     SETTLING_MOMENTUM,
-    SHORTEST_STEP_S,
     STIFF_N_PER_M,
-    Effort,
+    FoldEffort,
+    FoldMemory,
     Frame,
-    Memory,
     calmness,
     fading,
     paced,
@@ -27,18 +27,20 @@ from drape.live.fold_step import (
 from drape.live.lift import DEEP_M, OTHER, TOO_DEEP_M
 from drape.live.room import FOLDED, HELD, LEAST_M, NEAR_M, ROOM_M, STIFFEST, TIGHT_M
 from drape.live.sheet import ALIKE
-from drape.live.skin_contact import APART_M, HOLLOW_M, REACH_M, STEPS, TURNS, SkinGraph, Touched
+from drape.live.skin_contact import APART_M, HOLLOW_M, REACH_M, STEPS, TURNS, SkinGraph, TouchedSamples
 from drape.live.sweeps import HOLD, SLIP_M
 from drape.live.whole import CLAMP_M, stiffness
 from tests.reference import solver as reference
 
 
-def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) -> tuple[np.ndarray, Memory]:
+def fold(
+    dressed: WornCloth, memory: FoldMemory | None, frame: Frame, effort: FoldEffort
+) -> tuple[np.ndarray, FoldMemory]:
     """Vertices [m] (V, 3) of ``frame`` and its memory, in their order; ``memory`` is one that leads here, or None."""
     network, still = frame.vertices.astype(np.float64), np.zeros(frame.vertices.shape)
-    nowhere = Touched(dressed.index, np.full_like(dressed.index, -1))
-    past = memory or Memory(frame.time_s, network, still, still, nowhere, still, 0)
-    step_s = max(frame.time_s - past.time_s, SHORTEST_STEP_S) if memory else FIRST_STEP_S
+    nowhere = TouchedSamples(dressed.index, np.full_like(dressed.index, -1))
+    past = memory or FoldMemory(frame.time_s, network, still, still, nowhere, still, 0)
+    step_s = step_between(past.time_s, frame.time_s) if memory else FIRST_STEP_S
     frames = surface_frames(network, dressed.cloth)
     share = fading(effort, step_s)
     off = _to_world(frames, share * past.residual)
@@ -46,11 +48,11 @@ def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) 
         off = mended(off, dressed.cloth.faces)
     x = network + off
     way = (share == 1.0) * step_s * _to_world(frames, past.velocity)
-    stuck = carried(past.grip, frame.skin, dressed.graph, past.touched.own)
-    friction = dressed.friction if effort.friction and memory else 0.0
+    stuck = stuck_places(past.grip, frame.skin, dressed.graph, past.touched.own)
+    friction = dressed.friction if memory else 0.0
     touched = follow(network, frame.skin, dressed.graph, past.touched)
     stiff = 0.5 * float(dressed.material.membrane[0] + dressed.material.membrane[1]) > STIFF_N_PER_M
-    pace = paced(effort.sweeps, calmness(past.network, network), stiff=stiff)
+    pace = paced(effort.steps, calmness(past.network, network), stiff=stiff)
     long = memory is None and effort.settle >= LONG_ROUNDS
     momentum = SETTLING_MOMENTUM if long else pace.momentum
     made = problem(dressed.cloth, dressed.material, dtype=np.float64)
@@ -58,9 +60,9 @@ def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) 
     held, slack = dressed.band_n_per_m, np.full(len(network), made.constants.slack)
     if effort.cloth_contact:
         held, slack = held_within(room(network, dressed.cloth), held, made)
-    for number in range(0 if effort.sweeps == 0 else 1 if memory else effort.settle):
+    for number in range(0 if effort.steps == 0 else 1 if memory else effort.settle):
         here = touch(x, frame.skin, dressed.graph, touched, past.turn if memory else -1)
-        touched = Touched(touched.own, here.other)
+        touched = TouchedSamples(touched.own, here.other)
         around = touching(made, dressed, x, frame.skin, here)
         around = around._replace(
             own=around.own._replace(band=network, band_n_per_m=held), slack=slack, stuck=stuck, friction=friction
@@ -78,14 +80,14 @@ def fold(dressed: Dressed, memory: Memory | None, frame: Frame, effort: Effort) 
             ahead = sweep(x + momentum * _limited(way, float(made.constants.reach)), made, around)
             x, way = ahead, ahead - x
     if effort.clearance_m > 0.0:
-        if effort.sweeps == 0:
+        if effort.steps == 0:
             here = touch(x, frame.skin, dressed.graph, touched, past.turn if memory else -1)
-            touched = Touched(touched.own, here.other)
+            touched = TouchedSamples(touched.own, here.other)
             around = touching(made, dressed, x, frame.skin, here)
         x = lifted(x, around, effort.clearance_m)
     residual, velocity = _to_local(frames, x - network), _to_local(frames, way) / step_s
-    grip = gripped(x, stuck if memory else x, frame.skin, dressed.graph, touched.own)
-    return x, Memory(frame.time_s, network, residual, velocity, touched, grip, (past.turn + 1) % TURNS)
+    grip = write_grip(x, stuck if memory else x, frame.skin, dressed.graph, touched.own)
+    return x, FoldMemory(frame.time_s, network, residual, velocity, touched, grip, (past.turn + 1) % TURNS)
 
 
 def surface_frames(surface: np.ndarray, cloth: ClothMesh) -> np.ndarray:
@@ -124,13 +126,13 @@ def mended(off: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.where(np.linalg.norm(off - mean, axis=1, keepdims=True) > MEND_M, mean, off)
 
 
-def follow(network: np.ndarray, skin: np.ndarray, graph: SkinGraph, touched: Touched) -> Touched:
+def follow(network: np.ndarray, skin: np.ndarray, graph: SkinGraph, touched: TouchedSamples) -> TouchedSamples:
     """``touched`` with the samples that the ``network``'s vertices [m] (V, 3) are at now."""
     walks = [_walked(point, skin, graph, own, len(skin)) for point, own in zip(network, touched.own, strict=True)]
-    return Touched(np.array(walks), touched.other)
+    return TouchedSamples(np.array(walks), touched.other)
 
 
-def touch(x: np.ndarray, skin: np.ndarray, graph: SkinGraph, touched: Touched, turn: int) -> Touched:
+def touch(x: np.ndarray, skin: np.ndarray, graph: SkinGraph, touched: TouchedSamples, turn: int) -> TouchedSamples:
     """The samples that ``x`` [m] (V, 3) is at, by walks from the network's and searches for other parts."""
     own, other = touched.own.copy(), touched.other.copy()
     for v, point in enumerate(x):
@@ -144,7 +146,7 @@ def touch(x: np.ndarray, skin: np.ndarray, graph: SkinGraph, touched: Touched, t
         elif other[v] >= 0:
             end = _walked(point, skin, graph, other[v], STEPS)
             other[v] = end if allowed[end] else -1
-    return Touched(own, other)
+    return TouchedSamples(own, other)
 
 
 def _walked(point: np.ndarray, skin: np.ndarray, graph: SkinGraph, start: int, steps: int) -> int:
@@ -198,7 +200,7 @@ class Around(NamedTuple):
     friction: float
 
 
-def touching(made: Problem, dressed: Dressed, x: np.ndarray, skin: np.ndarray, touched: Touched) -> Around:
+def touching(made: Problem, dressed: WornCloth, x: np.ndarray, skin: np.ndarray, touched: TouchedSamples) -> Around:
     """The planes of the own part of the body and of others."""
     point, normal = planes(x, skin, dressed, np.maximum(touched.other, 0))
     return Around(
@@ -209,7 +211,7 @@ def touching(made: Problem, dressed: Dressed, x: np.ndarray, skin: np.ndarray, t
     )
 
 
-def planes(x: np.ndarray, skin: np.ndarray, dressed: Dressed, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def planes(x: np.ndarray, skin: np.ndarray, dressed: WornCloth, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Points [m] and unit normals (V, 3) of the planes at the samples ``index`` (V,), blended with the neighbours'."""
     points, normals = np.empty_like(x), np.empty_like(x)
     for v, (point, own) in enumerate(zip(x, index, strict=True)):
@@ -225,7 +227,7 @@ def planes(x: np.ndarray, skin: np.ndarray, dressed: Dressed, index: np.ndarray)
     return points, normals
 
 
-def whole_step(dressed: Dressed, made: Problem, around: Around, x: np.ndarray, share: float) -> np.ndarray:
+def whole_step(dressed: WornCloth, made: Problem, around: Around, x: np.ndarray, share: float) -> np.ndarray:
     """The way [m] (V, 3) that the whole cloth takes at ``x``, a ``share`` of its answer, by a dense matrix."""
     matrix = stiffness(dressed.cloth, dressed.material, dressed.springs_n_per_m).toarray()
     known = dressed.band_n_per_m + HOLD * made.contact_n_per_m
@@ -288,12 +290,12 @@ def rubbed(x: np.ndarray, made: Problem, around: Around, which: slice) -> tuple[
     return grip[:, None] * slip, grip[:, None, None] * (np.eye(3) - n[:, :, None] * n[:, None, :])
 
 
-def carried(grip: np.ndarray, skin: np.ndarray, graph: SkinGraph, own: np.ndarray) -> np.ndarray:
+def stuck_places(grip: np.ndarray, skin: np.ndarray, graph: SkinGraph, own: np.ndarray) -> np.ndarray:
     """Where the posed ``skin`` has taken what lies ``grip`` [m] (V, 3) in the frames of its samples ``own`` (V,)."""
     return skin[own, :3] + _to_world(_skin_frames(skin, graph, own), grip)
 
 
-def gripped(x: np.ndarray, stuck: np.ndarray, skin: np.ndarray, graph: SkinGraph, own: np.ndarray) -> np.ndarray:
+def write_grip(x: np.ndarray, stuck: np.ndarray, skin: np.ndarray, graph: SkinGraph, own: np.ndarray) -> np.ndarray:
     """How what was ``stuck`` lies in the frames of the samples ``own`` (V,), having come after ``x`` [m] (V, 3)."""
     frames = _skin_frames(skin, graph, own)
     slip = _to_local(frames, x - stuck) * [0.0, 1.0, 1.0]

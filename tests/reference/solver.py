@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drape.kernels.problem import Problem, Surroundings
+from benchmarks.judge.surroundings import Surroundings
+from drape.kernels.problem import Problem
 
 
 class Terms(NamedTuple):

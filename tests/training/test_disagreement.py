@@ -8,25 +8,19 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from drape.body.assets import load_body
 from drape.errors import InputError
 from drape.garment.cache import Garment
 from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_matrix
 from tests.drape.cloth.cloth_shapes import grid
-from tests.fixtures.tiny_model import tube_garment
+from tests.fixtures import garments
+from tests.fixtures.laws import each, made
 from training.disagreement import LEAST_WEIGHT, chart_normals, chart_positions, disagreement
 
 PATCHES = 5
 
 
-@pytest.fixture(scope="module")
-def tube() -> Garment:
-    return tube_garment(load_body())
-
-
-@pytest.fixture(scope="module")
-def sheet() -> Garment:
+def flat_sheet() -> Garment:
     """A flat sheet under five charts: tilted frames of any scale, and (u, v) any linear map of the plane."""
     rng = np.random.default_rng(5)
     rest, faces = grid(6, 5, cell_m=0.02)
@@ -39,7 +33,7 @@ def sheet() -> Garment:
     jet = 0.1 * rng.normal(size=(PATCHES, jets.JET_COUNT))
     weight = rng.uniform(0.1, 1.0, size=patch.shape)
     return replace(
-        tube_garment(load_body()),
+        garments.tube(),
         vertices=rest,
         fine_faces=faces,
         patch_rotation=rotation,
@@ -63,9 +57,11 @@ def at_rest(garment: Garment, frames: int = 1) -> tuple[np.ndarray, np.ndarray, 
     )
 
 
-@pytest.mark.parametrize("name", ["tube", "sheet"])
-def test_charts_at_rest_agree_exactly(name, request):
-    garment = request.getfixturevalue(name)
+SHEET = made(sheet=flat_sheet)
+
+
+@each(garment=made(tube=garments.tube) | SHEET)
+def test_charts_at_rest_agree_exactly(garment):
     found = disagreement(garment, *at_rest(garment, frames=2))
     assert_allclose(found.gap_m, 0.0, rtol=0.0, atol=1e-8)
     assert_allclose(found.normal_rad, 0.0, rtol=0.0, atol=1e-6)
@@ -109,6 +105,7 @@ def test_a_turned_patch_disagrees_by_its_angle_where_another_counts(tube):
     assert_allclose(found.normal_rad[0, by_it], expected, rtol=1e-5, atol=1e-6)
 
 
+@each(sheet=SHEET)
 def test_normals_are_those_of_the_surface_that_each_chart_makes(sheet, rng):
     """Against central differences of the chart's map along the sheet, for any jet, frame and linear (u, v)."""
     jet = 0.3 * rng.normal(size=(2, PATCHES, jets.JET_COUNT))

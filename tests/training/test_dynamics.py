@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from drape.errors import ArtifactError, InputError
 from drape.motion.clip import MotionClip
-from tests.training.training_setup import CPU, JERSEY, MOVING_RUN, TINY_RUN
+from tests.training.training_setup import CPU, JERSEY, MOVING_RUN, TINY_RUN, check_no_step_is_taken, resumes_bit_for_bit
 from training import checkpoint, run
 from training.config import TrainConfig, dynamic
 from training.dynamics import CALM_M_S2, DynamicTrainer
@@ -101,24 +101,11 @@ def test_codes_get_the_slope_of_a_frames_own_potential(trainer: DynamicTrainer, 
 
 
 def test_a_resumed_run_continues_bit_for_bit(trainer: DynamicTrainer, tmp_path):
-    checkpoint.save(tmp_path / "checkpoint.pt", trainer.state(), RUN)
-    straight = [trainer.step()["loss"] for _ in range(3)]
-    state, config = checkpoint.load(tmp_path / "checkpoint.pt")
-    assert config == RUN
-    trainer.restore(state)
-    assert [trainer.step()["loss"] for _ in range(3)] == straight
+    assert resumes_bit_for_bit(trainer, RUN, tmp_path)
 
 
 def test_a_step_that_is_not_finite_is_not_taken(trainer: DynamicTrainer):
-    before = {name: value.clone() for name, value in trainer.model.state_dict().items()}
-    hidden = trainer.material
-    try:
-        trainer.material = replace(hidden, density_kg_m2=1e38)
-        assert trainer.step() == {"skipped": 1.0}
-    finally:
-        trainer.material = hidden
-    for name, value in trainer.model.state_dict().items():
-        assert torch.equal(value, before[name])
+    check_no_step_is_taken(trainer, replace(trainer.material, density_kg_m2=1e38))
 
 
 def falling(trainer: DynamicTrainer, acceleration: np.ndarray) -> dict[str, float]:

@@ -15,7 +15,7 @@ from drape.cloth.waistband import SLACK_M, STIFFNESS_N_M2
 from drape.geometry import jets, meshes
 from tests.training.training_setup import bank, body, garment, source
 from training import losses
-from training.collider import Collider, incidence, nearest_collider, vertex_normals
+from training.collider import BodySurface, nearest_rows
 from training.data import BodyBatch
 from training.model import Posed, pose_frames, posed_coefficients
 
@@ -138,22 +138,15 @@ def test_collider_normals_point_out_of_the_body():
     assert np.isfinite(moved).all()
 
 
-def test_nearest_collider_is_the_nearest():
+def test_nearest_rows_are_the_nearest():
     rng = np.random.default_rng(0)
     points, collider = rng.normal(size=(2, 30, 3)), rng.normal(size=(2, 50, 3))
     distance = np.linalg.norm(points[:, :, None] - collider[:, None], axis=-1)
-    assert (nearest_collider(points, collider) == distance.argmin(axis=-1)).all()
-
-
-def test_vertex_normals_of_a_flat_square_are_its_axis():
-    vertices = np.array([[[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]])
-    faces = np.array([[0, 1, 2], [0, 2, 3]])
-    normals = vertex_normals(vertices, faces, incidence(faces, 4))
-    assert_allclose(normals, np.broadcast_to([0.0, 0.0, 1.0], (1, 4, 3)), rtol=0, atol=1e-6)
+    assert (nearest_rows(points, collider) == distance.argmin(axis=-1)).all()
 
 
 def test_the_collider_is_the_posed_body_without_head_hands_and_toes():
-    collider, model = Collider(body()), body()
+    collider, model = BodySurface(body()), body()
     poses = 0.3 * np.random.default_rng(2).normal(size=(2, 24, 3))
     betas = np.zeros((2, model.shape_count))
     betas[1] = np.random.default_rng(3).normal(size=model.shape_count)

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from drape.errors import ArtifactError, InputError
-from tests.training.training_setup import CPU, TINY_RUN, bank
+from tests.training.training_setup import CPU, TINY_RUN, bank, check_no_step_is_taken, resumes_bit_for_bit
 from training import checkpoint
 from training.run import Trainer, train
 
@@ -92,29 +92,12 @@ run.main()
 
 
 def test_a_resumed_run_continues_bit_for_bit(trainer: Trainer, tmp_path):
-    checkpoint.save(tmp_path / "checkpoint.pt", trainer.state(), TINY_RUN)
-    straight = [trainer.step()["loss"] for _ in range(3)]
-    drawn = trainer.wardrobe.seeds()
-    state, config = checkpoint.load(tmp_path / "checkpoint.pt")
-    assert config == TINY_RUN
-    trainer.restore(state)
-    assert [trainer.step()["loss"] for _ in range(3)] == straight
-    assert trainer.wardrobe.seeds() == drawn
+    assert resumes_bit_for_bit(trainer, TINY_RUN, tmp_path)
 
 
 def test_a_step_that_is_not_finite_is_not_taken(trainer: Trainer, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(trainer, "fabrics", None)  # or the step draws another cloth
-    before = {name: value.clone() for name, value in trainer.model.state_dict().items()}
-    rate = trainer.rate_factor
-    hidden = trainer.material
-    try:
-        trainer.material = replace(hidden, warp_n_per_m=1e38)
-        assert trainer.step() == {"skipped": 1.0}
-    finally:
-        trainer.material = hidden
-    for name, value in trainer.model.state_dict().items():
-        assert torch.equal(value, before[name])
-    assert trainer.rate_factor == rate
+    check_no_step_is_taken(trainer, replace(trainer.material, warp_n_per_m=1e38))
 
 
 def test_a_run_that_never_is_finite_stops_with_a_sentence(trainer: Trainer, tmp_path, monkeypatch: pytest.MonkeyPatch):

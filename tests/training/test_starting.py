@@ -24,7 +24,7 @@ from training.exported import load_exported
 from training.model import OneFit
 from training.poses import read_clips
 from training.run import make_trainer, sample_motions
-from training.starting import dressed, finetuned, read_model, started
+from training.starting import finetuned, read_model, started, with_garments
 from training.trainer import take_weights
 
 TANK, SHORTS = (str(next(GARMENTS_DIR.glob(f"{name}-*.npz"))) for name in ("tank", "shorts"))
@@ -124,9 +124,9 @@ def test_motion_can_be_added_to_an_exported_model():
 
 
 def test_garments_take_the_place_of_the_presets():
-    config = dressed(TrainConfig(), [TANK, "skirt"])
+    config = with_garments(TrainConfig(), [TANK, "skirt"])
     assert (config.data.garments, config.data.variants, config.data.own_share) == ((TANK, "skirt"), 0, 1.0)
-    assert dressed(TrainConfig(), None) == TrainConfig()
+    assert with_garments(TrainConfig(), None) == TrainConfig()
 
 
 # --- fine-tuning ---

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -12,14 +13,17 @@ from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
+from drape.cloth.material import Material
 from drape.cloth.rest_state import grain_along
 from drape.contact.skin import body_skin
 from drape.garment.fitting import RestGarment, rest_garment
 from tests.fixtures.networks import TINY
+from training import checkpoint
 from training.config import DataConfig, MotionConfig, TrainConfig
 from training.data import BodySource, TrainingGarment, draw_partition
 from training.poses import PoseBank
 from training.run import sample_motions
+from training.trainer import BaseTrainer
 
 CPU = torch.device("cpu")
 JERSEY = fabric("jersey")
@@ -36,6 +40,26 @@ MOVING_RUN = replace(
     motion=MotionConfig(window_frames=3, warm_up_frames=4, memory_frames=3),
     learning_rate=1e-2,
 )
+
+
+def resumes_bit_for_bit(trainer: BaseTrainer, config: TrainConfig, folder: Path) -> bool:
+    """Whether ``trainer`` goes on from its checkpoint as it would have gone on."""
+    checkpoint.save(folder / "checkpoint.pt", trainer.state(), config)
+    straight, drawn = [trainer.step()["loss"] for _ in range(3)], trainer.wardrobe.seeds()
+    state, found = checkpoint.load(folder / "checkpoint.pt")
+    assert found == config
+    trainer.restore(state)
+    return [trainer.step()["loss"] for _ in range(3)] == straight and trainer.wardrobe.seeds() == drawn
+
+
+def check_no_step_is_taken(trainer: BaseTrainer, material: Material) -> None:
+    """A step with ``material``, whose loss is not finite, leaves weights and rate as they are."""
+    before, rate = {name: value.clone() for name, value in trainer.model.state_dict().items()}, trainer.rate_factor
+    hidden, trainer.material = trainer.material, material
+    assert trainer.step() == {"skipped": 1.0}
+    trainer.material = hidden
+    assert trainer.rate_factor == rate
+    assert all(torch.equal(value, before[name]) for name, value in trainer.model.state_dict().items())
 
 
 @cache

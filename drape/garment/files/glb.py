@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from drape.errors import MeshError
-from drape.garment.files.mesh import GarmentMesh, check_count, plain_mesh, weld
+from drape.garment.files.mesh import GarmentMesh, check_count, mesh_fault, plain_mesh, weld
 from drape.geometry.rotations import quaternion_to_matrix
 
 NODE_LIMIT = 4096
@@ -31,16 +31,14 @@ class _GlbReader:
         self.document, self.binary = self.chunks(payload)
 
     def fault(self, expected: str, got: str, cure: str = "Export the mesh again.") -> MeshError:
-        return MeshError(f"mesh {self.name}", expected=expected, got=got[:120], cure=cure)
+        return mesh_fault(self.name, expected, got, cure)
 
     def chunks(self, payload: bytes) -> tuple[dict[str, Any], bytes]:
         if payload[:4] != b"glTF" or len(payload) < 20 or int.from_bytes(payload[4:8], "little") != 2:
             raise self.fault("a GLB of glTF 2.0", "another header")
-        if int.from_bytes(payload[8:12], "little") != len(payload):
-            raise self.fault(
-                f"{int.from_bytes(payload[8:12], 'little'):,} bytes as declared", f"{len(payload):,} bytes"
-            )
-        length = int.from_bytes(payload[12:16], "little")
+        declared, length = int.from_bytes(payload[8:12], "little"), int.from_bytes(payload[12:16], "little")
+        if declared != len(payload):
+            raise self.fault(f"{declared:,} bytes as declared", f"{len(payload):,} bytes")
         if payload[16:20] != b"JSON" or 20 + length > len(payload):
             raise self.fault("a JSON chunk inside the file", f"a chunk of {length:,} bytes")
         try:
@@ -138,12 +136,8 @@ class _GlbReader:
         )
         if kind == "SCALAR" or dtype.kind == "f":
             return values.astype(np.float64)
-        scale = float(np.iinfo(dtype).max) if accessor.get("normalized") else 1.0
-        return (
-            np.maximum(values.astype(np.float64) / scale, -1.0)
-            if accessor.get("normalized")
-            else values.astype(np.float64)
-        )
+        numbers = values.astype(np.float64)
+        return np.maximum(numbers / np.iinfo(dtype).max, -1.0) if accessor.get("normalized") else numbers
 
     def join(self, parts: list) -> GarmentMesh:
         starts = np.cumsum([0] + [len(part[0]) for part in parts])

@@ -47,9 +47,7 @@ class GarmentMesh:
         return replace(self, faces=self.faces[keep], uv_faces=uv_faces, face_material=self.face_material[keep])
 
 
-def plain_mesh(
-    name: str, vertices: np.ndarray, faces: np.ndarray | list[list[int]], *, notes: tuple[str, ...] = ()
-) -> GarmentMesh:
+def plain_mesh(name: str, vertices: np.ndarray, faces: np.ndarray | list[list[int]]) -> GarmentMesh:
     """A mesh without uv and with one material."""
     faces = np.asarray(faces, dtype=np.int64).reshape(-1, 3)
     return GarmentMesh(
@@ -60,7 +58,6 @@ def plain_mesh(
         uv_faces=np.zeros((0, 3), dtype=np.int64),
         material_names=("default",),
         face_material=np.zeros(len(faces), dtype=np.int64),
-        notes=notes,
     )
 
 
@@ -88,34 +85,32 @@ def read_mesh(
         if not path.is_file():
             raise NotFound("garment", expected="an existing file", got=path.name, cure="Check the path.")
         if path.stat().st_size > BYTES_LIMIT:
-            raise _too_large(path.name, path.stat().st_size)
+            raise mesh_fault(path.name, *_too_large(path.stat().st_size))
         payload, name = path.read_bytes(), name or path.stem
         kind = kind or path.suffix.lower().lstrip(".")
     if len(payload) > BYTES_LIMIT:
-        raise _too_large(name, len(payload))
+        raise mesh_fault(name, *_too_large(len(payload)))
     kind = sniff(payload).name if kind is None else kind.lower().lstrip(".")
     found = next((one for one in MESH_FORMATS if one.name == kind), None)
     if found is None:
-        raise MeshError(f"mesh {name}", expected=listed(), got=f".{kind}", cure="Export the mesh as one of these.")
+        raise mesh_fault(name, listed(), f".{kind}", "Export the mesh as one of these.")
     if not payload.strip():
-        raise MeshError(f"mesh {name}", expected="a mesh", got="an empty file", cure="Export it again.")
+        raise mesh_fault(name, "a mesh", "an empty file")
     module, _, function = found.reader.partition(".")
     read = getattr(import_module(f"{__package__}.{module}"), function)
     return read(payload, name=name, vertex_limit=vertex_limit)
 
 
-def _too_large(name: str, size: int) -> MeshError:
-    return MeshError(
-        f"mesh {name}",
-        expected=f"at most {BYTES_LIMIT >> 20} MiB",
-        got=f"{size / 2**20:.0f} MiB",
-        cure="Decimate the mesh.",
-    )
+def _too_large(size: int) -> tuple[str, str, str]:
+    return f"at most {BYTES_LIMIT >> 20} MiB", f"{size / 2**20:.0f} MiB", "Decimate the mesh."
 
 
 def check_count(name: str, count: int, limit: int) -> None:
     """Refuses a mesh that declares more vertices than ``limit``."""
     if count > limit:
-        raise MeshError(
-            f"mesh {name}", expected=f"at most {limit:,} vertices", got=f"{count:,}", cure="Decimate the mesh."
-        )
+        raise mesh_fault(name, f"at most {limit:,} vertices", f"{count:,}", "Decimate the mesh.")
+
+
+def mesh_fault(name: str, expected: str, got: str, cure: str = "Export it again.") -> MeshError:
+    """The refusal of the mesh ``name``, for its reader to raise."""
+    return MeshError(f"mesh {name}", expected=expected, got=got[:120], cure=cure)

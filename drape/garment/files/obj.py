@@ -7,7 +7,7 @@ import re
 import numpy as np
 
 from drape.errors import MeshError
-from drape.garment.files.mesh import VERTEX_LIMIT, GarmentMesh, check_count
+from drape.garment.files.mesh import GarmentMesh, check_count, mesh_fault
 
 # Statements that say nothing of the surface.
 _SILENT = frozenset(
@@ -16,7 +16,7 @@ _SILENT = frozenset(
 _INTEGER = re.compile(r"[+-]?\d{1,18}\Z")  # more digits are no index, and no int64
 
 
-def read_obj(payload: bytes, *, name: str, vertex_limit: int = VERTEX_LIMIT) -> GarmentMesh:
+def read_obj(payload: bytes, *, name: str, vertex_limit: int) -> GarmentMesh:
     """The mesh of a Wavefront OBJ; vertices and texture coordinates in the file's order, polygons as triangle fans."""
     return _ObjReader(name, vertex_limit).read(payload)
 
@@ -39,16 +39,11 @@ class _ObjReader:
         self.skipped: set[str] = set()
 
     def fault(self, line: int, expected: str, got: str, cure: str = "Export the mesh again.") -> MeshError:
-        return MeshError(f"mesh {self.name} line {line}", expected=expected, got=got[:80], cure=cure)
+        return mesh_fault(f"{self.name} line {line}", expected, got[:80], cure)
 
     def read(self, payload: bytes) -> GarmentMesh:
         if b"\0" in payload:
-            raise MeshError(
-                f"mesh {self.name}",
-                expected="a text file (OBJ)",
-                got="binary data",
-                cure="Name the file by its format.",
-            )
+            raise mesh_fault(self.name, "a text file (OBJ)", "binary data", "Name the file by its format.")
         pending = ""
         for number, raw in enumerate(payload.decode("utf-8", errors="replace").splitlines(), start=1):
             text = pending + raw.split("#", 1)[0].strip()
@@ -133,12 +128,7 @@ class _ObjReader:
     def finish(self) -> GarmentMesh:
         if not self.vertices or not self.faces:
             missing = "faces" if self.vertices else "vertices"
-            raise MeshError(
-                f"mesh {self.name}",
-                expected="vertices and faces",
-                got=f"no {missing}",
-                cure="Export the garment's surface.",
-            )
+            raise mesh_fault(self.name, "vertices and faces", f"no {missing}", "Export the garment's surface.")
         faces, uv_faces = np.array(self.faces, dtype=np.int64), np.array(self.uv_faces, dtype=np.int64)
         for table, count, what in (
             (faces, len(self.vertices), "vertex"),

@@ -6,8 +6,7 @@ import io
 
 import numpy as np
 
-from drape.errors import MeshError
-from drape.garment.files.mesh import VERTEX_LIMIT, GarmentMesh, check_count, plain_mesh, weld
+from drape.garment.files.mesh import GarmentMesh, check_count, mesh_fault, plain_mesh, weld
 
 _PLY_SIZES = {
     "char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2,
@@ -15,22 +14,18 @@ _PLY_SIZES = {
 }  # fmt: skip
 
 
-def read_ply(payload: bytes, *, name: str, vertex_limit: int = VERTEX_LIMIT) -> GarmentMesh:
+def read_ply(payload: bytes, *, name: str, vertex_limit: int) -> GarmentMesh:
     """The mesh of a PLY file, by trimesh, once the header's counts fit the bytes."""
     end = payload[:65536].find(b"end_header")
     if end < 0 or payload[:3] != b"ply":
-        raise MeshError(
-            f"mesh {name}", expected="a PLY header", got="none in the first 64 KiB", cure="Export it again."
-        )
+        raise mesh_fault(name, "a PLY header", "none in the first 64 KiB")
     header = payload[:end].decode("ascii", errors="replace").splitlines()
     ascii_file = any(line.split()[:2] == ["format", "ascii"] for line in header if line.strip())
     needed, count, names = 0, 0, set()
     for words in (line.split() for line in header):
         if words[:1] == ["element"]:
             if len(words) != 3 or not words[2].isdigit():
-                raise MeshError(
-                    f"mesh {name}", expected="element NAME COUNT", got=" ".join(words)[:60], cure="Export it again."
-                )
+                raise mesh_fault(name, "element NAME COUNT", " ".join(words)[:60])
             count = int(words[2])
             names.add(words[1])
             check_count(f"{name} ({words[1]})", count // (1 if words[1] == "vertex" else 4), vertex_limit)
@@ -38,24 +33,15 @@ def read_ply(payload: bytes, *, name: str, vertex_limit: int = VERTEX_LIMIT) -> 
             # A list costs at least its own count; text at least two characters per value.
             needed += count * (2 if ascii_file else _PLY_SIZES.get(words[2] if words[1] == "list" else words[1], 1))
     if not {"vertex", "face"} <= names:
-        raise MeshError(
-            f"mesh {name}",
-            expected="elements vertex and face",
-            got=", ".join(sorted(names)) or "none",
-            cure="Export a mesh.",
-        )
+        raise mesh_fault(name, "elements vertex and face", ", ".join(sorted(names)) or "none", "Export a mesh.")
     held = len(payload) - end
     if needed > held:
-        raise MeshError(
-            f"mesh {name}",
-            expected=f"at least {needed:,} bytes of data",
-            got=f"{held:,}",
-            cure="The file is cut off: export it again.",
-        )
+        cure = "The file is cut off: export it again."
+        raise mesh_fault(name, f"at least {needed:,} bytes of data", f"{held:,}", cure)
     return _by_trimesh(payload, "ply", name)
 
 
-def read_stl(payload: bytes, *, name: str, vertex_limit: int = VERTEX_LIMIT) -> GarmentMesh:
+def read_stl(payload: bytes, *, name: str, vertex_limit: int) -> GarmentMesh:
     """The mesh of an STL file; equal corners become one vertex, in the order of their first appearance."""
     declared = int.from_bytes(payload[80:84], "little") if len(payload) >= 84 else -1
     if declared >= 0 and len(payload) == 84 + 50 * declared:
@@ -67,12 +53,8 @@ def read_stl(payload: bytes, *, name: str, vertex_limit: int = VERTEX_LIMIT) -> 
         mesh = _by_trimesh(payload, "stl_ascii", name)
         corners = mesh.vertices[mesh.faces.reshape(-1)]
     else:
-        raise MeshError(
-            f"mesh {name}",
-            expected="an STL whose size fits its count of triangles",
-            got=f"{len(payload):,} bytes for {declared:,}",
-            cure="Export it again.",
-        )
+        got = f"{len(payload):,} bytes for {declared:,}"
+        raise mesh_fault(name, "an STL whose size fits its count of triangles", got)
     return weld(plain_mesh(name, corners, np.arange(len(corners))))
 
 
@@ -84,10 +66,5 @@ def _by_trimesh(payload: bytes, kind: str, name: str) -> GarmentMesh:
         vertices, faces = np.asarray(loaded.vertices, dtype=np.float64), np.asarray(loaded.faces, dtype=np.int64)
     except Exception as error:
         # A broken file can raise anything inside the library.
-        raise MeshError(
-            f"mesh {name}",
-            expected=f"a readable {kind[:3].upper()}",
-            got=f"{type(error).__name__}: {error}"[:120],
-            cure="Export it again.",
-        ) from error
+        raise mesh_fault(name, f"a readable {kind[:3].upper()}", f"{type(error).__name__}: {error}") from error
     return plain_mesh(name, vertices, faces)

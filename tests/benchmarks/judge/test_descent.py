@@ -68,18 +68,6 @@ def test_kernels_equal_the_reference(material, flat_rest):
     assert_allclose(blocks[9], wanted_block, rtol=1e-10, atol=1e-10 * np.abs(wanted_block).max())
 
 
-def test_gradients_equal_central_differences(rng):
-    kernel, scene = descent.energy_and_gradient, crumpled("rib", flat_rest=True)
-    gradient, unused = np.empty_like(scene.x), np.empty_like(scene.x)
-    kernel(scene.x, scene.problem, scene.around, gradient)
-    step, scale = 1e-7, np.abs(gradient).max()
-    for vertex, axis in rng.integers(0, scene.x.shape, size=(25, 2)):
-        shift = np.zeros_like(scene.x)
-        shift[vertex, axis] = step
-        up, down = (kernel(scene.x + s * shift, scene.problem, scene.around, unused) for s in (1.0, -1.0))
-        assert_allclose(gradient[vertex, axis], (up - down) / (2.0 * step), rtol=1e-5, atol=1e-6 * scale)
-
-
 @pytest.mark.parametrize(("material", "flat_rest"), CASES)
 def test_a_guarded_sweep_never_raises_the_energy(material, flat_rest):
     scene = crumpled(material, flat_rest=flat_rest, noise_m=0.003)
@@ -93,30 +81,13 @@ def test_a_guarded_sweep_never_raises_the_energy(material, flat_rest):
     assert after < 0.5 * start
 
 
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_sweeps_give_the_same_bits_again(dtype):
-    scene = crumpled("denim", flat_rest=True, dtype=dtype)
-    ends = []
-    for _ in range(2):
-        x = scene.x.copy()
+def test_sweeps_give_the_same_bits_again():
+    scene = crumpled("denim", flat_rest=True)
+    ends = [scene.x.copy() for _ in range(2)]
+    for x in ends:
         for _ in range(3):
             descent.sweep(x, scene.problem, scene.around, False)
-        ends.append(x)
-    assert ends[0].dtype == dtype
-    assert_array_equal(*ends)
-
-
-@pytest.mark.parametrize("material", MATERIALS)
-def test_float32_follows_float64(material):
-    single, double = (crumpled(material, flat_rest=True, dtype=dtype) for dtype in (np.float32, np.float64))
-    assert_allclose(energy_at(single, single.x), energy_at(double, double.x), rtol=2e-4, atol=0.0)
-    ends = []
-    for scene in (single, double):
-        x = scene.x.copy()
-        for _ in range(3):
-            descent.sweep(x, scene.problem, scene.around, False)
-        ends.append(x)
-    assert_allclose(ends[0], ends[1], rtol=0.0, atol=2e-5)  # metres; the grid is 60 mm wide
+    assert_array_equal(ends[0], ends[1])
 
 
 def test_the_quadratic_bending_is_that_of_the_hinges_where_they_are_nearly_flat():

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from benchmarks.judge import physics
-from benchmarks.judge.body_distance import BlendedPlanes
+from benchmarks.judge.blended_planes import BlendedPlanes
 from benchmarks.judge.newton import Cloth, Descent
 from benchmarks.judge.physics import Task
 from drape.catalog import find_garments, open_garment
@@ -31,6 +31,12 @@ WEIGHTLESS = replace(material(), gravity_m_s2=0.0)
 AWAY = np.array([0.0, 1.0, 0.0])
 
 
+def sheet(*cells: int, cell_m: float = 0.01) -> tuple[np.ndarray, ClothMesh]:
+    """The rest positions and the constants of a grid."""
+    rest, faces = grid(*cells, cell_m=cell_m)
+    return rest, ClothMesh.from_rest(rest, faces)
+
+
 @pytest.fixture(scope="module")
 def sphere():
     vertices, faces = icosphere(4, radius_m=0.1)
@@ -45,8 +51,7 @@ def task_of(sphere, cloth, made_of, start, **others) -> Task:
 
 
 def test_a_stretched_sheet_far_from_the_body_returns_to_rest(sphere):
-    rest, faces = grid(8, 6, cell_m=0.015)
-    cloth = ClothMesh.from_rest(rest, faces)
+    rest, cloth = sheet(8, 6, cell_m=0.015)
     start = np.stack([1.2 * rest, [0.9, 1.1, 1.0] * rest]) + AWAY
     # Without weight no force is small beside it: the steps run out, or none lowers the energy any more.
     optimum = physics.minimise(task_of(sphere, cloth, WEIGHTLESS, start))
@@ -84,8 +89,7 @@ def test_a_sheet_on_a_sphere_comes_to_rest_in_the_gap_where_contact_carries_its_
 
 
 def test_frames_do_not_see_each_other_and_give_the_same_bits_again(sphere):
-    rest, faces = grid(6, 6, cell_m=0.01)
-    cloth = ClothMesh.from_rest(rest, faces)
+    rest, cloth = sheet(6, 6)
     start = np.concatenate([lying(1.1 * rest), lying(0.9 * rest)])
     both = physics.minimise(task_of(sphere, cloth, material(), start))
     alone = physics.minimise(task_of(sphere, cloth, material(), start[1:]))
@@ -93,8 +97,7 @@ def test_frames_do_not_see_each_other_and_give_the_same_bits_again(sphere):
 
 
 def test_a_waistband_holds_what_would_fall(sphere):
-    rest, faces = grid(6, 6, cell_m=0.01)
-    cloth = ClothMesh.from_rest(rest, faces)
+    rest, cloth = sheet(6, 6)
     start = rest[None] + AWAY
     top = np.flatnonzero(rest[:, 1] > rest[:, 1].max() - 1e-9)
     held = physics.Held(top, np.full(len(top), 0.01), start[:, top])
@@ -107,8 +110,7 @@ def test_a_waistband_holds_what_would_fall(sphere):
 
 
 def test_of_several_starts_the_lowest_counts(sphere):
-    rest, faces = grid(6, 6, cell_m=0.01)
-    cloth = ClothMesh.from_rest(rest, faces)
+    rest, cloth = sheet(6, 6)
     near, far = lying(rest, 0.103), lying(1.5 * rest, 0.103)
     one = physics.minimise(task_of(sphere, cloth, material(), (far,)), step_limit=2)
     two = physics.minimise(task_of(sphere, cloth, material(), (far, near)), step_limit=2)
@@ -118,8 +120,7 @@ def test_of_several_starts_the_lowest_counts(sphere):
 
 
 def test_stiffness_bounds_the_diagonal_of_the_hessian(rng):
-    rest, faces = grid(4, 4, cell_m=0.015)
-    cloth = ClothMesh.from_rest(rest, faces)
+    rest, cloth = sheet(4, 4, cell_m=0.015)
     bound = physics.vertex_stiffness(cloth, material())
     step = 1e-4
 
@@ -211,8 +212,7 @@ def test_the_energy_ends_below_its_start_on_every_mesh(sphere, sheet):
 
 
 def test_what_does_not_come_near_rest_is_refused_by_its_name(sphere):
-    rest, faces = grid(8, 8, cell_m=0.015)
-    cloth = ClothMesh.from_rest(rest, faces)
+    rest, cloth = sheet(8, 8, cell_m=0.015)
     start = 5.0 * lying(rest)
     with pytest.raises(MeshError, match=r"mesh it anew: its lowest triangle is 11 mm high") as refusal:
         physics.minimise(task_of(sphere, cloth, material(), start, name="blouse"), step_limit=0)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from benchmarks.measure import intersections
 from benchmarks.measure.intersections import intersecting_pairs, intersection_count
 from drape.errors import MeshError
+from drape.kernels import triangle_pairs
 from tests.drape.cloth.cloth_shapes import grid, random_rotation, tube
 
 FLAT = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -90,9 +90,9 @@ def test_a_sheet_folded_through_itself():
     assert counts[1] == len(every_pair(rolled, faces)) > 0
 
 
-@pytest.mark.parametrize("chunk", [40, intersections.CHUNK_PAIRS])
+@pytest.mark.parametrize("chunk", [40, triangle_pairs.CHUNK_PAIRS])
 def test_a_soup_of_all_sizes_equals_all_pairs(rng, monkeypatch, chunk):
-    monkeypatch.setattr(intersections, "CHUNK_PAIRS", chunk)
+    monkeypatch.setattr(triangle_pairs, "CHUNK_PAIRS", chunk)
     size = 10.0 ** rng.uniform(-2.0, 0.3, size=(90, 1, 1))
     vertices = (rng.uniform(-0.5, 0.5, size=(90, 1, 3)) + size * rng.normal(size=(90, 3, 3))).reshape(-1, 3)
     faces = np.arange(270).reshape(90, 3)

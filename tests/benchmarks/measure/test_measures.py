@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from benchmarks.judge.body_distance import blended_distance
+from benchmarks.judge.blended_planes import blended_distance
 from benchmarks.measure.hem import hang_mm
 from benchmarks.measure.intersections import intersection_count
 from benchmarks.measure.measures import METHODS as EVERY

@@ -32,7 +32,7 @@ def test_errors_are_those_of_the_distance_that_is_off(rng):
 
 
 def test_a_finer_grid_is_nearer_and_larger(tmp_path, monkeypatch):
-    tiny = SirenOptions(width=16, layers=2, points=4000, batch=256, steps=30)
+    tiny = SirenOptions(width=16, layers=2, points=4000, steps=30)
     monkeypatch.setattr(body_distance, "REPEATS", 2)
     rows, network = rows_of(load_body(), (0.08, 0.04), tiny, tmp_path, 2000)
     exact, coarse, fine, siren = rows

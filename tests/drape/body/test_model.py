@@ -12,6 +12,7 @@ from drape.errors import BodyError, MotionError
 from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix
 from tests.drape.body.body_files import smpl_arrays
 from tests.fixtures.garments import default_body
+from tests.fixtures.laws import each
 
 EXACT = 1e-12
 REST = np.zeros((1, JOINT_COUNT, 3))
@@ -166,40 +167,6 @@ def test_counts_are_those_of_the_arrays(small):
     assert small.posed_vertices(np.zeros((0, JOINT_COUNT, 3))).shape == (0, 60, 3)
 
 
-@pytest.mark.parametrize("bad", [np.zeros(11), np.zeros((1, 10)), np.float64(1.0)])
-def test_shape_that_the_body_does_not_have_is_refused(small, bad):
-    with pytest.raises(BodyError, match="at most 10 numbers"):
-        small.rest_vertices(bad)
-
-
-def test_shape_that_is_not_finite_is_refused(small):
-    with pytest.raises(BodyError, match="betas: expected finite"):
-        small.rest_joints(np.array([0.0, np.nan]))
-
-
-@pytest.mark.parametrize("bad", [np.zeros((24, 3)), np.zeros((1, 52, 3)), np.zeros((1, 72))])
-def test_poses_of_another_shape_are_refused(small, bad):
-    with pytest.raises(MotionError, match="poses: expected shape"):
-        small.bones(bad)
-
-
-def test_poses_that_are_not_finite_are_refused(small, poses):
-    poses[1, 2, 0] = np.inf
-    with pytest.raises(MotionError, match=r"poses: expected finite.*\(1, 2, 0\)"):
-        small.bones(poses)
-
-
-@pytest.mark.parametrize("bad", [np.zeros(3), np.zeros((1, 3)), np.zeros((3, 2))])
-def test_translations_of_another_shape_are_refused(small, poses, bad):
-    with pytest.raises(MotionError, match="trans: expected shape"):
-        small.bones(poses, bad)
-
-
-def test_translations_that_are_not_finite_are_refused(small, poses):
-    with pytest.raises(MotionError, match="trans: expected finite"):
-        small.bones(poses, np.full((3, 3), np.nan))
-
-
 def test_bodies_of_many_shapes_are_posed_as_each_by_itself(poses, rng):
     body = default_body()
     shapes = rng.normal(size=(len(poses), body.shape_count))
@@ -211,6 +178,31 @@ def test_bodies_of_many_shapes_are_posed_as_each_by_itself(poses, rng):
         assert_allclose(body.rest_joints(shapes)[n], body.rest_joints(shape), rtol=0.0, atol=EXACT)
 
 
-def test_shapes_of_another_count_are_refused(small):
-    with pytest.raises(BodyError, match="betas: expected shape"):
-        small.rest_joints(np.zeros((3, small.shape_count + 1)))
+GOOD = np.zeros((3, JOINT_COUNT, 3))
+AT_ODDS = GOOD.copy()
+AT_ODDS[1, 2, 0] = np.inf
+REFUSED = {
+    **{
+        f"betas {bad.shape}": (lambda body, bad=bad: body.rest_vertices(bad), BodyError, "at most 10 numbers")
+        for bad in (np.zeros(11), np.zeros((1, 10)), np.array(1.0))
+    },
+    "betas nan": (lambda body: body.rest_joints(np.array([0.0, np.nan])), BodyError, "betas: expected finite"),
+    "many betas": (lambda body: body.rest_joints(np.zeros((3, 11))), BodyError, "betas: expected shape"),
+    **{
+        f"poses {shape}": (lambda body, s=shape: body.bones(np.zeros(s)), MotionError, "poses: expected shape")
+        for shape in ((24, 3), (1, 52, 3), (1, 72))
+    },
+    "poses inf": (lambda body: body.bones(AT_ODDS), MotionError, r"poses: expected finite.*\(1, 2, 0\)"),
+    **{
+        f"trans {shape}": (lambda body, s=shape: body.bones(GOOD, np.zeros(s)), MotionError, "trans: expected shape")
+        for shape in ((3,), (1, 3), (3, 2))
+    },
+    "trans nan": (lambda body: body.bones(GOOD, np.full((3, 3), np.nan)), MotionError, "trans: expected finite"),
+}
+
+
+@each(case=REFUSED)
+def test_what_no_body_can_take_is_refused_by_its_name(small, case):
+    pose, error, message = case
+    with pytest.raises(error, match=message):
+        pose(small)

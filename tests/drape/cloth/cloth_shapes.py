@@ -34,7 +34,7 @@ def equilateral(columns: int, rows: int, *, edge_m: float = 0.01) -> tuple[np.nd
 
 
 def tube(around: int = 12, along: int = 5, *, radius_m: float = 0.1, height_m: float = 0.3):
-    """An open cylinder about the y axis, normals outwards."""
+    """An open cylinder about the y axis, from y = 0 up, normals outwards."""
     angle = 2.0 * np.pi * np.arange(around) / around
     height = np.linspace(0.0, height_m, along + 1)
     ring = np.stack([radius_m * np.sin(angle), np.zeros(around), radius_m * np.cos(angle)], axis=1)

@@ -7,15 +7,14 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from drape.body.assets import load_body
 from drape.cloth.waistband import SLACK_M, STIFFNESS_N_M2, band_energy, waistband
 from tests.fixtures.packed import garment
 
 
 @pytest.mark.parametrize("kind", ["trousers", "shorts"])
-def test_what_hangs_from_the_waist_has_a_band_round_it(kind: str):
+def test_what_hangs_from_the_waist_has_a_band_round_it(body, kind: str):
     whole = garment(kind)
-    band = waistband(whole.vertices.astype(np.float64), whole.fine_faces.astype(np.int64), load_body())
+    band = waistband(whole.vertices.astype(np.float64), whole.fine_faces.astype(np.int64), body)
     assert band is not None
     height = whole.vertices[:, 1]
     assert height[band.vertex].mean() > height.max() - 0.03, "the highest border, and not a leg's"
@@ -25,14 +24,11 @@ def test_what_hangs_from_the_waist_has_a_band_round_it(kind: str):
 
 
 @pytest.mark.parametrize("kind", ["tshirt", "dress", "tank"])
-def test_what_hangs_from_the_shoulders_has_none(kind: str):
+def test_what_hangs_from_the_shoulders_has_none_and_so_has_a_closed_surface(body, kind: str):
     whole = garment(kind)
-    assert waistband(whole.vertices.astype(np.float64), whole.fine_faces.astype(np.int64), load_body()) is None
-
-
-def test_a_closed_surface_has_none():
+    assert waistband(whole.vertices.astype(np.float64), whole.fine_faces.astype(np.int64), body) is None
     faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
-    assert waistband(np.eye(4, 3) - 1.0, faces, load_body()) is None
+    assert waistband(np.eye(4, 3) - 1.0, faces, body) is None
 
 
 def test_a_band_that_slid_costs_half_its_stiffness_times_the_square_of_the_way_past_the_slack():

@@ -9,53 +9,38 @@ import pytest
 import torch
 from numpy.testing import assert_allclose, assert_array_equal
 
-from drape.body.assets import load_body
 from drape.body.skeleton import JOINT_NAMES
 from drape.cloth import metrics
 from drape.cloth.contact import BodyContact, nearest_vertex_push
 from drape.contact import projection
-from drape.contact.projection import (
-    CLEARANCE_M,
-    PushFeed,
-    blended,
-    fitted,
-    push_in_parts,
-    push_out,
-    push_out_of_bodies,
-)
+from drape.contact.projection import CLEARANCE_M, PushFeed, blended, fit, push_in_parts, push_out, push_out_of_bodies
+from drape.contact.push_tables import BLOCK_SIZE, GROUP_SIZE, other_part, push_tables
 from drape.contact.skin import body_skin, skin_table
-from drape.contact.tables import BLOCK_SIZE, GROUP_SIZE, other_part, push_tables
 from drape.errors import ArtifactError, MeshError
-from drape.garment.cache import GARMENTS_DIR, Garment, load_garment
+from drape.garment.cache import Garment
 from drape.geometry import closest, jets, meshes
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.geometry.skinning import skin_points
 from drape.graph.feeds import garment_feed
 from drape.graph.push_feed import pack_push, push_feed, pushed_jets
 from tests.fixtures.cut_garments import cut_garment
-
-
-@cache
-def garment(kind: str) -> Garment:
-    return load_garment(next(iter(sorted(GARMENTS_DIR.glob(f"{kind}-*.npz")))))
+from tests.fixtures.garments import default_body
+from tests.fixtures.garments import shipped as garment
 
 
 @cache
 def feed_of(kind: str) -> PushFeed:
-    return push_feed(garment(kind), load_body())
+    return push_feed(garment(kind), default_body())
 
 
 def table_of(poses: np.ndarray) -> np.ndarray:
-    body = load_body()
-    bones = body_skin(body).on_bones(body)
-    return skin_table(bones.rows.astype(np.float64), bones.bones, *body.bones(poses))
+    bones = body_skin(default_body()).on_bones(default_body())
+    return skin_table(bones.rows.astype(np.float64), bones.bones, *default_body().bones(poses))
 
 
 def skinned(kind: str, poses: np.ndarray) -> np.ndarray:
-    whole = garment(kind)
-    rest = whole.vertices.astype(np.float64)
-    still = np.broadcast_to(rest, (len(poses), *rest.shape))
-    return skin_points(still, whole.skin_weights.astype(np.float64), *load_body().bones(poses))
+    rest, weights = garment(kind).vertices.astype(np.float64), garment(kind).skin_weights.astype(np.float64)
+    return skin_points(np.broadcast_to(rest, (len(poses), *rest.shape)), weights, *default_body().bones(poses))
 
 
 def bent(joint: str, rotvec: tuple[float, float, float]) -> np.ndarray:
@@ -65,20 +50,18 @@ def bent(joint: str, rotvec: tuple[float, float, float]) -> np.ndarray:
 
 
 def depths(vertices: np.ndarray, posed: np.ndarray) -> np.ndarray:
-    return closest.signed_distance(vertices, posed, load_body().faces)
+    return closest.signed_distance(vertices, posed, default_body().faces)
 
 
 def stretches(kind: str, vertices: np.ndarray) -> np.ndarray:
-    whole = garment(kind)
-    edges = meshes.unique_edges(whole.fine_faces.astype(np.int64))
-    rest = meshes.edge_lengths(whole.vertices.astype(np.float64), edges)
-    return meshes.edge_lengths(vertices, edges) / rest
+    edges = meshes.unique_edges(garment(kind).fine_faces.astype(np.int64))
+    return meshes.edge_lengths(vertices, edges) / meshes.edge_lengths(garment(kind).vertices.astype(np.float64), edges)
 
 
 @pytest.mark.parametrize("whole", [cut_garment("tank"), garment("trousers")], ids=["cut tank", "trousers"])
 def test_a_clear_garment_is_left_where_it_is(whole: Garment):
     vertices = whole.vertices.astype(np.float64)[None]
-    pushed = push_out(vertices, table_of(np.zeros((1, 24, 3))), push_feed(whole, load_body()))
+    pushed = push_out(vertices, table_of(np.zeros((1, 24, 3))), push_feed(whole, default_body()))
     assert np.abs(pushed - vertices).max() < 1e-9
 
 
@@ -91,7 +74,7 @@ def test_a_sewn_garment_with_sleeves_or_a_bust_is_moved_by_a_millimetre_at_most(
 
 
 def test_cloth_drawn_into_the_body_comes_out_to_the_clearance():
-    body, vertices = load_body(), garment("tank").vertices.astype(np.float64)
+    body, vertices = default_body(), garment("tank").vertices.astype(np.float64)
     found = closest.closest_point(vertices, body.v_template, body.faces)
     normals = meshes.face_normals(body.v_template, body.faces)[found.face]
     inside = (found.point - 0.006 * normals)[None]
@@ -104,7 +87,7 @@ def test_cloth_drawn_into_the_body_comes_out_to_the_clearance():
 
 def test_cloth_drawn_through_the_other_leg_is_not_torn():
     """Beyond its middle the nearest skin of the other leg is the far side, and neighbours part company."""
-    body, poses = load_body(), bent("left_hip", (0.0, 0.0, -0.08)) + bent("right_hip", (0.0, 0.0, 0.08))
+    body, poses = default_body(), bent("left_hip", (0.0, 0.0, -0.08)) + bent("right_hip", (0.0, 0.0, 0.08))
     posed, vertices = body.posed_vertices(poses), skinned("trousers", poses)
     bones = [JOINT_NAMES.index("left_hip"), JOINT_NAMES.index("left_knee")]
     leg = garment("trousers").skin_weights[:, bones].sum(axis=1) > 0.5
@@ -146,7 +129,7 @@ def test_numpy_and_torch_agree_and_frames_are_independent(rng):
 
 
 def test_it_follows_the_body_through_the_world():
-    body, poses = load_body(), bent("left_hip", (-1.2, 0.0, 0.0))
+    body, poses = default_body(), bent("left_hip", (-1.2, 0.0, 0.0))
     vertices, posed = skinned("shorts", poses), body.posed_vertices(poses)
     skin, feed = body_skin(body), feed_of("shorts")
     here = push_out_of_bodies(vertices, posed, skin, feed)
@@ -159,13 +142,13 @@ def test_a_smooth_displacement_is_fitted_and_cloth_far_from_a_push_stays():
     whole, feed = garment("tank"), feed_of("tank")
     slots = feed.block_vertex.reshape(-1)
     same = np.broadcast_to(np.array([[0.01], [-0.02], [0.005]]), (1, 3, len(slots)))
-    assert_allclose(fitted(same, feed), same, rtol=0.02, atol=1e-4)
+    assert_allclose(blended(fit(same, feed), feed), same, rtol=0.02, atol=1e-4)
     rest = whole.vertices.astype(np.float64)[slots]
     bump = np.exp(-((np.linalg.norm(rest - rest[0], axis=1) / 0.05) ** 2)) * np.array([[[0.0], [0.0], [0.01]]])
-    found = fitted(bump, feed)
+    found = blended(fit(bump, feed), feed)
     assert np.abs(found - bump).max() < 0.006
     far = np.linalg.norm(rest - rest[0], axis=1) > 0.4
-    assert_array_equal(fitted(np.where(bump > 1e-3, bump, 0.0), feed)[0, :, far], 0.0)
+    assert_array_equal(blended(fit(np.where(bump > 1e-3, bump, 0.0), feed), feed)[0, :, far], 0.0)
 
 
 def test_jets_carry_the_fitted_push_and_what_they_lack_is_told(rng, monkeypatch):
@@ -206,7 +189,7 @@ def test_cloth_of_jets_comes_out_of_the_body_like_cloth_of_vertices():
     vertices = skinned("trousers", poses) - np.array([0.0, 0.0, 0.015])
     pushed = push_in_parts(vertices, table_of(poses), feed)
     of_jets = vertices + np.swapaxes(blended(pushed.coefficients, feed), 1, 2)[:, feed.vertex_slot]
-    posed, faces = load_body().posed_vertices(poses), load_body().faces
+    posed, faces = default_body().posed_vertices(poses), default_body().faces
     drape, by_vertices, by_jets = (
         metrics.colliding_triangle_pct(cloth, posed, faces)[0] for cloth in (vertices, pushed.vertices, of_jets)
     )
@@ -215,7 +198,7 @@ def test_cloth_of_jets_comes_out_of_the_body_like_cloth_of_vertices():
 
 
 def test_tables_keep_every_vertex_and_know_the_other_parts():
-    whole, body = garment("longsleeve"), load_body()
+    whole, body = garment("longsleeve"), default_body()
     skin = body_skin(body)
     tables = push_tables(whole.vertices, skin)
     assert tables.block_vertex.shape[1] == BLOCK_SIZE and len(tables.block_vertex) % GROUP_SIZE == 0
@@ -234,12 +217,13 @@ def test_the_far_side_of_a_limb_is_not_another_part_but_a_facing_one_is():
 
 
 def test_empty_and_broken_garments_are_refused():
-    skin, feed = body_skin(load_body()), garment_feed(garment("tank"))
-    with pytest.raises(MeshError, match="at least one"):
-        push_tables(np.zeros((0, 3)), skin)
-    with pytest.raises(MeshError, match="finite"):
-        push_tables(np.full((4, 3), np.nan), skin)
-    with pytest.raises(MeshError, match="shape"):
-        push_tables(np.zeros((4, 2)), skin)
+    skin, feed = body_skin(default_body()), garment_feed(garment("tank"))
+    for told, broken in (
+        ("at least one", np.zeros((0, 3))),
+        ("finite", np.full((4, 3), np.nan)),
+        ("shape", np.zeros((4, 2))),
+    ):
+        with pytest.raises(MeshError, match=told):
+            push_tables(broken, skin)
     with pytest.raises(ArtifactError, match="as in the feed"):
         pack_push(feed, np.zeros((5, 3)), skin)

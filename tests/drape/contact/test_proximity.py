@@ -9,7 +9,6 @@ import numpy as np
 import torch
 from numpy.testing import assert_allclose, assert_array_equal
 
-from drape.body.assets import load_body
 from drape.body.skeleton import JOINT_NAMES
 from drape.contact.proximity import (
     GAP_M,
@@ -24,17 +23,18 @@ from drape.contact.proximity import (
     planes,
     region_bias_of,
 )
+from drape.contact.push_tables import outward_directions
 from drape.contact.samples import region_centres
-from drape.contact.skin import body_skin, shaped_skin, skin_table
-from drape.contact.tables import outward_directions
+from drape.contact.skin import body_skin
 from drape.geometry import closest
 from drape.geometry.skinning import blend_frames
 from drape.graph.feeds import body_feed, garment_feed
 from drape.graph.push_feed import KEPT_SHAPES, SkinShapes
-from tests.fixtures.packed import garment
+from tests.fixtures.garments import default_body
+from tests.fixtures.garments import shipped as garment
 from tests.fixtures.rounding import moved_by_rounding
 
-BODY = load_body()
+BODY = default_body()
 ARMS_DOWN = 1.15  # [rad] where no patch has two regions within rounding of each other to choose from
 ROW_SIZE = 8
 FLOAT64_SHARE = 2.0**-29  # of the rounding of float32
@@ -43,8 +43,7 @@ FLOAT64_SHARE = 2.0**-29  # of the rounding of float32
 def pose(arms: float) -> np.ndarray:
     """The T-pose with both arms turned down by ``arms`` [rad]."""
     made = np.zeros((1, 24, 3))
-    made[0, JOINT_NAMES.index("left_shoulder"), 2] = -arms
-    made[0, JOINT_NAMES.index("right_shoulder"), 2] = arms
+    made[0, [JOINT_NAMES.index(f"{side}_shoulder") for side in ("left", "right")], 2] = -arms, arms
     return made
 
 
@@ -56,10 +55,8 @@ def lists(kind: str) -> PatchSkin:
 
 def posed(kind: str, arms: float) -> tuple[np.ndarray, np.ndarray, PatchSkin]:
     """Points (1, K, 7, 3) of the rigidly moved patches of a garment, the body's skin, and the patches' lists."""
-    feed, constants = (
-        body_feed(BODY, pose(arms), np.zeros((1, 3)), skin=True).arrays,
-        garment_feed(garment(kind), body=BODY),
-    )
+    feed = body_feed(BODY, pose(arms), np.zeros((1, 3)), skin=True).arrays
+    constants = garment_feed(garment(kind), body=BODY)
     rotation, centre = blend_frames(
         constants["patch_centre"][None], constants["patch_weights"], constants["patch_heaviest"],
         feed["bone_rotation"], feed["bone_translation"], feed["bone_quaternion"],
@@ -116,24 +113,15 @@ def test_torch_and_numpy_feel_the_same():
 
     def by_torch(*arrays: np.ndarray) -> list[np.ndarray]:
         points, skin, bias = (torch.from_numpy(array) for array in arrays)
-        rest = (own.own_cluster.astype(np.int64), own.other, own.region_bias)
-        cluster, other, region_bias = (torch.from_numpy(np.array(value)) for value in rest)
-        return [
-            x.numpy()
-            for x in body_proximity(points, planes(points, skin, PatchSkin(cluster, bias, other, region_bias)))
-        ]
+        lists = replace(own.each(torch.from_numpy), own_bias=bias)
+        return [x.numpy() for x in body_proximity(points, planes(points, skin, lists))]
 
     inputs = (points, skin, own.own_bias)
+    wide_inputs = [x.astype(np.float64) for x in inputs]
     exact, moved = moved_by_rounding(by_numpy, *inputs)
     assert max(moved) < 1e-3  # no other region is chosen
-    for precise, far, one, other, wide in zip(
-        exact,
-        moved,
-        by_numpy(*inputs),
-        by_torch(*inputs),
-        by_torch(*(x.astype(np.float64) for x in inputs)),
-        strict=True,
-    ):
+    found = (by_numpy(*inputs), by_torch(*inputs), by_torch(*wide_inputs))
+    for precise, far, one, other, wide in zip(exact, moved, *found, strict=True):
         bound = ROW_SIZE * far  # a logit is a sum of so many products, each of which rounds
         assert one.dtype == other.dtype == np.float32 and wide.dtype == np.float64
         assert_allclose(one, precise, rtol=0, atol=bound)
@@ -160,21 +148,6 @@ def test_regions_without_another_part_lie_far_below():
     bias = region_bias_of(np.array([0.0, 1.0, OTHER_STEPS]))
     assert_allclose(np.exp(bias), [1e-6, 1.0 / OTHER_STEPS, 1.0], rtol=5e-3)
     assert_array_equal(bias, bias.astype(np.float16))  # as the packed graph stores them
-
-
-def test_skins_of_any_shape_are_those_of_their_bones():
-    rng = np.random.default_rng(0)
-    betas = rng.normal(size=(3, BODY.shape_count))
-    poses = rng.normal(0.0, 0.3, size=(3, 24, 3))
-    bones = [BODY.bones(poses[i : i + 1], None, betas[i]) for i in range(3)]
-    rotation, translation = (np.concatenate(parts) for parts in zip(*bones, strict=True))
-    got = shaped_skin(BODY).table(rotation, translation, betas)
-    for i in range(3):
-        shape = body_skin(BODY).on_bones(BODY, betas[i])
-        want = skin_table(
-            shape.rows, shape.bones, rotation[i : i + 1].astype(np.float32), translation[i : i + 1].astype(np.float32)
-        )
-        assert_allclose(got[i], want[0], rtol=0, atol=2e-4)
 
 
 def test_bodies_share_the_rows_of_their_shapes():

@@ -12,7 +12,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial import KDTree
 
 from drape.arrays.subnormals import flushed
-from drape.body.assets import load_body
 from drape.contact import field
 from drape.contact.blocks import blocks
 from drape.contact.projection import AGREEMENT
@@ -20,12 +19,13 @@ from drape.contact.samples import CLUSTER_SIZE, REGION_SIZE, sample_table
 from drape.contact.skin import Skin, body_skin, shaped_skin, skin_samples, skin_table
 from drape.errors import BodyError, InputError
 from drape.geometry import closest, meshes
+from tests.fixtures.garments import default_body
 from tests.fixtures.rounding import HALF_ULP
 
 
 @pytest.fixture(scope="module")
 def skin() -> Skin:
-    return body_skin(load_body())
+    return body_skin(default_body())
 
 
 def sphere(count: int, radius: float) -> np.ndarray:
@@ -73,7 +73,7 @@ def test_means_fade_before_their_weights_are_subnormal(context, rng):
 
 
 def test_samples_lie_on_the_skin_with_its_normals_and_keep_their_distance(skin: Skin):
-    body = load_body()
+    body = default_body()
     found = closest.closest_point(skin.point, body.v_template, body.faces)
     assert_allclose(np.linalg.norm(found.point - skin.point, axis=1), 0.0, rtol=0, atol=1e-9)
     nearest = KDTree(body.v_template).query(skin.point)[1]
@@ -92,12 +92,12 @@ def test_regions_and_clusters_are_compact(skin: Skin):
 
 
 def test_samples_are_the_same_every_time(skin: Skin):
-    again = skin_samples(load_body())
+    again = skin_samples(default_body())
     assert (again.point == skin.point).all() and abs(again.operator - skin.operator).max() == 0
 
 
 def test_bones_pose_samples_as_body_vertices_do(skin: Skin, rng):
-    body = load_body()
+    body = default_body()
     poses, betas = rng.normal(0.0, 0.5, size=(2, 24, 3)), rng.normal(size=body.shape_count)
     point, normal = skin.posed(body.posed_vertices(poses, None, betas))
     bones = skin.on_bones(body, betas)
@@ -110,21 +110,23 @@ def test_bones_pose_samples_as_body_vertices_do(skin: Skin, rng):
     assert_allclose(table[..., 7], (table[..., :3] * table[..., 4:7]).sum(axis=-1), rtol=0, atol=1e-12)
 
 
-def test_a_table_of_bodies_of_many_shapes_is_that_of_each_alone(rng):
-    body = load_body()
-    shaped = shaped_skin(body)
+def test_a_table_of_bodies_of_many_shapes_is_that_of_the_bones_of_each(rng):
+    body = default_body()
     betas = rng.normal(size=(4, body.shape_count))
     betas[[0, 2]] = 0.0
-    rotations, translations = body.bones(0.3 * rng.normal(size=(4, 24, 3)))
-    table = shaped.table(rotations, translations, betas)
-    for n in range(4):
-        alone = shaped.table(rotations[n : n + 1], translations[n : n + 1], betas[n : n + 1])
-        assert_allclose(table[n : n + 1], alone, rtol=1e-4, atol=1e-5)
-    assert not np.allclose(table[1], shaped.table(rotations[1:2], translations[1:2], betas[:1])[0], atol=1e-4)
+    poses = 0.3 * rng.normal(size=(4, 24, 3))
+    bones = [body.bones(poses[n : n + 1], None, betas[n]) for n in range(4)]
+    table = shaped_skin(body).table(*(np.concatenate(parts) for parts in zip(*bones, strict=True)), betas)
+    for n, (rotation, translation) in enumerate(bones):
+        own = body_skin(body).on_bones(body, betas[n])
+        alone = skin_table(own.rows, own.bones, rotation.astype(np.float32), translation.astype(np.float32))
+        assert_allclose(table[n], alone[0], rtol=0, atol=2e-4)
+    plain = shaped_skin(body).table(*bones[1], betas[:1])
+    assert not np.allclose(table[1], plain[0], atol=1e-3), "the shape matters"
 
 
 def test_pose_blend_shapes_and_other_bodies_are_refused(skin: Skin):
-    body = load_body()
+    body = default_body()
     corrected = replace(body, posedirs=np.zeros((body.vertex_count, 3, 207)))
     with pytest.raises(BodyError, match="pose blend shapes"):
         skin.on_bones(corrected)
@@ -133,7 +135,7 @@ def test_pose_blend_shapes_and_other_bodies_are_refused(skin: Skin):
 
 
 def test_a_plane_is_exact(rng):
-    samples = np.concatenate([rng.uniform(-0.05, 0.05, size=(60, 2)), np.zeros((60, 1))], axis=1)
+    samples = rng.uniform(-0.05, 0.05, size=(60, 3)) * [1.0, 1.0, 0.0]
     points = rng.uniform(-0.03, 0.03, size=(9, 3))
     found = attend_columns(points, samples, np.tile([0.0, 0.0, 1.0], (60, 1)))
     assert_allclose(found.distance, points[:, 2], rtol=0, atol=1e-12)
@@ -154,7 +156,7 @@ def test_a_sphere_has_no_error_of_second_order(radius: float):
 
 
 def test_beside_the_samples_and_between_two_faces_it_is_told(rng):
-    disc = np.concatenate([rng.uniform(-0.02, 0.02, size=(80, 2)), np.zeros((80, 1))], axis=1)
+    disc = rng.uniform(-0.02, 0.02, size=(80, 3)) * [1.0, 1.0, 0.0]
     up = np.tile([0.0, 0.0, 1.0], (80, 1))
     beside = attend_columns(np.array([[0.07, 0.0, 0.01]]), disc, up)
     assert 0.04**2 < beside.beside_m2[0] < 0.06**2
@@ -179,7 +181,7 @@ def test_the_field_is_smooth_and_the_same_in_torch(rng):
 
 
 def test_blocks_hold_every_point_once_and_keep_the_sides_of_a_sheet_apart(rng):
-    sheet = np.concatenate([rng.uniform(0.0, 0.3, size=(90, 2)), np.zeros((90, 1))], axis=1)
+    sheet = rng.uniform(0.0, 0.3, size=(90, 3)) * [1.0, 1.0, 0.0]
     points = np.concatenate([sheet, sheet - [0.0, 0.0, 0.01]])
     normals = np.repeat([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], 90, axis=0)
     found = blocks(points, normals, 8)

@@ -10,6 +10,7 @@ import numpy as np
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
 from drape.geometry import mesh_graphs, meshes
+from tests.drape.cloth.cloth_shapes import tube
 
 TORSO = [JOINT_NAMES.index(name) for name in ("pelvis", "spine1", "spine2", "spine3", "left_collar", "right_collar")]
 SLEEVES = [JOINT_NAMES.index(name) for name in ("left_shoulder", "right_shoulder")]
@@ -32,27 +33,12 @@ def shirt(body: BodyModel, skin: np.ndarray, *, ease_m: float = 0.02) -> tuple[n
 def skirt(body: BodyModel) -> tuple[np.ndarray, np.ndarray]:
     """A cone round both thighs of the standard body."""
     hips = body.joints_template[JOINT_NAMES.index("left_hip")]
-    rings, around = 14, 40
-    angle = np.linspace(0.0, 2 * np.pi, around, endpoint=False)
-    rows = []
-    for k in range(rings):
-        radius = 0.2 + 0.1 * k / rings
-        rows.append(
-            np.stack(
-                [radius * np.sin(angle), np.full(around, hips[1] + 0.08 - 0.04 * k), 0.02 + radius * np.cos(angle)], 1
-            )
-        )
-    return np.concatenate(rows), tube_faces(rings, around)
-
-
-def tube_faces(rings: int, around: int) -> np.ndarray:
-    """Triangles of a tube of rings from the top down, seen from outside."""
-    faces = []
-    for k in range(rings - 1):
-        for j in range(around):
-            a, b = k * around + j, k * around + (j + 1) % around
-            faces += [[a, a + around, b], [b, a + around, b + around]]
-    return np.array(faces)
+    around, rows = 40, 13
+    unit, faces = tube(around, rows, radius_m=1.0, height_m=1.0)
+    down = 1.0 - unit[:, 1:2]
+    radius = 0.2 + 0.1 * rows / (rows + 1) * down
+    middle = np.array([0.0, hips[1] + 0.08, 0.02])
+    return radius * unit * [1.0, 0.0, 1.0] + middle - 0.04 * rows * down * [0.0, 1.0, 0.0], faces
 
 
 def obj_text(vertices: np.ndarray, faces: np.ndarray) -> bytes:

@@ -6,7 +6,6 @@ import functools
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from drape.garment.cache import Garment
 from drape.garment.files.mesh import GarmentMesh, plain_mesh
@@ -22,11 +21,6 @@ def vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     share = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6.0
     return np.bincount(faces.ravel(), np.repeat(share, 3), len(vertices))
-
-
-def nearest(vertices: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Index of the vertex nearest to each point."""
-    return np.asarray(KDTree(vertices).query(points)[1])
 
 
 def side_by_side(*pieces: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

@@ -14,7 +14,6 @@ from drape.body.skeleton import JOINT_NAMES
 from drape.errors import ArtifactError, BodyError, DrapeError, NotFound
 from drape.garment import avatars, registration
 from drape.garment.avatars import (
-    avatar_for,
     load_phenotypes,
     mesh_avatar,
     parse_avatar,
@@ -23,6 +22,7 @@ from drape.garment.avatars import (
     smpl_avatar,
 )
 from drape.geometry import meshes
+from tests.drape.cloth.cloth_shapes import tube
 from tests.drape.garment.garment_files import obj_text
 
 BODY = load_body()
@@ -119,9 +119,7 @@ def write_table(folder: Path) -> Path:
 
 def test_longest_name_in_the_table_wins(tmp_path: Path):
     garment = write_table(tmp_path)
-    assert avatar_for(garment) == ("female", FEMALE)
-    assert avatar_for(tmp_path / "femme.obj") == ("fem", {"gender": 0.9})
-    assert avatar_for(tmp_path / "other.obj") is None
+    assert parse_avatar(None, beside=tmp_path / "femme.obj") == {"gender": 0.9}
     assert parse_avatar(None, beside=garment) == FEMALE
     assert parse_avatar(None, beside=tmp_path / "own_dress.obj") == "standard"
     assert parse_avatar(None, beside=tmp_path / "other.obj") is None
@@ -154,7 +152,7 @@ def test_a_client_of_the_service_names_no_files(tmp_path: Path, monkeypatch: pyt
 def test_broken_table_is_refused(text: str, tmp_path: Path):
     (tmp_path / "avatars.json").write_text(text)
     with pytest.raises(BodyError, match=r"avatars\.json"):
-        avatar_for(tmp_path / "female_tshirt.obj")
+        parse_avatar(None, beside=tmp_path / "female_tshirt.obj")
 
 
 def test_damaged_asset_is_refused(tmp_path: Path):
@@ -189,13 +187,11 @@ def test_other_mesh_is_registered(rng: np.random.Generator):
 def test_unlike_body_is_refused(tmp_path: Path):
     angle, height = np.meshgrid(np.linspace(0, 2 * np.pi, 40, endpoint=False), np.linspace(0, 1.8, 40))
     pillar = np.stack([0.4 * np.cos(angle), height, 0.4 * np.sin(angle)], axis=-1).reshape(-1, 3)
-    from tests.drape.garment.garment_files import tube_faces
-
     with pytest.raises(BodyError, match="fits to 15 mm"):
-        registration.register(pillar, tube_faces(40, 40)[:, ::-1], BODY)
+        registration.register(pillar, tube(40, 39)[1], BODY)
     with pytest.raises(BodyError, match="500 vertices"):
-        registration.register(pillar[:80], tube_faces(2, 40), BODY)
-    (tmp_path / "flat.obj").write_bytes(obj_text(pillar[:80], tube_faces(2, 40)))
+        registration.register(pillar[:80], tube(40, 1)[1], BODY)
+    (tmp_path / "flat.obj").write_bytes(obj_text(pillar[:80], tube(40, 1)[1]))
     with pytest.raises(BodyError, match="a person"):
         mesh_avatar(tmp_path / "flat.obj", BODY)
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import io
 import json
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from drape.files import packed
 from drape.garment import cache
 from drape.garment.cache import Garment, load_garment, save_garment
 from tests.drape.garment.rest_garments import barrel_garment
+from tests.fixtures.laws import each
 
 
 @pytest.fixture
@@ -33,12 +35,12 @@ def same_garment(a: Garment, b: Garment) -> None:
             assert have == want
 
 
-def rewrite(path, *, header=None, without=(), **arrays):
+def rewrite(path, *, header=None, header_bytes=None, without=(), **arrays):
     """Replaces entries of the file at ``path``."""
     with np.load(path) as data:
         entries = {key: data[key] for key in data.files if key not in without} | arrays
-    if header is not None:
-        entries["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
+    if header is not None or header_bytes is not None:
+        entries["header"] = np.frombuffer(header_bytes or json.dumps(header).encode(), dtype=np.uint8)
     np.savez(path, **entries)
 
 
@@ -132,77 +134,68 @@ def test_file_holds_plain_arrays_only(stored):
         assert all(data[key].dtype.kind in "iuf" for key in data.files)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.99])
-def test_truncated_file_is_refused(stored, share):
-    payload = stored.read_bytes()
-    stored.write_bytes(payload[: int(share * len(payload))])
-    with pytest.raises(ArtifactError, match="expected a garment npz"):
-        load_garment(stored)
-
-
-@pytest.mark.parametrize("place", [0.02, 0.3, 0.6, 0.9])
-def test_damaged_file_is_refused(stored, place):
-    payload = bytearray(stored.read_bytes())
-    start = int(place * len(payload))
-    payload[start : start + 400] = bytes(400)
-    stored.write_bytes(payload)
-    with pytest.raises(ArtifactError, match="garment cache barrel"):
-        load_garment(stored)
-
-
-def test_missing_file_is_refused(tmp_path):
-    with pytest.raises(ArtifactError, match="expected a garment npz"):
-        load_garment(tmp_path / "nothing.npz")
-
-
-@pytest.mark.parametrize("save", [np.save, lambda path, array: np.savez(path, x=array)])
-def test_file_of_something_else_is_refused(tmp_path, save):
-    path, stream = tmp_path / "other.npz", io.BytesIO()
-    save(stream, np.zeros(3))
-    path.write_bytes(stream.getvalue())
-    with pytest.raises(ArtifactError, match="expected a garment npz"):
-        load_garment(path)
-
-
-@pytest.mark.parametrize("header", [[1, 2], "text", 3, None])
-def test_header_that_is_no_object_is_refused(stored, header):
-    rewrite(stored, without=("header",))
-    with np.load(stored) as data:
-        entries = {key: data[key] for key in data.files}
-    np.savez(stored, header=np.frombuffer(json.dumps(header).encode(), dtype=np.uint8), **entries)
-    with pytest.raises(ArtifactError, match="expected a garment npz"):
-        load_garment(stored)
-
-
-@pytest.mark.parametrize("version", [0, 2, None, "1"])
-def test_another_format_is_refused(stored, version):
-    rewrite(stored, header={**header_of(stored), "format_version": version})
-    with pytest.raises(ArtifactError, match=f"format_version: expected {cache.FORMAT_VERSION}, got {version}"):
-        load_garment(stored)
-
-
 ARRAYS = [f.name for f in dataclasses.fields(Garment) if isinstance(getattr(barrel_garment(), f.name), np.ndarray)]
+TEXTS = ("name", "digest", "body_digest", "vertex_count", "material_names")
 
 
-@pytest.mark.parametrize("field", ARRAYS)
-def test_missing_array_is_refused(stored, field):
-    rewrite(stored, without=(field,))
-    with pytest.raises(ArtifactError, match=f"the fields of Garment.*{field}"):
-        load_garment(stored)
+def cut_to(share):
+    """Damage that leaves this share of a file's beginning."""
+    return lambda path: path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
 
 
-@pytest.mark.parametrize("field", ["name", "digest", "body_digest", "vertex_count", "material_names"])
-def test_missing_text_is_refused(stored, field):
-    header = header_of(stored)
-    del header[field]
-    rewrite(stored, header=header)
-    with pytest.raises(ArtifactError, match=f"the fields of Garment.*{field}"):
-        load_garment(stored)
+def blanked(place):
+    """Damage that blanks 400 bytes from this share of a file on."""
+
+    def spoil(path):
+        payload = bytearray(path.read_bytes())
+        start = int(place * len(payload))
+        payload[start : start + 400] = bytes(400)
+        path.write_bytes(payload)
+
+    return spoil
 
 
-def test_foreign_array_is_refused(stored):
-    rewrite(stored, surplus=np.zeros(2))
-    with pytest.raises(ArtifactError, match="surplus"):
+def replaced_by(save):
+    """Damage that writes another file of numpy's in a garment's place."""
+
+    def spoil(path):
+        with path.open("wb") as file:
+            save(file, np.zeros(3))
+
+    return spoil
+
+
+def without_text(field):
+    """Damage that takes one entry out of the header."""
+    return lambda path: rewrite(path, header={key: value for key, value in header_of(path).items() if key != field})
+
+
+def of_version(version):
+    """Damage that says another format in the header."""
+    return lambda path: rewrite(path, header={**header_of(path), "format_version": version})
+
+
+NO_GARMENT, FIELDS = "expected a garment npz", "the fields of Garment.*"
+DAMAGE = {
+    "no file": (Path.unlink, NO_GARMENT),
+    "an array": (replaced_by(np.save), NO_GARMENT),
+    "other arrays": (replaced_by(lambda file, array: np.savez(file, x=array)), NO_GARMENT),
+    "a foreign array": (lambda path: rewrite(path, surplus=np.zeros(2)), "surplus"),
+    **{f"cut to {share}": (cut_to(share), NO_GARMENT) for share in (0.0, 0.01, 0.5, 0.99)},
+    **{f"blank at {place}": (blanked(place), "garment cache barrel") for place in (0.02, 0.3, 0.6, 0.9)},
+    **{f"header {text}": (partial(rewrite, header=text), NO_GARMENT) for text in ([1, 2], "text", 3)},
+    "no header": (partial(rewrite, header_bytes=b"null"), NO_GARMENT),
+    **{f"version {v}": (of_version(v), f"format_version: expected 1, got {v}") for v in (0, 2, None, "1")},
+    **{f"no {name}": (partial(rewrite, without=(name,)), FIELDS + name) for name in ARRAYS},
+    **{f"no {name}": (without_text(name), FIELDS + name) for name in TEXTS},
+}
+
+
+@each(damage=DAMAGE)
+def test_a_damaged_file_is_refused_by_what_it_lacks(stored, damage):
+    spoil, message = damage
+    spoil(stored)
+    with pytest.raises(ArtifactError, match=message):
         load_garment(stored)
 
 

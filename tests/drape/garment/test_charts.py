@@ -10,8 +10,10 @@ from drape.garment import charts
 from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.garment.partition import partition, vertex_graph
 from drape.geometry import meshes
+from drape.geometry.closest import nearest_vertices
 from tests.drape.cloth.cloth_shapes import grid, random_rotation
-from tests.drape.garment.rest_garments import barrel, nearest, side_by_side, vertex_areas
+from tests.drape.garment.rest_garments import barrel, side_by_side, vertex_areas
+from tests.fixtures.laws import each
 
 EXACT = 1e-12
 WIDTH, HEIGHT = 20, 15  # cells of the coarsest plane
@@ -45,50 +47,44 @@ def clusters():
     return label, rest.vertices, rest.normals, rest.areas, bone
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 12])
-def test_blend_weights_are_a_partition_of_unity(count):
-    vertices, faces = plane()
-    blend = charts.blend_charts(vertex_graph(vertices, faces), nearest(vertices, plane_seeds(count)), spacing_m=0.1)
-    assert blend.patch.shape == blend.weight.shape == (len(vertices), CHARTS_PER_VERTEX)
+def blended(count, *, spacing_m=0.1, refinement=1):
+    """Blend of ``count`` charts over the plane, its weights by patch (N, K), the rows of its seeds and its faces."""
+    vertices, faces = plane(refinement)
+    seeds = nearest_vertices(plane_seeds(count), vertices)[1]
+    blend = charts.blend_charts(vertex_graph(vertices, faces), seeds, spacing_m=spacing_m)
+    return blend, dense_weights(blend, count), seeds, faces
+
+
+@each(count=[1, 2, 3, 4, 5, 12])
+def test_blend_weights_are_a_partition_of_unity_and_no_patch_is_blended_twice(count):
+    blend, _, _, _ = blended(count)
+    assert blend.patch.shape == blend.weight.shape == (len(plane()[0]), CHARTS_PER_VERTEX)
     assert blend.patch.dtype == np.int32
     assert (blend.weight >= 0.0).all()
     assert_allclose(blend.weight.sum(axis=1), 1.0, rtol=0.0, atol=EXACT)
     assert blend.patch.min() >= 0 and blend.patch.max() < count
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 5, 12])
-def test_no_patch_is_blended_twice(count):
-    vertices, faces = plane()
-    blend = charts.blend_charts(vertex_graph(vertices, faces), nearest(vertices, plane_seeds(count)), spacing_m=0.1)
     for patch, weight in zip(blend.patch, blend.weight, strict=True):
         used = patch[weight > 0.0]
         assert len(np.unique(used)) == len(used)
 
 
 def test_patches_come_nearest_first_and_nearer_ones_weigh_more():
-    vertices, faces = plane()
-    seeds = nearest(vertices, plane_seeds(12))
-    blend = charts.blend_charts(vertex_graph(vertices, faces), seeds, spacing_m=0.1)
+    blend, _, seeds, _ = blended(12)
     assert (np.diff(blend.weight, axis=1) <= EXACT).all()
     assert_array_equal(blend.patch[seeds, 0], np.arange(len(seeds)))
 
 
-def test_search_radius_does_not_change_the_cover():
-    vertices, faces = plane()
-    graph, seeds = vertex_graph(vertices, faces), nearest(vertices, plane_seeds(12))
-    want = dense_weights(charts.blend_charts(graph, seeds, spacing_m=10.0), 12)
-    for spacing in (1e-3, 0.02, 0.1):
-        got = dense_weights(charts.blend_charts(graph, seeds, spacing_m=spacing), 12)
-        assert_allclose(got, want, rtol=0.0, atol=EXACT)
+@each(spacing_m=[1e-3, 0.02, 0.1])
+def test_search_radius_does_not_change_the_blend(spacing_m):
+    assert_allclose(blended(12, spacing_m=spacing_m)[1], blended(12, spacing_m=10.0)[1], rtol=0.0, atol=EXACT)
 
 
-@pytest.mark.parametrize("count", [2, 4, 8, 20])
+@each(count=[2, 4, 8, 20])
 def test_blend_weights_are_continuous_over_the_surface(count):
-    places, steps = plane_seeds(count), []
+    steps = []
     for refinement in (2, 4, 8):
-        vertices, faces = plane(refinement)
-        blend = charts.blend_charts(vertex_graph(vertices, faces), nearest(vertices, places), spacing_m=0.1)
-        dense, edges = dense_weights(blend, count), meshes.unique_edges(faces)
+        _, dense, _, faces = blended(count, refinement=refinement)
+        edges = meshes.unique_edges(faces)
         steps.append(np.abs(dense[edges[:, 0]] - dense[edges[:, 1]]).max(axis=1))
     largest = [step.max() for step in steps]
     # A jump would keep its height under refinement; the largest step falls with the edge.
@@ -102,7 +98,7 @@ def test_pieces_of_few_patches_blend_only_their_own():
     piece = np.round(vertices[:, 0] - 0.2).astype(int).clip(0)
     seeds = np.concatenate(
         [
-            nearest(vertices, plane_seeds(8)),
+            nearest_vertices(plane_seeds(8), vertices)[1],
             [np.flatnonzero(piece == 1)[0]],
             np.flatnonzero(piece == 2)[[0, -1]],
         ]
@@ -126,19 +122,13 @@ def test_centres_are_centroids_and_seeds_their_nearest_members(clusters):
         assert_allclose(np.linalg.norm(vertices[seed[k]] - centre[k]), distance.min(), rtol=0.0, atol=EXACT)
 
 
-def test_frames_are_right_handed_rotations_on_the_side_of_the_mean_normal(clusters):
+def test_frames_are_rotations_with_the_mean_normal_third_and_the_first_axis_along_the_bone(clusters):
     label, _, normals, area, bone = clusters
     frames = charts.patch_frames(label, normals, area, bone)
     assert_allclose(frames @ np.swapaxes(frames, 1, 2), np.tile(np.eye(3), (24, 1, 1)), rtol=0.0, atol=EXACT)
     assert_allclose(np.linalg.det(frames), 1.0, rtol=0.0, atol=EXACT)
     mean = np.stack([np.bincount(label, area * n) for n in normals.T], axis=1)
     assert ((frames[:, :, 2] * mean).sum(axis=1) > 0.0).all()
-
-
-def test_third_axis_is_the_mean_normal_and_the_first_lies_along_the_bone(clusters):
-    label, _, normals, area, bone = clusters
-    frames = charts.patch_frames(label, normals, area, bone)
-    mean = np.stack([np.bincount(label, area * n) for n in normals.T], axis=1)
     assert_allclose(np.cross(frames[:, :, 2], mean), 0.0, rtol=0.0, atol=EXACT)
     assert ((frames[:, :, 0] * bone).sum(axis=1) > 0.0).all()
     assert_allclose((frames[:, :, 1] * bone).sum(axis=1), 0.0, rtol=0.0, atol=EXACT)

@@ -1,4 +1,4 @@
-"""What the garment encoder reads of a fabric."""
+"""The features of a fabric: they turn with the grain, and tell cloths apart."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from drape.garment.fabric_features import (
 )
 from drape.geometry import meshes
 from tests.fixtures.cut_garments import cut_garment
-from tests.fixtures.packed import garment
+from tests.fixtures.garments import shipped
 
 DENIM = fabric("denim")
 EVEN = Fabric("even", 300.0, 300.0, 75.0, 450.0, 1e-5, 1e-5, 1e-5, 0.2)  # alike all ways
@@ -75,7 +75,7 @@ def test_patches_see_the_warp_of_their_own_triangles():
 
 
 def test_the_warp_of_a_rest_state_is_where_it_was_laid():
-    shirt = garment("tank")
+    shirt = shipped("tank")
     vertices, faces = shirt.vertices.astype(np.float64), shirt.fine_faces.astype(np.int64)
     warp = rest_state.grain_along(vertices, faces, (0.3, 1.0, 0.2))
     found = warp_directions(rest_state.flat(vertices, faces, warp), vertices, faces)
@@ -83,7 +83,7 @@ def test_the_warp_of_a_rest_state_is_where_it_was_laid():
 
 
 def test_encoders_from_before_fabrics_read_nothing_of_them():
-    shirt = garment("tank")
+    shirt = shipped("tank")
     width = shirt.patch_features.shape[1]
     assert_array_equal(encoder_features(shirt, width, DENIM), shirt.patch_features)
     with_fabric = encoder_features(shirt, width + FABRIC_COUNT, DENIM)

@@ -1,4 +1,4 @@
-"""What the garment encoder reads: sizes, independence of the patches, hems and positions."""
+"""The features of patches: sizes, independence of the patches, hems and positions."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from drape.body.skeleton import JOINT_COUNT
 from drape.garment import charts, features
 from drape.garment.features import patch_features, positional_encoding
 from drape.garment.fitting import rest_garment
-from drape.geometry import jets, meshes
-from tests.drape.cloth.cloth_shapes import grid, tube
+from drape.geometry import jets
+from tests.drape.cloth.cloth_shapes import grid
 from tests.drape.garment.rest_garments import PATCH_COUNT, barrel, barrel_garment, side_by_side
 from tests.drape.geometry.geometry_shapes import icosphere
 from tests.fixtures.garments import default_body
@@ -108,7 +108,7 @@ def test_hem_distance_is_along_the_surface_and_points_there(given):
     assert_allclose(part(rows, "hem distance")[:, 0], 10.0 * want, rtol=0.02, atol=1e-3)
     nearness = np.exp(-((want / 0.08) ** 2))
     assert_allclose(part(rows, "hem nearness")[:, 0], nearness, rtol=0.0, atol=0.05)
-    # Of patches at the hem, the direction leads away from the middle.
+    # At the hem the direction leads away from the middle.
     near = nearness > 0.1
     assert near.any()
     world = np.einsum("kab,kb->ka", given["rotation"], part(rows, "hem direction"))
@@ -159,20 +159,3 @@ def test_positional_encoding_holds_points_sines_and_cosines(rng):
     assert_allclose((waves**2).sum(axis=2), 1.0, rtol=0.0, atol=1e-12)
     shifted = positional_encoding(points + 2.0)[:, 3:].reshape(waves.shape)  # two metres hold whole waves
     assert_allclose(shifted, waves, rtol=0.0, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("shape", "want"),
-    [
-        (lambda: grid(3, 2), 10),
-        (lambda: tube(12, 5), 24),
-        (lambda: icosphere(1), 0),
-    ],
-)
-def test_boundary_vertices_lie_on_open_edges(shape, want):
-    vertices, faces = shape()
-    rim = meshes.boundary_vertices(faces)
-    assert len(rim) == want
-    assert_array_equal(rim, np.unique(rim))
-    if want == 24:
-        assert_array_equal(np.unique(vertices[rim, 1]), [0.0, 0.3])

@@ -1,4 +1,4 @@
-"""The subdivided mesh as a delivered one: where its vertices lie, and what it is painted and made of."""
+"""The subdivided mesh as a delivered one: where its vertices lie, and what it is on_corners and made of."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drape.garment.cache import Garment
 from drape.garment.fine import corner_weights, fine_garment, has_finer
 from drape.garment.rest_mesh import with_unused
 from drape.geometry import meshes
-from tests.fixtures.tiny_model import tube_garment
+from tests.fixtures.garments import tube_garment
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +22,7 @@ def coarse() -> Garment:
     return tube_garment(load_body(), subdivided=True)
 
 
-def painted(garment: Garment) -> np.ndarray:
+def on_corners(garment: Garment) -> np.ndarray:
     """Texture coordinates (F, 3, 2) of the corners of every triangle."""
     return np.asarray(garment.uv, dtype=np.float64)[garment.uv_faces]
 
@@ -40,7 +40,7 @@ def test_the_fine_mesh_begins_with_the_delivered_vertices_and_keeps_paint_and_ma
     assert fine.vertices is coarse.vertices
     assert_array_equal(fine.faces, coarse.fine_faces)
     assert fine.uv.dtype == coarse.uv.dtype and len(fine.uv_faces) == len(fine.faces) == 4 * len(coarse.faces)
-    whole, parts = painted(coarse), painted(fine).reshape(-1, 4, 3, 2)
+    whole, parts = on_corners(coarse), on_corners(fine).reshape(-1, 4, 3, 2)
     assert_allclose(parts[:, 3].mean(axis=1), whole.mean(axis=1), rtol=0, atol=1e-6)  # the middle part
     for corner in range(3):
         assert_allclose(parts[:, corner, 0], whole[:, corner], rtol=0, atol=1e-6)
@@ -58,9 +58,7 @@ def test_weights_place_fine_vertices_in_delivered_triangles(coarse: Garment):
     points = coarse.vertices.astype(np.float64)
     assert_allclose(weights @ points[: coarse.vertex_count], points, rtol=0, atol=1e-7)  # the tube's are midpoints
     assert (np.diff(weights.indptr) <= 3).all()
-    faces, vertices = coarse.fine_faces, points
-    for _ in range(1):  # a second round
-        vertices, faces, _ = meshes.subdivide(vertices, faces)
+    vertices, faces, _ = meshes.subdivide(points, coarse.fine_faces)  # a second round
     twice = replace(coarse, vertices=vertices, fine_faces=faces)
     found = corner_weights(twice)
     assert (np.diff(found.indptr) <= 3).all()

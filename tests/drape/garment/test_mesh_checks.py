@@ -16,6 +16,7 @@ from drape.garment.files.mesh import GarmentMesh, plain_mesh
 from drape.garment.mesh_checks import check_mesh, orient_outward
 from drape.geometry import meshes
 from tests.drape.garment.garment_files import shirt
+from tests.drape.geometry.geometry_shapes import box
 
 BODY = load_body()
 AVATAR = phenotype_avatar({"gender": 0.2}, BODY)
@@ -145,27 +146,8 @@ def test_one_sided_surface_is_refused():
 
 
 def test_pieces_closed_pieces_and_unused_vertices_are_noted():
-    cube = (
-        np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * 0.02
-        + CLOTH.vertices[0]
-        + [0.0, 0.0, 0.03]
-    )
-    solid = np.array(
-        [
-            [0, 1, 3],
-            [0, 3, 2],
-            [4, 6, 7],
-            [4, 7, 5],
-            [0, 4, 5],
-            [0, 5, 1],
-            [2, 3, 7],
-            [2, 7, 6],
-            [0, 2, 6],
-            [0, 6, 4],
-            [1, 5, 7],
-            [1, 7, 3],
-        ]
-    )
+    cube, solid = box((0.01, 0.01, 0.01))
+    cube = cube + CLOTH.vertices[0] + [0.0, 0.0, 0.04]
     count = len(CLOTH.vertices)
     mesh = plain_mesh(
         "a", np.concatenate([CLOTH.vertices, cube, [[0.0, 9.0, 0.0]]]), np.concatenate([CLOTH.faces, solid + count])

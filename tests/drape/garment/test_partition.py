@@ -19,12 +19,10 @@ from drape.geometry import meshes
 from tests.drape.cloth.cloth_shapes import grid, tube
 from tests.drape.garment.rest_garments import side_by_side, vertex_areas
 from tests.drape.geometry.geometry_shapes import icosphere
+from tests.fixtures.laws import each
 
-SHAPES = {
-    "plane": lambda: grid(30, 22, cell_m=0.015),
-    "tube": lambda: tube(36, 20, radius_m=0.15, height_m=0.5),
-    "sphere": lambda: icosphere(4, radius_m=0.2),
-}
+PLANE, TUBE = grid(30, 22, cell_m=0.015), tube(36, 20, radius_m=0.15, height_m=0.5)
+SHAPES = {"plane": PLANE, "tube": TUBE, "sphere": icosphere(4, radius_m=0.2)}
 
 
 def piece_count(label, faces):
@@ -48,10 +46,9 @@ def check_clusters(label, faces, count):
     assert piece_count(label, faces) == count
 
 
-@pytest.mark.parametrize("name", SHAPES)
-@pytest.mark.parametrize("count", [1, 2, 7, 30])
-def test_clusters_are_connected_and_as_many_as_asked(name, count):
-    vertices, faces = SHAPES[name]()
+@each(mesh=SHAPES, count=[1, 2, 7, 30])
+def test_clusters_are_connected_and_as_many_as_asked(mesh, count):
+    vertices, faces = mesh
     check_clusters(partition(vertices, faces, vertex_areas(vertices, faces), count, seed=0), faces, count)
 
 
@@ -96,9 +93,9 @@ def test_torn_clusters_are_mended_however_deep_the_stray_piece():
     check_clusters(partition_module._connect(label, meshes.unique_edges(faces), 3), faces, 3)
 
 
-@pytest.mark.parametrize("name", SHAPES)
-def test_energy_falls_below_that_of_the_geodesic_start(name, monkeypatch):
-    vertices, faces = SHAPES[name]()
+@each(mesh=SHAPES)
+def test_energy_falls_below_that_of_the_geodesic_start(mesh, monkeypatch):
+    vertices, faces = mesh
     weight = vertex_areas(vertices, faces)
     for seed in range(3):
         final = energy(partition(vertices, faces, weight, 20, seed=seed), vertices, weight)
@@ -108,11 +105,10 @@ def test_energy_falls_below_that_of_the_geodesic_start(name, monkeypatch):
         assert final < 0.95 * start
 
 
-@pytest.mark.parametrize("name", SHAPES)
-@pytest.mark.parametrize("count", [12, 30])
+@each(mesh=SHAPES, count=[12, 30])
 @pytest.mark.filterwarnings("ignore:.*_connectivity_array.*")
-def test_energy_is_that_of_pyacvd(name, count):
-    vertices, faces = SHAPES[name]()
+def test_energy_is_that_of_pyacvd(mesh, count):
+    vertices, faces = mesh
     weight = vertex_areas(vertices, faces)
     oracle = pyacvd.Clustering(pyvista.PolyData.from_regular_faces(vertices, faces))
     want = energy(oracle.cluster(count), vertices, weight)
@@ -121,7 +117,7 @@ def test_energy_is_that_of_pyacvd(name, count):
 
 
 def test_clusters_are_small_where_the_density_is_high():
-    vertices, faces = SHAPES["plane"]()
+    vertices, faces = PLANE
     left = vertices[:, 0] < 0.5 * vertices[:, 0].max()
     weight = vertex_areas(vertices, faces) * np.where(left, 8.0, 1.0)
     label = partition(vertices, faces, weight, 30, seed=0)
@@ -129,7 +125,7 @@ def test_clusters_are_small_where_the_density_is_high():
 
 
 def test_labels_are_the_same_for_the_same_seed_and_differ_for_another():
-    vertices, faces = SHAPES["tube"]()
+    vertices, faces = TUBE
     weight = vertex_areas(vertices, faces)
     first, again, other = (partition(vertices, faces, weight, 15, seed=seed) for seed in (4, 4, 5))
     assert_array_equal(first, again)
@@ -137,7 +133,7 @@ def test_labels_are_the_same_for_the_same_seed_and_differ_for_another():
 
 
 def test_labels_ignore_rigid_motion_and_a_graph_made_before(rng):
-    vertices, faces = SHAPES["tube"]()
+    vertices, faces = TUBE
     weight = vertex_areas(vertices, faces)
     want = partition(vertices, faces, weight, 15, seed=0)
     given_graph = partition(vertices, faces, weight, 15, seed=0, graph=vertex_graph(vertices, faces))
@@ -178,7 +174,7 @@ def test_coincident_vertices_can_be_told_apart():
     assert len(np.unique(label)) == 5
 
 
-@pytest.mark.parametrize("count", [0, -1, 31])
+@each(count=[0, -1, 31])
 def test_impossible_count_is_refused(count):
     vertices, faces = grid(5, 4)
     with pytest.raises(MeshError, match=f"between 1 and the vertex count 30, got {count}"):
@@ -212,8 +208,3 @@ def test_diagonals_take_out_the_bias_of_one_way_triangles():
     corners = [20 * 21, 20]  # the two that no mesh diagonal joins
     distance = scipy.sparse.csgraph.dijkstra(graph, indices=corners[0])[corners[1]]
     assert_allclose(distance, np.linalg.norm(vertices[corners[0]] - vertices[corners[1]]), rtol=1e-9, atol=0.0)
-
-
-def test_edges_are_unique_and_ordered():
-    faces = np.array([[0, 1, 2], [2, 1, 3]])
-    assert_array_equal(meshes.unique_edges(faces), [[0, 1], [0, 2], [1, 2], [1, 3], [2, 3]])

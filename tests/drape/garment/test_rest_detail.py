@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.cloth import rest_state
 from drape.errors import MeshError
-from drape.garment.grain import texture
+from drape.garment.grain import corner_uv
 from drape.garment.rest_detail import (
     HEM_STIFFENING,
     RestCloth,
@@ -31,7 +31,7 @@ EDGE_M = 0.01
 
 def cloth_of(vertices: np.ndarray, faces: np.ndarray, **given) -> RestCloth:
     """``vertices`` as they were modelled, without uv."""
-    given = {"modelled": vertices, "painted": None, "doubled": np.zeros(len(faces), bool)} | given
+    given = {"modelled": vertices, "on_corners": None, "doubled": np.zeros(len(faces), bool)} | given
     return RestCloth(vertices, faces, **given)
 
 
@@ -170,7 +170,7 @@ def test_angles_are_those_of_the_cloth_as_delivered():
 
 def test_seams_of_panels_keep_their_angle():
     vertices, faces, uv, uv_faces = unrolled()
-    state, figures = rest_of(cloth_of(vertices, faces, painted=texture(uv, uv_faces, len(faces)), resized=True))
+    state, figures = rest_of(cloth_of(vertices, faces, on_corners=corner_uv(uv, uv_faces, len(faces)), resized=True))
     kept = np.flatnonzero(state.hinge_angle)
     assert len(kept) == ALONG
     assert_allclose(np.abs(state.hinge_angle[kept]), 2.0 * np.pi / AROUND, rtol=1e-9, atol=0.0)
@@ -196,8 +196,8 @@ def test_sewn_cloth_has_its_makers_angles_and_hems_and_no_creases():
 
 def test_lengths_are_those_of_the_panels_unless_the_cloth_was_resized():
     vertices, faces, uv, uv_faces = unrolled(unit_m=3.0)
-    painted = texture(uv, uv_faces, len(faces))
-    worn = cloth_of(1.03 * vertices, faces, modelled=1.03 * vertices, painted=painted, uv_unit_m=3.0)
+    on_corners = corner_uv(uv, uv_faces, len(faces))
+    worn = cloth_of(1.03 * vertices, faces, modelled=1.03 * vertices, on_corners=on_corners, uv_unit_m=3.0)
     cut = rest_state.modelled(vertices, faces).face_area
     state, figures = rest_of(worn)
     assert figures.lengths == "panels"

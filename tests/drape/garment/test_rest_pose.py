@@ -15,10 +15,12 @@ from drape.garment.rest_pose import bone_motions, refine, smoother, subdivide_sm
 from drape.geometry import meshes
 from drape.geometry.closest import signed_distance
 from drape.geometry.rotations import rotvec_to_matrix
+from tests.drape.cloth.cloth_shapes import tube
 from tests.drape.garment.garment_files import shirt, skirt
 
 BODY = load_body()
 STANDARD = standard_avatar(BODY)
+SHIRT = shirt(BODY, BODY.v_template)
 
 
 def strain(before: np.ndarray, after: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -46,7 +48,7 @@ def test_bone_motions_are_recovered(rng: np.random.Generator):
 
 
 def test_garment_on_the_standard_body_stays(rng: np.random.Generator):
-    vertices, faces = shirt(BODY, BODY.v_template)
+    vertices, faces = SHIRT
     moved = to_standard(vertices, faces, STANDARD, BODY)
     assert_array_equal(moved.vertices, vertices)
     assert not moved.loose.any()
@@ -55,7 +57,7 @@ def test_garment_on_the_standard_body_stays(rng: np.random.Generator):
 
 
 def test_rigidly_moved_avatar_changes_nothing():
-    vertices, faces = shirt(BODY, BODY.v_template)
+    vertices, faces = SHIRT
     turn, shift = rotvec_to_matrix(np.array([0.1, 0.4, -0.2])), np.array([0.3, -0.8, 0.1])
     avatar = Avatar(BODY.v_template @ turn.T + shift, BODY.faces, 0.0, "turned")
     moved = to_standard(vertices @ turn.T + shift, faces, avatar, BODY)
@@ -92,7 +94,7 @@ def test_skirt_takes_shape_but_not_the_legs_pose():
 
 
 def test_smoother_keeps_constants_and_damps_noise(rng: np.random.Generator):
-    vertices, faces = shirt(BODY, BODY.v_template)
+    vertices, faces = SHIRT
     smooth = smoother(vertices, faces, 0.05)
     assert_allclose(smooth(np.full((len(vertices), 2), 3.0)), 3.0, rtol=0, atol=1e-9)
     noise = rng.normal(size=(len(vertices), 1))
@@ -100,24 +102,19 @@ def test_smoother_keeps_constants_and_damps_noise(rng: np.random.Generator):
 
 
 def test_subdivision_keeps_delivered_vertices_and_rounds_facets():
-    angle = np.linspace(0.0, 2 * np.pi, 12, endpoint=False)
-    ring = np.stack([np.cos(angle), np.zeros(12), np.sin(angle)], axis=1)[:, [2, 1, 0]]
-    rings = np.concatenate([ring - np.array([0.0, 0.3 * k, 0.0]) for k in range(6)])
-    from tests.drape.garment.garment_files import tube_faces
-
-    faces = tube_faces(6, 12)
+    rings, faces = tube(12, 5, radius_m=1.0, height_m=1.5)
     fine, fine_faces, parents = subdivide_smooth(rings, faces)
     assert_array_equal(fine[: len(rings)], rings)
     assert_array_equal(parents[: len(rings)], np.arange(len(rings))[:, None].repeat(2, axis=1))
     assert len(fine_faces) == 4 * len(faces)
-    inner = np.abs(fine[:, 1] + 0.75) < 0.5
+    inner = np.abs(fine[:, 1] - 0.75) < 0.5
     flat = meshes.subdivide(rings, faces)[0]
     sag = [np.abs(np.linalg.norm(points[inner][:, [0, 2]], axis=1) - 1.0).max() for points in (fine, flat)]
     assert sag[0] < 0.25 * sag[1]
 
 
 def test_refine_reaches_its_count_and_respects_the_limit():
-    vertices, faces = shirt(BODY, BODY.v_template)
+    vertices, faces = SHIRT
     fine, _, origin = refine(vertices, faces, at_least=len(vertices) + 1, at_most=40_000, edge_m=0.1)
     assert len(vertices) < len(fine) <= 40_000
     assert origin.max() < len(vertices) and len(origin) == len(fine)
@@ -166,6 +163,6 @@ def test_garment_that_cannot_be_cleared_is_refused(monkeypatch: pytest.MonkeyPat
 def test_other_shape_is_followed():
     avatar = phenotype_avatar({"gender": 0.0, "weight": 0.8}, BODY)
     vertices, faces = shirt(BODY, avatar.vertices)
-    target, _ = shirt(BODY, BODY.v_template)
+    target, _ = SHIRT
     moved = to_standard(vertices, faces, avatar, BODY)
     assert np.quantile(np.linalg.norm(moved.vertices - target, axis=1), 0.9) < 0.03

@@ -1,4 +1,4 @@
-"""What lies beside a sewn mesh: read where it is of it, refused where it does not hold together, and what it folds."""
+"""The JSON beside a sewn mesh: read where it belongs to it, refused where it is broken, and the folds that it makes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.testing import assert_array_equal
 
 from drape.errors import InputError
 from drape.garment.files.mesh import GarmentMesh
-from drape.garment.grain import texture
+from drape.garment.grain import corner_uv
 from drape.garment.sewing import Edge, Seam, Sewing, near_lines, read_sewing, sewing_beside, sewn_hinges
 from drape.geometry import meshes
 
@@ -100,9 +100,9 @@ def test_seams_are_folded_and_hems_are_stiff_on_every_subdivision(rounds: int):
     vertices, faces = mesh.vertices, mesh.faces
     for _ in range(rounds):
         vertices, faces, _ = meshes.subdivide(vertices, faces)
-    painted = texture(mesh.uv, mesh.uv_faces, len(faces))
-    assert painted is not None
-    found = sewn_hinges(sewing, mesh, np.arange(len(mesh.vertices)), faces, painted)
+    on_corners = corner_uv(mesh.uv, mesh.uv_faces, len(faces))
+    assert on_corners is not None
+    found = sewn_hinges(sewing, mesh, np.arange(len(mesh.vertices)), faces, on_corners)
     ends = vertices[meshes.hinges(faces)[:, :2], 0]
     assert_array_equal(found.angle, np.where((np.abs(ends - 0.04) < 1e-9).all(axis=1), -1.2, 0.0))
     assert (found.angle != 0.0).sum() == 5 * 2**rounds
@@ -111,15 +111,15 @@ def test_seams_are_folded_and_hems_are_stiff_on_every_subdivision(rounds: int):
 
 def test_rows_count_delivered_vertices_also_those_that_no_face_uses():
     mesh, sewing = strip()
-    painted = texture(mesh.uv, mesh.uv_faces, len(mesh.faces))
-    assert painted is not None
-    still = sewn_hinges(sewing, mesh, np.arange(len(mesh.vertices)), mesh.faces, painted)
+    on_corners = corner_uv(mesh.uv, mesh.uv_faces, len(mesh.faces))
+    assert on_corners is not None
+    still = sewn_hinges(sewing, mesh, np.arange(len(mesh.vertices)), mesh.faces, on_corners)
     # Two unused vertices first: the file's rows are two higher, and they follow the nearest used ones.
     kept = np.concatenate([[0, 0], np.arange(len(mesh.vertices))])
     shifted = replace(
         sewing, seams=tuple(replace(seam, vertices=[v + 2 for v in seam.vertices]) for seam in sewing.seams)
     )
-    found = sewn_hinges(shifted, mesh, kept, mesh.faces + 2, painted)
+    found = sewn_hinges(shifted, mesh, kept, mesh.faces + 2, on_corners)
     assert_array_equal(found.angle, still.angle)
     assert_array_equal(found.stiffening, still.stiffening)
 

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose
 
-from drape.garment.cache import GARMENTS_DIR, save_garment
+from drape.garment.cache import GARMENTS_DIR
 from drape.garment.fitting import fit_error, rest_garment
 from drape.geometry.closest import signed_distance
 from recovery.catalogue.garments import CATALOGUE
 from recovery.pattern.triangulate import signed_areas
 from tests.fixtures.garments import SHIPPED, default_body, reconstructed, shipped
+from tests.fixtures.laws import each
 from tests.recovery.pattern_setup import default_measurements
 
 CLEARANCE_M = 0.006
 FILE_LIMIT_BYTES = 3_500_000
 MICROMETRE = 1e-6
+for_each_garment = each(name=SHIPPED)
 
 
 def test_they_are_the_catalogue_under_its_digests():
@@ -25,7 +26,7 @@ def test_they_are_the_catalogue_under_its_digests():
     assert files == {shipped(name).file_name() for name in SHIPPED}
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@for_each_garment
 def test_a_sewn_one_rests_as_its_panels_in_its_fabric(name):
     garment, made = shipped(name), CATALOGUE[name](default_measurements())
     assert garment.fabric == made.fabric
@@ -37,14 +38,11 @@ def test_a_sewn_one_rests_as_its_panels_in_its_fabric(name):
     assert set(np.unique(state.stiffening)) == {1.0, 2.0}
 
 
-@pytest.mark.parametrize("name", SHIPPED)
-def test_file_is_small(name):
-    assert (GARMENTS_DIR / shipped(name).file_name()).stat().st_size < FILE_LIMIT_BYTES
-
-
-@pytest.mark.parametrize("name", SHIPPED)
-def test_numbers_are_finite_and_indices_in_range(name):
+@for_each_garment
+def test_file_is_small_its_numbers_finite_and_its_indices_in_range(name):
     garment = shipped(name)
+    assert (GARMENTS_DIR / garment.file_name()).stat().st_size < FILE_LIMIT_BYTES
+    assert garment.body_digest == default_body().digest
     for key, value in vars(garment).items():
         if isinstance(value, np.ndarray):
             assert np.isfinite(value).all(), key
@@ -56,18 +54,13 @@ def test_numbers_are_finite_and_indices_in_range(name):
     assert len(garment.uv_faces) in (0, len(garment.faces))
 
 
-@pytest.mark.parametrize("name", SHIPPED)
-def test_it_was_made_for_the_shipped_body(name):
-    assert shipped(name).body_digest == default_body().digest
-
-
-@pytest.mark.parametrize("name", SHIPPED)
+@for_each_garment
 def test_patches_give_back_the_vertices(name):
     garment = shipped(name)
     assert_allclose(reconstructed(garment), garment.vertices, rtol=0.0, atol=MICROMETRE)
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@for_each_garment
 def test_weights_are_partitions_of_unity(name):
     garment = shipped(name)
     for key in ("chart_weight", "skin_weights", "patch_weights"):
@@ -76,13 +69,13 @@ def test_weights_are_partitions_of_unity(name):
         assert_allclose(weight.sum(axis=1), 1.0, rtol=0.0, atol=1e-5)
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@for_each_garment
 def test_it_keeps_clear_of_the_body(name):
     body = default_body()
     assert signed_distance(shipped(name).vertices, body.v_template, body.faces).min() >= CLEARANCE_M
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@for_each_garment
 def test_patches_and_fit_are_as_its_manifest_says(name):
     garment = shipped(name)
     rest = rest_garment(garment.vertices, garment.fine_faces, default_body())
@@ -98,8 +91,3 @@ def test_patches_and_fit_are_as_its_manifest_says(name):
     assert {key: measured[key] for key in folds} == dict.fromkeys(folds, 0)
     for key in ("point_rmse_m", "point_max_m", "normal_error_deg"):
         assert_allclose(measured[key], figures[key], rtol=1e-2, atol=1e-6)
-
-
-def test_saving_again_writes_the_same_name(tmp_path):
-    garment = shipped("tank")
-    assert save_garment(garment, tmp_path).name == garment.file_name()

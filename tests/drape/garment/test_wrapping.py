@@ -12,7 +12,7 @@ from drape.body.assets import load_body
 from drape.garment.cache import Garment
 from drape.garment.fine import corner_weights
 from drape.garment.wrapping import Wrapping
-from tests.fixtures.tiny_model import COLUMNS, tube_garment
+from tests.fixtures.garments import COLUMNS, tube_garment
 
 RADIUS_M = 0.2
 SAGITTA_M = RADIUS_M * (1.0 - np.cos(np.pi / COLUMNS))

@@ -8,6 +8,7 @@ import torch
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.geometry import jets
+from tests.fixtures.laws import each
 
 EXACT = 1e-12
 ORDERS = (0, 1, 2, 3, 4)
@@ -232,14 +233,14 @@ FUNCTIONS = {
 }
 
 
-@pytest.mark.parametrize("name", FUNCTIONS)
-def test_numpy_and_torch_agree(name, jet, uv, rng):
+@each(function=FUNCTIONS)
+def test_numpy_and_torch_agree(function, jet, uv, rng):
     scale = rng.uniform(0.1, 0.3, 50)
-    got = FUNCTIONS[name](*(torch.from_numpy(x) for x in (jet, uv, scale)))
-    assert_allclose(got.numpy(), FUNCTIONS[name](jet, uv, scale), rtol=1e-10, atol=EXACT)
+    got = function(*(torch.from_numpy(x) for x in (jet, uv, scale)))
+    assert_allclose(got.numpy(), function(jet, uv, scale), rtol=1e-10, atol=EXACT)
 
 
-@pytest.mark.parametrize("name", FUNCTIONS)
-def test_gradients_are_right(name, jet, uv, rng):
+@each(function=FUNCTIONS)
+def test_gradients_are_right(function, jet, uv, rng):
     inputs = [torch.tensor(x, requires_grad=True) for x in (jet[:3], uv[:3], rng.uniform(0.5, 1.0, 3))]
-    assert torch.autograd.gradcheck(FUNCTIONS[name], inputs)
+    assert torch.autograd.gradcheck(function, inputs)

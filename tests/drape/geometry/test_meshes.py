@@ -11,32 +11,37 @@ from drape.errors import MeshError
 from drape.geometry import mesh_graphs, meshes
 from tests.drape.cloth.cloth_shapes import equilateral, grid, random_rotation, tube
 from tests.drape.geometry.geometry_shapes import box, icosphere
+from tests.fixtures.laws import each
 
-SHAPES = {
-    "grid": (grid, 1, 1),  # Euler characteristic, boundary loops
-    "equilateral": (lambda: equilateral(5, 4), 1, 1),
-    "tube": (tube, 0, 2),
-    "box": (box, 2, 0),
-    "sphere": (lambda: icosphere(2), 2, 0),
+SHAPES = {  # mesh, Euler characteristic, boundary loops
+    "grid": (grid(), 1, 1),
+    "equilateral": (equilateral(5, 4), 1, 1),
+    "tube": (tube(), 0, 2),
+    "box": (box(), 2, 0),
+    "sphere": (icosphere(2), 2, 0),
 }
+for_each_shape = each(shape=SHAPES)
 
 
-@pytest.mark.parametrize("name", SHAPES)
-def test_edges_and_hinges_fulfil_euler(name):
-    shape, characteristic, loop_count = SHAPES[name]
-    vertices, faces = shape()
-    edges = meshes.unique_edges(faces)
+@for_each_shape
+def test_edges_and_hinges_fulfil_euler(shape):
+    (vertices, faces), characteristic, loop_count = shape
+    edges, uses = meshes.edge_uses(faces)
     hinges = meshes.hinges(faces)
     loops = meshes.boundary_loops(faces)
     assert len(vertices) - len(edges) + len(faces) == characteristic
     assert len(loops) == loop_count
     assert len(hinges) == len(edges) - sum(len(loop) for loop in loops)
-    assert 3 * len(faces) == len(edges) + len(hinges)
+    assert 3 * len(faces) == len(edges) + len(hinges) == uses.sum()
+    sides = {tuple(sorted((face[k], face[k - 1]))) for face in faces.tolist() for k in range(3)}
+    assert_array_equal(edges, sorted(sides))
+    assert_array_equal(meshes.boundary_edges(faces), edges[uses == 1])
+    assert_array_equal(meshes.boundary_vertices(faces), np.unique(np.concatenate([*loops, np.zeros(0, int)])))
 
 
-@pytest.mark.parametrize("name", SHAPES)
-def test_a_hinge_names_its_two_faces(name):
-    _, faces = SHAPES[name][0]()
+@for_each_shape
+def test_a_hinge_names_its_two_faces(shape):
+    (_, faces), _, _ = shape
     hinges, sides = meshes.hinges(faces), meshes.hinge_faces(faces)
     first, second = np.sort(faces[sides[:, 0]], axis=1), np.sort(faces[sides[:, 1]], axis=1)
     assert_array_equal(np.sort(hinges[:, [0, 1, 2]], axis=1), first)
@@ -95,9 +100,9 @@ def test_umbrella_laplacian_annuls_constants_and_linear_maps_on_a_regular_sheet(
     assert_allclose(lonely @ np.ones(len(vertices) + 1), 0.0, rtol=0.0, atol=1e-15)
 
 
-@pytest.mark.parametrize("name", SHAPES)
-def test_subdivision_keeps_area_orientation_and_the_first_vertices(name):
-    vertices, faces = SHAPES[name][0]()
+@for_each_shape
+def test_subdivision_keeps_area_orientation_and_the_first_vertices(shape):
+    (vertices, faces), _, loop_count = shape
     fine_vertices, fine_faces, parents = meshes.subdivide(vertices, faces)
     assert_array_equal(fine_vertices[: len(vertices)], vertices)
     assert_array_equal(parents[: len(vertices)], np.repeat(np.arange(len(vertices))[:, None], 2, axis=1))
@@ -105,7 +110,7 @@ def test_subdivision_keeps_area_orientation_and_the_first_vertices(name):
     assert len(fine_vertices) == len(vertices) + len(meshes.unique_edges(faces))
     coarse, fine = meshes.area_vectors(vertices, faces), meshes.area_vectors(fine_vertices, fine_faces)
     assert_allclose(fine.reshape(-1, 4, 3), np.repeat(coarse[:, None] / 4.0, 4, axis=1), rtol=1e-9, atol=1e-18)
-    assert len(meshes.boundary_loops(fine_faces)) == SHAPES[name][2]
+    assert len(meshes.boundary_loops(fine_faces)) == loop_count
 
 
 def test_areas_and_normals_of_a_box():

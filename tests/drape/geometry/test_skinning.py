@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+import torch
 from numpy.testing import assert_allclose
 
+from drape.body.skeleton import JOINT_COUNT, PARENTS
 from drape.geometry.rigid import bone_transforms
 from drape.geometry.rotations import matrix_to_quaternion, rotvec_to_matrix
 from drape.geometry.skinning import blend_frames, skin_points
-from drape.motion.skeleton import CANONICAL_JOINTS, JOINT_COUNT, PARENTS
+from drape.motion.t_pose import CANONICAL_JOINTS
 
 EXACT = 1e-13
 BLENDED = 1e-12
@@ -121,7 +123,6 @@ def test_frames_are_finite_when_the_others_cancel_the_heaviest():
 
 
 def test_numpy_and_torch_agree(points, weights, bones):
-    torch = pytest.importorskip("torch")
 
     def frames(array):
         rotations = array(bones[0])
@@ -133,7 +134,6 @@ def test_numpy_and_torch_agree(points, weights, bones):
 
 
 def test_gradient_of_frames_is_right(rng):
-    torch = pytest.importorskip("torch")
     points, weights = torch.tensor(rng.normal(size=(3, 3))), torch.tensor(rng.dirichlet(np.ones(2), 3))
     rotvec = torch.tensor(0.5 * rng.normal(size=(2, 3)), requires_grad=True)
     shift = torch.tensor(rng.normal(size=(2, 3)), requires_grad=True)

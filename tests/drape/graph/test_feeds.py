@@ -11,7 +11,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.body.features import feature_count
 from drape.body.skeleton import JOINT_COUNT
 from drape.errors import BodyError, MotionError
-from drape.garment.consensus import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.geometry import jets
 from drape.geometry.rotations import matrix_to_rotvec, quaternion_to_matrix, rotvec_to_matrix
 from drape.geometry.skinning import skin_points
@@ -39,20 +38,6 @@ def betas(rng):
 
 def with_shapes(body, count):
     return dataclasses.replace(body, shapedirs=body.shapedirs[..., :count])
-
-
-def test_body_feed_has_the_shapes_it_states(poses, trans, betas):
-    feed = body_feed(default_body(), poses, trans, betas)
-    assert {key: value.shape for key, value in feed.arrays.items()} == {
-        "body_features": (3, feature_count() + BETA_COUNT),
-        "bone_rotation": (3, JOINT_COUNT, 3, 3),
-        "bone_translation": (3, JOINT_COUNT, 3),
-        "bone_quaternion": (3, JOINT_COUNT, 4),
-        "betas": (3, BETA_COUNT),
-        "body_joints": (3, JOINT_COUNT, 3),
-    }
-    assert all(value.dtype == np.float32 and value.flags.c_contiguous for value in feed.arrays.values())
-    assert feed.root.shape == (3, 3) and feed.root.dtype == np.float64
 
 
 def test_translation_changes_only_the_root(poses, trans, betas):
@@ -139,38 +124,6 @@ def test_motion_that_is_not_finite_is_refused(poses, trans):
         body_feed(default_body(), poses, np.full((3, 3), np.nan))
     with pytest.raises(MotionError, match="poses: expected finite"):
         body_feed(default_body(), np.full_like(poses, np.inf), trans)
-
-
-@pytest.mark.parametrize("fine", [False, True])
-def test_garment_feed_has_the_shapes_it_states(fine):
-    garment = barrel_garment()
-    feed, patches = garment_feed(garment, fine=fine), garment.patch_count
-    count = len(garment.vertices) if fine else garment.vertex_count
-    assert {key: value.shape for key, value in feed.items()} == {
-        "patch_centre": (patches, 3),
-        "patch_rotation": (patches, 3, 3),
-        "patch_scale": (patches,),
-        "patch_weights": (patches, JOINT_COUNT),
-        "patch_heaviest": (patches,),
-        "patch_shapedirs": (patches, 3, BETA_COUNT),
-        "chart_patch": (count, 4),
-        "chart_weight": (count, 4),
-        "chart_basis": (count, 4, jets.HEIGHT_COUNT),
-        "chart_local": (count, 4, 3),
-        "skin_weights": (count, JOINT_COUNT),
-        "anchor_patch": (len(feed["anchor_patch"]), 4),
-        "anchor_row": (len(feed["anchor_patch"]), 4, 19),
-        "patch_member": (patches, MEMBERS),
-        "patch_slot": (patches, MEMBERS),
-        "patch_fit": (patches, FIT_COUNT, MEMBERS),
-        "patch_rest": (patches, FIT_COUNT, 3),
-        "patch_tangent": (patches, STRAIN_POINTS, 3, 2),
-        "patch_orthonormal": (patches, STRAIN_POINTS, 2, 2),
-    }
-    indices = ("patch_heaviest", "chart_patch", "anchor_patch", "patch_member", "patch_slot")
-    for key, value in feed.items():
-        assert value.dtype == (np.int64 if key in indices else np.float32)
-        assert value.flags.c_contiguous
 
 
 def test_delivered_vertices_are_the_beginning_of_the_fine_ones():

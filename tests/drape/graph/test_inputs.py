@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 from drape.artifacts import TensorSpec
 from drape.body.assets import load_body
 from drape.contact.projection import PushFeed
 from drape.graph.feeds import body_feed, garment_feed
-from drape.graph.inputs import PARTS, AgreementTensors, BodyTensors, ChartTensors, PatchTensors
+from drape.graph.inputs import FEELS, PARTS, AgreementTensors, BodyTensors, ChartTensors, PatchTensors
 from drape.graph.layer_feed import LayerFeed, layer_feed
 from drape.graph.packed import PackedTensors
 from drape.graph.packing import Place, compose, pack_body, pack_garment
@@ -33,13 +34,22 @@ def check(specs: tuple[TensorSpec, ...], arrays: dict[str, np.ndarray]) -> dict[
     return lengths
 
 
-def test_feeds_are_what_the_readable_graph_declares():
-    body, kinds = load_body(), (BodyTensors, PatchTensors, ChartTensors, AgreementTensors)
-    poses, trans = random_motion(FRAMES, seed=1)
-    arrays = body_feed(body, poses, trans, skin=True).arrays | garment_feed(garment("tank"), body=body)
+@pytest.mark.parametrize("fine", [False, True])
+@pytest.mark.parametrize("feels", [False, True])
+def test_feeds_are_what_the_readable_graph_declares(feels: bool, fine: bool):
+    body, whole = load_body(), garment("tank")
+    kinds, parts = (
+        (BodyTensors, PatchTensors, ChartTensors, AgreementTensors),
+        set(PARTS) - (set() if feels else {FEELS}),
+    )
+    made = body_feed(body, *random_motion(FRAMES, seed=1), skin=feels)
+    arrays = made.arrays | garment_feed(whole, fine=fine, body=body if feels else None)
+    assert all(array.flags.c_contiguous for array in arrays.values())
     del arrays["skin_weights"], arrays["patch_slot"]  # of the paper's variant, and of packing
-    lengths = check(tuple(spec for kind in kinds for spec in kind.specs(PARTS)), arrays)
-    assert (lengths["frames"], lengths["patches"]) == (FRAMES, garment("tank").patch_count)
+    lengths = check(tuple(spec for kind in kinds for spec in kind.specs(parts)), arrays)
+    count = len(whole.vertices) if fine else whole.vertex_count
+    assert (lengths["frames"], lengths["patches"], lengths["vertices"]) == (FRAMES, whole.patch_count, count)
+    assert made.root.shape == (FRAMES, 3) and made.root.dtype == np.float64
 
 
 def test_packing_is_what_the_packed_graph_declares():

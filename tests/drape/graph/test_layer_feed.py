@@ -12,15 +12,16 @@ from numpy.testing import assert_allclose
 from drape.body.assets import load_body
 from drape.body.skeleton import JOINT_NAMES
 from drape.cloth import metrics
-from drape.contact.layers import joined
+from drape.contact.cloth_samples import joined
 from drape.contact.projection import CLEARANCE_M, push_out_of_bodies
 from drape.contact.samples import sample_table
 from drape.contact.skin import body_skin
 from drape.errors import ArtifactError, InputError
-from drape.garment.cache import GARMENTS_DIR, Garment, load_garment
+from drape.garment.cache import Garment
 from drape.geometry.skinning import skin_points
 from drape.graph.layer_feed import LayerFeed, check_layers, layer_feed, push_over, sheet
 from tests.fixtures.cut_garments import cut_garment
+from tests.fixtures.garments import shipped
 
 
 @cache
@@ -28,7 +29,7 @@ def garment(kind: str) -> Garment:
     """The shipped garment of that name, "cut tank" the smooth one of before, without folds."""
     if kind.startswith("cut "):
         return cut_garment(kind.removeprefix("cut "))
-    return load_garment(next(iter(sorted(GARMENTS_DIR.glob(f"{kind}-*.npz")))))
+    return shipped(kind)
 
 
 @cache

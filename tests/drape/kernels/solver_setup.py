@@ -6,11 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.judge.surroundings import Surroundings, surroundings
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
 from drape.cloth.material import Material
 from drape.cloth.rest_state import flat, grain_along, modelled
-from drape.kernels.problem import Problem, Surroundings, problem, surroundings
+from drape.kernels.problem import Problem, problem
 from tests.drape.cloth.cloth_shapes import grid
 
 MATERIALS = {

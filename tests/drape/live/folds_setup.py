@@ -2,22 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
+from functools import cache
+
 import numpy as np
 import scipy.sparse
 
 from drape.cloth.energies import ClothMesh
 from drape.cloth.rest_state import RestState, modelled
 from drape.contact.samples import Samples, sample_table
-from drape.live.fold_constants import Dressed
-from drape.live.fold_step import Frame
+from drape.live.clock import Frame
+from drape.live.fold_constants import FoldConstants, WornCloth
+from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport, fold
+from drape.live.sheet import LANES
 from drape.live.skin_contact import nearest_at_rest, skin_graph
+from drape.live.sweeps import PLANES
 from tests.drape.cloth.cloth_shapes import tube
 from tests.drape.kernels.solver_setup import MATERIALS
 
 RADIUS_M, HEIGHT_M, EASE_M = 0.05, 0.12, 0.006
 AWAY_M = 0.4  # of the wall at rest; in frames it is at the sleeve
+EFFORT = FoldEffort(steps=2, settle=2)
+HELD = replace(EFFORT, cloth_contact=True)
+Folded = tuple[np.ndarray, FoldMemory, FoldReport]
 
 
+@cache
 def arm(around: int = 14, along: int = 9) -> Samples:
     """Samples on a cylinder about the y axis, longer than the sleeve, and on a wall that is far away at rest."""
     angle, height = np.meshgrid(
@@ -31,13 +42,14 @@ def arm(around: int = 14, along: int = 9) -> Samples:
     return Samples(none, point, normal, np.full(len(point), 2.0 * np.pi * RADIUS_M / around))
 
 
-def sleeve(material: str = "rib", *, creased: bool = True) -> tuple[np.ndarray, Dressed]:
+@cache
+def sleeve(material: str = "rib", *, creased: bool = True) -> tuple[np.ndarray, WornCloth]:
     """A tube with ease over the arm, its vertices [m] (V, 3), held at its upper rim; a hem is folded at rest."""
     rest, faces = tube(11, 6, radius_m=RADIUS_M + EASE_M, height_m=HEIGHT_M)
     state = modelled(rest, faces)
     kept = np.arange(len(state.hinge_angle)) % 5 == 0 if creased else np.zeros(len(state.hinge_angle), bool)
     state = RestState(state.edges, np.where(kept, 0.5, 0.0), state.stiffening)
-    dressed = Dressed(
+    dressed = WornCloth(
         cloth=ClothMesh.of(state, faces, len(rest)),
         material=MATERIALS[material],
         band_n_per_m=np.where(rest[:, 1] > HEIGHT_M - 1e-6, 10.0, 0.0),
@@ -46,6 +58,50 @@ def sleeve(material: str = "rib", *, creased: bool = True) -> tuple[np.ndarray, 
         friction=0.4,
     )
     return rest, dressed
+
+
+@cache
+def constants(material: str = "rib", *, creased: bool = True, dtype: type[np.floating] = np.float32) -> FoldConstants:
+    """Those of ``sleeve``."""
+    return FoldConstants.of(sleeve(material, creased=creased)[1], dtype=dtype)
+
+
+def folded(
+    made: FoldConstants, frames: Iterable[Frame], effort: FoldEffort = EFFORT, memory: FoldMemory | None = None
+) -> list[Folded]:
+    """What ``fold`` gives of ``frames``, one after the other."""
+    found = []
+    for one in frames:
+        found.append(fold(made, memory, one, effort))
+        memory = found[-1][1]
+    return found
+
+
+def held_for(one: Frame, count: int, *, start: int = 0) -> list[Frame]:
+    """``count`` frames at 30 a second in which nothing moves."""
+    return [replace(one, time_s=number / 30.0) for number in range(start, start + count)]
+
+
+def shifted(one: Frame, shift: np.ndarray, *, cloth: bool = True) -> Frame:
+    """``one`` with the body ``shift`` [m] (3,) away, and with the cloth if it goes along."""
+    skin = sample_table(one.skin[:, :3] + shift, one.skin[:, 4:7])
+    return Frame(one.vertices + shift if cloth else one.vertices, np.asarray(skin), one.time_s)
+
+
+def without_body(one: Frame) -> Frame:
+    """``one`` with the body far away."""
+    return shifted(one, np.array([5.0, 5.0, 5.0]), cloth=False)
+
+
+def planes_of(point: np.ndarray, normal: np.ndarray, other: object = 0.0, across: object = 0.0) -> np.ndarray:
+    """Planes as kernels have them, for places (P, 3): points [m] and normals of the own part, and of another one.
+
+    Nothing holds the places or rubs.
+    """
+    rows = np.zeros((len(point), PLANES // LANES), point.dtype)
+    for i, part in enumerate((point, normal, other, across)):
+        rows[:, 3 * i : 3 * i + 3] = part
+    return np.ascontiguousarray(rows.reshape(-1, LANES, rows.shape[1]).transpose(0, 2, 1)).reshape(-1)
 
 
 def turn_about_y(angle_rad: float) -> np.ndarray:

@@ -9,7 +9,7 @@ from drape.cloth.material import Material
 from drape.live.fold_step import Frame
 from drape.live.skin_contact import NEIGHBOURS, SkinGraph
 from drape.live.swing_mesh import SwingMesh, swing_mesh
-from drape.live.swing_step import Constants
+from drape.live.swing_step import SwingConstants
 
 LENGTH_M, WIDTH_M, EDGE_M = 0.6, 0.16, 0.02
 FAR_SKIN = np.array([[0.0, 5.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0]])
@@ -34,12 +34,12 @@ def hanging(dtype: type[np.floating] = np.float64, length_m: float = LENGTH_M) -
     return rest, made
 
 
-def constants(mesh: SwingMesh, *, damping_per_s: float = 0.0) -> Constants:
+def constants(mesh: SwingMesh, *, damping_per_s: float = 0.0) -> SwingConstants:
     """Of the strip beside skin that is out of reach."""
     dtype = mesh.mass_kg.dtype
     graph = SkinGraph(np.zeros((1, NEIGHBOURS), np.int32), np.ones(1, dtype), np.zeros((1, 3), dtype))
     count = len(mesh.vertex)
-    return Constants(mesh, graph, np.zeros(count, np.int32), 300.0, damping_per_s, np.ones(count, dtype))
+    return SwingConstants(mesh, graph, np.zeros(count, np.int32), 300.0, damping_per_s, np.ones(count, dtype))
 
 
 def frame(rest: np.ndarray, time_s: float) -> Frame:

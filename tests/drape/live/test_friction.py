@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import scipy.sparse
@@ -12,20 +10,22 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.cloth.energies import ClothMesh
 from drape.contact.samples import Samples, sample_table
 from drape.kernels.problem import problem
-from drape.live.fold_constants import Constants, Dressed
-from drape.live.fold_step import Effort, Frame, fold
+from drape.live.clock import Frame
+from drape.live.fold_constants import FoldConstants, WornCloth
+from drape.live.fold_step import FoldEffort, fold
 from drape.live.sheet import LANES
-from drape.live.skin_contact import SkinGraph, Touched, carried, gripped, nearest_at_rest, skin_graph
+from drape.live.skin_contact import SkinGraph, TouchedSamples, nearest_at_rest, skin_graph, stuck_places, write_grip
 from drape.live.sweeps import SLIP_M
 from tests.drape.cloth.cloth_shapes import grid
 from tests.drape.kernels.solver_setup import MATERIALS
-from tests.drape.live.folds_setup import frame, sleeve, turn_about_y
+from tests.drape.live.folds_setup import folded, frame, held_for, shifted, sleeve, turn_about_y
+from tests.fixtures.laws import each
 from tests.reference import folds as reference
 
 FRAMES, SPACING_M = 20, 0.02
 
 
-def slope(angle_rad: float, friction: float) -> tuple[np.ndarray, Dressed, np.ndarray]:
+def slope(angle_rad: float, friction: float) -> tuple[np.ndarray, WornCloth, np.ndarray]:
     """A sheet that nothing holds on a slope [rad] about the z axis: its vertices, itself, and the posed samples."""
     flat, faces = grid(5, 5, cell_m=0.02)
     flat = flat @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # laid down: the normal is up
@@ -38,7 +38,7 @@ def slope(angle_rad: float, friction: float) -> tuple[np.ndarray, Dressed, np.nd
     none = scipy.sparse.csr_matrix((3 * len(point), 1))
     skin = Samples(none, point, normal, np.full(len(point), SPACING_M))
     rest = flat + np.array([0.0, 0.004, 0.0])
-    dressed = Dressed(
+    dressed = WornCloth(
         cloth=ClothMesh.from_rest(rest, faces),
         material=MATERIALS["rib"],
         band_n_per_m=np.zeros(len(rest)),
@@ -49,17 +49,14 @@ def slope(angle_rad: float, friction: float) -> tuple[np.ndarray, Dressed, np.nd
     return rest @ tilt.T, dressed, np.asarray(sample_table(point @ tilt.T, normal @ tilt.T))
 
 
-def slid_m(angle_rad: float, friction: float, *, rubs: bool = True) -> np.ndarray:
+def slid_m(angle_rad: float, friction: float) -> np.ndarray:
     """How far down the slope the sheet's middle goes in each frame."""
-    start, dressed, skin = slope(angle_rad, friction)
-    constants, memory, found = Constants.of(dressed, dtype=np.float64), None, []
-    for i in range(FRAMES):
-        effort = Effort(16, friction=rubs)
-        x, memory, report = fold(constants, memory, Frame(start, skin, i / 30.0), effort)
-        assert not report.reset
-        found.append(x.mean(axis=0))
+    start, worn, skin = slope(angle_rad, friction)
+    made, frames = FoldConstants.of(worn, dtype=np.float64), held_for(Frame(start, skin, 0.0), FRAMES)
+    found = folded(made, frames, FoldEffort(16))
+    assert not any(report.reset for _, _, report in found)
     down = -np.array([np.cos(angle_rad), np.sin(angle_rad), 0.0])
-    return np.diff(np.array(found), axis=0) @ down
+    return np.diff([x.mean(axis=0) for x, _, _ in found], axis=0) @ down
 
 
 def test_cloth_keeps_to_a_slope_that_is_less_steep_than_its_friction_and_slides_down_a_steeper_one():
@@ -70,22 +67,18 @@ def test_cloth_keeps_to_a_slope_that_is_less_steep_than_its_friction_and_slides_
 def test_without_friction_it_slides_and_a_frame_without_a_past_has_none():
     angle = np.arctan(0.3)
     assert slid_m(angle, 0.0).sum() > 15.0 * SLIP_M
-    assert_array_equal(slid_m(angle, 0.5, rubs=False), slid_m(angle, 0.0))
-    start, dressed, skin = slope(angle, 0.5)
-    one = Frame(start, skin, 0.0)
-    rough, slippery = (
-        fold(Constants.of(item, dtype=np.float64), None, one, Effort(2))[0]
-        for item in (dressed, replace(dressed, friction=0.0))
-    )
+    start, worn, skin = slope(angle, 0.5)
+    made, one = FoldConstants.of(worn, dtype=np.float64), Frame(start, skin, 0.0)
+    rough, slippery = (fold(item, None, one, FoldEffort(2))[0] for item in (made, made._replace(friction=0.0)))
     assert_array_equal(rough, slippery)
 
 
-@pytest.mark.parametrize("slip_m", [0.3 * SLIP_M, 4.0 * SLIP_M])
+@each(slip_m=(0.3 * SLIP_M, 4.0 * SLIP_M))
 def test_its_force_is_coulombs(slip_m: float):
     start, dressed, skin = slope(0.0, 0.5)
     made = problem(dressed.cloth, dressed.material, dtype=np.float64)
     x = start - [0.0, 0.001, 0.0]  # a millimetre inside the gap of contact
-    nowhere = Touched(dressed.index, np.full_like(dressed.index, -1))
+    nowhere = TouchedSamples(dressed.index, np.full_like(dressed.index, -1))
     around = reference.touching(made, dressed, x, skin, nowhere)
     way = np.array([0.6, 0.3, 0.8]) / np.hypot(0.6, 0.8)  # lifted as well: that is no slip
     around = around._replace(stuck=x - slip_m * way, friction=0.5)
@@ -103,40 +96,33 @@ def in_blocks(rows: np.ndarray) -> np.ndarray:
     return np.resize(rows, (len(rows) + -len(rows) % LANES, *rows.shape[1:]))
 
 
-def test_what_lies_on_the_skin_is_carried_as_a_solid_where_it_moves_as_one():
-    rest, dressed = sleeve()
-    one = frame(rest, 0)
-    own, turn, way = dressed.index, turn_about_y(0.4), np.array([0.1, 0.2, -0.3])
-    graph = SkinGraph(*map(np.asarray, dressed.graph))
-    skin = one.skin.astype(np.float64)
+def test_what_sticks_to_the_skin_goes_with_it_as_a_solid_where_it_moves_as_one():
+    rest, worn = sleeve()
+    one, turn, way = frame(rest, 0), turn_about_y(0.4), np.array([0.1, 0.2, -0.3])
+    skin, graph = one.skin.astype(np.float64), worn.graph
     moved = np.asarray(sample_table(skin[:, :3] @ turn.T + way, skin[:, 4:7] @ turn.T), dtype=np.float64)
-    own, x = in_blocks(own), in_blocks(one.vertices.astype(np.float64))
-    touched = Touched(own, np.full_like(own, -1))
+    own, x = in_blocks(worn.index), in_blocks(one.vertices.astype(np.float64))
+    touched = TouchedSamples(own, np.full_like(own, -1))
     grip, found = np.empty_like(x), np.empty_like(x)
-    gripped(x, x, touched, skin, graph, grip)
-    carried(grip, touched, moved, graph, found)
+    write_grip(x, x, touched, skin, graph, grip)
+    stuck_places(grip, touched, moved, graph, found)
     assert_allclose(found, x @ turn.T + way, rtol=0.0, atol=1e-9)
-    assert_allclose(grip, reference.gripped(x, x, skin, graph, own), rtol=0.0, atol=1e-12)
-    assert_allclose(found, reference.carried(grip, moved, graph, own), rtol=0.0, atol=1e-12)
+    assert_allclose(grip, reference.write_grip(x, x, skin, graph, own), rtol=0.0, atol=1e-12)
+    assert_allclose(found, reference.stuck_places(grip, moved, graph, own), rtol=0.0, atol=1e-12)
 
 
-def test_a_sample_without_neighbours_carries_along_its_normal():
+def test_a_sample_without_neighbours_takes_cloth_along_its_normal():
     graph = SkinGraph(np.zeros((1, 8), np.int32), np.ones(1), np.zeros((1, 3)))
     skin = np.asarray(sample_table(np.zeros((1, 3)), np.array([[0.0, 1.0, 0.0]])), dtype=np.float64)
-    touched, found = Touched(np.zeros(LANES, np.int32), np.full(LANES, -1, np.int32)), np.empty((LANES, 3))
-    carried(in_blocks(np.array([[0.01, 0.02, 0.03]])), touched, skin, graph, found)
+    touched, found = TouchedSamples(np.zeros(LANES, np.int32), np.full(LANES, -1, np.int32)), np.empty((LANES, 3))
+    stuck_places(in_blocks(np.array([[0.01, 0.02, 0.03]])), touched, skin, graph, found)
     assert_allclose(found, np.tile([0.0, 0.01, 0.0], (LANES, 1)), atol=1e-15)
 
 
-def test_skin_that_moves_on_takes_along_what_lies_on_it_by_friction_alone():
-    start, dressed, skin = slope(0.0, 0.5)
-    moved = {}
-    for friction in (0.0, 0.5):
-        constants, memory = Constants.of(replace(dressed, friction=friction), dtype=np.float64), None
-        for i in range(12):
-            point = skin[:, :3].astype(np.float64) + np.array([0.002 * i, 0.0, 0.0])
-            below = np.asarray(sample_table(point, skin[:, 4:7].astype(np.float64)))
-            x, memory, _ = fold(constants, memory, Frame(start, below, i / 30.0), Effort(16))
-        moved[friction] = float((x - start)[:, 0].mean())
-    assert abs(moved[0.0]) < 1e-4
-    assert moved[0.5] == pytest.approx(0.022, abs=2.0 * SLIP_M)
+@each(case=((0.0, 0.0, 1e-4), (0.5, 0.022, 2.0 * SLIP_M)))
+def test_skin_that_moves_on_takes_along_what_lies_on_it_by_friction_alone(case):
+    friction, moved_m, within_m = case
+    start, worn, skin = slope(0.0, friction)
+    frames = [shifted(Frame(start, skin, i / 30.0), np.array([0.002 * i, 0.0, 0.0]), cloth=False) for i in range(12)]
+    x = folded(FoldConstants.of(worn, dtype=np.float64), frames, FoldEffort(16))[-1][0]
+    assert float((x - start)[:, 0].mean()) == pytest.approx(moved_m, abs=within_m)

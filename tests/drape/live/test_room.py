@@ -5,30 +5,21 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.cloth.energies import ClothMesh
 from drape.kernels.problem import problem
-from drape.live.fold_constants import LEASH_N_M3, Constants
-from drape.live.fold_step import Effort, Frame, fold
-from drape.live.room import BOUND_M2, LEAST_M, ROOM_M, near_along, rooms
+from drape.live.clock import Frame
+from drape.live.fold_constants import LEASH_N_M3, FoldConstants
+from drape.live.fold_step import fold
+from drape.live.room import BOUND_M2, LEAST_M, ROOM_M, rooms, sheet_neighbours
 from drape.live.sheet import LANES
-from drape.live.skin_contact import Touched
+from drape.live.skin_contact import TouchedSamples
 from tests.drape.cloth.cloth_shapes import grid, tube
-from tests.drape.live.folds_setup import frame, sleeve
+from tests.drape.live.folds_setup import EFFORT, HELD, constants, folded, frame, held_for, sleeve, without_body
+from tests.fixtures.laws import each
 from tests.reference import folds as reference
 from tests.reference.solver import energy_and_gradient
-
-OPEN, HELD = Effort(sweeps=2, settle=2), Effort(sweeps=2, settle=2, cloth_contact=True)
-
-
-def without_body(one: Frame) -> Frame:
-    """``one`` with the body far away."""
-    far = one.skin.copy()
-    far[:, :3] += 5.0
-    far[:, 7] = (far[:, :3] * far[:, 4:7]).sum(axis=1)
-    return replace(one, skin=far)
 
 
 def flattened(one: Frame, share: float) -> Frame:
@@ -38,36 +29,36 @@ def flattened(one: Frame, share: float) -> Frame:
     return replace(one, vertices=pressed)
 
 
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_rooms_are_those_of_all_pairs(rng, dtype):
-    for vertices, faces in (tube(24, 30, radius_m=0.031, height_m=0.14), grid(12, 9, cell_m=0.006)):
-        cloth = ClothMesh.from_rest(vertices, faces)
-        crumpled = vertices * [1.0, 0.6, 0.3] + 0.002 * rng.normal(size=vertices.shape)
-        found = np.empty(len(vertices), dtype)
-        rooms(crumpled.astype(dtype), near_along(cloth), found)
-        assert_allclose(found, reference.room(crumpled, cloth), rtol=0.0, atol=1e-7)
-        assert 0.0 < found.min() < 0.5 * ROOM_M, "somewhere cloth is near to itself"
+def room_of(cloth: ClothMesh, points: np.ndarray) -> np.ndarray:
+    found = np.empty(len(points), points.dtype)
+    rooms(points, sheet_neighbours(cloth), found)
+    return found
 
 
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-@pytest.mark.parametrize("side_m", [0.06, 0.15, 0.4])
+@each(shape=(tube(24, 30, radius_m=0.031, height_m=0.14), grid(12, 9, cell_m=0.006)), dtype=(np.float32, np.float64))
+def test_rooms_are_those_of_all_pairs(rng, shape, dtype):
+    vertices, cloth = shape[0], ClothMesh.from_rest(*shape)
+    crumpled = vertices * [1.0, 0.6, 0.3] + 0.002 * rng.normal(size=vertices.shape)
+    found = room_of(cloth, crumpled.astype(dtype))
+    assert_allclose(found, reference.room(crumpled, cloth), rtol=0.0, atol=1e-7)
+    assert 0.0 < found.min() < 0.5 * ROOM_M, "somewhere cloth is near to itself"
+
+
+@each(dtype=(np.float32, np.float64), side_m=(0.06, 0.15, 0.4))
 def test_rooms_in_a_cloud_are_those_of_all_pairs(rng, dtype, side_m):
     """Vertices anywhere in a box, of a cloth in two pieces: most have many others near, of the sheet and not."""
     vertices, faces = grid(22, 28, cell_m=0.008)
-    parted = faces[(faces < 300).all(axis=1) | (faces >= 300).all(axis=1)]
-    cloth = ClothMesh.from_rest(vertices, parted)
-    near = near_along(cloth)
-    assert len(near.clusters) > 2 * LANES and len(vertices) % LANES, "several groups, and a cluster that is not full"
+    cloth = ClothMesh.from_rest(vertices, faces[(faces < 300).all(axis=1) | (faces >= 300).all(axis=1)])
+    assert len(vertices) > 2 * LANES**2 and len(vertices) % LANES, "several groups, and a cluster that is not full"
     for _ in range(3):
         cloud = (side_m * rng.uniform(size=vertices.shape)).astype(dtype)
-        found = np.empty(len(vertices), dtype)
-        rooms(cloud, near, found)
-        assert_allclose(found, reference.room(cloud.astype(np.float64), cloth), rtol=0.0, atol=1e-7)
+        wanted = reference.room(cloud.astype(np.float64), cloth)
+        assert_allclose(room_of(cloth, cloud), wanted, rtol=0.0, atol=1e-7)
 
 
 def test_rooms_do_not_know_where_their_arrays_lie(rng):
     vertices, faces = grid(12, 9, cell_m=0.006)
-    near, cloud = near_along(ClothMesh.from_rest(vertices, faces)), rng.uniform(0.0, 0.05, vertices.shape)
+    near, cloud = sheet_neighbours(ClothMesh.from_rest(vertices, faces)), rng.uniform(0.0, 0.05, vertices.shape)
     found = []
     for offset in range(8):
         points = np.empty(cloud.size + offset, np.float32)[offset:].reshape(cloud.shape)
@@ -75,132 +66,105 @@ def test_rooms_do_not_know_where_their_arrays_lie(rng):
         found.append(np.empty(len(vertices) + offset, np.float32)[offset:])
         rooms(points, near, found[-1])
     assert (found[0] < ROOM_M).any()
-    for other in found[1:]:
-        assert_array_equal(other, found[0])
+    assert_array_equal(found[1:], np.tile(found[0], (7, 1)))
 
 
-def test_clusters_have_every_vertex_and_bounds_are_no_less_than_the_lists(rng):
+def test_clusters_have_every_vertex_and_bounds_are_no_less_than_the_lists():
     vertices, faces = grid(22, 28, cell_m=0.008)
-    near = near_along(ClothMesh.from_rest(vertices, faces))
+    near = sheet_neighbours(ClothMesh.from_rest(vertices, faces))
+    count = len(near.clusters)
     assert_array_equal(np.unique(near.clusters), np.arange(len(vertices)))
     assert near.clusters.size - len(vertices) < LANES
-    wide = np.ptp(vertices[near.clusters], axis=1).max(axis=1)
-    assert np.median(wide) < 0.05, "32 mm in a square"
+    assert np.median(np.ptp(vertices[near.clusters], axis=1).max(axis=1)) < 0.05, "32 mm in a square"
     square = np.full((len(vertices), len(vertices)), np.inf)
     square[np.repeat(np.arange(len(vertices)), np.diff(near.start)), near.vertex] = near.square
+    first, listed = np.repeat(np.arange(count), np.diff(near.other_start)), np.zeros((count, count), bool)
+    listed[first, near.other] = True
+    exact = np.minimum(square[near.clusters[first][:, :, None], near.clusters[near.other][:, None]], ROOM_M**2)
+    bound = near.bound * BOUND_M2
+    assert (bound >= exact).all() and (bound[exact == 0.0] == 0.0).all() and (bound <= exact + 2.01 * BOUND_M2).all()
     cluster = np.empty(len(vertices), int)
-    cluster[near.clusters] = np.arange(len(near.clusters))[:, None]
-    listed = np.zeros((len(near.clusters), len(near.clusters)), bool)
-    for a in range(len(near.clusters)):
-        for entry in range(near.other_start[a], near.other_start[a + 1]):
-            b, bound = near.other[entry], near.bound[entry] * BOUND_M2
-            listed[a, b] = True
-            exact = np.minimum(square[near.clusters[a][:, None], near.clusters[b]], ROOM_M**2)
-            assert (bound >= exact).all() and (bound[exact == 0.0] == 0.0).all()
-            assert (bound <= exact + 2.01 * BOUND_M2).all()
+    cluster[near.clusters] = np.arange(count)[:, None]
     v, u = np.nonzero(np.isfinite(square))
     assert (listed[cluster[v], cluster[u]] | (cluster[v] > cluster[u])).all()
 
 
 def test_what_is_near_along_the_cloth_is_itself_its_neighbours_and_two_centimetres():
     vertices, faces = grid(9, 3, cell_m=0.008)
-    near = near_along(ClothMesh.from_rest(vertices, faces))
-    entries = [slice(near.start[v], near.start[v + 1]) for v in range(len(vertices))]
-    lists = [set(near.vertex[one][near.square[one] == 0.0]) for one in entries]
+    near = sheet_neighbours(ClothMesh.from_rest(vertices, faces))
     first = int(np.argmin(vertices.sum(axis=1)))
+    own = slice(near.start[first], near.start[first + 1])
     along = {v for v in range(len(vertices)) if np.allclose(vertices[v, 1:], vertices[first, 1:])}
     reached = {v for v in along if np.linalg.norm(vertices[v] - vertices[first]) < 0.02}
-    assert lists[first] & along == reached and len(reached) == 3
+    assert set(near.vertex[own][near.square[own] == 0.0]) & along == reached and len(reached) == 3
     coarse, faces = grid(4, 3, cell_m=0.05)
-    near = near_along(ClothMesh.from_rest(coarse, faces))
+    near = sheet_neighbours(ClothMesh.from_rest(coarse, faces))
     for v in range(len(coarse)):
         wanted = {v, *faces[(faces == v).any(axis=1)].reshape(-1)}
         assert set(near.vertex[near.start[v] : near.start[v + 1]]) == wanted, "the neighbours, however far"
 
 
 def test_a_sheet_that_is_pressed_together_has_room_and_one_that_is_folded_has_none():
-    vertices, faces = grid(21, 5, cell_m=0.006)
+    vertices, faces = grid(21, 5, cell_m=0.006)  # in the xy plane, longest along x
     vertices = vertices - vertices.mean(axis=0)
-    near = near_along(ClothMesh.from_rest(vertices, faces))
-    long = int(np.argmax(np.ptp(vertices, axis=0)))
-    across = int(np.argmin(np.ptp(vertices, axis=0)))
-    pressed, folded = vertices.copy(), vertices.copy()
-    pressed[:, long] *= 0.8
-    folded[:, across] += np.where(folded[:, long] > 0.0, 0.004, 0.0)
-    folded[:, long] = np.abs(folded[:, long])
-    for shape, lowest, highest in ((pressed, ROOM_M, ROOM_M), (folded, 0.0, 0.0045)):
-        found = np.empty(len(vertices))
-        rooms(shape, near, found)
-        away = np.abs(vertices[:, long]) > 0.024  # from the fold
-        assert lowest <= found[away].min() and found[away].max() <= highest
+    away = np.abs(vertices[:, 0]) > 0.024  # from the fold
+    bent = np.stack([np.abs(vertices[:, 0]), vertices[:, 1], np.where(vertices[:, 0] > 0.0, 0.004, 0.0)], axis=1)
+    cloth = ClothMesh.from_rest(vertices, faces)
+    assert_array_equal(room_of(cloth, vertices * [0.8, 1.0, 1.0])[away], ROOM_M)
+    assert room_of(cloth, bent)[away].max() <= 0.0045
 
 
 def test_no_room_is_found_between_numbers_that_are_none():
     vertices, faces = grid(4, 3)
-    found = np.zeros(len(vertices))
-    rooms(np.full_like(vertices, np.nan), near_along(ClothMesh.from_rest(vertices, faces)), found)
-    assert_array_equal(found, ROOM_M)
+    assert_array_equal(room_of(ClothMesh.from_rest(vertices, faces), np.full_like(vertices, np.nan)), ROOM_M)
 
 
 def test_the_compiled_hold_equals_the_readable_one():
-    rest, dressed = sleeve()
-    constants = Constants.of(dressed, dtype=np.float64)
-    memory, wanted_memory = None, None
-    for number in range(3):
-        one = flattened(frame(rest, number), 0.08)
-        x, memory, _ = fold(constants, memory, one, HELD)
-        wanted, wanted_memory = reference.fold(dressed, wanted_memory, one, HELD)
+    (rest, worn), wanted_memory = sleeve(), None
+    frames = [flattened(frame(rest, number), 0.08) for number in range(3)]
+    for one, (x, _, _) in zip(frames, folded(constants(dtype=np.float64), frames, HELD), strict=True):
+        wanted, wanted_memory = reference.fold(worn, wanted_memory, one, HELD)
         assert_allclose(x, wanted, rtol=0.0, atol=1e-10)
-    room = reference.room(one.vertices, dressed.cloth)
+    room = reference.room(frames[-1].vertices, worn.cloth)
     assert (room < 0.5 * ROOM_M).any() and (room == ROOM_M).any(), "some are held, some are free"
 
 
 def test_where_there_is_room_nothing_changes():
-    rest, dressed = sleeve()
-    constants = Constants.of(dressed)
-    assert (reference.room(frame(rest, 0).vertices, dressed.cloth) == ROOM_M).all()
-    free, held = (fold(constants, None, frame(rest, 0), effort)[0] for effort in (OPEN, HELD))
+    one = frame(sleeve()[0], 0)
+    assert (reference.room(one.vertices, sleeve()[1].cloth) == ROOM_M).all()
+    free, held = (fold(constants(), None, one, effort)[0] for effort in (EFFORT, HELD))
     assert_array_equal(free, held)
 
 
 def test_cloth_without_room_stays_with_the_network():
     """A sleeve pressed flat and short has too much cloth, and no body near: it buckles unless it is held."""
-    rest, dressed = sleeve("poplin", creased=False)
-    constants = Constants.of(dressed)
+    rest, worn = sleeve("poplin", creased=False)
     one = without_body(flattened(frame(rest, 0, noise_m=0.001), 0.05))
     one = replace(one, vertices=one.vertices * [1.0, 0.8, 1.0])
-    held = reference.room(one.vertices, dressed.cloth) < 0.010
-    way_m = {}
-    for effort in (OPEN, HELD):
-        memory = None
-        for number in range(10):
-            x, memory, _ = fold(constants, memory, replace(one, time_s=number / 30.0), effort)
-        way_m[effort] = np.linalg.norm(x - one.vertices, axis=1)[held]
-    assert held.sum() > 10
-    assert way_m[HELD].mean() < 0.006 < 1.8 * way_m[HELD].mean() < way_m[OPEN].mean()
+    tight = reference.room(one.vertices, worn.cloth) < 0.010
+    ends = [folded(constants("poplin", creased=False), held_for(one, 10), e)[-1][0] for e in (EFFORT, HELD)]
+    free_m, held_m = (np.linalg.norm(x - one.vertices, axis=1)[tight].mean() for x in ends)
+    assert tight.sum() > 10
+    assert held_m < 0.006 < 1.8 * held_m < free_m
 
 
-@pytest.mark.parametrize("material", ["rib", "poplin"])
-@pytest.mark.parametrize("steps", [1, 3])
+@each(material=("rib", "poplin"), steps=(1, 3))
 def test_cloth_without_room_comes_to_rest(material, steps):
     """Held more stiffly than steps of the whole know it would go to and fro: frames tell where their number is odd."""
-    rest, dressed = sleeve(material, creased=False)
-    leash = LEASH_N_M3 * dressed.cloth.vertex_area
-    constants = Constants.of(replace(dressed, band_n_per_m=dressed.band_n_per_m + leash))
-    one, found, memory = without_body(flattened(frame(rest, 0, noise_m=0.001), 0.05)), [], None
-    for number in range(40):
-        x, memory, _ = fold(constants, memory, replace(one, time_s=number / 30.0), replace(HELD, sweeps=steps))
-        found.append(x)
+    rest, worn = sleeve(material, creased=False)
+    leash = LEASH_N_M3 * worn.cloth.vertex_area
+    made = FoldConstants.of(replace(worn, band_n_per_m=worn.band_n_per_m + leash))
+    one = without_body(flattened(frame(rest, 0, noise_m=0.001), 0.05))
+    found = [x for x, _, _ in folded(made, held_for(one, 40), replace(HELD, steps=steps))]
     assert np.linalg.norm(np.diff(found[-4:], axis=0), axis=-1).max() < 1e-3
 
 
 def test_the_force_of_what_holds_is_the_slope_of_its_energy(rng):
-    rest, dressed = sleeve(creased=False)
-    made = problem(dressed.cloth, dressed.material, dtype=np.float64)
-    one = flattened(frame(rest, 0), 0.08)
-    nowhere = Touched(dressed.index, np.full_like(dressed.index, -1))
-    around = reference.touching(made, dressed, one.vertices, one.skin, nowhere).own
-    held, slack = reference.held_within(reference.room(one.vertices, dressed.cloth), dressed.band_n_per_m, made)
+    rest, worn = sleeve(creased=False)
+    made, one = problem(worn.cloth, worn.material, dtype=np.float64), flattened(frame(rest, 0), 0.08)
+    nowhere = TouchedSamples(worn.index, np.full_like(worn.index, -1))
+    around = reference.touching(made, worn, one.vertices, one.skin, nowhere).own
+    held, slack = reference.held_within(reference.room(one.vertices, worn.cloth), worn.band_n_per_m, made)
     assert slack.min() < 1.01 * LEAST_M and held.max() > 2.0 * made.contact_n_per_m.max()
     around = around._replace(band=one.vertices, band_n_per_m=held)
     loose = made._replace(constants=made.constants._replace(slack=slack))

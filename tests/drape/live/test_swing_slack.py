@@ -7,19 +7,16 @@ from numpy.testing import assert_allclose
 
 from drape.cloth.energies import ClothMesh
 from drape.live.swing_slack import LEAST, LOOSE, TIGHT, held_share, rings
+from tests.drape.cloth import cloth_shapes
 
 AROUND, HIGH = 48, 21
 
 
 def tube(top_m: float, hem_m: float, x: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Vertices [m] and faces of a tube from y = 0, of radius ``top_m``, to y = -0.6, of radius ``hem_m``, around x."""
-    turn, down = np.meshgrid(2.0 * np.pi * np.arange(AROUND) / AROUND, np.linspace(0.0, 1.0, HIGH))
-    radius = top_m + down * (hem_m - top_m)
-    vertices = np.stack([x + radius * np.cos(turn), -0.6 * down, radius * np.sin(turn)], axis=-1).reshape(-1, 3)
-    row, i = np.meshgrid(np.arange(HIGH - 1) * AROUND, np.arange(AROUND), indexing="ij")
-    a, b = (row + i).reshape(-1), (row + (i + 1) % AROUND).reshape(-1)
-    faces = np.concatenate([np.stack([a, b, a + AROUND], axis=1), np.stack([b, b + AROUND, a + AROUND], axis=1)])
-    return vertices, faces
+    vertices, faces = cloth_shapes.tube(AROUND, HIGH - 1, radius_m=1.0, height_m=-0.6)
+    radius = top_m - vertices[:, 1:2] / 0.6 * (hem_m - top_m)
+    return vertices * np.concatenate([radius, np.ones_like(radius), radius], axis=1) + [x, 0.0, 0.0], faces[:, ::-1]
 
 
 def limbs(*x: float) -> np.ndarray:

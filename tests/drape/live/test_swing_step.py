@@ -9,8 +9,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import jn_zeros
 
+from drape.live.clock import CUT_M, PAUSE_S
 from drape.live.swing_mesh import SwingMesh
-from drape.live.swing_step import CUT_M, PAUSE_S, STILL_S, Constants, Memory, swing
+from drape.live.swing_step import STILL_S, SwingConstants, SwingMemory, swing
 from tests.drape.live.swing_setup import LENGTH_M, constants, frame, hanging
 from tests.reference.swing import pull_matrix
 
@@ -18,12 +19,12 @@ STILL = np.zeros(3)
 
 
 @pytest.fixture(scope="module")
-def scene() -> tuple[np.ndarray, Constants]:
+def scene() -> tuple[np.ndarray, SwingConstants]:
     rest, mesh = hanging()
     return rest, constants(mesh)
 
 
-def pushed(made: Constants, rest: np.ndarray, *, way_m: float = 0.01, fps: float = 120.0) -> Memory:
+def pushed(made: SwingConstants, rest: np.ndarray, *, way_m: float = 0.01, fps: float = 120.0) -> SwingMemory:
     """What is remembered of a strip after its upper edge was moved along z for a tenth of a second, and stood."""
     memory = None
     for i in range(int(0.1 * fps) + 1):
@@ -53,7 +54,7 @@ def test_a_strip_swings_as_a_hanging_string(length_m: float):
     assert_allclose(period_s, 4.0 * np.pi / jn_zeros(0, 1)[0] * np.sqrt(length_m / 9.81), rtol=0.08)
 
 
-def _awake(memory: Memory) -> Memory:
+def _awake(memory: SwingMemory) -> SwingMemory:
     """``memory`` of a body that has just moved: one that stands slows its cloth."""
     return replace(memory, still_since_s=memory.time_s)
 
@@ -69,14 +70,14 @@ def test_energy_never_grows_on_a_still_body():
     assert energies[-1] < energies[0]
 
 
-def _energy(mesh: SwingMesh, memory: Memory) -> float:
+def _energy(mesh: SwingMesh, memory: SwingMemory) -> float:
     """Kinetic and of the weight [J], while cloth keeps its length."""
     u, free = memory.swung - memory.network, mesh.order
     kinetic = 0.5 * float((mesh.mass_kg[free, None] * memory.speed[free] ** 2).sum())
     return kinetic + 0.5 * float(np.einsum("ia,ij,ja->", u, pull_matrix(mesh), u))
 
 
-def test_every_bit_is_still_after_two_seconds(scene: tuple[np.ndarray, Constants]):
+def test_every_bit_is_still_after_two_seconds(scene: tuple[np.ndarray, SwingConstants]):
     rest, made = scene
     made = replace(made, damping_per_s=1.8)  # jersey's
     memory = pushed(made, rest, way_m=0.05, fps=30.0)
@@ -89,7 +90,7 @@ def test_every_bit_is_still_after_two_seconds(scene: tuple[np.ndarray, Constants
     assert swung[round(STILL_S * 30.0) - 2] < 1.0, "and was at rest before that [mm]"
 
 
-def test_a_body_that_glides_drags_its_cloth_and_a_share_is_a_share(scene: tuple[np.ndarray, Constants]):
+def test_a_body_that_glides_drags_its_cloth_and_a_share_is_a_share(scene: tuple[np.ndarray, SwingConstants]):
     rest, made = scene
     memory, behind, half = None, rest, rest
     for i in range(12):
@@ -105,7 +106,7 @@ def test_a_body_that_glides_drags_its_cloth_and_a_share_is_a_share(scene: tuple[
     assert_allclose(behind[held], rest[held], atol=1e-3)
 
 
-def test_the_same_input_gives_the_same_bits(scene: tuple[np.ndarray, Constants]):
+def test_the_same_input_gives_the_same_bits(scene: tuple[np.ndarray, SwingConstants]):
     rest, made = scene
     memory = pushed(made, rest, fps=30.0)
     kept = {name: np.copy(value) for name, value in vars(memory).items()}
@@ -116,11 +117,11 @@ def test_the_same_input_gives_the_same_bits(scene: tuple[np.ndarray, Constants])
     assert after.time_s == 0.2
 
 
-@pytest.mark.parametrize("case", ["pause", "back", "cut", "nan"])
-def test_what_leads_nowhere_hangs_still(scene: tuple[np.ndarray, Constants], case: str):
+@pytest.mark.parametrize("case", ["pause", "back", "again", "cut", "nan"])
+def test_what_leads_nowhere_hangs_still(scene: tuple[np.ndarray, SwingConstants], case: str):
     rest, made = scene
     memory = pushed(made, rest, fps=30.0)
-    time_s = memory.time_s + {"pause": 1.01 * PAUSE_S, "back": -0.01}.get(case, 1.0 / 30.0)
+    time_s = memory.time_s + {"pause": 1.01 * PAUSE_S, "back": -0.01, "again": 0.0}.get(case, 1.0 / 30.0)
     there = rest + np.float32(1.01 * CUT_M) if case == "cut" else rest
     if case == "nan":
         memory = replace(memory, speed=np.full_like(memory.speed, np.nan))

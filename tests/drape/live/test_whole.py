@@ -11,38 +11,35 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.cloth.energies import ClothMesh, membrane
 from drape.cloth.rest_state import flat
 from drape.kernels.problem import problem
-from drape.live.fold_constants import Constants, Dressed
+from drape.live.fold_constants import WornCloth
 from drape.live.sheet import LANES
-from drape.live.sweeps import PLANES, SCRATCH, gradient_at, leash
+from drape.live.sweeps import SCRATCH, gradient_at, leash
 from drape.live.whole import CLAMP_M, SPRING, solve, stiffness, whole_step
 from tests.drape.cloth.cloth_shapes import grid
 from tests.drape.kernels.solver_setup import MATERIALS
-from tests.drape.live.folds_setup import sleeve
-
-DTYPES = [np.float32, np.float64]
+from tests.drape.live.folds_setup import constants, planes_of, sleeve
 
 
 @pytest.fixture(scope="module")
-def dressed() -> Dressed:
-    return sleeve("rib", creased=False)[1]
+def worn() -> WornCloth:
+    return sleeve(creased=False)[1]
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
-def test_the_factor_solves_what_the_matrix_says(rng, dressed, dtype):
-    constants = Constants.of(dressed, dtype=dtype)
-    level, place = constants.level, constants.sheet.place
-    force = rng.normal(size=(len(place), 3))
-    y = np.zeros((len(constants.sheet.vertex), 3))
-    y[place] = force
-    y = y[level.place].astype(dtype)
-    solve(level, y)
-    found = np.zeros((len(constants.sheet.vertex), 3))
-    found[level.place] = y
-    matrix = stiffness(dressed.cloth, dressed.material, dressed.springs_n_per_m)
-    wanted = np.linalg.solve(matrix.toarray(), force)
-    assert_allclose(
-        found[place], wanted, rtol=0.0, atol=(1e-5 if dtype == np.float32 else 1e-13) * np.abs(wanted).max()
-    )
+def matrix_of(worn: WornCloth) -> np.ndarray:
+    return stiffness(worn.cloth, worn.material, worn.springs_n_per_m).toarray()
+
+
+@pytest.mark.parametrize(("dtype", "within"), [(np.float32, 1e-5), (np.float64, 1e-13)])
+def test_the_factor_solves_what_the_matrix_says(rng, worn, dtype, within):
+    made = constants(creased=False, dtype=dtype)
+    factor, place = made.factor, made.sheet.place
+    force, found = rng.normal(size=(len(place), 3)), np.zeros((len(made.sheet.vertex), 3))
+    found[place] = force
+    y = found[factor.place].astype(dtype)
+    solve(factor, y)
+    found[factor.place] = y
+    wanted = np.linalg.solve(matrix_of(worn), force)
+    assert_allclose(found[place], wanted, rtol=0.0, atol=within * np.abs(wanted).max())
 
 
 def test_a_stretch_costs_what_the_matrix_says_less_the_shear():
@@ -64,54 +61,47 @@ def test_a_stretch_costs_what_the_matrix_says_less_the_shear():
         assert_allclose(membrane(vertices + way, cloth, material), 0.5 * own * strain**2 * area, rtol=1e-4)
 
 
-def test_a_vertex_without_area_has_no_springs(dressed):
-    area = dressed.cloth.vertex_area.copy()
+def test_a_vertex_without_area_has_no_springs(worn):
+    area = worn.cloth.vertex_area.copy()
     area[3] = 0.0
-    band = np.where(area > 0.0, dressed.band_n_per_m, 0.0)
-    springs = replace(dressed, cloth=replace(dressed.cloth, vertex_area=area), band_n_per_m=band).springs_n_per_m
+    band = np.where(area > 0.0, worn.band_n_per_m, 0.0)
+    springs = replace(worn, cloth=replace(worn.cloth, vertex_area=area), band_n_per_m=band).springs_n_per_m
     assert springs[3] == 0.0 and np.isfinite(springs).all()
 
 
-def pressed(dressed: Dressed, depth_m: float, *, dtype: type[np.floating] = np.float64, factor: float = 1.0):
+def pressed(depth_m: float, *, dtype: type[np.floating] = np.float64, factor: float = 1.0):
     """How far [m] (V, 3) a step moves a sleeve without weight that is ``depth_m`` [m] too deep in planes."""
-    constants = Constants.of(dressed, dtype=dtype)
-    sheet = constants.sheet
-    own = sheet.own.reshape(-1, 4, LANES).copy()
+    made = constants(creased=False, dtype=dtype)
+    own = made.sheet.own.reshape(-1, 4, LANES).copy()
     own[:, 0] = 0.0
-    sheet = sheet._replace(own=own.reshape(-1))
+    sheet = made.sheet._replace(own=own.reshape(-1))
     x = np.zeros((len(sheet.vertex), 3), dtype)
-    x[sheet.place] = sleeve("rib", creased=False)[0]
-    up = np.tile(np.array([0.0, 0.0, 1.0], dtype), (len(x), 1))
-    point = x + dtype(depth_m - 0.004) * up  # contact begins at a gap of 4 mm
-    # No other part is near, nothing holds or rubs.
-    blocks = [rows.reshape(-1, LANES, rows.shape[1]) for rows in (point, up, *4 * [0.0 * up])]
-    planes = np.ascontiguousarray(np.concatenate(blocks, axis=2).transpose(0, 2, 1)).reshape(-1)
-    assert len(planes) == PLANES // LANES * len(x)
+    x[sheet.place] = sleeve(creased=False)[0]
+    up = np.array([0.0, 0.0, 1.0], dtype)
+    planes = planes_of(x + dtype(depth_m - 0.004) * up, up)  # contact begins at a gap of 4 mm
     leash(sheet, planes)
     gradient = np.empty_like(x)
     gradient_at(x, sheet, planes, x.copy(), np.empty(SCRATCH, dtype), gradient)
     before = x.copy()
-    level = constants.level._replace(inverse=constants.level.inverse * dtype(factor))
-    whole_step(x, level, gradient, dtype(0.5))
+    whole_step(x, made.factor._replace(inverse=made.factor.inverse * dtype(factor)), gradient, dtype(0.5))
     return (x - before)[sheet.place], gradient[sheet.place]
 
 
-@pytest.mark.parametrize("dtype", DTYPES)
-def test_a_step_takes_a_share_of_the_answer(dressed, dtype):
-    moved, gradient = pressed(dressed, 1e-5, dtype=dtype)
+# The sleeve is 0.1 m long: in float32 a place is known to 1e-8 m.
+@pytest.mark.parametrize(("dtype", "within"), [(np.float32, 2e-8), (np.float64, 1e-14)])
+def test_a_step_takes_a_share_of_the_answer(worn, dtype, within):
+    moved, gradient = pressed(1e-5, dtype=dtype)
     assert moved.dtype == dtype
-    matrix = stiffness(dressed.cloth, dressed.material, dressed.springs_n_per_m).toarray()
-    wanted = -0.5 * np.linalg.solve(matrix, gradient.astype(np.float64))
+    wanted = -0.5 * np.linalg.solve(matrix_of(worn), gradient.astype(np.float64))
     assert wanted[:, 2].min() > 0.0, "it lifts what is pressed"
-    # The sleeve is 0.1 m long, in float32 a place is known to 1e-8 m.
-    assert_allclose(moved, wanted, rtol=0.0, atol=2e-8 if dtype == np.float32 else 1e-14)
+    assert_allclose(moved, wanted, rtol=0.0, atol=within)
 
 
-def test_a_step_is_clamped(dressed):
-    moved, _ = pressed(dressed, 0.5)
+def test_a_step_is_clamped():
+    moved, _ = pressed(0.5)
     assert_allclose(np.linalg.norm(moved, axis=1).max(), 0.5 * CLAMP_M, rtol=1e-9)
 
 
 @pytest.mark.parametrize("factor", [np.nan, np.inf])
-def test_an_answer_that_is_no_number_moves_nothing(dressed, factor):
-    assert_array_equal(pressed(dressed, 0.002, factor=factor)[0], 0.0)
+def test_an_answer_that_is_no_number_moves_nothing(factor):
+    assert_array_equal(pressed(0.002, factor=factor)[0], 0.0)

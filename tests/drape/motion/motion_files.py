@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from drape.motion.skeleton import CANONICAL_JOINTS, JOINT_NAMES, PARENTS
+from drape.body.skeleton import JOINT_NAMES, PARENTS
+from drape.motion.t_pose import CANONICAL_JOINTS
 
 # The 22 joints that motion capture has; every scheme names them in this order.
 BODY = JOINT_NAMES[:22]

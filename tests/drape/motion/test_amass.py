@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from drape.body.skeleton import PARENTS
 from drape.errors import MotionError
 from drape.geometry.rigid import forward_kinematics
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.motion import amass
 from drape.motion.amass import Y_FROM_Z, read_amass
 from drape.motion.readers import read_motion
-from drape.motion.skeleton import CANONICAL_JOINTS, JOINT_INDEX, PARENTS
+from drape.motion.t_pose import CANONICAL_JOINTS, JOINT_INDEX
 
 EXACT = 1e-12
 

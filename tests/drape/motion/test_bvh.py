@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from drape.body.skeleton import PARENTS
 from drape.errors import MotionError
 from drape.geometry.rigid import forward_kinematics
 from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix
@@ -13,7 +14,7 @@ from drape.motion.bvh import read_bvh
 from drape.motion.readers import read_motion
 from drape.motion.retarget import global_rotations
 from drape.motion.samples import walk
-from drape.motion.skeleton import BONE_CHILD, BONE_DIRECTIONS, PARENTS
+from drape.motion.t_pose import BONE_CHILD, BONE_DIRECTIONS
 from tests.drape.motion.motion_files import BODY, BODY_PARENTS, SCHEMES, scheme_names, t_pose_offsets, write_bvh
 
 # Files hold nine decimals of degrees and of the unit of length.
@@ -29,6 +30,19 @@ def local(rng):
 @pytest.fixture
 def root(rng):
     return rng.normal(size=(5, 3))
+
+
+@pytest.fixture
+def wrote(local, root, tmp_path):
+    """Writes ``local`` and ``root``, with LAFAN's names and a T-pose at rest, or what is given instead."""
+
+    def write(*, names=None, parents=BODY_PARENTS, offsets=None, turns=None, places=None, **more):
+        names = scheme_names("lafan") if names is None else names
+        offsets = t_pose_offsets() if offsets is None else offsets
+        turns, places = local if turns is None else turns, root if places is None else places
+        return write_bvh(tmp_path / "clip.bvh", names, parents, offsets, turns, places, **more)
+
+    return write
 
 
 def read_globals(clip):
@@ -56,9 +70,8 @@ def _joints():
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_rotations_come_back_under_every_naming_scheme(scheme, local, root, tmp_path):
-    path = write_bvh(tmp_path / "clip.bvh", scheme_names(scheme), BODY_PARENTS, t_pose_offsets(), local, root)
-    clip = read_motion(path)
+def test_rotations_come_back_under_every_naming_scheme(scheme, local, root, wrote):
+    clip = read_motion(wrote(names=scheme_names(scheme)))
     assert_allclose(rotvec_to_matrix(clip.poses[:, :22]), local, rtol=0.0, atol=WRITTEN)
     assert_allclose(clip.poses[:, 22:], np.zeros((5, 2, 3)), rtol=0.0, atol=WRITTEN)
     assert_allclose(clip.trans, root, rtol=0.0, atol=WRITTEN)
@@ -68,33 +81,21 @@ def test_rotations_come_back_under_every_naming_scheme(scheme, local, root, tmp_
 
 @pytest.mark.parametrize("order", ["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX"])
 @pytest.mark.parametrize("positions_last", [False, True])
-def test_channels_may_come_in_any_order(order, positions_last, local, root, tmp_path):
-    path = write_bvh(
-        tmp_path / "clip.bvh",
-        scheme_names("lafan"),
-        BODY_PARENTS,
-        t_pose_offsets(),
-        local,
-        root,
-        order=order,
-        positions_last=positions_last,
-    )
-    clip = read_bvh(path)
+def test_channels_may_come_in_any_order(order, positions_last, local, root, wrote):
+    clip = read_bvh(wrote(order=order, positions_last=positions_last))
     assert_allclose(rotvec_to_matrix(clip.poses[:, :22]), local, rtol=0.0, atol=WRITTEN)
     assert_allclose(clip.trans, root, rtol=0.0, atol=WRITTEN)
 
 
 @pytest.mark.parametrize("unit", [1.0, 0.01, 0.001, 0.0254, 0.0254 / 0.45])
-def test_unit_is_guessed_from_the_legs(unit, local, root, tmp_path):
-    path = write_bvh(
-        tmp_path / "clip.bvh", scheme_names("mixamo"), BODY_PARENTS, t_pose_offsets() / unit, local, root / unit
-    )
+def test_unit_is_guessed_from_the_legs(unit, root, wrote):
+    path = wrote(offsets=t_pose_offsets() / unit, places=root / unit)
     assert_allclose(read_bvh(path).trans, root, rtol=0.0, atol=WRITTEN)
     assert_allclose(read_bvh(path, metres_per_unit=unit * 1.1).trans, 1.1 * root, rtol=0.0, atol=WRITTEN)
 
 
-def test_unit_that_fits_no_person_is_refused(local, root, tmp_path):
-    path = write_bvh(tmp_path / "ant.bvh", scheme_names("mixamo"), BODY_PARENTS, 1e-5 * t_pose_offsets(), local, root)
+def test_unit_that_fits_no_person_is_refused(wrote):
+    path = wrote(offsets=1e-5 * t_pose_offsets())
     with pytest.raises(MotionError, match="metres_per_unit"):
         read_bvh(path)
     with pytest.raises(MotionError, match="legs of"):
@@ -114,21 +115,17 @@ def a_pose():
 
 
 @pytest.mark.parametrize("turn", [[0.0, 0.0, 0.0], [0.0, 1.3, 0.0], [np.pi / 2, 0.0, 0.0], [0.4, -2.0, 1.1]])
-def test_rotations_come_back_from_an_a_pose_in_any_direction(turn, local, root, tmp_path):
+def test_rotations_come_back_from_an_a_pose_in_any_direction(turn, local, wrote):
     rest = a_pose()
     rest[0] = rotvec_to_matrix(np.array(turn))
     offsets, told = reposed(local, rest)
-    clip = read_bvh(write_bvh(tmp_path / "a.bvh", scheme_names("lafan"), BODY_PARENTS, offsets, told, root))
+    clip = read_bvh(wrote(offsets=offsets, turns=told))
     assert_allclose(rotvec_to_matrix(clip.poses[:, :22]), local, rtol=0.0, atol=WRITTEN)
 
 
-def test_bone_directions_are_the_files_for_a_bent_rest_pose(local, root, rng, tmp_path):
+def test_bone_directions_are_the_files_for_a_bent_rest_pose(local, rng, wrote):
     offsets, told = reposed(local, rotvec_to_matrix(0.4 * rng.normal(size=(22, 3))))
-    clip = read_bvh(write_bvh(tmp_path / "bent.bvh", scheme_names("lafan"), BODY_PARENTS, offsets, told, root))
-    assert_bones_agree(read_globals(clip), global_rotations(local, BODY_PARENTS))
-
-
-def assert_bones_agree(got, want):
+    got, want = read_globals(read_bvh(wrote(offsets=offsets, turns=told))), global_rotations(local, BODY_PARENTS)
     for name, child in BONE_CHILD.items():
         # The pelvis follows the line of the hips; a foot, the heading.
         if child in BODY and name != "pelvis" and not name.endswith("ankle"):
@@ -159,11 +156,11 @@ def folded(rng):
     return relative
 
 
-def test_folded_rest_pose_gives_exact_bones_and_natural_twists(rng, tmp_path):
+def test_folded_rest_pose_gives_exact_bones_and_natural_twists(rng, wrote):
     clip = walk()
     local = rotvec_to_matrix(clip.poses[:132:4, :22])
     offsets, told = reposed(local, folded(rng))
-    path = write_bvh(tmp_path / "lafan.bvh", scheme_names("lafan"), BODY_PARENTS, offsets, told, clip.trans[:132:4])
+    path = wrote(offsets=offsets, turns=told, places=clip.trans[:132:4])
     got, want = read_globals(read_bvh(path)), global_rotations(local, BODY_PARENTS)
     for name in ("left_hip", "right_knee", "left_shoulder", "right_elbow", "spine2"):
         joint, bone = BODY.index(name), np.array(BONE_DIRECTIONS[name])
@@ -173,8 +170,8 @@ def test_folded_rest_pose_gives_exact_bones_and_natural_twists(rng, tmp_path):
     assert error.max() < 0.1
 
 
-def test_z_up_file_is_turned(local, root, tmp_path):
-    path = write_bvh(tmp_path / "z.bvh", scheme_names("lafan"), BODY_PARENTS, t_pose_offsets(), local, root)
+def test_z_up_file_is_turned(local, root, wrote):
+    path = wrote()
     clip = read_bvh(path, up="z")
     assert_allclose(rotvec_to_matrix(clip.poses[:, 0]), Y_FROM_Z @ local[:, 0], rtol=0.0, atol=WRITTEN)
     assert_allclose(rotvec_to_matrix(clip.poses[:, 1:22]), local[:, 1:], rtol=0.0, atol=WRITTEN)
@@ -183,20 +180,20 @@ def test_z_up_file_is_turned(local, root, tmp_path):
         read_bvh(path, up="x")
 
 
-def test_joint_above_the_pelvis_carries_it(local, root, tmp_path):
+def test_joint_above_the_pelvis_carries_it(local, root, wrote):
     names = ["reference", *scheme_names("lafan")]
     parents = (-1, *(parent + 1 for parent in BODY_PARENTS))
     offsets = np.concatenate([np.zeros((1, 3)), t_pose_offsets()])
     offsets[1] = 0.1, 0.2, 0.3
     turns = np.concatenate([local[:, 3:4], local], axis=1)
-    clip = read_bvh(write_bvh(tmp_path / "ref.bvh", names, parents, offsets, turns, root))
+    clip = read_bvh(wrote(names=names, parents=parents, offsets=offsets, turns=turns))
     assert_allclose(rotvec_to_matrix(clip.poses[:, 0]), turns[:, 0] @ local[:, 0], rtol=0.0, atol=WRITTEN)
     assert_allclose(rotvec_to_matrix(clip.poses[:, 1:22]), local[:, 1:], rtol=0.0, atol=WRITTEN)
     assert_allclose(clip.trans, root + (turns[:, 0] @ offsets[1][:, None])[..., 0], rtol=0.0, atol=WRITTEN)
 
 
 @pytest.mark.parametrize("trunk", [1, 2, 4, 6])
-def test_trunk_of_any_number_of_joints_carries_the_shoulders(trunk, rng, tmp_path):
+def test_trunk_of_any_number_of_joints_carries_the_shoulders(trunk, rng, wrote):
     names, parents, offsets = ["Hips"], [-1], [np.zeros(3)]
     for k in range(trunk):
         names.append(f"Spine{k}")
@@ -210,7 +207,7 @@ def test_trunk_of_any_number_of_joints_carries_the_shoulders(trunk, rng, tmp_pat
             parents.append(trunk if parent == "spine3" else names.index(scheme_names("lafan")[BODY.index(parent)]))
             offsets.append(t_pose_offsets()[joint])
     turns = rotvec_to_matrix(0.4 * rng.normal(size=(3, len(names), 3)))
-    path = write_bvh(tmp_path / "trunk.bvh", names, tuple(parents), np.array(offsets), turns, np.zeros((3, 3)))
+    path = wrote(names=names, parents=tuple(parents), offsets=np.array(offsets), turns=turns, places=np.zeros((3, 3)))
     got, want = read_globals(read_bvh(path)), global_rotations(turns, tuple(parents))
     for smpl, name in (("spine3", f"Spine{trunk - 1}"), ("left_shoulder", "LeftArm"), ("head", "Head")):
         joint = {"spine3": 9, "left_shoulder": 16, "head": 15}[smpl]
@@ -218,9 +215,8 @@ def test_trunk_of_any_number_of_joints_carries_the_shoulders(trunk, rng, tmp_pat
 
 
 @pytest.fixture
-def whole(local, root, tmp_path):
-    path = write_bvh(tmp_path / "whole.bvh", scheme_names("lafan"), BODY_PARENTS, t_pose_offsets(), local, root)
-    return path.read_text()
+def whole(wrote):
+    return wrote().read_text()
 
 
 def refusal_of(tmp_path, content):
@@ -285,22 +281,21 @@ def test_too_few_joints_are_refused(whole, tmp_path):
     assert "no left_knee" in refusal_of(tmp_path, whole.replace("LeftLeg", "LeftSomething"))
 
 
-def test_trunk_without_joints_is_refused(tmp_path):
+def test_trunk_without_joints_is_refused(wrote):
     joints = [joint for joint in range(22) if not BODY[joint].startswith("spine")]
     names = [scheme_names("lafan")[joint] for joint in joints]
     parents = tuple(joints.index(BODY_PARENTS[j]) if BODY_PARENTS[j] in joints else min(j, 1) - 1 for j in joints)
     still = np.tile(np.eye(3), (1, len(joints), 1, 1))
-    path = write_bvh(tmp_path / "f.bvh", names, parents, t_pose_offsets()[joints], still, np.zeros((1, 3)))
+    path = wrote(names=names, parents=parents, offsets=t_pose_offsets()[joints], turns=still, places=np.zeros((1, 3)))
     with pytest.raises(MotionError, match="between the pelvis and the arms"):
         read_bvh(path)
 
 
-def test_rest_pose_without_extent_is_refused(local, root, tmp_path):
+def test_rest_pose_without_extent_is_refused(wrote):
     offsets = t_pose_offsets()
     offsets[[1, 2]] = 0.0
-    path = write_bvh(tmp_path / "flat.bvh", scheme_names("lafan"), BODY_PARENTS, offsets, local, root)
     with pytest.raises(MotionError, match="hips beside a trunk"):
-        read_bvh(path)
+        read_bvh(wrote(offsets=offsets))
 
 
 def test_bounds_hold(whole, tmp_path, monkeypatch):

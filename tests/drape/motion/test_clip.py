@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from drape.body.skeleton import JOINT_COUNT
 from drape.errors import MotionError
 from drape.geometry.rotations import quaternion_multiply, quaternion_to_rotvec, rotvec_to_matrix, rotvec_to_quaternion
 from drape.motion.amass import read_amass
 from drape.motion.clip import MotionClip, clean_windows, flagged_steps, joint_steps
-from drape.motion.skeleton import JOINT_COUNT
 
 EXACT = 1e-12
 

@@ -9,7 +9,7 @@ from drape.errors import MotionError
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.motion.grounding import placed_on_ground, sole_heights
 from drape.motion.samples import SAMPLES, walk
-from drape.motion.skeleton import CANONICAL_FLOOR, CANONICAL_JOINTS
+from drape.motion.t_pose import CANONICAL_FLOOR, CANONICAL_JOINTS
 
 EXACT = 1e-12
 # Skin under the soles bends where the points of the test skeleton do not.

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from drape.body.skeleton import PARENTS
 from drape.geometry.rigid import forward_kinematics
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.motion.clip import flagged_steps, joint_steps
@@ -13,7 +14,7 @@ from drape.motion.grounding import sole_heights
 from drape.motion.legs import leg_rotations
 from drape.motion.readers import read_motion
 from drape.motion.samples import SAMPLES, main
-from drape.motion.skeleton import CANONICAL_FLOOR, CANONICAL_JOINTS, JOINT_INDEX, PARENTS
+from drape.motion.t_pose import CANONICAL_FLOOR, CANONICAL_JOINTS, JOINT_INDEX
 
 SHIPPED = Path(__file__).resolve().parents[3] / "assets" / "motions"
 GROUND_TOLERANCE = 1e-9  # feet are placed by closed forms

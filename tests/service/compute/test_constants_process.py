@@ -20,7 +20,7 @@ from numpy.testing import assert_array_equal
 from drape.body.model import BodyModel
 from drape.errors import DrapeError
 from drape.garment.cache import Garment, load_garment
-from drape.live.fold_constants import constants
+from drape.live.fold_constants import fold_constants
 from drape.wire.options import DrapeOptions
 from service.compute.background import NICE, thread_steps_back
 from service.compute.constants_process import ConstantsProcess, receive, send
@@ -51,8 +51,8 @@ def test_where_it_is_not_wanted_calls_are_made_here():
 def test_kernels_take_constants_of_the_workshop_as_their_own(
     constants_process: ConstantsProcess, tube: Garment, body: BodyModel
 ):
-    here, there = constants(tube, body), constants_process.call(constants, tube, body)
-    for name in ("sheet", "level", "graph", "index", "near"):
+    here, there = fold_constants(tube, body), constants_process.call(fold_constants, tube, body)
+    for name in here._fields:
         one, other = getattr(here, name), getattr(there, name)
         assert numba.typeof(one) == numba.typeof(other), "another type would be compiled in a frame"
         for a, b in zip(_arrays(one), _arrays(other), strict=True):

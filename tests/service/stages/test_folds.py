@@ -140,7 +140,7 @@ def test_cloth_feels_cloth_where_that_is_asked_for(outfit_settings: Settings, mo
     def never(*_: object) -> None:
         raise AssertionError("asked for nothing")
 
-    monkeypatch.setattr(folds_stage, "covered", never)
+    monkeypatch.setattr(folds_stage, "heights_over", never)
     assert_array_equal(run(off, [CLIP]).vertices, apart)
     runtime.close()
 

@@ -13,7 +13,7 @@ from drape.body.model import BodyModel
 from drape.catalog import find_garments, open_garment
 from drape.cloth.fabric_table import fabric
 from drape.errors import InputError
-from drape.live.swing_constants import constants
+from drape.live.swing_constants import swing_constants
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.replicas.memory_codec import decoded, encoded
@@ -105,9 +105,9 @@ def test_a_garment_that_is_gone_leaves_nothing(runtime: DrapeRuntime):
 
 def test_a_fabric_has_its_mass_and_stiffness(body: BodyModel):
     skirt = open_garment(find_garments(["skirt"])[0], body)
-    made = constants(skirt, body, fabric("denim"))
+    made = swing_constants(skirt, body, fabric("denim"))
     assert made is not None
-    light = constants(skirt, body, fabric("chiffon"))
+    light = swing_constants(skirt, body, fabric("chiffon"))
     assert light is not None
     assert made.young_n_per_m == light.young_n_per_m == 300.0
     assert_allclose(made.mesh.mass_kg / light.mesh.mass_kg, 0.407 / 0.06, rtol=1e-3)

@@ -13,9 +13,10 @@ from drape.errors import MeshError, NotFound
 from drape.files.formats import sniff
 from drape.garment.files import mesh
 from drape.garment.files.mesh import read_mesh
-from tests.drape.garment.garment_files import glb_bytes, obj_text, ply_bytes, stl_bytes, tube_faces
+from tests.drape.cloth.cloth_shapes import tube
+from tests.drape.garment.garment_files import glb_bytes, obj_text, ply_bytes, stl_bytes
 
-FACES = tube_faces(4, 10)
+FACES = tube(10, 3)[1]
 
 
 @pytest.fixture

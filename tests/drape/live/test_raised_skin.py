@@ -11,12 +11,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.contact.samples import sample_table
-from drape.live.fold_constants import Constants
-from drape.live.fold_step import Effort, fold
-from drape.live.layers import HIGHEST_M, covered, raised
+from drape.live.fold_step import fold
+from drape.live.raised_skin import HIGHEST_M, heights_over, raised
 from drape.live.sheet import sheet
 from drape.live.skin_contact import NEIGHBOURS, SkinGraph
-from tests.drape.live.folds_setup import EASE_M, RADIUS_M, frame, sleeve
+from tests.drape.live.folds_setup import EASE_M, HELD, RADIUS_M, constants, frame, sleeve
 
 SPACING_M = 0.02
 
@@ -46,7 +45,7 @@ def heights(
     cloth = ClothMesh.from_rest(flakes(np.zeros((count, 3))), faces[:, ::-1] if flipped else faces)
     made = sheet(cloth, Material(), np.zeros(3 * count), dtype=np.float64)
     sample = np.repeat(own, 3 * count // np.size(own)).astype(np.int32)
-    return covered(vertices, made, sample[made.vertex], skin, graph)
+    return heights_over(vertices, made, sample[made.vertex], skin, graph)
 
 
 def test_a_sample_is_raised_to_the_highest_cloth_over_it():
@@ -106,16 +105,14 @@ def test_raised_samples_are_a_table_of_samples_again(rng):
 
 
 def test_an_outer_sleeve_rests_on_an_inner_one():
-    rest, dressed = sleeve(creased=False)
-    made, effort = Constants.of(dressed), Effort(sweeps=2, settle=2, cloth_contact=True)
+    rest, made = sleeve(creased=False)[0], constants(creased=False)
     one = frame(rest, 0, noise_m=0.0)
     skin = one.skin.astype(np.float32)
-    inner, memory, _ = fold(made, None, replace(one, skin=skin), effort)
-    ground = raised(skin, covered(inner, made.sheet, memory.touched.own, skin, made.graph))
-    outer, _, _ = fold(made, None, replace(one, skin=ground), effort)
+    inner, memory, _ = fold(made, None, replace(one, skin=skin), HELD)
+    ground = raised(skin, heights_over(inner, made.sheet, memory.touched.own, skin, made.graph))
+    outer, _, _ = fold(made, None, replace(one, skin=ground), HELD)
     radius = [np.linalg.norm(x[:, [0, 2]], axis=1) for x in (inner, outer)]
-    free = (
-        (rest[:, 1] > 0.02) & (rest[:, 1] < 0.09) & (inner[:, 0] < 0.5 * RADIUS_M)
-    )  # not at the rims, nor at the wall
+    # Neither at the rims nor at the wall.
+    free = (rest[:, 1] > 0.02) & (rest[:, 1] < 0.09) & (inner[:, 0] < 0.5 * RADIUS_M)
     assert (radius[1] - radius[0])[free].mean() > 0.002 and radius[0][free].mean() < RADIUS_M + EASE_M + 0.002
-    assert_array_equal(outer, fold(made, None, replace(one, skin=ground), effort)[0])
+    assert_array_equal(outer, fold(made, None, replace(one, skin=ground), HELD)[0])

@@ -1,8 +1,10 @@
-"""Distance to a posed body without steps: the tangent planes of its vertices, blended (implicit moving least squares).
+"""A distance to a posed body that has no steps: the tangent planes of its vertices, blended.
 
-d(x) = sum w_i n_i . (x - b_i) / sum w_i over the body vertices b_i with normals n_i, w_i = exp(-|x - b_i|^2 / h^2)
-(Kolluri 2008, "Provably good moving least squares", ACM Trans. Algorithms 4(2)). The smaller h, the nearer to the plane
-of the nearest body vertex (``drape.cloth.contact``), which steps where a point comes nearer to another one.
+    d(x) = sum w_i n_i . (x - b_i) / sum w_i,   w_i = exp(-|x - b_i|^2 / h^2)
+
+over the body vertices b_i with normals n_i: implicit moving least squares (Kolluri 2008, "Provably good moving least
+squares", ACM Trans. Algorithms 4(2)). As h falls it comes near to the plane of the nearest body vertex
+(``drape.cloth.contact``), a distance that jumps where another vertex becomes the nearest.
 """
 
 from __future__ import annotations
@@ -25,9 +27,9 @@ FAR_M = 0.02  # a point asks for its nearest body vertex again when it has moved
 
 
 class Cells(NamedTuple):
-    """Body vertices in cubes of ``reach`` [m] from the corner ``low`` on, ``count`` (3,) of them along each axis.
+    """Body vertices in cubes with sides of ``reach`` [m]: ``count`` (3,) cubes along the axes, from the corner ``low``.
 
-    Those of cube c are the rows ``start[c] : start[c + 1]`` of ``point`` [m] and unit ``normal``.
+    Cube c holds the rows ``start[c] : start[c + 1]`` of ``point`` [m] and unit ``normal``.
     """
 
     point: np.ndarray
@@ -50,12 +52,12 @@ def cells(point: np.ndarray, normal: np.ndarray, reach_m: float) -> Cells:
 
 
 class BlendedPlanes:
-    """The planes under moving points: those that have the blended distance and its gradient there.
+    """Planes under moving points. At its point a plane has the blended distance and its gradient.
 
-    A point without a body vertex within reach has the plane of the nearest one, if it lies behind that; else one that
-    it does not touch: beside hands and feet the planes of a nearest vertex that is decimetres away cut through free
-    space. What is farther from the body than ``gap_m`` is looked at again only when it may have come nearer. How deep
-    a point is in the gap depends on where it is and not on its way there: a line search needs one energy for a place.
+    A point with no body vertex within reach takes the plane of the nearest one if it lies behind it. Otherwise it takes
+    a plane that it does not touch: beside hands and feet the plane of a vertex decimetres away cuts through free
+    space. A point farther from the body than ``gap_m`` is looked at again only when it may have come nearer. The
+    distance of a point depends on its place and not on its way: a line search needs one energy for one place.
     """
 
     def __init__(self, point: np.ndarray, normal: np.ndarray, point_count: int, gap_m: float) -> None:
@@ -99,8 +101,7 @@ def blended_distance(
 ) -> np.ndarray:
     """Blended distances [m] (F, V) of ``points`` (F, V, 3) to the posed bodies ``body_vertices`` (F, Vb, 3).
 
-    As a contact layer of ``gap_m`` needs them: what lies beyond reach and outside has a distance past the gap, not its
-    own.
+    They serve a contact layer of ``gap_m``: a point outside and beyond reach has some distance past the gap.
     """
     found = np.empty(points.shape[:2])
     for frame, posed in enumerate(body_vertices):
@@ -114,8 +115,8 @@ def blended_distance(
 def blend(x, cells, gap, blended, clear, planes, beyond):
     """Writes the ``planes``, point and normal (V, 3) and bend (V, 3, 3), of the points ``x`` [m] (V, 3).
 
-    Of those that are ``clear`` [m] (V,) or more away from where they were ``blended`` (V, 3), which are both renewed. A
-    row without a body vertex within reach keeps its plane, and is marked in ``beyond`` (V,).
+    A point keeps its plane while it is less than ``clear`` [m] (V,) from where it was last ``blended`` (V, 3);
+    otherwise both are renewed. So does a point with no body vertex within reach, which ``beyond`` (V,) marks.
     """
     point, normal, bend = planes
     reach, sharp = cells.reach * cells.reach, 1.0 / (WIDTH_M * WIDTH_M)

@@ -1,4 +1,4 @@
-"""What the push needs to know of a garment, computed once: blocks of vertices and the skin that each hangs on."""
+"""Tables of a garment for the push-out, computed once: blocks of vertices, and the skin that each hangs on."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 
 from drape.arrays import check_finite, check_shape
 from drape.contact.blocks import blocks
-from drape.contact.samples import CLUSTER_SIZE, REGION_SIZE, Samples
+from drape.contact.samples import CLUSTER_SIZE, REGION_SIZE, Samples, unit
 from drape.errors import MeshError
 
 BLOCK_SIZE = 16  # vertices that share a list of skin samples
@@ -18,11 +18,11 @@ OWN_CLUSTERS = 10  # of skin samples under a block
 OTHER_STEPS = 255
 
 OUTWARD_WIDTH_M = 0.02
-FRONT_M = (0.020, 0.035)  # a block that lies this far before a sample's plane at rest faces it: another part
-APART_M = (0.080, 0.110)  # and so does one that far away at rest, without the way through the limb
-THROUGH_M = 0.12
-OTHER_SIDE = 15.0  # logits a sample loses per unit by which it faces away from the cloth over it
-REST_REACH_M = 0.035  # at equal distance the skin under the cloth at rest is preferred over this length
+FRONT_M = (0.020, 0.035)  # a sample is another part where a block lies this far before its plane at rest
+APART_M = (0.080, 0.110)  # and where a block is that far away at rest, without the way through the limb
+THROUGH_M = 0.12  # the most that counts as the way through a limb
+OTHER_SIDE = 15.0  # logits that a sample loses per unit by which it faces away from the cloth over it
+REST_REACH_M = 0.035  # at equal distance skin nearer at rest is preferred: a logit per square of this
 LIST_WIDTH_M = 0.014
 NEVER = 1e-12
 
@@ -63,7 +63,7 @@ def push_tables(vertices: np.ndarray, skin: Samples, *, hidden: np.ndarray | Non
     slot = np.empty(len(rest), dtype=np.int64)
     # Written backwards: the first place of a vertex counts.
     slot[members.reshape(-1)[::-1]] = np.arange(members.size)[::-1]
-    lists = skin_lists(rest[members].mean(axis=1), _unit(outward[members].mean(axis=1)), skin, hidden=hidden)
+    lists = skin_lists(rest[members].mean(axis=1), unit(outward[members].mean(axis=1)), skin, hidden=hidden)
     by_group = lists.other.reshape(-1, GROUP_SIZE, skin.count).mean(axis=1)
     by_region = by_group.reshape(len(by_group), -1, REGION_SIZE).max(axis=2)
     return PushTables(
@@ -110,15 +110,15 @@ def outward_directions(vertices: np.ndarray, skin: Samples) -> np.ndarray:
     distance, near = KDTree(skin.point).query(vertices, k=min(16, skin.count))
     distance, near = distance.reshape(len(vertices), -1), near.reshape(len(vertices), -1)
     weight = np.exp(-(distance**2 - distance[:, :1] ** 2) / OUTWARD_WIDTH_M**2)
-    return _unit(np.einsum("vk,vkc->vc", weight, skin.normal[near]))
+    return unit(np.einsum("vk,vkc->vc", weight, skin.normal[near]))
 
 
 def other_part(distance: np.ndarray, before: np.ndarray) -> np.ndarray:
     """How much a sample is another part of the body than the cloth's own, in [0, 1].
 
-    ``distance`` [m] between them at rest and ``before``, how far the cloth lies before the sample's plane. Skin
-    that cloth hangs on lies close under it. Skin behind whose plane the cloth lies far is the other side of the
-    same limb: up to ``THROUGH_M``, the way through the limb does not count as a distance.
+    ``distance`` [m] is that between both at rest; ``before`` [m] is how far the cloth lies before the sample's plane.
+    Cloth lies close over its own skin. Where it lies far behind the plane, the sample is on the other side of the same
+    limb: the way through the limb, up to ``THROUGH_M``, does not count as a distance.
     """
     facing = np.clip((before - FRONT_M[0]) / (FRONT_M[1] - FRONT_M[0]), 0.0, 1.0)
     around = distance + np.clip(before, -THROUGH_M, 0.0)
@@ -132,11 +132,7 @@ def _best_clusters(score: np.ndarray) -> np.ndarray:
 
 
 def _relation(centre: np.ndarray, skin: Samples) -> tuple[np.ndarray, np.ndarray]:
-    """Distances [m] (C, S) from samples at rest, and heights over their planes, as float32: there are many."""
+    """Distances [m] (C, S) from the samples at rest, and heights [m] over their planes; float32, as there are many."""
     squared = (centre**2).sum(axis=1)[:, None] + (skin.point**2).sum(axis=1) - 2.0 * centre @ skin.point.T
     before = centre @ skin.normal.T - (skin.point * skin.normal).sum(axis=1)
     return np.sqrt(np.maximum(squared, 0.0)).astype(np.float32), before.astype(np.float32)
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)

@@ -10,18 +10,6 @@ import numpy as np
 
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
 
-__all__ = [
-    "ANKLE_HEIGHT",
-    "BONE_CHILD",
-    "BONE_DIRECTIONS",
-    "CANONICAL_FLOOR",
-    "CANONICAL_JOINTS",
-    "JOINT_COUNT",
-    "JOINT_INDEX",
-    "JOINT_NAMES",
-    "PARENTS",
-]
-
 JOINT_INDEX = {name: index for index, name in enumerate(JOINT_NAMES)}
 
 # Offsets from the parent joint [m]; the right side mirrors the left.

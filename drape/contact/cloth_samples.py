@@ -1,8 +1,8 @@
-"""Garments worn over others: the cloth below joins the body as what the outer one is kept out of.
+"""Samples of garments, so that the push-out keeps an outer garment out of those below it.
 
-A garment's surface is sampled as the body's skin is (``drape.contact.samples``), as sums over its own vertices, so
-it follows whatever drape and push-out made of it. For the garment over it, body and inner garments are one set of
-samples, of which those are hidden that lie under cloth at rest: the same tables and the same push-out hold for all.
+A garment's surface is sampled as the body's skin is (``drape.contact.samples``), as sums over its own vertices: the
+samples follow whatever the drape and the push-out made of it. For the garment over it, body and inner garments are one
+set of samples, without those that lie under cloth at rest. The same tables and the same push-out serve all of them.
 """
 
 from __future__ import annotations
@@ -22,13 +22,14 @@ from drape.contact.samples import (
     at_rest,
     operator,
     place,
+    thinned,
     unit,
 )
 from drape.errors import InputError
 from drape.geometry import closest, meshes
 
 SPACING_M = 0.014
-THIN_M = 0.008  # vertices nearer to each other than this do not both give tangents, so that fine meshes cost no more
+THIN_M = 0.008  # of vertices nearer to each other than this one gives tangents, so that fine meshes cost no more
 MEMBERS = 24  # vertices that the samples of a cluster are sums over
 CANDIDATES = 48
 COVER_M = 0.06  # cloth farther before a sample than this does not hide it
@@ -37,9 +38,9 @@ BEHIND_M = 0.015  # nor does cloth that lies more than this behind it: layers ma
 
 @dataclass(frozen=True, eq=False)
 class ClothSamples(Samples):
-    """Samples of a garment, also as small products: C clusters of 4 samples, each a sum over 24 vertices.
+    """Samples of a garment, also as small products: C clusters of 4 samples are sums over 24 vertices each.
 
-    ``member`` (C, 24) vertices, ``rows`` (C, 24, 12): 4 points, 4 first and 4 second tangents as sums over them.
+    ``member`` (C, 24) are the vertices, ``rows`` (C, 24, 12) their weights in 4 points, 4 first and 4 second tangents.
     """
 
     member: np.ndarray
@@ -70,8 +71,8 @@ def joined(parts: Sequence[Samples]) -> Samples:
     return Samples(scipy.sparse.csr_matrix(stacked), point, normal, spacing)
 
 
-def covered(samples: Samples, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Which samples (S,) lie under the cloth ``vertices`` [m] (V, 3) at rest: it is near, before them, and no edge."""
+def hidden_under(samples: Samples, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Which samples (S,) the cloth ``vertices`` [m] (V, 3) hides at rest: it is near and before them, and no border."""
     found = closest.closest_point(samples.point, vertices, faces)
     before = ((found.point - samples.point) * samples.normal).sum(axis=1)
     return (found.distance < COVER_M) & (before > -BEHIND_M) & ~closest.on_border(found, faces)
@@ -100,12 +101,7 @@ def _members(rest: np.ndarray, faces: np.ndarray, placed: Placed) -> np.ndarray:
 def _thinned(rest: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Vertices no two of which are nearer than ``THIN_M``, the two sides of thin parts counted apart."""
     key = np.concatenate([rest, 0.5 * THIN_M * normals], axis=1)
-    tree, alive, kept = KDTree(key), np.ones(len(rest), dtype=bool), []
-    for vertex in range(len(rest)):
-        if alive[vertex]:
-            kept.append(vertex)
-            alive[tree.query_ball_point(key[vertex], THIN_M)] = False
-    return np.array(kept)
+    return thinned(key, np.full(len(rest), THIN_M))
 
 
 def _rows(samples: Samples, member: np.ndarray) -> np.ndarray:

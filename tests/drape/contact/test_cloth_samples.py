@@ -8,27 +8,20 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from drape.contact import layers
-from drape.contact.layers import ClothSamples, cloth_samples, covered, joined
+from drape.contact.cloth_samples import BEHIND_M, COVER_M, MEMBERS, ClothSamples, cloth_samples, hidden_under, joined
 from drape.contact.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE
 from drape.errors import InputError, MeshError
 from drape.geometry import closest, meshes
 from drape.geometry.rotations import rotvec_to_matrix
+from tests.drape.cloth import cloth_shapes
 
 RADIUS, HEIGHT = 0.15, 0.4
 
 
 def tube(radius: float, columns: int = 48, rows: int = 22, height: float = HEIGHT) -> tuple[np.ndarray, np.ndarray]:
-    """An open cylinder about the y axis, faces outwards."""
-    angle = 2.0 * np.pi * np.arange(columns) / columns
-    ring = np.stack([np.sin(angle), np.zeros(columns), np.cos(angle)], axis=1)
-    level = np.linspace(-0.5 * height, 0.5 * height, rows)
-    vertices = (radius * ring[None] + level[:, None, None] * [0.0, 1.0, 0.0]).reshape(-1, 3)
-    corner = np.arange(columns * (rows - 1)).reshape(rows - 1, columns)
-    right = np.roll(corner, -1, axis=1)
-    lower = np.stack([corner, right, right + columns], axis=-1)
-    upper = np.stack([corner, right + columns, corner + columns], axis=-1)
-    return vertices, np.concatenate([lower, upper]).reshape(-1, 3)
+    """An open cylinder about the y axis and its middle."""
+    vertices, faces = cloth_shapes.tube(columns, rows - 1, radius_m=radius, height_m=height)
+    return vertices - [0.0, 0.5 * height, 0.0], faces
 
 
 @cache
@@ -52,7 +45,7 @@ def test_small_products_and_the_sparse_operator_are_the_same(rng):
     posed = np.einsum("cnk,cnx->ckx", made.rows, moved[made.member])
     parts = [posed[:, k * CLUSTER_SIZE : (k + 1) * CLUSTER_SIZE].reshape(-1, 3) for k in range(3)]
     assert_allclose(np.concatenate(parts), made.operator @ moved, rtol=0, atol=1e-5 * np.abs(made.rows).max())
-    assert made.member.shape[1] == layers.MEMBERS and made.member.max() < len(vertices)
+    assert made.member.shape[1] == MEMBERS and made.member.max() < len(vertices)
 
 
 def test_samples_follow_rigid_motion_exactly(rng):
@@ -66,7 +59,7 @@ def test_samples_follow_rigid_motion_exactly(rng):
 def test_a_fine_mesh_takes_no_more_members_and_gives_the_same_surface():
     vertices, faces = tube(RADIUS, columns=190, rows=80)
     fine = cloth_samples(vertices, faces)
-    assert fine.member.shape[1] == layers.MEMBERS
+    assert fine.member.shape[1] == MEMBERS
     assert 0.8 < fine.count / samples().count < 1.25
     radius = np.linalg.norm(fine.point[:, [0, 2]], axis=1)
     assert_allclose(radius, RADIUS, rtol=0, atol=1e-4)
@@ -92,12 +85,12 @@ def test_joined_samples_are_those_of_their_meshes(rng):
 
 def test_cloth_hides_what_lies_under_it_and_nothing_beside_it():
     over, faces = tube(RADIUS + 0.02, height=0.2)
-    hidden = covered(samples(), over, faces)
+    hidden = hidden_under(samples(), over, faces)
     height = np.abs(samples().point[:, 1])
     assert hidden[height < 0.095].all() and not hidden[height > 0.105].any()
-    assert not covered(samples(), *tube(RADIUS + layers.COVER_M + 0.01)).any()
-    assert not covered(samples(), *tube(RADIUS - layers.BEHIND_M - 0.01)).any()
-    assert covered(samples(), *tube(RADIUS - 0.5 * layers.BEHIND_M))[height < 0.18].all()
+    assert not hidden_under(samples(), *tube(RADIUS + COVER_M + 0.01)).any()
+    assert not hidden_under(samples(), *tube(RADIUS - BEHIND_M - 0.01)).any()
+    assert hidden_under(samples(), *tube(RADIUS - 0.5 * BEHIND_M))[height < 0.18].all()
 
 
 def test_the_border_of_a_mesh_is_where_one_triangle_ends():
@@ -106,14 +99,9 @@ def test_the_border_of_a_mesh_is_where_one_triangle_ends():
     corner = vertices[-1:] + np.array([0.0, 0.02, 0.0])
     found = closest.closest_point(np.concatenate([inside, above, corner, vertices[:1]]), vertices, faces)
     assert_array_equal(closest.on_border(found, faces), [False, True, True, True])
-    closed = closest.closest_point(np.zeros((1, 3)), *meshes_box())
-    assert not closest.on_border(closed, meshes_box()[1]).any()
-
-
-def meshes_box() -> tuple[np.ndarray, np.ndarray]:
-    """A tetrahedron: it has no border."""
-    vertices = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
-    return vertices, np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+    corners = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    closed = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+    assert not closest.on_border(closest.closest_point(np.zeros((1, 3)), corners, closed), closed).any()
 
 
 def test_broken_meshes_are_refused():

@@ -1,4 +1,4 @@
-"""Sizes: what a pattern's body measures in S, M, L and XL, from the measurements of one body, which is M.
+"""Sizes S, M, L and XL: the measurements that a pattern is drafted for, from those of one body, which is M.
 
 Girths grow by 4 cm from size to size, as in EN 13402-3 (bust, chest, waist and hip girth in steps of 4 cm up to the
 middle of its range); the other steps are the proportional ones of tailors' grading tables, rounded to a millimetre.
@@ -28,7 +28,7 @@ GROWTH_M = {
 }
 
 
-def graded(body: BodyMeasurements, size: str) -> BodyMeasurements:
+def in_size(body: BodyMeasurements, size: str) -> BodyMeasurements:
     """The measurements that a pattern of ``size`` is drafted for, ``body`` being size M.
 
     Raises ``NotFound`` for a size beyond the grade.

@@ -1,0 +1,47 @@
+"""The clock of cloth that moves: a frame, the memory of it, and whether the next frame follows it.
+
+Folds and swing keep a memory each. Both are forgotten at a cut: after a pause, when the clock goes back, and when the
+network moves a vertex farther than any motion does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+PAUSE_S = 0.25  # a frame that comes later than that after the one before has no past
+CUT_M = 0.30  # nor has one in which the network moved a vertex farther
+SHORTEST_STEP_S = 1.0 / 240.0  # frames that come closer together count as this far apart
+FIRST_STEP_S = 1.0 / 30.0  # the step of a frame without a past
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A frame as it comes: the network's ``vertices`` [m] (V, 3), the samples of the posed ``skin`` (S, 8) as of
+    ``drape.contact.samples.sample_table``, both from the same origin, and the time [s] by the client's clock."""
+
+    vertices: np.ndarray
+    skin: np.ndarray
+    time_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class FrameMemory:
+    """A frame as folds and swing both remember it: its time [s], and the ``network``'s points [m] (P, 3)."""
+
+    time_s: float
+    network: np.ndarray
+
+
+def follows(memory: FrameMemory, network: np.ndarray, time_s: float) -> bool:
+    """Whether the frame at ``time_s`` [s] with the ``network``'s points [m] (P, 3) goes on from the remembered one."""
+    if not 0.0 <= time_s - memory.time_s <= PAUSE_S:
+        return False
+    way = network - memory.network
+    return float(np.einsum("vi,vi->v", way, way).max()) <= CUT_M**2
+
+
+def step_between(before_s: float, after_s: float) -> float:
+    """The step [s] from one frame to the next one."""
+    return max(after_s - before_s, SHORTEST_STEP_S)

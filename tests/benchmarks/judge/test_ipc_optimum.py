@@ -1,0 +1,65 @@
+"""Cloth that may not pass through itself: the barrier, and two sheets over one ball."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from benchmarks.judge import ipc_optimum, physics
+from benchmarks.judge.physics import Task
+from benchmarks.measure.intersections import intersection_count
+from drape.cloth.contact import BodyContact
+from drape.cloth.energies import ClothMesh
+from drape.cloth.material import material
+from drape.kernels.triangle_pairs import pairs_within
+from tests.drape.cloth.cloth_shapes import grid
+from tests.drape.geometry.geometry_shapes import icosphere
+from tests.drape.kernels.test_triangle_pairs import crumpled
+
+
+def test_the_barriers_force_is_the_slope_of_its_energy(rng):
+    x, faces, edges = crumpled(rng)
+    pairs, _, ways = pairs_within(x, faces, edges, ipc_optimum.NEAR_M)
+    assert (np.linalg.norm(ways, axis=1) < ipc_optimum.REACH_M).any()
+    gradient, way, step = np.zeros_like(x), rng.normal(size=x.shape), 1e-9
+    ipc_optimum.push_apart(x, *pairs, 30.0, gradient)
+    ahead, behind = (
+        ipc_optimum.push_apart(x + sign * step * way, *pairs, 30.0, np.zeros_like(x)) for sign in (1.0, -1.0)
+    )
+    assert_allclose((gradient * way).sum(), (ahead - behind) / (2.0 * step), rtol=1e-4)
+    assert_allclose(gradient.sum(axis=0), 0.0, atol=1e-9 * np.abs(gradient).sum())
+
+
+@pytest.fixture(scope="module")
+def two_sheets() -> tuple[Task, np.ndarray]:
+    """A sheet over another one over a ball, both in one mesh, and which vertices are the upper ones."""
+    rest, faces = grid(6, 6, cell_m=0.01)
+    over = rest + np.array([0.003, 0.004, 0.006])
+    both, faces = np.concatenate([rest, over]), np.concatenate([faces, faces + len(rest)])
+    cloth = ClothMesh.from_rest(both, faces)
+    start = (both - both.mean(axis=0))[None][..., [1, 2, 0]] + [0.0, 0.108, 0.0]
+    ball, ball_faces = icosphere(4, radius_m=0.1)
+    contact = BodyContact(ball_faces, len(ball))
+    return Task(cloth, material(), contact, ball[None], (start,)), np.arange(len(both)) >= len(rest)
+
+
+def test_an_upper_sheet_stays_over_a_lower_one(two_sheets):
+    task, upper = two_sheets
+    found = ipc_optimum.minimise(task, step_limit=40)
+    free = physics.minimise(task)
+    height = {}
+    for name, optimum in (("apart", found), ("free", free)):
+        above = np.linalg.norm(optimum.vertices[0], axis=1)
+        height[name] = above[upper].mean() - above[~upper].mean()
+    assert found.energy_j[0] < found.start_j[0] and height["free"] < 0.0005 < height["apart"]
+    assert_array_equal(intersection_count(found.vertices, task.cloth.faces), [0])
+    assert intersection_count(free.vertices, task.cloth.faces)[0] > 10
+
+
+def test_an_optimum_is_stored(two_sheets, tmp_path, monkeypatch):
+    monkeypatch.setattr(ipc_optimum, "STEPS", 2)
+    task, _ = two_sheets
+    (first, was), (again, is_stored) = (ipc_optimum.stored_minimum(task, tmp_path) for _ in range(2))
+    assert not was and is_stored
+    assert_array_equal(first.vertices, again.vertices)

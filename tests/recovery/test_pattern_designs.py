@@ -1,0 +1,265 @@
+"""Designs of the catalogue and bases of a recovery: seams that match, sizes that grow, refusals, and panels that start
+without stretch."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from drape.body.assets import load_body
+from drape.cloth.fabric_table import FABRICS
+from drape.errors import InputError, NotFound
+from drape.geometry import mesh_graphs, meshes
+from drape.geometry.closest import closest_point
+from recovery.catalogue.garments import CATALOGUE
+from recovery.pattern import geometry
+from recovery.pattern.bases import BASES, skirt, trousers, tshirt
+from recovery.pattern.darts import Dart, waist_with_darts
+from recovery.pattern.design import check_laid_flat, check_seams
+from recovery.pattern.legs import LegCut
+from recovery.pattern.legs import trousers as legs
+from recovery.pattern.measurements import measure
+from recovery.pattern.mesh import mesh_pattern
+from recovery.pattern.model import Pattern
+from recovery.pattern.sizes import GROWTH_M, in_size
+from recovery.pattern.skirts import SkirtCut, a_line, circle
+from recovery.pattern.tops import CAP_EASE, Sleeve, TopCut, cap, lines, top
+from recovery.pattern.wrapping import Cone, Flutes, Tube
+from recovery.run.wearer import shaped_body
+from tests.recovery.pattern_setup import default_measurements
+
+OPENINGS = {
+    **dict.fromkeys(("tshirt", "longsleeve", "tank", "dress", "sweat"), 4),
+    **dict.fromkeys(("trousers", "slim_trousers", "shorts"), 3),
+    **dict.fromkeys(("skirt", "circle_skirt"), 2),
+    "shirt": 4,  # the collar's edge runs round the neck opening
+}
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_a_garment_sews_up_to_one_surface_with_its_openings(name):
+    made = CATALOGUE[name](default_measurements())
+    check_seams(made)
+    check_laid_flat(made)
+    assert made.fabric in FABRICS and made.pattern.name == name
+    assert len(made.seam_names) == len(made.pattern.stitches)
+    mesh = mesh_pattern(made.pattern, 0.05)
+    assert mesh_graphs.connected_components(mesh.faces, mesh.node_count).max() == 0
+    assert len(meshes.boundary_loops(mesh.faces)) == OPENINGS[name]
+    sewn = {ref for stitch in made.pattern.stitches for ref in (stitch.first, stitch.second)}
+    # What is not sewn is a hem or an opening, and named so.
+    free = [made.edge_names[ref] for ref in made.pattern.edge_refs() if ref not in sewn]
+    assert free and all(named.startswith(("hem", "opening")) for named in free)
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_sizes_grow_by_the_grade_and_their_seams_still_match(name):
+    body = default_measurements()
+    areas = []
+    for size in ("S", "XL"):
+        made = CATALOGUE[name](in_size(body, size))
+        check_seams(made)
+        areas.append(sum(geometry.area(panel) for panel in made.pattern.panels))
+    assert (np.diff(areas) > 0.0).all()
+
+
+def test_the_grade_adds_four_centimetres_to_a_girth_and_nothing_to_m():
+    body = default_measurements()
+    assert in_size(body, "M") is body
+    large = in_size(body, "XL")
+    assert_allclose(large.chest_girth - body.chest_girth, 0.08)
+    assert_allclose(large.girth_at(0.0) - body.girth_at(0.0), 2 * GROWTH_M["waist_girth"])
+    assert in_size(body, "S").hip_girth < body.hip_girth
+
+
+def test_a_size_beyond_the_grade_is_refused():
+    with pytest.raises(NotFound, match="size: expected one of S, M, L, XL, got XXL"):
+        in_size(default_measurements(), "XXL")
+
+
+def test_seams_that_do_not_match_are_refused_unless_the_ease_is_named():
+    made = CATALOGUE["sweat"](default_measurements())
+    with pytest.raises(InputError, match="seam hemband_seam of sweat"):
+        check_seams(replace(made, eased={k: v for k, v in made.eased.items() if k != "hemband_seam"}))
+
+
+def test_a_panel_wider_than_the_cloth_is_refused():
+    made = circle(default_measurements(), SkirtCut("wide", "satin", 0.85))
+    with pytest.raises(InputError, match=r"panel front of wide: expected at most 1\.5 m across the grain"):
+        check_laid_flat(made)
+
+
+def lengths(points: np.ndarray, place) -> np.ndarray:
+    """Lengths in the world over those on the table, of short steps from ``points`` in two directions."""
+    step = 1e-5
+    return np.array(
+        [
+            np.linalg.norm(place(points + step * way) - place(points), axis=1) / step
+            for way in (np.array([1.0, 0.0]), np.array([0.0, 1.0]))
+        ]
+    )
+
+
+def test_a_tube_keeps_lengths_and_turns_the_right_side_outward():
+    tube = Tube((0.1, 0.2, 0.3), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), 0.07)
+    points = np.random.default_rng(0).uniform(-0.15, 0.15, (50, 2))
+    assert_allclose(lengths(points, tube.place), 1.0, atol=1e-4)
+    world = tube.place(points)
+    assert_allclose(np.linalg.norm(world[:, 1:] - [0.2, 0.3], axis=1), 0.07)
+    flat = tube.tangent(points[0])
+    assert_allclose(flat.apply(np.zeros((1, 2)))[0], world[0], atol=1e-12)
+    assert flat.matrix()[:, 2] @ (world[0] - [world[0, 0], 0.2, 0.3]) > 0.069
+
+
+def test_flutes_keep_the_length_of_every_circle():
+    ring = Flutes((0.0, 1.0, 0.0), 0.13, 0.7, 9)
+    for radius in (0.13, 0.3, 0.7):
+        angle = np.linspace(-np.pi, np.pi, 4001)
+        points = radius * np.stack([np.sin(angle), -np.cos(angle)], axis=1)
+        world = ring.place(points)
+        length = np.linalg.norm(np.diff(world, axis=0), axis=1).sum()
+        assert_allclose(length, 2.0 * np.pi * radius, rtol=0.06)  # the unevenness of flutes adds a little
+    assert world[:, 1].max() < 0.6  # the hem hangs
+
+
+def test_a_cone_goes_round_its_circle_and_opens_downward():
+    cone = Cone((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), 0.1, 0.35, 0.7)
+    angle = np.linspace(-0.6, 0.6, 7)
+    inner, outer = (np.stack([r * np.sin(angle), 0.35 - r * np.cos(angle)], axis=1) for r in (0.35, 0.40))
+    assert_allclose(np.hypot(*cone.place(inner)[:, [0, 2]].T), 0.1, atol=1e-12)
+    assert_allclose(np.hypot(*cone.place(outer)[:, [0, 2]].T), 0.1 + 0.7 * 0.05, atol=1e-12)
+    assert_allclose(np.linalg.norm(cone.place(outer) - cone.place(inner), axis=1), 0.05)
+    assert (cone.place(outer)[:, 1] < 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda body: top(body, TopCut("t", "jersey", 0.66, -0.1)), "t: expected ease"),
+        (lambda body: lines(body, TopCut("t", "jersey", 0.2, 0.1)), "t: expected ease"),
+        (lambda body: top(body, TopCut("t", "jersey", 0.66, 0.1, Sleeve(0.05, 0.08, 0.36))), "sleeve: expected longer"),
+        (
+            lambda body: top(body, TopCut("t", "jersey", 0.66, 0.1, Sleeve(0.2, 0.30, 0.36))),
+            "sleeve: expected an upper",
+        ),
+        (lambda body: cap([0.2, 0.2], 0.6), "sleeve: expected an upper arm"),
+        (lambda body: legs(body, LegCut("t", "twill", -0.4, 0.5, 0.5)), "t: hip_ease_m"),
+        (lambda body: legs(body, LegCut("t", "twill", 0.05, 0.5, 0.3)), "t: knee_girth_m"),
+        (lambda body: legs(body, LegCut("t", "twill", 0.05, 0.2, 0.5)), "t: hem_girth_m"),
+        (lambda body: a_line(body, SkirtCut("s", "twill", 0.2)), "s: expected ease at the hips"),
+        (lambda body: circle(body, SkirtCut("s", "satin", 1.2)), "s: length_m"),
+        (lambda body: waist_with_darts("w", (0.1, 0.0), (0.0, 0.0), [Dart(0.5, 0.09, 0.1)]), "dart 0 of w"),
+        # Bases.
+        (lambda body: tshirt(body, length_m=-1.0), r"length_m: expected a length in \(0, 3\) m"),
+        (lambda body: tshirt(body, length_m=0.2), "one below the other"),
+        (lambda body: tshirt(body, length_m=66.0), "length_m: expected a length"),
+        (lambda body: tshirt(body, length_m=np.nan), "length_m: expected a length"),
+        (lambda body: tshirt(body, neck_out_m=0.2), "outside the other"),
+        (lambda body: tshirt(body, chest_ease_m=-0.05), "Add ease"),
+        (lambda body: tshirt(body, sleeve_arm_ease_m=0.0), "wider than the arm's"),
+        (lambda body: tshirt(body, sleeve_arm_ease_m=0.2), "Lower the armhole"),
+        (lambda body: tshirt(body, sleeve_length_m=0.05), "Lengthen the sleeve"),
+        (lambda body: tshirt(body, sleeve_hem_girth_m=0.05), "a hem of 0"),
+        (
+            lambda body: tshirt(body, sleeve_hem_m=0.3),
+            "--set: expected one of length_m, .*sleeve_hem_girth_m, got sleeve_hem_m",
+        ),
+        (lambda body: trousers(body, hip_ease_m=-0.6), "Add ease"),
+        (lambda body: trousers(body, hem_girth_m=0.2), "hem_girth_m: expected at least"),
+        (lambda body: trousers(body, rise_drop_m=0.3), "a waist above the hips"),
+        (lambda body: trousers(body, inseam_m=0.02, hem_girth_m=0.3), "Lengthen the legs"),
+        (lambda body: skirt(body, length_m=0.1), "a waist above and a hem below them"),
+        (lambda body: skirt(body, drop_m=0.4), "a waist above and a hem below them"),
+        (lambda body: skirt(body, hip_ease_m=-0.1), "Add ease"),
+    ],
+)
+def test_cuts_that_no_garment_has_are_refused(make, message):
+    with pytest.raises(InputError, match=message):
+        make(default_measurements())
+
+
+def patterns() -> dict[str, Pattern]:
+    body = default_measurements()
+    return {
+        "tshirt": tshirt(body),
+        "dress": tshirt(body, length_m=1.05, flare_m=0.12),
+        "trousers": trousers(body),
+        "shorts": trousers(body, inseam_m=0.25, hem_girth_m=0.62),
+        "skirt": skirt(body),
+    }
+
+
+def test_seams_of_the_bases_match():
+    for pattern in patterns().values():
+        geometry.check_pattern(pattern)
+        for seam in geometry.seams(pattern):
+            is_cap = "sleeve" in seam.stitch.first.panel and seam.stitch.second.panel in ("front", "back")
+            assert_allclose(seam.mismatch, -CAP_EASE / (1.0 + 0.5 * CAP_EASE) if is_cap else 0.0, rtol=0, atol=1e-8)
+            ends = geometry.stitch_ends(pattern, seam.stitch).sum()
+            assert ends < geometry.stitch_ends(pattern, seam.stitch, reverse=True).sum()
+
+
+def test_left_and_right_are_mirror_images():
+    for pattern in patterns().values():
+        world = {panel.name: panel.placement.apply(geometry.outline(panel)) for panel in pattern.panels}
+        for name, points in world.items():
+            other = world[name.replace("left", "right") if "left" in name else name.replace("right", "left")]
+            image = points * [-1.0, 1.0, 1.0]
+            gap = np.linalg.norm(image[:, None] - other[None], axis=2).min(axis=1)
+            assert gap.max() < 1e-3
+
+
+@pytest.mark.parametrize("name", ["tshirt", "trousers", "skirt"])
+def test_a_base_is_sewn_into_a_garment_that_clears_the_body(name):
+    pattern = patterns()[name]
+    mesh = mesh_pattern(pattern, 0.04)
+    assert len(meshes.boundary_loops(mesh.faces)) == OPENINGS[name]
+    assert min(mesh.smallest_angles_deg().values()) > 23.0
+    body = load_body()
+    placed = mesh.placed()
+    nearest = closest_point(placed, body.v_template, body.faces)
+    normals = meshes.face_normals(body.v_template, body.faces)[nearest.face]
+    outside = ((placed - nearest.point) * normals).sum(axis=1)
+    assert outside.min() > 0.0 and nearest.distance.min() > 0.02
+    # The right side of every triangle looks away from the body.
+    look = meshes.face_normals(placed, mesh.panel_faces)[:, 2]
+    assert (look * placed[mesh.panel_faces[:, 0], 2] > 0.0).all()
+
+
+def test_finished_girths_are_the_body_and_its_ease():
+    body = default_measurements()
+    front = patterns()["tshirt"].panel("front")
+    assert_allclose(np.ptp(front.vertices[:, 0]), 0.5 * (body.chest_girth + 0.10), rtol=1e-12)
+    pants = patterns()["trousers"]
+    lower = {}
+    for panel in pants.panels:
+        world = panel.placement.apply(panel.vertices)
+        by_name = {"hem": 1, "waist": 4} if panel.name in ("front_left", "back_right") else {"hem": 4, "waist": 1}
+        for side, number in by_name.items():
+            lower[side] = lower.get(side, 0.0) + geometry.edge_length(panel, number)
+        assert world[:, 1].min() > body.ankle_y
+    assert_allclose(lower["hem"], 2.0 * 0.44, rtol=1e-12)
+    assert_allclose(lower["waist"], body.girth_at(body.waist_y - 0.09) + 0.01, rtol=3e-3)
+    hem = [geometry.edge_length(panel, 0) for panel in patterns()["skirt"].panels]
+    assert_allclose(hem, 2.0 * (0.25 * (body.hip_girth + 0.06) + 0.08), rtol=5e-3)
+
+
+def test_a_longer_tshirt_is_a_dress_and_shorter_trousers_are_shorts():
+    all_patterns = patterns()
+    for long, short, panel in (("dress", "tshirt", "front"), ("trousers", "shorts", "front_left")):
+        heights = [np.ptp(all_patterns[name].panel(panel).vertices[:, 1]) for name in (long, short)]
+        assert heights[0] > heights[1] + 0.3
+    sleeves = [all_patterns[name].panel("sleeve_left_front").vertices for name in ("dress", "tshirt")]
+    assert_allclose(sleeves[0], sleeves[1])
+
+
+@pytest.mark.parametrize("shape", [(2.0,), (-2.0,), (0.0, 2.0), (0.0, -2.0, 1.0)])
+def test_bases_fit_other_bodies(shape):
+    body = measure(shaped_body(load_body(), np.array(shape)))
+    for base in BASES.values():
+        pattern = base(body)
+        geometry.check_pattern(pattern)
+        assert max(abs(seam.mismatch) for seam in geometry.seams(pattern)) < 0.02
