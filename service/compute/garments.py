@@ -1,4 +1,4 @@
-"""The garments that can be draped: shipped and uploaded caches, taken in by every stage."""
+"""The garments in service: shipped and uploaded caches, whose constants every stage stores."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Registry:
     ) -> None:
         self._body, self._settings, self._stages, self._make = body, settings, stages, make
         self._entries: dict[str, Entry] = {}
-        self._taken_in: set[str] = set()
+        self._in_stages: set[str] = set()
         self.refused: list[str] = []
         for path in sorted(settings.shipped_garments_dir.glob("*.npz")):
             self.add(self.prepare(path), "shipped")
@@ -93,7 +93,7 @@ class Registry:
         return Outfit(entries)
 
     def prepare(self, path: Path) -> Garment:
-        """A checked garment that every stage has taken in; what takes time, and safe beside frames."""
+        """The checked garment of the cache ``path``, stored by every stage; it takes time, safely beside frames."""
         garment, feed = self._make(_loaded, path, self._body, self._settings.max_vertices)
         self.add_to_stages(garment, feed)
         return garment
@@ -103,14 +103,14 @@ class Registry:
         return self._make(garment_feed, garment, body=self._body)
 
     def add_to_stages(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
-        """Lets every stage take in ``garment``, whose ``garment_feed`` is ``feed``; by one thread at a time."""
+        """Lets every stage store ``garment``, whose ``garment_feed`` is ``feed``; by one thread at a time."""
         for stage in self._stages:
             stage.add(garment, feed)
-        self._taken_in.add(garment.digest)
+        self._in_stages.add(garment.digest)
 
     def missing(self, entries: Iterable[Entry]) -> list[Garment]:
         """The garments of ``entries`` that no stage knows: subdivided meshes that nobody asked for before."""
-        return [entry.garment for entry in entries if entry.garment.digest not in self._taken_in]
+        return [entry.garment for entry in entries if entry.garment.digest not in self._in_stages]
 
     def add(self, garment: Garment, source: Source, path: Path | None = None) -> Entry:
         """Puts a prepared garment in service under its name, or name and digest where the name is taken.
@@ -154,8 +154,8 @@ class Registry:
         self._entries.pop(entry.id, None)
         if all(other.garment.digest != entry.garment.digest for other in self.entries()):
             for garment in (entry.garment, entry.fine.garment):
-                if garment.digest in self._taken_in:
-                    self._taken_in.discard(garment.digest)
+                if garment.digest in self._in_stages:
+                    self._in_stages.discard(garment.digest)
                     for stage in self._stages:
                         stage.remove(garment)
 

@@ -15,7 +15,7 @@ from service.http.schemas import Request as Schema
 
 REFERENCE = "#/components/schemas/{model}"
 BYTES = {"type": "string", "format": "binary"}
-EVERYWHERE = (Unauthorized, Forbidden, Busy, Unavailable)  # the doors, the keys, and a service that ends
+EVERYWHERE = (Unauthorized, Forbidden, Busy, Unavailable)  # origins and hosts, keys, and a service that ends
 _OURS_OF_FASTAPI = ("HTTPValidationError", "ValidationError")  # which service.errors says as problems
 
 Responses = dict[int | str, dict[str, Any]]

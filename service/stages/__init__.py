@@ -1,4 +1,4 @@
-"""The clip_job of a frame: its stages in order, and which of them a plan takes.
+"""The stages of a frame in order, and the plan that says which of them a frame takes.
 
 A new stage is a file here, a line in ``STAGES``, and a field of ``drape.wire.options`` where clients choose.
 """

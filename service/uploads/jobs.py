@@ -1,4 +1,4 @@
-"""Uploads: a file waits, is taken in by a limited process of its own, and becomes a garment or a refusal."""
+"""Uploads: a file waits, goes through the intake in a limited process, and becomes a garment or a refusal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Folds on the clip_job of a frame: off by default, remembered per stream and garment, told where they began anew."""
+"""Folds of a frame: off by default, remembered per stream and garment, told where they began anew."""
 
 from __future__ import annotations
 
