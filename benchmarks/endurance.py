@@ -3,43 +3,30 @@
     python -m benchmarks.endurance
     python -m benchmarks.endurance --garments tshirt --motions reach walk $DRAPE_DATA/motions --fps 15 30 60 --save
 
-Steps of folds on the network without corrections, with cloth against cloth, as streams have them. A row is a clip at a
-rate in a fabric: ``resets`` are frames that were begun anew as they were not finite or too far from the network's,
-``broken`` frames that are not finite all the same; ``long_pct`` is the share of all edges in all frames that are longer
-than 1.3 times their rest, ``network_long_pct`` that of the network's own drape, and ``longest`` the longest of them.
-The record has the rows of all clips together, and as ``worst`` the clip of the longest edge.
+Folds are those of streams: on the network without corrections, in cloth that feels itself. A row is a clip at a rate in
+a fabric. ``resets`` are frames that were begun anew, because they were not finite or too far from the network's;
+``broken`` are frames that are not finite all the same. ``long_pct`` is the share of all edges in all frames that are
+longer than 1.3 times their rest, ``network_long_pct`` that of the network's own drape, and ``longest`` the longest of
+them. The record has the clips' rows summed up; its ``worst`` is the clip of the longest edge.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
-from collections.abc import Sequence
-from typing import Any
-
 import numpy as np
-import torch
 
-from benchmarks.shared import common
-from benchmarks.shared.network import Network, add_precision
+from benchmarks.harness import Benchmark, Option, Run, inputs
+from benchmarks.network import PRECISION, Network
+from benchmarks.scenes import Clip, Folding, Scene, at_rate, fabrics_option, scenes
+from benchmarks.tables import Row, text_table
 from drape.artifacts import model_folder
 from drape.body.assets import load_body
-from drape.body.model import BodyModel
-from drape.catalog import find_garments, find_motions, open_garment
-from drape.cloth.fabric import Fabric
-from drape.cloth.fabric_table import fabric
-from drape.contact.skin import shaped_skin
-from drape.errors import ended
-from drape.garment.cache import Garment
-from drape.garment.fine import fine_garment
+from drape.catalog import find_motions
 from drape.geometry import meshes
-from drape.live.fold_constants import fold_constants
-from drape.live.fold_step import FoldEffort, Frame, fold, warm_up
-from drape.motion.clip import MotionClip
+from drape.live.fold_step import FoldEffort, warm_up
 from drape.motion.readers import read_motion
 
-FABRICS, RATES_FPS = ("jersey", "denim", "satin"), (15.0, 30.0, 60.0)
-STEPS, QUICK_FRAMES = 2, 20
+RATES_FPS = (15.0, 30.0, 60.0)
+QUICK_FRAMES = 20
 CHUNK = 64  # frames that the network drapes at a time
 LONG = 1.3  # of an edge's rest
 COLUMNS = {
@@ -48,103 +35,72 @@ COLUMNS = {
 }  # fmt: skip
 
 
-def endure(
-    garment: Garment, cloth: Fabric, motion: MotionClip, body: BodyModel, network: Network, steps: int
-) -> dict[str, Any]:
-    """The row of ``garment`` made of ``cloth`` through all of ``motion``."""
-    made, effort = fold_constants(garment, body, cloth), FoldEffort(steps, cloth_contact=True)
+def endure(scene: Scene, network: Network, steps: int) -> Row:
+    """The row of a scene, with so many ``steps`` of folds through all of its clip."""
+    clip, garment = scene.clip, scene.garment
+    folding = Folding(scene.constants, FoldEffort(steps, cloth_contact=True), clip.fps)
     edges = meshes.unique_edges(garment.fine_faces.astype(np.int64))
     rest = meshes.edge_lengths(garment.vertices.astype(np.float64), edges)
-    memory, resets, broken, longs, longest = None, 0, 0, np.zeros(2, np.int64), 0.0
-    for begin in range(0, len(motion.poses), CHUNK):
-        poses = motion.poses[begin : begin + CHUNK]
-        skin = shaped_skin(body).table(*body.bones(poses), np.zeros((len(poses), body.shape_count)))
-        skin = skin.reshape(len(poses), -1, skin.shape[-1])
-        drapes = network.drape(garment, poses).vertices.astype(np.float32)
-        for i, drape in enumerate(drapes):
-            vertices, memory, report = fold(made, memory, Frame(drape, skin[i], (begin + i) / motion.fps), effort)
-            resets += report.reset
-            broken += not np.isfinite(vertices).all()
-            stretch = [meshes.edge_lengths(one.astype(np.float64), edges) / rest for one in (vertices, drape)]
-            longs += [np.count_nonzero(one > LONG) for one in stretch]
-            longest = max(longest, float(stretch[0].max()))
-    long_pct, network_long_pct = 100.0 * longs / (len(edges) * len(motion.poses))
-    return {
-        "garment": garment.name,
-        "fabric": cloth.name,
-        "clip": motion.name,
-        "fps": motion.fps,
-        "frames": len(motion.poses),
-        "resets": int(resets),
-        "broken": broken,
-        "long_pct": float(long_pct),
-        "network_long_pct": float(network_long_pct),
-        "longest": longest,
-    }
+    broken, longs, longest = 0, np.zeros(2, np.int64), 0.0
+    for begin in range(0, len(clip.poses), CHUNK):
+        poses = clip.poses[begin : begin + CHUNK]
+        part = Scene(garment, scene.fabric, Clip.of(clip.name, clip.fps, poses, scene.body))
+        drapes = part.network(network)
+        found = folding.frames(drapes, part.clip.skin)
+        broken += int((~np.isfinite(found)).any(axis=(1, 2)).sum())
+        stretch = [meshes.edge_lengths(one.astype(np.float64), edges) / rest for one in (found, drapes)]
+        longs += [np.count_nonzero(one > LONG) for one in stretch]
+        longest = max(longest, float(stretch[0].max()))
+    long_pct, network_long_pct = (100.0 * longs / (len(edges) * len(clip.poses))).tolist()
+    counts = {"fps": clip.fps, "frames": len(clip.poses), "resets": int(folding.resets), "broken": broken}
+    return scene.name | counts | {"long_pct": long_pct, "network_long_pct": network_long_pct, "longest": longest}
 
 
-def totals(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """All clips together by garment, fabric and rate; shares by frames."""
-    groups: dict[tuple[str, str, float], list[dict[str, Any]]] = {}
+def totals(rows: list[Row]) -> list[Row]:
+    """One row for all clips of a garment in a fabric at a rate, each clip by its frames; ``worst`` is the clip's name
+    whose ``longest`` it is."""
+    groups: dict[tuple, list[Row]] = {}
     for row in rows:
         groups.setdefault((row["garment"], row["fabric"], row["fps"]), []).append(row)
     found = []
     for (garment, cloth, fps), ones in groups.items():
-        frames = np.array([one["frames"] for one in ones])
-        whole = {name: int(sum(one[name] for one in ones)) for name in ("frames", "resets", "broken")}
-        shares = {
-            name: float(np.average([one[name] for one in ones], weights=frames))
-            for name in ("long_pct", "network_long_pct")
-        }
+        frames = [one["frames"] for one in ones]
+        whole: Row = {name: int(sum(one[name] for one in ones)) for name in ("frames", "resets", "broken")}
+        for name in ("long_pct", "network_long_pct"):
+            whole[name] = float(np.average([one[name] for one in ones], weights=frames))
         worst = max(ones, key=lambda one: one["longest"])
-        of = {"longest": worst["longest"], "worst": worst["clip"]}
-        found.append({"garment": garment, "fabric": cloth, "clip": "all", "fps": fps, **whole, **shares, **of})
+        whole |= {"longest": worst["longest"], "worst": worst["clip"]}
+        found.append({"garment": garment, "fabric": cloth, "clip": "all", "fps": fps, **whole})
     return found
 
 
-def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.endurance", description="Whether folds last.")
-    common.add_inputs(parser)
-    parser.add_argument("--fabrics", nargs="+", default=list(FABRICS), metavar="NAME", help="default: three")
-    parser.add_argument("--fps", nargs="+", type=float, default=list(RATES_FPS), help="frames per second (15 30 60)")
-    parser.add_argument("--steps", type=int, default=STEPS, help="steps of folds (%(default)s)")
-    add_precision(parser)
-    common.add_options(parser)
-    options = parser.parse_args(arguments)
-    options.garments = options.garments or ["tshirt"]
-    if options.quick:
-        options.motions, options.fabrics, options.fps = (
-            options.motions or ["walk"],
-            options.fabrics[:1],
-            options.fps[:1],
-        )
-    return options
-
-
-def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
-    """Prints the table and the record, and returns the record."""
-    options = parse(arguments)
-    torch.set_num_threads(options.threads)
-    body, folder = load_body(), model_folder(options.model)
+@Benchmark(
+    "endurance",
+    "Whether folds last.",
+    COLUMNS,
+    *inputs(("tshirt",), quick_motions=("walk",)),
+    fabrics_option("jersey", "denim", "satin"),
+    Option("--fps", RATES_FPS, "frames a second", RATES_FPS[:1]),
+    Option("--steps", 2, "of folds"),
+    PRECISION,
+)
+def main(run: Run) -> None:
+    """Rows of every scene at every rate, summed up over the clips."""
+    options, body = run.options, load_body()
+    folder = model_folder(options.model)
     network = Network(folder, body, threads=options.threads, precision=options.precision, passes=0)
     warm_up()
-    rows: list[dict[str, Any]] = []
-    for path in find_motions(options.motions):
-        motion = read_motion(path)
+    rows: list[Row] = []
+    for motion in map(read_motion, find_motions(options.motions)):
         for fps in options.fps:
-            clip = motion if abs(motion.fps - fps) < 1e-6 else motion.resampled(fps)
-            if options.quick:
-                clip = clip.window(0, QUICK_FRAMES)
-            for garment in (fine_garment(open_garment(path, body)) for path in find_garments(options.garments)):
-                for cloth in map(fabric, options.fabrics):
-                    rows.append(endure(garment, cloth, clip, body, network.made_of(cloth), options.steps))
-                    common.print_table(rows[-1:], COLUMNS)
-    print()
-    whole = totals(rows)
-    common.print_table(whole, COLUMNS)
+            poses = at_rate(motion, fps).poses[: QUICK_FRAMES if options.quick else None]
+            for scene in scenes(options, [Clip.of(motion.name, fps, poses, body)], body):
+                rows.append(endure(scene, network, options.steps))
+                print(text_table(rows[-1:], COLUMNS), flush=True)
+    run.rows = totals(rows)
     clips = list(dict.fromkeys(row["clip"] for row in rows))
-    return common.finish("endurance", whole, options, clips=clips, steps=options.steps, **network.record())
+    run.extra |= {"clips": clips, "steps": options.steps, **network.record()}
 
 
 if __name__ == "__main__":
-    sys.exit(ended(main))
+    main.command()

@@ -10,15 +10,13 @@ triangles; the coarsest mesh also says what the whole membrane gives.
 
 from __future__ import annotations
 
-import argparse
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 from scipy.stats import rankdata
 
 from benchmarks.cloth import fabric_tests
-from benchmarks.shared import common
+from benchmarks.harness import Benchmark, Option, Run
 from drape.cloth.fabric import Fabric, plate_rigidity, tensile_modulus
 from drape.cloth.fabric_table import fabric
 
@@ -54,19 +52,10 @@ OWN_WEIGHT_STRAIN = 2e-4  # that the overhang of 6 cm may show
 STRIP_LOAD_N_PER_M = 19.6  # FAST's 20 gf/cm; a quarter of it on the bias, as FAST's 5 gf/cm
 ANGLES = {"warp": 0.0, "bias": 0.25 * np.pi, "weft": 0.5 * np.pi}
 COLUMNS = {
-    "fabric": "s",
-    "edge_mm": ".1f",
-    "vertices": ",d",
-    "bending_length_m": ".4f",
-    "peirce_m": ".4f",
-    "bending_error_pct": ".1f",
-    "bias_bending_error_pct": ".1f",
-    "stretch_error_pct": ".2f",
-    "drape_coefficient_pct": ".1f",
-    "seed_spread_pct": ".1f",
-    "full_membrane_pct": ".1f",
-    "nodes": "d",
-}
+    "fabric": "s", "edge_mm": ".1f", "vertices": ",d", "bending_length_m": ".4f", "peirce_m": ".4f",
+    "bending_error_pct": ".1f", "bias_bending_error_pct": ".1f", "stretch_error_pct": ".2f",
+    "drape_coefficient_pct": ".1f", "seed_spread_pct": ".1f", "full_membrane_pct": ".1f", "nodes": "d",
+}  # fmt: skip
 
 
 def bending_lengths(cloth: Fabric, edge_m: float) -> dict[str, float]:
@@ -139,30 +128,25 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def main() -> int:
-    """Command line entry."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    common.add_options(parser)
-    parser.add_argument("--fabric", nargs="+", choices=PUBLISHED, help="only these")
-    options = parser.parse_args()
-    torch.set_num_threads(options.threads)
-    names = options.fabric or (QUICK_FABRICS if options.quick else PUBLISHED)
-    edges = QUICK_EDGES_M if options.quick else EDGES_M
-    rows = []
-    for name in names:
-        for edge in edges:
-            rows.append(measure(name, edge, thorough=edge == EDGES_M[0]))
-            common.print_table(rows[-1:], COLUMNS)
-    common.print_table(rows, COLUMNS)
-    found = summary(rows)
-    print(
+@Benchmark(
+    "fabrics",
+    "Textile tests of the fabrics, beside closed forms and published bands.",
+    COLUMNS,
+    Option("--fabric", tuple(PUBLISHED), "which", QUICK_FABRICS, choices=PUBLISHED),
+)
+def main(run: Run) -> None:
+    """Rows of every fabric on every mesh."""
+    for name in run.options.fabric:
+        for edge in QUICK_EDGES_M if run.options.quick else EDGES_M:
+            run.add([measure(name, edge, thorough=edge == EDGES_M[0])])
+    found = summary(run.rows)
+    run.notes.append(
         f"finest mesh: {found['inside_range']} of {found['fabrics']} drapes inside the published bands, order "
         f"{found['order']:.2f}, nodes inside 4 to 9 in {found['inside_nodes']}; bending length within "
         f"{abs(found['worst_bending_error_pct']):.1f} % of Peirce's"
     )
-    common.finish("fabrics", rows, options, summary=found)
-    return 0
+    run.extra["summary"] = found
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main.command()

@@ -1,44 +1,31 @@
 """Latency and throughput of the packed graph, beside its rivals in the same run, and how cost grows.
 
-A row's times are those of one call: pose in, vertices of ``batch`` frames out, without push-out; ``push_out_ms``
-comes on top, and rows "onnx_pushed" are both in one, with all passes of the network and with fewer. Rows with a vertex,
-patch or garment count that no shipped garment has measure growth. A rival that could not run here says why under
-``skipped``; Newton needs an interpreter that has it.
+    python -m benchmarks.latency [--quick] [--threads 2] [--model FOLDER] [--save]
 
-    python -m benchmarks.latency [--quick] [--threads 2] [--model FOLDER] [--newton PYTHON] [--save]
+A row's times are those of one call: pose in, vertices of ``batch`` frames out, without push-out. ``push_out_ms`` comes
+on top; rows "onnx_pushed" are both in one, with all passes of the network and with fewer. Rows whose count of vertices,
+patches or garments no shipped garment has measure growth.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import torch
 
-from benchmarks.shared import common
-from benchmarks.speed import rivals as latency_rivals
-from benchmarks.speed.setup import (
-    WARM_CALLS,
-    Timing,
-    network_of,
-    poses,
-    shipped,
-    shipped_names,
-    timed,
-    with_patches,
-    with_vertices,
-)
+from benchmarks.clock import Timing, timed
+from benchmarks.harness import Benchmark, Option, Run
+from benchmarks.speed import rivals
+from benchmarks.speed.setup import network_of, poses, shipped, shipped_names, with_patches, with_vertices
+from benchmarks.speed.skinning_push import SkinningPush
+from benchmarks.tables import Row
 from drape.artifacts import MODELS_DIR
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
-from drape.errors import ended
 from drape.garment.cache import Garment
 from drape.graph.feeds import garment_feed
 from drape.graph.packing import PackedBody, pack_body
@@ -52,8 +39,7 @@ from training.model import OneFit
 
 COLUMNS = {
     "name": "s", "garment": "s", "vertices": "d", "patches": "d", "batch": "d", "min_ms": ".3f",
-    "p50_ms": ".3f", "p95_ms": ".3f", "p99_ms": ".3f", "frames_per_s": ".0f", "push_out_ms": ".2f", "stages": "s",
-    "skipped": "s",
+    "p50_ms": ".3f", "p95_ms": ".3f", "p99_ms": ".3f", "frames_per_s": ".0f", "push_out_ms": ".2f",
 }  # fmt: skip
 SINGLE = ("tshirt", "dress")
 BATCHES = (1, 2, 4, 8, 16, 32, 64, 128, 256)
@@ -68,7 +54,6 @@ class Bench:
 
     engine: Engine
     halved: Engine
-    keeping: Engine  # subnormal numbers
     model: OneFit
     body: BodyModel
     shape: PackedBody
@@ -95,44 +80,34 @@ class Bench:
         return timed(call, seconds=self.seconds)
 
 
-def single_rows(bench: Bench, name: str, options: argparse.Namespace) -> list[dict[str, Any]]:
+def single_rows(bench: Bench, name: str) -> list[Row]:
     """One frame of one garment: ours by plan, with its stages, and every rival."""
     garment = shipped(name)
     packer = bench.packer({name: garment})
     size = {"garment": name, "vertices": garment.vertex_count, "patches": garment.patch_count, "batch": 1}
     pose = poses(5)[2:3]
-    skinning = latency_rivals.SkinningPush(garment, bench.body)
+    skinning = SkinningPush(garment, bench.body)
     whole = bench.clock(packer, [name], ScenePlan())
-    rows: list[dict[str, Any]] = [
+    rows: list[Row] = [
         {"name": "onnx", **whole.row(), "stage_ms": stages(bench, packer, name, pose, whole)},
         *pushed_rows(bench, packer, name, garment),
-        subnormal_row(bench, name, garment),
     ]
     rows[0]["push_out_ms"] = rows[1]["push_out_ms"]
     rows.append({"name": "onnx_jets", **bench.clock(packer, [name], ScenePlan("jets")).row()})
     if bench.halved.half:
         by_half = bench.packer({name: garment}, half=True)
         rows.append({"name": "onnx_fp16", **bench.clock(by_half, [name], ScenePlan()).row()})
-    rows += latency_rivals.torch_rows(
-        bench.model, garment, bench.body, pose, seconds=bench.seconds, compiled=not options.quick
-    )
+    rows.append(rivals.torch_row(bench.model, garment, bench.body, pose, seconds=bench.seconds))
     skin = timed(lambda: skinning.skin(pose), seconds=bench.seconds)
     both = timed(lambda: skinning.push(skinning.skin(pose), pose), seconds=bench.seconds)
     rows.append({"name": "skinning_push", **both.row(), "push_out_ms": both.p50_ms - skin.p50_ms})
-    rows.append(latency_rivals.floor_row(bench.model, packer.store.packed(name), threads=bench.threads))
-    if name == SINGLE[0]:
-        draped = packer.run(ScenePlan(), bench.shape.rows(pose), [(name, 0)])[0].arrays["vertices"]
-        rows.append(
-            {"name": "newton_vbd", "skipped": "quick form"}
-            if options.quick
-            else latency_rivals.newton_row(options.newton, garment, bench.body, pose, draped)
-        )
+    rows.append(rivals.floor_row(bench.model, packer.store.packed(name), threads=bench.threads))
     for row in rows:
         row.setdefault("frames_per_s", 1e3 / row["p50_ms"] if "p50_ms" in row else None)
     return [row | size for row in rows]
 
 
-def pushed_rows(bench: Bench, packer: Packer, key: str, garment: Garment) -> list[dict[str, Any]]:
+def pushed_rows(bench: Bench, packer: Packer, key: str, garment: Garment) -> list[Row]:
     """One frame with its push-out, by passes of the network: all, then fewer; ``push_out_ms`` the push-out's part."""
     push, rows = pushing(bench, key, garment), []
     for passes in (None, *reversed(range(bench.engine.pass_count))):
@@ -143,32 +118,6 @@ def pushed_rows(bench: Bench, packer: Packer, key: str, garment: Garment) -> lis
         count = bench.engine.pass_count if passes is None else passes
         rows.append({"name": "onnx_pushed", "passes": count, **both.row(), "push_out_ms": alone.p50_ms})
     return rows
-
-
-def subnormal_row(bench: Bench, key: str, garment: Garment) -> dict[str, Any]:
-    """The first of ``pushed_rows`` with subnormal numbers kept, call by call in turn with them taken as zero.
-
-    ``ratio``: how many times as long the median of the packed graph, of the push-out and of both then is.
-    """
-    sides = [replace(bench, engine=engine) for engine in (bench.engine, bench.keeping)]
-    calls = [(draping(one, one.packer({key: garment}), key, None), pushing(one, key, garment)) for one in sides]
-    taken: list[list[tuple[float, float]]] = []
-    end = time.perf_counter() + 2.0 * bench.seconds
-    while len(taken) < 10 + WARM_CALLS or time.perf_counter() < end:
-        row = []
-        for drape, push in calls:
-            start = time.perf_counter()
-            draped = drape()
-            between = time.perf_counter()
-            push(*draped)
-            row.append((between - start, time.perf_counter() - between))
-        taken.append(row)
-    times = 1e3 * np.array(taken[WARM_CALLS:])  # (calls, 2 sides, 2 stages)
-    whole = times.sum(axis=2)
-    flushed, kept = np.median(np.concatenate([times, whole[:, :, None]], axis=2), axis=0)
-    ratio = dict(zip(("packed", "push_out", "both"), (kept / flushed).tolist(), strict=True))
-    row = Timing.of(whole[:, 1].tolist()).row()
-    return {"name": "onnx_subnormals", **row, "push_out_ms": float(kept[1]), "ratio": ratio}
 
 
 Draped = tuple[np.ndarray, np.ndarray]  # vertices, posed skin
@@ -224,7 +173,7 @@ def at_rest(engine: Engine) -> dict[str, np.ndarray]:
     return {"dynamic_code": np.zeros((1, engine.code_size), np.float32)} if engine.dynamic else {}
 
 
-def batch_rows(bench: Bench, batches: Sequence[int]) -> list[dict[str, Any]]:
+def batch_rows(bench: Bench, batches: Sequence[int]) -> list[Row]:
     """Frames of all shipped garments in turn, every one of another client."""
     garments = {name: shipped(name) for name in shipped_names()}
     packer, rows = bench.packer(garments), []
@@ -240,7 +189,7 @@ def batch_rows(bench: Bench, batches: Sequence[int]) -> list[dict[str, Any]]:
     return rows
 
 
-def growth_rows(bench: Bench, *, quick: bool) -> list[dict[str, Any]]:
+def growth_rows(bench: Bench, *, quick: bool) -> list[Row]:
     """One T-shirt with more vertices, with more patches, and with more garments in store and in the call."""
     shirt, rows = shipped("tshirt"), []
     variants = [(f"vertices {count}", with_vertices(shirt, count)) for count in (VERTICES[1:2] if quick else VERTICES)]
@@ -264,37 +213,29 @@ def growth_rows(bench: Bench, *, quick: bool) -> list[dict[str, Any]]:
     return rows
 
 
-def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
-    """Prints the table and the record, and returns the record."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.latency", description="Latency and throughput.")
-    parser.add_argument("--model", type=Path, default=MODELS_DIR / "onefit", help="a model folder; default the shipped")
-    parser.add_argument("--newton", help="an interpreter that has the package newton")
-    parser.add_argument("--provider", choices=list(PROVIDER_NAMES), default="cpu")
-    common.add_options(parser)
-    options = parser.parse_args(arguments)
-    torch.set_num_threads(options.threads)
-    load = os.getloadavg()[0]
-    device, body = Device(options.provider, options.threads), load_body()
+@Benchmark(
+    "latency",
+    "Latency and throughput.",
+    COLUMNS,
+    Option("--model", MODELS_DIR / "onefit", "a model folder", kind=Path),
+    Option("--provider", "cpu", "what graphs run on", choices=list(PROVIDER_NAMES)),
+)
+def main(run: Run) -> None:
+    """Rows of single frames, of batches, and of growing garments and stores."""
+    options, body, load = run.options, load_body(), os.getloadavg()[0]
+    device = Device(options.provider, options.threads)
     engine, halved = (Engine(options.model, device=device, half=half) for half in (False, True))
-    keeping = Engine(options.model, device=replace(device, keep_subnormals=True))
-    seconds = 0.3 if options.quick else 3.0
-    bench = Bench(engine, halved, keeping, network_of(options.model), body, pack_body(body), seconds, options.threads)
-    rows = [row for name in SINGLE for row in single_rows(bench, name, options)]
-    rows += batch_rows(bench, BATCHES[:4:3] if options.quick else BATCHES)
-    rows += growth_rows(bench, quick=options.quick)
-    shown = [row | {"stages": _stages_text(row.get("stage_ms"))} for row in rows]
-    common.print_table(shown, COLUMNS)
+    seconds, model = 0.3 if options.quick else 3.0, network_of(options.model)
+    bench = Bench(engine, halved, model, body, pack_body(body), seconds, options.threads)
+    run.rows = [row for name in SINGLE for row in single_rows(bench, name)]
+    run.rows += batch_rows(bench, BATCHES[:4:3] if options.quick else BATCHES)
+    run.rows += growth_rows(bench, quick=options.quick)
     if load > 0.5:
-        print(f"the machine was busy: load {load:.1f} when this began; such times are provisional")
-    return common.finish(
-        "latency", rows, options, device=options.provider, provider=engine.provider, load_before=load,
-        model=options.model.name, graph="packed_int8" if engine.int8 else "packed",
-    )  # fmt: skip
-
-
-def _stages_text(stage_ms: dict[str, float] | None) -> str | None:
-    return None if stage_ms is None else " ".join(f"{name} {ms:.2f}" for name, ms in stage_ms.items())
+        run.notes.append(f"the machine was busy: load {load:.1f} when this began; such times are provisional")
+    graph = "packed_int8" if engine.int8 else "packed"
+    run.extra |= {"device": options.provider, "provider": engine.provider, "load_before": load}
+    run.extra |= {"model": options.model.name, "graph": graph}
 
 
 if __name__ == "__main__":
-    sys.exit(ended(main))
+    main.command()

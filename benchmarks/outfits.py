@@ -2,42 +2,39 @@
 
     python -m benchmarks.outfits
     python -m benchmarks.outfits --outfits trousers+tshirt tank+longsleeve --motions squat --save
-    python -m benchmarks.outfits --threads 1 --picture docs/images/outfits.png
 
-An outfit is written inner+outer, of names or files. Streams of 30 frames a second and single hard poses go the
-service's own road, frame by frame, the methods in turn: "alone", each garment by itself with folds, as two requests;
-"over", both in one scene, where the outer one feels the inner one; "projected", the same without folds: the network and
-the collision projection.
+An outfit is written inner+outer, of names or files. Streams of 30 frames a second and single hard poses go through the
+stages of the service, frame by frame, the methods in turn. "alone" is each garment by itself with folds, as two
+requests; "over" both in one scene, where the outer one feels the inner one; "projected" the same without folds, the
+network and the collision projection.
 
 ``through_pct`` is of the pixels, from four sides, that show outer cloth or covered inner cloth
 (``benchmarks.measure.skin_pixels``); ``inner_out_pct`` of the inner garment's vertices, seen or not. Strain, crossings
-and jitter, which is against the network alone, are the outer garment's. Times are of both garments: of a stream's
-frames after the first, or of poses, whose folds have no past and settle.
+and jitter are the outer garment's; jitter is against the network alone. Times are of both garments: the frames of a
+stream after the first, or poses, whose folds have no past and settle.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from itertools import product
 
 import numpy as np
 
-from benchmarks.folds import Clip, jitter_ratio
+from benchmarks.harness import Benchmark, Option, Run
 from benchmarks.measure.intersections import intersection_count
-from benchmarks.measure.skin_pixels import VIEWS_DEG, PosedBody, covered_faces, skin_pixels_pct
-from benchmarks.shared import common
-from benchmarks.shared.render import CLOTH, SKIN, Surface, render, save_png, sheet
-from benchmarks.tradeoff import Runner
+from benchmarks.measure.judged import jitter_ratio
+from benchmarks.measure.skin_pixels import PosedBody, covered_faces, skin_pixels_pct
+from benchmarks.scenes import FPS, Clip
+from benchmarks.served import Stream
+from benchmarks.tables import Row
 from drape.artifacts import DEFAULT_MODEL, load_manifest, model_folder
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, find_motions, open_garment
 from drape.cloth import metrics
-from drape.errors import InputError, ended
+from drape.errors import InputError
 from drape.garment.cache import Garment
 from drape.geometry import closest, meshes
 from drape.motion.hard_poses import hard_poses
@@ -51,16 +48,11 @@ OUTFITS = ("trousers+tshirt", "trousers+longsleeve", "tank+longsleeve", "shorts+
 MOTIONS = ("walk", "squat")
 METHODS = ("alone", "over", "projected")
 NETWORK = "network"  # what jitter is against
-FOLDS = 2
-FPS, FRAMES, QUICK_FRAMES = 30.0, 90, 8
-POSES, QUICK_POSES = 8, 1
 LOOKED_AT, QUICK_LOOKED_AT = 12, 2  # frames of a stream that are measured
 CROSSED = 2  # and whose crossings are counted
 IN_EACH_OTHER_M = 0.02  # at most, of two garments at rest, where each was cut for the skin
 SHOWN_M = 0.03  # farther out, a vertex is another part of the body's: a hip beside a sleeve
 TARGET_PCT, TARGET_WORST_PCT = 0.05, 0.5
-INNER = (0.78, 0.30, 0.32)
-PICTURE_SIZE, PICTURE_MARGIN, PICTURE_COLOURS = (336, 240), 1.15, 32
 COLUMNS = {
     "outfit": "s", "clip": "s", "method": "s", "through_pct": ".3f", "through_worst_pct": ".2f", "worst": "s",
     "inner_out_pct": ".2f", "inner_out_worst_pct": ".2f", "edge_pct": ".2f", "self_intersections": ".0f",
@@ -70,7 +62,7 @@ COLUMNS = {
 
 @dataclass(frozen=True, eq=False)
 class Worn:
-    """A garment over another one; of the ``inner`` one's faces, which are ``covered`` (F,) at rest."""
+    """A garment over another one, which covers the faces ``covered`` (F,) of the ``inner`` one at rest."""
 
     name: str
     inner: Garment
@@ -92,7 +84,7 @@ class Worn:
         return cls(text, inner, outer, covered)
 
     def plans(self, drapery: DrapeRuntime, folds: int) -> dict[str, list[Plan]]:
-        """By method, what is asked of the service; all that it needs is taken in."""
+        """What is asked of the service, by method; the garments that it needs are taken in."""
         inner, outer = (drapery.garments.add(garment, "user") for garment in (self.inner, self.outer))
         both = drapery.garments.scene(None, [inner.id, outer.id])
         found = {
@@ -108,26 +100,16 @@ class Worn:
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """Frames that outfits are draped in: a stream, or single poses without a past; the bodies of those that are
-    measured, and what these are called."""
+    """A stream, or single poses without a past, that outfits are draped in, and the measured ``bodies`` in pictures."""
 
     clip: Clip
     streamed: bool
     bodies: tuple[PosedBody, ...]
-    labels: tuple[str, ...]
 
     @classmethod
-    def stream(cls, path: Path, frames: int, looked_at: int, body: BodyModel) -> Watched:
-        """The first ``frames`` of the motion at ``path``."""
-        clip = Clip.read(path, FPS, frames, body, looked_at=looked_at)
-        return cls(clip, True, posed(clip, body), tuple(f"{clip.name}:{frame}" for frame in clip.measured))
-
-    @classmethod
-    def poses(cls, count: int, body: BodyModel) -> Watched:
-        """``count`` hard poses of the shipped clips."""
-        chosen = hard_poses([read_motion(path) for path in find_motions([])], body, count)
-        clip = Clip.of("poses", FPS, chosen.poses, body, looked_at=count)
-        return cls(clip, False, posed(clip, body), chosen.labels)
+    def of(cls, clip: Clip, *, streamed: bool) -> Watched:
+        """The frames of ``clip``."""
+        return cls(clip, streamed, tuple(PosedBody.of(posed, clip.body.faces) for posed in clip.body_vertices))
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +133,7 @@ class Drapes:
         ]
         return cls(watched, inner, outer, np.nan_to_num(shares))  # none shows where nothing is seen
 
-    def figures(self, worn: Worn) -> dict[str, Any]:
+    def figures(self, worn: Worn) -> Row:
         """The columns of a row that these frames tell."""
         rest, faces = at_rest(worn.outer)
         through, out = self.through.mean(axis=1), inner_out_pct(self.inner, self.outer, faces)
@@ -159,7 +141,7 @@ class Drapes:
         return {
             "through_pct": float(through.mean()),
             "through_worst_pct": float(through.max()),
-            "worst": self.watched.labels[int(through.argmax())],
+            "worst": self.watched.clip.labels[int(through.argmax())],
             "inner_out_pct": float(out.mean()),
             "inner_out_worst_pct": float(out.max()),
             "edge_pct": float(metrics.edge_strain_pct(self.outer, rest, faces).mean()),
@@ -172,41 +154,35 @@ def at_rest(garment: Garment) -> tuple[np.ndarray, np.ndarray]:
     return garment.vertices[: garment.vertex_count].astype(np.float64), garment.faces.astype(np.int64)
 
 
-def posed(clip: Clip, body: BodyModel) -> tuple[PosedBody, ...]:
-    """The bodies of the measured frames, and what is seen of them."""
-    return tuple(PosedBody.of(vertices, body.faces) for vertices in clip.body_vertices)
-
-
-def measure(
-    worn: Worn, watched: Watched, drapery: DrapeRuntime, folds: int
-) -> tuple[list[dict[str, Any]], dict[str, Drapes]]:
-    """A row for each method, and what it made of the outfit."""
-    shapes = drapery.body.shape_count
-    runners = {
-        method: [Runner.of(plan, watched.clip, shapes) for plan in plans]
-        for method, plans in worn.plans(drapery, folds).items()
-    }
-    for frame in range(len(watched.clip.poses)):
-        for runner in (runner for those in runners.values() for runner in those):
+def measure(worn: Worn, watched: Watched, drapery: DrapeRuntime, folds: int) -> list[Row]:
+    """A row for each method."""
+    clip, shapes = watched.clip, drapery.body.shape_count
+    streams = {method: [Stream(plan, shapes) for plan in plans] for method, plans in worn.plans(drapery, folds).items()}
+    frames: dict[str, list[np.ndarray]] = {method: [] for method in streams}
+    for frame, pose in enumerate(clip.poses):
+        for method, those in streams.items():
             if not watched.streamed:
-                runner.memories = {}
-            runner.step(frame)
-    vertices = {method: np.concatenate([one.vertices for one in those], axis=1) for method, those in runners.items()}
+                for stream in those:
+                    stream.forget()
+            layers = [stream.pose(pose, frame / clip.fps).world()[0] for stream in those]
+            frames[method].append(np.concatenate(layers))
+    vertices = {method: np.stack(found) for method, found in frames.items()}
     timed = slice(1 if watched.streamed else 0, None)
-    rows: list[dict[str, Any]] = []
-    drapes = {method: Drapes.of(worn, watched, vertices[method]) for method in METHODS}
-    for method, found in drapes.items():
+    rows: list[Row] = []
+    for method in METHODS:
         wall_ms, cpu_ms = (
-            np.sum([getattr(one, clock)[timed] for one in runners[method]], axis=0) for clock in ("wall_ms", "cpu_ms")
+            np.sum([getattr(one.clock, name)[timed] for one in streams[method]], axis=0)
+            for name in ("wall_ms", "cpu_ms")
         )
-        row = {"outfit": worn.name, "clip": watched.clip.name, "method": method, **found.figures(worn)}
+        row: Row = {"outfit": worn.name, "clip": watched.clip.name, "method": method}
+        row |= Drapes.of(worn, watched, vertices[method]).figures(worn)
         if watched.streamed:
             outer = slice(worn.inner.vertex_count, None)
             row["jitter_ratio"] = jitter_ratio(vertices[method][:, outer], vertices[NETWORK][:, outer])
         rows.append(row | {"p50_ms": float(np.median(wall_ms)), "processor_ms": float(np.median(cpu_ms))})
     alone, over, _ = rows
     over["times_singles"] = over["processor_ms"] / alone["processor_ms"]
-    return rows, drapes
+    return rows
 
 
 def inner_out_pct(inner: np.ndarray, outer: np.ndarray, outer_faces: np.ndarray) -> np.ndarray:
@@ -219,7 +195,7 @@ def inner_out_pct(inner: np.ndarray, outer: np.ndarray, outer_faces: np.ndarray)
     return 100.0 * np.array(shares)
 
 
-def missed(rows: Sequence[dict[str, Any]]) -> list[str]:
+def missed(rows: Sequence[Row]) -> list[str]:
     """Outfits and clips in which more of the inner garment shows "over" than it may."""
     return [
         f"{row['outfit']} in {row['clip']}"
@@ -228,90 +204,46 @@ def missed(rows: Sequence[dict[str, Any]]) -> list[str]:
     ]
 
 
-def picture(worn: Worn, found: Sequence[dict[str, Drapes]]) -> list[np.ndarray]:
-    """The outfit "alone" and "over" in the frame and from the side in which most of the inner garment shows over the
-    outer one with both in one scene, or, where none does, with each by itself."""
-    places = [
-        (drapes["over"].through[place], drapes["alone"].through[place], number, place)
-        for number, drapes in enumerate(found)
-        for place in np.ndindex(drapes["over"].through.shape)
-    ]
-    *_, number, (frame, view) = max(places)
-    cloth = found[number]["over"].outer[frame]
-    centre = 0.5 * (cloth.min(axis=0) + cloth.max(axis=0))
-    extent_m = PICTURE_MARGIN * float(np.ptp(cloth, axis=0).max())
-    shown = []
-    for drapes in (found[number]["alone"], found[number]["over"]):
-        body = drapes.watched.bodies[frame]
-        surfaces = [
-            Surface(body.vertices, body.faces, SKIN),
-            Surface(drapes.inner[frame], worn.inner.faces, INNER),
-            Surface(drapes.outer[frame], worn.outer.faces, CLOTH),
-        ]
-        shown.append(render(surfaces, size=PICTURE_SIZE, azimuth_deg=VIEWS_DEG[view], centre=centre, extent_m=extent_m))
-    return shown
-
-
-def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.outfits", description="Garments over each other.")
-    parser.add_argument("--outfits", nargs="+", default=[], help=f"inner+outer (default: {' '.join(OUTFITS)})")
-    parser.add_argument("--motions", nargs="+", default=[], help=f"names or files (default: {' '.join(MOTIONS)})")
-    parser.add_argument("--frames", type=int, help=f"of a stream at most (default {FRAMES}, quick {QUICK_FRAMES})")
-    parser.add_argument("--poses", type=int, help=f"hard poses (default {POSES}, quick {QUICK_POSES})")
-    parser.add_argument("--folds", type=int, default=FOLDS, help="steps of folds (%(default)s)")
-    parser.add_argument("--picture", type=Path, help="draw every outfit, alone above and over each other below")
-    parser.add_argument(
-        "--model", default=DEFAULT_MODEL, help=f"name under assets/models, or a folder (default {DEFAULT_MODEL})"
-    )
-    common.add_options(parser)
-    options = parser.parse_args(arguments)
-    options.outfits = options.outfits or (OUTFITS[2:3] if options.quick else OUTFITS)
-    options.motions = options.motions or (MOTIONS[:1] if options.quick else MOTIONS)
-    options.frames = options.frames or (QUICK_FRAMES if options.quick else FRAMES)
-    options.poses = options.poses or (QUICK_POSES if options.quick else POSES)
-    return options
-
-
-def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
-    """Prints the table and the record, and returns the record."""
-    options = parse(arguments)
-    body, folder = load_body(), model_folder(options.model)
+@Benchmark(
+    "outfits",
+    "Garments over each other.",
+    COLUMNS,
+    Option("--outfits", OUTFITS, "inner+outer", OUTFITS[2:3]),
+    Option("--motions", MOTIONS, "names or files", MOTIONS[:1]),
+    Option("--frames", 90, "of a stream at most", 8),
+    Option("--poses", 8, "hard poses", 1),
+    Option("--folds", 2, "steps of folds"),
+    Option("--model", DEFAULT_MODEL, "name under assets/models, or a folder"),
+)
+def main(run: Run) -> None:
+    """Rows of every outfit in every stream and in hard poses."""
+    options, body = run.options, load_body()
+    folder = model_folder(options.model)
     outfits = [Worn.of(text, body) for text in options.outfits]
     looked_at = QUICK_LOOKED_AT if options.quick else LOOKED_AT
-    watched = [Watched.stream(path, options.frames, looked_at, body) for path in find_motions(options.motions)]
-    watched.append(Watched.poses(options.poses, body))
+    clips = [Clip.read(path, FPS, options.frames, body, looked_at=looked_at) for path in find_motions(options.motions)]
+    chosen = hard_poses([read_motion(path) for path in find_motions([])], body, options.poses)
+    watched = [Watched.of(clip, streamed=True) for clip in clips] + [
+        Watched.of(Clip.hard(chosen, body), streamed=False)
+    ]
     drapery = DrapeRuntime(Settings(models_dir=folder.parent, model=folder.name, threads=options.threads), body=body)
-    rows: list[dict[str, Any]] = []
-    drawn: list[list[np.ndarray]] = []
-    for worn in outfits:
-        found = []
-        for frames in watched:
-            made, drapes = measure(worn, frames, drapery, options.folds)
-            common.print_table(made, COLUMNS)
-            rows += made
-            found.append(drapes)
-        if options.picture:
-            drawn.append(picture(worn, found))
+    for worn, frames in product(outfits, watched):
+        run.add(measure(worn, frames, drapery, options.folds))
     drapery.close()
-    if options.picture:
-        save_png(options.picture, sheet([list(row) for row in zip(*drawn, strict=True)]), colours=PICTURE_COLOURS)
-    print()
-    common.print_table(rows, COLUMNS)
-    above = missed(rows)
+    above = missed(run.rows)
     told = f"missed by {', '.join(above)}" if above else "met by all"
-    print(f"\nover: at most {TARGET_PCT} % of the pixels through, {TARGET_WORST_PCT} % in the worst frame: {told}")
-    return common.finish(
-        "outfits",
-        rows,
-        options,
-        targets={"through_pct": TARGET_PCT, "through_worst_pct": TARGET_WORST_PCT, "missed": above},
-        covered_pct={worn.name: 100.0 * float(worn.covered.mean()) for worn in outfits},
-        frames={one.clip.name: list(one.labels) for one in watched},
-        folds=options.folds,
-        model=options.model,
-        model_digest=load_manifest(folder).digest,
+    run.notes.append(
+        f"over: at most {TARGET_PCT} % of the pixels through, {TARGET_WORST_PCT} % in the worst frame: {told}"
     )
+    run.extra |= {
+        "targets": {"through_pct": TARGET_PCT, "through_worst_pct": TARGET_WORST_PCT, "missed": above},
+        "covered_pct": {worn.name: 100.0 * float(worn.covered.mean()) for worn in outfits},
+        "frames": {one.clip.name: list(one.clip.labels) for one in watched},
+        "folds": options.folds,
+        "model": options.model,
+        "model_digest": load_manifest(folder).digest,
+    }
 
 
 if __name__ == "__main__":
-    sys.exit(ended(main))
+    main.command()

@@ -1,4 +1,4 @@
-"""How good the drape is: skinning, network and physics side by side, on hard poses (docs/reference/quality.md).
+"""How good the drape is: skinning, network, folds and physics side by side, on hard poses (docs/reference/quality.md).
 
     python -m benchmarks.quality
     python -m benchmarks.quality --garments tshirt dress --motions walk squat --frames 6
@@ -7,133 +7,126 @@
     python -m benchmarks.quality --precision float32
     python -m benchmarks.quality --garments tshirt --fabrics jersey poplin --passes 0 --out fabrics.json
 
-A garment is a name under assets/garments, a cache file, a mesh, or a folder of either; a
-motion is a name under assets/motions, a file, or a folder. Everything is measured at rest
-(motion knob 0) on the garment's subdivided mesh; jitter on continuous windows of the motions. The network is
-the graph that the service runs on a CPU, in int8 unless ``--precision`` says otherwise.
-``--fabrics`` measures every garment in each of them, with its rest state; of a network that knows fabrics, jersey is
-what it is otherwise measured in. Of one that does not, it is the cloth of before fabrics (``--material``).
+A garment is a name under assets/garments, a cache file, a mesh, or a folder of either; a motion is a name under
+assets/motions, a file, or a folder. Everything is measured at rest (motion knob 0) on the garment's subdivided mesh;
+jitter on continuous windows of the motions. The network is the graph that the service runs on a processor.
+``--fabrics`` measures every garment in each of them, with its rest state. Without it, a network that knows fabrics is
+measured in jersey, and one that does not in the cloth of before fabrics (``--material``).
 """
 
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
-import torch
 
+from benchmarks.harness import Benchmark, Option, Run, inputs
 from benchmarks.judge import physics
 from benchmarks.judge.physics_cache import CACHE_DIR
-from benchmarks.measure.jitter import typical_windows
-from benchmarks.measure.measures import Bench, measure, summary
-from benchmarks.shared import common
-from benchmarks.shared.network import Network, add_precision
+from benchmarks.measure.intersections import intersection_count
+from benchmarks.measure.jitter import Window, jitter, typical_windows
+from benchmarks.measure.judged import Cloth, Judged
+from benchmarks.network import PRECISION, Draped, Network
+from benchmarks.scenes import Clip, folded_poses
+from benchmarks.tables import Row
 from drape.artifacts import model_folder
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, find_motions, open_garment, was_trained_on
-from drape.cloth.contact import BodyContact
+from drape.cloth import metrics
+from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_table import DEFAULT_FABRIC, fabric
-from drape.cloth.material import DEFAULT_MATERIAL, material
-from drape.errors import InputError, ended
+from drape.cloth.material import DEFAULT_MATERIAL, Material, material
+from drape.contact.projection import push_out_of_bodies
+from drape.contact.skin import body_skin
+from drape.errors import InputError
 from drape.garment.cache import Garment
+from drape.garment.fine import fine_garment
 from drape.garment.fitting import patch_fields, rest_garment
+from drape.graph.push_feed import push_feed
+from drape.live.fold_constants import fold_constants
+from drape.live.fold_step import FoldEffort
 from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
+from training.disagreement import disagreement
 
-SETS = ("trained", "unseen")
-FRAMES, QUICK_FRAMES = 12, 2
-QUICK_STEPS = 30
+METHODS = ("skinning", "skinning_push", "network", "network_push", "folds", "physics")
+STEPS = 2  # of folds
+MEASURED = ("edge_pct", "area_pct", "colliding_vertex_pct", "colliding_triangle_pct", "self_intersections", "hang_mm",
+            "detail_mm", "dihedral_deg")  # fmt: skip
+# Heads are short where the key is longer than its numbers.
 COLUMNS = {
     "garment": "s", "set": "s", "fabric": "s", "method": "s", "edge_pct": ".2f", "area_pct": ".2f",
-    "edge_over_physics_pp": ".2f", "area_over_physics_pp": ".2f", "colliding_vertex_pct": ".3f",
-    "colliding_triangle_pct": ".3f", "self_intersections": ".1f", "chart_gap_p99_mm": ".2f",
-    "chart_normal_p99_deg": ".2f", "jitter_ratio": ".2f", "jitter_worst": ".2f", "hang_mm": ".1f", "detail_mm": ".3f",
-    "dihedral_deg": ".1f", "detail_share": ".2f", "energy_j": ".4f", "membrane_j": ".4f", "gain": ".3f",
-}  # fmt: skip
-# The table's head, where the key is longer than its numbers; the record keeps the keys.
-HEADS = {
-    "edge_over_physics_pp": "edge_over", "area_over_physics_pp": "area_over", "colliding_vertex_pct": "vertex_pct",
-    "colliding_triangle_pct": "triangle_pct", "self_intersections": "self", "chart_gap_p99_mm": "gap_mm",
-    "chart_normal_p99_deg": "normal_deg", "jitter_ratio": "jitter", "jitter_worst": "worst",
+    "edge_over_physics_pp": ("edge_over", ".2f"), "area_over_physics_pp": ("area_over", ".2f"),
+    "colliding_vertex_pct": ("vertex_pct", ".3f"), "colliding_triangle_pct": ("triangle_pct", ".3f"),
+    "self_intersections": ("self", ".1f"), "chart_gap_p99_mm": ("gap_mm", ".2f"),
+    "chart_normal_p99_deg": ("normal_deg", ".2f"), "jitter_ratio": ("jitter", ".2f"), "jitter_worst": ("worst", ".2f"),
+    "hang_mm": ".1f", "detail_mm": ".3f", "dihedral_deg": ".1f", "detail_share": ".2f", "energy_j": ".4f",
+    "membrane_j": ".4f", "gain": ".3f",
 }  # fmt: skip
 
 
-def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.quality", description="Quality of skinning, network and physics, side by side."
-    )
-    common.add_inputs(parser)
-    parser.add_argument("--frames", type=int, help=f"poses (default {FRAMES}, quick {QUICK_FRAMES})")
-    parser.add_argument(
-        "--set", choices=SETS, help="what the garments are (default: shipped ones trained, files unseen)"
-    )
-    parser.add_argument("--patches", type=float, help="cover garments anew, by this many over the usual number")
-    cloth = parser.add_mutually_exclusive_group()
-    cloth.add_argument("--fabrics", nargs="+", metavar="NAME", help="measure in each (drape.cloth.fabric_table)")
-    cloth.add_argument(
-        "--material",
-        help=f"the cloth of before fabrics (drape.cloth.material; default {DEFAULT_MATERIAL}, where the network does "
-        "not know fabrics)",
-    )
-    parser.add_argument("--passes", type=int, help="corrections of the network that run (default: all)")
-    parser.add_argument("--steps", type=int, help=f"most physics steps (default {physics.STEPS}, quick {QUICK_STEPS})")
-    parser.add_argument(
-        "--no-physics-cache",
-        action="store_true",
-        help="minimise again instead of taking stored drapes, store none",
-    )
-    add_precision(parser)
-    common.add_options(parser)
-    options = parser.parse_args(arguments)
-    if options.quick:
-        options.garments = options.garments or ["tshirt"]
-    options.frames = options.frames or (QUICK_FRAMES if options.quick else FRAMES)
-    options.steps = options.steps or (QUICK_STEPS if options.quick else physics.STEPS)
-    return options
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """What all garments share: hard poses, windows of clips for jitter, and the networks.
+
+    ``fabric``: what garments are made of; None for the cloth ``material`` of before fabrics. ``uncorrected`` is the
+    network without corrections, which folds start from; without it, or a fabric, there are no folds. Physics takes at
+    most ``step_limit`` steps, and its optima are kept in ``physics_folder``, or not at all.
+    """
+
+    clip: Clip
+    network: Network
+    material: Material
+    step_limit: int = physics.STEPS
+    windows: Sequence[Window] = ()
+    physics_folder: Path | None = None
+    fabric: Fabric | None = None
+    uncorrected: Network | None = None
+
+    def of_fabric(self, fabric: Fabric) -> Bench:
+        """The same bench with all garments of ``fabric``."""
+        uncorrected = None if self.uncorrected is None else self.uncorrected.made_of(fabric)
+        made = self.network.made_of(fabric)
+        return replace(self, fabric=fabric, material=Material.of(fabric), network=made, uncorrected=uncorrected)
 
 
 def open_bench(options: argparse.Namespace, body: BodyModel) -> Bench:
-    """Motions, posed bodies and network as ``options`` ask."""
+    """Poses, windows and networks as ``options`` ask."""
     clips = [read_motion(path) for path in find_motions(options.motions)]
-    poses = hard_poses(clips, body, options.frames)
-    contact = BodyContact(body.faces, body.vertex_count)
-    body_vertices = body.posed_vertices(poses.poses)
-    windows = typical_windows(clips)
+    windows, folder = typical_windows(clips), model_folder(options.model)
+    made, uncorrected = (
+        Network(folder, body, threads=options.threads, precision=options.precision, passes=passes)
+        for passes in (options.passes, 0)
+    )
     return Bench(
-        body=body,
-        poses=poses,
-        contact=contact,
-        body_vertices=body_vertices,
-        body_normals=np.asarray(contact.normals(body_vertices)),
-        network=Network(
-            model_folder(options.model),
-            body,
-            threads=options.threads,
-            precision=options.precision,
-            passes=options.passes,
-        ),
+        clip=Clip.hard(hard_poses(clips, body, options.frames), body),
+        network=made,
         material=material(options.material or DEFAULT_MATERIAL),
         step_limit=options.steps,
         windows=windows[:1] if options.quick else windows,
         physics_folder=None if options.no_physics_cache else CACHE_DIR,
-        uncorrected=Network(
-            model_folder(options.model), body, threads=options.threads, precision=options.precision, passes=0
-        ),
+        uncorrected=uncorrected,
     )
 
 
 def in_fabrics(bench: Bench, options: argparse.Namespace) -> list[Bench]:
     """``bench`` in each of ``--fabrics``, or in what the network drapes by default.
 
-    Refuses (``NotFound``) what is no fabric.
+    Refuses (``NotFound``) what is no fabric, and (``InputError``) fabrics beside ``--material``.
     """
     names = options.fabrics
-    if names is None:
+    if names and options.material is not None:
+        raise InputError(
+            "--material",
+            expected="no --fabrics beside it",
+            got=f"fabrics {', '.join(names)}",
+            cure="Leave out one of both.",
+        )
+    if not names:
         names = [DEFAULT_FABRIC] if bench.network.engine.knows_fabrics and options.material is None else []
     chosen = {made.name: made for made in map(fabric, names)}
     return [bench.of_fabric(made) for made in chosen.values()] or [bench]
@@ -145,30 +138,118 @@ def covered(garment: Garment, body: BodyModel, share: float) -> Garment:
     return replace(garment, **patch_fields(rest, share=share, unfold=True))
 
 
-def print_table(rows: list[dict[str, Any]]) -> None:
-    """The rows under short heads."""
-    named = [{HEADS.get(key, key): value for key, value in row.items()} for row in rows]
-    columns = {key: form for key, form in COLUMNS.items() if key != "fabric" or any(key in row for row in rows)}
-    common.print_table(named, {HEADS.get(key, key): form for key, form in columns.items()})
+def measure(garment: Garment, bench: Bench, *, trained: bool) -> list[Row]:
+    """One row per method; a row lacks the measures that do not apply to its method."""
+    cloth = Cloth(garment, bench.clip.body, bench.material, bench.fabric)
+    judge = Judged.of(cloth, bench.clip.poses)
+    draped = bench.network.drape(garment, bench.clip.poses)
+    starts = judge.pushed, draped.vertices
+    optimum, was_cached = judge.optimum(starts, bench.physics_folder, bench.step_limit)
+    positions = drapes(garment, bench, judge, draped.vertices) | {"physics": optimum.vertices}
+    known = {"garment": garment.name, "set": "trained" if trained else "unseen"}
+    known |= {} if bench.fabric is None else {"fabric": bench.fabric.name}
+    rows: dict[str, Row] = {
+        method: known | {"method": method} | judge.figures(vertices, MEASURED) | judge.energies(vertices)
+        for method, vertices in positions.items()
+    }
+    rows["network"] |= chart_figures(garment, draped)
+    for method, found in jitter(garment, bench.network, bench.clip.body, bench.windows).items():
+        rows[method] |= {"jitter_ratio": found.ratio, "jitter_worst": found.worst, "jitter_by_clip": found.by_clip}
+    add_comparisons(rows)
+    rows["physics"] |= {
+        "residual_n": float(optimum.residual_n.mean()),
+        "weight_n": float(bench.material.gravity_m_s2 * cloth.mesh.vertex_mass(bench.material).sum()),
+        "converged_pct": 100.0 * float(optimum.converged.mean()),
+        "steps": float(optimum.steps.mean()),
+        "seconds": optimum.seconds,
+        "cached": was_cached,
+    }
+    rest_crossings = float(intersection_count(cloth.rest, cloth.faces))
+    return [row | {"self_intersections_rest": rest_crossings} for row in rows.values()]
 
 
-def _named(row: dict[str, Any]) -> str:
-    return _in_fabric(row["garment"], row.get("fabric"))
+def drapes(garment: Garment, bench: Bench, judge: Judged, draped: np.ndarray) -> dict[str, np.ndarray]:
+    """World vertices [m] (F, V, 3) by method, but for physics; ``draped`` (F, V, 3) are the network's."""
+    body, clip = bench.clip.body, bench.clip
+    out = push_out_of_bodies(draped, judge.body_vertices, body_skin(body), push_feed(garment, body))
+    found = {"skinning": judge.skinned, "skinning_push": judge.pushed, "network": draped, "network_push": out}
+    if bench.uncorrected is not None and bench.fabric is not None:
+        # The service's default, but for cloth contact, which physics has not, and for the lift off the skin.
+        made = fold_constants(fine_garment(garment), body, bench.fabric)
+        start = bench.uncorrected.drape(garment, clip.poses).vertices
+        found["folds"] = folded_poses(made, start, clip.skin, FoldEffort(STEPS))
+    return found
+
+
+def chart_figures(garment: Garment, draped: Draped) -> dict[str, float]:
+    """How much overlapping charts disagree before blending: 99th percentiles over all entries and vertices."""
+    found = disagreement(garment, draped.jet, draped.rotation, draped.centre)
+    return {
+        "chart_gap_p99_mm": 1e3 * float(np.percentile(found.gap_m, 99.0)),
+        "chart_normal_p99_deg": float(np.degrees(np.percentile(found.normal_rad, 99.0))),
+    }
+
+
+def add_comparisons(rows: dict[str, Row]) -> None:
+    """Adds to the row of each method what it has beside physics.
+
+    That is the gain and the strain over that of physics in percentage points; for the network and folds also the share
+    of the detail that physics has beyond skinning, NaN where physics has none.
+    """
+    best, skin = rows["physics"], rows["skinning_push"]["energy_j"]
+    for row in rows.values():
+        row["gain"] = metrics.gain(skin, row["energy_j"], best["energy_j"])
+        row["edge_over_physics_pp"] = row["edge_pct"] - best["edge_pct"]
+        row["area_over_physics_pp"] = row["area_pct"] - best["area_pct"]
+    for row in (rows[method] for method in ("network", "network_push", "folds") if method in rows):
+        row["detail_share"] = metrics.gain(-rows["skinning"]["detail_mm"], -row["detail_mm"], -best["detail_mm"])
+
+
+def summary(rows: Sequence[Row]) -> list[Row]:
+    """Means over the garments of each set and fabric, one row per method; gain and share are those of the means."""
+    found: list[Row] = []
+    for group in dict.fromkeys((row["set"], row.get("fabric")) for row in rows):
+        means = {}
+        for method in METHODS:
+            own = [row for row in rows if (row["set"], row.get("fabric"), row["method"]) == (*group, method)]
+            if not own:
+                continue
+            named = {key: own[0][key] for key in ("set", "method", "fabric") if key in own[0]}
+            numbers = [key for key, value in own[0].items() if isinstance(value, float)]
+            mean = {key: float(np.mean([row[key] for row in own])) for key in numbers}
+            means[method] = {"garment": "all"} | named | mean
+        add_comparisons(means)
+        found += means.values()
+    return found
 
 
 def _in_fabric(garment: str, fabric_name: str | None) -> str:
     return f"{garment} of {fabric_name}" if fabric_name else garment
 
 
-def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
-    """Prints the table and the record, and returns the record."""
-    options = parse(arguments)
-    torch.set_num_threads(options.threads)
-    body = load_body()
+@Benchmark(
+    "quality",
+    "Quality of skinning, network and physics, side by side.",
+    COLUMNS,
+    *inputs(quick_garments=("tshirt",)),
+    Option("--frames", 12, "hard poses", 2),
+    Option(
+        "--set", None, "what garments are (default: shipped ones trained, files unseen)", choices=("trained", "unseen")
+    ),
+    Option("--patches", None, "cover garments anew, by this many over the usual number", kind=float),
+    Option("--fabrics", (), "measure in each (drape.cloth.fabric_table)"),
+    Option("--material", None, "measure in a cloth of before fabrics (drape.cloth.material)"),
+    Option("--passes", None, "corrections of the network that run (default all)", kind=int),
+    Option("--steps", physics.STEPS, "most steps of physics", 30),
+    Option("--no-physics-cache", False, "minimise again instead of taking stored drapes, store none"),
+    PRECISION,
+)
+def main(run: Run) -> None:
+    """Rows of every garment in every fabric, and their means."""
+    options, body = run.options, load_body()
     bench = open_bench(options, body)
     benches = in_fabrics(bench, options)
     known = bench.network.manifest.training.get("garments", ())
-    rows: list[dict[str, Any]] = []
     refused: dict[str, str] = {}
     for path in find_garments(options.garments):  # one after the other, so that only one is in memory
         try:
@@ -181,43 +262,38 @@ def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
         print(f"{garment.name}: drapes and the physics optimum, minutes where it is not stored", flush=True)
         trained = options.set == "trained" if options.set else was_trained_on(garment, known)
         for made in benches:
+            name = _in_fabric(garment.name, made.fabric.name if made.fabric else None)
             try:
-                rows += measure(garment, made, trained=trained)
+                rows = measure(garment, made, trained=trained)
             except InputError as error:  # nor one garment without an optimum
                 refused[_in_fabric(error.name, made.fabric.name if made.fabric else None)] = str(error)
                 continue
-            row = rows[-1]
-            stored = ", stored" if row["cached"] else ""
-            print(f"{_named(row)}: physics {row['steps']:.0f} steps, {row['seconds']:.0f} s{stored}", flush=True)
-    if not rows:
+            run.rows += rows
+            last, stored = rows[-1], ", stored" if rows[-1]["cached"] else ""
+            print(f"{name}: physics {last['steps']:.0f} steps, {last['seconds']:.0f} s{stored}", flush=True)
+            run.notes.append(
+                f"physics {name}: residual {last['residual_n']:.3f} N of {last['weight_n']:.2f} N weight, "
+                f"{last['converged_pct']:.0f} % of the poses at rest ({100.0 * physics.TOLERANCE:g} % of the weight)"
+            )
+    if not run.rows:
         raise InputError("garments", expected="at least one usable", got=str(refused), cure="Check the files.")
-    print()
-    print_table([*rows, *summary(rows)])
-    for row in (row for row in rows if row["method"] == "physics"):
-        print(
-            f"physics {_named(row)}: residual {row['residual_n']:.3f} N of {row['weight_n']:.2f} N weight, "
-            f"{row['converged_pct']:.0f} % of the poses at rest ({100.0 * physics.TOLERANCE:g} % of the weight)"
-        )
     if not bench.windows:
-        print("no jitter: no clip has a second without a glitch")
-    for message in refused.values():
-        print(f"refused: {message}")
-    return common.finish(
-        "quality",
-        rows,
-        options,
-        summary=summary(rows),
-        frames=list(bench.poses.labels),
-        windows=[window.label for window in bench.windows],
-        model=options.model,
+        run.notes.append("no jitter: no clip has a second without a glitch")
+    run.notes += [f"refused: {message}" for message in refused.values()]
+    run.summary = summary(run.rows)
+    run.extra |= {
+        "summary": run.summary,
+        "frames": list(bench.clip.labels),
+        "windows": [window.label for window in bench.windows],
+        "model": options.model,
         **bench.network.record(),
-        passes=bench.network.passes,
-        fabric=[made.fabric.name for made in benches if made.fabric],
-        knows_fabrics=bench.network.engine.knows_fabrics,
-        refused=refused,
-        patch_share=options.patches or 1.0,
-    )
+        "passes": bench.network.passes,
+        "fabric": [made.fabric.name for made in benches if made.fabric],
+        "knows_fabrics": bench.network.engine.knows_fabrics,
+        "refused": refused,
+        "patch_share": options.patches or 1.0,
+    }
 
 
 if __name__ == "__main__":
-    sys.exit(ended(main))
+    main.command()

@@ -16,31 +16,29 @@ differ by.
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import os
 import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
+from benchmarks.harness import ROOT, Benchmark, Option, Run
 from benchmarks.recovery.compare import pattern_error
 from benchmarks.recovery.disturbed import off
+from benchmarks.recovery.published import ahead
 from benchmarks.recovery.surfaces import surface_error
-from benchmarks.recovery.tables import ahead
 from benchmarks.recovery.turning import turning_distance
-from benchmarks.shared import common
-from benchmarks.shared.render import SKIN, Surface, render, save_png, sheet
+from benchmarks.tables import Row
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.cloth.material import material
+from drape.errors import Unavailable
 from drape.files.data import HOW_TO_SET_DATA, data_folder
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.drape.placement import scaled
@@ -57,7 +55,6 @@ FLATTEN_M = 1e-3  # of outlines whose turning functions are compared
 TARGET_EDGE_M = 0.025
 GAP_M = 0.005  # from skin to cloth in the target: no edge of it cuts the body
 NEWTON_LIMIT_S = 1800
-NOTHING_EXIT = 3  # as scripts/bench takes it: what is measured is not there
 TEMPLATES = {  # file and size beside the body that it was drawn for
     "tee": ("tee", 1.15),
     "dress": ("dress_sleeveless", 1.15),
@@ -130,7 +127,7 @@ def newton_target(
 
 def newton_drape(name: str, scene: dict[str, Any], python: str, folder: Path) -> dict[str, np.ndarray]:
     """What ``newton_drape.py`` makes of ``scene``, kept in ``folder`` under the digest of scene and program."""
-    program = common.ROOT / "benchmarks/recovery/newton_drape.py"
+    program = ROOT / "benchmarks/recovery/newton_drape.py"
     digest = hashlib.sha256(program.read_bytes())
     for key in sorted(scene):
         digest.update(np.ascontiguousarray(scene[key]).tobytes())
@@ -163,8 +160,8 @@ def turning_deg(found: Pattern, truth: Pattern) -> np.ndarray:
 
 def recover(
     garment: str, target: Target, seed: int, body: BodyModel, drape: DrapeOptions, fit: FitOptions, weights: Weights
-) -> tuple[dict[str, Any], tuple[np.ndarray, np.ndarray]]:
-    """A row of figures, and nodes [m] and triangles of the recovered drape."""
+) -> Row:
+    """The row of one recovery from the base of ``seed``."""
     truth, base = target.truth, off(target.truth, seed)
     started = time.perf_counter()
     found = recover_pattern(
@@ -177,7 +174,7 @@ def recover(
     floor = surface_error(target.nodes, target.faces, target.nodes, target.faces)
     turned, error = turning_deg(recovered, truth), pattern_error(recovered, truth)
     graded = pattern_error(found.graded.pattern, truth)
-    row: dict[str, Any] = {
+    row: Row = {
         "garment": garment,
         "seed": seed,
         "nodes": found.start.mesh.node_count,
@@ -200,70 +197,39 @@ def recover(
         "target_moved_mm": target.moved_mm,
         "minutes": minutes,
     }
-    row["ahead"] = ahead(row)
-    return row, (found.fitted.nodes, faces)
+    return row | {"ahead": ahead(row)}
 
 
-def draw(path: Path, body: BodyModel, shown: Sequence[tuple[Target, tuple[np.ndarray, np.ndarray]]]) -> None:
-    """For every garment: the target, the recovered drape, each from the front and from behind."""
-    skin, pictures = Surface(body.v_template, body.faces, SKIN), []
-    for target, (nodes, faces) in shown:
-        low, high = target.nodes.min(axis=0), target.nodes.max(axis=0)
-        pictures.append(
-            [
-                render(
-                    [skin, cloth],
-                    size=(300, 300),
-                    azimuth_deg=turn,
-                    centre=0.5 * (low + high),
-                    extent_m=1.1 * float((high - low).max()),
-                )
-                for turn in (0.0, 150.0)
-                for cloth in (Surface(target.nodes, target.faces), Surface(nodes, faces, (0.85, 0.45, 0.25)))
-            ]
-        )
-    save_png(path, sheet(pictures))
-
-
-def main() -> int:
-    """Command line entry."""
-    default = FitOptions()
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    common.add_options(parser)
-    parser.add_argument("--newton", help="an interpreter that has the package newton")
-    parser.add_argument("--garments", nargs="+", choices=GARMENTS, default=list(GARMENTS))
-    parser.add_argument("--seeds", type=int, default=1, help="how many bases of other sizes")
-    parser.add_argument("--edge-length", type=float, default=0.035, help="of the recovery's mesh [m]")
-    parser.add_argument("--grid", type=float, default=0.01, help="spacing of the body's distance [m]")
-    parser.add_argument("--adam", type=int, default=default.iterations, help="steps of Adam")
-    parser.add_argument("--closing", type=int, default=4, help="steps of Gauss and Newton after it")
-    parser.add_argument("--seams", type=float, default=0.01, help="weight of the seams' lengths")
-    parser.add_argument("--targets", type=Path, help="keeps Newton's drapes in this folder")
-    parser.add_argument("--picture", type=Path, help="PNG of targets and recoveries")
-    options = parser.parse_args()
+@Benchmark(
+    "recovery_targets",
+    "Recovery of patterns from drapes by Newton's simulator.",
+    COLUMNS,
+    Option("--newton", None, "an interpreter that has the package newton"),
+    Option("--garments", GARMENTS, "which", GARMENTS[:1], choices=GARMENTS),
+    Option("--seeds", 1, "how many bases of other sizes", 1),
+    Option("--edge-length", 0.035, "of the recovery's mesh [m]"),
+    Option("--grid", 0.01, "spacing of the body's distance [m]"),
+    Option("--adam", FitOptions().iterations, "steps of Adam"),
+    Option("--closing", 4, "steps of Gauss and Newton after it"),
+    Option("--seams", 0.01, "weight of the seams' lengths"),
+    Option("--targets", None, "keeps Newton's drapes in this folder", kind=Path),
+)
+def main(run: Run) -> None:
+    """Rows of every garment and base."""
+    options = run.options
     if options.newton is None:
-        print("Nothing is measured: give --newton an interpreter that has the package newton.", file=sys.stderr)
-        return NOTHING_EXIT
-    torch.set_num_threads(options.threads)
+        raise Unavailable(
+            "--newton", expected="an interpreter that has the package newton", got="none", cure="Give --newton PYTHON."
+        )
     os.environ["OMP_NUM_THREADS"] = str(options.threads)
-    body = load_body()
+    body, weights = load_body(), Weights(seams=options.seams)
     drape = DrapeOptions(edge_length_m=options.edge_length, grid_m=options.grid)
     fit = FitOptions(iterations=options.adam, closing=options.closing)
-    weights = Weights(seams=options.seams)
-    rows, shown = [], []
-    for garment in options.garments[:1] if options.quick else options.garments:
+    for garment in options.garments:
         target = newton_target(garment, body, options.newton, options.grid, options.targets)
-        for seed in range(1 if options.quick else options.seeds):
-            row, surface = recover(garment, target, seed, body, drape, fit, weights)
-            rows.append(row)
-            if seed == 0:
-                shown.append((target, surface))
-    if options.picture is not None:
-        draw(options.picture, body, shown)
-    common.print_table(rows, COLUMNS)
-    common.finish("recovery_targets", rows, options)
-    return 0
+        for seed in range(options.seeds):
+            run.rows.append(recover(garment, target, seed, body, drape, fit, weights))
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main.command()

@@ -8,16 +8,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from benchmarks.measure import tables as quality
-from benchmarks.papers import tables as papers
-from benchmarks.papers.polyfit import tables as polyfit
-from benchmarks.recovery import tables as recovery
-from benchmarks.shared.common import RESULTS_DIR, ROOT
-from benchmarks.speed import tables as speed
-from benchmarks.training import tables as training
+from benchmarks.harness import RESULTS_DIR, ROOT
+from benchmarks.papers import records as papers
+from benchmarks.records import TABLES as TABLES_OF_OURS
 
-# Record, the document that speaks of it, the table's name, and what makes its text of the record.
-TABLES = (*quality.TABLES, *speed.TABLES, *training.TABLES, *recovery.TABLES, *papers.TABLES, *polyfit.TABLES)
+TABLES = (*TABLES_OF_OURS, *papers.TABLES)
 FOLDER = ROOT / "docs" / "records"
 
 

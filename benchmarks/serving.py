@@ -11,9 +11,9 @@ same clip at the same rate, measured alone before (``model_ms`` and ``model_p99_
 
 ``cpu_ms``: processor time of the server's process per pose that was sent.
 
-Cases: ``streams`` of each tier, single frames by ``POST /drape`` (httpx, and a bare client), streams of
-``two garments``, a ``still`` body beside a ``moving`` one, ``overload`` (three times the streams that ``accurate``
-carries, with and without the step down), ``beside`` other requests, and the streams of the ``twin``.
+Cases: ``streams`` of each tier; single frames by ``POST /drape`` (httpx, and a bare client); streams of ``two
+garments``; a ``still`` body beside a ``moving`` one; ``overload``, three times the streams that ``accurate`` carries,
+with and without the step down; and the streams of the ``twin``.
 """
 
 from __future__ import annotations
@@ -36,10 +36,13 @@ from typing import Any
 import httpx
 import numpy as np
 
-from benchmarks.shared import common
+from benchmarks.harness import ROOT, Benchmark, Option, Run
+from benchmarks.scenes import FPS, at_rate
+from benchmarks.served import Stream
+from benchmarks.tables import Row
 from clients.stream import DrapeStream
 from drape.catalog import find_motions
-from drape.errors import DrapeError, ended
+from drape.errors import DrapeError
 from drape.motion.clip import MotionClip
 from drape.motion.readers import read_motion
 from drape.wire.clips import pack_clip
@@ -47,14 +50,11 @@ from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.tiers import NAMES
 from service.settings import Settings
-from service.stages import run
-from service.stages.batch import Plan, PoseInput
+from service.stages.batch import Plan
 from service.stages.unchanged import REST_S
 
-FPS, LATE_S, WARM_S = 30.0, 0.1, 1.0
+LATE_S, WARM_S = 0.1, 1.0
 OVERLOADED_S = 3.0  # until streams that all come at once are held where they stay
-SECONDS, QUICK_SECONDS = 8.0, 1.5
-CLIENTS, QUICK_CLIENTS = (1, 2, 4, 8), (1,)
 PAIR = ("tshirt", "dress")
 POST, POSTED = "POST /drape", {"passes": 0, "folds": 0}
 BARE = "POST /drape, bare client"  # of the standard library: httpx has half a millisecond of its own
@@ -114,7 +114,7 @@ def server(module: str = "service", **settings: object) -> Iterator[Server]:
         environment = os.environ | {"DRAPE_GARMENTS_DIR": folder} | named
         command = [sys.executable, "-m", module, "--port", "0"]
         process = subprocess.Popen(
-            command, cwd=common.ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+            command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
         )
         try:
             assert process.stdout is not None
@@ -204,36 +204,36 @@ def beside_model(inside_ms: np.ndarray, model_ms: np.ndarray) -> dict[str, float
 
 
 def model_times(garment: str, clip: MotionClip, seconds: float) -> dict[str, np.ndarray]:
-    """What each frame (F,) of ``clip`` at ``FPS`` takes alone in this process [ms], stages without serving: by tier,
-    and of ``POSTED``, warm: each of whose frames has no past and comes right after the last."""
-    drapery, found = DrapeRuntime(Settings()), {}
-    entry = drapery.garments.get(garment)
-    for tier in drapery.tiers:
-        plan = drapery.plan(entry, DrapeOptions(tier=tier.name), messages=True)  # type: ignore[arg-type]
-        found[tier.name] = alone(plan, drapery.body.shape_count, clip, seconds)
-    found[POST] = alone(
-        drapery.plan(entry, DrapeOptions.model_validate(POSTED)), drapery.body.shape_count, clip, seconds, warm=True
-    )
+    """What each frame (F,) of ``clip`` at ``FPS`` takes alone in this process [ms], stages without serving.
+
+    By tier, and for ``POST``: warm frames of its options.
+    """
+    drapery = DrapeRuntime(Settings())
+    entry, shapes = drapery.garments.get(garment), drapery.body.shape_count
+    asked = {tier.name: DrapeOptions.model_validate({"tier": tier.name}) for tier in drapery.tiers}
+    found = {
+        name: alone(drapery.plan(entry, options, messages=True), shapes, clip, seconds)
+        for name, options in asked.items()
+    }
+    found[POST] = alone(drapery.plan(entry, DrapeOptions.model_validate(POSTED)), shapes, clip, seconds, warm=True)
     drapery.close()
     return found
 
 
 def alone(plan: Plan, shape_count: int, clip: MotionClip, seconds: float, *, warm: bool = False) -> np.ndarray:
-    """What each frame (F,) of ``clip`` under ``plan`` takes [ms]; unless they are ``warm``, and have no past, with the
-    pauses of a stream: what a pause leaves of the processor's caches is the frame's to pay."""
-    for stage in plan.stages:
-        stage.prepare(plan)
-    betas, took_ms, memories = np.zeros(shape_count), [], dict[tuple[str, str], Any]()
-    begin_s = time.perf_counter()
+    """What each frame (F,) of ``clip`` under ``plan`` takes [ms].
+
+    Frames come with the pauses of a stream, for what a pause leaves of the processor's caches is the frame's to pay;
+    ``warm`` frames come one right after the other, and have no past.
+    """
+    stream, begin_s = Stream(plan, shape_count), time.perf_counter()
     for frame in range(1 + max(2, int(seconds * FPS))):
-        pose = clip.poses[frame % len(clip.poses)][None]
-        start_s = time.perf_counter()
-        batch = run(plan, [PoseInput(pose, np.zeros((1, 3)), betas, np.array([frame / FPS]), memories)])
-        took_ms.append(1e3 * (time.perf_counter() - start_s))
-        if not warm:
-            memories = dict(batch.memories[0])
+        stream.pose(clip.poses[frame % len(clip.poses)], frame / FPS)
+        if warm:
+            stream.forget()
+        else:
             time.sleep(max(0.0, begin_s + (frame + 1) / FPS - time.perf_counter()))
-    return np.array(took_ms[1:])  # the first pays for what is made once
+    return np.array(stream.clock.wall_ms[1:])  # the first pays for what is made once
 
 
 def posts(url: str, garment: str, clip: MotionClip, seconds: float, *, bare: bool = False) -> np.ndarray:
@@ -259,69 +259,25 @@ def posts(url: str, garment: str, clip: MotionClip, seconds: float, *, bare: boo
     return np.array(took_ms[1:])
 
 
-def others(clip: MotionClip, garment: str) -> dict[str, Callable[[httpx.Client], Any]]:
-    """Requests that others make meanwhile, by name."""
-    rows = np.resize(clip.poses, (300, 24, 3)).tolist()
-    document = {"garment": garment, "poses": rows, "folds": 0, "passes": 0}
-    illegal = b'{"garment":"' + garment.encode() + b'","poses":[' + b"[]," * 2_000_000 + b"[]]}"
-    return {
-        "JSON of 300 frames": lambda http: http.post("/drape", json=document, headers={"Accept": "application/json"}),
-        "GLB of 300 frames": lambda http: http.post("/drape", json=document, headers={"Accept": "model/gltf-binary"}),
-        "illegal body": lambda http: http.post("/drape", content=illegal, headers={"Content-Type": "application/json"}),
-        "opening an outfit": lambda http: http.post(
-            "/drape", json={"garments": ["trousers", "tshirt"], "poses": rows[:1]}
-        ),
-    }  # fmt: skip
-
-
-async def with_others(
-    url: str, clip: MotionClip, seconds: float, ask: Callable[[httpx.Client], Any],
-    *, begun: Callable[[], None] | None = None, **options: Any,
-) -> list[Seen]:  # fmt: skip
-    """What one client sees while ``ask`` is asked again and again."""
-    end = asyncio.Event()
-
-    def asking() -> None:
-        with httpx.Client(base_url=url, timeout=120.0) as http:
-            while not end.is_set():
-                ask(http)
-
-    other = asyncio.create_task(asyncio.to_thread(asking))
-    try:
-        return await crowd(url, clip, 1, seconds, begun=begun, **options)
-    finally:
-        end.set()
-        await other
-
-
 @dataclass(eq=False)
 class Bench:
-    """What all cases share, and the rows so far."""
+    """What all cases share; their rows go to ``run``."""
 
+    run: Run
     clip: MotionClip
     garment: str
     seconds: float
     model_ms: dict[str, np.ndarray]
     warm_s: float = WARM_S
-    rows: list[dict[str, Any]] = field(default_factory=list)
 
-    def measure(
-        self, case: str, at: Server, tier: str, count: int = 1, *, name: str = "service",
-        beside: Callable[[httpx.Client], Any] | None = None, **others: Any,
-    ) -> dict[str, Any]:  # fmt: skip
-        """Adds the row of ``count`` clients of ``tier``, ``beside`` a request that is made again and again; ``others``
-        are more of their options."""
+    def measure(self, case: str, at: Server, tier: str, count: int = 1, *, name: str = "service", **others: Any) -> Row:
+        """Adds the row of ``count`` clients of ``tier``; ``others`` are more of their options."""
         spent, options = Spent(at), {"garment": self.garment, "tier": tier} | others
-        if beside is None:
-            going = crowd(at.url, self.clip, count, self.seconds, self.warm_s, begun=spent.begin, **options)
-        else:
-            going = with_others(at.url, self.clip, self.seconds, beside, begun=spent.begin, **options)
-        seen = asyncio.run(going)
+        seen = asyncio.run(crowd(at.url, self.clip, count, self.seconds, self.warm_s, begun=spent.begin, **options))
         row = {"case": case, "server": name, "tier": tier, "clients": count, "fps": FPS}
         alone = self.model_ms[tier] if name == "service" and not others and len(self.clip.poses) > 1 else None
         row |= figures(seen, alone) | {"cpu_ms": spent.ms_per_frame(sum(one.sent for one in seen))}
-        self.rows.append(row)
-        common.print_table([row], COLUMNS)
+        self.run.add([row])
         return row
 
     def posted(self, at: Server) -> None:
@@ -331,11 +287,10 @@ class Bench:
             row = {"case": case, "server": "service", "tier": "", "clients": 1, "fps": FPS, "goodput_pct": 100.0}
             row["frame_age_p50_ms"] = float(np.median(took_ms))
             row["frame_age_p99_ms"] = float(np.percentile(took_ms, 99.0))
-            self.rows.append(row | beside_model(took_ms, self.model_ms[POST]))
-            common.print_table(self.rows[-1:], COLUMNS)
+            self.run.add([row | beside_model(took_ms, self.model_ms[POST])])
 
     def carried(self, at: Server, tier: str, counts: Sequence[int], *, name: str = "service") -> int:
-        """How many of ``counts`` clients the server carries, with their rows."""
+        """How many of ``counts`` clients the server carries; adds their rows."""
         rows = [self.measure("streams", at, tier, count, name=name) for count in counts]
         return max((row["clients"] for row in rows if row["goodput_pct"] >= CARRIED_PCT), default=0)
 
@@ -345,11 +300,8 @@ class Bench:
         return replace(self, clip=MotionClip(poses, np.zeros((1, 3)), FPS, "still"), warm_s=1.5 * REST_S)
 
 
-def measure(options: argparse.Namespace) -> tuple[Bench, dict[str, int]]:
-    """The bench with its rows, and how many clients each server carries by tier."""
-    clip = read_motion(find_motions(["walk"])[0])
-    clip = clip if abs(clip.fps - FPS) < 1e-6 else clip.resampled(FPS)
-    bench = Bench(clip, options.garment, options.seconds, model_times(options.garment, clip, options.seconds))
+def measure(bench: Bench, options: argparse.Namespace) -> dict[str, int]:
+    """Fills the rows of ``bench``; how many clients each server carries by tier."""
     carried: dict[str, int] = {}
     with server(stream_step_down=False) as at:
         for tier in reversed(NAMES):
@@ -360,40 +312,39 @@ def measure(options: argparse.Namespace) -> tuple[Bench, dict[str, int]]:
         bench.measure("moving", at, "balanced")
         still.measure("still", at, "balanced")
     if options.quick:
-        return bench, carried
+        return carried
     with server("benchmarks.speed.twin") as at:
         carried["twin balanced"] = bench.carried(at, "balanced", options.clients[:3], name="twin")
     most, crowded = max(1, carried["service accurate"]), replace(bench, warm_s=OVERLOADED_S)
     for step_down in (False, True):
         with server(stream_step_down=step_down) as at:
             crowded.measure(f"overload, step down {'on' if step_down else 'off'}", at, "accurate", 3 * most)
-    with server() as at:
-        for name, ask in others(bench.clip, bench.garment).items():
-            bench.measure(f"beside {name}", at, "fast", beside=ask)
-    return bench, carried
+    return carried
 
 
-def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
-    """Prints the table and the record, and returns the record."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.serving", description="The stream under load.")
-    parser.add_argument("--garment", default="tshirt")
-    parser.add_argument("--seconds", type=float, help=f"of each case (default {SECONDS}, quick {QUICK_SECONDS})")
-    parser.add_argument("--clients", nargs="+", type=int)
-    common.add_options(parser)
-    options = parser.parse_args(arguments)
-    options.seconds = options.seconds or (QUICK_SECONDS if options.quick else SECONDS)
-    options.clients = options.clients or (QUICK_CLIENTS if options.quick else CLIENTS)
-    load = os.getloadavg()[0]
-    bench, carried = measure(options)
-    print()
-    common.print_table(bench.rows, COLUMNS)
-    return common.finish(
-        "serving", bench.rows, options, max_clients=carried, load_before=load,
-        model_ms={tier: float(np.median(ms)) for tier, ms in bench.model_ms.items()},
-        model_p99_ms={tier: float(np.percentile(ms, 99.0)) for tier, ms in bench.model_ms.items()},
-        seconds=options.seconds, late_ms=1e3 * LATE_S,
-    )  # fmt: skip
+@Benchmark(
+    "serving",
+    "The stream under load.",
+    COLUMNS,
+    Option("--garment", "tshirt", "what is streamed"),
+    Option("--seconds", 8.0, "of each case", 1.5),
+    Option("--clients", (1, 2, 4, 8), "of streams at the same time", (1,)),
+)
+def main(run: Run) -> None:
+    """Rows of every case."""
+    options, load = run.options, os.getloadavg()[0]
+    clip = at_rate(read_motion(find_motions(["walk"])[0]), FPS)
+    model_ms = model_times(options.garment, clip, options.seconds)
+    bench = Bench(run, clip, options.garment, options.seconds, model_ms)
+    run.extra |= {
+        "max_clients": measure(bench, options),
+        "load_before": load,
+        "model_ms": {tier: float(np.median(ms)) for tier, ms in model_ms.items()},
+        "model_p99_ms": {tier: float(np.percentile(ms, 99.0)) for tier, ms in model_ms.items()},
+        "seconds": options.seconds,
+        "late_ms": 1e3 * LATE_S,
+    }
 
 
 if __name__ == "__main__":
-    sys.exit(ended(main))
+    main.command()

@@ -8,14 +8,13 @@ Yu, Cordier and Seo (2024, table 1): 228.6 s and 186.3 s for 3,000 vertices on a
 
 from __future__ import annotations
 
-import argparse
 import time
 from typing import Any
 
 import numpy as np
 import torch
 
-from benchmarks.shared import common
+from benchmarks.harness import Benchmark, Option, Run
 from drape.cloth.material import OrthotropicMaterial
 from recovery.sim.contact import SkinContact
 from recovery.sim.linearised import simulate
@@ -94,21 +93,17 @@ def growth(rows: list[dict[str, Any]], key: str) -> float:
     return float(np.polyfit(sizes, times, 1)[0])
 
 
-def main() -> int:
-    """Command line entry."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    common.add_options(parser)
-    parser.add_argument("--steps", type=int, default=20)
-    options = parser.parse_args()
-    torch.set_num_threads(options.threads)
+@Benchmark(
+    "simulate", "Time of the differentiable simulator.", COLUMNS, Option("--steps", 20, "linearised steps of a case")
+)
+def main(run: Run) -> None:
+    """A row for each size of mesh."""
     measure(8, steps=2)  # loads and warms what the first call would pay for
-    rows = [measure(side, steps=options.steps) for side in (QUICK_SIDES if options.quick else SIDES)]
-    common.print_table(rows, COLUMNS)
-    exponents = {key: growth(rows, key) for key in ("forward_s", "backward_s", "step_ms")}
-    print(f"growth with the vertices: step {exponents['step_ms']:.2f}")
-    common.finish("simulate", rows, options, growth_exponent=exponents)
-    return 0
+    run.rows = [measure(side, steps=run.options.steps) for side in (QUICK_SIDES if run.options.quick else SIDES)]
+    exponents = {key: growth(run.rows, key) for key in ("forward_s", "backward_s", "step_ms")}
+    run.notes.append(f"growth with the vertices: step {exponents['step_ms']:.2f}")
+    run.extra["growth_exponent"] = exponents
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main.command()

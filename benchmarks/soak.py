@@ -9,31 +9,25 @@ not ends the run with its seed and number (exit status 1). A tenth of the time i
 
 from __future__ import annotations
 
-import argparse
 import shutil
-import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from benchmarks.shared import common
+from benchmarks.harness import Benchmark, Option, Run
+from benchmarks.served import Stream
 from drape.catalog import find_garments
-from drape.errors import DrapeError, ended
+from drape.errors import DrapeError
 from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix, rotvec_to_quaternion, sixd_to_matrix
 from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.http.poses import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M
 from service.settings import Settings
-from service.stages import run
-from service.stages.batch import PoseInput
+from service.stages.batch import Batch, PoseInput
 
-FRAMES = ROWS = 1_000_000
-SECONDS, QUICK_SECONDS = 600.0, 10.0
 ROW_BLOCK = 2000
 SHAPE_EVERY = 50  # frames of one body
 REACH_M = 1.0  # of a garment beyond its body's box
@@ -72,24 +66,22 @@ def soak_frames(
     """How many of ``count`` frames were draped until ``time.monotonic`` was ``until_s``, and the first failure."""
     (entry,) = drapery.garments.entries()
     plan = drapery.plan(entry, DrapeOptions(push_out=True, folds=folds, settle=2), messages=True)
-    for stage in plan.stages:
-        stage.prepare(plan)
-    fuzz, memories = Fuzz(seed, drapery.body.shape_count), {}
+    fuzz, stream = Fuzz(seed, drapery.body.shape_count), Stream(plan, drapery.body.shape_count)
     for number in range(count):
         if time.monotonic() >= until_s:
             return number, None
         one, anew = fuzz.next()
+        if anew:
+            stream.forget()
         try:
-            memories = _one_frame(drapery, plan, one, {} if anew else memories)
+            _check(stream.frame(one), one, drapery)
         except (AssertionError, DrapeError) as error:
             return number, f"frame {number} of seed {seed}: {error}"
     return count, None
 
 
-def _one_frame(drapery: DrapeRuntime, plan: Any, one: PoseInput, memories: Mapping[Any, Any]) -> Mapping[Any, Any]:
-    """The memories after the frame ``one``; raises ``AssertionError`` where it is no drape."""
-    held = PoseInput(one.poses, one.trans, one.betas, one.times_s, memories)
-    batch = run(plan, [held])
+def _check(batch: Batch, one: PoseInput, drapery: DrapeRuntime) -> None:
+    """Raises ``AssertionError`` where ``batch`` is no drape of the frame ``one``."""
     box = drapery.body.posed_vertices(one.poses, None, one.betas)[0] - drapery.body.rest_joints(one.betas)[0]
     vertices = batch.vertices[0]
     assert np.isfinite(vertices).all(), "not finite"
@@ -97,7 +89,6 @@ def _one_frame(drapery: DrapeRuntime, plan: Any, one: PoseInput, memories: Mappi
     assert beyond_m <= REACH_M, f"{beyond_m:.2f} m beyond the body"
     sent = wire.unpack_frame(batch.messages[0])
     assert np.abs(sent.positions - vertices).max() <= 1e-3, "the message is another frame"
-    return batch.memories[0]
 
 
 def soak_rows(*, count: int, until_s: float, seed: int) -> tuple[int, str | None]:
@@ -122,35 +113,35 @@ def soak_rows(*, count: int, until_s: float, seed: int) -> tuple[int, str | None
     return done, None
 
 
-def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
-    """Prints what was done and the record, and returns the record; exits with 1 after a failure."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.soak", description="Fuzzed frames and rows.")
-    parser.add_argument("--frames", type=int, default=FRAMES)
-    parser.add_argument("--rows", type=int, default=ROWS)
-    parser.add_argument("--seconds", type=float, help=f"at most (default {SECONDS:g}, quick {QUICK_SECONDS:g})")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--garment", default=GARMENT)
-    common.add_options(parser)
-    options = parser.parse_args(arguments)
-    seconds = options.seconds or (QUICK_SECONDS if options.quick else SECONDS)
+@Benchmark(
+    "soak",
+    "Fuzzed frames and rows.",
+    {"frames": "d", "rows": "d", "failed": "s"},
+    Option("--frames", 1_000_000, "at most"),
+    Option("--rows", 1_000_000, "at most"),
+    Option("--seconds", 600.0, "at most", 10.0),
+    Option("--seed", 0, "of what is drawn"),
+    Option("--garment", GARMENT, "what is draped"),
+)
+def main(run: Run) -> None:
+    """One row: what was done, and the first failure, with which the run fails."""
+    options = run.options
     with tempfile.TemporaryDirectory(prefix="soak-") as folder:
         shipped = Path(folder) / "shipped"
         shipped.mkdir()
         shutil.copy(find_garments([options.garment])[0], shipped)
         settings = Settings(shipped_garments_dir=shipped, garments_dir=Path(folder), threads=options.threads)
         drapery = DrapeRuntime(settings)
-    rows, failed = soak_rows(count=options.rows, until_s=time.monotonic() + 0.1 * seconds, seed=options.seed)
-    until_s, frames = time.monotonic() + 0.9 * seconds, 0
+    until_s, frames = time.monotonic() + 0.1 * options.seconds, 0
+    rows, failed = soak_rows(count=options.rows, until_s=until_s, seed=options.seed)
     if failed is None:
+        until_s = time.monotonic() + 0.9 * options.seconds
         frames, failed = soak_frames(drapery, count=options.frames, until_s=until_s, seed=options.seed)
     drapery.close()
-    said = [{"frames": frames, "rows": rows, "failed": failed}]
-    common.print_table(said, {"frames": "d", "rows": "d", "failed": "s"})
-    record = common.finish("soak", said, options, seed=options.seed, garment=options.garment)
-    if failed is not None:
-        raise SystemExit(1)
-    return record
+    run.rows.append({"frames": frames, "rows": rows, "failed": failed})
+    run.extra |= {"seed": options.seed, "garment": options.garment}
+    run.failed = failed is not None
 
 
 if __name__ == "__main__":
-    sys.exit(ended(main))
+    main.command()

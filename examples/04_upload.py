@@ -19,8 +19,10 @@ with DrapeClient(*sys.argv[1:]) as client:
         file.writelines("f {} {} {}\n".format(*face) for face in faces.reshape(-1, 3) + 1)
 
     # "standard": modelled on the service's own body. Other avatars: docs/guide/garments.md.
+    told: list[str] = []
     garment = client.upload_garment(
-        "crop_top.obj", "standard", progress=lambda job: print(job["state"], job.get("stage", ""))
+        "crop_top.obj", "standard", progress=lambda job: told.append(job.get("stage") or "")
     )
+    print("stages:", *dict.fromkeys(told))
     clip = client.motion("walk").resampled(30.0).window(0, 10)
     print(garment, client.drape(garment, clip).shape, "(frame, vertex, 3) [m]")

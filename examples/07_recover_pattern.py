@@ -16,12 +16,12 @@ from recovery.pattern.measurements import measure
 EDGE_M = 0.05  # a coarse mesh, so that this takes seconds; 0.025 is usual
 
 body = load_body()
-options = DrapeOptions(edge_length_m=EDGE_M)
+options = DrapeOptions(edge_length_m=EDGE_M, grid_m=0.015)
 base = base_pattern("tshirt", measure(body))
 true = base_pattern("tshirt", measure(body), ["length_m=0.70", "sleeve_length_m=0.23"])
 target = drape_pattern(true, body, options)
 
-fit = FitOptions(iterations=0, closing=2)
+fit = FitOptions(iterations=0, closing=3)
 found = recover_pattern(
     target.nodes, target.mesh.faces, base, body, drape=options, fit=fit, meshes_m=[EDGE_M], report=print
 )

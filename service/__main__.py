@@ -13,7 +13,7 @@ from drape.errors import DrapeError
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
-        prog="python -m service", description="Serves draped garments. Other settings: docs/guide/service.md."
+        prog="python -m service", description="Serves draped garments. Other settings: docs/guide/operate.md."
     )
     parser.add_argument("--host", help="address to listen on (DRAPE_HOST, 127.0.0.1)")
     parser.add_argument("--port", type=int, help="port to listen on (DRAPE_PORT, 8000); 0 takes a free one")

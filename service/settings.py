@@ -1,6 +1,6 @@
 """Settings, read from the environment with the prefix ``DRAPE_``; a bad value stops the start.
 
-Every field is described in docs/guide/service.md.
+Every field is described in docs/guide/operate.md.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ def load_settings(**overrides: object) -> Settings:
             name,
             expected=first["msg"],
             got=repr(first.get("input")),
-            cure="Correct or unset it; see docs/guide/service.md.",
+            cure="Correct or unset it; see docs/guide/operate.md.",
         ) from error
 
 

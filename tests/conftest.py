@@ -40,6 +40,7 @@ FOLDER_BUDGET_S = {
     "recovery": 100,
     "benchmarks": 70,
     "extremes": 40,
+    "examples": 60,
 }
 LONGEST_FIRST = (
     "training",
@@ -50,6 +51,7 @@ LONGEST_FIRST = (
     "clients",
     "drape",
     "extremes",
+    "examples",
     "architecture",
 )
 CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")

@@ -20,15 +20,15 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.harness import ROOT
 from benchmarks.judge import blended_planes, descent, hessian, linear, newton, physics, settling, surroundings
 from benchmarks.judge.physics import Optimum, Task
-from benchmarks.shared import common
 from drape.cloth import bending, contact, energies, membrane, waistband
 from drape.geometry import meshes
 from drape.kernels import elements, problem
 from drape.live import whole
 
-CACHE_DIR = common.ROOT / "runs" / "physics_cache"  # ignored by git
+CACHE_DIR = ROOT / "runs" / "physics_cache"  # ignored by git
 SOURCES: tuple[ModuleType, ...] = (
     physics, newton, settling, whole, energies, membrane, bending, contact, waistband, meshes, blended_planes, descent,
     elements, hessian, linear, problem, surroundings,

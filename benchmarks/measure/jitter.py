@@ -7,14 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.shared.network import Network
+from benchmarks.network import Network
+from benchmarks.scenes import pushed, skinned
 from drape.body.model import BodyModel
-from drape.cloth.contact import BodyContact, nearest_vertex_push
 from drape.cloth.metrics import third_difference_square
 from drape.contact.projection import push_out_of_bodies
 from drape.contact.skin import body_skin
 from drape.garment.cache import Garment
-from drape.geometry.skinning import skin_points
 from drape.graph.push_feed import push_feed
 from drape.motion.clip import MotionClip, clean_windows, joint_steps
 
@@ -67,29 +66,23 @@ def typical_windows(clips: Sequence[MotionClip], *, length: int = WINDOW) -> lis
     return windows
 
 
-def jitter(
-    garment: Garment, network: Network, body: BodyModel, contact: BodyContact, windows: Sequence[Window]
-) -> dict[str, Jitter]:
+def jitter(garment: Garment, network: Network, body: BodyModel, windows: Sequence[Window]) -> dict[str, Jitter]:
     """Jitter over ``windows`` by method: "skinning" (1 by definition), "network", and both with push-out.
 
-    Without root translation, which would add the same to all. Empty where there are no windows.
+    The root stays in its place; its way would add the same to all. Empty where there are no windows.
     """
     if not windows:
         return {}
     squares: dict[str, list[float]] = {"skinning": [], "skinning_push": [], "network": [], "network_push": []}
-    rest, feed = garment.vertices.astype(np.float64), push_feed(garment, body)
+    feed = push_feed(garment, body)
     for window in windows:
-        rotations, translations = body.bones(window.poses)
-        still = np.broadcast_to(rest, (len(window.poses), *rest.shape))
-        skinned = skin_points(still, garment.skin_weights.astype(np.float64), rotations, translations)
-        draped = network.drape(garment, window.poses).vertices
-        skin = body.posed_vertices(window.poses)
-        normals = np.asarray(contact.normals(skin))
+        plain = skinned(garment, body, window.poses)
+        draped, posed = network.drape(garment, window.poses).vertices, body.posed_vertices(window.poses)
         drapes = {
-            "skinning": skinned,
-            "skinning_push": nearest_vertex_push(skinned, skin, normals),
+            "skinning": plain,
+            "skinning_push": pushed(plain, body, window.poses),
             "network": draped,
-            "network_push": push_out_of_bodies(draped, skin, body_skin(body), feed),
+            "network_push": push_out_of_bodies(draped, posed, body_skin(body), feed),
         }
         for method, vertices in drapes.items():
             squares[method].append(third_difference_square(vertices))

@@ -12,7 +12,6 @@ one core, and kept in DIR.
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -23,7 +22,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from benchmarks.shared import common
+from benchmarks.harness import ROOT, Benchmark, Option, Run
+from benchmarks.tables import Row
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
@@ -32,7 +32,7 @@ from drape.geometry.drawing import drawn
 from recovery.sim.sdf import GridDistance, SignedDistance
 from recovery.sim.siren import DEFAULT_SIREN, SirenDistance, SirenOptions, exact_distance, stored_siren
 
-SIREN_FOLDER = common.ROOT / ".cache" / "siren"  # ignored by git
+SIREN_FOLDER = ROOT / ".cache" / "siren"  # ignored by git
 GRIDS_M, QUICK_GRIDS_M = (0.02, 0.01, 0.005), (0.04, 0.02)
 QUICK_SIREN = SirenOptions(width=64, layers=3, points=50_000, steps=300)
 POINTS, QUICK_POINTS = 60_000, 6_000
@@ -95,7 +95,7 @@ def _asked(found: SignedDistance, points: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def least_ms(call: Callable[[], Any]) -> float:
-    """Least time of the processor [ms] that ``call`` took."""
+    """Least processor time [ms] of ``call``, of all threads."""
     call()
     spent = []
     for _ in range(REPEATS):
@@ -105,7 +105,7 @@ def least_ms(call: Callable[[], Any]) -> float:
     return 1e3 * min(spent)
 
 
-def measured(name: str, found: SignedDistance, skin: Probe, near: Probe) -> dict[str, Any]:
+def measured(name: str, found: SignedDistance, skin: Probe, near: Probe) -> Row:
     """The row of one distance, without what it took to prepare."""
     query = torch.from_numpy(near.points[:QUERY])
 
@@ -120,13 +120,13 @@ def measured(name: str, found: SignedDistance, skin: Probe, near: Probe) -> dict
 
 def rows_of(
     body: BodyModel, grids_m: Sequence[float], siren: SirenOptions, folder: Path, count: int
-) -> tuple[list[dict[str, Any]], SirenDistance]:
+) -> tuple[list[Row], SirenDistance]:
     """One row for exact nearest points, each grid and the network; and the network."""
     vertices, faces = body.v_template, body.faces
     skin, near = probe(body, count, 0.0), probe(body, count, BAND_M)
     query = near.points[:QUERY]
     exact = least_ms(lambda: exact_distance(query, vertices, faces))
-    rows: list[dict[str, Any]] = [{"distance": "nearest point, exact", "query_ms": exact, "prepared_s": 0.0}]
+    rows: list[Row] = [{"distance": "nearest point, exact", "query_ms": exact, "prepared_s": 0.0}]
     for spacing in grids_m:
         started = time.process_time()
         grid = GridDistance.from_mesh(vertices, faces, spacing_m=spacing)
@@ -141,37 +141,23 @@ def rows_of(
     return rows, network
 
 
-def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
-    """The command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    common.add_options(parser)
-    parser.add_argument("--body", default=DEFAULT_BODY, help="name or file of a body")
-    parser.add_argument("--siren-folder", type=Path, default=SIREN_FOLDER, help="where the trained network is kept")
-    return parser.parse_args(arguments)
-
-
-def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
-    """Prints the table and the record, and returns the record."""
-    options = parse(arguments)
-    torch.set_num_threads(options.threads)
-    body = load_body(options.body)
+@Benchmark(
+    "body_distance",
+    "Signed distances of the body.",
+    COLUMNS,
+    Option("--body", DEFAULT_BODY, "name or file of a body"),
+    Option("--siren-folder", SIREN_FOLDER, "where the trained network is kept", kind=Path),
+)
+def main(run: Run) -> None:
+    """A row for each distance."""
+    options, body = run.options, load_body(run.options.body)
     siren = QUICK_SIREN if options.quick else DEFAULT_SIREN
     grids, count = (QUICK_GRIDS_M, QUICK_POINTS) if options.quick else (GRIDS_M, POINTS)
-    rows, network = rows_of(body, grids, siren, options.siren_folder, count)
-    print()
-    common.print_table(rows, COLUMNS)
-    print(f"paper: {PAPER['mean_mm']} mm on average, {PAPER['ms_gpu']} ms for {QUERY:,} points on a GPU")
-    return common.finish(
-        "body_distance",
-        rows,
-        options,
-        paper=PAPER,
-        points=count,
-        body=body.name,
-        siren=asdict(siren),
-        siren_told=network.error._asdict(),
-    )
+    run.rows, network = rows_of(body, grids, siren, options.siren_folder, count)
+    run.notes.append(f"paper: {PAPER['mean_mm']} mm on average, {PAPER['ms_gpu']} ms for {QUERY:,} points on a GPU")
+    run.extra |= {"paper": PAPER, "points": count, "body": body.name}
+    run.extra |= {"siren": asdict(siren), "siren_told": network.error._asdict()}
 
 
 if __name__ == "__main__":
-    main()
+    main.command()

@@ -16,30 +16,27 @@ that is already finished under ``--runs`` is not trained again.
 from __future__ import annotations
 
 import argparse
-import math
-import sys
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from benchmarks.harness import ROOT, Benchmark, Option, Run
+from benchmarks.measure.judged import Judged
 from benchmarks.papers import losses as paper_losses
-from benchmarks.papers.losses import ChartSamples, ChartSurface, PaperWeights
-from benchmarks.papers.representation_drape import Bench, open_bench, static_parts
-from benchmarks.shared import common
+from benchmarks.papers.held_out import figures, judged, training_clips
+from benchmarks.papers.losses import ChartSamples, ChartSurface
 from drape.body.assets import load_body
-from drape.cloth import metrics
 from drape.cloth.contact import plane_distance
 from drape.cloth.material import material
-from drape.errors import ArtifactError, ended
+from drape.errors import ArtifactError
 from drape.files.data import data_folder
+from drape.garment.cache import Garment
 from drape.geometry.meshes import edge_lengths, unique_edges
-from drape.motion.hard_poses import HardPoses, hard_poses
+from drape.motion.hard_poses import hard_poses
 from training import checkpoint, losses
 from training.collider import nearest_rows
 from training.config import DataConfig, ModelConfig, TrainConfig, as_published
@@ -48,14 +45,12 @@ from training.disagreement import disagreement
 from training.evaluate import held_out_clips, posed_patches
 from training.garment_design import DESIGNS, cut_garment
 from training.model import OneFit, Posed
-from training.poses import PoseBank, read_clips
-from training.run import sample_motions, train
+from training.poses import PoseBank
+from training.run import train
 from training.trainer import SAMPLE_VERTICES, Draped, Objective, Trainer
 
 EPOCHS = 100.0  # what a run counts as, for k_ext: its full value is reached at the end
 METRIC_WEIGHT = 14.0  # [J/m^2 per m^2] beside the house energy: 1 % stretch of a T-shirt costs what its membrane does
-MINUTES, QUICK_MINUTES = 15.0, 0.05
-FRAMES, QUICK_FRAMES = 6, 1
 # OneFit, table 4, on their tank top: edge strain [%], area strain [%], colliding vertices [%]. The copy at hand is
 # damaged: of the first column some digits cannot be read, and stand for nothing here.
 PUBLISHED: dict[str, tuple[float | None, float, float]] = {
@@ -74,12 +69,11 @@ COLUMNS = {
 
 @dataclass(frozen=True)
 class LossSet:
-    """Terms that are summed. ``house``: the energy and the disagreement of training.run, its bending by hinges or
-    by ``jet_bending``; ``paper``: terms of equation 10; ``metric``: equation 3 beside the house energy."""
+    """Terms that are summed: ``house``, the energy and the disagreement of training.run; ``metric``, equation 3 beside
+    it; ``paper``, terms of equation 10."""
 
     name: str
     house: bool = False
-    jet_bending: bool = False
     metric: bool = False
     paper: tuple[str, ...] = ()
 
@@ -90,7 +84,6 @@ LOSS_SETS = {
     for found in (
         LossSet("house", house=True),
         LossSet("house_metric", house=True, metric=True),
-        LossSet("house_jet_bending", house=True, jet_bending=True),
         LossSet("paper", paper=PAPER_TERMS),
         *(LossSet(f"no_{term}", paper=tuple(t for t in PAPER_TERMS if t != term)) for term in PAPER_TERMS),
     )
@@ -108,7 +101,7 @@ class LossTrainer(Trainer):
     ) -> None:
         super().__init__(config, bank, device=device)
         self.steps = steps
-        self.chosen, self.weights = chosen, PaperWeights()
+        self.chosen = chosen
         self._rest_jets: WeakKeyDictionary[Partition, Tensor] = WeakKeyDictionary()
         self._edges: dict[str, tuple[Tensor, Tensor]] = {}
         self._gradients: dict[str, Tensor] = {}
@@ -143,32 +136,28 @@ class LossTrainer(Trainer):
             "collision": paper_losses.collision(depth) * (count / len(near)),
             "metric": self._metric(surface, samples, depth[:, :SAMPLE_VERTICES]),
             "edges": paper_losses.edge_inextensibility(vertices, edges, lengths),
-            "boundary": paper_losses.boundary(surface, samples.weight, self.weights),
+            "boundary": paper_losses.boundary(surface, samples.weight),
             "gravity": paper_losses.gravity(vertices, garment.cloth, self.material),
         }
-        kept = {name: found[name].mean() for name in self.chosen.paper}
-        return {name: paper_losses.total({name: value}, self.weights) for name, value in kept.items()}
+        return {name: paper_losses.WEIGHTS[name] * found[name].mean() for name in self.chosen.paper}
 
     def _house(
         self, draped: Draped, garment: TrainingGarment, partition: Partition, batch: BodyBatch
     ) -> dict[str, Tensor]:
         """The loss of ``Trainer``, by term, with the changes that were chosen."""
-        config, area = self.config, float(garment.rest.areas.sum())
         vertices, posed = draped.vertices, draped.posed
+        config = self.config
         parts = self._energy(vertices, garment, self._planes(vertices, batch))
         terms = {"contact": losses.soften(parts["contact"], config.contact_knee_j_m2).mean()}
         terms |= {name: parts[name].mean() for name in ("membrane", "bending", "gravity")}
         share = config.early_agreement + (1.0 - config.early_agreement) * self.progress()
         terms["disagreement"] = config.disagreement_weight * share * self._disagreement(draped.coefficients, partition)
-        if self.chosen.jet_bending or self.chosen.metric:
+        if self.chosen.metric:
             sample = torch.randperm(vertices.shape[1], generator=self.generator)[:SAMPLE_VERTICES].to(self.device)
             samples, surface = self._charts(posed, garment, partition, batch, sample)
-            if self.chosen.jet_bending:
-                own = garment.cloth.vertex_area[sample] * (vertices.shape[1] / len(sample))
-                terms["bending"] = paper_losses.jet_bending(surface.jet, samples, own, self.material).mean() / area
-            if self.chosen.metric:
-                depth = self._depth(vertices, sample, batch)
-                terms["metric"] = METRIC_WEIGHT * self._metric(surface, samples, depth).mean()
+            terms["metric"] = (
+                METRIC_WEIGHT * self._metric(surface, samples, self._depth(vertices, sample, batch)).mean()
+            )
         return terms
 
     def _depth(self, vertices: Tensor, sample: Tensor, batch: BodyBatch) -> Tensor:
@@ -238,90 +227,58 @@ def trained(
     return trainer
 
 
-def judge(model: OneFit, bench: Bench, poses: HardPoses, trainer: Trainer) -> dict[str, float]:
-    """Strains, collisions, energies and the charts' disagreement of ``model`` on the poses."""
-    model.eval()
-    vertices, posed = posed_patches(model, bench.garment, trainer.source, poses.poses)
+def charts_of(posed: Posed, garment: Garment) -> dict[str, float]:
+    """How much the posed charts of ``garment`` disagree, at the 99th percentile."""
     rotation = posed.rotation.expand(*posed.centre.shape, 3).numpy()
-    charts = disagreement(bench.garment, posed.jet.numpy(), rotation, posed.centre.numpy())
-    return figures(bench, vertices) | {
-        "chart_gap_p99_mm": 1e3 * float(np.percentile(charts.gap_m, 99.0)),
-        "chart_normal_p99_deg": math.degrees(float(np.percentile(charts.normal_rad, 99.0))),
-    }
-
-
-def figures(bench: Bench, vertices: np.ndarray) -> dict[str, float]:
-    """Strains, collisions and energies of ``vertices`` [m] (F, V, 3), means over the frames."""
-    parts = static_parts(bench, vertices)
-    colliding = metrics.colliding_vertex_pct(vertices, bench.body_vertices, bench.body_normals)
+    charts = disagreement(garment, posed.jet.numpy(), rotation, posed.centre.numpy())
     return {
-        "edge_pct": float(metrics.edge_strain_pct(vertices, bench.rest.vertices, bench.rest.faces).mean()),
-        "area_pct": float(metrics.area_strain_pct(vertices, bench.rest.vertices, bench.rest.faces).mean()),
-        "colliding_vertex_pct": float(colliding.mean()),
-        "energy_j": float(np.stack(list(parts.values())).sum(axis=0).mean()),
-        **{f"{name}_j": float(value.mean()) for name, value in parts.items()},
+        "chart_gap_p99_mm": 1e3 * float(np.percentile(charts.gap_m, 99.0)),
+        "chart_normal_p99_deg": float(np.degrees(np.percentile(charts.normal_rad, 99.0))),
     }
 
 
-def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.papers.loss_ablation",
-        description="One small network, trained with each set of losses.",
-    )
-    parser.add_argument("--minutes", type=float, help=f"per run (default {MINUTES:g}, quick {QUICK_MINUTES:g})")
-    parser.add_argument("--steps", type=int, help="steps per run, instead of minutes")
-    parser.add_argument("--garment", default="tank", choices=sorted(DESIGNS), help="a design")
-    parser.add_argument("--losses", nargs="+", choices=LOSS_SETS, help="sets of losses (default: all)")
-    parser.add_argument("--variant", choices=("vector", "paper"), default="vector", help="form of the patches")
-    parser.add_argument("--frames", type=int, help=f"held-out poses (default {FRAMES}, quick {QUICK_FRAMES})")
-    parser.add_argument("--runs", type=Path, default=common.ROOT / "runs" / "loss_ablation", help="folder of the runs")
-    common.add_options(parser)
-    options = parser.parse_args(arguments)
-    options.minutes = options.minutes or (QUICK_MINUTES if options.quick else MINUTES)
-    options.frames = options.frames or (QUICK_FRAMES if options.quick else FRAMES)
-    options.losses = options.losses or (["house", "paper"] if options.quick else list(LOSS_SETS))
-    return options
+def judge_network(model: OneFit, judge: Judged, poses: np.ndarray, trainer: Trainer) -> dict[str, float]:
+    """Strains, collisions, energies and the charts' disagreement of ``model`` at ``poses`` (F, 24, 3)."""
+    model.eval()
+    vertices, posed = posed_patches(model, judge.cloth.garment, trainer.source, poses)
+    return figures(judge, vertices) | charts_of(posed, judge.cloth.garment)
 
 
-def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
-    """Prints the table and the record, and returns the record."""
-    options = parse(arguments)
-    torch.set_num_threads(options.threads)
-    config, body = small_config(options), load_body()
-    motions = data_folder("motions")
-    clips = read_clips([motions or sample_motions()], held_out=config.data.held_out)
-    bank = PoseBank(clips, config.data)
+@Benchmark(
+    "loss_ablation",
+    "One small network, trained with each set of losses.",
+    COLUMNS,
+    Option("--minutes", 15.0, "per run", 0.05),
+    Option("--steps", None, "steps per run, instead of minutes", kind=int),
+    Option("--garment", "tank", "a design", choices=sorted(DESIGNS)),
+    Option("--losses", tuple(LOSS_SETS), "sets of losses", ("house", "paper"), choices=LOSS_SETS),
+    Option("--variant", "vector", "form of the patches", choices=("vector", "paper")),
+    Option("--frames", 6, "held-out poses", 1),
+    Option("--runs", ROOT / "runs" / "loss_ablation", "folder of the runs", kind=Path),
+)
+def main(run: Run) -> None:
+    """A row for each set of losses, below those of skinning."""
+    options, body = run.options, load_body()
+    config, held_out = small_config(options), data_folder("motions") is not None
+    bank = PoseBank(training_clips(config), config.data)
     poses = hard_poses(held_out_clips(config, []), body, options.frames)
-    garment = cut_garment(DESIGNS[options.garment], body)
-    bench = open_bench(garment, body, poses.poses, material())
-    rows: list[dict[str, Any]] = [
-        {"loss": "skinning", **figures(bench, bench.skinned)},
-        {"loss": "skinning_push", **figures(bench, bench.pushed)},
-    ]
+    judge = judged(cut_garment(DESIGNS[options.garment], body), body, poses.poses, material())
+    run.rows = [{"loss": "skinning", **figures(judge, judge.skinned)}]
+    run.rows.append({"loss": "skinning_push", **figures(judge, judge.pushed)})
     for name in options.losses:
         trainer = trained(LOSS_SETS[name], config, bank, options.runs / options.variant / name, steps=options.steps)
-        rows.append({"loss": name, "steps": trainer.step_count, **judge(trainer.model, bench, poses, trainer)})
-        print(f"{name}: {trainer.step_count} steps, {rows[-1]['energy_j']:.4f} J", flush=True)
-    for row in rows:
-        if row["loss"] in PUBLISHED:
-            heads = ("published_edge_pct", "published_area_pct", "published_colliding_pct")
-            row |= dict(zip(heads, PUBLISHED[row["loss"]], strict=True))
-        row["share"] = row["energy_j"] / rows[1]["energy_j"]
-    print()
-    common.print_table(rows, COLUMNS)
-    if motions is None:
-        print("trained on the shipped clips, which the poses come from as well: set DRAPE_DATA for held-out ones")
-    return common.finish(
-        "loss_ablation",
-        rows,
-        options,
-        minutes=None if options.steps else options.minutes,
-        garment=options.garment,
-        variant=options.variant,
-        held_out=motions is not None,
-        frames=list(poses.labels),
-    )
+        found = judge_network(trainer.model, judge, poses.poses, trainer)
+        run.rows.append({"loss": name, "steps": trainer.step_count, **found})
+        print(f"{name}: {trainer.step_count} steps, {found['energy_j']:.4f} J", flush=True)
+    heads = ("published_edge_pct", "published_area_pct", "published_colliding_pct")
+    for row in run.rows:
+        row |= dict(zip(heads, PUBLISHED.get(row["loss"], ()), strict=False))
+        row["share"] = row["energy_j"] / run.rows[1]["energy_j"]
+    if not held_out:
+        run.notes.append("trained on the shipped clips, which the poses come from as well: set DRAPE_DATA")
+    run.extra |= {"minutes": None if options.steps else options.minutes, "garment": options.garment}
+    run.extra |= {"variant": options.variant, "held_out": held_out, "frames": list(poses.labels)}
 
 
 if __name__ == "__main__":
-    sys.exit(ended(main))
+    main.command()

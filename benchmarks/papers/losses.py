@@ -1,4 +1,4 @@
-"""The losses of OneFit (section 3, equations 2 to 10) on overlapping charts, and bending from the jets.
+"""The losses of OneFit (section 3, equations 2 to 7) on overlapping charts.
 
 The published method cuts the garment into patches that touch; here charts overlap, so "points on the boundary
 of two patches" are the vertices where two charts both say something. First and second fundamental forms are
@@ -25,20 +25,11 @@ from training.data import Partition
 from training.model import Posed
 
 STRETCH_DEPTH_M, STRETCH_EPOCHS = 0.01, 100.0  # of k_ext, under equation 3
-HINGE_POISSON = -1.0 / 3.0  # with it a plate bends as hinges on equilateral triangles do, in all directions
 
 
-@dataclass(frozen=True)
-class PaperWeights:
-    """Weights of section 4.1. That of the normals is not published: 1 makes 30 degrees count as 2 mm."""
-
-    collision: float = 1.0
-    metric: float = 0.5
-    edges: float = 2.0
-    boundary: float = 5e3
-    boundary_normal: float = 1.0
-    gravity: float = 1.0
-    inertia: float = 1.0
+# Section 4.1. The weight of the normals in equation 5 is not published: 1 makes 30 degrees count as 2 mm.
+WEIGHTS = {"collision": 1.0, "metric": 0.5, "edges": 2.0, "boundary": 1.0, "gravity": 1.0}
+GAP_WEIGHT, NORMAL_WEIGHT = 5e3, 1.0
 
 
 # --- what the charts say --------------------------------------------------------------------------------------------
@@ -177,7 +168,7 @@ def chart_surface(posed: Posed, samples: ChartSamples, *, skin: Skin | None = No
     return ChartSurface(skin.pose(positions), skin.jacobian(positions) @ tangents, jet)
 
 
-# --- equations 2 to 8 -----------------------------------------------------------------------------------------------
+# --- equations 2 to 7 -----------------------------------------------------------------------------------------------
 
 
 def collision_depth(distance: Tensor, gap_m: float) -> Tensor:
@@ -185,13 +176,9 @@ def collision_depth(distance: Tensor, gap_m: float) -> Tensor:
     return torch.clamp(gap_m - distance, min=0.0)
 
 
-def collision(depth: Tensor, area: Tensor | None = None) -> Tensor:
-    """Equation 2 without its weight: the sum of d_c^2 [m^2] over the points (..., n).
-
-    The published sum grows with the number of points. With ``area`` [m^2] (n,) of each it is an integral [m^4],
-    the same on every mesh.
-    """
-    return (depth.square() if area is None else area * depth.square()).sum(dim=-1)
+def collision(depth: Tensor) -> Tensor:
+    """The sum of d_c^2 [m^2] over the points (..., n): equation 2 without its weight, which grows with their number."""
+    return depth.square().sum(dim=-1)
 
 
 def allowed_stretch(depth: Tensor, epoch: float) -> Tensor:
@@ -221,87 +208,20 @@ def edge_inextensibility(vertices: Tensor, edges: Tensor, lengths_rest: Tensor) 
     return (length - lengths_rest).square().sum(dim=-1)
 
 
-def boundary(surface: ChartSurface, weight: Tensor, weights: PaperWeights) -> Tensor:
-    """Equation 5: the mean over points of k_b |x_i - x_j|^2 + k_bn (1 - cos)^2, (F,).
+def boundary(surface: ChartSurface, weight: Tensor) -> Tensor:
+    """The mean over points of k_b |x_i - x_j|^2 + k_bn (1 - cos)^2, (F,): equation 5.
 
     i and j are the two heaviest charts of a point (``weight`` (n, 4), heaviest first); a point that only one chart
-    holds is none.
+    holds does not count.
     """
     shared = (weight[:, 1] > 0).to(weight.dtype)
     gap = (surface.positions[:, :, 0] - surface.positions[:, :, 1]).square().sum(dim=-1)
     normals = surface.normals
     cosine = (normals[:, :, 0] * normals[:, :, 1]).sum(dim=-1)
-    apart = weights.boundary * gap + weights.boundary_normal * (1.0 - cosine).square()
+    apart = GAP_WEIGHT * gap + NORMAL_WEIGHT * (1.0 - cosine).square()
     return (shared * apart).sum(dim=-1) / shared.sum().clamp(min=1.0)
 
 
 def gravity(vertices: Tensor, cloth: ClothMesh, material: Material) -> Tensor:
     """Equation 7: -m g^T x [J], summed over the vertices."""
     return energies.gravity(vertices, cloth, material)
-
-
-def inertia(
-    vertices: Tensor, before: Tensor, before_that: Tensor, cloth: ClothMesh, material: Material, *, dt_s: float
-) -> Tensor:
-    """Equation 8: m / (2 dt^2) |x[t] - x[t-1] - dt v[t-1]|^2 [J] with v[t-1] = (x[t-1] - x[t-2]) / dt.
-
-    What came before is taken as given: no gradient goes through it (Santesteban et al. 2022).
-    """
-    return energies.inertia(vertices, before.detach(), before_that.detach(), cloth, material, dt_s=dt_s)
-
-
-# --- bending from the second fundamental form -----------------------------------------------------------------------
-
-
-def second_form(jet: Tensor, uv: Tensor, scale: Tensor) -> Tensor:
-    """Second fundamental form h = n . x_ij (..., 2, 2) [m per unit^2] of jets (..., 27) at ``uv`` (..., 2)."""
-    normal = jets.normal(jet, uv)
-    uu, mixed, vv = (
-        (normal * jets.evaluate(jet, uv, u_times=a, v_times=b)).sum(dim=-1) for a, b in ((2, 0), (1, 1), (0, 2))
-    )
-    rows = torch.stack([torch.stack([uu, mixed], dim=-1), torch.stack([mixed, vv], dim=-1)], dim=-2)
-    return scale[..., None, None] * rows
-
-
-def jet_bending(
-    jet: Tensor, samples: ChartSamples, area: Tensor, material: Material, *, poisson: float = HINGE_POISSON
-) -> Tensor:
-    """Plate energy [J] of the whole jets (F, n, 4, 27) against the rest jets, instead of the hinges' of a mesh.
-
-    With b = g_T^-1 (h - h_T) the change of curvature, the density is k/2 (tr(b)^2 - 2 (1 - poisson) det(b)),
-    k = ``material.bending_j``: k/2 (curvature)^2 on a cylinder, as the hinges'. ``area`` [m^2] (n,) of each point;
-    charts count by their weight. Equal to ``energies.bending`` on fine meshes of equilateral triangles.
-    """
-    change = second_form(jet, samples.uv, samples.scale) - second_form(samples.rest_jet, samples.uv, samples.scale)
-    bent = torch.linalg.solve(samples.rest_metric, change)
-    trace = bent[..., 0, 0] + bent[..., 1, 1]
-    determinant = bent[..., 0, 0] * bent[..., 1, 1] - bent[..., 0, 1] * bent[..., 1, 0]
-    density = 0.5 * material.bending_j * (trace.square() - 2.0 * (1.0 - poisson) * determinant)
-    return (area[:, None] * samples.weight * density).sum(dim=(-2, -1))
-
-
-# --- equations 6, 9 and 10 ------------------------------------------------------------------------------------------
-
-
-def geometric(parts: dict[str, Tensor], weights: PaperWeights) -> Tensor:
-    """Equation 6: collision + inextensibility + boundary + mesh inextensibility; parts that are absent count zero.
-
-    "boundary" carries its two weights already, as equation 5 has two.
-    """
-    return _total(parts, {"collision": weights.collision, "metric": weights.metric, "edges": weights.edges,
-                          "boundary": 1.0})  # fmt: skip
-
-
-def physical(parts: dict[str, Tensor], weights: PaperWeights) -> Tensor:
-    """Equation 9: inertia + gravity."""
-    return _total(parts, {"inertia": weights.inertia, "gravity": weights.gravity})
-
-
-def total(parts: dict[str, Tensor], weights: PaperWeights) -> Tensor:
-    """Equation 10."""
-    return geometric(parts, weights) + physical(parts, weights)
-
-
-def _total(parts: dict[str, Tensor], factors: dict[str, float]) -> Tensor:
-    present = [factor * parts[name] for name, factor in factors.items() if name in parts]
-    return torch.stack(present).sum(dim=0) if present else torch.zeros(())

@@ -14,39 +14,43 @@ of the gain.
 from __future__ import annotations
 
 import argparse
-import sys
+import time
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import torch
+from torch import Tensor
 
+from benchmarks.harness import Benchmark, Option, Run
 from benchmarks.judge import physics
-from benchmarks.judge.physics_cache import CACHE_DIR, stored_minimum
-from benchmarks.papers.representation_drape import (
-    Bench,
-    Drapes,
-    drape,
-    frame_spaces,
-    open_bench,
-    static_parts,
-    total_j,
-)
-from benchmarks.papers.representation_minimise import STEP_LIMIT
+from benchmarks.judge.physics_cache import CACHE_DIR
+from benchmarks.measure.judged import Judged
+from benchmarks.papers.held_out import figures, judged
+from benchmarks.papers.representation_minimise import STEP_LIMIT, Minimum, minimise
 from benchmarks.papers.representation_space import (
     REPRESENTATIONS,
+    Charts,
     PatchSpace,
+    Representation,
     VertexSpace,
+    block_scaling,
     charts,
     repartitioned,
 )
-from benchmarks.shared import common
+from benchmarks.tables import Row
 from drape.body.assets import load_body
+from drape.body.model import BodyModel
 from drape.catalog import find_garments, find_motions, open_garment
-from drape.cloth import metrics
-from drape.cloth.material import material
-from drape.errors import InputError, ended
+from drape.cloth import energies, metrics
+from drape.cloth.material import Material, material
+from drape.errors import InputError
+from drape.garment.cache import Garment
+from drape.garment.fitting import RestGarment
 from drape.garment.partition import patch_count_for
+from drape.garment.skin import BodyBinding
+from drape.geometry.rotations import matrix_to_quaternion
+from drape.geometry.skinning import blend_frames
 from drape.motion.hard_poses import hard_poses
 from drape.motion.readers import read_motion
 
@@ -58,74 +62,125 @@ COLUMNS = {
 }  # fmt: skip
 
 
-def measure(bench: Bench, options: argparse.Namespace) -> list[dict[str, Any]]:
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """One garment on F posed bodies: what all forms of patch share."""
+
+    judge: Judged
+    rest: RestGarment
+    bones: tuple[np.ndarray, np.ndarray]
+
+    @classmethod
+    def of(cls, garment: Garment, body: BodyModel, poses: np.ndarray, cloth: Material) -> Bench:
+        """The bench of ``garment`` in ``cloth`` on ``body`` at ``poses`` (F, 24, 3) [rad]."""
+        binding = BodyBinding(garment.skin_weights.astype(np.float64), garment.shapedirs.astype(np.float64))
+        rest = RestGarment(garment.vertices.astype(np.float64), garment.fine_faces.astype(np.int64), binding, body)
+        return cls(judged(garment, body, poses, cloth), rest, body.bones(poses))
+
+
+class Objective:
+    """The energy of one frame in the variables of a space."""
+
+    def __init__(self, bench: Bench, frame: int, space: PatchSpace | VertexSpace) -> None:
+        judge = bench.judge
+        self._space, self._contact, self._material = space, judge.cloth.contact, judge.cloth.material
+        self._cloth, self._height_m = judge.cloth.mesh.like(torch.zeros(1)), float(judge.height_m[frame])
+        self._body = judge.body_vertices[frame][None], judge.body_normals[frame][None]
+        self._planes = None
+
+    def refresh(self, z: Tensor) -> None:
+        with torch.no_grad():
+            points = self._space.positions(z)
+        self._planes = self._contact.planes(points[None].double().numpy(), *self._body).like(points)
+
+    def value_and_gradient(self, z: Tensor) -> tuple[float, Tensor]:
+        assert self._planes is not None
+        moving = z.detach().requires_grad_()
+        points = self._space.positions(moving)
+        distance = self._planes.distance(points)[0]
+        parts = energies.total(points, self._cloth, self._material, distance=distance, height_m=self._height_m)
+        total = torch.stack([part.sum() for part in parts.values()]).sum()
+        (gradient,) = torch.autograd.grad(total, moving)
+        return float(total.detach()), gradient
+
+
+@dataclass(frozen=True, eq=False)
+class Drapes:
+    """F frames minimised in ``spaces``: ``vertices`` [m] (F, V, 3), what was reached, and CPU ``seconds``."""
+
+    spaces: Sequence[PatchSpace | VertexSpace]
+    vertices: np.ndarray
+    minima: Sequence[Minimum]
+    seconds: float
+
+
+def frame_spaces(bench: Bench, form: Representation, found: Charts) -> list[PatchSpace]:
+    """What ``form`` can make of each frame, every patch scaled by itself."""
+    scaling = block_scaling(form, found)
+    if not form.skinned:
+        return [PatchSpace(form, found, *frame, scaling) for frame in posed_frames(bench, found)]
+    rotations, translations = bench.bones
+    weights, frames = bench.rest.binding.weights, len(rotations)
+    matrices = (weights @ rotations.reshape(frames, -1, 9)).reshape(frames, -1, 3, 3)
+    skins = zip(matrices, weights @ translations, strict=True)
+    return [PatchSpace(form, found, found.rotation, found.centre, scaling, skin=skin) for skin in skins]
+
+
+def posed_frames(bench: Bench, found: Charts) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Rotation (K, 3, 3) and centre (K, 3) [m] of the patches in each frame, moved rigidly by the bones."""
+    rotations, translations = bench.bones
+    rest = np.broadcast_to(found.centre, (len(rotations), *found.centre.shape))
+    heaviest, quaternions = found.bones.argmax(axis=1), matrix_to_quaternion(rotations)
+    rotation, centre = blend_frames(rest, found.bones, heaviest, rotations, translations, quaternions)
+    return list(zip(rotation @ found.rotation, centre, strict=True))
+
+
+def drape(bench: Bench, spaces: Sequence[PatchSpace | VertexSpace], *, step_limit: int) -> Drapes:
+    """Every frame's energy minimised in its space, from zero, which is the skinned start."""
+    began = time.process_time()
+    minima = [
+        minimise(Objective(bench, frame, space), torch.zeros(space.size), step_limit=step_limit)
+        for frame, space in enumerate(spaces)
+    ]
+    seconds = time.process_time() - began
+    with torch.no_grad():
+        vertices = [space.positions(found.z).double().numpy() for space, found in zip(spaces, minima, strict=True)]
+    return Drapes(spaces, np.stack(vertices), minima, seconds)
+
+
+def measure(bench: Bench, options: argparse.Namespace) -> list[Row]:
     """One row per method, skinning first, ``free`` last."""
-    rows = [figures(bench, "skinning", bench.skinned), figures(bench, "skinning_push", bench.pushed)]
+    judge, folder = bench.judge, None if options.no_physics_cache else CACHE_DIR
+    cloth = judge.cloth
+    rows = [row_of(bench, "skinning", judge.skinned), row_of(bench, "skinning_push", judge.pushed)]
     by_rule = patch_count_for(float(bench.rest.areas.sum()))
-    best: Drapes | None = None
+    best: tuple[float, np.ndarray] = np.inf, judge.skinned
     for percent in options.patches:
-        garment = bench.garment
+        garment = cloth.garment
         if percent != 100:
             garment = repartitioned(garment, bench.rest, round(by_rule * percent / 100.0))
-        found = charts(garment, bench.cloth, bench.material)
+        found = charts(garment, cloth.mesh, cloth.material)
         for form in (REPRESENTATIONS[name] for name in options.forms):
             if percent != 100 and (form.skinned or form.turns):
                 continue
             drapes = drape(bench, frame_spaces(bench, form, found), step_limit=options.steps)
-            rows.append(figures(bench, form.name, drapes.vertices, form.number_count, drapes, percent))
-            if best is None or total_j(bench, drapes.vertices) < total_j(bench, best.vertices):
-                best = drapes
-    optimum = house_optimum(bench, options)
-    rows.append(figures(bench, "physics", optimum.vertices) | {"steps": float(optimum.steps.mean())})
-    start = optimum.vertices
-    if best is not None and total_j(bench, best.vertices) < total_j(bench, start):
-        start = best.vertices
-    stiffness = physics.vertex_stiffness(bench.cloth, bench.material)
+            size = {"patches": found.patch_count, "numbers": form.number_count, "percent": percent}
+            rows.append(size | row_of(bench, form.name, drapes.vertices, drapes))
+            best = min(best, (rows[-1]["energy_j"], drapes.vertices), key=lambda one: one[0])
+    optimum, _ = judge.optimum((judge.pushed,), folder, min(physics.STEPS, options.steps))
+    rows.append(row_of(bench, "physics", optimum.vertices) | {"steps": float(optimum.steps.mean())})
+    start = min(best, (rows[-1]["energy_j"], optimum.vertices), key=lambda one: one[0])[1]
+    stiffness = physics.vertex_stiffness(cloth.mesh, cloth.material)
     free = drape(bench, [VertexSpace(frame, stiffness) for frame in start], step_limit=2 * options.steps)
-    rows.append(figures(bench, "free", free.vertices, drapes=free))
+    rows.append(row_of(bench, "free", free.vertices, free))
     for row in rows:
         row["gain"] = metrics.gain(rows[1]["energy_j"], row["energy_j"], rows[-1]["energy_j"])
     return rows
 
 
-def house_optimum(bench: Bench, options: argparse.Namespace) -> physics.Optimum:
-    """The physics optimum as benchmarks.quality minimises it, from the folder of stored ones where it is there."""
-    task = physics.Task.of_garment(
-        bench.garment,
-        options.body,
-        bench.cloth,
-        bench.material,
-        contact=bench.contact,
-        body_vertices=bench.body_vertices,
-        skinned=bench.skinned,
-        starts=(bench.pushed,),
-    )
-    limit = min(physics.STEPS, options.steps)
-    return stored_minimum(task, limit, options.physics_folder)[0]
-
-
-def figures(
-    bench: Bench,
-    method: str,
-    vertices: np.ndarray,
-    number_count: int | None = None,
-    drapes: Drapes | None = None,
-    percent: int | None = None,
-) -> dict[str, Any]:
+def row_of(bench: Bench, method: str, vertices: np.ndarray, drapes: Drapes | None = None) -> Row:
     """The row of a method, printed as it comes."""
-    rest, faces = bench.rest.vertices, bench.rest.faces
-    row: dict[str, Any] = {"garment": bench.garment.name, "method": method}
-    if drapes is not None and isinstance(drapes.spaces[0], PatchSpace):
-        row |= {"patches": drapes.spaces[0].charts.patch_count, "numbers": number_count, "percent": percent}
-    row |= {f"{name}_j": float(value.mean()) for name, value in static_parts(bench, vertices).items()}
-    row |= {
-        "energy_j": total_j(bench, vertices),
-        "edge_pct": float(metrics.edge_strain_pct(vertices, rest, faces).mean()),
-        "area_pct": float(metrics.area_strain_pct(vertices, rest, faces).mean()),
-        "colliding_vertex_pct": float(
-            metrics.colliding_vertex_pct(vertices, bench.body_vertices, bench.body_normals).mean()
-        ),
-    }
+    row = {"garment": bench.judge.cloth.garment.name, "method": method} | figures(bench.judge, vertices)
     if drapes is not None:
         row |= {
             "steps": float(np.mean([m.steps for m in drapes.minima])),
@@ -133,49 +188,32 @@ def figures(
             "residual_j": float(np.mean([m.residual_j for m in drapes.minima])),
             "seconds": drapes.seconds,
         }
-    print(f"{row['garment']} {method} {percent or ''}: {row['energy_j']:.4f} J", flush=True)
+    print(f"{row['garment']} {method}: {row['energy_j']:.4f} J", flush=True)
     return row
 
 
-def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.papers.representation", description="What each form of patch can reach at best."
-    )
-    parser.add_argument("--garments", nargs="+", help=f"names, files or folders (default {' '.join(GARMENTS)})")
-    parser.add_argument("--motions", nargs="+", default=[], help="names, files or folders (default: the shipped ones)")
-    parser.add_argument("--frames", type=int, help="hard poses (default 2, quick 1)")
-    parser.add_argument("--patches", type=int, nargs="+", help="patch counts in %% of the rule (default 100 50 200)")
-    parser.add_argument("--forms", nargs="+", choices=REPRESENTATIONS, help="forms of patch (default: all)")
-    parser.add_argument("--steps", type=int, help=f"most steps per frame (default {STEP_LIMIT}, quick 60)")
-    parser.add_argument("--no-physics-cache", action="store_true", help="neither read nor store physics optima")
-    common.add_options(parser)
-    options = parser.parse_args(arguments)
-    quick = options.quick
-    options.garments = options.garments or (["tshirt"] if quick else list(GARMENTS))
-    options.frames = options.frames or (1 if quick else 2)
-    options.patches = options.patches or ([100] if quick else [100, 50, 200])
-    options.forms = options.forms or (["paper", "rigid_2"] if quick else list(REPRESENTATIONS))
-    options.steps = options.steps or (60 if quick else STEP_LIMIT)
+@Benchmark(
+    "representation",
+    "What each form of patch can reach at best.",
+    COLUMNS,
+    Option("--garments", GARMENTS, "names, files or folders", GARMENTS[:1]),
+    Option("--motions", (), "names, files or folders"),
+    Option("--frames", 2, "hard poses", 1),
+    Option("--patches", (100, 50, 200), "patch counts in % of the rule", (100,)),
+    Option("--forms", tuple(REPRESENTATIONS), "forms of patch", ("paper", "rigid_2"), choices=REPRESENTATIONS),
+    Option("--steps", STEP_LIMIT, "most steps per frame", 60),
+    Option("--no-physics-cache", False, "neither read nor store physics optima"),
+)
+def main(run: Run) -> None:
+    """Rows of every garment."""
+    options, body = run.options, load_body()
     if min(options.patches) <= 0:
         raise InputError("--patches", expected="shares above 0 %", got=str(options.patches), cure="Give 100, say.")
-    return options
-
-
-def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
-    """Prints the table and the record, and returns the record."""
-    options = parse(arguments)
-    torch.set_num_threads(options.threads)
-    body = load_body()
     poses = hard_poses([read_motion(path) for path in find_motions(options.motions)], body, options.frames)
-    options.body, options.poses = body, poses.poses
-    options.physics_folder = None if options.no_physics_cache else CACHE_DIR
-    rows: list[dict[str, Any]] = []
     for path in find_garments(options.garments):
-        rows += measure(open_bench(open_garment(path, body), body, poses.poses, material()), options)
-    print()
-    common.print_table(rows, COLUMNS)
-    return common.finish("representation", rows, options, frames=list(poses.labels), steps=options.steps)
+        run.rows += measure(Bench.of(open_garment(path, body), body, poses.poses, material()), options)
+    run.extra |= {"frames": list(poses.labels), "steps": options.steps}
 
 
 if __name__ == "__main__":
-    sys.exit(ended(main))
+    main.command()

@@ -5,7 +5,7 @@ pattern with its panels 5 to 10 % off in width and height: the truth is within i
 there is measured. The target's triangles are those of the same mesher at the same length, unless another is asked for;
 its fabric may be another than the base's.
 
-    python -m benchmarks.recovery [--quick] [--seeds 5] [--edge-length 0.05] [--picture FILE.png] [--save]
+    python -m benchmarks.recovery [--quick] [--seeds 5] [--edge-length 0.05] [--save]
     python -m benchmarks.recovery --target-edge-length 0.02 --meshes 0.05 0.03 0.022
     python -m benchmarks.recovery --target-edge-length 0.016 --meshes 0.05 0.03 0.017 --first-seed 1 --seeds 1 --save
     python -m benchmarks.recovery --fabrics crisp limp --free-cloth
@@ -14,18 +14,17 @@ its fabric may be another than the base's.
 
 from __future__ import annotations
 
-import argparse
 import time
 from dataclasses import replace
-from pathlib import Path
+from itertools import product
 from typing import Any
 
 import numpy as np
-import torch
 
+from benchmarks.harness import Benchmark, Option, Run
 from benchmarks.recovery.compare import pattern_error
 from benchmarks.recovery.disturbed import off
-from benchmarks.shared import common
+from benchmarks.tables import Row, text_table
 from drape.body.assets import load_body
 from drape.cloth.material import DEFAULT_MATERIAL, FABRICS
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
@@ -36,7 +35,6 @@ from recovery.pattern import geometry
 from recovery.pattern.bases import skirt, tshirt
 from recovery.pattern.measurements import measure
 from recovery.pattern.model import Pattern
-from recovery.pattern.symmetry import find_symmetries, procrustes
 
 GARMENTS = {"tshirt": tshirt, "skirt": skirt}
 # What is left out, as in table 3 of Yu, Cordier and Seo (2024); their full model, and two things that are ours.
@@ -79,7 +77,7 @@ def target_of(garment: str, drape: DrapeOptions) -> tuple[Pattern, Draped]:
 
 def recover(
     truth: Pattern, target: Draped, seed: int, drape: DrapeOptions, fit: FitOptions, **options: Any
-) -> tuple[Recovered, dict[str, Any]]:
+) -> tuple[Recovered, Row]:
     """One recovery by ``recover_pattern`` with ``options``, and its errors."""
     base = off(truth, seed)
     started = time.perf_counter(), time.process_time()
@@ -113,7 +111,7 @@ def recover(
     }
 
 
-def by_round(found: Recovered, truth: Pattern) -> list[dict[str, Any]]:
+def by_round(found: Recovered, truth: Pattern) -> list[Row]:
     """Errors and times of every round of a recovery; the pattern of a round is the best of it."""
     lines = []
     for number, one in enumerate(found.rounds, start=1):
@@ -140,7 +138,7 @@ def triangles(draped: Draped) -> set[tuple[int, ...]]:
     return {tuple(row) for row in np.sort(draped.mesh.faces, axis=1).tolist()}
 
 
-def compare(found: dict[tuple[str, str, int], Recovered]) -> list[dict[str, Any]]:
+def compare(found: dict[tuple[str, str, int], Recovered]) -> list[Row]:
     """How far patterns recovered from targets of different fabrics are from each other (figure 5 of the paper)."""
     pairs = []
     for (garment, fabric, seed), one in found.items():
@@ -169,12 +167,12 @@ def lengths(pattern: Pattern) -> np.ndarray:
     return np.array([geometry.edge_length(panel, edge) for panel in pattern.panels for edge in range(len(panel.edges))])
 
 
-def spread(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def spread(rows: list[Row]) -> list[Row]:
     """Mean and standard deviation over the seeds, by garment and variant."""
     found = []
     for garment, variant in dict.fromkeys((row["garment"], row["variant"]) for row in rows):
         mine = [row for row in rows if (row["garment"], row["variant"]) == (garment, variant)]
-        line: dict[str, Any] = {"garment": garment, "variant": variant, "seeds": len(mine)}
+        line: Row = {"garment": garment, "variant": variant, "seeds": len(mine)}
         for key in ("mean_mm", "area_err", "surface_mm"):
             values = np.array([row[key] for row in mine])
             line[key] = float(values.mean())
@@ -183,110 +181,57 @@ def spread(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return found
 
 
-def draw(path: Path, truth: Pattern, patterns: dict[str, Pattern], history: np.ndarray) -> None:
-    """Outlines of ``patterns`` laid on those of ``truth``, panel by panel, and the distance of the surfaces by step."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    # Panels that mirror each other look the same; one of each is drawn.
-    tied = {symmetry.second for symmetry in find_symmetries(truth).between}
-    shown = [number for number in range(len(truth.panels)) if number not in tied]
-    figure, axes = pyplot.subplots(1, len(shown) + 1, figsize=(3.2 * (len(shown) + 1), 4.2), layout="constrained")
-    for axis, number in zip(axes, shown, strict=False):
-        panel = truth.panels[number]
-        here = panel.vertices.mean(axis=0)
-        axis.fill(*(geometry.outline(panel) - here).T, color="0.9")
-        axis.plot(*_closed(geometry.outline(panel) - here).T, color="black", linewidth=2.5, label="truth")
-        for (name, pattern), style in zip(patterns.items(), ("C3:", "C1--", "C0-"), strict=True):
-            own = pattern.panels[number]
-            matrix, _ = procrustes(own.vertices, panel.vertices, reflect=False)
-            line = (geometry.outline(own) - own.vertices.mean(axis=0)) @ matrix
-            axis.plot(*_closed(line).T, style, linewidth=1.3, label=name)
-        axis.set_title(panel.name)
-        axis.set_aspect("equal")
-        axis.axis("off")
-    axes[0].legend(loc="lower center", fontsize=8)
-    axes[-1].semilogy(1e3 * np.sqrt(0.5 * history[:, 1]), marker=".", label="surfaces")
-    axes[-1].semilogy(1e3 * np.sqrt(0.5 * history[:, 2]), marker=".", label="contours")
-    axes[-1].set_xlabel("step")
-    axes[-1].set_title("distance to the target [mm]")
-    axes[-1].legend(fontsize=8)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=90)
-    pyplot.close(figure)
-
-
-def _closed(line: np.ndarray) -> np.ndarray:
-    return np.concatenate([line, line[:1]])
-
-
-def main() -> int:
-    """Command line entry."""
-    default = FitOptions()
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    common.add_options(parser)
-    parser.add_argument("--garments", nargs="+", choices=sorted(GARMENTS), default=["tshirt"])
-    parser.add_argument("--seeds", type=int, default=5, help="how many disturbed bases")
-    parser.add_argument("--first-seed", type=int, default=0, help="number of the first of them")
-    parser.add_argument("--edge-length", type=float, default=0.05, help="of the mesh [m]")
-    parser.add_argument("--target-edge-length", type=float, help="of the target's mesh [m] (default: the same)")
-    parser.add_argument("--meshes", type=float, nargs="+", help="edge lengths [m] of the rounds (default: three equal)")
-    parser.add_argument("--grid", type=float, default=0.02, help="spacing of the body's distance [m]")
-    parser.add_argument("--adam", type=int, default=default.iterations, help="steps of Adam")
-    parser.add_argument("--closing", type=int, default=default.closing, help="steps of Gauss and Newton after it")
-    parser.add_argument("--fabrics", nargs="+", choices=sorted(FABRICS), help="of the targets; the base has jersey's")
-    parser.add_argument("--free-cloth", action="store_true", help="choose the fabric and free its constants")
-    parser.add_argument("--ablation", action="store_true", help="leave out one thing at a time, as in table 3")
-    parser.add_argument("--picture", type=Path, help="PNG of the first recovery: panels over the true ones")
-    options = parser.parse_args()
-    torch.set_num_threads(options.threads)
+@Benchmark(
+    "recovery",
+    "Recovery of own patterns from bases of another size.",
+    COLUMNS,
+    Option("--garments", ("tshirt",), "which", choices=sorted(GARMENTS)),
+    Option("--seeds", 5, "how many disturbed bases", 1),
+    Option("--first-seed", 0, "number of the first of them"),
+    Option("--edge-length", 0.05, "of the mesh [m]"),
+    Option("--target-edge-length", None, "of the target's mesh [m] (default the same)", kind=float),
+    Option("--meshes", (), "edge lengths [m] of the rounds (default three equal ones)", kind=float),
+    Option("--grid", 0.02, "spacing of the body's distance [m]"),
+    Option("--adam", FitOptions().iterations, "steps of Adam"),
+    Option("--closing", FitOptions().closing, "steps of Gauss and Newton after it"),
+    Option("--fabrics", (), "of the targets; the base has jersey's", choices=sorted(FABRICS)),
+    Option("--free-cloth", False, "choose the fabric and free its constants"),
+    Option("--ablation", False, "leave out one thing at a time, as in table 3"),
+)
+def main(run: Run) -> None:
+    """Rows of every garment, fabric, variant and base."""
+    options = run.options
     drape = DrapeOptions(edge_length_m=options.edge_length, grid_m=options.grid)
     fit = FitOptions(iterations=options.adam, closing=options.closing)
-    seeds = 1 if options.quick else options.seeds
-    meshes = options.meshes or [options.edge_length] * ROUNDS
+    meshes = list(options.meshes) or [options.edge_length] * ROUNDS
     cloth = {"fabrics": tuple(FABRICS), "free_cloth": True} if options.free_cloth or options.ablation else {}
     fabrics = options.fabrics or [ABLATION_FABRIC if options.ablation else DEFAULT_MATERIAL]
-    rows: list[dict[str, Any]] = []
-    rounds_of: list[dict[str, Any]] = []
+    rounds_of: list[Row] = []
     found: dict[tuple[str, str, int], Recovered] = {}
-    for garment in options.garments:
-        for fabric in fabrics:
-            there = replace(drape, fabric=fabric, edge_length_m=options.target_edge_length or options.edge_length)
-            truth, target = target_of(garment, there)
-            for variant in VARIANTS if options.ablation else ["all"]:
-                own = {"rounds": len(meshes), **cloth, **VARIANTS[variant]}
-                own["meshes_m"] = meshes[: own.pop("rounds")]
-                for seed in range(options.first_seed, options.first_seed + seeds):
-                    one, row = recover(truth, target, seed, drape, fit, **own)
-                    rows.append({"garment": garment, "fabric": fabric, "variant": variant, **row})
-                    found[garment, fabric, seed] = one
-                    rounds_of += [{"garment": garment, "seed": seed, **line} for line in by_round(one, truth)]
-                    if options.picture is not None and len(rows) == 1:
-                        stages = {"base": off(truth, seed), "graded": one.graded.pattern}
-                        stages["recovered"] = one.fitted.pattern
-                        history = np.concatenate([each.fitted.history for each in one.rounds])
-                        draw(options.picture, truth, stages, history)
-    common.print_table(rows, COLUMNS)
-    extra: dict[str, Any] = {}
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
+    for garment, fabric in product(options.garments, fabrics):
+        there = replace(drape, fabric=fabric, edge_length_m=options.target_edge_length or options.edge_length)
+        truth, target = target_of(garment, there)
+        for variant, seed in product(VARIANTS if options.ablation else ["all"], seeds):
+            own = {"rounds": len(meshes), **cloth, **VARIANTS[variant]}
+            own["meshes_m"] = meshes[: own.pop("rounds")]
+            one, row = recover(truth, target, seed, drape, fit, **own)
+            run.rows.append({"garment": garment, "fabric": fabric, "variant": variant, **row})
+            found[garment, fabric, seed] = one
+            rounds_of += [{"garment": garment, "seed": seed, **line} for line in by_round(one, truth)]
+    tables: dict[str, tuple[list[Row], dict[str, str]]] = {}
     if options.meshes:
-        extra["by_round"] = rounds_of
-        common.print_table(rounds_of, ROUND_COLUMNS)
+        tables["by_round"] = rounds_of, ROUND_COLUMNS
     if len(fabrics) > 1:
-        extra["pairs"] = compare(found)
-        common.print_table(extra["pairs"], PAIR_COLUMNS)
+        tables["pairs"] = compare(found), PAIR_COLUMNS
     if options.ablation:
-        extra["spread"] = spread(rows)
-        common.print_table(extra["spread"], SPREAD_COLUMNS)
-    name = "recovery_ablation" if options.ablation else "recovery_fabrics" if len(fabrics) > 1 else "recovery"
-    if options.meshes and not options.ablation:
-        name += "_rounds"
-    elif options.target_edge_length is not None and not options.ablation:
-        name += "_other_mesh"
-    common.finish(name, rows, options, **extra)
-    return 0
+        tables["spread"] = spread(run.rows), SPREAD_COLUMNS
+    run.extra |= {name: rows for name, (rows, _) in tables.items()}
+    run.notes += [text_table(rows, columns) for rows, columns in tables.values()]
+    run.name = "recovery_ablation" if options.ablation else "recovery_fabrics" if len(fabrics) > 1 else "recovery"
+    if not options.ablation and (options.meshes or options.target_edge_length is not None):
+        run.name += "_rounds" if options.meshes else "_other_mesh"
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    main.command()

@@ -16,7 +16,6 @@ its error are those of the last third: an allocator's high water rises ever more
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import collections
 import random
@@ -29,14 +28,13 @@ from typing import Any
 import httpx
 import numpy as np
 
+from benchmarks.harness import Benchmark, Option, Run
 from benchmarks.serving import Server, server
-from benchmarks.shared import common
 from clients.stream import DrapeStream
 from drape.catalog import find_motions
 from drape.errors import DrapeError
 from drape.motion.readers import read_motion
 
-MINUTES, QUICK_MINUTES, CLIENTS, QUICK_CLIENTS = 30.0, 0.1, 50, 6
 LOOK_S, BLOCKS = 5.0, 8
 FPS, FRAMES = 10.0, (5, 60)  # of a stream, as many poses a second; frames of one opening, the least and the most
 GARMENTS = ("tshirt", "tank", "shorts", "skirt", "dress", "trousers")
@@ -243,23 +241,23 @@ def row_of(tally: Tally, looked: Sequence[Looked], minutes: float, clients: int)
     }  # fmt: skip
 
 
-def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
-    """Prints the table and the record, and returns the record."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.speed.churn", description="Clients that come and go.")
-    parser.add_argument("--minutes", type=float, help=f"default {MINUTES:g}, quick {QUICK_MINUTES:g}")
-    parser.add_argument("--clients", type=int, help=f"default {CLIENTS}, quick {QUICK_CLIENTS}")
-    common.add_options(parser)
-    options = parser.parse_args(arguments)
-    options.minutes = options.minutes or (QUICK_MINUTES if options.quick else MINUTES)
-    options.clients = options.clients or (QUICK_CLIENTS if options.quick else CLIENTS)
+@Benchmark(
+    "churn",
+    "Clients that come and go.",
+    COLUMNS,
+    Option("--minutes", 30.0, "of the run", 0.1),
+    Option("--clients", 50, "at the same time", 6),
+)
+def main(run: Run) -> None:
+    """One row: what the clients did, and what the service held."""
+    options = run.options
     with server() as at:
         tally, looked = asyncio.run(churn(at, options.minutes, options.clients))
-    rows = [row_of(tally, looked, options.minutes, options.clients)]
-    common.print_table(rows, COLUMNS)
-    print(dict(tally.counts), tally.faults[:10])
-    memory = [round(one.memory_mb, 1) for one in looked]
-    return common.finish("churn", rows, options, memory_mb=memory, faults=tally.faults[:10], counts=dict(tally.counts))
+    run.rows.append(row_of(tally, looked, options.minutes, options.clients))
+    told = {"faults": tally.faults[:10], "counts": dict(tally.counts)}
+    run.notes.append(str(told))
+    run.extra |= {"memory_mb": [round(one.memory_mb, 1) for one in looked], **told}
 
 
 if __name__ == "__main__":
-    main()
+    main.command()

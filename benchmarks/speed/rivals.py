@@ -1,47 +1,27 @@
-"""What stands beside the packed graph in ``benchmarks.latency``: torch, skinning with push-out, physics, the floor."""
+"""What stands beside the packed graph in ``benchmarks.latency``: the same network in torch, and the floor."""
 
 from __future__ import annotations
 
-import signal
-import subprocess
-import tempfile
-import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
-import scipy.sparse
 import torch
 from torch import Tensor, nn
 
-from benchmarks.judge.physics import Held
-from benchmarks.shared.common import ROOT
-from benchmarks.shared.kd_tree_push import Collider
-from benchmarks.speed.setup import timed
+from benchmarks.clock import timed
+from benchmarks.tables import Row
 from drape.arrays.subnormals import flushed
 from drape.body.model import BodyModel
-from drape.cloth.energies import ClothMesh
-from drape.cloth.material import Material, material
-from drape.cloth.metrics import area_strain_pct, edge_strain_pct
 from drape.garment.cache import Garment
 from drape.garment.consensus import FIT_COUNT, MEMBERS, STRAIN_POINTS
 from drape.garment.fabric_features import encoder_features
 from drape.geometry import jets
-from drape.geometry.skinning import skin_points
 from drape.graph.feeds import garment_feed
 from drape.graph.packed import COLUMNS, Indices, PackedBodies, ShapedSkins, StoredPatches
 from drape.graph.packing import PackedGarment, Place, compose, pack_body, pack_garment
 from drape.graph.push_feed import SkinShapes
 from model_export.packed.graph import FirstGraph, PackedGraph
 from training.model import OneFit
-
-COMPILE_LIMIT_S = 240
-NEWTON_ITERATIONS = (1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 15, 20, 30, 50)
-NEWTON_LIMIT_S, NEWTON_CLIP_LIMIT_S = 900, 3600
-NEWTON_CONTACT_N_PER_M, NEWTON_CONTACT_KD = 1300.0, 1e-2
-CLEARANCE_M = 0.002
 
 
 class EagerDrape(nn.Module):
@@ -71,10 +51,8 @@ class EagerDrape(nn.Module):
 
 
 @flushed()
-def torch_rows(
-    model: OneFit, garment: Garment, body: BodyModel, pose: np.ndarray, *, seconds: float, compiled: bool
-) -> list[dict[str, Any]]:
-    """The same model in eager torch, and compiled where ``compiled`` and the machine has a compiler."""
+def torch_row(model: OneFit, garment: Garment, body: BodyModel, pose: np.ndarray, *, seconds: float) -> Row:
+    """The same model in eager torch."""
     shape = pack_body(body)
     eager = EagerDrape(model, garment, body)
 
@@ -82,56 +60,7 @@ def torch_rows(
         with torch.inference_mode():
             return module(**{k: torch.from_numpy(np.array(v)) for k, v in shape.rows(pose).items()})
 
-    rows = [{"name": "torch_eager", **timed(lambda: call(eager), seconds=seconds).row()}]
-    if not compiled:
-        return [*rows, {"name": "torch_compile", "skipped": "quick form"}]
-    try:
-        module = torch.compile(eager)
-        with _limit(COMPILE_LIMIT_S):
-            want, got = call(eager), call(module)
-        assert float((want - got).abs().max()) < 1e-4
-        rows.append({"name": "torch_compile", **timed(lambda: call(module), seconds=seconds).row()})
-    except Exception as error:  # inductor has a class of its own for each kind of failure
-        rows.append({"name": "torch_compile", "skipped": f"{type(error).__name__}: {str(error).splitlines()[0][:120]}"})
-    return rows
-
-
-class _limit:
-    """Raises TimeoutError in the block after some seconds (main thread only)."""
-
-    def __init__(self, seconds: int) -> None:
-        self._seconds = seconds
-
-    def __enter__(self) -> None:
-        def ring(*_: object) -> None:
-            raise TimeoutError(f"not done after {self._seconds} s")
-
-        self._before = signal.signal(signal.SIGALRM, ring)
-        signal.alarm(self._seconds)
-
-    def __exit__(self, *_: object) -> None:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, self._before)
-
-
-class SkinningPush:
-    """Linear blend skinning of a garment's vertices, and the service's push-out (SciPy k-d tree)."""
-
-    def __init__(self, garment: Garment, body: BodyModel) -> None:
-        self.body, self.collider = body, Collider(body)
-        self.rest = garment.vertices[: garment.vertex_count].astype(np.float64)
-        self.weights = scipy.sparse.csr_matrix(garment.skin_weights[: garment.vertex_count].astype(np.float64))
-        self.betas = np.zeros(body.shape_count)
-
-    def skin(self, pose: np.ndarray) -> np.ndarray:
-        """Skinned vertices [m] (1, V, 3) of one ``pose`` (1, 24, 3)."""
-        rotations, translations = self.body.bones(pose)
-        translations = translations - self.body.joints_template[0]
-        return skin_points(self.rest, self.weights, rotations[0], translations[0])[None].astype(np.float32)
-
-    def push(self, vertices: np.ndarray, pose: np.ndarray) -> np.ndarray:
-        """``vertices`` (1, V, 3) out of the body."""
-        return self.collider.push(vertices, pose, self.betas, CLEARANCE_M)[0]
+    return {"name": "torch_eager", **timed(lambda: call(eager), seconds=seconds).row()}
 
 
 def multiply_adds(model: OneFit, garment: PackedGarment) -> float:
@@ -151,7 +80,7 @@ def multiply_adds(model: OneFit, garment: PackedGarment) -> float:
     return per_body + per_patch * garment.patch_count + 3 * garment.stored["tile_positions"].size
 
 
-def floor_row(model: OneFit, garment: PackedGarment, *, threads: int) -> dict[str, Any]:
+def floor_row(model: OneFit, garment: PackedGarment, *, threads: int) -> Row:
     """The larger of multiply-adds over the measured matrix rate and bytes over the measured copy rate."""
     torch.set_num_threads(threads)
     a, b = torch.rand(1024, 1024), torch.rand(1024, 1024)
@@ -169,131 +98,4 @@ def floor_row(model: OneFit, garment: PackedGarment, *, threads: int) -> dict[st
         "stage_ms": {"compute": compute, "memory": memory},
         "gemm_gflops": 2e-9 * gemm,
         "copy_gb_s": 1e-9 * copy,
-    }
-
-
-def newton_runs(
-    python: str | None, scene: dict[str, Any], *, limit_s: float = NEWTON_LIMIT_S
-) -> dict[str, np.ndarray] | str:
-    """What ``benchmarks.speed.newton_vbd`` finds of ``scene`` in the interpreter ``python``, or why nothing."""
-    if python is None:
-        return "no interpreter with newton: give --newton PYTHON"
-    with tempfile.TemporaryDirectory() as folder:
-        path, out = Path(folder) / "scene.npz", Path(folder) / "out.npz"
-        np.savez(path, **scene)
-        command = [python, str(ROOT / "benchmarks/speed/newton_vbd.py"), str(path), str(out)]
-        try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=limit_s, check=False)
-        except (OSError, subprocess.TimeoutExpired) as error:
-            return type(error).__name__
-        if done.returncode:
-            lines = done.stderr.strip().splitlines() or ["no message"]
-            return lines[-1][:160]
-        with np.load(out) as found:
-            return {name: found[name] for name in found.files}
-
-
-def newton_cloth(cloth: Material) -> dict[str, Any]:
-    """``cloth`` as Newton knows it, whose membrane is isotropic: ``membrane`` (mu) and ``area`` (lambda) [N/m].
-
-    They are those of the isotropic cloth nearest to ours, which is ours averaged over the directions that its warp
-    could have: an isotropic one keeps its own. Bending is averaged too, which leaves ``bending_j`` of the harmonics.
-    """
-    warp, weft, cross, shear = cloth.membrane
-    return {
-        "membrane": (warp + weft - 2.0 * cross + shear) / 8.0,
-        "area": (warp + weft + 6.0 * cross - shear) / 8.0,
-        "bending": cloth.bending_j,
-        "density": cloth.density_kg_m2,
-    }
-
-
-@dataclass(frozen=True, eq=False)
-class NewtonClip:
-    """A clip for Newton: ``cloth`` of ``friction`` that starts at ``start`` [m] (V, 3) and is at rest in ``mesh``, over
-    bodies ``body_vertices`` [m] (F, B, 3) at ``fps``, and is ``held`` at its waist where it has one.
-
-    Sheets, hinges and their stiffness by direction are ours; the membrane is isotropic (``newton_cloth``). Contact
-    begins at our distance, with the stiffness that ``newton_row`` has by Newton's default, and the skin's speed is told
-    to friction. What was tried, on a T-shirt in jersey in its sixth frame of the walk, as energy [J], of which physics
-    has 0.04 and skinning 1.09. Sweeps: 8 steps of 10 iterations 0.72, 16 of 5 0.24, 32 of 3 0.14, 32 of 1 0.38, 16 of 2
-    1.09, 8 of 2 3.9. Contact in 8 steps of 10: our own 70 N/m 0.99; in 32 of 3: 10,000 N/m 0.14, begun at 6 mm 0.13,
-    without friction 0.15. The fabric's damping hinders convergence: 5.7 for the 0.99.
-    """
-
-    mesh: ClothMesh
-    rest: np.ndarray
-    start: np.ndarray
-    cloth: Material
-    friction: float
-    body_faces: np.ndarray
-    body_vertices: np.ndarray
-    fps: float
-    held: Held | None = None
-
-    def scene(self, paces: Sequence[tuple[int, int]]) -> dict[str, Any]:
-        """What ``benchmarks.speed.newton_vbd`` reads; ``paces`` are steps and iterations of a frame."""
-        frames, held, mesh = len(self.body_vertices), self.held, self.mesh
-        along, *turned = self.cloth.bending
-        return {
-            "rest": self.rest, "faces": self.mesh.faces, "start": self.start, "paces": np.array(paces),
-            "body_faces": self.body_faces, "body_vertices": self.body_vertices, "fps": self.fps,
-            "pinned": np.zeros(0, int) if held is None else held.vertex,
-            "anchor": np.zeros((frames, 0, 3)) if held is None else held.anchor,
-            "radius": self.cloth.contact_gap_m, "friction": self.friction, **newton_cloth(self.cloth),
-            "contact_ke": NEWTON_CONTACT_N_PER_M, "contact_kd": NEWTON_CONTACT_KD,
-            "inverse_shape": mesh.inverse_shape, "face_area": mesh.face_area, "vertex_kg": mesh.vertex_mass(self.cloth),
-            "hinge_edge": np.asarray(mesh.hinge_index).reshape(4, -1)[:2].T,
-            "hinge_j": mesh.hinge_weight * (along + mesh.hinge_turn @ np.array(turned)),
-            "hinge_angle": np.arctan2(mesh.hinge_sine, mesh.hinge_cosine),
-        }  # fmt: skip
-
-    def run(self, python: str | None, paces: Sequence[tuple[int, int]]) -> dict[str, np.ndarray] | str:
-        """``vertices`` (P, F, V, 3) and times ``wall_ms``, ``cpu_ms`` (P, F) in ``python``, or why there are none."""
-        return newton_runs(python, self.scene(paces), limit_s=NEWTON_CLIP_LIMIT_S)
-
-
-def newton_row(
-    python: str | None, garment: Garment, body: BodyModel, pose: np.ndarray, vertices: np.ndarray
-) -> dict[str, Any]:
-    """Newton's VBD solver on one frame: the fewest iterations whose edge strain is not above that of ``vertices``.
-
-    It starts from skinning with push-out, knows the posed body and the same cloth, and runs in the interpreter
-    ``python``, which has the package ``newton`` (Apache-2.0; not a dependency).
-    """
-    skinning = SkinningPush(garment, body)
-    start = skinning.push(skinning.skin(pose), pose)[0]
-    rest = garment.vertices[: garment.vertex_count].astype(np.float64)
-    began = time.perf_counter()
-    runs = newton_runs(python, {
-        "rest": rest, "faces": garment.faces, "start": start, "body_faces": body.faces,
-        "body_vertices": skinning.collider.posed(pose, skinning.betas)[0], "iterations": NEWTON_ITERATIONS,
-        **newton_cloth(material()),
-    })  # fmt: skip
-    if isinstance(runs, str):
-        return {"name": "newton_vbd", "skipped": runs}
-    strain = edge_strain_pct(runs["vertices"], rest, garment.faces)
-    area = area_strain_pct(np.concatenate([runs["vertices"], vertices[None]]), rest, garment.faces)
-    wanted = float(edge_strain_pct(vertices[None].astype(np.float64), rest, garment.faces)[0])
-    enough = np.nonzero(strain <= wanted)[0]
-    chosen = int(enough[0]) if len(enough) else len(strain) - 1
-    p50, p95, p99 = (float(value) for value in np.percentile(runs["step_ms"][chosen], [50, 95, 99]))
-    return {
-        "name": "newton_vbd",
-        "p50_ms": p50,
-        "p95_ms": p95,
-        "p99_ms": p99,
-        "min_ms": float(runs["step_ms"][chosen].min()),
-        "collide_ms": float(np.median(runs["collide_ms"][chosen])),
-        "iterations": int(runs["iterations"][chosen]),
-        "edge_pct": float(strain[chosen]),
-        "area_pct": float(area[chosen]),
-        "network_edge_pct": wanted,
-        "network_area_pct": float(area[-1]),
-        "reached": bool(len(enough)),
-        "by_iterations": {
-            str(count): {"p50_ms": float(np.median(times)), "edge_pct": float(edge), "area_pct": float(face)}
-            for count, times, edge, face in zip(runs["iterations"], runs["step_ms"], strain, area, strict=False)
-        },
-        "wall_s": time.perf_counter() - began,
     }

@@ -1,10 +1,8 @@
-"""What ``benchmarks.latency`` measures on: a model folder, garments of any vertex and patch count, one clock."""
+"""What ``benchmarks.latency`` measures on: a model folder, garments of any vertex and patch count."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,42 +14,6 @@ from drape.geometry import jets, meshes
 from drape.motion.samples import SAMPLES
 from training.exported import load_exported
 from training.model import OneFit
-
-WARM_CALLS = 5
-
-
-@dataclass(frozen=True)
-class Timing:
-    """Milliseconds per call: percentiles over all calls, and the least, which a busy machine moves little."""
-
-    min_ms: float
-    p50_ms: float
-    p95_ms: float
-    p99_ms: float
-    calls: int
-
-    @staticmethod
-    def of(taken: Sequence[float]) -> Timing:
-        """Of calls that took ``taken`` [ms]."""
-        p50, p95, p99 = np.percentile(taken, [50, 95, 99])
-        return Timing(float(min(taken)), float(p50), float(p95), float(p99), len(taken))
-
-    def row(self) -> dict[str, float]:
-        """The numbers as a row of the table has them."""
-        return {"min_ms": self.min_ms, "p50_ms": self.p50_ms, "p95_ms": self.p95_ms, "p99_ms": self.p99_ms}
-
-
-def timed(call: Callable[[], object], *, seconds: float, calls: int = 500) -> Timing:
-    """Calls again and again, at most ``calls`` times and for ``seconds``, at least ten times, after a warm-up."""
-    for _ in range(WARM_CALLS):
-        call()
-    taken: list[float] = []
-    end = time.perf_counter() + seconds
-    while len(taken) < 10 or (len(taken) < calls and time.perf_counter() < end):
-        start = time.perf_counter()
-        call()
-        taken.append(1e3 * (time.perf_counter() - start))
-    return Timing.of(taken)
 
 
 def network_of(folder: Path) -> OneFit:

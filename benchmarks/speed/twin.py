@@ -15,14 +15,14 @@ import numpy as np
 import uvicorn
 from fastapi import FastAPI, WebSocket, WebSocketDisconnect
 
+from benchmarks.served import Stream
 from drape.wire import messages as wire
 from service.compute.drape_runtime import DrapeRuntime
 from service.http.json_body import document_of, validated
 from service.http.schemas import OpenRequest
 from service.server import bind
 from service.settings import Settings
-from service.stages import run
-from service.stages.batch import Memories, PoseInput
+from service.stages.batch import PoseInput
 
 CREDIT = 2  # of poses that a client keeps, as the service says
 
@@ -34,23 +34,19 @@ def create_twin(drapery: DrapeRuntime) -> FastAPI:
     @app.websocket("/stream")
     async def stream(socket: WebSocket) -> None:
         await socket.accept(subprotocol=wire.SUBPROTOCOL)
-        asked = validated(OpenRequest, document_of((await socket.receive_text()).encode()))
-        plan = drapery.plan(drapery.garments.scene(asked.garment, asked.garments), asked, messages=True)
-        for stage in plan.stages:
-            stage.prepare(plan)
+        opening = validated(OpenRequest, document_of((await socket.receive_text()).encode()))
+        plan = drapery.plan(drapery.garments.scene(opening.garment, opening.garments), opening, messages=True)
+        one = Stream(plan, drapery.body.shape_count)
         await socket.send_text(json.dumps({"type": "opened", "vertices": plan.shown.vertex_count, "credit": CREDIT}))
-        memories: Memories = {}
         try:
             while True:
                 payload = await socket.receive_bytes()
                 if wire.message_kind(payload) == wire.ACK:
                     continue
                 pose = wire.unpack_pose(payload)
-                times_s = np.array([pose.client_time_s])
-                one = PoseInput(pose.pose[None], pose.trans[None], np.zeros(10), times_s, memories, pose.sequence)
-                batch = run(plan, [one])
-                memories = batch.memories[0]
-                await socket.send_bytes(batch.messages[0])
+                times_s, betas = np.array([pose.client_time_s]), np.zeros(drapery.body.shape_count)
+                asked = PoseInput(pose.pose[None], pose.trans[None], betas, times_s, sequence=pose.sequence)
+                await socket.send_bytes(one.frame(asked).messages[0])
         except WebSocketDisconnect:
             return
 

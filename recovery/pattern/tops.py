@@ -136,7 +136,7 @@ def top(body: BodyMeasurements, cut: TopCut) -> Design:
 def bodice(
     neck: Point, tip: Point, underarm: Point, hem: Point, *, depth: float, hollow: float, inset: float, lower: str
 ) -> list[Side]:
-    """Front or back: the armhole runs level for a share ``hollow`` of the way to the shoulder; ``lower`` names the hem."""
+    """Front or back: the armhole runs level for a share ``hollow`` of the way to the shoulder; ``lower``: the hem."""
     middle = (0.0, neck[1] - depth)
     level = (underarm[0] + hollow * (tip[0] - underarm[0]), underarm[1])
     upright = (tip[0] - inset * (underarm[0] - tip[0]), tip[1] + 0.55 * (underarm[1] - tip[1]))

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from drape.errors import InputError
 
 NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,39}")
-CURE = "Make one with python -m service.keys NAME; see docs/guide/service.md."
+CURE = "Make one with python -m service.keys NAME; see docs/guide/operate.md."
 
 
 class Limits(BaseModel):

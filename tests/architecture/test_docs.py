@@ -12,6 +12,8 @@ import pytest
 from tests.architecture.repository import PACKAGES, ROOT, repository_files
 
 DOCUMENTS = [path for path in repository_files() if path.suffix == ".md"]
+ARCHIVE = ROOT / "docs" / "archive"  # says what was true on its day
+CURRENT = [path for path in DOCUMENTS if ARCHIVE not in path.parents]
 COMMAND = re.compile(r"python -m ([A-Za-z_][\w.]*)")
 OF_A_COMMIT = re.compile(r"commit [0-9a-f]{7,}")
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)(?:\s+\"[^\"]*\")?\)")
@@ -40,7 +42,7 @@ def our_commands(document: Path) -> set[str]:
     return {name for name in names if name.partition(".")[0] in PACKAGES}
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+@pytest.mark.parametrize("document", CURRENT, ids=lambda path: str(path.relative_to(ROOT)))
 def test_commands_in_documents_exist(document: Path):
     assert {name for name in our_commands(document) if not is_command(name)} == set()
 
@@ -52,7 +54,29 @@ def test_relative_links_resolve(document: Path):
     assert [target for target in local if not (document.parent / target).exists()] == []
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+def anchors(document: Path) -> set[str]:
+    """What a link to a heading of ``document`` may end with."""
+    text = re.sub(r"```.*?```", "", document.read_text(encoding="utf-8"), flags=re.DOTALL)
+    titles = [re.sub(r"\]\([^)]*\)", "", title) for title in re.findall(r"^#+ (.+)$", text, re.MULTILINE)]
+    found: set[str] = set()
+    for title in titles:
+        name = re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
+        found.add(name if name not in found else f"{name}-1")
+    return found
+
+
+@pytest.mark.parametrize("document", CURRENT, ids=lambda path: str(path.relative_to(ROOT)))
+def test_links_to_headings_resolve(document: Path):
+    broken = []
+    for target in LINK.findall(document.read_text(encoding="utf-8")):
+        name, _, anchor = target.partition("#")
+        page = document.parent / name if name else document
+        if anchor and page.suffix == ".md" and page.is_file() and anchor not in anchors(page):
+            broken.append(target)
+    assert broken == []
+
+
+@pytest.mark.parametrize("document", CURRENT, ids=lambda path: str(path.relative_to(ROOT)))
 def test_make_targets_in_documents_exist(document: Path):
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     targets = set(re.findall(r"^([a-z][a-z-]*):", makefile, re.MULTILINE))

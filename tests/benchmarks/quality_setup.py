@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.measure.jitter import Window
-from benchmarks.measure.measures import Bench
-from benchmarks.shared.network import Network
+from benchmarks.network import Network
+from benchmarks.quality import Bench
+from benchmarks.scenes import Clip
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
-from drape.cloth.contact import BodyContact
 from drape.cloth.material import material
 from drape.garment.cache import Garment
 from drape.garment.fitting import patch_fields, rest_garment
@@ -52,15 +52,8 @@ def bending(count: int, angle_rad: float = 0.7) -> np.ndarray:
 
 def bench(cache_folder: Path, *, step_limit: int = 60) -> Bench:
     """Two poses, one window of twelve frames, a physics run just long enough to come to rest."""
-    poses = bending(3)[1:]
-    contact = BodyContact(body().faces, body().vertex_count)
-    skin = body().posed_vertices(poses)
     return Bench(
-        body=body(),
-        poses=HardPoses(poses, ("bend:1", "bend:2")),
-        contact=contact,
-        body_vertices=skin,
-        body_normals=np.asarray(contact.normals(skin)),
+        clip=Clip.hard(HardPoses(bending(3)[1:], ("bend:1", "bend:2")), body()),
         network=network(),
         material=material(),
         step_limit=step_limit,

@@ -12,11 +12,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from benchmarks import dynamics as subject
 from drape.body.assets import load_body
-from drape.cloth.contact import BodyContact
 from drape.cloth.material import material
+from drape.errors import ArtifactError, Unavailable
 from drape.garment.cache import save_garment
 from drape.motion.clip import MotionClip
-from service.graphs.engine import Engine
 from tests.benchmarks.quality_setup import tube as tube_garment
 from tests.fixtures.packed import exported, exported_dynamic
 from tests.fixtures.poses import smooth_motion
@@ -26,13 +25,9 @@ FPS = subject.FPS
 
 
 @pytest.fixture(scope="module")
-def engine() -> Engine:
-    return subject.open_engine(exported_dynamic()[1], load_body(), threads=1)
-
-
-@pytest.fixture(scope="module")
-def tube(engine: Engine) -> subject.Subject:
-    return subject.subject(engine, tube_garment(), load_body())
+def tube() -> subject.Subject:
+    network = subject.open_network(exported_dynamic()[1], load_body(), threads=1)
+    return subject.Subject.of(tube_garment(), network, load_body())
 
 
 def clip(frames: int = 40) -> MotionClip:
@@ -52,10 +47,10 @@ def test_the_hem_is_the_lower_border(tube: subject.Subject):
     assert_array_equal(tube.hem, np.arange(COLUMNS))  # the tube's lowest ring
 
 
-def test_the_hem_is_told_as_far_as_it_is_from_the_static_drape(engine: Engine, tube: subject.Subject):
-    row = subject.stop_row(engine, load_body(), tube, clip())
+def test_the_hem_is_told_as_far_as_it_is_from_the_static_drape(tube: subject.Subject):
+    row = subject.stop_row(tube, clip())
     held, stop = subject.stopped(clip())
-    moving, static = (subject.drape(engine, load_body(), tube, held, motion=knob)[stop:] for knob in (1.0, 0.0))
+    moving, static = (tube.drape(held, motion=knob)[stop:] for knob in (1.0, 0.0))
     away = 1e3 * np.linalg.norm((moving - static)[:, tube.hem], axis=-1).mean(axis=1)
     assert away[0] > 0.1
     assert_allclose(row["peak_mm"], away.max(), rtol=1e-4, atol=0)
@@ -63,9 +58,9 @@ def test_the_hem_is_told_as_far_as_it_is_from_the_static_drape(engine: Engine, t
         assert_allclose(row[f"{after_s:g}s"], away[round(after_s * FPS)], rtol=1e-3, atol=1e-4)
 
 
-def test_a_clip_without_motion_rests_at_once(engine: Engine, tube: subject.Subject):
+def test_a_clip_without_motion_rests_at_once(tube: subject.Subject):
     still = MotionClip(np.zeros((20, 24, 3)), np.zeros((20, 3)), FPS, "still")
-    row = subject.stop_row(engine, load_body(), tube, still)
+    row = subject.stop_row(tube, still)
     assert (row["rest_s"], row["peak_mm"], row["swings"], row["millimetre_s"]) == (0.0, 0.0, 0, 0.0)
     assert row["rests_in_time"] and row["bits_stay"] and row["still_frames"] == 1 + subject.HOLD_S * FPS
 
@@ -77,13 +72,12 @@ def test_swings_are_crossings():
     assert subject.swings(1e-3 * way) == 0
 
 
-def test_the_potential_of_a_body_in_free_fall_is_inertias(engine: Engine, tube: subject.Subject):
+def test_the_potential_of_a_body_in_free_fall_is_inertias(tube: subject.Subject):
     frames, acceleration = 12, np.array([2.0, 0.0, -1.0])
     trans = 0.5 * (np.arange(frames)[:, None] / FPS) ** 2 * acceleration
     pushed = MotionClip(np.zeros((frames, 24, 3)), trans, FPS, "pushed")
-    contact = BodyContact(load_body().faces, load_body().vertex_count)
-    row = subject.potential_row(engine, load_body(), tube, pushed, contact, material(), frames=frames)
-    mass = float(tube.cloth.vertex_mass(material()).sum())
+    row = subject.potential_row(tube, pushed, material(), frames=frames)
+    mass = float(tube.mesh.vertex_mass(material()).sum())
     want = 0.5 * mass * 5.0 / FPS**2
     assert row["frames"] == frames - 2
     assert_allclose(row["inertia_static_j"], want, rtol=1e-3, atol=0)
@@ -106,15 +100,15 @@ def test_the_whole_prints_a_record(tmp_path: Path, capsys):
     printed = capsys.readouterr().out.splitlines()
     assert json.loads(printed[-1]) == record
     assert [row["kind"] for row in record["rows"]] == ["stop", "potential"]
-    assert printed[0].split()[:3] == ["garment", "clip", "peak_mm"]
+    assert printed[1].split()[:4] == ["kind", "garment", "clip", "peak_mm"]
 
 
 def test_a_static_model_is_refused_with_a_sentence():
-    with pytest.raises(subject.NotDynamic, match="expected a dynamic model, got a static one"):
-        subject.open_engine(exported()[1], load_body(), threads=1)
+    with pytest.raises(Unavailable, match="expected a dynamic model, got a static one"):
+        subject.open_network(exported()[1], load_body(), threads=1)
 
 
 def test_a_model_of_another_body_is_refused(tmp_path: Path):
     folder = write_tiny_model(tmp_path, replace(load_body(), digest="0" * 64), dynamic=True)
-    with pytest.raises(subject.ArtifactError, match="model tiny_dynamic body"):
-        subject.open_engine(folder, load_body(), threads=1)
+    with pytest.raises(ArtifactError, match="tiny_dynamic body_digest"):
+        subject.open_network(folder, load_body(), threads=1)

@@ -7,18 +7,18 @@ import dataclasses
 import numpy as np
 import pytest
 
-from benchmarks import endurance
+from benchmarks import endurance, scenes
 from benchmarks.endurance import COLUMNS, endure, main, totals
+from benchmarks.scenes import Clip, Scene
 from drape.cloth.fabric_table import fabric
-from drape.motion.clip import MotionClip
 from tests.benchmarks.quality_setup import bending, body, network
 from tests.fixtures.tiny_model import tube_garment
 
 FRAMES = 6
 
 
-def moving() -> MotionClip:
-    return MotionClip(bending(FRAMES), np.zeros((FRAMES, 3)), 30.0, "bend")
+def moving() -> Scene:
+    return Scene(tube_garment(body()), fabric("jersey"), Clip.of("bend", 30.0, bending(FRAMES), body()))
 
 
 def test_the_quick_form_goes_through_a_clip():
@@ -31,20 +31,19 @@ def test_the_quick_form_goes_through_a_clip():
 
 
 def test_long_edges_are_counted_against_the_rest(monkeypatch: pytest.MonkeyPatch):
-    garment = tube_garment(body())
-    row = endure(garment, fabric("jersey"), moving(), body(), network(), 1)
+    row = endure(moving(), network(), 1)
     monkeypatch.setattr(endurance, "LONG", 0.0)
-    every = endure(garment, fabric("jersey"), moving(), body(), network(), 1)
+    every = endure(moving(), network(), 1)
     assert every["long_pct"] == every["network_long_pct"] == 100.0
     monkeypatch.setattr(endurance, "LONG", row["longest"])
-    assert endure(garment, fabric("jersey"), moving(), body(), network(), 1)["long_pct"] == 0.0
+    assert endure(moving(), network(), 1)["long_pct"] == 0.0
     monkeypatch.setattr(endurance, "CHUNK", 4)
-    cut = endure(garment, fabric("jersey"), moving(), body(), network(), 1)
+    cut = endure(moving(), network(), 1)
     assert cut["longest"] == pytest.approx(row["longest"], rel=1e-5)  # the network's batches are of another size
 
 
 def test_a_frame_that_is_not_finite_is_begun_anew_and_counted(monkeypatch: pytest.MonkeyPatch):
-    garment, fold, seen = tube_garment(body()), endurance.fold, []
+    fold, seen = scenes.fold, []
 
     def spoilt(made, memory, frame, effort):
         seen.append(memory)
@@ -52,8 +51,8 @@ def test_a_frame_that_is_not_finite_is_begun_anew_and_counted(monkeypatch: pytes
             memory = dataclasses.replace(memory, residual=np.full_like(memory.residual, np.nan))
         return fold(made, memory, frame, effort)
 
-    monkeypatch.setattr(endurance, "fold", spoilt)
-    row = endure(garment, fabric("jersey"), moving(), body(), network(), 1)
+    monkeypatch.setattr(scenes, "fold", spoilt)
+    row = endure(moving(), network(), 1)
     assert (row["resets"], row["broken"], row["frames"]) == (1, 0, FRAMES)
 
 

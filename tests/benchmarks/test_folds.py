@@ -7,14 +7,15 @@ import pytest
 
 from benchmarks import folds
 from benchmarks.judge import ipc_optimum, physics
-from benchmarks.measure.tables import folds_table
+from benchmarks.measure import judged
+from benchmarks.records import folds_table
 
 
 @pytest.fixture(scope="module")
 def record():
     with pytest.MonkeyPatch.context() as patch:  # a step or two of one frame, kept nowhere
         patch.setattr(folds, "OPTIMA", 1)
-        patch.setattr(folds, "COLLIDED", 1)
+        patch.setattr(judged, "FEW", 1)
         patch.setattr(folds, "CACHE_DIR", None)
         patch.setattr(ipc_optimum, "STEPS", 2)
         patch.setattr(physics, "STEPS", 5)
@@ -63,5 +64,5 @@ def test_the_table_has_a_line_for_each_start(record):
 
 def test_jitter_is_a_ratio_of_third_differences_and_none_where_the_start_is_still():
     start = np.random.default_rng(0).normal(size=(6, 5, 3))
-    assert folds.jitter_ratio(3.0 * start, start) == pytest.approx(3.0)
-    assert np.isnan(folds.jitter_ratio(start, np.ones((6, 5, 3))))
+    assert judged.jitter_ratio(3.0 * start, start) == pytest.approx(3.0)
+    assert np.isnan(judged.jitter_ratio(start, np.ones((6, 5, 3))))

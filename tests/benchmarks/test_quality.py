@@ -11,8 +11,9 @@ import pytest
 from benchmarks import quality
 from benchmarks.judge import physics
 from benchmarks.judge.physics_cache import CACHE_DIR
-from benchmarks.measure.measures import METHODS
-from benchmarks.shared.network import Network
+from benchmarks.network import Network
+from benchmarks.quality import METHODS
+from benchmarks.tables import text_table
 from drape.artifacts import DEFAULT_MODEL, MODELS_DIR
 from drape.body.assets import load_body
 from drape.catalog import find_garments, open_garment
@@ -25,7 +26,7 @@ from tests.benchmarks.quality_setup import bench
 
 def test_unusable_garments_are_named(tmp_path, monkeypatch):
     (tmp_path / "shirt.obj").write_text("v 0 0 0\n")
-    monkeypatch.setattr(quality, "measure", lambda garment, bench: pytest.fail("measured a broken garment"))
+    monkeypatch.setattr(quality, "measure", lambda garment, bench, **_: pytest.fail("measured a broken garment"))
     with pytest.raises(InputError, match="at least one usable"):
         quality.main(["--quick", "--garments", str(tmp_path)])
 
@@ -72,16 +73,16 @@ def test_a_garment_can_be_measured_with_more_patches():
 
 
 def test_options_of_the_quick_form_yield_to_explicit_ones():
-    quick = quality.parse(["--quick"])
-    assert (quick.garments, quick.frames, quick.steps) == (["tshirt"], quality.QUICK_FRAMES, quality.QUICK_STEPS)
+    quick = quality.main.parse(["--quick"])
+    assert (quick.garments, quick.frames, quick.steps) == (("tshirt",), 2, 30)
     assert (quick.set, quick.no_physics_cache) == (None, False)
-    given = quality.parse(["--quick", "--garments", "dress", "--frames", "3", "--steps", "20"])
+    given = quality.main.parse(["--quick", "--garments", "dress", "--frames", "3", "--steps", "20"])
     assert (given.garments, given.frames, given.steps) == (["dress"], 3, 20)
-    assert quality.parse([]).frames == quality.FRAMES
+    assert quality.main.parse([]).frames == 12
 
 
 def options(*words: str):
-    return quality.parse(["--quick", *words])
+    return quality.main.parse(["--quick", *words])
 
 
 def test_without_fabrics_a_network_that_knows_them_is_measured_in_jersey_and_another_in_the_old_cloth(tmp_path):
@@ -106,15 +107,14 @@ def test_every_fabric_is_measured_once_under_its_own_name(tmp_path):
 def test_fabrics_that_cannot_be_measured_are_refused(tmp_path):
     with pytest.raises(NotFound, match="fabric: expected one of"):
         quality.in_fabrics(bench(tmp_path), options("--fabrics", "tin"))
-    with pytest.raises(SystemExit):
-        options("--fabrics", "rib", "--material", "soft")
+    with pytest.raises(InputError, match="--material: expected no --fabrics beside it"):
+        quality.in_fabrics(bench(tmp_path), options("--fabrics", "rib", "--material", "soft"))
 
 
-def test_the_table_has_a_column_of_fabrics_where_there_are_any(capsys):
+def test_the_table_has_a_column_of_fabrics_where_there_are_any():
     row = {"garment": "tube", "set": "unseen", "method": "network", "detail_mm": 1.25}
-    quality.print_table([row])
-    quality.print_table([row | {"fabric": "rib"}])
-    plain, _, named, line = capsys.readouterr().out.splitlines()
+    plain, *_ = text_table([row], quality.COLUMNS).splitlines()
+    named, line = text_table([row | {"fabric": "rib"}], quality.COLUMNS).splitlines()
     assert "fabric" not in plain
     assert named.split()[:4] == ["garment", "set", "fabric", "method"]
     assert line.split() == ["tube", "unseen", "rib", "network", "1.250"]

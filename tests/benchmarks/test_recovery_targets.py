@@ -4,10 +4,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import recovery_targets as recovery_targets
-from benchmarks.recovery import tables as recovery_report
+from benchmarks import recovery_targets
+from benchmarks.records import targets_table
 from benchmarks.recovery.disturbed import off
 from benchmarks.recovery.newton_drape import outward
+from benchmarks.recovery.published import ahead
 from recovery.pattern.bases import skirt
 from tests.recovery.pattern_setup import default_measurements
 
@@ -45,6 +46,6 @@ def test_the_table_marks_what_is_at_or_ahead_of_the_paper():
         "mean_mm": 1.9, "truth_chamfer_cm2": 0.09, "graded_turning_deg": 7.0, "graded_area_err": 0.02, "minutes": 0.5,
     }  # fmt: skip
     record = {"rows": [row], "machine": "M", "commit": "c", "command": "python"}
-    assert recovery_report.ahead(row) == 3
-    text = recovery_report.targets_table(record)
+    assert ahead(row) == 3
+    text = targets_table(record)
     assert "| tee, 1 | **0.112** / 0.112 | **0.020** / 0.049 | 9.60 / 9.53 | **0.010** / 0.09 | 3 of 4 |" in text

@@ -7,13 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import report
-from benchmarks.measure import tables as quality
+from benchmarks import records, report
 from benchmarks.papers import loss_ablation
-from benchmarks.papers import tables as papers
+from benchmarks.papers import records as papers
 from benchmarks.papers.representation_space import REPRESENTATIONS
-from benchmarks.shared.markdown import cells, rows_table
-from benchmarks.speed import tables as speed
+from benchmarks.tables import cells, rows_table
 
 WHERE = {"machine": "a machine", "commit": "abc", "command": "python -m benchmarks.quality"}
 
@@ -55,7 +53,7 @@ def test_the_networks_table_has_a_line_per_garment_and_set():
         ]
 
     record = {"rows": rows("sash", "unseen"), "summary": [*rows("all", "trained"), *rows("all", "unseen")]}
-    _, _, *lines = quality.network_table(record).split("\n")
+    _, _, *lines = records.network_table(record).split("\n")
     assert lines[0] == "| sash | 0.70 | 1.8 | - | 2.5 | - | - | - | 1.25 | 7.0 | 3.0 | 0.5 |"
     assert [line.split(" | ")[0] for line in lines] == ["| sash", "| all trained", "| all unseen"]
 
@@ -65,19 +63,19 @@ def test_detail_and_fabrics_stand_where_they_were_measured():
     rows = [row | {"method": method} for method in ("skinning", "skinning_push", "network", "network_push", "physics")]
     figures = {"detail_mm": 1.26, "detail_share": 0.4}
     measured = [one | figures | {"fabric": name} for name in ("rib", "satin") for one in rows]
-    for made in (quality.quality_table, quality.network_table, quality.gain_table):
+    for made in (records.quality_table, records.network_table, records.gain_table):
         before, now = (made({"rows": found, "summary": [], **WHERE}).split("\n") for found in (rows, measured))
         assert "fabric" not in before[0] and "detail" not in before[0]
         assert now[0].startswith("| garment | fabric |")
         for name in ("rib", "satin"):
             assert any(line.startswith(f"| sash | {name} |") for line in now)
-    assert "| 1.26 |" in quality.quality_table({"rows": measured, **WHERE})
-    assert "| 0.40 |" in quality.network_table({"rows": measured, "summary": []})
+    assert "| 1.26 |" in records.quality_table({"rows": measured, **WHERE})
+    assert "| 0.40 |" in records.network_table({"rows": measured, "summary": []})
 
 
 def test_every_form_and_every_loss_has_a_name_in_the_documents():
     assert set(REPRESENTATIONS) < set(papers.FORM_NAMES)
-    assert {*loss_ablation.LOSS_SETS, "skinning", "skinning_push"} == set(papers.LOSS_NAMES)
+    assert {*loss_ablation.LOSS_SETS, "skinning", "skinning_push"} <= set(papers.LOSS_NAMES)
 
 
 def test_the_trade_is_shown_along_its_front_the_cheapest_first():
@@ -85,7 +83,7 @@ def test_the_trade_is_shown_along_its_front_the_cheapest_first():
         return {"tier": tier, "knobs": knobs, "time_ratio": ratio, "gain": 0.9, "pareto": pareto}
 
     means = [row("b", 0.6), row("a", 0.3), row("dear", 0.9, pareto=False), row("", 1.0, pareto=False, tier="a_b")]
-    lines = quality.trade_table({"means": means} | WHERE).splitlines()
+    lines = records.trade_table({"means": means} | WHERE).splitlines()
     assert [line.split("|")[2].strip() for line in lines[2:5]] == ["a", "b", ""]
     assert lines[4].split("|")[1].strip() == "a b" and len(lines) == 7
 
@@ -93,6 +91,6 @@ def test_the_trade_is_shown_along_its_front_the_cheapest_first():
 def test_streams_under_load_are_told_with_who_carries_how_many():
     row = {"case": "streams", "server": "service", "tier": "fast", "clients": 2, "goodput_pct": 99.6}
     record = {"rows": [row], "max_clients": {"service fast": 2}, "model_ms": {"fast": 7.25}} | WHERE
-    text = speed.serving_table(record | {"threads": 1, "load_before": 0.1})
+    text = records.serving_table(record | {"threads": 1, "load_before": 0.1})
     assert "| streams | service | fast | 2 | 100 | - |" in text
     assert "Clients carried: service fast 2. A frame alone: fast 7.2 ms." in text

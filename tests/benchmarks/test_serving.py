@@ -8,7 +8,7 @@ import httpx
 import numpy as np
 import pytest
 
-from benchmarks.serving import LATE_S, Seen, crowd, figures, model_times, posts, server, with_others
+from benchmarks.serving import LATE_S, Seen, crowd, figures, model_times, posts, server
 from drape.catalog import find_motions
 from drape.errors import DrapeError
 from drape.motion.readers import read_motion
@@ -58,13 +58,6 @@ def test_single_frames_are_posted(live: str, bare: bool):
     assert took_ms.shape == (3,) and (took_ms > 0.5).all()
     with pytest.raises((httpx.HTTPStatusError, RuntimeError), match="404"):
         posts(live, "nobody", CLIP, 0.1, bare=bare)
-
-
-def test_a_client_is_measured_beside_other_requests(live: str):
-    asked = []
-    ask = lambda http: asked.append(http.get("/health").status_code)  # noqa: E731
-    (seen,) = asyncio.run(with_others(live, CLIP, 0.3, ask, garment="tube", tier="fast"))
-    assert seen.came_s and set(asked) == {200}
 
 
 def test_the_twin_speaks_the_same_language(tiny_folder, tube):

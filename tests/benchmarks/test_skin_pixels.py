@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -11,9 +11,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from benchmarks.measure.skin_pixels import BEHIND_M, HEM_M, Camera, PosedBody, covered_faces, skin_pixels_pct
-from benchmarks.measure.tables import skin_table
-from benchmarks.skin_pixels import COLUMNS, Bench, drapes, main, measure
-from drape.contact.skin import posed_table
+from benchmarks.network import Network
+from benchmarks.records import skin_table
+from benchmarks.scenes import Clip
+from benchmarks.skin_pixels import COLUMNS, drapes, main, measure
 from drape.garment.cache import Garment
 from drape.geometry.raster import Surface, render
 from drape.motion.hard_poses import HardPoses
@@ -112,22 +113,16 @@ def test_the_pictures_agree_with_the_shaded_ones():
 
 
 @pytest.fixture(scope="module")
-def sheets(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("sheets")
+def record() -> dict[str, Any]:
+    return main(["--quick", "--threads", "1"])
 
 
-@pytest.fixture(scope="module")
-def record(sheets: Path) -> dict[str, Any]:
-    return main(["--quick", "--threads", "1", "--sheets", str(sheets)])
-
-
-def test_the_quick_form_measures_a_garment_whose_mesh_is_fine_enough(record: dict[str, Any], sheets: Path):
+def test_the_quick_form_measures_a_garment_whose_mesh_is_fine_enough(record: dict[str, Any]):
     rows = record["rows"]
     assert [row["method"] for row in rows] == ["skinning", "network", "fine"] and len(record["poses"]) == 1
     for row in rows:
         assert row.keys() == COLUMNS.keys()
         assert 0.0 <= row["skin_pixels_pct"] <= row["worst_pct"] < (5.0 if row["method"] == "skinning" else 0.2)
-    assert (sheets / "skin_tshirt.png").stat().st_size > 1000
 
 
 @pytest.fixture(scope="module")
@@ -136,16 +131,20 @@ def coarse() -> Garment:
 
 
 @pytest.fixture(scope="module")
-def bench() -> Bench:
-    """Two poses of the small network, whose corrections run for folds too, and one step."""
-    body, poses = body_model(), bending(3)[1:]
-    skin = posed_table(body, poses, np.zeros(body.shape_count)).reshape(2, -1, 8)
-    bodies = tuple(PosedBody.of(posed, body.faces) for posed in body.posed_vertices(poses))
-    return Bench(body, HardPoses(poses, ("bend:1", "bend:2")), bodies, skin, network(), network(), 1)
+def clip() -> Clip:
+    """Two poses without a past."""
+    return Clip.hard(HardPoses(bending(3)[1:], ("bend:1", "bend:2")), body_model())
 
 
-def test_a_coarse_garment_is_measured_on_both_meshes(record: dict[str, Any], coarse: Garment, bench: Bench):
-    rows = {row["method"]: row for row in measure(coarse, bench)}
+@cache
+def networks() -> dict[int | None, Network]:
+    """The small network, whose corrections run for folds too."""
+    return dict.fromkeys((0, None), network())
+
+
+def test_a_coarse_garment_is_measured_on_both_meshes(record: dict[str, Any], coarse: Garment, clip: Clip):
+    pictured = [PosedBody.of(posed, clip.body.faces) for posed in clip.body_vertices]
+    rows = {row["method"]: row for row in measure(coarse, clip, pictured, networks(), 1)}
     assert list(rows) == ["skinning", "network", "folds", "wrapped", "fine"]
     delivered, fine = coarse.vertex_count, len(coarse.vertices)
     assert [row["vertices"] for row in rows.values()] == [fine, delivered, delivered, delivered, fine]
@@ -163,7 +162,7 @@ def test_what_is_measured_is_what_is_served(
     folds: int,
     resolution: Resolution,
     coarse: Garment,
-    bench: Bench,
+    clip: Clip,
     make_settings: Callable[..., Settings],
 ):
     drapery = DrapeRuntime(make_settings())
@@ -173,7 +172,7 @@ def test_what_is_measured_is_what_is_served(
     drapery.add_missing(plan)
     for stage in plan.stages:
         stage.prepare(plan)
-    shape, place, now_s = np.zeros(bench.body.shape_count), np.zeros((1, 3)), np.zeros(1)
-    served = run(plan, [PoseInput(pose[None], place, shape, now_s) for pose in bench.poses.poses]).world()
+    shape, place, now_s = np.zeros(clip.body.shape_count), np.zeros((1, 3)), np.zeros(1)
+    served = run(plan, [PoseInput(pose[None], place, shape, now_s) for pose in clip.poses]).world()
     drapery.close()
-    assert_allclose(drapes(coarse, bench)[method][0], served, rtol=0.0, atol=SAME_M)
+    assert_allclose(drapes(coarse, clip, networks(), 1)[method][0], served, rtol=0.0, atol=SAME_M)

@@ -7,7 +7,8 @@ from numpy.testing import assert_allclose
 
 from benchmarks.judge.newton import Cloth, Descent
 from benchmarks.judge.simulator import SLIP_M, Motion, Moving, Sheet, Skin, grip, simulate, slowed
-from benchmarks.swing import FPS, spin
+from benchmarks.scenes import FPS
+from benchmarks.swing import spin
 from drape.body.assets import load_body
 from drape.cloth.contact import BodyContact
 from drape.cloth.energies import ClothMesh
@@ -18,7 +19,7 @@ from tests.drape.live.swing_setup import strip
 
 
 def test_the_body_turns_as_it_is_told():
-    clip = spin(FPS, 4.5, 1.0)
+    clip = spin(load_body(), FPS, 4.5, 1.0)
     yaw = np.unwrap(clip.poses[:, 0, 1])
     assert_allclose(yaw[-1] / (2.0 * np.pi), 0.5 * 0.75 + 1.25 + 0.5 * 0.3, rtol=1e-2)
     assert_allclose(np.diff(yaw)[45:70] * FPS, 2.0 * np.pi, rtol=1e-6)
@@ -76,7 +77,7 @@ def test_friction_pulls_back_along_the_skin_with_its_share_of_the_contact():
 
 
 def test_the_skin_carries_what_lies_on_it_round_with_the_body():
-    body, clip = load_body(), spin(FPS, 1.2, 1.0)
+    body, clip = load_body(), spin(load_body(), FPS, 1.2, 1.0)
     skin = Skin(Motion(body, clip.poses, clip.trans, FPS))
     near = skin.posed[28, ::500]
     yaw = clip.poses[29, 0, 1] - clip.poses[28, 0, 1]

@@ -41,7 +41,7 @@ def test_environment_sets_and_arguments_win(monkeypatch: pytest.MonkeyPatch):
 )
 def test_a_bad_value_is_refused_by_name(monkeypatch: pytest.MonkeyPatch, name: str, value: str):
     monkeypatch.setenv(f"DRAPE_{name}", value)
-    with pytest.raises(InputError, match=rf"^DRAPE_{name}: .*docs/guide/service.md"):
+    with pytest.raises(InputError, match=rf"^DRAPE_{name}: .*docs/guide/operate.md"):
         load_settings()
 
 

@@ -1,8 +1,10 @@
 """PolyFit beside the paper's figures: its tables 3, 6, 7 and 8, and figure 9.
 
-    python -m benchmarks.papers.polyfit.suite --out runs/polyfit      # the networks that are compared
     python -m benchmarks.papers.polyfit --save
-    python -m benchmarks.papers.polyfit --quick               # what is not trained yet is trained for a few steps
+    python -m benchmarks.papers.polyfit --quick
+
+Networks that are not under ``--runs`` are trained first: all of them take a quarter of an hour on one core. ``--quick``
+trains those for a few steps, elsewhere.
 
 The paper measures on garments of CLOTH3D, which are not at hand: here it is garments that training never saw,
 those of DRAPE_DATA/garments or, without such a folder, variants of the six designs. Errors therefore compare
@@ -11,19 +13,15 @@ within a table, not with the paper's column. docs/studies/polyfit.md says what e
 
 from __future__ import annotations
 
-import argparse
-import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import torch
 from torch import nn
 
+from benchmarks.harness import Benchmark, Option, Run
 from benchmarks.papers.polyfit import measures
-from benchmarks.papers.polyfit.config import suite
 from benchmarks.papers.polyfit.families import FAMILIES, Patches, draw_patches
 from benchmarks.papers.polyfit.garment_patches import (
     NamedGarment,
@@ -31,19 +29,15 @@ from benchmarks.papers.polyfit.garment_patches import (
     draw_garment_patches,
     held_out_garments,
 )
-from benchmarks.papers.polyfit.suite import run_suite
-from benchmarks.papers.polyfit.train import load, load_model
-from benchmarks.shared import common
+from benchmarks.papers.polyfit.train import suite, train_missing
+from benchmarks.tables import Row, text_table
 from drape.body.assets import load_body
-from drape.errors import ended
 from drape.garment.fitting import fit_error, patch_fields
 
 POINTS = 128
 PATCH_PARTITIONS = 2  # random partitions of every garment that patches without overlap are drawn from
 SEED = 777_000
-SEARCHED = 1024  # patches whose best frame is searched
 COMPARED = ("gaussian", "families", "finetuned", "adapted", "pointnet", "dgcnn")
-PLOT = common.ROOT / "docs" / "images" / "polyfit_orders.png"
 ORDERS = (1, 2, 3, 4, 5, 6)
 PAPER: dict[str, dict[str, dict[str, float]]] = {
     "3": {
@@ -73,51 +67,34 @@ FIT = {"height_rmse": ".5f", "height_rmse_p99": ".4f", "normal_deg": ".3f", "fol
 PAPER_FIT = {"paper_height": ".4f", "paper_normal_deg": ".3f"}
 
 
-def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.papers.polyfit", description="PolyFit beside the paper."
-    )
-    parser.add_argument("--runs", type=Path, default=Path("runs/polyfit"), help="folder of benchmarks.papers.polyfit")
-    parser.add_argument("--plot", type=Path, help="where the picture of figure 9 goes (PNG)")
-    common.add_options(parser)
-    return parser.parse_args(arguments)
+def networks(folder: Path, *, quick: bool) -> dict[str, nn.Module]:
+    """Every network of the comparison; with ``quick``, missing ones are trained for a few steps and not kept."""
+    if not quick or all((folder / f"{name}.pt").is_file() for name in suite()):
+        return train_missing(folder, suite())
+    print("networks are missing: they are trained for a few steps, and their figures mean nothing", flush=True)
+    short = {n: replace(c, batch_size=64, variants=0, partitions=1) for n, c in suite(share=0.01).items()}
+    with tempfile.TemporaryDirectory() as scratch:
+        return train_missing(Path(scratch), short)
 
 
-def trained_folder(folder: Path, *, quick: bool, scratch: Path) -> Path:
-    """The folder with every network of the comparison; with ``quick`` they are trained for a few steps if missing."""
-    if quick and not all((folder / f"{name}.pt").is_file() for name in suite()):
-        print("networks are missing: they are trained for a few steps, and their figures mean nothing", flush=True)
-        short = {n: replace(c, batch_size=64, variants=0, partitions=1) for n, c in suite(share=0.01).items()}
-        run_suite(scratch, short)
-        return scratch
-    return folder
-
-
-def fit_rows(models: dict[str, nn.Module], garments: Patches, synthetic: Patches) -> list[dict[str, Any]]:
-    """Tables 3, 6 and 8, with two rows more: the frame of the mean normal, and a search for the best frame."""
+def fit_rows(models: dict[str, nn.Module], garments: Patches, synthetic: Patches) -> list[Row]:
+    """Tables 3, 6 and 8, with one row more: the frame of the mean normal, which the product uses."""
     named: dict[str, nn.Module | None] = {name: models[name] for name in COMPARED} | {"pca": None}
     measured = {
         name: measures.evaluate(model, garments)
         | {"synthetic_height": measures.evaluate(model, synthetic)["height_rmse"]}
         for name, model in named.items()
     }
-    rows: list[dict[str, Any]] = []
+    rows: list[Row] = []
     for table in ("3", "6", "8"):
         for name, paper in PAPER[table].items():
             ms = {"ms": measures.milliseconds_per_patch(named[name], garments)} if table == "8" else {}
             rows.append({"table": table, "model": name, **measured[name], **ms, **paper})
     rows.append({"table": "6", "model": "adapted", **measured["adapted"]})
-    rows.append({"table": "6", "model": "mean normal", **measures.evaluate_mean_normal(garments)})
-    return [*rows, {"table": "6", "model": "best by search", **measures.search(thinned(garments, SEARCHED))}]
+    return [*rows, {"table": "6", "model": "mean normal", **measures.evaluate_mean_normal(garments)}]
 
 
-def thinned(patches: Patches, count: int) -> Patches:
-    """About ``count`` of ``patches``, evenly."""
-    step = max(1, len(patches.points) // count)
-    return Patches(patches.points[::step], patches.normals[::step])
-
-
-def order_rows(model: nn.Module, patches: Patches) -> list[dict[str, Any]]:
+def order_rows(model: nn.Module, patches: Patches) -> list[Row]:
     """Figure 9: jets of order 1 to 6, in the frames of PolyFit and of the principal axes."""
     return [
         {"table": "figure 9", "model": name, "order": order, **measures.evaluate(chosen, patches, order=order)}
@@ -126,7 +103,7 @@ def order_rows(model: nn.Module, patches: Patches) -> list[dict[str, Any]]:
     ]
 
 
-def shipped_rows(model: nn.Module, garments: Sequence[NamedGarment]) -> list[dict[str, Any]]:
+def shipped_rows(model: nn.Module, garments: Sequence[NamedGarment]) -> list[Row]:
     """Table 7: patches without overlap as in the paper, and the product's blended charts."""
     rows = []
     for garment in garments:
@@ -138,87 +115,50 @@ def shipped_rows(model: nn.Module, garments: Sequence[NamedGarment]) -> list[dic
     return rows
 
 
-def plot_orders(rows: Sequence[dict[str, Any]], path: Path, *, where: str) -> None:
-    """The picture of figure 9; of the paper only the value at order 4 is given in numbers, and is marked."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(1, 2, figsize=(8.0, 3.4), constrained_layout=True)
-    paper = PAPER["6"]["finetuned"]
-    for axis, key, theirs, label in (
-        (axes[0], "height_rmse", paper["paper_height"], "height RMSE [patch sizes]"),
-        (axes[1], "normal_deg", paper["paper_normal_deg"], "normal error [deg]"),
-    ):
-        for name, title, style in (("finetuned", "PolyFit's frame", "o-"), ("pca", "principal axes", "s--")):
-            own = [row for row in rows if row["model"] == name]
-            axis.plot([row["order"] for row in own], [row[key] for row in own], style, label=title, markersize=5)
-        axis.plot([4], [theirs], "k*", markersize=11, label="paper, CLOTH3D (order 4)")
-        axis.set_xlabel("order of the jet")
-        axis.set_ylabel(label)
-        axis.set_ylim(bottom=0.0)
-        axis.grid(alpha=0.3)
-    axes[0].legend()
-    figure.suptitle(f"Patches of {where}", fontsize=10)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110, metadata={"Software": None})
-    pyplot.close(figure)
-
-
-def print_tables(rows: Sequence[dict[str, Any]], *, where: str) -> None:
+def table_texts(rows: Sequence[Row], *, where: str) -> list[str]:
     """Every table under a line that says what it is."""
-
-    def show(title: str, table: str, columns: dict[str, str]) -> None:
-        print(f"\n{title}")
-        common.print_table([row for row in rows if row["table"] == table], columns)
-
     fits = {"model": "s", **FIT, "synthetic_height": ".5f", **PAPER_FIT}
-    print(f"Patches of {where}; the paper's are CLOTH3D's, so its columns say the order of rows, not their size.")
-    show("Table 3: what PolyFit is trained on", "3", fits)
-    show("Table 6: with and without the transformer, and other frames", "6", fits)
-    show(
-        "Table 8: PolyFit and point cloud encoders (ms: processor time of one patch)",
-        "8",
-        {**fits, "ms": ".4f", "paper_ms": ".4f"},
-    )
-    metres = {"point_rmse_m": ".2e", "product_rmse_m": ".2e", "paper_point_rmse": ".2e"}
-    degrees = {"normal_deg": ".2f", "product_normal_deg": ".2f", "paper_normal_deg": ".2f"}
-    show("Table 7: our six garments", "7", {"garment": "s", **metres, **degrees})
-    show("Figure 9: order of the jet", "figure 9", {"model": "s", "order": "d", **FIT})
+    metres = dict.fromkeys(("point_rmse_m", "product_rmse_m", "paper_point_rmse"), ".2e")
+    degrees = dict.fromkeys(("normal_deg", "product_normal_deg", "paper_normal_deg"), ".2f")
+    tables = {
+        "3": ("Table 3: what PolyFit is trained on", fits),
+        "6": ("Table 6: with and without the transformer, and other frames", fits),
+        "8": ("Table 8: PolyFit and point cloud encoders (ms: processor time of one patch)",
+              fits | {"ms": ".4f", "paper_ms": ".4f"}),
+        "7": ("Table 7: our six garments", {"garment": "s", **metres, **degrees}),
+        "figure 9": ("Figure 9: order of the jet", {"model": "s", "order": "d", **FIT}),
+    }  # fmt: skip
+    said = f"Patches of {where}; the paper's are CLOTH3D's, so its columns say the order of rows, not their size."
+    return [said] + [
+        f"\n{title}\n{text_table([row for row in rows if row['table'] == table], columns)}"
+        for table, (title, columns) in tables.items()
+    ]
 
 
-def main(arguments: Sequence[str] | None = None) -> dict[str, Any]:
-    """Prints the tables and the record, and returns the record."""
-    options = parse(arguments)
-    torch.set_num_threads(options.threads)
-    body = load_body()
-    drawn = 1 if options.quick else PATCH_PARTITIONS
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = trained_folder(options.runs, quick=options.quick, scratch=Path(scratch))
-        models = {name: load_model(folder / f"{name}.pt") for name in suite()}
-        steps = {name: load(folder / f"{name}.pt")[0]["step"] for name in suite()}
+@Benchmark(
+    "polyfit",
+    "PolyFit beside the paper.",
+    {"table": "s", "model": "s", "garment": "s", **FIT, **PAPER_FIT},
+    Option("--runs", Path("runs/polyfit"), "folder of the networks", kind=Path),
+)
+def main(run: Run) -> None:
+    """Rows of every table."""
+    options, body = run.options, load_body()
+    models = networks(options.runs, quick=options.quick)
     held_out, where = held_out_garments(body, folder=options.runs / "garments")
     shipped = designed_garments(body, variants=0, seed=0)
     if options.quick:
         held_out, shipped = held_out[:2], shipped[:2]
+    drawn = 1 if options.quick else PATCH_PARTITIONS
     patches = draw_garment_patches(held_out, partitions=drawn, point_count=POINTS, seed=SEED)
     synthetic = draw_patches(512 if options.quick else 4096, POINTS, families=FAMILIES, seed=(SEED, 0))
-    say(f"{len(patches.points)} patches of {len(held_out)} garments")
-    rows = fit_rows(models, patches, synthetic)
-    say("tables 3, 6 and 8 measured")
-    orders = order_rows(models["finetuned"], patches)
-    rows += shipped_rows(models["finetuned"], shipped) + orders
-    say("table 7 and figure 9 measured")
-    print_tables(rows, where=where)
-    if options.plot is not None or options.save:
-        plot_orders(orders, options.plot or PLOT, where=where)
-    return common.finish("polyfit", rows, options, patches_of=where, patch_count=len(patches.points), steps=steps)
-
-
-def say(what: str) -> None:
-    print(what, flush=True)
+    print(f"{len(patches.points)} patches of {len(held_out)} garments", flush=True)
+    tuned = models["finetuned"]
+    run.rows = fit_rows(models, patches, synthetic) + shipped_rows(tuned, shipped) + order_rows(tuned, patches)
+    run.notes = table_texts(run.rows, where=where)
+    run.extra |= {"patches_of": where, "patch_count": len(patches.points)}
+    run.extra |= {"steps": {name: config.steps for name, config in suite().items()}}
 
 
 if __name__ == "__main__":
-    sys.exit(ended(main))
+    main.command()

@@ -8,45 +8,38 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from drape.arrays import Array, namespace
+import torch
+from torch import Tensor
 
 
 @dataclass(frozen=True)
 class Canonical:
     """``points = centre + size * local @ axes^T``: local (..., n, 3), axes (..., 3, 3) in columns, size (...)."""
 
-    local: Array
-    axes: Array
-    centre: Array
-    size: Array
+    local: Tensor
+    axes: Tensor
+    centre: Tensor
+    size: Tensor
 
 
-def canonical(points: Array) -> Canonical:
+def canonical(points: Tensor) -> Canonical:
     """``points`` (..., n, 3) moved to their mean, scaled into the unit ball, turned to their principal axes.
 
     The third axis is that of least spread, towards the side from which the patch is a bowl; the first has
     positive skewness.
     """
-    xp = namespace(points)
-    centre = xp.mean(points, axis=-2, keepdims=True)
+    centre = points.mean(dim=-2, keepdim=True)
     moved = points - centre
-    size = xp.sqrt(xp.max(xp.sum(moved * moved, axis=-1), axis=-1)) + 1e-12
+    size = torch.sqrt((moved * moved).sum(dim=-1).amax(dim=-1)) + 1e-12
     moved = moved / size[..., None, None]
-    _, vectors = xp.linalg.eigh(xp.matmul(xp.moveaxis(moved, -1, -2), moved))  # spreads ascend
+    _, vectors = torch.linalg.eigh(moved.mT @ moved)  # spreads ascend
     u, n = vectors[..., :, 2], vectors[..., :, 0]
-    along, up = xp.sum(moved * u[..., None, :], axis=-1), xp.sum(moved * n[..., None, :], axis=-1)
-    radius = xp.sum(moved * moved, axis=-1)
-    u = u * _sign(xp, xp.sum(along**3, axis=-1))[..., None]
-    n = n * _sign(xp, xp.sum(up * radius, axis=-1))[..., None]
-    axes = xp.stack([u, _cross(xp, n, u), n], axis=-1)
-    return Canonical(xp.matmul(moved, axes), axes, centre[..., 0, :], size)
+    along, up = ((moved * axis[..., None, :]).sum(dim=-1) for axis in (u, n))
+    radius = (moved * moved).sum(dim=-1)
+    u, n = u * _sign((along**3).sum(dim=-1))[..., None], n * _sign((up * radius).sum(dim=-1))[..., None]
+    axes = torch.stack([u, torch.linalg.cross(n, u), n], dim=-1)
+    return Canonical(moved @ axes, axes, centre[..., 0, :], size)
 
 
-def _sign(xp, x: Array) -> Array:
-    return xp.where(x < 0, -xp.ones_like(x), xp.ones_like(x))
-
-
-def _cross(xp, a: Array, b: Array) -> Array:
-    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
-    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    return xp.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+def _sign(x: Tensor) -> Tensor:
+    return torch.where(x < 0, -1.0, 1.0).to(x.dtype)

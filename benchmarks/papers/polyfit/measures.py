@@ -11,12 +11,10 @@ from torch import nn
 from benchmarks.papers.polyfit import fit
 from benchmarks.papers.polyfit.families import Patches
 from benchmarks.papers.polyfit.garment_patches import NamedGarment, sample_patches
-from benchmarks.papers.polyfit.train import Prepared, fitted, prepare
+from benchmarks.papers.polyfit.train import fitted, prepare
 from drape.garment.partition import partition, patch_count_for
-from drape.geometry.rotations import rotvec_to_quaternion
 
 BATCH = 512
-SEARCH_STEPS, SEARCH_RATE = 60, 0.03
 CLUSTER_POINTS = 400  # per patch of table 7
 
 
@@ -51,7 +49,7 @@ def evaluate(model: nn.Module | None, patches: Patches, *, order: int = 4) -> di
     return summary(parts)
 
 
-def mean_normal_frames(patches: Patches) -> Prepared:
+def mean_normal_frames(patches: Patches) -> Patches:
     """Patches in the frames that the product uses without PolyFit: along the mean normal."""
     own = prepare(patches)
     normal = own.normals.mean(dim=-2)
@@ -62,31 +60,13 @@ def mean_normal_frames(patches: Patches) -> Prepared:
     cross = torch.linalg.cross(side * normal, up)
     quaternion = torch.cat([1.0 + side * normal[:, 2:], cross], dim=-1)
     quaternion = quaternion / quaternion.norm(dim=-1, keepdim=True)
-    return Prepared(fit.turned(own.points, quaternion), fit.turned(own.normals, quaternion))
+    return Patches(fit.turned(own.points, quaternion), fit.turned(own.normals, quaternion))
 
 
 def evaluate_mean_normal(patches: Patches) -> dict[str, float]:
     """The fit of ``patches`` in the frames of their mean normals."""
     with torch.no_grad():
         return summary([figures(*fitted(None, mean_normal_frames(patches), order=4))])
-
-
-def search(patches: Patches) -> dict[str, float]:
-    """The best frame of every patch by descent on its own height error: what no network can beat by much."""
-    own = prepare(patches)
-    turn = torch.zeros(len(own.points), 3, requires_grad=True)
-    optimiser = torch.optim.Adam([turn], lr=SEARCH_RATE)
-    for step in range(SEARCH_STEPS):
-        optimiser.param_groups[0]["lr"] = SEARCH_RATE * (1.0 - step / SEARCH_STEPS)
-        quaternion = rotvec_to_quaternion(turn)
-        loss = fit.height_rmse(fit.fit_jet(fit.turned(own.points, quaternion), order=4)).sum()
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-    with torch.no_grad():
-        quaternion = rotvec_to_quaternion(turn)
-        result = fit.fit_jet(fit.turned(own.points, quaternion), order=4)
-        return summary([figures(result, fit.turned(own.normals, quaternion))])
 
 
 def milliseconds_per_patch(model: nn.Module | None, patches: Patches, *, repeats: int = 5) -> float:

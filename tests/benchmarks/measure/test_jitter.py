@@ -7,7 +7,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from benchmarks.measure.jitter import FPS, Window, _compared, jitter, typical_windows
-from drape.cloth.contact import BodyContact
 from drape.motion.clip import MotionClip
 from tests.benchmarks.quality_setup import bending, body, network, tube
 
@@ -60,8 +59,7 @@ def test_ratios_are_roots_of_squares_over_skinnings():
 @pytest.fixture(scope="module")
 def measured():
     """``jitter`` of the tube under the small network."""
-    contact = BodyContact(body().faces, body().vertex_count)
-    return lambda windows: jitter(tube(), network(), body(), contact, windows)
+    return lambda windows: jitter(tube(), network(), body(), windows)
 
 
 def test_a_shaken_body_shakes_every_drape_alike(measured):

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from benchmarks.papers.representation_drape import Bench, open_bench
+from benchmarks.papers.representation import Bench
 from benchmarks.papers.representation_space import Charts, charts, repartitioned
 from drape.body.assets import load_body
 from drape.cloth.material import material
@@ -27,15 +27,15 @@ def bent(count: int = 2) -> np.ndarray:
 @cache
 def bench() -> Bench:
     body = load_body()
-    return open_bench(tube_garment(body), body, bent(), material())
+    return Bench.of(tube_garment(body), body, bent(), material())
 
 
 @cache
 def garment() -> Garment:
     """The tube in ``PATCHES`` patches, fitted as intake fits them."""
-    return repartitioned(bench().garment, bench().rest, PATCHES)
+    return repartitioned(bench().judge.cloth.garment, bench().rest, PATCHES)
 
 
 @cache
 def found() -> Charts:
-    return charts(garment(), bench().cloth, bench().material)
+    return charts(garment(), bench().judge.cloth.mesh, bench().judge.cloth.material)

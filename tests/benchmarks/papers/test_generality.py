@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from benchmarks.papers import generality
+from benchmarks.papers import generality, held_out
 from training.garment_design import DESIGNS
 
 
@@ -22,7 +22,7 @@ def test_every_run_is_a_configuration_of_known_designs():
 
 @pytest.mark.slow
 def test_a_quick_run_trains_and_measures(tmp_path, monkeypatch):
-    monkeypatch.setattr(generality, "CACHE_DIR", tmp_path)
+    monkeypatch.setattr(held_out, "CACHE_DIR", tmp_path)
     threads = torch.get_num_threads()
     try:
         record = generality.main(["--quick", "--threads", "1", "--minutes", "0.03", "--steps", "40"])

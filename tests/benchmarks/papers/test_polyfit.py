@@ -12,7 +12,6 @@ from numpy.testing import assert_allclose
 
 from benchmarks.papers.polyfit import families, fit
 from benchmarks.papers.polyfit.canonical import canonical
-from benchmarks.papers.polyfit.config import PolyFitConfig, suite
 from benchmarks.papers.polyfit.garment_patches import (
     NamedGarment,
     draw_garment_patches,
@@ -20,9 +19,19 @@ from benchmarks.papers.polyfit.garment_patches import (
     sample_patches,
 )
 from benchmarks.papers.polyfit.network import DgcnnRegressor, PointNetRegressor, Qstn
-from benchmarks.papers.polyfit.suite import run_suite
-from benchmarks.papers.polyfit.train import Trainer, fitted, load, load_model, prepare, raised, save
-from drape.errors import ArtifactError, InputError, NotFound
+from benchmarks.papers.polyfit.train import (
+    PolyFitConfig,
+    fitted,
+    load,
+    network,
+    prepare,
+    raised,
+    save,
+    suite,
+    train,
+    train_missing,
+)
+from drape.errors import ArtifactError, InputError
 from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_matrix, rotvec_to_quaternion
 from tests.training.training_setup import body, tube
@@ -184,14 +193,13 @@ def test_edge_convolution_is_the_maximum_over_edges(rng):
 # --- frames ----------------------------------------------------------------------------------------------------------
 
 
-def test_canonical_frame_is_a_proper_frame_in_numpy_and_torch(rng):
-    points = np.stack([cloud(rng), cloud(rng) @ rotvec_to_matrix(rng.normal(size=3)).T])
-    own, other = canonical(points), canonical(torch.from_numpy(points))
+def test_canonical_frame_is_a_proper_frame(rng):
+    points = torch.from_numpy(np.stack([cloud(rng), cloud(rng) @ rotvec_to_matrix(rng.normal(size=3)).T]))
+    own = canonical(points)
     assert_allclose(np.linalg.det(own.axes), 1.0, rtol=0, atol=1e-12)
-    back = own.centre[:, None] + own.size[:, None, None] * own.local @ np.swapaxes(own.axes, 1, 2)
+    back = own.centre[:, None] + own.size[:, None, None] * own.local @ own.axes.mT
     assert_allclose(back, points, rtol=0, atol=1e-12)
     assert_allclose(np.linalg.norm(own.local, axis=-1).max(axis=1), 1.0, rtol=0, atol=1e-9)
-    assert_allclose(other.local.numpy(), own.local, rtol=0, atol=1e-9)
 
 
 # --- garments and training -------------------------------------------------------------------------------------------
@@ -207,46 +215,43 @@ def test_sampled_points_lie_on_their_own_cluster(rng):
     assert (np.einsum("kna,kna->kn", normals[..., [0, 2]], points[..., [0, 2]]) > 0).all()
 
 
-def test_a_resumed_training_goes_on_bit_for_bit(tmp_path):
-    straight = Trainer(TINY)
-    straight.run()
-    first = Trainer(TINY)
-    first.run(until=3)
-    save(tmp_path / "half.pt", first)
-    state, config = load(tmp_path / "half.pt")
-    second = Trainer(config)
-    second.restore(state)
-    second.run()
-    assert config == TINY and second.step_count == TINY.steps
-    for name, value in straight.model.state_dict().items():
-        assert torch.equal(value, second.model.state_dict()[name]), name
+def test_a_training_gives_the_same_bits_again_and_from_its_file(tmp_path):
+    first, second = (train(network(TINY), TINY) for _ in range(2))
+    save(tmp_path / "one.pt", first, TINY)
+    kept, config = load(tmp_path / "one.pt")
+    assert config == TINY and not kept.training
+    for name, value in first.state_dict().items():
+        assert torch.equal(value, second.state_dict()[name]), name
+        assert torch.equal(value, kept.state_dict()[name]), name
 
 
 @pytest.mark.parametrize("kind", ["qstn", "pointnet", "dgcnn"])
 def test_training_lowers_the_height_error(kind):
-    trainer = Trainer(replace(TINY, kind=kind, steps=60, learning_rate=3e-3))
+    config = replace(TINY, kind=kind, steps=60, learning_rate=3e-3)
     held = prepare(families.draw_patches(64, 48, families=families.FAMILIES, seed=(9, 9)))
-    with torch.no_grad():
-        before = float(fit.height_rmse(fitted(trainer.model, held, order=4)[0]).mean())
-    trainer.run()
-    with torch.no_grad():
-        after = float(fit.height_rmse(fitted(trainer.model, held, order=4)[0]).mean())
-    assert after < (0.999 if kind == "qstn" else 0.9) * before
+    model, errors = network(config), []
+    for _ in range(2):
+        with torch.no_grad():
+            errors.append(float(fit.height_rmse(fitted(model.eval(), held, order=4)[0]).mean()))
+        model = train(model.train(), config)
+    assert errors[1] < (0.999 if kind == "qstn" else 0.9) * errors[0]
 
 
-def test_a_suite_starts_fine_tuning_from_its_pretraining_and_skips_what_is_done(tmp_path, monkeypatch):
+def test_fine_tuning_starts_from_its_pretraining_and_what_is_done_is_not_trained_again(tmp_path, monkeypatch):
     patches = draw_garment_patches([NamedGarment("tube", tube())], partitions=1, point_count=40, seed=0)
-    monkeypatch.setattr("benchmarks.papers.polyfit.suite.training_patches", lambda out, config: patches)
+    monkeypatch.setattr("benchmarks.papers.polyfit.train.garment_patches", lambda folder, config: patches)
     small = {"batch_size": 8, "point_count": 24, "steps": 2}
     configs = {name: replace(config, **small) for name, config in suite().items() if name in ("families", "finetuned")}
-    with pytest.raises(NotFound, match="families"):
-        run_suite(tmp_path, configs, only=["finetuned"])
-    run_suite(tmp_path, configs)
+    models = train_missing(tmp_path, configs)
     written = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("*.pt")}
-    run_suite(tmp_path, configs)
+    train_missing(tmp_path, configs)
     assert {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("*.pt")} == written
-    assert set(written) == {"families.pt", "finetuned.pt"}
-    assert isinstance(load_model(tmp_path / "finetuned.pt"), Qstn)
+    assert set(written) == {"families.pt", "finetuned.pt"} and isinstance(models["finetuned"], Qstn)
+    start = replace(configs["finetuned"], steps=0)
+    (tmp_path / "finetuned.pt").unlink()
+    same = train_missing(tmp_path, configs | {"finetuned": start})
+    for name, value in same["finetuned"].state_dict().items():
+        assert torch.equal(value, models["families"].state_dict()[name]), name
 
 
 def test_raised_patches_have_the_normals_of_the_raised_surface():
@@ -261,14 +266,14 @@ def test_raised_patches_have_the_normals_of_the_raised_surface():
 
 def test_training_on_nothing_is_refused():
     with pytest.raises(InputError, match="families"):
-        Trainer(replace(TINY, families=()))
+        train(network(TINY), replace(TINY, families=()))
 
 
 def test_a_run_that_is_never_finite_stops_with_a_sentence():
-    trainer = Trainer(replace(TINY, steps=50))
-    torch.nn.init.constant_(next(trainer.model.parameters()), float("nan"))
+    model = network(TINY)
+    torch.nn.init.constant_(next(model.parameters()), float("nan"))
     with pytest.raises(InputError, match="Lower learning_rate"):
-        trainer.run()
+        train(model, replace(TINY, steps=50))
 
 
 def test_a_damaged_checkpoint_is_refused(tmp_path):

@@ -10,11 +10,11 @@ from numpy.testing import assert_allclose
 
 from benchmarks.papers.polyfit import __main__ as polyfit
 from benchmarks.papers.polyfit import measures as polyfit_tables
-from benchmarks.papers.polyfit.config import suite
 from benchmarks.papers.polyfit.families import FAMILIES, Patches, draw_patches
 from benchmarks.papers.polyfit.fit import turned
 from benchmarks.papers.polyfit.garment_patches import NamedGarment
 from benchmarks.papers.polyfit.network import Qstn
+from benchmarks.papers.polyfit.train import suite
 from tests.training.training_setup import tube
 
 TUBE = NamedGarment("tube", tube())
@@ -30,9 +30,8 @@ def test_an_untrained_transformer_is_the_canonical_frame():
         assert_allclose(first[key], value, rtol=1e-3, atol=1e-6)
 
 
-def test_searching_the_frame_lowers_the_error_and_a_higher_order_does_too():
+def test_a_higher_order_lowers_the_error():
     base = polyfit_tables.evaluate(None, patches())["height_rmse"]
-    assert polyfit_tables.search(patches())["height_rmse"] < base
     assert polyfit_tables.evaluate(None, patches(), order=6)["height_rmse"] < base
     assert polyfit_tables.evaluate(None, patches(), order=2)["height_rmse"] > base
 
@@ -60,10 +59,7 @@ PAPER_MODELS = [name for table in ("3", "6", "8") for name in polyfit.PAPER[tabl
 
 
 @pytest.mark.slow
-def test_picture_and_tables_come_out(tmp_path, capsys):
+def test_tables_come_out():
     rows = polyfit.order_rows(Qstn().eval(), patches(8))
-    polyfit.plot_orders(rows, tmp_path / "orders.png", where="nowhere")
-    assert (tmp_path / "orders.png").stat().st_size > 1000
-    polyfit.print_tables(rows, where="nowhere")
-    assert "Figure 9" in capsys.readouterr().out
+    assert any("Figure 9" in text and "finetuned" in text for text in polyfit.table_texts(rows, where="nowhere"))
     json.dumps(rows)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from benchmarks.papers import representation
-from benchmarks.papers.representation_drape import drape, frame_spaces, total_j
+from benchmarks.papers.representation import Bench, drape, frame_spaces
 from benchmarks.papers.representation_space import REPRESENTATIONS
 from drape.body.assets import load_body
 from drape.cloth.material import material
@@ -22,10 +22,11 @@ def rows() -> dict[str, list[dict]]:
     """Rows by method on the tube. It weighs nothing, as it would slide down without end, and keeps 6 cm from the
     body, so that no form can give it all the room it needs for nothing."""
     wide = replace(material(), gravity_m_s2=0.0, contact_gap_m=0.06, contact_j_m4=3e4)
-    options = representation.parse(["--patches", "14", "--steps", "40", "--forms", "paper", "rigid_1", "rigid_2"])
-    options.body, options.poses, options.physics_folder = load_body(), bent(), None
+    asked = "--patches 14 --steps 40 --forms paper rigid_1 rigid_2 --no-physics-cache"
+    options = representation.main.parse(asked.split())
+    wider = Bench.of(bench().judge.cloth.garment, load_body(), bent(), wide)
     found: dict[str, list[dict]] = {}
-    for row in representation.measure(replace(bench(), material=wide), options):
+    for row in representation.measure(wider, options):
         found.setdefault(row["method"], []).append(row)
     return found
 
@@ -42,7 +43,7 @@ def test_rows_are_ordered_as_forms_contain_each_other(rows):
 
 
 def test_the_record_is_written(tmp_path):
-    path = save_garment(bench().garment, tmp_path)
+    path = save_garment(bench().judge.cloth.garment, tmp_path)
     asked = f"--garments {path} --motions turn --frames 1 --patches 14 --forms rigid_1 --steps 15 --threads 1"
     record = representation.main(f"{asked} --no-physics-cache --out {tmp_path / 'out.json'}".split())
     assert json.loads((tmp_path / "out.json").read_text()) == record
@@ -50,22 +51,23 @@ def test_the_record_is_written(tmp_path):
 
 
 def test_skinned_forms_gain_on_skinning():
-    start = total_j(bench(), bench().skinned)
+    judge = bench().judge
+    start = judge.energies(judge.skinned)["energy_j"]
     for name in ("paper", "paper_turning", "skinned_2"):
         spaces = frame_spaces(bench(), REPRESENTATIONS[name], found())
         drapes = drape(bench(), spaces, step_limit=20)
-        assert len(drapes.minima) == bench().frame_count
-        assert total_j(bench(), drapes.vertices) < 0.7 * start
+        assert len(drapes.minima) == len(judge.skinned)
+        assert judge.energies(drapes.vertices)["energy_j"] < 0.7 * start
 
 
 def test_shares_of_the_patch_count_are_positive():
     with pytest.raises(InputError, match="above 0"):
-        representation.parse(["--patches", "0"])
+        representation.main(["--patches", "0"])
 
 
 def test_the_quick_form_is_small_and_yields_to_options():
-    quick = representation.parse(["--quick"])
-    assert (quick.garments, quick.frames, quick.patches) == (["tshirt"], 1, [100])
-    full = representation.parse([])
-    assert (full.garments, full.frames, full.forms) == (list(representation.GARMENTS), 2, list(REPRESENTATIONS))
-    assert representation.parse(["--quick", "--steps", "7"]).steps == 7
+    quick = representation.main.parse(["--quick"])
+    assert (quick.garments, quick.frames, quick.patches) == (("tshirt",), 1, (100,))
+    full = representation.main.parse([])
+    assert (full.garments, full.frames, full.forms) == (representation.GARMENTS, 2, tuple(REPRESENTATIONS))
+    assert representation.main.parse(["--quick", "--steps", "7"]).steps == 7

@@ -9,13 +9,13 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from benchmarks.papers.representation_drape import frame_spaces, posed_frames
-from benchmarks.papers.representation_scaling import cotangent_laplacian
+from benchmarks.papers.representation import frame_spaces, posed_frames
 from benchmarks.papers.representation_space import (
     REPRESENTATIONS,
     PatchSpace,
     VertexSpace,
     block_scaling,
+    cotangent_laplacian,
     embedding,
 )
 from drape.body.assets import load_body
@@ -45,7 +45,7 @@ def atlas() -> Atlas:
 def test_at_zero_a_skinned_form_is_plain_skinning(form):
     for frame, space in enumerate(frame_spaces(bench(), form, found())):
         got = space.positions(torch.zeros(space.size)).numpy()
-        assert_allclose(got, bench().skinned[frame], rtol=0, atol=2e-6)
+        assert_allclose(got, bench().judge.skinned[frame], rtol=0, atol=2e-6)
 
 
 def test_a_rigid_form_is_the_product_s_drape():
@@ -150,7 +150,7 @@ def test_gradient_of_the_positions_is_that_of_finite_differences():
 
 
 def test_vertex_space_scales_by_stiffness():
-    start, stiffness = bench().skinned[0], np.linspace(1.0, 4.0, len(bench().skinned[0]))
+    start, stiffness = bench().judge.skinned[0], np.linspace(1.0, 4.0, len(bench().judge.skinned[0]))
     space = VertexSpace(start, stiffness)
     assert space.size == start.size
     moved = space.positions(torch.ones(space.size)).numpy() - start

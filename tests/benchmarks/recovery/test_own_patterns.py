@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from benchmarks.records import rounds_table
 from benchmarks.recovery.__main__ import VARIANTS, by_round, lengths, spread
 from benchmarks.recovery.disturbed import LEAST_OFF, MOST_OFF, off
-from benchmarks.recovery.tables import rounds_table
 from drape.body.assets import load_body
 from recovery.drape.pipeline import DrapeOptions, drape_pattern
 from recovery.fit.optimise import FitOptions

@@ -1,7 +1,6 @@
-"""The joint tables hold together and agree with those of the motion readers."""
+"""The joint tables hold together."""
 
 from drape.body import skeleton
-from drape.motion import skeleton as motion_skeleton
 
 
 def test_every_joint_has_one_name_and_an_earlier_parent():
@@ -25,8 +24,3 @@ def test_left_and_right_mirror_each_other():
             twin = names.index(name.replace("left_", "right_"))
             parents = [names[skeleton.PARENTS[j]] for j in (joint, twin)]
             assert parents[1] == parents[0].replace("left_", "right_")
-
-
-def test_body_and_motion_name_the_same_joints():
-    assert tuple(motion_skeleton.JOINT_NAMES) == skeleton.JOINT_NAMES
-    assert tuple(motion_skeleton.PARENTS) == skeleton.PARENTS

@@ -116,7 +116,8 @@ def test_a_table_of_bodies_of_many_shapes_is_that_of_the_bones_of_each(rng):
     betas[[0, 2]] = 0.0
     poses = 0.3 * rng.normal(size=(4, 24, 3))
     bones = [body.bones(poses[n : n + 1], None, betas[n]) for n in range(4)]
-    table = shaped_skin(body).table(*(np.concatenate(parts) for parts in zip(*bones, strict=True)), betas)
+    rotations, translations = (np.concatenate(parts) for parts in zip(*bones, strict=True))
+    table = shaped_skin(body).table(rotations, translations, betas)
     for n, (rotation, translation) in enumerate(bones):
         own = body_skin(body).on_bones(body, betas[n])
         alone = skin_table(own.rows, own.bones, rotation.astype(np.float32), translation.astype(np.float32))

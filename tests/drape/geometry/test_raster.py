@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from benchmarks.shared.render import LIGHT, PLAIN_CLOTH, RAKING_LIGHT, Surface, render, save_png, sheet, view_matrix
-from tests.drape.cloth.cloth_shapes import grid
+from drape.geometry.raster import Surface, render, view_matrix
 
 SQUARE = np.array([[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [-0.5, 0.5, 0.0]])
 FACES = np.array([[0, 1, 2], [0, 2, 3]])
@@ -42,24 +41,3 @@ def test_views_are_rotations_and_azimuth_ninety_looks_from_the_left_hand():
     view = view_matrix(90.0, 0.0)
     assert_allclose(view @ view.T, np.eye(3), rtol=0, atol=1e-12)
     assert_allclose(view @ [1.0, 0.0, 0.0], [0.0, 0.0, 1.0], rtol=0, atol=1e-12)  # towards the viewer
-
-
-def test_a_sheet_is_saved_as_a_small_picture(tmp_path):
-    image = draw(Surface(SQUARE, FACES))
-    save_png(tmp_path / "a" / "sheet.png", sheet([[image, image], [image, image]]))
-    from PIL import Image
-
-    with Image.open(tmp_path / "a" / "sheet.png") as stored:
-        assert stored.size == (400, 400)
-    assert (tmp_path / "a" / "sheet.png").stat().st_size < 20_000
-
-
-def test_a_raking_light_more_than_doubles_the_contrast_of_upright_folds():
-    rest, faces = grid(160, 4, cell_m=0.01)
-    folds = rest - [0.8, 0.02, 0.0] + 0.002 * np.sin(rest[:, :1] / 0.02) * [0.0, 0.0, 1.0]
-    contrast = []
-    for light in (LIGHT, RAKING_LIGHT):
-        picture = draw(Surface(folds, faces, PLAIN_CLOTH), light=light)
-        shade = picture[..., 0][picture[..., 0] < 1.0]
-        contrast.append(shade.std() / shade.mean())
-    assert contrast[1] > 2.0 * contrast[0]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from benchmarks.shared import network as subject
+from benchmarks import network as subject
 from drape.artifacts import DEFAULT_MODEL, MODELS_DIR, load_manifest
 from drape.cloth.fabric_table import fabric
 from drape.errors import ArtifactError, InputError

@@ -11,15 +11,16 @@ from numpy.testing import assert_allclose
 from benchmarks.judge.blended_planes import blended_distance
 from benchmarks.measure.hem import hang_mm
 from benchmarks.measure.intersections import intersection_count
-from benchmarks.measure.measures import METHODS as EVERY
-from benchmarks.measure.measures import add_comparisons, measure, summary
+from benchmarks.quality import METHODS as EVERY
+from benchmarks.quality import add_comparisons, measure, summary
+from benchmarks.scenes import skinned as skin
 from drape.cloth import energies, metrics
+from drape.cloth.contact import BodyContact
 from drape.cloth.detail import LowPass, dihedral_deg
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
 from drape.cloth.material import Material
 from drape.cloth.rest_state import modelled
-from drape.geometry.skinning import skin_points
 from tests.benchmarks.quality_setup import bench, body, tube
 from training.disagreement import disagreement
 
@@ -56,9 +57,8 @@ def test_every_method_has_a_row_with_the_figures_that_apply_to_it(measured):
 
 def test_figures_are_those_of_the_drapes(measured):
     made, rows = measured
-    poses, rest, faces = made.poses.poses, tube().vertices.astype(np.float64), tube().fine_faces
-    still = np.broadcast_to(rest, (len(poses), *rest.shape))
-    skinned = skin_points(still, tube().skin_weights, *body().bones(poses))
+    poses, rest, faces = made.clip.poses, tube().vertices.astype(np.float64), tube().fine_faces
+    skinned = skin(tube(), body(), poses)
     edge = metrics.edge_strain_pct(skinned, rest, faces).mean()
     assert_allclose(rows["skinning"]["edge_pct"], edge, rtol=1e-9, atol=0.0)
     assert rows["skinning"]["self_intersections"] == intersection_count(skinned, faces).mean()
@@ -73,8 +73,8 @@ def test_figures_are_those_of_the_drapes(measured):
     charts = disagreement(tube(), draped.jet, draped.rotation, draped.centre)
     network = rows["network"]
     assert_allclose(network["chart_gap_p99_mm"], 1e3 * np.percentile(charts.gap_m, 99.0), rtol=1e-9, atol=0.0)
-    cloth, contact = ClothMesh.from_rest(rest, faces), made.contact
-    distance = blended_distance(skinned, contact, made.body_vertices, gap_m=made.material.contact_gap_m)
+    cloth, contact = ClothMesh.from_rest(rest, faces), BodyContact(body().faces, body().vertex_count)
+    distance = blended_distance(skinned, contact, made.clip.body_vertices, gap_m=made.material.contact_gap_m)
     contact_j = energies.contact(distance, cloth, made.material).mean()
     assert_allclose(rows["skinning"]["contact_j"], contact_j, rtol=1e-9, atol=0.0)
     assert rows["physics"]["gain"] == 1.0
@@ -104,7 +104,7 @@ def test_a_fabric_is_what_physics_and_the_energy_have_and_its_garment_rests_as_i
     of_rib = replace(made, step_limit=120, physics_folder=tmp_path, uncorrected=made.network).of_fabric(rib)
     found = {row["method"]: row for row in measure(garment, of_rib, trained=False)}
     assert {row["fabric"] for row in found.values()} == {"rib"}
-    vertices, material = made.network.made_of(rib).drape(garment, made.poses.poses).vertices, Material.of(rib)
+    vertices, material = made.network.made_of(rib).drape(garment, made.clip.poses).vertices, Material.of(rib)
     cloth = ClothMesh.of(bent, garment.fine_faces, len(garment.vertices))
     bending = energies.bending(vertices, cloth, material).mean()
     assert_allclose(found["network"]["bending_j"], bending, rtol=1e-9, atol=0.0)

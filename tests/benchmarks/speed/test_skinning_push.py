@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from benchmarks.shared.kd_tree_push import Collider
+from benchmarks.speed.skinning_push import Collider
 from drape.body.assets import load_body
 from drape.cloth.contact import nearest_vertex_push
 from tests.fixtures.poses import random_motion

@@ -17,7 +17,6 @@ import pstats
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,8 +24,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.shared import common
-from drape.errors import ended
+from benchmarks.harness import ROOT, Benchmark, Option, Run
+from benchmarks.tables import Row
 from drape.files.data import data_folder
 from training import parallel
 from training.config import PRESETS, TrainConfig
@@ -70,7 +69,7 @@ def make_trainer(config: TrainConfig, device: str) -> Trainer:
     )
 
 
-def measure(trainer: Trainer, steps: int) -> dict[str, Any]:
+def measure(trainer: Trainer, steps: int) -> Row:
     """Median rate over ``BLOCKS`` blocks of steps, the spread between them, and the stages."""
     for _ in range(WARM_STEPS):
         trainer.step()
@@ -113,13 +112,13 @@ def configuration(garment: str, batch: int, *, bf16: bool = False) -> TrainConfi
     return replace(config, data=data, batch_size=batch, autocast=bf16)
 
 
-def parallel_row(options: argparse.Namespace, processes: int) -> dict[str, Any]:
+def parallel_row(options: argparse.Namespace, processes: int) -> Row:
     """The row of ``processes`` processes under torchrun, which run this module as workers."""
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes)]
-    command += ["-m", "benchmarks.training", "--worker", "--garment", options.garment, "--device", options.device]
+    command += ["-m", "benchmarks.training", "--garment", options.garment, "--device", options.device]
     command += ["--batch", str(options.batch), "--steps", str(options.steps), *(["--bf16"] if options.bf16 else [])]
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    done = subprocess.run(command, capture_output=True, text=True, cwd=common.ROOT, env=environment, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment, check=False)
     if done.returncode:
         raise RuntimeError(f"torchrun ended with {done.returncode}:\n{done.stderr[-2000:]}")
     return json.loads(done.stdout.strip().splitlines()[-1])
@@ -136,33 +135,28 @@ def worker(options: argparse.Namespace) -> None:
     parallel.stop()
 
 
-def main(arguments: Sequence[str] | None = None) -> dict[str, Any] | None:
-    """Prints the table and the record, and returns the record."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.training", description="Training throughput.")
-    parser.add_argument("--garment", default="tshirt")
-    parser.add_argument("--batch", type=int, default=4, help="frames per step and process")
-    parser.add_argument("--steps", type=int, help="timed steps (default 100, quick 20)")
-    parser.add_argument("--bf16", action="store_true", help="matrices in bfloat16, as of training.run")
-    parser.add_argument("--device", default="cpu")
-    parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
-    common.add_options(parser)
-    options = parser.parse_args(arguments)
-    options.steps = options.steps or (20 if options.quick else 100)
-    if options.worker:
-        worker(options)
-        return None
-    config = configuration(options.garment, options.batch, bf16=options.bf16)
-    trainer = make_trainer(config, options.device)
-    rows = []
+@Benchmark(
+    "training",
+    "Training throughput.",
+    COLUMNS,
+    Option("--garment", "tshirt", "what is trained on"),
+    Option("--batch", 4, "frames per step and process"),
+    Option("--steps", 100, "timed steps", 20),
+    Option("--bf16", False, "matrices in bfloat16, as of training.run"),
+    Option("--device", "cpu", "of torch"),
+)
+def main(run: Run) -> None:
+    """A row for each way to share a step among threads and processes."""
+    options = run.options
+    trainer = make_trainer(configuration(options.garment, options.batch, bf16=options.bf16), options.device)
     for threads in sorted({1, options.threads}):
         torch.set_num_threads(threads)
-        rows.append(measure(trainer, options.steps))
+        run.rows.append(measure(trainer, options.steps))
     if not options.quick and options.threads > 1 and options.device == "cpu":
-        rows.append(parallel_row(options, options.threads))
-    common.print_table(rows, COLUMNS)
-    print("stages: milliseconds per frame of one process, profiled apart from the timed steps")
-    return common.finish("training", rows, options, garment=options.garment, device=options.device)
+        run.rows.append(parallel_row(options, options.threads))
+    run.notes.append("stages: milliseconds per frame of one process, profiled apart from the timed steps")
+    run.extra |= {"garment": options.garment, "device": options.device}
 
 
 if __name__ == "__main__":
-    sys.exit(ended(main))
+    worker(main.parse()) if "RANK" in os.environ else main.command()

@@ -1,0 +1,343 @@
+"""The tables that documents show of the committed records.
+
+``TABLES`` has a line for each: the record, the document that speaks of it, the table's name, and what makes its text of
+the record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from functools import partial
+
+from benchmarks.recovery.published import MEASURES as RECOVERED
+from benchmarks.recovery.published import TABLE_2, ahead
+from benchmarks.tables import Columns, Record, Row, cells, heads, markdown_table, provenance, rows_table
+
+# --- quality: older records lack detail, and those of the cloth of before fabrics lack fabrics -----------------------
+FABRIC = {"fabric": ("fabric", "s")}
+DETAIL = {"detail_mm": ("detail [mm]", ".2f"), "dihedral_deg": ("dihedral [deg]", ".1f")}
+SHARE = {"detail_share": ("detail share", ".2f")}
+GAIN = {"gain": ("gain", ".3f")}
+QUALITY = {
+    "garment": ("garment", "s"), "method": ("method", "s"), "edge_pct": ("edge %", ".2f"),
+    "area_pct": ("area %", ".2f"), "colliding_vertex_pct": ("colliding % (vertex)", ".2f"),
+    "colliding_triangle_pct": ("colliding % (triangle)", ".2f"), "self_intersections": ("self-intersections", ".1f"),
+    "energy_j": ("energy [J]", ".2f"), "gain": ("gain", ".2f"),
+}  # fmt: skip
+NETWORK = {
+    "gain": ("gain", ".2f"), "edge_over_physics_pp": ("edge over physics [pp]", ".1f"),
+    "area_over_physics_pp": ("area over physics [pp]", ".1f"), "chart_gap_p99_mm": ("chart gap p99 [mm]", ".1f"),
+    "chart_normal_p99_deg": ("chart normal p99 [deg]", ".1f"), "jitter_ratio": ("jitter", ".2f"),
+    "jitter_worst": ("in the worst clip", ".2f"),
+}  # fmt: skip
+CROSSED, JITTER, AT_REST = {"self_intersections": ".1f"}, {"jitter_ratio": ".2f"}, {"converged_pct": ".0f"}
+BESIDE = {"edge_pct": ("edge %", ".2f"), "hang_mm": ("hem lower than skinned [mm]", ".1f"),
+          "detail_mm": ("detail [mm]", ".2f")}  # fmt: skip
+
+
+def _measured(rows: Iterable[Row], *groups: Columns) -> dict[str, str | tuple[str, str]]:
+    """Those columns of ``groups`` that any of ``rows`` has."""
+    known = {key for row in rows for key in row}
+    return {key: column for group in groups for key, column in group.items() if key in known}
+
+
+def _by_method(rows: Iterable[Row]) -> dict[tuple[str, str, str], dict[str, Row]]:
+    """The rows of every garment, set and fabric by method."""
+    groups: dict[tuple[str, str, str], dict[str, Row]] = {}
+    for row in rows:
+        groups.setdefault((row["garment"], row.get("set", ""), row.get("fabric", "")), {})[row["method"]] = row
+    return groups
+
+
+def quality_table(record: Record) -> str:
+    """Every garment and method."""
+    rows = record["rows"]
+    first = {"garment": QUALITY["garment"]} | _measured(rows, FABRIC)
+    return rows_table(first | QUALITY | _measured(rows, DETAIL), rows, record)
+
+
+def network_table(record: Record) -> str:
+    """The network beside its bounds: one line per garment, and their means; the figures that have targets."""
+    every = [*record["rows"], *record["summary"]]
+    own = _measured(every, FABRIC) | NETWORK | _measured(every, SHARE)
+    lines = []
+    for (garment, kind, _), rows in _by_method(every).items():
+        crossings = [cell for method in ("skinning", "network", "physics") for cell in cells(rows[method], CROSSED)]
+        name = f"{garment} {kind}".strip() if garment == "all" else garment
+        lines.append([name, *cells(rows["network"], own), *cells(rows["network_push"], JITTER), *crossings])
+    more = ["with push-out", "self-intersections: skinning", "network", "physics"]
+    return markdown_table(["garment", *heads(own), *more], lines)
+
+
+def gain_table(record: Record) -> str:
+    """Strains and gains alone: one line per garment."""
+    fabric, groups = _measured(record["rows"], FABRIC), _by_method(record["rows"])
+    folds = {"folds": "two steps of folds"} if any("folds" in rows for rows in groups.values()) else {}
+    methods = {"network_push": "network + push-out", **folds}
+    lines = []
+    for (garment, _, _), rows in groups.items():
+        strains = [f"{rows[method]['edge_pct']:.2f}" for method in ("skinning_push", *methods, "physics")]
+        gains = [f"{rows[method]['gain']:.2f}" for method in methods]
+        lines.append([garment, *cells(rows["physics"], fabric), *strains, *gains])
+    titles = ["edge strain %: skinning + nearest-vertex push", *methods.values(), "physics"]
+    gained = [f"gain: {name}" for name in methods.values()] if folds else ["gain"]
+    return markdown_table(["garment", *heads(fabric), *titles, *gained], lines, record)
+
+
+def fabrics_table(record: Record) -> str:
+    """One line per garment and fabric: the gain of the network, its strain and hang beside those of physics."""
+    lines = []
+    for names, rows in _by_method(record["rows"]).items():
+        network, physics = (cells(rows[method], BESIDE) for method in ("network", "physics"))
+        gains = [*cells(rows["network"], GAIN), *cells(rows["network_push"], GAIN)]
+        pairs = [f"{ours} / {best}" for ours, best in zip(network, physics, strict=True)]
+        lines.append([*names, *gains, *pairs, *cells(rows["physics"], AT_REST)])
+    beside = [f"{name}: network / physics" for name in heads(BESIDE)]
+    return markdown_table(["garment", "set", "fabric", "gain", "pushed out", *beside, "poses at rest %"], lines, record)
+
+
+def four_table(record: Record) -> str:
+    """One line per fabric and set of all garments: gains of the network alone and of folds on it."""
+    left, lines = {"edge_over_physics_pp": ".2f", "detail_share": ".2f"}, []
+    for (_, kind, fabric), rows in _by_method(record["summary"]).items():
+        gains = [value for method in ("network", "network_push", "folds") for value in cells(rows[method], GAIN)]
+        lines.append([fabric, kind, *gains, *cells(rows["folds"], left), *cells(rows["physics"], AT_REST)])
+    titles = ["fabric", "garments", "network", "pushed out", "two steps of folds", "edge over physics [points]"]
+    return markdown_table([*titles, "detail share", "poses at rest %"], lines, record)
+
+
+# --- folds, skin, the trade, motion ----------------------------------------------------------------------------------
+FOLDS = {
+    "energy_j": ("energy [J]", ".3f"), "edge_pct": ("edge %", ".2f"), "detail_mm": ("detail [mm]", ".2f"),
+    "colliding_pct": ("colliding %", ".2f"), "jitter_ratio": ("jitter", ".1f"), "ms": ("ms", ".1f"),
+}  # fmt: skip
+SKIN = {
+    "skinning": "skinning", "network": "network, pushed out", "folds": "folds on delivered triangles",
+    "wrapped": "folds on finer ones, delivered wrapped", "fine": "folds on the finest mesh",
+}  # fmt: skip
+TRADE = {
+    "tier": ("tier", "s"), "knobs": ("what runs", "s"), "time_ratio": ("time, rival = 1", ".2f"),
+    "cpu_ms": ("processor [ms]", ".1f"), "p95_ms": ("p95 [ms]", ".1f"), "gain": ("gain", ".3f"),
+    "gain_p05": ("of the worst twentieth", ".3f"), "error_mm": ("to physics [mm]", ".1f"),
+    "edge_pct": ("edge %", ".2f"), "detail_share": ("detail share", ".2f"), "jitter_ratio": ("jitter", ".2f"),
+    "colliding_pct": ("colliding %", ".2f"), "skin_pixels_pct": ("skin, pixels %", ".3f"),
+    "self_intersections": ("self-intersections", ".0f"),
+}  # fmt: skip
+SWING = {
+    "garment": ("garment", "s"), "clip": ("clip", "s"), "method": ("method", "s"), "rise_mm": ("hem rises [mm]", ".0f"),
+    "share": ("of the simulator's", ".2f"), "error_mm": ("hem off the simulator's [mm]", ".0f"),
+    "hem_mm": ("hem off the still drape's [mm]", ".0f"), "ms": ("ms", ".1f"),
+}  # fmt: skip
+STOP = {
+    "garment": ("garment", "s"), "clip": ("clip", "s"), "swings": ("swings through", "d"),
+    "millimetre_s": ("within 1 mm after [s]", ".2f"), "rest_s": ("every bit still after [s]", ".2f"),
+    "peak_mm": ("hem: largest [mm]", ".1f"),
+}  # fmt: skip
+POTENTIAL = {
+    "garment": ("garment", "s"), "clip": ("clip", "s"),
+    "given_dynamic_j": ("after the same frames: moving [J]", ".4f"), "given_static_j": ("static", ".4f"),
+    "own_dynamic_j": ("each after its own: moving", ".4f"), "own_static_j": ("static", ".4f"),
+}  # fmt: skip
+
+
+def folds_table(record: Record) -> str:
+    """One line per garment, fabric, clip and start: it alone, and with two and eight steps; then physics, if known."""
+    folds = _measured(record["rows"], GAIN) | FOLDS | _measured(record["rows"], SHARE)
+    start = {key: column for key, column in folds.items() if key not in ("jitter_ratio", "ms")}  # those of folds alone
+    named: dict[tuple[str, ...], dict[int, Row]] = {}
+    for row in record["rows"]:
+        apart = ", cloth feels cloth" if row.get("cloth_contact") else ""
+        key = row["garment"], row["fabric"], row["clip"], row["method"].replace("_", " ") + apart
+        named.setdefault(key, {})[row["sweeps"]] = row
+    lines = [
+        [*key, *(" / ".join(cells(rows[n], columns)) if n in rows else "" for n, columns in
+                 ((0, start), (2, folds), (8, folds)))]
+        for key, rows in named.items()
+    ]  # fmt: skip
+    titles = ["garment", "fabric", "clip", "start", " / ".join(heads(start)), f"2 steps: {' / '.join(heads(folds))}"]
+    return markdown_table([*titles, "8 steps"], lines, record)
+
+
+def skin_table(record: Record) -> str:
+    """One line per garment: the skin that shows on average and in the worst view, by how it was draped."""
+    shares, lines = {"skin_pixels_pct": ".3f", "worst_pct": ".2f"}, []
+    for (garment, _, _), rows in _by_method(record["rows"]).items():
+        meshes = dict.fromkeys(str(rows[name]["vertices"]) for name in ("network", "fine"))
+        shown = (cells(rows[name], shares) if name in rows else [] for name in SKIN)
+        lines.append([garment, " to ".join(meshes), *map(" / ".join, shown)])
+    return markdown_table(["garment", "vertices", *SKIN.values()], lines, record)
+
+
+def trade_table(record: Record) -> str:
+    """One line per choice of knobs on the front, and the ends of the axis, the cheapest first."""
+    kept = [row for row in record["means"] if row["pareto"] or row["tier"]]
+    ordered = sorted(kept, key=lambda row: row["time_ratio"])
+    return rows_table(TRADE, ({**row, "tier": row["tier"].replace("_", " ")} for row in ordered), record)
+
+
+def stop_table(record: Record) -> str:
+    """One line per garment and clip: the hem after an abrupt stop."""
+    rows = [row for row in record["rows"] if row["kind"] == "stop"]
+    times = {key: (f"after {key}", ".1f") for key in rows[0] if key[0].isdigit()}
+    return rows_table(STOP | times, rows, record)
+
+
+# --- speed -----------------------------------------------------------------------------------------------------------
+NAMES = {
+    "onnx": "packed graph: vertices", "onnx_pushed": "packed graph and push-out",
+    "onnx_subnormals": "packed graph and push-out, subnormal numbers kept",
+    "onnx_normals": "packed graph: vertices and normals", "onnx_steps": "packed graph: 16-bit steps",
+    "onnx_jets": "packed graph: posed jets", "onnx_fp16": "packed graph, matrices in float16",
+    "onnx_readable": "graph that is not packed", "torch_eager": "torch, eager, same precomputation",
+    "torch_compile": "torch.compile, same precomputation", "skinning_push": "skinning and nearest-vertex push (SciPy)",
+    "newton_vbd": "Newton VBD", "floor": "floor",
+}  # fmt: skip
+TIMES = {"p50_ms": "p50 [ms]", "p95_ms": "p95", "p99_ms": "p99", "min_ms": "least"}
+BATCHES = {"batch": ("frames in a call", "d"), "p50_ms": ("p50 [ms]", ".2f"), "frames_per_s": ("frames/s", ".0f")}
+GROWTH = {
+    "garment": ("what", "s"), "vertices": ("vertices", "d"), "patches": ("patches", "d"), "p50_ms": ("p50 [ms]", ".2f"),
+    "memory_mb": ("memory [MB]", ".1f"),
+}  # fmt: skip
+SERVING = {
+    "case": ("case", "s"), "server": ("server", "s"), "tier": ("tier", "s"), "clients": ("clients", "d"),
+    "goodput_pct": ("goodput %", ".0f"), "stepped_pct": ("with less than asked %", ".0f"),
+    "frame_age_p50_ms": ("age p50 [ms]", ".0f"), "frame_age_p99_ms": ("p99", ".0f"),
+    "overhead_p50_ms": ("beside the model p50 [ms]", ".1f"), "overhead_p99_ms": ("p99 [ms]", ".1f"),
+    "gap_max_ms": ("longest gap [ms]", ".0f"), "cpu_ms": ("processor a pose [ms]", ".1f"),
+}  # fmt: skip
+CHURN = {
+    "clients": ("clients", "d"), "minutes": ("minutes", ".0f"), "streams": ("streams", "d"), "frames": ("frames", "d"),
+    "requests": ("requests", "d"), "uploads": ("uploads", "d"), "refused": ("refused", "d"), "failed": ("failed", "d"),
+    "memory_mb": ("memory [MB]", ".0f"), "last_mb": ("at the end", ".0f"), "slope_mb_h": ("slope [MB/h]", ".1f"),
+    "slope_error_mb_h": ("its error", ".1f"), "descriptors": ("descriptors", "d"),
+    "last_descriptors": ("at the end ", "d"), "threads": ("threads", "d"), "last_threads": ("at the end  ", "d"),
+}  # fmt: skip
+THROUGHPUT = {
+    "processes": ("processes", "d"), "threads": ("threads each", "d"), "batch": ("frames a step", "d"),
+    "frames_per_s": ("frames/s", ".0f"), "spread": ("spread", ".0f"),
+}  # fmt: skip
+
+
+def single_table(record: Record) -> str:
+    """One frame of one garment: ours, the rivals, the floor."""
+    lines = []
+    for row in record["rows"]:
+        if row["batch"] != 1 or row["garment"] == "mixed" or "," in row["garment"] or "store" in row["garment"]:
+            continue
+        name = NAMES[row["name"]] + (f", {row['passes']} passes" if "passes" in row else "")
+        if "ratio" in row:
+            name += f" ({row['ratio']['both']:.2f} times as long)"
+        if "iterations" in row:
+            name += f", {row['iterations']} iterations{'' if row['reached'] else ', strain not reached'}"
+        times = cells(row, dict.fromkeys(TIMES, ".2f"), missing="")
+        lines.append([row["garment"], name, *(times if "p50_ms" in row else [row["skipped"], "", "", ""])])
+    return markdown_table(["garment", "what", *TIMES.values()], lines, record)
+
+
+def stage_table(record: Record) -> str:
+    """Where the milliseconds of a frame go, and the push-out that comes on top."""
+    rows = [row for row in record["rows"] if row["name"] == "onnx" and "stage_ms" in row]
+    lines = (
+        [row["garment"], str(row["vertices"]), *(f"{ms:.2f}" for ms in (*row["stage_ms"].values(), row["push_out_ms"]))]
+        for row in rows
+    )
+    return markdown_table(["garment", "vertices", *rows[0]["stage_ms"], "push-out"], lines)
+
+
+def growth_table(record: Record) -> str:
+    """More vertices, patches and garments."""
+    stored = (row | {"memory_mb": 1e-6 * row["store_bytes"]} for row in record["rows"] if "store_bytes" in row)
+    return rows_table(GROWTH, stored)
+
+
+def serving_table(record: Record) -> str:
+    """Streams under load: one line per case, and how many clients each server carries."""
+    carried = ", ".join(f"{name} {count}" for name, count in record["max_clients"].items())
+    alone = ", ".join(f"{tier} {ms:.1f} ms" for tier, ms in record["model_ms"].items())
+    rows = rows_table(SERVING, record["rows"])
+    return f"{rows}\n\nClients carried: {carried}. A frame alone: {alone}.\n\n{provenance(record)}"
+
+
+def throughput_table(record: Record) -> str:
+    """One line per way to share a training step among cores, and where its time goes."""
+    stages = [key for key in record["rows"][0] if key.endswith("_ms")]
+    columns = {key: (f"{key.removesuffix('_ms')} [ms/frame]", ".2f") for key in stages}
+    return rows_table(THROUGHPUT | columns, record["rows"], record)
+
+
+# --- recovery --------------------------------------------------------------------------------------------------------
+MORE = {
+    "mean_mm": ("mean distance [mm]", ".1f"), "truth_chamfer_cm2": ("true pattern in our simulator [cm²]", ".3f"),
+    "graded_turning_deg": ("graded: turning", ".1f"), "graded_area_err": ("graded: areas", ".3f"),
+    "minutes": ("minutes", ".1f"),
+}  # fmt: skip
+ROUNDS = {
+    "nodes": ("nodes", "d"), "mean_mm": ("control points: mean [mm]", ".2f"), "max_mm": ("largest [mm]", ".2f"),
+    "area_err": ("areas [%]", ".2f"), "surface_mm": ("surfaces apart [mm]", ".2f"), "steps": ("steps", "d"),
+    "drapes": ("drapes", "d"), "minutes": ("minutes", ".2f"), "processor_minutes": ("of the processor", ".2f"),
+}  # fmt: skip
+
+
+def targets_table(record: Record) -> str:
+    """Every recovery, "ours / theirs", in bold where it is at or ahead of the paper."""
+    lines = []
+    for row in record["rows"]:
+        pairs = []
+        for name, form in RECOVERED.items():
+            theirs, ours = getattr(TABLE_2[row["garment"]], name), format(row[name], form)
+            pairs.append(f"{f'**{ours}**' if row[name] <= theirs else ours} / {theirs:g}")
+        lines.append([f"{row['garment']}, {row['seed']}", *pairs, f"{ahead(row)} of 4", *cells(row, MORE)])
+    titles = ["target, base", "Chamfer [cm²]", "normals", "turning [deg]", "areas", "ahead in", *heads(MORE)]
+    return markdown_table(titles, lines, record)
+
+
+def rounds_table(record: Record) -> str:
+    """A line for every round of every recovery, and one for its whole time."""
+    lines = []
+    for row in record["rows"]:
+        name, whole = f"{row['garment']}, {row['seed']}", {key: row[key] for key in ("minutes", "processor_minutes")}
+        lines.append([f"{name}: graded twice", *cells({"mean_mm": row["graded_mm"]}, ROUNDS)])
+        for one in record["by_round"]:
+            if (one["garment"], one["seed"]) == (row["garment"], row["seed"]):
+                lines.append([f"{name}: round {one['round']}", *cells(one, ROUNDS)])
+        lines.append([f"{name}: **whole**", *cells(whole, ROUNDS)])
+    return markdown_table(["target, base", *heads(ROUNDS)], lines, record)
+
+
+def alike(columns: Columns, record: Record, *, sourced: bool = True) -> str:
+    """A line for each row of ``record``, and where it was measured."""
+    return rows_table(columns, record["rows"], record if sourced else None)
+
+
+def _only(columns: Columns, key: str, value: str, record: Record) -> str:
+    """A line for each row of ``record`` whose ``key`` is ``value``."""
+    return rows_table(columns, [row for row in record["rows"] if row[key] == value])
+
+
+QUALITY_PAGE, FOLDS_PAGE, SPEED_PAGE = (
+    "docs/reference/quality.md", "docs/explanation/folds.md", "docs/reference/performance.md",
+)  # fmt: skip
+TRAINING_PAGE, FIT_PAGE = "docs/guide/training.md", "docs/explanation/recovery_fit.md"
+TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
+    ("quality", QUALITY_PAGE, "quality", quality_table),
+    ("quality", QUALITY_PAGE, "gain", gain_table),
+    ("quality", QUALITY_PAGE, "quality_network", network_table),
+    ("quality_fine", QUALITY_PAGE, "quality_fine", network_table),
+    ("quality_fabrics", QUALITY_PAGE, "quality_fabrics", fabrics_table),
+    ("quality_four", QUALITY_PAGE, "quality_four", four_table),
+    ("swing", "docs/explanation/swing.md", "swing", partial(alike, SWING, sourced=False)),
+    ("dynamics", TRAINING_PAGE, "dynamics_stop", stop_table),
+    ("dynamics", TRAINING_PAGE, "dynamics_potential", partial(_only, POTENTIAL, "kind", "potential")),
+    ("folds", FOLDS_PAGE, "folds", folds_table),
+    ("tradeoff", "docs/reference/tradeoff.md", "tradeoff", trade_table),
+    ("skin_pixels", FOLDS_PAGE, "skin", skin_table),
+    ("latency", SPEED_PAGE, "latency_single", single_table),
+    ("latency", SPEED_PAGE, "latency_stages", stage_table),
+    ("latency", SPEED_PAGE, "latency_batches", partial(_only, BATCHES, "garment", "mixed")),
+    ("latency", SPEED_PAGE, "latency_growth", growth_table),
+    ("serving", SPEED_PAGE, "serving", serving_table),
+    ("churn", SPEED_PAGE, "churn", partial(alike, CHURN)),
+    ("training", TRAINING_PAGE, "throughput", throughput_table),
+    ("recovery_targets", FIT_PAGE, "recovery_targets", targets_table),
+    ("recovery_rounds", FIT_PAGE, "recovery_rounds", rounds_table),
+)

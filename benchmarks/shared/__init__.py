@@ -1,1 +1,0 @@
-"""What benchmarks share: options and records, the served network, physics optima, pictures."""
