@@ -33,7 +33,7 @@ def _serve(overrides: dict[str, object]) -> int:
     try:
         from service.app import create_app
         from service.compute.drape_runtime import DrapeRuntime
-        from service.http.server import bind, make_server
+        from service.server import bind, make_server
         from service.settings import check_exposed, load_settings
         from service.watch.logs import set_up
         from service.watch.metrics import Metrics

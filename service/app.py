@@ -72,17 +72,22 @@ def create_app(
     app.add_middleware(OriginGuard, settings=settings)
     app.add_middleware(RequestLog, metrics=metrics, tracing=tracing)
     app.include_router(info_routes.probe_routes(life, metrics))
+    _add_routes(app, settings)
+    return app
+
+
+def _add_routes(app: FastAPI, settings: Settings) -> None:
+    """Adds all that clients with a key may ask, and the pages."""
     pages.install_reference(app)
     openapi.install(app)
     for router in ROUTERS:
         app.include_router(router, dependencies=ADMITTED, responses=openapi.responses(*openapi.EVERYWHERE))
     app.include_router(stream_routes.router)
     app.mount("/", pages.Page(settings.page_dir))
-    return app
 
 
 def make_state(runtime: DrapeRuntime, access: Access, life: Lifecycle) -> State:
-    """What a service holds around ``runtime``; nothing of it has begun."""
+    """The state of a service around ``runtime``; nothing of it has begun."""
     sliced_thread = SlicedThread()
     uploads, streams = Uploads(runtime, sliced_thread, access), Streams(runtime, sliced_thread)
     return State(

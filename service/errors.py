@@ -55,7 +55,7 @@ class Full(Unavailable):
 
 @dataclass(frozen=True)
 class Rule:
-    """How one kind of refusal leaves the service."""
+    """The HTTP status, close code and title of one kind of refusal."""
 
     status: int
     close_code: int

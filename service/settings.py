@@ -1,4 +1,4 @@
-"""What can be set, through the environment with the prefix ``DRAPE_``; a bad value stops the start.
+"""Settings, read from the environment with the prefix ``DRAPE_``; a bad value stops the start.
 
 Every field is described in docs/guide/operate.md.
 """

@@ -1,4 +1,4 @@
-"""What a running service holds, and what routes ask of it: ``StateHere``, ``ClientHere``."""
+"""The state of a running service, and how routes get it: ``StateHere``, ``ClientHere``."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class State:
         return await self.shared_folder.found(lambda: self.runtime.garments.get(garment_id, client.name))
 
     async def scene(self, garment: str | None, garments: Sequence[str] | None, client: Client) -> Scene:
-        """What is worn: see ``Registry.scene`` and ``SharedFolder.found``."""
+        """The scene that is worn: see ``Registry.scene`` and ``SharedFolder.found``."""
         registry = self.runtime.garments
         return await self.shared_folder.found(lambda: registry.scene(garment, garments, client.name))
 

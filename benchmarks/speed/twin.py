@@ -20,7 +20,7 @@ from drape.wire import messages as wire
 from service.compute.drape_runtime import DrapeRuntime
 from service.http.json_body import document_of, validated
 from service.http.schemas import OpenRequest
-from service.http.server import bind
+from service.server import bind
 from service.settings import Settings
 from service.stages.batch import PoseInput
 

@@ -1,5 +1,4 @@
-"""How what streams need not wait for leaves processors to them: ``step_back()``, ``thread_steps_back()``, and how many
-there are."""
+"""Processes and threads that leave processors to streams, and the number of processors."""
 
 from __future__ import annotations
 

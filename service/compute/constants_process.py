@@ -1,6 +1,7 @@
-"""Tables and constants that are made beside streams, in a process of its own: ``ConstantsProcess``.
+"""A process of its own for tables and constants that are made beside streams: ``ConstantsProcess``.
 
-What makes them holds the interpreter lock for tens of milliseconds at a time, and a frame asks for it some fifty times.
+Making them holds the interpreter lock for tens of milliseconds at a time, and a frame asks for that lock some fifty
+times.
 ``python -m service.compute.constants_process`` is that process: calls come in on its standard input,
 pickled, results go out on its standard output, and it ends where that ends. Arrays travel beside the pickles,
 uncopied, with the lock released.
@@ -101,7 +102,7 @@ def send(file: IO[bytes], thing: Any) -> None:
 
 
 def receive(file: IO[bytes]) -> Any:
-    """What ``send`` wrote; ``EOFError`` where nothing more comes."""
+    """The thing that ``send`` wrote; ``EOFError`` where nothing more comes."""
     text, *buffers = [_read(file, _number(file)) for _ in range(_number(file))]
     return pickle.loads(text, buffers=buffers)
 
@@ -122,7 +123,7 @@ def _read(file: IO[bytes], size: int) -> bytearray:
 
 
 def main() -> None:
-    """Does what standard input asks until it ends."""
+    """Makes the calls that come in on standard input until it ends."""
     step_back()
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what is printed is no answer

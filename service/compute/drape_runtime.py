@@ -165,7 +165,7 @@ class DrapeRuntime:
 
     @property
     def step_count(self) -> int:
-        """How many plans ``steps`` gives."""
+        """The number of plans that ``steps`` gives."""
         return 2 + len(self.tiers)
 
     def steps(self, plan: Plan) -> tuple[Plan, ...]:
@@ -214,8 +214,11 @@ class DrapeRuntime:
         return [next(computed) if answer is None else answer for answer in found]
 
     def _computed(self, plan: Plan, inputs: Sequence[PoseInput]) -> list[tuple[bytes | DrapeError, Memories]]:
-        """``stream_frames`` of bodies that move. Where the batch fails each is tried alone, so that one cannot fail its
-        mates; what was remembered before the one that fails stays."""
+        """``stream_frames`` of bodies that move.
+
+        A batch that fails is tried again one by one, so that no frame fails with another. A frame that fails leaves the
+        memories as they were.
+        """
         try:
             *_, batch = self._walk(plan, inputs)
         except Exception as error:
@@ -274,6 +277,6 @@ class DrapeRuntime:
 
 
 def _timed(plan: Plan, one: PoseInput) -> tuple[Memories, float]:
-    """What the frame of ``one`` leaves behind, and the time [s] that it takes."""
+    """The memories after the frame of ``one``, and the time [s] that it took."""
     begun_s = time.perf_counter()
     return run(plan, [one]).memories[0], time.perf_counter() - begun_s

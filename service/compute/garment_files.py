@@ -22,7 +22,7 @@ IDS = ".ids"  # a file for each id of a garment without owner: the name of the c
 
 
 def folder_of(root: Path, owner: str | None) -> Path:
-    """Where garments of the key ``owner`` are stored under ``root``."""
+    """The folder of garments of the key ``owner`` under ``root``."""
     return root if owner is None else root / f"{OWNED}{owner}"
 
 
@@ -64,12 +64,12 @@ def sizes(folders: Iterable[Path]) -> list[int]:
 
 
 def about_path(path: Path) -> Path:
-    """Where the ``About`` of the cache ``path`` lies."""
+    """The file that holds the ``About`` of the cache ``path``."""
     return path.with_suffix(".about.json")
 
 
 def read_about(path: Path) -> About:
-    """What was changed of the cache ``path``; refuses (``ArtifactError``) a file that does not say it."""
+    """The ``About`` of the cache ``path``; refuses (``ArtifactError``) a file that does not say it."""
     try:
         found = json.loads(about_path(path).read_text(encoding="utf-8"))
         return About(found["title"], bool(found["published"]))

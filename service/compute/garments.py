@@ -1,4 +1,4 @@
-"""The garments that can be draped: shipped and uploaded caches, taken in by every stage."""
+"""The garments in service: shipped and uploaded caches, whose constants every stage stores."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ from service.stages.scene import UNCHANGED, About, Entry, Outfit, Scene, Source
 if TYPE_CHECKING:
     from service.settings import Settings
 
+INTAKE = "Run the intake again."
 log = logging.getLogger("drape.service")
 
 
@@ -38,7 +39,7 @@ class Registry:
     ) -> None:
         self._body, self._settings, self._stages, self._make = body, settings, stages, make
         self._entries: dict[str, Entry] = {}
-        self._taken_in: set[str] = set()
+        self._in_stages: set[str] = set()
         self.refused: list[str] = []
         for path in sorted(settings.shipped_garments_dir.glob("*.npz")):
             self.add(self.prepare(path), "shipped")
@@ -71,7 +72,7 @@ class Registry:
         return entry
 
     def scene(self, garment: str | None, garments: Sequence[str] | None, viewer: str | None = None) -> Scene:
-        """What is worn: the one ``garment``, or ``garments`` over each other, innermost first.
+        """The scene that is worn: the one ``garment``, or ``garments`` over each other, innermost first.
 
         Refuses both and neither, unknown ones, one that is named twice, and more layers than ``DRAPE_MAX_LAYERS``.
         """
@@ -92,7 +93,7 @@ class Registry:
         return Outfit(entries)
 
     def prepare(self, path: Path) -> Garment:
-        """A checked garment that every stage has taken in; what takes time, and safe beside frames."""
+        """The checked garment of the cache ``path``, stored by every stage; it takes time, safely beside frames."""
         garment, feed = self._make(_loaded, path, self._body, self._settings.max_vertices)
         self.add_to_stages(garment, feed)
         return garment
@@ -102,14 +103,14 @@ class Registry:
         return self._make(garment_feed, garment, body=self._body)
 
     def add_to_stages(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
-        """Lets every stage take in ``garment``, whose ``garment_feed`` is ``feed``; by one thread at a time."""
+        """Lets every stage store ``garment``, whose ``garment_feed`` is ``feed``; by one thread at a time."""
         for stage in self._stages:
             stage.add(garment, feed)
-        self._taken_in.add(garment.digest)
+        self._in_stages.add(garment.digest)
 
     def missing(self, entries: Iterable[Entry]) -> list[Garment]:
         """The garments of ``entries`` that no stage knows: subdivided meshes that nobody asked for before."""
-        return [entry.garment for entry in entries if entry.garment.digest not in self._taken_in]
+        return [entry.garment for entry in entries if entry.garment.digest not in self._in_stages]
 
     def add(self, garment: Garment, source: Source, path: Path | None = None) -> Entry:
         """Puts a prepared garment in service under its name, or name and digest where the name is taken.
@@ -153,8 +154,8 @@ class Registry:
         self._entries.pop(entry.id, None)
         if all(other.garment.digest != entry.garment.digest for other in self.entries()):
             for garment in (entry.garment, entry.fine.garment):
-                if garment.digest in self._taken_in:
-                    self._taken_in.discard(garment.digest)
+                if garment.digest in self._in_stages:
+                    self._in_stages.discard(garment.digest)
                     for stage in self._stages:
                         stage.remove(garment)
 
@@ -173,8 +174,7 @@ def slug(name: str) -> str:
 
 def check_garment(garment: Garment, body: BodyModel, *, max_vertices: int) -> None:
     """Refuses a cache that was made for another body, is too large, or whose arrays do not fit together."""
-    label = f"garment {garment.name}"
-    cure = "Run the intake again."
+    label, cure = f"garment {garment.name}", INTAKE
     if garment.body_digest != body.digest:
         raise ArtifactError(
             f"{label} body_digest", expected=f"{body.digest} ({body.name})", got=garment.body_digest, cure=cure
@@ -211,12 +211,20 @@ def check_garment(garment: Garment, body: BodyModel, *, max_vertices: int) -> No
             got=f"{delivered}, {patches} patches",
             cure=cure,
         )
-    bounds = {"faces": delivered, "chart_patch": patches}
+    _check_indices(label, garment)
+
+
+def _check_indices(label: str, garment: Garment) -> None:
+    """Refuses faces, charts and texture faces that name what is not there."""
+    bounds = {"faces": garment.vertex_count, "chart_patch": garment.patch_count}
     if garment.uv_faces.size:
         bounds["uv_faces"] = len(garment.uv)
     for name, limit in bounds.items():
         array = getattr(garment, name)
         if array.size and (array.min() < 0 or array.max() >= limit):
             raise ArtifactError(
-                f"{label} {name}", expected=f"indices in [0, {limit})", got=f"[{array.min()}, {array.max()}]", cure=cure
+                f"{label} {name}",
+                expected=f"indices in [0, {limit})",
+                got=f"[{array.min()}, {array.max()}]",
+                cure=INTAKE,
             )

@@ -35,7 +35,7 @@ class SlicedThread:
         return function(*arguments) if len(text) <= BRIEF_TEXT else await self.run(function, *arguments)
 
     async def each(self, pieces: Iterator[Result]) -> AsyncIterator[Result]:
-        """What ``pieces`` gives, one turn of the thread for each: other work comes between them, and frames first."""
+        """All of ``pieces``, one turn of the thread for each: other work comes between them, and frames come first."""
         end = object()
         while True:
             await self._free.wait()

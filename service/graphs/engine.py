@@ -67,11 +67,11 @@ _TYPES = {
 
 class Engine:
     """An opened model, static or dynamic: every part of its graphs is opened once, by any thread, and safe to run from
-    one at a time. Of a ``dynamic`` model the packed graph takes ``dynamic_code`` (B, ``code_size``), zeros for bodies
+    one at a time. The packed graph of a ``dynamic`` model takes ``dynamic_code`` (B, ``code_size``), zeros for bodies
     at rest.
 
-    Where the model has them, the packed graph is the one in ``int8`` on a CPU, and the one with weights of 16 bits
-    (``half``) on a GPU. ``bound``: parts of graphs run in buckets (``service.graphs.binding``), by default on a GPU.
+    The packed graph is the one in ``int8`` on a CPU and the one with weights of 16 bits (``half``) on a GPU, if the
+    model has these. ``bound``: parts of graphs run in buckets (``service.graphs.binding``), by default on a GPU.
     Refuses (``ArtifactError``) a folder without the graphs that the service runs.
     """
 
@@ -128,7 +128,7 @@ class Engine:
             )
 
     def first(self, garment: Garment, fabric: Fabric | None = None) -> np.ndarray:
-        """What the packed graph reads of a garment's patches, (K, n) float32: constant per garment, fabric, model."""
+        """The encoder's output for a garment's patches, (K, n) float32: constant per garment, fabric and model."""
         wanted = self.manifest.graphs[ENCODER].inputs[0].shape[-1]
         features = encoder_features(garment, int(wanted), fabric)
         return self.open_cut(ENCODER, [FIRST]).run([FIRST], {"patch_features": features})[0]
@@ -183,7 +183,7 @@ class Engine:
     ) -> Session:
         """The session of what ``outputs`` of ``graph`` need and nothing else (``graphs.subgraph``), opened once.
 
-        Of the packed graph, after ``passes`` corrections; all of them by default. ``given`` outputs are inputs.
+        The packed graph runs ``passes`` corrections, all by default. ``given`` outputs become inputs.
         """
         passes = self.check_passes(passes)
         key = graph, tuple(outputs), tuple(direct), passes, tuple(given)

@@ -26,9 +26,11 @@ DISTRIBUTIONS = ("onnxruntime", "onnxruntime-gpu")
 
 @dataclass(frozen=True)
 class Device:
-    """Where graphs compute, and with what: ``threads`` of a CPU; of a GPU the memory that a session's workspace may
-    take [MB], and whether calls of one set of shapes are captured as a CUDA graph. ``keep_subnormals``: slower on many
-    processors, for measuring how much."""
+    """The processor or GPU on which graphs compute.
+
+    A CPU has ``threads``. On a GPU a session's workspace may take ``memory_mb`` [MB], and ``capture`` makes a CUDA
+    graph of the calls of one set of shapes. ``keep_subnormals`` is slower on many processors; it measures how much.
+    """
 
     provider: Provider = "cpu"
     threads: int = 1
@@ -41,7 +43,7 @@ class Device:
         return self.provider == "cuda" and self.capture
 
     def computing(self) -> AbstractContextManager[None]:
-        """What a thread opens and runs sessions within: the option of a session is for the threads of its own only."""
+        """The context in which a thread runs sessions; a session's own option holds for its own threads only."""
         return nullcontext() if self.keep_subnormals else flushed()
 
     def value(self, array: np.ndarray) -> onnxruntime.OrtValue:
@@ -143,19 +145,7 @@ def open_session(
     """
     import onnxruntime
 
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = device.threads
-    options.inter_op_num_threads = 1
-    # Threads that sleep between operations of microseconds lose more than they gain (docs/reference/performance.md),
-    # and those that spin between frames burn a core: so they spin while a graph runs.
-    options.add_session_config_entry("session.intra_op.allow_spinning", "1")
-    options.add_session_config_entry("session.force_spinning_stop", "1")
-    options.add_session_config_entry("session.set_denormal_as_zero", "0" if device.keep_subnormals else "1")
-    options.add_session_config_entry("session.record_ep_graph_assignment_info", "1")
-    options.log_severity_level = 3
-    if weights:
-        sizes = [len(content) for content in weights.values()]
-        options.add_external_initializers_from_files_in_memory(list(weights), list(weights.values()), sizes)
+    options = _session_options(weights, device)
     name = PROVIDER_NAMES[device.provider]
     # Only what was asked for; ONNX Runtime adds the CPU by itself where a node needs it.
     try:
@@ -178,6 +168,25 @@ def open_session(
             cure="Install the gpu extra and a driver that fits it, or set DRAPE_PROVIDER=cpu.",
         )
     return session
+
+
+def _session_options(weights: dict[str, bytes], device: Device) -> onnxruntime.SessionOptions:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = device.threads
+    options.inter_op_num_threads = 1
+    # Threads that sleep between operations of microseconds lose more than they gain (docs/reference/performance.md),
+    # and those that spin between frames burn a core: so they spin while a graph runs.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "1")
+    options.add_session_config_entry("session.force_spinning_stop", "1")
+    options.add_session_config_entry("session.set_denormal_as_zero", "0" if device.keep_subnormals else "1")
+    options.add_session_config_entry("session.record_ep_graph_assignment_info", "1")
+    options.log_severity_level = 3
+    if weights:
+        sizes = [len(content) for content in weights.values()]
+        options.add_external_initializers_from_files_in_memory(list(weights), list(weights.values()), sizes)
+    return options
 
 
 def nodes_off_provider(session: Any, device: Device) -> int:

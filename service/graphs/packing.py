@@ -50,7 +50,7 @@ Item = tuple[str, int]  # garment, row of its body
 
 @dataclass(frozen=True)
 class ScenePlan:
-    """What a scene asks of the packed graph: vertices, posed jets or both, and ``skin``, the posed samples of bodies.
+    """Outputs that a scene asks of the packed graph: vertices, posed jets or both, and the posed ``skin`` of bodies.
 
     ``passes``: how many of the network's corrections run, all of them by default.
     """
@@ -116,9 +116,9 @@ class Packer:
             self._forget()
 
     def dressed(self, key: str, fabric: Fabric) -> str:
-        """Where the garment ``key`` made of ``fabric`` lies in store; put there the first time, a millisecond or two.
+        """The key of the garment ``key`` made of ``fabric``, put in store the first time, in a millisecond or two.
 
-        Of ``FABRICS_KEPT`` at most the latest used are kept.
+        The ``FABRICS_KEPT`` latest used are kept.
         """
         name = f"{key} of {fabric.digest}"
         with self._lock:
@@ -152,7 +152,7 @@ class Packer:
     def run(self, plan: ScenePlan, bodies: dict[str, np.ndarray], items: Sequence[Item]) -> list[Result]:
         """Results of ``items``, in their order. ``bodies`` are ``PackedBody.rows``, joined over clients.
 
-        Refuses a garment that is not in store and a row that ``bodies`` do not have. Of a dynamic model ``bodies``
+        Refuses a garment that is not in store and a row that ``bodies`` do not have. For a dynamic model ``bodies``
         may hold ``dynamic_code`` (B, C); without it all are at rest. A posed ``skin`` (B, R, 12, 8) in ``bodies`` is
         taken for body proximity in place of the one that the bones carry: of bodies with pose blend shapes.
         """
@@ -221,7 +221,7 @@ class Packer:
         return [Result(arrays, _finite(arrays)) for arrays in answers]
 
     def _session(self, plan: ScenePlan, *, alone: bool, one_shape: bool, skin_given: bool) -> Session:
-        """What computes ``plan``: of one item ``alone``, of bodies of ``one_shape``, whose posed skin may be given."""
+        """The session for ``plan``: for one item ``alone`` or several, and for bodies of ``one_shape`` or several."""
         direct = (STORED_INDEX if alone else ()) + (SHAPE_INDEX if one_shape else ())
         given = (SKIN,) if skin_given else ()
         return self._engine.open_cut(PACKED, self._fetched(plan), direct=direct, passes=plan.passes, given=given)

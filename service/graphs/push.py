@@ -56,8 +56,8 @@ class PosedJets:
 class Pushed:
     """``vertices`` [m] (F, V, 3) that are clear, and the way [m] (F, V) of each.
 
-    Where jets were pushed too: ``jet`` (F, K, 45) holds the projection, but for ``left_m`` [m] (F,), the longest way
-    that a vertex of it lacks.
+    ``jet`` (F, K, 45) is None unless jets were pushed too. It holds the projection but for ``left_m`` [m] (F,), the
+    longest way that a vertex of it lacks.
     """
 
     vertices: np.ndarray

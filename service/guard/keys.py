@@ -20,7 +20,7 @@ CURE = "Make one with python -m service.keys NAME; see docs/guide/operate.md."
 
 
 class Limits(BaseModel):
-    """What one key may do: requests a second (twice as many at once), streams and clips at a time, stored garments."""
+    """The limits of one key: requests a second (twice as many at once), streams and clips at a time, garments."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -47,7 +47,7 @@ ANYONE = Client()
 
 
 def digest(key: str) -> str:
-    """What the file holds of ``key``."""
+    """The hash of ``key`` that the file holds."""
     return hashlib.sha256(key.encode()).hexdigest()
 
 

@@ -56,7 +56,7 @@ def _parse(part: str) -> tuple[str, float]:
 
 
 def _covers(pattern: str, kind: str) -> int:
-    """How specifically ``pattern`` names ``kind``: 3 exactly, 2 by its family, 1 by any, 0 not at all."""
+    """The precision with which ``pattern`` names ``kind``: 3 exactly, 2 by its family, 1 by any, 0 not at all."""
     if pattern == kind:
         return 3
     if pattern == kind.partition("/")[0] + "/*":

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ClipJob:
-    """What is draped for whom: the ``plan`` and the ``clip`` that ``asked`` came to."""
+    """A clip of one client: the ``plan`` and the ``clip`` that ``asked`` came to."""
 
     plan: Plan
     clip: PoseInput
@@ -50,7 +50,7 @@ class ClipJob:
 
 
 def plan_headers(plan: Plan, runtime: DrapeRuntime) -> dict[str, str]:
-    """What will be computed: the model, the tier by name, the network's passes, the steps of folds, the motion."""
+    """Headers that are known before a frame is computed: model, tier, passes, steps of folds, motion."""
     options, passes, scene = plan.options, runtime.engine.pass_count, plan.shown
     headers = {
         "X-Drape-Model": runtime.engine.manifest.digest[:16],
@@ -67,7 +67,7 @@ def plan_headers(plan: Plan, runtime: DrapeRuntime) -> dict[str, str]:
 
 
 def quality_headers(draped: Batch) -> dict[str, str]:
-    """What was done to the frames, which is known at their end."""
+    """Headers that are known when all frames are computed."""
     return {
         "X-Drape-Pushed-Share": f"{draped.quality.pushed_share.mean():.6f}",
         "X-Drape-Push-Max-M": f"{draped.quality.push_max_m.max():.6f}",
@@ -78,7 +78,7 @@ def quality_headers(draped: Batch) -> dict[str, str]:
 
 
 def jets_headers(frames: int, scene: Scene) -> dict[str, str]:
-    """What an answer of so many JETS messages says of itself."""
+    """Headers of an answer of so many JETS messages."""
     headers = {"X-Drape-Frames": str(frames), "X-Drape-Patches": str(scene.patch_count), "X-Drape-Origin": "root"}
     if isinstance(scene, Outfit):
         worn = layer_list(scene, patches=True)
@@ -133,7 +133,7 @@ def _streamed_size(job: ClipJob) -> int:
 
 
 def _streamed_headers(job: ClipJob) -> dict[str, str]:
-    """What a streamed answer says of its frames."""
+    """Headers about the frames of a streamed answer."""
     scene, frames = job.plan.shown, len(job.clip.poses)
     if job.asked.geometry == "jets":
         return jets_headers(frames, scene)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Continuation:
-    """What the stages remember of ``frames`` of a clip of ``plan``, of a body of the shape ``betas`` (S,)."""
+    """The stages' memories after ``frames`` of a clip of ``plan``, on a body of the shape ``betas`` (S,)."""
 
     plan: Plan
     betas: np.ndarray

@@ -31,7 +31,7 @@ KNOWN: Responses = {304: {"description": "The picture that the client has is thi
 
 
 class GarmentChange(schemas.Request):
-    """What may be changed of a garment; what is left out stays."""
+    """A change of a garment's name or visibility; a field that is left out stays."""
 
     name: Annotated[str, Field(min_length=1, max_length=120)] | None = None
     published: bool | None = None
@@ -84,7 +84,7 @@ async def garment_mesh(
 async def garment_jets(
     garment_id: str, request: Request, state: StateHere, client: ClientHere, resolution: Resolution = "delivered"
 ) -> Response:
-    """What makes vertices of the garment's jets: a LAYOUT message (docs/reference/wire.md), constant per garment."""
+    """A LAYOUT message (docs/reference/wire.md), with which a client makes vertices of the garment's jets."""
     entry = await state.garment(garment_id, client)
     entry = entry.fine if resolution == "fine" else entry
     kind = choose(request.headers.get("accept"), (BINARY,))

@@ -1,7 +1,7 @@
 """JSON that clients send: counted before it is parsed, so that no body holds the interpreter lock for long.
 
 A parser makes an object of every bracket and comma and keeps the lock until it is through: a mebibyte of empty lists
-took seconds. What a request can rightly hold is known, so more is refused unparsed.
+took seconds. A request has a known number of marks at most, so more is refused unparsed.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ async def check_marks(text: bytes, sliced_thread: SlicedThread, *, most_marks: i
 
 
 def _marks(text: bytes) -> Iterator[int]:
-    """How many marks each piece of ``text`` has."""
+    """The number of marks in each piece of ``text``."""
     for start in range(0, len(text), PIECE_BYTES):
         yield len(text[start : start + PIECE_BYTES].translate(None, _OTHER_BYTES))
 

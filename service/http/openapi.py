@@ -1,4 +1,4 @@
-"""What the OpenAPI document says beside what FastAPI reads off the routes: bodies, refusals, other media types."""
+"""Bodies, refusals and media types in the OpenAPI document that FastAPI does not read off the routes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from service.http.schemas import Request as Schema
 
 REFERENCE = "#/components/schemas/{model}"
 BYTES = {"type": "string", "format": "binary"}
-EVERYWHERE = (Unauthorized, Forbidden, Busy, Unavailable)  # the doors, the keys, and a service that ends
+EVERYWHERE = (Unauthorized, Forbidden, Busy, Unavailable)  # origins and hosts, keys, and a service that ends
 _OURS_OF_FASTAPI = ("HTTPValidationError", "ValidationError")  # which service.errors says as problems
 
 Responses = dict[int | str, dict[str, Any]]

@@ -70,7 +70,7 @@ def _methods(scope: Scope) -> list[str]:
 
 
 def files_folder() -> Path | None:
-    """Where the files of Swagger UI lie; None where the package is missing."""
+    """The folder of the files of Swagger UI; None where the package is missing."""
     spec = find_spec(REFERENCE_PACKAGE)
     return None if spec is None or spec.origin is None else Path(spec.origin).parent / "static"
 

@@ -59,7 +59,7 @@ def install(app: FastAPI) -> None:
 def validation_refusal(errors: Sequence[Any]) -> InputError:
     """The refusal for the first of pydantic's ``errors``.
 
-    Of a field that may be one of several kinds every kind complains: the one that came furthest is meant.
+    A field that may be one of several kinds has a complaint of each kind; the one that came furthest is meant.
     """
     first = max((one for one in errors if one["loc"][:1] == errors[0]["loc"][:1]), key=lambda one: len(one["loc"]))
     location = _without_kinds([part for part in first["loc"] if part not in ("query", "path", "header")], first["type"])
@@ -109,12 +109,12 @@ def _without_kinds(location: list[int | str], complaint: str) -> list[int | str]
 
 
 def _wanted(error: Any) -> str:
-    """What pydantic's sentence asks for: "String should have at least 1 character" after "expected" is none."""
+    """The demand in pydantic's sentence: "String should have at least 1 character" after "expected" is none."""
     return re.sub(r"^[A-Z][a-z]+ should (be |have )?", "", str(error["msg"]))
 
 
 def _shown(error: Any) -> str:
-    """What came, short enough to be read."""
+    """The value that came, shortened."""
     value = error.get("input")
     if isinstance(value, (dict, list)):
         return f"{'an object' if isinstance(value, dict) else 'a list'} of {len(value)}"

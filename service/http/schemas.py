@@ -1,4 +1,4 @@
-"""What requests may hold, and what answers hold."""
+"""The JSON of requests and answers."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Request(BaseModel):
 
 
 class PosedOptions(Request):
-    """Of a body in motion all but its poses: its shape, and what an answer counts from."""
+    """All but the poses of a body in motion: its shape, and the origin of the answer."""
 
     betas: Betas | None = Field(default=None, description="Body shape; zeros if left out.")
     fps: Annotated[float, Field(gt=0.0, le=1000.0, allow_inf_nan=False)] = 30.0
@@ -59,7 +59,7 @@ class PosedRequest(PosedOptions):
 
 
 class ClipOptions(DrapeOptions, Worn, PosedOptions):
-    """Of a garment, or several over each other, on a body in motion all but the poses."""
+    """All but the poses of a garment, or several over each other, on a body in motion."""
 
     body: bool = Field(default=False, description="In a GLB, include the body as a second, skinned mesh.")
     streamed: bool = Field(
@@ -188,7 +188,7 @@ class GarmentInfo(BaseModel):
 
     @staticmethod
     def of(entry: Entry) -> GarmentInfo:
-        """What is told of ``entry``."""
+        """The answer about ``entry``."""
         garment = entry.garment
         return GarmentInfo(
             id=entry.id,

@@ -15,9 +15,9 @@ from service.http.answers import BINARY, JSON
 from service.http.json_body import content_type
 from service.http.openapi import BYTES, body_schema, responses
 from service.http.problems import check_query
+from service.http.upload_body import read_upload
 from service.state import ClientHere, StateHere
 from service.uploads.avatars import MOST_CHARACTERS, upload_avatar
-from service.uploads.upload_body import read_upload
 
 if TYPE_CHECKING:
     from service.uploads.jobs import Job
@@ -62,7 +62,7 @@ async def upload(
 
 @router.get("/jobs/{job_id}", responses=responses(NotFound))
 async def job(job_id: str, state: StateHere, client: ClientHere) -> schemas.JobInfo:
-    """How far an upload is."""
+    """The state of an upload."""
     return _job_info(state.uploads.get(job_id, client.name))
 
 

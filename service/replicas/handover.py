@@ -1,4 +1,4 @@
-"""What a stream takes along to another process: ``Handover``.
+"""The state that a stream takes along to another process: ``Handover``.
 
 Signed under the secret of the tickets, for one key, one release, one model and one body, and good for ``LIFE_S``. It
 holds what the stages remember, how many poses were dropped and to which tier streams were held; times in it are the
@@ -44,7 +44,7 @@ _CURE = "Open the stream without it: it begins anew."
 
 @dataclass(frozen=True, eq=False)
 class Brought:
-    """What came along: the stages' memories, the poses that were dropped so far, the tier that streams were held to."""
+    """The state of a stream: the stages' memories, the poses dropped so far, the tier that streams were held to."""
 
     memories: Memories
     dropped: int
@@ -83,7 +83,7 @@ class Handover:
         *,
         now_s: float | None = None,
     ) -> Brought:
-        """What ``blob`` holds for a stream of ``plan`` and ``betas``; refuses (``Unauthorized``) one that is forged,
+        """The state in ``blob`` for a stream of ``plan`` and ``betas``; refuses (``Unauthorized``) one that is forged,
         expired or of another key, and (``InputError``) one of another release, model, scene or shape."""
         raw = blob[_SIGNATURE_BYTES:]
         if not hmac.compare_digest(blob[:_SIGNATURE_BYTES], self._tickets.sign(raw)):
@@ -137,7 +137,7 @@ class Handover:
         return brought
 
     def _bound(self, client: Client, plan: Plan, betas: np.ndarray) -> dict[str, Any]:
-        """What must be the same on both sides, as JSON has it."""
+        """The facts that must be the same on both sides, as JSON has them."""
         return {
             "release": product_version(),
             "key": client.name,

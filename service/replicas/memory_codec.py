@@ -1,4 +1,4 @@
-"""What stages remember as bytes, and back: ``encoded`` and ``decoded``.
+"""Memories of stages as bytes, and back: ``encoded`` and ``decoded``.
 
 A tree of JSON, then the arrays that it names. A class is written by its name and read only if the reader knows it, so
 bytes can ask for nothing but values. Bits, types and the order of axes in memory stay: kernels are compiled for these.

@@ -108,7 +108,7 @@ class Replica:
 
 
 def surplus(streams: int, before: frozenset[str], now: frozenset[str]) -> int:
-    """How many of a replica's ``streams`` those replicas should have that are new since ``before``."""
+    """The share of a replica's ``streams`` that goes to the replicas that are new since ``before``."""
     return streams * len(now - before) // len(now)
 
 
@@ -128,7 +128,7 @@ def check_replicas(settings: Settings, least: int, most: int) -> None:
 
 
 def application(settings: Settings, least: int, most: int) -> Application:
-    """What Ray serves: ``least`` to ``most`` replicas with ``settings``; refuses as ``check_replicas``."""
+    """The deployment for Ray: ``least`` to ``most`` replicas with ``settings``; refuses as ``check_replicas``."""
     check_replicas(settings, least, most)
     serve = _serve()
     # Other replicas may run on the same machine, so that one counts no processors but those that Ray gives it.

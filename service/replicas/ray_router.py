@@ -14,7 +14,7 @@ WATCHERS: list[Callable[[frozenset[str]], object]] = []  # of this process, told
 
 
 class Watching:
-    """What ``Router`` does beside Ray's: the replica with the fewest streams and requests takes the next, and
+    """The rules of ``Router`` beside Ray's: the replica with the fewest streams and requests takes the next, and
     this process hears which replicas serve."""
 
     async def choose_replicas(self, candidate_replicas: list[Any], pending_request: Any = None) -> list[list[Any]]:

@@ -1,4 +1,4 @@
-"""How many processes streams need, told by the age of their frames: ``FrameAges`` measures, ``wanted`` decides."""
+"""The number of processes that streams need, by the age of their frames: ``FrameAges`` measures, ``wanted`` decides."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ AGE, STREAMS = "frame_age_p99_s", "streams"  # what a replica tells the autoscal
 
 @dataclass(frozen=True)
 class Load:
-    """What one replica has: the 99th percentile of its frames' ages [s], 0 without frames, and how many streams."""
+    """The load of one replica: the 99th percentile of its frames' ages [s], 0 without frames, and how many streams."""
 
     age_s: float
     streams: int
@@ -57,11 +57,11 @@ class FrameAges:
 
 
 def wanted(loads: Mapping[str, Load], deadline_s: float) -> int:
-    """How many replicas should serve what those of ``loads`` (by replica, at least one) serve now.
+    """The number of replicas that should serve the ``loads`` (by replica, at least one).
 
     One more where a replica has late frames and more than one stream, so that another can take some. One less where a
     replica has no stream, or where the ages, added up and spread over the others, stay below ``SPARE`` of
-    ``deadline_s``: streams that share a thread wait for each other, so ages add. What lies between keeps the number.
+    ``deadline_s``: streams that share a thread wait for each other, so ages add. The number stays otherwise.
     """
     count = len(loads)
     if any(load.age_s > deadline_s and load.streams > 1 for load in loads.values()):
@@ -74,7 +74,7 @@ def wanted(loads: Mapping[str, Load], deadline_s: float) -> int:
 
 
 class Policy:
-    """What Ray's autoscaler asks; ``deadline_s`` is that of ``DRAPE_FRAME_DEADLINE_S``."""
+    """The rule that Ray's autoscaler follows; ``deadline_s`` is that of ``DRAPE_FRAME_DEADLINE_S``."""
 
     def __init__(self, deadline_s: float) -> None:
         self._deadline_s = deadline_s

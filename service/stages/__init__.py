@@ -1,4 +1,4 @@
-"""The clip_job of a frame: its stages in order, and which of them a plan takes.
+"""The stages of a frame in order, and the plan that says which of them a frame takes.
 
 A new stage is a file here, a line in ``STAGES``, and a field of ``drape.wire.options`` where clients choose.
 """
@@ -29,7 +29,7 @@ def make_stages(setup: StageSetup) -> tuple[Stage, ...]:
 
 
 def make_plan(stages: Sequence[Stage], scene: Scene, options: DrapeOptions, *, messages: bool = False) -> Plan:
-    """What ``options`` come to for ``scene``: their values, the stages that they take, and what these need.
+    """The plan for ``scene`` under ``options``: their values, the stages that they take, and the needs of these.
 
     Refuses (``InputError``) what the model cannot do.
     """

@@ -1,4 +1,4 @@
-"""What the stages hand on: a plan, the posed inputs of several clients and frames, and what has been made of them."""
+"""The batch that stages hand on: a plan, posed inputs of several clients and frames, and results so far."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def call_here(function: Callable[..., Any], *arguments: Any, **named: Any) -> An
 
 @dataclass(frozen=True)
 class Plan:
-    """What is draped and how, nothing left open: frames of equal plans are computed together.
+    """A scene and the options for it, nothing left open: frames of equal plans are computed together.
 
     ``scene`` holds what must be draped, among it hidden garments that visible ones feel; ``shown`` is what comes.
     ``fabrics``: what each layer of the scene is made of, None for the garment's own. ``stages``: those that the plan
@@ -138,12 +138,11 @@ class Layer:
 
 @dataclass(frozen=True, eq=False)
 class Quality:
-    """What was done to each frame (F,).
+    """Figures of each frame (F,).
 
-    By the collision projection, or where folds lift the cloth off the skin by these: the share of vertices that were
-    moved, the furthest way of one [m]; and the longest way [m] that a vertex made of the jets lacks to the former.
-    ``folds_resets``: how many layers' folds were begun anew. ``novelty``: how unlike training the pose is, above 1 more
-    than it may be (``drape.body.pose_support``).
+    ``pushed_share`` of the vertices were moved off the skin by the collision projection or by folds, the furthest by
+    ``push_max_m`` [m]. A vertex made of the jets lacks at most ``left_m`` [m] of that. ``folds_resets`` layers began
+    their folds anew. ``novelty`` says how unlike training the pose is; above 1 it is outside (``body.pose_support``).
     """
 
     pushed_share: np.ndarray
@@ -209,7 +208,7 @@ class Batch:
             start += len(one.poses)
 
     def remembered(self, key: tuple[str, str]) -> list[Any]:
-        """What each input's memories hold under ``key``, None where nothing."""
+        """The memory of each input under ``key``, None where there is none."""
         return [memories.get(key) for memories in self.memories]
 
     def remember(self, key: tuple[str, str], values: Sequence[Any]) -> Batch:
@@ -260,7 +259,7 @@ def _whole(parts: Sequence[Any]) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class StageSetup:
-    """What all stages of a service share; they ``make`` constants that take long."""
+    """The parts of a service that all stages share; ``make`` calls a function that takes long."""
 
     engine: Engine
     body: BodyModel
@@ -271,8 +270,8 @@ class StageSetup:
 class Stage:
     """One step of a frame's way, made once per service; ``service.stages.STAGES`` names them in order.
 
-    A stage holds its constants of garments (``add``, ``prepare``). What it remembers of a stream or clip it keeps in
-    the batch's memories, under its name and the garment's digest or ``BODY``.
+    A stage holds its constants of garments (``add``, ``prepare``). Its memories of a stream or clip lie in the batch,
+    under its name and the garment's digest or ``BODY``.
     """
 
     name: ClassVar[str]
@@ -296,8 +295,7 @@ class Stage:
         return True
 
     def needs(self, plan: Plan) -> frozenset[str]:
-        """What of "vertices", "jets" and "skin" it reads of the network's drape, and "fine" where of the subdivided
-        meshes."""
+        """The network's outputs that it reads: "vertices", "jets", "skin"; and "fine" for the subdivided meshes."""
         return frozenset()
 
     def joins_layers(self, plan: Plan) -> bool:
@@ -305,12 +303,12 @@ class Stage:
         return False
 
     def depends_on(self, plan: Plan) -> object:
-        """What of the options its memories hold for: where it changes they are forgotten."""
+        """The part of the options that its memories hold for: they are forgotten where it changes."""
         return None
 
     def moved_m(self, plan: Plan, before: np.ndarray, after: np.ndarray) -> float:
-        """How far [m] at most a change from the pose ``before`` (24, 3) [rad] to ``after`` moves cloth by what this
-        stage reads of poses itself; infinite where nobody knows."""
+        """A bound [m] on how far this stage moves cloth when the pose ``before`` (24, 3) [rad] becomes ``after``;
+        infinite where it knows none."""
         return 0.0
 
     def rested(self, memory: Any, time_s: float) -> Any:
@@ -318,10 +316,10 @@ class Stage:
         return memory
 
     def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
-        """Takes in the constants of ``garment``, whose ``garment_feed`` is ``feed``."""
+        """Stores the constants of ``garment``, whose ``garment_feed`` is ``feed``."""
 
     def remove(self, garment: Garment) -> None:
-        """Forgets the constants of ``garment``, which no plan names any more."""
+        """Forgets the constants of ``garment``; no plan names it any more."""
 
     def prepare(self, plan: Plan) -> None:
         """Makes what the frames of ``plan`` need and takes long; called from any thread."""
@@ -341,8 +339,10 @@ class Stage:
 
 
 def carried(memories: Memories, before: Plan, after: Plan) -> Memories:
-    """What of ``memories`` still holds once the plan ``before`` has become ``after``: that of stages which go on, on
-    the same options, and of the body or of garments that are worn on."""
+    """The ``memories`` that still hold when the plan ``before`` becomes ``after``.
+
+    Their stage goes on, on the same options, and their body or garment is worn on.
+    """
     old = {stage.name: stage.depends_on(before) for stage in before.stages}
     new = {stage.name: stage.depends_on(after) for stage in after.stages}
     owners = {BODY, *after.keys, *after.draped_keys}

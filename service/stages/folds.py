@@ -163,7 +163,7 @@ class Folds(Stage):
         return replace(layer, vertices=np.stack([wrapping.wrap(cloth) for cloth in layer.vertices]))
 
     def _wrapping(self, key: str) -> Wrapping:
-        """What wraps the delivered mesh of the garment ``key``."""
+        """The wrapping of the delivered mesh of the garment ``key``."""
         return self._wrappings.get((key,), lambda: Wrapping(self._garments[key]))
 
     def _of(self, key: str, fabric: Fabric | None) -> FoldConstants:
@@ -173,14 +173,14 @@ class Folds(Stage):
 
 
 def _read(plan: Plan) -> list[bool]:
-    """Of which layers the delivered mesh is read: a hidden one's by the push-out alone."""
+    """Whether the delivered mesh of each layer is read; only the push-out reads that of a hidden one."""
     return [seen or plan.projected for seen in plan.visible]
 
 
 @dataclass(eq=False)
 class _Told:
-    """What is told of F frames, added up over the layers: how many were begun anew, vertices that were lifted off the
-    skin, of how many, and the furthest way of one [m]."""
+    """Figures of F frames, added up over the layers: folds begun anew, vertices lifted off the skin, the furthest way
+    of one [m], and the number of vertices."""
 
     resets: np.ndarray
     lifted: np.ndarray

@@ -1,4 +1,4 @@
-"""How far the network lets a turn of each joint move a garment: little for limbs that it does not hang on.
+"""The way by which a turn of each joint moves a garment: little for limbs that it does not hang on.
 
 The network reads every joint, so no list and no skinning weight says what moves what: it is measured, once a garment.
 """
@@ -20,8 +20,11 @@ Draped = Callable[[np.ndarray], np.ndarray]
 
 
 def reach_m(draped: Draped) -> np.ndarray:
-    """How far [m] (24,) the furthest vertex moves by each radian of a joint, where ``draped`` gives the vertices [m]
-    (F, V, 3) of poses (F, 24, 3) [rad]: the most of two poses and three axes, by turns of ``TURN_RAD``."""
+    """The way [m] (24,) of the furthest vertex by each radian of a joint.
+
+    It is the most of two poses and three axes, by turns of ``TURN_RAD``. ``draped`` gives the vertices [m] (F, V, 3) of
+    poses (F, 24, 3) [rad].
+    """
     standing = np.zeros((JOINT_COUNT, 3))
     for joint, turn in ARMS_DOWN:
         standing[joint, 2] = turn

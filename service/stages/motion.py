@@ -1,6 +1,6 @@
-"""How a moving body swings its cloth: what is remembered of it, how a frame moves that on, and the code that it gives.
+"""The motion of a body as the network reads it: a memory, which each frame moves on, and a code.
 
-What is remembered belongs to the body and not to a garment: all that hangs on a body swings with the same motion.
+The memory belongs to the body and not to a garment: all that hangs on a body swings with the same motion.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ JUMP_M_S = 25.0
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """Where a body was, (24, ...), and when [s] by its client's clock."""
+    """The kinematics of a body (24, ...) at a time [s] of its client's clock."""
 
     time_s: float
     at: Kinematics

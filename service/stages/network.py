@@ -118,12 +118,12 @@ class Network(Stage):
         return replace(batch, root=root, skin=skin, layers=tuple(layers))
 
     def _dressed(self, plan: Plan) -> list[str]:
-        """Where the garments of ``plan`` lie in the packer's store, in the fabrics that it names."""
+        """The keys of the garments of ``plan`` in the packer's store, in the fabrics that it names."""
         keys = zip(plan.draped_keys, plan.fabrics, strict=True)
         return [key if fabric is None else self.packer.dressed(key, fabric) for key, fabric in keys]
 
     def _scene(self, plan: Plan) -> ScenePlan:
-        """What ``plan`` asks of the packed graph."""
+        """The outputs that ``plan`` asks of the packed graph."""
         skin = SKIN in plan.needs and self._skin_in_graph
         return ScenePlan(SHAPES[plan.needs & {"vertices", "jets"}], skin=skin, passes=plan.options.passes)
 

@@ -1,4 +1,4 @@
-"""How unlike those of training every pose is (``drape.body.pose_support``); others do more for such frames."""
+"""The novelty of each pose against those of training (``drape.body.pose_support``); folds do more for novel ones."""
 
 from __future__ import annotations
 

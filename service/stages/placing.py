@@ -1,4 +1,4 @@
-"""What positions of an answer count from: the world's origin, or each frame's root, which then stands beside them.
+"""The point that positions of an answer count from: the world's origin, or each frame's root, sent beside them.
 
 A float32 of 1e4 m has steps of 1 mm, one of 1e6 m of 62 mm: far from the origin only what counts from the root keeps
 the shape of a garment. A stream's frames always count from the root (docs/reference/wire.md).
@@ -28,12 +28,12 @@ class Placed:
 
     @property
     def rounding_m(self) -> float:
-        """How far rounding to float32 moved a coordinate at most: half a step of the largest [m]."""
+        """The furthest that rounding to float32 moved a coordinate [m]: half a step of the largest."""
         return 0.5 * float(np.spacing(np.abs(self.vertices).max(initial=0.0)))
 
     @property
     def headers(self) -> dict[str, str]:
-        """What the answer says of itself."""
+        """The headers of the answer."""
         return {
             "X-Drape-Frames": str(len(self.vertices)),
             "X-Drape-Vertices": str(self.vertices.shape[1]),
@@ -43,7 +43,7 @@ class Placed:
 
     @property
     def tail(self) -> bytes:
-        """What follows the vertices in a binary answer: the roots, little-endian float64."""
+        """The bytes after the vertices in a binary answer: the roots, little-endian float64."""
         return b"" if self.roots is None else self.roots.astype("<f8").tobytes()
 
     def counted_from(self, root: np.ndarray) -> Placed:

@@ -1,4 +1,4 @@
-"""What is worn: a garment or an outfit, what each layer is made of, and which layers must be draped."""
+"""A garment or an outfit that is worn, the fabric of each layer, and the layers that must be draped."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Source = Literal["shipped", "user"]
 
 @dataclass(frozen=True)
 class About:
-    """What may be changed of a garment: its title, None for the name it came with, and whether it is published."""
+    """The facts of a garment that its owner changes: a title, None for the name it came with, and being published."""
 
     title: str | None = None
     published: bool = False
@@ -50,7 +50,7 @@ class Entry:
 
     @property
     def name(self) -> str:
-        """What people call it: the title that its owner gave it, or the name it came with."""
+        """The title that its owner gave it, or the name it came with."""
         return self.about.title or self.garment.name
 
     def seen_by(self, viewer: str | None) -> bool:
@@ -121,12 +121,12 @@ class Outfit:
 
     @property
     def vertex_count(self) -> int:
-        """Of all layers."""
+        """The number of all layers together."""
         return sum(entry.vertex_count for entry in self.layers)
 
     @property
     def patch_count(self) -> int:
-        """Of all layers."""
+        """The number of all layers together."""
         return sum(entry.patch_count for entry in self.layers)
 
 

@@ -1,8 +1,8 @@
-"""A body that stands still: once its cloth has come to rest too, nothing is computed. The last message is sent again,
-or word that it holds to whoever can take that.
+"""Idle bodies: nothing is computed for one whose cloth has come to rest. The last message is sent again, or the word
+that it holds, to clients that take it.
 
-What is kept of a stream for that stands in its memories under ``KEY``. The memories of the stages grow no older
-meanwhile (``Stage.rested``), so that the first frame that moves again goes on from where the cloth hangs.
+The last message stands in the stream's memories under ``KEY``. The memories of the stages grow no older meanwhile
+(``Stage.rested``), so that the first frame that moves again goes on from where the cloth hangs.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Idle:
 def answer_again(plan: Plan, one: PoseInput) -> tuple[bytes, Memories] | None:
     """The message of the single frame of ``one`` and its memories, where both are those of the frame before; or None.
 
-    Of a client that still shows that frame the message says no more than so. A pause does not count as rest: only
+    A client that still shows that frame gets the word that it holds. A pause does not count as rest: only
     computed frames bring cloth there.
     """
     idle: Idle | None = one.memories.get(KEY)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 router = APIRouter()
 WATCH_S = 0.25
-ABORT = "drape.abort"  # what service.http.server puts into the scope: closes the connection without flushing
+ABORT = "drape.abort"  # what service.server puts into the scope: closes the connection without flushing
 log = logging.getLogger("drape.service")
 
 

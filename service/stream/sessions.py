@@ -119,7 +119,7 @@ class Session:
         return taken
 
     def taken_late(self) -> int:
-        """How many poses were late since this was last asked."""
+        """The number of poses that were late since the last call."""
         late, self.late = self.late, 0
         return late
 

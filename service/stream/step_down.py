@@ -44,7 +44,7 @@ class StepDown:
             self._begin(now_s)
 
     def note(self, now_s: float, *, frames: int, late: int, busy_s: float) -> None:
-        """Takes in ``frames`` that were draped in ``busy_s``, and the poses that came too ``late`` since the last."""
+        """Counts ``frames`` that were draped in ``busy_s``, and poses that came too ``late`` since the last call."""
         self._frames += frames
         self._late += late
         self._busy_s += busy_s

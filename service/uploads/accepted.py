@@ -1,7 +1,7 @@
 """Uploads that were accepted outlive the process: each is a folder with its file and ``job.json``, both on disk.
 
 The folder lies in the staging folder of the process that has it, which is named by its host and number; others take
-over those of ended ones. Of a process on another host it is ended where nothing was heard of it for ``SILENT_S``.
+over those of ended ones. A process on another host counts as ended when it has been silent for ``SILENT_S``.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def _host() -> str:
 
 @dataclass(frozen=True)
 class Accepted:
-    """What is kept of an upload: its job's id and name, its key, its file's name, its avatar, and how often it ran."""
+    """An accepted upload: its job's id and name, its key, its file's name, its avatar, and how often it ran."""
 
     id: str
     name: str
@@ -113,7 +113,7 @@ def elsewhere(root: Path, own: Path, job_id: str) -> tuple[Accepted, Path] | Non
 
 
 def read(folder: Path) -> Accepted | None:
-    """What ``folder`` holds, if an upload was accepted there."""
+    """The upload that was accepted in ``folder``, if one was."""
     try:
         accepted = Accepted(**json.loads((folder / ABOUT).read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError):

@@ -17,7 +17,7 @@ EXAMPLE = 'Send for example {"gender": 1.0, "age": 0.667}'
 
 
 def upload_avatar(told: str | dict[str, Any] | None, name: str, garments_dir: Path) -> str | None:
-    """What the intake is given as avatar; None leaves it the standard body.
+    """The avatar for the intake as text; None leaves it the standard body.
 
     ``told`` is a phenotype or SMPL parameters as an object or JSON text, ``standard``, or a name of a table;
     a path is refused, for it would name a file of this machine. Untold, the longest entry with

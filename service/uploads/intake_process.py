@@ -27,21 +27,11 @@ async def run_sandbox(
     settings: Settings,
     begun: Callable[[str], None] = lambda stage: None,
 ) -> dict[str, Any]:
-    """What the intake process reports; raises its refusal, or one for the limit that it ran into. ``begun`` is told
-    each stage as the process begins it."""
-    command = [sys.executable, "-m", "service.uploads.sandbox", str(file), "--out", str(out), "--body", settings.body]
-    command += ["--memory-mb", str(settings.intake_memory_mb), "--cpu-s", str(settings.intake_cpu_s)]
-    # One thread each: their stacks and buffers count against the memory limit.
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-    process = await asyncio.create_subprocess_exec(
-        *command,
-        cwd=ROOT,
-        env=environment,
-        stdin=asyncio.subprocess.PIPE,  # a command line takes no avatar above 128 KiB, and anybody may read it
-        stdout=asyncio.subprocess.PIPE,
-        stderr=asyncio.subprocess.DEVNULL,
-        start_new_session=True,
-    )
+    """The report of the intake process; raises its refusal, or one for the limit that it ran into.
+
+    ``begun`` is called with each stage as the process begins it.
+    """
+    process = await _start(file, out, settings)
     label = f"upload {file.name}"
     try:
         report = await asyncio.wait_for(_conversation(process, (avatar or "").encode(), begun), settings.intake_wall_s)
@@ -73,6 +63,22 @@ async def run_sandbox(
         expected="a mesh",
         got=f"a file on which the intake ends with status {process.returncode}",
         cure="Export the mesh again.",
+    )
+
+
+async def _start(file: Path, out: Path, settings: Settings) -> asyncio.subprocess.Process:
+    command = [sys.executable, "-m", "service.uploads.sandbox", str(file), "--out", str(out), "--body", settings.body]
+    command += ["--memory-mb", str(settings.intake_memory_mb), "--cpu-s", str(settings.intake_cpu_s)]
+    # One thread each: their stacks and buffers count against the memory limit.
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+    return await asyncio.create_subprocess_exec(
+        *command,
+        cwd=ROOT,
+        env=environment,
+        stdin=asyncio.subprocess.PIPE,  # a command line takes no avatar above 128 KiB, and anybody may read it
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.DEVNULL,
+        start_new_session=True,
     )
 
 

@@ -1,4 +1,4 @@
-"""What became of uploads, for whoever asks later or another service that has the same folder: a file for each."""
+"""Records of ended uploads, a file for each: for clients that ask later, and for services that share the folder."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class JobRecord:
 
 
 def read_record(root: Path, job_id: str) -> JobRecord | None:
-    """What is kept under ``root`` of the upload ``job_id``, if anything."""
+    """The record of the upload ``job_id`` under ``root``, if there is one."""
     try:
         return JobRecord(**json.loads(_path(root, job_id).read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError):

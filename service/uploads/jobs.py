@@ -1,4 +1,4 @@
-"""Uploads: a file waits, is taken in by a limited process of its own, and becomes a garment or a refusal."""
+"""Uploads: a file waits, goes through the intake in a limited process, and becomes a garment or a refusal."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Job:
 
     @property
     def share(self) -> float:
-        """How much of the work lies behind it, by what the stages before this one take of usual garments."""
+        """The share of the work that is done, by the times of the stages for usual garments."""
         if self.state == "done":
             return 1.0
         names = list(SHARES)
@@ -97,8 +97,11 @@ class Uploads:
             self._queue.put_nowait((job, folder, accepted))
 
     async def follow(self) -> None:
-        """What other services that have the folder need: says that this one runs, ends what they were asked to cancel,
-        and goes on with what ended ones had accepted."""
+        """Plays its part among services that share the folder.
+
+        It says that this one runs, ends uploads that others were asked to cancel, and goes on with uploads that ended
+        services had accepted.
+        """
         touch(self._staging)
         for job in [job for job in self._jobs.values() if not job.ended]:
             if (self._staging / job.id / CANCEL).exists():

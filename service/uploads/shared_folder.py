@@ -1,4 +1,4 @@
-"""What other services did to the folder of uploads that this one shares with them."""
+"""Changes that other services make in a shared folder of uploads: ``SharedFolder``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the service counts and measures, in the text format of Prometheus: ``Metrics``.
+"""Counts and measurements of the service, in the text format of Prometheus: ``Metrics``.
 
 No series is per client, garment or request id: their number would grow with the traffic.
 """
@@ -47,7 +47,7 @@ class Metrics:
         self.evictions = counter("evictions", "Streams ended by the service, by kind of refusal.", "kind")
         self.moved = counter("streams_moved", "Streams that went to another process, by whether with state.", "state")
         self.brought = counter("streams_brought", "Streams that came with a state, by whether they go on.", "resumed")
-        # The clip_job of a frame.
+        # A frame on its way.
         self.stage = histogram("stage_seconds", "Of one batch in a stage.", SECONDS, "stage")
         self.frames = counter("frames", "Frames draped, for streams and clips.")
         self.folds_resets = counter("folds_resets", "Layers whose folds were begun anew.")

@@ -1,6 +1,6 @@
 """Spans of requests, streams' frames and uploads for OpenTelemetry, where ``DRAPE_TRACE`` asks for them: ``Tracing``.
 
-Which collector, which share of traces and under which name is said by OpenTelemetry's own variables
+The collector, the share of traces and the name of the service come from OpenTelemetry's own variables
 (``OTEL_EXPORTER_OTLP_ENDPOINT``, ``OTEL_TRACES_SAMPLER``, ``OTEL_SERVICE_NAME`` and others), read by its SDK, which is
 loaded only then. A span never has headers, query strings, bodies or addresses, as no log line has.
 """
@@ -65,7 +65,7 @@ class Tracing:
     @contextmanager
     def work(self, name: str, links: Sequence[Link | None] = (), **attributes: str | int | float) -> Iterator[None]:
         """Work that is done for others than who waits for it, a trace of its own with ``links`` to them (``here``).
-        What it raises is noted by its class alone."""
+        Of an error the span holds the class alone."""
         if self._tracer is None:
             yield
             return
@@ -84,7 +84,7 @@ class Tracing:
                 raise
 
     def here(self) -> Link | None:
-        """What leads to the span that runs in the caller's context; None where there is none."""
+        """A link to the span that runs in the caller's context; None where there is none."""
         if self._tracer is None:
             return None
         from opentelemetry.trace import Link, get_current_span

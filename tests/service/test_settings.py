@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from drape.errors import InputError, Unavailable
-from service.http.server import bind
+from service.server import bind
 from service.settings import load_settings
 from tests.architecture.repository import ROOT
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -32,10 +32,8 @@ NUMBERS = {name: getattr(DENIM, name) for name in FabricNumbers.model_fields}
 
 
 @pytest.fixture(scope="module")
-def runtime(make_settings: Callable[..., Settings]) -> Iterator[DrapeRuntime]:
-    made = DrapeRuntime(make_settings(model=TINY))
-    yield made
-    made.close()
+def runtime(make_runtime: Callable[..., DrapeRuntime]) -> DrapeRuntime:
+    return make_runtime(model=TINY)
 
 
 def packer_of(runtime: DrapeRuntime) -> packing.Packer:

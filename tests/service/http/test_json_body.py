@@ -14,7 +14,7 @@ from service.compute.sliced_thread import SlicedThread
 from service.errors import TooLarge
 from service.http import json_body
 from service.http.json_body import check_marks
-from service.uploads.upload_body import EDGE_BYTES, PIECE_BYTES, read_upload
+from service.http.upload_body import EDGE_BYTES, PIECE_BYTES, read_upload
 
 
 @pytest.mark.parametrize("size", [1, PIECE_BYTES, PIECE_BYTES + 1, 3 * PIECE_BYTES - 1])

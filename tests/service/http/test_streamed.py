@@ -128,10 +128,8 @@ def test_a_stream_that_is_given_up_frees_its_place(make_settings: Callable[..., 
 
 
 @pytest.fixture(scope="module")
-def runtime(make_settings: Callable[..., Settings]) -> Iterator[DrapeRuntime]:
-    made = DrapeRuntime(make_settings(chunk_frames=2))
-    yield made
-    made.close()
+def runtime(make_runtime: Callable[..., DrapeRuntime]) -> DrapeRuntime:
+    return make_runtime(chunk_frames=2)
 
 
 def test_a_chunk_is_computed_when_the_last_was_taken(runtime: DrapeRuntime):

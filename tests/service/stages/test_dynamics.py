@@ -48,10 +48,8 @@ SIDEWAYS = np.array([1.0, 0.0, 0.0])
 
 
 @pytest.fixture(scope="module")
-def runtime(make_settings: Callable[..., Settings]) -> Iterator[DrapeRuntime]:
-    made = DrapeRuntime(make_settings(model=TINY_DYNAMIC, stream_threads=1))  # all that wait go together
-    yield made
-    made.close()
+def runtime(make_runtime: Callable[..., DrapeRuntime]) -> DrapeRuntime:
+    return make_runtime(model=TINY_DYNAMIC, stream_threads=1)  # all that wait go together
 
 
 @pytest.fixture(scope="module")

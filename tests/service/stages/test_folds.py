@@ -1,10 +1,10 @@
-"""Folds on the clip_job of a frame: off by default, remembered per stream and garment, told where they began anew."""
+"""Folds of a frame: off by default, remembered per stream and garment, told where they began anew."""
 
 from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
 import httpx
@@ -36,10 +36,8 @@ CLIP = PoseInput(POSES, TRANS, np.zeros(10), TIMES_S)
 
 
 @pytest.fixture(scope="module")
-def runtime(make_settings: Callable[..., Settings]) -> Iterator[DrapeRuntime]:
-    made = DrapeRuntime(make_settings(chunk_frames=4))
-    yield made
-    made.close()
+def runtime(make_runtime: Callable[..., DrapeRuntime]) -> DrapeRuntime:
+    return make_runtime(chunk_frames=4)
 
 
 def test_without_folds_the_stage_is_not_in_the_plan_and_nothing_changes(runtime: DrapeRuntime):
@@ -174,7 +172,7 @@ def test_constants_are_made_when_a_plan_is_prepared_and_once(runtime: DrapeRunti
     def never(*_: object) -> None:
         raise AssertionError("constants made in a frame")
 
-    monkeypatch.setattr("service.stages.folds.constants", never)
+    monkeypatch.setattr("service.stages.folds.fold_constants", never)
     run(plan, [CLIP])
 
 

@@ -72,10 +72,8 @@ def counting(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module")
-def runtime(make_settings: Callable[..., Settings]) -> Iterator[DrapeRuntime]:
-    made = DrapeRuntime(make_settings(model=TINY_DYNAMIC))
-    yield made
-    made.close()
+def runtime(make_runtime: Callable[..., DrapeRuntime]) -> DrapeRuntime:
+    return make_runtime(model=TINY_DYNAMIC)
 
 
 # --- plans ---

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -27,10 +27,8 @@ NO_SHAPE = np.zeros(10)
 
 
 @pytest.fixture(scope="module")
-def runtime(make_settings: Callable[..., Settings]) -> Iterator[DrapeRuntime]:
-    made = DrapeRuntime(make_settings(inertia="mesh"))
-    yield made
-    made.close()
+def runtime(make_runtime: Callable[..., DrapeRuntime]) -> DrapeRuntime:
+    return make_runtime(inertia="mesh")
 
 
 def plan_of(runtime: DrapeRuntime, **options: object) -> Plan:

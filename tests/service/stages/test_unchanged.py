@@ -7,7 +7,7 @@ import json
 import shutil
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -44,10 +44,8 @@ NEEDED = REST_FRAMES + 1  # frames of one pose after which it is at rest
 
 
 @pytest.fixture(scope="module")
-def runtime(make_settings: Callable[..., Settings]) -> Iterator[DrapeRuntime]:
-    made = DrapeRuntime(make_settings(model=TINY_DYNAMIC))
-    yield made
-    made.close()
+def runtime(make_runtime: Callable[..., DrapeRuntime]) -> DrapeRuntime:
+    return make_runtime(model=TINY_DYNAMIC)
 
 
 @pytest.fixture
@@ -369,10 +367,8 @@ HAND = 22
 
 
 @pytest.fixture(scope="module")
-def mesh_runtime(make_settings: Callable[..., Settings]) -> Iterator[DrapeRuntime]:
-    made = DrapeRuntime(make_settings(model=TINY_DYNAMIC, inertia="mesh"))
-    yield made
-    made.close()
+def mesh_runtime(make_runtime: Callable[..., DrapeRuntime]) -> DrapeRuntime:
+    return make_runtime(model=TINY_DYNAMIC, inertia="mesh")
 
 
 def planned(mesh_runtime: DrapeRuntime, **options: object) -> Plan:

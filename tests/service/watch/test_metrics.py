@@ -19,7 +19,7 @@ from websockets.asyncio.client import connect
 from websockets.typing import Subprotocol
 
 from drape.wire import messages as wire
-from service.http.server import bind
+from service.server import bind
 from service.stream.sessions import Session
 from service.watch.metrics import Metrics
 from service.watch.probes import MOST_CLIENTS, Lifecycle, Probes
