@@ -184,7 +184,7 @@ def test_frames_do_not_wait_for_constants_of_others(runtime: DrapeRuntime, monke
     stage = next(one for one in plan.stages if one.name == "folds")
     stage.prepare(plan)
     made, begun, through = folds_stage.constants, threading.Event(), threading.Event()
-    monkeypatch.setattr(folds_stage, "constants", lambda *of: begun.set() or (through.wait() and made(*of)))
+    monkeypatch.setattr(folds_stage, "fold_constants", lambda *of: begun.set() or (through.wait() and made(*of)))
     making = threading.Thread(target=stage.prepare, args=(other,))
     making.start()
     begun.wait()
@@ -197,7 +197,7 @@ def test_frames_do_not_wait_for_constants_of_others(runtime: DrapeRuntime, monke
 def test_constants_are_kept_up_to_a_size_those_in_use_always(runtime: DrapeRuntime, monkeypatch: pytest.MonkeyPatch):
     entry, made = runtime.garments.get("tube"), []
     counted = folds_stage.constants
-    monkeypatch.setattr(folds_stage, "constants", lambda *of: made.append(of) or counted(*of))
+    monkeypatch.setattr(folds_stage, "fold_constants", lambda *of: made.append(of) or counted(*of))
     stage = next(one for one in runtime.plan(entry, DrapeOptions(folds=1)).stages if one.name == "folds")
     assert isinstance(stage, Folds)
     for named, kept_bytes, wanted in (("swim", 1 << 30, 1), ("rib", 0, 2), ("rib", 0, 2), ("swim", 0, 3)):
