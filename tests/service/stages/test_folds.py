@@ -174,7 +174,7 @@ def test_constants_are_made_when_a_plan_is_prepared_and_once(runtime: DrapeRunti
     def never(*_: object) -> None:
         raise AssertionError("constants made in a frame")
 
-    monkeypatch.setattr("service.stages.folds.constants", never)
+    monkeypatch.setattr("service.stages.folds.fold_constants", never)
     run(plan, [CLIP])
 
 
@@ -183,7 +183,7 @@ def test_frames_do_not_wait_for_constants_of_others(runtime: DrapeRuntime, monke
     plan, other = (runtime.plan(entry, DrapeOptions(folds=1, fabric=name)) for name in (None, "chiffon"))
     stage = next(one for one in plan.stages if one.name == "folds")
     stage.prepare(plan)
-    made, begun, through = folds_stage.constants, threading.Event(), threading.Event()
+    made, begun, through = folds_stage.fold_constants, threading.Event(), threading.Event()
     monkeypatch.setattr(folds_stage, "fold_constants", lambda *of: begun.set() or (through.wait() and made(*of)))
     making = threading.Thread(target=stage.prepare, args=(other,))
     making.start()
@@ -196,7 +196,7 @@ def test_frames_do_not_wait_for_constants_of_others(runtime: DrapeRuntime, monke
 
 def test_constants_are_kept_up_to_a_size_those_in_use_always(runtime: DrapeRuntime, monkeypatch: pytest.MonkeyPatch):
     entry, made = runtime.garments.get("tube"), []
-    counted = folds_stage.constants
+    counted = folds_stage.fold_constants
     monkeypatch.setattr(folds_stage, "fold_constants", lambda *of: made.append(of) or counted(*of))
     stage = next(one for one in runtime.plan(entry, DrapeOptions(folds=1)).stages if one.name == "folds")
     assert isinstance(stage, Folds)
