@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -59,10 +58,10 @@ class HeldOut:
     those that ``config`` holds out, or the shipped ones.
     """
 
-    def __init__(self, config: TrainConfig, body: BodyModel, frames: int, steps: int, folder: Path = CACHE_DIR) -> None:
+    def __init__(self, config: TrainConfig, body: BodyModel, frames: int, steps: int) -> None:
         self.body, self.source = body, BodySource(body, device=CPU)
         self.poses: HardPoses = hard_poses(held_out_clips(config, []), body, frames)
-        self._steps, self._folder = steps, folder
+        self._steps = steps
         self._cloth = None if config.model.fabric else material()
         self._known: dict[str, tuple[Judged, float]] = {}
 
@@ -70,7 +69,7 @@ class HeldOut:
         """The judge of drapes of ``garment``, and the energy [J] of its physics optimum."""
         if garment.name not in self._known:
             judge = judged(garment, self.body, self.poses.poses, self._cloth)
-            optimum, _ = judge.optimum((judge.pushed,), self._folder, self._steps)
+            optimum, _ = judge.optimum((judge.pushed,), CACHE_DIR, self._steps)
             self._known[garment.name] = judge, judge.energies(optimum.vertices)["energy_j"]
         return self._known[garment.name]
 

@@ -94,7 +94,7 @@ def test_nothing_aside_begins_while_a_frame_is_computed(
     runtime = DrapeRuntime(make_settings())
     plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(), messages=True)
     through, begun = threading.Event(), threading.Event()
-    monkeypatch.setattr(runtime, "_computed", lambda plan, inputs: through.wait() and [])
+    monkeypatch.setattr(runtime, "_computed", lambda plan, inputs: through.wait() and [(b"", {})])
 
     async def both() -> None:
         frame = asyncio.create_task(runtime.stream_frames(plan, [rest_input()]))

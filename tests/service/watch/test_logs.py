@@ -242,7 +242,7 @@ def test_a_request_has_a_span_under_its_clients_and_a_child_per_stage(make_setti
         assert span.end_time_unix_nano <= draped.end_time_unix_nano
     (other,) = collector.named("GET /garments/{garment_id}")
     assert other.parent_span_id == b"" and other.trace_id.hex() != TRACE
-    assert collector.resource["service.name"] == "drape" and "service.settings" in collector.resource
+    assert collector.resource["service.name"] == "drape" and "service.version" in collector.resource
     assert not any(secret in str(collector.spans) for secret in ("secret", "hidden"))
 
 
