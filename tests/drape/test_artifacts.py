@@ -70,10 +70,6 @@ def folder(tmp_path, manifest):
     return folder
 
 
-def test_manifest_is_read_as_it_was_written(manifest):
-    assert Manifest.from_json(manifest.to_json(), where="manifest.json") == manifest
-
-
 def test_a_manifest_from_before_there_was_dynamics_is_static(manifest):
     data = json.loads(manifest.to_json())
     del data["state_size"], data["dynamic"]
@@ -168,12 +164,12 @@ def test_a_damaged_folder_is_refused_by_what_is_wrong(folder, damage):
 
 
 def change(data: dict, *path: str, remove: bool = False) -> dict:
-    """``data`` with the entry at ``path`` removed or replaced by a number."""
+    """``data`` with the entry at ``path`` removed, or a number there."""
     copy = json.loads(json.dumps(data))
     inner = copy
     for key in path[:-1]:
         inner = inner[key]
-    del inner[path[-1]]
+    inner.pop(path[-1], None)
     if not remove:
         inner[path[-1]] = 3
     return copy
@@ -196,9 +192,7 @@ def change(data: dict, *path: str, remove: bool = False) -> dict:
     ],
 )
 def test_manifest_with_missing_or_foreign_entries_is_refused(manifest, path, remove):
-    data = {**json.loads(manifest.to_json()), "unknown": 1}
-    if path != ("unknown",):
-        del data["unknown"]
+    data = json.loads(manifest.to_json())
     with pytest.raises(ArtifactError, match="a model manifest"):
         Manifest.from_json(json.dumps(change(data, *path, remove=remove)), where="manifest.json")
 

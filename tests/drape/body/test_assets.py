@@ -19,6 +19,7 @@ from drape.body.assets import body_from_arrays, list_bodies, load_body, save_bod
 from drape.body.skeleton import JOINT_COUNT, PARENTS
 from drape.errors import ArtifactError, BodyError, NotFound
 from tests.drape.body.body_files import pickled_with_chumpy, python_two_pickle, smpl_arrays
+from tests.fixtures.laws import each
 
 FLOAT32 = 1e-6
 ASSET_LIMIT_BYTES = 8_000_000
@@ -35,6 +36,12 @@ def npz(tmp_path, arrays):
     """A body written by save_body, with its record."""
     save_body(tmp_path / "figure", **{key: arrays[key] for key in SAVED}, about={"licence": "CC0"})
     return tmp_path / "figure.npz"
+
+
+def pickle_file(folder, payload):
+    """A body in a pickle, as SMPL's other licensed files come."""
+    (folder / "smpl.pkl").write_bytes(payload)
+    return folder / "smpl.pkl"
 
 
 def bare_npz(path, arrays):
@@ -110,18 +117,15 @@ def test_at_most_ten_shapes_are_kept(arrays, shape_count, rng):
 def test_licensed_pickle_loads(tmp_path, rng):
     arrays = smpl_arrays(rng, posedirs=True)
     extras = {"bs_style": "lbs", "J": np.zeros((JOINT_COUNT, 3)), "weights_prior": arrays["J_regressor"]}
-    path = tmp_path / "smpl.pkl"
-    path.write_bytes(pickled_with_chumpy({**arrays, **extras}, "shapedirs", "posedirs"))
-    body = load_body(path)
+    body = load_body(pickle_file(tmp_path, pickled_with_chumpy({**arrays, **extras}, "shapedirs", "posedirs")))
     same_body(body, arrays)
     assert_array_equal(body.posedirs, arrays["posedirs"])
 
 
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
 def test_pickle_of_every_protocol_loads(tmp_path, arrays, protocol):
-    path = tmp_path / "smpl.pkl"
-    path.write_bytes(pickled_with_chumpy(arrays, "shapedirs", dump=lambda value: pickle.dumps(value, protocol)))
-    same_body(load_body(path), arrays)
+    payload = pickled_with_chumpy(arrays, "shapedirs", dump=lambda value: pickle.dumps(value, protocol))
+    same_body(load_body(pickle_file(tmp_path, payload)), arrays)
 
 
 class Hostile:
@@ -135,59 +139,50 @@ class Hostile:
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
 def test_hostile_pickle_is_refused_and_not_run(tmp_path, arrays, protocol):
     marker = tmp_path / "run"
-    path = tmp_path / "smpl.pkl"
-    path.write_bytes(pickle.dumps({**arrays, "bs_style": Hostile(os.system, f"touch '{marker}'")}, protocol))
+    payload = pickle.dumps({**arrays, "bs_style": Hostile(os.system, f"touch '{marker}'")}, protocol)
     with pytest.raises(BodyError, match=r"asks for (posix|nt|os)"):
-        load_body(path)
+        load_body(pickle_file(tmp_path, payload))
     assert not marker.exists()
 
 
-@pytest.mark.parametrize(
-    "payload",
-    [
-        b"cbuiltins\neval\n(V1+1\ntR.",
-        b"\x80\x02c__builtin__\neval\nX\x03\x00\x00\x001+1\x85R.",
-        b"cnumpy\nload\n(V/etc/hostname\ntR.",
-        b"c_codecs\nencode\n(Vabc\nVzip\ntR.",
-        b"\x80\x04\x8c\x0cscipy.sparse\x8c\x0dsave_npz.path\x93.",
-    ],
-)
-def test_pickle_reaches_nothing_beyond_arrays(tmp_path, payload):
-    path = tmp_path / "smpl.pkl"
-    path.write_bytes(payload)
-    with pytest.raises(BodyError, match="asks for"):
-        load_body(path)
-
-
-def test_pickle_of_something_else_is_refused(tmp_path):
-    path = tmp_path / "smpl.pkl"
-    path.write_bytes(pickle.dumps([1, 2]))
-    with pytest.raises(BodyError, match="got list"):
-        load_body(path)
-
-
-def test_sparse_matrix_that_points_outside_itself_is_refused(tmp_path, arrays):
+def beyond_itself(arrays):
     arrays["J_regressor"].indices[0] = 10**6
-    path = tmp_path / "smpl.pkl"
-    path.write_bytes(python_two_pickle(arrays))
-    with pytest.raises(BodyError, match="J_regressor"):
-        load_body(path)
+    return python_two_pickle(arrays)
 
 
-def test_chumpy_object_without_an_array_counts_as_missing(tmp_path, arrays):
-    path = tmp_path / "smpl.pkl"
-    path.write_bytes(pickled_with_chumpy({**arrays, "shapedirs": None}, "shapedirs"))
-    with pytest.raises(BodyError, match="no shapedirs"):
+REACHES_OUT = (
+    b"cbuiltins\neval\n(V1+1\ntR.",
+    b"\x80\x02c__builtin__\neval\nX\x03\x00\x00\x001+1\x85R.",
+    b"cnumpy\nload\n(V/etc/hostname\ntR.",
+    b"c_codecs\nencode\n(Vabc\nVzip\ntR.",
+    b"\x80\x04\x8c\x0cscipy.sparse\x8c\x0dsave_npz.path\x93.",
+)
+NO_BODY = {
+    **{f"reach {n}": (lambda arrays, payload=payload: payload, "asks for") for n, payload in enumerate(REACHES_OUT)},
+    "a list": (lambda arrays: pickle.dumps([1, 2]), "got list"),
+    "a sparse matrix that points outside itself": (beyond_itself, "J_regressor"),
+    "chumpy without an array": (
+        lambda arrays: pickled_with_chumpy({**arrays, "shapedirs": None}, "shapedirs"),
+        "no shapedirs",
+    ),
+}
+
+
+@each(case=NO_BODY)
+def test_pickle_of_anything_beyond_the_arrays_of_a_body_is_refused(tmp_path, arrays, case):
+    payload, message = case
+    path = pickle_file(tmp_path, payload(arrays))
+    with pytest.raises(BodyError, match=message):
         load_body(path)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.001, 0.3, 0.7, 0.99])
 @pytest.mark.parametrize("kind", ["npz", "pkl"])
 def test_truncated_file_is_refused(tmp_path, arrays, kind, share):
-    path = bare_npz(tmp_path / "smpl.npz", arrays)
     if kind == "pkl":
-        path = tmp_path / "smpl.pkl"
-        path.write_bytes(python_two_pickle(arrays))
+        path = pickle_file(tmp_path, python_two_pickle(arrays))
+    else:
+        path = bare_npz(tmp_path / "smpl.npz", arrays)
     payload = path.read_bytes()
     path.write_bytes(payload[: int(share * len(payload))])
     with pytest.raises(BodyError, match=path.name):

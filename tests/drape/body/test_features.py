@@ -60,36 +60,34 @@ def test_static_features_are_the_rotation_and_gravity_in_the_joints_frame(local)
     assert_allclose(down, np.broadcast_to([0.0, -1.0, 0.0], down.shape), rtol=0.0, atol=EXACT)
 
 
-def test_dynamic_features_of_a_still_body_are_zero(local):
+def kinematics(local, moved=0.0):
     rotations, joints = world(local)
-    static = features.static_features(local, rotations)
-    got = features.dynamic_features(static, static, (joints, joints, joints), rotations, DT_S)
-    assert_array_equal(got, np.zeros((5, JOINT_COUNT, features.DYNAMIC_PER_JOINT)))
+    return features.Kinematics(features.static_features(local, rotations), joints + moved, rotations)
 
 
-def test_dynamic_features_of_a_falling_body_are_gravity_in_the_joints_frame(local):
-    rotations, joints = world(local)
-    static = features.static_features(local, rotations)
-    fallen = [joints - 0.5 * 9.81 * t * t * np.array([0.0, 1.0, 0.0]) for t in (2 * DT_S, DT_S, 0.0)]
-    got = features.dynamic_features(static, static, tuple(fallen), rotations, DT_S)
-    assert_allclose(got[..., 9:], 9.81 * static[..., 6:], rtol=0.0, atol=1e-9)
+@pytest.mark.parametrize("times_s", [(2 * DT_S, DT_S, 0.0), (0.05, 0.03, 0.0)])
+def test_dynamic_features_of_a_falling_body_are_gravity_in_the_joints_frame(local, times_s):
+    at = kinematics(local)
+    now, before, earlier = (at.joints - 0.5 * 9.81 * t * t * np.array([0.0, 1.0, 0.0]) for t in times_s)
+    dt_s, dt_before_s = -np.diff(times_s)
+    got = features.dynamic_features(at.static, at.static, (now, before, earlier), at.rotations, dt_s, dt_before_s)
+    assert_allclose(got[..., 9:], 9.81 * at.static[..., 6:], rtol=0.0, atol=1e-9)
     assert_array_equal(got[..., :9], np.zeros((5, JOINT_COUNT, 9)))
 
 
-def test_dynamic_features_of_a_walk_at_even_pace_are_zero(local, rng):
-    rotations, joints = world(local)
-    static = features.static_features(local, rotations)
-    step = rng.normal(size=3) * DT_S
-    got = features.dynamic_features(static, static, (joints + 2 * step, joints + step, joints), rotations, DT_S)
-    assert_allclose(got, 0.0, rtol=0.0, atol=1e-9)
+@pytest.mark.parametrize(("pace_m_s", "rounding"), [(0.0, 0.0), (1.0, 1e-9)])
+def test_dynamic_features_of_a_body_that_stands_or_glides_are_zero(local, rng, pace_m_s, rounding):
+    at, step = kinematics(local), pace_m_s * rng.normal(size=3) * DT_S
+    track = at.joints + 2 * step, at.joints + step, at.joints
+    got = features.dynamic_features(at.static, at.static, track, at.rotations, DT_S)
+    assert_allclose(got, np.zeros((5, JOINT_COUNT, features.DYNAMIC_PER_JOINT)), rtol=0.0, atol=rounding)
 
 
 def test_dynamic_features_ignore_the_heading_and_count_in_seconds(local):
     def dynamic(local, dt_s):
-        rotations, joints = world(local)
-        static = features.static_features(local, rotations)
-        track = (joints[2:], joints[1:-1], joints[:-2])  # at t, t - dt, t - 2 dt
-        return features.dynamic_features(static[2:], static[1:-1], track, rotations[2:], dt_s)
+        at = kinematics(local)
+        track = (at.joints[2:], at.joints[1:-1], at.joints[:-2])  # at t, t - dt, t - 2 dt
+        return features.dynamic_features(at.static[2:], at.static[1:-1], track, at.rotations[2:], dt_s)
 
     want = dynamic(local, DT_S)
     heading = rotvec_to_matrix(np.array([0.0, 1.1, 0.0]))
@@ -111,22 +109,8 @@ def test_numpy_and_torch_agree(local):
     assert_allclose(got.numpy(), want, rtol=1e-12, atol=1e-9)
 
 
-def test_uneven_steps_measure_the_same_fall(local):
-    rotations, joints = world(local)
-    static = features.static_features(local, rotations)
-    times = (0.05, 0.03, 0.0)
-    fallen = [joints - 0.5 * 9.81 * t * t * np.array([0.0, 1.0, 0.0]) for t in times]
-    got = features.dynamic_features(static, static, tuple(fallen), rotations, 0.02, 0.03)
-    assert_allclose(got[..., 9:], 9.81 * static[..., 6:], rtol=0.0, atol=1e-9)
-
-
-def kinematics(local, moved):
-    rotations, joints = world(local)
-    return features.Kinematics(features.static_features(local, rotations), joints + moved, rotations)
-
-
 def test_motion_features_take_times_per_body(local):
-    now, before, earlier = (kinematics(local, np.full(3, way)) for way in (0.3, 0.1, 0.0))
+    now, before, earlier = (kinematics(local, way) for way in (0.3, 0.1, 0.0))
     dt_s, dt_before_s = np.linspace(0.01, 0.05, 5), np.linspace(0.04, 0.02, 5)
     got = features.motion_features(now, before, earlier, dt_s, dt_before_s)
     for i in range(5):
@@ -142,11 +126,9 @@ def test_motion_features_take_times_per_body(local):
 
 
 def test_rounding_is_no_motion(local):
-    now, before = kinematics(local, np.zeros(3)), kinematics(local, np.full(3, 1e-13))
-    dt_s = np.full(5, 1.0 / 240.0)
-    plain = features.dynamic_features(
-        now.static, now.static, (now.joints, before.joints, now.joints), now.rotations, 1.0 / 240.0
-    )
+    now, before, dt_s = kinematics(local), kinematics(local, 1e-13), np.full(5, 1.0 / 240.0)
+    track = now.joints, before.joints, now.joints
+    plain = features.dynamic_features(now.static, now.static, track, now.rotations, 1.0 / 240.0)
     assert 0.0 < np.abs(plain).max() < features.STILL
     got = features.motion_features(now, before, now, dt_s, dt_s)
     assert_array_equal(got, np.zeros((5, JOINT_COUNT, features.DYNAMIC_PER_JOINT)))

@@ -40,12 +40,6 @@ def test_rest_pose_returns_the_template(betas):
     assert_allclose(body.posed_vertices(REST, None, betas)[0], body.rest_vertices(betas), rtol=0.0, atol=EXACT)
 
 
-def test_bones_of_the_rest_pose_are_the_identity(betas):
-    rotations, translations = default_body().bones(REST, None, betas)
-    assert_allclose(rotations[0], np.tile(np.eye(3), (JOINT_COUNT, 1, 1)), rtol=0.0, atol=EXACT)
-    assert_allclose(translations[0], 0.0, rtol=0.0, atol=EXACT)
-
-
 def test_skinning_commutes_with_rigid_motion(poses, betas, rng):
     body = default_body()
     turn, shift = rotvec_to_matrix(rng.normal(size=3)), rng.normal(size=3)
@@ -57,12 +51,6 @@ def test_skinning_commutes_with_rigid_motion(poses, betas, rng):
     moved_trans = (root + trans) @ turn.T + shift - root
     want = body.posed_vertices(poses, trans, betas) @ turn.T + shift
     assert_allclose(body.posed_vertices(moved, moved_trans, betas), want, rtol=0.0, atol=EXACT)
-
-
-def test_translation_moves_every_vertex_alike(poses, rng):
-    body, trans = default_body(), rng.normal(size=(3, 3))
-    want = body.posed_vertices(poses) + trans[:, None]
-    assert_allclose(body.posed_vertices(poses, trans), want, rtol=0.0, atol=EXACT)
 
 
 def test_turning_one_joint_moves_only_what_hangs_on_it():
@@ -165,17 +153,6 @@ def test_pose_blend_shapes_are_added_before_skinning(small, poses):
 def test_counts_are_those_of_the_arrays(small):
     assert (small.vertex_count, small.shape_count) == (60, 10)
     assert small.posed_vertices(np.zeros((0, JOINT_COUNT, 3))).shape == (0, 60, 3)
-
-
-def test_bodies_of_many_shapes_are_posed_as_each_by_itself(poses, rng):
-    body = default_body()
-    shapes = rng.normal(size=(len(poses), body.shape_count))
-    rotations, translations = body.bones(poses, None, shapes)
-    for n, shape in enumerate(shapes):
-        rotation, translation = body.bones(poses[n : n + 1], None, shape)
-        assert_allclose(rotations[n], rotation[0], rtol=0.0, atol=EXACT)
-        assert_allclose(translations[n], translation[0], rtol=0.0, atol=EXACT)
-        assert_allclose(body.rest_joints(shapes)[n], body.rest_joints(shape), rtol=0.0, atol=EXACT)
 
 
 GOOD = np.zeros((3, JOINT_COUNT, 3))

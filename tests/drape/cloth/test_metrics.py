@@ -63,14 +63,8 @@ def test_static_parts_take_gravity_from_the_given_height_and_contact_from_the_po
     # Flat above the pole, its middle in the contact gap, and once more far away and 0.5 m higher.
     near = (rest - rest.mean(axis=0))[:, [1, 2, 0]] + [0.0, 0.102, 0.0]
     frames = np.stack([near, near + np.array([0.0, 0.5, 0.0])])
-    parts = metrics.static_parts(
-        frames,
-        cloth,
-        material(),
-        BodyContact(body_faces, len(body)),
-        np.stack([body, body]),
-        height_m=np.array([0.102, 0.102]),
-    )
+    contact, bodies = BodyContact(body_faces, len(body)), np.stack([body, body])
+    parts = metrics.static_parts(frames, cloth, material(), contact, bodies, height_m=np.array([0.102, 0.102]))
     weight_n = 9.81 * 0.2 * 0.03 * 0.03
     assert_allclose(parts["gravity"], [0.0, 0.5 * weight_n], rtol=1e-9, atol=1e-15)
     assert_allclose(parts["membrane"], energies.membrane(frames, cloth, material()), rtol=1e-12, atol=0.0)

@@ -17,7 +17,8 @@ from drape.errors import InputError, MeshError
 from drape.geometry import meshes
 from tests.drape.cloth.cloth_shapes import grid, random_rotation, tube
 
-WOVEN = Material.of(Fabric("woven", 900.0, 400.0, 55.0, 120.0, 2.0e-5, 1.1e-5, 1.3e-5, 0.15))
+FABRIC = Fabric("woven", 900.0, 400.0, 55.0, 120.0, 2.0e-5, 1.1e-5, 1.3e-5, 0.15)
+WOVEN = Material.of(FABRIC)
 LOOSE = replace(WOVEN, bending_j=0.0, bending_2_j=0.0, bending_4_j=0.0)
 
 
@@ -32,8 +33,7 @@ def test_hinges_bend_by_their_direction_to_the_warp(rng):
     rest, faces = panel(rng)
     moved = rest + np.stack([0.0 * rest[:, 0], 0.0 * rest[:, 0], 20.0 * rest[:, 0] * rest[:, 1]], axis=1)
     mesh, hinges = ClothMesh.from_rest(rest, faces), meshes.hinges(faces)
-    fabric = Fabric("woven", 900.0, 400.0, 55.0, 120.0, 2.0e-5, 1.1e-5, 1.3e-5, 0.15)
-    rigidity = hinge_rigidity(fabric, bending_angle((rest[hinges[:, 1]] - rest[hinges[:, 0]])[:, :2]))
+    rigidity = hinge_rigidity(FABRIC, bending_angle((rest[hinges[:, 1]] - rest[hinges[:, 0]])[:, :2]))
     angle = rest_state.dihedral_angles(moved, faces)
     expected = (rigidity * mesh.hinge_weight * (1.0 - np.cos(angle))).sum()
     assert_allclose(energies.bending(moved, mesh, WOVEN), expected, rtol=1e-4, atol=0.0)  # the guard of the angle

@@ -14,6 +14,7 @@ from drape.errors import InputError, MeshError
 from drape.geometry import closest, meshes
 from drape.geometry.rotations import rotvec_to_matrix
 from tests.drape.cloth import cloth_shapes
+from tests.drape.geometry.geometry_shapes import box
 
 RADIUS, HEIGHT = 0.15, 0.4
 
@@ -99,8 +100,7 @@ def test_the_border_of_a_mesh_is_where_one_triangle_ends():
     corner = vertices[-1:] + np.array([0.0, 0.02, 0.0])
     found = closest.closest_point(np.concatenate([inside, above, corner, vertices[:1]]), vertices, faces)
     assert_array_equal(closest.on_border(found, faces), [False, True, True, True])
-    corners = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
-    closed = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+    corners, closed = box()
     assert not closest.on_border(closest.closest_point(np.zeros((1, 3)), corners, closed), closed).any()
 
 

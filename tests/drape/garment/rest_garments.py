@@ -16,13 +16,6 @@ from tests.fixtures.garments import default_body
 PATCH_COUNT = 24
 
 
-def vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """A third of the area of the triangles round each vertex."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    share = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6.0
-    return np.bincount(faces.ravel(), np.repeat(share, 3), len(vertices))
-
-
 def side_by_side(*pieces: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """One mesh of several pieces, each a metre further along x."""
     vertices, faces, start = [], [], 0

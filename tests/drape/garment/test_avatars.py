@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.body.assets import load_body
 from drape.body.skeleton import JOINT_NAMES
 from drape.errors import ArtifactError, BodyError, DrapeError, NotFound
-from drape.garment import avatars, registration
+from drape.garment import registration
 from drape.garment.avatars import (
     load_phenotypes,
     mesh_avatar,
@@ -112,15 +112,11 @@ def test_wrong_smpl_parameters_are_refused(parameters: dict):
         read_avatar(parameters, BODY)
 
 
-def write_table(folder: Path) -> Path:
-    (folder / "avatars.json").write_text(json.dumps({"female": FEMALE, "fem": {"gender": 0.9}, "own_": "standard"}))
-    return folder / "female_tshirt.obj"
-
-
 def test_longest_name_in_the_table_wins(tmp_path: Path):
-    garment = write_table(tmp_path)
+    table = {"female": FEMALE, "fem": {"gender": 0.9}, "own_": "standard"}
+    (tmp_path / "avatars.json").write_text(json.dumps(table))
     assert parse_avatar(None, beside=tmp_path / "femme.obj") == {"gender": 0.9}
-    assert parse_avatar(None, beside=garment) == FEMALE
+    assert parse_avatar(None, beside=tmp_path / "female_tshirt.obj") == FEMALE
     assert parse_avatar(None, beside=tmp_path / "own_dress.obj") == "standard"
     assert parse_avatar(None, beside=tmp_path / "other.obj") is None
     assert parse_avatar("female_", beside=tmp_path / "other.obj") == FEMALE
@@ -141,13 +137,6 @@ def test_avatar_is_told_as_text_file_or_dictionary(tmp_path: Path, monkeypatch: 
         parse_avatar("nobody", beside=tmp_path / "shirt.obj")
 
 
-def test_a_client_of_the_service_names_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.delenv("DRAPE_DATA", raising=False)
-    (tmp_path / "her.json").write_text(json.dumps(FEMALE))
-    with pytest.raises(NotFound):
-        parse_avatar(str(tmp_path / "her.json"), allow_paths=False)
-
-
 @pytest.mark.parametrize("text", ["{", "[]", '{"female": 3}'])
 def test_broken_table_is_refused(text: str, tmp_path: Path):
     (tmp_path / "avatars.json").write_text(text)
@@ -162,11 +151,12 @@ def test_damaged_asset_is_refused(tmp_path: Path):
 
 
 def test_mesh_with_makehumans_vertices_is_taken_vertex_by_vertex(tmp_path: Path):
-    shape = phenotype_avatar({"gender": 0.3}, BODY).vertices
-    (tmp_path / "avatar.obj").write_bytes(obj_text(100.0 * shape, BODY.faces))
+    named = phenotype_avatar({"gender": 0.3}, BODY)
+    assert_array_equal(named.faces, BODY.faces)
+    (tmp_path / "avatar.obj").write_bytes(obj_text(100.0 * named.vertices, BODY.faces))
     avatar = mesh_avatar(tmp_path / "avatar.obj", BODY)
     assert "MakeHuman" in avatar.source and "0.01" in avatar.source
-    assert_allclose(avatar.vertices, shape, rtol=0, atol=1e-6)
+    assert_allclose(avatar.vertices, named.vertices, rtol=0, atol=1e-6)
 
 
 def test_other_mesh_is_registered(rng: np.random.Generator):
@@ -185,17 +175,11 @@ def test_other_mesh_is_registered(rng: np.random.Generator):
 
 
 def test_unlike_body_is_refused(tmp_path: Path):
-    angle, height = np.meshgrid(np.linspace(0, 2 * np.pi, 40, endpoint=False), np.linspace(0, 1.8, 40))
-    pillar = np.stack([0.4 * np.cos(angle), height, 0.4 * np.sin(angle)], axis=-1).reshape(-1, 3)
     with pytest.raises(BodyError, match="fits to 15 mm"):
-        registration.register(pillar, tube(40, 39)[1], BODY)
+        registration.register(*tube(40, 39, radius_m=0.4, height_m=1.8), BODY)
+    flat = tube(40, 1, radius_m=0.4, height_m=0.05)
     with pytest.raises(BodyError, match="500 vertices"):
-        registration.register(pillar[:80], tube(40, 1)[1], BODY)
-    (tmp_path / "flat.obj").write_bytes(obj_text(pillar[:80], tube(40, 1)[1]))
+        registration.register(*flat, BODY)
+    (tmp_path / "flat.obj").write_bytes(obj_text(*flat))
     with pytest.raises(BodyError, match="a person"):
         mesh_avatar(tmp_path / "flat.obj", BODY)
-
-
-def test_correspondence_keeps_faces():
-    assert_array_equal(phenotype_avatar({}, BODY).faces, BODY.faces)
-    assert avatars.standard_avatar(BODY).moved is False

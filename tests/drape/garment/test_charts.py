@@ -12,7 +12,7 @@ from drape.garment.partition import partition, vertex_graph
 from drape.geometry import meshes
 from drape.geometry.closest import nearest_vertices
 from tests.drape.cloth.cloth_shapes import grid, random_rotation
-from tests.drape.garment.rest_garments import barrel, side_by_side, vertex_areas
+from tests.drape.garment.rest_garments import barrel, side_by_side
 from tests.fixtures.laws import each
 
 EXACT = 1e-12
@@ -33,7 +33,7 @@ def plane(refinement=1):
 def plane_seeds(count):
     """Places of the patch seeds of a partition of the coarsest plane."""
     vertices, faces = plane()
-    area = vertex_areas(vertices, faces)
+    area = meshes.vertex_areas(vertices, faces)
     label = partition(vertices, faces, area, count, seed=0)
     return vertices[charts.cluster_centres(label, vertices, area)[1]]
 

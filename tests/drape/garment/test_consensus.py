@@ -8,22 +8,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from drape.body.assets import load_body
-from drape.catalog import find_garments, open_garment
 from drape.garment import consensus as module
-from drape.garment.cache import Garment
 from drape.garment.consensus import ANCHORS_PER_PATCH, FIT_COUNT, MEMBERS, Consensus, consensus, strain_points
 from drape.geometry import jets
-
-
-@cache
-def garment() -> Garment:
-    return open_garment(find_garments(["tank"])[0], load_body())
+from tests.fixtures.garments import shipped
 
 
 @cache
 def tables() -> Consensus:
-    g = garment()
+    g = shipped("tank")
     return consensus(g.chart_patch, g.chart_uv, g.chart_weight, g.chart_local(), g.patch_jet, g.patch_scale)
 
 
@@ -32,7 +25,7 @@ def held() -> np.ndarray:
 
 
 def test_members_are_the_charts_of_the_anchors():
-    g, t = garment(), tables()
+    g, t = shipped("tank"), tables()
     patch, weight = g.chart_patch[t.anchor], g.chart_weight[t.anchor]
     found = {(int(a), int(s), k) for k in range(g.patch_count) for a, s in zip(t.member[k], t.slot[k], strict=True)}
     rows, slots = np.nonzero(weight > 0.0)
@@ -47,7 +40,7 @@ def test_members_are_the_charts_of_the_anchors():
 
 def test_fit_returns_the_polynomial_it_is_given():
     """Up to the ridge: a thousandth of the coefficients, in both orders."""
-    g, t = garment(), tables()
+    g, t = shipped("tank"), tables()
     rng = np.random.default_rng(0)
     uv = g.chart_uv.astype(np.float64)[t.anchor[t.member], t.slot]  # (K, 56, 2)
     for order, rows in ((jets.HEIGHT_ORDER, slice(0, 15)), (jets.IN_PLANE_ORDER, slice(15, FIT_COUNT))):
@@ -62,7 +55,7 @@ def test_fit_returns_the_polynomial_it_is_given():
 
 
 def test_rest_is_the_fit_of_the_rest_places():
-    g, t = garment(), tables()
+    g, t = shipped("tank"), tables()
     local = g.chart_local()[t.anchor[t.member], t.slot] / g.patch_scale[:, None, None]
     assert_allclose(t.rest, np.einsum("knm,kmc->knc", t.fit, local), rtol=0, atol=1e-12)
     # In the plane it is the identity: x = u, y = v.
@@ -79,7 +72,7 @@ def test_orthonormal_triangles_make_unit_vectors_of_the_rest_tangents():
 
 
 def test_tangents_are_derivatives_of_the_rest_jet():
-    g, t = garment(), tables()
+    g, t = shipped("tank"), tables()
     step, jet = 1e-6, g.patch_jet.astype(np.float64)[:, None]
     for axis in range(2):
         moved = np.zeros(2)
@@ -91,7 +84,7 @@ def test_tangents_are_derivatives_of_the_rest_jet():
 
 def test_crowded_charts_lose_their_faintest_anchors(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(module, "ANCHORS_PER_PATCH", 16)
-    g = garment()
+    g = shipped("tank")
     t = consensus(g.chart_patch, g.chart_uv, g.chart_weight, g.chart_local(), g.patch_jet, g.patch_scale)
     sizes = np.any(t.fit != 0.0, axis=1).sum(axis=1)
     assert sizes.max() == MEMBERS - 1

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.body.skeleton import JOINT_COUNT
-from drape.garment import charts, features
+from drape.garment import features
 from drape.garment.features import patch_features, positional_encoding
 from drape.garment.fitting import rest_garment
 from drape.geometry import jets
@@ -147,7 +147,6 @@ def test_frames_of_fitted_patches_carry_no_arbitrary_sign():
     rest, garment = barrel(), barrel_garment()
     along = rest.body.bone_directions
     assert ((garment.patch_rotation[:, :, 0] * (garment.patch_weights @ along)).sum(axis=1) > 0.0).all()
-    assert garment.chart_patch.shape[1] == charts.CHARTS_PER_VERTEX
 
 
 def test_positional_encoding_holds_points_sines_and_cosines(rng):

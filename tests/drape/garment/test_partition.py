@@ -17,7 +17,7 @@ from drape.garment import partition as partition_module
 from drape.garment.partition import partition, patch_count_for, vertex_graph
 from drape.geometry import meshes
 from tests.drape.cloth.cloth_shapes import grid, tube
-from tests.drape.garment.rest_garments import side_by_side, vertex_areas
+from tests.drape.garment.rest_garments import side_by_side
 from tests.drape.geometry.geometry_shapes import icosphere
 from tests.fixtures.laws import each
 
@@ -49,12 +49,12 @@ def check_clusters(label, faces, count):
 @each(mesh=SHAPES, count=[1, 2, 7, 30])
 def test_clusters_are_connected_and_as_many_as_asked(mesh, count):
     vertices, faces = mesh
-    check_clusters(partition(vertices, faces, vertex_areas(vertices, faces), count, seed=0), faces, count)
+    check_clusters(partition(vertices, faces, meshes.vertex_areas(vertices, faces), count, seed=0), faces, count)
 
 
 def test_as_many_clusters_as_vertices_makes_each_its_own():
     vertices, faces = grid(6, 5)
-    label = partition(vertices, faces, vertex_areas(vertices, faces), len(vertices), seed=0)
+    label = partition(vertices, faces, meshes.vertex_areas(vertices, faces), len(vertices), seed=0)
     assert_array_equal(np.sort(label), np.arange(len(vertices)))
 
 
@@ -70,7 +70,7 @@ def test_clusters_are_connected_under_any_density(width, height, share, spread, 
     rng = np.random.default_rng(seed)
     vertices, faces = grid(width, height, cell_m=0.02)
     vertices = vertices + 0.004 * rng.normal(size=vertices.shape)
-    weight = vertex_areas(vertices, faces) * np.exp(spread * rng.normal(size=len(vertices)))
+    weight = meshes.vertex_areas(vertices, faces) * np.exp(spread * rng.normal(size=len(vertices)))
     count = max(1, round(share * len(vertices)))
     check_clusters(partition(vertices, faces, weight, count, seed=seed), faces, count)
 
@@ -80,7 +80,7 @@ def test_heavy_single_vertices_leave_no_cluster_empty():
     rng = np.random.default_rng(0)
     for seed in range(40):
         vertices, faces = grid(12, 11, cell_m=0.02)
-        weight = vertex_areas(vertices, faces) * np.exp(4.0 * rng.normal(size=len(vertices)))
+        weight = meshes.vertex_areas(vertices, faces) * np.exp(4.0 * rng.normal(size=len(vertices)))
         check_clusters(partition(vertices, faces, weight, 51, seed=seed), faces, 51)
 
 
@@ -96,7 +96,7 @@ def test_torn_clusters_are_mended_however_deep_the_stray_piece():
 @each(mesh=SHAPES)
 def test_energy_falls_below_that_of_the_geodesic_start(mesh, monkeypatch):
     vertices, faces = mesh
-    weight = vertex_areas(vertices, faces)
+    weight = meshes.vertex_areas(vertices, faces)
     for seed in range(3):
         final = energy(partition(vertices, faces, weight, 20, seed=seed), vertices, weight)
         with monkeypatch.context() as patch:
@@ -109,7 +109,7 @@ def test_energy_falls_below_that_of_the_geodesic_start(mesh, monkeypatch):
 @pytest.mark.filterwarnings("ignore:.*_connectivity_array.*")
 def test_energy_is_that_of_pyacvd(mesh, count):
     vertices, faces = mesh
-    weight = vertex_areas(vertices, faces)
+    weight = meshes.vertex_areas(vertices, faces)
     oracle = pyacvd.Clustering(pyvista.PolyData.from_regular_faces(vertices, faces))
     want = energy(oracle.cluster(count), vertices, weight)
     got = [energy(partition(vertices, faces, weight, count, seed=seed), vertices, weight) for seed in range(4)]
@@ -119,14 +119,14 @@ def test_energy_is_that_of_pyacvd(mesh, count):
 def test_clusters_are_small_where_the_density_is_high():
     vertices, faces = PLANE
     left = vertices[:, 0] < 0.5 * vertices[:, 0].max()
-    weight = vertex_areas(vertices, faces) * np.where(left, 8.0, 1.0)
+    weight = meshes.vertex_areas(vertices, faces) * np.where(left, 8.0, 1.0)
     label = partition(vertices, faces, weight, 30, seed=0)
     assert len(np.unique(label[left])) > 1.5 * len(np.unique(label[~left]))
 
 
 def test_labels_are_the_same_for_the_same_seed_and_differ_for_another():
     vertices, faces = TUBE
-    weight = vertex_areas(vertices, faces)
+    weight = meshes.vertex_areas(vertices, faces)
     first, again, other = (partition(vertices, faces, weight, 15, seed=seed) for seed in (4, 4, 5))
     assert_array_equal(first, again)
     assert (first != other).any()
@@ -134,7 +134,7 @@ def test_labels_are_the_same_for_the_same_seed_and_differ_for_another():
 
 def test_labels_ignore_rigid_motion_and_a_graph_made_before(rng):
     vertices, faces = TUBE
-    weight = vertex_areas(vertices, faces)
+    weight = meshes.vertex_areas(vertices, faces)
     want = partition(vertices, faces, weight, 15, seed=0)
     given_graph = partition(vertices, faces, weight, 15, seed=0, graph=vertex_graph(vertices, faces))
     assert_array_equal(given_graph, want)
@@ -144,7 +144,7 @@ def test_labels_ignore_rigid_motion_and_a_graph_made_before(rng):
 
 def test_every_piece_has_its_own_clusters():
     vertices, faces = side_by_side(grid(10, 10), tube(8, 3), grid(2, 2))
-    weight = vertex_areas(vertices, faces)
+    weight = meshes.vertex_areas(vertices, faces)
     piece = connected_components(vertex_graph(vertices, faces), directed=False)[1]
     for count in (1, 3, 12):
         label = partition(vertices, faces, weight, count, seed=0)
@@ -157,7 +157,7 @@ def test_every_piece_has_its_own_clusters():
 def test_pieces_share_the_clusters_by_their_mass():
     vertices, faces = side_by_side(grid(20, 20), grid(20, 20))
     piece = (vertices[:, 0] > 0.5).astype(int)
-    weight = vertex_areas(vertices, faces) * np.where(piece, 3.0, 1.0)
+    weight = meshes.vertex_areas(vertices, faces) * np.where(piece, 3.0, 1.0)
     label = partition(vertices, faces, weight, 20, seed=0)
     assert [len(np.unique(label[piece == k])) for k in (0, 1)] == [5, 15]
 

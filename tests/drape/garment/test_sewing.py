@@ -15,21 +15,15 @@ from drape.garment.files.mesh import GarmentMesh
 from drape.garment.grain import corner_uv
 from drape.garment.sewing import Edge, Seam, Sewing, near_lines, read_sewing, sewing_beside, sewn_hinges
 from drape.geometry import meshes
+from tests.drape.cloth.cloth_shapes import grid
 
-ROWS, COLUMNS, EDGE_M = 6, 9, 0.01
+ROWS = 6
 
 
 def strip() -> tuple[GarmentMesh, Sewing]:
     """Two panels of 5 by 4 squares of 1 cm, sewn along the column at 4 cm and folded there; the left rim is a hem."""
-    y, x = (grid.reshape(-1) for grid in np.meshgrid(np.arange(ROWS), np.arange(COLUMNS), indexing="ij"))
-    vertices = EDGE_M * np.stack([x, y, 0.0 * x], axis=1)
-    corner = np.flatnonzero((x < COLUMNS - 1) & (y < ROWS - 1))
-    faces = np.concatenate(
-        [
-            np.stack([corner, corner + 1, corner + COLUMNS], axis=1),
-            np.stack([corner + 1, corner + COLUMNS + 1, corner + COLUMNS], axis=1),
-        ]
-    )
+    vertices, faces = grid(8, ROWS - 1)
+    x = np.rint(100.0 * vertices[:, 0])
     right = vertices[faces][..., 0].mean(axis=1) > 0.04
     seam = np.flatnonzero(x == 4)
     # The right panel has rows of its own along the seam, 10 cm farther in uv.
@@ -49,7 +43,7 @@ def strip() -> tuple[GarmentMesh, Sewing]:
         hem_width_m=0.015,
         panels=("left", "right"),
         seams=(Seam("middle", ("left", "right"), -1.2, rows, (rows, tuple(other[seam].tolist()))),),
-        edges=(Edge("hem", "hem", "left", rim, rim), Edge("side", "free", "right", (8, 17), (8, 17))),
+        edges=(Edge("hem", "hem", "left", rim, rim), Edge("side", "free", "right", (48, 49), (48, 49))),
     )
     return mesh, sewing
 

@@ -8,59 +8,53 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from drape.body.assets import load_body
-from drape.garment.cache import Garment
 from drape.garment.fine import corner_weights
 from drape.garment.wrapping import Wrapping
-from tests.fixtures.garments import COLUMNS, tube_garment
+from tests.fixtures.garments import COLUMNS, coarse_tube
 
 RADIUS_M = 0.2
+COARSE = coarse_tube()
 SAGITTA_M = RADIUS_M * (1.0 - np.cos(np.pi / COLUMNS))
 
 
 @pytest.fixture(scope="module")
-def coarse() -> Garment:
-    return tube_garment(load_body(), subdivided=True)
-
-
-@pytest.fixture(scope="module")
-def round_cloth(coarse: Garment) -> np.ndarray:
+def round_cloth() -> np.ndarray:
     """The tube's fine vertices [m] (N, 3) on a circle of ``RADIUS_M``."""
-    away = coarse.vertices.astype(np.float64) - coarse.vertices.mean(axis=0)
+    away = COARSE.vertices.astype(np.float64) - COARSE.vertices.mean(axis=0)
     out = away * [1.0, 0.0, 1.0]
     out *= RADIUS_M / np.linalg.norm(out, axis=1, keepdims=True)
     return out + away * [0.0, 1.0, 0.0]
 
 
-def below_m(coarse: Garment, corners: np.ndarray) -> np.ndarray:
+def below_m(corners: np.ndarray) -> np.ndarray:
     """How far [m] (N,) the delivered triangles lie inside the fine vertices on the tube."""
-    placed = corner_weights(coarse) @ corners
+    placed = corner_weights(COARSE) @ corners
     return RADIUS_M - np.linalg.norm(placed[:, [0, 2]], axis=1)
 
 
-def test_triangles_go_out_to_what_bulges_between_their_corners(coarse: Garment, round_cloth: np.ndarray):
-    count = coarse.vertex_count
-    before = below_m(coarse, round_cloth[:count])
+def test_triangles_go_out_to_what_bulges_between_their_corners(round_cloth: np.ndarray):
+    count = COARSE.vertex_count
+    before = below_m(round_cloth[:count])
     bulge_m = before.max()  # the coarse corners are not evenly spread
     assert SAGITTA_M <= bulge_m < 2.0 * SAGITTA_M
-    wrapped = Wrapping(coarse).wrap(round_cloth)
+    wrapped = Wrapping(COARSE).wrap(round_cloth)
     assert wrapped.shape == (count, 3)
-    assert below_m(coarse, wrapped).max() < 0.15 * bulge_m
+    assert below_m(wrapped).max() < 0.15 * bulge_m
     assert np.linalg.norm(wrapped - round_cloth[:count], axis=1).max() < 1.5 * bulge_m
 
 
-def test_flat_cloth_and_hollows_stay_and_types_are_kept(coarse: Garment):
-    flat = coarse.vertices.astype(np.float64) * [1.0, 1.0, 0.0]  # the tube pressed flat: midpoints stay midpoints
-    wrapping = Wrapping(coarse)
-    assert_allclose(wrapping.wrap(flat), flat[: coarse.vertex_count], rtol=0, atol=1e-7)
-    hollow = coarse.vertices.copy()
+def test_flat_cloth_and_hollows_stay_and_types_are_kept():
+    flat = COARSE.vertices.astype(np.float64) * [1.0, 1.0, 0.0]  # the tube pressed flat: midpoints stay midpoints
+    wrapping = Wrapping(COARSE)
+    assert_allclose(wrapping.wrap(flat), flat[: COARSE.vertex_count], rtol=0, atol=1e-7)
+    hollow = COARSE.vertices.copy()
     normals = hollow * [1.0, 0.0, 1.0]
-    hollow[coarse.vertex_count :] -= 0.02 * normals[coarse.vertex_count :]
+    hollow[COARSE.vertex_count :] -= 0.02 * normals[COARSE.vertex_count :]
     found = wrapping.wrap(hollow)
     assert found.dtype == np.float32
-    assert_allclose(found, hollow[: coarse.vertex_count], rtol=0, atol=2e-4)
+    assert_allclose(found, hollow[: COARSE.vertex_count], rtol=0, atol=2e-4)
 
 
-def test_the_same_cloth_gives_the_same_bits_from_any_wrapping(coarse: Garment, round_cloth: np.ndarray):
-    other = Wrapping(replace(coarse))
-    assert_array_equal(other.wrap(round_cloth), Wrapping(coarse).wrap(round_cloth))
+def test_the_same_cloth_gives_the_same_bits_from_any_wrapping(round_cloth: np.ndarray):
+    other = Wrapping(replace(COARSE))
+    assert_array_equal(other.wrap(round_cloth), Wrapping(COARSE).wrap(round_cloth))

@@ -52,9 +52,8 @@ def slopes(height: np.ndarray, uv: np.ndarray) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("order", ORDERS)
-def test_basis_has_as_many_monomials_as_it_says(order, uv):
+def test_basis_has_as_many_monomials_as_it_says(order):
     assert jets.coefficient_count(order) == len(jets.exponents(order)) == (order + 1) * (order + 2) // 2
-    assert jets.basis(uv, order).shape == (50, jets.coefficient_count(order))
 
 
 def test_basis_is_in_the_order_of_the_paper(uv):
@@ -92,24 +91,19 @@ def test_pack_and_unpack_are_inverse(jet, rng):
     assert jet.shape[-1] == jets.JET_COUNT
 
 
-def test_full_jets_are_the_same_surface(jet, uv, rng):
+def test_full_jets_are_the_same_surface(jet, uv):
     full = jets.full(jet)
     assert full.shape[-1] == jets.FULL_COUNT
     assert_array_equal(jets.full(full), full)
     for derivative in ({}, {"u_times": 1}, {"v_times": 2}):
         assert_allclose(jets.evaluate(full, uv, **derivative), jets.evaluate(jet, uv, **derivative), rtol=0, atol=EXACT)
-    parts = [rng.normal(size=(5, jets.HEIGHT_COUNT)) for _ in range(3)]
-    for have, want in zip(jets.unpack(jets.pack(*parts)), parts, strict=True):
-        assert_array_equal(have, want)
+    assert_array_equal(jets.pack(*jets.unpack(full)), full)
 
 
 def test_identity_jet_is_the_parameter_plane(uv):
     flat = monge(np.zeros(jets.HEIGHT_COUNT))
     assert_allclose(jets.evaluate(flat, uv), np.c_[uv, np.zeros(50)], rtol=0.0, atol=EXACT)
     assert_allclose(jets.normal(flat, uv), np.tile([0.0, 0.0, 1.0], (50, 1)), rtol=0.0, atol=EXACT)
-    mean, gaussian = jets.curvature(flat, uv, np.array(0.1))
-    assert_array_equal(mean, np.zeros(50))
-    assert_array_equal(gaussian, np.zeros(50))
 
 
 def test_evaluation_is_linear_in_the_coefficients(jet, uv, rng):
@@ -137,14 +131,6 @@ def test_metric_is_the_length_of_small_steps(jet, uv, rng):
     assert_allclose(np.sqrt(np.einsum("ni,nij,nj->n", direction, g, direction)), length, rtol=1e-7, atol=0.0)
 
 
-def test_metric_of_a_graph_is_its_closed_form(uv, rng):
-    height, scale = rng.normal(size=jets.HEIGHT_COUNT), 0.07
-    d = slopes(height, uv)
-    want = np.array([[1.0 + d["u"] ** 2, d["u"] * d["v"]], [d["u"] * d["v"], 1.0 + d["v"] ** 2]])
-    got = jets.metric(monge(height), uv, np.array(scale))
-    assert_allclose(got, scale**2 * np.moveaxis(want, -1, 0), rtol=1e-10, atol=EXACT)
-
-
 def test_curvature_of_a_graph_is_its_closed_form(uv, rng):
     height, scale = 0.3 * rng.normal(size=jets.HEIGHT_COUNT), 0.07
     d = slopes(height, uv)
@@ -153,23 +139,6 @@ def test_curvature_of_a_graph_is_its_closed_form(uv, rng):
     mean, gaussian = jets.curvature(monge(height), uv, np.array(scale))
     assert_allclose(mean, top / (2.0 * area**1.5) / scale, rtol=1e-9, atol=1e-9)
     assert_allclose(gaussian, (d["uu"] * d["vv"] - d["uv"] ** 2) / area**2 / scale**2, rtol=1e-9, atol=1e-9)
-
-
-def test_curvature_of_a_paraboloid_at_its_apex():
-    a, b, scale = 3.0, 5.0, 0.2  # z = (a x^2 + b y^2) / 2 in metres
-    jet = monge(height_of(uu=0.5 * a * scale, vv=0.5 * b * scale))
-    mean, gaussian = jets.curvature(jet, np.zeros(2), np.array(scale))
-    assert_allclose(mean, 0.5 * (a + b), rtol=EXACT, atol=0.0)
-    assert_allclose(gaussian, a * b, rtol=EXACT, atol=0.0)
-
-
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_mean_curvature_of_a_cylinder_is_positive_where_it_bends_towards_its_normal(sign):
-    radius, scale = 0.15, 0.05
-    jet = monge(height_of(uu=sign * scale / (2.0 * radius), uuuu=sign * scale**3 / (8.0 * radius**3)))
-    mean, gaussian = jets.curvature(jet, np.array([[0.0, 0.0], [0.0, 0.7]]), np.array(scale))
-    assert_allclose(mean, sign / (2.0 * radius), rtol=EXACT, atol=0.0)
-    assert_allclose(gaussian, 0.0, rtol=0.0, atol=EXACT)
 
 
 def sphere_jet(radius: float, scale: float) -> np.ndarray:
@@ -181,23 +150,20 @@ def sphere_jet(radius: float, scale: float) -> np.ndarray:
 @pytest.mark.parametrize(("quantity", "order"), [("metric", 6), ("normal", 5), ("mean", 4), ("gaussian", 4)])
 def test_sphere_is_approached_at_the_order_of_the_jet(quantity, order):
     radius, scale = 0.3, 0.1
-    errors = []
+    jet, errors = sphere_jet(radius, scale), []
     for reach in (0.4, 0.2):
         where = reach * np.array([np.cos(0.4), np.sin(0.4)])
         x = scale * where
         z = np.sqrt(radius**2 - x @ x)
-        jet = sphere_jet(radius, scale)
         mean, gaussian = jets.curvature(jet, where, np.array(scale))
-        errors.append(
-            {
-                "metric": np.abs(
-                    jets.metric(jet, where, np.array(scale)) - scale**2 * (np.eye(2) + np.outer(x, x) / z**2)
-                ).max(),
-                "normal": np.abs(jets.normal(jet, where) - np.array([*x, z]) / radius).max(),
-                "mean": abs(mean + 1.0 / radius),
-                "gaussian": abs(gaussian - 1.0 / radius**2),
-            }[quantity]
-        )
+        metric = scale**2 * (np.eye(2) + np.outer(x, x) / z**2)
+        off = {
+            "metric": jets.metric(jet, where, np.array(scale)) - metric,
+            "normal": jets.normal(jet, where) - np.array([*x, z]) / radius,
+            "mean": mean + 1.0 / radius,
+            "gaussian": gaussian - 1.0 / radius**2,
+        }
+        errors.append(np.abs(off[quantity]).max())
     assert_allclose(np.log2(errors[0] / errors[1]), order, rtol=0.0, atol=0.15)
 
 
@@ -212,12 +178,8 @@ def test_curvature_ignores_the_parameters_and_scales_with_the_inverse_length(jet
     turn = np.array([[0.8, -0.6], [0.6, 0.8]])
     p, q, h = jets.unpack(monge(height_of(uu=0.3, uv=0.2, vvv=0.1, uuvv=-0.2)))
     turned = jets.pack(turn[0, 0] * p + turn[0, 1] * q, turn[1, 0] * p + turn[1, 1] * q, h)
-    for have, want in zip(
-        jets.curvature(turned, uv, np.array(0.1)),
-        jets.curvature(jets.pack(p, q, h), uv, np.array(0.1)),
-        strict=True,
-    ):
-        assert_allclose(have, want, rtol=1e-10, atol=EXACT)
+    want = jets.curvature(jets.pack(p, q, h), uv, np.array(0.1))
+    assert_allclose(jets.curvature(turned, uv, np.array(0.1)), want, rtol=1e-10, atol=EXACT)
     small, large = jets.curvature(jet, uv, np.array(0.1)), jets.curvature(jet, uv, np.array(0.3))
     assert_allclose(small[0], 3.0 * large[0], rtol=1e-10, atol=0.0)
     assert_allclose(small[1], 9.0 * large[1], rtol=1e-10, atol=0.0)

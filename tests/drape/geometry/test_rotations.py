@@ -68,14 +68,6 @@ def test_rotvec_to_matrix_is_the_matrix_exponential(rotvecs):
     assert_allclose(rotvec_to_matrix(rotvecs), expm(skew), rtol=0.0, atol=EXACT)
 
 
-def test_matrices_are_orthonormal_with_determinant_one(rotvecs):
-    matrices = rotvec_to_matrix(rotvecs)
-    assert_allclose(
-        matrices @ np.swapaxes(matrices, -1, -2), np.broadcast_to(np.eye(3), matrices.shape), rtol=0.0, atol=EXACT
-    )
-    assert_allclose(np.linalg.det(matrices), np.ones(len(matrices)), rtol=0.0, atol=EXACT)
-
-
 def test_rotvec_returns_through_matrix_and_quaternion(rotvecs):
     assert_allclose(matrix_to_rotvec(rotvec_to_matrix(rotvecs)), rotvecs, rtol=0.0, atol=ROUND_TRIP)
     assert_allclose(quaternion_to_rotvec(rotvec_to_quaternion(rotvecs)), rotvecs, rtol=0.0, atol=ROUND_TRIP)

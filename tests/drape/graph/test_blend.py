@@ -8,20 +8,19 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from drape.body.assets import load_body
 from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.graph.blend import blended
 from drape.graph.feeds import garment_feed
 from drape.graph.packing import pack_garment
-from tests.fixtures.tiny_model import tube_garment
+from tests.fixtures.garments import tube
 
 TERMS = 4 * 18  # of a vertex
 
 
 @pytest.mark.parametrize("width", [jets.JET_COUNT, jets.FULL_COUNT])
 def test_a_vertex_is_what_its_charts_say_by_their_weights(width: int):
-    feed, draw = garment_feed(tube_garment(load_body())), np.random.default_rng(5)
+    feed, draw = garment_feed(tube()), np.random.default_rng(5)
     patches = len(feed["patch_scale"])
     packed = pack_garment(feed, np.zeros((patches, 5)))
     jet = draw.uniform(-0.1, 0.1, (patches, width)).astype(np.float32)

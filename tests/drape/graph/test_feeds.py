@@ -36,10 +36,6 @@ def betas(rng):
     return rng.normal(size=BETA_COUNT)
 
 
-def with_shapes(body, count):
-    return dataclasses.replace(body, shapedirs=body.shapedirs[..., :count])
-
-
 def test_translation_changes_only_the_root(poses, trans, betas):
     body = default_body()
     here, there = (body_feed(body, poses, where, betas) for where in (np.zeros((3, 3)), trans))
@@ -100,7 +96,7 @@ def test_shape_is_padded_with_zeros_and_stands_at_the_end_of_the_features(poses,
 
 
 def test_body_of_few_shapes_is_padded_too(poses, trans, betas):
-    body = with_shapes(default_body(), 4)
+    body = dataclasses.replace(default_body(), shapedirs=default_body().shapedirs[..., :4])
     feed = body_feed(body, poses, trans, betas[:4]).arrays
     assert_array_equal(feed["betas"][0], np.where(np.arange(BETA_COUNT) < 4, betas, 0.0).astype(np.float32))
     with pytest.raises(BodyError, match="at most 4"):

@@ -15,13 +15,13 @@ from drape.errors import ArtifactError
 from drape.graph.feeds import body_feed, garment_feed
 from drape.graph.packed import CHARTS_PER_TILE, COLUMNS, VERTICES_PER_BLOCK
 from drape.graph.packing import PackedGarment, Place, compose, pack_body, pack_garment, tile_charts
+from tests.fixtures.garments import tube
 from tests.fixtures.poses import random_motion
-from tests.fixtures.tiny_model import tube_garment
 
 
 @pytest.fixture(scope="module")
 def feed() -> dict[str, np.ndarray]:
-    return garment_feed(tube_garment(load_body()))
+    return garment_feed(tube())
 
 
 @pytest.fixture(scope="module")
@@ -103,8 +103,7 @@ def test_compositions_point_where_they_should(items):
 
 @cache
 def two_garments() -> list[PackedGarment]:
-    tube = tube_garment(load_body())
-    return [_pack(tube), _pack(tube, vertices=70)]
+    return [_pack(tube()), _pack(tube(), vertices=70)]
 
 
 def _pack(garment, *, vertices: int | None = None) -> PackedGarment:
@@ -114,11 +113,11 @@ def _pack(garment, *, vertices: int | None = None) -> PackedGarment:
     return pack_garment(feed, np.zeros((len(feed["patch_scale"]), 2)))
 
 
-@pytest.mark.parametrize(("bad", "message"), [(-1, r"indices in \[0, 12\)"), (12, r"indices in \[0, 12\)")])
-def test_charts_outside_the_patches_are_refused(feed, bad: int, message: str):
+@pytest.mark.parametrize("bad", [-1, 12])
+def test_charts_outside_the_patches_are_refused(feed, bad: int):
     charts = feed["chart_patch"].copy()
     charts[5, 2] = bad
-    with pytest.raises(ArtifactError, match=message):
+    with pytest.raises(ArtifactError, match=r"indices in \[0, 12\)"):
         pack_garment(feed | {"chart_patch": charts}, np.zeros((12, 5)))
 
 
@@ -144,6 +143,6 @@ def test_bones_that_the_body_lacks_are_refused(feed, bone: int):
 def test_an_extra_garment_of_5000_vertices_takes_less_than_three_megabytes():
     """At 100 patches and the shipped width of the first layer, charts spread as in a fitted garment."""
     chart_patch = np.sort(np.random.default_rng(0).integers(0, 100, (5000, 4)), axis=0)
-    feed = garment_feed(tube_garment(load_body()))
+    feed = garment_feed(tube())
     grown = {n: np.resize(v, (100 if n.startswith("patch") else 5000, *v.shape[1:])) for n, v in feed.items()}
     assert pack_garment(grown | {"chart_patch": chart_patch}, np.zeros((100, 640))).bytes < 3e6

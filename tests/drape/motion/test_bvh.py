@@ -6,7 +6,6 @@ from numpy.testing import assert_allclose
 
 from drape.body.skeleton import PARENTS
 from drape.errors import MotionError
-from drape.geometry.rigid import forward_kinematics
 from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix
 from drape.motion import bvh, text
 from drape.motion.amass import Y_FROM_Z
@@ -45,28 +44,23 @@ def wrote(local, root, tmp_path):
     return write
 
 
+def told_from_parents(turns):
+    """World rotations (..., 22, 3, 3) as rotations relative to the parent."""
+    parents = list(BODY_PARENTS[1:])
+    relative = np.swapaxes(turns[..., parents, :, :], -1, -2) @ turns[..., 1:, :, :]
+    return np.concatenate([turns[..., :1, :, :], relative], axis=-3)
+
+
 def read_globals(clip):
     return global_rotations(rotvec_to_matrix(clip.poses), PARENTS)
 
 
 def reposed(local, rest):
     """Offsets and local rotations of the same motion, told from a rest pose (22, 3, 3) of local rotations."""
-    frames, positions = forward_kinematics(rest, _joints(), BODY_PARENTS)
-    told = global_rotations(local, BODY_PARENTS) @ np.swapaxes(frames, -1, -2)
-    relative = told.copy()
-    for joint, parent in enumerate(BODY_PARENTS):
-        if parent >= 0:
-            relative[:, joint] = np.swapaxes(told[:, parent], -1, -2) @ told[:, joint]
-    offsets = positions - positions[[max(parent, 0) for parent in BODY_PARENTS]]
-    return offsets, relative
-
-
-def _joints():
-    joints = t_pose_offsets()
-    for joint, parent in enumerate(BODY_PARENTS):
-        if parent >= 0:
-            joints[joint] += joints[parent]
-    return joints
+    frames = global_rotations(rest[None], BODY_PARENTS)[0]
+    # The root's offset is zero, so that any frame may turn it.
+    offsets = (frames[[max(parent, 0) for parent in BODY_PARENTS]] @ t_pose_offsets()[..., None])[..., 0]
+    return offsets, told_from_parents(global_rotations(local, BODY_PARENTS) @ np.swapaxes(frames, -1, -2))
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
@@ -149,11 +143,7 @@ def folded(rng):
         body = np.stack([y, x, np.cross(y, x)], axis=-1)
         twist = rng.uniform(-np.pi, np.pi) if name.startswith(("left", "right")) else np.pi / 2.0
         rest[joint] = rotvec_to_matrix(np.array([twist, 0.0, 0.0])) @ body.T
-    relative = rest.copy()
-    for joint, parent in enumerate(BODY_PARENTS):
-        if parent >= 0:
-            relative[joint] = rest[parent].T @ rest[joint]
-    return relative
+    return told_from_parents(rest)
 
 
 def test_folded_rest_pose_gives_exact_bones_and_natural_twists(rng, wrote):

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from drape.body.assets import load_body
 from drape.errors import MotionError
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.motion.grounding import placed_on_ground, sole_heights
@@ -47,8 +46,7 @@ def test_a_jump_scales_with_the_legs_and_the_rest_place_does_not_matter():
 
 
 @pytest.mark.parametrize("name", SAMPLES)
-def test_shipped_body_stands_on_the_ground_in_the_sample_clips(name):
-    body = load_body()
+def test_shipped_body_stands_on_the_ground_in_the_sample_clips(name, body):
     clip = SAMPLES[name]()
     placed = placed_on_ground(clip, body.rest_joints(), floor=float(body.v_template[:, 1].min()))
     frames = slice(0, None, 20)

@@ -6,18 +6,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from drape.body.assets import load_body
 from drape.errors import InputError
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.motion.clip import MotionClip
 from drape.motion.hard_poses import OVERLAP_LIMIT_PCT, body_overlap_pct, hard_poses
 
 ELBOW = 18
-
-
-@pytest.fixture(scope="module")
-def body():
-    return load_body()
 
 
 def swing(angle_rad: float, *, lean_rad: float = 0.0, name: str = "swing", frames: int = 60) -> MotionClip:

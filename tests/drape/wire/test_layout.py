@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from drape.body.assets import load_body
 from drape.errors import DrapeError, InputError
 from drape.garment.cache import Garment
 from drape.geometry import jets, meshes
@@ -19,17 +18,11 @@ from drape.wire import messages as wire
 from drape.wire.jets import JetFrame
 from drape.wire.layout import HEADER_BYTES, JetLayout, pack_layout, unpack_layout
 from tests.fixtures.packed import garment
-from tests.fixtures.tiny_model import tube_garment
 
 
 def layout_of(whole: Garment) -> JetLayout:
     charts = whole.chart_patch, whole.chart_weight, whole.chart_uv
     return JetLayout(whole.patch_rotation, whole.patch_centre, whole.patch_scale, whole.vertices, *charts)
-
-
-@pytest.fixture(scope="module")
-def tube() -> Garment:
-    return tube_garment(load_body())
 
 
 def posed(layout: JetLayout, *, seed: int = 0, size: float = 0.1) -> JetFrame:
