@@ -36,7 +36,6 @@ from drape.catalog import find_garments, find_motions, open_garment
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
 from drape.cloth.material import Material
-from drape.live.fold_constants import delivered_rest
 from drape.live.fold_step import FoldEffort, Frame
 from drape.live.swing_constants import swing_constants
 from drape.live.swing_step import swing
@@ -78,7 +77,7 @@ def swung(scene: Scene, static: np.ndarray, *, folds: int) -> tuple[np.ndarray, 
 def simulated(scene: Scene, static: np.ndarray, *, friction: float) -> tuple[np.ndarray, float]:
     """The simulator's vertices [m] (F, V, 3) from the first of ``static``, and the share [%] of frames at rest."""
     garment, clip, body = scene.garment, scene.clip, scene.body
-    mesh = ClothMesh.of(delivered_rest(garment), garment.faces.astype(np.int64), garment.vertex_count)
+    mesh = ClothMesh.of(garment.delivered_rest(), garment.faces.astype(np.int64), garment.vertex_count)
     made = swing_constants(garment, body, scene.fabric)
     sheet = Sheet(mesh, Material.of(scene.fabric), friction, 0.0 if made is None else made.damping_per_s)
     motion = Motion(body, clip.poses, clip.trans, clip.fps)

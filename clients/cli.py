@@ -23,7 +23,7 @@ from pydantic.fields import FieldInfo
 
 from clients.calls import DEFAULT_URL
 from clients.client import DrapeClient
-from clients.meshes import Mesh
+from clients.meshes import surface_of
 from drape.errors import DrapeError, InputError
 from drape.export.glb import GARMENT_COLOURS
 from drape.export.obj import obj_text
@@ -196,7 +196,7 @@ def _moving(
     """The ``layers`` (F, V, 3) of the garments ``worn`` with their meshes and colours."""
     resolution = choices["resolution"] or "delivered"
     hidden = choices["hidden"] or ()
-    meshes = [Mesh.of(client.mesh(name, resolution)) for name in worn if name not in hidden]
+    meshes = [surface_of(client.mesh(name, resolution)) for name in worn if name not in hidden]
     colours = itertools.cycle(GARMENT_COLOURS)
     return [MovingGarment(*parts, next(colours)[:3]) for parts in zip(meshes, layers, strict=True)]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,35 +12,23 @@ from drape.errors import InputError
 from drape.export.glb import GARMENT_COLOURS, add_garment
 from drape.export.glb_file import GlbFile
 from drape.export.root_motion import RootMotion
+from drape.export.surface import MeshSurface, Surface
 
 
-@dataclass(frozen=True, eq=False)
-class Mesh:
-    """A garment's mesh, as ``drape.export.surface.Surface`` says."""
-
-    name: str
-    vertex_count: int
-    faces: np.ndarray
-    uv: np.ndarray
-    uv_faces: np.ndarray
-    material_names: tuple[str, ...]
-    face_material: np.ndarray
-
-    @staticmethod
-    def of(document: Mapping[str, Any]) -> Mesh:
-        """The mesh in the answer to ``GET /garments/{id}/mesh``."""
-        return Mesh(
-            document["id"],
-            len(document["vertices"]),
-            np.array(document["faces"], dtype=np.int64).reshape(-1, 3),
-            np.array(document["uv"], dtype=float).reshape(-1, 2),
-            np.array(document["uv_faces"], dtype=np.int64).reshape(-1, 3),
-            tuple(document["materials"]),
-            np.array(document["face_material"], dtype=np.int64),
-        )
+def surface_of(document: Mapping[str, Any]) -> MeshSurface:
+    """The mesh in the answer to ``GET /garments/{id}/mesh``."""
+    return MeshSurface(
+        document["id"],
+        len(document["vertices"]),
+        np.array(document["faces"], dtype=np.int64).reshape(-1, 3),
+        np.array(document["uv"], dtype=float).reshape(-1, 2),
+        np.array(document["uv_faces"], dtype=np.int64).reshape(-1, 3),
+        tuple(document["materials"]),
+        np.array(document["face_material"], dtype=np.int64),
+    )
 
 
-def layers(meshes: Sequence[Mesh], vertices: np.ndarray) -> list[np.ndarray]:
+def layers(meshes: Sequence[Surface], vertices: np.ndarray) -> list[np.ndarray]:
     """``vertices`` (F, V, 3) by garment."""
     return np.split(vertices, np.cumsum([mesh.vertex_count for mesh in meshes])[:-1], axis=1)
 
@@ -55,7 +42,7 @@ def check_without_body(call: Call[bytes], most: int) -> None:
         raise InputError("body", expected=f"at most {most} frames with it", got=str(frames), cure=cure)
 
 
-def glb_of(call: Call[bytes], meshes: Sequence[Mesh], vertices: np.ndarray, roots: np.ndarray) -> bytes:
+def glb_of(call: Call[bytes], meshes: Sequence[Surface], vertices: np.ndarray, roots: np.ndarray) -> bytes:
     """The GLB that ``call`` asks for, of ``vertices`` [m] (F, V, 3), which count from the ``roots`` [m] (F, 3)."""
     assert call.clip is not None
     file = GlbFile()

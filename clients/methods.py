@@ -16,7 +16,7 @@ import numpy as np
 
 from clients import calls, pieces
 from clients.calls import BINARY, GLB, Answer, Body, Call, Motion, at_root, draped, fetched, path_of
-from clients.meshes import Mesh, check_without_body, glb_of
+from clients.meshes import check_without_body, glb_of, surface_of
 from clients.refusals import problem_error
 from drape.errors import Unavailable
 from drape.motion.clip import MotionClip
@@ -218,7 +218,7 @@ class Methods:
         vertices, roots = yield from self._whole(rooted)
         meshes = []
         for name in _listed(garment):
-            meshes.append(Mesh.of((yield self.mesh(name, options.get("resolution") or "delivered"))))
+            meshes.append(surface_of((yield self.mesh(name, options.get("resolution") or "delivered"))))
         return glb_of(call, meshes, vertices, roots)
 
     def posed_body(

@@ -130,12 +130,7 @@ class Manifest:
             data = json.loads(text)
             version = data.get("format_version")
             if version != FORMAT_VERSION:
-                raise ArtifactError(
-                    f"{where} format_version",
-                    expected=str(FORMAT_VERSION),
-                    got=str(version),
-                    cure="Export the model again.",
-                )
+                raise _refused(f"{where} format_version", str(FORMAT_VERSION), version)
             data["graphs"] = {
                 key: GraphSpec(
                     file=spec["file"],
@@ -154,9 +149,11 @@ class Manifest:
                 data["poses"] = FileSpec(**data["poses"])
             return cls(**data)
         except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
-            raise ArtifactError(
-                where, expected="a model manifest", got=str(error), cure="Export the model again."
-            ) from error
+            raise _refused(where, "a model manifest", error) from error
+
+
+def _refused(name: str, expected: str, got: object) -> ArtifactError:
+    return ArtifactError(name, expected=expected, got=str(got), cure="Export the model again.")
 
 
 def read_parameters(folder: Path, weights: WeightsSpec) -> dict[str, np.ndarray]:
@@ -207,9 +204,7 @@ def load_manifest(folder: Path) -> Manifest:
     for key, spec in files.items():
         file = folder / spec.file
         if not file.is_file():
-            raise ArtifactError(
-                f"{folder.name} {key}", expected=spec.file, got="no such file", cure="Export the model again."
-            )
+            raise _refused(f"{folder.name} {key}", spec.file, "no such file")
         digest = file_digest(file)
         if digest != spec.sha256:
             raise ArtifactError(

@@ -16,6 +16,7 @@ import numpy as np
 from benchmarks.judge import physics
 from benchmarks.judge.blended_planes import blended_distance
 from benchmarks.judge.physics_cache import stored_minimum
+from benchmarks.measure.detail import LowPass, dihedral_deg
 from benchmarks.measure.hem import hang_mm
 from benchmarks.measure.intersections import intersection_count
 from benchmarks.measure.skin_pixels import PosedBody, covered_faces, skin_pixels_pct
@@ -23,7 +24,6 @@ from benchmarks.scenes import skinned
 from drape.body.model import BodyModel
 from drape.cloth import metrics
 from drape.cloth.contact import BodyContact, nearest_vertex_push
-from drape.cloth.detail import LowPass, dihedral_deg
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric import Fabric
 from drape.cloth.material import Material

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -25,3 +26,16 @@ class Surface(Protocol):
     def material_names(self) -> tuple[str, ...]: ...
     @property
     def face_material(self) -> np.ndarray: ...
+
+
+@dataclass(frozen=True, eq=False)
+class MeshSurface:
+    """A ``Surface`` of what is no ``Garment``."""
+
+    name: str
+    vertex_count: int
+    faces: np.ndarray
+    uv: np.ndarray
+    uv_faces: np.ndarray
+    material_names: tuple[str, ...]
+    face_material: np.ndarray

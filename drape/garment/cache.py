@@ -123,25 +123,30 @@ class Garment(Atlas):
 
     @cached_property
     def _rest_state(self) -> RestState:
-        # Here, since only simulation needs it: the service starts without.
-        from drape.garment.rest_detail import cloth_of, rest_of
-
         stored = (self.rest_edges, self.rest_angle, self.rest_stiffening)
         if all(array is None for array in stored):
-            on_corners, materials = (self.uv, self.uv_faces), (self.material_names, self.face_material)
-            return rest_of(cloth_of(self.vertices, self.fine_faces, on_corners, materials))[0]
+            return self._rest_of_mesh(self.vertices, self.fine_faces)
         hinge_count = len(meshes.hinges(self.fine_faces))
         shapes = {"rest_edges": (len(self.fine_faces), 2, 2), "rest_angle": (hinge_count,)}
         shapes["rest_stiffening"] = (hinge_count,)
         for (name, shape), array in zip(shapes.items(), stored, strict=True):
             if array is None or array.shape != shape:
-                raise ArtifactError(
-                    f"garment {self.name} {name}",
-                    expected=f"shape {shape}",
-                    got="nothing" if array is None else f"shape {array.shape}",
-                    cure="Run the intake again.",
-                )
+                got = "nothing" if array is None else f"shape {array.shape}"
+                raise _refused(f"garment {self.name} {name}", f"shape {shape}", got)
         return RestState(*(np.asarray(array, dtype=np.float64) for array in stored))
+
+    def delivered_rest(self) -> RestState:
+        """The delivered triangles without stress: what is stored, unless they were subdivided."""
+        if len(self.vertices) == self.vertex_count:
+            return self.rest_state()
+        return self._rest_of_mesh(self.vertices[: self.vertex_count], self.faces)
+
+    def _rest_of_mesh(self, vertices: np.ndarray, faces: np.ndarray) -> RestState:
+        # Here, since only simulation needs it: the service starts without.
+        from drape.garment.rest_detail import cloth_of, rest_of
+
+        on_corners, materials = (self.uv, self.uv_faces), (self.material_names, self.face_material)
+        return rest_of(cloth_of(vertices, faces, on_corners, materials))[0]
 
     def file_name(self) -> str:
         return f"{self.name}-{self.digest[:16]}.npz"
@@ -181,25 +186,20 @@ def load_garment(path: Path) -> Garment:
         header, arrays = read_packed(path)
         version = header.pop("format_version", None)
     except UNREADABLE as error:
-        raise ArtifactError(
-            f"garment cache {path.name}", expected="a garment npz", got=str(error), cure="Run the intake again."
-        ) from error
+        raise _refused(f"garment cache {path.name}", "a garment npz", error) from error
     if version != FORMAT_VERSION:
-        raise ArtifactError(
-            f"garment cache {path.name} format_version",
-            expected=str(FORMAT_VERSION),
-            got=str(version),
-            cure="Run the intake again.",
-        )
+        raise _refused(f"garment cache {path.name} format_version", str(FORMAT_VERSION), version)
     try:
         header["material_names"] = tuple(header["material_names"])
         if header.pop("fine_faces", None) == "faces":
             arrays["fine_faces"] = arrays["faces"]
         return Garment(**header, **arrays)
     except (KeyError, TypeError) as error:
-        raise ArtifactError(
-            f"garment cache {path.name}", expected="the fields of Garment", got=str(error), cure="Run the intake again."
-        ) from error
+        raise _refused(f"garment cache {path.name}", "the fields of Garment", error) from error
+
+
+def _refused(name: str, expected: str, got: object) -> ArtifactError:
+    return ArtifactError(name, expected=expected, got=str(got), cure="Run the intake again.")
 
 
 @refusing

@@ -136,13 +136,7 @@ def tile_charts(chart_patch: np.ndarray, patch_count: int, *, width: int = CHART
             got=str(chart_patch.shape),
             cure="Run the intake again.",
         )
-    if chart_patch.min() < 0 or chart_patch.max() >= patch_count:
-        raise ArtifactError(
-            "chart_patch",
-            expected=f"indices in [0, {patch_count})",
-            got=f"[{chart_patch.min()}, {chart_patch.max()}]",
-            cure="Run the intake again.",
-        )
+    _check_range("chart_patch", chart_patch, "indices", patch_count)
     flat = chart_patch.reshape(-1)
     order = np.argsort(flat, kind="stable")
     sizes = np.bincount(flat, minlength=patch_count)
@@ -152,6 +146,12 @@ def tile_charts(chart_patch: np.ndarray, patch_count: int, *, width: int = CHART
     column = np.empty(len(flat), dtype=np.int64)
     column[order] = start[flat[order]] + rank
     return Tiling(np.repeat(np.arange(patch_count), tiles).astype(np.int32), column.reshape(chart_patch.shape), width)
+
+
+def _check_range(name: str, numbers: np.ndarray, what: str, count: int) -> None:
+    if numbers.size and (numbers.min() < 0 or numbers.max() >= count):
+        got = f"[{numbers.min()}, {numbers.max()}]"
+        raise ArtifactError(name, expected=f"{what} in [0, {count})", got=got, cure="Run the intake again.")
 
 
 def pack_garment(feed: dict[str, np.ndarray], patch_first: np.ndarray) -> PackedGarment:
@@ -168,13 +168,7 @@ def pack_garment(feed: dict[str, np.ndarray], patch_first: np.ndarray) -> Packed
             cure="Encode this garment's own patch features.",
         )
     heaviest = feed["patch_heaviest"]
-    if heaviest.size and (heaviest.min() < 0 or heaviest.max() >= JOINT_COUNT):
-        raise ArtifactError(
-            "patch_heaviest",
-            expected=f"bones in [0, {JOINT_COUNT})",
-            got=f"[{heaviest.min()}, {heaviest.max()}]",
-            cure="Run the intake again.",
-        )
+    _check_range("patch_heaviest", heaviest, "bones", JOINT_COUNT)
     tiling = tile_charts(feed["chart_patch"], count)
     scale = feed["patch_scale"][feed["chart_patch"]].astype(np.float64)[..., None]
     entries = np.concatenate([feed["chart_local"] / scale, feed["chart_basis"]], axis=-1)

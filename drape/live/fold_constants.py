@@ -12,12 +12,10 @@ from drape.cloth.energies import ClothMesh, contact_n_per_m
 from drape.cloth.fabric import Fabric
 from drape.cloth.fabric_table import fabric as fabric_named
 from drape.cloth.material import Material
-from drape.cloth.rest_state import RestState
 from drape.cloth.waistband import STIFFNESS_N_M2, waistband
 from drape.contact.samples import Samples
 from drape.contact.skin import body_skin
 from drape.garment.cache import Garment
-from drape.garment.rest_detail import cloth_of, rest_of
 from drape.live.room import SheetNeighbours, sheet_neighbours
 from drape.live.sheet import Sheet, sheet
 from drape.live.skin_contact import SkinGraph, nearest_at_rest, skin_graph
@@ -97,7 +95,7 @@ def worn_cloth(garment: Garment, body: BodyModel, fabric: Fabric | None = None) 
     """The delivered mesh of ``garment`` on ``body``, made of ``fabric`` or else its own."""
     count = garment.vertex_count
     vertices, faces = garment.vertices[:count].astype(np.float64), garment.faces.astype(np.int64)
-    cloth = ClothMesh.of(delivered_rest(garment), faces, count)
+    cloth = ClothMesh.of(garment.delivered_rest(), faces, count)
     skin = body_skin(body)
     index = nearest_at_rest(vertices, skin)
     held = leash_n_per_m(vertices, cloth.vertex_area, skin, index)
@@ -116,15 +114,6 @@ def leash_n_per_m(vertices: np.ndarray, area: np.ndarray, skin: Samples, index: 
     """
     height_m = ((vertices - skin.point[index]) * skin.normal[index]).sum(axis=1)
     return LEASH_N_M3 * area * np.clip((HANGING_M - height_m) / (HANGING_M - LYING_M), LEAST, 1.0)
-
-
-def delivered_rest(garment: Garment) -> RestState:
-    """The delivered triangles without stress: what is stored, unless they were subdivided."""
-    count = garment.vertex_count
-    if len(garment.vertices) == count:
-        return garment.rest_state()
-    painted, materials = (garment.uv, garment.uv_faces), (garment.material_names, garment.face_material)
-    return rest_of(cloth_of(garment.vertices[:count], garment.faces, painted, materials))[0]
 
 
 def _nbytes(value: object) -> int:

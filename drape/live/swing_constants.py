@@ -11,7 +11,6 @@ from drape.cloth.fabric_table import fabric as fabric_named
 from drape.cloth.material import Material
 from drape.contact.skin import body_skin
 from drape.garment.cache import Garment
-from drape.live.fold_constants import delivered_rest
 from drape.live.skin_contact import nearest_at_rest, skin_graph
 from drape.live.swing_mesh import swing_mesh
 from drape.live.swing_nodes import STIFFEST_N_PER_M
@@ -29,7 +28,7 @@ def swing_constants(garment: Garment, body: BodyModel, fabric: Fabric | None = N
     made_of = fabric_named(garment.fabric) if fabric is None else fabric
     material, count, skin = Material.of(made_of), garment.vertex_count, body_skin(body)
     rest = garment.vertices[:count].astype(np.float64)
-    cloth = ClothMesh.of(delivered_rest(garment), garment.faces.astype(np.int64), count)
+    cloth = ClothMesh.of(garment.delivered_rest(), garment.faces.astype(np.int64), count)
     nearest = nearest_at_rest(rest, skin)
     held = ((rest - skin.point[nearest]) * skin.normal[nearest]).sum(axis=1) < HELD_M
     mesh = swing_mesh(cloth, material, rest, held)

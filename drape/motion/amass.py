@@ -37,8 +37,7 @@ def read_amass(path: Path) -> MotionClip:
     path = Path(path)
     try:
         with zipfile.ZipFile(path) as archive:
-            arrays = _Arrays(path, archive)
-            return _clip(arrays)
+            return _clip(_Arrays(path, archive))
     except (OSError, zipfile.BadZipFile) as cause:
         raise MotionError(
             path.name,
@@ -56,7 +55,7 @@ def rotate_world(clip_poses: np.ndarray, trans: np.ndarray, rotation: np.ndarray
 
 
 def _clip(arrays: _Arrays) -> MotionClip:
-    poses, default_up = _joint_poses(arrays.fault_name, arrays.numbers("poses"))
+    poses, default_up = _joint_poses(arrays)
     trans = arrays.numbers("trans")
     if trans.shape != (len(poses), 3):
         raise arrays.fault(
@@ -86,18 +85,16 @@ def _check_finite_root(arrays: _Arrays, poses: np.ndarray, trans: np.ndarray) ->
             raise arrays.fault(name, "finite numbers", "NaN or infinity", "Remove or repair the broken frames.")
 
 
-def _joint_poses(fault_name: str, poses: np.ndarray) -> tuple[np.ndarray, str]:
+def _joint_poses(arrays: _Arrays) -> tuple[np.ndarray, str]:
     """Poses (F, 24, 3), and the up axis that this layout has by default."""
+    poses = arrays.numbers("poses")
     if poses.ndim == 3 and poses.shape[1:] == (JOINT_COUNT, 3):
         return poses, "y"
     joints = _BODY_JOINTS.get(poses.shape[1]) if poses.ndim == 2 else None
     if joints is None:
-        raise MotionError(
-            f"{fault_name}: poses",
-            expected="shape (F, 24, 3) or (F, 72), (F, 66), (F, 156), (F, 165)",
-            got=f"shape {poses.shape}",
-            cure="Export SMPL, SMPL-H or SMPL-X poses as axis-angle.",
-        )
+        wanted = "shape (F, 24, 3) or (F, 72), (F, 66), (F, 156), (F, 165)"
+        cure = "Export SMPL, SMPL-H or SMPL-X poses as axis-angle."
+        raise arrays.fault("poses", wanted, f"shape {poses.shape}", cure)
     full = np.zeros((len(poses), JOINT_COUNT, 3))
     full[:, :joints] = poses[:, : 3 * joints].reshape(len(poses), joints, 3)
     return full, "z"
@@ -123,15 +120,11 @@ class _Arrays:
     archive: zipfile.ZipFile
 
     @property
-    def fault_name(self) -> str:
-        return self.path.name
-
-    @property
     def names(self) -> set[str]:
         return {name.removesuffix(".npy") for name in self.archive.namelist()}
 
     def fault(self, name: str, expected: str, got: str, cure: str) -> MotionError:
-        return MotionError(f"{self.fault_name}: {name}", expected=expected, got=got, cure=cure)
+        return MotionError(f"{self.path.name}: {name}", expected=expected, got=got, cure=cure)
 
     def numbers(self, name: str) -> np.ndarray:
         array = self._read(name)

@@ -18,8 +18,8 @@ from drape.cloth.material import material
 from drape.garment.cache import Garment
 from drape.garment.fitting import patch_fields, rest_garment
 from drape.motion.hard_poses import HardPoses
+from tests.fixtures.garments import tube_garment
 from tests.fixtures.packed import exported
-from tests.fixtures.tiny_model import tube_garment
 
 SPINE = (3, 6)
 

@@ -17,9 +17,10 @@ from drape.errors import ArtifactError, Unavailable
 from drape.garment.cache import save_garment
 from drape.motion.clip import MotionClip
 from tests.benchmarks.quality_setup import tube as tube_garment
+from tests.fixtures.garments import COLUMNS
 from tests.fixtures.packed import exported, exported_dynamic
 from tests.fixtures.poses import smooth_motion
-from tests.fixtures.tiny_model import COLUMNS, write_tiny_model
+from tests.fixtures.tiny_model import write_tiny_model
 
 FPS = subject.FPS
 

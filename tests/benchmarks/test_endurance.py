@@ -12,7 +12,7 @@ from benchmarks.endurance import COLUMNS, endure, main, totals
 from benchmarks.scenes import Clip, Scene
 from drape.cloth.fabric_table import fabric
 from tests.benchmarks.quality_setup import bending, body, network
-from tests.fixtures.tiny_model import tube_garment
+from tests.fixtures.garments import tube_garment
 
 FRAMES = 6
 

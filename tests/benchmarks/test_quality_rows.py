@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from benchmarks.judge.blended_planes import blended_distance
+from benchmarks.measure.detail import LowPass, dihedral_deg
 from benchmarks.measure.hem import hang_mm
 from benchmarks.measure.intersections import intersection_count
 from benchmarks.quality import METHODS as EVERY
@@ -16,7 +17,6 @@ from benchmarks.quality import add_comparisons, measure, summary
 from benchmarks.scenes import skinned as skin
 from drape.cloth import energies, metrics
 from drape.cloth.contact import BodyContact
-from drape.cloth.detail import LowPass, dihedral_deg
 from drape.cloth.energies import ClothMesh
 from drape.cloth.fabric_table import fabric
 from drape.cloth.material import Material

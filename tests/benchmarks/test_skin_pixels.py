@@ -26,8 +26,8 @@ from service.stages.batch import PoseInput
 from tests.benchmarks.quality_setup import bending, network
 from tests.benchmarks.quality_setup import body as body_model
 from tests.drape.geometry.geometry_shapes import icosphere
+from tests.fixtures.garments import tube_garment
 from tests.fixtures.serving import make_settings, tiny_folder
-from tests.fixtures.tiny_model import tube_garment
 
 __all__ = ["make_settings", "tiny_folder"]  # fixtures
 RADIUS_M = 0.15

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from dataclasses import replace
 
@@ -17,6 +18,7 @@ from drape.errors import ArtifactError
 from drape.geometry import jets
 from drape.graph.feeds import body_feed, garment_feed
 from model_export import export as exporting
+from model_export.__main__ import main
 from model_export.graph import DrapeGraph, drape_inputs
 from model_export.onnx_file import _check_symbolic
 from model_export.parity import hard_poses, session
@@ -135,11 +137,6 @@ def test_a_baked_in_axis_is_refused(published):
 
 
 def test_quality_is_written_into_a_standing_folder(published, tmp_path, monkeypatch):
-    import json
-    import shutil
-
-    from model_export.__main__ import main
-
     _, folder, manifest = published
     shutil.copytree(folder, tmp_path / "m")
     (tmp_path / "q.json").write_text(json.dumps({"rows": [{"garment": "tank", "gain": 0.5}]}))
@@ -150,8 +147,6 @@ def test_quality_is_written_into_a_standing_folder(published, tmp_path, monkeypa
 
 
 def test_a_checkpoint_exports_through_the_command(garment, tmp_path, monkeypatch):
-    from model_export.__main__ import main
-
     model = lively()
     config = TrainConfig(model=model.config)
     checkpoint.save(tmp_path / "c.pt", {"model": model.state_dict(), "step": 5, "elapsed_s": 60.0}, config)

@@ -10,13 +10,11 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from drape.body.assets import load_body
-from drape.catalog import find_garments, open_garment
 from drape.contact.skin import body_skin
-from drape.garment.cache import Garment
 from drape.geometry import jets
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.graph.feeds import garment_feed
+from tests.fixtures.garments import shipped
 from tests.training.training_setup import CPU, JERSEY, TINY, body, source
 from training.config import ModelConfig, paper
 from training.consensus import (
@@ -32,20 +30,17 @@ from training.data import Partition, on_device, partition_tensors
 from training.disagreement import disagreement
 from training.model import OneFit, Posed, pose_frames, posed_coefficients
 
-
-@cache
-def garment() -> Garment:
-    return open_garment(find_garments(["tank"])[0], load_body())
+TANK = shipped("tank")
 
 
 @cache
 def partition() -> Partition:
-    return partition_tensors(garment(), body_skin(body()), device=CPU)
+    return partition_tensors(TANK, body_skin(body()), device=CPU)
 
 
 @cache
 def gathered() -> GatheredConsensus:
-    return GatheredConsensus.from_flat(on_device(garment_feed(garment()), CPU))
+    return GatheredConsensus.from_flat(on_device(garment_feed(TANK), CPU))
 
 
 def posed(count: int = 2, size: float = 0.05) -> Posed:
@@ -53,7 +48,7 @@ def posed(count: int = 2, size: float = 0.05) -> Posed:
     poses = rng.normal(0.0, 0.3, size=(count, 24, 3))
     bodies = source().pose(poses, np.zeros((count, body().shape_count))).tensors
     rotation, centre = pose_frames(bodies, partition().patches)
-    jet = size * torch.randn(count, garment().patch_count, jets.JET_COUNT, generator=torch.Generator().manual_seed(2))
+    jet = size * torch.randn(count, TANK.patch_count, jets.JET_COUNT, generator=torch.Generator().manual_seed(2))
     return Posed(rotation, centre, jet)
 
 
@@ -82,7 +77,7 @@ def test_charts_that_agree_stay_as_they_are():
     rotation = (turn @ patches.rotation)[None]
     centre = (patches.centre @ turn.T + torch.tensor([0.3, -0.2, 0.1]))[None]
     charts = partition().consensus
-    state = Posed(rotation, centre, torch.zeros(1, garment().patch_count, jets.JET_COUNT))
+    state = Posed(rotation, centre, torch.zeros(1, TANK.patch_count, jets.JET_COUNT))
     agreed = agreed_jets(charts.anchors(frames(state)), charts, rotation, centre, patches.scale)
     assert float(agreed.abs().max()) < 1e-4
 
@@ -92,7 +87,7 @@ def test_agreement_brings_charts_together():
     anchors = charts.anchors(posed_coefficients(state, scale))
     agreed = agreed_jets(anchors, charts, state.rotation, state.centre, scale)
     gaps = [
-        disagreement(garment(), jet.numpy(), state.rotation.numpy(), state.centre.numpy()).gap_m
+        disagreement(TANK, jet.numpy(), state.rotation.numpy(), state.centre.numpy()).gap_m
         for jet in (state.jet, agreed)
     ]
     assert np.median(gaps[1]) < 0.3 * np.median(gaps[0])
@@ -110,7 +105,7 @@ def test_closing_fit_brings_charts_nearer_than_the_jets_of_the_passes_can():
         assert_allclose(jets.unpack(high)[2], jets.unpack(low)[2], rtol=0, atol=1e-6)  # heights have that order anyway
         closed.append(high)
         for jet in (low, high):
-            found = disagreement(garment(), jet.numpy(), state.rotation.numpy(), state.centre.numpy())
+            found = disagreement(TANK, jet.numpy(), state.rotation.numpy(), state.centre.numpy())
             gaps.append(np.quantile(found.gap_m, 0.9))
     assert_allclose(closed[0], closed[1], rtol=0, atol=2e-4 * float(closed[1].abs().max()))
     assert gaps[1] < 0.8 * gaps[0] and gaps[3] < 0.8 * gaps[2]
@@ -150,13 +145,12 @@ def test_strain_of_a_stretch_is_its_closed_form():
     e = 0.5 * (f.T @ f - np.eye(2))
     wanted = np.repeat([e[0, 0], e[1, 1], 2.0 * e[0, 1]], 7)
     assert_allclose(strain[0, 1], wanted, rtol=0, atol=1e-6)
-    assert_allclose(
-        force[0, 1, 1], 7.0 * (f @ (e + TRACE_SHARE * np.trace(e) * np.eye(2)))[0, 0], rtol=1e-5
-    )  # d/dp_u of the sum over seven points alike
+    stress = e + TRACE_SHARE * np.trace(e) * np.eye(2)
+    assert_allclose(force[0, 1, 1], 7.0 * (f @ stress)[0, 0], rtol=1e-5)  # d/dp_u of the sum over seven points alike
 
 
 def test_rigid_patches_feel_nothing():
-    strain, force = strain_and_force(torch.zeros(1, garment().patch_count, jets.JET_COUNT), gathered(), tangent_terms())
+    strain, force = strain_and_force(torch.zeros(1, TANK.patch_count, jets.JET_COUNT), gathered(), tangent_terms())
     assert float(strain.abs().max()) < 1e-5 and float(force.abs().max()) < 1e-4
 
 
@@ -164,7 +158,7 @@ def test_force_is_the_gradient_of_the_strain_energy():
     charts = gathered()
     exact = replace(charts, tangent=charts.tangent.double(), orthonormal=charts.orthonormal.double())
     terms = tangent_terms().double()
-    jet = 0.2 * torch.randn(2, garment().patch_count, jets.JET_COUNT, dtype=torch.float64)
+    jet = 0.2 * torch.randn(2, TANK.patch_count, jets.JET_COUNT, dtype=torch.float64)
     jet.requires_grad_()
     strain, force = strain_and_force(jet, exact, terms)
     e11, e22, shear = strain.unflatten(-1, (3, 7)).unbind(-2)

@@ -10,7 +10,6 @@ import pytest
 import torch
 from numpy.testing import assert_allclose
 
-from drape.catalog import find_garments, open_garment
 from drape.errors import ArtifactError
 from drape.files.data import DATA_VARIABLE
 from drape.garment.cache import save_garment
@@ -19,7 +18,7 @@ from drape.graph.feeds import body_feed
 from drape.motion.clip import MotionClip
 from drape.motion.hard_poses import HardPoses
 from tests.fixtures.garments import reconstructed
-from tests.fixtures.tiny_model import skinned_vertices, tube_garment
+from tests.fixtures.tiny_model import skinned_vertices
 from tests.training.training_setup import TINY, TINY_RUN, body, source
 from training import checkpoint
 from training.config import as_published
@@ -49,38 +48,34 @@ def bend() -> np.ndarray:
     return poses
 
 
-def test_a_silent_network_leaves_the_garment_to_its_rigid_patches():
+def test_a_silent_network_leaves_the_garment_to_its_rigid_patches(tube):
     # The tiny model of the service tests does the same, in float64 and without torch; features zero: no lift.
-    garment = tube_garment(body())
-    garment = replace(garment, patch_features=np.zeros_like(garment.patch_features))
+    garment = replace(tube, patch_features=np.zeros_like(tube.patch_features))
     vertices, posed = posed_patches(network(silent=True), garment, source(), bend())
     expected = skinned_vertices(body(), garment, bend())
     assert_allclose(vertices, expected, rtol=0.0, atol=2e-6)
     assert posed.rotation.shape == (2, garment.patch_count, 3, 3)
 
 
-def test_vertices_are_the_blend_of_the_posed_patches():
-    garment = tube_garment(body())
-    vertices, posed = posed_patches(network(), garment, source(), bend())
-    said = chart_positions(garment, posed.jet.numpy(), posed.rotation.numpy(), posed.centre.numpy())
+def test_vertices_are_the_blend_of_the_posed_patches(tube):
+    vertices, posed = posed_patches(network(), tube, source(), bend())
+    said = chart_positions(tube, posed.jet.numpy(), posed.rotation.numpy(), posed.centre.numpy())
     root = body_feed(body(), bend(), np.zeros((2, 3))).root
-    blended = np.einsum("vk,fvka->fva", garment.chart_weight, said) + root[:, None]
+    blended = np.einsum("vk,fvka->fva", tube.chart_weight, said) + root[:, None]
     assert np.abs(posed.jet.numpy()).max() > 1e-4
     assert_allclose(vertices, blended, rtol=0.0, atol=2e-6)
 
 
-def test_the_papers_variant_is_skinned_after_it_is_deformed():
-    garment = tube_garment(body())
-    vertices, _ = posed_patches(network("paper", silent=True), garment, source(), bend())
-    rest = np.broadcast_to(reconstructed(garment), (2, *garment.vertices.shape))
-    expected = skin_points(rest, garment.skin_weights, *body().bones(bend()))
+def test_the_papers_variant_is_skinned_after_it_is_deformed(tube):
+    vertices, _ = posed_patches(network("paper", silent=True), tube, source(), bend())
+    rest = np.broadcast_to(reconstructed(tube), (2, *tube.vertices.shape))
+    expected = skin_points(rest, tube.skin_weights, *body().bones(bend()))
     assert_allclose(vertices, expected, rtol=0.0, atol=2e-6)
 
 
 @pytest.mark.parametrize("variant", ["vector", "paper"])
-def test_rows_compare_the_network_with_skinning(variant):
-    garment = tube_garment(body())
-    rows = evaluate(network(variant), garment, body(), HardPoses(bend(), ("bend:0", "bend:1")))
+def test_rows_compare_the_network_with_skinning(variant, tube):
+    rows = evaluate(network(variant), tube, body(), HardPoses(bend(), ("bend:0", "bend:1")))
     assert [row["method"] for row in rows] == METHODS
     for row in rows:
         parts = row["membrane_j"] + row["bending_j"] + row["gravity_j"] + row["contact_j"]
@@ -90,10 +85,10 @@ def test_rows_compare_the_network_with_skinning(variant):
     assert rows[2]["chart_normal_p99_deg"] > 0.0
 
 
-def test_the_command_ends_with_its_record(tmp_path, capsys):
+def test_the_command_ends_with_its_record(tmp_path, tube, capsys):
     model = network()
     checkpoint.save(tmp_path / "checkpoint.pt", {"model": model.state_dict(), "step": 12}, config_of(model))
-    garment = save_garment(tube_garment(body()), tmp_path)
+    garment = save_garment(tube, tmp_path)
     motion = tmp_path / "sway.npz"
     sway = np.zeros((40, 24, 3))
     sway[:, 3, 0] = np.linspace(0.0, 0.5, 40)
@@ -108,9 +103,8 @@ def test_the_command_ends_with_its_record(tmp_path, capsys):
     assert all(label.startswith("sway:") for label in record["frames"])
 
 
-def test_fewer_passes_drape_otherwise():
-    garment = tube_garment(body())
-    jets = [posed_patches(network(), garment, source(), bend(), passes=n)[1].jet for n in (0, 1, None)]
+def test_fewer_passes_drape_otherwise(tube):
+    jets = [posed_patches(network(), tube, source(), bend(), passes=n)[1].jet for n in (0, 1, None)]
     assert float((jets[0] - jets[1]).abs().max()) > 1e-4
     assert torch.equal(jets[1], jets[2])  # the tiny network has one
 
@@ -134,11 +128,6 @@ def test_with_a_motion_folder_the_held_out_clips_are_taken(monkeypatch, tmp_path
     assert [clip.name for clip in held_out_clips(TINY_RUN, [])] == [name]
 
 
-def test_shipped_garments_are_found_by_name():
-    (path,) = find_garments(["shorts"])
-    assert open_garment(path, body()).name == "shorts"
-
-
 def test_a_checkpoint_of_another_network_is_refused(tmp_path):
     model = network()
     wider = replace(TINY_RUN, model=replace(TINY, body_hidden=24))
@@ -148,11 +137,7 @@ def test_a_checkpoint_of_another_network_is_refused(tmp_path):
     checkpoint.save(tmp_path / "empty.pt", {"step": 1}, TINY_RUN)
     with pytest.raises(ArtifactError, match=r"empty.pt.*model"):
         load_network(tmp_path / "empty.pt")
-    loaded, config, steps = load_network(_saved(tmp_path, model))
+    checkpoint.save(tmp_path / "good.pt", {"model": model.state_dict(), "step": 3}, config_of(model))
+    loaded, config, steps = load_network(tmp_path / "good.pt")
     assert (config, steps) == (config_of(model), 3)
     assert not loaded.training
-
-
-def _saved(folder, model: OneFit):
-    checkpoint.save(folder / "good.pt", {"model": model.state_dict(), "step": 3}, config_of(model))
-    return folder / "good.pt"

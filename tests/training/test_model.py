@@ -10,7 +10,7 @@ import torch
 from numpy.testing import assert_allclose
 
 from drape.geometry import jets
-from drape.geometry.rotations import rotvec_to_matrix
+from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix
 from drape.graph.feeds import body_feed
 from drape.graph.inputs import ChartTensors
 from tests.training.training_setup import JERSEY, TINY, bank, body, garment, source
@@ -26,15 +26,10 @@ def batch(count: int = 3, seed: int = 0):
     return source().pose(bank().draw(count, rng), np.zeros((count, body().shape_count)))
 
 
-def random_jets(count: int) -> torch.Tensor:
-    patches = garment().partitions[0].patches.centre.shape[0]
-    return 0.05 * torch.randn(count, patches, jets.JET_COUNT, generator=torch.Generator().manual_seed(1))
-
-
 def posed(count: int = 3) -> Posed:
-    bodies = batch(count)
-    rotation, centre = pose_frames(bodies.tensors, garment().partitions[0].patches)
-    return Posed(rotation, centre, random_jets(count))
+    rotation, centre = pose_frames(batch(count).tensors, garment().partitions[0].patches)
+    jet = torch.randn(*centre.shape[:2], jets.JET_COUNT, generator=torch.Generator().manual_seed(1))
+    return Posed(rotation, centre, 0.05 * jet)
 
 
 def test_sparse_blend_equals_the_readable_form_forward_and_backward():
@@ -96,8 +91,6 @@ def test_turning_the_body_about_the_vertical_turns_the_drape():
     partition = garment().partitions[0]
     poses = bank().draw(2, np.random.default_rng(3))
     turn = rotvec_to_matrix(np.array([0.0, 2.1, 0.0]))
-    from drape.geometry.rotations import matrix_to_rotvec
-
     turned = poses.copy()
     turned[:, 0] = matrix_to_rotvec(turn @ rotvec_to_matrix(poses[:, 0]))
     betas = np.zeros((2, body().shape_count))

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from drape.body.skeleton import JOINT_NAMES
+from drape.body.skeleton import JOINT_NAMES, PARENTS
 from drape.errors import MotionError
+from drape.geometry.rigid import forward_kinematics
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.motion.clip import MotionClip
 from tests.training.training_setup import body
@@ -24,11 +25,7 @@ def test_mirroring_reflects_the_posed_skeleton():
     rng = np.random.default_rng(0)
     poses = rng.normal(0.0, 0.4, size=(4, 24, 3))
     joints = 0.5 * (body().joints_template + body().joints_template[list(MIRROR)] * [-1.0, 1.0, 1.0])
-    from drape.body.skeleton import PARENTS
-    from drape.geometry.rigid import forward_kinematics
-
-    _, place = forward_kinematics(rotvec_to_matrix(poses), np.broadcast_to(joints, (4, 24, 3)), PARENTS)
-    _, other = forward_kinematics(rotvec_to_matrix(mirrored(poses)), np.broadcast_to(joints, (4, 24, 3)), PARENTS)
+    place, other = (forward_kinematics(rotvec_to_matrix(p), joints, PARENTS)[1] for p in (poses, mirrored(poses)))
     assert_allclose(other[:, list(MIRROR)] * [-1.0, 1.0, 1.0], place, rtol=0, atol=1e-9)
     assert_allclose(mirrored(mirrored(poses)), poses, rtol=0, atol=0)
 
@@ -59,7 +56,6 @@ def test_mixing_takes_legs_from_one_frame_and_the_rest_from_another():
 
 def test_frames_beside_a_glitch_are_never_drawn():
     poses = np.zeros((61, 24, 3))
-    poses[30:] += 0.0
     poses[30, 18] = 2.0
     bank = PoseBank([MotionClip(poses, np.zeros((61, 3)), 15.0, "glitch")], PLAIN)
     assert float(np.abs(bank.draw(300, np.random.default_rng(0))).max()) == 0.0

@@ -113,16 +113,6 @@ def test_a_model_that_is_not_there_is_refused(tmp_path: Path, name: str):
         read_model(tmp_path / name)
 
 
-@pytest.mark.slow
-def test_motion_can_be_added_to_an_exported_model():
-    config, weights = started(dynamic(), exported()[1])
-    wanted = dynamic().model
-    assert config.model == replace(
-        SMALL, dynamic=True, motion_hidden=wanted.motion_hidden, state_size=wanted.state_size
-    )
-    assert weights is not None and same(weights, exported()[0])
-
-
 def test_garments_take_the_place_of_the_presets():
     config = with_garments(TrainConfig(), [TANK, "skirt"])
     assert (config.data.garments, config.data.variants, config.data.own_share) == ((TANK, "skirt"), 0, 1.0)

@@ -17,11 +17,12 @@ from drape.cloth.material import Material
 from drape.cloth.rest_state import grain_along
 from drape.contact.skin import body_skin
 from drape.garment.fitting import RestGarment, rest_garment
+from tests.drape.cloth import cloth_shapes
 from tests.fixtures.networks import TINY
 from training import checkpoint
 from training.config import DataConfig, MotionConfig, TrainConfig
 from training.data import BodySource, TrainingGarment, draw_partition
-from training.poses import PoseBank
+from training.poses import PoseBank, read_clips
 from training.run import sample_motions
 from training.trainer import BaseTrainer
 
@@ -70,21 +71,8 @@ def body() -> BodyModel:
 @cache
 def tube() -> RestGarment:
     """A sleeveless tube round the chest, 480 vertices."""
-    rows, columns = 12, 40
-    angle = np.linspace(0.0, 2.0 * np.pi, columns, endpoint=False)
-    height = np.linspace(0.10, 0.40, rows)
-    a, h = np.meshgrid(angle, height)
-    vertices = np.stack([0.20 * np.sin(a), h, 0.16 * np.cos(a)], axis=-1).reshape(-1, 3)
-    index = np.arange(rows * columns).reshape(rows, columns)
-    low, high = index[:-1], index[1:]
-    low_right, high_right = np.roll(low, -1, axis=1), np.roll(high, -1, axis=1)
-    faces = np.concatenate(
-        [
-            np.stack([low, low_right, high], -1).reshape(-1, 3),
-            np.stack([low_right, high_right, high], -1).reshape(-1, 3),
-        ]
-    )
-    return rest_garment(vertices, faces, body())
+    vertices, faces = cloth_shapes.tube(40, 11, radius_m=1.0, height_m=0.3)
+    return rest_garment(vertices * [0.20, 1.0, 0.16] + [0.0, 0.1, 0.0], faces, body())
 
 
 @cache
@@ -104,6 +92,4 @@ def source() -> BodySource:
 
 @cache
 def bank() -> PoseBank:
-    from training.poses import read_clips
-
     return PoseBank(read_clips([sample_motions()], held_out=()), TINY_RUN.data)

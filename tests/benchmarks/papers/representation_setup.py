@@ -11,7 +11,7 @@ from benchmarks.papers.representation_space import Charts, charts, repartitioned
 from drape.body.assets import load_body
 from drape.cloth.material import material
 from drape.garment.cache import Garment
-from tests.fixtures.tiny_model import tube_garment
+from tests.fixtures.garments import tube_garment
 
 PATCHES = 14
 

@@ -88,13 +88,6 @@ def test_push_out_reaches_the_clearance_and_leaves_the_rest_alone(rng):
     assert inside.min() > 0.0
 
 
-def test_normals_of_a_batch_equal_those_of_one_mesh():
-    vertices, faces = icosphere(2)
-    sphere = BodyContact(faces, len(vertices))
-    batch = np.stack([vertices, 2.0 * vertices])
-    assert_allclose(sphere.normals(batch)[1], meshes.vertex_normals(2.0 * vertices, faces), rtol=1e-12, atol=1e-15)
-
-
 def test_colliders_keep_trunk_and_limbs_and_thin_head_hands_and_feet(body):
     chosen = contact.collider_vertices(body)
     assert (np.diff(chosen) > 0).all()

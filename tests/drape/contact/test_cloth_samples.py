@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.contact.cloth_samples import BEHIND_M, COVER_M, MEMBERS, ClothSamples, cloth_samples, hidden_under, joined
 from drape.contact.samples import CLUSTER_SIZE, POSED_REGIONS, REGION_SIZE
 from drape.errors import InputError, MeshError
-from drape.geometry import closest, meshes
+from drape.geometry import closest
 from drape.geometry.rotations import rotvec_to_matrix
 from tests.drape.cloth import cloth_shapes
 from tests.drape.geometry.geometry_shapes import box
@@ -108,4 +108,3 @@ def test_broken_meshes_are_refused():
     vertices, faces = tube(RADIUS)
     with pytest.raises(MeshError, match="faces"):
         cloth_samples(vertices[:5], faces)
-    assert meshes.check_faces(faces, len(vertices)).shape == faces.shape

@@ -27,9 +27,9 @@ from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from service.stages import run
 from service.stages.batch import PoseInput, carried
+from tests.fixtures.garments import tube_garment
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import serve
-from tests.fixtures.tiny_model import tube_garment
 
 TIMES_S = np.arange(3) / 30.0
 POSES, TRANS = smooth_motion(TIMES_S)

@@ -27,9 +27,10 @@ from service.graphs.engine import Engine
 from service.graphs.graph_names import DYNAMIC, ENCODER, PACKED, PUSH, PUSH_OVER
 from service.graphs.onnx_runtime import Device, Session, check_distributions, open_session
 from service.graphs.packing import Packer, ScenePlan
+from tests.fixtures.garments import tube_garment
 from tests.fixtures.packed import MOVING, garment
 from tests.fixtures.poses import random_motion
-from tests.fixtures.tiny_model import ROUNDING_M, STATE_SIZE, TINY, TINY_DYNAMIC, expected_vertices, tube_garment
+from tests.fixtures.tiny_model import ROUNDING_M, STATE_SIZE, TINY, TINY_DYNAMIC, expected_vertices
 
 
 @pytest.fixture

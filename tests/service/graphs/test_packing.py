@@ -33,9 +33,10 @@ from service.graphs.packing import SHAPE_INDEX, STORED_INDEX, Packer, Result, Sc
 from service.graphs.subgraph import cut
 from service.stages import run
 from service.stages.batch import PoseInput
+from tests.fixtures.garments import tube_garment
 from tests.fixtures.packed import KINDS, described, exported, garment
 from tests.fixtures.poses import random_motion
-from tests.fixtures.tiny_model import expected_vertices, tube_garment
+from tests.fixtures.tiny_model import expected_vertices
 from training.model import OneFit
 
 pytestmark = pytest.mark.slow

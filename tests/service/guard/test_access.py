@@ -32,8 +32,8 @@ from service.guard.keys import digest, load_keys
 from service.guard.tickets import LIFE_S, Tickets
 from service.settings import Settings, check_exposed
 from tests.architecture.repository import ROOT
+from tests.fixtures.garments import tube_garment
 from tests.fixtures.serving import files_in, serve
-from tests.fixtures.tiny_model import tube_garment
 
 KEYS = {"shop": "key-of-shop", "lab": "key-of-lab", "slow": "key-of-slow"}
 LIMITS = {"lab": {"garments": 1, "streams": 1, "clips": 0}, "slow": {"rate": 0.01}}

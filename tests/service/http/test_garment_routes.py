@@ -21,7 +21,7 @@ from service.errors import TooLarge
 from service.http.pictures import CLOTH, KEPT, Previews, picture
 from service.settings import Settings
 from tests.drape.cloth.cloth_shapes import grid
-from tests.fixtures.tiny_model import tube_garment
+from tests.fixtures.garments import tube_garment
 
 
 def test_a_picture_shows_the_cloth_in_the_middle_and_what_stands_behind_it():

@@ -28,9 +28,9 @@ from service.settings import Settings
 from service.uploads import accepted, job_records
 from service.uploads.accepted import CANCEL, Accepted, elsewhere, staging_folder, taken_over, touch
 from service.uploads.job_records import JobRecord
+from tests.fixtures.garments import tube_garment
 from tests.fixtures.meshes import garment_obj
 from tests.fixtures.serving import serve
-from tests.fixtures.tiny_model import tube_garment
 
 LOOK_S = 0.5
 REST = np.zeros((1, 24, 3)).tolist()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from drape.cloth.detail import WAVELENGTH_M, LowPass, cotangent_matrix, dihedral_deg
+from benchmarks.measure.detail import WAVELENGTH_M, LowPass, cotangent_matrix, dihedral_deg
 from drape.cloth.rest_state import modelled
 from tests.drape.cloth.cloth_shapes import grid, random_rotation, tube
 
