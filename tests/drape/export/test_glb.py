@@ -112,10 +112,14 @@ def clip(tube: Garment, frames: int = 5) -> np.ndarray:
     return (tube.vertices[None] * (1.0 + 0.2 * wave) + [0.0, 0.0, 3.0] * wave).astype(np.float32)
 
 
-def written(tube: Garment, frames: np.ndarray, fps: float = 30.0, root_motion: RootMotion | None = None) -> Reader:
+def content(tube: Garment, frames: np.ndarray, fps: float = 30.0, root_motion: RootMotion | None = None) -> bytes:
     file = GlbFile()
     glb.add_garment(file, tube, frames, fps, root_motion=root_motion)
-    return Reader(file.to_bytes())
+    return file.to_bytes()
+
+
+def written(*clip: Any, **options: Any) -> Reader:
+    return Reader(content(*clip, **options))
 
 
 def fixed(frames: int) -> RootMotion:
@@ -242,9 +246,7 @@ def test_a_root_motion_of_another_length_is_refused(tube: Garment):
 
 def test_intake_reads_what_was_quantised(tube: Garment):
     frames, root_motion = turning(tube, 2)
-    file = GlbFile()
-    glb.add_garment(file, tube, frames, 30.0, root_motion=root_motion)
-    read = read_glb(file.to_bytes(), name="again", vertex_limit=1000)
+    read = read_glb(content(tube, frames, root_motion=root_motion), name="again", vertex_limit=1000)
     assert len(read.vertices) == tube.vertex_count
     distance = np.linalg.norm(read.vertices[:, None] - frames[0][None], axis=-1).min(axis=1)
     assert distance.max() < 1e-4
@@ -256,9 +258,7 @@ def test_three_js_shows_the_frames(tube: Garment, tmp_path: Path):
     if node is None or not loader.is_file():
         pytest.skip("No Node.js or no three.js: make page.")
     frames, root_motion = turning(tube)
-    content = GlbFile()
-    glb.add_garment(content, tube, frames, 30.0, root_motion=root_motion)
-    (tmp_path / "clip.glb").write_bytes(content.to_bytes())
+    (tmp_path / "clip.glb").write_bytes(content(tube, frames, root_motion=root_motion))
     script = tmp_path / "show.mjs"
     script.write_text(SHOW % (json.dumps(loader.as_uri()), json.dumps((THREE / "build/three.module.js").as_uri())))
     run = subprocess.run([node, script], cwd=tmp_path, capture_output=True, text=True, timeout=60)
@@ -303,10 +303,8 @@ def test_the_khronos_validator_has_no_complaint(
 
 
 def test_the_khronos_validator_sees_what_is_wrong(tube: Garment, complaints: Callable[[bytes], list[dict[str, Any]]]):
-    file = GlbFile()
-    glb.add_garment(file, tube, clip(tube), 30.0)
-    content = file.to_bytes().replace(b'"VEC3"', b'"VEC2"', 1)
-    assert {one["severity"] for one in complaints(content)} >= {0}
+    broken = content(tube, clip(tube)).replace(b'"VEC3"', b'"VEC2"', 1)
+    assert {one["severity"] for one in complaints(broken)} >= {0}
 
 
 def test_materials_keep_their_names_and_faces(tube: Garment):

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.cloth.rest_state import grain_along
 from drape.errors import InputError
-from drape.garment.grain import CornerUv, corner_uv, panel_unit, read_grain
+from drape.garment.grain import CornerUv, Grain, corner_uv, panel_unit, read_grain
 from drape.geometry import meshes
 from tests.drape.cloth.cloth_shapes import grid, random_rotation, tube
+from tests.fixtures.laws import each
 
 AROUND, ALONG, RADIUS_M, HEIGHT_M = 48, 10, 0.1, 0.3
 
@@ -23,6 +26,13 @@ def unrolled(unit_m: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray, n
     side = 2.0 * RADIUS_M * np.sin(np.pi / AROUND)
     places = np.stack(np.meshgrid(np.arange(AROUND + 1) * side, np.arange(ALONG + 1) * HEIGHT_M / ALONG), axis=2)
     return vertices, faces, places.reshape(-1, 2) / unit_m, level * (AROUND + 1) + column
+
+
+def grain_of(change: Callable[[np.ndarray], np.ndarray] | None = None, *, unit_m: float = 1.0, given_m=None) -> Grain:
+    """The grain of the tube whose uv are ``change`` of the unrolled ones."""
+    vertices, faces, uv, uv_faces = unrolled(unit_m)
+    uv = uv if change is None else change(uv)
+    return read_grain(vertices, vertices, faces, corner_uv(uv, uv_faces, len(faces)), given_m)
 
 
 def test_unrolled_tube_has_its_warp_along_v_wherever_it_lies(rng):
@@ -43,44 +53,38 @@ def test_unrolled_tube_has_its_warp_along_v_wherever_it_lies(rng):
 
 
 def test_an_island_on_its_side_is_turned_and_a_bias_cut_is_not():
-    vertices, faces, uv, uv_faces = unrolled()
-    for degrees, along in ((90.0, [0.0, 1.0, 0.0]), (-90.0, [0.0, 1.0, 0.0]), (45.0, None)):
+    for degrees, climb in ((90.0, 1.0), (-90.0, 1.0), (45.0, np.cos(np.pi / 4.0))):
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-        grain = read_grain(vertices, vertices, faces, corner_uv(uv @ [[c, s], [-s, c]], uv_faces, len(faces)))
-        climb = np.abs(grain.warp[:, 1])
-        assert_allclose(climb, 1.0 if along else np.cos(np.pi / 4.0), rtol=0.0, atol=1e-9)
+        grain = grain_of(lambda uv, turn=((c, s), (-s, c)): uv @ turn)
+        assert_allclose(np.abs(grain.warp[:, 1]), climb, rtol=0.0, atol=1e-9)
 
 
 def test_a_mirrored_island_has_the_same_warp():
-    vertices, faces, uv, uv_faces = unrolled()
-    plain, mirrored = (
-        read_grain(vertices, vertices, faces, corner_uv(uv * [side, 1.0], uv_faces, len(faces))) for side in (1.0, -1.0)
-    )
+    plain, mirrored = grain_of(), grain_of(lambda uv: uv * [-1.0, 1.0])
     assert mirrored.from_uv.all()
     assert_allclose(np.abs((plain.warp * mirrored.warp).sum(axis=1)), 1.0, rtol=0.0, atol=1e-9)
 
 
 def test_the_seam_is_where_the_uv_are_cut():
-    vertices, faces, uv, uv_faces = unrolled()
-    grain = read_grain(vertices, vertices, faces, corner_uv(uv, uv_faces, len(faces)))
-    ends = meshes.hinges(faces)[:, :2]
+    grain, ends = grain_of(), meshes.hinges(unrolled()[1])[:, :2]
     assert_array_equal(grain.seam, (ends % AROUND == 0).all(axis=1))
     assert grain.seam.sum() == ALONG
 
 
-@pytest.mark.parametrize("spoil", ["none", "stretched", "random", "collapsed", "two scales"])
-def test_uv_that_are_no_flattening_leave_the_grain_vertical(spoil, rng):
+NO_FLATTENING = {
+    "stretched": lambda uv: uv * [1.4, 1.0],
+    "random": lambda uv: np.random.default_rng(1).random(uv.shape),
+    "collapsed": lambda uv: 0.0 * uv,
+    "two scales": lambda uv: np.where(uv[:, :1] > 0.3, 1.5 * uv, uv),
+    "none": lambda uv: uv[:0],
+}
+
+
+@each(spoil=NO_FLATTENING)
+def test_uv_that_are_no_flattening_leave_the_grain_vertical(spoil):
     vertices, faces, uv, uv_faces = unrolled()
-    if spoil == "none":
-        on_corners = None
-    else:
-        change = {
-            "stretched": uv * [1.4, 1.0],
-            "random": rng.random(uv.shape),
-            "collapsed": 0.0 * uv,
-            "two scales": np.where(uv[:, :1] > 0.3, 1.5 * uv, uv),
-        }
-        on_corners = corner_uv(change[spoil], uv_faces, len(faces))
+    spoilt = spoil(uv)
+    on_corners = corner_uv(spoilt, uv_faces, len(faces)) if len(spoilt) else None
     grain = read_grain(vertices, vertices, faces, on_corners)
     assert not grain.from_uv.any() and not grain.seam.any()
     assert grain.scale_m == 0.0
@@ -118,22 +122,17 @@ def test_uv_of_other_triangles_are_not_taken():
 
 
 def test_uv_unit_is_found_in_metres_and_checked_where_it_is_given():
-    vertices, faces, uv, uv_faces = unrolled(unit_m=2.5)
-    grain = read_grain(vertices, vertices, faces, corner_uv(uv, uv_faces, len(faces)))
-    metres = read_grain(vertices, vertices, faces, corner_uv(2.5 * uv, uv_faces, len(faces)))
-    assert panel_unit(grain, None) is None
-    assert panel_unit(metres, None) == 1.0
-    assert panel_unit(grain, 2.4) == 2.4
+    vertices, faces, _, _ = unrolled()
+    assert panel_unit(grain_of(unit_m=2.5), None) is None
+    assert panel_unit(grain_of(), None) == 1.0
+    assert panel_unit(grain_of(unit_m=2.5), 2.4) == 2.4
     with pytest.raises(InputError, match=r"uv unit: expected about 2\.5 metres of cloth .* got 1. Correct the unit"):
-        read_grain(vertices, vertices, faces, corner_uv(uv, uv_faces, len(faces)), 1.0)
+        grain_of(unit_m=2.5, given_m=1.0)
     with pytest.raises(InputError, match=r"uv unit: expected panels as uv, got no uv. Leave"):
         read_grain(vertices, vertices, faces, None, 1.0)
 
 
 def test_panels_that_are_worn_sheared_are_panels_where_their_unit_is_given():
-    vertices, faces, uv, uv_faces = unrolled()
-    worn = corner_uv(uv @ [[1.0, 0.0], [0.6, 1.0]], uv_faces, len(faces))
-    assert not read_grain(vertices, vertices, faces, worn).from_uv.any()
-    grain = read_grain(vertices, vertices, faces, worn, 1.0)
-    assert grain.from_uv.all()
-    assert_allclose(grain.panel_edges, read_grain(vertices, vertices, faces, worn, 1.1).panel_edges, rtol=0.0, atol=0.0)
+    found, grain, other = (grain_of(lambda uv: uv @ [[1.0, 0.0], [0.6, 1.0]], given_m=m) for m in (None, 1.0, 1.1))
+    assert not found.from_uv.any() and grain.from_uv.all()
+    assert_array_equal(grain.panel_edges, other.panel_edges)
