@@ -98,13 +98,7 @@ def unpack_jets(message: bytes) -> JetFrame:
     wire.check_prefix("jets message", message, wire.JETS, least=HEADER_BYTES)
     values = _HEADER.unpack_from(message)
     count = values[5]
-    if len(message) != message_bytes(count):
-        raise InputError(
-            "jets message",
-            expected=f"{message_bytes(count)} bytes for {count} patches",
-            got=f"{len(message)} bytes",
-            cure="See docs/reference/wire.md.",
-        )
+    wire.check_length("jets message", message, message_bytes(count), f"for {count} patches")
     boxes = np.array(values[-6 - 2 * jets.FULL_COUNT :], np.float32)
     centre_low, centre_step, low, step = np.split(boxes, [3, 6, 6 + jets.FULL_COUNT])
     fine = np.frombuffer(message, "<u2", count * FINE_COLUMNS, HEADER_BYTES).reshape(count, FINE_COLUMNS)

@@ -157,13 +157,8 @@ def unpack_layout(message: bytes) -> JetLayout:
     floats = PATCH_NUMBERS * patches + 3 * vertices + CHART_NUMBERS * entries
     size = HEADER_BYTES + 4 * floats + 2 * entries
     size += -size % 4
-    if len(message) != size:
-        raise InputError(
-            "layout message",
-            expected=f"{size} bytes for {patches} patches and {vertices} vertices of {charts} charts",
-            got=f"{len(message)} bytes",
-            cure="See docs/reference/wire.md.",
-        )
+    what = f"for {patches} patches and {vertices} vertices of {charts} charts"
+    wire.check_length("layout message", message, size, what)
     numbers = np.frombuffer(message, "<f4", floats, HEADER_BYTES)
     ends = np.cumsum([PATCH_NUMBERS * patches, 3 * vertices])
     patch, rest, chart = np.split(numbers, ends)

@@ -278,13 +278,7 @@ def unpack_frame(message: bytes) -> Frame:
     bits = 8 if values[3] & FLAG_BYTES else 16
     payload = count * 3 * bits // 8
     size = FRAME_HEADER_BYTES + payload + -payload % 4
-    if len(message) != size:
-        raise InputError(
-            "frame message",
-            expected=f"{size} bytes for {count} vertices",
-            got=f"{len(message)} bytes",
-            cure="See docs/reference/wire.md.",
-        )
+    check_length("frame message", message, size, f"for {count} vertices")
     kind = "u1" if bits == 8 else "<u2"
     steps = np.frombuffer(message, dtype=kind, count=count * 3, offset=FRAME_HEADER_BYTES).reshape(count, 3)
     low, step = np.array(values[11:14], np.float32), np.array(values[14:17], np.float32)
@@ -325,6 +319,13 @@ def check_prefix(name: str, message: bytes, kind: int, size: int | None = None, 
         raise InputError(
             name, expected=f"kind {kind}", got=f"kind {got_kind}", cure="See docs/reference/wire.md for the kinds."
         )
+
+
+def check_length(name: str, message: bytes, size: int, what: str) -> None:
+    """Refuses a ``message`` that has not ``size`` bytes; ``what`` says what its header needs them for."""
+    if len(message) != size:
+        got = f"{len(message)} bytes"
+        raise InputError(name, expected=f"{size} bytes {what}", got=got, cure="See docs/reference/wire.md.")
 
 
 def _name_of(layout: str, index: int) -> str:
