@@ -11,7 +11,7 @@ from drape.garment.cache import CHARTS_PER_VERTEX
 from drape.garment.partition import partition, vertex_graph
 from drape.geometry import meshes
 from drape.geometry.closest import nearest_vertices
-from tests.drape.cloth.cloth_shapes import grid, random_rotation
+from tests.drape.cloth.cloth_shapes import grid
 from tests.drape.garment.rest_garments import barrel, side_by_side
 from tests.fixtures.laws import each
 
@@ -145,13 +145,6 @@ def test_frames_are_rotations_with_the_mean_normal_third_and_the_first_axis_alon
     assert_allclose(np.cross(frames[:, :, 2], mean), 0.0, rtol=0.0, atol=EXACT)
     assert ((frames[:, :, 0] * bone).sum(axis=1) > 0.0).all()
     assert_allclose((frames[:, :, 1] * bone).sum(axis=1), 0.0, rtol=0.0, atol=EXACT)
-
-
-def test_frames_turn_with_everything(clusters, rng):
-    label, _, normals, area, bone = clusters
-    turn = random_rotation(rng)
-    got = charts.patch_frames(label, normals @ turn.T, area, bone @ turn.T)
-    assert_allclose(got, turn @ charts.patch_frames(label, normals, area, bone), rtol=0.0, atol=EXACT)
 
 
 @pytest.mark.parametrize(

@@ -28,13 +28,13 @@ def spinning_clip(velocity, frame_count=31, fps=30.0):
     return MotionClip(poses=poses, trans=times[:, None] * np.ones(3), fps=fps, name="spin")
 
 
-@pytest.mark.parametrize("fps", [30.0, 60.0, 90.0, 120.0, 180.0])
-def test_resampling_is_exact_at_the_samples(fps, rng):
-    clip = make_clip(rng)
+@pytest.mark.parametrize(("own", "fps"), [*((60.0, fps) for fps in (30.0, 60.0, 90.0, 120.0, 180.0)), (180.0, 60.0)])
+def test_resampling_is_exact_at_the_samples(own, fps, rng):
+    clip = make_clip(rng, fps=own)
     resampled = clip.resampled(fps)
-    assert resampled.frame_count == int(19 * fps / 60.0) + 1
+    assert resampled.frame_count == int(19 * fps / own) + 1
     for frame in range(resampled.frame_count):
-        source = frame * 60.0 / fps
+        source = frame * own / fps
         if source == int(source):
             np.testing.assert_array_equal(resampled.poses[frame], clip.poses[int(source)])
             assert_allclose(resampled.trans[frame], clip.trans[int(source)], rtol=0.0, atol=EXACT)
@@ -68,13 +68,6 @@ def test_full_turns_in_the_rotation_vectors_change_nothing(rng):
     np.testing.assert_array_equal(flagged_steps(other), flagged_steps(clip))
     got, want = other.resampled(100.0), clip.resampled(100.0)
     assert_allclose(rotvec_to_matrix(got.poses), rotvec_to_matrix(want.poses), rtol=0.0, atol=1e-10)
-
-
-def test_downsampling_after_upsampling_returns_the_clip(rng):
-    clip = make_clip(rng)
-    back = clip.resampled(180.0).resampled(60.0)
-    np.testing.assert_array_equal(back.poses, clip.poses)
-    assert_allclose(back.trans, clip.trans, rtol=0.0, atol=EXACT)
 
 
 def test_one_frame_resamples_to_itself(rng):
