@@ -25,11 +25,12 @@ from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.errors import TooLarge
 from service.graphs.engine import Engine
-from service.graphs.push import KEPT_OUTFITS, Pusher
 from service.settings import Settings
-from service.stages import run
-from service.stages.batch import Batch, Plan, PoseInput, joined
+from service.stages.batch import Batch, PoseInput, joined
+from service.stages.collision import KEPT_OUTFITS, Pusher
+from service.stages.plan import Plan
 from service.stages.scene import Outfit
+from service.stages.stage import run
 from tests.fixtures.poses import random_motion, smooth_motion
 from tests.fixtures.serving import outfit_settings, outfit_url
 from tests.fixtures.tiny_model import TINY
@@ -189,7 +190,7 @@ def test_constants_of_outfits_are_kept_and_bounded(tiny_folder: Path, tube: Garm
     first = pusher._layer((tube.digest, "b"))
     pusher.prepare((tube.digest, "b"))
     assert pusher._layer((tube.digest, "b")) is first
-    monkeypatch.setattr("service.graphs.push.KEPT_OUTFITS", 1)
+    monkeypatch.setattr("service.stages.collision.KEPT_OUTFITS", 1)
     pusher.prepare(("b", tube.digest))
     assert list(pusher._layers) == [("b", tube.digest)] and KEPT_OUTFITS > 1
     with pytest.raises(NotFound, match="hat"):

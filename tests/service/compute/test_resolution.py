@@ -25,8 +25,8 @@ from drape.wire.options import DrapeOptions
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
-from service.stages import run
-from service.stages.batch import PoseInput, carried
+from service.stages.batch import PoseInput
+from service.stages.stage import carried, run
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import serve
 from tests.fixtures.tiny_model import tube_garment

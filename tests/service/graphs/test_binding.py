@@ -22,9 +22,9 @@ from service.graphs.engine import Engine
 from service.graphs.graph_names import PACKED
 from service.graphs.onnx_runtime import Device, nodes_off_provider, open_session
 from service.graphs.packing import Packer, ScenePlan
-from service.graphs.push import PosedJets, Pusher
-from service.stages import run
 from service.stages.batch import PoseInput
+from service.stages.collision import PosedJets, Pusher
+from service.stages.stage import run
 from tests.fixtures.packed import KINDS, exported, garment
 from tests.fixtures.poses import random_motion
 from tests.service.graphs.test_push import added, drawn

@@ -31,8 +31,8 @@ from service.graphs.graph_names import PACKED
 from service.graphs.onnx_runtime import Device
 from service.graphs.packing import SHAPE_INDEX, STORED_INDEX, Packer, Result, ScenePlan
 from service.graphs.subgraph import cut
-from service.stages import run
 from service.stages.batch import PoseInput
+from service.stages.stage import run
 from tests.fixtures.packed import KINDS, described, exported, garment
 from tests.fixtures.poses import random_motion
 from tests.fixtures.tiny_model import expected_vertices, tube_garment
@@ -381,4 +381,4 @@ def test_two_threads_get_the_bits_of_one(bodies: dict[str, np.ndarray]):
             for items, wanted in zip(found, alone, strict=True):
                 for one, other in zip(items, wanted, strict=True):
                     assert_array_equal(one.arrays["vertices"], other.arrays["vertices"])
-    assert packer.kept_bytes == sum(made.bytes for made, _ in packer._kept.values())
+    assert packer.kept_bytes == sum(call.composition.bytes for call in packer._kept.values())

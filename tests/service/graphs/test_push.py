@@ -24,10 +24,10 @@ from drape.graph.push_feed import pack_push, pushed_jets
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.graphs.engine import Engine
-from service.graphs.push import PosedJets, Pusher
 from service.settings import Settings
-from service.stages import run
 from service.stages.batch import PoseInput
+from service.stages.collision import PosedJets, Pusher
+from service.stages.stage import run
 from tests.fixtures.packed import garment
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import outfit_settings

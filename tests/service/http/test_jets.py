@@ -35,8 +35,8 @@ from service.http.clip_jobs import ClipJob
 from service.http.clip_routes import check_clip_size
 from service.http.schemas import ClipOptions
 from service.settings import Settings
-from service.stages import run
 from service.stages.batch import PoseInput
+from service.stages.stage import run
 from tests.fixtures.packed import garment
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import outfit_settings, outfit_url

@@ -35,7 +35,7 @@ from service.guard.tickets import Tickets
 from service.replicas.handover import LIFE_S, Handover
 from service.replicas.memory_codec import decoded, encoded
 from service.settings import Settings
-from service.stream.sessions import Session
+from service.stream.routes import Session
 from tests.architecture.repository import ROOT
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import serve

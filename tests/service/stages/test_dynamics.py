@@ -21,15 +21,18 @@ from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
-from service.compute.sliced_thread import SlicedThread
+from service.compute.threads import SlicedThread
 from service.graphs.engine import Engine
 from service.graphs.packing import Packer, ScenePlan
 from service.settings import Settings
-from service.stages import run
-from service.stages.batch import Memories, Plan, PoseInput
+from service.stages.batch import Memories, PoseInput
+from service.stages.encode import KEY
 from service.stages.motion import JUMP_M_S, SHORTEST_STEP_S, STEP_LIMIT_S, Memory, Moment, Motion, advance
-from service.stages.unchanged import KEY
-from service.stream.sessions import Session, Streams
+from service.stages.plan import Plan
+from service.stages.stage import run
+from service.stream.opening import Opening
+from service.stream.routes import Session
+from service.stream.workers import Streams
 from tests.fixtures.packed import MOVING
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import serve
@@ -345,18 +348,18 @@ def test_motion_goes_on_over_another_garment_and_ends_with_another_shape(runtime
     assert memory is not None and np.abs(memory.state).max() > 0.0
     entry = runtime.garments.get("tube")
     other = dataclasses.replace(entry, id="other", garment=dataclasses.replace(entry.garment, digest="other"))
-    session.reopen(dataclasses.replace(plan, scene=other), NO_SHAPE.copy())
+    session.reopen(Opening(dataclasses.replace(plan, scene=other), NO_SHAPE.copy()))
     assert moved(session.memories) is memory
-    session.reopen(plan, np.full(10, 0.1))
+    session.reopen(Opening(plan, np.full(10, 0.1)))
     assert session.memories == {}
     session.memories = {Motion.key: memory}
-    session.reopen(plan_of(runtime, 0.0, messages=True), session.betas)
+    session.reopen(Opening(plan_of(runtime, 0.0, messages=True), session.betas))
     assert session.memories == {}
 
 
 def test_a_frame_of_an_earlier_opening_leaves_no_memory(runtime: DrapeRuntime):
     _, (session,) = open_sessions(runtime, [1.0])
-    session.reopen(session.plan, np.full(10, 0.1))
+    session.reopen(Opening(session.plan, np.full(10, 0.1)))
     session.deliver(0, b"old", {Motion.key: Memory.empty(runtime.engine)})
     assert session.memories == {} and session.outbox is None
 

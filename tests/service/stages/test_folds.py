@@ -23,9 +23,9 @@ from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from service.stages import folds as folds_stage
-from service.stages import run, walk
-from service.stages.batch import PoseInput, carried
+from service.stages.batch import PoseInput
 from service.stages.folds import SETTLE, Folds
+from service.stages.stage import carried, run, walk
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import outfit_settings, serve
 

@@ -24,10 +24,11 @@ from service.compute.drape_runtime import DrapeRuntime
 from service.compute.tiers import FAR_PIXELS_PER_M, TIERS, capped, chosen
 from service.graphs.graph_names import JETS, PACKED, SKIN
 from service.settings import Settings
-from service.stages import run
-from service.stages.batch import BODY, Batch, Layer, Plan, PoseInput, Stage, carried
+from service.stages.batch import Batch, Layer, PoseInput
 from service.stages.motion import Motion
 from service.stages.network import Network
+from service.stages.plan import Plan
+from service.stages.stage import BODY, Stage, carried, run
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import outfit_settings, serve
 from tests.fixtures.tiny_model import TINY_DYNAMIC, write_tiny_model

@@ -18,8 +18,9 @@ from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.replicas.memory_codec import decoded, encoded
 from service.settings import Settings, load_settings
-from service.stages import run
-from service.stages.batch import Plan, PoseInput
+from service.stages.batch import PoseInput
+from service.stages.plan import Plan
+from service.stages.stage import run
 from service.stages.swing import Swing
 
 TIMES_S = np.arange(14) / 30.0

@@ -29,9 +29,10 @@ from service.app import create_app
 from service.compute import drape_runtime as drapery_module
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
-from service.stages.batch import Plan, PoseInput
+from service.stages.batch import PoseInput
+from service.stages.encode import KEY, REST_FRAMES, REST_S, shown_message
 from service.stages.joint_reach import ARMS_DOWN, reach_m, turns_rad
-from service.stages.unchanged import KEY, REST_FRAMES, REST_S, shown_message
+from service.stages.plan import Plan
 from tests.architecture.repository import ROOT
 from tests.fixtures.poses import random_motion, smooth_motion
 from tests.fixtures.serving import serve

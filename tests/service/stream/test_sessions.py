@@ -16,10 +16,11 @@ from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
 from service.compute.background import processor_count
 from service.compute.drape_runtime import DrapeRuntime
-from service.compute.sliced_thread import SlicedThread
+from service.compute.threads import SlicedThread
 from service.settings import Settings
 from service.stages.batch import Memories, PoseInput
-from service.stream.sessions import Session, Streams
+from service.stream.routes import Session
+from service.stream.workers import Streams
 
 REST = np.zeros((24, 3))
 
@@ -142,7 +143,7 @@ def test_streams_are_computed_beside_each_other_and_each_frame_after_the_one_bef
         stage.prepare(plan)
     alone, expected = {}, []
     for i in range(4):
-        ((message, alone),) = runtime._computed(plan, [rest_input(i, alone)])
+        ((message, alone),) = runtime._computed(plan, [(rest_input(i, alone), None)])
         assert isinstance(message, bytes)
         expected.append(wire.unpack_frame(message).positions)
     both, compute = threading.Barrier(2), runtime._computed

@@ -12,8 +12,8 @@ from websockets.asyncio.client import ClientConnection
 from drape.wire import messages as wire
 from service.app import create_app
 from service.settings import Settings
-from service.stream import step_down
-from service.stream.step_down import CALM_LIMIT_S, CALM_S, WINDOW_S, StepDown
+from service.stream import workers
+from service.stream.workers import CALM_LIMIT_S, CALM_S, WINDOW_S, StepDown
 from tests.fixtures.serving import serve
 from tests.service.stream.test_routes import opened, run, send
 
@@ -118,7 +118,7 @@ async def flood(
 def test_a_stream_that_is_flooded_gets_less_and_later_all_again(
     make_settings: Callable[..., Settings], monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(step_down, "CALM_S", 0.5)
+    monkeypatch.setattr(workers, "CALM_S", 0.5)
     settings = make_settings(stream_step_down=True)
     with serve(create_app(settings), settings) as url:
 

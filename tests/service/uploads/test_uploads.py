@@ -20,7 +20,7 @@ from drape.errors import BodyError, DrapeError, MeshError, NotFound
 from drape.garment.cache import Garment, save_garment
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
-from service.compute.sliced_thread import SlicedThread
+from service.compute.threads import SlicedThread
 from service.errors import TooLarge
 from service.guard.access import Access
 from service.settings import Settings

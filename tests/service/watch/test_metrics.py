@@ -20,7 +20,7 @@ from websockets.typing import Subprotocol
 
 from drape.wire import messages as wire
 from service.server import bind
-from service.stream.sessions import Session
+from service.stream.routes import Session
 from service.watch.metrics import Metrics
 from service.watch.probes import MOST_CLIENTS, Lifecycle, Probes
 from tests.architecture.repository import ROOT
