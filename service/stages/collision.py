@@ -100,7 +100,7 @@ class Collision(Stage):
         frames as it has alone."""
         layer = batch.layers[count - 1]
         assert layer.vertices is not None and batch.skin is not None
-        posed = None if jets is None else PosedJets(jets.jet[rows], jets.rotation[rows])
+        posed = None if jets is None else Jets(jets.jet[rows], jets.rotation[rows], jets.centre[rows])
         below = None if under is None else under[rows]
         keys = batch.plan.keys[:count]
         return self.pusher.push(keys, layer.vertices[rows], batch.skin[rows], under=below, posed=posed)
@@ -115,14 +115,6 @@ class _Stored:
     faces: np.ndarray
     constants: Constants
     sheet: Sheet | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class PosedJets:
-    """A drape as its graph says it: ``jet`` (F, K, 27 or 45) [patch scales] in frames ``rotation`` (F, K, 3, 3)."""
-
-    jet: np.ndarray
-    rotation: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,7 +191,7 @@ class Pusher:
         skin: np.ndarray,
         *,
         under: np.ndarray | None = None,
-        posed: PosedJets | None = None,
+        posed: Jets | None = None,
     ) -> Pushed:
         """The last garment of ``keys``, whose ``vertices`` [m] (F, V, 3) are relative to the root, out of the samples
         ``skin`` (F, R, 12, 8) of the posed body and out of the other garments, innermost first.

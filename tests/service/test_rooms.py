@@ -4,7 +4,6 @@ enters few files."""
 from __future__ import annotations
 
 import ast
-import json
 import threading
 import time
 from collections.abc import Callable
@@ -12,14 +11,11 @@ from pathlib import Path
 from types import FrameType
 
 import numpy as np
-from websockets.sync.client import connect
-from websockets.typing import Subprotocol
 
 import service
-from drape.wire import messages as wire
-from service.app import create_app
 from service.settings import Settings
-from tests.fixtures.serving import serve
+from tests.fixtures.serving import served
+from tests.fixtures.streams import raw_stream
 
 ROOT = Path(service.__file__).parent
 # A room may import those before it. Files beside the folders are rooms of their own; ``app`` stands above all folders.
@@ -70,8 +66,7 @@ def test_a_pose_enters_few_files(make_settings: Callable[..., Settings]):
 
     threading.setprofile(look)  # for threads that begin now: those of the service
     try:
-        settings = make_settings(folds=1, inertia="mesh")
-        with serve(create_app(settings), settings) as url:
+        with served(make_settings(folds=1, inertia="mesh")) as url:
             found = entered_by_poses(url, entered)
     finally:
         threading.setprofile(None)  # pyright: ignore[reportArgumentType]
@@ -80,15 +75,12 @@ def test_a_pose_enters_few_files(make_settings: Callable[..., Settings]):
 
 def entered_by_poses(url: str, entered: set[str]) -> set[str]:
     """Of the files that come into ``entered`` those that each pose of a plain stream enters, past its beginning."""
-    address, found = url.replace("http", "ws", 1) + "/stream", []
-    with connect(address, subprotocols=[Subprotocol(wire.SUBPROTOCOL)], compression=None) as socket:
-        socket.send(json.dumps({"type": "open", "garment": "tube", "tier": "balanced"}))
-        socket.recv()
+    found = []
+    with raw_stream(url) as stream:
+        assert stream.open(garment="tube", tier="balanced")["type"] == "opened"
         for i in range(1, 11):
             entered.clear()
-            socket.send(wire.pack_pose(wire.Pose(i, i / 30.0, np.zeros(3), np.full((24, 3), 0.01 * i))))
-            assert isinstance(socket.recv(), bytes)
-            socket.send(wire.pack_ack(i))
+            stream.message(i, np.full((24, 3), 0.01 * i), time_s=i / 30.0)
             time.sleep(0.02)  # until the acknowledgement is taken
             found.append(set(entered))
     return set.intersection(*found[4:])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import shutil
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -354,8 +355,8 @@ def test_a_manifest_with_other_tensors_is_refused(tmp_path: Path):
         packer.prepare(ScenePlan(), skin_given=False, shapes=False)
 
 
-def test_the_service_refuses_what_is_not_finite(make_settings):
-    runtime = DrapeRuntime(make_settings())
+def test_the_service_refuses_what_is_not_finite(make_runtime: Callable[..., DrapeRuntime]):
+    runtime = make_runtime()
     entry = runtime.garments.get("tube")
     broken = replace(entry.garment, patch_features=np.full_like(entry.garment.patch_features, np.nan))
     plan = runtime.plan(entry, DrapeOptions())
@@ -364,7 +365,6 @@ def test_the_service_refuses_what_is_not_finite(make_settings):
     rest = PoseInput(np.zeros((1, 24, 3)), np.zeros((1, 3)), np.zeros(runtime.body.shape_count), np.zeros(1))
     with pytest.raises(ArtifactError, match="tiny vertices: expected finite numbers"):
         run(plan, [rest])
-    runtime.close()
 
 
 def test_two_threads_get_the_bits_of_one(bodies: dict[str, np.ndarray]):

@@ -19,7 +19,6 @@ from drape.graph.feeds import kinematics
 from drape.graph.packing import pack_body
 from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
-from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.threads import SlicedThread
 from service.graphs.engine import Engine
@@ -35,7 +34,7 @@ from service.stream.routes import Session
 from service.stream.workers import Streams
 from tests.fixtures.packed import MOVING
 from tests.fixtures.poses import smooth_motion
-from tests.fixtures.serving import serve
+from tests.fixtures.serving import served
 from tests.fixtures.tiny_model import (
     ROUNDING_M,
     STATE_SIZE,
@@ -58,8 +57,7 @@ def runtime(make_runtime: Callable[..., DrapeRuntime]) -> DrapeRuntime:
 @pytest.fixture(scope="module")
 def moving(make_settings: Callable[..., Settings]) -> Iterator[httpx.Client]:
     """An HTTP client of a service with the dynamic model."""
-    settings = make_settings(model=TINY_DYNAMIC)
-    with serve(create_app(settings), settings) as url, httpx.Client(base_url=url, timeout=60.0) as client:
+    with served(make_settings(model=TINY_DYNAMIC)) as url, httpx.Client(base_url=url, timeout=60.0) as client:
         yield client
 
 
@@ -156,15 +154,14 @@ def test_a_still_scene_is_the_static_models_and_runs_no_recurrence(
 
 
 @pytest.mark.parametrize("chunk", [1, 5, 64])
-def test_chunks_hand_the_state_on(make_settings: Callable[..., Settings], runtime: DrapeRuntime, chunk: int):
+def test_chunks_hand_the_state_on(make_runtime: Callable[..., DrapeRuntime], runtime: DrapeRuntime, chunk: int):
     whole = run(plan_of(runtime), [clip_of()])
-    chunked = DrapeRuntime(make_settings(model=TINY_DYNAMIC, chunk_frames=chunk))
+    chunked = make_runtime(model=TINY_DYNAMIC, chunk_frames=chunk)
     draped = asyncio.run(chunked.drape(plan_of(chunked), clip_of()))
     assert_array_equal(draped.vertices, whole.vertices)
     last, want = moved(draped.memories[0]), moved(whole.memories[0])
     assert last is not None and want is not None
     assert_array_equal(last.state, want.state)
-    chunked.close()
 
 
 def test_clients_of_any_number_and_length_swing_as_if_alone(runtime: DrapeRuntime):
