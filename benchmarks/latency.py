@@ -29,14 +29,14 @@ from drape.garment.cache import GARMENTS_DIR, Garment, load_garment
 from drape.garment.fitting import patch_fields, rest_garment
 from drape.geometry import jets, meshes
 from drape.graph.feeds import garment_feed
-from drape.graph.packing import PackedBody, pack_body
+from drape.graph.packing import PackedBody, Place, compose, pack_body
 from drape.graph.push_feed import SkinShapes
 from drape.motion.samples import SAMPLES
 from service.graphs.engine import Engine
 from service.graphs.graph_names import JETS, PACKED
 from service.graphs.onnx_runtime import PROVIDER_NAMES, Device
 from service.graphs.packing import SHAPE_INDEX, STORED_INDEX, Packer, ScenePlan
-from service.graphs.push import Pusher
+from service.stages.collision import Pusher
 from training.exported import load_exported
 from training.model import OneFit
 
@@ -149,8 +149,7 @@ def stages(bench: Bench, packer: Packer, key: str, pose: np.ndarray, whole: Timi
     """Milliseconds of one frame by stage, as differences of graphs that end after each."""
     rows = bench.shape.rows(pose)
     feed = rows | packer.store.packed(key).stored
-    packer.run(ScenePlan(), rows, [(key, 0)])
-    feed |= packer._composed(((key, 0),), alone=True)[0].arrays
+    feed |= compose([(packer.store.packed(key), Place(0, 0), 0)]).arrays
     if bench.engine.feels_body:
         feed |= SkinShapes(bench.body).feed(rows["betas"])
     feed |= at_rest(bench.engine)

@@ -42,7 +42,7 @@ from drape.motion.readers import read_motion
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
-from service.stages.batch import Plan
+from service.stages.plan import Plan
 
 OUTFITS = ("trousers+tshirt", "trousers+longsleeve", "tank+longsleeve", "shorts+tshirt")
 MOTIONS = ("walk", "squat")

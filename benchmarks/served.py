@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.clock import Clock
-from service.stages import run
-from service.stages.batch import Batch, Memories, Plan, PoseInput
+from service.stages.batch import Batch, Memories, PoseInput
+from service.stages.plan import Plan
+from service.stages.stage import run
 
 
 class Stream:

@@ -49,8 +49,8 @@ from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.compute.tiers import NAMES
 from service.settings import Settings
-from service.stages.batch import Plan
-from service.stages.unchanged import REST_S
+from service.stages.encode import REST_S
+from service.stages.plan import Plan
 
 LATE_S, WARM_S = 0.1, 1.0
 OVERLOADED_S = 3.0  # until streams that all come at once are held where they stay

@@ -24,9 +24,8 @@ from drape.geometry.rotations import matrix_to_rotvec, rotvec_to_matrix, rotvec_
 from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
-from service.http.poses import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M
 from service.settings import Settings
-from service.stages.batch import Batch, PoseInput
+from service.stages.batch import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M, Batch, PoseInput
 
 ROW_BLOCK = 2000
 SHAPE_EVERY = 50  # frames of one body

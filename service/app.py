@@ -10,7 +10,7 @@ from fastapi import FastAPI
 from fastapi.middleware.cors import CORSMiddleware
 
 from service.compute.drape_runtime import DrapeRuntime
-from service.compute.sliced_thread import SlicedThread
+from service.compute.threads import SlicedThread
 from service.guard.access import Access
 from service.guard.limits import BodyLimit
 from service.guard.origin_guard import OriginGuard
@@ -21,7 +21,7 @@ from service.replicas.handover import Handover
 from service.settings import Settings, load_settings, product_version
 from service.state import ADMITTED, State
 from service.stream import routes as stream_routes
-from service.stream.sessions import Streams
+from service.stream.workers import Streams
 from service.uploads.jobs import Uploads
 from service.uploads.shared_folder import SharedFolder
 from service.watch.logs import RequestLog

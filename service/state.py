@@ -17,13 +17,13 @@ from service.guard.keys import Client
 
 if TYPE_CHECKING:
     from service.compute.drape_runtime import DrapeRuntime
-    from service.compute.sliced_thread import SlicedThread
+    from service.compute.threads import SlicedThread
     from service.guard.access import Access
     from service.http.continuations import Continuations
     from service.http.pictures import Previews
     from service.replicas.handover import Handover
     from service.stages.scene import Entry, Scene
-    from service.stream.sessions import Streams
+    from service.stream.workers import Streams
     from service.uploads.jobs import Uploads
     from service.uploads.shared_folder import SharedFolder
     from service.watch.probes import Lifecycle

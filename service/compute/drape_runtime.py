@@ -23,9 +23,11 @@ from service.compute.tiers import capped, chosen, read_tiers, spared, tier_of
 from service.errors import InternalError
 from service.graphs.engine import Engine
 from service.graphs.onnx_runtime import Device
-from service.stages import make_plan, make_stages, run, walk
-from service.stages.batch import Batch, Memories, Plan, PoseInput, Quality, StageSetup
-from service.stages.unchanged import Idle, answer_again, remember
+from service.stages import make_stages
+from service.stages.batch import Batch, Memories, PoseInput, Quality
+from service.stages.encode import Idle, answer_again, idle_before, remember
+from service.stages.plan import Plan, make_plan
+from service.stages.stage import StageSetup, run, walk
 from service.watch.metrics import Metrics
 from service.watch.tracing import Tracing, make_tracing
 
@@ -119,7 +121,7 @@ class DrapeRuntime:
     # --- plans, and what they cost ---
 
     def plan(self, scene: Scene, options: DrapeOptions, *, messages: bool = False) -> Plan:
-        """``service.stages.make_plan`` with the stages of this service, and the passes and folds of its tiers."""
+        """``service.stages.plan.make_plan`` with the stages of this service, and the passes and folds of its tiers."""
         asked = chosen(options, self.tiers, self.settings, self.engine.pass_count)
         return make_plan(self.stages, scene, asked, messages=messages)
 
@@ -205,31 +207,35 @@ class DrapeRuntime:
     async def stream_frames(self, plan: Plan, inputs: Sequence[PoseInput]) -> list[tuple[bytes | DrapeError, Memories]]:
         """The message of each of ``inputs``, which have one frame each, and what it leaves behind.
 
-        Nothing is computed for idle bodies (``service.stages.unchanged``).
+        Nothing is computed for idle bodies (``service.stages.encode``).
         """
         self.threads.streamed_s = time.monotonic()
-        found = [answer_again(plan, one) for one in inputs]
-        changed = [one for one, answer in zip(inputs, found, strict=True) if answer is None]
+        idle = [idle_before(plan, one) for one in inputs]
+        found = [answer_again(plan, one, before) for one, before in zip(inputs, idle, strict=True)]
+        changed = [(one, before) for one, before, again in zip(inputs, idle, found, strict=True) if again is None]
         computed = iter(await self.threads.for_streams(self._computed, plan, changed) if changed else ())
         return [next(computed) if answer is None else answer for answer in found]
 
-    def _computed(self, plan: Plan, inputs: Sequence[PoseInput]) -> list[tuple[bytes | DrapeError, Memories]]:
-        """``stream_frames`` of bodies that move.
+    def _computed(
+        self, plan: Plan, poses: Sequence[tuple[PoseInput, Idle | None]]
+    ) -> list[tuple[bytes | DrapeError, Memories]]:
+        """``stream_frames`` of bodies that move, and of those that are idle but have not come to rest.
 
         A batch that fails is tried again one by one, so that no frame fails with another. A frame that fails leaves the
         memories as they were.
         """
+        inputs = [one for one, _ in poses]
         try:
             *_, batch = self._walk(plan, inputs)
         except Exception as error:
-            if len(inputs) > 1:
-                return [self._computed(plan, [one])[0] for one in inputs]
+            if len(poses) > 1:
+                return [self._computed(plan, [pose])[0] for pose in poses]
             if not isinstance(error, DrapeError):
                 log.exception("a stream frame failed")
             return [(error if isinstance(error, DrapeError) else InternalError(), inputs[0].memories)]
         return [
-            (message, remember(plan, one, memories, message))
-            for one, message, memories in zip(inputs, batch.messages, batch.memories, strict=True)
+            (message, remember(plan, one, before, memories, message))
+            for (one, before), message, memories in zip(poses, batch.messages, batch.memories, strict=True)
         ]
 
     async def drape(self, plan: Plan, clip: PoseInput) -> Batch:
@@ -254,7 +260,7 @@ class DrapeRuntime:
             yield part
 
     def _walk(self, plan: Plan, inputs: Sequence[PoseInput]) -> Iterator[Batch]:
-        """``service.stages.walk``, measured."""
+        """``service.stages.stage.walk``, measured."""
         done = Quality.untouched(0)
         for batch in walk(plan, inputs, self._took):
             done = batch.quality
@@ -263,7 +269,8 @@ class DrapeRuntime:
 
     def _took(self, stage: str, took_s: float) -> None:
         self.metrics.stage.labels(stage).observe(took_s)
-        self.tracing.stage(stage, took_s)
+        if self.tracing.on:
+            self.tracing.stage(stage, took_s)
 
     async def pose_body(self, clip: PoseInput) -> np.ndarray:
         """World vertices [m] (F, Vb, 3) float32 of the body."""

@@ -21,8 +21,8 @@ from drape.graph.feeds import garment_feed
 from drape.graph.layer_feed import check_layers
 from service.compute import garment_files
 from service.errors import TooLarge
-from service.stages.batch import Make, Stage, call_here
 from service.stages.scene import UNCHANGED, About, Entry, Outfit, Scene, Source
+from service.stages.stage import Make, Stage, call_here
 
 if TYPE_CHECKING:
     from service.settings import Settings

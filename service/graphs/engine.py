@@ -40,7 +40,7 @@ from service.graphs.onnx_runtime import (
     nodes_off_provider,
     open_session,
 )
-from service.graphs.subgraph import cut
+from service.graphs.subgraph import cut, misexported
 
 if TYPE_CHECKING:
     import onnxruntime
@@ -248,20 +248,10 @@ def _check_graphs(model: str, manifest: Manifest) -> None:
     for name in _run_graphs(manifest):
         spec = manifest.graphs.get(name)
         if spec is None:
-            raise ArtifactError(
-                f"{model} graphs",
-                expected=f"a graph {name!r}",
-                got=str(sorted(manifest.graphs)),
-                cure="Export the model again.",
-            )
+            raise misexported(f"{model} graphs", expected=f"a graph {name!r}", got=str(sorted(manifest.graphs)))
         missing = set(REQUIRED_OUTPUTS[name]) - _names(spec.outputs)
         if missing:
-            raise ArtifactError(
-                f"{model} {name} outputs",
-                expected=", ".join(sorted(missing)),
-                got="none",
-                cure="Export the model again.",
-            )
+            raise misexported(f"{model} {name} outputs", expected=", ".join(sorted(missing)), got="none")
 
 
 def _code_size(model: str, manifest: Manifest) -> int:
@@ -270,28 +260,19 @@ def _code_size(model: str, manifest: Manifest) -> int:
     states = [t.shape[-1] for t in manifest.graphs[DYNAMIC].inputs if t.name == "state"] if manifest.dynamic else [0]
     fits = (code != 0) == manifest.dynamic and states == [manifest.state_size]
     if not fits or not isinstance(code, int):
-        raise ArtifactError(
+        raise misexported(
             f"{model} dynamic",
             expected="a packed graph with a dynamic_code and a state of state_size, or neither",
             got=f"dynamic {manifest.dynamic}, dynamic_code of {code}, states {states} and {manifest.state_size}",
-            cure="Export the model again.",
         )
     return code
 
 
 def _compare(model: str, graph: str, side: str, written: dict[str, str], found: dict[str, str]) -> None:
     if set(written) != set(found):
-        raise ArtifactError(
-            f"{model} {graph} {side}",
-            expected=f"{sorted(written)} as in the manifest",
-            got=str(sorted(found)),
-            cure="Export the model again.",
+        raise misexported(
+            f"{model} {graph} {side}", expected=f"{sorted(written)} as in the manifest", got=str(sorted(found))
         )
     for name, dtype in written.items():
         if _TYPES.get(dtype) != found[name]:
-            raise ArtifactError(
-                f"{model} {graph} {name}",
-                expected=f"{dtype} as in the manifest",
-                got=found[name],
-                cure="Export the model again.",
-            )
+            raise misexported(f"{model} {graph} {name}", expected=f"{dtype} as in the manifest", got=found[name])

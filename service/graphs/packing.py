@@ -1,9 +1,10 @@
 """Drapes any mix of garments, clients and frames through the packed graph: ``Packer``.
 
 A ``ScenePlan`` names what a scene needs, and its session holds no other nodes. A batch is a list of items, each a
-garment and a body. The index tensors of batches are kept while memory allows, since streams repeat their batches. On a
-CPU kernels make vertices of the graph's jets (``drape.graph.blend``), three times as fast as the graph does. An item
-has the same bits in any batch on a CPU (``tests/service/graphs``), so a batch may be run in parts of any size.
+garment and a body. What the graph is fed with besides bodies is kept for each batch while memory allows, since streams
+repeat theirs. On a CPU kernels make vertices of the graph's jets (``drape.graph.blend``), three times as fast as the
+graph does. An item has the same bits in any batch on a CPU (``tests/service/graphs``), so a batch may be run in parts
+of any size.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -23,7 +25,7 @@ from drape.garment.cache import Garment
 from drape.graph.blend import blended, warm_up
 from drape.graph.buckets import filled, filled_rows
 from drape.graph.feeds import garment_feed
-from drape.graph.packing import Composition, Place, compose
+from drape.graph.packing import Composition, PackedGarment, Place, compose
 from drape.graph.push_feed import SkinShapes
 from service.graphs.graph_names import JETS, PACKED, SKIN, SKIN_CONSTANTS
 from service.graphs.store import Store
@@ -59,7 +61,7 @@ class ScenePlan:
     skin: bool = False
     passes: int | None = None
 
-    @property
+    @cached_property
     def outputs(self) -> tuple[str, ...]:
         """Outputs of the packed graph that the plan fetches."""
         return (*OUTPUTS_OF[self.shape], *((SKIN,) if self.skin else ()))
@@ -76,6 +78,18 @@ class Result:
     finite: bool
 
 
+@dataclass(frozen=True, eq=False)
+class _Call:
+    """A call of the graph for some items under a plan: its session, what this is asked for (``fetched``) and fed with
+    besides bodies, where each item lies in the answer, and the items' garments, which may be removed meanwhile."""
+
+    session: Session
+    fetched: tuple[str, ...]
+    feed: dict[str, Value]
+    composition: Composition
+    garments: tuple[PackedGarment, ...]
+
+
 class Packer:
     """Runs plans on the packed graph of an engine's model; safe to call from any thread, but on a device with memory of
     its own, whose buckets take one call at a time."""
@@ -88,7 +102,7 @@ class Packer:
         # Of bodies with pose blend shapes the graph reads only how many parts and bones there are.
         self._skins = SkinShapes(replace(body, posedirs=None)) if engine.feels_body else None
         self._store = Store()
-        self._kept: OrderedDict[tuple[Item, ...], tuple[Composition, dict[str, Value]]] = OrderedDict()
+        self._kept: OrderedDict[tuple[Any, ...], _Call] = OrderedDict()  # by items, plan and kind of bodies
         self._kept_bytes, self._limit = 0, kept_bytes
         self._worn: OrderedDict[str, None] = OrderedDict()  # garments in other fabrics than their own, latest last
         self._tiles_per_call = tiles_per_call or (TILES_PER_BUCKET if engine.bound else TILES_PER_CALL)
@@ -159,8 +173,7 @@ class Packer:
         count = min(len(rows) for rows in bodies.values())
         if self._engine.dynamic:
             bodies = {"dynamic_code": np.zeros((count, self._engine.code_size), np.float32)} | bodies
-        for key, row in items:
-            self._store.packed(key)
+        for _, row in items:
             if not 0 <= row < count:
                 raise InputError(
                     "body row", expected=f"a row in [0, {count})", got=str(row), cure="Give each item its body's row."
@@ -174,6 +187,8 @@ class Packer:
 
     def _parts(self, items: Sequence[Item]) -> list[list[Item]]:
         """``items`` in parts that fit a call; a part has at least one."""
+        if len(items) == 1:
+            return [list(items)]
         parts: list[list[Item]] = []
         tiles = self._tiles_per_call
         for item in items:
@@ -186,39 +201,56 @@ class Packer:
         return parts
 
     def _run_part(self, plan: ScenePlan, bodies: dict[str, np.ndarray], items: tuple[Item, ...]) -> list[Result]:
-        first = items[0][0]
-        # Of a batch of one the constants are the graph's inputs; where they would lie on a device twice, none are.
-        alone = len(items) == 1 and not self._engine.bound
         if self._engine.bound and len(items) > 1:
             bodies = filled_rows(bodies)
-        given = SKIN in bodies
+        skin_given, one_shape = SKIN in bodies, False
         if self._skins is not None:
             with self._lock:
                 bodies = bodies | self._skins.feed(bodies["betas"])
-        one_shape = self._skins is not None and len(bodies["skin_rows"]) == 1
-        session = self._session(plan, alone=alone, one_shape=one_shape, skin_given=given)
-        feed: dict[str, Value] = {}
-        with self._lock:
-            composition, indices = self._composed(items, alone)
-            garments = [self._store.packed(key) for key, _ in items]  # which may be removed while the graph runs
-            stored = garments[0].stored if alone else self._store.arrays()
-            for name in session.inputs:
-                if name in bodies:
-                    feed[name] = bodies[name]
-                elif name in indices:
-                    feed[name] = indices[name]
-                else:
-                    feed[name] = self._constant(name, stored[name], first if alone else "")
-        unchanging = (*SKIN_CONSTANTS, *indices)
-        fetched = self._fetched(plan)
-        results = _apart(
-            fetched, session.run(fetched, feed, unchanging=unchanging), composition, [row for _, row in items]
-        )
-        if "vertices" in plan.outputs and "vertices" not in fetched:
-            for garment, arrays in zip(garments, results, strict=True):
+            one_shape = len(bodies["skin_rows"]) == 1
+        call = self._call(plan, items, one_shape=one_shape, skin_given=skin_given)
+        given = call.feed | bodies
+        feed = {name: given[name] for name in call.session.inputs}
+        found = call.session.run(call.fetched, feed, unchanging=(*SKIN_CONSTANTS, *call.composition.arrays))
+        results = _apart(call.fetched, found, call.composition, [row for _, row in items])
+        if "vertices" in plan.outputs and "vertices" not in call.fetched:
+            for garment, arrays in zip(call.garments, results, strict=True):
                 arrays["vertices"] = blended(garment, *(arrays[name] for name in JETS))
         answers = [{name: arrays[name] for name in plan.outputs} for arrays in results]
         return [Result(arrays, _finite(arrays)) for arrays in answers]
+
+    def _call(self, plan: ScenePlan, items: tuple[Item, ...], *, one_shape: bool, skin_given: bool) -> _Call:
+        """The call for ``items``, the latest used of them kept as far as memory allows."""
+        key = items, plan, one_shape, skin_given
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key]
+        # Of a batch of one the constants are the graph's inputs; where they would lie on a device twice, none are.
+        alone = len(items) == 1 and not self._engine.bound
+        session = self._session(plan, alone=alone, one_shape=one_shape, skin_given=skin_given)
+        with self._lock:
+            call = self._made(session, self._fetched(plan), items, alone=alone)
+            if key not in self._kept:  # another thread may have been faster
+                self._kept_bytes += call.composition.bytes
+            self._kept[key] = call
+            while self._kept_bytes > self._limit:
+                _, dropped = self._kept.popitem(last=False)
+                self._kept_bytes -= dropped.composition.bytes
+        return call
+
+    def _made(self, session: Session, fetched: tuple[str, ...], items: Sequence[Item], *, alone: bool) -> _Call:
+        garments = tuple(self._store.packed(key) for key, _ in items)
+        places = [Place(0, 0)] if alone else [self._store.place(key) for key, _ in items]
+        composition = compose([(g, place, row) for g, place, (_, row) in zip(garments, places, items, strict=True)])
+        if self._engine.bound and len(items) > 1:
+            composition = filled(composition)
+        label, stored = (items[0][0], garments[0].stored) if alone else ("", self._store.arrays())
+        names = stored.keys() & set(session.inputs)
+        feed: dict[str, Value] = {name: self._constant(name, stored[name], label) for name in names}
+        for name, array in composition.arrays.items():  # in a bucket they are written
+            feed[name] = array if self._engine.bound else self._engine.value(array)
+        return _Call(session, fetched, feed, composition, garments)
 
     def _session(self, plan: ScenePlan, *, alone: bool, one_shape: bool, skin_given: bool) -> Session:
         """The session for ``plan``: for one item ``alone`` or several, and for bodies of ``one_shape`` or several."""
@@ -231,26 +263,6 @@ class Packer:
         if not self._engine.on_cpu or "vertices" not in plan.outputs:
             return plan.outputs
         return tuple(dict.fromkeys((*JETS, *(name for name in plan.outputs if name != "vertices"))))
-
-    def _composed(self, items: tuple[Item, ...], alone: bool) -> tuple[Composition, dict[str, Value]]:
-        """Index tensors of ``items``, the latest used of them kept as far as memory allows."""
-        kept = self._kept.pop(items, None)
-        if kept is None:
-            places = [Place(0, 0)] if alone else [self._store.place(key) for key, _ in items]
-            made = compose([(self._store.packed(key), p, row) for (key, row), p in zip(items, places, strict=True)])
-            indices: dict[str, Value] = {}
-            if self._engine.bound:  # written into the bucket that the batch falls into
-                made = filled(made) if len(items) > 1 else made
-                indices.update(made.arrays)
-            else:
-                indices.update({name: self._engine.value(array) for name, array in made.arrays.items()})
-            kept = made, indices
-            self._kept_bytes += made.bytes
-        self._kept[items] = kept
-        while self._kept_bytes > self._limit and self._kept:
-            _, (dropped, _) = self._kept.popitem(last=False)
-            self._kept_bytes -= dropped.bytes
-        return kept
 
     def _constant(self, name: str, array: np.ndarray, key: str) -> Any:
         """A stored array where the graph computes, handed over once."""

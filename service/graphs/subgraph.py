@@ -21,6 +21,11 @@ VALUE_NAME, TENSOR_NAME = 1, 8
 VARINT, EIGHT_BYTES, BYTES, FOUR_BYTES = 0, 1, 2, 5  # wire types
 
 
+def misexported(what: str, *, expected: str, got: str) -> ArtifactError:
+    """The refusal of a model whose export is not what this release reads."""
+    return ArtifactError(what, expected=expected, got=got, cure="Export the model again.")
+
+
 @dataclass(frozen=True)
 class _Field:
     """One field: its number, the whole of it, and what it holds (a number, or the span of its bytes)."""
@@ -67,9 +72,7 @@ def cut(
         assert isinstance(graph, bytes)
         made = _cut_graph(list(_fields(graph)), outputs, set(direct), dict(instead or {}), set(given))
     except (IndexError, StopIteration, AssertionError, UnicodeDecodeError) as error:
-        raise ArtifactError(
-            "model", expected="an ONNX model", got="bytes of another kind", cure="Export the model again."
-        ) from error
+        raise misexported("model", expected="an ONNX model", got="bytes of another kind") from error
     parts = [field.raw for field in fields]
     parts[place] = _written(MODEL_GRAPH, made)
     return b"".join(parts)
@@ -88,9 +91,7 @@ def _cut_graph(
     computed = {name for node in nodes for name in node.outputs}
     unknown = (instead.keys() | set(instead.values())) - computed
     if unknown:
-        raise ArtifactError(
-            "model values", expected=", ".join(sorted(unknown)), got="none of these", cure="Export the model again."
-        )
+        raise misexported("model values", expected=", ".join(sorted(unknown)), got="none of these")
     renamed |= instead
     needed, kept = set(outputs), []
     for node in reversed(nodes):  # a graph's nodes are sorted: producers come first
@@ -100,9 +101,7 @@ def _cut_graph(
     declared = {_name(field, VALUE_NAME): field for field in fields if field.number == GRAPH_OUTPUT}
     missing = [name for name in (*outputs, *sorted(given)) if name not in declared]
     if missing:
-        raise ArtifactError(
-            "model outputs", expected=", ".join(missing), got=", ".join(declared), cure="Export the model again."
-        )
+        raise misexported("model outputs", expected=", ".join(missing), got=", ".join(declared))
     result = [_written(GRAPH_NODE, _rewritten(node, renamed)) for node in reversed(kept)]
     result += [_written(GRAPH_INPUT, _content(declared[name])) for name in sorted(given & needed)]
     for field in fields:

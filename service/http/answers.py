@@ -12,7 +12,7 @@ from fastapi.responses import Response, StreamingResponse
 from pydantic_core import to_json
 
 from drape.export.glb_file import PIECE_BYTES, GlbFile
-from service.compute.sliced_thread import BRIEF_BYTES, SlicedThread
+from service.compute.threads import BRIEF_BYTES, SlicedThread
 from service.errors import NotAcceptable
 
 BINARY = "application/octet-stream"

@@ -19,7 +19,7 @@ from drape.garment.cache import Garment
 from service.http.answers import PC2, number_bytes
 
 if TYPE_CHECKING:
-    from service.compute.sliced_thread import SlicedThread
+    from service.compute.threads import SlicedThread
     from service.http.schemas import ClipOptions, PosedOptions
     from service.stages.batch import PoseInput
     from service.stages.placing import Placed

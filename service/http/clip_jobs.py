@@ -17,12 +17,13 @@ from drape.export.pc2 import HEAD_BYTES, pc2_head
 from drape.wire.jets import message_bytes
 from service.http.answers import PC2, messages_answer, number_bytes
 from service.http.continuations import Continuation
-from service.stages.batch import Batch, Memories, Plan, PoseInput
+from service.stages.batch import Batch, Memories, PoseInput
+from service.stages.plan import Plan
 from service.stages.scene import Outfit, Scene, layer_list
 
 if TYPE_CHECKING:
     from service.compute.drape_runtime import DrapeRuntime
-    from service.compute.sliced_thread import SlicedThread
+    from service.compute.threads import SlicedThread
     from service.guard.keys import Client
     from service.http.schemas import ClipOptions
     from service.state import State

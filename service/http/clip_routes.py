@@ -15,7 +15,7 @@ from drape.errors import BodyError, InputError, MotionError, NotFound
 from drape.export.usda import POINT_BYTES
 from drape.wire.clips import unpack_clip
 from drape.wire.jets import message_bytes
-from service.compute.sliced_thread import BRIEF_BYTES
+from service.compute.threads import BRIEF_BYTES
 from service.errors import NotAcceptable, TooLarge, TooSlow
 from service.guard.limits import check_answer
 from service.http import schemas
@@ -24,8 +24,7 @@ from service.http.clip_files import body_file, export_answer, garment_file
 from service.http.clip_jobs import ClipJob, jets_response, plan_headers, quality_headers, streamed_answer
 from service.http.json_body import check_marks, clip_marks, content_type, document_of, json_text, parsed, validated
 from service.http.openapi import clip_schema, responses
-from service.http.poses import motion_arrays, shape_array
-from service.stages.batch import Batch, PoseInput
+from service.stages.batch import Batch, PoseInput, motion_arrays, shape_array
 from service.stages.placing import Placed
 from service.stages.scene import Outfit, layer_list
 from service.state import ClientHere, State, StateHere

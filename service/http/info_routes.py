@@ -20,7 +20,7 @@ from service.guard.tickets import LIFE_S
 from service.http import schemas
 from service.http.answers import GLB, JSON, choose, file_answer, json_answer
 from service.http.openapi import EVERYWHERE, responses
-from service.http.poses import shape_array
+from service.stages.batch import shape_array
 from service.state import ADMITTED, ClientHere, StateHere
 from service.watch.probes import PATHS, answer
 

@@ -15,7 +15,7 @@ from pydantic_core import from_json
 
 from drape.body.skeleton import JOINT_COUNT
 from drape.wire.options import wire_names
-from service.compute.sliced_thread import BRIEF_TEXT, SlicedThread
+from service.compute.threads import BRIEF_TEXT, SlicedThread
 from service.errors import TooLarge
 from service.http.problems import not_json, validation_refusal
 

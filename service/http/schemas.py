@@ -12,7 +12,7 @@ from drape.files.formats import MESH_NAMES
 from drape.graph.feeds import BETA_COUNT
 from drape.wire.options import FIRST_ONLY, DrapeOptions, FabricNumbers, Identifier, TierName, Worn
 from service.compute.tiers import Tier
-from service.http.poses import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M
+from service.stages.batch import ANGLE_LIMIT_RAD, BETA_LIMIT, PLACE_LIMIT_M
 from service.stages.placing import Origin
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def _number(limit: float) -> Any:
-    """A finite number; of ``limit`` the schema tells, and ``service.http.poses`` refuses what is beyond it."""
+    """A finite number; of ``limit`` the schema tells, and ``service.stages.batch`` refuses what is beyond it."""
     told: dict[str, Any] = {"minimum": -limit, "maximum": limit}
     return Annotated[float, Field(allow_inf_nan=False, strict=True, json_schema_extra=told)]
 

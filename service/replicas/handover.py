@@ -32,8 +32,9 @@ if TYPE_CHECKING:
     from service.compute.drape_runtime import DrapeRuntime
     from service.guard.keys import Client
     from service.guard.tickets import Tickets
-    from service.stages.batch import Memories, Plan
-    from service.stream.sessions import Session
+    from service.stages.batch import Memories
+    from service.stages.plan import Plan
+    from service.stream.routes import Session
 
 LIFE_S = 60.0
 _SIGNATURE_BYTES = 32

@@ -1,91 +1,25 @@
-"""The batch that stages hand on: a plan, posed inputs of several clients and frames, and results so far."""
+"""The batch that stages hand on: posed inputs of several clients and frames, checked, and results so far."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from drape.body.model import BodyModel
-from drape.garment.cache import Garment
-from drape.wire.options import DrapeOptions
+from drape.errors import BodyError, MotionError
+from service.errors import TooLarge
 from service.stages.placing import Origin, Placed
+from service.stages.plan import Plan
 
-if TYPE_CHECKING:
-    from drape.cloth.fabric import Fabric
-    from service.graphs.engine import Engine
-    from service.settings import Settings
-    from service.stages.scene import Entry, Scene
-
-FINE = "fine"  # what a stage needs where it computes on the subdivided meshes
-BODY = ""  # the owner of what is remembered of a body, where others are garments by their digest
-SKIN = "skin"  # what a stage needs where it reads the posed samples of the skin
 Memories = Mapping[tuple[str, str], Any]  # by stage and owner; values are never changed in place
-Make = Callable[..., Any]  # calls a function with arguments: here, or in another process while there are streams
 
-
-def call_here(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-    """``function(*arguments, **named)``."""
-    return function(*arguments, **named)
-
-
-@dataclass(frozen=True)
-class Plan:
-    """A scene and the options for it, nothing left open: frames of equal plans are computed together.
-
-    ``scene`` holds what must be draped, among it hidden garments that visible ones feel; ``shown`` is what comes.
-    ``fabrics``: what each layer of the scene is made of, None for the garment's own. ``stages``: those that the plan
-    takes, in their order. ``needs``: what of "vertices", "jets" and "skin" these and the answer read; the network makes
-    nothing else. ``draped``: what the network drapes, the scene's garments or, where a stage needs "fine", their
-    subdivided meshes; that stage leaves the scene's. ``messages``: frames leave as messages of the wire. ``stepped``:
-    the service is under load and computes less than was asked for. ``carried``: no step of folds runs; those of the
-    frames before fade.
-    """
-
-    scene: Scene
-    options: DrapeOptions
-    messages: bool = False
-    stages: tuple[Stage, ...] = ()
-    needs: frozenset[str] = frozenset()
-    stepped: bool = False
-    carried: bool = False
-    draped: tuple[Entry, ...] = ()
-    fabrics: tuple[Fabric | None, ...] = field(default=(), compare=False)  # of options and scene
-
-    @property
-    def keys(self) -> tuple[str, ...]:
-        """Digests of the garments, the innermost first."""
-        return tuple(entry.garment.digest for entry in self.scene.layers)
-
-    @property
-    def lifted(self) -> bool:
-        """Whether folds bring the cloth off the skin, and off the layers below: as far as they feel these."""
-        return bool(self.options.folds) and (bool(self.options.cloth_contact) or len(self.scene.layers) == 1)
-
-    @property
-    def projected(self) -> bool:
-        """Whether the collision projection brings the cloth out: where that is asked for and folds do not."""
-        return bool(self.options.push_out) and not self.lifted
-
-    @property
-    def visible(self) -> tuple[bool, ...]:
-        """Which layers of the scene come."""
-        hidden = self.options.hidden or ()
-        return tuple(entry.id not in hidden for entry in self.scene.layers)
-
-    @property
-    def shown(self) -> Scene:
-        """The scene without its hidden layers: what an answer holds."""
-        if self.options.hidden is None:
-            return self.scene
-        return self.scene.only([entry.id for entry in self.scene.layers if entry.id not in self.options.hidden])
-
-    @property
-    def draped_keys(self) -> tuple[str, ...]:
-        """Digests of what the network drapes."""
-        return tuple(entry.garment.digest for entry in self.draped)
+# Beyond these the numbers are a mistake of unit, and squares overflow.
+ANGLE_LIMIT_RAD = 1000.0
+PLACE_LIMIT_M = 1e6
+BETA_LIMIT = 20.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +51,57 @@ class PoseInput:
             memories=memories,
             sequence=self.sequence + rows.start,
         )
+
+
+def check_poses(poses: np.ndarray, trans: np.ndarray) -> None:
+    """Refuses rotation vectors (F, 24, 3) [rad] and translations (F, 3) [m] that are finite but senseless."""
+    _check_limit("poses", poses, ANGLE_LIMIT_RAD, "rad", "Send rotation vectors in radians.")
+    _check_limit("trans", trans, PLACE_LIMIT_M, "m", "Send root translations in metres.")
+
+
+def _check_limit(name: str, array: np.ndarray, limit: float, unit: str, cure: str) -> None:
+    beyond = ~(np.abs(array) <= limit)  # the negation also catches NaN
+    if beyond.any():
+        index = tuple(int(i) for i in np.argwhere(beyond)[0])
+        place = "".join(f"[{i}]" for i in index)
+        raise MotionError(f"{name}{place}", expected=f"at most {limit:g} {unit}", got=f"{array[index]:g}", cure=cure)
+
+
+def motion_arrays(
+    poses: Sequence[object] | np.ndarray, trans: Sequence[object] | np.ndarray | None, *, max_frames: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Checked poses (F, 24, 3) and translations (F, 3), float64; translations default to zero."""
+    if not len(poses):
+        raise MotionError("poses", expected="at least 1 frame", got="0", cure="Send one pose or more.")
+    if len(poses) > max_frames:
+        raise TooLarge(
+            "poses", expected=f"at most {max_frames} frames", got=f"{len(poses)}", cure="Send the clip in pieces."
+        )
+    if trans is not None and len(trans) != len(poses):
+        raise MotionError(
+            "trans",
+            expected=f"one translation per frame, {len(poses)}",
+            got=str(len(trans)),
+            cure="Send as many as poses, or none.",
+        )
+    rotations = np.asarray(poses, dtype=np.float64)
+    places = np.zeros((len(poses), 3)) if trans is None else np.asarray(trans, dtype=np.float64)
+    check_poses(rotations, places)
+    return rotations, places
+
+
+def shape_array(betas: Sequence[float] | None, body: BodyModel) -> np.ndarray:
+    """Checked shape coefficients (S,), zeros where none were sent."""
+    shape = body.check_betas(np.asarray(betas if betas is not None else [], dtype=np.float64))
+    if (np.abs(shape) > BETA_LIMIT).any():
+        index = int(np.argmax(np.abs(shape)))
+        raise BodyError(
+            f"betas[{index}]",
+            expected=f"at most {BETA_LIMIT:g}",
+            got=f"{shape[index]:g}",
+            cure="Shapes are in standard deviations.",
+        )
+    return shape
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,99 +240,3 @@ def _whole(parts: Sequence[Any]) -> Any:
         return np.concatenate(parts)
     names = [item.name for item in fields(parts[0])]
     return type(parts[0])(**{name: _whole([getattr(part, name) for part in parts]) for name in names})
-
-
-@dataclass(frozen=True, eq=False)
-class StageSetup:
-    """The parts of a service that all stages share; ``make`` calls a function that takes long."""
-
-    engine: Engine
-    body: BodyModel
-    settings: Settings
-    make: Make = call_here
-
-
-class Stage:
-    """One step of a frame's way, made once per service; ``service.stages.STAGES`` names them in order.
-
-    A stage holds its constants of garments (``add``, ``prepare``). Its memories of a stream or clip lie in the batch,
-    under its name and the garment's digest or ``BODY``.
-    """
-
-    name: ClassVar[str]
-    kept: ClassVar[tuple[type, ...]] = ()  # the classes of what it remembers, which streams take to other processes
-
-    def __init__(self, setup: StageSetup) -> None:
-        self.engine, self.body, self.settings, self.make = setup.engine, setup.body, setup.settings, setup.make
-
-    def resolve(self, options: DrapeOptions) -> dict[str, Any]:
-        """Options that this stage reads, by name, with the values that hold where clients left them open.
-
-        Refuses (``InputError``) what the model cannot do.
-        """
-        return {}
-
-    def check(self, plan: Plan) -> None:
-        """Refuses (``InputError``) a plan that this stage cannot follow."""
-
-    def wanted(self, plan: Plan) -> bool:
-        """Whether frames of ``plan`` take this stage."""
-        return True
-
-    def needs(self, plan: Plan) -> frozenset[str]:
-        """The network's outputs that it reads: "vertices", "jets", "skin"; and "fine" for the subdivided meshes."""
-        return frozenset()
-
-    def joins_layers(self, plan: Plan) -> bool:
-        """Whether a layer feels those below it here."""
-        return False
-
-    def depends_on(self, plan: Plan) -> object:
-        """The part of the options that its memories hold for: they are forgotten where it changes."""
-        return None
-
-    def moved_m(self, plan: Plan, before: np.ndarray, after: np.ndarray) -> float:
-        """A bound [m] on how far this stage moves cloth when the pose ``before`` (24, 3) [rad] becomes ``after``;
-        infinite where it knows none."""
-        return 0.0
-
-    def rested(self, memory: Any, time_s: float) -> Any:
-        """``memory`` as after another frame at ``time_s`` of a body and of cloth that do not move."""
-        return memory
-
-    def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
-        """Stores the constants of ``garment``, whose ``garment_feed`` is ``feed``."""
-
-    def remove(self, garment: Garment) -> None:
-        """Forgets the constants of ``garment``; no plan names it any more."""
-
-    def prepare(self, plan: Plan) -> None:
-        """Makes what the frames of ``plan`` need and takes long; called from any thread."""
-
-    @property
-    def held_bytes(self) -> int:
-        """Memory of its constants where the graphs compute."""
-        return 0
-
-    def run(self, batch: Batch) -> Batch:
-        """``batch`` with what this stage makes of it."""
-        raise NotImplementedError
-
-    def steps(self, batch: Batch) -> Iterator[Batch]:
-        """``batch`` after each part of ``run``, between which other frames may be computed; the last is its result."""
-        yield self.run(batch)
-
-
-def carried(memories: Memories, before: Plan, after: Plan) -> Memories:
-    """The ``memories`` that still hold when the plan ``before`` becomes ``after``.
-
-    Their stage goes on, on the same options, and their body or garment is worn on.
-    """
-    old = {stage.name: stage.depends_on(before) for stage in before.stages}
-    new = {stage.name: stage.depends_on(after) for stage in after.stages}
-    owners = {BODY, *after.keys, *after.draped_keys}
-    return {
-        (stage, owner): memory
-        for (stage, owner), memory in memories.items()
-        if owner in owners and stage in old and stage in new and old[stage] == new[stage]
-    }

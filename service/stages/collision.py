@@ -1,20 +1,44 @@
 """The collision projection (the push-out): every garment out of the body and of the garments below it.
 
 Folds end off the skin by themselves, from the planes that they know anyway; then there is nothing left to project.
+``Pusher`` holds its constants and runs its two graphs.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from drape.contact.projection import MOVED_M
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_COUNT
+from drape.contact.cloth_samples import cloth_samples
+from drape.contact.projection import CLEARANCE_M, MOVED_M
+from drape.contact.samples import Samples
+from drape.contact.skin import body_skin
+from drape.errors import NotFound
 from drape.garment.cache import Garment
+from drape.graph.layer_feed import Sheet, pack_layer
+from drape.graph.push_feed import pack_push, pushed_jets
 from drape.wire.options import DrapeOptions
-from service.graphs.push import PosedJets, Pushed, Pusher
-from service.stages.batch import SKIN, Batch, Jets, Layer, Plan, Stage, StageSetup, joined
+from service.graphs.graph_names import PUSH, PUSH_OVER, PUSHES, SKIN, SKIN_CONSTANTS
+from service.stages.batch import Batch, Jets, Layer, joined
+from service.stages.plan import Plan
+from service.stages.stage import KeptConstants, Make, Stage, StageSetup, call_here
+
+if TYPE_CHECKING:
+    import onnxruntime
+
+    from service.graphs.engine import Engine
+    from service.graphs.onnx_runtime import Session, Value
+
+    Constants = dict[str, onnxruntime.OrtValue]
+
+OUTPUT = "pushed"
+JET_OUTPUTS = (OUTPUT, "jet_push", "left")
+KEPT_OUTFITS = 32  # some five megabytes per layer over others
 
 
 class Collision(Stage):
@@ -76,7 +100,165 @@ class Collision(Stage):
         frames as it has alone."""
         layer = batch.layers[count - 1]
         assert layer.vertices is not None and batch.skin is not None
-        posed = None if jets is None else PosedJets(jets.jet[rows], jets.rotation[rows])
+        posed = None if jets is None else Jets(jets.jet[rows], jets.rotation[rows], jets.centre[rows])
         below = None if under is None else under[rows]
         keys = batch.plan.keys[:count]
         return self.pusher.push(keys, layer.vertices[rows], batch.skin[rows], under=below, posed=posed)
+
+
+@dataclass(eq=False)
+class _Stored:
+    """A garment in store: its ``garment_feed``, rest mesh and constants, and what lies over it needs."""
+
+    feed: dict[str, np.ndarray]
+    vertices: np.ndarray
+    faces: np.ndarray
+    constants: Constants
+    sheet: Sheet | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Pushed:
+    """``vertices`` [m] (F, V, 3) that are clear, and the way [m] (F, V) of each.
+
+    ``jet`` (F, K, 45) is None unless jets were pushed too. It holds the projection but for ``left_m`` [m] (F,), the
+    longest way that a vertex of it lacks.
+    """
+
+    vertices: np.ndarray
+    way_m: np.ndarray
+    jet: np.ndarray | None = None
+    left_m: np.ndarray | None = None
+
+
+class Pusher:
+    """Pushes garments ``clearance_m`` [m] clear of a posed skin and of those below; one thread at a time.
+
+    The skin is that of ``body`` in any pose and shape, as the packed graph poses it. Constants are made through
+    ``make``, which calls a function with arguments.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        body: BodyModel,
+        clearance_m: float = CLEARANCE_M,
+        *,
+        make: Make = call_here,
+    ) -> None:
+        self._engine, self._make = engine, make
+        self._skin = body_skin(body)
+        self._bones = self._skin.on_bones(replace(body, posedirs=None)).bones
+        self._clearance = np.full(1, np.float32(clearance_m))
+        self._stored: dict[str, _Stored] = {}
+        self._layers = KeptConstants["Constants"](lambda kept: len(kept) > KEPT_OUTFITS)
+        for graph in PUSHES:  # now, not in the first frame
+            self._session(graph, jets=False)
+
+    @property
+    def held_bytes(self) -> int:
+        """Memory of the garments' constants where the graphs compute."""
+        return sum(value.tensor_size_in_bytes() for one in self._stored.values() for value in one.constants.values())
+
+    def add(self, key: str, feed: dict[str, np.ndarray], vertices: np.ndarray, faces: np.ndarray) -> None:
+        """Puts the garment ``key`` in store: its ``garment_feed``, rest vertices [m] (V, 3) and faces."""
+        constants = self._values(self._make(_garment_arrays, feed, vertices, self._skin))
+        self._stored[key] = _Stored(feed, vertices, faces, constants)
+
+    def remove(self, key: str) -> None:
+        """Forgets the garment ``key`` and every layer that it is part of."""
+        self._stored.pop(key, None)
+        self._layers.forget(key)
+
+    def prepare(self, keys: Sequence[str], *, jets: bool = False) -> None:
+        """Makes the constants of every garment of an outfit over those before it, where they are missing, and opens
+        what pushes them, and their ``jets`` where asked.
+
+        Takes a second per garment, and may be called from any thread.
+        """
+        for count in range(1, len(keys)):
+            self._layer(tuple(keys[: count + 1]))
+        for graph in PUSHES[: len(keys)]:
+            self._session(graph, jets=jets)
+
+    def _session(self, graph: str, *, jets: bool) -> Session:
+        return self._engine.open_cut(graph, JET_OUTPUTS if jets else (OUTPUT,), given=(SKIN,))
+
+    def push(
+        self,
+        keys: Sequence[str],
+        vertices: np.ndarray,
+        skin: np.ndarray,
+        *,
+        under: np.ndarray | None = None,
+        posed: Jets | None = None,
+    ) -> Pushed:
+        """The last garment of ``keys``, whose ``vertices`` [m] (F, V, 3) are relative to the root, out of the samples
+        ``skin`` (F, R, 12, 8) of the posed body and out of the other garments, innermost first.
+
+        ``under`` [m] (F, U, 3) holds the pushed vertices of these. With the jets ``posed`` of ``vertices`` these are
+        pushed too. Refuses (``NotFound``) a garment not in store.
+        """
+        stored = self._get(keys[-1])
+        vertices = np.ascontiguousarray(vertices, dtype=np.float32)
+        arrays: dict[str, Value] = {
+            SKIN: skin,
+            # Of these two the graphs read only how many frames and parts there are.
+            "bone_translation": np.zeros((len(skin), JOINT_COUNT, 3), dtype=np.float32),
+            "skin_bones": self._bones,
+            "vertices": vertices,
+            "clearance": self._clearance,
+        }
+        if under is None:
+            arrays |= stored.constants
+        else:
+            arrays |= {**self._layer(tuple(keys)), "under": np.ascontiguousarray(under, dtype=np.float32)}
+        outputs = (OUTPUT,) if posed is None else JET_OUTPUTS
+        session = self._session(PUSH if under is None else PUSH_OVER, jets=posed is not None)
+        found = session.run(outputs, {name: arrays[name] for name in session.inputs}, unchanging=SKIN_CONSTANTS)
+        way_m = np.linalg.norm(found[0] - vertices, axis=-1)
+        if posed is None:
+            return Pushed(found[0], way_m)
+        moved, coefficients, left_m = found
+        jet = pushed_jets(posed.jet, posed.rotation, stored.feed["patch_scale"], coefficients)
+        return Pushed(moved, way_m, jet, left_m)
+
+    def _get(self, key: str) -> _Stored:
+        if key not in self._stored:
+            raise NotFound(
+                "garment", expected=", ".join(self._stored) or "one in store", got=key, cure="Add the garment first."
+            )
+        return self._stored[key]
+
+    def _layer(self, keys: tuple[str, ...]) -> Constants:
+        """Constants of the last of ``keys`` over the others."""
+        *inner, outer = (self._get(key) for key in keys)
+
+        def make() -> Constants:
+            sheets = [self._sheet(stored) for stored in inner]
+            return self._values(self._make(_arrays_over, outer.feed, outer.vertices, self._skin, sheets))
+
+        return self._layers.get(keys, make)
+
+    def _sheet(self, stored: _Stored) -> Sheet:
+        """The garment as others lie over it, made once."""
+        if stored.sheet is None:
+            samples = self._make(cloth_samples, stored.vertices, stored.faces)
+            stored.sheet = Sheet(stored.vertices, stored.faces, samples)
+        return stored.sheet
+
+    def _values(self, arrays: dict[str, np.ndarray]) -> Constants:
+        """Constants where the graphs compute, handed over once."""
+        return {name: self._engine.value(array) for name, array in arrays.items()}
+
+
+def _garment_arrays(feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples) -> dict[str, np.ndarray]:
+    """The constants of a garment by the names of the graph's inputs."""
+    return pack_push(feed, vertices, skin).flat()
+
+
+def _arrays_over(
+    feed: dict[str, np.ndarray], vertices: np.ndarray, skin: Samples, sheets: Sequence[Sheet]
+) -> dict[str, np.ndarray]:
+    """The constants of a garment over others by the names of the graph's inputs."""
+    return pack_layer(feed, vertices, skin, sheets).flat()

@@ -1,13 +1,26 @@
-"""Frames as messages of the wire, relative to their roots."""
+"""The message that answers a pose: a frame relative to its root, or for an idle body the last one again.
+
+Nothing is computed for a body whose cloth has come to rest. Its last message, which stands in the stream's memories
+under ``KEY``, is sent again, or the word that it holds, to clients that take it. The memories of the stages grow no
+older meanwhile (``Stage.rested``), so that the first frame that moves again goes on from where the cloth hangs.
+"""
 
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from drape.wire.jets import JetFrame, pack_jets
-from drape.wire.messages import Frame, pack_frame
-from service.stages.batch import Batch, Plan, Stage
+from drape.wire.messages import Answer, Frame, pack_frame, pack_same, resent
+from service.stages.batch import Batch, Memories, PoseInput
+from service.stages.plan import Plan
+from service.stages.stage import BODY, Stage
+
+KEY = ("idle", BODY)
+REST_S = 2.0  # of the same pose, until cloth has come to rest, by the client's clock
+REST_FRAMES = 30  # and frames of it that were computed: a slow stream has fewer in that time
 
 
 class Encode(Stage):
@@ -48,3 +61,75 @@ class Encode(Stage):
                         pack_frame(Frame(**said, positions=vertices[row], bits=batch.plan.options.bits or 16))
                     )
         return replace(batch, messages=tuple(messages))
+
+
+@dataclass(frozen=True, eq=False)
+class Idle:
+    """Since when [s] a body has had one pose, in how many frames, and the last message of it."""
+
+    pose: np.ndarray
+    trans: np.ndarray
+    betas: np.ndarray
+    plan: Plan
+    since_s: float
+    last_s: float
+    frames: int
+    message: bytes
+
+    def holds_for(self, plan: Plan, one: PoseInput) -> bool:
+        """Whether ``one`` has the same pose and shape, under an equal ``plan``, and comes no earlier. With ``still_mm``
+        the pose may be another that moves the cloth no further."""
+        return (
+            plan == self.plan
+            and float(one.times_s[0]) >= self.last_s
+            and np.array_equal(one.trans[0], self.trans)
+            and np.array_equal(one.betas, self.betas)
+            and (np.array_equal(one.poses[0], self.pose) or self._within(plan, one.poses[0]))
+        )
+
+    def _within(self, plan: Plan, pose: np.ndarray) -> bool:
+        """Whether ``pose`` moves the cloth by no more than ``plan`` lets pass."""
+        if plan.options.still_mm is None:
+            return False
+        return sum(stage.moved_m(plan, self.pose, pose) for stage in plan.stages) <= 1e-3 * plan.options.still_mm
+
+
+def idle_before(plan: Plan, one: PoseInput) -> Idle | None:
+    """What holds of the frame before for the single frame of ``one``: None where its body moved."""
+    idle: Idle | None = one.memories.get(KEY)
+    return idle if idle is not None and idle.holds_for(plan, one) else None
+
+
+def answer_again(plan: Plan, one: PoseInput, idle: Idle | None) -> tuple[bytes, Memories] | None:
+    """The message of the single frame of ``one`` and its memories, where what is ``idle_before`` has come to rest.
+
+    A client that still shows that frame gets the word that it holds. A pause does not count as rest: only
+    computed frames bring cloth there.
+    """
+    if idle is None or idle.frames < REST_FRAMES or idle.last_s - idle.since_s < REST_S:
+        return None
+    now_s = float(one.times_s[0])
+    residence_us = 0 if one.arrived_s is None else int(1e6 * (time.monotonic() - one.arrived_s))
+    answer = Answer(one.sequence, now_s, time.time(), one.dropped, residence_us)
+    message = pack_same(answer) if one.shown is idle.message else resent(idle.message, answer)
+    stages = {stage.name: stage for stage in plan.stages}
+    rested = {
+        key: stages[key[0]].rested(memory, now_s) if key[0] in stages else memory
+        for key, memory in one.memories.items()
+    }
+    return message, rested
+
+
+def shown_message(memories: Memories) -> bytes | None:
+    """The computed message whose frame a client shows that has taken all of a stream with ``memories``."""
+    idle: Idle | None = memories.get(KEY)
+    return None if idle is None else idle.message
+
+
+def remember(plan: Plan, one: PoseInput, before: Idle | None, memories: Memories, message: bytes) -> Memories:
+    """``memories`` after the computed frame of ``one``, with what ``idle_before`` tells of it next time; ``before`` is
+    what this told of the frame before."""
+    now_s = float(one.times_s[0])
+    since_s, frames = (now_s, 0) if before is None else (before.since_s, before.frames)
+    idle = Idle(one.poses[0], one.trans[0], one.betas, plan, since_s, now_s, frames + 1, message)
+    return {**memories, KEY: idle}

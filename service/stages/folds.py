@@ -18,8 +18,9 @@ from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport, fold, warm_
 from drape.live.raised_skin import heights_over, raised
 from drape.live.skin_contact import TouchedSamples
 from drape.wire.options import DrapeOptions
-from service.graphs.kept_constants import KeptConstants
-from service.stages.batch import FINE, SKIN, Batch, Layer, Plan, Quality, Stage, StageSetup
+from service.stages.batch import Batch, Layer, Quality
+from service.stages.plan import FINE, SKIN, Plan
+from service.stages.stage import KeptConstants, Stage, StageSetup
 
 SETTLE = 8  # times the steps of a frame for one without a past, where clients do not say
 KEPT_BYTES = 256 << 20  # of garments in fabrics, 3 to 8 MB each; what is in use stays

@@ -15,7 +15,9 @@ import numpy as np
 from drape.body.features import Kinematics, motion_features
 from drape.graph.feeds import kinematics
 from drape.wire.options import DrapeOptions
-from service.stages.batch import BODY, Batch, Plan, Stage, StageSetup
+from service.stages.batch import Batch
+from service.stages.plan import Plan
+from service.stages.stage import BODY, Stage, StageSetup
 
 if TYPE_CHECKING:
     from service.graphs.engine import Engine

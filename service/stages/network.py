@@ -1,4 +1,7 @@
-"""The network's drape of every garment: poses and codes in, vertices or posed jets out, through the packed graph."""
+"""The network's drape of every garment: poses and codes in, vertices or posed jets out, through the packed graph.
+
+And how far poses are from those that it learned from (``drape.body.pose_support``): folds do more for novel ones.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +18,11 @@ from drape.graph.packing import pack_body
 from drape.wire.options import DrapeOptions
 from service.graphs.graph_names import JETS, SKIN
 from service.graphs.packing import Packer, Result, ScenePlan, Shape, check_finite
-from service.stages.batch import Batch, Jets, Layer, Plan, PoseInput, Stage, StageSetup
+from service.stages.batch import Batch, Jets, Layer, PoseInput, joined
 from service.stages.joint_reach import reach_m, turns_rad
+from service.stages.plan import Plan
 from service.stages.scene import check_known
+from service.stages.stage import Stage, StageSetup
 
 SHAPES: dict[frozenset[str], Shape] = {
     frozenset({"vertices"}): "vertices",
@@ -26,6 +31,20 @@ SHAPES: dict[frozenset[str], Shape] = {
 }
 REACHES_KEPT = 256  # garments in fabrics, 192 bytes each
 Measured = tuple[str, str, int | None]  # a garment, its fabric, passes
+
+
+class Novelty(Stage):
+    """Scores the poses of all inputs in one go, where the model says which it was trained on."""
+
+    name = "novelty"
+
+    def wanted(self, plan: Plan) -> bool:
+        return self.engine.pose_support is not None
+
+    def run(self, batch: Batch) -> Batch:
+        assert self.engine.pose_support is not None
+        found = self.engine.pose_support.novelty(joined([one.poses for one in batch.inputs], axis=0))
+        return replace(batch, quality=replace(batch.quality, novelty=found))
 
 
 class Network(Stage):

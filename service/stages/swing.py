@@ -13,8 +13,9 @@ from drape.garment.cache import Garment
 from drape.live.clock import Frame
 from drape.live.swing_constants import swing_constants
 from drape.live.swing_step import SwingConstants, SwingMemory, swing, warm_up
-from service.graphs.kept_constants import KeptConstants
-from service.stages.batch import SKIN, Batch, Plan, Stage, StageSetup
+from service.stages.batch import Batch
+from service.stages.plan import SKIN, Plan
+from service.stages.stage import KeptConstants, Stage, StageSetup
 
 KEPT = 256  # garments in fabrics, a megabyte at most each; what is in use stays
 

@@ -1,38 +1,175 @@
-"""WS /stream: one JSON message opens, binary poses come in, binary frames go out, as in docs/reference/wire.md."""
+"""WS /stream: one JSON message opens, binary poses come in, binary frames go out, as in docs/reference/wire.md.
+
+A session has a mailbox for one pose; a newer pose replaces it and is counted. Credit bounds the frames under way.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import logging
 import math
 import time
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
+import numpy as np
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 
 from drape.errors import DrapeError, InputError
 from drape.wire import messages as wire
 from service.errors import Draining, InternalError, TooSlow, close_reason, error_message, problem_response, rule_for
 from service.guard.access import OFFER
-from service.http.json_body import document_of, validated
-from service.http.poses import check_poses, shape_array
-from service.http.schemas import OpenRequest
-from service.stages.scene import Outfit, layer_list
+from service.stages.batch import Memories, check_poses
+from service.stages.encode import shown_message
+from service.stages.plan import Plan
+from service.stages.stage import carried
 from service.state import State
-from service.stream.sessions import Session
+from service.stream.opening import Opening, first_text, opened, read_opening, text_of
 
 if TYPE_CHECKING:
+    from opentelemetry.trace import Link
+
     from service.guard.keys import Client
-    from service.replicas.handover import Incoming
-    from service.settings import Settings
     from service.watch.metrics import Metrics
 
 router = APIRouter()
 WATCH_S = 0.25
 ABORT = "drape.abort"  # what service.server puts into the scope: closes the connection without flushing
 log = logging.getLogger("drape.service")
+
+
+@dataclass(frozen=True, eq=False)
+class Waiting:
+    """A pose and the time [s] (monotonic) it came."""
+
+    pose: wire.Pose
+    arrived_s: float
+
+
+@dataclass(eq=False)
+class Session:
+    """One client's stream. ``generation`` counts openings: what was begun for an earlier one is thrown away.
+
+    ``steps``: the plan as each tier holds it, the least first; ``memories``: what the stages keep of the frames so far
+    (``service.stages``). Of ``dropped`` poses those that are ``late`` waited for a worker alone. One that ``moves``
+    can go on at another process; while it is ``leaving`` nothing is begun for it here. A client that takes ``same``
+    need not get a frame again that it has: ``shown``, the message that was computed for it. ``link`` leads to its
+    request.
+    """
+
+    plan: Plan
+    betas: np.ndarray
+    credit: int
+    steps: tuple[Plan, ...] = ()
+    memories: Memories = field(default_factory=dict)
+    generation: int = 0
+    moves: bool = False
+    same: bool = False
+    shown: bytes | None = None
+    link: Link | None = None
+    leaving: bool = False
+    dropped: int = 0
+    late: int = 0
+    waiting: Waiting | None = None
+    outbox: bytes | None = None
+    outbox_since_s: float = 0.0  # when the pose of the frame in the outbox came
+    failure: DrapeError | None = None
+    last_heard_s: float = field(default_factory=time.monotonic)
+    # Sequence of every frame that was begun and is not acknowledged, and when [s] it was ready; infinity before that.
+    under_way: list[tuple[int, float]] = field(default_factory=list)
+    news: asyncio.Event = field(default_factory=asyncio.Event)
+
+    def reopen(self, asked: Opening) -> None:
+        """Turns the session to another plan or shape; what another shape leaves behind is no motion of this one."""
+        same_body = np.array_equal(asked.betas, self.betas)
+        self.memories = carried(self.memories, self.plan, asked.plan) if same_body else {}
+        self.plan, self.betas, self.steps = asked.plan, asked.betas, asked.steps
+        self.moves, self.same = asked.moves, asked.same
+        self.generation += 1
+        self.last_heard_s = time.monotonic()
+        self.waiting, self.outbox, self.shown = None, None, None
+        self.under_way.clear()
+
+    def put(self, pose: wire.Pose) -> None:
+        """Puts a pose into the mailbox; one that waited there is dropped and counted."""
+        self.last_heard_s = time.monotonic()
+        self.late += self.due()
+        self.dropped += self.waiting is not None
+        self.waiting = Waiting(pose, self.last_heard_s)
+
+    def ready(self) -> bool:
+        """Whether a pose waits that may be computed now."""
+        return self.due() and not self.computing
+
+    def due(self) -> bool:
+        """Whether a pose waits for nothing but a worker, if only for the one that computes the frame before."""
+        free = len(self.under_way) < self.credit and self.outbox is None and not self.leaving
+        return self.waiting is not None and free
+
+    @property
+    def computing(self) -> bool:
+        """Whether a frame of this opening is being computed."""
+        return not all(math.isfinite(ready_s) for _, ready_s in self.under_way)
+
+    @property
+    def settled(self) -> bool:
+        """Whether nothing is computed for it and no frame waits to be sent."""
+        return self.outbox is None and not self.computing
+
+    def held_to(self, tier: int) -> Plan:
+        """Its plan with no more than the step of that index computes."""
+        return self.steps[tier] if tier < len(self.steps) else self.plan
+
+    def take(self) -> Waiting:
+        """The waiting pose, now under way."""
+        assert self.waiting is not None
+        taken, self.waiting = self.waiting, None
+        self.under_way.append((taken.pose.sequence, math.inf))
+        return taken
+
+    def taken_late(self) -> int:
+        """The number of poses that were late since the last call."""
+        late, self.late = self.late, 0
+        return late
+
+    def acknowledge(self, sequence: int) -> float | None:
+        """Gives one credit back; how long [s] the frame was on its way, None for one of an earlier opening."""
+        self.last_heard_s = time.monotonic()
+        for index, (sent, ready_s) in enumerate(self.under_way):
+            if sent == sequence:
+                del self.under_way[index]
+                return self.last_heard_s - ready_s
+        if self.generation == 0:
+            raise InputError(
+                "ack message",
+                expected="the sequence of a frame that was sent",
+                got=str(sequence),
+                cure="Acknowledge each frame once.",
+            )
+        return None
+
+    def deliver(
+        self, generation: int, result: bytes | DrapeError, memories: Memories, since_s: float | None = None
+    ) -> None:
+        """Hands a frame, or the reason that there is none, to the sender, and keeps what the frame leaves behind.
+
+        ``since_s``: when [s] (monotonic) its pose came.
+        """
+        if generation != self.generation:
+            return
+        self.memories = memories
+        now = time.monotonic()
+        if isinstance(result, bytes) and wire.message_kind(result) == wire.SAME:
+            # It fills no buffer, so nobody says that it was taken.
+            self.under_way = [one for one in self.under_way if math.isfinite(one[1])]
+        self.under_way = [(sequence, min(ready_s, now)) for sequence, ready_s in self.under_way]
+        if isinstance(result, DrapeError):
+            self.failure = result
+        else:
+            self.outbox, self.outbox_since_s = result, now if since_s is None else since_s
+            self.shown = shown_message(memories)
+        self.news.set()
 
 
 @router.websocket("/stream")
@@ -78,8 +215,16 @@ async def _converse(socket: WebSocket, state: State, client: Client) -> None:
     settings = state.runtime.settings
     state.streams.check_place()
     with state.handover.incoming() as pieces:
-        text = await _opening(socket, pieces, settings)
-        session = await _open_session(text, state, client, None)
+        asked = await read_opening(await first_text(socket, pieces, settings), state, client)
+        session = Session(
+            asked.plan,
+            asked.betas,
+            settings.stream_credit,
+            asked.steps,
+            moves=asked.moves,
+            same=asked.same,
+            link=state.runtime.tracing.here(),
+        )
         brought = state.handover.resume(pieces, session, client)
     if state.life.draining:
         raise Draining
@@ -94,7 +239,7 @@ async def _converse(socket: WebSocket, state: State, client: Client) -> None:
     ]
     resumed = {"resumed": brought is not None} if pieces.messages else {}
     try:
-        await socket.send_text(_opened(session, state, **resumed))
+        await socket.send_text(opened(session.plan, state, **resumed))
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         for task in done:
             task.result()
@@ -106,85 +251,6 @@ async def _converse(socket: WebSocket, state: State, client: Client) -> None:
         await asyncio.gather(*tasks, return_exceptions=True)
 
 
-async def _opening(socket: WebSocket, pieces: Incoming, settings: Settings) -> str:
-    """The text that opens a stream; what comes before it of the stream's state goes to ``pieces``."""
-    begun_s = time.monotonic()
-    while True:
-        until_s = begun_s + settings.stream_open_s + pieces.size / settings.body_bytes_s
-        try:
-            message = await asyncio.wait_for(socket.receive(), max(0.0, until_s - time.monotonic()))
-        except TimeoutError:
-            raise TooSlow(
-                "open message",
-                expected=f"within {settings.stream_open_s:g} s",
-                got="nothing" if not pieces.messages else f"{pieces.size} bytes of a state",
-                cure='Send {"type": "open", "garment": ...} first.',
-            ) from None
-        payload = message.get("bytes")
-        if payload is None or payload[5:6] != bytes([wire.STATE]):
-            return _text_of(message)
-        pieces.take(payload)
-
-
-def _text_of(message: Any) -> str:
-    if message["type"] == "websocket.disconnect":
-        raise WebSocketDisconnect(message.get("code", 1005))
-    text = message.get("text")
-    if text is None:
-        raise InputError(
-            "open message", expected="JSON text", got="bytes", cure='Send {"type": "open", "garment": ...} first.'
-        )
-    return text
-
-
-async def _open_session(text: str, state: State, client: Client, session: Session | None) -> Session:
-    """The session that ``text`` asks for: a new one, or ``session`` turned to it."""
-    asked = validated(OpenRequest, document_of(text.encode()))
-    runtime = state.runtime
-    scene = await state.scene(asked.garment, asked.garments, client)
-    plan = await runtime.plan_within(scene, asked, messages=True)
-    betas = shape_array(asked.betas, runtime.body)
-    steps = runtime.steps(plan)
-    for step in {plan, *steps}:
-        await runtime.prepare(step)
-    if session is None:
-        link = runtime.tracing.here()
-        return Session(
-            plan, betas, runtime.settings.stream_credit, steps, moves=asked.moves, same=asked.same, link=link
-        )
-    session.reopen(plan, betas, steps)
-    session.moves, session.same = asked.moves, asked.same
-    return session
-
-
-def _opened(session: Session, state: State, **more: bool) -> str:
-    scene, options = session.plan.shown, session.plan.options
-    jets = options.geometry == "jets"
-    worn = {"garments": layer_list(scene, patches=jets)} if isinstance(scene, Outfit) else {"garment": scene.id}
-    if jets:  # an answer about vertices is what it was before there were jets
-        worn |= {"geometry": "jets", "patches": scene.patch_count}
-    if options.resolution == "fine":
-        worn |= {"resolution": "fine"}
-    return json.dumps(
-        {
-            "type": "opened",
-            **worn,
-            "vertices": scene.vertex_count,
-            "model": state.runtime.engine.manifest.digest,
-            "body": state.runtime.body.name,
-            "credit": session.credit,
-            "push_out": options.push_out,
-            "motion": options.knob,
-            "tier": state.runtime.tier_of(session.plan),
-            "passes": state.runtime.engine.pass_count if options.passes is None else options.passes,
-            "folds": options.folds,
-            "safe_folds": options.safe_folds or 0,
-            "bits": options.bits or 16,
-            **more,
-        }
-    )
-
-
 async def _read(socket: WebSocket, session: Session, state: State, client: Client) -> None:
     while True:
         message = await socket.receive()
@@ -192,9 +258,8 @@ async def _read(socket: WebSocket, session: Session, state: State, client: Clien
         if message["type"] == "websocket.receive" and payload is not None:
             _take(payload, session, state.runtime.metrics)
         else:
-            await _open_session(_text_of(message), state, client, session)
-            session.last_heard_s = time.monotonic()
-            await socket.send_text(_opened(session, state))
+            session.reopen(await read_opening(text_of(message), state, client))
+            await socket.send_text(opened(session.plan, state))
         state.streams.wake()
 
 

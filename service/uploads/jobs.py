@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from opentelemetry.trace import Link
 
     from service.compute.drape_runtime import DrapeRuntime
-    from service.compute.sliced_thread import SlicedThread
+    from service.compute.threads import SlicedThread
     from service.guard.access import Access
 
 MOST_ATTEMPTS = 3  # of one upload, where the service ends while it runs

@@ -16,7 +16,7 @@ from service.compute import garment_files
 if TYPE_CHECKING:
     from service.compute.drape_runtime import DrapeRuntime
     from service.stages.scene import Entry
-    from service.stream.sessions import Streams
+    from service.stream.workers import Streams
     from service.uploads.jobs import Uploads
 
 LEAST_S = 0.25  # between two looks, however many ask for garments that nobody knows

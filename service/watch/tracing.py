@@ -35,10 +35,7 @@ class Tracing:
     def __init__(self, provider: TracerProvider | None = None) -> None:
         self._provider = provider
         self._tracer = None if provider is None else provider.get_tracer("drape", product_version())
-
-    @property
-    def on(self) -> bool:
-        return self._tracer is not None
+        self.on = self._tracer is not None
 
     @contextmanager
     def request(self, method: str, headers: Mapping[str, str], request: str) -> Iterator[Answered]:

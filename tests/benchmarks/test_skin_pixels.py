@@ -21,8 +21,8 @@ from drape.motion.hard_poses import HardPoses
 from drape.wire.options import DrapeOptions, Resolution
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
-from service.stages import run
 from service.stages.batch import PoseInput
+from service.stages.stage import run
 from tests.benchmarks.quality_setup import bending, network
 from tests.benchmarks.quality_setup import body as body_model
 from tests.drape.geometry.geometry_shapes import icosphere

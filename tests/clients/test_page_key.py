@@ -8,11 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from service.app import create_app
 from service.guard.keys import digest
 from service.settings import Settings
 from tests.clients.browser import open_page
-from tests.fixtures.serving import serve
+from tests.fixtures.serving import served
 
 pytestmark = pytest.mark.browser
 
@@ -26,7 +25,7 @@ def test_the_page_asks_for_a_key_and_streams_with_it(make_settings: Callable[...
     file.write_text(json.dumps({"shop": {"sha256": digest("drape_key"), "rate": 100}}))
     settings = make_settings(keys_file=file)
     with (
-        serve(create_app(settings), settings) as url,
+        served(settings) as url,
         open_page(chromium, url + "/?garment=tube&clip=reach") as page,
     ):
         page.wait_for("document.body?.dataset.state === 'locked' && !document.getElementById('door').hidden")

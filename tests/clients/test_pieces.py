@@ -12,10 +12,9 @@ from numpy.testing import assert_array_equal
 from clients.client import AsyncDrapeClient, DrapeClient
 from drape.errors import InputError, MotionError
 from drape.motion.clip import MotionClip
-from service.app import create_app
 from service.settings import Settings
 from tests.fixtures.poses import smooth_motion
-from tests.fixtures.serving import serve
+from tests.fixtures.serving import served
 from tests.fixtures.tiny_model import TINY_DYNAMIC
 
 FRAMES = 70
@@ -26,7 +25,7 @@ CLIP = MotionClip(*smooth_motion(np.arange(FRAMES) / 30.0), 30.0, "smooth")
 def urls(make_settings: Callable[..., Settings]) -> Iterator[tuple[str, str]]:
     """A service that takes 25 frames at once, and one that takes them all."""
     few, many = (make_settings(model=TINY_DYNAMIC, max_frames=most) for most in (25, FRAMES))
-    with serve(create_app(few), few) as one, serve(create_app(many), many) as other:
+    with served(few) as one, served(many) as other:
         yield one, other
 
 

@@ -10,9 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from service.app import create_app
 from service.settings import ROOT, Settings
-from tests.fixtures.serving import serve
+from tests.fixtures.serving import served
 
 EXAMPLES = sorted((ROOT / "examples").glob("0*.py"))
 ALONE = {"07_recover_pattern", "08_train"}  # without a service
@@ -30,7 +29,7 @@ def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     settings = Settings(
         shipped_garments_dir=shipped, garments_dir=tmp_path_factory.mktemp("uploads"), stream_step_down=False
     )
-    with serve(create_app(settings), settings) as address:
+    with served(settings) as address:
         yield address
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
-from service.stages import run
 from service.stages.batch import Batch, PoseInput
+from service.stages.stage import run
 
 GARMENT_REACH_M = 1.0  # beyond the body's own box: no garment of the tests is longer
 FOLDS = 1

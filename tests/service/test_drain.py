@@ -20,7 +20,6 @@ import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
-from websockets.typing import Subprotocol
 
 from drape.wire import messages as wire
 from service.app import create_app
@@ -31,7 +30,8 @@ from service.settings import Settings
 from service.uploads.accepted import Accepted, staging_folder, taken_over
 from service.uploads.jobs import MOST_ATTEMPTS
 from tests.architecture.repository import ROOT
-from tests.fixtures.serving import files_in, serve
+from tests.fixtures.serving import files_in, serve, served
+from tests.fixtures.streams import PROTOCOLS, stream_address
 
 
 @contextmanager
@@ -62,8 +62,7 @@ def test_a_service_that_is_told_to_end_says_so_and_goes_on_later(make_settings: 
         half.settimeout(10.0)
         asking = threading.Thread(target=lambda: answers.append(httpx.post(url + "/drape", json=long, timeout=60.0)))
         jobs = [httpx.post(url + f"/garments?name={name}.obj", content=b"v 0 0 0\n").json() for name in "abc"]
-        address = url.replace("http", "ws") + "/stream"
-        with connect(address, subprotocols=[Subprotocol(wire.SUBPROTOCOL)]) as stream:
+        with connect(stream_address(url), subprotocols=PROTOCOLS) as stream:
             stream.send(json.dumps({"type": "open", "garment": "tube"}))
             stream.recv()
             asking.start()
@@ -85,7 +84,7 @@ def test_a_service_that_is_told_to_end_says_so_and_goes_on_later(make_settings: 
     assert [line for line in log.splitlines() if "exception" in json.loads(line)] == []
     left = {folder.name for folder in settings.garments_dir.glob(".staging-*/*")}
     assert jobs[-1]["id"] in left <= {job["id"] for job in jobs}
-    with serve(create_app(settings), settings) as again:
+    with served(settings) as again:
         for job in [job for job in jobs if job["id"] in left]:
             deadline = time.monotonic() + 60.0
             while (found := httpx.get(f"{again}/jobs/{job['id']}").json())["state"] in ("queued", "running"):
@@ -131,7 +130,7 @@ def test_an_upload_that_ends_every_service_is_given_up(make_settings: Callable[.
     job_id = "bad" * 4
     accepted(settings.garments_dir / ".staging-0", job_id, attempts=MOST_ATTEMPTS)  # no process has this id for long
     os.rename(settings.garments_dir / ".staging-0", settings.garments_dir / f".staging-{os.getpid()}")
-    with serve(create_app(settings), settings) as url:
+    with served(settings) as url:
         deadline = time.monotonic() + 10.0
         while (job := httpx.get(f"{url}/jobs/{job_id}").json())["state"] != "failed":
             assert time.monotonic() < deadline

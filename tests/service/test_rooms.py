@@ -1,16 +1,33 @@
-"""The rooms of the service: imports point one way between them, and the application alone knows the replicas."""
+"""The rooms of the service: imports point one way between them, the application alone knows the replicas, and a pose
+enters few files."""
 
 from __future__ import annotations
 
 import ast
+import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
+from types import FrameType
+
+import numpy as np
 
 import service
+from service.settings import Settings
+from tests.fixtures.serving import served
+from tests.fixtures.streams import raw_stream
 
 ROOT = Path(service.__file__).parent
 # A room may import those before it. Files beside the folders are rooms of their own; ``app`` stands above all folders.
 ORDER = ("errors", "settings", "graphs", "stages", "watch", "compute", "guard", "state", "uploads", "http", "stream")
 ABOVE = ("server", "app", "ray_app", "keys", "__main__")
+# Files whose code runs between a pose's coming and its frame's leaving: twelve that make the frame, two that watch.
+ROAD = {
+    *("stream/routes.py", "stream/workers.py", "compute/drape_runtime.py", "compute/threads.py"),
+    *("stages/batch.py", "stages/stage.py", "stages/network.py", "graphs/packing.py", "graphs/onnx_runtime.py"),
+    *("stages/swing.py", "stages/folds.py", "stages/encode.py"),
+    *("watch/logs.py", "watch/metrics.py"),
+}
 
 
 def room(path: Path) -> str:
@@ -38,3 +55,32 @@ def test_rooms_import_those_before_them():
 def test_the_application_alone_knows_the_replicas():
     known = {path.stem for path in ROOT.rglob("*.py") if "replicas" in imported(path) and room(path) != "replicas"}
     assert known == {"app", "ray_app"}
+
+
+def test_a_pose_enters_few_files(make_settings: Callable[..., Settings]):
+    entered: set[str] = set()
+
+    def look(frame: FrameType, event: str, argument: object) -> None:
+        if event == "call" and frame.f_code.co_filename.startswith(f"{ROOT}/"):
+            entered.add(frame.f_code.co_filename.removeprefix(f"{ROOT}/"))
+
+    threading.setprofile(look)  # for threads that begin now: those of the service
+    try:
+        with served(make_settings(folds=1, inertia="mesh")) as url:
+            found = entered_by_poses(url, entered)
+    finally:
+        threading.setprofile(None)  # pyright: ignore[reportArgumentType]
+    assert found == ROAD, sorted(found ^ ROAD)
+
+
+def entered_by_poses(url: str, entered: set[str]) -> set[str]:
+    """Of the files that come into ``entered`` those that each pose of a plain stream enters, past its beginning."""
+    found = []
+    with raw_stream(url) as stream:
+        assert stream.open(garment="tube", tier="balanced")["type"] == "opened"
+        for i in range(1, 11):
+            entered.clear()
+            stream.message(i, np.full((24, 3), 0.01 * i), time_s=i / 30.0)
+            time.sleep(0.02)  # until the acknowledgement is taken
+            found.append(set(entered))
+    return set.intersection(*found[4:])

@@ -16,10 +16,10 @@ from drape.wire.options import DrapeOptions, FabricNumbers
 from service.compute.drape_runtime import DrapeRuntime
 from service.graphs import packing
 from service.settings import Settings
-from service.stages import run
 from service.stages.batch import PoseInput
 from service.stages.network import Network
 from service.stages.scene import check_known, layer_fabrics
+from service.stages.stage import run
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import outfit_settings
 from tests.fixtures.tiny_model import ROUNDING_M, TINY, expected_vertices

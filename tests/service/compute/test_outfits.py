@@ -12,8 +12,6 @@ import httpx
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
-from websockets.sync.client import ClientConnection, connect
-from websockets.typing import Subprotocol
 
 from drape.body.assets import load_body
 from drape.cloth import metrics
@@ -25,13 +23,15 @@ from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.errors import TooLarge
 from service.graphs.engine import Engine
-from service.graphs.push import KEPT_OUTFITS, Pusher
 from service.settings import Settings
-from service.stages import run
-from service.stages.batch import Batch, Plan, PoseInput, joined
+from service.stages.batch import Batch, PoseInput, joined
+from service.stages.collision import KEPT_OUTFITS, Pusher
+from service.stages.plan import Plan
 from service.stages.scene import Outfit
+from service.stages.stage import run
 from tests.fixtures.poses import random_motion, smooth_motion
 from tests.fixtures.serving import outfit_settings, outfit_url
+from tests.fixtures.streams import raw_stream
 from tests.fixtures.tiny_model import TINY
 from tests.service.graphs.test_push import added
 
@@ -128,50 +128,34 @@ def test_passes_that_the_model_does_not_have_are_refused(client: httpx.Client, o
         DrapeRuntime(outfit_settings.model_copy(update={"passes": 2}))
 
 
-def opened(socket: ClientConnection, **fields: object) -> dict:
-    socket.send(json.dumps({"type": "open", **fields}))
-    return json.loads(socket.recv(timeout=20.0))
-
-
-def frame_of(socket: ClientConnection, sequence: int) -> wire.Frame:
-    socket.send(wire.pack_pose(wire.Pose(sequence, 0.0, np.zeros(3), POSES[0])))
-    message = socket.recv(timeout=20.0)
-    assert isinstance(message, bytes), message
-    return wire.unpack_frame(message)
-
-
 def test_a_stream_opens_an_outfit_and_turns_back_to_one_garment(outfit_url: str, client: httpx.Client, tube: Garment):
     count = tube.vertex_count
     expected = vertices_of(ask(client, garments=["tube", "coat"]))[0]
-    with connect(outfit_url.replace("http", "ws") + "/stream", subprotocols=[Subprotocol(wire.SUBPROTOCOL)]) as socket:
-        about = opened(socket, garments=["tube", "coat"])
+    with raw_stream(outfit_url) as stream:
+        about = stream.open(garments=["tube", "coat"])
         assert about["garments"] == [{"id": "tube", "vertices": count}, {"id": "coat", "vertices": count}]
         assert about["vertices"] == 2 * count and "garment" not in about
-        frame = frame_of(socket, 1)
+        frame = stream.frame(1, POSES[0])
         assert np.abs(frame.vertices() - expected).max() < 1e-4 and frame.pushed
-        socket.send(wire.pack_ack(1))
-        about = opened(socket, garment="tube")
+        about = stream.open(garment="tube")
         assert about["garment"] == "tube" and about["vertices"] == count and "garments" not in about
-        assert len(frame_of(socket, 2).positions) == count
+        assert len(stream.frame(2, POSES[0]).positions) == count
 
 
 @pytest.mark.parametrize("garments", [["tube", "tube"], ["tube", "coat", "cape", "cloak"], ["tube", "hat"]])
 def test_a_stream_of_no_outfit_is_refused(outfit_url: str, garments: list[str]):
-    with connect(outfit_url.replace("http", "ws") + "/stream", subprotocols=[Subprotocol(wire.SUBPROTOCOL)]) as socket:
-        said = opened(socket, garments=garments)
+    with raw_stream(outfit_url) as stream:
+        said = stream.open(garments=garments)
         assert said["type"] == "error" and said["kind"] in ("InputError", "TooLarge", "NotFound")
 
 
-def test_an_outfit_is_its_layers_in_their_order(outfit_settings: Settings):
-    runtime = DrapeRuntime(outfit_settings)
+def test_an_outfit_is_its_layers_in_their_order(runtime: DrapeRuntime):
     scene = runtime.garments.scene(None, ["coat", "tube", "cape"])
     assert isinstance(scene, Outfit) and scene == runtime.garments.scene(None, ["coat", "tube", "cape"])
     assert scene != runtime.garments.scene(None, ["tube", "coat", "cape"])
-    runtime.close()
 
 
-def test_what_a_registry_refuses(outfit_settings: Settings):
-    runtime = DrapeRuntime(outfit_settings)
+def test_what_a_registry_refuses(runtime: DrapeRuntime):
     registry = runtime.garments
     with pytest.raises(InputError, match="both"):
         registry.scene("tube", ["coat"])
@@ -181,7 +165,6 @@ def test_what_a_registry_refuses(outfit_settings: Settings):
         registry.scene(None, ["tube", "coat", "cape", "cloak"])
     with pytest.raises(InputError, match="each garment once"):
         registry.scene(None, ["coat", "coat"])
-    runtime.close()
 
 
 def test_constants_of_outfits_are_kept_and_bounded(tiny_folder: Path, tube: Garment, monkeypatch):
@@ -189,7 +172,7 @@ def test_constants_of_outfits_are_kept_and_bounded(tiny_folder: Path, tube: Garm
     first = pusher._layer((tube.digest, "b"))
     pusher.prepare((tube.digest, "b"))
     assert pusher._layer((tube.digest, "b")) is first
-    monkeypatch.setattr("service.graphs.push.KEPT_OUTFITS", 1)
+    monkeypatch.setattr("service.stages.collision.KEPT_OUTFITS", 1)
     pusher.prepare(("b", tube.digest))
     assert list(pusher._layers) == [("b", tube.digest)] and KEPT_OUTFITS > 1
     with pytest.raises(NotFound, match="hat"):

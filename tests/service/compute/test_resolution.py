@@ -11,8 +11,6 @@ import httpx
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
-from websockets.sync.client import connect
-from websockets.typing import Subprotocol
 
 from clients.cli import main
 from clients.client import AsyncDrapeClient, DrapeClient
@@ -20,16 +18,16 @@ from drape.body.model import BodyModel
 from drape.garment.cache import Garment, save_garment
 from drape.garment.fine import SUFFIX, fine_garment
 from drape.garment.wrapping import Wrapping
-from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
 from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
-from service.stages import run
-from service.stages.batch import PoseInput, carried
+from service.stages.batch import PoseInput
+from service.stages.stage import carried, run
 from tests.fixtures.garments import tube_garment
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import serve
+from tests.fixtures.streams import raw_stream
 
 TIMES_S = np.arange(3) / 30.0
 POSES, TRANS = smooth_motion(TIMES_S)
@@ -181,18 +179,12 @@ def test_other_resolutions_are_refused(url: str):
 
 
 def test_streams_say_and_send_the_mesh_that_was_asked_for(url: str, coarse: Garment):
-    address, protocol = url.replace("http", "ws") + "/stream", [Subprotocol(wire.SUBPROTOCOL)]
-    with connect(address, subprotocols=protocol) as socket:
+    with raw_stream(url) as stream:
         for resolution, count in (("fine", len(coarse.vertices)), ("delivered", coarse.vertex_count)):
-            opening = {"type": "open", "garment": "coarse", "folds": 1, "resolution": resolution}
-            socket.send(json.dumps(opening))
-            opened = json.loads(socket.recv())
+            opened = stream.open(garment="coarse", folds=1, resolution=resolution)
             assert opened["vertices"] == count and opened.get("resolution", "delivered") == resolution
             assert ("resolution" in opened) == (resolution == "fine"), "an answer of before stays as it was"
-            socket.send(wire.pack_pose(wire.Pose(1, 0.0, np.zeros(3), POSES[0])))
-            frame = socket.recv()
-            assert isinstance(frame, bytes) and len(wire.unpack_frame(frame).positions) == count
-            socket.send(wire.pack_ack(1))
+            assert len(stream.frame(1, POSES[0]).positions) == count
 
 
 def test_the_command_line_has_it(url: str, coarse: Garment, tmp_path: Path):

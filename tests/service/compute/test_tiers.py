@@ -174,9 +174,8 @@ def test_the_cost_of_a_frame_is_measured_once(runtime: DrapeRuntime):
     assert 0.0 < first < 1e4 and asyncio.run(runtime.frame_ms(plan)) == first
 
 
-def test_the_default_of_the_product_is_folds(make_settings: Callable[..., Settings]):
+def test_the_default_of_the_product_is_folds(make_runtime: Callable[..., DrapeRuntime]):
     assert (Settings().tier, Settings().folds, Settings().passes) == ("balanced", None, None)
-    made = DrapeRuntime(make_settings(folds=None))
+    made = make_runtime(folds=None)
     plan = made.plan(made.garments.get("tube"), DrapeOptions())
     assert made.engine.manifest.name == TINY and [stage.name for stage in plan.stages] == ["network", "folds"]
-    made.close()

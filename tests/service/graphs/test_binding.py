@@ -22,9 +22,9 @@ from service.graphs.engine import Engine
 from service.graphs.graph_names import PACKED
 from service.graphs.onnx_runtime import Device, nodes_off_provider, open_session
 from service.graphs.packing import Packer, ScenePlan
-from service.graphs.push import PosedJets, Pusher
-from service.stages import run
-from service.stages.batch import PoseInput
+from service.stages.batch import Jets, PoseInput
+from service.stages.collision import Pusher
+from service.stages.stage import run
 from tests.fixtures.packed import KINDS, exported, garment
 from tests.fixtures.poses import random_motion
 from tests.service.graphs.test_push import added, drawn
@@ -113,7 +113,7 @@ def test_the_push_out_in_buckets_is_the_same():
     found = []
     vertices, skin = drawn(whole, poses, np.zeros(10)), posed_table(body, poses, np.zeros(10))
     turned = np.broadcast_to(np.eye(3, dtype=np.float32), (2, whole.patch_count, 3, 3))
-    posed = PosedJets(np.zeros((2, whole.patch_count, 27), dtype=np.float32), turned)
+    posed = Jets(np.zeros((2, whole.patch_count, 27), dtype=np.float32), turned, turned[..., 0])
     for bound in (False, True):
         pusher = added(Pusher(Engine(exported()[1], bound=bound), body), whole)
         one = pusher.push([whole.digest], vertices[:1], skin[:1])

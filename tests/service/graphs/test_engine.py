@@ -192,11 +192,6 @@ def dynamic_folder(tiny_folder: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(tiny_folder / "models" / TINY_DYNAMIC, tmp_path / TINY_DYNAMIC))
 
 
-def dynamic_rewrite(dynamic_folder: Path, **changes: object) -> None:
-    manifest = dataclasses.replace(load_manifest(dynamic_folder), **changes)
-    (dynamic_folder / "manifest.json").write_text(manifest.to_json())
-
-
 def test_the_engine_knows_what_it_opened(dynamic_folder: Path, tiny_folder: Path):
     engine = Engine(dynamic_folder)
     assert (engine.dynamic, engine.state_size, engine.code_size) == (True, STATE_SIZE, MOVING.body_code_size)
@@ -206,14 +201,14 @@ def test_the_engine_knows_what_it_opened(dynamic_folder: Path, tiny_folder: Path
 
 def test_a_dynamic_model_without_its_recurrent_graph_is_refused(dynamic_folder: Path):
     graphs = load_manifest(dynamic_folder).graphs
-    dynamic_rewrite(dynamic_folder, graphs={key: spec for key, spec in graphs.items() if key != DYNAMIC})
+    rewrite(dynamic_folder, graphs={key: spec for key, spec in graphs.items() if key != DYNAMIC})
     with pytest.raises(ArtifactError, match=f"graph '{DYNAMIC}'"):
         Engine(dynamic_folder)
 
 
 @pytest.mark.parametrize("changes", [{"dynamic": False}, {"state_size": STATE_SIZE + 1}])
 def test_a_manifest_that_says_otherwise_than_its_graphs_is_refused(dynamic_folder: Path, changes: dict):
-    dynamic_rewrite(dynamic_folder, **changes)
+    rewrite(dynamic_folder, **changes)
     with pytest.raises(ArtifactError, match="dynamic: expected a packed graph with a dynamic_code"):
         Engine(dynamic_folder)
 
@@ -221,7 +216,7 @@ def test_a_manifest_that_says_otherwise_than_its_graphs_is_refused(dynamic_folde
 def test_a_packed_graph_that_takes_no_code_is_refused(dynamic_folder: Path):
     graphs = load_manifest(dynamic_folder).graphs
     inputs = tuple(tensor for tensor in graphs[PACKED].inputs if tensor.name != "dynamic_code")
-    dynamic_rewrite(dynamic_folder, graphs={**graphs, PACKED: dataclasses.replace(graphs[PACKED], inputs=inputs)})
+    rewrite(dynamic_folder, graphs={**graphs, PACKED: dataclasses.replace(graphs[PACKED], inputs=inputs)})
     with pytest.raises(ArtifactError, match="dynamic: expected a packed graph with a dynamic_code"):
         Engine(dynamic_folder)
 
@@ -243,15 +238,14 @@ def weights_folder(tmp_path: Path) -> Path:
     return Path(shutil.copytree(MODELS_DIR / "onefit", tmp_path / "onefit"))
 
 
-def changed(weights_folder: Path) -> Path:
-    """``weights_folder`` after another model of the same sizes took its place."""
+def with_weights(weights_folder: Path, content: Callable[[bytes], bytes]) -> Path:
+    """``weights_folder`` after its weights became ``content`` of what they were, and the manifest agrees."""
     manifest = load_manifest(weights_folder)
     assert manifest.weights is not None
     path = weights_folder / manifest.weights.file
-    numbers = np.frombuffer(path.read_bytes(), np.float32)
-    path.write_bytes((1.5 * numbers).astype(np.float32).tobytes())
-    text = (weights_folder / "manifest.json").read_text().replace(manifest.weights.sha256, file_digest(path))
-    (weights_folder / "manifest.json").write_text(text)
+    path.write_bytes(content(path.read_bytes()))
+    agreeing = replace(manifest, weights=replace(manifest.weights, sha256=file_digest(path)))
+    (weights_folder / "manifest.json").write_text(agreeing.to_json())
     return weights_folder
 
 
@@ -277,7 +271,7 @@ def same(got: list[np.ndarray], want: list[np.ndarray]) -> None:
 def test_a_folder_replaced_later_mixes_with_nothing_that_is_open(weights_folder: Path):
     engine = Engine(weights_folder)
     want = jets(engine)
-    other = Engine(changed(weights_folder))
+    other = Engine(with_weights(weights_folder, lambda raw: (1.5 * np.frombuffer(raw, np.float32)).tobytes()))
     same(jets(engine), want)
     assert np.abs(jets(other)[0] - want[0]).max() > 1e-3
     assert other.manifest.digest != engine.manifest.digest
@@ -311,14 +305,8 @@ def test_weights_that_are_not_the_manifests_are_refused(weights_folder: Path):
 
 def test_a_file_too_short_for_its_graphs_is_refused(weights_folder: Path):
     """The manifest agrees with the file, the graphs do not."""
-    manifest = load_manifest(weights_folder)
-    assert manifest.weights is not None
-    path = weights_folder / manifest.weights.file
-    path.write_bytes(path.read_bytes()[:4096])
-    text = (weights_folder / "manifest.json").read_text().replace(manifest.weights.sha256, file_digest(path))
-    (weights_folder / "manifest.json").write_text(text)
     with pytest.raises(ArtifactError, match="expected a graph that ONNX Runtime opens"):
-        Engine(weights_folder).open_cut(PACKED, JETS)
+        Engine(with_weights(weights_folder, lambda raw: raw[:4096])).open_cut(PACKED, JETS)
 
 
 SMALL = np.full(4_000_000, 1e-30, np.float32)  # enough numbers for two threads to share

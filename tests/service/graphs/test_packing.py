@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import shutil
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -31,8 +32,8 @@ from service.graphs.graph_names import PACKED
 from service.graphs.onnx_runtime import Device
 from service.graphs.packing import SHAPE_INDEX, STORED_INDEX, Packer, Result, ScenePlan
 from service.graphs.subgraph import cut
-from service.stages import run
 from service.stages.batch import PoseInput
+from service.stages.stage import run
 from tests.fixtures.garments import tube_garment
 from tests.fixtures.packed import KINDS, described, exported, garment
 from tests.fixtures.poses import random_motion
@@ -355,8 +356,8 @@ def test_a_manifest_with_other_tensors_is_refused(tmp_path: Path):
         packer.prepare(ScenePlan(), skin_given=False, shapes=False)
 
 
-def test_the_service_refuses_what_is_not_finite(make_settings):
-    runtime = DrapeRuntime(make_settings())
+def test_the_service_refuses_what_is_not_finite(make_runtime: Callable[..., DrapeRuntime]):
+    runtime = make_runtime()
     entry = runtime.garments.get("tube")
     broken = replace(entry.garment, patch_features=np.full_like(entry.garment.patch_features, np.nan))
     plan = runtime.plan(entry, DrapeOptions())
@@ -365,7 +366,6 @@ def test_the_service_refuses_what_is_not_finite(make_settings):
     rest = PoseInput(np.zeros((1, 24, 3)), np.zeros((1, 3)), np.zeros(runtime.body.shape_count), np.zeros(1))
     with pytest.raises(ArtifactError, match="tiny vertices: expected finite numbers"):
         run(plan, [rest])
-    runtime.close()
 
 
 def test_two_threads_get_the_bits_of_one(bodies: dict[str, np.ndarray]):
@@ -382,4 +382,4 @@ def test_two_threads_get_the_bits_of_one(bodies: dict[str, np.ndarray]):
             for items, wanted in zip(found, alone, strict=True):
                 for one, other in zip(items, wanted, strict=True):
                     assert_array_equal(one.arrays["vertices"], other.arrays["vertices"])
-    assert packer.kept_bytes == sum(made.bytes for made, _ in packer._kept.values())
+    assert packer.kept_bytes == sum(call.composition.bytes for call in packer._kept.values())

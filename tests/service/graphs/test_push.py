@@ -24,10 +24,10 @@ from drape.graph.push_feed import pack_push, pushed_jets
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.graphs.engine import Engine
-from service.graphs.push import PosedJets, Pusher
 from service.settings import Settings
-from service.stages import run
-from service.stages.batch import PoseInput
+from service.stages.batch import Jets, PoseInput
+from service.stages.collision import Pusher
+from service.stages.stage import run
 from tests.fixtures.packed import garment
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import outfit_settings
@@ -56,9 +56,10 @@ def added(pusher: Pusher, *garments: Garment) -> Pusher:
     return pusher
 
 
-def posed_jets(whole: Garment, rng: np.random.Generator) -> PosedJets:
+def posed_jets(whole: Garment, rng: np.random.Generator) -> Jets:
     jet = rng.normal(size=(len(POSES), whole.patch_count, 27)).astype(np.float32)
-    return PosedJets(jet, rotvec_to_matrix(rng.normal(size=(len(POSES), whole.patch_count, 3))).astype(np.float32))
+    turned = rotvec_to_matrix(rng.normal(size=(len(POSES), whole.patch_count, 3))).astype(np.float32)
+    return Jets(jet, turned, turned[..., 0])
 
 
 @pytest.mark.slow

@@ -33,7 +33,8 @@ from service.guard.tickets import LIFE_S, Tickets
 from service.settings import Settings, check_exposed
 from tests.architecture.repository import ROOT
 from tests.fixtures.garments import tube_garment
-from tests.fixtures.serving import files_in, serve
+from tests.fixtures.serving import files_in, serve, served
+from tests.fixtures.streams import PROTOCOLS, stream_address
 
 KEYS = {"shop": "key-of-shop", "lab": "key-of-lab", "slow": "key-of-slow"}
 LIMITS = {"lab": {"garments": 1, "streams": 1, "clips": 0}, "slow": {"rate": 0.01}}
@@ -58,7 +59,7 @@ def guarded(
 
 @pytest.fixture(scope="module")
 def url(guarded: Settings) -> Iterator[str]:
-    with serve(create_app(guarded), guarded) as address:
+    with served(guarded) as address:
         yield address
 
 
@@ -112,7 +113,7 @@ def stream(url: str, offered: list[str], headers: dict[str, str] | None = None, 
     async def talk() -> dict:
         try:
             async with connect(
-                url.replace("http", "ws") + "/stream",
+                stream_address(url),
                 subprotocols=[Subprotocol(one) for one in offered],
                 additional_headers=headers,
             ) as socket:
@@ -220,8 +221,7 @@ def test_a_deleted_garment_is_gone_from_service_disk_and_streams(
         key = registry.get("gown").garment.digest
 
         async def worn() -> tuple[int, int]:
-            address = url.replace("http", "ws") + "/stream"
-            async with connect(address, subprotocols=[Subprotocol(wire.SUBPROTOCOL)]) as socket:
+            async with connect(stream_address(url), subprotocols=PROTOCOLS) as socket:
                 await socket.send(json.dumps({"type": "open", "garment": "gown"}))
                 await socket.recv()
                 deleted = await asyncio.to_thread(httpx.delete, url + "/garments/gown")
@@ -255,8 +255,7 @@ def test_names_and_publishing_outlive_the_service(make_settings: Callable[..., S
 
 
 def test_the_disk_has_a_quota(make_settings: Callable[..., Settings]):
-    settings = make_settings(max_stored_bytes=0)
-    with serve(create_app(settings), settings) as url:
+    with served(make_settings(max_stored_bytes=0)) as url:
         response = httpx.post(url + "/garments?name=a.obj", content=b"x")
         assert response.status_code == 507 and "bytes of all garments" in response.json()["detail"]
         nobody = httpx.post(url + "/tickets")

@@ -18,7 +18,7 @@ from clients.stream import DrapeStream
 from service.app import create_app
 from service.guard.connections import HEAD_BYTES
 from service.settings import Settings
-from tests.fixtures.serving import serve
+from tests.fixtures.serving import serve, served
 
 HEAD = "Host: 127.0.0.1\r\nContent-Type: {kind}\r\nContent-Length: {size}\r\n\r\n"
 
@@ -37,7 +37,7 @@ def tight(make_settings: Callable[..., Settings]) -> Settings:
 
 @pytest.fixture(scope="module")
 def address(tight: Settings) -> Iterator[tuple[str, int]]:
-    with serve(create_app(tight), tight) as url:
+    with served(tight) as url:
         host, port = url.removeprefix("http://").split(":")
         yield host, int(port)
 
@@ -148,8 +148,7 @@ def test_connections_are_counted(address: tuple[str, int], tight: Settings):
 
 
 def test_connections_are_counted_in_all(make_settings: Callable[..., Settings]):
-    settings = make_settings(max_connections=2)
-    with serve(create_app(settings), settings) as url:
+    with served(make_settings(max_connections=2)) as url:
         host, port = url.removeprefix("http://").split(":")
         held = [socket.create_connection((host, int(port))) for _ in range(2)]
         time.sleep(0.1)

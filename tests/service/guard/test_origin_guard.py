@@ -13,11 +13,10 @@ from websockets.exceptions import InvalidStatus
 from websockets.typing import Origin, Subprotocol
 
 from drape.wire import messages as wire
-from service.app import create_app
 from service.errors import Forbidden
 from service.guard.origin_guard import check_host
 from service.settings import Settings
-from tests.fixtures.serving import serve
+from tests.fixtures.serving import served
 
 PAGE = "http://localhost:5173"
 
@@ -64,8 +63,7 @@ def status_of_stream(url: str, origin: str | None) -> int:
 
 
 def test_a_developers_page_on_another_port(make_settings: Callable[..., Settings]):
-    settings = make_settings(allowed_origins=(PAGE,))
-    with serve(create_app(settings), settings) as url:
+    with served(make_settings(allowed_origins=(PAGE,))) as url:
         asked = {
             "Origin": PAGE,
             "Access-Control-Request-Method": "POST",

@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from clients.client import DrapeClient
 from drape.body.model import BodyModel
 from drape.export.glb_file import PIECE_BYTES, GlbFile
-from service.compute.sliced_thread import SlicedThread
+from service.compute.threads import SlicedThread
 from service.http.answers import PIECE_NUMBERS, file_answer, json_pieces, messages_answer, number_pieces
 from service.stages.placing import Placed
 from tests.fixtures.exports import read_pc2, read_usda

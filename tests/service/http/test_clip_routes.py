@@ -18,8 +18,8 @@ from drape.geometry.closest import signed_distance
 from drape.wire.options import DrapeOptions, FabricNumbers, Geometry
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
-from service.stages import run
 from service.stages.batch import Batch, PoseInput
+from service.stages.stage import run
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import outfit_settings
 from tests.fixtures.tiny_model import ROUNDING_M, expected_vertices
@@ -146,16 +146,15 @@ def test_frames_do_not_depend_on_their_company(outfit_settings: Settings, worn: 
 
 
 @pytest.mark.parametrize("chunk", [1, 4, 64])
-def test_chunks_join_seamlessly(make_settings: Callable[..., Settings], api: httpx.Client, chunk: int):
+def test_chunks_join_seamlessly(make_runtime: Callable[..., DrapeRuntime], api: httpx.Client, chunk: int):
     import asyncio
 
     poses, trans = random_motion(9)
-    runtime = DrapeRuntime(make_settings(chunk_frames=chunk))
+    runtime = make_runtime(chunk_frames=chunk)
     clip = PoseInput(poses, trans, np.zeros(10), np.arange(9) / 30.0)
     plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(push_out=True))
     draped = asyncio.run(runtime.drape(plan, clip))
     assert_array_equal(draped.world(), vertices_of(ask(api, poses=poses.tolist(), trans=trans.tolist(), push_out=True)))
-    runtime.close()
 
 
 def test_a_request_names_a_fabric_of_the_table_or_gives_numbers(api: httpx.Client, body: BodyModel, tube: Garment):

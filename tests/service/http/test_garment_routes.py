@@ -121,9 +121,9 @@ def test_a_broken_upload_is_set_aside_and_a_broken_shipped_cache_stops_the_start
 
 
 def test_equal_names_get_different_ids_and_the_same_garment_the_same(
-    make_settings: Callable[..., Settings], tmp_path: Path, body: BodyModel, tube: Garment
+    make_runtime: Callable[..., DrapeRuntime], tmp_path: Path, body: BodyModel, tube: Garment
 ):
-    runtime = DrapeRuntime(make_settings())
+    runtime = make_runtime()
     wide = dataclasses.replace(tube_garment(body, radius_m=0.25), digest="ab" * 32)
     first = runtime.garments.add(runtime.garments.prepare(save_garment(wide, tmp_path)), "user")
     again = runtime.garments.add(runtime.garments.prepare(save_garment(wide, tmp_path)), "user")
@@ -132,7 +132,6 @@ def test_equal_names_get_different_ids_and_the_same_garment_the_same(
     shipped = runtime.garments.add(runtime.garments.prepare(save_garment(tube, tmp_path)), "user")
     assert (shipped.id, shipped.source) == ("tube", "shipped")
     assert len(runtime.garments.entries()) == 2
-    runtime.close()
 
 
 @pytest.mark.parametrize(

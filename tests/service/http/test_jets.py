@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import httpx
@@ -11,8 +10,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import ClientConnection, connect
-from websockets.typing import Subprotocol
 
 from drape.body.model import BodyModel
 from drape.cloth import metrics
@@ -35,11 +32,12 @@ from service.http.clip_jobs import ClipJob
 from service.http.clip_routes import check_clip_size
 from service.http.schemas import ClipOptions
 from service.settings import Settings
-from service.stages import run
 from service.stages.batch import PoseInput
+from service.stages.stage import run
 from tests.fixtures.packed import garment
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import outfit_settings, outfit_url
+from tests.fixtures.streams import RawStream, raw_stream
 
 __all__ = ["outfit_settings", "outfit_url"]  # fixtures
 QUANTISED_M = 1e-4  # at the 99th percentile
@@ -152,67 +150,45 @@ def test_layouts_of_no_garment_and_in_no_format_are_refused(client: httpx.Client
     assert client.get("/garments/tube/jets", headers={"Accept": JSON}).status_code == 406
 
 
-def opened(socket: ClientConnection, **fields: object) -> dict:
-    socket.send(json.dumps({"type": "open", **fields}))
-    return json.loads(socket.recv(timeout=20.0))
-
-
-def message_of(socket: ClientConnection, sequence: int) -> bytes:
-    socket.send(wire.pack_pose(wire.Pose(sequence, 2.5, TRANS[0], POSES[0])))
-    message = socket.recv(timeout=20.0)
-    assert isinstance(message, bytes), message
-    socket.send(wire.pack_ack(sequence))
-    return message
+def message_of(stream: RawStream, sequence: int) -> bytes:
+    return stream.message(sequence, POSES[0], TRANS[0], time_s=2.5)
 
 
 def test_a_stream_turns_from_vertices_to_jets_and_back(outfit_url: str, layout: JetLayout, client: httpx.Client):
     expected = layout.vertices(jets_of(ask(client, garment="tube", geometry="jets"))[0])
-    with connect(outfit_url.replace("http", "ws") + "/stream", subprotocols=[Subprotocol(wire.SUBPROTOCOL)]) as socket:
-        plain = opened(socket, garment="tube")
-        old = {
-            "type",
-            "garment",
-            "vertices",
-            "model",
-            "body",
-            "credit",
-            "push_out",
-            "motion",
-            "tier",
-            "passes",
-            "folds",
-            "safe_folds",
-            "bits",
-        }
+    with raw_stream(outfit_url) as stream:
+        plain = stream.open(garment="tube")
+        old = {"type", "garment", "vertices", "model", "body", "credit", "push_out", "motion"}
+        old |= {"tier", "passes", "folds", "safe_folds", "bits"}
         assert set(plain) == old, "what is said of jets is not said of vertices"
-        frame = wire.unpack_frame(message_of(socket, 1))
-        about = opened(socket, garment="tube", geometry="jets")
+        frame = wire.unpack_frame(message_of(stream, 1))
+        about = stream.open(garment="tube", geometry="jets")
         assert set(about) == old | {"geometry", "patches"}
         assert (about["geometry"], about["patches"], about["vertices"]) == ("jets", 12, 216)
-        message = message_of(socket, 2)
+        message = message_of(stream, 2)
         jets = unpack_jets(message)
         assert (jets.sequence, jets.client_time_s, jets.dropped, jets.pushed) == (2, 2.5, 0, True)
         assert 0 < jets.residence_us < 5e6
         assert np.abs(layout.vertices(jets) - expected).max() < QUANTISED_M
-        outfit = opened(socket, garments=["tube", "coat"], geometry="jets")
+        outfit = stream.open(garments=["tube", "coat"], geometry="jets")
         assert outfit["patches"] == 24 and [worn["patches"] for worn in outfit["garments"]] == [12, 12]
-        assert len(unpack_jets(message_of(socket, 3)).jet) == 24
-        assert "patches" not in opened(socket, garments=["tube", "coat"])["garments"][0]
-        opened(socket, garment="tube")
-        assert_array_equal(wire.unpack_frame(message_of(socket, 4)).positions, frame.positions)
+        assert len(unpack_jets(message_of(stream, 3)).jet) == 24
+        assert "patches" not in stream.open(garments=["tube", "coat"])["garments"][0]
+        stream.open(garment="tube")
+        assert_array_equal(wire.unpack_frame(message_of(stream, 4)).positions, frame.positions)
 
 
 def test_a_stream_of_another_geometry_is_refused(outfit_url: str):
-    with connect(outfit_url.replace("http", "ws") + "/stream", subprotocols=[Subprotocol(wire.SUBPROTOCOL)]) as socket:
-        said = opened(socket, garment="tube", geometry="splats")
+    with raw_stream(outfit_url) as stream:
+        said = stream.open(garment="tube", geometry="splats")
         assert said["type"] == "error" and said["name"] == "geometry" and "'vertices' or 'jets'" in said["expected"]
         with pytest.raises(ConnectionClosed) as closed:
-            socket.recv(timeout=20.0)
+            stream.socket.recv(timeout=20.0)
         assert closed.value.rcvd is not None and closed.value.rcvd.code == 4400
 
 
-def test_an_answer_of_jets_has_the_same_limit(make_settings):
-    runtime = DrapeRuntime(make_settings(max_answer_bytes=10 * message_bytes(12)))
+def test_an_answer_of_jets_has_the_same_limit(make_runtime: Callable[..., DrapeRuntime]):
+    runtime = make_runtime(max_answer_bytes=10 * message_bytes(12))
     entry = runtime.garments.get("tube")
 
     def check(frames: int) -> None:
@@ -227,18 +203,15 @@ def test_an_answer_of_jets_has_the_same_limit(make_settings):
     object.__setattr__(entry, "garment", replace(entry.garment, patch_centre=np.zeros((65537, 3))))
     with pytest.raises(TooLarge, match="tube patches: expected at most 65536"):
         _ = entry.jet_layout
-    runtime.close()
 
 
 @pytest.fixture(scope="module")
-def shipped(make_settings, tmp_path_factory) -> Iterator[DrapeRuntime]:
+def shipped(make_runtime: Callable[..., DrapeRuntime], tmp_path_factory) -> DrapeRuntime:
     """The shipped model with two of its garments."""
     folder, models = tmp_path_factory.mktemp("two"), Settings().models_dir
     for kind in ("tank", "shorts"):
         save_garment(garment(kind), folder)
-    runtime = DrapeRuntime(make_settings(models_dir=models, model="onefit", shipped_garments_dir=folder))
-    yield runtime
-    runtime.close()
+    return make_runtime(models_dir=models, model="onefit", shipped_garments_dir=folder)
 
 
 @pytest.mark.slow

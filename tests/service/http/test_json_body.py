@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from drape.errors import InputError
-from service.compute.sliced_thread import SlicedThread
+from service.compute.threads import SlicedThread
 from service.errors import TooLarge
 from service.http import json_body
 from service.http.json_body import check_marks

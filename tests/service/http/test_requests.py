@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drape.wire.clips import pack_clip
-from service.app import create_app, make_state
+from service.app import make_state
 from service.compute.drape_runtime import DrapeRuntime
 from service.errors import Busy
 from service.guard.access import Access
@@ -23,7 +23,7 @@ from service.http.json_body import clip_marks
 from service.settings import Settings
 from service.watch.probes import Lifecycle
 from tests.fixtures.poses import random_motion
-from tests.fixtures.serving import serve
+from tests.fixtures.serving import served
 
 REST = np.zeros((1, 24, 3)).tolist()
 
@@ -206,8 +206,7 @@ def test_too_large_a_body_is_refused_before_it_is_read(api: httpx.Client, settin
 
 
 def test_too_large_an_answer_is_refused(make_settings: Callable[..., Settings]):
-    tight = make_settings(max_answer_bytes=216 * 12 * 3)
-    with serve(create_app(tight), tight) as url:
+    with served(make_settings(max_answer_bytes=216 * 12 * 3)) as url:
         glb = "model/gltf-binary"
         for frames, accept, status in ((3, "*/*", 200), (4, "*/*", 413), (3, glb, 200), (4, glb, 413), (2, glb, 413)):
             document = {"garment": "tube", "poses": REST * frames, "quantised": frames > 2}
@@ -216,20 +215,18 @@ def test_too_large_an_answer_is_refused(make_settings: Callable[..., Settings]):
         refused(response, 413, "answer", "Send the clip in pieces.")
 
 
-def test_more_clips_than_places_are_refused(make_settings: Callable[..., Settings]):
-    runtime = DrapeRuntime(make_settings(max_clips=1))
+def test_more_clips_than_places_are_refused(make_runtime: Callable[..., DrapeRuntime]):
+    runtime = make_runtime(max_clips=1)
     state = make_state(runtime, Access(runtime.settings), Lifecycle(stuck_s=9.0))
     with state.slot(), pytest.raises(Busy, match="fewer than 1 at a time"), state.slot():
         pass
     with state.slot():
         assert state.clips == 1
     assert state.clips == 0
-    runtime.close()
 
 
 def test_the_page_that_is_not_built_says_how_to_build_it(make_settings: Callable[..., Settings], tmp_path):
-    bare = make_settings(page_dir=tmp_path / "none")
-    with serve(create_app(bare), bare) as url:
+    with served(make_settings(page_dir=tmp_path / "none")) as url:
         response = httpx.get(url + "/")
         assert response.status_code == 503
         assert "make page" in response.text
@@ -305,13 +302,10 @@ def test_the_reference_and_its_files_come_from_this_service(api: httpx.Client):
 
 
 def test_without_the_package_a_sentence_says_so(make_settings, monkeypatch: pytest.MonkeyPatch):
-    from service.app import create_app
-    from tests.fixtures.serving import serve
 
     monkeypatch.setattr(pages, "REFERENCE_PACKAGE", "no_such_package")
     assert pages.files_folder() is None
-    settings = make_settings()
-    with serve(create_app(settings), settings) as url:
+    with served(make_settings()) as url:
         for path in ("/docs", f"/docs/{pages.REFERENCE_FILES[0]}"):
             response = httpx.get(url + path)
             assert response.status_code == 503 and "fastapi-offline" in response.text

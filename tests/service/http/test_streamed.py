@@ -15,13 +15,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.errors import NotFound
 from drape.wire.jets import split_jets
 from drape.wire.options import DrapeOptions
-from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
 from service.http.continuations import Continuation, Continuations
 from service.settings import Settings
 from service.stages.batch import PoseInput
 from tests.fixtures.poses import smooth_motion
-from tests.fixtures.serving import serve
+from tests.fixtures.serving import served
 from tests.fixtures.tiny_model import TINY_DYNAMIC
 
 FRAMES = 9
@@ -32,8 +31,12 @@ POSES, TRANS = smooth_motion(TIMES_S)
 @pytest.fixture(scope="module")
 def own(make_settings: Callable[..., Settings]) -> Iterator[httpx.Client]:
     """A client of a service with the dynamic model, which takes few frames and bytes at once."""
-    settings = make_settings(model=TINY_DYNAMIC, max_frames=FRAMES, max_answer_bytes=216 * 12 * 4, chunk_frames=2)
-    with serve(create_app(settings), settings) as url, httpx.Client(base_url=url, timeout=60.0) as client:
+    with (
+        served(
+            make_settings(model=TINY_DYNAMIC, max_frames=FRAMES, max_answer_bytes=216 * 12 * 4, chunk_frames=2)
+        ) as url,
+        httpx.Client(base_url=url, timeout=60.0) as client,
+    ):
         yield client
 
 
@@ -116,7 +119,7 @@ def test_streamed_json_is_refused(own: httpx.Client):
 def test_a_stream_that_is_given_up_frees_its_place(make_settings: Callable[..., Settings]):
     settings = make_settings(max_clips=1, chunk_frames=1)
     poses = np.zeros((400, 24, 3)).tolist()
-    with serve(create_app(settings), settings) as url, httpx.Client(base_url=url, timeout=60.0) as client:
+    with served(settings) as url, httpx.Client(base_url=url, timeout=60.0) as client:
         document = {"garment": "tube", "streamed": True, "poses": poses}
         for _ in range(3):
             while True:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import re
-import shutil
 import subprocess
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import ExitStack
@@ -20,7 +19,6 @@ from fastapi import FastAPI
 from pydantic import SecretStr
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
-from websockets.typing import Subprotocol
 
 from clients.stream import DrapeStream
 from drape.errors import InputError
@@ -35,16 +33,15 @@ from service.guard.tickets import Tickets
 from service.replicas.handover import LIFE_S, Handover
 from service.replicas.memory_codec import decoded, encoded
 from service.settings import Settings
-from service.stream.sessions import Session
-from tests.architecture.repository import ROOT
+from service.stream.routes import Session
 from tests.fixtures.poses import random_motion
-from tests.fixtures.serving import serve
+from tests.fixtures.serving import serve, served
+from tests.fixtures.streams import PROTOCOLS, page_command, stream_address
 from tests.fixtures.tiny_model import TINY_DYNAMIC
 
 FRAMES, GONE_AFTER = 10, 4
 STEP_S = 1.0 / 20.0
 SECRET = "one secret of both"
-PROTOCOL = Subprotocol(wire.SUBPROTOCOL)
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +58,7 @@ def runtime(moving_settings: Settings) -> Iterator[DrapeRuntime]:
 
 @pytest.fixture(scope="module")
 def successor(moving_settings: Settings) -> Iterator[str]:
-    with serve(create_app(moving_settings), moving_settings) as url:
+    with served(moving_settings) as url:
         yield url
 
 
@@ -175,7 +172,7 @@ def test_a_key_and_a_ticket_move_along(moving_settings: Settings, tmp_path, make
     file.write_text(json.dumps({"shop": {"sha256": digest("drape_key")}}))
     kept = make_settings(keys_file=file, ticket_secret=SECRET)
     poses, trans = smooth(FRAMES)
-    with serve(create_app(kept), kept) as there:
+    with served(kept) as there:
         for ticket in (False, True):
             with ExitStack() as first:
                 leaving = kept.model_copy(update={"successor": there})
@@ -286,7 +283,7 @@ def test_pieces_without_an_end_are_too_slow(make_settings: Callable[..., Setting
     settings = make_settings(stream_open_s=0.3, body_bytes_s=2**20)
 
     async def talk(url: str) -> tuple[str, int]:
-        async with connect(url.replace("http", "ws") + "/stream", subprotocols=[PROTOCOL]) as socket:
+        async with connect(stream_address(url), subprotocols=PROTOCOLS) as socket:
             await socket.send(split_state(bytes(1000))[0])
             said = json.loads(await socket.recv())
             with pytest.raises(ConnectionClosed) as closed:
@@ -294,14 +291,11 @@ def test_pieces_without_an_end_are_too_slow(make_settings: Callable[..., Setting
             assert closed.value.rcvd is not None
             return said["got"], closed.value.rcvd.code
 
-    with serve(create_app(settings), settings) as url:
+    with served(settings) as url:
         assert asyncio.run(talk(url)) == ("1016 bytes of a state", 4408)
 
 
 SCRIPT = """
-globalThis.location = { origin: process.argv[2] };
-const { Stream } = await import("./stream.js");
-const pose = new Array(72).fill(0);
 const seen = { states: [], refused: "" };
 let frames = 0;
 const stream = new Stream({
@@ -317,26 +311,15 @@ const stream = new Stream({
 });
 stream.open({ garment: "tube" });
 setInterval(() => stream.send(pose, [0, 0, 0]), 20);
-setTimeout(() => process.exit(3), 20000);
 """
 
 
 def test_the_page_goes_on_where_it_is_told(moving_settings: Settings, successor: str, tmp_path: Path):
-    node = shutil.which("node")
-    if node is None:
-        pytest.skip("No Node.js: sudo apt-get install nodejs.")
-    if subprocess.run([node, "--experimental-websocket", "-e", "WebSocket"], capture_output=True).returncode:
-        pytest.skip("A Node.js without WebSocket: 20.10 or newer has it.")
-    for name in ("stream.js", "wire.js"):
-        shutil.copy(ROOT / "clients/web/src" / name, tmp_path)
-    (tmp_path / "package.json").write_text('{"type": "module"}')
-    (tmp_path / "main.js").write_text(SCRIPT)
     before = httpx.get(successor + "/metrics").text
     with ExitStack() as first:
         leaving = moving_settings.model_copy(update={"successor": successor})
-        url = first.enter_context(serve(create_app(leaving), leaving))
-        command = [node, "--experimental-websocket", str(tmp_path / "main.js"), url]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as page:
+        url = first.enter_context(served(leaving))
+        with subprocess.Popen(page_command(tmp_path, SCRIPT, url), stdout=subprocess.PIPE, text=True) as page:
             assert page.stdout is not None
             assert page.stdout.readline() == "leave\n"
             first.close()

@@ -19,20 +19,22 @@ from drape.graph.feeds import kinematics
 from drape.graph.packing import pack_body
 from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
-from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
-from service.compute.sliced_thread import SlicedThread
+from service.compute.threads import SlicedThread
 from service.graphs.engine import Engine
 from service.graphs.packing import Packer, ScenePlan
 from service.settings import Settings
-from service.stages import run
-from service.stages.batch import Memories, Plan, PoseInput
+from service.stages.batch import Memories, PoseInput
+from service.stages.encode import KEY
 from service.stages.motion import JUMP_M_S, SHORTEST_STEP_S, STEP_LIMIT_S, Memory, Moment, Motion, advance
-from service.stages.unchanged import KEY
-from service.stream.sessions import Session, Streams
+from service.stages.plan import Plan
+from service.stages.stage import run
+from service.stream.opening import Opening
+from service.stream.routes import Session
+from service.stream.workers import Streams
 from tests.fixtures.packed import MOVING
 from tests.fixtures.poses import smooth_motion
-from tests.fixtures.serving import serve
+from tests.fixtures.serving import served
 from tests.fixtures.tiny_model import (
     ROUNDING_M,
     STATE_SIZE,
@@ -55,8 +57,7 @@ def runtime(make_runtime: Callable[..., DrapeRuntime]) -> DrapeRuntime:
 @pytest.fixture(scope="module")
 def moving(make_settings: Callable[..., Settings]) -> Iterator[httpx.Client]:
     """An HTTP client of a service with the dynamic model."""
-    settings = make_settings(model=TINY_DYNAMIC)
-    with serve(create_app(settings), settings) as url, httpx.Client(base_url=url, timeout=60.0) as client:
+    with served(make_settings(model=TINY_DYNAMIC)) as url, httpx.Client(base_url=url, timeout=60.0) as client:
         yield client
 
 
@@ -153,15 +154,14 @@ def test_a_still_scene_is_the_static_models_and_runs_no_recurrence(
 
 
 @pytest.mark.parametrize("chunk", [1, 5, 64])
-def test_chunks_hand_the_state_on(make_settings: Callable[..., Settings], runtime: DrapeRuntime, chunk: int):
+def test_chunks_hand_the_state_on(make_runtime: Callable[..., DrapeRuntime], runtime: DrapeRuntime, chunk: int):
     whole = run(plan_of(runtime), [clip_of()])
-    chunked = DrapeRuntime(make_settings(model=TINY_DYNAMIC, chunk_frames=chunk))
+    chunked = make_runtime(model=TINY_DYNAMIC, chunk_frames=chunk)
     draped = asyncio.run(chunked.drape(plan_of(chunked), clip_of()))
     assert_array_equal(draped.vertices, whole.vertices)
     last, want = moved(draped.memories[0]), moved(whole.memories[0])
     assert last is not None and want is not None
     assert_array_equal(last.state, want.state)
-    chunked.close()
 
 
 def test_clients_of_any_number_and_length_swing_as_if_alone(runtime: DrapeRuntime):
@@ -345,18 +345,18 @@ def test_motion_goes_on_over_another_garment_and_ends_with_another_shape(runtime
     assert memory is not None and np.abs(memory.state).max() > 0.0
     entry = runtime.garments.get("tube")
     other = dataclasses.replace(entry, id="other", garment=dataclasses.replace(entry.garment, digest="other"))
-    session.reopen(dataclasses.replace(plan, scene=other), NO_SHAPE.copy())
+    session.reopen(Opening(dataclasses.replace(plan, scene=other), NO_SHAPE.copy()))
     assert moved(session.memories) is memory
-    session.reopen(plan, np.full(10, 0.1))
+    session.reopen(Opening(plan, np.full(10, 0.1)))
     assert session.memories == {}
     session.memories = {Motion.key: memory}
-    session.reopen(plan_of(runtime, 0.0, messages=True), session.betas)
+    session.reopen(Opening(plan_of(runtime, 0.0, messages=True), session.betas))
     assert session.memories == {}
 
 
 def test_a_frame_of_an_earlier_opening_leaves_no_memory(runtime: DrapeRuntime):
     _, (session,) = open_sessions(runtime, [1.0])
-    session.reopen(session.plan, np.full(10, 0.1))
+    session.reopen(Opening(session.plan, np.full(10, 0.1)))
     session.deliver(0, b"old", {Motion.key: Memory.empty(runtime.engine)})
     assert session.memories == {} and session.outbox is None
 

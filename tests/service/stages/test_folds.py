@@ -23,9 +23,9 @@ from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
 from service.stages import folds as folds_stage
-from service.stages import run, walk
-from service.stages.batch import PoseInput, carried
+from service.stages.batch import PoseInput
 from service.stages.folds import SETTLE, Folds
+from service.stages.stage import carried, run, walk
 from tests.fixtures.poses import smooth_motion
 from tests.fixtures.serving import outfit_settings, serve
 
@@ -54,10 +54,10 @@ def test_without_folds_the_stage_is_not_in_the_plan_and_nothing_changes(runtime:
 
 
 def test_folds_lift_the_cloth_off_the_skin_and_nothing_is_projected(
-    make_settings: Callable[..., Settings], body: BodyModel
+    make_runtime: Callable[..., DrapeRuntime], body: BodyModel
 ):
     high_m = 0.008  # more than contact keeps, so that there is something to lift
-    runtime = DrapeRuntime(make_settings(clearance_m=high_m))
+    runtime = make_runtime(clearance_m=high_m)
     entry = runtime.garments.get("tube")
     on, off = (runtime.plan(entry, DrapeOptions(folds=1, push_out=pushed)) for pushed in (True, False))
     assert {stage.name for plan in (on, off) for stage in plan.stages} == {"network", "folds"}
@@ -72,7 +72,6 @@ def test_folds_lift_the_cloth_off_the_skin_and_nothing_is_projected(
         signed_distance(one.world()[0].astype(np.float64), skin, body.faces).min() for one in (lifted, left)
     )
     assert above > high_m - 1.5e-3 > below, "between samples the skin is a little higher than its planes"
-    runtime.close()
 
 
 def test_layers_that_do_not_feel_each_other_are_pushed_apart(outfit_settings: Settings):

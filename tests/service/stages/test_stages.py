@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
@@ -11,8 +10,6 @@ import httpx
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from websockets.sync.client import connect
-from websockets.typing import Subprotocol
 
 from drape.errors import InputError
 from drape.wire import messages as wire
@@ -24,12 +21,14 @@ from service.compute.drape_runtime import DrapeRuntime
 from service.compute.tiers import FAR_PIXELS_PER_M, TIERS, capped, chosen
 from service.graphs.graph_names import JETS, PACKED, SKIN
 from service.settings import Settings
-from service.stages import run
-from service.stages.batch import BODY, Batch, Layer, Plan, PoseInput, Stage, carried
+from service.stages.batch import Batch, Layer, PoseInput
 from service.stages.motion import Motion
 from service.stages.network import Network
+from service.stages.plan import Plan
+from service.stages.stage import BODY, Stage, carried, run
 from tests.fixtures.poses import smooth_motion
-from tests.fixtures.serving import outfit_settings, serve
+from tests.fixtures.serving import outfit_settings, serve, served
+from tests.fixtures.streams import RawStream, raw_stream
 from tests.fixtures.tiny_model import TINY_DYNAMIC, write_tiny_model
 from training.pose_support import support_of, write_support
 
@@ -128,21 +127,20 @@ def test_frames_open_no_session_once_their_plan_is_prepared(outfit_settings: Set
     runtime.close()
 
 
-def test_the_network_computes_no_vertex_for_jets_alone(make_settings: Callable[..., Settings]):
-    runtime = DrapeRuntime(make_settings())
+def test_the_network_computes_no_vertex_for_jets_alone(make_runtime: Callable[..., DrapeRuntime]):
+    runtime = make_runtime()
     run(runtime.plan(runtime.garments.get("tube"), DrapeOptions(geometry="jets", push_out=False)), [CLIP])
     (part,) = [s for (graph, outputs, *_), s in runtime.engine._opened.items() if (graph, outputs) == (PACKED, JETS)]
     assert "patch_first" in part.inputs
     assert not {"tile_positions", "vertex_charts", "tile_tangents"} & set(part.inputs)
-    runtime.close()
 
 
-def test_what_is_left_open_is_the_services_own(runtime: DrapeRuntime, make_settings: Callable[..., Settings]):
+def test_what_is_left_open_is_the_services_own(runtime: DrapeRuntime, make_runtime: Callable[..., DrapeRuntime]):
     entry = runtime.garments.get("tube")
     assert runtime.plan(entry, DrapeOptions()).options == DrapeOptions(
         push_out=True, motion=1.0, inertia="network", folds=0
     )
-    other = DrapeRuntime(make_settings(push_out=False, passes=0))
+    other = make_runtime(push_out=False, passes=0)
     entry = other.garments.get("tube")
     plan = other.plan(entry, DrapeOptions())
     still = DrapeOptions(push_out=False, passes=0, motion=0.0, inertia="network", folds=0)
@@ -151,11 +149,10 @@ def test_what_is_left_open_is_the_services_own(runtime: DrapeRuntime, make_setti
     assert plan != other.plan(entry, DrapeOptions(passes=1))
     with pytest.raises(InputError, match="passes: expected 0 to 1, got 9"):
         other.plan(entry, DrapeOptions(passes=9))
-    other.close()
 
 
-def test_memories_go_where_what_they_hold_for_goes(counting: None, make_settings: Callable[..., Settings]):
-    runtime = DrapeRuntime(make_settings(model=TINY_DYNAMIC))
+def test_memories_go_where_what_they_hold_for_goes(counting: None, make_runtime: Callable[..., DrapeRuntime]):
+    runtime = make_runtime(model=TINY_DYNAMIC)
     entry = runtime.garments.get("tube")
     plan = runtime.plan(entry, DrapeOptions())
     own = ("counting", entry.garment.digest)
@@ -165,7 +162,6 @@ def test_memories_go_where_what_they_hold_for_goes(counting: None, make_settings
     assert carried(memories, plan, runtime.plan(entry, DrapeOptions(push_out=False))) == {Motion.key: 1, own: 2}
     assert carried(memories, plan, runtime.plan(entry, DrapeOptions(passes=0))) == {Motion.key: 1}
     assert carried(memories, plan, runtime.plan(entry, DrapeOptions(motion=0.0))) == {own: 2}
-    runtime.close()
 
 
 # --- a stage of one's own ---
@@ -193,26 +189,22 @@ def test_a_new_stage_remembers_over_the_chunks_of_a_clip(outfit_settings: Settin
 
 @pytest.mark.usefixtures("counting")
 def test_a_new_stage_remembers_per_stream_and_garment(outfit_settings: Settings):
-    with serve(create_app(outfit_settings), outfit_settings) as url:
+    with served(outfit_settings) as url:
         document = {"garment": "tube", "poses": POSES[:1].tolist(), "push_out": False}
         answer = httpx.post(url + "/drape", json=document)
         first = np.frombuffer(answer.content, "<f4").reshape(-1, 3)[:, 1].mean()
-        address, protocol = url.replace("http", "ws") + "/stream", [Subprotocol(wire.SUBPROTOCOL)]
-        with connect(address, subprotocols=protocol) as one, connect(address, subprotocols=protocol) as two:
+        with raw_stream(url) as one, raw_stream(url) as two:
 
-            def opened(socket, *garments: str) -> None:
-                socket.send(json.dumps({"type": "open", "garments": garments, "push_out": False}))
-                assert json.loads(socket.recv(timeout=20.0))["type"] == "opened"
+            def opened(stream: RawStream, *garments: str) -> None:
+                assert stream.open(garments=garments, push_out=False)["type"] == "opened"
 
-            def lift(socket, sequence: int, vertices: slice) -> int:
-                socket.send(wire.pack_pose(wire.Pose(sequence, sequence / 30.0, np.zeros(3), POSES[0])))
-                frame = wire.unpack_frame(socket.recv(timeout=20.0))
-                socket.send(wire.pack_ack(sequence))
+            def lift(stream: RawStream, sequence: int, vertices: slice) -> int:
+                frame = stream.frame(sequence, POSES[0], time_s=sequence / 30.0)
                 return round((frame.vertices()[vertices, 1].mean() - first) / STEP_M) + 1
 
             tube = slice(0, 216)
-            for socket in (one, two):
-                opened(socket, "tube")
+            for stream in (one, two):
+                opened(stream, "tube")
             assert [lift(one, i, tube) for i in range(3)] == [1, 2, 3]
             assert lift(two, 0, tube) == 1, "another stream has a memory of its own"
             opened(one, "tube", "coat")
@@ -233,13 +225,11 @@ MIXED = np.concatenate([SEEN[:2], ABSURD, SEEN[2:3]])
 
 
 @pytest.fixture(scope="module")
-def novelty_runtime(make_settings: Callable[..., Settings], body, tmp_path_factory) -> Iterator[DrapeRuntime]:
+def novelty_runtime(make_runtime: Callable[..., DrapeRuntime], body, tmp_path_factory) -> DrapeRuntime:
     """Of a model that knows its poses."""
     folder = tmp_path_factory.mktemp("novelty")
     write_support(write_tiny_model(folder, body), support_of(SEEN, SEEN))
-    made = DrapeRuntime(make_settings(models_dir=folder, folds=None))
-    yield made
-    made.close()
+    return make_runtime(models_dir=folder, folds=None)
 
 
 def draped(novelty_runtime: DrapeRuntime, poses: np.ndarray, **options: object) -> Batch:
@@ -293,16 +283,17 @@ def test_messages_tell_the_score_and_whether_it_is_beyond(novelty_runtime: Drape
     assert unpack_jets(jets).novelty > 1.0
 
 
-def test_a_clip_and_a_model_without_poses_say_so_in_headers(novelty_runtime: DrapeRuntime, make_settings):
+def test_a_clip_and_a_model_without_poses_say_so_in_headers(
+    novelty_runtime: DrapeRuntime, make_runtime: Callable[..., DrapeRuntime]
+):
     asked = {"garment": "tube", "poses": MIXED.tolist()}
     with serve(create_app(novelty_runtime.settings, runtime=novelty_runtime), novelty_runtime.settings) as url:
         headers = httpx.post(url + "/drape", json=asked).headers
     assert float(headers["X-Drape-Novelty"]) > 1.0
     assert (headers["X-Drape-Unlike"], headers["X-Drape-Safe-Folds"], headers["X-Drape-Folds"]) == ("1", "4", "2")
-    plain = DrapeRuntime(make_settings(folds=None))
+    plain = make_runtime(folds=None)
     assert plain.plan(plain.garments.get("tube"), DrapeOptions()).stages[0].name == "network"
     assert draped(plain, ABSURD).quality.novelty.tolist() == [0.0]
-    plain.close()
 
 
 FAR = 0.5 * FAR_PIXELS_PER_M
@@ -310,11 +301,9 @@ VIEWS_POSES, VIEWS_TRANS = smooth_motion(np.arange(3) / 30.0)
 
 
 @pytest.fixture
-def views_runtime(make_settings: Callable[..., Settings]) -> Iterator[DrapeRuntime]:
+def views_runtime(make_runtime: Callable[..., DrapeRuntime]) -> DrapeRuntime:
     """Anew for each test, so that what it opened is what the test asked for."""
-    made = DrapeRuntime(make_settings(model=TINY_DYNAMIC, folds=None))
-    yield made
-    made.close()
+    return make_runtime(model=TINY_DYNAMIC, folds=None)
 
 
 def views_draped(views_runtime: DrapeRuntime, **options: object) -> Batch:

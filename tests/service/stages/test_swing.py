@@ -17,9 +17,10 @@ from drape.live.swing_constants import swing_constants
 from drape.wire.options import DrapeOptions
 from service.compute.drape_runtime import DrapeRuntime
 from service.replicas.memory_codec import decoded, encoded
-from service.settings import Settings, load_settings
-from service.stages import run
-from service.stages.batch import Plan, PoseInput
+from service.settings import load_settings
+from service.stages.batch import PoseInput
+from service.stages.plan import Plan
+from service.stages.stage import run
 from service.stages.swing import Swing
 
 TIMES_S = np.arange(14) / 30.0
@@ -58,14 +59,13 @@ def test_what_hangs_lags_and_what_is_held_does_not(runtime: DrapeRuntime):
     assert_array_equal(single.vertices, still.vertices[9:10])
 
 
-def test_it_is_the_same_beside_others_and_in_pieces(runtime: DrapeRuntime, make_settings: Callable[..., Settings]):
+def test_it_is_the_same_beside_others_and_in_pieces(runtime: DrapeRuntime, make_runtime: Callable[..., DrapeRuntime]):
     plan, inputs = plan_of(runtime), [started(), started(-0.5).part(slice(0, 9), {})]
     together = run(plan, inputs)
     assert_array_equal(together.vertices, np.concatenate([run(plan, [one]).vertices for one in inputs]))
-    pieces = DrapeRuntime(make_settings(inertia="mesh", chunk_frames=3))
+    pieces = make_runtime(inertia="mesh", chunk_frames=3)
     draped = asyncio.run(pieces.drape(plan_of(pieces), inputs[0]))
     assert_array_equal(draped.vertices, together.vertices[: len(TIMES_S)])
-    pieces.close()
 
 
 def test_what_it_remembers_can_move(runtime: DrapeRuntime):
@@ -85,13 +85,12 @@ def test_jets_have_none(runtime: DrapeRuntime):
         plan_of(runtime, geometry="jets", inertia="mesh")
 
 
-def test_the_service_says_what_holds_where_nobody_does(make_settings: Callable[..., Settings]):
+def test_the_service_says_what_holds_where_nobody_does(make_runtime: Callable[..., DrapeRuntime]):
     assert load_settings().inertia == "mesh"
-    other = DrapeRuntime(make_settings())
+    other = make_runtime()
     plan = other.plan(other.garments.get("tube"), DrapeOptions(push_out=False))
     assert plan.options.inertia == "network" and plan.options.knob == 0.0, "a static model has learned no motion"
     assert other.plan(other.garments.get("tube"), DrapeOptions(inertia="mesh")).options.knob == 1.0
-    other.close()
 
 
 def test_a_garment_that_is_gone_leaves_nothing(runtime: DrapeRuntime):

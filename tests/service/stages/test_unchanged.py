@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import shutil
 import subprocess
 import time
 from collections.abc import Callable
@@ -18,26 +17,24 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from websockets.asyncio.client import connect
-from websockets.typing import Subprotocol
 
 from clients.stream import DrapeStream
 from drape.geometry.rotations import rotvec_to_matrix
 from drape.wire import messages as wire
 from drape.wire.jets import unpack_jets
 from drape.wire.options import DrapeOptions
-from service.app import create_app
 from service.compute import drape_runtime as drapery_module
 from service.compute.drape_runtime import DrapeRuntime
 from service.settings import Settings
-from service.stages.batch import Plan, PoseInput
+from service.stages.batch import PoseInput
+from service.stages.encode import KEY, REST_FRAMES, REST_S, shown_message
 from service.stages.joint_reach import ARMS_DOWN, reach_m, turns_rad
-from service.stages.unchanged import KEY, REST_FRAMES, REST_S, shown_message
-from tests.architecture.repository import ROOT
+from service.stages.plan import Plan
 from tests.fixtures.poses import random_motion, smooth_motion
-from tests.fixtures.serving import serve
+from tests.fixtures.serving import served
+from tests.fixtures.streams import PROTOCOLS, page_command, stream_address
 from tests.fixtures.tiny_model import TINY_DYNAMIC
 
-PROTOCOL = Subprotocol(wire.SUBPROTOCOL)
 STEP_S = 1.001 * REST_S / REST_FRAMES
 POSES, TRANS = smooth_motion(np.arange(4) * STEP_S)
 NEEDED = REST_FRAMES + 1  # frames of one pose after which it is at rest
@@ -130,7 +127,7 @@ def resting(url: str, **more: Any) -> list[bytes]:
 
     async def talk() -> list[bytes]:
         found = []
-        async with connect(url.replace("http", "ws") + "/stream", subprotocols=[PROTOCOL]) as socket:
+        async with connect(stream_address(url), subprotocols=PROTOCOLS) as socket:
             for count in (NEEDED + 12, NEEDED + 2):
                 await socket.send(opening)
                 assert json.loads(await socket.recv())["type"] == "opened"
@@ -145,8 +142,7 @@ def resting(url: str, **more: Any) -> list[bytes]:
 
 
 def test_a_client_that_can_take_it_gets_no_frame_twice(make_settings: Callable[..., Settings]):
-    settings = make_settings(model=TINY_DYNAMIC)
-    with serve(create_app(settings), settings) as url:
+    with served(make_settings(model=TINY_DYNAMIC)) as url:
         kinds = [wire.message_kind(one) for one in resting(url, same=True)]
         first, again = kinds[: NEEDED + 12], kinds[NEEDED + 12 :]
         assert first == [wire.FRAME] * NEEDED + [wire.SAME] * 12  # more than there is credit
@@ -222,7 +218,7 @@ def test_of_a_body_that_stands_still_few_poses_are_sent(make_settings: Callable[
             await frame(POSES[1])
             assert counted.sent == [wire.POSE, wire.ACK]
 
-    with serve(create_app(settings), settings) as url:
+    with served(settings) as url:
         asyncio.run(talk(url))
 
 
@@ -241,16 +237,13 @@ def test_who_sends_a_pose_for_each_frame_waits_for_the_service(make_settings: Ca
                 await stream.receive()
             assert counted.sent.count(wire.POSE) >= 20
 
-    with serve(create_app(settings), settings) as url:
+    with served(settings) as url:
         asyncio.run(talk(url))
 
 
 PAGE = """
-globalThis.location = { origin: process.argv[2] };
 let now = 0;
 performance.now = () => (now += 40);
-const { Stream } = await import("./stream.js");
-const pose = new Array(72).fill(0);
 let last = null;
 const stream = new Stream({
   onFrame(frame) {
@@ -266,24 +259,12 @@ const stream = new Stream({
   onState(state) { if (state === "open") stream.send(pose, [0, 0, 0]); },
 });
 stream.open({ garment: "tube" });
-setTimeout(() => process.exit(3), 20000);
 """
 
 
 def test_the_page_shows_the_frame_that_holds(make_settings: Callable[..., Settings], tmp_path: Path):
-    node = shutil.which("node")
-    if node is None:
-        pytest.skip("No Node.js: sudo apt-get install nodejs.")
-    if subprocess.run([node, "--experimental-websocket", "-e", "WebSocket"], capture_output=True).returncode:
-        pytest.skip("A Node.js without WebSocket: 20.10 or newer has it.")
-    for name in ("stream.js", "wire.js"):
-        shutil.copy(ROOT / "clients/web/src" / name, tmp_path)
-    (tmp_path / "package.json").write_text('{"type": "module"}')
-    (tmp_path / "main.js").write_text(PAGE)
-    settings = make_settings(model=TINY_DYNAMIC)
-    with serve(create_app(settings), settings) as url:
-        command = [node, "--experimental-websocket", str(tmp_path / "main.js"), url]
-        run = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    with served(make_settings(model=TINY_DYNAMIC)) as url:
+        run = subprocess.run(page_command(tmp_path, PAGE, url), capture_output=True, text=True, timeout=60)
     assert run.returncode == 0, run.stderr
     said = json.loads(run.stdout)
     assert said["sequence"] == said["next"] > REST_FRAMES and said["same"] and said["count"] > 0

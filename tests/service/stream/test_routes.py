@@ -18,26 +18,24 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
-from websockets.typing import Subprotocol
 
 from drape.body.model import BodyModel
 from drape.garment.cache import Garment
 from drape.wire import messages as wire
-from service.app import create_app
 from service.settings import Settings
 from tests.fixtures.poses import random_motion
-from tests.fixtures.serving import serve
+from tests.fixtures.serving import served
+from tests.fixtures.streams import PROTOCOLS, stream_address
 from tests.fixtures.tiny_model import expected_vertices
 
 OPEN = {"type": "open", "garment": "tube", "push_out": False}
 REST = np.zeros((24, 3))
-PROTOCOL = Subprotocol(wire.SUBPROTOCOL)
 
 
 def run(url: str, talk: Callable[[ClientConnection], Awaitable[Any]], **options: Any) -> Any:
     async def whole() -> Any:
-        options.setdefault("subprotocols", [PROTOCOL])
-        async with connect(url.replace("http", "ws") + "/stream", compression=None, **options) as socket:
+        options.setdefault("subprotocols", PROTOCOLS)
+        async with connect(stream_address(url), compression=None, **options) as socket:
             return await talk(socket)
 
     return asyncio.run(whole())
@@ -177,7 +175,7 @@ def test_two_clients_do_not_see_each_other(live: str, body: BodyModel, tube: Gar
     async def one(seed: int) -> float:
         betas = np.full(10, 0.1 * seed)
         worst = 0.0
-        async with connect(live.replace("http", "ws") + "/stream", subprotocols=[PROTOCOL]) as socket:
+        async with connect(stream_address(live), subprotocols=PROTOCOLS) as socket:
             await opened(socket, betas=betas.tolist())
             for i in range(20):
                 pose, place = poses[(i * seed) % 20].astype(np.float32), trans[i]
@@ -295,7 +293,7 @@ def test_silence_is_ended(live: str, live_settings: Settings):
 def test_more_streams_than_places_are_turned_away(live: str, live_settings: Settings):
     async def many() -> tuple[int, str, dict]:
         async def one() -> ClientConnection:
-            return await connect(live.replace("http", "ws") + "/stream", subprotocols=[PROTOCOL])
+            return await connect(stream_address(live), subprotocols=PROTOCOLS)
 
         sockets = [await one() for _ in range(live_settings.stream_sessions)]
         for each in sockets:
@@ -330,8 +328,7 @@ def test_another_protocol_or_origin_is_refused_before_it_opens(live: str):
 
 def test_its_own_page_and_named_origins_are_let_in(live: str, make_settings: Callable[..., Settings]):
     run(live, lambda socket: opened(socket), origin=live)
-    friendly = make_settings(allowed_origins=("https://shop.example",))
-    with serve(create_app(friendly), friendly) as url:
+    with served(make_settings(allowed_origins=("https://shop.example",))) as url:
         run(url, lambda socket: opened(socket), origin="https://shop.example")
         answer = httpx.get(url + "/health", headers={"Origin": "https://shop.example"})
         assert answer.headers["access-control-allow-origin"] == "https://shop.example"
@@ -339,8 +336,7 @@ def test_its_own_page_and_named_origins_are_let_in(live: str, make_settings: Cal
 
 def test_a_client_that_stops_reading_is_cut_and_others_are_not_delayed(make_settings: Callable[..., Settings]):
     """Its window is closed, so that even the refusal cannot be sent: only an abort frees the connection."""
-    settings = make_settings(stream_ack_s=0.4, stream_send_s=0.3, stream_credit=16)
-    with serve(create_app(settings), settings) as url:
+    with served(make_settings(stream_ack_s=0.4, stream_send_s=0.3, stream_credit=16)) as url:
         host, port = url.removeprefix("http://").split(":")
         stalled = socket.socket()
         stalled.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1024)

@@ -16,16 +16,16 @@ from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions
 from service.compute.background import processor_count
 from service.compute.drape_runtime import DrapeRuntime
-from service.compute.sliced_thread import SlicedThread
-from service.settings import Settings
+from service.compute.threads import SlicedThread
 from service.stages.batch import Memories, PoseInput
-from service.stream.sessions import Session, Streams
+from service.stream.routes import Session
+from service.stream.workers import Streams
 
 REST = np.zeros((24, 3))
 
 
-def test_one_bad_pose_does_not_fail_its_batch(make_settings: Callable[..., Settings]):
-    runtime = DrapeRuntime(make_settings(stream_threads=1))
+def test_one_bad_pose_does_not_fail_its_batch(make_runtime: Callable[..., DrapeRuntime]):
+    runtime = make_runtime(stream_threads=1)
     plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(push_out=False), messages=True)
     streams = Streams(runtime, SlicedThread())
     sessions = [Session(plan, np.zeros(10), credit=2) for _ in range(3)]
@@ -42,11 +42,10 @@ def test_one_bad_pose_does_not_fail_its_batch(make_settings: Callable[..., Setti
     asyncio.run(once())
     assert [session.failure is not None for session in sessions] == [False, True, False]
     assert [session.outbox is not None for session in sessions] == [True, False, True]
-    runtime.close()
 
 
-def test_the_longest_waiting_pose_goes_first_with_all_of_its_plan(make_settings: Callable[..., Settings]):
-    runtime = DrapeRuntime(make_settings(chunk_frames=2, stream_threads=1))
+def test_the_longest_waiting_pose_goes_first_with_all_of_its_plan(make_runtime: Callable[..., DrapeRuntime]):
+    runtime = make_runtime(chunk_frames=2, stream_threads=1)
     tube = runtime.garments.get("tube")
     other = type(tube)("other", tube.garment, tube.source)
     streams = Streams(runtime, SlicedThread())
@@ -60,19 +59,17 @@ def test_the_longest_waiting_pose_goes_first_with_all_of_its_plan(make_settings:
     for session in (sessions[2], sessions[0]):
         session.take()
     assert streams._next_batch() == [sessions[1]]
-    runtime.close()
 
 
-def test_an_acknowledgement_that_was_not_earned_is_refused(make_settings: Callable[..., Settings]):
-    runtime = DrapeRuntime(make_settings())
+def test_an_acknowledgement_that_was_not_earned_is_refused(make_runtime: Callable[..., DrapeRuntime]):
+    runtime = make_runtime()
     session = Session(runtime.plan(runtime.garments.get("tube"), DrapeOptions()), np.zeros(10), credit=1)
     with pytest.raises(InputError, match="ack message"):
         session.acknowledge(0)
-    runtime.close()
 
 
-def test_a_frame_does_not_wait_for_what_is_computed_aside(make_settings: Callable[..., Settings]):
-    runtime = DrapeRuntime(make_settings())
+def test_a_frame_does_not_wait_for_what_is_computed_aside(make_runtime: Callable[..., DrapeRuntime]):
+    runtime = make_runtime()
     plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(), messages=True)
 
     async def both() -> None:
@@ -85,13 +82,12 @@ def test_a_frame_does_not_wait_for_what_is_computed_aside(make_settings: Callabl
         assert await aside
 
     asyncio.run(both())
-    runtime.close()
 
 
 def test_nothing_aside_begins_while_a_frame_is_computed(
-    make_settings: Callable[..., Settings], monkeypatch: pytest.MonkeyPatch
+    make_runtime: Callable[..., DrapeRuntime], monkeypatch: pytest.MonkeyPatch
 ):
-    runtime = DrapeRuntime(make_settings())
+    runtime = make_runtime()
     plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(), messages=True)
     through, begun = threading.Event(), threading.Event()
     monkeypatch.setattr(runtime, "_computed", lambda plan, inputs: through.wait() and [(b"", {})])
@@ -107,7 +103,6 @@ def test_nothing_aside_begins_while_a_frame_is_computed(
         assert begun.is_set()
 
     asyncio.run(both())
-    runtime.close()
 
 
 def rest_input(frame: int = 0, memories: Memories | None = None) -> PoseInput:
@@ -115,8 +110,8 @@ def rest_input(frame: int = 0, memories: Memories | None = None) -> PoseInput:
     return PoseInput(REST[None], np.zeros((1, 3)), np.zeros(10), times_s, memories or {}, sequence=frame)
 
 
-def test_waiting_streams_are_shared_out_among_free_workers(make_settings: Callable[..., Settings]):
-    runtime = DrapeRuntime(make_settings(stream_threads=2))
+def test_waiting_streams_are_shared_out_among_free_workers(make_runtime: Callable[..., DrapeRuntime]):
+    runtime = make_runtime(stream_threads=2)
     streams = Streams(runtime, SlicedThread())
     plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(), messages=True)
     sessions = [Session(plan, np.zeros(10), credit=2) for _ in range(3)]
@@ -130,19 +125,18 @@ def test_waiting_streams_are_shared_out_among_free_workers(make_settings: Callab
         session.take()
     sessions[0].put(wire.Pose(1, 0.0, np.zeros(3), REST))  # whose frame before is not through
     assert streams._next_batch() == sessions[2:]
-    runtime.close()
 
 
 def test_streams_are_computed_beside_each_other_and_each_frame_after_the_one_before(
-    make_settings: Callable[..., Settings], monkeypatch: pytest.MonkeyPatch
+    make_runtime: Callable[..., DrapeRuntime], monkeypatch: pytest.MonkeyPatch
 ):
-    runtime = DrapeRuntime(make_settings(stream_threads=2))
+    runtime = make_runtime(stream_threads=2)
     plan = runtime.plan(runtime.garments.get("tube"), DrapeOptions(folds=1), messages=True)
     for stage in plan.stages:
         stage.prepare(plan)
     alone, expected = {}, []
     for i in range(4):
-        ((message, alone),) = runtime._computed(plan, [rest_input(i, alone)])
+        ((message, alone),) = runtime._computed(plan, [(rest_input(i, alone), None)])
         assert isinstance(message, bytes)
         expected.append(wire.unpack_frame(message).positions)
     both, compute = threading.Barrier(2), runtime._computed
@@ -178,13 +172,11 @@ def test_streams_are_computed_beside_each_other_and_each_frame_after_the_one_bef
     for shown in asyncio.run(frames()):
         for got, want in zip(shown, expected, strict=True):
             np.testing.assert_array_equal(got, want)
-    runtime.close()
 
 
 @pytest.mark.parametrize(("asked", "count"), [(None, processor_count()), (3, 3)])
 def test_there_is_a_thread_for_each_processor_or_as_many_as_were_asked_for(
-    make_settings: Callable[..., Settings], asked: int | None, count: int
+    make_runtime: Callable[..., DrapeRuntime], asked: int | None, count: int
 ):
-    runtime = DrapeRuntime(make_settings(stream_threads=asked))
+    runtime = make_runtime(stream_threads=asked)
     assert runtime.threads.stream_threads == count
-    runtime.close()

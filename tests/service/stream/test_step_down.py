@@ -10,11 +10,10 @@ import pytest
 from websockets.asyncio.client import ClientConnection
 
 from drape.wire import messages as wire
-from service.app import create_app
 from service.settings import Settings
-from service.stream import step_down
-from service.stream.step_down import CALM_LIMIT_S, CALM_S, WINDOW_S, StepDown
-from tests.fixtures.serving import serve
+from service.stream import workers
+from service.stream.workers import CALM_LIMIT_S, CALM_S, WINDOW_S, StepDown
+from tests.fixtures.serving import served
 from tests.service.stream.test_routes import opened, run, send
 
 TOP = 2
@@ -118,9 +117,8 @@ async def flood(
 def test_a_stream_that_is_flooded_gets_less_and_later_all_again(
     make_settings: Callable[..., Settings], monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(step_down, "CALM_S", 0.5)
-    settings = make_settings(stream_step_down=True)
-    with serve(create_app(settings), settings) as url:
+    monkeypatch.setattr(workers, "CALM_S", 0.5)
+    with served(make_settings(stream_step_down=True)) as url:
 
         async def talk(socket: ClientConnection) -> None:
             assert (await opened(socket, folds=16, settle=1))["tier"] == "custom"
@@ -146,8 +144,7 @@ def test_a_stream_that_is_flooded_gets_less_and_later_all_again(
 def test_below_the_least_tier_there_is_what_folds_can_spare(
     make_settings: Callable[..., Settings], cloth_contact: bool
 ):
-    settings = make_settings(stream_step_down=True)
-    with serve(create_app(settings), settings) as url:
+    with served(make_settings(stream_step_down=True)) as url:
 
         async def talk(socket: ClientConnection) -> None:
             assert (await opened(socket, tier="fast", cloth_contact=cloth_contact))["tier"] == "fast"

@@ -19,7 +19,6 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule, run_state_machine_as_test
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
-from websockets.typing import Subprotocol
 
 from drape.wire import messages as wire
 from drape.wire.jets import JetFrame, unpack_jets
@@ -27,13 +26,13 @@ from service.app import create_app
 from service.errors import Draining
 from service.settings import Settings
 from service.state import State
-from service.stream.sessions import Session
+from service.stream.routes import Session
 from service.watch.probes import Lifecycle
 from tests.fixtures.fuzzing import examples
 from tests.fixtures.serving import serve
+from tests.fixtures.streams import PROTOCOLS, stream_address
 from tests.fixtures.tiny_model import TINY_DYNAMIC
 
-PROTOCOL = Subprotocol(wire.SUBPROTOCOL)
 MOST_STREAMS = 3
 BURST = 5
 ANSWER_S = 20.0
@@ -171,8 +170,7 @@ class Streams(RuleBasedStateMachine):
         self.sockets = ExitStack()
 
     def connection(self) -> ClientConnection:
-        address = self.running.url.replace("http", "ws") + "/stream"
-        made = connect(address, subprotocols=[PROTOCOL], compression=None, max_size=None)
+        made = connect(stream_address(self.running.url), subprotocols=PROTOCOLS, compression=None, max_size=None)
         return self.sockets.enter_context(made)
 
     def one_of(self, number: int) -> Stream:

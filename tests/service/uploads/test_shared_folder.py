@@ -16,12 +16,10 @@ import numpy as np
 import pytest
 from fastapi import FastAPI
 from websockets.asyncio.client import connect
-from websockets.typing import Subprotocol
 
 from drape.body.model import BodyModel
 from drape.errors import NotFound
 from drape.garment.cache import Garment, save_garment
-from drape.wire import messages as wire
 from service.app import create_app
 from service.compute import garment_files
 from service.settings import Settings
@@ -31,6 +29,7 @@ from service.uploads.job_records import JobRecord
 from tests.fixtures.garments import tube_garment
 from tests.fixtures.meshes import garment_obj
 from tests.fixtures.serving import serve
+from tests.fixtures.streams import PROTOCOLS
 
 LOOK_S = 0.5
 REST = np.zeros((1, 24, 3)).tolist()
@@ -119,7 +118,7 @@ def test_what_is_changed_or_deleted_at_one_is_at_the_other(
 
     async def worn() -> int | None:
         address = str(there.base_url).replace("http", "ws").rstrip("/") + "/stream"
-        async with connect(address, subprotocols=[Subprotocol(wire.SUBPROTOCOL)]) as socket:
+        async with connect(address, subprotocols=PROTOCOLS) as socket:
             await socket.send(json.dumps({"type": "open", "garment": "robe"}))
             await socket.recv()
             assert (await asyncio.to_thread(here.delete, "/garments/robe")).status_code == 204

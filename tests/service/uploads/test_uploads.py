@@ -18,9 +18,8 @@ import pytest
 from clients.client import DrapeClient
 from drape.errors import BodyError, DrapeError, MeshError, NotFound
 from drape.garment.cache import Garment, save_garment
-from service.app import create_app
 from service.compute.drape_runtime import DrapeRuntime
-from service.compute.sliced_thread import SlicedThread
+from service.compute.threads import SlicedThread
 from service.errors import TooLarge
 from service.guard.access import Access
 from service.settings import Settings
@@ -29,7 +28,7 @@ from service.uploads.accepted import Accepted
 from service.uploads.avatars import upload_avatar
 from service.uploads.jobs import SHARES, Job, Uploads, run_sandbox
 from tests.fixtures.meshes import garment_obj, huge_count_glb
-from tests.fixtures.serving import files_in, serve
+from tests.fixtures.serving import files_in, served
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +38,7 @@ def upload_settings(make_settings: Callable[..., Settings]) -> Settings:
 
 @pytest.fixture(scope="module")
 def uploads(upload_settings: Settings) -> Iterator[httpx.Client]:
-    with serve(create_app(upload_settings), upload_settings) as url, httpx.Client(base_url=url, timeout=60.0) as client:
+    with served(upload_settings) as url, httpx.Client(base_url=url, timeout=60.0) as client:
         yield client
 
 
@@ -174,8 +173,7 @@ def test_a_page_of_another_origin_cannot_upload(uploads: httpx.Client):
 
 
 def test_a_full_queue_is_refused(make_settings: Callable[..., Settings]):
-    settings = make_settings(intake_queue=1)
-    with serve(create_app(settings), settings) as url, httpx.Client(base_url=url) as client:
+    with served(make_settings(intake_queue=1)) as url, httpx.Client(base_url=url) as client:
         first = post(client, b"v 0 0 0\n", name="a.obj")
         second = post(client, b"v 0 0 0\n", name="b.obj")
         assert second.status_code == 429 and "uploads" in second.json()["detail"]
@@ -230,8 +228,7 @@ def test_what_ended_services_left_behind_is_cleared(make_settings: Callable[...,
     stale, running = tmp_path / f".staging-{ended.pid}", tmp_path / f".staging-{os.getppid()}"
     for folder in (stale, running):
         (folder / "job").mkdir(parents=True)
-    settings = make_settings(garments_dir=tmp_path)
-    with serve(create_app(settings), settings):
+    with served(make_settings(garments_dir=tmp_path)):
         assert not stale.exists()
         assert running.exists()
 
@@ -268,7 +265,7 @@ def test_two_workers_run_two_uploads_and_a_client_that_leaves_cancels_its_own(
     make_settings: Callable[..., Settings], tube: Garment
 ):
     settings = make_settings(intake_workers=2)
-    with serve(create_app(settings), settings) as url, DrapeClient(url) as client:
+    with served(settings) as url, DrapeClient(url) as client:
         api = httpx.Client(base_url=url)
         other = post(api, garment_obj(tube), name="other.obj", avatar="standard").json()
         path = settings.garments_dir / "mine.obj"

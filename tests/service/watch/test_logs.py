@@ -21,7 +21,6 @@ import pytest
 from opentelemetry.proto.collector.trace.v1.trace_service_pb2 import ExportTraceServiceRequest
 from opentelemetry.proto.trace.v1.trace_pb2 import Span, Status
 from websockets.sync.client import connect
-from websockets.typing import Subprotocol
 
 from drape.errors import Unavailable
 from drape.garment.cache import Garment
@@ -33,9 +32,8 @@ from service.watch.logs import JsonLines, TextLines, set_up
 from service.watch.tracing import CLOSE_S, Tracing, make_tracing
 from tests.architecture.repository import ROOT
 from tests.fixtures.meshes import garment_obj
-from tests.fixtures.serving import serve
-
-PROTOCOLS = [Subprotocol(wire.SUBPROTOCOL)]
+from tests.fixtures.serving import serve, served
+from tests.fixtures.streams import PROTOCOLS, raw_stream, stream_address
 
 
 @contextmanager
@@ -69,8 +67,7 @@ def test_an_id_is_taken_or_made_and_given_back(live: str):
     for bad in ("", "two words", "x" * 65, "a\tb", "(7)"):
         made = httpx.get(live + "/nothing", headers={"X-Request-Id": bad}).headers["X-Request-Id"]
         assert len(made) == 32 and made != bad
-    address = live.replace("http", "ws") + "/stream"
-    with connect(address, subprotocols=PROTOCOLS, additional_headers={"X-Request-Id": "s1"}) as opened:
+    with connect(stream_address(live), subprotocols=PROTOCOLS, additional_headers={"X-Request-Id": "s1"}) as opened:
         assert opened.response is not None and opened.response.headers["X-Request-Id"] == "s1"
 
 
@@ -116,7 +113,7 @@ def test_clients_that_go_away_leave_no_traceback(live: str):
             time.sleep(0.1)
             cut(half)
         for said in (None, {"type": "open", "garment": "tube"}):
-            with connect(live.replace("http", "ws") + "/stream", subprotocols=PROTOCOLS) as opened:
+            with connect(stream_address(live), subprotocols=PROTOCOLS) as opened:
                 if said is not None:
                     opened.send(json.dumps(said))
                     opened.recv()
@@ -167,7 +164,6 @@ def test_the_set_up_writes_to_standard_error_and_hides_queries_of_streams(capsys
 
 TRACE, PARENT = "0af7651916cd43dd8448eb211c80319c", "b7ad6b7169203331"
 REST = np.zeros((1, 24, 3)).tolist()
-TRACING_PROTOCOLS = [Subprotocol(wire.SUBPROTOCOL)]
 
 
 class Collector(http.server.ThreadingHTTPServer):
@@ -247,18 +243,10 @@ def test_a_request_has_a_span_under_its_clients_and_a_child_per_stage(make_setti
 
 
 def test_frames_of_streams_are_traces_of_their_own_with_links_to_their_streams(make_settings, collector: Collector):
-    settings = make_settings(trace=True)
-    with (
-        serve(create_app(settings), settings) as url,
-        connect(url.replace("http", "ws") + "/stream", subprotocols=TRACING_PROTOCOLS) as socket,
-    ):
-        socket.send(json.dumps({"type": "open", "garment": "tube"}))
-        socket.recv()
+    with served(make_settings(trace=True)) as url, raw_stream(url) as stream:
+        stream.open(garment="tube")
         for turn in range(3):
-            socket.send(wire.pack_pose(wire.Pose(turn, 0.0, np.zeros(3), np.full((24, 3), 0.1 * turn))))
-            frame = socket.recv()
-            assert isinstance(frame, bytes)
-            socket.send(wire.pack_ack(wire.unpack_frame(frame).sequence))
+            stream.message(turn, np.full((24, 3), 0.1 * turn))
     (whole,) = collector.named("WS /stream")
     assert attributes(whole)["http.response.status_code"] == 101
     frames = collector.named("frames")
@@ -271,8 +259,7 @@ def test_frames_of_streams_are_traces_of_their_own_with_links_to_their_streams(m
 
 
 def test_an_upload_is_a_trace_with_a_link_to_its_request(make_settings, collector: Collector, tube: Garment):
-    settings = make_settings(trace=True)
-    with serve(create_app(settings), settings) as url, httpx.Client(base_url=url, timeout=60.0) as client:
+    with served(make_settings(trace=True)) as url, httpx.Client(base_url=url, timeout=60.0) as client:
         for name, content in (("sleeve.obj", garment_obj(tube)), ("broken.obj", b"v 0 0 0\n")):
             sent = {"name": name, "avatar": "standard"}
             where = client.post("/garments", content=content, params=sent).headers["Location"]

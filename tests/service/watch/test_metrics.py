@@ -16,14 +16,14 @@ import httpx
 import numpy as np
 from prometheus_client.parser import text_string_to_metric_families
 from websockets.asyncio.client import connect
-from websockets.typing import Subprotocol
 
 from drape.wire import messages as wire
 from service.server import bind
-from service.stream.sessions import Session
+from service.stream.routes import Session
 from service.watch.metrics import Metrics
 from service.watch.probes import MOST_CLIENTS, Lifecycle, Probes
 from tests.architecture.repository import ROOT
+from tests.fixtures.streams import PROTOCOLS, stream_address
 
 REST = np.zeros((1, 24, 3)).tolist()
 
@@ -44,8 +44,7 @@ def gained(before: dict[str, float], after: dict[str, float], name: str) -> floa
 
 def test_a_stream_and_a_clip_are_counted(live: str):
     async def stream() -> None:
-        protocols = [Subprotocol(wire.SUBPROTOCOL)]
-        async with connect(live.replace("http", "ws") + "/stream", subprotocols=protocols) as socket:
+        async with connect(stream_address(live), subprotocols=PROTOCOLS) as socket:
             await socket.send(json.dumps({"type": "open", "garment": "tube"}))
             await socket.recv()
             assert series(live)["drape_streams{}"] >= 1.0

@@ -1,0 +1,99 @@
+"""What frames take: the plan of a scene under its options, and how it is made."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from drape.wire.options import DrapeOptions
+from service.stages.scene import Scene, layer_fabrics, narrowed
+
+if TYPE_CHECKING:
+    from drape.cloth.fabric import Fabric
+    from service.stages.scene import Entry
+    from service.stages.stage import Stage
+
+FINE = "fine"  # what a stage needs where it computes on the subdivided meshes
+SKIN = "skin"  # what a stage needs where it reads the posed samples of the skin
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A scene and the options for it, nothing left open: frames of equal plans are computed together.
+
+    ``scene`` holds what must be draped, among it hidden garments that visible ones feel; ``shown`` is what comes.
+    ``fabrics``: what each layer of the scene is made of, None for the garment's own. ``stages``: those that the plan
+    takes, in their order. ``needs``: what of "vertices", "jets" and "skin" these and the answer read; the network makes
+    nothing else. ``draped``: what the network drapes, the scene's garments or, where a stage needs "fine", their
+    subdivided meshes; that stage leaves the scene's. ``messages``: frames leave as messages of the wire. ``stepped``:
+    the service is under load and computes less than was asked for. ``carried``: no step of folds runs; those of the
+    frames before fade.
+    """
+
+    scene: Scene
+    options: DrapeOptions
+    messages: bool = False
+    stages: tuple[Stage, ...] = ()
+    needs: frozenset[str] = frozenset()
+    stepped: bool = False
+    carried: bool = False
+    draped: tuple[Entry, ...] = ()
+    fabrics: tuple[Fabric | None, ...] = field(default=(), compare=False)  # of options and scene
+
+    @cached_property
+    def keys(self) -> tuple[str, ...]:
+        """Digests of the garments, the innermost first."""
+        return tuple(entry.garment.digest for entry in self.scene.layers)
+
+    @cached_property
+    def lifted(self) -> bool:
+        """Whether folds bring the cloth off the skin, and off the layers below: as far as they feel these."""
+        return bool(self.options.folds) and (bool(self.options.cloth_contact) or len(self.scene.layers) == 1)
+
+    @cached_property
+    def projected(self) -> bool:
+        """Whether the collision projection brings the cloth out: where that is asked for and folds do not."""
+        return bool(self.options.push_out) and not self.lifted
+
+    @cached_property
+    def visible(self) -> tuple[bool, ...]:
+        """Which layers of the scene come."""
+        hidden = self.options.hidden or ()
+        return tuple(entry.id not in hidden for entry in self.scene.layers)
+
+    @cached_property
+    def shown(self) -> Scene:
+        """The scene without its hidden layers: what an answer holds."""
+        if self.options.hidden is None:
+            return self.scene
+        return self.scene.only([entry.id for entry in self.scene.layers if entry.id not in self.options.hidden])
+
+    @cached_property
+    def draped_keys(self) -> tuple[str, ...]:
+        """Digests of what the network drapes."""
+        return tuple(entry.garment.digest for entry in self.draped)
+
+
+def make_plan(stages: Sequence[Stage], scene: Scene, options: DrapeOptions, *, messages: bool = False) -> Plan:
+    """The plan for ``scene`` under ``options``: their values, the stages that they take, and the needs of these.
+
+    Refuses (``InputError``) what the model cannot do.
+    """
+    chosen = {name: getattr(options, name) for name in DrapeOptions.model_fields}
+    for stage in stages:
+        chosen |= stage.resolve(options)
+    scene = scene.fine if options.resolution == "fine" else scene
+    known = DrapeOptions().model_copy(update=chosen)
+    plan = Plan(scene, known, messages, fabrics=layer_fabrics(known, len(scene.layers)))
+    for stage in stages:
+        stage.check(plan)
+    taken = tuple(stage for stage in stages if stage.wanted(plan))
+    rows, known = narrowed(scene, plan.options, felt=any(stage.joins_layers(plan) for stage in taken))
+    if len(rows) < len(scene.layers):
+        scene = scene.only([scene.layers[row].id for row in rows])
+    plan = replace(plan, scene=scene, options=known, fabrics=tuple(plan.fabrics[row] for row in rows))
+    needs = frozenset({plan.options.geometry}).union(*(stage.needs(plan) for stage in taken))
+    draped = (scene.fine if FINE in needs else scene).layers
+    return replace(plan, stages=taken, needs=needs, draped=draped)

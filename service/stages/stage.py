@@ -1,0 +1,202 @@
+"""What a stage is, the constants that it keeps, and the walk of a batch through all stages of its plan."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.garment.cache import Garment
+from drape.wire.options import DrapeOptions
+from service.stages.batch import Batch, Memories, PoseInput
+from service.stages.plan import Plan
+
+if TYPE_CHECKING:
+    from service.graphs.engine import Engine
+    from service.settings import Settings
+
+BODY = ""  # the owner of what is remembered of a body, where others are garments by their digest
+Make = Callable[..., Any]  # calls a function with arguments: here, or in another process while there are streams
+Constants = TypeVar("Constants")
+Key = tuple[str, ...]  # digests of garments and of a fabric
+
+
+def call_here(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+    """``function(*arguments, **named)``."""
+    return function(*arguments, **named)
+
+
+@dataclass(frozen=True, eq=False)
+class StageSetup:
+    """The parts of a service that all stages share; ``make`` calls a function that takes long."""
+
+    engine: Engine
+    body: BodyModel
+    settings: Settings
+    make: Make = call_here
+
+
+class Stage:
+    """One step of a frame's way, made once per service; ``service.stages.STAGES`` names them in order.
+
+    A stage holds its constants of garments (``add``, ``prepare``). Its memories of a stream or clip lie in the batch,
+    under its name and the garment's digest or ``BODY``.
+    """
+
+    name: ClassVar[str]
+    kept: ClassVar[tuple[type, ...]] = ()  # the classes of what it remembers, which streams take to other processes
+
+    def __init__(self, setup: StageSetup) -> None:
+        self.engine, self.body, self.settings, self.make = setup.engine, setup.body, setup.settings, setup.make
+
+    def resolve(self, options: DrapeOptions) -> dict[str, Any]:
+        """Options that this stage reads, by name, with the values that hold where clients left them open.
+
+        Refuses (``InputError``) what the model cannot do.
+        """
+        return {}
+
+    def check(self, plan: Plan) -> None:
+        """Refuses (``InputError``) a plan that this stage cannot follow."""
+
+    def wanted(self, plan: Plan) -> bool:
+        """Whether frames of ``plan`` take this stage."""
+        return True
+
+    def needs(self, plan: Plan) -> frozenset[str]:
+        """The network's outputs that it reads: "vertices", "jets", "skin"; and "fine" for the subdivided meshes."""
+        return frozenset()
+
+    def joins_layers(self, plan: Plan) -> bool:
+        """Whether a layer feels those below it here."""
+        return False
+
+    def depends_on(self, plan: Plan) -> object:
+        """The part of the options that its memories hold for: they are forgotten where it changes."""
+        return None
+
+    def moved_m(self, plan: Plan, before: np.ndarray, after: np.ndarray) -> float:
+        """A bound [m] on how far this stage moves cloth when the pose ``before`` (24, 3) [rad] becomes ``after``;
+        infinite where it knows none."""
+        return 0.0
+
+    def rested(self, memory: Any, time_s: float) -> Any:
+        """``memory`` as after another frame at ``time_s`` of a body and of cloth that do not move."""
+        return memory
+
+    def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
+        """Stores the constants of ``garment``, whose ``garment_feed`` is ``feed``."""
+
+    def remove(self, garment: Garment) -> None:
+        """Forgets the constants of ``garment``; no plan names it any more."""
+
+    def prepare(self, plan: Plan) -> None:
+        """Makes what the frames of ``plan`` need and takes long; called from any thread."""
+
+    @property
+    def held_bytes(self) -> int:
+        """Memory of its constants where the graphs compute."""
+        return 0
+
+    def run(self, batch: Batch) -> Batch:
+        """``batch`` with what this stage makes of it."""
+        raise NotImplementedError
+
+    def steps(self, batch: Batch) -> Iterator[Batch]:
+        """``batch`` after each part of ``run``, between which other frames may be computed; the last is its result."""
+        yield self.run(batch)
+
+
+def walk(
+    plan: Plan, inputs: Sequence[PoseInput], took: Callable[[str, float], None] = lambda name, s: None
+) -> Iterator[Batch]:
+    """All frames of ``inputs``, which may differ in shape, through the stages of ``plan``: the batch after every step.
+
+    A step is what others may have to wait for: a stage, or a part of one that is long. ``took`` is told the name of
+    each stage and how long it took [s].
+    """
+    batch = Batch.of(plan, inputs)
+    for stage in plan.stages:
+        steps, spent_s = iter(stage.steps(batch)), 0.0
+        while True:
+            begun_s = time.perf_counter()
+            after = next(steps, None)
+            spent_s += time.perf_counter() - begun_s
+            if after is None:
+                break
+            batch = after
+            yield batch
+        took(stage.name, spent_s)
+
+
+def run(plan: Plan, inputs: Sequence[PoseInput], took: Callable[[str, float], None] = lambda name, s: None) -> Batch:
+    """The batch at the end of ``walk``."""
+    *_, last = walk(plan, inputs, took)
+    return last
+
+
+def carried(memories: Memories, before: Plan, after: Plan) -> Memories:
+    """The ``memories`` that still hold when the plan ``before`` becomes ``after``.
+
+    Their stage goes on, on the same options, and their body or garment is worn on.
+    """
+    old = {stage.name: stage.depends_on(before) for stage in before.stages}
+    new = {stage.name: stage.depends_on(after) for stage in after.stages}
+    owners = {BODY, *after.keys, *after.draped_keys}
+    return {
+        (stage, owner): memory
+        for (stage, owner), memory in memories.items()
+        if owner in owners and stage in old and stage in new and old[stage] == new[stage]
+    }
+
+
+class KeptConstants(Generic[Constants]):
+    """Constants by their keys; the longest unused ones go while there are ``too_many``.
+
+    One thread makes constants at a time. A thread whose constants are there does not wait for it.
+    """
+
+    def __init__(self, too_many: Callable[[Collection[Constants]], bool] = lambda kept: False) -> None:
+        self._kept: OrderedDict[Key, Constants] = OrderedDict()
+        self._too_many = too_many
+        self._looking, self._making = threading.Lock(), threading.Lock()
+
+    def get(self, key: Key, make: Callable[[], Constants]) -> Constants:
+        """The constants under ``key``, made by ``make`` where they are missing."""
+        found = self._find(key)
+        if found is None:
+            with self._making:
+                found = self._find(key)
+                if found is None:
+                    found = (make(),)
+                    self._keep(key, found[0])
+        return found[0]
+
+    def forget(self, digest: str) -> None:
+        """Drops all constants whose key has ``digest``."""
+        with self._looking:
+            for key in [key for key in self._kept if digest in key]:
+                del self._kept[key]
+
+    def __iter__(self) -> Iterator[Key]:
+        return iter(tuple(self._kept))
+
+    def _find(self, key: Key) -> tuple[Constants] | None:
+        """The constants under ``key`` in a tuple, since they may be None themselves."""
+        with self._looking:
+            if key not in self._kept:
+                return None
+            self._kept.move_to_end(key)
+            return (self._kept[key],)
+
+    def _keep(self, key: Key, made: Constants) -> None:
+        with self._looking:
+            self._kept[key] = made
+            while len(self._kept) > 1 and self._too_many(self._kept.values()):
+                self._kept.popitem(last=False)

@@ -1,0 +1,112 @@
+"""The messages that open a stream, or turn it to something else: what they ask for, and their answer."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from fastapi import WebSocket, WebSocketDisconnect
+
+from drape.errors import InputError
+from drape.wire import messages as wire
+from service.errors import TooSlow
+from service.http.json_body import document_of, validated
+from service.http.schemas import OpenRequest
+from service.stages.batch import shape_array
+from service.stages.plan import Plan
+from service.stages.scene import Outfit, layer_list
+from service.state import State
+
+if TYPE_CHECKING:
+    from service.guard.keys import Client
+    from service.replicas.handover import Incoming
+    from service.settings import Settings
+
+
+@dataclass(frozen=True, eq=False)
+class Opening:
+    """What a client asks of its stream: ``steps`` are the plan as each tier holds it, the least first. One that
+    ``moves`` can go on at another process, one that takes the ``same`` frame again need not get it twice."""
+
+    plan: Plan
+    betas: np.ndarray
+    steps: tuple[Plan, ...] = ()
+    moves: bool = False
+    same: bool = False
+
+
+async def first_text(socket: WebSocket, pieces: Incoming, settings: Settings) -> str:
+    """The text that opens a stream; what comes before it of the stream's state goes to ``pieces``."""
+    begun_s = time.monotonic()
+    while True:
+        until_s = begun_s + settings.stream_open_s + pieces.size / settings.body_bytes_s
+        try:
+            message = await asyncio.wait_for(socket.receive(), max(0.0, until_s - time.monotonic()))
+        except TimeoutError:
+            raise TooSlow(
+                "open message",
+                expected=f"within {settings.stream_open_s:g} s",
+                got="nothing" if not pieces.messages else f"{pieces.size} bytes of a state",
+                cure='Send {"type": "open", "garment": ...} first.',
+            ) from None
+        payload = message.get("bytes")
+        if payload is None or payload[5:6] != bytes([wire.STATE]):
+            return text_of(message)
+        pieces.take(payload)
+
+
+def text_of(message: Any) -> str:
+    if message["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(message.get("code", 1005))
+    text = message.get("text")
+    if text is None:
+        raise InputError(
+            "open message", expected="JSON text", got="bytes", cure='Send {"type": "open", "garment": ...} first.'
+        )
+    return text
+
+
+async def read_opening(text: str, state: State, client: Client) -> Opening:
+    """What ``text`` asks for, with all that its frames need made."""
+    asked = validated(OpenRequest, document_of(text.encode()))
+    runtime = state.runtime
+    scene = await state.scene(asked.garment, asked.garments, client)
+    plan = await runtime.plan_within(scene, asked, messages=True)
+    betas = shape_array(asked.betas, runtime.body)
+    steps = runtime.steps(plan)
+    for step in {plan, *steps}:
+        await runtime.prepare(step)
+    return Opening(plan, betas, steps, asked.moves, asked.same)
+
+
+def opened(plan: Plan, state: State, **more: bool) -> str:
+    """The answer to an opening that got ``plan``."""
+    scene, options = plan.shown, plan.options
+    jets = options.geometry == "jets"
+    worn = {"garments": layer_list(scene, patches=jets)} if isinstance(scene, Outfit) else {"garment": scene.id}
+    if jets:  # an answer about vertices is what it was before there were jets
+        worn |= {"geometry": "jets", "patches": scene.patch_count}
+    if options.resolution == "fine":
+        worn |= {"resolution": "fine"}
+    return json.dumps(
+        {
+            "type": "opened",
+            **worn,
+            "vertices": scene.vertex_count,
+            "model": state.runtime.engine.manifest.digest,
+            "body": state.runtime.body.name,
+            "credit": state.runtime.settings.stream_credit,
+            "push_out": options.push_out,
+            "motion": options.knob,
+            "tier": state.runtime.tier_of(plan),
+            "passes": state.runtime.engine.pass_count if options.passes is None else options.passes,
+            "folds": options.folds,
+            "safe_folds": options.safe_folds or 0,
+            "bits": options.bits or 16,
+            **more,
+        }
+    )

@@ -1,0 +1,246 @@
+"""The workers that serve streams, and how far these step down while poses come faster than they can be draped.
+
+A session (``service.stream.routes``) is served as soon as a worker is free, the frame before is through and the client
+has credit: frames that wait in a kernel buffer only grow old. There is no timer.
+
+Streams step down by one tier as soon as a share of the poses was late, that is replaced by newer ones while only the
+worker was in the way, and by as many as it takes to spare that share; up again after a while without, where what the
+next step takes leaves room, and after twice as long where the last try failed. Nothing is ever computed that was not
+asked for: ``compute.tiers.capped``. Below the least tier there is what it can spare, ``compute.tiers.spared``, and
+below that its folds are carried along.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drape.errors import DrapeError, NotFound
+from service.errors import Busy
+from service.stages.batch import PoseInput
+
+if TYPE_CHECKING:
+    from service.compute.drape_runtime import DrapeRuntime
+    from service.compute.threads import SlicedThread
+    from service.stages.plan import Plan
+    from service.stages.scene import Entry
+    from service.stream.routes import Session, Waiting
+
+WINDOW_S = 0.5  # over which poses are counted
+LATE_SHARE = 0.05  # of them that step down
+SPARED = 0.125  # of a frame's time by one step, about: 7 to 23 % (docs/reference/performance.md)
+CALM_S, CALM_LIMIT_S = 2.0, 64.0  # without late poses before a step up, at first and at most
+ROOM = 0.8  # of the time that the worker may be busy after a step up
+GUESS = 1.5  # times what a frame takes now, where the next tier has not been measured yet
+
+
+class Streams:
+    """All sessions, and the workers that compute their frames: as many as ``DrapeRuntime`` has threads for streams."""
+
+    def __init__(self, runtime: DrapeRuntime, sliced_thread: SlicedThread) -> None:
+        self._runtime, self._sliced_thread = runtime, sliced_thread
+        self._sessions: set[Session] = set()
+        self._wake = asyncio.Event()
+        self._workers: list[asyncio.Task[None]] = []
+        self._count, self._busy = runtime.threads.stream_threads, 0  # workers, and how many of them compute
+        self._step_down = StepDown(runtime.step_count, time.monotonic())
+
+    @property
+    def tier(self) -> int:
+        """The index in ``DrapeRuntime.steps`` of the most that streams get; past the last one nothing holds them."""
+        steps = self._step_down
+        return steps.level if self._runtime.settings.stream_step_down else steps.top
+
+    @property
+    def count(self) -> int:
+        return len(self._sessions)
+
+    @property
+    def waiting(self) -> int:
+        """Poses that wait."""
+        return sum(session.waiting is not None for session in list(self._sessions))
+
+    @property
+    def runs(self) -> bool:
+        """Whether frames are being computed when poses come."""
+        return bool(self._workers) and not any(worker.done() for worker in self._workers)
+
+    def start(self) -> None:
+        self._workers = [asyncio.create_task(self._work(), name=f"streams-{i}") for i in range(self._count)]
+
+    async def stop(self) -> None:
+        for worker in self._workers:
+            worker.cancel()
+        await asyncio.gather(*self._workers, return_exceptions=True)
+
+    def check_place(self) -> None:
+        """Refuses when every place is taken."""
+        limit = self._runtime.settings.stream_sessions
+        if len(self._sessions) >= limit:
+            raise Busy(
+                "streams",
+                expected=f"fewer than {limit} at a time",
+                got=str(len(self._sessions)),
+                cure="Try again later.",
+            )
+
+    def end_wearing(self, entry: Entry) -> None:
+        """Ends (4404) every stream that wears ``entry``, which was deleted."""
+        got = f"{entry.id}, which was deleted"
+        reason = NotFound("garment", expected="one in service", got=got, cure="Open another.")
+        for session in self._sessions:
+            if entry.id in [layer.id for layer in session.plan.scene.layers]:
+                session.failure = reason
+                session.news.set()
+
+    def move(self, reason: DrapeError) -> None:
+        """Lets every stream that ``moves`` send what is computed and go; ends the others with ``reason``."""
+        for session in self._sessions:
+            if session.moves:
+                session.leaving = True
+            else:
+                session.failure = reason
+            session.news.set()
+
+    def release(self, count: int) -> None:
+        """Lets ``count`` of the streams that ``moves``, or as many as there are, go on at another process."""
+        for session in [one for one in self._sessions if one.moves and not one.leaving][:count]:
+            session.leaving = True
+            session.news.set()
+
+    def add(self, session: Session, tier: int | None = None) -> None:
+        """Takes ``session`` in; the first is held to the ``tier`` that it was held to where it comes from."""
+        self.check_place()
+        if tier is not None and not self._sessions:
+            self._step_down.hold(tier, time.monotonic())
+        self._sessions.add(session)
+
+    def discard(self, session: Session) -> None:
+        self._sessions.discard(session)
+
+    def wake(self) -> None:
+        """Says that a session may have become ready."""
+        self._wake.set()
+
+    async def _work(self) -> None:
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            while batch := self._next_batch():
+                await self._compute(batch)
+
+    def _next_batch(self) -> list[Session]:
+        """The session that has waited longest, with its share of the others that wait under the same plan: what other
+        workers have nothing else to do for is left to them."""
+        ready = sorted(
+            (s for s in self._sessions if s.ready()), key=lambda s: s.waiting.arrived_s if s.waiting else 0.0
+        )
+        same = [s for s in ready if s.held_to(self.tier) == ready[0].held_to(self.tier)]
+        share = -(-len(same) // (self._count - self._busy))
+        return same[: min(share, self._runtime.settings.chunk_frames)]
+
+    async def _compute(self, batch: Sequence[Session]) -> None:
+        plan = batch[0].held_to(self.tier)
+        generations = [session.generation for session in batch]
+        inputs = [_pose_input(session, session.take()) for session in batch]
+        if any(session.ready() for session in self._sessions):
+            self._wake.set()  # for another worker, which may not have waited when it was told
+        self._busy += 1
+        try:
+            with self._sliced_thread.held(), self._span(plan, batch):
+                start_s = time.monotonic()
+                results = await self._runtime.stream_frames(plan, inputs)
+                now_s = time.monotonic()
+        finally:
+            self._busy -= 1
+        late = sum(session.taken_late() for session in batch)
+        # Workers that sessions can keep busy share the time that there is.
+        workers = max(1, min(self._count, len(self._sessions)))
+        self._step_down.note(now_s, frames=len(batch), late=late, busy_s=(now_s - start_s) / workers)
+        self._runtime.metrics.batch_frames.observe(len(batch))
+        for session, generation, one, (result, memories) in zip(batch, generations, inputs, results, strict=True):
+            session.deliver(generation, result, memories, one.arrived_s)
+
+    def _span(self, plan: Plan, batch: Sequence[Session]) -> AbstractContextManager[None]:
+        """The span of the frames of ``batch``, where somebody asked for spans."""
+        tracing = self._runtime.tracing
+        if not tracing.on:
+            return nullcontext()
+        links = [session.link for session in batch]
+        return tracing.work("frames", links, frames=len(batch), tier=self._runtime.tier_of(plan))
+
+
+def _pose_input(session: Session, waiting: Waiting) -> PoseInput:
+    pose = waiting.pose
+    return PoseInput(
+        pose.pose[None],
+        pose.trans[None],
+        session.betas,
+        np.array([pose.client_time_s]),
+        session.memories,
+        sequence=pose.sequence,
+        dropped=session.dropped,
+        arrived_s=waiting.arrived_s,
+        shown=session.shown if session.same else None,
+    )
+
+
+class StepDown:
+    """``level``: the index of the highest tier that streams get; ``top``, how many there are, where nothing holds them.
+
+    Times are seconds of one monotonic clock.
+    """
+
+    def __init__(self, top: int, now_s: float) -> None:
+        self.top = self.level = top
+        self._frame_s: dict[int, float] = {}  # what a frame took, by level
+        self._calm_s = CALM_S
+        self._raised_s = -math.inf
+        self._quiet_since_s = now_s
+        self._begin(now_s)
+
+    def _begin(self, now_s: float) -> None:
+        self._start_s, self._frames, self._late, self._busy_s = now_s, 0, 0, 0.0
+
+    def hold(self, level: int, now_s: float) -> None:
+        """Goes down to ``level``, as if it had stepped there now."""
+        if level < self.level:
+            self.level = level
+            self._quiet_since_s = now_s
+            self._begin(now_s)
+
+    def note(self, now_s: float, *, frames: int, late: int, busy_s: float) -> None:
+        """Counts ``frames`` that were draped in ``busy_s``, and poses that came too ``late`` since the last call."""
+        self._frames += frames
+        self._late += late
+        self._busy_s += busy_s
+        if now_s - self._start_s < WINDOW_S:
+            return
+        seconds = now_s - self._start_s
+        self._frame_s[self.level] = self._busy_s / self._frames
+        share = self._late / (self._frames + self._late)
+        if share > LATE_SHARE:
+            self._quiet_since_s = now_s
+            self._down(now_s, max(1, int(share / SPARED)))
+        elif self.level < self.top and now_s - self._quiet_since_s >= self._calm_s and self._has_room(seconds):
+            self.level += 1
+            self._raised_s = self._quiet_since_s = now_s
+        self._begin(now_s)
+
+    def _down(self, now_s: float, steps: int) -> None:
+        if not self.level:
+            return
+        self.level = max(0, self.level - steps)
+        failed = now_s - self._raised_s < CALM_S
+        self._calm_s = min(2.0 * self._calm_s, CALM_LIMIT_S) if failed else CALM_S
+
+    def _has_room(self, seconds: float) -> bool:
+        now = self._frame_s[self.level]
+        above = self._frame_s.get(self.level + 1, GUESS * now)
+        return self._frames * max(above, now) <= ROOM * seconds
