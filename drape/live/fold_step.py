@@ -29,6 +29,7 @@ from drape.live.clock import FIRST_STEP_S, Frame, FrameMemory, follows, step_bet
 from drape.live.fold_constants import FoldConstants, WornCloth
 from drape.live.lift import lift
 from drape.live.raised_skin import heights_over
+from drape.live.residual import keep_residual
 from drape.live.room import hold_within
 from drape.live.sheet import LANES
 from drape.live.skin_contact import (
@@ -41,7 +42,7 @@ from drape.live.skin_contact import (
     touch,
     write_grip,
 )
-from drape.live.surface_frames import FRAMES, in_frames, in_world, mend, surface_frames
+from drape.live.surface_frames import FRAMES, in_frames, in_world, surface_frames
 from drape.live.sweeps import PLANES, SCRATCH, descend, gradient_at, leash, stick
 from drape.live.whole import whole_step
 
@@ -56,7 +57,6 @@ FAST_SWEEPS = 2  # sweeps that fast motion adds
 STIFF_SHARE = 0.5  # what fast motion leaves of a step of the whole in stiff cloth
 # Mean membrane stiffness along warp and weft from which cloth counts as stiff: denim, satin, poplin, but no knit.
 STIFF_N_PER_M = 1000.0
-MENDS, MEND_M = 2, 0.03  # rounds in which a residual that far from its neighbours' follows them
 FADE_S = 1.0  # in which folds without steps come down to 1/e
 
 
@@ -161,7 +161,7 @@ def _advanced(
     )  # fmt: skip
     touched = TouchedSamples(past.touched.own.copy(), past.touched.other.copy())
     state = FoldState(dtype(share) * past.residual, dtype(share == 1.0) * past.velocity, past.grip.copy())
-    x, far, lifted_m = advance(network, state, touched, skin, constants, schedule)
+    x, far, lifted_m = advance(past.network, network, state, touched, skin, constants, schedule)
     lifted_m = np.take(lifted_m, place)
     after = FoldMemory(time_s, network, state.residual, state.velocity, touched, state.grip, (past.turn + 1) % TURNS)
     report = FoldReport(settled, False, float((lifted_m > MOVED_M).mean()), float(lifted_m.max()))
@@ -235,9 +235,10 @@ class FoldSchedule(NamedTuple):
 
 
 @kernel
-def advance(network, state, touched, skin, cloth, schedule):
+def advance(before, network, state, touched, skin, cloth, schedule):
     """``x`` [m] (P, 3), how far [m] the farthest vertex is from the network, NaN where one is, and how far [m] each was
-    lifted (P,). ``state`` and ``touched`` are moved on in place."""
+    lifted (P,). ``before`` and ``network`` are the network's places in the frame before and in this one. ``state`` and
+    ``touched`` are moved on in place."""
     sheet, k = cloth.sheet, cloth.sheet.constants
     residual, velocity, grip = state
     stuck = np.empty_like(network)
@@ -249,8 +250,7 @@ def advance(network, state, touched, skin, cloth, schedule):
         first = LANES * block
         put_points(x, first, in_world(frames, block, points_in(residual, first)))
         put_points(way, first, in_world(frames, block, scaled(schedule.step_s, points_in(velocity, first))))
-    for _ in range(MENDS):
-        mend(x, sheet, MEND_M)
+    keep_residual(x, before, network, sheet)
     x += network
     lifted = np.zeros(len(x), x.dtype)
     _descend_rounds(x, way, lifted, FoldGuides(network, stuck, skin), touched, cloth, schedule)

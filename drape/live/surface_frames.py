@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from drape.kernels.compiled import kernel, part
 from drape.kernels.elements import add, cross, dot, scaled, sub
-from drape.kernels.lanes import points_at, points_in, put3, put_points, root, rows3_at, where_above, where_other
+from drape.kernels.lanes import points_at, points_in, put3, root, rows3_at, where_above
 from drape.live.sheet import LANES
 
 FRAMES = 9 * LANES  # per block: normal, edge and their product
@@ -75,28 +73,3 @@ def _frame_of(frames, block):
     """The frames of a block: normal, edge and their product, three rows each."""
     first = FRAMES * block
     return rows3_at(frames, first), rows3_at(frames, first + 3 * LANES), rows3_at(frames, first + 6 * LANES)
-
-
-@kernel
-def mend(off, sheet, most):
-    """Replaces each of the vectors ``off`` (P, 3) that is farther than ``most`` from its neighbours' mean by that mean.
-
-    The frames of a surface that folds over turn about from one frame to the next, and a residual turns with them.
-    """
-    k, before, places = sheet.constants, off.copy(), np.arange(len(off)).astype(np.int32)
-    for block in range(len(sheet.fan_start) - 1):
-        own = points_in(before, LANES * block)
-        mean = scaled(k.zero, own)
-        count = mean[0]
-        for row in range(2 * sheet.fan_start[block], 2 * sheet.fan_start[block + 1]):
-            # An empty row has the place itself.
-            real = where_other(sheet.fan_other, LANES * row, places, LANES * block, k.zero * own[0] + k.one)
-            mean = add(mean, scaled(real, points_at(before, sheet.fan_other, LANES * row)))
-            count = count + real
-        mean = scaled(k.one / where_above(count, k.zero, count, k.one), mean)
-        way = sub(own, mean)
-        square = where_above(count, k.zero, dot(way, way), k.zero)
-        far = most * most
-        a, b, c = mean
-        a, b = where_above(square, far, a, own[0]), where_above(square, far, b, own[1])
-        put_points(off, LANES * block, (a, b, where_above(square, far, c, own[2])))

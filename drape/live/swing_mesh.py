@@ -20,7 +20,7 @@ from drape.geometry import meshes
 from drape.kernels.problem import rest_edges, unfolded
 
 SPACING_M = 0.07  # between nodes; less gives the same swing for more time
-REACH = 2.0  # spacings within which a node moves a vertex
+REACH = 1.5  # spacings within which a node moves a vertex
 DETOUR = 1.02  # a way over edges and diagonals is that much longer, on average, than the shortest along the cloth
 ACROSS = 0.05  # tension across the fall, per tension along it: columns of cloth hardly hold each other
 SLIVER = 0.15  # a coarse triangle with a corner of a smaller sine is left out

@@ -7,13 +7,15 @@ nodes are from where still cloth would be,
 
 u' where inertia leads. The rows of K are ``pull`` of the mesh.
 
-*Length.* Cloth does not stretch, and folds at no cost (tension field theory). With G Green's strain of a coarse
-triangle and G0 that of the still cloth, the energy per area is
+*Length.* Cloth does not stretch, and it keeps its area. With G Green's strain of a coarse triangle, G0 that of the
+still cloth, and ( )+ and ( )- the parts of a matrix that have its positive and its negative principal values, the
+energy per area is
 
-    Y/2 |(G - G0+)+|^2,
+    Y/2 |(G - G0+)+|^2 + q Y/2 |(G - G0-)-|^2,   q = ``COMPRESSED``.
 
-( )+ the part of a matrix that has its positive principal values. Y is the cloth's stiffness, but no more than a few
-sweeps can follow.
+Between still cloth, whose folds are finer than the mesh, and flat cloth a triangle is free (tension field theory).
+Where it became shorter than it is in still cloth, folds would have to hide what it lacks, and they are too fine for
+that. Y is the cloth's stiffness, but no more than a few sweeps can follow.
 """
 
 from __future__ import annotations
@@ -31,6 +33,7 @@ GAP_M = 0.004
 TOUCH_M = 0.06  # a sample farther away says nothing of the skin below a node
 REACH_M = 0.01  # a sweep moves no node farther
 SOLVED, LEAST = 1e-20, 1e-30  # a residual's square is small enough as a share of the first one, or by itself [N m]
+COMPRESSED = 0.2
 LOOSE = 0.05  # a loose triangle resists a step with this share of the stiffness of one that pulls
 
 
@@ -101,16 +104,25 @@ def _columns(c, own, mesh, e):
     return columns(first, second, mesh.slope[e, 0], mesh.slope[e, 1], mesh.slope[e, 2], mesh.slope[e, 3])
 
 
+@part
+def _strain(p, t, one, half):
+    """Green's strain (pp, tt, pt) of a triangle with the columns ``p`` and ``t`` of F."""
+    return half * (dot(p, p) - one), half * (dot(t, t) - one), half * dot(p, t)
+
+
 @kernel
-def stretched(c, mesh, bound):
-    """Writes G+ (pp, tt, pt) of each coarse triangle at ``c`` [m] (N, 3) to ``bound`` (n, 3)."""
+def write_bounds(c, mesh, bound):
+    """Writes G+ and G- (pp, tt, pt each) of each coarse triangle at ``c`` [m] (N, 3) to ``bound`` (n, 6)."""
     zero, one, half = c.dtype.type(0), c.dtype.type(1), c.dtype.type(0.5)
     for i in range(len(mesh.start) - 1):
         own = at(c, i)
         for e in range(mesh.start[i], mesh.start[i + 1]):
             p, t = _columns(c, own, mesh, e)
-            pulled = _above(half * (dot(p, p) - one), half * (dot(t, t) - one), half * dot(p, t), zero, half)
+            strain = _strain(p, t, one, half)
+            pulled = _above(strain[0], strain[1], strain[2], zero, half)
             bound[e, 0], bound[e, 1], bound[e, 2] = pulled[0], pulled[1], pulled[2]
+            for entry in range(3):
+                bound[e, 3 + entry] = strain[entry] - bound[e, entry]
 
 
 @kernel
@@ -126,25 +138,30 @@ def _above(pp, tt, pt, zero, half):
     return high * upp, high * (half + half - upp), high * half * pt / radius, 1
 
 
+@part
+def _along(part, mp, mt, p, t):
+    """How a corner with the slopes ``mp``, ``mt`` moves the principal axis u of a strain ``part``: (m . u) F u."""
+    trace = part[0] + part[1]
+    upp, utt, upt = part[0] / trace, part[1] / trace, part[2] / trace
+    return mix(mp * upp + mt * upt, p, mp * upt + mt * utt, t)
+
+
 @kernel
 def length(c, i, mesh, young, bound):
     """Gradient [N] and Hessian [N/m] (00, 01, 02, 11, 12, 22) of the length's energy by node ``i`` of ``c`` [m]."""
     zero, one, half = c.dtype.type(0), c.dtype.type(1), c.dtype.type(0.5)
-    two, loose = one + one, c.dtype.type(LOOSE)
+    two, loose, compressed = one + one, c.dtype.type(LOOSE), c.dtype.type(COMPRESSED)
     own = at(c, i)
     g, h = (zero, zero, zero), (zero, zero, zero, zero, zero, zero)
     for e in range(mesh.start[i], mesh.start[i + 1]):
         p, t = _columns(c, own, mesh, e)
         mp, mt = -mesh.slope[e, 0] - mesh.slope[e, 1], -mesh.slope[e, 2] - mesh.slope[e, 3]
         stiff = mesh.slope[e, 4] * young
-        gpp, gtt = half * (dot(p, p) - one) - bound[e, 0], half * (dot(t, t) - one) - bound[e, 1]
-        high = _above(gpp, gtt, half * dot(p, t) - bound[e, 2], zero, half)
+        gpp, gtt, gpt = _strain(p, t, one, half)
+        high = _above(gpp - bound[e, 0], gtt - bound[e, 1], gpt - bound[e, 2], zero, half)
         full = one if high[3] == 2 else loose
         if high[3] == 1 and high[0] + high[1] > zero:
-            trace = high[0] + high[1]
-            upp, utt, upt = high[0] / trace, high[1] / trace, high[2] / trace
-            by_p, by_t = mp * upp + mt * upt, mp * upt + mt * utt  # (m . u) u, u the principal axis
-            h = outer(h, stiff * (one - full), mix(by_p, p, by_t, t))
+            h = outer(h, stiff * (one - full), _along(high, mp, mt, p, t))
         cp, ct = stiff * (mp * high[0] + mt * high[2]), stiff * (mp * high[2] + mt * high[1])
         g = add(g, mix(cp, p, ct, t))
         share = full * stiff
@@ -160,6 +177,11 @@ def length(c, i, mesh, young, bound):
             h[5] + two * across * p[2] * t[2],
         )
         h = shifted(h, max(cp * mp + ct * mt, zero))
+        low = _above(bound[e, 3] - gpp, bound[e, 4] - gtt, bound[e, 5] - gpt, zero, half)
+        if low[0] + low[1] > zero:
+            s = compressed * stiff
+            g = add(g, mix(-s * (mp * low[0] + mt * low[2]), p, -s * (mp * low[2] + mt * low[1]), t))
+            h = outer(h, s, _along(low, mp, mt, p, t))
     return g, h
 
 

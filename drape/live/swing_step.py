@@ -6,8 +6,9 @@ Cloth that hangs freely is a coarse mesh of nodes with their mass. A node goes o
 
 air slows v along the surface's normal, and the fabric damps it. Weight then pulls the node back to where still cloth
 would be, and the length of the cloth holds it (``drape.live.swing_nodes``), both by implicit Euler. The vertices move
-by what the nodes are away from the still cloth, so that on a still body all comes to rest at the network's drape. A
-node that the network has near the skin is held there; in a wide skirt hardly (``drape.live.swing_slack``).
+and turn as the nodes do beside the still cloth (``drape.live.swing_carry``), so that on a still body all comes to rest
+at the network's drape. A node that the network has near the skin is held there; in a wide skirt hardly
+(``drape.live.swing_slack``).
 """
 
 from __future__ import annotations
@@ -21,8 +22,9 @@ from drape.kernels.compiled import kernel
 from drape.kernels.elements import at, dot, farthest_m, scaled, sub
 from drape.live.clock import Frame, FrameMemory, follows, step_between
 from drape.live.skin_contact import NEIGHBOURS, SkinGraph, TouchedSamples, follow
+from drape.live.swing_carry import move_vertices
 from drape.live.swing_mesh import SwingMesh
-from drape.live.swing_nodes import GAP_M, TOUCH_M, Ground, Springs, fall_back, keep_length, stretched
+from drape.live.swing_nodes import GAP_M, TOUCH_M, Ground, Springs, fall_back, keep_length, write_bounds
 
 NEAR_M, FREE_M = 0.008, 0.04  # over the skin: lower nodes are held, higher ones free
 HOLD_N_PER_M, LEAST_FREE = 2.0, 0.01  # the hold of a node that is half free; the least that a node is free
@@ -103,7 +105,7 @@ def swing(
     if far < LEAST_M:
         return vertices, after
     out = np.empty(vertices.shape, dtype)
-    move_vertices(vertices.astype(dtype), constants.mesh, dtype.type(share) * (swung - network), out)
+    move_vertices(vertices.astype(dtype), network, swung, constants.mesh, dtype.type(share), out)
     return out.astype(vertices.dtype), after
 
 
@@ -171,8 +173,8 @@ def advance(before, network, skin, hold, mesh, graph, schedule):
         for axis in range(3):
             swung[i, axis] += u[i, axis]
         inertia[i] += held[i]
-    springs, bound = Springs(swung.copy(), inertia), np.empty((len(mesh.other), 3), network.dtype)
-    stretched(network, mesh, bound)
+    springs, bound = Springs(swung.copy(), inertia), np.empty((len(mesh.other), 6), network.dtype)
+    write_bounds(network, mesh, bound)
     here = touched.copy()
     follow(swung, skin, graph, TouchedSamples(here, here))
     for i in range(len(here)):
@@ -216,17 +218,6 @@ def _normal(c, i, mesh):
         )
     square = dot(total, total)
     return scaled(c.dtype.type(1) / np.sqrt(square), total) if square > zero else total
-
-
-@kernel
-def move_vertices(vertices, mesh, way, out):
-    """Writes ``vertices`` [m] (V, 3), moved by the nodes' ``way`` [m] (N, 3), to ``out``."""
-    for v in range(len(vertices)):
-        moved = at(vertices, v)
-        for e in range(mesh.weight_start[v], mesh.weight_start[v + 1]):
-            w, j = mesh.weight[e], mesh.weight_node[e]
-            moved = (moved[0] + w * way[j, 0], moved[1] + w * way[j, 1], moved[2] + w * way[j, 2])
-        out[v, 0], out[v, 1], out[v, 2] = moved[0], moved[1], moved[2]
 
 
 def warm_up() -> None:

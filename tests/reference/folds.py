@@ -13,8 +13,6 @@ from drape.live.clock import FIRST_STEP_S, step_between
 from drape.live.fold_constants import WornCloth
 from drape.live.fold_step import (
     LONG_ROUNDS,
-    MEND_M,
-    MENDS,
     SETTLING_MOMENTUM,
     STIFF_N_PER_M,
     FoldEffort,
@@ -25,6 +23,7 @@ from drape.live.fold_step import (
     paced,
 )
 from drape.live.lift import DEEP_M, OTHER, TOO_DEEP_M
+from drape.live.residual import FORGET, LACK, MEND_M, MENDS
 from drape.live.room import FOLDED, HELD, LEAST_M, NEAR_M, ROOM_M, STIFFEST, TIGHT_M
 from drape.live.sheet import ALIKE
 from drape.live.skin_contact import APART_M, HOLLOW_M, REACH_M, STEPS, TURNS, SkinGraph, TouchedSamples
@@ -44,8 +43,9 @@ def fold(
     frames = surface_frames(network, dressed.cloth)
     share = fading(effort, step_s)
     off = _to_world(frames, share * past.residual)
+    lost = forgotten(past.network, network, dressed.cloth)
     for _ in range(MENDS):
-        off = mended(off, dressed.cloth.faces)
+        off = mended(off, dressed.cloth.faces, lost)
     x = network + off
     way = (share == 1.0) * step_s * _to_world(frames, past.velocity)
     stuck = stuck_places(past.grip, frame.skin, dressed.graph, past.touched.own)
@@ -93,37 +93,57 @@ def fold(
 def surface_frames(surface: np.ndarray, cloth: ClothMesh) -> np.ndarray:
     """Frames (V, 3, 3) of ``surface`` [m] (V, 3), rows: the normal, an edge laid into the plane, and their product.
 
-    The edge goes to the next corner of a triangle: of those of a vertex the one that is longest at rest.
+    The edge goes to ``longest_next``.
     """
     faces = cloth.faces
     across = np.cross(surface[faces[:, 1]] - surface[faces[:, 0]], surface[faces[:, 2]] - surface[faces[:, 0]])
     normal = np.zeros_like(surface)
     np.add.at(normal, faces, across[:, None])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    a, b, c, d = cloth.inverse_shape
-    shape = np.linalg.inv(np.stack([np.stack([a, c], axis=-1), np.stack([b, d], axis=-1)], axis=-2))  # columns: edges
-    first, second = shape[..., 0], shape[..., 1]
-    length = np.linalg.norm(np.stack([first, second - first, -second], axis=1), axis=-1).reshape(-1)
-    longest = np.zeros(len(surface))
-    np.maximum.at(longest, faces.reshape(-1), length)
-    order = np.lexsort((length < ALIKE * longest[faces.reshape(-1)], faces.reshape(-1)))
-    entry = order[np.unique(faces.reshape(-1)[order], return_index=True)[1]]
-    edge = surface[faces[entry // 3, (entry + 1) % 3]] - surface
+    edge = surface[longest_next(cloth)] - surface
     edge -= (edge * normal).sum(axis=1, keepdims=True) * normal
     edge /= np.linalg.norm(edge, axis=1, keepdims=True)
     return np.stack([normal, edge, np.cross(normal, edge)], axis=1)
 
 
-def mended(off: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """``off`` (V, 3) with the mean of the neighbours' where it is farther than ``MEND_M`` from that, each counted once
-    for every triangle that it shares."""
+def longest_next(cloth: ClothMesh) -> np.ndarray:
+    """The next corner (V,) of a triangle of each vertex: of those the one that is farthest at rest."""
+    faces = cloth.faces
+    a, b, c, d = cloth.inverse_shape
+    shape = np.linalg.inv(np.stack([np.stack([a, c], axis=-1), np.stack([b, d], axis=-1)], axis=-2))  # columns: edges
+    first, second = shape[..., 0], shape[..., 1]
+    length = np.linalg.norm(np.stack([first, second - first, -second], axis=1), axis=-1).reshape(-1)
+    longest = np.zeros(cloth.vertex_count)
+    np.maximum.at(longest, faces.reshape(-1), length)
+    order = np.lexsort((length < ALIKE * longest[faces.reshape(-1)], faces.reshape(-1)))
+    entry = order[np.unique(faces.reshape(-1)[order], return_index=True)[1]]
+    return faces[entry // 3, (entry + 1) % 3]
+
+
+def forgotten(before: np.ndarray, network: np.ndarray, cloth: ClothMesh) -> np.ndarray:
+    """The share (V,) of its way from its neighbours' mean that a residual loses in a round."""
+    faces, other = cloth.faces, longest_next(cloth)
+    across = np.cross(network[faces[:, 1]] - network[faces[:, 0]], network[faces[:, 2]] - network[faces[:, 0]])
+    covered, whole = np.zeros(len(network)), np.zeros(len(network))
+    for corner in faces.T:
+        np.add.at(covered, corner, 0.5 * np.linalg.norm(across, axis=1))
+        np.add.at(whole, corner, cloth.face_area)
+    edge = network[other] - network
+    turn = np.linalg.norm(edge - (before[other] - before), axis=1) / np.linalg.norm(edge, axis=1)
+    s = FORGET * turn / (1.0 + (np.maximum(1.0 - covered / whole, 0.0) / LACK) ** 2)
+    return s / (1.0 + s)
+
+
+def mended(off: np.ndarray, faces: np.ndarray, lost: np.ndarray) -> np.ndarray:
+    """``off`` (V, 3) moved by a share ``lost`` (V,) to the mean of the neighbours', each counted once for every
+    triangle that it shares, and all the way where it is farther than ``MEND_M`` from that."""
     total, count = np.zeros_like(off), np.zeros(len(off))
     for corner in range(3):
         for other in (corner - 1, corner - 2):
             np.add.at(total, faces[:, corner], off[faces[:, other]])
             np.add.at(count, faces[:, corner], 1.0)
-    mean = total / count[:, None]
-    return np.where(np.linalg.norm(off - mean, axis=1, keepdims=True) > MEND_M, mean, off)
+    way = total / count[:, None] - off
+    return off + np.where(np.linalg.norm(way, axis=1) > MEND_M, 1.0, lost)[:, None] * way
 
 
 def follow(network: np.ndarray, skin: np.ndarray, graph: SkinGraph, touched: TouchedSamples) -> TouchedSamples:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drape.live.swing_mesh import SwingMesh
+from drape.live.swing_nodes import COMPRESSED
 
 
 def triangles(mesh: SwingMesh) -> tuple[np.ndarray, np.ndarray]:
@@ -30,10 +31,14 @@ def pulled(strain: np.ndarray) -> np.ndarray:
 
 
 def length_energy(c: np.ndarray, still: np.ndarray, mesh: SwingMesh, young_n_per_m: float) -> float:
-    """Energy [J] of nodes ``c`` [m] (N, 3) where still cloth has them at ``still``: sum of A Y / 2 |(G - G0+)+|^2."""
-    area = triangles(mesh)[1][:, 4]
-    over = pulled(strains(c, mesh) - pulled(strains(still, mesh)))
-    return 0.5 * young_n_per_m * float((area * (over**2).sum(axis=(1, 2))).sum())
+    """Energy [J] of nodes ``c`` [m] (N, 3) where still cloth has them at ``still``.
+
+    It is the sum of A Y / 2 (|(G - G0+)+|^2 + ``COMPRESSED`` |(G - G0-)-|^2).
+    """
+    area, strain, before = triangles(mesh)[1][:, 4], strains(c, mesh), strains(still, mesh)
+    over, under = pulled(strain - pulled(before)), pulled(-pulled(-before) - strain)
+    square = (over**2 + COMPRESSED * under**2).sum(axis=(1, 2))
+    return 0.5 * young_n_per_m * float((area * square).sum())
 
 
 def pull_matrix(mesh: SwingMesh) -> np.ndarray:

@@ -18,7 +18,6 @@ from drape.live.fold_step import (
     FAST_M,
     FAST_SWEEPS,
     LONG_ROUNDS,
-    MEND_M,
     MOMENTUM,
     SLOW_M,
     STIFF_MOMENTUM,
@@ -32,7 +31,6 @@ from drape.live.fold_step import (
 )
 from drape.live.sheet import LANES
 from drape.live.skin_contact import TouchedSamples
-from drape.live.surface_frames import mend
 from tests.drape.live.folds_setup import (
     EFFORT,
     constants,
@@ -212,18 +210,6 @@ def test_folds_without_steps_fade_with_the_clock_and_come_back():
     first, _, _ = fold(made, None, held, none)
     assert_allclose(first, reference.fold(worn, None, held, none)[0], rtol=0.0, atol=1e-10)
     assert not np.array_equal(first, held.vertices), "no energy is looked at, but what is in the skin is lifted"
-
-
-def test_a_residual_far_from_its_neighbours_follows_them(rng):
-    (rest, worn), sheet = sleeve(), constants(dtype=np.float64).sheet
-    off = 0.01 * rng.normal(size=rest.shape)
-    off[7] += 0.05
-    found = off[sheet.vertex]
-    mend(found, sheet, MEND_M)
-    wanted = reference.mended(off, worn.cloth.faces)
-    assert_allclose(found[sheet.place], wanted, rtol=0.0, atol=1e-15)
-    kept = (wanted == off).all(axis=1)
-    assert not kept[7] and kept.any() and np.linalg.norm(wanted[7]) < 0.02
 
 
 @each(garment=(("tshirt", False), ("trousers", True)))

@@ -1,0 +1,89 @@
+"""What folds keep of the frame before: residuals that tear are mended, and those of another pose are forgotten.
+
+Memory keeps what one pose folded where the next one needs no fold, and thin cloth in motion crumples. A few steps do
+not undo that: to bend costs cloth hardly anything. So in every frame a residual r goes towards the mean m of those of
+its neighbours,
+
+    r += f (m - r),   f = s / (1 + s),   s = FORGET |e - e0| / |e| / (1 + (l / LACK)^2).
+
+e is the vertex's first edge in the network's drape of this frame and e0 that edge in the frame before, so that s grows
+with the way by which the cloth turns and not with the number of frames. Cloth on a body that stands still forgets
+nothing, and comes to rest as a still does. l is the share of its area that the network leaves out around the vertex,
+
+    l = max(0, 1 - sum |a x b| / 2 / sum A),
+
+a and b the sides of its triangles and A their areas at rest: there folds are needed, and stay.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drape.kernels.compiled import kernel
+from drape.kernels.elements import add, cross, dot, scaled, sub
+from drape.kernels.lanes import most, points_at, points_in, put, put_points, root, row_at, where_above, where_other
+from drape.live.sheet import LANES
+
+MENDS, MEND_M = 2, 0.03  # rounds in which a residual that far from its neighbours' follows them; each also forgets
+FORGET, LACK = 12.0, 0.003
+
+
+@kernel
+def keep_residual(off, before, network, sheet):
+    """Mends and forgets the residuals ``off`` [m] (P, 3), world, in place; ``before`` and ``network`` [m] (P, 3) are
+    the network's drapes of the frame before and of this one."""
+    forget = np.empty(len(off), off.dtype)
+    write_forget(before, network, sheet, forget)
+    for _ in range(MENDS):
+        mend(off, sheet, off.dtype.type(MEND_M), forget)
+
+
+@kernel
+def write_forget(before, network, sheet, forget):
+    """Writes f (P,) to ``forget``: none where nothing moved."""
+    k, kind = sheet.constants, network.dtype.type
+    lane = k.zero * row_at(sheet.own, 0)
+    for block in range(len(sheet.fan_start) - 1):
+        first, last = sheet.fan_start[block], sheet.fan_start[block + 1]
+        if first == last:
+            put(forget, LANES * block, lane)
+            continue
+        own = points_in(network, LANES * block)
+        edge = sub(points_at(network, sheet.fan_other, 2 * LANES * first), own)
+        turn = sub(edge, sub(points_at(before, sheet.fan_other, 2 * LANES * first), points_in(before, LANES * block)))
+        twice, whole = lane, lane
+        for row in range(first, last):
+            a = sub(points_at(network, sheet.fan_other, 2 * LANES * row), own)
+            b = sub(points_at(network, sheet.fan_other, 2 * LANES * row + LANES), own)
+            across = cross(a, b)
+            twice = twice + root(dot(across, across))
+            whole = whole + row_at(sheet.fan_slope, 5 * LANES * row + 4 * LANES)
+        lacks = most(k.one - k.half * twice / where_above(whole, k.zero, whole, k.one), k.zero) * kind(1.0 / LACK)
+        length = dot(edge, edge)
+        s = kind(FORGET) * root(dot(turn, turn) / where_above(length, k.zero, length, k.one))
+        s = s / (k.one + lacks * lacks)
+        put(forget, LANES * block, s / (k.one + s))
+
+
+@kernel
+def mend(off, sheet, far, forget):
+    """Moves each of the vectors ``off`` (P, 3) by its share ``forget`` (P,) of the way to its neighbours' mean, and all
+    of the way where that is longer than ``far``.
+
+    The frames of a surface that folds over turn about from one frame to the next, and a residual turns with them.
+    """
+    k, before, places = sheet.constants, off.copy(), np.arange(len(off)).astype(np.int32)
+    for block in range(len(sheet.fan_start) - 1):
+        own = points_in(before, LANES * block)
+        mean = scaled(k.zero, own)
+        count = mean[0]
+        for row in range(2 * sheet.fan_start[block], 2 * sheet.fan_start[block + 1]):
+            # An empty row has the place itself.
+            real = where_other(sheet.fan_other, LANES * row, places, LANES * block, k.zero * own[0] + k.one)
+            mean = add(mean, scaled(real, points_at(before, sheet.fan_other, LANES * row)))
+            count = count + real
+        mean = scaled(k.one / where_above(count, k.zero, count, k.one), mean)
+        way = sub(mean, own)
+        share = where_above(dot(way, way), far * far, k.one, row_at(forget, LANES * block))
+        share = where_above(count, k.zero, share, k.zero)
+        put_points(off, LANES * block, add(own, scaled(share, way)))

@@ -1,0 +1,69 @@
+"""Residuals are mended and forgotten as the readable equations say, and only where cloth turns."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from drape.live.residual import LACK, MEND_M, keep_residual, mend, write_forget
+from tests.drape.live.folds_setup import constants, sleeve
+from tests.reference import folds as reference
+
+
+def shares(before: np.ndarray, network: np.ndarray) -> np.ndarray:
+    """What each vertex forgets (V,), by the kernel."""
+    sheet = constants(dtype=np.float64).sheet
+    found = np.empty(len(sheet.vertex))
+    write_forget(before[sheet.vertex], network[sheet.vertex], sheet, found)
+    return found[sheet.place]
+
+
+def turned(points: np.ndarray, angle_rad: float) -> np.ndarray:
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return points @ np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
+
+
+def test_a_residual_far_from_its_neighbours_follows_them(rng):
+    (rest, worn), sheet = sleeve(), constants(dtype=np.float64).sheet
+    off, lost = 0.01 * rng.normal(size=rest.shape), rng.uniform(0.0, 1.0, len(rest))
+    off[7] += 0.05
+    found = off[sheet.vertex]
+    mend(found, sheet, MEND_M, lost[sheet.vertex])
+    assert_allclose(found[sheet.place], reference.mended(off, worn.cloth.faces, lost), rtol=0.0, atol=1e-15)
+    kept = off[sheet.vertex]
+    mend(kept, sheet, MEND_M, np.zeros(len(sheet.vertex)))
+    same = (kept[sheet.place] == off).all(axis=1)
+    assert not same[7] and same.any() and np.linalg.norm(kept[sheet.place][7]) < 0.02
+
+
+def test_the_kernel_forgets_as_much_as_the_readable_equation(rng):
+    rest, worn = sleeve()
+    network = rest + 0.002 * rng.normal(size=rest.shape)
+    before = network + 0.001 * rng.normal(size=rest.shape)
+    assert_allclose(shares(before, network), reference.forgotten(before, network, worn.cloth), rtol=1e-12)
+
+
+def test_cloth_that_moves_without_turning_forgets_nothing(rng):
+    (rest, _), sheet = sleeve(), constants(dtype=np.float64).sheet
+    assert (shares(rest + 0.3, rest) < 1e-12).all()
+    off = 0.001 * rng.normal(size=(len(sheet.vertex), 3))
+    kept = off.copy()
+    keep_residual(kept, rest[sheet.vertex], rest[sheet.vertex], sheet)
+    assert_array_equal(kept, off)
+
+
+@pytest.mark.parametrize("frames", [1, 4])
+def test_a_way_is_forgotten_alike_in_one_frame_or_in_several(frames: int):
+    rest, _ = sleeve()
+    wide = 1.01 * rest  # nothing lacks
+    ways = [shares(turned(wide, 0.004 * i / frames), turned(wide, 0.004 * (i + 1) / frames)) for i in range(frames)]
+    kept = np.prod([1.0 - way for way in ways], axis=0)
+    assert_allclose(kept, 1.0 - shares(wide, turned(wide, 0.004)), rtol=2e-3)
+    assert kept.min() < 0.97
+
+
+def test_where_the_network_leaves_area_out_folds_stay():
+    rest, _ = sleeve()
+    wide, narrow = 1.01 * rest, (1.0 - 4.0 * LACK) * rest
+    assert shares(narrow, turned(narrow, 0.1)).max() < 0.2 * shares(wide, turned(wide, 0.1)).min()
