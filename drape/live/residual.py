@@ -20,45 +20,40 @@ from __future__ import annotations
 import numpy as np
 
 from drape.kernels.compiled import kernel
-from drape.kernels.elements import add, cross, dot, scaled, sub
+from drape.kernels.elements import add, dot, scaled, sub
 from drape.kernels.lanes import most, points_at, points_in, put, put_points, root, row_at, where_above, where_other
 from drape.live.sheet import LANES
+from drape.live.surface_frames import COVER, FRAMES
 
 MENDS, MEND_M = 2, 0.03  # rounds in which a residual that far from its neighbours' follows them; each also forgets
 FORGET, LACK = 12.0, 0.003
 
 
 @kernel
-def keep_residual(off, before, network, sheet):
-    """Mends and forgets the residuals ``off`` [m] (P, 3), world, in place; ``before`` and ``network`` [m] (P, 3) are
-    the network's drapes of the frame before and of this one."""
+def keep_residual(off, before, network, frames, sheet):
+    """Mends and forgets the residuals ``off`` [m] (P, 3), world, in place.
+
+    ``before`` and ``network`` [m] (P, 3) are the network's drapes of the frame before and of this one, ``frames`` those
+    of the latter.
+    """
     forget = np.empty(len(off), off.dtype)
-    write_forget(before, network, sheet, forget)
+    write_forget(before, network, frames, sheet, forget)
     for _ in range(MENDS):
         mend(off, sheet, off.dtype.type(MEND_M), forget)
 
 
 @kernel
-def write_forget(before, network, sheet, forget):
+def write_forget(before, network, frames, sheet, forget):
     """Writes f (P,) to ``forget``: none where nothing moved."""
     k, kind = sheet.constants, network.dtype.type
-    lane = k.zero * row_at(sheet.own, 0)
     for block in range(len(sheet.fan_start) - 1):
-        first, last = sheet.fan_start[block], sheet.fan_start[block + 1]
-        if first == last:
-            put(forget, LANES * block, lane)
+        row = 2 * LANES * sheet.fan_start[block]
+        if sheet.fan_start[block] == sheet.fan_start[block + 1]:
+            put(forget, LANES * block, k.zero)
             continue
-        own = points_in(network, LANES * block)
-        edge = sub(points_at(network, sheet.fan_other, 2 * LANES * first), own)
-        turn = sub(edge, sub(points_at(before, sheet.fan_other, 2 * LANES * first), points_in(before, LANES * block)))
-        twice, whole = lane, lane
-        for row in range(first, last):
-            a = sub(points_at(network, sheet.fan_other, 2 * LANES * row), own)
-            b = sub(points_at(network, sheet.fan_other, 2 * LANES * row + LANES), own)
-            across = cross(a, b)
-            twice = twice + root(dot(across, across))
-            whole = whole + row_at(sheet.fan_slope, 5 * LANES * row + 4 * LANES)
-        lacks = most(k.one - k.half * twice / where_above(whole, k.zero, whole, k.one), k.zero) * kind(1.0 / LACK)
+        edge = sub(points_at(network, sheet.fan_other, row), points_in(network, LANES * block))
+        turn = sub(edge, sub(points_at(before, sheet.fan_other, row), points_in(before, LANES * block)))
+        lacks = kind(1.0 / LACK) * most(k.one - row_at(frames, FRAMES * block + COVER), k.zero)
         length = dot(edge, edge)
         s = kind(FORGET) * root(dot(turn, turn) / where_above(length, k.zero, length, k.one))
         s = s / (k.one + lacks * lacks)

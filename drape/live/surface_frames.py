@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from drape.kernels.compiled import kernel, part
 from drape.kernels.elements import add, cross, dot, scaled, sub
-from drape.kernels.lanes import points_at, points_in, put3, root, rows3_at, where_above
+from drape.kernels.lanes import points_at, points_in, put, put3, root, row_at, rows3_at, where_above
 from drape.live.sheet import LANES
 
-FRAMES = 9 * LANES  # per block: normal, edge and their product
+COVER = 9 * LANES  # behind normal, edge and their product, three rows each: the share of the area at rest
+FRAMES = COVER + LANES  # numbers of a block
 
 
 @kernel
 def surface_frames(surface, sheet, frames):
-    """Writes the ``frames`` of ``surface`` [m] (P, 3): normal, edge and their product, flat, nine rows a block.
+    """Writes the ``frames`` of ``surface`` [m] (P, 3): normal, edge and their product, flat, nine rows a block. A tenth
+    row has the area of the triangles around each vertex over their area at rest.
 
     The edge is the first one of the vertex's first triangle, laid into the tangent plane; ``Sheet`` puts that triangle
     first whose edge is longest at rest. A vertex without an area or an edge gets a frame of zeros.
@@ -21,12 +23,15 @@ def surface_frames(surface, sheet, frames):
     for block in range(len(sheet.fan_start) - 1):
         own = points_in(surface, LANES * block)
         normal = scaled(k.zero, own)
-        edge = normal
+        edge, twice, whole = normal, normal[0], normal[0]
         begin = sheet.fan_start[block]
         for row in range(begin, sheet.fan_start[block + 1]):
             first = sub(points_at(surface, sheet.fan_other, 2 * LANES * row), own)
             second = sub(points_at(surface, sheet.fan_other, 2 * LANES * row + LANES), own)
-            normal = add(normal, cross(first, second))
+            across = cross(first, second)
+            normal = add(normal, across)
+            twice = twice + root(dot(across, across))
+            whole = whole + row_at(sheet.fan_slope, 5 * LANES * row + 4 * LANES)
             if row == begin:
                 edge = first
         normal = _unit(normal, k)
@@ -34,6 +39,7 @@ def surface_frames(surface, sheet, frames):
         put3(frames, FRAMES * block, normal)
         put3(frames, FRAMES * block + 3 * LANES, edge)
         put3(frames, FRAMES * block + 6 * LANES, cross(normal, edge))
+        put(frames, FRAMES * block + COVER, k.half * twice / where_above(whole, k.zero, whole, k.one))
 
 
 @part

@@ -7,6 +7,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drape.live.residual import LACK, MEND_M, keep_residual, mend, write_forget
+from drape.live.sheet import LANES
+from drape.live.surface_frames import FRAMES, surface_frames
 from tests.drape.live.folds_setup import constants, sleeve
 from tests.reference import folds as reference
 
@@ -14,9 +16,17 @@ from tests.reference import folds as reference
 def shares(before: np.ndarray, network: np.ndarray) -> np.ndarray:
     """What each vertex forgets (V,), by the kernel."""
     sheet = constants(dtype=np.float64).sheet
-    found = np.empty(len(sheet.vertex))
-    write_forget(before[sheet.vertex], network[sheet.vertex], sheet, found)
+    found, here = np.empty(len(sheet.vertex)), network[sheet.vertex]
+    write_forget(before[sheet.vertex], here, frames_of(here), sheet, found)
     return found[sheet.place]
+
+
+def frames_of(surface: np.ndarray) -> np.ndarray:
+    """The frames of ``surface`` (P, 3)."""
+    sheet = constants(dtype=np.float64).sheet
+    frames = np.empty(FRAMES // LANES * len(surface))
+    surface_frames(surface, sheet, frames)
+    return frames
 
 
 def turned(points: np.ndarray, angle_rad: float) -> np.ndarray:
@@ -49,7 +59,8 @@ def test_cloth_that_moves_without_turning_forgets_nothing(rng):
     assert (shares(rest + 0.3, rest) < 1e-12).all()
     off = 0.001 * rng.normal(size=(len(sheet.vertex), 3))
     kept = off.copy()
-    keep_residual(kept, rest[sheet.vertex], rest[sheet.vertex], sheet)
+    here = rest[sheet.vertex]
+    keep_residual(kept, here, here, frames_of(here), sheet)
     assert_array_equal(kept, off)
 
 
