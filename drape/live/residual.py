@@ -25,8 +25,8 @@ from drape.kernels.lanes import most, points_at, points_in, put, put_points, roo
 from drape.live.sheet import LANES
 from drape.live.surface_frames import COVER, FRAMES
 
-MENDS, MEND_M = 2, 0.03  # rounds in which a residual that far from its neighbours' follows them; each also forgets
-FORGET, LACK = 12.0, 0.003
+MEND_M = 0.03  # a residual that far from its neighbours' follows them
+FORGET, LACK = 24.0, 0.003
 
 
 @kernel
@@ -38,8 +38,7 @@ def keep_residual(off, before, network, frames, sheet):
     """
     forget = np.empty(len(off), off.dtype)
     write_forget(before, network, frames, sheet, forget)
-    for _ in range(MENDS):
-        mend(off, sheet, off.dtype.type(MEND_M), forget)
+    mend(off, sheet, off.dtype.type(MEND_M), forget)
 
 
 @kernel

@@ -23,7 +23,7 @@ from drape.kernels.compiled import kernel
 from drape.kernels.elements import add, at, cross, dot, scaled, sub
 from drape.kernels.lanes import LANES, put, row_at
 
-ROUNDS = 8  # of turning; a turn by a radian is then exact to 1e-3
+ROUNDS, ENOUGH = 8, 1e-9  # of turning, fewer where the square of the last half turn was less [rad^2]
 LEAST = 1e-3  # of the squared sides: a smaller sum of r . m says little of a rotation, and turns it less
 
 
@@ -110,6 +110,8 @@ def rotation(m, least):
         q = scaled(half / along, turn)
         w = one / np.sqrt(one + dot(q, q))  # the unit quaternion (w, w q)
         r = _turned(w, q, r[0]), _turned(w, q, r[1]), _turned(w, q, r[2])
+        if dot(q, q) < m.dtype.type(ENOUGH):
+            break
     return r
 
 

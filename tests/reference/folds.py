@@ -23,7 +23,7 @@ from drape.live.fold_step import (
     paced,
 )
 from drape.live.lift import DEEP_M, OTHER, TOO_DEEP_M
-from drape.live.residual import FORGET, LACK, MEND_M, MENDS
+from drape.live.residual import FORGET, LACK, MEND_M
 from drape.live.room import FOLDED, HELD, LEAST_M, NEAR_M, ROOM_M, STIFFEST, TIGHT_M
 from drape.live.sheet import ALIKE
 from drape.live.skin_contact import APART_M, HOLLOW_M, REACH_M, STEPS, TURNS, SkinGraph, TouchedSamples
@@ -43,9 +43,7 @@ def fold(
     frames = surface_frames(network, dressed.cloth)
     share = fading(effort, step_s)
     off = _to_world(frames, share * past.residual)
-    lost = forgotten(past.network, network, dressed.cloth)
-    for _ in range(MENDS):
-        off = mended(off, dressed.cloth.faces, lost)
+    off = mended(off, dressed.cloth.faces, forgotten(past.network, network, dressed.cloth))
     x = network + off
     way = (share == 1.0) * step_s * _to_world(frames, past.velocity)
     stuck = stuck_places(past.grip, frame.skin, dressed.graph, past.touched.own)
@@ -121,7 +119,7 @@ def longest_next(cloth: ClothMesh) -> np.ndarray:
 
 
 def forgotten(before: np.ndarray, network: np.ndarray, cloth: ClothMesh) -> np.ndarray:
-    """The share (V,) of its way from its neighbours' mean that a residual loses in a round."""
+    """The share (V,) of its way from its neighbours' mean that a residual loses."""
     faces, other = cloth.faces, longest_next(cloth)
     across = np.cross(network[faces[:, 1]] - network[faces[:, 0]], network[faces[:, 2]] - network[faces[:, 0]])
     covered, whole = np.zeros(len(network)), np.zeros(len(network))
