@@ -108,6 +108,13 @@ TRADE = {
     "colliding_pct": ("colliding %", ".2f"), "skin_pixels_pct": ("skin, pixels %", ".3f"),
     "self_intersections": ("self-intersections", ".0f"),
 }  # fmt: skip
+MOVING = {
+    "garment": ("garment", "s"), "fabric": ("fabric", "s"), "clip": ("clip", "s"),
+    "dihedral": ("dihedral over the still's", ".2f"), "sharp": ("sharp hinges", ".2f"), "fine": ("fine", ".2f"),
+    "middle": ("middle", ".2f"), "coarse": ("coarse", ".2f"), "hem": ("hem", ".2f"),
+    "network_area": ("area of the network", ".3f"), "swung_area": ("with swing", ".3f"), "pop": ("pop", ".2f"),
+    "crossings": ("crossings", ".0f"), "still_crossings": ("of the still", ".0f"),
+}  # fmt: skip
 SWING = {
     "garment": ("garment", "s"), "clip": ("clip", "s"), "method": ("method", "s"), "rise_mm": ("hem rises [mm]", ".0f"),
     "share": ("of the simulator's", ".2f"), "error_mm": ("hem off the simulator's [mm]", ".0f"),
@@ -313,6 +320,7 @@ TABLES: tuple[tuple[str, str, str, Callable[[Record], str]], ...] = (
     ("dynamics", TRAINING_PAGE, "dynamics_stop", stop_table),
     ("dynamics", TRAINING_PAGE, "dynamics_potential", partial(_only, POTENTIAL, "kind", "potential")),
     ("folds", FOLDS_PAGE, "folds", folds_table),
+    ("moving", FOLDS_PAGE, "moving", partial(alike, MOVING)),
     ("tradeoff", "docs/reference/tradeoff.md", "tradeoff", trade_table),
     ("skin_pixels", FOLDS_PAGE, "skin", skin_table),
     ("latency", SPEED_PAGE, "latency_single", single_table),

@@ -1,0 +1,63 @@
+"""Measures of moving cloth on waves, creases and hems whose answer is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from benchmarks.measure.moving import BANDS_M, Looks
+from drape.cloth.rest_state import modelled
+from tests.drape.cloth.cloth_shapes import grid, tube
+from tests.drape.geometry.geometry_shapes import icosphere
+
+AMPLITUDE_M = 0.001
+
+
+def sheet() -> Looks:
+    rest, faces = grid(360, 4, cell_m=0.0025)
+    return Looks(modelled(rest, faces), faces, rest)
+
+
+@pytest.mark.parametrize(("wavelength_m", "band"), [(0.015, 0), (0.04, 1), (0.15, 2)])
+def test_a_wave_is_relief_of_its_own_band(wavelength_m: float, band: int):
+    looks = sheet()
+    height = AMPLITUDE_M * np.cos(2.0 * np.pi * looks.place[:, 0] / wavelength_m)
+    found = looks.relief_mm((looks.place + height[:, None] * [0.0, 0.0, 1.0])[None])[0]
+    shares = [(wavelength_m / c) ** 4 / (1.0 + (wavelength_m / c) ** 4) for c in BANDS_M]  # that a low-pass keeps
+    expected = -np.diff([1.0, *shares]) * 1e3 * AMPLITUDE_M / np.sqrt(2.0)
+    assert_allclose(found, expected, rtol=0.05, atol=0.02)
+    assert found.argmax() == band
+
+
+def test_a_sheet_folded_in_two_has_one_row_of_sharp_hinges():
+    looks = sheet()
+    x = looks.place[:, 0] - looks.place[:, 0].mean()
+    folded = looks.place.copy()
+    folded[:, 0], folded[:, 2] = 0.5 * np.abs(x), np.sqrt(0.75) * np.abs(x)  # by 120 degrees
+    flat, sharp = looks.sharp_pct(np.stack([looks.place, folded]))
+    rows = len(np.unique(looks.place[:, 1])) - 1
+    hinges = 3 * len(looks.faces) / 2 - (2 * rows + 2 * 360) / 2
+    assert flat == 0.0
+    assert_allclose(sharp, 100.0 * rows / hinges, rtol=0.01)
+    assert_allclose(looks.area_m2(folded[None]), looks.area_m2(looks.place[None]), rtol=1e-9)
+    assert looks.dihedral_deg(folded[None]) > looks.dihedral_deg(looks.place[None]) == 0.0
+
+
+def test_a_hem_is_rough_where_its_vertices_alternate():
+    rest, faces = tube(64, 20, radius_m=0.2, height_m=0.4)
+    looks = Looks(modelled(rest, faces), faces, rest)
+    (loop,) = looks.hems
+    jagged = rest.copy()
+    jagged[loop[::2], 1] += 0.001
+    smooth_mm, jagged_mm = looks.hem_mm(np.stack([rest, jagged]))
+    assert_allclose(np.sqrt(jagged_mm**2 - smooth_mm**2), 4.0, rtol=1e-6)  # 1, 3, 3, 1 of alternating signs, halved
+    closed, closed_faces = icosphere(1, radius_m=0.1)
+    assert np.isnan(Looks(modelled(closed, closed_faces), closed_faces, closed).hem_mm(closed[None])).all()
+
+
+def test_relief_that_goes_along_does_not_pop_and_new_relief_does(rng):
+    looks = sheet()
+    waves = looks.place + AMPLITUDE_M * rng.normal(size=(3, len(looks.place), 1)) * [0.0, 0.0, 1.0]
+    assert looks.pop(np.stack([waves[0], waves[0] + [0.1, 0.0, 0.0]])) < 1e-6
+    assert_allclose(looks.pop(waves), np.sqrt(2.0), rtol=0.1)
