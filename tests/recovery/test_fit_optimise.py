@@ -13,7 +13,6 @@ import trimesh
 from numpy.testing import assert_allclose
 
 from benchmarks.recovery.compare import pattern_error
-from drape.cloth.material import OrthotropicMaterial
 from drape.errors import ArtifactError, InputError, MeshError
 from recovery.fit.contours import Contour, Match, Place, open_contours
 from recovery.fit.curvature import gauss_newton_matrix
@@ -34,8 +33,8 @@ from recovery.pattern.model import Pattern
 from recovery.pattern.symmetry import find_symmetries, free_controls
 from recovery.sim.sdf import Sphere
 from tests.recovery.pattern_setup import rectangle, tube
+from tests.recovery.sim_setup import WOVEN as CLOTH
 
-CLOTH = OrthotropicMaterial(h00=60.0, h01=11.0, h11=45.0, h22=24.0, bending_j=1.5e-4, density_kg_m2=0.18)
 NOWHERE = Sphere((0.0, -10.0, 0.0), 0.1)
 
 
