@@ -16,7 +16,8 @@ from recovery.pattern.coordinates import control_points
 from recovery.pattern.mesh import PatternMesh, mesh_pattern
 from recovery.pattern.model import EdgeRef, Pattern
 from recovery.pattern.symmetry import find_symmetries
-from tests.recovery.pattern_setup import default_measurements, round_tube
+from tests.drape.cloth.cloth_shapes import round_tube
+from tests.recovery.pattern_setup import default_measurements
 
 
 def joints() -> np.ndarray:

@@ -9,7 +9,6 @@ from functools import lru_cache
 import numpy as np
 import pytest
 import torch
-import trimesh
 from numpy.testing import assert_allclose
 
 from benchmarks.recovery.compare import pattern_error
@@ -32,6 +31,7 @@ from recovery.pattern.mesh import PatternMesh, mesh_pattern
 from recovery.pattern.model import Pattern
 from recovery.pattern.symmetry import find_symmetries, free_controls
 from recovery.sim.sdf import Sphere
+from tests.drape.geometry.geometry_shapes import icosphere
 from tests.recovery.pattern_setup import rectangle, tube
 from tests.recovery.sim_setup import WOVEN as CLOTH
 
@@ -101,8 +101,7 @@ def search(weights: Weights | None = None) -> tuple[PatternSearch, np.ndarray]:
 
 
 def test_mean_curvature_of_sphere_cylinder_and_plane():
-    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
-    vertices, faces = np.array(ball.vertices), np.array(ball.faces)
+    vertices, faces = icosphere(4, radius_m=0.1)
     assert_allclose(np.median(mean_curvature(vertices, faces)), 10.0, rtol=0.01)
     mesh = mesh_pattern(tube(), 0.02)
     angle = np.pi * mesh.rest[:, 0] / 0.4  # half a circle each

@@ -35,7 +35,8 @@ from recovery.run.job import describe_worn, lost_words, run_job
 from recovery.run.report import Page
 from recovery.run.report_text import cloth_words, cut_words, file_words, verdicts
 from recovery.run.retarget import lost_parts, retargeted
-from tests.recovery.pattern_setup import default_measurements, round_tube, tube
+from tests.drape.cloth.cloth_shapes import round_tube
+from tests.recovery.pattern_setup import default_measurements, tube
 
 SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
 HALVES, OTHER_HALVES = np.array([[0, 1, 2], [0, 2, 3]]), np.array([[0, 1, 3], [1, 2, 3]])

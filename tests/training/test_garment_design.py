@@ -9,23 +9,15 @@ from numpy.testing import assert_allclose
 
 from drape.garment.cache import load_garment
 from drape.geometry.closest import signed_distance
+from tests.drape.cloth.cloth_shapes import grid
 from tests.training.training_setup import body
 from training.garment_design import DESIGNS, SIX, SLIVER_SHARE, build, cut, main, varied
 
 OPENINGS = {"tshirt": 4, "longsleeve": 4, "tank": 4, "dress": 4, "trousers": 3, "shorts": 3, "skirt": 2}
 
 
-def sheet(count: int = 12) -> tuple[np.ndarray, np.ndarray]:
-    axis = np.linspace(0.0, 1.0, count)
-    x, y = np.meshgrid(axis, axis)
-    vertices = np.stack([x.ravel(), y.ravel(), np.zeros(count * count)], axis=1)
-    index = np.arange(count * count).reshape(count, count)
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
-    return vertices, np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([b, d, c], -1).reshape(-1, 3)])
-
-
 def test_a_straight_cut_leaves_the_exact_area_and_a_straight_edge():
-    vertices, faces = sheet()
+    vertices, faces = grid(11, 11, cell_m=1.0 / 11.0)
     kept, kept_faces, carried = cut(vertices, faces, vertices[:, 0] + 0.3 * vertices[:, 1] - 0.537, vertices[:, :1])
     mesh = trimesh.Trimesh(kept, kept_faces, process=False)
     # The line x = 0.537 - 0.3 y cuts off a trapezium of mean width 0.387.

@@ -13,6 +13,7 @@ from drape.cloth import energies
 from drape.cloth.material import material
 from drape.cloth.waistband import SLACK_M, STIFFNESS_N_M2
 from drape.geometry import jets, meshes
+from drape.geometry.closest import signed_distance
 from tests.training.training_setup import bank, body, garment, source
 from training import losses
 from training.collider import BodySurface, nearest_rows
@@ -128,14 +129,10 @@ def test_a_garment_that_is_held_up_pays_for_where_its_band_went():
 def test_collider_normals_point_out_of_the_body():
     batch = bodies()
     assert_allclose(np.linalg.norm(batch.collider_normals, axis=-1), 1.0, rtol=1e-4, atol=0)
-    moved = batch.collider + 1e-3 * batch.collider_normals
-    from drape.geometry.closest import signed_distance
-
     rest = source().pose(np.zeros((1, 24, 3)), np.zeros((1, body().shape_count)))
     out = rest.collider[0] + 1e-3 * rest.collider_normals[0] + body().joints_template[0]
     inside = signed_distance(out[::7], body().v_template, body().faces) < 0
     assert inside.mean() < 0.02  # folds of the skin are the exception
-    assert np.isfinite(moved).all()
 
 
 def test_nearest_rows_are_the_nearest():

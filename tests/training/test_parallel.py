@@ -41,16 +41,8 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / kind).mkdir()
     script = folder / "two.py"
     script.write_text(SCRIPT)
-    command = [
-        sys.executable,
-        "-m",
-        "torch.distributed.run",
-        "--standalone",
-        "--nproc-per-node",
-        "2",
-        str(script),
-        str(folder),
-    ]
+    run = "-m torch.distributed.run --standalone --nproc-per-node 2"
+    command = [sys.executable, *run.split(), str(script), str(folder)]
     root = Path(__file__).resolve().parents[2]
     environment = {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1", "PATH": "/usr/bin:/bin"}
     done = subprocess.run(command, capture_output=True, text=True, timeout=240, cwd=root, env=environment, check=False)
