@@ -33,6 +33,7 @@ from typing import Any
 from benchmarks.tables import Columns, Record, Row, text_table
 from drape.artifacts import DEFAULT_MODEL
 from drape.errors import Unavailable, ended
+from drape.files.atomic import write_whole
 from drape.files.data import DATA_VARIABLE, data_folder
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -216,10 +217,7 @@ def write(target: Path, record: Record) -> None:
             rows = (json.dumps(row, allow_nan=False, separators=(",", ":")) for row in value)
             text = "[\n" + ",\n".join(rows) + "\n]"
         parts.append(f"{json.dumps(key)}: {text}")
-    target.parent.mkdir(parents=True, exist_ok=True)
-    temporary = target.with_name(target.name + ".part")
-    temporary.write_text("{\n" + ",\n".join(parts) + "\n}\n", encoding="utf-8")
-    os.replace(temporary, target)
+    write_whole(target, "{\n" + ",\n".join(parts) + "\n}\n")
 
 
 def finite(value: Any) -> Any:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable
@@ -24,6 +23,7 @@ from benchmarks.harness import ROOT
 from benchmarks.judge import blended_planes, descent, hessian, linear, newton, physics, settling, surroundings
 from benchmarks.judge.physics import Optimum, Task
 from drape.cloth import bending, contact, energies, membrane, waistband
+from drape.files.atomic import whole_file
 from drape.geometry import meshes
 from drape.kernels import elements, grid, problem
 from drape.live import whole
@@ -94,7 +94,5 @@ def _read(path: Path) -> Optimum | None:
 
 def _write(path: Path, made: Optimum) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f"{path.name}.{os.getpid()}.part")
-    with open(temporary, "wb") as stream:
+    with whole_file(path) as stream:
         np.savez_compressed(stream, **{item.name: getattr(made, item.name) for item in fields(made)})
-    os.replace(temporary, path)

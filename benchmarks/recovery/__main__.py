@@ -28,7 +28,7 @@ from drape.body.assets import load_body
 from drape.cloth.material import DEFAULT_MATERIAL, FABRICS
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.fit.objective import Weights
-from recovery.fit.optimise import FitOptions
+from recovery.fit.optimise import FitOptions, Fitted
 from recovery.fit.pipeline import ROUNDS, Recovered, recover_pattern
 from recovery.pattern import geometry
 from recovery.pattern.bases import skirt, tshirt
@@ -74,6 +74,19 @@ def target_of(garment: str, drape: DrapeOptions) -> tuple[Pattern, Draped]:
     return truth, drape_pattern(truth, body, drape)
 
 
+def errors(fitted: Fitted, truth: Pattern) -> Row:
+    """Errors of control points [mm], of areas [%] and of the surface [mm] of what a search found, at its best step."""
+    error, history = pattern_error(fitted.pattern, truth), fitted.history
+    areas = 100.0 * np.abs(error.areas)
+    return {
+        "mean_mm": 1e3 * float(error.controls_m.mean()),
+        "max_mm": 1e3 * float(error.controls_m.max()),
+        "area_err": float(areas.mean()),
+        "area_max": float(areas.max()),
+        "surface_mm": 1e3 * float(np.sqrt(0.5 * history[history[:, 0].argmin(), 1])),
+    }
+
+
 def recover(
     truth: Pattern, target: Draped, seed: int, drape: DrapeOptions, fit: FitOptions, **options: Any
 ) -> tuple[Recovered, Row]:
@@ -86,20 +99,13 @@ def recover(
     minutes, processor = (
         (now - then) / 60.0 for now, then in zip((time.perf_counter(), time.process_time()), started, strict=True)
     )
-    before, graded, end = (pattern_error(one, truth) for one in (base, found.graded.pattern, found.fitted.pattern))
-    areas, history = 100.0 * np.abs(end.areas), found.fitted.history
+    earlier = {"base": base, "graded": found.graded.pattern, "first": found.rounds[0].fitted.pattern}
     return found, {
         "seed": seed,
         "nodes": found.start.mesh.node_count,
         "target_nodes": target.mesh.node_count,
-        "base_mm": 1e3 * float(before.controls_m.mean()),
-        "graded_mm": 1e3 * float(graded.controls_m.mean()),
-        "first_mm": 1e3 * float(pattern_error(found.rounds[0].fitted.pattern, truth).controls_m.mean()),
-        "mean_mm": 1e3 * float(end.controls_m.mean()),
-        "max_mm": 1e3 * float(end.controls_m.max()),
-        "area_err": float(areas.mean()),
-        "area_max": float(areas.max()),
-        "surface_mm": 1e3 * float(np.sqrt(0.5 * history[history[:, 0].argmin(), 1])),
+        **{f"{name}_mm": 1e3 * float(pattern_error(one, truth).controls_m.mean()) for name, one in earlier.items()},
+        **errors(found.fitted, truth),
         "steps": sum(len(one.fitted.history) - 1 for one in found.rounds),
         "rounds": len(found.rounds),
         "nearest": found.fabric.describe(),
@@ -111,24 +117,18 @@ def recover(
 
 def by_round(found: Recovered, truth: Pattern) -> list[Row]:
     """Errors and times of every round of a recovery; the pattern of a round is the best of it."""
-    lines = []
-    for number, one in enumerate(found.rounds, start=1):
-        error, history = pattern_error(one.fitted.pattern, truth), one.fitted.history
-        lines.append(
-            {
-                "round": number,
-                "nodes": one.start.mesh.node_count,
-                "mean_mm": 1e3 * float(error.controls_m.mean()),
-                "max_mm": 1e3 * float(error.controls_m.max()),
-                "area_err": 100.0 * float(np.abs(error.areas).mean()),
-                "surface_mm": 1e3 * float(np.sqrt(0.5 * history[history[:, 0].argmin(), 1])),
-                "steps": len(history) - 1,
-                "drapes": one.search.forward.drapes,
-                "minutes": one.seconds / 60.0,
-                "processor_minutes": one.processor_s / 60.0,
-            }
-        )
-    return lines
+    return [
+        {
+            "round": number,
+            "nodes": one.start.mesh.node_count,
+            **errors(one.fitted, truth),
+            "steps": len(one.fitted.history) - 1,
+            "drapes": one.search.forward.drapes,
+            "minutes": one.seconds / 60.0,
+            "processor_minutes": one.processor_s / 60.0,
+        }
+        for number, one in enumerate(found.rounds, start=1)
+    ]
 
 
 def compare(found: dict[tuple[str, str, int], Recovered]) -> list[Row]:

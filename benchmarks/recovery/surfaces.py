@@ -38,10 +38,7 @@ def sample_surface(
     if not areas.sum() > SMALLEST_M2:
         raise MeshError("surface", expected="triangles that have area", got="none", cure="Pass a mesh in metres.")
     chosen = np.repeat(np.arange(len(faces)), rng.multinomial(count, areas / areas.sum()))
-    corners = vertices[faces[chosen]]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return within(corners, rng), normals
+    return within(vertices[faces[chosen]], rng), meshes.face_normals(vertices, faces)[chosen]
 
 
 def surface_error(

@@ -22,3 +22,11 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
+
+
+def write_whole(path: Path, content: str | bytes) -> Path:
+    """Writes ``content``, text as UTF-8, to ``path`` in a folder that is made if it is not there; returns the path."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as stream:
+        stream.write(content.encode() if isinstance(content, str) else content)
+    return path

@@ -20,19 +20,15 @@ from drape.garment.intake import intake
 from recovery.catalogue.build import QUICK, BuildOptions, body_distance, build, design
 from recovery.catalogue.files import write_garment
 from recovery.catalogue.garments import CATALOGUE
+from recovery.commands import ended, parser_of
 from recovery.pattern.measurements import measure
 from recovery.pattern.sizes import STEPS
-
-NOT_AT_REST_EXIT_CODE = 3
 
 
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     """The command line."""
-    assert __doc__ is not None
     default = BuildOptions()
-    parser = argparse.ArgumentParser(
-        prog="python -m recovery.catalogue", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of("recovery.catalogue", __doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     builder = commands.add_parser("build", help="sew garments and write them")
     builder.add_argument("names", nargs="*", metavar="NAME", help="all of the catalogue where none is named")
@@ -73,13 +69,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             intake(paths[0], avatar="standard", body=body, folder=given.garments, report=print)
         if not garment.at_rest:
             moving.append(f"{called} by {garment.figures['last_move_mm']:.2f} mm")
-    if moving:
-        print(
-            f"not at rest, the last step moved a node of {', '.join(moving)}. Leave out --quick, or take another size.",
-            file=sys.stderr,
-        )
-        return NOT_AT_REST_EXIT_CODE
-    return 0
+    told = f"not at rest, the last step moved a node of {', '.join(moving)}. Leave out --quick, or take another size."
+    return ended([], told if moving else "")
 
 
 if __name__ == "__main__":

@@ -6,12 +6,13 @@ pair v/vt is the map of the seams. ``NAME.glb``: the same, split at the seams. `
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 
+from drape.files.atomic import write_whole
 from drape.garment.sewing import Edge, Seam, Sewing
-from recovery.atomic import write
 from recovery.catalogue.build import SewnGarment
 from recovery.catalogue.fall import HEM_BENDING, HEM_M
 from recovery.drape.output import panel_texture, write_shape
@@ -59,5 +60,6 @@ def sewing(garment: SewnGarment, *, name: str, size: str, body: str) -> Sewing:
 def write_garment(garment: SewnGarment, folder: Path, *, name: str, size: str, body: str) -> list[Path]:
     """Writes ``NAME.obj``, ``NAME.glb`` and ``NAME.json`` to ``folder`` and returns their paths."""
     texture = panel_texture(garment.mesh, unit_m=1.0)
-    told = write(folder / f"{name}.json", sewing(garment, name=name, size=size, body=body).to_json())
-    return [*write_shape(folder, name, garment.mesh, garment.nodes, texture), told]
+    told = json.dumps(sewing(garment, name=name, size=size, body=body).to_json(), indent=1) + "\n"
+    path = write_whole(folder / f"{name}.json", told)
+    return [*write_shape(folder, name, garment.mesh, garment.nodes, texture), path]

@@ -9,6 +9,7 @@ cache NAME-DIGEST.npz that the service reads. Exit codes: 2 refused, 3 written b
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import time
 from collections.abc import Sequence
@@ -17,26 +18,21 @@ from pathlib import Path
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.cloth.material import DEFAULT_MATERIAL
 from drape.errors import refusing
-from drape.garment.intake import IntakeOptions, garment_name, intake
-from recovery.atomic import write
-from recovery.drape.body_distance import add_distance_options, distance_options
-from recovery.drape.output import obj_text, panel_texture, write_shape
+from drape.files.atomic import write_whole
+from drape.garment.intake import garment_name
+from recovery.commands import add_distance_options, distance_options, ended, parser_of
+from recovery.drape.output import panel_texture, write_rest, write_shape
 from recovery.drape.pipeline import Draped, DrapeOptions, Hold, drape_pattern
 from recovery.drape.placement import Axes
 from recovery.drape.posing import read_pose
 from recovery.drape.settle import TOLERANCE_N
 from recovery.pattern.garmentcode import read_pattern
 
-NOT_AT_REST_EXIT_CODE = 3
-
 
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     """The command line."""
-    assert __doc__ is not None
     default = DrapeOptions()
-    parser = argparse.ArgumentParser(
-        prog="python -m recovery.drape", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of("recovery.drape", __doc__)
     parser.add_argument("pattern", type=Path, help="JSON of Garment-Pattern-Generator or GarmentCode")
     parser.add_argument("--out", type=Path, required=True, help="folder of the files")
     parser.add_argument("--body", default=DEFAULT_BODY, help="name or file of a body")
@@ -77,31 +73,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         **distance_options(given),
     )
     draped = drape_pattern(pattern, body, options, pose=pose, report=print)
-    texture = panel_texture(draped.mesh)
-    rest = obj_text(draped.mesh, draped.rest.nodes, texture)
-    files = write_shape(given.out, name, draped.mesh, draped.nodes, texture)
-    files.append(write(given.out / f"{name}_rest.obj", rest))
-    if not given.no_garment:
-        # The cache holds the rest garment: it is the T-pose that a pose is skinned from.
-        intake(
-            rest.encode(),
-            name=name,
-            kind="obj",
-            avatar="standard",
-            body=body,
-            options=IntakeOptions(uv_unit_m=texture[1]),
-            folder=given.out,
-            report=print,
-        )
+    files = write_shape(given.out, name, draped.mesh, draped.nodes, panel_texture(draped.mesh))
+    cached = not given.no_garment
+    files += write_rest(given.out, name, draped, body, avatar="standard", garment=cached, report=print)
     seconds = round(time.perf_counter() - started, 1)
     record = {"pattern": pattern.name, "body": body.name, "fabric": given.fabric, "scale": given.scale}
-    files.append(write(given.out / f"{name}.json", {**record, **draped.figures, "seconds": seconds}))
-    for path in files:
-        print(path)
-    if not draped.at_rest:
-        print(not_at_rest(draped), file=sys.stderr)
-        return NOT_AT_REST_EXIT_CODE
-    return 0
+    record |= {**draped.figures, "seconds": seconds}
+    files.append(write_whole(given.out / f"{name}.json", json.dumps(record, indent=1) + "\n"))
+    return ended(files, "" if draped.at_rest else not_at_rest(draped))
 
 
 def not_at_rest(draped: Draped) -> str:

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from drape.body.model import BodyModel
 from drape.export import obj
 from drape.export.glb import add_garment
 from drape.export.glb_file import GlbFile
-from recovery.atomic import write
+from drape.files.atomic import write_whole
+from drape.garment.intake import IntakeOptions, intake
+from recovery.drape.pipeline import Draped, Report
 from recovery.pattern.mesh import PatternMesh
 from recovery.pattern.pieces import make_sheet
 
@@ -61,9 +65,27 @@ def write_shape(
 ) -> list[Path]:
     """Writes NAME.obj and NAME.glb of the garment at ``nodes`` [m] (N, 3) to ``folder`` and returns their paths."""
     return [
-        write(folder / f"{name}.obj", obj_text(mesh, nodes, texture)),
-        write(folder / f"{name}.glb", glb_bytes(mesh, nodes, texture)),
+        write_whole(folder / f"{name}.obj", obj_text(mesh, nodes, texture)),
+        write_whole(folder / f"{name}.glb", glb_bytes(mesh, nodes, texture)),
     ]
+
+
+def write_rest(
+    folder: Path, name: str, draped: Draped, body: BodyModel, *, avatar: Any, garment: bool, report: Report
+) -> list[Path]:
+    """Writes the drape in the T-pose as NAME_rest.obj, and with ``garment`` as a cache; returns their paths.
+
+    The cache holds the rest garment, which a pose is skinned from. It is moved to ``body`` from the ``avatar`` (as
+    ``intake`` takes one) that it was draped on.
+    """
+    texture = panel_texture(draped.mesh)
+    rest = obj_text(draped.mesh, draped.rest.nodes, texture)
+    files = [write_whole(folder / f"{name}_rest.obj", rest)]
+    if garment:
+        options = IntakeOptions(uv_unit_m=texture[1])
+        given = {"name": name, "kind": "obj", "avatar": avatar, "body": body, "folder": folder}
+        files.append(folder / intake(rest.encode(), **given, options=options, report=report).file_name())
+    return files
 
 
 def _surface(mesh: PatternMesh, uv: np.ndarray) -> GarmentSurface:

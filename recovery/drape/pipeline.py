@@ -15,7 +15,6 @@ from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
 from drape.cloth.material import DEFAULT_MATERIAL, OrthotropicMaterial, material
 from drape.errors import InputError
 from drape.geometry import meshes
-from recovery.drape.body_distance import SIREN_FOLDER, DistanceKind
 from recovery.drape.placement import Axes, Placed, place_panels, scaled
 from recovery.drape.posing import to_pose
 from recovery.drape.relax import principal_stretches
@@ -27,7 +26,15 @@ from recovery.pattern.model import Pattern
 from recovery.sim.sdf import GridDistance, SignedDistance
 from recovery.sim.siren import DEFAULT_SIREN, SirenOptions, stored_siren
 
+SIREN_FOLDER = Path(".cache") / "siren"  # of the folder that a command is called in
 Report = Callable[[str], None]
+
+
+class DistanceKind(StrEnum):
+    """How a body's signed distance is represented: a grid, or the paper's network of sines."""
+
+    GRID = "grid"
+    SIREN = "siren"
 
 
 class Hold(StrEnum):

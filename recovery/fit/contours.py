@@ -123,14 +123,19 @@ def encircles(contour: Contour, chain: np.ndarray) -> bool:
     return crossings != 0
 
 
+def part_round(contour: Contour, chains: dict[str, tuple[np.ndarray, float]]) -> str | None:
+    """The part of the body whose bones pass through ``contour``, the trunk before a limb."""
+    return next((name for name, (chain, _) in chains.items() if encircles(contour, chain)), None)
+
+
 def place_of(contour: Contour, chains: dict[str, tuple[np.ndarray, float]]) -> Place:
-    """The place of ``contour`` along the body; the trunk goes before a limb.
+    """The place of ``contour`` along the body, on the part that it goes round.
 
     Where no bone passes through, as through a cuff that lies folded, the nearest one counts if it is nearer to the
     centre than a round contour of that length would be.
     """
     nearest = {part: _nearest(contour.centre, chain) for part, (chain, _) in chains.items()}
-    part = next((name for name, (chain, _) in chains.items() if encircles(contour, chain)), None)
+    part = part_round(contour, chains)
     if part is None:
         part = min(nearest, key=lambda name: nearest[name][0])
         if nearest[part][0] > contour.length_m / (2.0 * np.pi):
@@ -182,13 +187,7 @@ def match_contours(source: list[Contour], target: list[Contour], joints: np.ndar
     ).reshape(len(own), len(theirs))
     rows, columns = linear_sum_assignment(cost)
     matches = [
-        Match(
-            i,
-            j,
-            own[i],
-            target[j].length_m / source[i].length_m,
-            theirs[j].along_m - own[i].along_m,
-        )
+        Match(i, j, own[i], target[j].length_m / source[i].length_m, theirs[j].along_m - own[i].along_m)
         for i, j in zip(rows.tolist(), columns.tolist(), strict=True)
     ]
     return matches, sorted(set(range(len(target))) - set(columns.tolist()))

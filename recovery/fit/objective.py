@@ -22,6 +22,7 @@ from recovery.fit.contours import Contour, Match
 from recovery.pattern import geometry
 from recovery.pattern.mesh import PatternMesh
 from recovery.pattern.model import Pattern
+from recovery.pattern.triangulate import signed_areas
 
 FOLD_PER_M = 100.0  # H0 of the weight min(1 + |H| / H0, 5): a fold of 1 cm
 LARGEST_WEIGHT = 5.0
@@ -132,9 +133,7 @@ class Objective:
     ) -> None:
         self.mesh, self.target, self.weights = mesh, target, weights
         self._faces = torch.from_numpy(np.ascontiguousarray(mesh.faces))
-        corners = mesh.rest[mesh.panel_faces]
-        first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        area = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+        area = np.abs(signed_areas(mesh.rest, mesh.panel_faces))
         self.shares = np.repeat(area / area.sum() / 3.0, 3)
         self.pairs = [(contours[m.source].loop, target.contours[m.target].points) for m in matches]
         self.seam_edges = self._seam_edges(mesh.pattern if base is None else base)

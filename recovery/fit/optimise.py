@@ -8,7 +8,6 @@ end a few Gauss-Newton steps, which know the derivatives of the whole drape, go 
 from __future__ import annotations
 
 import hashlib
-import io
 import sys
 import zipfile
 from dataclasses import asdict, dataclass
@@ -22,7 +21,7 @@ from tqdm import tqdm
 from drape.arrays import check_shape
 from drape.cloth.material import OrthotropicMaterial
 from drape.errors import ArtifactError, InputError
-from recovery.atomic import write
+from drape.files.atomic import whole_file
 from recovery.fit.cloth import ClothTensors, FreeCloth
 from recovery.fit.curvature import gauss_newton_matrix
 from recovery.fit.forward import RestDrape
@@ -301,9 +300,9 @@ class _State(NamedTuple):
 def _write(path: Path, digest: str, state: _State) -> None:
     arrays = {f"{name}_{part}": value for name in POINTS for part, value in getattr(state, name)._asdict().items()}
     arrays |= {name: value for name, value in state._asdict().items() if name not in POINTS}
-    payload = io.BytesIO()
-    np.savez(payload, allow_pickle=False, digest=np.array(digest), **arrays)
-    write(path, payload.getvalue())
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path) as file:
+        np.savez(file, allow_pickle=False, digest=np.array(digest), **arrays)
 
 
 def _read(path: Path, digest: str) -> _State:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from drape.body.assets import DEFAULT_BODY, load_body
 from drape.errors import refusing
+from recovery.commands import ended, parser_of
 from recovery.pattern import geometry
 from recovery.pattern.bases import BASES, base_pattern
 from recovery.pattern.export import FORMATS, export_pattern
@@ -28,10 +29,7 @@ SEAM_LIMIT = 0.02
 
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     """The command line."""
-    assert __doc__ is not None
-    parser = argparse.ArgumentParser(
-        prog="python -m recovery.pattern", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of("recovery.pattern", __doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     show = commands.add_parser("show", help="list panels, seams and mesh; draw them with --out")
     convert = commands.add_parser("convert", help="write the pattern in other formats")
@@ -105,7 +103,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     else:
         pattern = read_pattern(options.pattern, units_in_meter=options.units_in_meter)
     pattern = replace(pattern, name=options.name or pattern.name)
-    for path in export_pattern(
+    paths = export_pattern(
         pattern,
         options.out,
         options.format,
@@ -113,9 +111,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         page=options.page,
         dxf_unit_mm=options.dxf_unit_mm,
         dxf_dialect=options.dxf_dialect,
-    ):
-        print(path)
-    return 0
+    )
+    return ended(paths, "")
 
 
 if __name__ == "__main__":

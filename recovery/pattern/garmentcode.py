@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from drape.errors import InputError, NotFound
-from recovery.atomic import write
+from drape.files.atomic import write_whole
 from recovery.pattern.geometry import area, check_pattern, on_chord
 from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Pattern, Placement, Stitch
 
@@ -260,7 +260,7 @@ def pattern_to_spec(pattern: Pattern, *, units_in_meter: float = FILE_UNITS_IN_M
 
 def write_pattern(pattern: Pattern, path: str | Path, *, units_in_meter: float = FILE_UNITS_IN_METER) -> Path:
     """Writes the specification to ``path`` and returns the path."""
-    return write(Path(path), json.dumps(pattern_to_spec(pattern, units_in_meter=units_in_meter), indent=2) + "\n")
+    return write_whole(Path(path), json.dumps(pattern_to_spec(pattern, units_in_meter=units_in_meter), indent=2) + "\n")
 
 
 def _panel_entry(panel: Panel, units: float) -> dict[str, Any]:

@@ -148,13 +148,18 @@ def _label_place(polygon: np.ndarray, grain_middle: np.ndarray) -> np.ndarray:
     right, left = np.inf, np.inf
     for below in (0.0, 0.5, 1.0):
         y = grain_middle[1] - below * LABEL_HEIGHT_M
-        a, b = polygon, np.roll(polygon, -1, axis=0)
-        crossing = (a[:, 1] > y) != (b[:, 1] > y)
-        share = (y - a[crossing, 1]) / (b - a)[crossing, 1]
-        x = a[crossing, 0] + share * (b - a)[crossing, 0] - grain_middle[0]
+        x = _crossings(polygon, 1, y) - grain_middle[0]
         right, left = min(right, *x[x > 0.0], np.inf), min(left, *-x[x < 0.0], np.inf)
     across = 0.008 if right > LABEL_WIDTH_M + 0.01 or right >= left else -LABEL_WIDTH_M
     return grain_middle + np.array([across, 0.0])
+
+
+def _crossings(polygon: np.ndarray, axis: int, value: float) -> np.ndarray:
+    """The other coordinate (N,) of where the sides of ``polygon`` cross the line x_axis = ``value``."""
+    a, along = polygon, np.roll(polygon, -1, axis=0) - polygon
+    crossing = (a[:, axis] > value) != (np.roll(a[:, axis], -1) > value)
+    share = (value - a[crossing, axis]) / along[crossing, axis]
+    return a[crossing, 1 - axis] + share * along[crossing, 1 - axis]
 
 
 def _grain(polygon: np.ndarray) -> np.ndarray:
@@ -164,10 +169,7 @@ def _grain(polygon: np.ndarray) -> np.ndarray:
     length = -1.0
     for share in (0.5, 0.4, 0.6, 0.3, 0.7):
         x = low[0] + share * (high[0] - low[0])
-        a, b = polygon, np.roll(polygon, -1, axis=0)
-        crossing = (a[:, 0] > x) != (b[:, 0] > x)
-        y = np.sort(a[crossing, 1] + (x - a[crossing, 0]) / (b - a)[crossing, 0] * (b - a)[crossing, 1])
-        for bottom, top in pairwise(y.tolist()):
+        for bottom, top in pairwise(np.sort(_crossings(polygon, 0, x)).tolist()):
             middle = np.array([[x, 0.5 * (bottom + top)]])
             if inside(middle, polygon)[0] and top - bottom > 1.2 * length:
                 length = top - bottom

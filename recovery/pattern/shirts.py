@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from recovery.pattern import geometry
@@ -27,25 +25,14 @@ from recovery.pattern.wrapping import Cone, Tube, Vector, draft_round
 NECK_LEAN_DEG = 24.0  # of the neckline's plane: lower in front
 BUTTONS_APART_M = 0.004  # from the middle to each front
 STAND_RADIUS_M, FALL_RADIUS_M, FALL_SLANT = 0.088, 0.098, 0.75
+STAND_M, FALL_M = 0.03, 0.048  # widths
+SPREAD_M, POINT_M = 0.075, 0.022  # by which the fall's outer edge is longer than its fold, and its points are longer
+TAIL_M = 0.05  # by which the hem is lower in the middle than at the sides
 FOLD_RAD = -2.4  # of the fall over the stand, nearly flat on it; negative: away from the outside
 
 
-@dataclass(frozen=True)
-class CollarCut:
-    """Widths [m] of stand and fall; the fall's outer edge is ``spread_m`` longer than its fold, its points longer.
-
-    ``tail_m`` is how much lower the hem is in the middle than at the sides.
-    """
-
-    stand_m: float = 0.03
-    fall_m: float = 0.048
-    spread_m: float = 0.075
-    point_m: float = 0.022
-    tail_m: float = 0.05
-
-
-def shirt(body: BodyMeasurements, cut: TopCut, collar: CollarCut = CollarCut()) -> Design:
-    """The shirt that ``cut`` and ``collar`` describe, for ``body``. Raises ``InputError`` as ``tops.top`` does."""
+def shirt(body: BodyMeasurements, cut: TopCut) -> Design:
+    """The shirt that ``cut`` describes, for ``body``. Raises ``InputError`` as ``tops.top`` does."""
     neck, tip, underarm, hem = lines(body, cut)
     work = Assembly()
     (_, _, front_z), (_, _, back_z) = before_and_behind(body)
@@ -53,8 +40,8 @@ def shirt(body: BodyMeasurements, cut: TopCut, collar: CollarCut = CollarCut()) 
         bodice(neck, tip, underarm, hem, depth=depth, hollow=hollow, inset=cut.armhole_inset, lower="hem")
         for depth, hollow in zip((cut.neck_depth_m, cut.back_neck_depth_m), HOLLOWS, strict=True)
     )
-    back = work.add(draft("back", [*whole[:-1], _tail(hem, collar.tail_m)], rotation=BACK, z=back_z))
-    low = (0.0, hem[1] - collar.tail_m)
+    back = work.add(draft("back", [*whole[:-1], _tail(hem, TAIL_M)], rotation=BACK, z=back_z))
+    low = (0.0, hem[1] - TAIL_M)
     sides = [
         Side("hem", low, ((0.4 * hem[0], low[1]), (0.6 * hem[0], hem[1]))),
         *(Side(side.name.removesuffix("_right"), side.start, side.handles) for side in half[:4]),
@@ -73,7 +60,7 @@ def shirt(body: BodyMeasurements, cut: TopCut, collar: CollarCut = CollarCut()) 
     if cut.sleeve is not None:
         armholes = {side: ((front, "armhole"), (back, f"armhole_{side}")) for side, front in fronts.items()}
         set_sleeves(work, body, cut.sleeve, tip, armholes)
-    _collar(work, body, cut, collar, fronts, back)
+    _collar(work, body, cut, fronts, back)
     over, angles = frozenset({"collar_fall"}), {"collar_fold": FOLD_RAD}
     return work.design(cut.name, cut.fabric, cut.ease_m, over=over, seam_angles=angles)
 
@@ -87,14 +74,7 @@ def _tail(hem: Point, tail: float) -> Side:
     )
 
 
-def _collar(
-    work: Assembly,
-    body: BodyMeasurements,
-    cut: TopCut,
-    collar: CollarCut,
-    fronts: dict[str, Drafted],
-    back: Drafted,
-) -> None:
+def _collar(work: Assembly, body: BodyMeasurements, cut: TopCut, fronts: dict[str, Drafted], back: Drafted) -> None:
     """Stand and fall, from the middle of the front over the wearer's left round the neck."""
     edges = [(fronts["left"], "neck"), (back, "neck_left"), (back, "neck_right"), (fronts["right"], "neck")]
     lean = np.radians(NECK_LEAN_DEG)
@@ -102,16 +82,16 @@ def _collar(
     behind: Vector = (0.0, float(np.sin(lean)), -float(np.cos(lean)))
     low = np.array([0.0, body.neck_y - 0.3 * (cut.neck_depth_m + cut.back_neck_depth_m) + 0.01, body.arm_z])
     tube = Tube(_vector(low), axis, behind, STAND_RADIUS_M)
-    stand = sew_band(work, "collar_stand", edges, tube, width_m=collar.stand_m, shorter=0.0, above=True, free="fold")
+    stand = sew_band(work, "collar_stand", edges, tube, width_m=STAND_M, shorter=0.0, above=True, free="fold")
     top = "fold_collar_stand"
     length = geometry.edge_length(stand.panel, stand.numbers[top])
-    turn = collar.spread_m / collar.fall_m  # angle [rad] of the ring sector that the fall is
+    turn = SPREAD_M / FALL_M  # angle [rad] of the ring sector that the fall is
     ring = length / turn
-    half, outer = 0.5 * turn, ring + collar.fall_m
+    half, outer = 0.5 * turn, ring + FALL_M
 
     def edge(longer: float, share: float) -> Point:
         """A point of the outer edge, ``longer`` of the collar's point, at ``share`` of the half angle."""
-        return on_ring(ring, outer + longer * collar.point_m, share * half)
+        return on_ring(ring, outer + longer * POINT_M, share * half)
 
     sides = [
         Side("hem_collar_left", edge(1.0, -1.0), (edge(0.3, -0.75), edge(0.0, -0.35))),
@@ -120,7 +100,7 @@ def _collar(
         Side("fold", on_ring(ring, ring, half), ring_handles(ring, ring, half, -half)),
         Side("opening_left", on_ring(ring, ring, -half)),
     ]
-    origin = _vector(low + collar.stand_m * np.array(axis))
+    origin = _vector(low + STAND_M * np.array(axis))
     cone = Cone(origin, axis, behind, FALL_RADIUS_M, ring, FALL_SLANT)
     fall = work.add(*draft_round("collar_fall", sides, cone))
     work.sew("collar_fold", stand, top, fall, "fold", over=True)

@@ -10,6 +10,7 @@ search: the same command goes on from it. Exit codes: 2 refused, 3 written but n
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,16 +20,15 @@ import numpy as np
 from drape.body.assets import DEFAULT_BODY
 from drape.cloth.material import DEFAULT_MATERIAL, FABRICS
 from drape.errors import InputError, refusing
+from drape.files.atomic import write_whole
 from drape.garment.mesh_checks import UNITS_M, UP_AXES
-from recovery.atomic import write
-from recovery.drape.body_distance import add_distance_options, distance_options
+from recovery.commands import add_distance_options, distance_options, ended, parser_of
 from recovery.drape.pipeline import DrapeOptions
 from recovery.drape.posing import read_pose
 from recovery.fit.objective import DEFAULT_WEIGHTS
 from recovery.fit.optimise import FitOptions
 from recovery.run.job import FIT_INSIDE, Job, run_job
 
-NOT_AT_REST_EXIT_CODE = 3
 # Fields of a job that the command line says as they are.
 OF_JOB = ("target", "out", "base", "body", "name", "label", "settings", "unit", "up", "meshes_m", "retarget", "garment")
 CHOOSE_FABRIC = "auto"
@@ -39,11 +39,8 @@ SEAM_WEIGHT = 0.1  # for cutting: recovery.fit alone lets seams give way a hundr
 
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     """The command line."""
-    assert __doc__ is not None
     fit = FitOptions()
-    parser = argparse.ArgumentParser(
-        prog="python -m recovery.run", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of("recovery.run", __doc__)
     parser.add_argument("target", type=Path, help="OBJ, GLB, PLY or STL of one garment on its body")
     parser.add_argument("--out", type=Path, required=True, help="folder of the files")
     parser.add_argument("--base", required=True, help="tshirt, trousers, skirt, or a pattern as JSON")
@@ -137,16 +134,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     outcome = run_job(job_of(given), progress=True)
     from recovery.run.report_text import page_of, record_of  # matplotlib takes a second to load
 
-    for path in [
-        *outcome.files,
-        write(given.out / "report.html", page_of(outcome)),
-        write(given.out / "report.json", record_of(outcome)),
-    ]:
-        print(path)
-    if outcome.anew is None or not outcome.anew.at_rest:
-        print("not at rest: see the report; try another mesh (--edge-length) or fabric (--fabric)", file=sys.stderr)
-        return NOT_AT_REST_EXIT_CODE
-    return 0
+    page = write_whole(given.out / "report.html", page_of(outcome))
+    record = write_whole(given.out / "report.json", json.dumps(record_of(outcome), indent=1) + "\n")
+    at_rest = outcome.anew is not None and outcome.anew.at_rest
+    moving = "not at rest: see the report; try another mesh (--edge-length) or fabric (--fabric)"
+    return ended([*outcome.files, page, record], "" if at_rest else moving)
 
 
 if __name__ == "__main__":

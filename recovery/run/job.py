@@ -12,10 +12,9 @@ import numpy as np
 from drape.cloth.material import FABRICS
 from drape.errors import InputError
 from drape.garment.files.mesh import GarmentMesh
-from drape.garment.intake import IntakeOptions, garment_name, intake
+from drape.garment.intake import garment_name
 from drape.garment.mesh_checks import Unit, Up
-from recovery.atomic import write
-from recovery.drape.output import obj_text, panel_texture, write_shape
+from recovery.drape.output import panel_texture, write_rest, write_shape
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.drape.posing import posed_joints
 from recovery.fit.chamfer import Chamfer, SurfaceDistance, surface_chamfer, surface_distance
@@ -187,7 +186,9 @@ def run_job(job: Job, *, progress: bool = False, say: Say = print) -> Outcome:
     told = identifiability(found, max(LEAST_TOLERANCE_M, 1e-3 * distance.rms_mm))
     anew, anew_distance, worn = _sewn_anew(job, wearer, found, warnings, say)
     if anew is not None:
-        files += _rest_files(anew, name, job, wearer, say)
+        # In the cache the garment of a body of another shape is moved to the standard one.
+        avatar = {"betas": wearer.betas.tolist()} if wearer.betas.any() else "standard"
+        files += write_rest(job.out, name, anew, wearer.standard, avatar=avatar, garment=job.garment, report=say)
     return Outcome(
         job=job,
         name=name,
@@ -251,26 +252,3 @@ def lost_words(lost: Sequence[str]) -> str:
     """A phrase such as "the right arm is not in its opening"."""
     parts = " and ".join(f"the {part.replace('_', ' ')}" for part in lost)
     return f"{parts} {'is' if len(lost) == 1 else 'are'} not in the garment's opening"
-
-
-def _rest_files(anew: Draped, name: str, job: Job, wearer: Wearer, say: Say) -> list[Path]:
-    """The drape in the T-pose as NAME_rest.obj, and as garment cache if the job asks for one.
-
-    In the cache the garment of a body of another shape is moved to the standard one.
-    """
-    texture = panel_texture(anew.mesh)
-    rest = obj_text(anew.mesh, anew.rest.nodes, texture)
-    files = [write(job.out / f"{name}_rest.obj", rest)]
-    if job.garment:
-        garment = intake(
-            rest.encode(),
-            name=name,
-            kind="obj",
-            avatar={"betas": wearer.betas.tolist()} if wearer.betas.any() else "standard",
-            body=wearer.standard,
-            options=IntakeOptions(uv_unit_m=texture[1]),
-            folder=job.out,
-            report=say,
-        )
-        files.append(job.out / f"{garment.name}-{garment.digest[:16]}.npz")
-    return files

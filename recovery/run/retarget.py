@@ -14,7 +14,7 @@ from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_in_pose, drape_pattern
 from recovery.drape.posing import posed_joints, read_pose
-from recovery.fit.contours import bone_chains, encircles, open_contours
+from recovery.fit.contours import bone_chains, open_contours, part_round
 from recovery.pattern.model import Pattern
 from recovery.run.wearer import shaped_body
 
@@ -80,10 +80,5 @@ def lost_parts(nodes: np.ndarray, faces: np.ndarray, joints: np.ndarray, parts: 
     ``joints`` [m] (24, 3) are those of the body in its pose.
     """
     chains = bone_chains(joints)
-    there = Counter(
-        part
-        for contour in open_contours(nodes, faces)
-        for part in [next((name for name, (chain, _) in chains.items() if encircles(contour, chain)), None)]
-        if part is not None
-    )
+    there = Counter(filter(None, (part_round(contour, chains) for contour in open_contours(nodes, faces))))
     return tuple(sorted((Counter(parts) - there).elements()))

@@ -89,10 +89,8 @@ class ClothModel:
         self._hinge_edges = torch.from_numpy(shared.argmax(axis=2) * len(self.faces) + sides)
         self._hinge_sides = torch.from_numpy(sides)
 
-    def parameters(
-        self, panels: np.ndarray, material: OrthotropicMaterial, *, force_n: np.ndarray | None = None
-    ) -> Parameters:
-        """Tensors of checked numbers; ask for gradients with ``requires_grad_`` on those you want."""
+    def parameters(self, panels: np.ndarray, material: OrthotropicMaterial) -> Parameters:
+        """Tensors of checked numbers, no force given; ask for gradients with ``requires_grad_`` on those you want."""
         panels = np.asarray(panels, dtype=np.float64)
         check_shape("panels", panels, (self.panel_count, 2), error=MeshError)
         check_finite("panels", panels, error=MeshError)
@@ -105,15 +103,12 @@ class ClothModel:
                 got=f"triangle {int(area.argmin())} of area {area.min():.3g} m^2",
                 cure="Remove collapsed triangles of the panel.",
             )
-        force = np.zeros((self.node_count, 3)) if force_n is None else np.asarray(force_n, dtype=np.float64)
-        check_shape("force_n", force, (self.node_count, 3))
-        check_finite("force_n", force)
         return Parameters(
             torch.tensor(panels),
             torch.tensor(material.stretch_n_per_m),
             torch.tensor(material.bending_j, dtype=torch.float64),
             torch.tensor(material.density_kg_m2, dtype=torch.float64),
-            torch.tensor(force),
+            torch.zeros((self.node_count, 3), dtype=torch.float64),
         )
 
     def state(self, positions: np.ndarray, velocities: np.ndarray | None = None) -> ClothState:

@@ -11,7 +11,6 @@ autograd can differentiate it like the distance.
 from __future__ import annotations
 
 import hashlib
-import io
 import itertools
 import math
 import time
@@ -26,9 +25,9 @@ import torch
 from torch import Tensor
 
 from drape.errors import ArtifactError, InputError
+from drape.files.atomic import whole_file
 from drape.geometry import closest
 from drape.geometry.drawing import drawn
-from recovery import atomic
 from recovery.sim.sdf import check_closed, extended
 
 FORMAT_VERSION = 2
@@ -149,9 +148,9 @@ class SirenDistance:
         arrays = {f"weight_{k}": part for k, part in enumerate(self.weights)}
         arrays |= {f"bias_{k}": part for k, part in enumerate(self.biases)}
         arrays |= {"low": self.low, "high": self.high, "error": self.error, "trained_s": self.trained_s}
-        file = io.BytesIO()
-        np.savez(file, allow_pickle=False, digest=digest, **arrays)
-        atomic.write(path, file.getvalue())
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(path) as file:
+            np.savez(file, allow_pickle=False, digest=digest, **arrays)
 
 
 def load_siren(path: Path, digest: str) -> SirenDistance:

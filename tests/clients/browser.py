@@ -19,6 +19,8 @@ import numpy as np
 from PIL import Image
 from websockets.sync.client import ClientConnection, connect
 
+from tests.conftest import find_chromium
+
 # Software rendering, also where there is a graphics card: the same picture everywhere.
 FLAGS = (
     "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--no-first-run", "--disable-extensions",
@@ -97,8 +99,10 @@ class Page:
 
 
 @contextmanager
-def open_page(chromium: str, url: str, *, width: int = 900, height: int = 640) -> Iterator[Page]:
+def open_page(url: str, *, width: int = 900, height: int = 640) -> Iterator[Page]:
     """``url`` in a fresh profile."""
+    chromium = find_chromium()
+    assert chromium is not None  # the marker has seen to it
     profile = Path(tempfile.mkdtemp(prefix="drape-chromium-"))
     command = [chromium, *FLAGS, f"--user-data-dir={profile}", f"--window-size={width},{height}", "about:blank"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)

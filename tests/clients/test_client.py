@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import json
+from collections.abc import Awaitable, Callable
 from pathlib import Path
+from typing import Any
 
 import httpx
 import numpy as np
@@ -27,6 +29,26 @@ from tests.fixtures.poses import random_motion
 from tests.fixtures.tiny_model import ROUNDING_M, expected_vertices
 
 
+def asked(url: str, call: Callable[[AsyncDrapeClient], Awaitable[Any]], **options: Any) -> Any:
+    """What an asynchronous client of ``url`` answers to ``call``."""
+
+    async def whole() -> Any:
+        async with AsyncDrapeClient(url, **options) as client:
+            return await call(client)
+
+    return asyncio.run(whole())
+
+
+def streamed(url: str, talk: Callable[[DrapeStream], Awaitable[None]], **options: Any) -> None:
+    """Has ``talk`` over a stream of the tube."""
+
+    async def whole() -> None:
+        async with await DrapeStream.open(url, "tube", **options) as stream:
+            await talk(stream)
+
+    asyncio.run(whole())
+
+
 def test_sync_and_async_say_the_same(live: str, body: BodyModel, tube: Garment):
     poses, trans = random_motion(3)
     betas = np.linspace(-1, 1, 10)
@@ -43,21 +65,20 @@ def test_sync_and_async_say_the_same(live: str, body: BodyModel, tube: Garment):
         posed = client.posed_body(body.name, clip)
         walk = client.motion("walk")
 
-    async def whole() -> None:
-        async with AsyncDrapeClient(live) as client:
-            assert (await client.health())["status"] == "ok"
-            assert await client.bodies() == [
-                {"id": body.name, "digest": body.digest, "vertices": 13348, "faces": 26692, "shapes": 10}
-            ]
-            assert len(await client.garments()) == 1 and len(await client.motions()) > 3
-            assert_array_equal((await client.mesh("tube"))["faces"], tube.faces)
-            assert_array_equal(await client.drape("tube", clip, betas=betas, push_out=False), vertices)
-            assert_array_equal(await client.posed_body(body.name, clip), posed)
-            assert (await client.drape_glb("tube", clip, body=True))[:4] == file[:4] == b"glTF"
-            assert_array_equal((await client.motion("walk")).poses, walk.poses)
-            assert_allclose((await client.placed(samples.walk())).trans, walk.trans, rtol=0, atol=1e-5)
+    async def same(client: AsyncDrapeClient) -> None:
+        assert (await client.health())["status"] == "ok"
+        assert await client.bodies() == [
+            {"id": body.name, "digest": body.digest, "vertices": 13348, "faces": 26692, "shapes": 10}
+        ]
+        assert len(await client.garments()) == 1 and len(await client.motions()) > 3
+        assert_array_equal((await client.mesh("tube"))["faces"], tube.faces)
+        assert_array_equal(await client.drape("tube", clip, betas=betas, push_out=False), vertices)
+        assert_array_equal(await client.posed_body(body.name, clip), posed)
+        assert (await client.drape_glb("tube", clip, body=True))[:4] == file[:4] == b"glTF"
+        assert_array_equal((await client.motion("walk")).poses, walk.poses)
+        assert_allclose((await client.placed(samples.walk())).trans, walk.trans, rtol=0, atol=1e-5)
 
-    asyncio.run(whole())
+    asked(live, same)
     with DrapeClient(live) as client:
         assert len(client.drape_glb("tube", clip, body=True, quantised=False)) > len(file)
     assert_array_equal(vertices, again)
@@ -93,51 +114,41 @@ def test_refusals_come_back_as_themselves(live: str, tmp_path: Path):
         with pytest.raises(Unavailable, match="within 0 s"):
             client.upload_garment(noise, "standard", name="later", wait_s=0.0)
 
-    async def awaited() -> None:
-        async with AsyncDrapeClient(live) as client:
-            await client.upload_garment(noise, "standard")
-
     with pytest.raises(MeshError):
-        asyncio.run(awaited())
+        asked(live, lambda client: client.upload_garment(noise, "standard"))
 
 
 def test_an_upload_that_is_left_while_it_waits_is_cancelled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     job = {"id": "1", "name": "shirt", "state": "running", "garment": None, "problem": None}
-    asked: list[str] = []
+    requests: list[str] = []
 
     def answer(request: httpx.Request) -> httpx.Response:
-        asked.append(f"{request.method} {request.url.path}")
+        requests.append(f"{request.method} {request.url.path}")
         return httpx.Response(200, json=job)
 
-    async def left() -> None:
-        async with AsyncDrapeClient("http://example", transport=httpx.MockTransport(answer)) as client:
-            await asyncio.wait_for(client.upload_garment(tmp_path / "shirt.obj", "standard"), 0.1)
+    def left(client: AsyncDrapeClient) -> Awaitable[str]:
+        return asyncio.wait_for(client.upload_garment(tmp_path / "shirt.obj", "standard"), 0.1)
 
     def interrupted(seconds: float) -> None:
         raise KeyboardInterrupt
 
     (tmp_path / "shirt.obj").write_bytes(b"")
     with pytest.raises(TimeoutError):
-        asyncio.run(left())
+        asked("http://example", left, transport=httpx.MockTransport(answer))
     monkeypatch.setattr("clients.client.time.sleep", interrupted)
     with (
         DrapeClient("http://example", transport=httpx.MockTransport(answer)) as client,
         pytest.raises(KeyboardInterrupt),
     ):
         client.upload_garment(tmp_path / "shirt.obj", "standard")
-    assert asked == ["POST /garments", "DELETE /jobs/1"] * 2
+    assert requests == ["POST /garments", "DELETE /jobs/1"] * 2
 
 
 def test_no_service_is_said_with_its_cure():
     with DrapeClient("http://127.0.0.1:9") as client, pytest.raises(Unavailable, match=r"service at .*make serve"):
         client.health()
-
-    async def whole() -> None:
-        async with AsyncDrapeClient("http://127.0.0.1:9") as client:
-            await client.health()
-
     with pytest.raises(Unavailable, match="make serve"):
-        asyncio.run(whole())
+        asked("http://127.0.0.1:9", lambda client: client.health())
     with pytest.raises(Unavailable, match="make serve"):
         asyncio.run(DrapeStream.open("http://127.0.0.1:9", "tube"))
 
@@ -168,35 +179,26 @@ def test_jobs_end_in_a_garment_or_a_refusal():
 def test_the_stream_client_gets_its_frames(live: str, body: BodyModel, tube: Garment):
     poses, trans = random_motion(5)
 
-    async def whole() -> None:
-        async with await DrapeStream.open(live, "tube", betas=np.zeros(10), push_out=False) as stream:
-            assert stream.about["vertices"] == 216
-            for pose, place in zip(poses, trans, strict=True):
-                sequence = await stream.send(pose, place)
-                received = await stream.receive()
-                assert received.frame.sequence == sequence
-                assert 0.0 < received.age_s < 5.0
-                expected = expected_vertices(body, tube, pose[None], place[None])[0]
-                assert_allclose(received.frame.vertices(), expected, rtol=0, atol=5e-5)
-            assert (await stream.reopen("tube", push_out=True))["push_out"] is True
-            await stream.send(poses[0])
-            assert (await stream.receive()).frame.pushed
+    async def talk(stream: DrapeStream) -> None:
+        assert stream.about["vertices"] == 216
+        for pose, place in zip(poses, trans, strict=True):
+            sequence = await stream.send(pose, place)
+            received = await stream.receive()
+            assert received.frame.sequence == sequence
+            assert 0.0 < received.age_s < 5.0
+            expected = expected_vertices(body, tube, pose[None], place[None])[0]
+            assert_allclose(received.frame.vertices(), expected, rtol=0, atol=5e-5)
+        assert (await stream.reopen("tube", push_out=True))["push_out"] is True
+        await stream.send(poses[0])
+        assert (await stream.receive()).frame.pushed
 
-    asyncio.run(whole())
+    streamed(live, talk, betas=np.zeros(10), push_out=False)
 
 
 def test_knob_and_passes_reach_the_service(live: str):
     """What is refused, and by which name, tells what was sent; a static model has knob 0."""
     poses, trans = random_motion(2)
     words = {"knob": (3.0, "motion: expected"), "passes": (2, "passes: expected 0 to 1")}
-
-    async def awaited(options: dict) -> None:
-        async with AsyncDrapeClient(live) as client:
-            await client.drape("tube", poses, **options)
-
-    async def streamed(options: dict) -> None:
-        async with await DrapeStream.open(live, "tube", **options):
-            pass
 
     with DrapeClient(live) as client:
         for name, (value, sentence) in words.items():
@@ -206,9 +208,10 @@ def test_knob_and_passes_reach_the_service(live: str):
                     call("tube", poses, **options)
             with pytest.raises(InputError, match=sentence):
                 client.drape_outfit(["tube"], poses, **options)
-            for run in (awaited, streamed):
-                with pytest.raises(InputError, match=sentence):
-                    asyncio.run(run(options))
+            with pytest.raises(InputError, match=sentence):
+                asked(live, lambda client, chosen=options: client.drape("tube", poses, **chosen))
+            with pytest.raises(InputError, match=sentence):
+                asyncio.run(DrapeStream.open(live, "tube", **options))
         still = client.drape("tube", poses, trans=trans, knob=0.0)
         assert_array_equal(still, client.drape("tube", poses, trans=trans))  # a static model
 
@@ -225,40 +228,30 @@ def test_an_option_that_there_is_not_is_a_mistake_of_the_program():
 
 
 def test_the_stream_client_hears_why_it_ended(live: str):
-    async def unknown() -> None:
-        await DrapeStream.open(live, "cape")
+    async def senseless(stream: DrapeStream) -> None:
+        await stream.send(np.full((24, 3), np.nan))
+        await stream.receive()
 
-    async def senseless() -> None:
-        async with await DrapeStream.open(live, "tube") as stream:
-            await stream.send(np.full((24, 3), np.nan))
-            await stream.receive()
+    async def told(stream: DrapeStream) -> None:
+        await stream._connection.send(b"noise")
+        await stream.receive()
 
-    async def ended(sends: bool) -> None:
-        async with await DrapeStream.open(live, "tube") as stream:
-            await stream._connection.send(b"noise")
-            if sends:
-                # The service has closed by then: sending is what fails.
-                await stream._connection.wait_closed()
-                await stream.send(np.zeros((24, 3)))
-            await stream.receive()
+    async def closed(stream: DrapeStream) -> None:
+        await stream._connection.send(b"noise")
+        await stream._connection.wait_closed()  # so that sending is what fails
+        await stream.send(np.zeros((24, 3)))
+
+    async def too_long(stream: DrapeStream) -> None:
+        await stream._connection.send(b"\0" * 100_000)
+        await stream.receive()
 
     with pytest.raises(NotFound, match="cape"):
-        asyncio.run(unknown())
-    with pytest.raises(InputError, match="finite"):
-        asyncio.run(senseless())
-    for sends in (False, True):
-        with pytest.raises(InputError, match="at least 16 bytes"):
-            asyncio.run(ended(sends))
-
-
-def test_a_close_without_a_word_is_told_by_its_code(live: str):
-    async def closed() -> None:
-        async with await DrapeStream.open(live, "tube") as stream:
-            await stream._connection.send(b"\0" * 100_000)
-            await stream.receive()
-
-    with pytest.raises(DrapeError, match="close 1009"):
-        asyncio.run(closed())
+        asyncio.run(DrapeStream.open(live, "cape"))
+    for talk, sentence in ((senseless, "finite"), (told, "at least 16 bytes"), (closed, "at least 16 bytes")):
+        with pytest.raises(InputError, match=sentence):
+            streamed(live, talk)
+    with pytest.raises(DrapeError, match="close 1009"):  # without a word it is told by its code
+        streamed(live, too_long)
 
 
 def test_requests_carry_their_poses_in_binary_and_the_rest_as_json():

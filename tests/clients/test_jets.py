@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
-import shutil
-import subprocess
 
 import numpy as np
 import pytest
@@ -17,7 +14,7 @@ from drape.errors import InputError
 from drape.wire import messages as wire
 from drape.wire.jets import pack_jets, unpack_jets
 from drape.wire.layout import pack_layout
-from tests.architecture.repository import ROOT
+from tests.clients.node import answer_of
 from tests.fixtures.poses import random_motion
 from tests.fixtures.serving import outfit_settings, outfit_url
 
@@ -27,9 +24,6 @@ POSES, TRANS = random_motion(2)
 SCRIPT = """
 import { JetSurface } from "./jets.js";
 import { kindOf, KIND, unpackJets, unpackLayout } from "./wire.js";
-const input = JSON.parse(await new Promise((done) => {
-  let text = ""; process.stdin.on("data", (part) => (text += part)).on("end", () => done(text));
-}));
 const bytes = (hex) => Uint8Array.from(Buffer.from(hex, "hex")).buffer;
 const frame = unpackJets(bytes(input.frame));
 const surface = new JetSurface(unpackLayout(bytes(input.layout)));
@@ -90,22 +84,12 @@ def test_a_stream_of_jets(outfit_url: str):
 
 
 def test_the_page_makes_the_same_vertices(outfit_url: str, tmp_path):
-    node = shutil.which("node")
-    if node is None:
-        pytest.skip("No Node.js: sudo apt-get install nodejs.")
     with DrapeClient(outfit_url) as client:
         layout, frame = client.jet_layout("coat"), client.drape_jets(["tube", "coat"], POSES, trans=TRANS)[1]
     message = pack_jets(frame)
     read = unpack_jets(message)
-    for name in ("wire.js", "jets.js"):
-        shutil.copy(ROOT / "clients/web/src" / name, tmp_path / name)
-    (tmp_path / "package.json").write_text('{"type": "module"}')
-    script = tmp_path / "decode.js"
-    script.write_text(SCRIPT)
     document = {"frame": message.hex(), "layout": pack_layout(layout).hex(), "first": 12}
-    run = subprocess.run([node, script], input=json.dumps(document), capture_output=True, text=True, timeout=60)
-    assert run.returncode == 0, run.stderr
-    got = json.loads(run.stdout)
+    got = answer_of(SCRIPT, document, tmp_path)
     assert got["jets"] and got["patches"] == 12
     assert got["header"]["sequence"] == frame.sequence and got["header"]["flags"] == wire.FLAG_PUSHED
     assert got["header"]["left_m"] == pytest.approx(frame.left_m)

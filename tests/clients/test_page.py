@@ -17,11 +17,7 @@ pytestmark = pytest.mark.browser
 
 @pytest.fixture(scope="module")
 def page(live: str) -> Iterator[Page]:
-    from tests.conftest import find_chromium
-
-    chromium = find_chromium()
-    assert chromium is not None  # the marker has seen to it
-    with open_page(chromium, live + "/?garment=tube&clip=reach") as page:
+    with open_page(live + "/?garment=tube&clip=reach") as page:
         page.wait_for("Number(document.body?.dataset.frames) >= 3")
         set_control(page, "colour", "value", "#2f6fb0", "input")  # the page's own are greys
         yield page

@@ -17,16 +17,12 @@ pytestmark = pytest.mark.browser
 
 
 def test_the_page_asks_for_a_key_and_streams_with_it(make_settings: Callable[..., Settings], tmp_path: Path):
-    from tests.conftest import find_chromium
-
-    chromium = find_chromium()
-    assert chromium is not None  # the marker has seen to it
     file = tmp_path / "keys.json"
     file.write_text(json.dumps({"shop": {"sha256": digest("drape_key"), "rate": 100}}))
     settings = make_settings(keys_file=file)
     with (
         served(settings) as url,
-        open_page(chromium, url + "/?garment=tube&clip=reach") as page,
+        open_page(url + "/?garment=tube&clip=reach") as page,
     ):
         page.wait_for("document.body?.dataset.state === 'locked' && !document.getElementById('door').hidden")
         for key, until in (("wrong", "'locked'"), ("drape_key", "'open' && Number(document.body.dataset.frames) >= 3")):

@@ -59,13 +59,9 @@ def runtime(make_settings, tmp_path_factory) -> DrapeRuntime:
 
 @pytest.fixture(scope="module")
 def page(runtime: DrapeRuntime) -> Iterator[Page]:
-    from tests.conftest import find_chromium
-
-    chromium = find_chromium()
-    assert chromium is not None  # the marker has seen to it
     with (
         serve(create_app(runtime.settings, runtime=runtime), runtime.settings) as url,
-        open_page(chromium, url + "/?garment=trousers,tank&clip=still") as page,
+        open_page(url + "/?garment=trousers,tank&clip=still") as page,
     ):
         page.wait_for("Number(document.body?.dataset.frames) >= 2")
         page.evaluate(SPY)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import re
-import shutil
 import subprocess
 import sys
 
@@ -15,13 +13,10 @@ from numpy.testing import assert_allclose
 from drape.wire import messages as wire
 from drape.wire.options import DrapeOptions, wire_names
 from tests.architecture.repository import ROOT
+from tests.clients.node import answer_of
 
-WIRE_JS = ROOT / "clients/web/src/wire.js"
 SCRIPT = """
-import { packPose, packAck, unpackFrame, dequantise, SUBPROTOCOL } from %(module)s;
-const input = JSON.parse(await new Promise((done) => {
-  let text = ""; process.stdin.on("data", (part) => (text += part)).on("end", () => done(text));
-}));
+import { packPose, packAck, unpackFrame, dequantise, SUBPROTOCOL } from "./wire.js";
 const hex = (buffer) => Buffer.from(buffer).toString("hex");
 const bytes = Uint8Array.from(Buffer.from(input.frame, "hex"));
 const frame = unpackFrame(bytes.buffer);
@@ -46,25 +41,17 @@ def test_generated_copy_is_current():
 
 @pytest.mark.parametrize("bits", [8, 16])
 def test_javascript_reads_and_writes_what_python_does(tmp_path, bits: int):
-    node = shutil.which("node")
-    if node is None:
-        pytest.skip("No Node.js: sudo apt-get install nodejs.")
     generator = np.random.default_rng(3)
     pose, trans = generator.normal(size=(24, 3)).astype(np.float32), generator.normal(size=3)
     vertices = generator.normal(size=(7, 3)).astype(np.float32)
     root = np.array([1.0, 2.0, 3.0])
     message = wire.pack_frame(wire.Frame(9, 2.5, 3.5, root, vertices, 4, 55, True, 0.5, 0.25, bits=bits))
-    script = tmp_path / "wire.mjs"
-    (tmp_path / "wire_copy.mjs").write_bytes(WIRE_JS.read_bytes())
-    script.write_text(SCRIPT % {"module": json.dumps("./wire_copy.mjs")})
     document = {
         "frame": message.hex(),
         "ack": 4_000_000_000,
         "pose": {"sequence": 8, "clientTimeS": 1.25, "trans": trans.tolist(), "pose": pose.ravel().tolist()},
     }
-    run = subprocess.run([node, script], input=json.dumps(document), capture_output=True, text=True, timeout=60)
-    assert run.returncode == 0, run.stderr
-    got = json.loads(run.stdout)
+    got = answer_of(SCRIPT, document, tmp_path)
     assert got["pose"] == wire.pack_pose(wire.Pose(8, 1.25, trans, pose)).hex()
     assert got["ack"] == wire.pack_ack(4_000_000_000).hex()
     assert got["protocol"] == wire.SUBPROTOCOL

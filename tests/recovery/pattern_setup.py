@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -39,17 +38,6 @@ def tube(front: Panel | None = None, back: Panel | None = None) -> Pattern:
     back = back or rectangle("back", rotation_deg=(0.0, 180.0, 0.0), translation_m=(0.0, 0.0, -0.2))
     sides = [(EdgeRef("front", 1), EdgeRef("back", 3)), (EdgeRef("front", 3), EdgeRef("back", 1))]
     return Pattern("tube", (front, back), tuple(Stitch(first, second) for first, second in sides))
-
-
-def round_tube(radii: Sequence[float], heights: Sequence[float], sides: int = 24) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices [m] and faces of a tube round the y axis through rings of these radii and rising heights [m]."""
-    angle = 2.0 * np.pi * np.arange(sides) / sides
-    ring = np.stack([np.sin(angle), np.zeros(sides), np.cos(angle)], axis=1)
-    rings = [r * ring + [0.0, y, 0.0] for r, y in zip(radii, heights, strict=True)]
-    first = sides * np.arange(len(rings) - 1)[:, None]
-    a, b = (first + np.arange(sides)).reshape(-1), (first + np.roll(np.arange(sides), -1)).reshape(-1)
-    faces = np.stack([a, b, b + sides, a, b + sides, a + sides], axis=1)
-    return np.concatenate(rings), faces.reshape(-1, 3)
 
 
 @lru_cache(maxsize=1)

@@ -10,7 +10,10 @@ import torch
 from torch import Tensor
 
 from drape.cloth.material import OrthotropicMaterial
+from recovery.sim.contact import SkinContact
+from recovery.sim.linearised import linearised_step
 from recovery.sim.model import ClothModel, ClothState, Parameters, Rest
+from recovery.sim.newton import TOLERANCE_N, newton_step
 
 # A woven cloth of ordinary stiffness, every constant different so that a swap shows.
 WOVEN = OrthotropicMaterial(h00=60.0, h01=11.0, h11=45.0, h22=24.0, bending_j=1.5e-4, density_kg_m2=0.18)
@@ -76,6 +79,26 @@ def crumpled_tube(**settings) -> Crumpled:
     model, panels, nodes = sewn_tube(**settings)
     parameters = model.parameters(panels, WOVEN)
     return Crumpled(model, panels, parameters, model.rest(parameters.panels), crumpled(model, nodes).x)
+
+
+def advance(
+    method: str,
+    model: ClothModel,
+    state: ClothState,
+    parameters: Parameters,
+    *,
+    dt_s: float,
+    steps: int,
+    contact: SkinContact | None = None,
+    tolerance_n: float = TOLERANCE_N,
+) -> ClothState:
+    """``state`` after ``steps`` by ``method``, "linearised" or "newton", which is solved to ``tolerance_n``."""
+    for _ in range(steps):
+        if method == "linearised":
+            state = linearised_step(model, state, parameters, dt_s=dt_s, contact=contact)
+        else:
+            state, _ = newton_step(model, state, parameters, dt_s=dt_s, contact=contact, tolerance_n=tolerance_n)
+    return state
 
 
 def leaves_of(state: ClothState, parameters: Parameters) -> dict[str, Tensor]:

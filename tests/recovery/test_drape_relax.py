@@ -9,20 +9,15 @@ from scipy.spatial.transform import Rotation
 
 from drape.errors import MeshError
 from recovery.drape.relax import LONGEST_MOVE_M, Relaxation, nearest_isometry, principal_stretches
+from recovery.drape.sewing import in_numpy
+from recovery.sim.sdf import Plane
 from tests.recovery.sim_setup import strip
 
-
-def nowhere(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The distance of a body that is far away."""
-    return np.full(len(points), 10.0), np.tile([0.0, 0.0, 1.0], (len(points), 1))
+FLOOR = in_numpy(Plane(normal=(0.0, 0.0, 1.0)))
+NOWHERE = in_numpy(Plane((0.0, 0.0, -10.0), (0.0, 0.0, 1.0)))
 
 
-def floor(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The distance of the half space z < 0."""
-    return points[:, 2].copy(), np.tile([0.0, 0.0, 1.0], (len(points), 1))
-
-
-def sheet(distance=nowhere, *, gap_m: float = 0.01) -> tuple[Relaxation, np.ndarray]:
+def sheet(distance=NOWHERE, *, gap_m: float = 0.01) -> tuple[Relaxation, np.ndarray]:
     """A relaxation of a rectangle, and its rest shape in space."""
     panel, faces = strip(6, 4, length_m=0.3, width_m=0.2)
     return Relaxation(faces, panel[faces], distance, gap_m=gap_m), np.pad(panel, ((0, 0), (0, 1)))
@@ -75,7 +70,7 @@ def test_threads_take_the_length_that_is_asked_for():
     right, left = np.flatnonzero(panel[:, 0] > 0.2 - 1e-9), np.flatnonzero(panel[:, 0] < 1e-9)
     pairs = np.stack([right, left + count], axis=1)
     rest = np.concatenate([panel, panel])[both]
-    relaxation = Relaxation(both, rest, nowhere, gap_m=0.01, threads=pairs)
+    relaxation = Relaxation(both, rest, NOWHERE, gap_m=0.01, threads=pairs)
     x = np.pad(np.concatenate([panel, panel + np.array([0.4, 0.0])]), ((0, 0), (0, 1)))
     start = relaxation.thread_lengths(x)
     assert_allclose(start, 0.2, atol=1e-12)
@@ -87,7 +82,7 @@ def test_threads_take_the_length_that_is_asked_for():
 
 
 def test_cloth_in_the_body_comes_out_to_the_gap_and_not_faster_than_allowed():
-    relaxation, rest = sheet(floor, gap_m=0.01)
+    relaxation, rest = sheet(FLOOR, gap_m=0.01)
     x = rest - [0.0, 0.0, 0.05]
     after = relaxation.step(x)
     assert_allclose(np.linalg.norm(after - x, axis=1).max(), LONGEST_MOVE_M, rtol=1e-6)
@@ -101,4 +96,4 @@ def test_a_collapsed_rest_triangle_is_refused():
     rest = panel[faces]
     rest[3, 2] = rest[3, 1]
     with pytest.raises(MeshError, match="number 3"):
-        Relaxation(faces, rest, nowhere, gap_m=0.01)
+        Relaxation(faces, rest, NOWHERE, gap_m=0.01)

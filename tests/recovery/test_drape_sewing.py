@@ -29,6 +29,7 @@ from recovery.sim.sdf import GridDistance, Plane, SignedDistance, Sphere
 from tests.recovery.pattern_setup import default_measurements, rectangle, tube
 from tests.recovery.sim_setup import WOVEN
 
+FAR = Plane((0.0, -10.0, 0.0))
 BALL = in_numpy(Sphere((0.0, 0.0, 0.0), 0.1))
 
 
@@ -152,13 +153,6 @@ def cylinder(radius: float) -> SignedDistance:
     return distance
 
 
-def far(points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """A body that is nowhere near."""
-    return torch.full((len(points),), 10.0, dtype=points.dtype), torch.zeros_like(points) + torch.tensor(
-        [0.0, 1.0, 0.0]
-    )
-
-
 def test_the_topmost_opening_is_the_upper_rim_of_a_tube():
     mesh = tube_mesh()
     nodes = mesh.nodes_from(mesh.placed())
@@ -185,7 +179,7 @@ def test_a_tube_hangs_from_its_rim_by_its_own_weight():
     hems = []
     for factor in (1.0, 2.0):
         cloth = replace(WOVEN, density_kg_m2=factor * WOVEN.density_kg_m2)
-        drape = settle(mesh, nodes, far, cloth, held=held)
+        drape = settle(mesh, nodes, FAR, cloth, held=held)
         assert drape.report.converged
         assert_allclose(drape.nodes[held], nodes[held], atol=0.0)
         hems.append(drape.nodes[rim, 1].mean())
@@ -202,7 +196,7 @@ def test_a_belt_closes_round_the_body_before_it_holds():
     assert drape.steps < STEP_LIMIT // 2
     assert set(drape.held) == set(topmost_opening(mesh.faces, upright(mesh)))
     radius = np.hypot(drape.nodes[drape.held, 0], drape.nodes[drape.held, 2])
-    assert radius.min() > 0.16 and radius.max() < 0.16 + SkinContact(far).gap_m + 1e-3
+    assert radius.min() > 0.16 and radius.max() < 0.16 + SkinContact(FAR).gap_m + 1e-3
 
 
 def slab(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -231,7 +225,7 @@ FACED = in_numpy(Plane((0.0, 0.0, 2.0), (0.0, 0.0, 1.0)))  # the front's right s
         (lambda: sew(tube_mesh(), tube_mesh().placed(), slab), "edges that meet round the body"),
         # 0.8 m of cloth round a body of 1.6 m.
         (lambda: sew(tube_mesh(), apart(), in_numpy(cylinder(0.255))), "Size the pattern up"),
-        (lambda: settle(tube_mesh(), sewn_tube().nodes, far, WOVEN, lowest_top_m=-0.5), "Give it a belt"),
+        (lambda: settle(tube_mesh(), sewn_tube().nodes, FAR, WOVEN, lowest_top_m=-0.5), "Give it a belt"),
     ],
 )
 def test_what_cannot_be_placed_sewn_or_held_is_refused(make, message):

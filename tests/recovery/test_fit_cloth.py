@@ -17,7 +17,8 @@ from recovery.fit.contours import open_contours
 from recovery.fit.objective import Objective, Target, Weights
 from recovery.fit.optimise import FitOptions, PatternSearch
 from recovery.pattern.coordinates import with_controls
-from tests.recovery.test_fit_optimise import CLOTH, scene, search, slope, wider_below
+from tests.recovery.sim_setup import WOVEN as CLOTH
+from tests.recovery.test_fit_optimise import scene, search, slope, wider_below
 
 
 def test_constants_and_logarithms_are_inverse():

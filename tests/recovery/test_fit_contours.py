@@ -9,14 +9,15 @@ from numpy.testing import assert_allclose
 from drape.body.assets import load_body
 from drape.body.skeleton import JOINT_NAMES
 from drape.errors import InputError, MeshError
-from recovery.fit.contours import Contour, bone_chains, encircles, match_contours, open_contours, place_of
-from recovery.fit.grading import contour_edges, grade
+from recovery.fit.contours import Contour, Match, bone_chains, encircles, match_contours, open_contours, place_of
+from recovery.fit.grading import Graded, contour_edges, grade
 from recovery.pattern.bases import skirt, tshirt
 from recovery.pattern.coordinates import control_points
 from recovery.pattern.mesh import PatternMesh, mesh_pattern
-from recovery.pattern.model import Pattern
+from recovery.pattern.model import EdgeRef, Pattern
 from recovery.pattern.symmetry import find_symmetries
-from tests.recovery.pattern_setup import default_measurements, round_tube
+from tests.drape.cloth.cloth_shapes import round_tube
+from tests.recovery.pattern_setup import default_measurements
 
 
 def joints() -> np.ndarray:
@@ -27,6 +28,15 @@ def sandwich(name: str) -> tuple[PatternMesh, np.ndarray]:
     """A base pattern and its nodes [m], panels flat before and behind the body and joined at the seams."""
     mesh = mesh_pattern({"skirt": skirt, "tshirt": tshirt}[name](default_measurements()), 0.07)
     return mesh, mesh.nodes_from(mesh.placed())
+
+
+def graded_to(mesh: PatternMesh, nodes: np.ndarray, factor) -> tuple[list[Match], Graded]:
+    """The matches with a target that is the drape scaled about the pelvis, and the pattern graded to it."""
+    pelvis, source = joints()[0], open_contours(nodes, mesh.faces)
+    target = open_contours(pelvis + factor * (nodes - pelvis), mesh.faces)
+    matches, left = match_contours(source, target, joints())
+    assert left == []
+    return matches, grade(mesh, nodes, source, matches, find_symmetries(mesh.pattern))
 
 
 def sizes(pattern: Pattern, base: Pattern) -> np.ndarray:
@@ -128,23 +138,16 @@ def test_contours_find_their_counterparts_and_holes_are_left():
 
 def test_the_contours_of_a_skirt_are_its_free_edges():
     mesh, nodes = sandwich("skirt")
-    hem, waist = open_contours(nodes, mesh.faces)
-    named = {"hem": {0}, "waist": {3}}
-    for contour, numbers in ((hem, named["hem"]), (waist, named["waist"])):
-        refs = contour_edges(mesh, contour)
-        assert {ref.panel for ref in refs} == {"front", "back"} and {ref.edge for ref in refs} == numbers
+    for contour, number in zip(open_contours(nodes, mesh.faces), (0, 3), strict=True):  # hem and waist
+        assert set(contour_edges(mesh, contour)) == {EdgeRef(panel, number) for panel in ("front", "back")}
 
 
 @pytest.mark.parametrize("name", ["skirt", "tshirt"])
 @pytest.mark.parametrize("scale", [0.93, 1.07])
 def test_a_target_that_is_the_drape_scaled_gives_the_scale_back(name, scale):
     mesh, nodes = sandwich(name)
-    pelvis = joints()[0]
-    source = open_contours(nodes, mesh.faces)
-    matches, left = match_contours(source, open_contours(pelvis + scale * (nodes - pelvis), mesh.faces), joints())
-    assert left == []
+    matches, graded = graded_to(mesh, nodes, scale)
     assert_allclose([m.length_ratio for m in matches], scale, rtol=1e-9)
-    graded = grade(mesh, nodes, source, matches, find_symmetries(mesh.pattern))
     assert_allclose(sizes(graded.pattern, mesh.pattern), scale, atol=0.02)
     assert_allclose(graded.widths, scale, atol=0.02)
     assert_allclose(graded.heights, scale, atol=0.02)
@@ -156,17 +159,7 @@ def test_a_target_that_is_the_drape_scaled_gives_the_scale_back(name, scale):
 
 
 def test_one_that_is_longer_only_is_lengthened_only():
-    mesh, nodes = sandwich("skirt")
-    pelvis = joints()[0]
-    source = open_contours(nodes, mesh.faces)
-    taller = pelvis + [1.0, 1.1, 1.0] * (nodes - pelvis)
-    graded = grade(
-        mesh,
-        nodes,
-        source,
-        match_contours(source, open_contours(taller, mesh.faces), joints())[0],
-        find_symmetries(mesh.pattern),
-    )
+    _, graded = graded_to(*sandwich("skirt"), np.array([1.0, 1.1, 1.0]))
     assert_allclose(graded.heights, 1.1, atol=0.015)
     assert_allclose(graded.widths, 1.0, atol=0.005)
 

@@ -9,11 +9,9 @@ from functools import lru_cache
 import numpy as np
 import pytest
 import torch
-import trimesh
 from numpy.testing import assert_allclose
 
 from benchmarks.recovery.compare import pattern_error
-from drape.cloth.material import OrthotropicMaterial
 from drape.errors import ArtifactError, InputError, MeshError
 from recovery.fit.contours import Contour, Match, Place, open_contours
 from recovery.fit.curvature import gauss_newton_matrix
@@ -33,9 +31,10 @@ from recovery.pattern.mesh import PatternMesh, mesh_pattern
 from recovery.pattern.model import Pattern
 from recovery.pattern.symmetry import find_symmetries, free_controls
 from recovery.sim.sdf import Sphere
+from tests.drape.geometry.geometry_shapes import icosphere
 from tests.recovery.pattern_setup import rectangle, tube
+from tests.recovery.sim_setup import WOVEN as CLOTH
 
-CLOTH = OrthotropicMaterial(h00=60.0, h01=11.0, h11=45.0, h22=24.0, bending_j=1.5e-4, density_kg_m2=0.18)
 NOWHERE = Sphere((0.0, -10.0, 0.0), 0.1)
 
 
@@ -102,8 +101,7 @@ def search(weights: Weights | None = None) -> tuple[PatternSearch, np.ndarray]:
 
 
 def test_mean_curvature_of_sphere_cylinder_and_plane():
-    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
-    vertices, faces = np.array(ball.vertices), np.array(ball.faces)
+    vertices, faces = icosphere(4, radius_m=0.1)
     assert_allclose(np.median(mean_curvature(vertices, faces)), 10.0, rtol=0.01)
     mesh = mesh_pattern(tube(), 0.02)
     angle = np.pi * mesh.rest[:, 0] / 0.4  # half a circle each

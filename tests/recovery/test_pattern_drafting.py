@@ -6,25 +6,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import trimesh
 from numpy.testing import assert_allclose
 
 from drape.errors import BodyError
 from recovery.pattern import geometry
 from recovery.pattern.drafting import BACK, FRONT, Side, draft, mirror
 from recovery.pattern.measurements import measure, section, tape
+from tests.drape.geometry.geometry_shapes import icosphere
 from tests.recovery.pattern_setup import default_measurements
 
 
 def test_the_tape_reads_the_perimeter_of_a_circle_and_spans_hollows():
-    ball = trimesh.creation.icosphere(subdivisions=5, radius=0.3)
-    points = section(ball.vertices, ball.faces, 1, 0.1)
+    ball = icosphere(5, radius_m=0.3)
+    points = section(*ball, 1, 0.1)
     assert_allclose(points[:, 1], 0.1, atol=1e-12)
     assert_allclose(tape(points[:, [0, 2]]), 2.0 * np.pi * np.sqrt(0.3**2 - 0.1**2), rtol=1e-3)
     hollow = np.array([(0, 0), (1, 0), (1, 1), (0.5, 0.2), (0, 1)], dtype=float)
     assert_allclose(tape(hollow), 4.0)
     with pytest.raises(BodyError, match="T-pose"):
-        tape(section(ball.vertices, ball.faces, 1, 5.0)[:, [0, 2]])
+        tape(section(*ball, 1, 5.0)[:, [0, 2]])
 
 
 def test_the_body_is_measured_in_the_order_of_a_body():

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from drape.cloth.material import OrthotropicMaterial
 from drape.errors import InputError, MeshError
 from drape.geometry import meshes
 from recovery.pattern import geometry
@@ -25,6 +24,7 @@ from recovery.pattern.model import Edge, EdgeKind, EdgeRef, Panel, Pattern, Stit
 from recovery.pattern.triangulate import corner_angles_deg, signed_areas, triangulate
 from recovery.sim.model import ClothModel
 from tests.recovery.pattern_setup import curved, rectangle, tube
+from tests.recovery.sim_setup import WOVEN
 
 # A polygon with a deep hollow, and one that is convex; both counter-clockwise.
 HOLLOW = np.array([(0, 0), (4, 0), (4, 3), (2.2, 3), (2, 0.7), (1.8, 3), (0, 3)], dtype=float)
@@ -106,6 +106,7 @@ def test_weights_follow_floaters_angles(rng):
 
 def test_a_corner_belongs_to_itself_and_a_side_to_its_ends():
     assert_allclose(mean_value_weights(HOLLOW, HOLLOW), np.eye(len(HOLLOW)), atol=0)
+    assert mean_value_weights(HOLLOW[:0], HOLLOW).shape == (0, len(HOLLOW))
     for share in (0.25, 1e-9):
         points = (1 - share) * HOLLOW + share * np.roll(HOLLOW, -1, axis=0)
         expected = (1 - share) * np.eye(len(HOLLOW)) + share * np.roll(np.eye(len(HOLLOW)), 1, axis=1)
@@ -127,25 +128,17 @@ def test_weights_stay_finite_and_continuous_near_sides_and_corners(distance):
 def test_moved_control_points_move_the_curves_exactly(rng):
     """The matrix made before the move gives the curves of the moved pattern, and so do its own numbers."""
     pattern = Pattern("curved", (curved(), curved("other", tuple(EdgeKind)[::-1])))
-    controls = control_points(pattern)
-    assert len(controls) == 8
-    moved = controls.positions + 0.03 * rng.normal(size=controls.positions.shape)
-    after = with_controls(pattern, controls, moved)
-    assert_allclose(control_points(after).positions, moved, rtol=0, atol=1e-14)
+    for free_curves, count in ((True, 8 + 6), (False, 8)):
+        controls = control_points(pattern, free_curves=free_curves)
+        assert len(controls) == count
+        moved = controls.positions + 0.03 * rng.normal(size=controls.positions.shape)
+        after = with_controls(pattern, controls, moved)
+        assert_allclose(control_points(after, free_curves=free_curves).positions, moved, rtol=0, atol=1e-14)
     t = [np.linspace(0.0, 0.9, 6)] * 4
     for number, (before, panel) in enumerate(zip(pattern.panels, after.panels, strict=True)):
         mine = moved[controls.panel == number].reshape(-1)
         expected = np.concatenate([geometry.edge_points(panel, edge, t[edge]) for edge in range(4)])
         assert_allclose((boundary_matrix(before, t) @ mine).reshape(-1, 2), expected, rtol=0, atol=1e-14)
-
-
-def test_handles_move_where_they_are_asked_to(rng):
-    pattern = Pattern("curved", (curved(), curved("other", tuple(EdgeKind)[::-1])))
-    controls = control_points(pattern, free_curves=True)
-    assert len(controls) == 8 + 6
-    moved = controls.positions + 0.03 * rng.normal(size=controls.positions.shape)
-    after = with_controls(pattern, controls, moved)
-    assert_allclose(control_points(after, free_curves=True).positions, moved, rtol=0, atol=1e-14)
 
 
 def test_a_curve_that_follows_turns_with_its_chord():
@@ -320,17 +313,12 @@ def test_what_cannot_be_meshed_is_refused(make, message):
         make()
 
 
-def test_no_points_have_no_weights():
-    assert mean_value_weights(np.zeros((0, 2)), CONVEX).shape == (0, len(CONVEX))
-
-
 def test_the_simulator_takes_the_mesh_and_finds_the_area_of_the_pattern():
     pattern = tube()
     mesh = mesh_pattern(pattern, 0.05)
     model = ClothModel(mesh.faces, panel_faces=mesh.panel_faces)
     assert (model.node_of_panel_vertex == mesh.node_of_panel_vertex).all()
-    cloth = OrthotropicMaterial(h00=60.0, h01=11.0, h11=45.0, h22=24.0, bending_j=1e-4, density_kg_m2=0.2)
-    rest = model.rest(model.parameters(mesh.rest, cloth).panels)
+    rest = model.rest(model.parameters(mesh.rest, WOVEN).panels)
     assert_allclose(rest.node_area.sum(), sum(geometry.area(panel) for panel in pattern.panels), rtol=1e-12)
 
 

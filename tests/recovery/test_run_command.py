@@ -17,10 +17,10 @@ from PIL import Image
 from benchmarks.recovery.compare import pattern_error
 from drape.body.assets import load_body
 from drape.errors import InputError
+from drape.files.atomic import write_whole
 from drape.garment.cache import load_garment
 from drape.garment.files.mesh import read_mesh
 from drape.geometry.drawing import drawn
-from recovery.atomic import write
 from recovery.drape.output import obj_text, panel_texture
 from recovery.drape.pipeline import Draped, DrapeOptions, drape_pattern
 from recovery.fit.chamfer import chamfer, surface_chamfer, surface_distance
@@ -35,7 +35,8 @@ from recovery.run.job import describe_worn, lost_words, run_job
 from recovery.run.report import Page
 from recovery.run.report_text import cloth_words, cut_words, file_words, verdicts
 from recovery.run.retarget import lost_parts, retargeted
-from tests.recovery.pattern_setup import default_measurements, round_tube, tube
+from tests.drape.cloth.cloth_shapes import round_tube
+from tests.recovery.pattern_setup import default_measurements, tube
 
 SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
 HALVES, OTHER_HALVES = np.array([[0, 1, 2], [0, 2, 3]]), np.array([[0, 1, 3], [1, 2, 3]])
@@ -101,7 +102,7 @@ def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     truth = tshirt(default_measurements(), length_m=0.70, chest_ease_m=0.15)
     draped = drape_pattern(truth, load_body(), COARSE)
-    path = write(folder / "target.obj", obj_text(draped.mesh, draped.nodes, panel_texture(draped.mesh)))
+    path = write_whole(folder / "target.obj", obj_text(draped.mesh, draped.nodes, panel_texture(draped.mesh)))
     coarse = ["--edge-length", "0.05", "--grid", "0.02", "--adam", "0", "--closing", "2", "--no-retarget"]
     coarse += ["--meshes", "0.05"]  # one round; tests of the pipeline have more
     outcomes = []
@@ -189,7 +190,7 @@ def test_the_garment_is_taken_to_other_bodies_and_poses(run, monkeypatch):
     folder, outcome, truth = run
     pose = np.zeros((24, 3))
     pose[0, 1] = 0.3
-    write(folder / "turned.json", json.dumps(pose.tolist()))
+    write_whole(folder / "turned.json", json.dumps(pose.tolist()))
     monkeypatch.setattr("recovery.run.retarget.BODIES", {"taller": (0.3,)})
     monkeypatch.setattr("recovery.run.retarget.POSES", (str(folder / "turned.json"),))
     draped, body = outcome.anew, load_body()

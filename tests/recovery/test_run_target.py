@@ -17,12 +17,13 @@ from recovery.pattern.bases import base_pattern
 from recovery.run.job import Job, prepare, read_base
 from recovery.run.target import OPENINGS, check_base, check_near, one_piece, openings, placed_target, read_target
 from recovery.run.wearer import check_closed, inside_wearer, read_wearer, shaped_body
-from tests.recovery.pattern_setup import default_measurements, round_tube
+from tests.drape.cloth.cloth_shapes import round_tube
+from tests.recovery.pattern_setup import default_measurements
 
 
 def skirt_tube(radius: float = 0.24, top: float = 0.05, bottom: float = -0.45) -> GarmentMesh:
     """A tube round hips and legs of the shipped body: what a skirt is."""
-    return plain_mesh("skirt", *round_tube([radius] * 21, np.linspace(bottom, top, 21).tolist(), 40))
+    return plain_mesh("skirt", *round_tube([radius] * 21, np.linspace(bottom, top, 21), 40))
 
 
 def write_obj(path: Path, mesh: GarmentMesh, *, materials: dict[str, np.ndarray] | None = None) -> Path:

@@ -19,7 +19,7 @@ from recovery.sim.model import ClothModel, ClothState
 from recovery.sim.newton import equilibrium, newton_step
 from recovery.sim.sdf import GridDistance, Plane, Sphere
 from tests.drape.geometry.geometry_shapes import icosphere
-from tests.recovery.sim_setup import WOVEN, lifted, strip
+from tests.recovery.sim_setup import WOVEN, advance, lifted, strip
 
 RADIUS_M = 0.1
 
@@ -130,11 +130,7 @@ def test_cloth_on_an_incline_sticks_or_slides_as_coulomb_says(method, degrees, s
     before = 1.0 if slides and method == "linearised" else 0.0
     state = state._replace(v=state.v + before * torch.from_numpy(downhill))
     steps, dt = 40, 0.005
-    for _ in range(steps):
-        if method == "linearised":
-            state = linearised_step(model, state, parameters, dt_s=dt, contact=contact)
-        else:
-            state = newton_step(model, state, parameters, dt_s=dt, contact=contact)[0]
+    state = advance(method, model, state, parameters, dt_s=dt, steps=steps, contact=contact)
     moved = ((state.x - start).mean(dim=0) * torch.from_numpy(downhill)).sum()
     if slides:
         speed = 9.81 * (np.sin(tilt) - 0.3 * np.cos(tilt)) * steps * dt

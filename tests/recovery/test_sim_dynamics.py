@@ -11,9 +11,9 @@ from numpy.testing import assert_allclose
 
 from drape.cloth.material import OrthotropicMaterial
 from recovery.sim import elastic
-from recovery.sim.linearised import linearised_step, simulate
+from recovery.sim.linearised import simulate
 from recovery.sim.newton import newton_step
-from tests.recovery.sim_setup import WOVEN, crumpled, sewn_tube
+from tests.recovery.sim_setup import WOVEN, advance, crumpled, sewn_tube
 
 # Slow enough (about 30 rad/s) that steps of milliseconds resolve every mode.
 SOFT = OrthotropicMaterial(0.6, 0.1, 0.5, 0.3, 1e-5, 0.5)
@@ -27,11 +27,7 @@ def test_free_fall_is_the_exact_sum_of_implicit_euler(method):
     mass = (parameters.density_kg_m2 * model.rest(parameters.panels).node_area)[:, None]
     start = (mass * state.x).sum(dim=0) / mass.sum()
     steps, dt = 5, 0.02
-    for _ in range(steps):
-        if method == "linearised":
-            state = linearised_step(model, state, parameters, dt_s=dt)
-        else:
-            state = newton_step(model, state, parameters, dt_s=dt, tolerance_n=1e-12)[0]
+    state = advance(method, model, state, parameters, dt_s=dt, steps=steps, tolerance_n=1e-12)
     found = (mass * state.x).sum(dim=0) / mass.sum() - start
     assert_allclose(found, [0.0, -9.81 * dt**2 * steps * (steps + 1) / 2, 0.0], rtol=0, atol=1e-12)
 
@@ -42,15 +38,7 @@ def test_the_error_falls_in_proportion_to_the_time_step(method):
     model, panels, nodes = sewn_tube(3, 2, fixed=[0, 1])
     start = crumpled(model, 1.02 * nodes, size_m=0.001)
     parameters = model.parameters(panels, SOFT)
-    ends = []
-    for steps in (8, 16, 32, 64):
-        state, dt = start, 0.015 / steps
-        for _ in range(steps):
-            if method == "linearised":
-                state = linearised_step(model, state, parameters, dt_s=dt)
-            else:
-                state = newton_step(model, state, parameters, dt_s=dt)[0]
-        ends.append(state.x)
+    ends = [advance(method, model, start, parameters, dt_s=0.015 / n, steps=n).x for n in (8, 16, 32, 64)]
     changes = [float((b - a).norm()) for a, b in pairwise(ends)]
     slopes = np.log2(np.array(changes[:-1]) / changes[1:])
     assert_allclose(slopes, 1.0, rtol=0, atol=0.1)

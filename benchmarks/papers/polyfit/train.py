@@ -7,7 +7,6 @@ network is kept with its configuration, and not trained again.
 from __future__ import annotations
 
 import math
-import os
 import pickle
 import time
 from dataclasses import asdict, dataclass, replace
@@ -25,6 +24,7 @@ from benchmarks.papers.polyfit.garment_patches import designed_garments, draw_ga
 from benchmarks.papers.polyfit.network import DgcnnRegressor, PointNetRegressor, Qstn
 from drape.body.assets import load_body
 from drape.errors import ArtifactError, InputError
+from drape.files.atomic import whole_file
 
 SKIPS_MAX = 8
 SMOOTH_COUNTS = (0.3, 1.2)  # times the rule: the shipped designs are smooth, and large patches of them are hard
@@ -200,9 +200,8 @@ def garment_patches(folder: Path, config: PolyFitConfig) -> Patches:
 def save(path: Path, model: nn.Module, config: PolyFitConfig) -> None:
     """Writes a network; a crash leaves the file before."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".part")
-    torch.save({"model": model.state_dict(), "config": asdict(config)}, temporary)
-    os.replace(temporary, path)
+    with whole_file(path) as file:
+        torch.save({"model": model.state_dict(), "config": asdict(config)}, file)
 
 
 def load(path: Path) -> tuple[nn.Module, PolyFitConfig]:

@@ -43,21 +43,3 @@ def posed_with(added: torch.Tensor, rotvec=(0.0, 0.0, 0.0), centre=(0.0, 0.0, 0.
     """One frame of one patch whose jet got ``added`` (27,)."""
     rotation = torch.from_numpy(rotvec_to_matrix(np.array(rotvec)))[None, None]
     return Posed(rotation, torch.tensor([[centre]], dtype=F64), added[None, None])
-
-
-def lattice(length: float, rows: int) -> tuple[np.ndarray, np.ndarray]:
-    """Equilateral triangles on a square of side ``length`` round the origin: points (n, 2) and faces."""
-    edge = length / rows
-    high = round(length / (edge * np.sqrt(0.75)))
-    i, j = np.meshgrid(np.arange(rows + 1), np.arange(high + 1))
-    points = np.stack([(i + 0.5 * (j % 2)) * edge, j * edge * np.sqrt(0.75)], axis=-1)
-    index = np.arange(points[..., 0].size).reshape(high + 1, rows + 1)
-    faces = []
-    for row in range(high):
-        low, up = index[row], index[row + 1]
-        for k in range(rows):
-            corners = (low[k], low[k + 1], up[k], up[k + 1])
-            a, b, c, d = corners
-            faces += [(a, b, c), (b, d, c)] if row % 2 == 0 else [(a, b, d), (a, d, c)]
-    points = points.reshape(-1, 2)
-    return points - 0.5 * (points.min(axis=0) + points.max(axis=0)), np.array(faces)

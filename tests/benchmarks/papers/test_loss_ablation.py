@@ -116,10 +116,7 @@ def test_a_network_is_judged_by_the_product_s_measures(trainer: LossTrainer):
     assert row["energy_j"] == pytest.approx(sum(parts), rel=1e-6)
 
 
-def test_options():
-    quick = loss_ablation.main.parse(["--quick"])
-    assert (quick.minutes, quick.frames, quick.losses) == (0.05, 1, ("house", "paper"))
-    assert loss_ablation.main.parse([]).losses == tuple(LOSS_SETS)
+def test_runs_share_a_small_configuration():
     assert set(loss_ablation.PUBLISHED) < set(LOSS_SETS)
     config = loss_ablation.small_config(loss_ablation.main.parse(["--variant", "paper", "--minutes", "3"]))
     assert (config.model.variant, config.model.surroundings, config.minutes) == ("paper", False, 3.0)

@@ -17,7 +17,9 @@ from drape.garment.fitting import patch_fields
 from drape.geometry import jets
 from drape.geometry.meshes import edge_lengths, unique_edges
 from drape.geometry.rotations import rotvec_to_matrix
-from tests.benchmarks.papers.losses_setup import F64, SCALE, flat_jet, lattice, posed_with, samples_at
+from drape.geometry.skinning import skin_points
+from tests.benchmarks.papers.losses_setup import F64, SCALE, flat_jet, posed_with, samples_at
+from tests.drape.cloth.cloth_shapes import equilateral, grid
 from tests.training.training_setup import bank, body, garment, source, tube
 from training.losses import disagreement
 from training.model import Posed, pose_frames, posed_coefficients
@@ -161,8 +163,7 @@ def test_samples_of_a_partition_are_its_charts():
 def test_edges_that_stretch_alike_cost_the_same_on_both_meshes():
     lost = []
     for rows in (8, 16):
-        points, faces = lattice(1.0, rows)
-        flat = np.column_stack([points, np.zeros(len(points))])
+        flat, faces = equilateral(rows, round(rows / np.sqrt(0.75)), edge_m=1.0 / rows)
         edges = unique_edges(faces)
         rest = edge_lengths(flat, edges)
         moved = torch.from_numpy(1.1 * flat[None]).requires_grad_()
@@ -191,13 +192,11 @@ def test_boundary_is_zero_where_charts_agree_and_known_where_one_is_moved():
 
 @pytest.mark.parametrize("term", ["collision", "metric", "edges", "boundary", "gravity"])
 def test_gradients_in_the_jets_follow_finite_differences(term):
-    """Two overlapping charts at 20 points, which are also the corners of a strip of triangles."""
+    """Two overlapping charts at 20 points, which are also the corners of a sheet of triangles."""
     rng = np.random.default_rng(11)
-    points = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 5), np.linspace(-0.4, 0.4, 4)), axis=-1).reshape(-1, 2)
-    index = np.arange(20).reshape(4, 5)
-    corners = [index[:-1, :-1], index[:-1, 1:], index[1:, :-1]], [index[:-1, 1:], index[1:, 1:], index[1:, :-1]]
-    faces = np.concatenate([np.stack([part.ravel() for part in half], axis=1) for half in corners])
-    flat = np.column_stack([SCALE * points, np.zeros(20)])
+    sheet, faces = grid(4, 3, cell_m=0.25)
+    points = sheet[:, :2] - [0.5, 0.375]
+    flat = SCALE * (sheet - [0.5, 0.375, 0.0])
     edges = unique_edges(faces)
     cloth = ClothMesh.from_rest(flat, faces).like(torch.zeros(1, dtype=F64))
     single = samples_at(torch.from_numpy(points), flat_jet())
@@ -288,8 +287,6 @@ def test_a_skinned_chart_is_what_skinning_makes_of_it():
     patches = partition.patches
     posed = Posed(patches.rotation[None], patches.centre[None], torch.zeros(1, len(patches.scale), jets.JET_COUNT))
     surface = paper.chart_surface(posed, samples, skin=skin)
-    from drape.geometry.skinning import skin_points
-
     places = torch.from_numpy(rest.vertices[vertex].astype(np.float32))[None]
     expected = skin_points(places, weights[vertex], batch.tensors.rotation, batch.tensors.translation)
     assert_allclose(surface.positions, expected[:, :, None].expand(-1, -1, 4, -1), rtol=0, atol=2e-5)

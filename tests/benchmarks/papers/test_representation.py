@@ -63,11 +63,3 @@ def test_skinned_forms_gain_on_skinning():
 def test_shares_of_the_patch_count_are_positive():
     with pytest.raises(InputError, match="above 0"):
         representation.main(["--patches", "0"])
-
-
-def test_the_quick_form_is_small_and_yields_to_options():
-    quick = representation.main.parse(["--quick"])
-    assert (quick.garments, quick.frames, quick.patches) == (("tshirt",), 1, (100,))
-    full = representation.main.parse([])
-    assert (full.garments, full.frames, full.forms) == (representation.GARMENTS, 2, tuple(REPRESENTATIONS))
-    assert representation.main.parse(["--quick", "--steps", "7"]).steps == 7

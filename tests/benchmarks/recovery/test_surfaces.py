@@ -24,14 +24,6 @@ def test_the_floor_is_what_evenly_drawn_points_leave():
     assert found.normal == pytest.approx(0.0, abs=1e-12) and found.normal_deg < 1e-5
 
 
-def test_parallel_squares_are_as_far_apart_as_they_are():
-    gap = 0.05
-    found = surface_error(SQUARE + np.array([0.0, 0.0, gap]), FACES, SQUARE, FACES, count=COUNT)
-    floor = 2.0 / (np.pi * COUNT)
-    assert found.chamfer_cm2 == pytest.approx(1e4 * (2.0 * gap**2 + floor), rel=1e-3)
-    assert found.mean_mm == pytest.approx(50.0, rel=0.01)
-
-
 @pytest.mark.parametrize("angle_deg", [10.0, 60.0])
 def test_normals_of_a_turned_square(angle_deg: float):
     angle = np.radians(angle_deg)

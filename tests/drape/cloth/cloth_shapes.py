@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 
@@ -35,17 +37,18 @@ def equilateral(columns: int, rows: int, *, edge_m: float = 0.01) -> tuple[np.nd
 
 def tube(around: int = 12, along: int = 5, *, radius_m: float = 0.1, height_m: float = 0.3):
     """An open cylinder about the y axis, from y = 0 up, normals outwards."""
+    return round_tube([radius_m] * (along + 1), np.linspace(0.0, height_m, along + 1), around)
+
+
+def round_tube(radii: Sequence[float], heights: Sequence[float] | np.ndarray, around: int = 24):
+    """Vertices [m] and faces of a tube about the y axis through rings of these radii and rising heights [m]."""
     angle = 2.0 * np.pi * np.arange(around) / around
-    height = np.linspace(0.0, height_m, along + 1)
-    ring = np.stack([radius_m * np.sin(angle), np.zeros(around), radius_m * np.cos(angle)], axis=1)
-    vertices = (ring[None] + height[:, None, None] * np.array([0.0, 1.0, 0.0])).reshape(-1, 3)
-    faces = []
-    for level in range(along):
-        for a in range(around):
-            b = (a + 1) % around
-            low, high = level * around, (level + 1) * around
-            faces += [[low + a, low + b, high + b], [low + a, high + b, high + a]]
-    return vertices, np.array(faces)
+    ring = np.stack([np.sin(angle), np.zeros(around), np.cos(angle)], axis=1)
+    rings = [r * ring + [0.0, y, 0.0] for r, y in zip(radii, heights, strict=True)]
+    first = around * np.arange(len(rings) - 1)[:, None]
+    a, b = (first + np.arange(around)).reshape(-1), (first + np.roll(np.arange(around), -1)).reshape(-1)
+    faces = np.stack([a, b, b + around, a, b + around, a + around], axis=1)
+    return np.concatenate(rings), faces.reshape(-1, 3)
 
 
 def random_rotation(rng: np.random.Generator) -> np.ndarray:
