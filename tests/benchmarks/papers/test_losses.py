@@ -270,7 +270,7 @@ def test_terms_are_rigid_motion_invariant_on_a_real_partition():
             ]
         )
     assert min(costs[0]) > 0.0
-    assert_allclose(costs[0], costs[1], rtol=1e-6, atol=0)  # frames come from float32
+    assert_allclose(costs[0], costs[1], rtol=1e-5, atol=0)  # frames from float32 over strains of some percent
 
 
 def test_a_skinned_chart_is_what_skinning_makes_of_it():
