@@ -16,6 +16,7 @@ from drape.cloth.waistband import STIFFNESS_N_M2, waistband
 from drape.contact.samples import Samples
 from drape.contact.skin import body_skin
 from drape.garment.cache import Garment
+from drape.geometry import meshes
 from drape.live.room import SheetNeighbours, sheet_neighbours
 from drape.live.sheet import Sheet, sheet
 from drape.live.skin_contact import SkinGraph, nearest_at_rest, skin_graph
@@ -62,7 +63,8 @@ class FoldConstants(NamedTuple):
     """The arrays that kernels read: the cloth's ``sheet``, the ``factor`` of its stiffness, the skin's ``graph``.
 
     ``neighbours``: which vertices are of one sheet; ``index`` (P,): the sample nearest to each place at rest;
-    ``friction`` with the skin, in frames with a past.
+    ``friction`` with the skin, in frames with a past; ``hem`` (H, 3): places of border vertices, each between its
+    neighbours along the border.
     """
 
     sheet: Sheet
@@ -71,6 +73,7 @@ class FoldConstants(NamedTuple):
     neighbours: SheetNeighbours
     index: np.ndarray
     friction: float
+    hem: np.ndarray
 
     @classmethod
     def of(cls, worn: WornCloth, *, dtype: type[np.floating] = np.float32) -> FoldConstants:
@@ -78,12 +81,20 @@ class FoldConstants(NamedTuple):
         made = sheet(worn.cloth, worn.material, worn.band_n_per_m, dtype=dtype)
         factor = stiffness_factor(worn.cloth, worn.material, worn.springs_n_per_m, made)
         neighbours = sheet_neighbours(worn.cloth)
-        return cls(made, factor, worn.graph.of_type(dtype), neighbours, worn.index[made.vertex], worn.friction)
+        hem = hem_places(worn.cloth.faces, made.place)
+        return cls(made, factor, worn.graph.of_type(dtype), neighbours, worn.index[made.vertex], worn.friction, hem)
 
     @property
     def nbytes(self) -> int:
         """Memory of the arrays."""
         return _nbytes(tuple(self))
+
+
+def hem_places(faces: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """The places (H, 3) of every border vertex of ``faces``, between those of its neighbours along the border."""
+    loops = [loop for loop in meshes.boundary_loops(faces) if len(loop) > 2]
+    triples = [np.stack([np.roll(loop, 1), loop, np.roll(loop, -1)], axis=1) for loop in loops]
+    return place[np.concatenate([np.zeros((0, 3), np.int64), *triples])].astype(np.int32)
 
 
 def fold_constants(garment: Garment, body: BodyModel, fabric: Fabric | None = None) -> FoldConstants:

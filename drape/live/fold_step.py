@@ -250,7 +250,7 @@ def advance(before, network, state, touched, skin, cloth, schedule):
         first = LANES * block
         put_points(x, first, in_world(frames, block, points_in(residual, first)))
         put_points(way, first, in_world(frames, block, scaled(schedule.step_s, points_in(velocity, first))))
-    keep_residual(x, before, network, frames, sheet)
+    keep_residual(x, before, network, frames, sheet, cloth.hem)
     x += network
     lifted = np.zeros(len(x), x.dtype)
     _descend_rounds(x, way, lifted, FoldGuides(network, stuck, skin), touched, cloth, schedule)

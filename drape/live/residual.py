@@ -13,6 +13,9 @@ nothing, and comes to rest as a still does. l is the share of its area that the 
     l = max(0, 1 - sum |a x b| / 2 / sum A),
 
 a and b the sides of its triangles and A their areas at rest: there folds are needed, and stay.
+
+Hems are sewn double and do not frill, but along a border the mesh has no hinges. Residuals there also go towards the
+mean of their two neighbours' along the border, by s / (1 + s) with s = HEM |e - e0| / |e|, e the way to the next one.
 """
 
 from __future__ import annotations
@@ -20,25 +23,26 @@ from __future__ import annotations
 import numpy as np
 
 from drape.kernels.compiled import kernel
-from drape.kernels.elements import add, dot, scaled, sub
+from drape.kernels.elements import add, at, dot, scaled, sub
 from drape.kernels.lanes import most, points_at, points_in, put, put_points, root, row_at, where_above, where_other
 from drape.live.sheet import LANES
 from drape.live.surface_frames import COVER, FRAMES
 
 MEND_M = 0.03  # a residual that far from its neighbours' follows them
-FORGET, LACK = 24.0, 0.003
+FORGET, LACK, HEM = 24.0, 0.003, 24.0
 
 
 @kernel
-def keep_residual(off, before, network, frames, sheet):
-    """Mends and forgets the residuals ``off`` [m] (P, 3), world, in place.
+def keep_residual(off, before, network, frames, sheet, hem):
+    """Mends, forgets and evens the residuals ``off`` [m] (P, 3), world, in place.
 
     ``before`` and ``network`` [m] (P, 3) are the network's drapes of the frame before and of this one, ``frames`` those
-    of the latter.
+    of the latter. ``hem`` (H, 3) is that of ``FoldConstants``.
     """
     forget = np.empty(len(off), off.dtype)
     write_forget(before, network, frames, sheet, forget)
     mend(off, sheet, off.dtype.type(MEND_M), forget)
+    even_hem(off, before, network, hem)
 
 
 @kernel
@@ -81,3 +85,20 @@ def mend(off, sheet, far, forget):
         share = where_above(dot(way, way), far * far, k.one, row_at(forget, LANES * block))
         share = where_above(count, k.zero, share, k.zero)
         put_points(off, LANES * block, add(own, scaled(share, way)))
+
+
+@kernel
+def even_hem(off, before, network, hem):
+    """Moves ``off`` of every border vertex towards the mean of its neighbours' along the ``hem`` (H, 3)."""
+    zero, one, half = off.dtype.type(0), off.dtype.type(1), off.dtype.type(0.5)
+    even = np.empty((len(hem), 3), off.dtype)
+    for e in range(len(hem)):
+        v, after = hem[e, 1], hem[e, 2]
+        edge = sub(at(network, after), at(network, v))
+        turn, length = sub(edge, sub(at(before, after), at(before, v))), dot(edge, edge)
+        s = off.dtype.type(HEM) * np.sqrt(dot(turn, turn) / length) if length > zero else zero
+        own, mean = at(off, v), scaled(half, add(at(off, hem[e, 0]), at(off, after)))
+        moved = add(own, scaled(s / (one + s), sub(mean, own)))
+        even[e, 0], even[e, 1], even[e, 2] = moved
+    for e in range(len(hem)):
+        off[hem[e, 1]] = even[e]

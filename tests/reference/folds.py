@@ -8,6 +8,7 @@ import numpy as np
 
 from benchmarks.judge.surroundings import Surroundings, surroundings
 from drape.cloth.energies import ClothMesh
+from drape.geometry import meshes
 from drape.kernels.problem import Problem, problem
 from drape.live.clock import FIRST_STEP_S, step_between
 from drape.live.fold_constants import WornCloth
@@ -23,7 +24,7 @@ from drape.live.fold_step import (
     paced,
 )
 from drape.live.lift import DEEP_M, OTHER, TOO_DEEP_M
-from drape.live.residual import FORGET, LACK, MEND_M
+from drape.live.residual import FORGET, HEM, LACK, MEND_M
 from drape.live.room import FOLDED, HELD, LEAST_M, NEAR_M, ROOM_M, STIFFEST, TIGHT_M
 from drape.live.sheet import ALIKE
 from drape.live.skin_contact import APART_M, HOLLOW_M, REACH_M, STEPS, TURNS, SkinGraph, TouchedSamples
@@ -44,6 +45,7 @@ def fold(
     share = fading(effort, step_s)
     off = _to_world(frames, share * past.residual)
     off = mended(off, dressed.cloth.faces, forgotten(past.network, network, dressed.cloth))
+    off = evened(off, past.network, network, dressed.cloth.faces)
     x = network + off
     way = (share == 1.0) * step_s * _to_world(frames, past.velocity)
     stuck = stuck_places(past.grip, frame.skin, dressed.graph, past.touched.own)
@@ -142,6 +144,18 @@ def mended(off: np.ndarray, faces: np.ndarray, lost: np.ndarray) -> np.ndarray:
             np.add.at(count, faces[:, corner], 1.0)
     way = total / count[:, None] - off
     return off + np.where(np.linalg.norm(way, axis=1) > MEND_M, 1.0, lost)[:, None] * way
+
+
+def evened(off: np.ndarray, before: np.ndarray, network: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """``off`` (V, 3), at a border moved towards the mean of the two neighbours' along it."""
+    out = off.copy()
+    for loop in meshes.boundary_loops(faces):
+        after = np.roll(loop, -1)
+        edge, old = network[after] - network[loop], before[after] - before[loop]
+        s = HEM * np.linalg.norm(edge - old, axis=1) / np.linalg.norm(edge, axis=1)
+        mean = 0.5 * (off[np.roll(loop, 1)] + off[after])
+        out[loop] += (s / (1.0 + s))[:, None] * (mean - off[loop])
+    return out
 
 
 def follow(network: np.ndarray, skin: np.ndarray, graph: SkinGraph, touched: TouchedSamples) -> TouchedSamples:

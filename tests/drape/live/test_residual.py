@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from drape.live.residual import LACK, MEND_M, keep_residual, mend, write_forget
+from drape.live.residual import LACK, MEND_M, even_hem, keep_residual, mend, write_forget
 from drape.live.sheet import LANES
 from drape.live.surface_frames import FRAMES, surface_frames
 from tests.drape.live.folds_setup import constants, sleeve
@@ -60,7 +60,7 @@ def test_cloth_that_moves_without_turning_forgets_nothing(rng):
     off = 0.001 * rng.normal(size=(len(sheet.vertex), 3))
     kept = off.copy()
     here = rest[sheet.vertex]
-    keep_residual(kept, here, here, frames_of(here), sheet)
+    keep_residual(kept, here, here, frames_of(here), sheet, constants(dtype=np.float64).hem)
     assert_array_equal(kept, off)
 
 
@@ -78,3 +78,17 @@ def test_where_the_network_leaves_area_out_folds_stay():
     rest, _ = sleeve()
     wide, narrow = 1.01 * rest, (1.0 - 4.0 * LACK) * rest
     assert shares(narrow, turned(narrow, 0.1)).max() < 0.2 * shares(wide, turned(wide, 0.1)).min()
+
+
+def test_hems_are_evened_along_the_border_and_nothing_else_is(rng):
+    (rest, worn), made = sleeve(), constants(dtype=np.float64)
+    place, vertex = made.sheet.place, made.sheet.vertex
+    off, before = 0.001 * rng.normal(size=rest.shape), rest + 0.001 * rng.normal(size=rest.shape)
+    found = off[vertex]
+    even_hem(found, before[vertex], rest[vertex], made.hem)
+    wanted = reference.evened(off, before, rest, worn.cloth.faces)
+    assert_allclose(found[place], wanted, rtol=0.0, atol=1e-15)
+    border = np.isin(place, made.hem[:, 1])
+    assert border.sum() == len(made.hem) > 10
+    assert_array_equal(found[place][~border], off[~border])
+    assert np.linalg.norm(wanted[border]) < 0.9 * np.linalg.norm(off[border])
