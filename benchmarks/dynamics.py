@@ -67,11 +67,11 @@ class Subject:
         return self.network.moving(self.garment, clip.poses, clip.trans, clip.fps, motion=motion)
 
 
-def stopped(clip: MotionClip, *, fps: float = FPS, hold_s: float = HOLD_S) -> tuple[MotionClip, int]:
-    """The first half of ``clip`` at ``fps`` with its last pose held, and the index of that pose."""
-    paced = clip.resampled(fps)
+def stopped(clip: MotionClip, *, hold_s: float = HOLD_S) -> tuple[MotionClip, int]:
+    """The first half of ``clip`` at ``FPS`` with its last pose held, and the index of that pose."""
+    paced = clip.resampled(FPS)
     stop = max(2, paced.frame_count // 2)
-    index = np.minimum(np.arange(stop + 1 + round(hold_s * fps)), stop)
+    index = np.minimum(np.arange(stop + 1 + round(hold_s * FPS)), stop)
     return replace(paced, poses=paced.poses[index], trans=paced.trans[index]), stop
 
 

@@ -18,7 +18,6 @@ from benchmarks.harness import Benchmark, Option, Run, inputs
 from benchmarks.network import PRECISION, Network
 from benchmarks.scenes import Clip, Folding, Scene, at_rate, fabrics_option, scenes
 from benchmarks.tables import Row, text_table
-from drape.artifacts import model_folder
 from drape.body.assets import load_body
 from drape.catalog import find_motions
 from drape.geometry import meshes
@@ -87,8 +86,7 @@ def totals(rows: list[Row]) -> list[Row]:
 def main(run: Run) -> None:
     """Rows of every scene at every rate, summed up over the clips."""
     options, body = run.options, load_body()
-    folder = model_folder(options.model)
-    network = Network(folder, body, threads=options.threads, precision=options.precision, passes=0)
+    network = Network.asked(options, body, passes=0)
     warm_up()
     rows: list[Row] = []
     for motion in map(read_motion, find_motions(options.motions)):

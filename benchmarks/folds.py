@@ -17,7 +17,6 @@ import argparse
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
 
 import numpy as np
 
@@ -29,7 +28,6 @@ from benchmarks.measure.judged import Cloth, Judged, jitter_ratio
 from benchmarks.network import PRECISION, Network
 from benchmarks.scenes import FPS, Folding, Scene, fabrics_option, read_clips, scenes
 from benchmarks.tables import Row
-from drape.artifacts import model_folder
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.cloth import metrics
@@ -139,12 +137,9 @@ def bound(scene: Scene, starts: Mapping[str, np.ndarray], *, keeps_apart: bool =
     return Bound(few, judge, optimum.vertices, energy_j, detail_mm, float(optimum.processor_s.mean()))
 
 
-def open_networks(options: argparse.Namespace, body: BodyModel, **more: Any) -> dict[str, Network]:
+def open_networks(options: argparse.Namespace, body: BodyModel) -> dict[str, Network]:
     """The network after none and after all of its corrections."""
-    folder = model_folder(options.model)
-    return {
-        name: Network(folder, body, threads=options.threads, passes=passes, **more) for name, passes in PASSES.items()
-    }
+    return {name: Network.asked(options, body, passes=passes) for name, passes in PASSES.items()}
 
 
 @Benchmark(
@@ -164,7 +159,7 @@ def open_networks(options: argparse.Namespace, body: BodyModel, **more: Any) -> 
 def main(run: Run) -> None:
     """Rows of every scene."""
     options, body = run.options, load_body()
-    networks = open_networks(options, body, precision=options.precision)
+    networks = open_networks(options, body)
     warm_up()
     for scene in scenes(options, read_clips(options, body, options.fps), body):
         run.add(measure(scene, networks, options))

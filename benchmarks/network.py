@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import copy
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness import Option
+from drape.artifacts import model_folder
 from drape.body.model import BodyModel
 from drape.cloth.fabric import Fabric
 from drape.errors import ArtifactError
@@ -65,6 +67,12 @@ class Network:
         self.manifest = self.engine.manifest
         self._plan = ScenePlan("both", passes=self.engine.check_passes(passes))
         self._fabric: Fabric | None = None
+
+    @classmethod
+    def asked(cls, options: argparse.Namespace, body: BodyModel, *, passes: int | None = None) -> Network:
+        """The network of ``--model`` in ``--threads`` and, of commands that have it, in ``--precision``."""
+        precision = getattr(options, "precision", PRECISIONS[0])
+        return cls(model_folder(options.model), body, threads=options.threads, precision=precision, passes=passes)
 
     def made_of(self, fabric: Fabric | None) -> Network:
         """The same network with garments of ``fabric``, where it knows fabrics; None: of its default."""

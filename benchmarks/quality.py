@@ -32,7 +32,6 @@ from benchmarks.measure.judged import Cloth, Judged
 from benchmarks.network import PRECISION, Draped, Network
 from benchmarks.scenes import Clip, folded_poses
 from benchmarks.tables import Row
-from drape.artifacts import model_folder
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, find_motions, open_garment, was_trained_on
@@ -97,11 +96,8 @@ class Bench:
 def open_bench(options: argparse.Namespace, body: BodyModel) -> Bench:
     """Poses, windows and networks as ``options`` ask."""
     clips = [read_motion(path) for path in find_motions(options.motions)]
-    windows, folder = typical_windows(clips), model_folder(options.model)
-    made, uncorrected = (
-        Network(folder, body, threads=options.threads, precision=options.precision, passes=passes)
-        for passes in (options.passes, 0)
-    )
+    windows = typical_windows(clips)
+    made, uncorrected = (Network.asked(options, body, passes=passes) for passes in (options.passes, 0))
     return Bench(
         clip=Clip.hard(hard_poses(clips, body, options.frames), body),
         network=made,

@@ -19,7 +19,6 @@ from benchmarks.measure.skin_pixels import VIEWS_DEG, PosedBody, covered_faces, 
 from benchmarks.network import PRECISION, Network
 from benchmarks.scenes import Clip, folded_poses, skinned
 from benchmarks.tables import Row
-from drape.artifacts import model_folder
 from drape.body.assets import load_body
 from drape.catalog import find_garments, find_motions, open_garment
 from drape.contact.projection import push_out_of_bodies
@@ -44,11 +43,8 @@ def drapes(
     garment: Garment, clip: Clip, networks: dict[int | None, Network], steps: int
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Vertices [m] (F, V, 3) and faces of ``garment`` by method; ``networks`` by the corrections that run."""
-    fine, delivered, effort = (
-        fine_garment(garment),
-        np.s_[:, : garment.vertex_count],
-        FoldEffort(steps, SETTLE, cloth_contact=True),
-    )
+    fine, delivered = fine_garment(garment), np.s_[:, : garment.vertex_count]
+    effort = FoldEffort(steps, SETTLE, cloth_contact=True)
     started = networks[0].drape(garment, clip.poses).vertices
 
     def folded(start: np.ndarray, mesh: Garment) -> np.ndarray:
@@ -104,11 +100,8 @@ def main(run: Run) -> None:
     """Rows of every garment."""
     options, body = run.options, load_body()
     poses = hard_poses([read_motion(path) for path in find_motions(options.motions)], body, options.frames)
-    clip, folder = Clip.hard(poses, body), model_folder(options.model)
-    networks: dict[int | None, Network] = {
-        passes: Network(folder, body, threads=options.threads, precision=options.precision, passes=passes)
-        for passes in (0, None)
-    }
+    clip = Clip.hard(poses, body)
+    networks = {passes: Network.asked(options, body, passes=passes) for passes in (0, None)}
     pictured = [PosedBody.of(posed, body.faces) for posed in clip.body_vertices]
     warm_up()
     for path in find_garments(options.garments):

@@ -29,7 +29,6 @@ from benchmarks.measure.judged import jitter_ratio
 from benchmarks.network import PRECISION, Network
 from benchmarks.scenes import FPS, Clip, Folding, Scene
 from benchmarks.tables import Row
-from drape.artifacts import model_folder
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.catalog import find_garments, find_motions, open_garment
@@ -145,8 +144,7 @@ def measure(scene: Scene, network: Network, *, simulator: bool) -> list[Row]:
 def main(run: Run) -> None:
     """Rows of every garment in every fabric over every clip."""
     options, body = run.options, load_body()
-    folder = model_folder(options.model)
-    network = Network(folder, body, threads=options.threads, precision=options.precision, passes=0)
+    network = Network.asked(options, body, passes=0)
     others = [name for name in options.motions if name != SPIN]
     clips = [spin(body, FPS, options.seconds, options.rate)] if SPIN in options.motions else []
     frames = round(options.seconds * FPS)

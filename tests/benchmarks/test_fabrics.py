@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.integrate import solve_bvp
 
 from benchmarks import fabrics
@@ -41,13 +42,13 @@ def elastica_angle(overhang: float) -> float:
 @pytest.mark.parametrize("overhang", [1.5, 1.75, 1.96])
 def test_peirces_formula_is_within_two_percent_of_the_elastica(overhang: float):
     share = fabric_tests.peirce_share(elastica_angle(overhang))
-    np.testing.assert_allclose(share * overhang, 1.0, rtol=0.02, atol=0.0)
+    assert_allclose(share * overhang, 1.0, rtol=0.02, atol=0.0)
 
 
 def test_bending_length_of_a_strip_is_peirces():
     expected = (POPLIN.bending_warp_j / (fabric_tests.GRAVITY_M_S2 * POPLIN.density_kg_m2)) ** (1.0 / 3.0)
     found = fabric_tests.bending_length(POPLIN, 0.005, angle_rad=0.0, expected_m=expected)
-    np.testing.assert_allclose(found, expected, rtol=0.04, atol=0.0)
+    assert_allclose(found, expected, rtol=0.04, atol=0.0)
 
 
 def test_strips_stretch_as_the_constants_say_in_every_direction():

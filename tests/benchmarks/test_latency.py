@@ -24,14 +24,9 @@ from tests.fixtures.packed import exported, lively
 @pytest.fixture(scope="module")
 def record() -> dict:
     """The quick form with the small network in place of the full-size one."""
-    patch = pytest.MonkeyPatch()
-    patch.setattr(latency, "SINGLE", ("shorts",))
-    threads = torch.get_num_threads()
-    try:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(latency, "SINGLE", ("shorts",))
         return latency.main(["--quick", "--threads", "1", "--model", str(exported()[1])])
-    finally:
-        torch.set_num_threads(threads)
-        patch.undo()
 
 
 @pytest.mark.slow

@@ -20,7 +20,6 @@ from drape.catalog import find_garments, open_garment
 from drape.cloth.fabric_table import fabric
 from drape.cloth.material import Material
 from drape.errors import InputError, NotFound
-from drape.garment.cache import GARMENTS_DIR
 from tests.benchmarks.quality_setup import bench
 
 
@@ -31,20 +30,15 @@ def test_unusable_garments_are_named(tmp_path, monkeypatch):
         quality.main(["--quick", "--garments", str(tmp_path)])
 
 
-@pytest.mark.skipif(not (MODELS_DIR / DEFAULT_MODEL).is_dir(), reason="no model is shipped: export one")
 def test_a_garment_without_an_optimum_is_named(monkeypatch):
     monkeypatch.setattr(physics, "LEFT_LIMIT_J_M2", 0.0)  # a good network is nearer to rest than the limit
+    asked = "--quick --garments shorts --frames 1 --steps 1 --threads 1 --no-physics-cache"
     with pytest.raises(InputError, match="shorts: expected a physics optimum at rest"):
-        quality.main(
-            ["--quick", "--garments", "shorts", "--frames", "1", "--steps", "1", "--threads", "1", "--no-physics-cache"]
-        )
+        quality.main(asked.split())
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not (MODELS_DIR / DEFAULT_MODEL).is_dir(), reason="no model is shipped: export one")
 def test_the_quick_table_is_ordered_as_physics_demands(tmp_path):
-    if not any(GARMENTS_DIR.glob("shorts-*.npz")):
-        pytest.skip("no shipped shorts: run the intake")
     stored = tmp_path / "quality.json"
     asked = "--quick --garments shorts --threads 1 --no-physics-cache"
     record = quality.main(f"{asked} --out {stored}".split())
@@ -70,15 +64,6 @@ def test_a_garment_can_be_measured_with_more_patches():
     finer = quality.covered(tank, body, 1.5)
     assert finer.patch_count == pytest.approx(1.5 * tank.patch_count, abs=1)
     assert np.array_equal(finer.vertices, tank.vertices)
-
-
-def test_options_of_the_quick_form_yield_to_explicit_ones():
-    quick = quality.main.parse(["--quick"])
-    assert (quick.garments, quick.frames, quick.steps) == (("tshirt",), 2, 30)
-    assert (quick.set, quick.no_physics_cache) == (None, False)
-    given = quality.main.parse(["--quick", "--garments", "dress", "--frames", "3", "--steps", "20"])
-    assert (given.garments, given.frames, given.steps) == (["dress"], 3, 20)
-    assert quality.main.parse([]).frames == 12
 
 
 def options(*words: str):

@@ -7,6 +7,7 @@ from dataclasses import asdict
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from benchmarks import folds, tradeoff
 from benchmarks.clock import Clock
@@ -66,7 +67,7 @@ def test_a_stream_goes_the_services_own_road(drapery, body, tube):
     assert list(stream.memories) == [("folds", stream.plan.keys[0])]
     assert np.isfinite(stream.pose(pose, 1.0 / 30.0).world()).all() and min(stream.clock.cpu_ms) > 0.0
     stream.forget()
-    np.testing.assert_array_equal(stream.pose(pose, 0.0).world(), first.world())
+    assert_array_equal(stream.pose(pose, 0.0).world(), first.world())
     every = Knobs(None, 0, True).options(drapery.engine.pass_count)
     assert drapery.plan(scene, every).options.passes is None
 
