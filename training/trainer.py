@@ -325,7 +325,16 @@ class Trainer(BaseTrainer):
         # The mean of a cloth that folds on the skin lies below it: contact counts in full.
         found = config.settled_weight * apart + config.settled_energy * energy + contact
         means = {"settled_mm": 1e3 * apart.sqrt(), "settled_energy": energy, "settled_contact": contact}
-        return Objective(found + config.disagreement_weight * charts, means, charts)
+        lost = self._lost_area(vertices, garment, means)
+        return Objective(found + config.disagreement_weight * charts + lost, means, charts)
+
+    def _lost_area(self, vertices: Tensor, garment: TrainingGarment, means: dict[str, Tensor]) -> Tensor | float:
+        """What lost area adds to the loss; its mean root joins ``means``."""
+        if not self.config.area_weight:
+            return 0.0
+        lost = losses.lost_area(vertices, garment.cloth).mean()
+        means["lost_area_pct"] = 1e2 * lost.sqrt()
+        return self.config.area_weight * lost
 
     def objective(self) -> Objective:
         """The loss of a batch that is drawn now."""
@@ -345,11 +354,12 @@ class Trainer(BaseTrainer):
         share = config.early_agreement + (1.0 - config.early_agreement) * self.progress()
         agree = config.disagreement_weight * share * charts
         means = {name: value.mean() for name, value in parts.items()}
+        loss = energy + agree + self._lost_area(vertices, garment, means)
         if not smooth:
-            return Objective(energy + agree, means, charts)
+            return Objective(loss, means, charts)
         bend = losses.second_difference(vertices)
         means["second_difference_mm"] = 1e3 * bend.sqrt()
-        return Objective(energy + agree + config.smooth_weight * bend, means, charts)
+        return Objective(loss + config.smooth_weight * bend, means, charts)
 
 
 def _plain(state: Mapping[str, Any]) -> dict[str, Any]:

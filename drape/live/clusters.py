@@ -74,14 +74,15 @@ def laid(points, member):
 
 
 @kernel
-def boxes_of(rows):
-    """The boxes [m] around the clusters of ``rows``, and those around groups; flat, ``LANES`` boxes in six rows.
+def boxes_around(rows, size, low, high):
+    """The boxes [m] around clusters, which have ``size`` numbers of ``rows`` each, and those around groups of them.
 
-    Boxes that fill up the last rows are far from everything.
+    Three rows from ``low`` on have the least coordinates of a cluster's members, three from ``high`` on the most. Both
+    results are flat, ``LANES`` boxes in six rows. Boxes that fill up the last rows are far from everything.
     """
-    boxes = _no_boxes(len(rows) // POINT_ROWS, rows.dtype)
-    for c in range(len(rows) // POINT_ROWS):
-        _enclose(rows, POINT_ROWS * c, POINT_ROWS * c, boxes, c)
+    boxes = _no_boxes(len(rows) // size, rows.dtype)
+    for c in range(len(rows) // size):
+        _enclose(rows, size * c + low, size * c + high, boxes, c)
     groups = _no_boxes(len(boxes) // BOX_ROWS, rows.dtype)
     for g in range(len(boxes) // BOX_ROWS):
         _enclose(boxes, BOX_ROWS * g, BOX_ROWS * g + POINT_ROWS, groups, g)

@@ -21,6 +21,7 @@ from drape.live.room import SheetNeighbours, sheet_neighbours
 from drape.live.sheet import Sheet, sheet
 from drape.live.skin_contact import SkinGraph, nearest_at_rest, skin_graph
 from drape.live.sweeps import HOLD
+from drape.live.untangle import Tangles, tangles_of
 from drape.live.whole import StiffnessFactor, stiffness_factor
 
 # The leash holds a vertex within a centimetre of the network's place: without one a neckline slips over the shoulder
@@ -64,7 +65,7 @@ class FoldConstants(NamedTuple):
 
     ``neighbours``: which vertices are of one sheet; ``index`` (P,): the sample nearest to each place at rest;
     ``friction`` with the skin, in frames with a past; ``hem`` (H, 3): places of border vertices, each between its
-    neighbours along the border.
+    neighbours along the border; ``tangles``: the triangles that may cross.
     """
 
     sheet: Sheet
@@ -74,6 +75,7 @@ class FoldConstants(NamedTuple):
     index: np.ndarray
     friction: float
     hem: np.ndarray
+    tangles: Tangles
 
     @classmethod
     def of(cls, worn: WornCloth, *, dtype: type[np.floating] = np.float32) -> FoldConstants:
@@ -82,7 +84,9 @@ class FoldConstants(NamedTuple):
         factor = stiffness_factor(worn.cloth, worn.material, worn.springs_n_per_m, made)
         neighbours = sheet_neighbours(worn.cloth)
         hem = hem_places(worn.cloth.faces, made.place)
-        return cls(made, factor, worn.graph.of_type(dtype), neighbours, worn.index[made.vertex], worn.friction, hem)
+        tangles = tangles_of(worn.cloth.faces, made.place)
+        graph, index = worn.graph.of_type(dtype), worn.index[made.vertex]
+        return cls(made, factor, graph, neighbours, index, worn.friction, hem, tangles)
 
     @property
     def nbytes(self) -> int:

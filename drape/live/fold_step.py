@@ -44,6 +44,7 @@ from drape.live.skin_contact import (
 )
 from drape.live.surface_frames import FRAMES, in_frames, in_world, surface_frames
 from drape.live.sweeps import PLANES, SCRATCH, descend, gradient_at, leash, stick
+from drape.live.untangle import untangle
 from drape.live.whole import whole_step
 
 # The share of the last step's way that comes before a step: in slow motion, and in fast motion of soft and stiff cloth.
@@ -297,6 +298,8 @@ def _descend_rounds(x, way, lifted, guides, touched, cloth, schedule):
             descend(x, sheet, planes, network, scratch)
             if schedule.steps == 0:
                 _set_way(way, x, before)
+        if schedule.within:
+            untangle(x, cloth.tangles)
     if schedule.clearance > 0.0:
         if schedule.rounds == 0:  # folds without steps have no planes yet
             touch(x, skin, cloth.graph, sheet, touched, schedule.turn, planes)

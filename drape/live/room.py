@@ -26,7 +26,7 @@ from drape.cloth.energies import ClothMesh
 from drape.kernels.compiled import kernel, part
 from drape.kernels.lanes import row3
 from drape.kernels.problem import rest_edges
-from drape.live.clusters import POINT_ROWS, boxes_of, clusters, find_close, laid, less, squared
+from drape.live.clusters import POINT_ROWS, boxes_around, clusters, find_close, laid, less, squared
 from drape.live.sheet import LANES
 from drape.live.sweeps import HELD_ROW, PLANES, SLACK_ROW
 
@@ -171,7 +171,7 @@ def rooms(points, neighbours, room):
     """
     dtype, count = points.dtype.type, len(neighbours.clusters)
     rows = laid(points, neighbours.clusters)
-    boxes, groups = boxes_of(rows)
+    boxes, groups = boxes_around(rows, POINT_ROWS, 0, 0)
     most = dtype(ROOM_M) * dtype(ROOM_M)
     square, bound = np.full(LANES * count, most), neighbours.bound.reshape(-1)
     table, s = np.full(count, -1, np.int32), np.empty(SCRATCH, points.dtype)

@@ -111,6 +111,23 @@ def test_the_second_difference_is_what_a_straight_way_lacks():
     assert float(losses.second_difference(bent)) == pytest.approx((2 * 5e-3) ** 2)
 
 
+def test_lost_area_is_what_triangles_lack_and_nothing_for_more():
+    cloth = garment().cloth
+    rest = garment().rest.vertices
+    rest = torch.as_tensor(rest, dtype=cloth.face_area.dtype)
+    share = energies_area(rest, cloth) / cloth.face_area
+    lack = torch.clamp(1.0 - 0.81 * share, min=0.0)
+    weight = cloth.face_area / cloth.face_area.sum()
+    got = losses.lost_area(torch.stack([0.9 * rest, 2.0 * rest]), cloth)
+    assert float(got[0]) == pytest.approx(float((weight * lack**2).sum()), rel=1e-4)
+    assert float(got[0]) == pytest.approx(0.19**2, rel=0.2)
+    assert float(got[1]) == pytest.approx(0.0, abs=1e-6)
+
+
+def energies_area(vertices: torch.Tensor, cloth: energies.ClothMesh) -> torch.Tensor:
+    return torch.from_numpy(meshes.face_areas(vertices.numpy().astype(np.float64), cloth.faces)).to(vertices)
+
+
 def test_a_garment_that_is_held_up_pays_for_where_its_band_went():
     partition, scale = garment().partitions[0], garment().partitions[0].patches.scale
     held = replace(garment(), band=(torch.arange(5), torch.full((5,), 0.02)))

@@ -43,6 +43,18 @@ def test_training_lowers_the_energy(trainer: Trainer):
     assert loss_on_the_same_poses(trainer) < 0.8 * first
 
 
+def test_lost_area_counts_by_its_weight(trainer: Trainer, monkeypatch):
+    state, found = copy.deepcopy(trainer.state()), []
+    for weight in (0.0, 100.0):
+        monkeypatch.setattr(trainer, "config", replace(TINY_RUN, area_weight=weight))
+        trainer.restore(copy.deepcopy(state))
+        found.append(trainer.objective())
+    lost = float(found[1].parts["lost_area_pct"]) / 100.0
+    assert lost > 0.0
+    assert float(found[1].loss - found[0].loss) == pytest.approx(100.0 * lost**2, rel=1e-3)
+    assert "lost_area_pct" not in found[0].parts
+
+
 def test_smooth_steps_come_as_often_as_asked_and_pay_for_the_second_difference(trainer: Trainer, monkeypatch):
     state, found = copy.deepcopy(trainer.state()), []
     for share, weight in ((1.0, 0.0), (1.0, 1e7), (0.0, 0.0)):

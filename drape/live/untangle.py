@@ -1,0 +1,305 @@
+"""Untangling: cloth that passes through itself is moved a little towards where it does not (Volino and
+Magnenat-Thalmann 2006, "Resolving surface collisions through intersection contour minimization", ACM TOG 25(3)).
+
+Two sheets cross along a contour. Where an edge with the direction E passes through a triangle with the normal N, the
+contour runs on both sides of the edge along R, the unit vectors in which the edge's own triangles cut that triangle.
+Relative to the triangle the edge goes along
+
+    G = sum R - 2 N (E . sum R) / (E . N),
+
+by which the contour grows shorter fastest. The edge's ends go one way and the triangle's corners the other way, each by
+the mean of its ways, ``WAY_M`` at most. Both sheets stay as they are but for that: there is neither an inside nor a
+side to remember. What crosses shallowly comes apart within a few frames; the memory of folds keeps it so. Sheets that
+lie deep in each other have no short way out, and stay.
+
+The pairs of triangles that cross are found once, by boxes around ``LANES`` triangles side by side and by cones around
+their normals, and looked at again in each of ``STEPS`` steps.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse
+
+from drape.geometry import meshes
+from drape.kernels.compiled import kernel, part
+from drape.kernels.elements import add, at, cross, dot, mix, scaled, sub
+from drape.kernels.lanes import least, most, points_at, put, put3, root, rows3_at, sums
+from drape.live.clusters import boxes_around, clusters, find_close, less, more
+from drape.live.sheet import LANES
+
+STEPS, WAY_M = 2, 0.002
+BORDER, OTHERS = -1, -2  # in ``Tangles.across``: nothing is across the edge; the edge is another triangle's
+MOST_PAIRS = 8192  # pairs of a frame: bounds its time
+OBLIQUE = 0.05  # the least cosine of edge and normal that counts
+SOFT = 0.25  # a way of half this size, squared, is halved: contours that all but close leave hardly any way
+TOUCH_M2 = 1e-12  # boxes that only touch may cross
+CONE_RAD = 0.45 * np.pi  # cloth side by side whose normals differ from an axis by less does not cross itself
+TINY = 1e-30
+
+# Rows of a cluster of triangles: three corners, the least and the most corner of the box.
+CORNERS, LOW, HIGH = 0, 9 * LANES, 12 * LANES
+ROWS = 15 * LANES
+
+
+class Tangles(NamedTuple):
+    """The triangles of a cloth in C clusters of ``LANES``.
+
+    ``corner`` (3 C ``LANES``,): three rows a cluster, places of the corners; ``across``: as many rows, the place across
+    each edge, the first being that from the first to the second corner, ``BORDER`` where there is none. Every edge
+    counts for one of its triangles, and has ``OTHERS`` in the other one. Clusters that are not full repeat a triangle.
+    ``beside[start[a] : start[a + 1]]`` are cluster a and those behind it that share a corner with it.
+    """
+
+    corner: np.ndarray
+    across: np.ndarray
+    start: np.ndarray
+    beside: np.ndarray
+
+
+def tangles_of(faces: np.ndarray, place: np.ndarray) -> Tangles:
+    """Those of the triangles ``faces`` (F, 3), whose vertices are at ``place`` (V,)."""
+    halves, first, second = meshes.edge_pairs(faces)  # half-edge 3 f + n begins at a corner of face f
+    graph = scipy.sparse.coo_matrix(
+        (np.ones(2 * len(first)), np.divmod(np.stack([[*first, *second], [*second, *first]]), 3)[0]),
+        shape=(len(faces), len(faces)),
+    ).tocsr()
+    across = np.full(len(halves), BORDER)
+    across[second] = OTHERS
+    across[first] = place[halves[second, 2]]
+    member = clusters(graph)
+    flat = [each.reshape(-1, 3)[member].transpose(0, 2, 1).reshape(-1) for each in (place[halves[:, 0]], across)]
+    touched = scipy.sparse.coo_matrix(
+        (np.ones(3 * member.size), (np.arange(len(member)).repeat(3 * LANES), faces[member].reshape(-1))),
+        shape=(len(member), len(place)),
+    ).tocsr()
+    beside = scipy.sparse.csr_matrix(scipy.sparse.triu(touched @ touched.T))
+    return Tangles(*(np.ascontiguousarray(each, np.int32) for each in (*flat, beside.indptr, beside.indices)))
+
+
+@kernel
+def untangle(x, tangles):
+    """Moves ``x`` [m] (P, 3) in place where triangles of ``tangles`` cross, and returns how many pairs did at first."""
+    pairs = crossing(x, tangles)
+    if len(pairs):
+        way, count = np.empty_like(x), np.empty(len(x), x.dtype)
+        for _ in range(STEPS):
+            way[:], count[:] = 0, 0
+            for n in range(len(pairs)):
+                _shorten(x, tangles, pairs[n, 0], pairs[n, 1], way, count)
+                _shorten(x, tangles, pairs[n, 1], pairs[n, 0], way, count)
+            for v in range(len(x)):
+                if count[v] > 0:
+                    for i in range(3):
+                        x[v, i] += x.dtype.type(WAY_M) / count[v] * way[v, i]
+    return len(pairs)
+
+
+@kernel
+def crossing(x, tangles):
+    """Pairs (N, 2) int32 of triangles, cluster times ``LANES`` plus lane, that share no corner and may cross: each has
+    corners on both sides of the other one, and their boxes overlap. ``MOST_PAIRS`` at most."""
+    corner, count = tangles.corner, len(tangles.corner) // (3 * LANES)
+    rows = np.empty(ROWS * count, x.dtype)
+    for c in range(count):
+        _lay(x, corner, c, rows)
+    boxes, groups = boxes_around(rows, ROWS, LOW, HIGH)
+    cones = np.empty((count, 4), x.dtype)
+    _write_cones(rows, cones)
+    joined = np.full(count, -1, np.int32)
+    hit, close = np.empty(2 * LANES, np.int32), np.empty(count, np.int32)
+    out, side = np.empty(LANES, x.dtype), np.empty(LANES, x.dtype)
+    pairs, filled = np.empty((MOST_PAIRS, 2), np.int32), 0
+    for a in range(count):
+        for entry in range(tangles.start[a], tangles.start[a + 1]):
+            joined[tangles.beside[entry]] = a
+        for number in range(find_close(a, count, boxes, groups, x.dtype.type(TOUCH_M2), hit, close)):
+            b = close[number]
+            if joined[b] == a and _in_one_cone(cones, a, b):
+                continue
+            _write_out_of_box(rows, ROWS * a, boxes, b, out)
+            for i in range(LANES):
+                if out[i] > 0:
+                    continue
+                _write_sides(rows, ROWS * a, i, ROWS * b, side)
+                for j in range(i + 1 if a == b else 0, LANES):
+                    if (
+                        side[j] < 0
+                        and filled < MOST_PAIRS
+                        and not _joined(corner, 3 * LANES * a + i, 3 * LANES * b + j)
+                        and _is_parted(rows, ROWS * a, i, ROWS * b, j)
+                    ):
+                        pairs[filled, 0], pairs[filled, 1] = LANES * a + i, LANES * b + j
+                        filled += 1
+    return pairs[:filled].copy()
+
+
+@kernel
+def _write_cones(rows, cones):
+    """Writes the axis (3,) of each cluster's normals and their largest angle [rad] to it to ``cones`` (C, 4)."""
+    x, y, z = np.empty(LANES, rows.dtype), np.empty(LANES, rows.dtype), np.empty(LANES, rows.dtype)
+    one, tiny = rows.dtype.type(1), rows.dtype.type(TINY)
+    for c in range(len(cones)):
+        p = rows3_at(rows, ROWS * c)
+        n = cross(sub(rows3_at(rows, ROWS * c + 3 * LANES), p), sub(rows3_at(rows, ROWS * c + 6 * LANES), p))
+        n = scaled(one / root(most(dot(n, n), tiny)), n)
+        put(x, 0, n[0])
+        put(y, 0, n[1])
+        put(z, 0, n[2])
+        axis = sums(n[0], n[1], n[2])
+        length, cosine = np.sqrt(dot(axis, axis)), one
+        for lane in range(LANES):
+            cosine = min(cosine, (axis[0] * x[lane] + axis[1] * y[lane] + axis[2] * z[lane]) / max(length, tiny))
+        for i in range(3):
+            cones[c, i] = axis[i] / max(length, tiny)
+        cones[c, 3] = np.arccos(max(cosine, -one))
+
+
+@part
+def _in_one_cone(cones, a, b):
+    """Whether all normals of two clusters are within ``CONE_RAD`` of the axis between theirs (Volino and
+    Magnenat-Thalmann 1994, "Efficient self-collision detection on smoothly discretized surface animations using
+    geometrical shape regularity", CGF 13(3)). A right angle would do but for cloth whose border crosses itself."""
+    cosine = cones[a, 0] * cones[b, 0] + cones[a, 1] * cones[b, 1] + cones[a, 2] * cones[b, 2]
+    between = np.arccos(min(max(cosine, -1), 1))
+    return 0.5 * between + max(cones[a, 3], cones[b, 3]) < CONE_RAD
+
+
+@part
+def _lay(x, corner, c, rows):
+    """Writes the rows of cluster ``c``."""
+    first = ROWS * c
+    p, q = points_at(x, corner, 3 * LANES * c), points_at(x, corner, 3 * LANES * c + LANES)
+    r = points_at(x, corner, 3 * LANES * c + 2 * LANES)
+    put3(rows, first, p)
+    put3(rows, first + 3 * LANES, q)
+    put3(rows, first + 6 * LANES, r)
+    for axis in range(3):
+        put(rows, first + LOW + LANES * axis, least(least(p[axis], q[axis]), r[axis]))
+        put(rows, first + HIGH + LANES * axis, most(most(p[axis], q[axis]), r[axis]))
+
+
+@part
+def _corner(rows, first, lane):
+    return rows[first + lane], rows[first + LANES + lane], rows[first + 2 * LANES + lane]
+
+
+@part
+def _write_out_of_box(rows, own, boxes, b, out):
+    """Writes a positive number for each triangle of the cluster at ``own`` whose box does not reach that of cluster
+    ``b``."""
+    box = 6 * LANES * (b // LANES) + b % LANES
+    low, high = rows3_at(rows, own + LOW), rows3_at(rows, own + HIGH)
+    x = most(low[0] - boxes[box + 3 * LANES], boxes[box] - high[0])
+    y = most(low[1] - boxes[box + 4 * LANES], boxes[box + LANES] - high[1])
+    z = most(low[2] - boxes[box + 5 * LANES], boxes[box + 2 * LANES] - high[2])
+    put(out, 0, most(most(x, y), z))
+
+
+@part
+def _write_sides(rows, own, i, other, side):
+    """Writes a negative number for each triangle of the cluster at ``other`` that has corners on both sides of the
+    plane of triangle ``i`` and whose box overlaps that one's."""
+    p, q, r = _corner(rows, own, i), _corner(rows, own + 3 * LANES, i), _corner(rows, own + 6 * LANES, i)
+    n = cross(sub(q, p), sub(r, p))
+    height = dot(n, p)
+    a, b = dot(n, rows3_at(rows, other)), dot(n, rows3_at(rows, other + 3 * LANES))
+    c = dot(n, rows3_at(rows, other + 6 * LANES))
+    apart = most(least(least(a, b), c) - height, height - most(most(a, b), c))
+    low, high = _corner(rows, own + LOW, i), _corner(rows, own + HIGH, i)
+    lower, higher = rows3_at(rows, other + LOW), rows3_at(rows, other + HIGH)
+    x = most(lower[0] - high[0], low[0] - higher[0])
+    y = most(lower[1] - high[1], low[1] - higher[1])
+    z = most(lower[2] - high[2], low[2] - higher[2])
+    put(side, 0, most(apart, most(most(x, y), z)))
+
+
+@part
+def _is_parted(rows, own, i, other, j):
+    """Whether the plane of triangle ``j`` has corners of triangle ``i`` on both sides."""
+    p, q, r = _corner(rows, other, j), _corner(rows, other + 3 * LANES, j), _corner(rows, other + 6 * LANES, j)
+    n = cross(sub(q, p), sub(r, p))
+    a = dot(n, sub(_corner(rows, own, i), p))
+    b, c = dot(n, sub(_corner(rows, own + 3 * LANES, i), p)), dot(n, sub(_corner(rows, own + 6 * LANES, i), p))
+    return less(less(a, b), c) < 0 and more(more(a, b), c) > 0
+
+
+@part
+def _joined(corner, first, second):
+    """Whether the triangles whose corners are at ``first`` and ``second`` share one."""
+    same = False
+    for n in range(3):
+        for m in range(3):
+            same |= corner[first + LANES * n] == corner[second + LANES * m]
+    return same
+
+
+@kernel
+def _shorten(x, tangles, edged, through, way, count):
+    """Adds the ways of the edges of the triangle ``edged`` that pass through the triangle ``through``."""
+    corner = _threes(tangles.corner, edged)
+    across, other = _threes(tangles.across, edged), _threes(tangles.corner, through)
+    a, b, c = at(x, other[0]), at(x, other[1]), at(x, other[2])
+    normal = cross(sub(b, a), sub(c, a))
+    length = np.sqrt(dot(normal, normal))
+    if not length > 0:
+        return
+    normal = scaled(x.dtype.type(1) / length, normal)
+    for n in range(3):
+        if across[n] == OTHERS:
+            continue
+        p, q = at(x, corner[n]), at(x, corner[(n + 1) % 3])
+        below, above = dot(normal, sub(p, a)), dot(normal, sub(q, a))
+        if not below * above < 0:
+            continue
+        edge = sub(q, p)
+        y = mix(x.dtype.type(1), p, below / (below - above), edge)
+        if min(_turn(a, b, y, normal), _turn(b, c, y, normal), _turn(c, a, y, normal)) < 0:
+            continue
+        along = scaled(x.dtype.type(1) / np.sqrt(dot(edge, edge)), edge)
+        run = _run(along, sub(at(x, corner[(n + 2) % 3]), p), normal)
+        if across[n] != BORDER:
+            run = add(run, _run(along, sub(at(x, across[n]), p), normal))
+        steep = dot(along, normal)
+        flattest = x.dtype.type(OBLIQUE)
+        steep = max(steep, flattest) if steep > 0 else min(steep, -flattest)
+        shortest = mix(x.dtype.type(1), run, x.dtype.type(-2) * dot(along, run) / steep, normal)
+        shortest = scaled(x.dtype.type(1) / np.sqrt(dot(shortest, shortest) + x.dtype.type(SOFT)), shortest)
+        for end in (corner[n], corner[(n + 1) % 3]):
+            _go(way, count, end, x.dtype.type(1), shortest)
+        for m in range(3):
+            _go(way, count, other[m], x.dtype.type(-1), shortest)
+
+
+@part
+def _threes(table, triangle):
+    """The three numbers of a ``triangle`` in a ``table`` of three rows a cluster."""
+    first = 3 * LANES * (triangle // LANES) + triangle % LANES
+    return table[first], table[first + LANES], table[first + 2 * LANES]
+
+
+@part
+def _turn(a, b, y, normal):
+    return dot(cross(sub(b, a), sub(y, a)), normal)
+
+
+@part
+def _run(along, inward, normal):
+    """The unit vector, in the triangle that lies ``inward`` of an edge, ``along`` the plane with the ``normal``; zero
+    where both are parallel."""
+    found = cross(normal, cross(along, inward))
+    length = np.sqrt(dot(found, found))
+    if not length > 0:
+        return found
+    into = sub(inward, scaled(dot(inward, along), along))
+    length = length if dot(found, into) > 0 else -length
+    return found[0] / length, found[1] / length, found[2] / length
+
+
+@part
+def _go(way, count, v, sign, a):
+    for i in range(3):
+        way[v, i] += sign * a[i]
+    count[v] += 1
