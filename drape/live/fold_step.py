@@ -44,7 +44,7 @@ from drape.live.skin_contact import (
 )
 from drape.live.surface_frames import FRAMES, in_frames, in_world, surface_frames
 from drape.live.sweeps import PLANES, SCRATCH, descend, gradient_at, leash, stick
-from drape.live.untangle import untangle
+from drape.live.untangle import WAY_M, untangle
 from drape.live.whole import whole_step
 
 # The share of the last step's way that comes before a step: in slow motion, and in fast motion of soft and stiff cloth.
@@ -130,9 +130,17 @@ def fold(
 
 def calmness(before: np.ndarray, network: np.ndarray) -> float:
     """1 where the network moves its vertices slowly, 0 where fast."""
+    return _calmness(moved_m(before, network))
+
+
+def _calmness(way_m: float) -> float:
+    return float(np.clip((FAST_M - way_m) / (FAST_M - SLOW_M), 0.0, 1.0))
+
+
+def moved_m(before: np.ndarray, network: np.ndarray) -> float:
+    """RMS way [m] of the network's vertices."""
     way = network - before
-    moved_m = float(np.sqrt(np.einsum("vi,vi->", way, way) / len(way)))
-    return float(np.clip((FAST_M - moved_m) / (FAST_M - SLOW_M), 0.0, 1.0))
+    return float(np.sqrt(np.einsum("vi,vi->", way, way) / len(way)))
 
 
 def _without_past(constants: FoldConstants, network: np.ndarray, time_s: float) -> FoldMemory:
@@ -151,7 +159,8 @@ def _advanced(
     rounds = 0 if effort.steps == 0 else effort.settle if settled else 1
     share = fading(effort, step_s)
     place = constants.sheet.place
-    calm = calmness(np.take(past.network, place, axis=0), np.take(network, place, axis=0))
+    way_m = moved_m(np.take(past.network, place, axis=0), np.take(network, place, axis=0))
+    calm = _calmness(way_m)
     k = constants.sheet.constants
     pace = paced(effort.steps, calm, stiff=float(k.warp + k.weft) > STIFF_N_PER_M)  # each is half of the fabric's
     momentum = SETTLING_MOMENTUM if settled and rounds >= LONG_ROUNDS else pace.momentum
@@ -159,6 +168,7 @@ def _advanced(
         dtype(step_s), dtype(momentum), dtype(pace.share), rounds, pace.steps, pace.sweeps,
         -1 if settled else past.turn, effort.cloth_contact and rounds > 0,
         dtype(0.0 if settled else constants.friction), dtype(effort.clearance_m),
+        dtype(WAY_M if settled else min(WAY_M, way_m)),
     )  # fmt: skip
     touched = TouchedSamples(past.touched.own.copy(), past.touched.other.copy())
     state = FoldState(dtype(share) * past.residual, dtype(share == 1.0) * past.velocity, past.grip.copy())
@@ -221,7 +231,9 @@ class FoldState(NamedTuple):
 class FoldSchedule(NamedTuple):
     """The computation of a frame ``step_s`` [s] after the one before: ``rounds``, each of ``steps`` of the whole, a
     ``share`` of each, with ``momentum``, and of ``sweeps``. ``turn`` is that of ``touch``, negative without a past.
-    ``within``: whether cloth keeps within its room; ``friction`` with the skin; the ``clearance`` [m] of the lift."""
+    ``within``: whether cloth keeps within its room, and what crosses comes apart by ``untangle`` [m] at most in a step:
+    no farther than the network moved, or cloth on a body that stands still would not come to rest. ``friction`` with
+    the skin; the ``clearance`` [m] of the lift."""
 
     step_s: np.floating
     momentum: np.floating
@@ -233,6 +245,7 @@ class FoldSchedule(NamedTuple):
     within: bool
     friction: np.floating
     clearance: np.floating
+    untangle: np.floating
 
 
 @kernel
@@ -298,8 +311,8 @@ def _descend_rounds(x, way, lifted, guides, touched, cloth, schedule):
             descend(x, sheet, planes, network, scratch)
             if schedule.steps == 0:
                 _set_way(way, x, before)
-        if schedule.within:
-            untangle(x, cloth.tangles)
+        if schedule.within and schedule.untangle > 0.0:
+            untangle(x, cloth.tangles, schedule.untangle)
     if schedule.clearance > 0.0:
         if schedule.rounds == 0:  # folds without steps have no planes yet
             touch(x, skin, cloth.graph, sheet, touched, schedule.turn, planes)

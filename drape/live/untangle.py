@@ -8,9 +8,9 @@ Relative to the triangle the edge goes along
     G = sum R - 2 N (E . sum R) / (E . N),
 
 by which the contour grows shorter fastest. The edge's ends go one way and the triangle's corners the other way, each by
-the mean of its ways, ``WAY_M`` at most. Both sheets stay as they are but for that: there is neither an inside nor a
-side to remember. What crosses shallowly comes apart within a few frames; the memory of folds keeps it so. Sheets that
-lie deep in each other have no short way out, and stay.
+the mean of its ways, ``WAY_M`` at most and no farther than the body moved. Both sheets stay as they are but for that:
+there is neither an inside nor a side to remember. What crosses shallowly comes apart within a few frames; the memory of
+folds keeps it so. Sheets that lie deep in each other have no short way out, and stay.
 
 The pairs of triangles that cross are found once, by boxes around ``LANES`` triangles side by side and by cones around
 their normals, and looked at again in each of ``STEPS`` steps.
@@ -80,8 +80,11 @@ def tangles_of(faces: np.ndarray, place: np.ndarray) -> Tangles:
 
 
 @kernel
-def untangle(x, tangles):
-    """Moves ``x`` [m] (P, 3) in place where triangles of ``tangles`` cross, and returns how many pairs did at first."""
+def untangle(x, tangles, farthest):
+    """Moves ``x`` [m] (P, 3) in place where triangles of ``tangles`` cross, by ``farthest`` [m] at most in a step.
+
+    Returns how many pairs may have crossed at first.
+    """
     pairs = crossing(x, tangles)
     if len(pairs):
         way, count = np.empty_like(x), np.empty(len(x), x.dtype)
@@ -93,7 +96,7 @@ def untangle(x, tangles):
             for v in range(len(x)):
                 if count[v] > 0:
                     for i in range(3):
-                        x[v, i] += x.dtype.type(WAY_M) / count[v] * way[v, i]
+                        x[v, i] += farthest / count[v] * way[v, i]
     return len(pairs)
 
 

@@ -15,6 +15,7 @@ from drape.live.fold_step import fold
 from drape.live.room import BOUND_M2, LEAST_M, ROOM_M, rooms, sheet_neighbours
 from drape.live.sheet import LANES
 from drape.live.skin_contact import TouchedSamples
+from drape.live.untangle import Tangles
 from tests.drape.cloth.cloth_shapes import grid, tube
 from tests.drape.live.folds_setup import EFFORT, HELD, constants, folded, frame, held_for, sleeve, without_body
 from tests.fixtures.laws import each
@@ -122,7 +123,9 @@ def test_no_room_is_found_between_numbers_that_are_none():
 def test_the_compiled_hold_equals_the_readable_one():
     (rest, worn), wanted_memory = sleeve(), None
     frames = [flattened(frame(rest, number), 0.08) for number in range(3)]
-    for one, (x, _, _) in zip(frames, folded(constants(dtype=np.float64), frames, HELD), strict=True):
+    nothing = np.zeros(0, np.int32)  # that crosses is moved apart: the readable way holds only
+    made = constants(dtype=np.float64)._replace(tangles=Tangles(nothing, nothing, np.zeros(1, np.int32), nothing))
+    for one, (x, _, _) in zip(frames, folded(made, frames, HELD), strict=True):
         wanted, wanted_memory = reference.fold(worn, wanted_memory, one, HELD)
         assert_allclose(x, wanted, rtol=0.0, atol=1e-10)
     room = reference.room(frames[-1].vertices, worn.cloth)
@@ -145,7 +148,7 @@ def test_cloth_without_room_stays_with_the_network():
     ends = [folded(constants("poplin", creased=False), held_for(one, 10), e)[-1][0] for e in (EFFORT, HELD)]
     free_m, held_m = (np.linalg.norm(x - one.vertices, axis=1)[tight].mean() for x in ends)
     assert tight.sum() > 10
-    assert held_m < 0.006 < 1.8 * held_m < free_m
+    assert held_m < 0.0065 < 1.8 * held_m < free_m
 
 
 @each(material=("rib", "poplin"), steps=(1, 3))

@@ -64,7 +64,7 @@ def test_smooth_cloth_stays_bit_for_bit():
     vertices, faces = grid(12, 12)
     x = vertices + 0.01 * np.sin(40.0 * vertices[:, [1, 2, 0]])
     before = x.copy()
-    assert untangle(x, tangles_of(faces, np.arange(len(x)))) == 0
+    assert untangle(x, tangles_of(faces, np.arange(len(x))), WAY_M) == 0
     assert_array_equal(x, before)
 
 
@@ -75,7 +75,7 @@ def test_a_bump_that_passes_through_comes_out(dtype):
     assert len(crossing_pairs(x.astype(np.float64), faces)) > 0
     for _ in range(8):
         before = x.copy()
-        untangle(x, tangles)
+        untangle(x, tangles, x.dtype.type(WAY_M))
         assert np.abs(x - before).max() <= 2.01 * WAY_M
     assert len(crossing_pairs(x.astype(np.float64), faces)) == 0
 
@@ -84,7 +84,7 @@ def test_both_sheets_share_the_way():
     """One sheet is pushed one way, the other one the other way."""
     vertices, faces = poked(0.002)
     x = vertices.copy()
-    untangle(x, tangles_of(faces, np.arange(len(x))))
+    untangle(x, tangles_of(faces, np.arange(len(x))), WAY_M)
     half = len(x) // 2
     first, second = (x - vertices)[:half].sum(axis=0), (x - vertices)[half:].sum(axis=0)
     assert float(first @ second) < 0.0
@@ -112,6 +112,6 @@ def test_a_triangle_without_an_area_moves_nothing():
     vertices, faces = sheets(0.004)
     vertices[faces[0]] = vertices[faces[0, 0]]
     x = vertices.copy()
-    untangle(x, tangles_of(faces, np.arange(len(x))))
+    untangle(x, tangles_of(faces, np.arange(len(x))), WAY_M)
     assert np.isfinite(x).all()
     assert pytest.approx(0.0, abs=3 * WAY_M) == float(np.abs(x - vertices).max())
