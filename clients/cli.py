@@ -102,6 +102,8 @@ def _parser() -> argparse.ArgumentParser:
             drape.add_argument(flag, nargs="+", metavar="NAME", help=field.description)
         elif name == "fabric":
             drape.add_argument(flag, nargs="+", metavar="NAME", help="what it is made of: for all, or by layer")
+        elif name == "colliders":
+            drape.add_argument(flag, type=_read_json, metavar="FILE", help="a JSON list of what else cloth lies on")
         elif isinstance(kind, str):
             drape.add_argument(flag, choices=get_args(field.annotation), help=field.description)
         elif kind is bool:
@@ -110,6 +112,14 @@ def _parser() -> argparse.ArgumentParser:
             drape.add_argument(flag, type=kind, help=field.description)
     drape.set_defaults(run=_drape)
     return parser
+
+
+def _read_json(path: str) -> Any:
+    """The contents of a JSON file; argparse tells of a ``ValueError``, and of an ``ArgumentTypeError`` by its words."""
+    try:
+        return json.loads(Path(path).read_bytes())
+    except OSError as error:
+        raise argparse.ArgumentTypeError(f"cannot read {path}: {error.strerror}") from error
 
 
 def _options() -> dict[str, FieldInfo]:

@@ -6,9 +6,12 @@ network moves a vertex farther than any motion does.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
+
+from drape.geometry.colliders import NONE
 
 PAUSE_S = 0.25  # a frame that comes later than that after the one before has no past
 CUT_M = 0.30  # nor has one in which the network moved a vertex farther
@@ -19,11 +22,25 @@ FIRST_STEP_S = 1.0 / 30.0  # the step of a frame without a past
 @dataclass(frozen=True, eq=False)
 class Frame:
     """A frame as it comes: the network's ``vertices`` [m] (V, 3), the samples of the posed ``skin`` (S, 8) as of
-    ``drape.contact.samples.sample_table``, both from the same origin, and the time [s] by the client's clock."""
+    ``drape.contact.samples.sample_table`` and the scene's ``colliders`` (M, 16), all from the same origin, and the time
+    [s] by the client's clock."""
 
     vertices: np.ndarray
     skin: np.ndarray
     time_s: float
+    colliders: np.ndarray = field(default_factory=NONE.copy)
+
+    def around(self, dtype: np.dtype) -> Surroundings:
+        """What is around the cloth, its skin of ``dtype``."""
+        # Copies: kernels are compiled for arrays that may be written.
+        return Surroundings(np.array(self.skin, dtype, order="C"), np.array(self.colliders, np.float64, order="C"))
+
+
+class Surroundings(NamedTuple):
+    """What cloth does not pass through: the samples of the ``skin`` (S, 8) and the scene's ``colliders`` (M, 16)."""
+
+    skin: np.ndarray
+    colliders: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)

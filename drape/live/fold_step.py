@@ -25,7 +25,8 @@ from drape.contact.projection import CLEARANCE_M, MOVED_M
 from drape.kernels.compiled import kernel
 from drape.kernels.elements import at, dot, farthest_m, scaled, sub
 from drape.kernels.lanes import points_in, put_points
-from drape.live.clock import FIRST_STEP_S, Frame, FrameMemory, follows, step_between
+from drape.live.clock import FIRST_STEP_S, Frame, FrameMemory, Surroundings, follows, step_between
+from drape.live.colliders import leave, put_planes
 from drape.live.fold_constants import FoldConstants, WornCloth
 from drape.live.lift import lift
 from drape.live.raised_skin import heights_over
@@ -116,12 +117,12 @@ def fold(
     """
     dtype = constants.sheet.own.dtype
     network = np.take(frame.vertices, constants.sheet.vertex, axis=0).astype(dtype)  # in a third of the time of [...]
-    skin = np.array(frame.skin, dtype=dtype, order="C")  # a copy: kernels are compiled for arrays that may be written
+    around = frame.around(dtype)
     none = _without_past(constants, network, frame.time_s)
     past = memory if memory is not None and follows(memory, network, frame.time_s) else none
-    x, after, report = _advanced(constants, past, network, skin, frame.time_s, effort)
+    x, after, report = _advanced(constants, past, network, around, frame.time_s, effort)
     if x is None:
-        x, after, report = _advanced(constants, none, network, skin, frame.time_s, effort)
+        x, after, report = _advanced(constants, none, network, around, frame.time_s, effort)
         report = replace(report, reset=True)
     if x is None:
         return frame.vertices, none, FoldReport(settled=True, reset=True)
@@ -150,7 +151,12 @@ def _without_past(constants: FoldConstants, network: np.ndarray, time_s: float) 
 
 
 def _advanced(
-    constants: FoldConstants, past: FoldMemory, network: np.ndarray, skin: np.ndarray, time_s: float, effort: FoldEffort
+    constants: FoldConstants,
+    past: FoldMemory,
+    network: np.ndarray,
+    around: Surroundings,
+    time_s: float,
+    effort: FoldEffort,
 ) -> tuple[np.ndarray | None, FoldMemory, FoldReport]:
     """Vertices [m] (V, 3) of the frame after ``past``, None where they are no folds, its memory, and a report."""
     dtype = network.dtype.type
@@ -172,7 +178,7 @@ def _advanced(
     )  # fmt: skip
     touched = TouchedSamples(past.touched.own.copy(), past.touched.other.copy())
     state = FoldState(dtype(share) * past.residual, dtype(share == 1.0) * past.velocity, past.grip.copy())
-    x, far, lifted_m = advance(past.network, network, state, touched, skin, constants, schedule)
+    x, far, lifted_m = advance(past.network, network, state, touched, around, constants, schedule)
     lifted_m = np.take(lifted_m, place)
     after = FoldMemory(time_s, network, state.residual, state.velocity, touched, state.grip, (past.turn + 1) % TURNS)
     report = FoldReport(settled, False, float((lifted_m > MOVED_M).mean()), float(lifted_m.max()))
@@ -213,11 +219,11 @@ def paced(steps: int, calm: float, *, stiff: bool) -> Pace:
 
 class FoldGuides(NamedTuple):
     """The guides of a frame's cloth: the ``network``'s places, the places where the skin has taken what was ``stuck``
-    to it, both [m] (P, 3), and the samples of the ``skin`` (S, 8)."""
+    to it, both [m] (P, 3), and what is ``around``."""
 
     network: np.ndarray
     stuck: np.ndarray
-    skin: np.ndarray
+    around: Surroundings
 
 
 class FoldState(NamedTuple):
@@ -249,12 +255,13 @@ class FoldSchedule(NamedTuple):
 
 
 @kernel
-def advance(before, network, state, touched, skin, cloth, schedule):
+def advance(before, network, state, touched, around, cloth, schedule):
     """``x`` [m] (P, 3), how far [m] the farthest vertex is from the network, NaN where one is, and how far [m] each was
     lifted (P,). ``before`` and ``network`` are the network's places in the frame before and in this one. ``state`` and
     ``touched`` are moved on in place."""
     sheet, k = cloth.sheet, cloth.sheet.constants
     residual, velocity, grip = state
+    skin = around.skin
     stuck = np.empty_like(network)
     stuck_places(grip, touched, skin, cloth.graph, stuck)
     frames = np.empty(FRAMES // LANES * len(network), network.dtype)
@@ -267,7 +274,7 @@ def advance(before, network, state, touched, skin, cloth, schedule):
     keep_residual(x, before, network, frames, sheet, cloth.hem)
     x += network
     lifted = np.zeros(len(x), x.dtype)
-    _descend_rounds(x, way, lifted, FoldGuides(network, stuck, skin), touched, cloth, schedule)
+    _descend_rounds(x, way, lifted, FoldGuides(network, stuck, around), touched, cloth, schedule)
     if schedule.turn < 0:
         stuck[:] = x
     write_grip(x, stuck, touched, skin, cloth.graph, grip)
@@ -282,7 +289,7 @@ def advance(before, network, state, touched, skin, cloth, schedule):
 def _descend_rounds(x, way, lifted, guides, touched, cloth, schedule):
     """Moves ``x`` by the rounds of ``schedule`` and the lift, in place, and writes the ``way`` of the last step and how
     far each vertex was ``lifted``."""
-    sheet, network, skin = cloth.sheet, guides.network, guides.skin
+    sheet, network, skin, colliders = cloth.sheet, guides.network, guides.around.skin, guides.around.colliders
     planes, gradient = np.empty(PLANES // LANES * len(x), x.dtype), np.empty_like(x)
     before, scratch = np.empty_like(x), np.empty(SCRATCH, x.dtype)
     follow(network, skin, cloth.graph, touched)
@@ -293,6 +300,7 @@ def _descend_rounds(x, way, lifted, guides, touched, cloth, schedule):
     first = schedule.turn < 0
     for _ in range(schedule.rounds):
         touch(x, skin, cloth.graph, sheet, touched, schedule.turn, planes)
+        put_planes(x, colliders, planes)
         if first:
             # Triangles that the network stretches are stiffer than K knows, and steps would run away: sweeps first.
             for _ in range(schedule.rounds):
@@ -313,9 +321,10 @@ def _descend_rounds(x, way, lifted, guides, touched, cloth, schedule):
                 _set_way(way, x, before)
         if schedule.within and schedule.untangle > 0.0:
             untangle(x, cloth.tangles, schedule.untangle)
+    if schedule.rounds == 0 and (schedule.clearance > 0.0 or len(colliders)):  # folds without steps have no planes yet
+        touch(x, skin, cloth.graph, sheet, touched, schedule.turn, planes)
+    leave(x, colliders, planes, schedule.clearance)
     if schedule.clearance > 0.0:
-        if schedule.rounds == 0:  # folds without steps have no planes yet
-            touch(x, skin, cloth.graph, sheet, touched, schedule.turn, planes)
         lift(x, planes, schedule.clearance, lifted)
 
 

@@ -194,19 +194,20 @@ class Springs(NamedTuple):
 
 class Ground(NamedTuple):
     """The samples ``skin`` (S, 8), and for each node (N,) the one below ``still`` cloth, the one ``touched`` now, and
-    how ``deep`` [m] below the gap still cloth is."""
+    how ``deep`` [m] below the gap still cloth is; the ``planes`` (N, 2, 4) of ``drape.live.colliders.write_planes``."""
 
     skin: np.ndarray
     still: np.ndarray
     touched: np.ndarray
     deep: np.ndarray
+    planes: np.ndarray
 
 
 @kernel
 def keep_length(c, mesh, young, bound, springs, ground, turns):
     """Moves the nodes ``c`` [m] (N, 3) in place by ``turns`` sweeps there and back, each to its own quadratic
     minimum."""
-    skin = ground.skin
+    skin, planes = ground.skin, ground.planes
     zero, gap, near = c.dtype.type(0), c.dtype.type(GAP_M), c.dtype.type(TOUCH_M)
     reach = c.dtype.type(REACH_M)
     count = len(mesh.order)
@@ -224,6 +225,12 @@ def keep_length(c, mesh, young, bound, springs, ground, turns):
             if depth > zero and (j == ground.still[i] or dot(off, off) < near * near):
                 stiff = c.dtype.type(2.0 * CONTACT_J_M4) * mesh.area_m2[i]
                 g, h = add(g, scaled(-stiff * depth, normal)), outer(h, stiff, normal)
+            for m in range(2):
+                normal = at(planes[i], m)
+                depth = gap + planes[i, m, 3] - dot(x, normal)
+                if depth > zero and dot(normal, normal) > zero:
+                    stiff = c.dtype.type(2.0 * CONTACT_J_M4) * mesh.area_m2[i]
+                    g, h = add(g, scaled(-stiff * depth, normal)), outer(h, stiff, normal)
             step = solved(h, g)
             share = reach / np.sqrt(max(dot(step, step), reach * reach))
             c[i, 0] -= share * step[0]

@@ -9,18 +9,22 @@ would be, and the length of the cloth holds it (``drape.live.swing_nodes``), bot
 and turn as the nodes do beside the still cloth (``drape.live.swing_carry``), so that on a still body all comes to rest
 at the network's drape. A node that the network has near the skin is held there; in a wide skirt hardly
 (``drape.live.swing_slack``).
+
+Colliders of the scene hold nodes too. Cloth that lies on one comes to rest there, and a frame without a past begins
+where it rests.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from drape.kernels.compiled import kernel
 from drape.kernels.elements import at, dot, farthest_m, scaled, sub
-from drape.live.clock import Frame, FrameMemory, follows, step_between
+from drape.live.clock import FIRST_STEP_S, Frame, FrameMemory, Surroundings, follows, step_between
+from drape.live.colliders import write_planes
 from drape.live.skin_contact import NEIGHBOURS, SkinGraph, TouchedSamples, follow
 from drape.live.swing_carry import move_vertices
 from drape.live.swing_mesh import SwingMesh
@@ -36,6 +40,8 @@ CALM_S, CALMER_PER_S2, CALMEST_PER_S = 0.2, 20.0, 10.0
 STILL_S = 1.8  # after which nothing swings
 FAR_M = 1.0  # a node farther from still cloth does not swing any more
 LEAST_M = 1e-6  # a node nearer to it only rounds
+LYING_M, STUCK_N_PER_M = 0.008, 2.0  # a node lies on a collider that is nearer, and is held where it lay
+SETTLE = 60  # steps of a frame without a past whose cloth is in a collider
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,13 +69,14 @@ class SwingConstants:
 class SwingMemory(FrameMemory):
     """A frame as swing remembers it: the ``origin`` of its coordinates in the world [m] (3,); where the nodes
     ``swung`` to [m] and their ``speed`` [m/s] (N, 3); the samples ``touched`` (N,) below them; since when [s] the
-    network has not moved."""
+    network has not moved; and the ``colliders`` (M, 16), from that origin."""
 
     origin: np.ndarray
     swung: np.ndarray
     speed: np.ndarray
     touched: np.ndarray
     still_since_s: float
+    colliders: np.ndarray
 
 
 def swing(
@@ -80,42 +87,81 @@ def swing(
     ``origin`` [m] (3,) is that of the frame's coordinates in the world. The same input gives the same bits; ``memory``
     is not written to. In a frame without a past, and in one to which no swing leads, cloth hangs still.
     """
-    vertices, skin, time_s = frame.vertices, frame.skin, frame.time_s
+    vertices, time_s = frame.vertices, frame.time_s
     dtype = constants.mesh.mass_kg.dtype
     network = vertices[constants.mesh.vertex].astype(dtype)
-    ground = np.array(skin, dtype=dtype, order="C")  # a copy: kernels are compiled for arrays that may be written
+    around = frame.around(dtype)
     past = memory if memory is not None and memory.time_s != time_s and follows(memory, network, time_s) else None
     if past is None:
-        return vertices, _still(constants, network, ground, time_s, origin)
-    stands = np.array_equal(network, past.network) and np.array_equal(origin, past.origin)
-    since_s = past.still_since_s if stands else time_s
-    if stands and time_s - since_s >= STILL_S:
-        return vertices, SwingMemory(time_s, network, origin, network, np.zeros_like(network), past.touched, since_s)
-    damping = constants.damping_per_s + min(CALMER_PER_S2 * max(time_s - since_s - CALM_S, 0.0), CALMEST_PER_S)
-    touched = past.touched.copy()
-    follow(network, ground, constants.graph, TouchedSamples(touched, touched))
-    before = SwingState(past.network, past.swung - (origin - past.origin).astype(dtype), past.speed)
-    step_s, young = step_between(past.time_s, time_s), constants.young_n_per_m
-    schedule = SwingSchedule(dtype.type(step_s), dtype.type(damping), dtype.type(young), ROUNDS, TURNS)
-    hold = SkinHold(touched, constants.held)
-    swung, speed, far = advance(before, network, ground, hold, constants.mesh, constants.graph, schedule)
+        after = _at_rest(constants, _still(constants, network, around, time_s, origin), around)
+    else:
+        after = _after(constants, past, network, around, time_s, origin)
+    far = farthest_m(after.swung, network)
     if not far <= FAR_M:
-        return vertices, _still(constants, network, ground, time_s, origin)
-    after = SwingMemory(time_s, network, origin, swung, speed, touched, since_s)
+        return vertices, _still(constants, network, around, time_s, origin)
     if far < LEAST_M:
         return vertices, after
     out = np.empty(vertices.shape, dtype)
-    move_vertices(vertices.astype(dtype), network, swung, constants.mesh, dtype.type(share), out)
+    move_vertices(vertices.astype(dtype), network, after.swung, constants.mesh, dtype.type(share), out)
     return out.astype(vertices.dtype), after
 
 
+def _after(
+    constants: SwingConstants,
+    past: SwingMemory,
+    network: np.ndarray,
+    around: Surroundings,
+    time_s: float,
+    origin: np.ndarray,
+) -> SwingMemory:
+    """The memory of the frame after ``past``."""
+    dtype = network.dtype
+    stands = (
+        np.array_equal(network, past.network)
+        and np.array_equal(origin, past.origin)
+        and np.array_equal(around.colliders, past.colliders)
+    )
+    since_s = past.still_since_s if stands else time_s
+    if stands and time_s - since_s >= STILL_S:
+        rest = past.swung if len(around.colliders) else network
+        return replace(past, time_s=time_s, swung=rest, speed=np.zeros_like(network))
+    damping = constants.damping_per_s + min(CALMER_PER_S2 * max(time_s - since_s - CALM_S, 0.0), CALMEST_PER_S)
+    touched = past.touched.copy()
+    follow(network, around.skin, constants.graph, TouchedSamples(touched, touched))
+    before = SwingState(past.network, past.swung - (origin - past.origin).astype(dtype), past.speed)
+    schedule = _schedule(constants, step_between(past.time_s, time_s), damping, first=False)
+    hold = SkinHold(touched, constants.held)
+    swung, speed = advance(before, network, around, hold, constants.mesh, constants.graph, schedule)
+    return SwingMemory(time_s, network, origin, swung, speed, touched, since_s, around.colliders)
+
+
+def _schedule(constants: SwingConstants, step_s: float, damping_per_s: float, *, first: bool) -> SwingSchedule:
+    kind = constants.mesh.mass_kg.dtype.type
+    return SwingSchedule(kind(step_s), kind(damping_per_s), kind(constants.young_n_per_m), ROUNDS, TURNS, first)
+
+
 def _still(
-    constants: SwingConstants, network: np.ndarray, skin: np.ndarray, time_s: float, origin: np.ndarray
+    constants: SwingConstants, network: np.ndarray, around: Surroundings, time_s: float, origin: np.ndarray
 ) -> SwingMemory:
     """The memory of a frame whose cloth hangs still."""
     touched = constants.index.copy()
-    follow(network, skin, constants.graph, TouchedSamples(touched, touched))
-    return SwingMemory(time_s, network, origin, network, np.zeros_like(network), touched, time_s)
+    follow(network, around.skin, constants.graph, TouchedSamples(touched, touched))
+    speed = np.zeros_like(network)
+    return SwingMemory(time_s, network, origin, network, speed, touched, time_s, around.colliders)
+
+
+def _at_rest(constants: SwingConstants, still: SwingMemory, around: Surroundings) -> SwingMemory:
+    """The memory of ``still`` cloth once it lies on the colliders that it is in."""
+    network = still.network
+    planes = np.empty((len(network), 2, 4), network.dtype)
+    if not write_planes(network, network, True, around.colliders, around.skin, still.touched, planes):
+        return still
+    schedule = _schedule(constants, FIRST_STEP_S, constants.damping_per_s + CALMEST_PER_S, first=True)
+    state, hold = SwingState(network, network, still.speed), SkinHold(still.touched, constants.held)
+    for _ in range(SETTLE):
+        swung, speed = advance(state, network, around, hold, constants.mesh, constants.graph, schedule)
+        state = SwingState(network, swung, speed)
+    return replace(still, swung=state.swung)
 
 
 class SwingState(NamedTuple):
@@ -128,13 +174,14 @@ class SwingState(NamedTuple):
 
 class SwingSchedule(NamedTuple):
     """The computation of a frame: the step [s], damping [1/s] and stiffness [N/m]; ``rounds`` of conjugate gradients
-    and ``turns`` of sweeps."""
+    and ``turns`` of sweeps; whether it is the ``first`` frame."""
 
     step_s: np.floating
     damping: np.floating
     young: np.floating
     rounds: int
     turns: int
+    first: bool
 
 
 class SkinHold(NamedTuple):
@@ -145,14 +192,15 @@ class SkinHold(NamedTuple):
 
 
 @kernel
-def advance(before, network, skin, hold, mesh, graph, schedule):
-    """The swung nodes [m] (N, 3), their speed [m/s], and how far [m] the farthest one is from still cloth, NaN where
-    one is."""
-    h = schedule.step_s
+def advance(before, network, around, hold, mesh, graph, schedule):
+    """The swung nodes [m] (N, 3) and their speed [m/s]."""
+    h, skin = schedule.step_s, around.skin
     one, zero = network.dtype.type(1), network.dtype.type(0)
     touched = hold.touched
     held = _holds(network, skin, hold)
     inertia, deep = np.zeros_like(held), np.zeros_like(held)
+    planes = np.empty((len(held), 2, 4), network.dtype)
+    write_planes(before.swung, before.swung, schedule.first, around.colliders, skin, touched, planes)
     u, rhs, swung = np.zeros_like(network), np.zeros_like(network), network.copy()
     for n in range(len(mesh.order)):
         i = mesh.order[n]
@@ -165,6 +213,11 @@ def advance(before, network, skin, hold, mesh, graph, schedule):
         for axis in range(3):
             u[i, axis] = before.swung[i, axis] - before.network[i, axis]
             rhs[i, axis] = inertia[i] * (before.swung[i, axis] + h * v[axis] - network[i, axis])
+        if _lies(before.swung, network, planes, i):
+            stuck = network.dtype.type(STUCK_N_PER_M)
+            held[i] += stuck
+            for axis in range(3):
+                rhs[i, axis] = (inertia[i] + stuck) * (before.swung[i, axis] - network[i, axis])
         j = touched[i]
         below = network.dtype.type(GAP_M) - dot(sub(at(network, i), at(skin, j)), (skin[j, 4], skin[j, 5], skin[j, 6]))
         deep[i] = max(below, zero)
@@ -182,8 +235,10 @@ def advance(before, network, skin, hold, mesh, graph, schedule):
         off = sub(at(network, i), at(skin, touched[i]))
         if dot(off, off) < network.dtype.type(TOUCH_M * TOUCH_M):
             here[i] = touched[i]
-    keep_length(swung, mesh, schedule.young, bound, springs, Ground(skin, touched, here, deep), schedule.turns)
-    return swung, (swung - before.swung) / h, farthest_m(swung, network)
+    write_planes(swung, before.swung, schedule.first, around.colliders, skin, touched, planes)
+    ground = Ground(skin, touched, here, deep, planes)
+    keep_length(swung, mesh, schedule.young, bound, springs, ground, schedule.turns)
+    return swung, (swung - before.swung) / h
 
 
 @kernel
@@ -202,6 +257,13 @@ def _holds(network, skin, hold):
         free = share * share * (dtype(3) - share - share)
         found[i] = hold.held[i] * dtype(HOLD_N_PER_M) * (dtype(1) - free) / max(free, dtype(LEAST_FREE))
     return found
+
+
+@kernel
+def _lies(c, network, planes, i):
+    """Whether node ``i`` lies on one of its ``planes``, beyond which the network has it."""
+    normal, where = at(planes[i], 0), planes[i, 0, 3]
+    return dot(normal, at(c, i)) - where < c.dtype.type(LYING_M) and dot(normal, at(network, i)) < where
 
 
 @kernel

@@ -12,6 +12,8 @@ from typing import Annotated, Any, Literal
 from annotated_types import Len
 from pydantic import BaseModel, ConfigDict, Field
 
+from drape.wire.colliders import COLLIDER_LIMIT, Collider
+
 # Every list stops at its first mistake: the answer tells one, and a million of them take seconds to write down.
 FIRST_ONLY = Field(fail_fast=True)
 LAYER_LIMIT = 64  # far beyond what a service drapes, which says how many that is
@@ -129,6 +131,10 @@ class DrapeOptions(BaseModel):
         default=None,
         description="Ids of garments that nobody sees, below others: they do not come. Nothing of them is computed but "
         "what a visible garment over them feels.",
+    )
+    colliders: Annotated[tuple[Collider, ...], Len(0, COLLIDER_LIMIT), FIRST_ONLY] | None = Field(
+        default=None,
+        description="What else cloth lies on, in the world's coordinates: planes, boxes and capsules.",
     )
     geometry: Geometry = Field(
         default="vertices",

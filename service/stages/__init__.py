@@ -5,6 +5,7 @@ A new stage is a file here, a line in ``STAGES``, and a field of ``drape.wire.op
 
 from __future__ import annotations
 
+from service.stages.colliders import Colliders
 from service.stages.collision import Collision
 from service.stages.encode import Encode
 from service.stages.folds import Folds
@@ -13,7 +14,7 @@ from service.stages.network import Network, Novelty
 from service.stages.stage import Stage, StageSetup
 from service.stages.swing import Swing
 
-STAGES: tuple[type[Stage], ...] = (Novelty, Motion, Network, Swing, Folds, Collision, Encode)
+STAGES: tuple[type[Stage], ...] = (Novelty, Motion, Network, Swing, Folds, Colliders, Collision, Encode)
 
 
 def make_stages(setup: StageSetup) -> tuple[Stage, ...]:

@@ -12,6 +12,7 @@ from drape.cloth.fabric import Fabric
 from drape.errors import InputError
 from drape.garment.cache import Garment
 from drape.garment.wrapping import Wrapping
+from drape.geometry.colliders import seen_from
 from drape.live.clock import Frame
 from drape.live.fold_constants import FoldConstants, fold_constants
 from drape.live.fold_step import FoldEffort, FoldMemory, FoldReport, fold, warm_up
@@ -149,7 +150,8 @@ class Folds(Stage):
         height = np.empty(ground.shape[:2], ground.dtype) if covers else None
         for (one, rows), memory in zip(batch.rows(), memories, strict=True):
             for number, row in enumerate(range(rows.start, rows.stop)):
-                frame = Frame(drape[row], ground[row], float(one.times_s[number]))
+                solid = seen_from(batch.plan.colliders, batch.root[row])
+                frame = Frame(drape[row], ground[row], float(one.times_s[number]), solid)
                 vertices[row], memory, report = fold(made, memory, frame, efforts[row])
                 reports.append(report)
                 if height is not None:

@@ -7,6 +7,9 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from drape.wire.colliders import collider_rows
 from drape.wire.options import DrapeOptions
 from service.stages.scene import Scene, layer_fabrics, narrowed
 
@@ -56,6 +59,11 @@ class Plan:
     def projected(self) -> bool:
         """Whether the collision projection brings the cloth out: where that is asked for and folds do not."""
         return bool(self.options.push_out) and not self.lifted
+
+    @cached_property
+    def colliders(self) -> np.ndarray:
+        """Those of the scene (M, 16), in the world (``drape.geometry.colliders``)."""
+        return collider_rows(self.options.colliders)
 
     @cached_property
     def visible(self) -> tuple[bool, ...]:

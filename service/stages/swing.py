@@ -10,6 +10,7 @@ import numpy as np
 from drape.cloth.fabric import Fabric
 from drape.errors import InputError
 from drape.garment.cache import Garment
+from drape.geometry.colliders import seen_from
 from drape.live.clock import Frame
 from drape.live.swing_constants import swing_constants
 from drape.live.swing_step import SwingConstants, SwingMemory, swing, warm_up
@@ -79,7 +80,8 @@ class Swing(Stage):
                 vertices, after = np.empty_like(drape), []
                 for (one, rows), memory in zip(batch.rows(), batch.remembered((self.name, key)), strict=True):
                     for number, row in enumerate(range(rows.start, rows.stop)):
-                        frame = Frame(drape[row], skin[row], float(one.times_s[number]))
+                        solid = seen_from(plan.colliders, batch.root[row])
+                        frame = Frame(drape[row], skin[row], float(one.times_s[number]), solid)
                         vertices[row], memory = swing(
                             made, memory, frame, batch.root[row], share=float(plan.options.knob or 0.0)
                         )

@@ -59,7 +59,10 @@ def test_sweeps_lower_what_they_minimise(moved: tuple[np.ndarray, np.ndarray, Sw
     still, c, mesh, bound = moved
     count, inertia = len(c), 900.0 * mesh.mass_kg
     far = np.array([[0.0, 5.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0]])
-    x, ground = c.copy(), Ground(far, np.full(count, -1, np.int32), np.zeros(count, np.int32), np.zeros(count))
+    x, ground = (
+        c.copy(),
+        Ground(far, np.full(count, -1, np.int32), np.zeros(count, np.int32), np.zeros(count), np.zeros((count, 2, 4))),
+    )
     found = []
     for _ in range(12):
         spring = 0.5 * float((inertia[:, None] * (x - c) ** 2)[mesh.order].sum())

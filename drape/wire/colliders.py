@@ -1,0 +1,73 @@
+"""Colliders as clients name them: planes, boxes and capsules in the world's coordinates [m], the y axis up."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from drape.geometry import colliders
+
+PLACE_LIMIT_M, SIZE_LIMIT_M = 1e6, 1e3
+COLLIDER_LIMIT = 32
+
+Place = Annotated[float, Field(ge=-PLACE_LIMIT_M, le=PLACE_LIMIT_M)]
+Length = Annotated[float, Field(gt=0.0, le=SIZE_LIMIT_M)]
+Point = tuple[Place, Place, Place]
+
+
+class _Collider(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Plane(_Collider):
+    """All that lies below a plane: a floor, a wall."""
+
+    kind: Literal["plane"]
+    normal: Point = Field(default=(0.0, 1.0, 0.0), description="The side that is free; any length but 0.")
+    offset_m: Place = Field(default=0.0, description="The plane's distance from the origin along the normal [m].")
+
+    @field_validator("normal")
+    @classmethod
+    def _has_a_direction(cls, normal: Point) -> Point:
+        if not np.linalg.norm(normal) > 1e-6:
+            raise ValueError("a normal needs a length above 1e-6")
+        return normal
+
+    def row(self) -> np.ndarray:
+        """The numbers (16,) that kernels read."""
+        return colliders.plane(self.normal, self.offset_m)
+
+
+class Box(_Collider):
+    """A box: a seat, a table, a step."""
+
+    kind: Literal["box"]
+    centre: Point = Field(description="Its centre [m].")
+    size: tuple[Length, Length, Length] = Field(description="Its edges [m].")
+    turn: Point = Field(default=(0.0, 0.0, 0.0), description="How it is turned: a rotation vector [rad].")
+
+    def row(self) -> np.ndarray:
+        """The numbers (16,) that kernels read."""
+        return colliders.box(self.centre, self.size, self.turn)
+
+
+class Capsule(_Collider):
+    """All within a radius of a line: a rail, an arm rest; with both ends in one point a ball."""
+
+    kind: Literal["capsule"]
+    ends: tuple[Point, Point] = Field(description="The ends of the line [m].")
+    radius_m: Length = Field(description="The radius [m].")
+
+    def row(self) -> np.ndarray:
+        """The numbers (16,) that kernels read."""
+        return colliders.capsule(*self.ends, self.radius_m)
+
+
+Collider = Annotated[Plane | Box | Capsule, Field(discriminator="kind")]
+
+
+def collider_rows(chosen: tuple[Plane | Box | Capsule, ...] | None) -> np.ndarray:
+    """The rows (M, 16) of the ``chosen`` colliders, in the world's coordinates."""
+    return np.stack([one.row() for one in chosen]) if chosen else colliders.NONE

@@ -1,0 +1,53 @@
+"""Colliders of the scene where no folds run: vertices leave them, and the push-out then keeps the skin hidden.
+
+Swing and folds feel colliders by themselves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from drape.errors import InputError
+from drape.geometry.colliders import seen_from
+from drape.live.colliders import push_off
+from drape.wire.options import DrapeOptions
+from service.stages.batch import Batch
+from service.stages.plan import Plan
+from service.stages.stage import Stage
+
+
+class Colliders(Stage):
+    """Moves each layer's vertices to the nearest place outside of the colliders, up to the clearance."""
+
+    name = "colliders"
+
+    def resolve(self, options: DrapeOptions) -> dict[str, Any]:
+        return {"colliders": options.colliders or None}
+
+    def check(self, plan: Plan) -> None:
+        if plan.options.colliders and plan.options.geometry == "jets":
+            raise InputError(
+                "colliders",
+                expected="none with geometry jets, whose polynomials do not lie on edges",
+                got=str(len(plan.options.colliders)),
+                cure="Ask for vertices, or leave colliders out.",
+            )
+
+    def wanted(self, plan: Plan) -> bool:
+        return bool(plan.options.colliders) and not plan.options.folds
+
+    def needs(self, plan: Plan) -> frozenset[str]:
+        return frozenset({"vertices"})
+
+    def run(self, batch: Batch) -> Batch:
+        layers = []
+        for layer in batch.layers:
+            assert layer.vertices is not None
+            vertices = np.array(layer.vertices, order="C")
+            for x, root in zip(vertices, batch.root, strict=True):
+                push_off(x, seen_from(batch.plan.colliders, root), self.settings.clearance_m)
+            layers.append(replace(layer, vertices=vertices))
+        return replace(batch, layers=tuple(layers))
