@@ -177,6 +177,7 @@ def test_what_is_measured_is_what_is_served(
     served = run(plan, [PoseInput(pose[None], place, shape, now_s) for pose in clip.poses]).world()
     drapery.close()
     off = np.linalg.norm(drapes(coarse, clip, networks(), 1)[method][0] - served, axis=-1)
-    # Whether two triangles just cross is a matter of rounding: what is untangled then differs by a step or two.
+    # A frame without a past has many rounds, which make more of rounding where cloth crosses itself. A step that fades
+    # in with the depth of a crossing did not help.
     assert np.mean(off > SAME_M) < 0.05
     assert off.max() < 2 * STEPS * WAY_M
