@@ -129,12 +129,8 @@ def fold(
     return x, after, report
 
 
-def calmness(before: np.ndarray, network: np.ndarray) -> float:
-    """1 where the network moves its vertices slowly, 0 where fast."""
-    return _calmness(moved_m(before, network))
-
-
-def _calmness(way_m: float) -> float:
+def calmness(way_m: float) -> float:
+    """1 where the network moves its vertices slowly, by ``way_m`` [m] (``moved_m``), 0 where fast."""
     return float(np.clip((FAST_M - way_m) / (FAST_M - SLOW_M), 0.0, 1.0))
 
 
@@ -166,7 +162,7 @@ def _advanced(
     share = fading(effort, step_s)
     place = constants.sheet.place
     way_m = moved_m(np.take(past.network, place, axis=0), np.take(network, place, axis=0))
-    calm = _calmness(way_m)
+    calm = calmness(way_m)
     k = constants.sheet.constants
     pace = paced(effort.steps, calm, stiff=float(k.warp + k.weft) > STIFF_N_PER_M)  # each is half of the fabric's
     momentum = SETTLING_MOMENTUM if settled and rounds >= LONG_ROUNDS else pace.momentum

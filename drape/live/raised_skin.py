@@ -9,6 +9,10 @@ Cloth may span a crease: trousers hang before the belly of one who squats, far f
 raised to that cloth would stand in each other and crumple the outer garment. A sample therefore goes no farther than
 half of the way to skin that faces it; but it goes at least as far as the height of the vertex times the cosine between
 the cloth's normal and the skin's.
+
+A sample that rises above ``CLOSE_M`` rises above its neighbours below cloth by no more than ``STEEPEST`` of their
+distance. Loose cloth raises one sample by centimetres more than the next, and no outer garment follows such a ground
+without passing through itself.
 """
 
 from __future__ import annotations
@@ -25,6 +29,7 @@ from drape.live.surface_frames import FRAMES, surface_frames
 
 HIGHEST_M = 0.06  # cloth higher than that hangs free, and is left to the push-out
 SPANNED_M = 0.005  # where height and height times cosine differ by less, no look is taken at what lies across
+CLOSE_M, STEEPEST, TURNS = 0.02, 0.7, 3  # the turns that look for steep samples, there and back
 ASIDE = 3.0  # in spacings: skin farther than that off a sample's normal does not face it
 
 
@@ -71,6 +76,24 @@ def _raise(x, sheet, own, skin, graph, height):
             height[s] = max(height[s], _half_way(s, far[s], skin, graph, grid))
         else:
             height[s] = far[s]
+    _flatten(height, graph)
+
+
+@kernel
+def _flatten(height, graph):
+    """Lowers what is too steep, in place."""
+    close, steepest = height.dtype.type(CLOSE_M), height.dtype.type(STEEPEST)
+    for turn in range(2 * TURNS):
+        for entry in range(len(height)):
+            s = entry if turn % 2 == 0 else len(height) - 1 - entry
+            if not height[s] > close:
+                continue
+            for n in range(NEIGHBOURS):
+                other = graph.neighbour[s, n]
+                if not height[other] > 0:
+                    continue
+                apart = sub(at(graph.rest, s), at(graph.rest, other))
+                height[s] = min(height[s], max(height[other] + steepest * np.sqrt(dot(apart, apart)), close))
 
 
 @kernel

@@ -115,7 +115,7 @@ def test_lost_area_is_what_triangles_lack_and_nothing_for_more():
     cloth = garment().cloth
     rest = garment().rest.vertices
     rest = torch.as_tensor(rest, dtype=cloth.face_area.dtype)
-    share = energies_area(rest, cloth) / cloth.face_area
+    share = triangle_areas(rest, cloth) / cloth.face_area
     lack = torch.clamp(1.0 - 0.81 * share, min=0.0)
     weight = cloth.face_area / cloth.face_area.sum()
     got = losses.lost_area(torch.stack([0.9 * rest, 2.0 * rest]), cloth)
@@ -124,7 +124,7 @@ def test_lost_area_is_what_triangles_lack_and_nothing_for_more():
     assert float(got[1]) == pytest.approx(0.0, abs=1e-6)
 
 
-def energies_area(vertices: torch.Tensor, cloth: energies.ClothMesh) -> torch.Tensor:
+def triangle_areas(vertices: torch.Tensor, cloth: energies.ClothMesh) -> torch.Tensor:
     return torch.from_numpy(meshes.face_areas(vertices.numpy().astype(np.float64), cloth.faces)).to(vertices)
 
 

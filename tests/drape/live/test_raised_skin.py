@@ -12,7 +12,7 @@ from drape.cloth.energies import ClothMesh
 from drape.cloth.material import Material
 from drape.contact.samples import sample_table
 from drape.live.fold_step import fold
-from drape.live.raised_skin import HIGHEST_M, heights_over, raised
+from drape.live.raised_skin import CLOSE_M, HIGHEST_M, STEEPEST, heights_over, raised
 from drape.live.sheet import sheet
 from drape.live.skin_contact import NEIGHBOURS, SkinGraph
 from tests.drape.live.folds_setup import EASE_M, HELD, RADIUS_M, constants, frame, sleeve
@@ -55,6 +55,20 @@ def test_a_sample_is_raised_to_the_highest_cloth_over_it():
     assert_allclose(height, [0.010, 0.010, 0.004, 0.0, 0.0, 0.0], atol=1e-9)
     high = heights(flakes(np.array([[0.0, 0.5, 0.0]])), 0, skin, graph)
     assert high.max() == pytest.approx(HIGHEST_M)
+
+
+def test_a_high_sample_does_not_stand_out_from_its_neighbours_below_cloth():
+    skin, graph = floor()
+    places = SPACING_M * np.arange(6)[:, None] * [1.0, 0.0, 0.0] + [
+        [0.0, 0.05 if i == 3 else 0.015, 0.0] for i in range(6)
+    ]
+    height = heights(flakes(places), list(range(6)), skin, graph)
+    expected = np.full(6, 0.015)
+    expected[3] = 0.015 + STEEPEST * SPACING_M
+    assert expected[3] > CLOSE_M
+    assert_allclose(height, expected, atol=1e-9)
+    alone = heights(flakes(places[3:4]), 3, skin, graph)
+    assert alone[3] == pytest.approx(0.05), "nothing lies beside it"
 
 
 def crease(width_m: float) -> tuple[np.ndarray, SkinGraph]:
