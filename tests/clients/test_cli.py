@@ -48,6 +48,20 @@ def test_a_file_of_motion_becomes_vertices(live: str, tmp_path: Path):
         assert main([*base, *option]) == 2
 
 
+def test_cloth_lies_on_colliders_of_a_file(live: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    floor, out = tmp_path / "floor.json", tmp_path / "out.npy"
+    base = f"drape --url {live} --garment tube --motion walk --fps 5 --out {out} --colliders {floor}".split()
+    with pytest.raises(SystemExit):
+        main(base)
+    assert "cannot read" in capsys.readouterr().err
+    floor.write_text("[{")
+    with pytest.raises(SystemExit):
+        main(base)
+    floor.write_text(json.dumps([{"kind": "plane", "offset_m": 1.0}]))
+    assert main([*base, "--no-push-out"]) == 0
+    assert np.load(out)[..., 1].min() > 1.0 - 1e-3
+
+
 def test_point_caches_and_scenes_hold_what_arrays_do(live: str, tmp_path: Path):
     base = ["drape", "--url", live, "--garment", "tube", "--motion", "squat", "--fps", "5", "--out"]
     for name in ("out.npy", "out.pc2", "out.usda"):
