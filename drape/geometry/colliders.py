@@ -23,9 +23,7 @@ NONE = np.zeros((0, ROW))
 def plane(normal: ArrayLike, offset_m: float) -> np.ndarray:
     """The row (16,) of what lies below the plane ``normal`` . x = ``offset_m``; the normal need not have length 1."""
     n = np.asarray(normal, np.float64) / np.linalg.norm(normal)
-    across = np.cross(n, np.eye(3)[np.argmin(np.abs(n))])
-    across /= np.linalg.norm(across)
-    return _row((offset_m - DEEP_M) * n, np.stack([across, n, np.cross(across, n)]), np.full(3, DEEP_M), 0.0)
+    return _row((offset_m - DEEP_M) * n, _axes_about(n), np.full(3, DEEP_M), 0.0)
 
 
 def box(centre: ArrayLike, size: ArrayLike, turn: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
@@ -41,10 +39,7 @@ def capsule(start: ArrayLike, end: ArrayLike, radius_m: float) -> np.ndarray:
     a, b = np.asarray(start, np.float64), np.asarray(end, np.float64)
     length = float(np.linalg.norm(b - a))
     along = (b - a) / length if length > 0.0 else np.array([0.0, 1.0, 0.0])
-    across = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
-    across /= np.linalg.norm(across)
-    axes = np.stack([across, along, np.cross(across, along)])
-    return _row(0.5 * (a + b), axes, np.array([0.0, 0.5 * length, 0.0]), radius_m)
+    return _row(0.5 * (a + b), _axes_about(along), np.array([0.0, 0.5 * length, 0.0]), radius_m)
 
 
 def seen_from(colliders: np.ndarray, origin: np.ndarray) -> np.ndarray:
@@ -65,6 +60,13 @@ def distances(colliders: np.ndarray, points: np.ndarray) -> np.ndarray:
         outside = np.linalg.norm(np.maximum(q, 0.0), axis=-1)
         found = np.minimum(found, outside + np.minimum(q.max(axis=-1), 0.0) - row[RADIUS])
     return found
+
+
+def _axes_about(along: np.ndarray) -> np.ndarray:
+    """Three axes (3, 3) of unit length, a row each, of which the second is ``along``."""
+    across = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
+    across /= np.linalg.norm(across)
+    return np.stack([across, along, np.cross(across, along)])
 
 
 def _row(centre: np.ndarray, axes: np.ndarray, half: np.ndarray, radius_m: float) -> np.ndarray:

@@ -123,8 +123,9 @@ def write_planes(c, came, first, colliders, skin, touched, planes):
 @kernel
 def put_planes(x, colliders, planes):
     """Writes the tangent planes of ``colliders`` near ``x`` [m] (P, 3) to those of other parts in ``planes``."""
+    near = _near(x, colliders)
     for m in range(len(colliders)):
-        if not _reaches(x, colliders, m):
+        if not near[m]:
             continue
         for v in range(len(x)):
             place = PLANES * (v // LANES) + v % LANES
@@ -142,9 +143,11 @@ def put_planes(x, colliders, planes):
 
 @kernel
 def leave(x, colliders, planes, clearance):
-    """Moves ``x`` [m] (P, 3) in place out of ``colliders``, up to the ``clearance`` [m]."""
+    """Moves ``x`` [m] (P, 3) in place out of ``colliders``, up to the ``clearance`` [m]; wherever the skin is where
+    there are no ``planes``."""
+    near = _near(x, colliders)
     for m in range(len(colliders)):
-        if not _reaches(x, colliders, m):
+        if not near[m]:
             continue
         for v in range(len(x)):
             distance, normal = outside(colliders, m, at(x, v))
@@ -155,37 +158,29 @@ def leave(x, colliders, planes, clearance):
 
 
 @kernel
-def push_off(x, colliders, clearance):
-    """``leave``, wherever the skin is."""
-    for m in range(len(colliders)):
-        if _reaches(x, colliders, m):
-            for v in range(len(x)):
-                distance, normal = outside(colliders, m, at(x, v))
-                for axis in range(3):
-                    x[v, axis] += max(clearance - distance, 0.0) * normal[axis]
-
-
-@kernel
 def _sunk(x, v, colliders, m, planes):
     """How deep [m] in collider ``m`` vertex ``v`` may be, for the skin that it is on."""
+    if not len(planes):
+        return 0.0
     foot = _three(planes, PLANES * (v // LANES) + v % LANES)
     off = sub(at(x, v), foot)
     return max(THIN_M - outside(colliders, m, foot)[0], 0.0) if dot(off, off) < WORN_M * WORN_M else 0.0
 
 
 @kernel
-def _reaches(x, colliders, m):
-    """Whether the box around ``x`` comes near that around collider ``m``."""
-    for axis in range(3):
+def _near(x, colliders):
+    """Whether the box around ``x`` comes near that around each of ``colliders``, (M,)."""
+    near = np.ones(len(colliders), np.bool_)
+    for axis in range(3 if len(colliders) else 0):
         low, high = np.inf, -np.inf
         for v in range(len(x)):
             low, high = min(low, x[v, axis]), max(high, x[v, axis])
-        half = colliders[m, RADIUS] + NEAR_M
-        for n in range(3):
-            half += abs(colliders[m, AXES + 3 * n + axis]) * colliders[m, HALF + n]
-        if low > colliders[m, axis] + half or high < colliders[m, axis] - half:
-            return False
-    return True
+        for m in range(len(colliders)):
+            half = colliders[m, RADIUS] + NEAR_M
+            for n in range(3):
+                half += abs(colliders[m, AXES + 3 * n + axis]) * colliders[m, HALF + n]
+            near[m] &= not (low > colliders[m, axis] + half or high < colliders[m, axis] - half)
+    return near
 
 
 @kernel

@@ -261,7 +261,7 @@ def _holds(network, skin, hold):
 
 @kernel
 def _lies(c, network, planes, i):
-    """Whether node ``i`` lies on one of its ``planes``, beyond which the network has it."""
+    """Whether node ``i`` lies on the first of its ``planes``, beyond which the network has it."""
     normal, where = at(planes[i], 0), planes[i, 0, 3]
     return dot(normal, at(c, i)) - where < c.dtype.type(LYING_M) and dot(normal, at(network, i)) < where
 

@@ -12,11 +12,13 @@ import numpy as np
 
 from drape.errors import InputError
 from drape.geometry.colliders import seen_from
-from drape.live.colliders import push_off
+from drape.live.colliders import leave
 from drape.wire.options import DrapeOptions
 from service.stages.batch import Batch
 from service.stages.plan import Plan
 from service.stages.stage import Stage
+
+NO_PLANES = np.zeros(0, np.float32)  # so that all leave, wherever the skin is
 
 
 class Colliders(Stage):
@@ -48,6 +50,6 @@ class Colliders(Stage):
             assert layer.vertices is not None
             vertices = np.array(layer.vertices, order="C")
             for x, root in zip(vertices, batch.root, strict=True):
-                push_off(x, seen_from(batch.plan.colliders, root), self.settings.clearance_m)
+                leave(x, seen_from(batch.plan.colliders, root), NO_PLANES, self.settings.clearance_m)
             layers.append(replace(layer, vertices=vertices))
         return replace(batch, layers=tuple(layers))

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drape.contact.projection import CLEARANCE_M
 from drape.geometry.colliders import box, capsule, distances, plane
 from drape.live.clock import Frame
-from drape.live.colliders import THIN_M, entered, leave, outside, push_off, put_planes, write_planes
+from drape.live.colliders import THIN_M, entered, leave, outside, put_planes, write_planes
 from drape.live.fold_step import FoldEffort, FoldMemory, fold
 from drape.live.sheet import LANES
 from drape.live.swing_step import SETTLE, STILL_S, SwingMemory, swing
@@ -73,7 +73,7 @@ def test_cloth_leaves_but_not_from_below_the_skin_that_it_is_on():
     x = np.zeros((LANES, 3))
     x[:, 1] = np.linspace(-0.02, 0.02, LANES)
     free, near, worn = x.copy(), x.copy(), x.copy()
-    push_off(free, floor, CLEARANCE_M)
+    leave(free, floor, np.zeros(0), CLEARANCE_M)
     assert_allclose(free[:, 1], np.maximum(x[:, 1], CLEARANCE_M), atol=1e-9)
     leave(near, floor, planes_of(np.tile(UP, (LANES, 1)), -UP), CLEARANCE_M)
     assert_array_equal(near, free)
