@@ -143,6 +143,10 @@ class Registry:
         changed = self._entries[entry.id] = replace(entry, about=garment_files.read_about(entry.path))
         return changed
 
+    def withdraw(self, entry: Entry) -> None:
+        """Makes ``entry`` unknown to whoever asks from now on; what it holds goes with ``remove`` or ``forget``."""
+        self._entries.pop(entry.id, None)
+
     def remove(self, entry: Entry) -> None:
         """Takes ``entry`` off the disk and out of service."""
         if entry.path is not None:
@@ -151,7 +155,7 @@ class Registry:
 
     def forget(self, entry: Entry) -> None:
         """Takes ``entry`` out of service; constants go with the last garment that has them."""
-        self._entries.pop(entry.id, None)
+        self.withdraw(entry)
         if all(other.garment.digest != entry.garment.digest for other in self.entries()):
             for garment in (entry.garment, entry.fine.garment):
                 if garment.digest in self._in_stages:

@@ -143,6 +143,7 @@ async def change_garment(
 async def delete_garment(garment_id: str, state: StateHere, client: ClientHere) -> None:
     """Removes an uploaded garment from the service and its disk; streams that wear it are ended (4404)."""
     entry = await _own(garment_id, client, state)
+    state.runtime.garments.withdraw(entry)  # who is told that it is gone finds it gone
     state.streams.end_wearing(entry)
     await asyncio.shield(state.runtime.threads.aside(state.runtime.garments.remove, entry))
 

@@ -76,6 +76,7 @@ class SharedFolder:
             entries = {entry.path: entry for entry in self._runtime.garments.entries() if entry.source == "user"}
             for path, entry in entries.items():
                 if path is not None and path not in there and not path.exists():
+                    self._runtime.garments.withdraw(entry)  # who is told that it is gone finds it gone
                     self._streams.end_wearing(entry)
                     await self._runtime.threads.aside(self._runtime.garments.forget, entry)
             for path, written in there.items():
