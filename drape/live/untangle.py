@@ -39,9 +39,10 @@ TOUCH_M2 = 1e-12  # boxes that only touch may cross
 CONE_RAD = 0.45 * np.pi  # cloth side by side whose normals differ from an axis by less does not cross itself
 TINY = 1e-30
 
-# Rows of a cluster of triangles: three corners, the least and the most corner of the box.
-CORNERS, LOW, HIGH = 0, 9 * LANES, 12 * LANES
-ROWS = 15 * LANES
+# Rows of a cluster of triangles: three corners, the least and the most corner of the box, the normal, as long as twice
+# the area, and the plane's height along it.
+CORNERS, LOW, HIGH, NORMAL, HEIGHT = 0, 9 * LANES, 12 * LANES, 15 * LANES, 18 * LANES
+ROWS = 19 * LANES
 
 
 class Tangles(NamedTuple):
@@ -127,6 +128,11 @@ def crossing(x, tangles):
                 if out[i] > 0:
                     continue
                 _write_sides(rows, ROWS * a, i, ROWS * b, side)
+                some = 0
+                for j in range(LANES):  # most have none: a loop without branches is one comparison of a row
+                    some |= 1 if side[j] < 0 else 0
+                if not some:
+                    continue
                 for j in range(i + 1 if a == b else 0, LANES):
                     if (
                         side[j] < 0
@@ -145,8 +151,7 @@ def _write_cones(rows, cones):
     x, y, z = np.empty(LANES, rows.dtype), np.empty(LANES, rows.dtype), np.empty(LANES, rows.dtype)
     one, tiny = rows.dtype.type(1), rows.dtype.type(TINY)
     for c in range(len(cones)):
-        p = rows3_at(rows, ROWS * c)
-        n = cross(sub(rows3_at(rows, ROWS * c + 3 * LANES), p), sub(rows3_at(rows, ROWS * c + 6 * LANES), p))
+        n = rows3_at(rows, ROWS * c + NORMAL)
         n = scaled(one / root(most(dot(n, n), tiny)), n)
         put(x, 0, n[0])
         put(y, 0, n[1])
@@ -179,6 +184,9 @@ def _lay(x, corner, c, rows):
     put3(rows, first, p)
     put3(rows, first + 3 * LANES, q)
     put3(rows, first + 6 * LANES, r)
+    n = cross(sub(q, p), sub(r, p))
+    put3(rows, first + NORMAL, n)
+    put(rows, first + HEIGHT, dot(n, p))
     for axis in range(3):
         put(rows, first + LOW + LANES * axis, least(least(p[axis], q[axis]), r[axis]))
         put(rows, first + HIGH + LANES * axis, most(most(p[axis], q[axis]), r[axis]))
@@ -205,9 +213,7 @@ def _write_out_of_box(rows, own, boxes, b, out):
 def _write_sides(rows, own, i, other, side):
     """Writes a negative number for each triangle of the cluster at ``other`` that has corners on both sides of the
     plane of triangle ``i`` and whose box overlaps that one's."""
-    p, q, r = _corner(rows, own, i), _corner(rows, own + 3 * LANES, i), _corner(rows, own + 6 * LANES, i)
-    n = cross(sub(q, p), sub(r, p))
-    height = dot(n, p)
+    n, height = _corner(rows, own + NORMAL, i), rows[own + HEIGHT + i]
     a, b = dot(n, rows3_at(rows, other)), dot(n, rows3_at(rows, other + 3 * LANES))
     c = dot(n, rows3_at(rows, other + 6 * LANES))
     apart = most(least(least(a, b), c) - height, height - most(most(a, b), c))
@@ -222,8 +228,7 @@ def _write_sides(rows, own, i, other, side):
 @part
 def _is_parted(rows, own, i, other, j):
     """Whether the plane of triangle ``j`` has corners of triangle ``i`` on both sides."""
-    p, q, r = _corner(rows, other, j), _corner(rows, other + 3 * LANES, j), _corner(rows, other + 6 * LANES, j)
-    n = cross(sub(q, p), sub(r, p))
+    p, n = _corner(rows, other, j), _corner(rows, other + NORMAL, j)
     a = dot(n, sub(_corner(rows, own, i), p))
     b, c = dot(n, sub(_corner(rows, own + 3 * LANES, i), p)), dot(n, sub(_corner(rows, own + 6 * LANES, i), p))
     return less(less(a, b), c) < 0 and more(more(a, b), c) > 0
