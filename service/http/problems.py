@@ -110,12 +110,15 @@ def _without_kinds(location: list[int | str], complaint: str) -> list[int | str]
 
 def _wanted(error: Any) -> str:
     """The demand in pydantic's sentence: "String should have at least 1 character" after "expected" is none."""
+    if str(error["type"]).startswith("union_tag"):  # an object that says in a field of which kind it is
+        told = error["ctx"]
+        return f"{told['discriminator']}" + (f": one of {told['expected_tags']}" if "expected_tags" in told else "")
     return re.sub(r"^[A-Z][a-z]+ should (be |have )?", "", str(error["msg"]))
 
 
 def _shown(error: Any) -> str:
     """The value that came, shortened."""
-    value = error.get("input")
+    value = error.get("ctx", {}).get("tag", error.get("input"))
     if isinstance(value, (dict, list)):
         return f"{'an object' if isinstance(value, dict) else 'a list'} of {len(value)}"
     return _shortened(repr(value[:SHOWN] if isinstance(value, str) else value))

@@ -69,3 +69,9 @@ def test_they_come_by_rest_and_mistakes_are_told(api: httpx.Client):
     assert vertices[:, 1].min() > floor_m - 1e-3
     refused = api.post("/drape", json=body | {"colliders": [{"kind": "box", "centre": [0, 0, 0]}]})
     assert refused.status_code in (400, 422) and "size" in refused.text
+    for wrong, expected in (
+        ({"type": "plane"}, "'kind'"),
+        ({"kind": "planes"}, "'kind': one of 'plane', 'box', 'capsule'"),
+    ):
+        told = api.post("/drape", json=body | {"colliders": [wrong]}).json()
+        assert (told["name"], told["expected"]) == ("colliders[0]", expected)
