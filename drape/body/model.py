@@ -21,7 +21,8 @@ class BodyModel:
 
     ``v_template`` (V, 3); ``shapedirs`` (V, 3, S); ``regressor`` sparse (24, V);
     ``weights`` (V, 24), rows sum to one; ``faces`` (F, 3); ``posedirs``
-    (V, 3, 207) or None. ``digest`` is the sha256 of the file it came from.
+    (V, 3, 207) or None. ``digest`` is the sha256 of the file it came from. A body that was laid on a character
+    has the ``standard_digest`` of the one that it was made of, whose topology it has.
     """
 
     name: str
@@ -32,6 +33,7 @@ class BodyModel:
     weights: np.ndarray
     faces: np.ndarray
     posedirs: np.ndarray | None = None
+    standard_digest: str = ""
 
     @property
     def vertex_count(self) -> int:

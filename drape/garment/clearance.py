@@ -61,8 +61,11 @@ def clear_body(
     faces: np.ndarray,
     body_vertices: np.ndarray,
     body_faces: np.ndarray,
+    *,
+    least_m: float = CLEARANCE_M,
 ) -> Cleared:
-    """``vertices`` (N, 3) moved until each is at least ``CLEARANCE_M`` outside the closed body.
+    """``vertices`` (N, 3) moved until each is at least ``CLEARANCE_M`` outside the closed body; refuses (``MeshError``)
+    where the last round leaves less than ``least_m``, as between thighs that touch.
 
     The first push maps distances through a softened maximum, which is monotone, so that a
     lining stays under its cloth; later pushes lift what is still short. Each push is spread
@@ -94,7 +97,7 @@ def clear_body(
         moved = moved + push
         stiffness = max(0.6 * stiffness, 0.004**2) if round_number < ROUNDS - 8 else 0.0
         signed, direction, nearest = distance_field(moved, body_vertices, body_faces)
-    if signed.min() >= CLEARANCE_M:
+    if signed.min() >= least_m:
         return Cleared(moved, float(signed.min()), float(np.linalg.norm(moved - start, axis=1).max()), ROUNDS)
     raise MeshError(
         "garment",

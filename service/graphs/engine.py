@@ -119,7 +119,7 @@ class Engine:
 
     def check_body(self, body: BodyModel) -> None:
         """Refuses a body that the model was not trained on."""
-        if body.digest != self.manifest.body_digest:
+        if (body.standard_digest or body.digest) != self.manifest.body_digest:
             raise ArtifactError(
                 f"{self.manifest.name} body_digest",
                 expected=f"{self.manifest.body_digest} ({self.manifest.body})",

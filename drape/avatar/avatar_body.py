@@ -1,0 +1,78 @@
+"""The body that stands for a character in a drape: the standard body's skin on it, with the character's own joints and
+its own weights, so that skin and character move alike."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+import scipy.sparse
+
+from drape.avatar.body_fit import PARTS, BodyFit, faces_beside, parts_of
+from drape.avatar.t_pose import TPose
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_COUNT
+from drape.geometry import mesh_graphs
+from drape.geometry.closest import closest_point
+
+SUPPORT = 200  # vertices of the skin that place a joint
+TRUSTED_M = 0.04  # a vertex farther than this from the character keeps the standard body's weights
+SMOOTHING_PASSES = 3
+
+
+def avatar_body(fit: BodyFit, pose: TPose, body: BodyModel, *, name: str) -> BodyModel:
+    """The body of the character in ``pose``, to which ``body`` was ``fit``, with its root joint where ``body`` has it.
+
+    It has no shapes of its own: its ``shapedirs`` are zero.
+    """
+    joints = np.where(np.isfinite(pose.joints), pose.joints, fit.joints)
+    place = body.joints_template[0] - joints[0]
+    vertices, joints = fit.vertices + place, joints + place
+    weights = _weights(fit, pose, body)
+    regressor = _regressor(vertices, joints, body)
+    digest = hashlib.sha256()
+    for array in (vertices, weights, joints):
+        digest.update(np.ascontiguousarray(array, dtype=np.float32).tobytes())
+    return BodyModel(
+        name,
+        digest.hexdigest(),
+        vertices,
+        np.zeros_like(body.shapedirs),
+        regressor,
+        weights,
+        body.faces,
+        standard_digest=body.digest,
+    )
+
+
+def _weights(fit: BodyFit, pose: TPose, body: BodyModel) -> np.ndarray:
+    """The character's weights (Vb, 24) where the skin lies on it, those of ``body`` elsewhere, smooth between."""
+    own, theirs = parts_of(body.weights), parts_of(pose.weights)[pose.faces]
+    weights, trust = body.weights.copy(), np.zeros((body.vertex_count, 1))
+    for number, part in enumerate(PARTS):
+        rows, faces = np.flatnonzero(own == number), faces_beside(part, theirs)
+        if not len(rows) or len(faces) < 8:
+            continue
+        found = closest_point(fit.vertices[rows], pose.vertices, pose.faces[faces])
+        corners = pose.faces[faces][found.face]
+        weights[rows] = np.einsum("vk,vkj->vj", found.barycentric, pose.weights[corners])
+        trust[rows, 0] = np.clip(2.0 - found.distance / TRUSTED_M, 0.0, 1.0)
+    blended = trust * weights + (1.0 - trust) * body.weights
+    near = mesh_graphs.adjacency(body.faces, body.vertex_count)
+    mean = scipy.sparse.diags(1.0 / np.maximum(np.asarray(near.sum(axis=1)).reshape(-1), 1.0)) @ near
+    for _ in range(SMOOTHING_PASSES):
+        blended = 0.5 * (blended + mean @ blended)
+    blended = np.where(blended > 1e-3, blended, 0.0)
+    return blended / blended.sum(axis=1, keepdims=True)
+
+
+def _regressor(vertices: np.ndarray, joints: np.ndarray, body: BodyModel) -> scipy.sparse.csr_matrix:
+    """A regressor (24, Vb) whose rows sum to one and give ``joints``: that of ``body``, changed by the least numbers on
+    the vertices near each joint."""
+    rows = body.regressor.toarray()
+    for joint in range(JOINT_COUNT):
+        near = np.argsort(np.linalg.norm(vertices - joints[joint], axis=1), kind="stable")[:SUPPORT]
+        system = np.concatenate([vertices[near].T, np.ones((1, len(near)))])
+        missing = np.append(joints[joint] - rows[joint] @ vertices, 1.0 - rows[joint].sum())
+        rows[joint, near] += np.linalg.lstsq(system, missing, rcond=None)[0]
+    return scipy.sparse.csr_matrix(rows)

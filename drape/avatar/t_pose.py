@@ -1,0 +1,122 @@
+"""A character in the T-pose of the standard body: its surface there, its joints, and whose part each vertex is.
+
+The alignment A of ``drape.motion.alignment`` brings the T-pose onto the character's rest pose, joint by joint. Its
+inverse moves the surface: with p the joints at rest and p' those of the T-pose, a vertex x with the joints' weights w
+goes to sum_j w_j (A_j^T (x - p_j) + p'_j).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse
+
+from drape.avatar.character import Character
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
+from drape.errors import BodyError, NotFound
+from drape.geometry.rotations import matrix_to_quaternion
+from drape.motion.rig_poses import Rig
+
+HEIGHTS_M = (1.0, 2.3)  # of characters that are taken as they are
+UNIT_SCALES = (1.0, 0.01, 0.1, 0.001, 0.0254)
+ADULT_HEIGHT_M = 1.7  # of what is no person's height in any unit
+
+
+@dataclass(frozen=True, eq=False)
+class TPose:
+    """A character in T-pose, y up, facing +z, its lowest point at 0.
+
+    ``vertices`` [m] (V, 3), ``faces`` (F, 3), ``weights`` (V, 24) of the joints; ``joints`` [m] (24, 3), NaN where the
+    character has none; ``scale`` its unit in metres.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    weights: np.ndarray
+    joints: np.ndarray
+    scale: float
+
+    @property
+    def height_m(self) -> float:
+        """From its lowest to its highest point [m]."""
+        return float(np.ptp(self.vertices[:, 1]))
+
+
+def rig_of(
+    character: Character, body: BodyModel, *, told: Mapping[str, str] | None = None, label: str = "avatar"
+) -> Rig:
+    """The rig of ``character`` for poses of ``body``: its joints by VRM's bones where the file has them, else by names.
+
+    ``told``: SMPL's names of joints and the names of the nodes that are these, where names say it wrong. Raises
+    ``MotionError`` where the nodes are no person's, ``NotFound`` for a name that is not there.
+    """
+    names = list(character.names)
+    if character.humanoid:
+        bones = {place: bone for bone, place in character.humanoid.items()}
+        names = [bones.get(place, f"node {place}") for place in range(len(names))]
+    turns = np.array([_turn(each) for each in character.world[:, :3, :3]])
+    local, moves = turns.copy(), character.places.copy()
+    for node, parent in enumerate(character.parents):
+        if parent >= 0:
+            local[node] = turns[parent].T @ turns[node]
+            moves[node] = turns[parent].T @ (character.places[node] - character.places[parent])
+    return Rig(
+        names, character.parents, matrix_to_quaternion(local), moves, body.joints_template, label,
+        told=_places(character, told or {}, label),
+    )  # fmt: skip
+
+
+def _places(character: Character, told: Mapping[str, str], label: str) -> dict[str, int]:
+    """Places of the nodes that were ``told`` by name."""
+    for joint, name in told.items():
+        if joint not in JOINT_NAMES:
+            known = ", ".join(JOINT_NAMES)
+            raise NotFound(f"{label}: joint", expected=f"one of {known}", got=joint[:40], cure="Correct the name.")
+        if name not in character.names:
+            near = ", ".join(character.names[:40])
+            raise NotFound(f"{label}: {joint}", expected=f"a node: {near}", got=name[:60], cure="Correct the name.")
+    return {joint: character.names.index(name) for joint, name in told.items()}
+
+
+def _turn(matrix: np.ndarray) -> np.ndarray:
+    """The rotation (3, 3) nearest to ``matrix``, which may scale; a mirrored one keeps two of its axes."""
+    u, _, vt = np.linalg.svd(matrix)
+    u[:, -1] *= np.sign(np.linalg.det(u @ vt))
+    return u @ vt
+
+
+def t_posed(character: Character, rig: Rig, *, label: str = "avatar") -> TPose:
+    """``character``, whose ``rig`` is known, in T-pose."""
+    undone = np.swapaxes(rig.alignment, -1, -2)
+    number = {rig.sources[name]: joint for joint, name in enumerate(JOINT_NAMES) if name in rig.sources}
+    owner = np.zeros(len(character.names), dtype=np.int64)
+    for node, parent in enumerate(character.parents):
+        owner[node] = number.get(node, owner[parent] if parent >= 0 else 0)
+    onto = scipy.sparse.csr_matrix((np.ones(len(owner)), (np.arange(len(owner)), owner)), (len(owner), JOINT_COUNT))
+    weights = scipy.sparse.csr_matrix(character.weights @ onto).toarray()
+    rest, placed = _joints(character, rig, undone)
+    moves = placed - np.einsum("jab,jb->ja", undone, rest)
+    moved = np.einsum("vj,jab,vb->va", weights, undone, character.vertices, optimize=True) + weights @ moves
+    height = float(np.ptp(moved[:, 1]))
+    if not height > 0.0:
+        raise BodyError(label, expected="a standing person", got="no height", cure="Export a whole character.")
+    fitting = [scale for scale in UNIT_SCALES if HEIGHTS_M[0] <= height * scale <= HEIGHTS_M[1]]
+    scale = fitting[0] if fitting else ADULT_HEIGHT_M / height
+    floor = np.array([0.0, scale * moved[:, 1].min(), 0.0])
+    known = np.array([name in rig.sources for name in JOINT_NAMES])
+    placed = np.where(known[:, None], scale * placed - floor, np.nan)
+    return TPose(scale * moved - floor, character.faces, weights, placed, scale)
+
+
+def _joints(character: Character, rig: Rig, undone: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The joints (24, 3) at rest and in T-pose, in the file's unit; one that is missing lies on its parent."""
+    rest, placed = np.zeros((JOINT_COUNT, 3)), np.zeros((JOINT_COUNT, 3))
+    for joint, name in enumerate(JOINT_NAMES):
+        parent = PARENTS[joint]
+        rest[joint] = character.places[rig.sources[name]] if name in rig.sources else rest[parent]
+        if parent >= 0:
+            placed[joint] = placed[parent] + undone[parent] @ (rest[joint] - rest[parent])
+    return rest, placed

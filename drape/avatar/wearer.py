@@ -1,0 +1,206 @@
+"""A user's character as it wears garments: its body, its rig, its own surface; made from its file and stored.
+
+python -m drape.avatar.wearer FILE [--out DIR]
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import re
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse
+
+from drape.avatar.avatar_body import avatar_body
+from drape.avatar.body_fit import fit_to
+from drape.avatar.character import read_character
+from drape.avatar.t_pose import TPose, rig_of, t_posed
+from drape.body.assets import load_body
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
+from drape.errors import ArtifactError, BodyError, refusing
+from drape.files.atomic import whole_file
+from drape.files.packed import UNREADABLE, packed, read_packed
+from drape.motion.rig_poses import Rig
+
+FORMAT_VERSION = 1
+STAGES = ("read", "map", "fit", "store")
+FIT_LIMIT_MM = 25.0  # median, beyond which the body is not the character's
+LIMBS_M = {"leg": (0.25, 1.4), "arm": (0.15, 1.0), "trunk": (0.2, 0.9)}  # lengths of characters that drape
+
+_ARRAYS = ("vertices", "faces", "weights")
+
+
+@dataclass(frozen=True, eq=False)
+class Wearer:
+    """A character that wears garments.
+
+    ``body`` stands for it; ``rig`` has its nodes, called as VRM calls them in a VRM; ``nodes`` are their own names.
+    ``vertices`` [m] (V, 3) of its surface in T-pose in the frame of ``body``, ``faces`` (F, 3), ``weights`` (V, 24) of
+    the joints. ``scale``: metres per unit of its file. ``median_mm``, ``p95_mm``: how far its trunk and limbs are from
+    the body. ``vrm``: "0", "1" or "".
+    """
+
+    name: str
+    digest: str
+    body: BodyModel
+    rig: Rig
+    nodes: tuple[str, ...]
+    vertices: np.ndarray
+    faces: np.ndarray
+    weights: np.ndarray
+    scale: float
+    height_m: float
+    median_mm: float
+    p95_mm: float
+    vrm: str = ""
+
+    @property
+    def joints(self) -> dict[str, str]:
+        """SMPL's joints -> the names of their nodes."""
+        return {joint: self.nodes[node] for joint, node in self.rig.sources.items()}
+
+    def file_name(self) -> str:
+        """The file that ``save_wearer`` writes."""
+        return f"{self.name}-{self.digest[:16]}.npz"
+
+
+def read_wearer(
+    payload: bytes,
+    *,
+    name: str,
+    body: BodyModel | None = None,
+    told: Mapping[str, str] | None = None,
+    begun: Callable[[str], None] | None = None,
+) -> Wearer:
+    """The wearer in the bytes of a GLB or VRM file, for garments of ``body``, the standard one by default.
+
+    ``told`` as in ``rig_of``; ``begun`` gets each of ``STAGES`` as it begins. Raises ``MeshError``, ``MotionError``,
+    ``BodyError`` or ``NotFound`` for what is no person with a skeleton and a skin.
+    """
+    begins = begun or (lambda stage: None)
+    begins("read")
+    body = load_body() if body is None else body
+    character = read_character(payload, label=name)
+    begins("map")
+    rig = rig_of(character, body, told=told, label=name)
+    pose = t_posed(character, rig, label=name)
+    _check_limbs(pose, rig, name)
+    begins("fit")
+    fit = fit_to(pose, body)
+    if fit.median_mm > FIT_LIMIT_MM:
+        cure = "Send a character with a body under its clothes, in a T- or A-pose."
+        got = f"{fit.median_mm:.0f} mm"
+        raise BodyError(name, expected=f"a body that ours fits to {FIT_LIMIT_MM:g} mm", got=got, cure=cure)
+    made = avatar_body(fit, pose, body, name=name)
+    place = made.v_template[0] - fit.vertices[0]
+    digest = hashlib.sha256(json.dumps([FORMAT_VERSION, body.digest, dict(told or {})]).encode() + payload).hexdigest()
+    return Wearer(
+        name, digest, made, rig, character.names, pose.vertices + place, pose.faces, pose.weights, pose.scale,
+        pose.height_m, fit.median_mm, fit.p95_mm, character.vrm,
+    )  # fmt: skip
+
+
+def _check_limbs(pose: TPose, rig: Rig, name: str) -> None:
+    """Refuses proportions that no garment of ours can be cut for."""
+    at = {joint: pose.joints[index] for index, joint in enumerate(JOINT_NAMES) if joint in rig.sources}
+    hips, shoulders = (0.5 * (at[f"left_{one}"] + at[f"right_{one}"]) for one in ("hip", "shoulder"))
+    lengths = {
+        "leg": np.linalg.norm(at["left_hip"] - at["left_knee"]) + np.linalg.norm(at["left_knee"] - at["left_ankle"]),
+        "arm": np.linalg.norm(at["left_shoulder"] - at["left_elbow"])
+        + np.linalg.norm(at["left_elbow"] - at.get("left_wrist", at["left_elbow"])),
+        "trunk": np.linalg.norm(shoulders - hips),
+    }
+    for limb, (low, high) in LIMBS_M.items():
+        if not low <= lengths[limb] <= high:
+            raise BodyError(
+                f"{name}: {limb}",
+                expected=f"{low} to {high} m",
+                got=f"{lengths[limb]:.2f} m",
+                cure="Send a character with a person's proportions, or scale it to its true height in metres.",
+            )
+
+
+def save_wearer(wearer: Wearer, folder: Path) -> Path:
+    """Writes the file of ``wearer`` into ``folder``, whole or not at all, and returns its path."""
+    rig, body = wearer.rig, wearer.body
+    regressor = scipy.sparse.coo_matrix(body.regressor)
+    header = {
+        "format_version": FORMAT_VERSION, "name": wearer.name, "digest": wearer.digest, "scale": wearer.scale,
+        "height_m": wearer.height_m, "median_mm": wearer.median_mm, "p95_mm": wearer.p95_mm, "vrm": wearer.vrm,
+        "nodes": list(wearer.nodes), "rig_names": list(rig.names), "parents": list(rig.parents),
+        "told": dict(rig.sources), "body_digest": body.digest, "standard_digest": body.standard_digest,
+    }  # fmt: skip
+    arrays = {
+        "header": np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
+        "vertices": wearer.vertices.astype(np.float32),
+        "faces": wearer.faces.astype(np.int32),
+        "weights": wearer.weights.astype(np.float32),
+        "body_vertices": body.v_template,
+        "body_weights": body.weights,
+        "regressor_place": np.stack([regressor.row, regressor.col]).astype(np.int32),
+        "regressor_value": regressor.data,
+        "rest_rotations": rig.rest_rotations,
+        "rest_translations": rig.rest_translations,
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / wearer.file_name()
+    with whole_file(path) as file:
+        file.write(packed(arrays))
+    return path
+
+
+def load_wearer(path: Path, body: BodyModel) -> Wearer:
+    """The wearer stored at ``path``, for garments of ``body``; raises ``ArtifactError`` for another or damaged file."""
+    try:
+        header, arrays = read_packed(path)
+        if header["format_version"] != FORMAT_VERSION or header["standard_digest"] != body.digest:
+            raise ValueError("another version, or made for another body")
+        shape = (JOINT_COUNT, body.vertex_count)
+        regressor = scipy.sparse.csr_matrix((arrays["regressor_value"], arrays["regressor_place"]), shape)
+        worn = BodyModel(
+            header["name"], header["body_digest"], arrays["body_vertices"], np.zeros_like(body.shapedirs), regressor,
+            arrays["body_weights"], body.faces, standard_digest=body.digest,
+        )  # fmt: skip
+        rig = Rig(
+            header["rig_names"], header["parents"], arrays["rest_rotations"], arrays["rest_translations"],
+            body.joints_template, header["name"], header["told"],
+        )  # fmt: skip
+        figures = [header[key] for key in ("scale", "height_m", "median_mm", "p95_mm", "vrm")]
+        surface = [arrays[key] for key in _ARRAYS]
+        return Wearer(header["name"], header["digest"], worn, rig, tuple(header["nodes"]), *surface, *figures)
+    except UNREADABLE as error:
+        raise ArtifactError(
+            f"avatar {path.name}", expected="a stored avatar", got=str(error), cure="Send the character again."
+        ) from error
+
+
+def wearer_name(text: str) -> str:
+    """``text`` as an avatar's name: lower-case letters, digits and underscores."""
+    return re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")[:64] or "avatar"
+
+
+@refusing
+def main(arguments: list[str] | None = None) -> int:
+    """The command line; 0 when the character can wear garments, 2 when it is refused."""
+    parser = argparse.ArgumentParser(prog="python -m drape.avatar.wearer", description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("file", type=Path, help="GLB or VRM")
+    parser.add_argument("--out", type=Path, help="folder of its file; without it nothing is stored")
+    given = parser.parse_args(arguments)
+    found = read_wearer(given.file.read_bytes(), name=wearer_name(given.file.stem))
+    for joint, node in found.joints.items():
+        print(f"{joint:15s} {node}")
+    print(f"height {found.height_m:.2f} m; fit {found.median_mm:.1f} mm median, {found.p95_mm:.1f} mm at 95 %")
+    if given.out is not None:
+        print(f"stored {save_wearer(found, given.out)}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

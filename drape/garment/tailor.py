@@ -1,0 +1,86 @@
+"""A garment cut anew for another body: moved, kept clear of the skin, its cloth as strained as it was.
+
+A triangle whose cloth has the edges D (2, 2) without stress has F = E D^-1 with its edges E (3, 2) on the body, and
+C = F^T F. Moved to another body it has C'. The cloth that is as strained there as it was here has the edges S D with
+
+    S C S = C',    S = C^-1/2 (C^1/2 C' C^1/2)^1/2 C^-1/2,
+
+the geometric mean of C^-1 and C': longer where the new body is larger, and no tighter.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.garment.avatars import Avatar
+from drape.garment.cache import Garment
+from drape.garment.clearance import clear_body
+from drape.garment.files.mesh import GarmentMesh
+from drape.garment.fitting import fit_garment
+from drape.garment.rest_pose import to_standard
+from drape.geometry import meshes
+
+LEAST_M = -0.02  # thighs of characters may touch: frames lift what is left
+VERSION = 1  # raised when a change here changes the garments that come out
+
+
+def tailored_digest(garment: Garment, wearer: BodyModel) -> str:
+    """The hex digest of ``garment`` as ``wearer`` gets it."""
+    return hashlib.sha256(f"tailored {VERSION} {garment.digest} {wearer.digest}".encode()).hexdigest()
+
+
+def tailored(garment: Garment, body: BodyModel, wearer: BodyModel) -> Garment:
+    """``garment``, which was made for ``body``, for ``wearer``, a body of the same topology.
+
+    Raises ``MeshError`` where the cloth cannot be brought clear of the skin.
+    """
+    faces, standing = garment.fine_faces.astype(np.int64), garment.vertices.astype(np.float64)
+    source = Avatar(body.v_template, body.faces, 0.0, body.name)
+    moved = to_standard(standing, faces, source, wearer).vertices
+    cleared = clear_body(moved, faces, wearer.v_template, wearer.faces, least_m=LEAST_M).vertices
+    count = garment.vertex_count
+    mesh = GarmentMesh(
+        garment.name, cleared[:count], garment.faces.astype(np.int64), garment.uv, garment.uv_faces.astype(np.int64),
+        garment.material_names, garment.face_material,
+    )  # fmt: skip
+    made = fit_garment(
+        mesh, cleared, faces, wearer, digest=tailored_digest(garment, wearer), manifest=dict(garment.manifest),
+        count=garment.patch_count,
+    )  # fmt: skip
+    rest = garment.rest_state()
+    edges = stretched(rest.edges, standing, cleared, faces)
+    return replace(
+        made,
+        fabric=garment.fabric,
+        rest_edges=edges.astype(np.float32),
+        rest_angle=rest.hinge_angle.astype(np.float32),
+        rest_stiffening=rest.stiffening.astype(np.float32),
+    )
+
+
+def stretched(edges: np.ndarray, before: np.ndarray, after: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """The unstressed edges [m] (G, 2, 2) of triangles that have ``edges`` and move from ``before`` to ``after`` [m]
+    (N, 3), so that their strain stays; a row is an edge, as in ``RestState``."""
+    columns = np.swapaxes(edges, -1, -2)
+    own, other = (_metric(points, faces, columns) for points in (before, after))
+    root = _root(own)
+    inverse = np.linalg.inv(root)
+    return np.swapaxes(inverse @ _root(root @ other @ root) @ inverse @ columns, -1, -2)
+
+
+def _metric(points: np.ndarray, faces: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """C (G, 2, 2) of each triangle; columns of ``edges`` are edges."""
+    deformation = np.stack(meshes.corner_edges(points, faces), axis=-1) @ np.linalg.inv(edges)
+    return np.swapaxes(deformation, -1, -2) @ deformation
+
+
+def _root(matrix: np.ndarray) -> np.ndarray:
+    """The root of symmetric positive matrices (G, 2, 2): (M + sqrt(det M) I) / sqrt(tr M + 2 sqrt(det M))."""
+    determinant = np.sqrt(np.maximum(np.linalg.det(matrix), 0.0))
+    trace = np.trace(matrix, axis1=-2, axis2=-1)
+    total = matrix + determinant[:, None, None] * np.eye(2)
+    return total / np.sqrt(np.maximum(trace + 2.0 * determinant, 1e-24))[:, None, None]
