@@ -53,10 +53,15 @@ class State:
         """The garment, if ``client`` may know of it: see ``Registry.get`` and ``SharedFolder.found``."""
         return await self.shared_folder.found(lambda: self.runtime.garments.get(garment_id, client.name))
 
-    async def scene(self, garment: str | None, garments: Sequence[str] | None, client: Client) -> Scene:
-        """The scene that is worn: see ``Registry.scene`` and ``SharedFolder.found``."""
-        registry = self.runtime.garments
-        return await self.shared_folder.found(lambda: registry.scene(garment, garments, client.name))
+    async def scene(
+        self, garment: str | None, garments: Sequence[str] | None, client: Client, *, avatar: str | None = None
+    ) -> Scene:
+        """The scene that is worn, cut for the ``avatar`` where there is one: see ``Registry.scene``,
+        ``SharedFolder.found`` and ``Avatars.dress``."""
+        registry, avatars = self.runtime.garments, self.runtime.avatars
+        worn_by = None if avatar is None else avatars.get(avatar, client.name).id
+        scene = await self.shared_folder.found(lambda: registry.scene(garment, garments, client.name))
+        return scene if worn_by is None else await asyncio.to_thread(avatars.dress, worn_by, scene)
 
     def watch(self) -> None:
         """Lets the metrics and the readiness look at what runs."""

@@ -169,15 +169,9 @@ def _primitive(file: GltfFile, primitive: dict[str, Any], rows: np.ndarray, move
     sets = [k for k in range(4) if f"JOINTS_{k}" in held and f"WEIGHTS_{k}" in held]
     joint = np.concatenate([file.array(held[f"JOINTS_{k}"]) for k in sets], axis=1).astype(np.int64)
     weight = np.concatenate([file.array(held[f"WEIGHTS_{k}"]) for k in sets], axis=1).astype(np.float64)
+    fits = points.shape[1] == 3 and joint.shape == weight.shape and len(joint) == count
     weight = np.maximum(weight, 0.0)
-    used = joint[weight > 0.0]
-    if (
-        points.shape[1] != 3
-        or len(joint) != count
-        or joint.shape != weight.shape
-        or (len(faces) and faces.max() >= count)
-        or (len(used) and used.max() >= len(rows))
-    ):
+    if not fits or (len(faces) and faces.max() >= count) or np.where(weight > 0.0, joint, 0).max() >= len(rows):
         name, cure = f"{file.label}: mesh", "Export the character again."
         raise MeshError(name, expected="positions, joints and weights that fit together", got="others", cure=cure)
     total = weight.sum(axis=1, keepdims=True)

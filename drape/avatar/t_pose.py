@@ -16,7 +16,7 @@ import scipy.sparse
 from drape.avatar.character import Character
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
-from drape.errors import BodyError, NotFound
+from drape.errors import NotFound
 from drape.geometry.rotations import matrix_to_quaternion
 from drape.motion.rig_poses import Rig
 
@@ -88,7 +88,7 @@ def _turn(matrix: np.ndarray) -> np.ndarray:
     return u @ vt
 
 
-def t_posed(character: Character, rig: Rig, *, label: str = "avatar") -> TPose:
+def t_posed(character: Character, rig: Rig) -> TPose:
     """``character``, whose ``rig`` is known, in T-pose."""
     undone = np.swapaxes(rig.alignment, -1, -2)
     number = {rig.sources[name]: joint for joint, name in enumerate(JOINT_NAMES) if name in rig.sources}
@@ -100,9 +100,7 @@ def t_posed(character: Character, rig: Rig, *, label: str = "avatar") -> TPose:
     rest, placed = _joints(character, rig, undone)
     moves = placed - np.einsum("jab,jb->ja", undone, rest)
     moved = np.einsum("vj,jab,vb->va", weights, undone, character.vertices, optimize=True) + weights @ moves
-    height = float(np.ptp(moved[:, 1]))
-    if not height > 0.0:
-        raise BodyError(label, expected="a standing person", got="no height", cure="Export a whole character.")
+    height = max(float(np.ptp(moved[:, 1])), 1e-9)
     fitting = [scale for scale in UNIT_SCALES if HEIGHTS_M[0] <= height * scale <= HEIGHTS_M[1]]
     scale = fitting[0] if fitting else ADULT_HEIGHT_M / height
     floor = np.array([0.0, scale * moved[:, 1].min(), 0.0])

@@ -10,7 +10,7 @@ import hashlib
 import json
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,10 +24,11 @@ from drape.avatar.t_pose import TPose, rig_of, t_posed
 from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES
-from drape.errors import ArtifactError, BodyError, refusing
+from drape.errors import ArtifactError, BodyError, MotionError, refusing
 from drape.files.atomic import whole_file
 from drape.files.packed import UNREADABLE, packed, read_packed
-from drape.motion.rig_poses import Rig
+from drape.geometry.skinning import skin_points
+from drape.motion.rig_poses import Rig, rig_to_poses
 
 FORMAT_VERSION = 1
 STAGES = ("read", "map", "fit", "store")
@@ -66,6 +67,29 @@ class Wearer:
         """SMPL's joints -> the names of their nodes."""
         return {joint: self.nodes[node] for joint, node in self.rig.sources.items()}
 
+    def posed(self, poses: np.ndarray, trans: np.ndarray) -> np.ndarray:
+        """Its surface [m] (F, V, 3) in ``poses`` (F, 24, 3) [rad] of ours, its root moved by ``trans`` [m] (F, 3)."""
+        return skin_points(
+            np.broadcast_to(self.vertices, (len(poses), *self.vertices.shape)),
+            self.weights,
+            *self.body.bones(poses, trans),
+        )
+
+    def from_rig(
+        self, quaternions: Sequence[object] | np.ndarray, places: Sequence[object] | np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Our poses (F, 24, 3) [rad] and translations [m] (F, 3) for local ``quaternions`` (F, N, 4), xyzw, of its
+        nodes.
+
+        ``places`` [m] (F, 3): where the node of the pelvis is, at rest where None. What is draped then lies in the
+        world of the rig, in metres. Raises ``MotionError`` for what are no unit quaternions of its nodes.
+        """
+        xyzw = _rotations(quaternions, len(self.nodes))
+        poses = rig_to_poses(self.rig, xyzw[..., [3, 0, 1, 2]])
+        rest = self.scale * self.rig.rest_positions[self.rig.sources["pelvis"]]
+        at = np.broadcast_to(rest, (len(poses), 3)) if places is None else np.asarray(places, dtype=np.float64)
+        return poses, at - self.body.joints_template[0]
+
     def file_name(self) -> str:
         """The file that ``save_wearer`` writes."""
         return f"{self.name}-{self.digest[:16]}.npz"
@@ -90,7 +114,7 @@ def read_wearer(
     character = read_character(payload, label=name)
     begins("map")
     rig = rig_of(character, body, told=told, label=name)
-    pose = t_posed(character, rig, label=name)
+    pose = t_posed(character, rig)
     _check_limbs(pose, rig, name)
     begins("fit")
     fit = fit_to(pose, body)
@@ -125,6 +149,22 @@ def _check_limbs(pose: TPose, rig: Rig, name: str) -> None:
                 got=f"{lengths[limb]:.2f} m",
                 cure="Send a character with a person's proportions, or scale it to its true height in metres.",
             )
+
+
+def _rotations(quaternions: Sequence[object] | np.ndarray, nodes: int) -> np.ndarray:
+    """``quaternions`` as (F, N, 4); refuses other numbers of nodes."""
+    try:
+        found = np.asarray(quaternions, dtype=np.float64)
+    except ValueError:  # frames of different lengths
+        found = np.zeros(0)
+    if found.ndim != 3 or found.shape[1:] != (nodes, 4):
+        raise MotionError(
+            "rig_poses",
+            expected=f"{nodes} quaternions a frame, one for each of the avatar's nodes",
+            got=f"shape {found.shape[1:]}" if found.ndim == 3 else "frames of different lengths",
+            cure="GET /avatars/ID tells the nodes in their order.",
+        )
+    return found
 
 
 def save_wearer(wearer: Wearer, folder: Path) -> Path:

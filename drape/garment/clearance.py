@@ -62,10 +62,11 @@ def clear_body(
     body_vertices: np.ndarray,
     body_faces: np.ndarray,
     *,
+    rounds: int = ROUNDS,
     least_m: float = CLEARANCE_M,
 ) -> Cleared:
     """``vertices`` (N, 3) moved until each is at least ``CLEARANCE_M`` outside the closed body; refuses (``MeshError``)
-    where the last round leaves less than ``least_m``, as between thighs that touch.
+    where the last of ``rounds`` leaves less than ``least_m``, as between thighs that touch.
 
     The first push maps distances through a softened maximum, which is monotone, so that a
     lining stays under its cloth; later pushes lift what is still short. Each push is spread
@@ -84,7 +85,7 @@ def clear_body(
     laplacian = _layered_laplacian(moved, faces, nearest, body_vertices, body_faces)
     lift = target + LAYER_SOFTNESS_M * np.logaddexp(0.0, (signed - target) / LAYER_SOFTNESS_M) - signed
     stiffness = STIFFNESS_M2
-    for round_number in range(ROUNDS):
+    for round_number in range(rounds):
         short = signed < target - 0.5 * MARGIN_M
         if not short.any():
             return Cleared(moved, float(signed.min()), float(np.linalg.norm(moved - start, axis=1).max()), round_number)
@@ -95,14 +96,14 @@ def clear_body(
         system = scipy.sparse.diags(weight) + stiffness * laplacian
         push = scipy.sparse.linalg.splu(system.tocsc()).solve(weight[:, None] * lift[:, None] * direction)
         moved = moved + push
-        stiffness = max(0.6 * stiffness, 0.004**2) if round_number < ROUNDS - 8 else 0.0
+        stiffness = max(0.6 * stiffness, 0.004**2) if round_number < rounds - 8 else 0.0
         signed, direction, nearest = distance_field(moved, body_vertices, body_faces)
     if signed.min() >= least_m:
-        return Cleared(moved, float(signed.min()), float(np.linalg.norm(moved - start, axis=1).max()), ROUNDS)
+        return Cleared(moved, float(signed.min()), float(np.linalg.norm(moved - start, axis=1).max()), rounds)
     raise MeshError(
         "garment",
         expected=f"a clearance of {1e3 * CLEARANCE_M:.1f} mm to the body",
-        got=f"{1e3 * signed.min():.1f} mm at vertex {int(signed.argmin())} after {ROUNDS} pushes",
+        got=f"{1e3 * signed.min():.1f} mm at vertex {int(signed.argmin())} after {rounds} pushes",
         cure="Model the garment with more ease there, or say which avatar it was modelled on.",
     )
 

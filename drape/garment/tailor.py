@@ -24,7 +24,7 @@ from drape.garment.fitting import fit_garment
 from drape.garment.rest_pose import to_standard
 from drape.geometry import meshes
 
-LEAST_M = -0.02  # thighs of characters may touch: frames lift what is left
+ROUNDS, LEAST_M = 12, -0.03  # thighs of characters may touch: frames lift what is left
 VERSION = 1  # raised when a change here changes the garments that come out
 
 
@@ -41,7 +41,7 @@ def tailored(garment: Garment, body: BodyModel, wearer: BodyModel) -> Garment:
     faces, standing = garment.fine_faces.astype(np.int64), garment.vertices.astype(np.float64)
     source = Avatar(body.v_template, body.faces, 0.0, body.name)
     moved = to_standard(standing, faces, source, wearer).vertices
-    cleared = clear_body(moved, faces, wearer.v_template, wearer.faces, least_m=LEAST_M).vertices
+    cleared = clear_body(moved, faces, wearer.v_template, wearer.faces, rounds=ROUNDS, least_m=LEAST_M).vertices
     count = garment.vertex_count
     mesh = GarmentMesh(
         garment.name, cleared[:count], garment.faces.astype(np.int64), garment.uv, garment.uv_faces.astype(np.int64),

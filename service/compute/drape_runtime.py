@@ -15,6 +15,8 @@ from drape.body.assets import load_body
 from drape.body.model import BodyModel
 from drape.errors import DrapeError, InputError, NotFound
 from drape.wire.options import DrapeOptions
+from service.compute.avatars import Avatars
+from service.compute.body_stages import BodyStages
 from service.compute.constants_process import ConstantsProcess
 from service.compute.garments import Registry
 from service.compute.motions import Motions
@@ -27,7 +29,7 @@ from service.stages import make_stages
 from service.stages.batch import Batch, Memories, PoseInput, Quality
 from service.stages.encode import Idle, answer_again, idle_before, remember
 from service.stages.plan import Plan, make_plan
-from service.stages.stage import StageSetup, run, walk
+from service.stages.stage import Stage, StageSetup, run, walk
 from service.watch.metrics import Metrics
 from service.watch.tracing import Tracing, make_tracing
 
@@ -72,11 +74,27 @@ class DrapeRuntime:
             clip_wait_s=settings.clip_wait_s,
         )
         self.constants_process = ConstantsProcess(lambda: self.threads.streaming)
-        self.stages = make_stages(StageSetup(self.engine, self.body, settings, self.constants_process.call))
-        self.garments = Registry(self.body, settings, self.stages, self.constants_process.call)
+        make = self.constants_process.call
+        self._worn = self._stages_on(self.body)
+        self.garments = Registry(settings, self._worn, make)
+        self.avatars = Avatars(self.body, settings, self._stages_on, make)
         self.motions = Motions(settings.motions_dir)
         self._frame_ms: dict[tuple[tuple[str, ...], DrapeOptions, bool], float] = {}
         self.warm_up()
+
+    def _stages_on(self, body: BodyModel) -> BodyStages:
+        make = self.constants_process.call
+        return BodyStages(body, make_stages(StageSetup(self.engine, body, self.settings, make)), make)
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """The stages of the standard body."""
+        return self._worn.stages
+
+    def on(self, scene: Scene) -> BodyStages:
+        """The body that wears ``scene``, and its stages."""
+        avatar = scene.layers[0].avatar
+        return self._worn if avatar is None else self.avatars.dressed(avatar)
 
     def close(self) -> None:
         """Waits for the running chunk, and ends threads and processes."""
@@ -104,7 +122,8 @@ class DrapeRuntime:
     @property
     def device_bytes(self) -> int:
         """Memory of the garments' constants and of buckets where the graphs compute."""
-        return sum(stage.held_bytes for stage in self.stages) + self.engine.held_bytes
+        bodies = (self._worn, *self.avatars.worn)
+        return sum(stage.held_bytes for body in bodies for stage in body.stages) + self.engine.held_bytes
 
     @property
     def memory_classes(self) -> tuple[type, ...]:
@@ -123,7 +142,7 @@ class DrapeRuntime:
     def plan(self, scene: Scene, options: DrapeOptions, *, messages: bool = False) -> Plan:
         """``service.stages.plan.make_plan`` with the stages of this service, and the passes and folds of its tiers."""
         asked = chosen(options, self.tiers, self.settings, self.engine.pass_count)
-        return make_plan(self.stages, scene, asked, messages=messages)
+        return make_plan(self.on(scene).stages, scene, asked, messages=messages)
 
     async def plan_within(self, scene: Scene, options: DrapeOptions, *, messages: bool = False) -> Plan:
         """``plan``, or where ``options`` have a budget that of the best tier within it, of the least where none is."""
@@ -176,13 +195,14 @@ class DrapeRuntime:
         Two come before: what the least tier can spare of a single garment, since layers need each other, and the same
         without steps of folds.
         """
+        stages = self.on(plan.scene).stages
         held = [capped(plan.options, tier) for tier in self.tiers]
         alone = len(plan.scene.layers) == 1
         held.insert(0, spared(held[0]) if alone else held[0])
         steps = [
             plan
             if options == plan.options
-            else replace(make_plan(self.stages, plan.scene, options, messages=plan.messages), stepped=True)
+            else replace(make_plan(stages, plan.scene, options, messages=plan.messages), stepped=True)
             for options in held
         ]
         carried = alone and bool(plan.options.folds)
@@ -192,14 +212,16 @@ class DrapeRuntime:
 
     def add_missing(self, plan: Plan) -> None:
         """Gives the stages what ``plan`` drapes and they do not know yet: ``prepare`` does so beside frames."""
-        for garment in self.garments.missing((*plan.scene.layers, *plan.draped)):
-            self.garments.add_to_stages(garment, self.garments.feed(garment))
+        worn = self.on(plan.scene)
+        for garment in worn.missing((*plan.scene.layers, *plan.draped)):
+            worn.add(garment, worn.feed(garment))
 
     async def prepare(self, plan: Plan) -> None:
         """Makes what the plan's stages need, beside the frames that are being computed."""
-        for garment in self.garments.missing((*plan.scene.layers, *plan.draped)):
-            feed = await asyncio.to_thread(self.garments.feed, garment)
-            await self.threads.aside(self.garments.add_to_stages, garment, feed)
+        worn = self.on(plan.scene)
+        for garment in worn.missing((*plan.scene.layers, *plan.draped)):
+            feed = await asyncio.to_thread(worn.feed, garment)
+            await self.threads.aside(worn.add, garment, feed)
         await asyncio.to_thread(lambda: [stage.prepare(plan) for stage in plan.stages])
 
     # --- frames ---

@@ -53,9 +53,9 @@ def _written_ns(path: Path) -> int:
 
 
 def sizes(folders: Iterable[Path]) -> list[int]:
-    """Bytes of every cache directly in ``folders``."""
+    """Bytes of every cache, and of every file of an avatar, directly in ``folders``."""
     found: list[int] = []
-    for path in (path for folder in folders for path in folder.glob("*.npz")):
+    for path in (path for folder in folders for kind in ("*.npz", "*.glb") for path in folder.glob(kind)):
         try:
             found.append(path.stat().st_size)
         except FileNotFoundError:  # removed meanwhile

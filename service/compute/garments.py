@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import logging
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,9 +20,10 @@ from drape.geometry.jets import JET_COUNT
 from drape.graph.feeds import garment_feed
 from drape.graph.layer_feed import check_layers
 from service.compute import garment_files
+from service.compute.body_stages import BodyStages
 from service.errors import TooLarge
 from service.stages.scene import UNCHANGED, About, Entry, Outfit, Scene, Source
-from service.stages.stage import Make, Stage, call_here
+from service.stages.stage import Make, call_here
 
 if TYPE_CHECKING:
     from service.settings import Settings
@@ -34,12 +35,9 @@ log = logging.getLogger("drape.service")
 class Registry:
     """Garments by id. Shipped caches must load; of the uploaded ones a bad file is set aside and named in /health."""
 
-    def __init__(
-        self, body: BodyModel, settings: Settings, stages: Sequence[Stage] = (), make: Make = call_here
-    ) -> None:
-        self._body, self._settings, self._stages, self._make = body, settings, stages, make
+    def __init__(self, settings: Settings, worn: BodyStages, make: Make = call_here) -> None:
+        self._settings, self._worn, self._make = settings, worn, make
         self._entries: dict[str, Entry] = {}
-        self._in_stages: set[str] = set()
         self.refused: list[str] = []
         for path in sorted(settings.shipped_garments_dir.glob("*.npz")):
             self.add(self.prepare(path), "shipped")
@@ -94,23 +92,9 @@ class Registry:
 
     def prepare(self, path: Path) -> Garment:
         """The checked garment of the cache ``path``, stored by every stage; it takes time, safely beside frames."""
-        garment, feed = self._make(_loaded, path, self._body, self._settings.max_vertices)
-        self.add_to_stages(garment, feed)
+        garment, feed = self._make(_loaded, path, self._worn.body, self._settings.max_vertices)
+        self._worn.add(garment, feed)
         return garment
-
-    def feed(self, garment: Garment) -> dict[str, np.ndarray]:
-        """The ``garment_feed`` of ``garment`` on the body; from any thread."""
-        return self._make(garment_feed, garment, body=self._body)
-
-    def add_to_stages(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
-        """Lets every stage store ``garment``, whose ``garment_feed`` is ``feed``; by one thread at a time."""
-        for stage in self._stages:
-            stage.add(garment, feed)
-        self._in_stages.add(garment.digest)
-
-    def missing(self, entries: Iterable[Entry]) -> list[Garment]:
-        """The garments of ``entries`` that no stage knows: subdivided meshes that nobody asked for before."""
-        return [entry.garment for entry in entries if entry.garment.digest not in self._in_stages]
 
     def add(self, garment: Garment, source: Source, path: Path | None = None) -> Entry:
         """Puts a prepared garment in service under its name, or name and digest where the name is taken.
@@ -158,10 +142,7 @@ class Registry:
         self.withdraw(entry)
         if all(other.garment.digest != entry.garment.digest for other in self.entries()):
             for garment in (entry.garment, entry.fine.garment):
-                if garment.digest in self._in_stages:
-                    self._in_stages.discard(garment.digest)
-                    for stage in self._stages:
-                        stage.remove(garment)
+                self._worn.remove(garment)
 
 
 def _loaded(path: Path, body: BodyModel, max_vertices: int) -> tuple[Garment, dict[str, np.ndarray]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from fastapi import APIRouter, Request, Response
 
+from drape.avatar.wearer import Wearer
 from drape.errors import BodyError, InputError, MotionError, NotFound
 from drape.export.usda import POINT_BYTES
 from drape.wire.clips import unpack_clip
@@ -30,6 +31,7 @@ from service.stages.scene import Outfit, layer_list
 from service.state import ClientHere, State, StateHere
 
 if TYPE_CHECKING:
+    from service.guard.keys import Client
     from service.settings import Settings
 
 router = APIRouter()
@@ -56,9 +58,9 @@ async def drape_clip(request: Request, state: StateHere, client: ClientHere) -> 
     are ready; with keep and past a clip comes in pieces that are the whole clip.
     """
     state.check_slot()  # before anything is read
-    asked, clip = await _clip(schemas.DrapeRequest, schemas.ClipOptions, request, state)
+    asked, clip = await _clip(schemas.DrapeRequest, schemas.ClipOptions, request, state, client)
     kind = choose(request.headers.get("accept"), _offered(asked))
-    scene = await state.scene(asked.garment, asked.garments, client)
+    scene = await state.scene(asked.garment, asked.garments, client, avatar=asked.avatar)
     plan = await state.runtime.plan_within(scene, asked, messages=asked.geometry == "jets")
     if asked.past is not None:
         clip = state.continuations.get(asked.past, client.name).followed_by(plan, clip, asked.fps)
@@ -86,7 +88,7 @@ async def _clip_answer(job: ClipJob, draped: Batch, kind: str, headers: dict[str
     scene, asked = job.plan.shown, job.asked
     placed = await _of_array(draped.vertices, draped.placed, asked.origin)
     if kind == GLB:
-        file = await asyncio.to_thread(garment_file, scene, placed, asked, job.clip, state.runtime.body)
+        file = await asyncio.to_thread(garment_file, scene, placed, asked, job.clip, state.runtime.on(scene).body)
         return file_answer(*file, state.sliced_thread, await _said(placed) | headers)
     if kind in (PC2, USDA):
         return await asyncio.to_thread(export_answer, kind, scene, placed, asked.fps, state.sliced_thread, headers)
@@ -105,7 +107,7 @@ async def posed_body(body_id: str, request: Request, state: StateHere, client: C
     runtime = state.runtime
     runtime.check_body_id(body_id)
     state.check_slot()
-    asked, clip = await _clip(schemas.PosedRequest, schemas.PosedOptions, request, state)
+    asked, clip = await _clip(schemas.PosedRequest, schemas.PosedOptions, request, state, client)
     kind = choose(request.headers.get("accept"), KINDS)
     if kind == GLB:
         return file_answer(*await asyncio.to_thread(body_file, runtime.body, clip, asked), state.sliced_thread, {})
@@ -120,10 +122,33 @@ async def posed_body(body_id: str, request: Request, state: StateHere, client: C
         return await _vertices_answer(placed, asked.fps, kind, state)
 
 
+@router.post(
+    "/avatars/{avatar_id}/posed",
+    response_model=schemas.VerticesDocument,
+    openapi_extra=clip_schema(schemas.PosedRequest),
+    responses=responses(*CLIP_REFUSALS, kinds=(BINARY, JSON)),
+)
+async def posed_avatar(avatar_id: str, request: Request, state: StateHere, client: ClientHere) -> Response:
+    """The vertices of a character's own surface in poses of ours, as garments on it are draped."""
+    runtime = state.runtime
+    entry = runtime.avatars.get(avatar_id, client.name)
+    state.check_slot()
+    asked, clip = await _clip(schemas.PosedRequest, schemas.PosedOptions, request, state, client)
+    kind = choose(request.headers.get("accept"), (BINARY, JSON))
+    wearer = await asyncio.to_thread(runtime.avatars.wearer, entry.id)
+    _check_size(kind, len(clip.poses), len(wearer.vertices), runtime.settings)
+    with state.access.using(client, "clips"), state.slot():
+        posed = await asyncio.to_thread(wearer.posed, clip.poses, clip.trans)
+        return await _vertices_answer(Placed(posed.astype(np.float32)), asked.fps, kind, state)
+
+
 async def _clip(
-    whole: type[schemas.PosedRequest], options: type[Asked], request: Request, state: State
+    whole: type[schemas.PosedRequest], options: type[Asked], request: Request, state: State, client: Client
 ) -> tuple[Asked, PoseInput]:
-    """The body of ``request``, JSON as a ``whole`` or a CLIP message, and its checked motion."""
+    """The body of ``request``, JSON as a ``whole`` or a CLIP message, and its checked motion.
+
+    Poses of an avatar's own rig become ours.
+    """
     body, most, brief = state.runtime.body, state.runtime.settings.max_frames, state.sliced_thread.brief
     if content_type(request) == BINARY:
         sent = await request.body()
@@ -137,8 +162,40 @@ async def _clip(
         poses, trans = read.poses, read.trans
         assert isinstance(read, options)
         asked = read
+    avatar, rig_poses = getattr(asked, "avatar", None), getattr(asked, "rig_poses", None)  # of a garment's request
+    if avatar is not None:
+        wearer = await asyncio.to_thread(_wearer, avatar, state, client)
+        body = wearer.body
+        if rig_poses is not None:
+            check_rig_frames(poses, rig_poses, trans, most)
+            poses, trans = await asyncio.to_thread(wearer.from_rig, rig_poses, trans)
+    elif rig_poses is not None:
+        cure = "Name the avatar whose rig this is."
+        raise InputError("rig_poses", expected="an avatar", got="none", cure=cure)
     poses, trans = await brief(sent, partial(motion_arrays, poses, trans, max_frames=most))
     return asked, PoseInput(poses, trans, shape_array(asked.betas, body), np.arange(len(poses)) / asked.fps)
+
+
+def _wearer(avatar: str, state: State, client: Client) -> Wearer:
+    avatars = state.runtime.avatars
+    return avatars.wearer(avatars.get(avatar, client.name).id)
+
+
+def check_rig_frames(
+    poses: Sequence[object] | np.ndarray,
+    rig_poses: Sequence[object],
+    trans: Sequence[object] | np.ndarray | None,
+    most: int,
+) -> None:
+    """Refuses poses of ours beside those of a rig, too many, and another number of places."""
+    frames = len(rig_poses)
+    if len(poses):
+        raise MotionError("poses", expected="poses or rig_poses", got="both", cure="Send one of the two.")
+    if frames > most:
+        raise TooLarge("rig_poses", expected=f"at most {most} frames", got=str(frames), cure="Send fewer.")
+    if trans is not None and len(trans) != frames:
+        cure = "Send as many as rig_poses, or none."
+        raise MotionError("trans", expected=f"{frames}, one a frame", got=str(len(trans)), cure=cure)
 
 
 def check_clip_size(job: ClipJob, kind: str, settings: Settings) -> None:

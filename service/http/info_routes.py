@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -158,10 +159,19 @@ async def motions(state: StateHere) -> list[schemas.MotionInfo]:
     response_model=schemas.MotionDocument,
     responses=responses(InputError, NotFound, BodyError),
 )
-async def motion(motion_id: str, state: StateHere, betas: Betas = None) -> Response:
-    """One sample clip with its poses [rad] and translations [m], for the body in the shape ``betas``."""
-    runtime = state.runtime
-    clip = runtime.motions.placed(motion_id, runtime.body, shape_array(_numbers("betas", betas), runtime.body))
+async def motion(
+    motion_id: str,
+    state: StateHere,
+    client: ClientHere,
+    betas: Betas = None,
+    avatar: Annotated[str | None, Query(max_length=120, description="The character that moves.")] = None,
+) -> Response:
+    """One sample clip with its poses [rad] and translations [m], for the body in the shape ``betas`` or an avatar."""
+    runtime, body = state.runtime, state.runtime.body
+    if avatar is not None:
+        entry = runtime.avatars.get(avatar, client.name)
+        body = (await asyncio.to_thread(runtime.avatars.wearer, entry.id)).body
+    clip = runtime.motions.placed(motion_id, body, shape_array(_numbers("betas", betas), body))
     document = {"id": motion_id, "name": clip.name, "frames": clip.frame_count, "fps": clip.fps}
     document |= {"poses": np.round(clip.poses, 6), "trans": np.round(clip.trans, 6)}
     return json_answer(document, state.sliced_thread)

@@ -34,9 +34,9 @@ class Previews:
             self._made.popitem(last=False)
 
 
-def picture(cloth: tuple[np.ndarray, np.ndarray], skin: tuple[np.ndarray, np.ndarray], size: int) -> bytes:
-    """A PNG of ``size`` pixels along each side of vertices [m] (V, 3) and faces (F, 3) of ``cloth`` on ``skin``; the
-    cloth fills it."""
+def picture(cloth: tuple[np.ndarray, np.ndarray], skin: tuple[np.ndarray, np.ndarray] | None, size: int) -> bytes:
+    """A PNG of ``size`` pixels along each side of vertices [m] (V, 3) and faces (F, 3) of ``cloth`` on ``skin``, or
+    alone; the cloth fills it."""
     from PIL import Image  # not before the first picture: frames have no use for it
 
     vertices = cloth[0]
@@ -46,7 +46,7 @@ def picture(cloth: tuple[np.ndarray, np.ndarray], skin: tuple[np.ndarray, np.nda
     )
     finer = FINER if size <= FINE else 1
     drawn = render(
-        [Surface(*skin, SKIN), Surface(*cloth, CLOTH)],
+        [*([] if skin is None else [Surface(*skin, SKIN)]), Surface(*cloth, CLOTH)],
         size=(finer * size, finer * size),
         azimuth_deg=AZIMUTH_DEG,
         centre=centre,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from annotated_types import Len
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
+from drape.avatar.gltf import MOST_NODES
 from drape.body.skeleton import JOINT_COUNT
 from drape.files.formats import MESH_NAMES
 from drape.graph.feeds import BETA_COUNT
@@ -28,6 +29,8 @@ def _number(limit: float) -> Any:
 Angles = Annotated[list[_number(ANGLE_LIMIT_RAD)], Len(3, 3), FIRST_ONLY]
 Place = Annotated[list[_number(PLACE_LIMIT_M)], Len(3, 3), FIRST_ONLY]
 PoseRows = Annotated[list[Angles], Len(JOINT_COUNT, JOINT_COUNT), FIRST_ONLY]
+Quaternion = Annotated[list[_number(1.01)], Len(4, 4), FIRST_ONLY]
+RigRows = Annotated[list[Quaternion], Len(1, MOST_NODES), FIRST_ONLY]
 Betas = Annotated[list[_number(BETA_LIMIT)], Len(0, BETA_COUNT), FIRST_ONLY]
 
 
@@ -58,7 +61,16 @@ class PosedRequest(PosedOptions):
     )
 
 
-class ClipOptions(DrapeOptions, Worn, PosedOptions):
+class OnAvatar(BaseModel):
+    """Whose body garments are worn on."""
+
+    avatar: Identifier | None = Field(
+        default=None,
+        description="A character from POST /avatars that wears the garments; the standard body if left out.",
+    )
+
+
+class ClipOptions(DrapeOptions, Worn, OnAvatar, PosedOptions):
     """All but the poses of a garment, or several over each other, on a body in motion."""
 
     body: bool = Field(default=False, description="In a GLB, include the body as a second, skinned mesh.")
@@ -82,6 +94,14 @@ class ClipOptions(DrapeOptions, Worn, PosedOptions):
 class DrapeRequest(ClipOptions, PosedRequest):
     """A garment, or several over each other, on a body in motion."""
 
+    poses: Annotated[list[PoseRows], FIRST_ONLY] = Field(default_factory=list)
+    rig_poses: Annotated[list[RigRows], Len(1), FIRST_ONLY] | None = Field(
+        default=None,
+        description="Instead of poses, of an avatar: the local rotation of each of its nodes, as x, y, z, w. trans is "
+        "then where the node of the pelvis is [m], at its rest place where it is left out, and the answer is in the "
+        "world of the rig.",
+    )
+
 
 class UploadRequest(Request):
     """A garment file inside JSON, for clients that cannot send raw bytes."""
@@ -92,7 +112,7 @@ class UploadRequest(Request):
     avatar: str | dict[str, Any] | None = None
 
 
-class OpenRequest(DrapeOptions, Worn, Request):
+class OpenRequest(DrapeOptions, Worn, OnAvatar, Request):
     """The first message of a stream."""
 
     type: Literal["open"]
@@ -207,8 +227,8 @@ class GarmentInfo(BaseModel):
 
 
 class JobInfo(BaseModel):
-    """The state of an upload. ``problem`` is the refusal where it failed, ``garment`` the new id where it is done;
-    while it runs, ``stage`` is what its process does now and ``share`` how much lies behind it."""
+    """The state of an upload. ``problem`` is the refusal where it failed, ``garment`` or ``avatar`` the id where it is
+    done; while it runs, ``stage`` is what its process does now and ``share`` how much lies behind it."""
 
     id: str
     name: str
@@ -216,7 +236,25 @@ class JobInfo(BaseModel):
     stage: str | None = None
     share: float = Field(default=0.0, description="By what the stages take of usual garments; 0 to 1.")
     garment: str | None = None
+    avatar: str | None = None
     problem: dict[str, Any] | None = None
+
+
+class AvatarInfo(BaseModel):
+    """A user's character that wears garments."""
+
+    id: str
+    name: str
+    digest: str
+    joints: dict[str, str] = Field(
+        description="SMPL's joints and the nodes of the character's skeleton that are these."
+    )
+    nodes: list[str] = Field(description="All nodes of its file, parents first: the order of rig_poses.")
+    fit: dict[str, float] = Field(description="How far its trunk and limbs are from the body that stands for it [mm].")
+    height_m: float
+    scale: float = Field(description="Metres per unit of its file.")
+    vrm: str | None = Field(description="The version of VRM, where it is one.")
+    vertices: int = Field(description="Of its own surface.")
 
 
 class BodyInfo(BaseModel):

@@ -57,13 +57,13 @@ async def upload(
     known = upload_avatar(modelled_on, stem, state.runtime.settings.garments_dir)
     job = await state.uploads.submit(stem, file_format, pieces, known, client)
     response.headers["Location"] = f"/jobs/{job.id}"
-    return _job_info(job)
+    return job_info(job)
 
 
 @router.get("/jobs/{job_id}", responses=responses(NotFound))
 async def job(job_id: str, state: StateHere, client: ClientHere) -> schemas.JobInfo:
     """The state of an upload."""
-    return _job_info(state.uploads.get(job_id, client.name))
+    return job_info(state.uploads.get(job_id, client.name))
 
 
 @router.delete("/jobs/{job_id}", status_code=204, responses=responses(NotFound))
@@ -89,6 +89,6 @@ def _name_and_format(name: str | None, file_format: str | None, content_type: st
     return stem, chosen
 
 
-def _job_info(job: Job) -> schemas.JobInfo:
-    told = {"stage": job.stage, "share": round(job.share, 2), "garment": job.garment, "problem": job.problem}
+def job_info(job: Job) -> schemas.JobInfo:
+    told = {"stage": job.stage, "share": round(job.share, 2), job.kind: job.made, "problem": job.problem}
     return schemas.JobInfo(id=job.id, name=job.name, state=job.state, **told)

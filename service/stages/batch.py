@@ -91,7 +91,9 @@ def motion_arrays(
 
 
 def shape_array(betas: Sequence[float] | None, body: BodyModel) -> np.ndarray:
-    """Checked shape coefficients (S,), zeros where none were sent."""
+    """Checked shape coefficients (S,), zeros where none were sent; refuses any for an avatar."""
+    if betas and body.standard_digest:
+        raise BodyError("betas", expected="none: an avatar has its own shape", got="some", cure="Leave them out.")
     shape = body.check_betas(np.asarray(betas if betas is not None else [], dtype=np.float64))
     if (np.abs(shape) > BETA_LIMIT).any():
         index = int(np.argmax(np.abs(shape)))

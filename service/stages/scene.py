@@ -34,7 +34,8 @@ UNCHANGED = About()
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """A garment in service. ``owner`` is the key that uploaded it, if keys were asked for."""
+    """A garment in service. ``owner`` is the key that uploaded it, if keys were asked for; ``avatar`` the one that it
+    was cut for, if it is not for the standard body."""
 
     id: str
     garment: Garment
@@ -42,6 +43,7 @@ class Entry:
     path: Path | None = None
     owner: str | None = None
     about: About = UNCHANGED
+    avatar: str | None = None
 
     @property
     def published(self) -> bool:

@@ -74,9 +74,9 @@ async def read_opening(text: str, state: State, client: Client) -> Opening:
     """What ``text`` asks for, with all that its frames need made."""
     asked = validated(OpenRequest, document_of(text.encode()))
     runtime = state.runtime
-    scene = await state.scene(asked.garment, asked.garments, client)
+    scene = await state.scene(asked.garment, asked.garments, client, avatar=asked.avatar)
     plan = await runtime.plan_within(scene, asked, messages=True)
-    betas = shape_array(asked.betas, runtime.body)
+    betas = shape_array(asked.betas, runtime.on(scene).body)
     steps = runtime.steps(plan)
     for step in {plan, *steps}:
         await runtime.prepare(step)
@@ -98,7 +98,7 @@ def opened(plan: Plan, state: State, **more: bool) -> str:
             **worn,
             "vertices": scene.vertex_count,
             "model": state.runtime.engine.manifest.digest,
-            "body": state.runtime.body.name,
+            "body": state.runtime.on(plan.scene).body.name,
             "credit": state.runtime.settings.stream_credit,
             "push_out": options.push_out,
             "motion": options.knob,

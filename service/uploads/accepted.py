@@ -15,7 +15,9 @@ import uuid
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Literal
 
+Kind = Literal["garment", "avatar"]
 ABOUT = "job.json"
 STAGING = ".staging-"
 CANCEL = "cancel"  # in an upload's folder: another service was asked to end it
@@ -38,7 +40,11 @@ def _host() -> str:
 
 @dataclass(frozen=True)
 class Accepted:
-    """An accepted upload: its job's id and name, its key, its file's name, its avatar, and how often it ran."""
+    """An accepted upload: its job's id and name, its key, its file's name, its avatar, how often it ran, what ``kind``
+    of thing it is, "garment" or "avatar", and which avatar it replaces.
+
+    ``avatar``: of a garment, what it was modelled on; of an avatar, the joints that were told, as JSON.
+    """
 
     id: str
     name: str
@@ -46,6 +52,8 @@ class Accepted:
     file: str
     avatar: str | None
     attempts: int = 0
+    kind: Kind = "garment"
+    replaces: str | None = None
 
     def write(self, folder: Path) -> None:
         """Puts it into ``folder``, on disk when this returns."""

@@ -8,15 +8,19 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from drape.errors import ArtifactError, DrapeError, InputError, MeshError
 from service.errors import TABLE, TooLarge
 from service.settings import ROOT, Settings
+from service.uploads.accepted import Kind
 
-SHARES = {"start": 0.15, "read": 0.03, "rest": 0.32, "fit": 0.4, "cloth": 0.03, "store": 0.0, "prepare": 0.07}
+SHARES: dict[Kind, dict[str, float]] = {
+    "garment": {"start": 0.15, "read": 0.03, "rest": 0.32, "fit": 0.4, "cloth": 0.03, "store": 0.0, "prepare": 0.07},
+    "avatar": {"start": 0.2, "read": 0.02, "map": 0.03, "fit": 0.5, "store": 0.2, "prepare": 0.05},
+}
 """Stages of an upload, those of the intake between a process's start and the garment's constants, and their shares."""
 
 
@@ -26,15 +30,21 @@ async def run_sandbox(
     out: Path,
     settings: Settings,
     begun: Callable[[str], None] = lambda stage: None,
+    *,
+    kind: Kind = "garment",
 ) -> dict[str, Any]:
     """The report of the intake process; raises its refusal, or one for the limit that it ran into.
 
+    ``avatar``: of a garment, what it was modelled on; of an avatar, its joints as JSON.
+
     ``begun`` is called with each stage as the process begins it.
     """
-    process = await _start(file, out, settings)
+    process = await _start(file, out, settings, kind)
     label = f"upload {file.name}"
     try:
-        report = await asyncio.wait_for(_conversation(process, (avatar or "").encode(), begun), settings.intake_wall_s)
+        report = await asyncio.wait_for(
+            _conversation(process, (avatar or "").encode(), begun, SHARES[kind]), settings.intake_wall_s
+        )
     except TimeoutError:
         raise TooLarge(
             label,
@@ -66,9 +76,9 @@ async def run_sandbox(
     )
 
 
-async def _start(file: Path, out: Path, settings: Settings) -> asyncio.subprocess.Process:
+async def _start(file: Path, out: Path, settings: Settings, kind: Kind) -> asyncio.subprocess.Process:
     command = [sys.executable, "-m", "service.uploads.sandbox", str(file), "--out", str(out), "--body", settings.body]
-    command += ["--memory-mb", str(settings.intake_memory_mb), "--cpu-s", str(settings.intake_cpu_s)]
+    command += ["--kind", kind, "--memory-mb", str(settings.intake_memory_mb), "--cpu-s", str(settings.intake_cpu_s)]
     # One thread each: their stacks and buffers count against the memory limit.
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
     return await asyncio.create_subprocess_exec(
@@ -83,7 +93,7 @@ async def _start(file: Path, out: Path, settings: Settings) -> asyncio.subproces
 
 
 async def _conversation(
-    process: asyncio.subprocess.Process, said: bytes, begun: Callable[[str], None]
+    process: asyncio.subprocess.Process, said: bytes, begun: Callable[[str], None], stages: Mapping[str, float]
 ) -> dict[str, Any] | None:
     """The last line of JSON of ``process``, which hears ``said``; stages before it are told to ``begun``."""
     assert process.stdin is not None and process.stdout is not None
@@ -94,7 +104,7 @@ async def _conversation(
     last: dict[str, Any] | None = None
     async for line in process.stdout:
         last = _document(line)
-        if last is not None and last.get("stage") in SHARES:
+        if last is not None and last.get("stage") in stages:
             begun(last["stage"])
     await process.wait()
     return last

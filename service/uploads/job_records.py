@@ -16,7 +16,7 @@ Outcome = Literal["done", "failed", "cancelled"]
 
 @dataclass(frozen=True)
 class JobRecord:
-    """An upload that has ended: its garment's id, or the problem that ended it."""
+    """An upload that has ended: its garment's or avatar's id, or the problem that ended it."""
 
     id: str
     name: str
@@ -24,6 +24,7 @@ class JobRecord:
     state: Outcome
     garment: str | None = None
     problem: dict[str, Any] | None = None
+    avatar: str | None = None
 
     def write(self, root: Path) -> None:
         """Stores it under ``root``; of more than ``KEPT`` the oldest are removed."""

@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from drape.errors import DrapeError, MeshError, NotFound
 from service import errors
+from service.compute.avatars import FOLDER as AVATARS
 from service.compute.garment_files import OWNED, folder_of, sizes
 from service.compute.garments import slug
 from service.guard.keys import ANYONE, Client
 from service.uploads import job_records
-from service.uploads.accepted import CANCEL, Accepted, elsewhere, staging_folder, sync, taken_over, touch
+from service.uploads.accepted import CANCEL, Accepted, Kind, elsewhere, staging_folder, sync, taken_over, touch
 from service.uploads.intake_process import SHARES, run_sandbox
 from service.uploads.job_records import JobRecord
 
@@ -43,7 +44,8 @@ class Job:
     name: str
     owner: str | None = None
     state: Literal["queued", "running", "done", "failed", "cancelled"] = "queued"
-    garment: str | None = None
+    kind: Kind = "garment"
+    made: str | None = None  # the id of the garment or the avatar, where it is done
     problem: dict[str, Any] | None = None
     stage: str | None = None  # of SHARES, while it runs
     link: Link | None = None  # to the request that it came with
@@ -55,8 +57,9 @@ class Job:
         """The share of the work that is done, by the times of the stages for usual garments."""
         if self.state == "done":
             return 1.0
-        names = list(SHARES)
-        return sum(SHARES[name] for name in names[: names.index(self.stage)]) if self.stage in SHARES else 0.0
+        shares = SHARES[self.kind]
+        names = list(shares)
+        return sum(shares[name] for name in names[: names.index(self.stage)]) if self.stage in shares else 0.0
 
     @property
     def ended(self) -> bool:
@@ -93,7 +96,7 @@ class Uploads:
 
     def _go_on(self, uploads: Iterable[tuple[Accepted, Path]]) -> None:
         for accepted, folder in uploads:
-            job = self._jobs[accepted.id] = Job(accepted.id, accepted.name, accepted.owner)
+            job = self._jobs[accepted.id] = Job(accepted.id, accepted.name, accepted.owner, kind=accepted.kind)
             self._queue.put_nowait((job, folder, accepted))
 
     async def follow(self) -> None:
@@ -144,14 +147,17 @@ class Uploads:
         there = elsewhere(self._root, self._staging, job_id)
         if there is not None:
             accepted, folder = there
-            job = Job(job_id, accepted.name, accepted.owner, folder=folder)
+            job = Job(job_id, accepted.name, accepted.owner, kind=accepted.kind, folder=folder)
             if accepted.attempts:
                 job.state, job.stage = "running", "start"
             if (folder / CANCEL).exists():
                 job.state = "cancelled"
             return job
         kept = job_records.read_record(self._root, job_id)
-        return kept and Job(kept.id, kept.name, kept.owner, kept.state, kept.garment, kept.problem)
+        if kept is None:
+            return None
+        kind: Kind = "garment" if kept.avatar is None else "avatar"
+        return Job(kept.id, kept.name, kept.owner, kept.state, kind, kept.garment or kept.avatar, kept.problem)
 
     async def cancel(self, job: Job) -> None:
         """Ends ``job`` and removes its files; one that has ended is forgotten, and its garment stays.
@@ -176,7 +182,8 @@ class Uploads:
     async def _keep(self, job: Job) -> None:
         """Stores what became of ``job``, where every service that has the folder finds it."""
         assert job.state not in ("queued", "running")
-        record = JobRecord(job.id, job.name, job.owner, job.state, job.garment, job.problem)
+        made = {job.kind: job.made}
+        record = JobRecord(job.id, job.name, job.owner, job.state, made.get("garment"), job.problem, made.get("avatar"))
         try:
             await asyncio.to_thread(record.write, self._root)
         except OSError as error:  # a full disk: it is known here as long as this service runs
@@ -196,18 +203,29 @@ class Uploads:
             )
 
     async def submit(
-        self, name: str, file_format: str, pieces: AsyncIterator[bytes], avatar: str | None, client: Client = ANYONE
+        self,
+        name: str,
+        file_format: str,
+        pieces: AsyncIterator[bytes],
+        avatar: str | None,
+        client: Client = ANYONE,
+        *,
+        kind: Kind = "garment",
+        replaces: str | None = None,
     ) -> Job:
-        """Stores the file that ``pieces`` make and queues it; refuses when too many wait, and an empty one."""
+        """Stores the file that ``pieces`` make and queues it; refuses when too many wait, and an empty one.
+
+        ``avatar``, ``kind`` and ``replaces`` as in ``Accepted``.
+        """
         self.check_place(client)
-        job = Job(uuid.uuid4().hex[:12], slug(name), client.name, link=self._runtime.tracing.here())
+        job = Job(uuid.uuid4().hex[:12], slug(name), client.name, kind=kind, link=self._runtime.tracing.here())
         file = self._staging / job.id / f"{job.name}.{file_format}"
         self._jobs[job.id] = job  # at once, so that files that are being stored count
         try:
             if not await self._stored(file, pieces):
                 cure = "Send the file as the body."
                 raise MeshError("request body", expected="the bytes of a mesh file", got="nothing", cure=cure)
-            accepted = Accepted(job.id, job.name, job.owner, file.name, avatar)
+            accepted = Accepted(job.id, job.name, job.owner, file.name, avatar, kind=kind, replaces=replaces)
             await asyncio.to_thread(accepted.write, file.parent)
         except BaseException:
             del self._jobs[job.id]
@@ -238,7 +256,7 @@ class Uploads:
             try:
                 with self._runtime.tracing.work("upload", [job.link], job=job.id):
                     job.work = asyncio.create_task(self._run_intake(job, folder, accepted))
-                    job.garment = await job.work
+                    job.made = await job.work
                 job.state = "done"
             except asyncio.CancelledError:
                 task = asyncio.current_task()
@@ -257,7 +275,7 @@ class Uploads:
             shutil.rmtree(folder, ignore_errors=True)
 
     async def _run_intake(self, job: Job, folder: Path, accepted: Accepted) -> str:
-        """The id of the garment made from what was ``accepted`` and lies in ``folder``."""
+        """The id of the garment or avatar made from what was ``accepted`` and lies in ``folder``."""
         if accepted.attempts >= MOST_ATTEMPTS:
             raise MeshError(
                 f"upload {accepted.file}",
@@ -272,9 +290,21 @@ class Uploads:
             job.stage = stage
             self._runtime.tracing.event(stage)
 
-        report = await run_sandbox(folder / accepted.file, accepted.avatar, out, self._settings, begun)
+        file = folder / accepted.file
+        report = await run_sandbox(file, accepted.avatar, out, self._settings, begun, kind=accepted.kind)
         begun("prepare")
+        if accepted.kind == "avatar":
+            return await self._publish_avatar(out / str(report["file"]), file, accepted, client)
         return await self._publish(out / str(report["file"]), client)
+
+    async def _publish_avatar(self, made: Path, file: Path, accepted: Accepted, client: Client) -> str:
+        """The id of the avatar whose wearer is stored at ``made``, with the user's ``file``, now in service."""
+        avatars = self._runtime.avatars
+        self._check_room(client, made.stat().st_size + file.stat().st_size)
+        if accepted.replaces is not None:
+            entry = avatars.get(accepted.replaces, client.name)
+            return (await asyncio.to_thread(avatars.replaced, entry, made)).id
+        return (await asyncio.to_thread(avatars.add, made, file, client.name)).id
 
     async def _publish(self, made: Path, client: Client) -> str:
         """The id of the garment whose cache ``made`` is: checked, on disk in the folder of ``client``, in service.
@@ -299,7 +329,8 @@ class Uploads:
 
     def _check_room(self, client: Client, more: int = 0) -> None:
         """Refuses (``Full``) a garment, of ``more`` bytes, that the disk or its key has no room for."""
-        stored = sizes([self._root, *self._root.glob(f"{OWNED}*/")])
+        characters = self._root / AVATARS
+        stored = sizes([self._root, *self._root.glob(f"{OWNED}*/"), characters, *characters.glob(f"{OWNED}*/")])
         rules = [("bytes of all garments", self._settings.max_stored_bytes, sum(stored), more)]
         if client.limits is not None:
             own = sizes([folder_of(self._root, client.name)])

@@ -1,9 +1,9 @@
 """One intake in a process with limits: ``python -m service.uploads.sandbox FILE --out DIR``; prints lines of JSON.
 
-Standard input holds the avatar, or nothing where the standard body is meant. ``{"stage": NAME}`` is a line before, for
-each of ``drape.garment.intake.STAGES`` as it begins. A mesh file of a few hundred bytes can ask
-for gigabytes, so strangers' files are never parsed in the serving process. The last line is ``{"file": NAME}`` or
-``{"problem": {kind, name, expected, got, cure}}``.
+Standard input holds the avatar of a garment, or nothing where the standard body is meant; with ``--kind avatar`` the
+joints that were told, as JSON, or nothing. ``{"stage": NAME}`` is a line before, for each stage as it begins. A mesh
+file of a few hundred bytes can ask for gigabytes, so strangers' files are never parsed in the serving process. The
+last line is ``{"file": NAME}`` or ``{"problem": {kind, name, expected, got, cure}}``.
 """
 
 from __future__ import annotations
@@ -38,6 +38,17 @@ def intake_file(file: Path, out: Path, *, avatar: str | None, body: str) -> Path
     return out / intake(file, avatar=avatar, body=load_body(body), folder=out, begun=_say).file_name()
 
 
+def avatar_file(file: Path, out: Path, *, told: str | None, body: str) -> Path:
+    """The file of the wearer that the character in ``file`` becomes."""
+    from drape.avatar.wearer import read_wearer, save_wearer, wearer_name
+    from drape.body.assets import load_body
+
+    joints = json.loads(told) if told else None
+    wearer = read_wearer(file.read_bytes(), name=wearer_name(file.stem), body=load_body(body), told=joints, begun=_say)
+    _say("store")
+    return save_wearer(wearer, out)
+
+
 def _say(stage: str) -> None:
     print(json.dumps({"stage": stage}), flush=True)
 
@@ -47,15 +58,18 @@ def main() -> int:
     parser.add_argument("file", type=Path)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--body", required=True)
+    parser.add_argument("--kind", choices=("garment", "avatar"), default="garment")
     parser.add_argument("--memory-mb", type=int, required=True)
     parser.add_argument("--cpu-s", type=int, required=True)
     options = parser.parse_args()
     step_back()
     set_limits(memory_mb=options.memory_mb, cpu_s=options.cpu_s)
     try:
-        made = intake_file(
-            options.file, options.out, avatar=sys.stdin.buffer.read().decode() or None, body=options.body
-        )
+        said = sys.stdin.buffer.read().decode() or None
+        if options.kind == "avatar":
+            made = avatar_file(options.file, options.out, told=said, body=options.body)
+        else:
+            made = intake_file(options.file, options.out, avatar=said, body=options.body)
     except DrapeError as error:
         return _refuse(options.out, error)
     except MemoryError:

@@ -1,0 +1,185 @@
+"""The avatars in service: characters of users, and for each the stages and the garments that are cut for it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from drape.avatar.wearer import Wearer, load_wearer
+from drape.body.model import BodyModel
+from drape.errors import NotFound
+from drape.garment.tailor import tailored, tailored_digest
+from service.compute import garment_files
+from service.compute.body_stages import BodyStages
+from service.stages.scene import Entry, Outfit, Scene
+from service.stages.stage import Make, call_here
+
+if TYPE_CHECKING:
+    from service.settings import Settings
+
+FOLDER = ".avatars"  # beside the garments, which their registry looks for without dots
+MOST_WORN = 8  # avatars whose stages and garments are kept; others are made again when they are worn
+
+
+@dataclass(frozen=True)
+class AvatarEntry:
+    """An avatar in service: ``told`` are its facts for clients, ``path`` its file; ``source`` the user's own file."""
+
+    id: str
+    path: Path
+    source: Path
+    told: dict[str, Any]
+    owner: str | None = None
+
+    def seen_by(self, viewer: str | None) -> bool:
+        """Whether the key ``viewer`` may know of it."""
+        return self.owner is None or self.owner == viewer
+
+
+class Avatars:
+    """Avatars by id. What one needs to wear garments is made when it first wears one."""
+
+    def __init__(
+        self, body: BodyModel, settings: Settings, stages_on: Callable[[BodyModel], BodyStages], make: Make = call_here
+    ) -> None:
+        self._body, self._stages_on, self._make = body, stages_on, make
+        self._root = settings.garments_dir / FOLDER
+        self._entries: dict[str, AvatarEntry] = {}
+        self._worn: OrderedDict[str, _Dressed] = OrderedDict()
+        self._one = threading.Lock()
+        for path in sorted(self._root.glob("**/*.json"), key=lambda one: one.stat().st_mtime_ns):
+            self._read(path)
+
+    def _read(self, about: Path) -> None:
+        """Puts the avatar that ``about`` tells of in service; a file that was removed meanwhile is passed over."""
+        try:
+            held = json.loads(about.read_text(encoding="utf-8"))
+            entry = AvatarEntry(
+                held["id"], about.with_suffix(".npz"), about.with_suffix(".glb"), held["told"], held["owner"]
+            )
+        except (OSError, ValueError, KeyError, TypeError):
+            return
+        if entry.path.is_file():
+            self._entries[entry.id] = entry
+
+    @property
+    def worn(self) -> tuple[BodyStages, ...]:
+        """The bodies of those that wear garments."""
+        return tuple(one.stages for one in self._worn.values())
+
+    def visible(self, viewer: str | None) -> list[AvatarEntry]:
+        """Those that the key ``viewer`` may know of."""
+        return [entry for entry in self._entries.values() if entry.seen_by(viewer)]
+
+    def get(self, name: str, viewer: str | None = None) -> AvatarEntry:
+        """The avatar ``name``; refuses an unknown one, and one that ``viewer`` may not know of."""
+        entry = self._entries.get(name)
+        if entry is None or not entry.seen_by(viewer):
+            known = ", ".join(sorted(one.id for one in self.visible(viewer))[:20]) or "none yet"
+            cure = "GET /avatars lists them; POST /avatars adds one."
+            raise NotFound("avatar", expected=f"one of: {known}", got=name[:120], cure=cure)
+        return entry
+
+    def add(self, made: Path, source: Path, owner: str | None) -> AvatarEntry:
+        """Puts the avatar stored at ``made``, read from the user's file ``source``, in service; both files move."""
+        wearer = load_wearer(made, self._body)
+        name = wearer.name
+        if owner is not None:
+            name = f"{name}-{hashlib.sha256(f'{owner} {wearer.digest}'.encode()).hexdigest()[:8]}"
+        elif (taken := self._entries.get(name)) is not None and taken.told["digest"] != wearer.digest:
+            name = f"{name}-{wearer.digest[:8]}"
+        return self._stored(name, made, source, owner, wearer)
+
+    def replaced(self, entry: AvatarEntry, made: Path) -> AvatarEntry:
+        """``entry`` as the file ``made`` has it, whose joints were corrected."""
+        wearer = load_wearer(made, self._body)
+        self._undress(entry.id)
+        return self._stored(entry.id, made, entry.source, entry.owner, wearer)
+
+    def _stored(self, name: str, made: Path, source: Path, owner: str | None, wearer: Wearer) -> AvatarEntry:
+        folder = garment_files.folder_of(self._root, owner)
+        folder.mkdir(parents=True, exist_ok=True)
+        entry = AvatarEntry(name, folder / f"{name}.npz", folder / f"{name}.glb", _facts(wearer), owner)
+        made.replace(entry.path)
+        if source != entry.source:
+            source.replace(entry.source)
+        text = json.dumps({"id": name, "told": entry.told, "owner": owner})
+        garment_files.replace_text(entry.path.with_suffix(".json"), text)
+        self._entries[name] = entry
+        return entry
+
+    def remove(self, entry: AvatarEntry) -> None:
+        """Takes ``entry`` off the disk and out of service."""
+        self._entries.pop(entry.id, None)
+        for path in (entry.path.with_suffix(".json"), entry.path, entry.source):
+            path.unlink(missing_ok=True)
+        self._undress(entry.id)
+
+    def _undress(self, name: str) -> None:
+        with self._one:
+            self._worn.pop(name, None)
+
+    # --- what it wears ---
+
+    def wearer(self, name: str) -> Wearer:
+        """The wearer of the avatar ``name``; from any thread."""
+        return self._dressed(name).wearer
+
+    def dressed(self, name: str) -> BodyStages:
+        """The body of the avatar ``name`` and its stages."""
+        return self._dressed(name).stages
+
+    def _dressed(self, name: str) -> _Dressed:
+        with self._one:
+            if name not in self._worn:
+                wearer = load_wearer(self._entries[name].path, self._body)
+                self._worn[name] = _Dressed(wearer, self._stages_on(wearer.body), self._body, self._make)
+                while len(self._worn) > MOST_WORN:
+                    self._worn.popitem(last=False)
+            self._worn.move_to_end(name)
+            return self._worn[name]
+
+    def dress(self, name: str, scene: Scene) -> Scene:
+        """The garments of ``scene`` cut for the avatar ``name``; seconds for each that it never wore."""
+        dressed = self._dressed(name)
+        layers = tuple(dressed.cut(layer, name) for layer in scene.layers)
+        return Outfit(layers) if isinstance(scene, Outfit) else layers[0]
+
+
+class _Dressed:
+    """An avatar with its stages and the garments that were cut for it."""
+
+    def __init__(self, wearer: Wearer, stages: BodyStages, standard: BodyModel, make: Make) -> None:
+        self.wearer, self.stages, self._standard, self._make = wearer, stages, standard, make
+        self._cut: dict[str, Entry] = {}
+        self._one = threading.Lock()
+
+    def cut(self, entry: Entry, avatar: str) -> Entry:
+        """``entry`` for this avatar."""
+        digest = tailored_digest(entry.garment, self.wearer.body)
+        with self._one:
+            if digest not in self._cut:
+                garment = self._make(tailored, entry.garment, self._standard, self.wearer.body)
+                self._cut[digest] = replace(entry, garment=garment, avatar=avatar)
+            return self._cut[digest]
+
+
+def _facts(wearer: Wearer) -> dict[str, Any]:
+    """The facts of ``wearer`` that clients are told."""
+    return {
+        "name": wearer.name,
+        "digest": wearer.digest,
+        "joints": wearer.joints,
+        "nodes": list(wearer.nodes),
+        "fit": {"median_mm": round(wearer.median_mm, 2), "p95_mm": round(wearer.p95_mm, 2)},
+        "height_m": round(wearer.height_m, 4),
+        "scale": wearer.scale,
+        "vrm": wearer.vrm or None,
+        "vertices": len(wearer.vertices),
+    }

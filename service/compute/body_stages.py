@@ -1,0 +1,42 @@
+"""The stages of one body and the garments that they know: ``BodyStages``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from drape.body.model import BodyModel
+from drape.garment.cache import Garment
+from drape.graph.feeds import garment_feed
+from service.stages.scene import Entry
+from service.stages.stage import Make, Stage, call_here
+
+
+class BodyStages:
+    """The ``stages`` that drape on ``body``; ``make`` calls a function that takes long."""
+
+    def __init__(self, body: BodyModel, stages: Sequence[Stage] = (), make: Make = call_here) -> None:
+        self.body, self.stages, self._make = body, tuple(stages), make
+        self._known: set[str] = set()
+
+    def feed(self, garment: Garment) -> dict[str, np.ndarray]:
+        """The ``garment_feed`` of ``garment`` on the body; from any thread."""
+        return self._make(garment_feed, garment, body=self.body)
+
+    def add(self, garment: Garment, feed: dict[str, np.ndarray]) -> None:
+        """Lets every stage store ``garment``, whose ``garment_feed`` is ``feed``; by one thread at a time."""
+        for stage in self.stages:
+            stage.add(garment, feed)
+        self._known.add(garment.digest)
+
+    def missing(self, entries: Iterable[Entry]) -> list[Garment]:
+        """The garments of ``entries`` that no stage knows: subdivided meshes that nobody asked for before."""
+        return [entry.garment for entry in entries if entry.garment.digest not in self._known]
+
+    def remove(self, garment: Garment) -> None:
+        """Forgets the constants of ``garment``, where there are any."""
+        if garment.digest in self._known:
+            self._known.discard(garment.digest)
+            for stage in self.stages:
+                stage.remove(garment)

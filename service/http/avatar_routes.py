@@ -1,0 +1,154 @@
+"""REST: characters of users that wear garments: sent, told of, corrected, removed."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from fastapi import APIRouter, Header, Query, Request, Response
+from pydantic import Field
+
+from drape.avatar.wearer import Wearer
+from drape.errors import InputError, NotFound
+from service.compute.avatars import AvatarEntry
+from service.errors import Full, TooLarge, TooSlow
+from service.http import schemas
+from service.http.answers import BINARY, json_answer
+from service.http.garment_routes import KNOWN, LEAST, MOST, PNG, USUAL
+from service.http.json_body import document_of, json_text, validated
+from service.http.openapi import BYTES, body_schema, responses
+from service.http.pictures import picture
+from service.http.problems import check_query
+from service.http.upload_routes import job_info
+from service.state import ClientHere, StateHere
+
+router = APIRouter()
+PIECE_BYTES = 1 << 20
+KINDS = (BINARY, "model/gltf-binary", "model/vrm")
+SUFFIXES = ("glb", "vrm")
+
+
+class AvatarChange(schemas.Request):
+    """A correction of which node is which joint; those that are left out stay as they are."""
+
+    joints: dict[Annotated[str, Field(max_length=40)], Annotated[str, Field(max_length=120)]] = Field(
+        min_length=1, max_length=24, description="SMPL's names of joints and the names of their nodes."
+    )
+
+
+@router.post(
+    "/avatars",
+    status_code=202,
+    openapi_extra={"requestBody": {"content": {kind: {"schema": BYTES} for kind in KINDS}, "required": True}},
+    responses=responses(InputError, NotFound, TooSlow, TooLarge, Full),
+)
+async def add_avatar(
+    request: Request,
+    response: Response,
+    state: StateHere,
+    client: ClientHere,
+    name: Annotated[str | None, Query(max_length=120, description="File name or name of the avatar.")] = None,
+) -> schemas.JobInfo:
+    """Takes a character in, GLB or VRM as the raw body: a skeleton and a skin. Poll the job; its avatar is the id."""
+    check_query(request.query_params, ("name",))
+    state.uploads.check_place(client)  # before anything is read
+    stem, dot, suffix = (name or "").rpartition(".")
+    stem = stem if dot and suffix.lower() in SUFFIXES else name or ""
+    if not stem:
+        raise InputError("name", expected="the avatar's name", got="nothing", cure="Give ?name=me.vrm.")
+    job = await state.uploads.submit(stem, "glb", request.stream(), None, client, kind="avatar")
+    response.headers["Location"] = f"/jobs/{job.id}"
+    return job_info(job)
+
+
+@router.get("/avatars")
+async def avatars(state: StateHere, client: ClientHere) -> list[schemas.AvatarInfo]:
+    """The avatars that can wear garments."""
+    return [_info(entry) for entry in state.runtime.avatars.visible(client.name)]
+
+
+@router.get("/avatars/{avatar_id}", responses=responses(NotFound))
+async def avatar(avatar_id: str, state: StateHere, client: ClientHere) -> schemas.AvatarInfo:
+    """One avatar: which of its nodes is which joint, and how well our body fits it."""
+    return _info(state.runtime.avatars.get(avatar_id, client.name))
+
+
+@router.patch(
+    "/avatars/{avatar_id}",
+    status_code=202,
+    openapi_extra=body_schema(AvatarChange),
+    responses=responses(InputError, NotFound, TooSlow, TooLarge, Full),
+)
+async def change_avatar(
+    avatar_id: str, request: Request, response: Response, state: StateHere, client: ClientHere
+) -> schemas.JobInfo:
+    """Corrects which nodes are which joints; the avatar is made anew from its file. Poll the job."""
+    entry = state.runtime.avatars.get(avatar_id, client.name)
+    asked = validated(AvatarChange, document_of(await json_text(request)))
+    told = json.dumps({**entry.told["joints"], **asked.joints})
+    pieces = _pieces(entry.source)
+    job = await state.uploads.submit(entry.told["name"], "glb", pieces, told, client, kind="avatar", replaces=entry.id)
+    response.headers["Location"] = f"/jobs/{job.id}"
+    return job_info(job)
+
+
+@router.delete("/avatars/{avatar_id}", status_code=204, responses=responses(NotFound))
+async def delete_avatar(avatar_id: str, state: StateHere, client: ClientHere) -> None:
+    """Removes an avatar from the service and its disk; streams that show it go on until they end."""
+    entry = state.runtime.avatars.get(avatar_id, client.name)
+    await asyncio.shield(asyncio.to_thread(state.runtime.avatars.remove, entry))
+
+
+@router.get("/avatars/{avatar_id}/mesh", response_model=schemas.MeshDocument, responses=responses(NotFound))
+async def avatar_mesh(avatar_id: str, state: StateHere, client: ClientHere) -> Response:
+    """The character's own surface in T-pose [m], welded, in the place of our body."""
+    entry = state.runtime.avatars.get(avatar_id, client.name)
+    wearer = await asyncio.to_thread(state.runtime.avatars.wearer, entry.id)
+    document = {"id": entry.id, "vertices": wearer.vertices.astype(np.float32), "faces": wearer.faces, "uv": []}
+    document |= {"uv_faces": [], "materials": ["avatar"], "face_material": np.zeros(len(wearer.faces), int)}
+    return json_answer(document, state.sliced_thread)
+
+
+@router.get(
+    "/avatars/{avatar_id}/preview.png",
+    response_class=Response,
+    responses=responses(InputError, NotFound, kinds=(PNG,)) | KNOWN,
+)
+async def avatar_preview(
+    avatar_id: str,
+    state: StateHere,
+    client: ClientHere,
+    size: Annotated[int, Query(ge=LEAST, le=MOST, description="Pixels along each side.")] = USUAL,
+    if_none_match: Annotated[str | None, Header()] = None,
+) -> Response:
+    """A picture of the character in T-pose, from the front and a little from the side."""
+    entry = state.runtime.avatars.get(avatar_id, client.name)
+    tag = f'"{entry.told["digest"][:16]}-{size}"'
+    headers = {"ETag": tag, "Cache-Control": "private, max-age=86400"}
+    if if_none_match is not None and {tag, "*"} & {one.strip().removeprefix("W/") for one in if_none_match.split(",")}:
+        return Response(status_code=304, headers=headers)
+    made = state.previews.get(entry.told["digest"], size)
+    if made is None:
+        wearer = await asyncio.to_thread(state.runtime.avatars.wearer, entry.id)
+        made = await asyncio.to_thread(state.runtime.constants_process.call, _pictured, wearer, size)
+        state.previews.keep(entry.told["digest"], size, made)
+    return Response(made, media_type=PNG, headers=headers)
+
+
+def _pictured(wearer: Wearer, size: int) -> bytes:
+    return picture((wearer.vertices.astype(np.float64), wearer.faces.astype(np.int64)), None, size)
+
+
+async def _pieces(file: Path) -> AsyncIterator[bytes]:
+    """The bytes of ``file``."""
+    content = await asyncio.to_thread(file.read_bytes)
+    for start in range(0, len(content), PIECE_BYTES):
+        yield content[start : start + PIECE_BYTES]
+
+
+def _info(entry: AvatarEntry) -> schemas.AvatarInfo:
+    return schemas.AvatarInfo(id=entry.id, **entry.told)

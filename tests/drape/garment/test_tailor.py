@@ -1,0 +1,58 @@
+"""Garments cut anew for other bodies: clear of their skin, as strained as they were."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from drape.body.model import BodyModel
+from drape.garment.cache import Garment
+from drape.garment.clearance import CLEARANCE_M
+from drape.garment.tailor import _metric, stretched, tailored, tailored_digest
+from drape.geometry import meshes
+from drape.geometry.closest import signed_distance
+
+
+def larger(body: BodyModel, factor: float) -> BodyModel:
+    return replace(body, name="larger", digest=f"{factor} {body.digest}", v_template=factor * body.v_template,
+                   shapedirs=np.zeros_like(body.shapedirs), standard_digest=body.digest)  # fmt: skip
+
+
+def test_cloth_that_is_moved_keeps_its_strain():
+    random = np.random.default_rng(0)
+    before, faces = random.normal(size=(12, 3)), np.arange(12).reshape(-1, 3)
+    after = before @ random.normal(size=(3, 3)) + 0.1 * random.normal(size=(12, 3))
+    edges = np.eye(2) + 0.2 * random.normal(size=(4, 2, 2))
+    made = stretched(edges, before, after, faces)
+    columns = [np.swapaxes(each, -1, -2) for each in (edges, made)]
+    assert_allclose(_metric(after, faces, columns[1]), _metric(before, faces, columns[0]), rtol=1e-8)
+    # A turn changes nothing, and a scale is one of the cloth.
+    turn = np.linalg.qr(random.normal(size=(3, 3)))[0]
+    assert_allclose(stretched(edges, before, 1.5 * before @ turn, faces), 1.5 * edges, rtol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def cut(tube: Garment, body: BodyModel) -> tuple[Garment, BodyModel]:
+    wearer = larger(body, 1.1)
+    return tailored(tube, body, wearer), wearer
+
+
+def test_a_garment_grows_with_its_wearer(cut: tuple[Garment, BodyModel], tube: Garment):
+    made, wearer = cut
+    assert signed_distance(made.vertices.astype(float), wearer.v_template, wearer.faces).min() >= CLEARANCE_M - 1e-6
+    faces = tube.fine_faces.astype(int)
+    grown = meshes.face_areas(made.vertices, faces).sum() / meshes.face_areas(tube.vertices, faces).sum()
+    assert grown == pytest.approx(1.21, rel=0.02)
+    ratio = np.linalg.norm(made.rest_state().edges, axis=-1) / np.linalg.norm(tube.rest_state().edges, axis=-1)
+    assert np.median(ratio) == pytest.approx(1.1, rel=0.01)
+
+
+def test_it_keeps_its_mesh_its_cloth_and_its_name(cut: tuple[Garment, BodyModel], tube: Garment):
+    made, wearer = cut
+    assert (made.name, made.fabric, made.vertex_count) == (tube.name, tube.fabric, tube.vertex_count)
+    assert (made.faces == tube.faces).all() and (made.fine_faces == tube.fine_faces).all()
+    assert made.body_digest == wearer.digest and made.digest == tailored_digest(tube, wearer)
+    assert_allclose(made.rest_state().hinge_angle, tube.rest_state().hinge_angle, atol=1e-6)
