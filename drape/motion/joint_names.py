@@ -1,12 +1,17 @@
-"""Which joint of a motion file is which SMPL joint, by its name."""
+"""Which joint of a motion file or a rig is which SMPL joint, by its name."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 from drape.errors import MotionError
 
-_SIDES = (("left", "left", "l"), ("right", "right", "r"))
+# A side's name, then how it is written before or after a joint's word.
+_SIDES = (("left", "left", "l", "左"), ("right", "right", "r", "右"))
+
+# What rigs put before every name: Rigify, Character Creator, Mixamo without its colon, VRoid (C is its middle).
+_PREFIX = re.compile(r"def-|cc_base_|mixamorig\d*_?|j_bip_(c_)?", re.IGNORECASE)
 
 # SMPL joint -> names, without side, lower case. The same word means different
 # joints in different schemes ("LeftShoulder" is a collar in MotionBuilder, an
@@ -47,10 +52,34 @@ _SCHEMES = {
         "wrist": ("wrist",),
         "hand": ("hand",),
     },
+    # Avatars that name segments: VRM, VRoid, Unreal, Rigify, Character Creator, MakeHuman. Only whole words count:
+    # "upperarm_twist_01_l", "DEF-thigh.L.001" and "upperarm02.L" are twist bones inside a segment.
+    "segments": {
+        "hip": ("upperleg", "thigh", "upperleg01"),
+        "knee": ("lowerleg", "calf", "shin", "lowerleg01"),
+        "ankle": ("foot",),
+        "foot": ("toes", "toebase", "ball", "toe", "toe11"),
+        "collar": ("shoulder", "clavicle"),
+        "shoulder": ("upperarm", "upperarm01"),
+        "elbow": ("lowerarm", "forearm", "lowerarm01"),
+        "wrist": ("hand", "wrist"),
+    },
+    # MikuMikuDance, in English and Japanese: "Left leg" is a thigh, "Left arm" an upper arm
+    "mikumiku": {
+        "hip": ("leg", "足"),
+        "knee": ("knee", "ひざ"),
+        "ankle": ("ankle", "足首"),
+        "foot": ("toe", "つま先"),
+        "collar": ("shoulder", "肩"),
+        "shoulder": ("arm", "腕"),
+        "elbow": ("elbow", "ひじ"),
+        "wrist": ("wrist", "手首"),
+    },
 }
 
-_NECK = ("neck", "lowerneck")
-_HEAD = ("head",)
+# Of several the first wins: necks of two or three joints are told by their lowest.
+_NECK = ("neck", "lowerneck", "neck01", "necktwist01", "spine004", "首")
+_HEAD = ("head", "spine006", "頭")
 
 _REQUIRED = ("hip", "knee", "ankle", "shoulder", "elbow")
 
@@ -64,38 +93,50 @@ def match_joints(names: Sequence[str], parents: Sequence[int], *, label: str) ->
     plain = {}
     for index, name in enumerate(names):
         plain.setdefault(_plain(name), index)
-    found = max((_limbs(plain, scheme) for scheme in _SCHEMES.values()), key=len)
-    missing = [f"{side}_{joint}" for side, *_ in _SIDES for joint in _REQUIRED if f"{side}_{joint}" not in found]
+    found = max(
+        (_limbs(plain, scheme) for scheme in _SCHEMES.values()), key=lambda limbs: (not _lacks(limbs), len(limbs))
+    )
+    missing = _lacks(found)
     if missing:
         raise _too_few(label, f"no {', '.join(missing)} among {', '.join(names[:40])}")
     left, right = (_ancestors(parents, found[f"{side}_hip"]) for side in ("left", "right"))
     found["pelvis"] = next(joint for joint in left[1:] if joint in right[1:])
+    trunk = _trunk(parents, found)
+    if not trunk:
+        raise _too_few(label, "no joint between the pelvis and the arms")
     found |= {
         joint: plain[word]
         for joint, words in (("neck", _NECK), ("head", _HEAD))
         for word in words[::-1]
-        if word in plain
+        if word in plain and plain[word] not in trunk  # a trunk of four joints may end in "spine004"
     }
-    trunk = _trunk(parents, found)
-    if not trunk:
-        raise _too_few(label, "no joint between the pelvis and the arms")
     for k in (1, 2, 3):
         found[f"spine{k}"] = trunk[-(-k * len(trunk) // 3) - 1]
     return found
 
 
 def _plain(name: str) -> str:
-    return "".join(letter for letter in name.rsplit(":", 1)[-1].lower() if letter.isalnum())
+    own = name.rsplit(":", 1)[-1]
+    prefix = _PREFIX.match(own)
+    bare = own[prefix.end() :] if prefix else own
+    return "".join(letter for letter in bare.lower() if letter.isalnum())
 
 
 def _limbs(plain: dict[str, int], scheme: dict[str, tuple[str, ...]]) -> dict[str, int]:
     found = {}
-    for side, *prefixes in _SIDES:
+    for side, *marks in _SIDES:
         for joint, words in scheme.items():
-            for key in (prefix + word for prefix in prefixes for word in words):
+            before = [mark + word for mark in marks for word in words]
+            after = [word + mark for mark in marks for word in words]
+            for key in before + after:
                 if key in plain:
                     found.setdefault(f"{side}_{joint}", plain[key])
     return found
+
+
+def _lacks(found: dict[str, int]) -> list[str]:
+    """Required limb joints that are not among ``found``."""
+    return [f"{side}_{joint}" for side, *_ in _SIDES for joint in _REQUIRED if f"{side}_{joint}" not in found]
 
 
 def _trunk(parents: Sequence[int], found: dict[str, int]) -> list[int]:
@@ -118,7 +159,8 @@ def _ancestors(parents: Sequence[int], joint: int) -> list[int]:
 def _too_few(label: str, got: str) -> MotionError:
     return MotionError(
         f"{label}: skeleton",
-        expected="a person's joints under MotionBuilder, Mixamo, CMU, LAFAN, Poser or SMPL names",
+        expected="a person's joints under MotionBuilder, Mixamo, CMU, LAFAN, Poser, SMPL, VRM, Unreal, Rigify, "
+        "Character Creator, MakeHuman or MikuMikuDance names",
         got=got,
         cure="Rename the joints, or export with one of these naming schemes.",
     )

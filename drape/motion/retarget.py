@@ -2,14 +2,14 @@
 
 A file turns its bones from a rest pose of its own. Each SMPL joint j takes the
 global rotation of its source joint after the rotation ``A_j`` that brings the
-T-pose onto the file's rest pose: ``G_j = R_source A_j``, where ``A_j`` is the
-least turn, seen from the parent's ``A``, that lays j's T-pose bone on the
-file's rest bone. Bone directions are then the file's, exactly; twist about a
+T-pose onto the file's rest pose (``drape.motion.alignment``): ``G_j = R_source A_j``.
+Bone directions are then the file's, exactly; twist about a
 bone is the file's when its rest pose is anatomical (T, A or arms down).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,7 @@ import numpy as np
 from drape.body.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS
 from drape.errors import MotionError
 from drape.geometry.rotations import matrix_to_quaternion, matrix_to_rotvec, quaternion_to_matrix, rotvec_to_matrix
+from drape.motion.alignment import SLOPING_FOOT, joint_rotations, rest_alignment, rest_bone
 from drape.motion.amass import Y_FROM_Z
 from drape.motion.clip import MotionClip
 from drape.motion.joint_names import match_joints
@@ -32,12 +33,6 @@ _ADULT_LEG_LENGTH = 0.80
 # A rest bone farther than this [rad] from its T-pose direction means that the
 # rest pose is no human pose (LAFAN lays all bones along x).
 _FOLDED_ANGLE = 2.0
-
-# A foot whose rest direction is this steep (horizontal share) has no heading.
-_STEEP_FOOT = 0.3
-
-# From the ankle to the ball of a foot that stands flat.
-_SLOPING_FOOT = np.array([0.0, -0.416, 0.909])
 
 
 @dataclass(frozen=True)
@@ -57,13 +52,22 @@ class SourceSkeleton:
         return positions
 
 
-def global_rotations(local_rotations: np.ndarray, parents: tuple[int, ...]) -> np.ndarray:
+def global_rotations(local_rotations: np.ndarray, parents: Sequence[int]) -> np.ndarray:
     """World rotations (F, J, 3, 3) of rotations relative to the parent."""
     rotations = np.array(local_rotations, dtype=np.float64)
     for joint, parent in enumerate(parents):
         if parent >= 0:
             rotations[:, joint] = rotations[:, parent] @ rotations[:, joint]
     return rotations
+
+
+def local_rotations(rotations: np.ndarray, parents: Sequence[int]) -> np.ndarray:
+    """Rotations relative to the parent (F, J, 3, 3) of world rotations: the inverse of ``global_rotations``."""
+    local = np.array(rotations, dtype=np.float64)
+    for joint, parent in enumerate(parents):
+        if parent >= 0:
+            local[:, joint] = np.swapaxes(rotations[:, parent], -1, -2) @ rotations[:, joint]
+    return local
 
 
 def euler_to_matrix(angles_rad: np.ndarray, axes: str) -> np.ndarray:
@@ -97,19 +101,12 @@ def retarget(
     sources = match_joints(skeleton.names, skeleton.parents, label=name)
     rest = skeleton.rest_positions()
     scale = _scale(rest, sources, metres_per_unit, name)
-    alignment = _rest_alignment(rest, sources, name)
+    alignment = rest_alignment(rest, sources, directions=BONE_DIRECTIONS, label=name)
     world = Y_FROM_Z if up == "z" else np.eye(3)
-    turned = np.empty((len(rotations), JOINT_COUNT, 3, 3))
-    for joint, joint_name in enumerate(JOINT_NAMES):
-        if joint_name in sources:
-            turned[:, joint] = world @ rotations[:, sources[joint_name]] @ alignment[joint]
-        else:
-            turned[:, joint] = turned[:, PARENTS[joint]]
+    turned = joint_rotations(world @ rotations, sources, alignment)
     if _is_folded(rest, sources, alignment[0]):
         _centre_twist(turned, sources)
-    local = turned.copy()
-    for joint in range(1, JOINT_COUNT):
-        local[:, joint] = np.swapaxes(turned[:, PARENTS[joint]], -1, -2) @ turned[:, joint]
+    local = local_rotations(turned, PARENTS)
     pelvis = _path(skeleton, rotations, places, sources["pelvis"])
     return MotionClip(poses=matrix_to_rotvec(local), trans=scale * pelvis @ world.T, fps=fps, name=name)
 
@@ -140,69 +137,9 @@ def _scale(rest: np.ndarray, sources: dict[str, int], metres_per_unit: float | N
     return scale
 
 
-def _rest_alignment(rest: np.ndarray, sources: dict[str, int], name: str) -> np.ndarray:
-    """Rotations ``A`` (24, 3, 3) that bring the T-pose onto the file's rest pose."""
-    left = rest[sources["left_hip"]] - rest[sources["right_hip"]]
-    trunk = rest[sources["neck" if "neck" in sources else "spine3"]] - rest[sources["pelvis"]]
-    area = np.cross(left, trunk)
-    if np.linalg.norm(area) < 1e-6 * np.linalg.norm(left) * np.linalg.norm(trunk) or not area.any():
-        raise MotionError(
-            f"{name}: skeleton",
-            expected="hips beside a trunk",
-            got="hips and trunk on one line",
-            cure="Export the skeleton with its rest offsets.",
-        )
-    alignment = np.empty((JOINT_COUNT, 3, 3))
-    left, forward = left / np.linalg.norm(left), area / np.linalg.norm(area)
-    alignment[0] = np.stack([left, np.cross(forward, left), forward], axis=-1)
-    for joint, joint_name in enumerate(JOINT_NAMES[1:], 1):
-        from_parent = alignment[PARENTS[joint]]
-        bone = _rest_bone(rest, sources, joint_name)
-        direction = np.array(BONE_DIRECTIONS[joint_name])
-        if bone is None:
-            alignment[joint] = from_parent
-            continue
-        if joint_name.endswith("ankle"):
-            from_parent, direction, bone = _foot(alignment[0], from_parent, bone)
-        alignment[joint] = _least_turn(from_parent @ direction, bone, from_parent) @ from_parent
-    return alignment
-
-
-def _rest_bone(rest: np.ndarray, sources: dict[str, int], joint_name: str) -> np.ndarray | None:
-    """Unit direction of a joint's bone in the file's rest pose; None where the file has no such bone."""
-    child = BONE_CHILD.get(joint_name)
-    if joint_name not in sources or child not in sources:
-        return None
-    bone = rest[sources[child]] - rest[sources[joint_name]]
-    length = np.linalg.norm(bone)
-    return bone / length if length > 1e-9 else None
-
-
-def _foot(pelvis: np.ndarray, shin: np.ndarray, bone: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Frame, direction and bone to compare for a foot: its heading, the sole being flat in both rest poses."""
-    level = bone - (bone @ pelvis[:, 1]) * pelvis[:, 1]
-    length = np.linalg.norm(level)
-    if length > _STEEP_FOOT:
-        return pelvis, np.array([0.0, 0.0, 1.0]), level / length
-    return shin, _SLOPING_FOOT, bone
-
-
-def _least_turn(start: np.ndarray, end: np.ndarray, frame: np.ndarray) -> np.ndarray:
-    """Smallest rotation (3, 3) of unit vector ``start`` onto ``end``; a half turn goes about ``frame``'s side axis."""
-    axis = np.cross(start, end)
-    sine, cosine = np.linalg.norm(axis), float(start @ end)
-    if sine < 1e-9:
-        if cosine > 0.0:
-            return np.eye(3)
-        side = frame[:, 0] if abs(frame[:, 0] @ start) < 0.9 else frame[:, 2]
-        axis = side - (side @ start) * start
-        return rotvec_to_matrix(np.pi * axis / np.linalg.norm(axis))
-    return rotvec_to_matrix(np.arctan2(sine, cosine) * axis / sine)
-
-
 def _is_folded(rest: np.ndarray, sources: dict[str, int], pelvis: np.ndarray) -> bool:
     for joint_name, direction in BONE_DIRECTIONS.items():
-        bone = _rest_bone(rest, sources, joint_name)
+        bone = rest_bone(rest, sources, joint_name)
         if bone is not None and (pelvis @ np.array(direction)) @ bone < np.cos(_FOLDED_ANGLE):
             return True
     return False
@@ -218,7 +155,7 @@ def _centre_twist(turned: np.ndarray, sources: dict[str, int]) -> None:
         limb = joint_name.startswith(("left_", "right_")) and joint_name in BONE_CHILD
         if not limb or joint_name not in sources:
             continue
-        axis = _SLOPING_FOOT if joint_name.endswith("ankle") else np.array(BONE_DIRECTIONS[joint_name])
+        axis = SLOPING_FOOT if joint_name.endswith("ankle") else np.array(BONE_DIRECTIONS[joint_name])
         quaternions = matrix_to_quaternion(np.swapaxes(turned[:, PARENTS[joint]], -1, -2) @ turned[:, joint])
         twist = np.stack([quaternions[:, 0], quaternions[:, 1:] @ axis], axis=-1)
         # Twists are half angles of either sign: their mean is that of the doubled angles.
