@@ -7,7 +7,7 @@ bone on the points, and its twist by the plane in which elbow or knee bends.
 
 What points cannot tell is zero: collars, wrists, hands, toes, a forearm's twist, and
 with COCO the feet. Nor do they tell how much of a trunk's lean to the front is a bend of
-the spine: the trunk is taken as straight, seen from the side.
+the spine: that is guessed from how far the hips are bent (``TUCK``).
 """
 
 from __future__ import annotations
@@ -33,6 +33,13 @@ TWIST_BENDS = (float(np.radians(5.0)), float(np.radians(15.0)))
 A straight limb tells no twist, and the errors of its points are divided by the sine of the bend.
 """
 
+TUCK = 0.2
+"""Share of the hips' flexion by which the pelvis tilts back against the line from hips to shoulders.
+
+In 23 recorded clips (CMU) the spine bends forward by 0.43 of the flexion, with a correlation of 0.88. A fifth halves
+the pelvis's error there, from 16.9 to 8.8 degrees, and costs 1.7 in the sample clips, whose backs are straight.
+"""
+
 # Measured on the shipped body in the T-pose: from the middle of the ears the nose lies ahead and 14.4 degrees below,
 # and from the heels (2, 3) the big toes lie ahead, inwards and below.
 _LOOKING = rotvec_to_matrix(np.radians([14.4, 0.0, 0.0]))
@@ -49,7 +56,7 @@ _FLEXION = np.array([[0.0, -1.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0
 _COLLARS, _HEELS, _TOES, _ANKLES = (
     tuple(f"{side}_{name}" for side in SIDES) for name in ("collar", "heel", "toe", "ankle")
 )
-_SHOULDERS, _HIPS = _UPPER[:2], _UPPER[2:]
+_SHOULDERS, _HIPS, _KNEES = _UPPER[:2], _UPPER[2:], _LOWER[2:]
 _HEAD = ("left_ear", "right_ear", "nose")
 
 
@@ -65,10 +72,11 @@ class _Rest:
 
 @dataclass
 class _Memory:
-    """What is held while points are not seen: local rotations (24, 3, 3), and twists [rad] (4,) of the limbs."""
+    """What is held while points are not seen: local rotations (24, 3, 3), the limbs' twists (4,), a tilt (1,) [rad]."""
 
     local: np.ndarray = field(default_factory=lambda: np.tile(np.eye(3), (JOINT_COUNT, 1, 1)))
     twist: np.ndarray = field(default_factory=lambda: np.zeros(len(_UPPER)))
+    tilt: np.ndarray = field(default_factory=lambda: np.zeros(1))
 
 
 def landmark_poses(
@@ -143,21 +151,24 @@ class _Skeleton:
 def _read(points: KeyPoints, rest: _Rest, memory: _Memory) -> np.ndarray:
     """Poses (F, 24, 3) [rad]; ``memory`` goes on from the last frame."""
     body = _Skeleton(len(points), memory)
-    _read_trunk(points, rest, body)
+    tilts = _read_trunk(points, rest, body)
     twists = _read_limbs(points, rest, body)
     if points.has("left_toe"):
         ahead = body.seen_from(_ANKLES, points.lines(_HEELS, _TOES))
         body.turn(_ANKLES, _bent(ahead, _TOE_LINES, _FLEXION[2:]), points.lines_seen(_HEELS, _TOES))
     if len(points):
-        memory.local, memory.twist = body.local[-1].copy(), twists[-1].copy()
+        memory.local, memory.twist, memory.tilt = (held[-1].copy() for held in (body.local, twists, tilts))
     return matrix_to_rotvec(body.local)
 
 
-def _read_trunk(points: KeyPoints, rest: _Rest, body: _Skeleton) -> None:
-    """Turns the pelvis, the spine in three equal parts, and neck and head in two; collars stay."""
+def _read_trunk(points: KeyPoints, rest: _Rest, body: _Skeleton) -> np.ndarray:
+    """Turns pelvis, spine in three equal parts, neck and head in two; returns the pelvis's tilts [rad] (F, 1)."""
     pelvis, chest = _trunk_frames(points)
     seen = points.sees(*_HIPS, *_SHOULDERS)[:, None]
-    body.turn(["pelvis"], (pelvis @ rest.pelvis.T)[:, None], seen)
+    upright = (pelvis @ rest.pelvis.T)[:, None]
+    flexion = _flexion(_turned(_transposed(upright), points.lines(_HIPS, _KNEES)), rest.upper[2:])
+    tilt = _held(-TUCK * flexion.mean(axis=1, keepdims=True), points.sees(*_KNEES)[:, None] & seen, body.memory.tilt)
+    body.turn(["pelvis"], upright @ rotvec_to_matrix(tilt[..., None] * _FLEXION[2]), seen)
     third = _share(_transposed(body.below(["spine1"])) @ (chest @ rest.chest.T)[:, None], 1.0 / 3.0)
     for joint in ("spine1", "spine2", "spine3"):
         body.turn([joint], third, seen)
@@ -168,6 +179,13 @@ def _read_trunk(points: KeyPoints, rest: _Rest, body: _Skeleton) -> None:
     for joint in ("neck", "head"):
         body.turn([joint], half, points.sees(*_HEAD)[:, None])
     body.world[:, [JOINT_INDEX[joint] for joint in _COLLARS]] = body.below(_COLLARS)
+    return tilt
+
+
+def _flexion(thighs: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    """Angles [rad] (F, 2) by which thighs (F, 2, 3), in the trunk's axes, are bent forward from rest (2, 3)."""
+    angle = np.arctan2(thighs[..., 2], -thighs[..., 1]) - np.arctan2(rest[..., 2], -rest[..., 1])
+    return np.maximum(angle, 0.0)  # its jump, at half a turn, is out of a hip's reach
 
 
 def _trunk_frames(points: KeyPoints) -> tuple[np.ndarray, np.ndarray]:
