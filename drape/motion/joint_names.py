@@ -58,7 +58,7 @@ _SCHEMES = {
         "hip": ("upperleg", "thigh", "upperleg01"),
         "knee": ("lowerleg", "calf", "shin", "lowerleg01"),
         "ankle": ("foot",),
-        "foot": ("toes", "toebase", "ball", "toe", "toe11"),
+        "foot": ("toes", "toebase", "ball", "toe", "toe21", "toe11"),  # MakeHuman's second toe lies on the foot's axis
         "collar": ("shoulder", "clavicle"),
         "shoulder": ("upperarm", "upperarm01"),
         "elbow": ("lowerarm", "forearm", "lowerarm01"),

@@ -241,6 +241,17 @@ def test_every_scheme_names_all_joints(scheme):
     assert match_joints(bare, PARENTS[:22], label=scheme) == {joint: index for index, joint in enumerate(BODY)}
 
 
+def test_a_foot_of_five_toes_heads_for_the_second():
+    names = [rig_names("makehuman")[joint] for joint in BODY]
+    parents = list(PARENTS[:22])
+    for side in "LR":
+        for toe in (2, 3):
+            parents.append(names.index(f"foot.{side}"))
+            names.append(f"toe{toe}-1.{side}")
+    sources = match_joints(names, parents, label="rig")
+    assert [names[sources[f"{side}_foot"]] for side in ("left", "right")] == ["toe2-1.L", "toe2-1.R"]
+
+
 def test_a_trunk_of_four_joints_may_end_under_the_name_of_another_rigs_neck():
     names = [f"Spine{k:03d}" for k in range(1, 5)]
     limbs = [name for name in BODY if name.startswith(SIDED)]
