@@ -57,6 +57,17 @@ _NAMES = {
         "upperleg01.{0} lowerleg01.{0} foot.{0} toe1-1.{0} clavicle.{0} upperarm01.{0} lowerarm01.{0} wrist.{0}",
         ("L", "R"),
     ),
+    "biped": (
+        "Bip001 Pelvis|Bip001 Spine|Bip001 Spine1|Bip001 Spine2|Bip001 Neck|Bip001 Head",
+        "Bip001 {0} Thigh|Bip001 {0} Calf|Bip001 {0} Foot|Bip001 {0} Toe0|Bip001 {0} Clavicle|Bip001 {0} UpperArm|"
+        "Bip001 {0} Forearm|Bip001 {0} Hand",
+        ("L", "R"),
+    ),
+    "daz": (
+        "hip abdomenLower chestLower chestUpper neckLower head",
+        "{0}ThighBend {0}Shin {0}Foot {0}Toe {0}Collar {0}ShldrBend {0}ForearmBend {0}Hand",
+        ("l", "r"),
+    ),
     "mikumiku": (
         "Hips|Spine|Chest|Upper Chest|Neck|Head",
         "{0} leg|{0} knee|{0} ankle|{0} toe|{0} shoulder|{0} arm|{0} elbow|{0} wrist",

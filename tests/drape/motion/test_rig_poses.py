@@ -180,6 +180,8 @@ def with_nodes(rig, added):
         ("rigify", [("DEF-upper_arm.L.001", "DEF-upper_arm.L"), ("DEF-thigh.R.001", "DEF-thigh.R")]),
         ("character_creator", [("CC_Base_L_UpperarmTwist01", "CC_Base_L_Upperarm")]),
         ("makehuman", [("upperarm02.L", "upperarm01.L"), ("shoulder01.L", "clavicle.L")]),
+        ("daz", [("lThighTwist", "lThighBend"), ("rShldrTwist", "rShldrBend"), ("lMetatarsals", "lFoot")]),
+        ("biped", [("Bip001 L Toe0Nub", "Bip001 L Toe0"), ("Bip001 HeadNub", "Bip001 Head")]),
         ("mixamo", [("mixamorig:HeadTop_End", "mixamorig:Head"), ("mixamorig:LeftToe_End", "mixamorig:LeftToeBase")]),
         ("vrm", [("leftHand_leaf", "leftHand"), ("leftUpperArmTwist", "leftUpperArm")]),
         ("mikumiku_japanese", [("左腕捩", "左腕"), ("左足IK親", "センター"), ("左足D", "左足")]),
