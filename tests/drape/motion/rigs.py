@@ -122,33 +122,40 @@ def rig_and_motion(
     the T-pose, less the joint's own turn from the T-pose to the rest. A rig whose trunk
     ends below spine3 turns that end as the chest.
     """
-    stance = rotvec_to_matrix(np.array(turn))
     kept = [joint for joint, name in enumerate(BODY) if name not in without]
-    nearest = {joint: _kept_ancestor(joint, kept) for joint in kept}
-    rest_turned, places = forward_kinematics(rest, joints[:22], PARENTS[:22])
-    rest_turned, places = stance @ rest_turned, places @ stance.T
-    posed, _ = forward_kinematics(local[:, :22], joints[:22], PARENTS[:22])
+    above = [_kept_ancestor(joint, kept) for joint in kept]
+    turned, places = _turned_from_rest(joints[:22], local[:, :22], rest, rotvec_to_matrix(np.array(turn)))
     if "spine3" in without:
-        posed[:, [3, 6]] = posed[:, [9]]
+        turned[:, [3, 6]] = turned[:, [9]]
     axes = np.tile(np.eye(3), (22, 1, 1))
     if seed is not None:
         axes = Rotation.random(22, rng=np.random.default_rng(seed)).as_matrix()
-    world_rest, world = axes, posed @ np.swapaxes(rest_turned, -1, -2) @ axes
-    rest_local, moved, offsets = [], [], []
-    for joint in kept:
-        above = nearest[joint]
-        inverse = np.eye(3) if above < 0 else world_rest[above].T
-        rest_local.append(inverse @ world_rest[joint])
-        offsets.append(inverse @ (places[joint] - (0.0 if above < 0 else places[above])))
-        moved.append(world[:, joint] if above < 0 else np.swapaxes(world[:, above], -1, -2) @ world[:, joint])
+    moved = turned @ axes
+    inverse = [np.eye(3) if parent < 0 else axes[parent].T for parent in above]
+    offsets = [
+        places[joint] - (0.0 if parent < 0 else places[parent]) for joint, parent in zip(kept, above, strict=True)
+    ]
     rig = Rig(
         names=[rig_names(scheme)[BODY[joint]] for joint in kept],
-        parents=[kept.index(nearest[joint]) if nearest[joint] >= 0 else -1 for joint in kept],
-        rest_rotations=matrix_to_quaternion(np.array(rest_local)),
-        rest_translations=np.array(offsets),
+        parents=[-1 if parent < 0 else kept.index(parent) for parent in above],
+        rest_rotations=matrix_to_quaternion(np.stack(inverse) @ axes[kept]),
+        rest_translations=(np.stack(inverse) @ np.stack(offsets)[..., None])[..., 0],
         **more,
     )
-    return rig, matrix_to_quaternion(np.stack(moved, axis=1))
+    told = [
+        moved[:, k] if p < 0 else np.swapaxes(moved[:, p], -1, -2) @ moved[:, k]
+        for k, p in zip(kept, above, strict=True)
+    ]
+    return rig, matrix_to_quaternion(np.stack(told, axis=1))
+
+
+def _turned_from_rest(
+    joints: np.ndarray, local: np.ndarray, rest: np.ndarray, stance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """World rotations (F, 22, 3, 3) from the rest pose on, and the joints' places (22, 3) in it."""
+    rest_turned, places = forward_kinematics(rest, joints, PARENTS[:22])
+    posed, _ = forward_kinematics(local, joints, PARENTS[:22])
+    return posed @ np.swapaxes(stance @ rest_turned, -1, -2), places @ stance.T
 
 
 def _kept_ancestor(joint: int, kept: Sequence[int]) -> int:
