@@ -57,6 +57,20 @@ _NAMES = {
         "upperleg01.{0} lowerleg01.{0} foot.{0} toe1-1.{0} clavicle.{0} upperarm01.{0} lowerarm01.{0} wrist.{0}",
         ("L", "R"),
     ),
+<<<<<<< HEAD
+=======
+    "biped": (
+        "Bip001 Pelvis|Bip001 Spine|Bip001 Spine1|Bip001 Spine2|Bip001 Neck|Bip001 Head",
+        "Bip001 {0} Thigh|Bip001 {0} Calf|Bip001 {0} Foot|Bip001 {0} Toe0|Bip001 {0} Clavicle|Bip001 {0} UpperArm|"
+        "Bip001 {0} Forearm|Bip001 {0} Hand",
+        ("L", "R"),
+    ),
+    "daz": (
+        "hip abdomenLower chestLower chestUpper neckLower head",
+        "{0}ThighBend {0}Shin {0}Foot {0}Toe {0}Collar {0}ShldrBend {0}ForearmBend {0}Hand",
+        ("l", "r"),
+    ),
+>>>>>>> poses
     "mikumiku": (
         "Hips|Spine|Chest|Upper Chest|Neck|Head",
         "{0} leg|{0} knee|{0} ankle|{0} toe|{0} shoulder|{0} arm|{0} elbow|{0} wrist",
@@ -111,6 +125,7 @@ def rig_and_motion(
     the T-pose, less the joint's own turn from the T-pose to the rest. A rig whose trunk
     ends below spine3 turns that end as the chest.
     """
+<<<<<<< HEAD
     stance = rotvec_to_matrix(np.array(turn))
     kept = [joint for joint, name in enumerate(BODY) if name not in without]
     nearest = {joint: _kept_ancestor(joint, kept) for joint in kept}
@@ -138,6 +153,42 @@ def rig_and_motion(
         **more,
     )
     return rig, matrix_to_quaternion(np.stack(moved, axis=1))
+=======
+    kept = [joint for joint, name in enumerate(BODY) if name not in without]
+    above = [_kept_ancestor(joint, kept) for joint in kept]
+    turned, places = _turned_from_rest(joints[:22], local[:, :22], rest, rotvec_to_matrix(np.array(turn)))
+    if "spine3" in without:
+        turned[:, [3, 6]] = turned[:, [9]]
+    axes = np.tile(np.eye(3), (22, 1, 1))
+    if seed is not None:
+        axes = Rotation.random(22, rng=np.random.default_rng(seed)).as_matrix()
+    moved = turned @ axes
+    inverse = [np.eye(3) if parent < 0 else axes[parent].T for parent in above]
+    offsets = [
+        places[joint] - (0.0 if parent < 0 else places[parent]) for joint, parent in zip(kept, above, strict=True)
+    ]
+    rig = Rig(
+        names=[rig_names(scheme)[BODY[joint]] for joint in kept],
+        parents=[-1 if parent < 0 else kept.index(parent) for parent in above],
+        rest_rotations=matrix_to_quaternion(np.stack(inverse) @ axes[kept]),
+        rest_translations=(np.stack(inverse) @ np.stack(offsets)[..., None])[..., 0],
+        **more,
+    )
+    told = [
+        moved[:, k] if p < 0 else np.swapaxes(moved[:, p], -1, -2) @ moved[:, k]
+        for k, p in zip(kept, above, strict=True)
+    ]
+    return rig, matrix_to_quaternion(np.stack(told, axis=1))
+
+
+def _turned_from_rest(
+    joints: np.ndarray, local: np.ndarray, rest: np.ndarray, stance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """World rotations (F, 22, 3, 3) from the rest pose on, and the joints' places (22, 3) in it."""
+    rest_turned, places = forward_kinematics(rest, joints, PARENTS[:22])
+    posed, _ = forward_kinematics(local, joints, PARENTS[:22])
+    return posed @ np.swapaxes(stance @ rest_turned, -1, -2), places @ stance.T
+>>>>>>> poses
 
 
 def _kept_ancestor(joint: int, kept: Sequence[int]) -> int:

@@ -180,6 +180,8 @@ def with_nodes(rig, added):
         ("rigify", [("DEF-upper_arm.L.001", "DEF-upper_arm.L"), ("DEF-thigh.R.001", "DEF-thigh.R")]),
         ("character_creator", [("CC_Base_L_UpperarmTwist01", "CC_Base_L_Upperarm")]),
         ("makehuman", [("upperarm02.L", "upperarm01.L"), ("shoulder01.L", "clavicle.L")]),
+        ("daz", [("lThighTwist", "lThighBend"), ("rShldrTwist", "rShldrBend"), ("lMetatarsals", "lFoot")]),
+        ("biped", [("Bip001 L Toe0Nub", "Bip001 L Toe0"), ("Bip001 HeadNub", "Bip001 Head")]),
         ("mixamo", [("mixamorig:HeadTop_End", "mixamorig:Head"), ("mixamorig:LeftToe_End", "mixamorig:LeftToeBase")]),
         ("vrm", [("leftHand_leaf", "leftHand"), ("leftUpperArmTwist", "leftUpperArm")]),
         ("mikumiku_japanese", [("左腕捩", "左腕"), ("左足IK親", "センター"), ("左足D", "左足")]),
@@ -239,6 +241,17 @@ def test_every_scheme_names_all_joints(scheme):
     # Pages lose the marks of names: three.js strips them.
     bare = [name.translate(str.maketrans("", "", ".:[]/ ")) for name in names]
     assert match_joints(bare, PARENTS[:22], label=scheme) == {joint: index for index, joint in enumerate(BODY)}
+
+
+def test_a_foot_of_five_toes_heads_for_the_second():
+    names = [rig_names("makehuman")[joint] for joint in BODY]
+    parents = list(PARENTS[:22])
+    for side in "LR":
+        for toe in (2, 3):
+            parents.append(names.index(f"foot.{side}"))
+            names.append(f"toe{toe}-1.{side}")
+    sources = match_joints(names, parents, label="rig")
+    assert [names[sources[f"{side}_foot"]] for side in ("left", "right")] == ["toe2-1.L", "toe2-1.R"]
 
 
 def test_a_trunk_of_four_joints_may_end_under_the_name_of_another_rigs_neck():
