@@ -10,13 +10,8 @@ from drape.errors import MotionError
 # A side's name, then how it is written before or after a joint's word.
 _SIDES = (("left", "left", "l", "左"), ("right", "right", "r", "右"))
 
-<<<<<<< HEAD
-# What rigs put before every name: Rigify, Character Creator, Mixamo without its colon, VRoid (C is its middle).
-_PREFIX = re.compile(r"def-|cc_base_|mixamorig\d*_?|j_bip_(c_)?", re.IGNORECASE)
-=======
 # What rigs put before every name: Rigify, Character Creator, Biped, Mixamo without its colon, VRoid (C is its middle).
 _PREFIX = re.compile(r"def-|cc_base_|bip\d+|mixamorig\d*|j_bip_(c_)?", re.IGNORECASE)
->>>>>>> poses
 
 # SMPL joint -> names, without side, lower case. The same word means different
 # joints in different schemes ("LeftShoulder" is a collar in MotionBuilder, an
@@ -57,18 +52,6 @@ _SCHEMES = {
         "wrist": ("wrist",),
         "hand": ("hand",),
     },
-<<<<<<< HEAD
-    # Avatars that name segments: VRM, VRoid, Unreal, Rigify, Character Creator, MakeHuman. Only whole words count:
-    # "upperarm_twist_01_l", "DEF-thigh.L.001" and "upperarm02.L" are twist bones inside a segment.
-    "segments": {
-        "hip": ("upperleg", "thigh", "upperleg01"),
-        "knee": ("lowerleg", "calf", "shin", "lowerleg01"),
-        "ankle": ("foot",),
-        "foot": ("toes", "toebase", "ball", "toe", "toe11"),
-        "collar": ("shoulder", "clavicle"),
-        "shoulder": ("upperarm", "upperarm01"),
-        "elbow": ("lowerarm", "forearm", "lowerarm01"),
-=======
     # Avatars that name segments: VRM, VRoid, Unreal, Rigify, Character Creator, Biped, MakeHuman, Daz. Only whole words
     # count: "upperarm_twist_01_l", "DEF-thigh.L.001", "upperarm02.L" and "lThighTwist" are bones inside a segment.
     "segments": {
@@ -79,7 +62,6 @@ _SCHEMES = {
         "collar": ("shoulder", "clavicle", "collar"),
         "shoulder": ("upperarm", "upperarm01", "shldrbend"),
         "elbow": ("lowerarm", "forearm", "lowerarm01", "forearmbend"),
->>>>>>> poses
         "wrist": ("hand", "wrist"),
     },
     # MikuMikuDance, in English and Japanese: "Left leg" is a thigh, "Left arm" an upper arm
@@ -96,11 +78,7 @@ _SCHEMES = {
 }
 
 # Of several the first wins: necks of two or three joints are told by their lowest.
-<<<<<<< HEAD
-_NECK = ("neck", "lowerneck", "neck01", "necktwist01", "spine004", "首")
-=======
 _NECK = ("neck", "lowerneck", "neck01", "necklower", "necktwist01", "spine004", "首")
->>>>>>> poses
 _HEAD = ("head", "spine006", "頭")
 
 _REQUIRED = ("hip", "knee", "ankle", "shoulder", "elbow")
@@ -182,11 +160,7 @@ def _too_few(label: str, got: str) -> MotionError:
     return MotionError(
         f"{label}: skeleton",
         expected="a person's joints under MotionBuilder, Mixamo, CMU, LAFAN, Poser, SMPL, VRM, Unreal, Rigify, "
-<<<<<<< HEAD
-        "Character Creator, MakeHuman or MikuMikuDance names",
-=======
         "Character Creator, Biped, MakeHuman, Daz or MikuMikuDance names",
->>>>>>> poses
         got=got,
         cure="Rename the joints, or export with one of these naming schemes.",
     )

@@ -29,12 +29,8 @@ class OneEuro:
     beta: float = 0.0
     d_cutoff: float = 1.0
     _last: np.ndarray | None = field(default=None, init=False, repr=False)
-<<<<<<< HEAD
-    _velocity: np.ndarray | None = field(default=None, init=False, repr=False)
-=======
     _velocity: np.ndarray = field(default_factory=lambda: np.zeros(0), init=False, repr=False)
     _seen: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool), init=False, repr=False)
->>>>>>> poses
 
     def __post_init__(self) -> None:
         for name, value, least in (
@@ -50,14 +46,6 @@ class OneEuro:
                     cure="Begin with min_cutoff=1.0, beta=0.0, d_cutoff=1.0; raise beta until motion no longer lags.",
                 )
 
-<<<<<<< HEAD
-    def __call__(self, points: np.ndarray, dt_s: float) -> np.ndarray:
-        """The filtered points (..., n); ``dt_s`` is the time since the last sample, unused for the first."""
-        points = np.array(points, dtype=np.float64)
-        check_finite("points", points, error=MotionError)
-        if self._last is None or self._velocity is None:
-            self._last, self._velocity = points, np.zeros_like(points)
-=======
     def __call__(self, points: np.ndarray, dt_s: float, *, seen: np.ndarray | None = None) -> np.ndarray:
         """The filtered points (..., n); ``dt_s`` is the time since the last sample, unused for the first.
 
@@ -69,19 +57,12 @@ class OneEuro:
         check_shape("seen", seen, points.shape[:-1], error=MotionError)
         if self._last is None:
             self._last, self._velocity, self._seen = points, np.zeros_like(points), seen
->>>>>>> poses
             return points.copy()
         check_shape("points", points, self._last.shape, error=MotionError)
         if not (np.isfinite(dt_s) and dt_s > 0.0):
             raise MotionError(
                 "dt_s", expected="a positive time step [s]", got=str(dt_s), cure="Pass samples in the order of time."
             )
-<<<<<<< HEAD
-        velocity = (points - self._last) / dt_s
-        self._velocity = self._velocity + smoothing(self.d_cutoff, dt_s) * (velocity - self._velocity)
-        speed = np.linalg.norm(self._velocity, axis=-1, keepdims=True)
-        self._last = self._last + smoothing(self.min_cutoff + self.beta * speed, dt_s) * (points - self._last)
-=======
         known = (seen & self._seen)[..., None]
         ahead = points - self._last
         velocity = self._velocity + smoothing(self.d_cutoff, dt_s) * (ahead / dt_s - self._velocity)
@@ -89,16 +70,11 @@ class OneEuro:
         smooth = self._last + smoothing(self.min_cutoff + self.beta * speed, dt_s) * ahead
         self._velocity = np.where(known, velocity, 0.0)
         self._last, self._seen = np.where(known, smooth, points), seen
->>>>>>> poses
         return self._last.copy()
 
     def reset(self) -> None:
         """Forgets the last sample: the next one starts a stream."""
-<<<<<<< HEAD
-        self._last = self._velocity = None
-=======
         self._last = None
->>>>>>> poses
 
 
 def one_euro(

@@ -10,11 +10,7 @@ are measured on its bones and taken out (``drape.motion.alignment``).
 
 from __future__ import annotations
 
-<<<<<<< HEAD
 from collections.abc import Mapping, Sequence
-=======
-from collections.abc import Sequence
->>>>>>> poses
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -63,10 +59,7 @@ class Rig:
     quaternions wxyz and ``rest_translations`` (J, 3) offsets, both local, in any unit of
     length. Names are those that ``match_joints`` reads; other nodes keep their rest pose.
     ``t_pose_joints`` (24, 3) are the rest joints of the body that the SMPL poses are for.
-<<<<<<< HEAD
     ``told``: nodes of SMPL joints whatever they are called.
-=======
->>>>>>> poses
     The rig's world is the poses' world: y up, whatever way the rig faces.
     Raises ``MotionError`` for arrays that do not fit, and for names of no person.
     """
@@ -77,10 +70,7 @@ class Rig:
     rest_translations: np.ndarray
     t_pose_joints: np.ndarray = field(default_factory=lambda: CANONICAL_JOINTS)
     label: str = "rig"
-<<<<<<< HEAD
     told: Mapping[str, int] = field(default_factory=dict)
-=======
->>>>>>> poses
 
     def __post_init__(self) -> None:
         count = len(self.names)
@@ -103,11 +93,7 @@ class Rig:
     @cached_property
     def sources(self) -> dict[str, int]:
         """The node of each SMPL joint that the rig has."""
-<<<<<<< HEAD
         return {**match_joints(self.names, self.parents, label=self.label), **self.told}
-=======
-        return match_joints(self.names, self.parents, label=self.label)
->>>>>>> poses
 
     @cached_property
     def rest_world(self) -> np.ndarray:

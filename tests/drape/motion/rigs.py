@@ -57,8 +57,6 @@ _NAMES = {
         "upperleg01.{0} lowerleg01.{0} foot.{0} toe1-1.{0} clavicle.{0} upperarm01.{0} lowerarm01.{0} wrist.{0}",
         ("L", "R"),
     ),
-<<<<<<< HEAD
-=======
     "biped": (
         "Bip001 Pelvis|Bip001 Spine|Bip001 Spine1|Bip001 Spine2|Bip001 Neck|Bip001 Head",
         "Bip001 {0} Thigh|Bip001 {0} Calf|Bip001 {0} Foot|Bip001 {0} Toe0|Bip001 {0} Clavicle|Bip001 {0} UpperArm|"
@@ -70,7 +68,6 @@ _NAMES = {
         "{0}ThighBend {0}Shin {0}Foot {0}Toe {0}Collar {0}ShldrBend {0}ForearmBend {0}Hand",
         ("l", "r"),
     ),
->>>>>>> poses
     "mikumiku": (
         "Hips|Spine|Chest|Upper Chest|Neck|Head",
         "{0} leg|{0} knee|{0} ankle|{0} toe|{0} shoulder|{0} arm|{0} elbow|{0} wrist",
@@ -125,35 +122,6 @@ def rig_and_motion(
     the T-pose, less the joint's own turn from the T-pose to the rest. A rig whose trunk
     ends below spine3 turns that end as the chest.
     """
-<<<<<<< HEAD
-    stance = rotvec_to_matrix(np.array(turn))
-    kept = [joint for joint, name in enumerate(BODY) if name not in without]
-    nearest = {joint: _kept_ancestor(joint, kept) for joint in kept}
-    rest_turned, places = forward_kinematics(rest, joints[:22], PARENTS[:22])
-    rest_turned, places = stance @ rest_turned, places @ stance.T
-    posed, _ = forward_kinematics(local[:, :22], joints[:22], PARENTS[:22])
-    if "spine3" in without:
-        posed[:, [3, 6]] = posed[:, [9]]
-    axes = np.tile(np.eye(3), (22, 1, 1))
-    if seed is not None:
-        axes = Rotation.random(22, rng=np.random.default_rng(seed)).as_matrix()
-    world_rest, world = axes, posed @ np.swapaxes(rest_turned, -1, -2) @ axes
-    rest_local, moved, offsets = [], [], []
-    for joint in kept:
-        above = nearest[joint]
-        inverse = np.eye(3) if above < 0 else world_rest[above].T
-        rest_local.append(inverse @ world_rest[joint])
-        offsets.append(inverse @ (places[joint] - (0.0 if above < 0 else places[above])))
-        moved.append(world[:, joint] if above < 0 else np.swapaxes(world[:, above], -1, -2) @ world[:, joint])
-    rig = Rig(
-        names=[rig_names(scheme)[BODY[joint]] for joint in kept],
-        parents=[kept.index(nearest[joint]) if nearest[joint] >= 0 else -1 for joint in kept],
-        rest_rotations=matrix_to_quaternion(np.array(rest_local)),
-        rest_translations=np.array(offsets),
-        **more,
-    )
-    return rig, matrix_to_quaternion(np.stack(moved, axis=1))
-=======
     kept = [joint for joint, name in enumerate(BODY) if name not in without]
     above = [_kept_ancestor(joint, kept) for joint in kept]
     turned, places = _turned_from_rest(joints[:22], local[:, :22], rest, rotvec_to_matrix(np.array(turn)))
@@ -188,7 +156,6 @@ def _turned_from_rest(
     rest_turned, places = forward_kinematics(rest, joints, PARENTS[:22])
     posed, _ = forward_kinematics(local, joints, PARENTS[:22])
     return posed @ np.swapaxes(stance @ rest_turned, -1, -2), places @ stance.T
->>>>>>> poses
 
 
 def _kept_ancestor(joint: int, kept: Sequence[int]) -> int:

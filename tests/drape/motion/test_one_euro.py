@@ -85,8 +85,6 @@ def test_a_stream_is_the_clip_and_begins_anew_after_reset(rng):
     assert_allclose(stream(points[0], 1.0 / FPS), points[0], rtol=0.0, atol=0.0)
 
 
-<<<<<<< HEAD
-=======
 def test_a_point_that_comes_back_starts_anew_and_the_others_do_not_notice(rng):
     points = rng.normal(size=(9, 2, 3))
     stream, got = OneEuro(beta=0.3), []
@@ -99,7 +97,6 @@ def test_a_point_that_comes_back_starts_anew_and_the_others_do_not_notice(rng):
     assert_allclose(got[6:, 1], one_euro(points[6:, 1], fps=FPS, beta=0.3), rtol=0.0, atol=0.0)
 
 
->>>>>>> poses
 def test_the_caller_may_change_what_it_got(rng):
     stream, points = OneEuro(), rng.normal(size=(3, 2, 3))
     stream(points[0], 1.0 / FPS)[:] = 7.0
@@ -122,11 +119,8 @@ def test_samples_that_do_not_fit_the_stream_are_refused():
         stream(np.zeros((4, 3)), 0.1)
     with pytest.raises(MotionError, match="points: expected finite"):
         stream(np.full((5, 3), np.nan), 0.1)
-<<<<<<< HEAD
-=======
     with pytest.raises(MotionError, match="seen: expected shape"):
         stream(np.zeros((5, 3)), 0.1, seen=np.ones(4, dtype=bool))
->>>>>>> poses
     for dt_s in (0.0, -0.1, np.nan):
         with pytest.raises(MotionError, match="positive time step"):
             stream(np.zeros((5, 3)), dt_s)
