@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from service.settings import Settings
     from service.watch.probes import Lifecycle
 
-UPLOAD_PATH = "/garments"
+UPLOAD_PATHS = ("/garments", "/avatars")
 JSON = "application/json"  # a body that is held until it has come
 LOOK_S = 0.5  # between two looks at whether the service ends
 
@@ -50,7 +50,7 @@ class BodyLimit:
             await self.app(scope, receive, send)
             return
         headers = Headers(scope=scope)
-        body = _Body(self._settings, self._life, upload=scope["path"] == UPLOAD_PATH)
+        body = _Body(self._settings, self._life, upload=scope["path"] in UPLOAD_PATHS)
         to_disk = body.upload and JSON not in headers.get("content-type", "").lower()
         declared = headers.get("content-length", "")
         try:

@@ -93,8 +93,13 @@ def own_parent(document: dict[str, Any]) -> None:
     document["nodes"] += [{"children": [last + 1]}, {"children": [last]}]
 
 
+def no_skin(document: dict[str, Any]) -> None:
+    for node in document["nodes"]:
+        node.pop("skin", None)
+
+
 FAULTS: dict[str, tuple[Change, str]] = {
-    "no skin": (lambda j: [node.pop("skin", None) for node in j["nodes"]] and None, "surface that a skeleton moves"),
+    "no skin": (no_skin, "surface that a skeleton moves"),
     "two parents": (two_parents, "under two"),
     "a ring": (own_parent, "in a ring"),
     "a child that is not there": (lambda j: j["nodes"][0].update(children=[9999]), "index below"),

@@ -1,0 +1,213 @@
+"""Characters of users by REST: sent, worn, corrected, removed, and what is refused on the way."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from websockets.sync.client import connect
+
+from drape.body.model import BodyModel
+from drape.geometry.closest import signed_distance
+from drape.geometry.rotations import matrix_to_quaternion, rotvec_to_matrix
+from drape.motion.rig_poses import poses_to_rig
+from service.compute import avatars as in_service
+from service.compute.drape_runtime import DrapeRuntime
+from service.settings import Settings
+from tests.fixtures.characters import ARMS_DOWN_RAD, character
+from tests.fixtures.serving import files_in
+from tests.fixtures.streams import PROTOCOLS
+
+BETAS = np.array([1.0, -1.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+NUMBERS = {"Accept": "application/octet-stream"}
+POSES = np.zeros((2, 24, 3))
+POSES[:, 16:18, 2] = [-0.9, 0.9]
+
+
+def ended(api: httpx.Client, answer: httpx.Response) -> dict:
+    assert answer.status_code == 202, answer.text
+    assert answer.headers["Location"] == f"/jobs/{answer.json()['id']}"
+    deadline = time.monotonic() + 90.0
+    while (job := api.get(answer.headers["Location"]).json())["state"] in ("queued", "running"):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    return job
+
+
+def sent(api: httpx.Client, payload: bytes, name: str) -> dict:
+    return ended(api, api.post("/avatars", params={"name": name}, content=payload))
+
+
+@pytest.fixture(scope="module")
+def avatar(api: httpx.Client, body: BodyModel) -> str:
+    """Our body in another shape and an A-pose, in centimetres, facing -z: its id in the service."""
+    payload = character(body, betas=BETAS, vrm="0", arms_rad=ARMS_DOWN_RAD, scale=100.0, yaw_rad=np.pi)
+    job = sent(api, payload, "Me.vrm")
+    assert (job["state"], job["garment"], job["share"]) == ("done", None, 1.0), job
+    return job["avatar"]
+
+
+def draped(api: httpx.Client, **asked: object) -> np.ndarray:
+    answer = api.post("/drape", json={"garment": "tube", **asked}, headers=NUMBERS)
+    assert answer.status_code == 200, answer.text
+    return np.frombuffer(answer.content, "<f4").reshape(int(answer.headers["X-Drape-Frames"]), -1, 3).astype(float)
+
+
+def posed(api: httpx.Client, avatar: str) -> np.ndarray:
+    answer = api.post(f"/avatars/{avatar}/posed", json={"poses": POSES.tolist()}, headers=NUMBERS)
+    assert answer.status_code == 200, answer.text
+    return np.frombuffer(answer.content, "<f4").reshape(len(POSES), -1, 3).astype(float)
+
+
+def test_an_avatar_is_told_of(api: httpx.Client, avatar: str):
+    found = api.get(f"/avatars/{avatar}").json()
+    assert found in api.get("/avatars").json()
+    assert found["joints"]["left_knee"] == "bone left_knee" and "bone left_knee" in found["nodes"]
+    assert found["fit"]["median_mm"] < 2.0 and found["vrm"] == "0" and found["scale"] == 0.01
+    mesh = api.get(f"/avatars/{avatar}/mesh").json()
+    assert len(mesh["vertices"]) == found["vertices"]
+    picture = api.get(f"/avatars/{avatar}/preview.png", params={"size": 64})
+    assert picture.content[:4] == b"\x89PNG"
+    again = api.get(
+        f"/avatars/{avatar}/preview.png", params={"size": 64}, headers={"If-None-Match": picture.headers["ETag"]}
+    )
+    assert again.status_code == 304
+
+
+def test_a_garment_on_it_is_its_size(api: httpx.Client, avatar: str, body: BodyModel):
+    ours, theirs = draped(api, poses=POSES.tolist()), draped(api, avatar=avatar, poses=POSES.tolist())
+    assert ours.shape == theirs.shape
+    grown = np.ptp(theirs[0], axis=0) / np.ptp(ours[0], axis=0)
+    wanted = np.ptp(body.rest_joints(BETAS)[:10], axis=0)[1] / np.ptp(body.joints_template[:10], axis=0)[1]
+    assert grown[1] == pytest.approx(wanted, rel=0.05)
+    surface = posed(api, avatar)
+    faces = np.array(api.get(f"/avatars/{avatar}/mesh").json()["faces"])
+    assert (signed_distance(theirs[0], surface[0], faces) < -0.01).mean() < 0.02
+
+
+def test_poses_of_its_own_rig_do_as_ours(api: httpx.Client, avatar: str, runtime_of_api: DrapeRuntime):
+    wearer = runtime_of_api.avatars.wearer(avatar)
+    quaternions = poses_to_rig(wearer.rig, POSES)[..., [1, 2, 3, 0]]
+    own = draped(api, avatar=avatar, rig_poses=quaternions.tolist())
+    place = wearer.scale * wearer.rig.rest_positions[wearer.rig.sources["pelvis"]]
+    ours = draped(
+        api, avatar=avatar, poses=POSES.tolist(), trans=[(place - wearer.body.joints_template[0]).tolist()] * 2
+    )
+    # Our poses stand towards +z, and so do its own of them; folds of a millimetre differ with the rig's rounding.
+    assert_allclose(own, ours, atol=5e-3)
+
+
+@pytest.fixture(scope="module")
+def runtime_of_api(api: httpx.Client, settings: Settings, make_runtime: Callable[..., DrapeRuntime]) -> DrapeRuntime:
+    """A second service with the folder of the first, as after a new start."""
+    return make_runtime(garments_dir=settings.garments_dir)
+
+
+def test_a_stream_shows_it(api: httpx.Client, avatar: str):
+    address = str(api.base_url).replace("http", "ws").rstrip("/") + "/stream"
+    with connect(address, subprotocols=PROTOCOLS) as socket:
+        socket.send(json.dumps({"type": "open", "garment": "tube", "avatar": avatar}))
+        opened = json.loads(socket.recv(60.0))
+        assert opened["type"] == "opened" and opened["body"] == "me"
+
+
+def test_a_clip_is_placed_for_its_legs(api: httpx.Client, avatar: str):
+    ours, theirs = (api.get("/motions/walk", params=one).json() for one in ({}, {"avatar": avatar}))
+    assert ours["poses"] == theirs["poses"] and ours["trans"] != theirs["trans"]
+
+
+def test_joints_are_corrected(api: httpx.Client, body: BodyModel):
+    name = sent(api, character(body, scheme="mixamo"), "corrected.glb")["avatar"]
+    change = {"joints": {"spine3": "mixamorig:Spine1"}}
+    job = ended(api, api.patch(f"/avatars/{name}", json=change))
+    assert (job["state"], job["avatar"]) == ("done", name), job
+    assert api.get(f"/avatars/{name}").json()["joints"]["spine3"] == "mixamorig:Spine1"
+    job = ended(api, api.patch(f"/avatars/{name}", json={"joints": {"spine3": "nothing"}}))
+    assert job["state"] == "failed" and "a node" in job["problem"]["expected"]
+    assert api.patch(f"/avatars/{name}", json={"joints": {}}).status_code == 400
+    assert api.delete(f"/avatars/{name}").status_code == 204
+    assert api.get(f"/avatars/{name}").status_code == 404
+
+
+def test_two_of_one_name_have_two_ids(api: httpx.Client, body: BodyModel, settings: Settings):
+    before = set(files_in(settings.garments_dir))
+    names = {sent(api, character(body, betas=beta * BETAS), "twin.glb")["avatar"] for beta in (0.2, 0.4)}
+    assert len(names) == 2
+    assert [api.delete(f"/avatars/{name}").status_code for name in names] == [204, 204]
+    assert set(files_in(settings.garments_dir)) == before
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({"avatar": "nobody", "poses": POSES.tolist()}, "one of: me"),
+        ({"avatar": "me", "betas": [1.0], "poses": POSES.tolist()}, "its own shape"),
+        ({"avatar": "me", "rig_poses": [[[0, 0, 0, 1]]], "poses": POSES.tolist()}, "poses or rig_poses"),
+        ({"avatar": "me", "rig_poses": [[[0, 0, 0, 1]]]}, "one for each of the avatar's nodes"),
+        ({"avatar": "me", "rig_poses": [[[0, 0, 0, 1]]], "trans": []}, "one a frame"),
+        ({"avatar": "me", "rig_poses": [[[0, 0, 0, 1]]] * 41}, "at most 40 frames"),
+        ({"rig_poses": [[[0, 0, 0, 1]]]}, "an avatar"),
+        ({}, "at least 1 frame"),
+    ],
+)
+def test_a_drape_that_makes_no_sense_is_refused(api: httpx.Client, avatar: str, asked: dict, said: str):
+    answer = api.post("/drape", json={"garment": "tube", **asked})
+    assert answer.status_code in (400, 404, 413, 422) and said in answer.json()["expected"]
+
+
+def test_a_file_that_is_no_character_leaves_nothing(api: httpx.Client, settings: Settings):
+    before = set(files_in(settings.garments_dir))
+    job = sent(api, b"glTF" + bytes(100), "broken.glb")
+    assert job["state"] == "failed" and "GLB" in job["problem"]["expected"]
+    assert api.post("/avatars", content=b"glTF").json()["expected"] == "the avatar's name"
+    assert set(files_in(settings.garments_dir)) == before
+
+
+def test_avatars_are_there_after_a_new_start(avatar: str, runtime_of_api: DrapeRuntime, settings: Settings):
+    assert runtime_of_api.avatars.get(avatar).told["vrm"] == "0"
+    folder = settings.garments_dir / in_service.FOLDER
+    (folder / "bad.json").write_text("{}")
+    assert len(in_service.Avatars(runtime_of_api.body, settings, runtime_of_api._stages_on).visible(None)) == 1
+    (folder / "bad.json").unlink()
+
+
+def test_an_avatar_of_a_key_is_its_own(make_runtime: Callable[..., DrapeRuntime], body: BodyModel, tmp_path: Path):
+    from drape.avatar.wearer import read_wearer, save_wearer
+
+    avatars = make_runtime().avatars
+    file = tmp_path / "me.glb"
+    file.write_bytes(character(body))
+    made = save_wearer(read_wearer(file.read_bytes(), name="me", body=body), tmp_path)
+    entry = avatars.add(made, file, "alice")
+    assert entry.id.startswith("me-") and not made.exists() and not file.exists()
+    assert avatars.visible("alice") == [entry] and not avatars.visible("bob")
+
+
+def test_few_avatars_are_kept_dressed(
+    make_runtime: Callable[..., DrapeRuntime], body: BodyModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    from drape.avatar.wearer import read_wearer, save_wearer
+
+    runtime = make_runtime()
+    wearer = read_wearer(character(body), name="one", body=body)
+    for number in range(3):
+        file = tmp_path / f"{number}.glb"
+        file.write_bytes(b"")
+        runtime.avatars.add(save_wearer(wearer, tmp_path), file, f"key{number}")
+    monkeypatch.setattr(in_service, "MOST_WORN", 2)
+    for entry in runtime.avatars._entries.values():
+        runtime.avatars.dress(entry.id, runtime.garments.get("tube"))
+    assert len(runtime.avatars.worn) == 2
+
+
+def test_quaternions_are_checked_for_their_length(api: httpx.Client, avatar: str):
+    count = len(api.get(f"/avatars/{avatar}").json()["nodes"])
+    half = matrix_to_quaternion(rotvec_to_matrix(np.zeros((count, 3))))[:, [1, 2, 3, 0]] * 0.5
+    answer = api.post("/drape", json={"garment": "tube", "avatar": avatar, "rig_poses": [half.tolist()]})
+    assert answer.status_code == 422 and "unit quaternions" in answer.json()["expected"]
