@@ -14,7 +14,7 @@ from service.compute.threads import SlicedThread
 from service.guard.access import Access
 from service.guard.limits import BodyLimit
 from service.guard.origin_guard import OriginGuard
-from service.http import clip_routes, garment_routes, info_routes, openapi, pages, problems, upload_routes
+from service.http import clip_routes, fit_routes, garment_routes, info_routes, openapi, pages, problems, upload_routes
 from service.http.continuations import Continuations
 from service.http.pictures import Previews
 from service.replicas.handover import Handover
@@ -29,7 +29,7 @@ from service.watch.metrics import Metrics
 from service.watch.probes import Lifecycle
 from service.watch.tracing import make_tracing
 
-ROUTERS = (info_routes.router, garment_routes.router, upload_routes.router, clip_routes.router)
+ROUTERS = (info_routes.router, garment_routes.router, fit_routes.router, upload_routes.router, clip_routes.router)
 
 
 def create_app(

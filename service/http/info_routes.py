@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel
 
 from drape.body.model import BodyModel
@@ -20,7 +20,7 @@ from service.guard.tickets import LIFE_S
 from service.http import schemas
 from service.http.answers import GLB, JSON, choose, file_answer, json_answer
 from service.http.openapi import EVERYWHERE, responses
-from service.stages.batch import shape_array
+from service.http.query import Betas, queried_shape
 from service.state import ADMITTED, ClientHere, StateHere
 from service.watch.probes import PATHS, answer
 
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from service.watch.probes import Lifecycle
 
 router = APIRouter()
-Betas = Annotated[str | None, Query(max_length=1000, description="Shape coefficients, comma-separated.")]
 
 
 @router.get("/health")
@@ -99,7 +98,7 @@ async def body(body_id: str, state: StateHere, betas: Betas = None) -> schemas.B
     """One body, in the shape ``betas``."""
     runtime = state.runtime
     runtime.check_body_id(body_id)
-    shape = shape_array(_numbers("betas", betas), runtime.body)
+    shape = queried_shape(betas, runtime.body)
     return schemas.BodyDocument(
         **_body_info(runtime.body).model_dump(),
         joints=runtime.body.rest_joints(shape).tolist(),
@@ -121,7 +120,7 @@ async def body_mesh(
     """The body at rest: JSON, or by Accept a GLB with its 24 joints as a skeleton, ready to be posed."""
     runtime = state.runtime
     runtime.check_body_id(body_id)
-    shape = shape_array(_numbers("betas", betas), runtime.body)
+    shape = queried_shape(betas, runtime.body)
     kind = choose(request.headers.get("accept"), (JSON, GLB))
     if kind == GLB:
         file = GlbFile()
@@ -133,15 +132,6 @@ async def body_mesh(
     return json_answer(
         document | {"materials": ["body"], "face_material": np.zeros(len(faces), int)}, state.sliced_thread
     )
-
-
-def _numbers(name: str, text: str | None) -> list[float]:
-    try:
-        return [float(part) for part in text.split(",")] if text else []
-    except ValueError as error:
-        raise InputError(
-            name, expected="comma-separated numbers", got=str(text)[:60], cure="For example ?betas=0.5,-1."
-        ) from error
 
 
 @router.get("/motions")
@@ -161,7 +151,7 @@ async def motions(state: StateHere) -> list[schemas.MotionInfo]:
 async def motion(motion_id: str, state: StateHere, betas: Betas = None) -> Response:
     """One sample clip with its poses [rad] and translations [m], for the body in the shape ``betas``."""
     runtime = state.runtime
-    clip = runtime.motions.placed(motion_id, runtime.body, shape_array(_numbers("betas", betas), runtime.body))
+    clip = runtime.motions.placed(motion_id, runtime.body, queried_shape(betas, runtime.body))
     document = {"id": motion_id, "name": clip.name, "frames": clip.frame_count, "fps": clip.fps}
     document |= {"poses": np.round(clip.poses, 6), "trans": np.round(clip.trans, 6)}
     return json_answer(document, state.sliced_thread)
