@@ -23,6 +23,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from drape.body.model import BodyModel
 from drape.body.skeleton import JOINT_NAMES
@@ -38,7 +39,7 @@ LEVEL_COUNT = 60  # at which the template's waist is looked for
 _ARMS = [i for i, name in enumerate(JOINT_NAMES) if name.split("_")[-1] in ("shoulder", "elbow", "wrist", "hand")]
 _PELVIS, _KNEE, _CHEST = (JOINT_NAMES.index(name) for name in ("pelvis", "left_knee", "spine3"))
 _SHOULDERS = [JOINT_NAMES.index(name) for name in ("left_shoulder", "right_shoulder")]
-_SLEEVES = np.array(
+SLEEVES = np.array(
     [[JOINT_NAMES.index(f"{side}_{part}") for part in ("shoulder", "elbow", "wrist")] for side in ("left", "right")]
 )
 
@@ -64,6 +65,14 @@ class Levels(NamedTuple):
     hip_m: float
 
 
+class Tape(NamedTuple):
+    """A tape around a level section: the crossed ``edge`` (n, 2), at which ``share`` of each (n,), their ``hull``."""
+
+    edge: np.ndarray
+    share: np.ndarray
+    hull: ConvexHull
+
+
 @dataclass(frozen=True, eq=False)
 class Landmarks:
     """Places of one body that measures are taken at.
@@ -80,7 +89,7 @@ class Landmarks:
     trunk: np.ndarray
 
     def levels(self, vertices: np.ndarray) -> Levels:
-        """The levels of a body at rest, ``vertices`` [m] (V, 3)."""
+        """The levels of a body at rest, linear in ``vertices`` [m] (V, 3)."""
         chest, seat = float(vertices[self.chest, 1]), float(vertices[self.seat, 1])
         return Levels(chest, seat + self.waist_share * (chest - seat), seat)
 
@@ -114,18 +123,24 @@ def _extreme(values: np.ndarray, among: np.ndarray, name: str) -> int:
 
 
 def section_girth(vertices: np.ndarray, edges: np.ndarray, y: float) -> float:
-    """The perimeter [m] of the convex hull of where ``edges`` (E, 2) of ``vertices`` (V, 3) cross the height ``y``.
+    """The perimeter [m] of the hull of ``section_tape``."""
+    return float(section_tape(vertices, edges, y).hull.area)  # of a plane: its perimeter
+
+
+def section_tape(vertices: np.ndarray, edges: np.ndarray, y: float) -> Tape:
+    """The tape around ``edges`` (E, 2) of ``vertices`` [m] (V, 3) at the height ``y`` [m].
 
     Refuses (``BodyError``) a level that nothing crosses.
     """
     above = vertices[:, 1] > y
-    low, high = (vertices[end] for end in edges[above[edges[:, 0]] != above[edges[:, 1]]].T)
+    crossed = edges[above[edges[:, 0]] != above[edges[:, 1]]]
+    low, high = vertices[crossed[:, 0]], vertices[crossed[:, 1]]
     share = (y - low[:, 1]) / (high[:, 1] - low[:, 1])
     hull = convex_hull((low + share[:, None] * (high - low))[:, [0, 2]])
     if hull is None:
         cure = "Use a body that stands in the T-pose, in metres, y up."
         raise BodyError("body section", expected=f"skin at the height {y:.3f} m", got="none", cure=cure)
-    return float(hull.area)  # of a plane: its perimeter
+    return Tape(crossed, share, hull)
 
 
 def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
@@ -154,4 +169,4 @@ def measures(body: BodyModel, betas: np.ndarray | None = None) -> Measures:
 
 def _sleeve(joints: np.ndarray) -> float:
     """From shoulder over elbow to wrist [m], the mean of both arms, at rest ``joints`` [m] (24, 3)."""
-    return float(np.linalg.norm(np.diff(joints[_SLEEVES], axis=1), axis=2).sum(axis=1).mean())
+    return float(np.linalg.norm(np.diff(joints[SLEEVES], axis=1), axis=2).sum(axis=1).mean())

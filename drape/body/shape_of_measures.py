@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from drape.body.measure_slopes import measure_slopes
 from drape.body.measures import Measures, measures
 from drape.body.model import BodyModel
 from drape.errors import BodyError
@@ -25,7 +26,6 @@ from drape.errors import BodyError
 LIMIT = 3.0  # standard deviations; one body in 370 is further out in a given way
 ACCURACY = Measures(*(1e-3,) * 7, weight_kg=0.1)
 MISSED = Measures(*(5e-3,) * 7, weight_kg=0.5)  # beyond it a measure counts as missed
-STEP = 0.02  # of the differences: wide enough to pass over the edges of a section's polygon
 STEPS, DONE = 12, 1e-4  # at most so many; a shape that changes less is found
 
 
@@ -50,7 +50,7 @@ def shape_of_measures(body: BodyModel, asked: Mapping[str, float], *, limit: flo
     target, scale = np.array([asked[name] for name in names]), np.array(ACCURACY)[rows]
     betas = np.zeros(body.shape_count)
     for _ in range(STEPS):
-        slope = jacobian(body, betas)[rows] / scale[:, None]
+        slope = measure_slopes(body, betas)[rows] / scale[:, None]
         left = (target - np.array(measures(body, betas))[rows]) / scale
         matrix = np.concatenate([slope, np.eye(len(betas))])
         wanted = np.concatenate([left + slope @ betas, np.zeros(len(betas))])
@@ -62,13 +62,6 @@ def shape_of_measures(body: BodyModel, asked: Mapping[str, float], *, limit: flo
     return FoundShape(betas, reached, {name: by for name, by in off.items() if abs(by) > getattr(MISSED, name)})
 
 
-def jacobian(body: BodyModel, betas: np.ndarray) -> np.ndarray:
-    """Derivatives (8, S) of the ``Measures`` by the shape at ``betas`` (S,), from central differences."""
-    ways = STEP * np.eye(len(betas))
-    pairs = [(measures(body, betas + way), measures(body, betas - way)) for way in ways]
-    return np.array([np.subtract(more, less) for more, less in pairs]).T / (2.0 * STEP)
-
-
 @lru_cache(maxsize=8)
 def measure_ranges(body: BodyModel, limit: float = LIMIT) -> dict[str, tuple[float, float]]:
     """The least and the largest of each measure by its name, of shapes with |b| <= ``limit``.
@@ -76,7 +69,8 @@ def measure_ranges(body: BodyModel, limit: float = LIMIT) -> dict[str, tuple[flo
     They lie along the slope at the mean shape, since measures are nearly linear.
     """
     found = {}
-    for row, (name, slope) in enumerate(zip(Measures._fields, jacobian(body, np.zeros(body.shape_count)), strict=True)):
+    slopes = measure_slopes(body, np.zeros(body.shape_count))
+    for row, (name, slope) in enumerate(zip(Measures._fields, slopes, strict=True)):
         furthest = limit * slope / max(float(np.linalg.norm(slope)), 1e-12)
         found[name] = measures(body, -furthest)[row], measures(body, furthest)[row]
     return found
