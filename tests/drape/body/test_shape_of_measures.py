@@ -62,6 +62,14 @@ def test_measures_that_exclude_each_other_are_told_as_missed(body: BodyModel):
         assert_allclose(by, getattr(found.reached, name) - {"height_m": 1.9, "chest_m": 0.8, "waist_m": 0.9}[name])
 
 
+@pytest.mark.parametrize("name", Measures._fields)
+def test_a_measure_alone_reaches_both_ends_of_its_range(body: BodyModel, name: str):
+    for end in measure_ranges(body)[name]:
+        found = shape_of_measures(body, {name: end})
+        assert found.missed == {}
+        assert np.linalg.norm(found.betas) < LIMIT + 0.05, "where the range was looked for"
+
+
 def test_ranges_hold_the_mean_and_are_nearly_symmetric(body: BodyModel):
     ranges, mean = measure_ranges(body), measures(body)
     assert tuple(ranges) == Measures._fields
