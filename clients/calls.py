@@ -114,6 +114,12 @@ def fetched(
     return Call("GET", path_of(*names), read, params, {"Accept": accept})
 
 
+def sent(document: Mapping[str, Any], *names: str) -> Call[dict[str, Any]]:
+    """A POST of ``document`` to the path of ``names``, without what is None in it; the answer is JSON too."""
+    said = {name: value for name, value in document.items() if value is not None}
+    return Call("POST", path_of(*names), httpx.Response.json, headers={"Accept": "application/json"}, json=said)
+
+
 def path_of(*names: str) -> str:
     """The path of ``names``, which may hold any letter."""
     return "".join(f"/{quote(name, safe='')}" for name in names)

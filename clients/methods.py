@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from clients import calls, pieces
-from clients.calls import BINARY, GLB, Answer, Body, Call, Motion, at_root, draped, fetched, path_of
+from clients.calls import BINARY, GLB, Answer, Body, Call, Motion, at_root, draped, fetched, path_of, sent
 from clients.meshes import check_without_body, glb_of, surface_of
 from clients.refusals import problem_error
 from drape.errors import Unavailable
@@ -76,6 +76,35 @@ class Methods:
         """A clip from a file, placed on the ground for the service's body in the shape ``betas``."""
         name = (yield self.bodies())[0]["id"]
         return calls.placed(clip, (yield fetched("bodies", name, betas=betas)))
+
+    def measures(self, betas: np.ndarray | None = None) -> Steps[dict[str, Any]]:
+        """The measures of the service's body in the shape ``betas``, and the range of each."""
+        name = (yield self.bodies())[0]["id"]
+        return (yield fetched("bodies", name, "measures", betas=betas))
+
+    def shape(self, **measures: float) -> Steps[dict[str, Any]]:
+        """The likeliest ``betas`` of the service's body that have ``measures``, such as ``height_m=1.7``; what they
+        reach, and what they miss."""
+        name = (yield self.bodies())[0]["id"]
+        return (yield sent(measures, "bodies", name, "shapes"))
+
+    def fit(
+        self,
+        garment: str,
+        *,
+        betas: np.ndarray | None = None,
+        pose: np.ndarray | None = None,
+        fabric: str | dict[str, Any] | None = None,
+        vertices: bool = False,
+    ) -> Call[dict[str, Any]]:
+        """Where ``garment`` is tight or loose on a body, in words and numbers; ``pose`` is (24, 3) [rad].
+
+        With ``vertices`` also strain along warp and weft and pressure [N/m^2] of each.
+        """
+        body = {
+            name: None if of is None else np.asarray(of).tolist() for name, of in (("betas", betas), ("pose", pose))
+        }
+        return sent({**body, "fabric": fabric, "vertices": vertices}, "garments", garment, "fit")
 
     def mesh(self, garment: str, resolution: Resolution = "delivered") -> Call[dict[str, Any]]:
         """Rest vertices [m], faces, uv and uv_faces of a garment, of the mesh that a drape of ``resolution`` has."""

@@ -17,6 +17,7 @@ from service.guard.origin_guard import OriginGuard
 from service.http import (
     avatar_routes,
     clip_routes,
+    fit_routes,
     garment_routes,
     info_routes,
     openapi,
@@ -42,6 +43,7 @@ ROUTERS = (
     info_routes.router,
     garment_routes.router,
     avatar_routes.router,
+    fit_routes.router,
     upload_routes.router,
     clip_routes.router,
 )

@@ -21,7 +21,7 @@ from service.guard.tickets import LIFE_S
 from service.http import schemas
 from service.http.answers import GLB, JSON, choose, file_answer, json_answer
 from service.http.openapi import EVERYWHERE, responses
-from service.stages.batch import shape_array
+from service.http.query import Betas, queried_shape
 from service.state import ADMITTED, ClientHere, StateHere
 from service.watch.probes import PATHS, answer
 
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from service.watch.probes import Lifecycle
 
 router = APIRouter()
-Betas = Annotated[str | None, Query(max_length=1000, description="Shape coefficients, comma-separated.")]
 
 
 @router.get("/health")
@@ -100,7 +99,7 @@ async def body(body_id: str, state: StateHere, betas: Betas = None) -> schemas.B
     """One body, in the shape ``betas``."""
     runtime = state.runtime
     runtime.check_body_id(body_id)
-    shape = shape_array(_numbers("betas", betas), runtime.body)
+    shape = queried_shape(betas, runtime.body)
     return schemas.BodyDocument(
         **_body_info(runtime.body).model_dump(),
         joints=runtime.body.rest_joints(shape).tolist(),
@@ -122,7 +121,7 @@ async def body_mesh(
     """The body at rest: JSON, or by Accept a GLB with its 24 joints as a skeleton, ready to be posed."""
     runtime = state.runtime
     runtime.check_body_id(body_id)
-    shape = shape_array(_numbers("betas", betas), runtime.body)
+    shape = queried_shape(betas, runtime.body)
     kind = choose(request.headers.get("accept"), (JSON, GLB))
     if kind == GLB:
         file = GlbFile()
@@ -134,15 +133,6 @@ async def body_mesh(
     return json_answer(
         document | {"materials": ["body"], "face_material": np.zeros(len(faces), int)}, state.sliced_thread
     )
-
-
-def _numbers(name: str, text: str | None) -> list[float]:
-    try:
-        return [float(part) for part in text.split(",")] if text else []
-    except ValueError as error:
-        raise InputError(
-            name, expected="comma-separated numbers", got=str(text)[:60], cure="For example ?betas=0.5,-1."
-        ) from error
 
 
 @router.get("/motions")
@@ -171,7 +161,7 @@ async def motion(
     if avatar is not None:
         entry = runtime.avatars.get(avatar, client.name)
         body = (await asyncio.to_thread(runtime.avatars.wearer, entry.id)).body
-    clip = runtime.motions.placed(motion_id, body, shape_array(_numbers("betas", betas), body))
+    clip = runtime.motions.placed(motion_id, body, queried_shape(betas, body))
     document = {"id": motion_id, "name": clip.name, "frames": clip.frame_count, "fps": clip.fps}
     document |= {"poses": np.round(clip.poses, 6), "trans": np.round(clip.trans, 6)}
     return json_answer(document, state.sliced_thread)

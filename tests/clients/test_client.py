@@ -19,7 +19,7 @@ from clients.methods import check_deadline, finished
 from clients.refusals import ServiceError, problem_error
 from clients.stream import DrapeStream
 from drape.body.model import BodyModel
-from drape.errors import DrapeError, InputError, MeshError, MotionError, NotFound, Unavailable
+from drape.errors import BodyError, DrapeError, InputError, MeshError, MotionError, NotFound, Unavailable
 from drape.garment.cache import Garment
 from drape.motion import samples
 from drape.motion.clip import MotionClip
@@ -84,6 +84,22 @@ def test_sync_and_async_say_the_same(live: str, body: BodyModel, tube: Garment):
     assert_array_equal(vertices, again)
     assert_allclose(vertices, expected_vertices(body, tube, poses, trans, betas), rtol=0, atol=ROUNDING_M)
     assert_allclose(posed, body.posed_vertices(poses, trans), rtol=0, atol=2e-6)
+
+
+def test_measures_become_a_shape_on_which_a_garment_tells_its_fit(live: str, body: BodyModel, tube: Garment):
+    pose = np.full((24, 3), 0.01)
+    with DrapeClient(live) as client:
+        shape = client.shape(height_m=1.75, waist_m=0.85)
+        betas = np.array(shape["betas"])
+        assert client.measures(betas)["measures"] == shape["measures"]
+        assert_allclose([shape["measures"][name] for name in ("height_m", "waist_m")], [1.75, 0.85], atol=2e-3)
+        found = client.fit("tube", betas=betas, pose=pose, fabric=None, vertices=True)
+        assert len(found["weft"]) == len(tube.vertices) and found["words"]
+        assert "weft" not in client.fit("tube")
+        with pytest.raises(BodyError, match=r"height_m: expected 1\.26 to 2\.41 m"):
+            client.shape(height_m=175.0)
+    assert asked(live, lambda client: client.shape(height_m=1.75, waist_m=0.85)) == shape
+    assert asked(live, lambda client: client.fit("tube", betas=betas, pose=pose, vertices=True)) == found
 
 
 def test_a_clip_from_a_file_is_placed_like_the_shipped_one(live: str):

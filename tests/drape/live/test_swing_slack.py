@@ -6,7 +6,8 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from drape.cloth.energies import ClothMesh
-from drape.live.swing_slack import LEAST, LOOSE, TIGHT, held_share, rings
+from drape.geometry.sections import closed_rings, level_section
+from drape.live.swing_slack import LEAST, LOOSE, TIGHT, held_share
 from tests.drape.cloth import cloth_shapes
 
 AROUND, HIGH = 48, 21
@@ -29,16 +30,6 @@ def share(top_m: float, hem_m: float) -> np.ndarray:
     return held_share(ClothMesh.from_rest(rest, faces), rest, limbs(0.0)).reshape(HIGH, AROUND)
 
 
-def test_a_ring_is_as_long_as_its_circle():
-    rest, faces = tube(0.1, 0.4)
-    (ring,) = rings(faces, rest, -0.31)
-    assert_allclose(ring.length_m, 2.0 * np.pi * 0.255, rtol=5e-3)
-    assert_allclose(ring.hull.area, ring.length_m, rtol=5e-3)
-    assert not rings(faces, rest, 0.1)
-    half = faces[(rest[faces, 2] > 0.0).any(axis=1)]
-    assert not rings(half, rest, -0.31), "an open front"
-
-
 def test_only_what_is_wide_is_let_go():
     assert_allclose(share(0.11, 0.15), 1.0)
     wide = share(0.11, 0.44)
@@ -51,5 +42,5 @@ def test_only_what_is_wide_is_let_go():
 def test_two_tubes_go_with_a_limb_each():
     (left, faces), (right, _) = tube(0.25, 0.3, -0.4), tube(0.25, 0.3, 0.4)
     rest, both = np.concatenate([left, right]), np.concatenate([faces, faces + len(left)])
-    assert len(rings(both, rest, -0.31)) == 2
+    assert len(closed_rings(level_section(both, rest, -0.31), rest)) == 2
     assert_allclose(held_share(ClothMesh.from_rest(rest, both), rest, limbs(-0.4, 0.4)), 1.0)

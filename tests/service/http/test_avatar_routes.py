@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import httpx
@@ -13,6 +14,7 @@ import pytest
 from numpy.testing import assert_allclose
 from websockets.sync.client import connect
 
+from drape.avatar.wearer import Wearer, read_wearer, save_wearer
 from drape.body.model import BodyModel
 from drape.geometry.closest import signed_distance
 from drape.geometry.rotations import matrix_to_quaternion, rotvec_to_matrix
@@ -122,27 +124,6 @@ def test_a_clip_is_placed_for_its_legs(api: httpx.Client, avatar: str):
     assert ours["poses"] == theirs["poses"] and ours["trans"] != theirs["trans"]
 
 
-def test_joints_are_corrected(api: httpx.Client, body: BodyModel):
-    name = sent(api, character(body, scheme="mixamo"), "corrected.glb")["avatar"]
-    change = {"joints": {"spine3": "mixamorig:Spine1"}}
-    job = ended(api, api.patch(f"/avatars/{name}", json=change))
-    assert (job["state"], job["avatar"]) == ("done", name), job
-    assert api.get(f"/avatars/{name}").json()["joints"]["spine3"] == "mixamorig:Spine1"
-    job = ended(api, api.patch(f"/avatars/{name}", json={"joints": {"spine3": "nothing"}}))
-    assert job["state"] == "failed" and "a node" in job["problem"]["expected"]
-    assert api.patch(f"/avatars/{name}", json={"joints": {}}).status_code == 400
-    assert api.delete(f"/avatars/{name}").status_code == 204
-    assert api.get(f"/avatars/{name}").status_code == 404
-
-
-def test_two_of_one_name_have_two_ids(api: httpx.Client, body: BodyModel, settings: Settings):
-    before = set(files_in(settings.garments_dir))
-    names = {sent(api, character(body, betas=beta * BETAS), "twin.glb")["avatar"] for beta in (0.2, 0.4)}
-    assert len(names) == 2
-    assert [api.delete(f"/avatars/{name}").status_code for name in names] == [204, 204]
-    assert set(files_in(settings.garments_dir)) == before
-
-
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
@@ -177,33 +158,44 @@ def test_avatars_are_there_after_a_new_start(avatar: str, runtime_of_api: DrapeR
     (folder / "bad.json").unlink()
 
 
-def test_an_avatar_of_a_key_is_its_own(make_runtime: Callable[..., DrapeRuntime], body: BodyModel, tmp_path: Path):
-    from drape.avatar.wearer import read_wearer, save_wearer
+@pytest.fixture(scope="module")
+def wearers(body: BodyModel) -> list[Wearer]:
+    """Two wearers of one name."""
+    one = read_wearer(character(body), name="twin", body=body)
+    return [one, replace(one, digest=one.digest[::-1])]
 
+
+def add(avatars: in_service.Avatars, wearer: Wearer, folder: Path, owner: str | None) -> in_service.AvatarEntry:
+    file = folder / "sent.glb"
+    file.write_bytes(b"")
+    made = save_wearer(wearer, folder)
+    entry = avatars.add(made, file, owner)
+    assert not made.exists() and not file.exists()
+    return entry
+
+
+def test_two_of_one_name_have_two_ids_and_one_of_a_key_is_its_own(
+    make_runtime: Callable[..., DrapeRuntime], wearers: list[Wearer], tmp_path: Path
+):
     avatars = make_runtime().avatars
-    file = tmp_path / "me.glb"
-    file.write_bytes(character(body))
-    made = save_wearer(read_wearer(file.read_bytes(), name="me", body=body), tmp_path)
-    entry = avatars.add(made, file, "alice")
-    assert entry.id.startswith("me-") and not made.exists() and not file.exists()
-    assert avatars.visible("alice") == [entry] and not avatars.visible("bob")
+    one, other = (add(avatars, wearer, tmp_path, None) for wearer in wearers)
+    own = add(avatars, wearers[0], tmp_path, "alice")
+    assert one.id == "twin" and other.id == f"twin-{wearers[1].digest[:8]}" and own.id.startswith("twin-")
+    assert avatars.visible("alice") == [one, other, own] and avatars.visible("bob") == [one, other]
+    for entry in (one, other, own):
+        avatars.remove(entry)
+    assert not avatars.visible("alice") and not [path for path in own.path.parent.iterdir() if path.is_file()]
 
 
 def test_few_avatars_are_kept_dressed(
-    make_runtime: Callable[..., DrapeRuntime], body: BodyModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    make_runtime: Callable[..., DrapeRuntime], wearers: list[Wearer], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    from drape.avatar.wearer import read_wearer, save_wearer
-
     runtime = make_runtime()
-    wearer = read_wearer(character(body), name="one", body=body)
-    for number in range(3):
-        file = tmp_path / f"{number}.glb"
-        file.write_bytes(b"")
-        runtime.avatars.add(save_wearer(wearer, tmp_path), file, f"key{number}")
-    monkeypatch.setattr(in_service, "MOST_WORN", 2)
-    for entry in runtime.avatars._entries.values():
+    monkeypatch.setattr(in_service, "MOST_WORN", 1)
+    for wearer in wearers:
+        entry = add(runtime.avatars, wearer, tmp_path, None)
         runtime.avatars.dress(entry.id, runtime.garments.get("tube"))
-    assert len(runtime.avatars.worn) == 2
+    assert len(runtime.avatars.worn) == 1
 
 
 def test_quaternions_are_checked_for_their_length(api: httpx.Client, avatar: str):
@@ -211,3 +203,14 @@ def test_quaternions_are_checked_for_their_length(api: httpx.Client, avatar: str
     half = matrix_to_quaternion(rotvec_to_matrix(np.zeros((count, 3))))[:, [1, 2, 3, 0]] * 0.5
     answer = api.post("/drape", json={"garment": "tube", "avatar": avatar, "rig_poses": [half.tolist()]})
     assert answer.status_code == 422 and "unit quaternions" in answer.json()["expected"]
+
+
+def test_joints_are_corrected_and_an_avatar_is_removed(api: httpx.Client, avatar: str, settings: Settings):
+    assert api.patch(f"/avatars/{avatar}", json={"joints": {}}).status_code == 400
+    job = ended(api, api.patch(f"/avatars/{avatar}", json={"joints": {"spine3": "nothing"}}))
+    assert job["state"] == "failed" and "a node" in job["problem"]["expected"]
+    job = ended(api, api.patch(f"/avatars/{avatar}", json={"joints": {"spine3": "bone spine2"}}))
+    assert (job["state"], job["avatar"]) == ("done", avatar), job
+    assert api.get(f"/avatars/{avatar}").json()["joints"]["spine3"] == "bone spine2"
+    assert api.delete(f"/avatars/{avatar}").status_code == 204
+    assert api.get(f"/avatars/{avatar}").status_code == 404 and not files_in(settings.garments_dir)

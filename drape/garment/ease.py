@@ -1,0 +1,80 @@
+"""Ease: how much longer a garment is around the body than the body itself, at the levels of its measures.
+
+The garment's girth is that of its cloth without stress, along the line in which a level plane cuts the drape at rest.
+So it is what the pattern gives there, neither stretched by the body nor shortened by folds of the drape; ease below
+zero is what the cloth has to stretch.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from drape.body.measures import landmarks, section_girth
+from drape.body.model import BodyModel
+from drape.body.skeleton import JOINT_NAMES
+from drape.cloth.rest_state import RestState
+from drape.geometry.sections import Ring, Section, closed_rings, level_section
+
+# The joint that lies in the middle of the trunk at each level, by the names of drape.body.measures.
+_MIDDLE = {"chest_m": "spine3", "waist_m": "spine1", "hip_m": "pelvis"}
+
+
+class Ease(NamedTuple):
+    """Girths [m] at one level: of the body, and of the garment without stress."""
+
+    body_m: float
+    garment_m: float
+
+    @property
+    def ease_m(self) -> float:
+        """The garment's girth minus the body's."""
+        return self.garment_m - self.body_m
+
+
+def eases(
+    faces: np.ndarray, rest: RestState, vertices: np.ndarray, body: BodyModel, betas: np.ndarray | None = None
+) -> dict[str, Ease]:
+    """The ease by the names of ``Levels`` of a garment, ``faces`` (F, 3) of the cloth ``rest``, that is draped at
+    ``vertices`` [m] (V, 3) on ``body`` in its rest pose and the shape ``betas``; only levels that it goes around."""
+    place, skin, joints = landmarks(body), body.rest_vertices(betas), body.rest_joints(betas)
+    found = {}
+    for name, level in place.levels(skin)._asdict().items():
+        middle = joints[JOINT_NAMES.index(_MIDDLE[name])][[0, 2]]
+        girth = girth_around(faces, rest, vertices, y=level, middle=middle)
+        if girth is not None:
+            found[name] = Ease(section_girth(skin, place.trunk, level), girth)
+    return found
+
+
+def girth_around(
+    faces: np.ndarray, rest: RestState, vertices: np.ndarray, *, y: float, middle: np.ndarray
+) -> float | None:
+    """The length [m] at ``rest`` of the longest closed ring at the height ``y`` [m] around ``middle`` (x, z) [m].
+
+    None where there is none: the garment ends above or below, or is open there.
+    """
+    section = level_section(faces, vertices, y)
+    around = [ring for ring in closed_rings(section, vertices) if _encloses(ring, middle)]
+    if not around:
+        return None
+    lengths = rest_lengths(section, faces, rest)
+    return max(float(lengths[ring.rows].sum()) for ring in around)
+
+
+def rest_lengths(section: Section, faces: np.ndarray, rest: RestState) -> np.ndarray:
+    """Lengths [m] (N,) of the segments of ``section`` on the flat triangles of ``rest``."""
+    cut = faces[section.face]
+    corners = np.concatenate([np.zeros((len(cut), 1, 2)), rest.edges[section.face]], axis=1)  # (N, 3, 2)
+    rows, ends = np.arange(len(cut)), []
+    for crossing in section.ends.T:
+        first, second = (corners[rows, (cut == section.edge[crossing, k, None]).argmax(axis=1)] for k in (0, 1))
+        ends.append(first + section.share[crossing, None] * (second - first))
+    return np.linalg.norm(ends[1] - ends[0], axis=1)
+
+
+def _encloses(ring: Ring, point: np.ndarray) -> bool:
+    """Whether the hull of ``ring`` holds ``point`` (x, z) [m]."""
+    sides = ring.hull.equations
+    return bool((sides[:, :2] @ point + sides[:, 2] <= 0.0).all())

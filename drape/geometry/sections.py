@@ -1,0 +1,78 @@
+"""Level sections of triangle meshes: the edges that a plane crosses, closed rings, and girths around them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import ConvexHull, QhullError
+
+
+class Section(NamedTuple):
+    """The cut of a plane: each of N triangles is crossed in a segment between two of M edges.
+
+    ``face`` (N,) of the triangles, ``edge`` (M, 2) vertices, the smaller first, ``share`` (M,) of the way along the
+    edge at which it is crossed, ``ends`` (N, 2) rows of ``edge`` between which each segment lies.
+    """
+
+    face: np.ndarray
+    edge: np.ndarray
+    share: np.ndarray
+    ends: np.ndarray
+
+    def points(self, vertices: np.ndarray) -> np.ndarray:
+        """The crossings (M, 3) [m] on ``vertices`` [m] (V, 3)."""
+        low, high = vertices[self.edge[:, 0]], vertices[self.edge[:, 1]]
+        return low + self.share[:, None] * (high - low)
+
+
+class Ring(NamedTuple):
+    """A closed ring: its ``length_m``, its ``hull`` in the plane (x, z), and the ``rows`` of its segments."""
+
+    length_m: float
+    hull: ConvexHull
+    rows: np.ndarray
+
+
+def level_section(faces: np.ndarray, vertices: np.ndarray, y: float) -> Section:
+    """The section of ``faces`` (F, 3) at ``vertices`` [m] (V, 3) by the plane at the height ``y`` [m].
+
+    A vertex in the plane counts as below it, so no triangle is touched in a point alone.
+    """
+    above = vertices[:, 1] > y
+    face = np.flatnonzero(above[faces].any(axis=1) & ~above[faces].all(axis=1))
+    cut = faces[face]
+    sides = np.sort(np.stack([cut, np.roll(cut, -1, axis=1)], axis=-1), axis=-1)
+    crossed = sides[above[sides[..., 0]] != above[sides[..., 1]]]  # two of each triangle, in turn
+    edge, number = np.unique(crossed, axis=0, return_inverse=True)
+    low, high = vertices[edge[:, 0], 1], vertices[edge[:, 1], 1]
+    return Section(face, edge, (y - low) / (high - low), number.reshape(-1, 2))
+
+
+def closed_rings(section: Section, vertices: np.ndarray) -> list[Ring]:
+    """The closed rings of ``section`` on ``vertices`` [m] (V, 3); a chain with loose ends is none."""
+    place, ends = section.points(vertices)[:, [0, 2]], section.ends
+    if not len(ends):
+        return []
+    count = np.bincount(ends.reshape(-1), minlength=len(place))
+    length_m = np.linalg.norm(place[ends[:, 0]] - place[ends[:, 1]], axis=1)
+    links = scipy.sparse.coo_matrix((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(len(place), len(place)))
+    parts, part = connected_components(links, directed=False)
+    of_segment = part[ends[:, 0]]
+    found = []
+    for number in range(parts):
+        hull = convex_hull(place[part == number]) if (count[part == number] == 2).all() else None
+        if hull is not None:
+            rows = np.flatnonzero(of_segment == number)
+            found.append(Ring(float(length_m[rows].sum()), hull, rows))
+    return found
+
+
+def convex_hull(points: np.ndarray) -> ConvexHull | None:
+    """The convex hull of ``points`` (n, 2), whose ``area`` is its girth; None where they lie in a line, or are few."""
+    try:
+        return ConvexHull(points) if len(points) > 2 else None
+    except QhullError:
+        return None

@@ -1,0 +1,130 @@
+"""REST: bodies by their measures, and how garments fit them."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from fastapi import APIRouter, Request, Response
+
+from drape.body.measures import Measures, landmarks, measures
+from drape.body.model import BodyModel
+from drape.body.shape_of_measures import measure_ranges, shape_of_measures
+from drape.body.skeleton import JOINT_COUNT
+from drape.errors import BodyError, InputError, MotionError, NotFound
+from drape.garment.fit_report import FitReport, Worn, fit_report
+from drape.wire.options import DrapeOptions
+from service.errors import NotAcceptable, TooLarge, TooSlow
+from service.http.answers import BINARY, JSON, binary_answer, choose, json_answer
+from service.http.fit_schemas import FitDocument, FitRequest, MeasuresDocument, ShapeDocument, ShapeRequest
+from service.http.json_body import document_of, json_text, validated
+from service.http.openapi import body_schema, responses
+from service.http.query import Betas, queried_shape
+from service.stages.batch import Batch, PoseInput, motion_arrays, shape_array
+from service.state import ClientHere, StateHere
+
+if TYPE_CHECKING:
+    from service.stages.scene import Entry
+
+router = APIRouter()
+# The network's smooth drape of every pose by itself: folds would take up the strain that is looked for, and the
+# push-out adds some of its own.
+SMOOTH: dict[str, Any] = {"motion": 0.0, "folds": 0, "push_out": False, "resolution": "fine"}
+
+
+@router.get("/bodies/{body_id}/measures", responses=responses(InputError, NotFound, BodyError))
+async def body_measures(body_id: str, state: StateHere, betas: Betas = None) -> MeasuresDocument:
+    """The measures of a body in the shape ``betas``, where they are taken, and what this body can have of each."""
+    runtime = state.runtime
+    runtime.check_body_id(body_id)
+    shape = queried_shape(betas, runtime.body)
+    return MeasuresDocument.model_validate(await asyncio.to_thread(_measured, runtime.body, shape))
+
+
+def _measured(body: BodyModel, shape: np.ndarray) -> dict[str, Any]:
+    """The fields of a ``MeasuresDocument``."""
+    levels = landmarks(body).levels(body.rest_vertices(shape))
+    ranges = {name: {"least": least, "most": most} for name, (least, most) in measure_ranges(body).items()}
+    found = {"betas": shape.tolist(), "measures": measures(body, shape)._asdict()}
+    return found | {"levels": levels._asdict(), "ranges": ranges}
+
+
+@router.post(
+    "/bodies/{body_id}/shapes",
+    openapi_extra=body_schema(ShapeRequest),
+    responses=responses(InputError, NotFound, BodyError, TooSlow, TooLarge),
+)
+async def body_shape(body_id: str, request: Request, state: StateHere, client: ClientHere) -> ShapeDocument:
+    """The likeliest shape of a body that has the measures that are sent."""
+    runtime = state.runtime
+    runtime.check_body_id(body_id)
+    state.check_slot()
+    asked = validated(ShapeRequest, document_of(await json_text(request))).model_dump(exclude_none=True)
+    with state.access.using(client, "clips"), state.slot():
+        found = await asyncio.to_thread(runtime.constants_process.call, shape_of_measures, runtime.body, asked)
+    reached = Measures._asdict(found.reached)
+    return ShapeDocument.model_validate({"betas": found.betas.tolist(), "measures": reached, "missed": found.missed})
+
+
+@router.post(
+    "/garments/{garment_id}/fit",
+    response_model=FitDocument,
+    openapi_extra=body_schema(FitRequest),
+    responses=responses(
+        *(InputError, NotFound, NotAcceptable, BodyError, MotionError, TooSlow, TooLarge), kinds=(JSON, BINARY)
+    ),
+)
+async def garment_fit(garment_id: str, request: Request, state: StateHere, client: ClientHere) -> Response:
+    """How a garment fits: words, ease at chest, waist and hip, strain and pressure by regions.
+
+    What is read is the network's smooth drape, without folds. Ease is that of the rest pose, strain and pressure are
+    those of ``pose``. By Accept binary: float32 (vertices, 3), strain along warp and weft, pressure [N/m2].
+    """
+    runtime = state.runtime
+    state.check_slot()
+    asked = validated(FitRequest, document_of(await json_text(request)))
+    kind = choose(request.headers.get("accept"), (JSON, BINARY))
+    entry = await state.garment(garment_id, client)
+    plan = runtime.plan(entry, DrapeOptions(**SMOOTH, fabric=asked.fabric))
+    clip = _clip(asked, runtime.body)
+    with state.access.using(client, "clips"), state.slot():
+        draped = await runtime.drape(plan, clip)
+        call = runtime.constants_process.call
+        garment, fabric = plan.scene.layers[0].garment, plan.fabrics[0]
+        found = await asyncio.to_thread(call, fit_report, garment, runtime.body, _worn(clip, draped), fabric=fabric)
+    if kind == BINARY:
+        rows = np.stack(_of_delivered(found, entry), axis=1)
+        return binary_answer(rows, state.sliced_thread, {"X-Drape-Vertices": str(len(rows))})
+    return json_answer(_document(found, entry, vertices=asked.vertices), state.sliced_thread)
+
+
+def _clip(asked: FitRequest, body: BodyModel) -> PoseInput:
+    """The rest pose, and after it the pose that is ``asked`` about, if any."""
+    poses = np.zeros((1 if asked.pose is None else 2, JOINT_COUNT, 3))
+    if asked.pose is not None:
+        poses[1] = asked.pose
+    poses, trans = motion_arrays(poses, None, max_frames=len(poses))
+    return PoseInput(poses, trans, shape_array(asked.betas, body), np.arange(float(len(poses))))
+
+
+def _worn(clip: PoseInput, draped: Batch) -> Worn:
+    """The frames of ``draped`` in the world, float64."""
+    vertices = draped.vertices.astype(np.float64) + draped.root[:, None]
+    posed = (clip.poses[1], vertices[1]) if len(vertices) > 1 else (None, None)
+    return Worn(clip.betas, vertices[0], *posed)
+
+
+def _of_delivered(found: FitReport, entry: Entry) -> list[np.ndarray]:
+    """Strain along warp and weft and pressure of the delivered vertices, which come first, float32."""
+    return [values[: entry.vertex_count].astype(np.float32) for values in found.tension]
+
+
+def _document(found: FitReport, entry: Entry, *, vertices: bool) -> dict[str, Any]:
+    """The fields of a ``FitDocument``."""
+    ease = {name: {**girths._asdict(), "ease_m": girths.ease_m} for name, girths in found.ease.items()}
+    regions = {name: region._asdict() for name, region in found.regions.items()}
+    document: dict[str, Any] = {"garment": entry.id, "words": found.words, "ease": ease, "regions": regions}
+    if vertices:
+        document |= dict(zip(found.tension._fields, _of_delivered(found, entry), strict=True))
+    return document

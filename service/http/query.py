@@ -1,0 +1,25 @@
+"""Arrays in the query of an address: numbers between commas."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from fastapi import Query
+
+from drape.body.model import BodyModel
+from drape.errors import InputError
+from service.stages.batch import shape_array
+
+Betas = Annotated[str | None, Query(max_length=1000, description="Shape coefficients, comma-separated.")]
+
+
+def queried_shape(text: str | None, body: BodyModel) -> np.ndarray:
+    """The shape (S,) that ``betas`` of a query ask for, zeros where there are none; refuses what is no shape."""
+    try:
+        numbers = [float(part) for part in text.split(",")] if text else []
+    except ValueError as error:
+        raise InputError(
+            "betas", expected="comma-separated numbers", got=str(text)[:60], cure="For example ?betas=0.5,-1."
+        ) from error
+    return shape_array(numbers, body)
