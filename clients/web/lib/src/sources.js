@@ -8,7 +8,7 @@ const EARLY_MS = 2; // pictures come a little early or late
 
 // The 72 numbers of rotation vectors that came as such or as 24 triples.
 export function flatPose(poses) {
-  const flat = poses.length === NUMBERS ? poses : Array.from(poses, (joint) => [...joint]).flat();
+  const flat = poses.length === NUMBERS ? poses : Array.from(poses, (joint) => Array.from(joint)).flat();
   if (flat.length === NUMBERS) return flat;
   throw new DrapeError({
     name: "poses",

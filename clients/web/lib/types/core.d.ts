@@ -86,7 +86,7 @@ export interface Motion extends MotionInfo {
 }
 
 /** 24 rotation vectors [rad], as triples or as 72 numbers. */
-export type Pose = ArrayLike<number> | Iterable<number>[];
+export type Pose = ArrayLike<number> | ArrayLike<number>[];
 
 export interface Sample {
   poses: Pose;
