@@ -121,18 +121,19 @@ console.log(JSON.stringify({ poses: [...got], trans }));
 """
 
 VRM = (
-    "hips leftUpperLeg rightUpperLeg spine leftLowerLeg rightLowerLeg chest leftFoot rightFoot upperChest leftToes rightToes neck "
-    "leftShoulder rightShoulder head leftUpperArm rightUpperArm leftLowerArm rightLowerArm leftHand rightHand"
-).split()
+    "hips leftUpperLeg rightUpperLeg spine leftLowerLeg rightLowerLeg chest leftFoot rightFoot upperChest leftToes "
+    "rightToes neck leftShoulder rightShoulder head leftUpperArm rightUpperArm leftLowerArm rightLowerArm "
+    "leftHand rightHand"
+)
 MIXAMO = (
     "Hips LeftUpLeg RightUpLeg Spine LeftLeg RightLeg Spine1 LeftFoot RightFoot Spine2 LeftToeBase RightToeBase Neck "
     "LeftShoulder RightShoulder Head LeftArm RightArm LeftForeArm RightForeArm LeftHand RightHand"
-).split()
+)
 
 
 @pytest.mark.parametrize("rig", ["vrm", "vrm that looks back", "mixamo", "few bones"])
 def test_poses_of_a_rig_are_those_that_it_was_put_into(application: Path, body: BodyModel, rng, rig: str):
-    names: list[str | None] = [f"mixamorig{name}" for name in MIXAMO] if rig == "mixamo" else list(VRM)
+    names: list[str | None] = [f"mixamorig{name}" for name in MIXAMO.split()] if rig == "mixamo" else [*VRM.split()]
     poses = rng.uniform(-1.0, 1.0, (24, 3))
     missing = [6, 9, 10, 11, 12, 13, 14] if rig == "few bones" else []
     for joint in missing:
@@ -148,4 +149,4 @@ def test_poses_of_a_rig_are_those_that_it_was_put_into(application: Path, body: 
     (application / "rig.js").write_text(RIG)
     said = json.loads(run(["node", "rig.js", json.dumps(document)], application))
     assert_allclose(np.reshape(said["poses"], (24, 3)), poses, rtol=0, atol=1e-6)  # float32
-    assert_allclose(said["trans"], step + [0.0, 0.9, 0.0], rtol=0, atol=1e-9)
+    assert_allclose(said["trans"], step + np.array([0.0, 0.9, 0.0]), rtol=0, atol=1e-9)
