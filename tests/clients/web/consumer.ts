@@ -39,9 +39,9 @@ const garments = (await drape.garments()).map(({ id }) => id);
 tube.dispose();
 
 const core = await connectCore(url, { worker: null });
-const headless: Wearing = await core.wear(["tube"]);
-const root = await new Promise<number[]>((resolve) => {
-  headless.onFrame = ({ root }) => resolve(root);
+const headless: Wearing = await core.wear(["tube"], { geometry: "jets" });
+const [root, jets] = await new Promise<[number[], Float32Array]>((resolve) => {
+  headless.onFrame = ({ root, positions }) => positions && resolve([root, positions[0]!]);
   void headless.play("reach");
 });
 headless.close();
@@ -49,7 +49,7 @@ headless.close();
 const told = (error: DrapeError | null) => error && [error.name, error.kind, error.status, error.cure !== ""];
 console.log(
   JSON.stringify({
-    garments, root, positions, state: tube.state, children: scene.children.length, frames: tube.stats.frames,
+    garments, root, positions, jets: Array.from(jets), state: tube.state, children: scene.children.length, frames: tube.stats.frames,
     refused: told(refused), unknown: told(unknown), noRig: told(noRig),
   }),
 );

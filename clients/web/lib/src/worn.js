@@ -1,6 +1,6 @@
 // What is worn, as an object of three.js: its meshes move by themselves as frames come.
 import { BufferAttribute, BufferGeometry, Color, DoubleSide, DynamicDrawUsage, Group, Mesh, MeshPhysicalMaterial, Sphere, Vector3 } from "three";
-import { poseBones, readBody } from "./body.js";
+import { poseBones } from "./body.js";
 
 const COLOURS = ["#66656b", "#969c8c", "#8a6a5a", "#6f7f8f"]; // charcoal, sage, clay, steel
 const REACH_M = 2.5; // of cloth from the root, arms and hems included: a sphere that needs no counting
@@ -31,12 +31,18 @@ function clothMesh({ id, vertexCount, copies, index, uv }, colour) {
 
 // Moving the group moves all; within it the axes are the world's of the poses, y up. Events: "frame", "state".
 export class Worn extends Group {
-  constructor(wearing, { colours = COLOURS } = {}) {
+  // figure: the service's body (readBody), which appears with the first frame, or null.
+  constructor(wearing, { colours = COLOURS, figure = null } = {}) {
     super();
     this.wearing = wearing;
     this.meshes = wearing.layers.map((layer, i) => clothMesh(layer, colours[i % colours.length]));
     this.add(...this.meshes);
-    this.figure = this.body = null;
+    this.figure = figure;
+    this.body = figure?.group ?? null;
+    if (figure) {
+      this.body.visible = false;
+      this.add(this.body);
+    }
     wearing.onFrame = () => this.#show();
     wearing.onState = (state, refusal) => this.dispatchEvent({ type: "state", state, error: refusal });
   }
@@ -52,16 +58,6 @@ export class Worn extends Group {
 
   get state() {
     return this.wearing.state;
-  }
-
-  // Adds the service's body below the garments; it appears with the next frame.
-  async addBody() {
-    const { drape, options } = this.wearing;
-    this.figure = await readBody(await drape.rest.bodyFile(drape.health.body, options.betas));
-    this.body = this.figure.group;
-    this.body.visible = false;
-    this.add(this.body);
-    return this;
   }
 
   pose(poses, trans) {
