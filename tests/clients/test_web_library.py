@@ -306,3 +306,47 @@ def test_the_hook_wears_one_garment_at_a_time(tmp_path: Path):
         ["stop", "skirt"],
         ["dispose", "skirt"],
     ]
+
+
+ACCESS = """
+import { Rest } from "./rest.js";
+const asked = [];
+let given = 0;
+globalThis.fetch = async (address, { headers, method = "GET" } = {}) => {
+  asked.push([method, address, headers?.Authorization ?? ""]);
+  if (address.endsWith("/health")) throw new TypeError("no answer");
+  const ok = !address.endsWith("/tiers");
+  return { ok, status: ok ? 200 : 502, statusText: "Bad Gateway", json: async () => {
+    if (!ok) throw new SyntaxError("a proxy's page");
+    return { ticket: "of the service" };
+  } };
+};
+const open = new Rest("http://x/", {});
+const keyed = new Rest("http://x", { key: "k" });
+const page = new Rest("http://x", { ticket: async () => `t${++given}` });
+await open.garments();
+await keyed.garments();
+await page.garments();
+await page.fabrics();
+const tickets = [await open.ticket(), await keyed.ticket(), await page.ticket()];
+const refused = [];
+for (const task of [() => open.tiers(), () => open.health()]) {
+  await task().catch((error) => refused.push([error.name, error.kind, error.status, error.message]));
+}
+console.log(JSON.stringify({ asked, tickets, refused }));
+"""
+
+
+def test_requests_carry_a_key_or_a_ticket_and_a_stream_gets_a_ticket_of_its_own(tmp_path: Path):
+    got = answer_of(ACCESS, {}, tmp_path)
+    assert got["asked"][:5] == [
+        ["GET", "http://x/garments", ""],
+        ["GET", "http://x/garments", "Bearer k"],
+        ["GET", "http://x/garments", "Bearer t1"],
+        ["GET", "http://x/fabrics", "Bearer t1"],
+        ["POST", "http://x/tickets", "Bearer k"],
+    ]
+    assert got["tickets"] == ["", "of the service", "t2"]
+    proxy, silent = got["refused"]
+    assert proxy == ["/tiers", "DrapeError", 502, "502 Bad Gateway"]
+    assert silent == ["service", "Unavailable", 0, "The service does not answer. Is it still running?"]
