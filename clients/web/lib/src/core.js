@@ -7,7 +7,7 @@ export { DrapeError } from "./errors.js";
 export { clipSource } from "./sources.js";
 
 export class Drape {
-  // worker: a function that gives a Worker of "@drape/client/worker", or null for none; left out, our own.
+  // worker: a function that gives a Worker which imports "@drape/client/worker", or null for none; left out, our own.
   constructor(url, { key, ticket, worker } = {}) {
     this.rest = new Rest(new URL(url, globalThis.location?.href).href, { key, ticket });
     this.makeWorker = worker;

@@ -15,7 +15,7 @@ export interface Access {
   key?: string | (() => string);
   /** Gives a fresh ticket, which your own server asks the service for. */
   ticket?: () => Promise<string>;
-  /** Makes the decoder's worker from "@drape/client/worker"; null: decode on the page's own thread. */
+  /** Makes a worker that imports "@drape/client/worker"; null: decode on the page's own thread. */
   worker?: (() => Worker | null) | null;
 }
 

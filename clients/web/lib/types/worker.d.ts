@@ -1,2 +1,2 @@
-// A worker's script: new Worker(new URL("@drape/client/worker", import.meta.url), { type: "module" }).
+// The script of a worker: it is imported there, once, and has nothing to call.
 export {};
