@@ -1,20 +1,40 @@
-// Bundles the page into dist: one script, one style sheet, one document.
+// Bundles the page into dist (one script, one style sheet, one document), and @drape/client into lib/dist.
 import { build } from "esbuild";
-import { copyFile, mkdir, rename, rm } from "node:fs/promises";
+import { copyFile, mkdir, readdir, rename, rm } from "node:fs/promises";
+import { gzipSync } from "node:zlib";
 
-const staged = "dist.part";
-await rm(staged, { recursive: true, force: true });
-await mkdir(staged);
-await build({
-  entryPoints: ["src/main.js"],
-  bundle: true,
-  minify: true,
-  format: "esm",
-  target: "es2022",
-  outfile: `${staged}/main.js`,
-  legalComments: "linked",
-  logLevel: "warning",
+const CORE_LIMIT = 40_000; // bytes, gzipped, of what an application gets beside three.js
+const common = { bundle: true, format: "esm", target: "es2022", legalComments: "linked", logLevel: "warning" };
+
+async function textOf(entry, options) {
+  const { outputFiles } = await build({ ...common, minify: true, ...options, entryPoints: [entry], write: false, outdir: "." });
+  return outputFiles.find(({ path }) => path.endsWith(".js")).text;
+}
+
+// Puts what fill(folder) makes in the place of target when all of it is there.
+async function replace(target, fill) {
+  const staged = `${target}.part`;
+  await rm(staged, { recursive: true, force: true });
+  await mkdir(staged);
+  await fill(staged);
+  await rm(target, { recursive: true, force: true });
+  await rename(staged, target);
+}
+
+const worker = await textOf("lib/src/worker.js", { format: "iife" });
+const define = { WORKER_TEXT: JSON.stringify(worker) };
+
+await replace("dist", async (folder) => {
+  await build({ ...common, minify: true, entryPoints: ["src/main.js"], outfile: `${folder}/main.js` });
+  for (const name of ["index.html", "style.css", "icon.svg"]) await copyFile(`src/${name}`, `${folder}/${name}`);
 });
-for (const name of ["index.html", "style.css", "icon.svg"]) await copyFile(`src/${name}`, `${staged}/${name}`);
-await rm("dist", { recursive: true, force: true });
-await rename(staged, "dist");
+
+const entries = ["index", "core", "three", "react", "worker"].map((name) => `lib/src/${name}.js`);
+const external = ["three", "three/*", "react"];
+await replace("lib/dist", async (folder) => {
+  await build({ ...common, define, external, splitting: true, entryPoints: entries, outdir: folder });
+  for (const name of await readdir("lib/types")) await copyFile(`lib/types/${name}`, `${folder}/${name}`);
+});
+const size = gzipSync(await textOf("lib/src/index.js", { define, external })).length;
+console.log(`@drape/client: ${(size / 1000).toFixed(1)} kB gzipped, without three.js`);
+if (size > CORE_LIMIT) throw new Error(`@drape/client: expected ${CORE_LIMIT} bytes at most, got ${size}.`);

@@ -1,4 +1,4 @@
-"""What the page's own modules compute, in Node.js."""
+"""What the modules of @drape/client compute, in Node.js."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ const input = JSON.parse(await new Promise((done) => {
 
 
 def answer_of(script: str, document: dict[str, Any], folder: Path) -> Any:
-    """What ``script`` prints, read as JSON; it runs beside the page's modules and finds ``document`` as ``input``."""
+    """What ``script`` prints, read as JSON; it runs beside the modules and finds ``document`` as ``input``."""
     node = shutil.which("node")
     if node is None:
         pytest.skip("No Node.js: sudo apt-get install nodejs.")
-    for source in (ROOT / "clients/web/src").glob("*.js"):
+    for source in (ROOT / "clients/web/lib/src").glob("*.js"):
         shutil.copy(source, folder)
     (folder / "package.json").write_text('{"type": "module"}')
     (folder / "asked.js").write_text(READ + script)

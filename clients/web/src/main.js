@@ -1,10 +1,11 @@
 // State and controls: which garments, clip and shape, how they are draped; plays the clip and counts what comes back.
-import * as service from "./service.js";
-import { JetSurface } from "./jets.js";
-import { Stream } from "./stream.js";
+import { clipFile, service, setKey, uploadGarment } from "./service.js";
+import { clipSource, flatPose } from "../lib/src/sources.js";
+import { Stream } from "../lib/src/stream.js";
+import { topologyOf } from "../lib/src/topology.js";
+import { FLAG_PUSHED, FLAG_STEPPED, FLAG_UNLIKE, MESH_SUFFIXES } from "../lib/src/wire.js";
 import { Viewer } from "./viewer.js";
 import { Wardrobe } from "./wardrobe.js";
-import { FLAG_PUSHED, FLAG_STEPPED, FLAG_UNLIKE, MESH_SUFFIXES, unpackLayout } from "./wire.js";
 
 const WORN = "trousers,tshirt"; // where the address names nothing, the innermost first
 const SHAPE_COUNT = 3;
@@ -43,15 +44,15 @@ try {
 }
 
 const stream = new Stream({
-  ticket: service.ticket,
+  ticket: () => service.ticket(),
   onFrame(frame) {
     counts.frames += 1;
     counts.latest = frame;
   },
-  onState(now, sentence) {
+  onState(now, refusal) {
     document.body.dataset.state = now;
     // An open stream clears only what the stream has said itself.
-    if (sentence) say(sentence, now === "refused", "stream");
+    if (refusal) say(refusal.message, now === "refused", "stream");
     else if (spokenBy === "stream") say("");
   },
 });
@@ -100,9 +101,9 @@ function once(key, fetching) {
 }
 
 const resolution = () => element("resolution").value || "delivered";
-const meshOf = (id) => once(`mesh ${id} ${resolution()}`, () => service.garmentMesh(id, resolution()));
-const surfaceOf = (id) =>
-  once(`jets ${id} ${resolution()}`, async () => new JetSurface(unpackLayout(await service.jetLayout(id, resolution()))));
+const meshOf = (id) =>
+  once(`mesh ${id} ${resolution()}`, async () => topologyOf(await service.garmentMesh(id, resolution())));
+const layoutOf = (id) => once(`jets ${id} ${resolution()}`, () => service.jetLayout(id, resolution()));
 
 const chooseGarments = failing(async () => {
   const chosen = wardrobe.chosen();
@@ -112,8 +113,8 @@ const chooseGarments = failing(async () => {
   const before = asked();
   const worn = await Promise.all(
     chosen.map(async (id) => {
-      const [mesh, surface] = await Promise.all([meshOf(id), jets ? surfaceOf(id) : null]);
-      return { mesh, surface };
+      const [topology, layout] = await Promise.all([meshOf(id), jets ? layoutOf(id) : null]);
+      return { ...topology, layout };
     }),
   );
   if (before !== asked()) return; // changed meanwhile
@@ -125,7 +126,8 @@ const chooseGarments = failing(async () => {
 // The shape matters: longer legs need another height.
 const chooseClip = failing(async () => {
   const clip = await service.motion(element("clip").value, state.betas);
-  clip.poses = clip.poses.map((pose) => pose.flat());
+  clip.poses = clip.poses.map(flatPose);
+  clip.sample = clipSource(clip);
   if (clip.id !== state.clip?.id) state.timeS = 0;
   state.clip = clip;
 });
@@ -195,7 +197,7 @@ const upload = failing(async () => {
   try {
     const words = { start: "begins", read: "is read", rest: "is laid on the body", fit: "gets its patches", cloth: "comes to rest", store: "is stored", prepare: "is made ready" };
     const told = (job) => say(`${file.name} ${words[job.stage] ?? "waits"} … ${Math.round(100 * job.share)} %`);
-    const garment = await service.uploadGarment(file, element("avatar").value, told, ending.signal);
+    const garment = await uploadGarment(file, element("avatar").value, told, ending.signal);
     await listGarments([...wardrobe.chosen().slice(0, -1), garment]);
     await chooseGarments();
     say(`${file.name} is ready.`);
@@ -218,7 +220,7 @@ const save = failing(async () => {
     const trans = clip.trans.filter((_, frame) => frame % stride === 0);
     const document_ = { ...scene(), poses, trans, fps: clip.fps / stride, body: true };
     const link = document.createElement("a");
-    link.href = URL.createObjectURL(await service.clipFile(document_));
+    link.href = URL.createObjectURL(await clipFile(document_));
     link.download = `${garments.join("-")}-${clip.id}.glb`;
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
@@ -241,8 +243,8 @@ function tick(now) {
     if (state.playing) state.timeS += stepS * Number(element("speed").value);
     if (now - lastSent >= 1000 / SEND_RATE - 2) {
       lastSent = now;
-      const frame = Math.floor(state.timeS * clip.fps) % clip.frames;
-      stream.send(clip.poses[frame], clip.trans[frame]);
+      const { poses, trans } = clip.sample(state.timeS);
+      stream.send(poses, trans);
     }
   }
   const frame = counts.latest;
@@ -277,7 +279,7 @@ function showStats(now) {
     element("residence").textContent = `${(header.residence_us / 1000).toFixed(0)} ms`;
     element("dropped").textContent = String(header.dropped);
     const unlike = header.flags & FLAG_UNLIKE ? ", more folds: a pose unlike training" : "";
-    element("quality").textContent = header.flags & FLAG_STEPPED ? `less than ${stream.tier}, under load` : stream.tier + unlike;
+    element("quality").textContent = header.flags & FLAG_STEPPED ? `less than ${stream.opened.tier}, under load` : stream.opened.tier + unlike;
     element("pushed").textContent = header.flags & FLAG_PUSHED ? `${(100 * header.pushed_share).toFixed(1)} %` : "off";
     element("bytes").textContent = `${(counts.bytes / 1000).toFixed(1)} kB`;
     element("left-row").hidden = header.left_m === undefined;
@@ -317,7 +319,7 @@ function askForKey(error) {
 
 element("door").addEventListener("submit", (event) => {
   event.preventDefault();
-  service.setKey(element("key").value.trim());
+  setKey(element("key").value.trim());
   location.reload();
 });
 

@@ -1,9 +1,9 @@
 // The scene: a studio, the skinned body, the garments whose vertices or jets arrive frame by frame.
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
-import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
 import { RoomEnvironment } from "three/addons/environments/RoomEnvironment.js";
-import { dequantise } from "./wire.js";
+import { poseBones, readBody } from "../lib/src/body.js";
+import { Decoder } from "../lib/src/decode.js";
 
 const BACKGROUND = 0xe9e5de;
 const GRID_CELL_M = 0.5;
@@ -158,23 +158,18 @@ export class Viewer {
 
   // Takes the body file; it appears with the next frame.
   async setBody(buffer) {
-    const { scene } = await new GLTFLoader().parseAsync(buffer, "");
+    const { group, mesh, bones } = await readBody(buffer, this.skin);
     if (this.body) this.scene.remove(this.body);
-    this.body = scene;
+    this.body = group;
     this.body.visible = false;
     this.posed = false;
-    scene.traverse((node) => {
-      if (!node.isSkinnedMesh) return;
-      this.bodyMesh = node;
-      this.bones = node.skeleton.bones;
-      node.material = this.skin;
-      node.castShadow = node.receiveShadow = true;
-      node.frustumCulled = false;
-    });
-    this.scene.add(scene);
+    this.bodyMesh = mesh;
+    this.bones = bones;
+    this.scene.add(group);
   }
 
-  // worn: of each layer, innermost first, the service's mesh, its JetSurface or null, its colour. Shown with a frame.
+  // worn: of each layer, innermost first, its topology, the bytes of its layout of jets or null, its colour. Shown with
+  // a frame.
   setGarments(worn) {
     for (const { cloth } of this.layers) {
       cloth.geometry.dispose();
@@ -182,37 +177,35 @@ export class Viewer {
     }
     this.garments.clear();
     this.garments.visible = false;
-    this.layers = worn.map(({ mesh, surface, colour }) => {
+    this.decoder = new Decoder(worn);
+    this.layers = worn.map(({ vertexCount, copies, index, colour }) => {
       const geometry = new THREE.BufferGeometry();
-      const positions = new THREE.BufferAttribute(new Float32Array(mesh.vertices.length * 3), 3);
-      positions.setUsage(THREE.DynamicDrawUsage);
-      geometry.setAttribute("position", positions);
-      geometry.setIndex(mesh.faces.flat());
+      for (const name of ["position", "normal"]) {
+        const attribute = new THREE.BufferAttribute(new Float32Array(3 * (vertexCount + copies.length)), 3);
+        geometry.setAttribute(name, attribute.setUsage(THREE.DynamicDrawUsage));
+      }
+      geometry.setIndex(new THREE.BufferAttribute(index, 1));
       const cloth = new THREE.Mesh(geometry, this.#cloth(colour));
       cloth.castShadow = cloth.receiveShadow = true;
       const triangles = new THREE.Mesh(geometry, this.lines);
       cloth.frustumCulled = triangles.frustumCulled = false;
       cloth.add(triangles);
       this.garments.add(cloth);
-      return { cloth, positions, surface };
+      return { cloth };
+    });
+    this.targets = this.layers.map(({ cloth: { geometry } }) => {
+      const { position, normal } = geometry.attributes;
+      return { positions: position.array, normals: normal.array };
     });
   }
 
   // frame: what the stream hands over, with the pose that it answers.
   show(frame) {
-    const { header, pose } = frame;
-    const ofJets = frame.jet !== undefined;
-    const count = ({ positions, surface }) => (ofJets ? surface?.patchCount : positions.count);
-    if (!this.layers.length || this.layers.reduce((sum, layer) => sum + count(layer), 0) !== header.count) return false;
-    let first = 0;
-    for (const layer of this.layers) {
-      const { cloth, positions, surface } = layer;
-      const end = first + count(layer);
-      if (ofJets) surface.evaluate(frame, positions.array, first);
-      else dequantise({ header, steps: frame.steps.subarray(3 * first, 3 * end) }, positions.array);
-      first = end;
-      positions.needsUpdate = true;
-      cloth.geometry.computeVertexNormals();
+    const { header, pose, data } = frame;
+    if (!this.layers.length || !this.decoder.decode(data, this.targets)) return false;
+    for (const { cloth } of this.layers) {
+      const { position, normal } = cloth.geometry.attributes;
+      position.needsUpdate = normal.needsUpdate = true;
     }
     this.garments.position.fromArray(header.root);
     this.garments.visible = true;
@@ -222,13 +215,7 @@ export class Viewer {
   }
 
   #poseBody(pose, root) {
-    const axis = new THREE.Vector3();
-    this.bones.forEach((bone, joint) => {
-      axis.fromArray(pose, 3 * joint);
-      const angle = axis.length();
-      bone.quaternion.setFromAxisAngle(angle > 1e-9 ? axis.divideScalar(angle) : axis.set(0, 1, 0), angle);
-    });
-    this.bones[0].position.fromArray(root); // the root joint turns about itself
+    poseBones(this.bones, pose, root);
     this.posed = true;
     this.body.visible = this.showBody;
   }

@@ -307,7 +307,7 @@ const stream = new Stream({
       process.exit(0);
     }
   },
-  onState(state, sentence) { seen.states.push(state); if (state === "refused") seen.refused = sentence; },
+  onState(state, refusal) { seen.states.push(state); if (state === "refused") seen.refused = refusal.message; },
 });
 stream.open({ garment: "tube" });
 setInterval(() => stream.send(pose, [0, 0, 0]), 20);

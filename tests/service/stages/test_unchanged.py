@@ -249,7 +249,7 @@ const stream = new Stream({
   onFrame(frame) {
     if (frame.bytes === 40) {
       const { sequence, count } = frame.header;
-      const same = frame.steps === last.steps;
+      const same = frame.data === last.data;
       console.log(JSON.stringify({ sequence, next: last.header.sequence + 1, count, same }));
       process.exit(0);
     }

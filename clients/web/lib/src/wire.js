@@ -156,19 +156,6 @@ export function packAck(sequence) {
   return buffer;
 }
 
-// The header fields by name, and steps: 3 per vertex, a Uint16Array, or a Uint8Array where they have 8 bits.
-// Throws on what is not a frame.
-export function unpackFrame(buffer) {
-  if (buffer.byteLength < BYTES.FRAME_HEADER) throw new Error(`frame of ${buffer.byteLength} bytes is too short`);
-  const header = readRecord(new DataView(buffer), LAYOUTS.FRAME);
-  if (header.magic !== MAGIC || header.version !== WIRE_VERSION || header.kind !== KIND.FRAME) {
-    throw new Error("not a frame of this wire version: reload the page");
-  }
-  const Steps = header.flags & FLAG_BYTES ? Uint8Array : Uint16Array;
-  const steps = new Steps(buffer, BYTES.FRAME_HEADER, header.count * 3);
-  return { header, steps };
-}
-
 function readHeader(buffer, name, bytes) {
   if (buffer.byteLength < bytes) throw new Error(`${name} of ${buffer.byteLength} bytes is too short`);
   const header = readRecord(new DataView(buffer), LAYOUTS[name]);
@@ -184,6 +171,24 @@ function checkSize(buffer, name, bytes) {
 
 // The kind byte of a message.
 export const kindOf = (buffer) => new DataView(buffer).getUint8(5);
+
+// The header fields by name, and steps: 3 per vertex, a Uint16Array, or a Uint8Array where they have 8 bits.
+// Throws on what is not a frame.
+export function unpackFrame(buffer) {
+  const header = readHeader(buffer, "FRAME", BYTES.FRAME_HEADER);
+  const Steps = header.flags & FLAG_BYTES ? Uint8Array : Uint16Array;
+  const steps = new Steps(buffer, BYTES.FRAME_HEADER, header.count * 3);
+  return { header, steps };
+}
+
+// The header fields by name of a message that answers a pose: FRAME, JETS or SAME.
+export function headerOf(buffer) {
+  const kind = kindOf(buffer);
+  if (kind === KIND.SAME) return readHeader(buffer, "SAME", BYTES.SAME);
+  return kind === KIND.JETS
+    ? readHeader(buffer, "JETS", BYTES.JETS_HEADER)
+    : readHeader(buffer, "FRAME", BYTES.FRAME_HEADER);
+}
 
 // The header fields by name, and per patch: jet (45 numbers), rotation (9, by rows), centre (3) from the root [m].
 export function unpackJets(buffer) {
@@ -212,9 +217,6 @@ export function unpackJets(buffer) {
   }
   return { header, jet, rotation, centre };
 }
-
-// The header fields by name of what says that the last frame holds for another pose.
-export const unpackSame = (buffer) => readHeader(buffer, "SAME", BYTES.SAME);
 
 // A garment's constants: patches (13 numbers each), rest (3), charts (3 per vertex and chart) and chartPatch.
 export function unpackLayout(buffer) {

@@ -1,6 +1,7 @@
 // The WebSocket: poses out, frames in, every frame acknowledged; comes back by itself after a lost connection, and goes
 // on at the successor of a service that ends, with what the cloth remembers.
-import { KIND, SUBPROTOCOL, kindOf, packAck, packPose, unpackFrame, unpackJets, unpackSame } from "./wire.js";
+import { DrapeError } from "./errors.js";
+import { KIND, SUBPROTOCOL, headerOf, kindOf, packAck, packPose } from "./wire.js";
 
 const FIRST_RETRY_S = 0.5;
 const LAST_RETRY_S = 8;
@@ -10,9 +11,10 @@ const HELD_S = 0.2; // that poses are answered here; a service takes a longer pa
 const now = () => performance.now() / 1000;
 
 export class Stream {
-  // onFrame({ header, steps or jet, rotation and centre, pose, bytes }); onState(state, sentence): "open", "waiting", "refused".
-  // ticket(): a promise of one for the next connection, empty where none is asked for.
-  constructor({ onFrame, onState, ticket = async () => "" }) {
+  // onFrame({ header, data, pose, trans, bytes, ageS }), data: the FRAME or JETS, the same object as before where SAME
+  // repeats it. onState(state, refusal): "open", "waiting" or "refused", with a DrapeError of the last two.
+  // base: the service's address. ticket(): a promise of one for the next connection, empty where none is asked for.
+  constructor({ onFrame, onState, ticket = async () => "", base = location.origin }) {
     this.ticket = ticket;
     this.given = ""; // a ticket that came with the word to move
     this.attempt = 0;
@@ -21,9 +23,9 @@ export class Stream {
     this.request = null;
     this.socket = null;
     this.ready = false;
-    this.tier = "–"; // the name of what the service computes
+    this.opened = null; // what the service said of the last opening
     this.retryS = FIRST_RETRY_S;
-    this.base = location.origin; // where the stream runs
+    this.base = base; // where the stream runs
     this.state = []; // STATE messages, to be handed on as they came
     this.moved = false;
     this.sequence = 0;
@@ -46,9 +48,19 @@ export class Stream {
     else if (readyState !== WebSocket.CONNECTING) this.#connect(); // else it opens with the new request
   }
 
-  // Sends a pose if the stream is open; pose: 72 numbers, trans: 3.
+  // Ends it; open() begins anew.
+  close() {
+    this.ready = false;
+    this.attempt += 1;
+    clearTimeout(this.timer);
+    const { socket } = this;
+    this.socket = null; // so that its end is nothing lost
+    socket?.close();
+  }
+
+  // Sends a pose if the stream is open, and says whether it is; pose: 72 numbers, trans: 3.
   send(pose, trans) {
-    if (!this.ready) return;
+    if (!this.ready) return false;
     this.sequence = (this.sequence + 1) >>> 0;
     const clientTimeS = now();
     const sinceS = clientTimeS - this.askedS;
@@ -59,13 +71,14 @@ export class Stream {
       const header = { ...this.shown.header, sequence: this.sequence, client_time_s: clientTimeS, residence_us: 0 };
       this.shown = { ...this.shown, header };
       this.onFrame({ ...this.shown, pose, trans, bytes: 0, ageS: () => now() - clientTimeS });
-      return;
+      return true;
     }
     this.still = null;
     this.sentS = clientTimeS;
     this.poses.set(this.sequence, { pose, trans });
     if (this.poses.size > KEPT_POSES) this.poses.delete(this.poses.keys().next().value);
     this.socket.send(packPose({ sequence: this.sequence, clientTimeS, trans, pose }));
+    return true;
   }
 
   #sendOpening() {
@@ -85,7 +98,9 @@ export class Stream {
     try {
       ticket = given || (await this.ticket());
     } catch (error) {
-      if (attempt === this.attempt) this.#lost({ code: error.status === 401 ? 4401 : 1006, reason: error.message });
+      if (attempt !== this.attempt) return;
+      this.refusal = error;
+      this.#lost({ code: error.status === 401 ? 4401 : 1006 });
       return;
     }
     if (attempt !== this.attempt) return; // another opening was faster
@@ -106,7 +121,7 @@ export class Stream {
     if (socket !== this.socket) return;
     if (typeof data === "string") {
       const message = JSON.parse(data);
-      if (message.type === "error") this.refusal = message.detail;
+      if (message.type === "error") this.refusal = new DrapeError(message);
       if (message.type === "moved") {
         this.moved = true;
         this.base = message.to || this.base;
@@ -115,9 +130,9 @@ export class Stream {
       if (message.type === "opened") this.unanswered -= 1;
       if (message.type === "opened" && this.unanswered === 0) {
         this.ready = true;
-        this.tier = message.tier;
+        this.opened = message;
         this.retryS = FIRST_RETRY_S;
-        this.onState("open", "");
+        this.onState("open", null);
       }
       return;
     }
@@ -125,7 +140,7 @@ export class Stream {
       this.state.push(data);
       return;
     }
-    const frame = this.#unpacked(data);
+    const frame = this.#headed(data);
     this.shown = frame;
     if (kindOf(data) !== KIND.SAME) socket.send(packAck(frame.header.sequence));
     const sent = this.poses.get(frame.header.sequence);
@@ -138,11 +153,12 @@ export class Stream {
     this.onFrame({ ...frame, ...sent, bytes: data.byteLength, ageS: () => now() - frame.header.client_time_s });
   }
 
-  #unpacked(data) {
-    if (kindOf(data) !== KIND.SAME) return kindOf(data) === KIND.JETS ? unpackJets(data) : unpackFrame(data);
-    const { sequence, client_time_s, server_time_s, dropped, residence_us } = unpackSame(data);
-    const header = { ...this.shown.header, sequence, client_time_s, server_time_s, dropped, residence_us };
-    return { ...this.shown, header };
+  #headed(data) {
+    const header = headerOf(data);
+    if (kindOf(data) !== KIND.SAME) return { header, data };
+    const { sequence, client_time_s, server_time_s, dropped, residence_us } = header;
+    const { shown } = this;
+    return { ...shown, header: { ...shown.header, sequence, client_time_s, server_time_s, dropped, residence_us } };
   }
 
   #lost(event) {
@@ -152,17 +168,24 @@ export class Stream {
       this.#connect();
       return;
     }
-    const sentence = this.refusal ?? event.reason;
+    const refusal = this.refusal ?? lost(event);
+    this.refusal = null;
     // 44xx is our fault or the user's: trying again would be refused again. 4408 is a pause.
     if (event.code >= 4400 && event.code < 4500 && event.code !== 4408) {
-      this.onState("refused", sentence);
+      this.onState("refused", refusal);
       return;
     }
-    this.onState("waiting", sentence || "The connection is lost; trying again.");
+    this.onState("waiting", refusal);
     this.timer = setTimeout(() => this.#connect(), this.retryS * 1000);
     this.retryS = Math.min(2 * this.retryS, LAST_RETRY_S);
   }
 }
+
+const lost = ({ code, reason }) => {
+  const detail = reason || "The connection is lost; trying again.";
+  const words = { name: "stream", expected: "an open connection", got: `its end (${code})`, cure: "It is tried again." };
+  return new DrapeError({ ...words, detail, kind: "Unavailable" });
+};
 
 const copied = ({ pose, trans }) => ({ pose: Float32Array.from(pose), trans: Float32Array.from(trans) });
 

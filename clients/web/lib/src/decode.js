@@ -1,0 +1,73 @@
+// Positions and normals of garments from messages of the wire: what a worker computes, or the page where there is none.
+import { JetSurface } from "./jets.js";
+import { KIND, dequantise, kindOf, unpackFrame, unpackJets, unpackLayout } from "./wire.js";
+
+export class Decoder {
+  // layers: of each garment of a frame, the innermost first: vertexCount; faces, 3 vertices a triangle; copies, the
+  // vertices that come again behind all others (topology.js); layout, the bytes of its LAYOUT where jets come, or null.
+  constructor(layers) {
+    this.layers = layers.map(({ layout, ...layer }) => ({
+      ...layer,
+      surface: layout ? new JetSurface(unpackLayout(layout)) : null,
+    }));
+  }
+
+  // Fills positions (from the root [m]) and normals of each layer; false where the message is of other garments.
+  decode(message, targets) {
+    const ofJets = kindOf(message) === KIND.JETS;
+    const frame = ofJets ? unpackJets(message) : unpackFrame(message);
+    const count = (layer) => (ofJets ? layer.surface?.patchCount : layer.vertexCount);
+    if (this.layers.reduce((sum, layer) => sum + count(layer), 0) !== frame.header.count) return false;
+    let first = 0;
+    this.layers.forEach((layer, index) => {
+      const end = first + count(layer);
+      const { positions, normals } = targets[index];
+      if (ofJets) layer.surface.evaluate(frame, positions, first);
+      else dequantise({ header: frame.header, steps: frame.steps.subarray(3 * first, 3 * end) }, positions);
+      vertexNormals(positions, layer, normals);
+      repeat(positions, layer);
+      repeat(normals, layer);
+      first = end;
+    });
+    return true;
+  }
+}
+
+// Arrays for what decode() fills.
+export const makeTargets = (layers) =>
+  layers.map(({ vertexCount, copies }) => {
+    const length = 3 * (vertexCount + copies.length);
+    return { positions: new Float32Array(length), normals: new Float32Array(length) };
+  });
+
+// The mean normal of the triangles around each vertex, by their areas.
+function vertexNormals(positions, { faces, vertexCount }, normals) {
+  const end = 3 * vertexCount;
+  normals.fill(0, 0, end);
+  for (let f = 0; f < faces.length; f += 3) {
+    const [a, b, c] = [3 * faces[f], 3 * faces[f + 1], 3 * faces[f + 2]];
+    const [x, y, z] = [positions[a], positions[a + 1], positions[a + 2]];
+    const [ux, uy, uz] = [positions[b] - x, positions[b + 1] - y, positions[b + 2] - z];
+    const [vx, vy, vz] = [positions[c] - x, positions[c + 1] - y, positions[c + 2] - z];
+    const [nx, ny, nz] = [uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx];
+    normals[a] += nx; normals[a + 1] += ny; normals[a + 2] += nz;
+    normals[b] += nx; normals[b + 1] += ny; normals[b + 2] += nz;
+    normals[c] += nx; normals[c + 1] += ny; normals[c + 2] += nz;
+  }
+  for (let i = 0; i < end; i += 3) {
+    const [x, y, z] = [normals[i], normals[i + 1], normals[i + 2]];
+    const length = Math.sqrt(x * x + y * y + z * z) || 1; // a vertex without triangles keeps zeros
+    normals[i] = x / length;
+    normals[i + 1] = y / length;
+    normals[i + 2] = z / length;
+  }
+}
+
+function repeat(numbers, { copies, vertexCount }) {
+  let to = 3 * vertexCount;
+  for (const vertex of copies) {
+    numbers[to++] = numbers[3 * vertex];
+    numbers[to++] = numbers[3 * vertex + 1];
+    numbers[to++] = numbers[3 * vertex + 2];
+  }
+}

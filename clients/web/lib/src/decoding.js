@@ -1,0 +1,78 @@
+// Messages become vertices in a worker, or on the page's own thread where none can be made.
+import { Decoder, makeTargets } from "./decode.js";
+
+// The worker's script as text, which build.mjs puts in: so it needs no address of its own, whoever bundles this.
+/* global WORKER_TEXT */
+function inlineWorker() {
+  if (typeof WORKER_TEXT !== "string" || typeof Worker === "undefined") return null;
+  const address = URL.createObjectURL(new Blob([WORKER_TEXT], { type: "text/javascript" }));
+  return new Worker(address);
+}
+
+export class Decoding {
+  // layers: as Decoder takes them. makeWorker: a function that gives another worker than our own, or null.
+  constructor(layers, makeWorker = inlineWorker) {
+    this.layers = layers;
+    this.targets = makeTargets(layers);
+    this.pending = null;
+    this.worker = null;
+    try {
+      this.worker = makeWorker?.() ?? null;
+    } catch {
+      // A page may forbid workers by its security policy: its own thread does it.
+    }
+    if (!this.worker) return;
+    this.worker.onmessage = ({ data }) => this.#answered(data);
+    this.worker.onerror = (event) => {
+      event.preventDefault?.();
+      this.#alone();
+    };
+    this.worker.postMessage({ layers });
+  }
+
+  // Promises positions and normals by layer, good until the next call, or null where the message is of other
+  // garments. One message at a time.
+  decode(message) {
+    return new Promise((resolve, reject) => {
+      this.pending = { message, resolve, reject };
+      if (!this.worker) {
+        this.#here();
+        return;
+      }
+      const { targets } = this;
+      this.worker.postMessage({ message, targets }, targets.flatMap((one) => [one.positions.buffer, one.normals.buffer]));
+    });
+  }
+
+  #here() {
+    const { message, resolve, reject } = this.pending;
+    this.pending = null;
+    this.decoder ??= new Decoder(this.layers);
+    try {
+      resolve(this.decoder.decode(message, this.targets) ? this.targets : null);
+    } catch (error) {
+      reject(error);
+    }
+  }
+
+  #answered({ targets, filled, error }) {
+    const { resolve, reject } = this.pending;
+    this.pending = null;
+    this.targets = targets;
+    if (error) reject(new Error(error));
+    else resolve(filled ? targets : null);
+  }
+
+  // The worker did not load: goes on without it, with other arrays in place of those that it has.
+  #alone() {
+    this.worker = null;
+    this.targets = makeTargets(this.layers);
+    if (this.pending) this.#here();
+  }
+
+  close() {
+    this.worker?.terminate();
+    this.worker = null;
+    this.pending = null;
+  }
+}

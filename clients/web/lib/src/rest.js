@@ -1,0 +1,109 @@
+// REST calls. A refusal of the service is thrown as a DrapeError.
+import { DrapeError } from "./errors.js";
+
+const TICKET_S = 30; // for which a ticket is used again; the service takes it for 60 s
+
+export class Rest {
+  // base: the service's address. key: its text, or a function that says it. ticket: a function that promises a fresh
+  // ticket, for pages that must not have the key.
+  constructor(base, { key = "", ticket = null } = {}) {
+    this.base = base.replace(/\/$/, "");
+    this.key = typeof key === "function" ? key : () => key;
+    this.freshTicket = ticket;
+    this.lastTicket = { ticket: "", sinceS: -Infinity };
+  }
+
+  async #bearer() {
+    if (this.key() || !this.freshTicket) return this.key();
+    const nowS = performance.now() / 1000;
+    if (nowS - this.lastTicket.sinceS > TICKET_S) this.lastTicket = { ticket: await this.freshTicket(), sinceS: nowS };
+    return this.lastTicket.ticket;
+  }
+
+  async request(path, options = {}) {
+    const bearer = await this.#bearer();
+    const headers = bearer ? { ...options.headers, Authorization: `Bearer ${bearer}` } : options.headers;
+    let response;
+    try {
+      response = await fetch(this.base + path, { ...options, headers });
+    } catch {
+      throw new DrapeError(this.#unanswered());
+    }
+    if (response.ok) return response;
+    let document = null;
+    try {
+      document = await response.json();
+    } catch {
+      // Not a problem document: the status has to do.
+    }
+    const got = `${response.status} ${response.statusText}`;
+    const own = { name: path, expected: "an answer", got, cure: "Try again later.", detail: document?.detail ?? got };
+    throw new DrapeError({ ...own, ...document, status: response.status });
+  }
+
+  // A browser hides from a page why another origin did not answer.
+  #unanswered() {
+    const origin = globalThis.location?.origin;
+    const foreign = origin && origin !== "null" && this.base && new URL(this.base, origin).origin !== origin;
+    const allowed = foreign ? ` Does its DRAPE_ALLOWED_ORIGINS name ${origin}?` : "";
+    const cure = `Is it still running?${allowed}`;
+    const words = { name: "service", expected: "an answer", got: "none", cure, kind: "Unavailable" };
+    return { ...words, detail: `The service does not answer. ${cure}` };
+  }
+
+  async json(path, options) {
+    return (await this.request(path, options)).json();
+  }
+
+  async #bytes(path, kind) {
+    return (await this.request(path, { headers: { Accept: kind } })).arrayBuffer();
+  }
+
+  // A ticket for a stream, which can send no header and spends it; empty where no key is asked for.
+  async ticket() {
+    if (this.key()) return (await this.json("/tickets", { method: "POST" })).ticket;
+    return this.freshTicket ? this.freshTicket() : "";
+  }
+
+  health() {
+    return this.json("/health");
+  }
+
+  garments() {
+    return this.json("/garments");
+  }
+
+  fabrics() {
+    return this.json("/fabrics");
+  }
+
+  tiers() {
+    return this.json("/tiers");
+  }
+
+  motions() {
+    return this.json("/motions");
+  }
+
+  motion(id, betas = []) {
+    return this.json(`/motions/${encodeURIComponent(id)}?betas=${betas.join(",")}`);
+  }
+
+  garmentMesh(id, resolution = "delivered") {
+    const path = `/garments/${encodeURIComponent(id)}/mesh?resolution=${resolution}`;
+    return this.json(path, { headers: { Accept: "application/json" } });
+  }
+
+  jetLayout(id, resolution = "delivered") {
+    return this.#bytes(`/garments/${encodeURIComponent(id)}/jets?resolution=${resolution}`, "application/octet-stream");
+  }
+
+  // Rest joints and height of the soles of a body in the shape betas.
+  body(id, betas = []) {
+    return this.json(`/bodies/${encodeURIComponent(id)}?betas=${betas.join(",")}`);
+  }
+
+  bodyFile(id, betas = []) {
+    return this.#bytes(`/bodies/${encodeURIComponent(id)}/mesh?betas=${betas.join(",")}`, "model/gltf-binary");
+  }
+}

@@ -1,0 +1,186 @@
+// One garment, or several over each other, on one moving body: its stream, what decodes it, and where its poses come from.
+import { Decoding } from "./decoding.js";
+import { Stream } from "./stream.js";
+import { clipSource, everyPicture, flatPose } from "./sources.js";
+import { topologyOf } from "./topology.js";
+
+export class Wearing {
+  // drape: the service's Drape; garments: ids, the innermost first; options: those of a drape.
+  constructor(drape, garments, options) {
+    this.drape = drape;
+    this.garments = garments;
+    this.options = options;
+    this.layers = []; // id and topology of each garment that comes
+    this.positions = this.normals = null; // of each layer, from the root
+    this.root = [0, 0, 0]; // [m]
+    this.bodyPose = null; // that the shown frame answers
+    this.stats = { frames: 0, skipped: 0, dropped: 0, ageS: 0, residenceS: 0, bytes: 0 };
+    this.state = "opening";
+    this.onFrame = () => {}; // positions, normals, root and body pose have changed
+    this.onState = () => {}; // (state, DrapeError or null): "open", "waiting", "refused", "closed"
+    this.endSource = null;
+    this.turn = 0; // counts sources
+    this.begun = this.busy = false; // whether it was ever open; whether a frame is being decoded
+    this.asked = []; // who waits for the answer to an opening
+    this.newest = null; // the frame that waits for the decoder
+    this.decoded = null; // the message whose vertices are shown
+    this.stream = new Stream({
+      base: drape.rest.base,
+      ticket: () => drape.rest.ticket(),
+      onFrame: (frame) => this.#take(frame),
+      onState: (state, refusal) => this.#turnTo(state, refusal),
+    });
+  }
+
+  // Fetches the meshes and opens the stream; rejects with the service's refusal.
+  async open(makeWorker) {
+    const { hidden = [], resolution, geometry } = this.options;
+    const shown = this.garments.filter((id) => !hidden.includes(id));
+    const fetched = shown.map(async (id) => {
+      const [mesh, layout] = await Promise.all([
+        this.drape.rest.garmentMesh(id, resolution),
+        geometry === "jets" ? this.drape.rest.jetLayout(id, resolution) : null,
+      ]);
+      return { id, layout, ...topologyOf(mesh) };
+    });
+    try {
+      const [layers] = await Promise.all([Promise.all(fetched), this.#reopen()]);
+      this.layers = layers;
+    } catch (error) {
+      this.close();
+      throw error;
+    }
+    const needed = this.layers.map(({ vertexCount, faces, copies, layout }) => ({ vertexCount, faces, copies, layout }));
+    this.decoding = new Decoding(needed, makeWorker);
+    this.#decodeNewest();
+    return this;
+  }
+
+  #reopen() {
+    const worn = this.garments.length === 1 ? { garment: this.garments[0] } : { garments: this.garments };
+    return new Promise((resolve, reject) => {
+      this.asked.push({ resolve, reject });
+      this.stream.open({ ...worn, ...this.options });
+    });
+  }
+
+  // Drapes it otherwise from now on, by options of a drape. What the service refuses changes nothing, and rejects.
+  async set(options) {
+    const before = this.options;
+    this.options = { ...before, ...options };
+    try {
+      await this.#reopen();
+    } catch (error) {
+      this.options = before;
+      if (this.state === "refused") this.#reopen().catch(() => {});
+      throw error;
+    }
+  }
+
+  fabric(name) {
+    return this.set({ fabric: name });
+  }
+
+  // Sends one pose, and says whether the stream took it: 24 rotation vectors [rad], translation of the root [m].
+  pose(poses, trans = [0, 0, 0]) {
+    return this.stream.send(flatPose(poses), trans);
+  }
+
+  // From now on poses come from source(timeS), or source.sample(timeS): { poses, trans }, or null for none this time.
+  // source.begin(drape, options), if there is one, is called before and may promise options that the stream needs.
+  async follow(source) {
+    this.stop();
+    if (!source) return;
+    const { turn } = this;
+    const more = await source.begin?.(this.drape, this.options);
+    if (more) await this.set(more);
+    if (turn !== this.turn) return; // another source came meanwhile
+    const sample = typeof source === "function" ? source : (timeS) => source.sample(timeS);
+    this.endSource = everyPicture((timeS) => {
+      const now = sample(timeS);
+      if (now) this.pose(now.poses, now.trans);
+    });
+  }
+
+  // Plays a motion of the service by its name, or a document like that of GET /motions/{id}.
+  async play(motion, choice) {
+    this.stop();
+    const { turn } = this;
+    const clip = typeof motion === "string" ? await this.drape.motion(motion, this.options.betas) : motion;
+    if (turn === this.turn) await this.follow(clipSource(clip, choice));
+  }
+
+  // No more poses by itself; the cloth stays as it is.
+  stop() {
+    this.turn += 1;
+    this.endSource?.();
+    this.endSource = null;
+  }
+
+  close() {
+    this.stop();
+    this.stream.close();
+    this.decoding?.close();
+    this.drape.worn.delete(this);
+    this.state = "closed";
+    for (const { resolve } of this.asked.splice(0)) resolve();
+    this.onState("closed", null);
+  }
+
+  #turnTo(state, refusal) {
+    this.state = state;
+    this.begun ||= state === "open";
+    // Who opens it wants to know at once; later on it comes back by itself.
+    if (state !== "waiting" || !this.begun) {
+      for (const { resolve, reject } of this.asked.splice(0)) {
+        if (state === "open") resolve();
+        else reject(refusal);
+      }
+    }
+    this.onState(state, refusal);
+  }
+
+  // Frames wait here one at a time: a newer one takes the place of one that was not decoded yet.
+  #take(frame) {
+    this.stats.skipped += this.newest !== null;
+    this.newest = frame;
+    this.#decodeNewest();
+  }
+
+  async #decodeNewest() {
+    if (this.busy || !this.decoding || !this.newest) return;
+    const frame = this.newest;
+    this.newest = null;
+    if (frame.data === this.decoded) {
+      this.#show(frame);
+      return;
+    }
+    this.busy = true;
+    try {
+      const targets = await this.decoding.decode(frame.data);
+      if (targets) {
+        this.decoded = frame.data;
+        this.positions = targets.map(({ positions }) => positions);
+        this.normals = targets.map(({ normals }) => normals);
+        this.#show(frame);
+      }
+    } finally {
+      this.busy = false;
+    }
+    this.#decodeNewest();
+  }
+
+  #show(frame) {
+    if (this.state === "closed") return;
+    const { header, pose, bytes } = frame;
+    this.root = header.root;
+    this.bodyPose = pose;
+    const { stats } = this;
+    stats.frames += 1;
+    stats.ageS = frame.ageS();
+    stats.dropped = header.dropped;
+    stats.residenceS = header.residence_us / 1e6;
+    stats.bytes = bytes;
+    this.onFrame(this);
+  }
+}

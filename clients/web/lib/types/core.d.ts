@@ -1,0 +1,181 @@
+/** A refusal as the service says it: the value's name, what was expected, what came, and what cures it. */
+export class DrapeError extends Error {
+  readonly name: string;
+  readonly expected: string;
+  readonly got: string;
+  readonly cure: string;
+  /** The class of the refusal: "NotFound", "InputError", "Busy", ... */
+  readonly kind: string;
+  /** HTTP status; 0 where there was no answer. */
+  readonly status: number;
+}
+
+export interface Access {
+  /** An API key. A page must not hold one: see `ticket`. */
+  key?: string | (() => string);
+  /** Gives a fresh ticket, which your own server asks the service for. */
+  ticket?: () => Promise<string>;
+  /** Makes a worker that imports "@drape/client/worker"; null: decode on the page's own thread. */
+  worker?: (() => Worker | null) | null;
+}
+
+export type TierName = "fast" | "balanced" | "accurate";
+export type FabricChoice = string | Record<string, number>;
+
+/** Options of a drape by their names on the wire; what is left out is the service's choice. */
+export interface DrapeOptions {
+  betas?: number[];
+  tier?: TierName;
+  budget_ms?: number;
+  fabric?: FabricChoice | (FabricChoice | null)[];
+  passes?: number;
+  folds?: number;
+  safe_folds?: number;
+  settle?: number;
+  push_out?: boolean;
+  cloth_contact?: boolean;
+  /** 0 as if at rest, 1 in full. */
+  motion?: number;
+  inertia?: "mesh" | "network";
+  hidden?: string[];
+  colliders?: object[];
+  pixels_per_m?: number;
+  still_mm?: number;
+  bits?: 8 | 16;
+}
+
+/** What stays as it is for as long as a garment is worn. */
+export interface WearOptions extends DrapeOptions {
+  geometry?: "vertices" | "jets";
+  resolution?: "delivered" | "fine";
+}
+
+export interface GarmentInfo {
+  id: string;
+  name: string;
+  vertices: number;
+  faces: number;
+  source: "shipped" | "user";
+  fabric: string | Record<string, unknown>;
+}
+
+export interface FabricInfo {
+  id: string;
+  density_kg_m2: number;
+  source: string;
+}
+
+export interface TierInfo {
+  id: TierName;
+  default: boolean;
+  passes: number;
+  folds: number;
+}
+
+export interface MotionInfo {
+  id: string;
+  name: string;
+  frames: number;
+  fps: number;
+}
+
+/** 24 rotation vectors [rad] by frame and joint, translations of the root [m] by frame. */
+export interface Motion extends MotionInfo {
+  poses: ArrayLike<number>[][] | ArrayLike<number>[];
+  trans: ArrayLike<number>[];
+}
+
+/** 24 rotation vectors [rad], as triples or as 72 numbers. */
+export type Pose = ArrayLike<number> | ArrayLike<number>[];
+
+export interface Sample {
+  poses: Pose;
+  trans?: ArrayLike<number>;
+}
+
+/** Gives the pose of a moment, counted from when it is followed; null: none this time. */
+export type SourceFunction = (timeS: number) => Sample | null;
+
+export interface Source {
+  sample: SourceFunction;
+  /** Called before the first sample; may promise options that its stream is opened with. */
+  begin?(drape: Drape, options: WearOptions): Promise<WearOptions | void>;
+}
+
+export interface PlayChoice {
+  speed?: number;
+  loop?: boolean;
+}
+
+export interface Stats {
+  frames: number;
+  /** Frames that came and were not decoded, as a newer one was there. */
+  skipped: number;
+  /** Poses that the service dropped, as a newer one was there. */
+  dropped: number;
+  /** From sending the pose to showing its frame. */
+  ageS: number;
+  residenceS: number;
+  bytes: number;
+}
+
+export type State = "opening" | "open" | "waiting" | "refused" | "closed";
+
+export interface Controls {
+  readonly stats: Stats;
+  readonly state: State;
+  /** Sends one pose, and says whether the stream took it. */
+  pose(poses: Pose, trans?: ArrayLike<number>): boolean;
+  follow(source: SourceFunction | Source | null): Promise<void>;
+  /** Plays a motion of the service by name, or numbers of your own. */
+  play(motion: string | Motion, choice?: PlayChoice): Promise<void>;
+  stop(): void;
+  fabric(name: DrapeOptions["fabric"]): Promise<void>;
+  /** Drapes otherwise from now on; rejects what the service refuses, and stays as it was. */
+  set(options: DrapeOptions): Promise<void>;
+}
+
+export interface Layer {
+  id: string;
+  vertexCount: number;
+  /** 3 vertices a triangle, of the delivered mesh. */
+  faces: Uint32Array;
+  /** The same triangles of `positions`, where vertices at seams of the texture come twice. */
+  index: Uint32Array;
+  uv: Float32Array | null;
+}
+
+/** What is worn, for any engine. */
+export interface Wearing extends Controls {
+  readonly layers: Layer[];
+  /** By layer, from `root` [m]; valid until the next frame. */
+  readonly positions: Float32Array[] | null;
+  readonly normals: Float32Array[] | null;
+  /** Place of the body's root [m], for which float32 would be too coarse far away. */
+  readonly root: number[];
+  readonly bodyPose: ArrayLike<number> | null;
+  onFrame: (wearing: Wearing) => void;
+  onState: (state: State, refusal: DrapeError | null) => void;
+  close(): void;
+}
+
+export interface BodyInfo {
+  id: string;
+  joints: [number, number, number][];
+  floor_m: number;
+}
+
+export class Drape {
+  readonly health: { model: string; body: string; layers: number; version: string };
+  garments(): Promise<GarmentInfo[]>;
+  fabrics(): Promise<FabricInfo[]>;
+  tiers(): Promise<TierInfo[]>;
+  motions(): Promise<MotionInfo[]>;
+  motion(name: string, betas?: number[]): Promise<Motion>;
+  body(betas?: number[]): Promise<BodyInfo>;
+  wear(garments: string | string[], options?: WearOptions): Promise<Wearing>;
+  close(): void;
+}
+
+export function connect(url: string, access?: Access): Promise<Drape>;
+export function clipSource(clip: Motion, choice?: PlayChoice): SourceFunction;

@@ -1,0 +1,40 @@
+import type { Group, Mesh, Object3DEventMap } from "three";
+import type { Access, Controls, Drape as Core, DrapeError, DrapeOptions, PlayChoice, Pose, Source, SourceFunction, Motion, State, Stats, WearOptions } from "./core.js";
+
+export * from "./core.js";
+
+export interface WornEvents extends Object3DEventMap {
+  frame: object;
+  state: { state: State; error: DrapeError | null };
+}
+
+export interface ShownOptions extends WearOptions {
+  /** Shows the service's body below the garments. */
+  body?: boolean;
+  /** One for each garment, as CSS writes it. */
+  colours?: string[];
+}
+
+/** What is worn, in a scene. Within it the axes are those of the poses, y up; moving the group moves all. */
+export class Worn extends Group<WornEvents> implements Controls {
+  /** One for each garment, the innermost first; their materials are yours to change. */
+  readonly meshes: Mesh[];
+  /** The outermost garment. */
+  readonly mesh: Mesh;
+  readonly body: Group | null;
+  readonly stats: Stats;
+  readonly state: State;
+  pose(poses: Pose, trans?: ArrayLike<number>): boolean;
+  follow(source: SourceFunction | Source | null): Promise<void>;
+  play(motion: string | Motion, choice?: PlayChoice): Promise<void>;
+  stop(): void;
+  fabric(name: DrapeOptions["fabric"]): Promise<void>;
+  set(options: DrapeOptions): Promise<void>;
+  dispose(): void;
+}
+
+export interface Drape extends Omit<Core, "wear"> {
+  wear(garments: string | string[], options?: ShownOptions): Promise<Worn>;
+}
+
+export function connect(url: string, access?: Access): Promise<Drape>;

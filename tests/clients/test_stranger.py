@@ -1,0 +1,105 @@
+"""A page of another origin, which has the library from its own server: a garment moves on the body there."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+
+import numpy as np
+import pytest
+
+from service.settings import Settings
+from tests.architecture.repository import ROOT
+from tests.clients.browser import open_page
+from tests.clients.test_page import share
+from tests.fixtures.serving import served
+
+pytestmark = pytest.mark.browser
+
+PAGE = "/examples/web/stranger.html"
+WRITTEN = (ROOT / PAGE[1:]).read_text(encoding="utf-8")
+# What is worn by a library that the page imports beside its own: with its worker, with one of the page, and without.
+WORN_HERE = """(async () => {
+  const { connect } = await import("/clients/web/lib/dist/index.js");
+  const shown = [];
+  const own = () => new Worker("/clients/web/lib/dist/worker.js", { type: "module" });
+  for (const worker of [undefined, own, null]) {
+    const drape = await connect(SERVICE, { worker });
+    const tube = await drape.wear("tube", { folds: 0 });
+    const framed = new Promise((resolve) => tube.addEventListener("frame", resolve));
+    await tube.follow(() => ({ poses: new Array(72).fill(0), trans: [0, 0, 0] }));
+    await framed;
+    shown.push([tube.wearing.decoding.worker !== null, Array.from(tube.mesh.geometry.attributes.position.array)]);
+    tube.dispose();
+  }
+  return JSON.stringify(shown);
+})()"""
+
+
+class Files(SimpleHTTPRequestHandler):
+    """The files of the repository; the page names ``service`` and the garment that it has."""
+
+    def __init__(self, *arguments: object, service: list[str], **named: object) -> None:
+        self.service = service
+        super().__init__(*arguments, **named)  # pyright: ignore[reportArgumentType]
+
+    def do_GET(self) -> None:
+        if self.path != PAGE:
+            super().do_GET()
+            return
+        text = WRITTEN.replace("http://127.0.0.1:8000", self.service[0]).replace('"tshirt"', '"tube"').encode()
+        self.send_response(200)
+        self.send_header("Content-Type", "text/html; charset=utf-8")
+        self.send_header("Content-Length", str(len(text)))
+        self.end_headers()
+        self.wfile.write(text)
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Says nothing."""
+
+
+@contextmanager
+def strange_server(service: list[str]) -> Iterator[str]:
+    """The origin of a server of the repository's files on another port; ``service`` gets the service's address."""
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Files, directory=str(ROOT), service=service)) as server:
+        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_address[1]}"
+        server.shutdown()
+
+
+def test_thirty_lines_show_a_garment_that_moves(make_settings: Callable[..., Settings], record_property):
+    assert len(WRITTEN.splitlines()) <= 30
+    service: list[str] = []
+    with strange_server(service) as origin, served(make_settings(allowed_origins=(origin,))) as url:
+        service.append(url)
+        with open_page(origin + PAGE) as page:
+            page.wait_for("Number(document.body?.dataset.frames) >= 2")
+            before = page.picture()
+            assert before.std() > 10.0, "the page is blank"
+            assert share(before, "b") > 0.005, "no garment in its colour"
+            frames = page.evaluate("Number(document.body.dataset.frames)")
+            page.wait_for(f"Number(document.body.dataset.frames) > {frames} + 5")
+            assert (np.abs(page.picture() - before).max(axis=-1) > 30).mean() > 0.001, "nothing moves"
+            first_s = float(page.evaluate("document.body.dataset.firstS"))
+            record_property("first_frame_s", first_s)
+            print(f"first frame after {first_s:.2f} s")
+            assert first_s < 20.0
+            shown = json.loads(page.evaluate(WORN_HERE.replace("SERVICE", json.dumps(url))))
+            assert [in_worker for in_worker, _ in shown] == [True, True, False]
+            assert shown[0][1] == shown[1][1] == shown[2][1], "a worker decodes what the page's own thread does"
+            assert page.errors == []
+
+
+def test_a_page_that_is_not_allowed_is_told_the_setting(live: str):
+    with strange_server([live]) as origin, open_page(origin + PAGE) as page:
+        asked = f"""(async () => {{
+          const {{ connect }} = await import("/clients/web/lib/dist/core.js");
+          try {{ await connect({json.dumps(live)}); }} catch (error) {{ return error.cure; }}
+        }})()"""
+        page.wait_for("document.readyState === 'complete'")
+        assert f"DRAPE_ALLOWED_ORIGINS name {origin}?" in page.evaluate(asked)

@@ -1,0 +1,56 @@
+// An application that has installed the package: type-checked in strict mode, then run against a service.
+import { DrapeError, connect, type Drape, type Motion, type Worn } from "@drape/client";
+import { connect as connectCore, type Wearing } from "@drape/client/core";
+import { rigSource } from "@drape/client/three";
+import { Mesh, Object3D, Scene } from "three";
+
+declare const process: { argv: string[]; exit(status: number): never };
+const url: string = process.argv[2] ?? "";
+
+const refusalOf = async (task: () => Promise<unknown>): Promise<DrapeError | null> => {
+  try {
+    await task();
+    return null;
+  } catch (error) {
+    if (error instanceof DrapeError) return error;
+    throw error;
+  }
+};
+
+const drape: Drape = await connect(url);
+const tube: Worn = await drape.wear("tube", { tier: "fast", colours: ["#2f6fb0"] });
+const scene = new Scene().add(tube);
+const framed = () => new Promise<void>((resolve) => tube.addEventListener("frame", () => resolve()));
+
+await tube.play("reach", { speed: 2 });
+await framed();
+const mesh: Mesh = tube.mesh;
+const positions = Array.from(mesh.geometry.attributes.position!.array);
+
+const own: Motion = await drape.motion("squat");
+await tube.follow((timeS) => ({ poses: own.poses[0]!, trans: [0, timeS > 1 ? 0 : 0.5, 0] }));
+await framed();
+
+const refused = await refusalOf(() => tube.set({ passes: 65 }));
+await framed(); // what was refused has changed nothing
+const unknown = await refusalOf(() => drape.wear("nothing"));
+const noRig = await refusalOf(async () => rigSource(new Object3D()));
+const garments = (await drape.garments()).map(({ id }) => id);
+tube.dispose();
+
+const core = await connectCore(url, { worker: null });
+const headless: Wearing = await core.wear(["tube"], { geometry: "jets" });
+const [root, jets] = await new Promise<[number[], Float32Array]>((resolve) => {
+  headless.onFrame = ({ root, positions }) => positions && resolve([root, positions[0]!]);
+  void headless.play("reach");
+});
+headless.close();
+
+const told = (error: DrapeError | null) => error && [error.name, error.kind, error.status, error.cure !== ""];
+console.log(
+  JSON.stringify({
+    garments, root, positions, jets: Array.from(jets), state: tube.state, children: scene.children.length, frames: tube.stats.frames,
+    refused: told(refused), unknown: told(unknown), noRig: told(noRig),
+  }),
+);
+process.exit(0);
